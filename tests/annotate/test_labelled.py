@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.annotate.clicked_hands import hands_from_clicks
 from getagrip.annotate.labelled import make
 from getagrip.annotate.labelling import Grasp
 from getagrip.annotate.labels import FRONT, OBJECT, FrameLabels, Labels
@@ -20,13 +19,14 @@ from getagrip.annotate.steadied_hands import steadied
 from getagrip.annotate.tasks import Task
 from getagrip.clip import read_clip, read_masks
 from getagrip.errors import UsageError
-from getagrip.fitting.hand_correction import correct_hand
+from getagrip.fitting.hand_refinement import refine_hand
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.depth import covered
 from getagrip.geometry.lens import Lens
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.hands import generic
+from getagrip.hands.clicked_hands import hands_from_clicks
 from getagrip.io.files import is_plain_name
 from helpers.clips import box
 from helpers.command_line import Run
@@ -133,7 +133,7 @@ def test_labels_become_a_clip(tmp_path: Path, run: Run) -> None:
     clip = read_clip(tmp_path / "shaken")
     assert clip.frames == tuple(f"{n:06d}" for n in range(1, LAST + 2))
     masks = read_masks(clip)
-    assert correct_hand(clip, masks)[0] is None  # nobody drew the hand: ignored is where it was fitted
+    assert refine_hand(clip, masks)[0] is None  # nobody drew the hand: ignored is where it was fitted
     for n in range(LAST + 1):
         drawn = np.zeros(SIZE[::-1], np.uint8)
         cv2.fillPoly(drawn, [np.round(scene(n).square).astype(np.int32)], 1)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from getagrip.checks import INPUT_CHECKS, Evidence, examine
-from getagrip.checks.evidence import Jumps
+from getagrip.checks.evidence import Glitches
 from getagrip.checks.frame_order import Lateness, lateness
 from getagrip.checks.hand_side import bend
 from getagrip.clip import Clip, Masks, write_clip
@@ -19,14 +19,14 @@ from getagrip.experiments.wrong_inputs import MISTAKES
 from getagrip.fitting.methods import METHODS, Method, OnStage
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem
-from getagrip.fitting.reconstruct import reconstruct
 from getagrip.geometry import se3
 from getagrip.provenance import assumed
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.command_line import Run
 from helpers.scenes import SMALL, scene
 
 QUICK = Options(inits=6)
-CHECKS = {check.name: check for check in INPUT_CHECKS}
+CHECKS = {check.name: check for check in INPUT_CHECKS.values()}
 
 
 def mug(side: str = "right") -> tuple[Clip, Masks]:
@@ -35,14 +35,14 @@ def mug(side: str = "right") -> tuple[Clip, Masks]:
 
 def faults(clip: Clip, masks: Masks) -> set[str]:
     """The serious findings about inputs alone."""
-    _, findings = examine(INPUT_CHECKS, Evidence(clip, masks))
+    _, findings = examine(INPUT_CHECKS.values(), Evidence(clip, masks))
     return {finding.check for finding in findings if finding.serious}
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.slow
 def test_right_inputs_raise_no_finding(side: str) -> None:
-    assert examine(INPUT_CHECKS, Evidence(*mug(side)))[1] == ()
+    assert examine(INPUT_CHECKS.values(), Evidence(*mug(side)))[1] == ()
 
 
 OF_INPUTS = {
@@ -126,7 +126,7 @@ def test_a_hand_that_flips_is_put_right() -> None:
     clip, masks = mug()
     flipped, _ = Wrong("hand flips")(clip, masks, seed=5)
     result = reconstruct(flipped, masks, QUICK)
-    assert {"hand-jumps"} <= {finding.check for finding in result.findings}
+    assert {"tracker-glitches"} <= {finding.check for finding in result.findings}
     assert result.T_cam_hand is not None
     middle = clip.hand.vertices.mean(axis=(0, 1))[None]
     off = se3.transform(result.T_cam_hand, middle) - se3.transform(clip.hand.T_cam_hand, middle)
@@ -134,9 +134,9 @@ def test_a_hand_that_flips_is_put_right() -> None:
 
 
 def test_a_hand_that_jumps_all_the_time_is_doubted() -> None:
-    given = Evidence(*mug(), jumps=Jumps(("000001", "000003", "000005"), 8))
-    findings = [finding for finding in examine(INPUT_CHECKS, given)[1] if "jumps" in finding.check]
-    assert [(finding.check, finding.serious) for finding in findings] == [("many-hand-jumps", True)]
+    given = Evidence(*mug(), glitches=Glitches(("000001", "000003", "000005"), 8))
+    findings = [finding for finding in examine(INPUT_CHECKS.values(), given)[1] if "glitches" in finding.check]
+    assert [(finding.check, finding.serious) for finding in findings] == [("many-tracker-glitches", True)]
     assert "frames 000001, 000003, 000005" in findings[0].message
 
 
@@ -162,8 +162,8 @@ def test_frames_without_a_mask_say_nothing_of_lateness(gone: slice) -> None:
     seen, ignored = masks.object.copy(), masks.ignore.copy()
     seen[gone], ignored[gone] = False, True
     assert lateness(Evidence(clip, Masks(seen, ignored))) == Lateness(0, 1.0)
-    whole = {finding.check for finding in examine(INPUT_CHECKS, Evidence(clip, masks))[1]}
-    sparse = {finding.check for finding in examine(INPUT_CHECKS, Evidence(clip, Masks(seen, ignored)))[1]}
+    whole = {finding.check for finding in examine(INPUT_CHECKS.values(), Evidence(clip, masks))[1]}
+    sparse = {finding.check for finding in examine(INPUT_CHECKS.values(), Evidence(clip, Masks(seen, ignored)))[1]}
     assert sparse <= whole
 
 

@@ -9,13 +9,13 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.annotate.carried_masks import Images
-from getagrip.annotate.clicked_hands import hands_from_clicks
 from getagrip.annotate.labels import FRONT, OBJECT, Labels
 from getagrip.annotate.propagated_masks import propagate
 from getagrip.annotate.steadied_hands import steadied
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.depth import covered
+from getagrip.hands.clicked_hands import hands_from_clicks
 
 HAND_SIDE = 640
 """The hand's silhouette is drawn in an image whose longer side is so long [px]."""
@@ -45,8 +45,8 @@ def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, d
             "outlines": _polygons(mask, 1.0 / zoom),
             "doubtful": [],
         }
-    for frame, doubtful in zip(found.keys, found.doubtful, strict=True):
-        out[frame]["doubtful"] = np.flatnonzero(doubtful).tolist()
+    for frame, outliers in zip(found.keys, found.outliers, strict=True):
+        out[frame]["doubtful"] = np.flatnonzero(outliers).tolist()
     return out
 
 

@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from getagrip.annotate.clicked_hands import SCALE, ClickedHands, hands_from_clicks
 from getagrip.annotate.labels import FRONT, OBJECT, Labels
 from getagrip.annotate.propagated_masks import propagate
 from getagrip.annotate.steadied_hands import steadied
@@ -20,6 +19,7 @@ from getagrip.clip.writing import write_hand
 from getagrip.geometry import se3
 from getagrip.geometry.depth import covered
 from getagrip.geometry.lens import Lens
+from getagrip.hands.clicked_hands import SCALE, ClickedHands, hands_from_clicks
 from getagrip.io import files
 from getagrip.io.images import write_image
 from getagrip.provenance import Source, as_arrays, assumed, estimated
@@ -57,7 +57,7 @@ def make(
     number of masks that are written. Raises ``UsageError`` for labels that do not suffice, and where ``out`` exists and
     is not to be replaced, or is not what this made before.
     """
-    K, camera = intrinsics(lens if lens.given else Lens(guess_focal=True), labels.size)
+    K, camera = intrinsics(lens if lens.is_set else Lens(guess_focal=True), labels.size)
     clicked = hands_from_clicks(labels.clicks, K, labels.side, labels.first, labels.last)
     hands = steadied(clicked, labels.first, K, labels.size, image)
     confidence = {}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from getagrip.errors import InputError, UsageError
 from getagrip.fitting.methods import OURS, Method, method_of
-from getagrip.io import files
+from getagrip.io import files, plugins
 from getagrip.io.own_code import UnknownSourceError, checksum
 from getagrip.result import Reconstruction, is_result, read_result, software
 
@@ -24,6 +24,7 @@ OTHER = {
     "getagrip": "another version",
     "code": "other code",
     KEY: "another source of its method",
+    "plugins": "other plug-ins",
 }
 """In what a record may differ, by its key."""
 _CHECKSUMS: dict[str, tuple[Method, str]] = {}
@@ -31,10 +32,10 @@ _CHECKSUMS: dict[str, tuple[Method, str]] = {}
 
 
 def made_by(method: str, *also: str) -> dict[str, str]:
-    """``result.software``, and of a method that is not the package's own a checksum of its code (``io.own_code``)."""
-    there = method_of(method)
+    """``result.software``, what other packages add, and a checksum of a method that is not the package's own."""
+    there, made = method_of(method), software(*also) | plugins.made_with(method)
     if there is OURS.get(method):
-        return software(*also)
+        return made
     known, code = _CHECKSUMS.get(method, (None, ""))
     if known is not there:
         try:
@@ -42,7 +43,7 @@ def made_by(method: str, *also: str) -> dict[str, str]:
         except UnknownSourceError:
             code = UNKNOWN
         _CHECKSUMS[method] = there, code
-    return software(*also) | {KEY: code}
+    return made | {KEY: code}
 
 
 def good_result(

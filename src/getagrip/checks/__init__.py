@@ -8,6 +8,17 @@ from getagrip.checks.check import Check
 from getagrip.checks.evidence import Evidence
 from getagrip.checks.signs import read_signs
 from getagrip.checks.solved import Solved
-from getagrip.checks.table import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, examine
+from getagrip.checks.table import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, examine, input_checks, result_checks
 
-__all__ = ["INPUT_CHECKS", "LEAST_IOU", "RESULT_CHECKS", "Check", "Evidence", "Solved", "examine", "read_signs"]
+__all__ = [
+    "INPUT_CHECKS",
+    "LEAST_IOU",
+    "RESULT_CHECKS",
+    "Check",
+    "Evidence",
+    "Solved",
+    "examine",
+    "input_checks",
+    "read_signs",
+    "result_checks",
+]

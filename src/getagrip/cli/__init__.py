@@ -115,9 +115,9 @@ def _parsed(args: Sequence[str]) -> Command:
     imports: Any = Command
     figures: Any = Command
     if args and args[0] == "import":  # what it takes is declared with the readers, which take longer to load
-        from getagrip.commands.datasets import Imports
+        from getagrip.commands.datasets import subcommands
 
-        imports = Imports
+        imports = subcommands(*args[1:2])
     elif args and args[0] == "figure":  # likewise
         from getagrip.commands.figure import Figures
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -23,6 +23,16 @@ from getagrip.io.packed_masks import PackedMask, PackedMasks
 from getagrip.provenance import Provenance
 
 
+class PerFrame(Protocol):
+    """Data of the T frames of a clip."""
+
+    def __len__(self) -> int: ...
+
+    def take(self, index: Int[ndarray, "n"]) -> Self:
+        """The data of some of the frames, in the given order."""
+        ...
+
+
 class FrameMasks(NamedTuple):
     """The masks of one frame, as ``Masks`` has them of all."""
 
@@ -32,10 +42,10 @@ class FrameMasks(NamedTuple):
     """Visible pixels of the hand that holds the object; None where they are not known apart."""
 
     @staticmethod
-    def unknown(size: tuple[int, int], with_hand: bool) -> FrameMasks:
+    def unknown(size: tuple[int, int]) -> FrameMasks:
         """Of a frame that has none; ``size``: width and height [px]."""
         nothing = np.zeros(size[::-1], dtype=bool)
-        return FrameMasks(nothing, ~nothing, nothing if with_hand else None)
+        return FrameMasks(nothing, ~nothing)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +99,9 @@ class Masks(ArrayData):
         shown = np.asarray(self.object.any(axis=(1, 2)))
         return any(i.any() and (one or not i.all()) for one, i in zip(shown, self.ignore, strict=True))
 
+    def __len__(self) -> int:
+        return len(self.object)
+
     def take(self, index: Int[ndarray, "n"]) -> Masks:
         """The masks of some of the frames, in the given order."""
         return Masks(self.object[index], self.ignore[index], None if self.hand is None else self.hand[index])
@@ -123,7 +136,7 @@ class World(ArrayData):
 class Clip(ArrayData):
     """One stable grasp, or a timeline of segments: a hand in every frame, the object's mesh and the camera.
 
-    Masks are read apart from it (``read_masks``).
+    Its masks and other evidence are read apart from it (``read_masks``, ``with_evidence``).
 
     Attributes:
         hand: the hand in each of the T frames.
@@ -144,6 +157,8 @@ class Clip(ArrayData):
         truth: the ground truth; None where it is not known.
         folder: folder of the clip, with its masks and images; None for a clip that is only in memory.
         provenance: where the data comes from, by topic; guesses among the sources are kept in the result's notes.
+        evidence: what pixels say of the frames, by the name of the ``Modality``, where it is in memory; None: nothing,
+            whatever the folder has. What is not named here is read from the folder when it is needed.
         left_out: names of frames that are gone because the object is not visible in them, or their mask is not known
             (``observed_frames``).
     """
@@ -165,6 +180,7 @@ class Clip(ArrayData):
     truth: Truth | None = None
     folder: Path | None = None
     provenance: Provenance = field(default_factory=dict)
+    evidence: Mapping[str, PerFrame | None] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -179,9 +195,10 @@ class Clip(ArrayData):
             counts["world"] = len(self.world.T_world_cam)
         if self.other_hand is not None:
             counts["other_hand"] = len(self.other_hand.known)
-        for name, given in counts.items():
-            if given != count:
-                raise UsageError(f"Clip.{name} must be {count} frames, as many as the hand has (got {given})")
+        counts |= {f"evidence[{name!r}]": len(data) for name, data in self.evidence.items() if data is not None}
+        for name, value in counts.items():
+            if value != count:
+                raise UsageError(f"Clip.{name} must be {count} frames, as many as the hand has (got {value})")
         if self.side not in ("left", "right"):
             raise UsageError(f"Clip.side must be 'left' or 'right' (got {self.side!r})")
         if self.scale not in ("known", "free"):
@@ -243,7 +260,7 @@ class Clip(ArrayData):
         """The side of the hand that is not the clip's own."""
         return "left" if self.side == "right" else "right"
 
-    def held_by(self, side: Side | None) -> Clip | None:
+    def with_side(self, side: Side | None) -> Clip | None:
         """The clip with the hand of a side for its own; None where that hand is not known.
 
         Of the other side it has no ground truth, and in some of its frames the hand may not be known (``hand_known``).
@@ -281,26 +298,9 @@ class Clip(ArrayData):
         frames = tuple(self.frames[i] for i in index)
         world = self.world and self.world.take(index)
         segments = at_frames(self.segments, index)
+        evidence = {name: None if data is None else data.take(index) for name, data in self.evidence.items()}
         return replace(
             self, frames=frames, K=self.K[index], hand=self.hand.take(index), truth=truth, times=self.time[index],
             world=world, segments=segments, other_hand=self.other_hand and self.other_hand.take(index),
+            evidence=evidence,
         )  # fmt: skip
-
-
-def check_masks(clip: Clip, masks: Masks) -> None:
-    """Raise ``UsageError`` for masks of another clip: of other frames, or another size."""
-    expected = (len(clip), clip.size[1], clip.size[0])
-    if masks.object.shape != expected:
-        raise UsageError(f"masks must be of the shape {expected}, as the clip {clip.name} (got {masks.object.shape})")
-
-
-def observed_frames(clip: Clip, observed: Bool[ndarray, "T"]) -> Clip:
-    """The clip at the frames in which the object is observed (``Masks.observed``).
-
-    Raises ``InputError`` for fewer than two: one silhouette says nothing about a motion.
-    """
-    if observed.sum() < 2:
-        given = f"{observed.sum()} of {len(clip)} frames whose mask has a pixel that is not ignored"
-        raise InputError(clip.origin / "masks" / "object", "", given, "at least 2")
-    unobserved = tuple(name for name, is_observed in zip(clip.frames, observed, strict=True) if not is_observed)
-    return replace(clip.take(np.flatnonzero(observed)), left_out=(*clip.left_out, *unobserved))

@@ -6,17 +6,19 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Shaped, UInt8
+from jaxtyping import Float, Shaped, UInt8
 from numpy import ndarray
 
 from getagrip.clip.data import Clip, Masks
 from getagrip.clip.hand_track import HandTrack
+from getagrip.clip.masks import with_masks
+from getagrip.clip.modality import modalities, with_evidence
 from getagrip.clip.reading import OTHER_HAND, VERSION
 from getagrip.clip.timeline import segment_fields
 from getagrip.clip.truth import Truth
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import arrays, files
-from getagrip.io.images import write_image, write_mask
+from getagrip.io.images import write_image
 
 WITHOUT_HAND = "frames_without_hand"
 """Key of a clip's provenance."""
@@ -57,11 +59,9 @@ def fill_folder(
         write_hand_at(clip.other_hand.track.take(rows), clip.frames, rows.tolist(), folder / OTHER_HAND)
     if clip.truth is not None:
         arrays.write(folder / "truth.npz", _truth_arrays(clip, clip.truth))
-    if masks is not None:
-        known = masks.known
-        kinds = {"object": masks.object} | ({"ignore": masks.ignore} if masks.say_what_hides else {})
-        for kind, each in (kinds if masks.hand is None else kinds | {"hand": masks.hand}).items():
-            _write_masks(folder / "masks" / kind, clip.frames, each, known)
+    complete = with_evidence(with_masks(clip, masks))
+    for modality in modalities():
+        modality.write(complete, folder)
     if images is not None:
         _write_images(folder / "frames", clip.frames, images)
 
@@ -131,16 +131,6 @@ def _truth_arrays(clip: Clip, truth: Truth) -> dict[str, Shaped[ndarray, "..."]]
         axis = {"joint_point": joint.point, "joint_direction": joint.direction, "joint_angle": np.array(joint.angle)}
         out |= {"joint_moves": joint.moves, **axis}
     return out
-
-
-def _write_masks(
-    folder: Path, frames: tuple[str, ...], masks: Bool[ndarray, "T H W"], known: Bool[ndarray, "T"]
-) -> None:
-    """One PNG for each frame whose mask is known, 255 where the mask is set."""
-    folder.mkdir(parents=True)
-    for name, mask, there in zip(frames, masks, known, strict=True):
-        if there:
-            write_mask(folder / f"{name}.png", mask)
 
 
 def _write_images(folder: Path, frames: tuple[str, ...], images: Iterable[UInt8[ndarray, "H W 3"]]) -> None:

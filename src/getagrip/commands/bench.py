@@ -153,6 +153,10 @@ def _subcommands() -> Any:
 Benches = _subcommands()
 
 
+NAMING_PATHS = ("--out", "--json", "--ledger", "--priors")
+"""Options whose values are paths, but not those of clips."""
+
+
 def with_source(words: Sequence[str], sources: Collection[str]) -> list[str]:
     """The words behind ``bench`` with the source first: options may come before it, and a folder of clips need not be
     called one."""
@@ -160,7 +164,13 @@ def with_source(words: Sequence[str], sources: Collection[str]) -> list[str]:
         return list(words)
     alone = words[0] == ClipFolder.dataset and (len(words) == 1 or words[1].startswith("-"))  # a folder of that name
     if alone or (words[0] not in sources and not words[0].startswith("-")):
-        is_folder = Path(words[0]).exists() or has_magic(words[0])
-        return [ClipFolder.dataset, *words] if is_folder else list(words)
-    place = next((n for n, word in enumerate(words) if word in sources), None)
-    return list(words) if place is None else [words[place], *words[:place], *words[place + 1 :]]
+        return [ClipFolder.dataset, *words] if _is_folder(words[0]) else list(words)
+    free = [n for n, word in enumerate(words) if n == 0 or words[n - 1] not in NAMING_PATHS]
+    place = next((n for n in free if words[n] in sources), None)
+    if place is not None:
+        return [words[place], *words[:place], *words[place + 1 :]]
+    return [ClipFolder.dataset, *words] if any(_is_folder(words[n]) for n in free) else list(words)
+
+
+def _is_folder(word: str) -> bool:
+    return Path(word).exists() or has_magic(word)

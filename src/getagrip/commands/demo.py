@@ -32,13 +32,13 @@ class Demo(Command):
         """
         from getagrip.clip import input_sha256, read_masks
         from getagrip.evaluation import evaluate, results_table
-        from getagrip.fitting.reconstruct import reconstruct
         from getagrip.io import files
         from getagrip.io.terminal import console, progress_bar
         from getagrip.pages import write_page
         from getagrip.pictures.report import write_report
         from getagrip.pictures.shown import View
         from getagrip.result import read_record, write_result
+        from getagrip.timelines.reconstruct import reconstruct
 
         screen = console()
         with progress_bar() as bar:

@@ -9,7 +9,14 @@ from tyro.conf import arg
 
 from getagrip.commands.command import ClipsFolder, Command, Results
 from getagrip.errors import InputError, UsageError, unknown
+from getagrip.io import plugins
 from getagrip.io.arguments import Flag, OptionalFolder
+
+
+def _others(_: str) -> str:
+    """What other packages add, for the help."""
+    others = plugins.names("exports")
+    return f"(required; of other packages: {', '.join(others)})" if others else "(required)"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +25,7 @@ class Export(Command):
 
     results: Results
     """Result folders, or folders of results."""
-    to: Annotated[str, arg(metavar="FORMAT")]
+    to: Annotated[str, arg(metavar="FORMAT", help_behavior_hint=_others)]
     """csv: a table of poses; npz: arrays; obj: posed meshes, one per frame; glb: glTF, animated, for Blender and
     browsers; bop: files of the BOP benchmark; usd: a USD stage, animated; mujoco: an MJCF scene to
     replay and to simulate; lerobot: a dataset; spider: keypoint trajectories; dex-retargeting: joints and object
@@ -36,6 +43,7 @@ class Export(Command):
         super().check()
         if self.to not in FORMATS:
             raise unknown("--to", self.to, FORMATS)
+        FORMATS[self.to]
         if not self.results:
             raise UsageError("missing RESULT: name at least one result")
 

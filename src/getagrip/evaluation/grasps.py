@@ -24,13 +24,13 @@ def contact_in_grasps(
     """
     each = []
     for segment in clip.segments:
-        by, rows = clip.held_by(segment.side), segment.rows[clip.hand_known(segment.side)[segment.rows]]
+        by, rows = clip.with_side(segment.side), segment.rows[clip.hand_known(segment.side)[segment.rows]]
         if segment.state != "grasp" or by is None or len(rows) < 2:
             continue
         hand = by.hand.take(rows)
         T_hand_obj = se3.inverse(hand.T_cam_hand) @ clip.hand.T_cam_hand[rows] @ track.T_ref_obj[rows]
-        held = ObjectTrack(T_hand_obj, track.scale)
-        (distances,) = contact_distances(found, [held], hand.vertices, hand.faces, reach)
+        track_in_hand = ObjectTrack(T_hand_obj, track.scale)
+        (distances,) = contact_distances(found, [track_in_hand], hand.vertices, hand.faces, reach)
         each.append([stable_contact(distances, contact).sca for contact in contacts])
     if not each:
         return {}

@@ -82,8 +82,8 @@ class Evaluation:
 
     def fields(self) -> dict[str, object]:
         """As ``evaluate --json`` writes it: what is empty is left out."""
-        given = {key: value for key, value in asdict(self).items() if value or key in ("symmetry", "metrics")}
-        return {"result": given.pop("result"), **given} if "result" in given else given
+        entry = {key: value for key, value in asdict(self).items() if value or key in ("symmetry", "metrics")}
+        return {"result": entry.pop("result"), **entry} if "result" in entry else entry
 
 
 def evaluate_result(folder: str | Path, clips: str | Path | None = None) -> Evaluation:
@@ -132,7 +132,7 @@ def evaluate(
         UsageError: the masks are another clip's.
     """
     contacts = CONTACT_DEFINITIONS if contacts is None else contacts
-    wanted = METRICS if wanted is None else wanted
+    wanted = tuple(METRICS.working().values()) if wanted is None else wanted
     if masks is not None:
         check_masks(clip, masks)
     index, whole_mesh, clip = clip.index_of(result.frames), clip.mesh, clip.light()
@@ -152,7 +152,7 @@ def evaluate(
     )
 
 
-def evaluation(it: Comparison, method: str, symmetry: str | None, wanted: Sequence[Metric] = METRICS) -> Evaluation:
+def evaluation(it: Comparison, method: str, symmetry: str | None, wanted: Sequence[Metric] | None = None) -> Evaluation:
     """Measure a comparison."""
     metrics, per_frame = measure(it, wanted)
     return Evaluation(
@@ -202,10 +202,10 @@ class _ResultComparison(Comparison):
     @cached_property
     def _distances(self) -> list[ContactDistances]:
         """Of the predicted object to the given hand; and of the true one, where hand and mesh are the true ones."""
-        clip, given = self.clip, self.clip.hand
-        same = clip.truth is not None and np.array_equal(clip.truth.hand_vertices, given.vertices)
+        clip, value = self.clip, self.clip.hand
+        same = clip.truth is not None and np.array_equal(clip.truth.hand_vertices, value.vertices)
         tracks = [self.track, self.true] if same and self.found is clip.mesh else [self.track]
-        return contact_distances(self.found, tracks, given.vertices, given.faces, self.reach)
+        return contact_distances(self.found, tracks, value.vertices, value.faces, self.reach)
 
 
 def clip_of(folder: Path, result: Reconstruction, record: Json, clips: str | Path | None) -> Clip:
@@ -225,8 +225,8 @@ def clip_of(folder: Path, result: Reconstruction, record: Json, clips: str | Pat
     if clip.name != result.clip:
         raise InputError(found / "clip.json", "name", files.shown(clip.name), f"{result.clip!r}, as {folder} says")
     if record.get("input_sha256") != input_sha256(found):
-        given = f"the checksum of other masks, hands or mesh than those in {found}"
-        raise InputError(folder / "result.json", "input_sha256", given, "an unchanged clip; reconstruct it again")
+        got = f"the checksum of other masks, hands or mesh than those in {found}"
+        raise InputError(folder / "result.json", "input_sha256", got, "an unchanged clip; reconstruct it again")
     return clip
 
 

@@ -56,7 +56,11 @@ def results_table(evaluations: Sequence[Evaluation]) -> Table:
     groups = by_method(evaluations)
     means = {method: _means(group)["mean"] for method, group in groups.items()}
     there = _means(evaluations)["mean"]
-    columns = [(f"{m.heading}\n{m.unit}", m, m.key(_OF_OBJECT)) for m in METRICS if m.heading and not m.by_contact]
+    columns = [
+        (f"{m.heading}\n{m.unit}", m, m.key(_OF_OBJECT))
+        for m in METRICS.working().values()
+        if m.heading and not m.by_contact
+    ]
     columns += [
         (f"SCA\n{_OF_OBJECT.distance}\n%", SCA, SCA.key(_OF_OBJECT)),
         ("true\nSCA\n%", TRUE_SCA, TRUE_SCA.key(_OF_OBJECT)),
@@ -93,7 +97,7 @@ def _contact(method: str, mean: Mapping[str, float]) -> Table:
     known = {key for key, value in mean.items() if not np.isnan(value)}
     shown = [
         metric
-        for metric in METRICS
+        for metric in METRICS.working().values()
         if metric.by_contact and metric.heading and any(metric.key(d) in known for d in CONTACT_DEFINITIONS)
     ]
     table = _table(f"contact\n{method}".strip(), [metric.heading for metric in shown])

@@ -15,12 +15,20 @@ from getagrip.experiments.statistics import Estimate, estimate
 from getagrip.experiments.trials import Score, Scores
 from getagrip.experiments.variants import Variant
 
-COLUMNS = tuple(metric for metric in METRICS if metric.label and metric.unit == "%" and not metric.folded)
-"""Metrics shown as means: the paper's, and up to the object's symmetries."""
-FOLDED = tuple(metric for metric in METRICS if metric.folded)
-"""Means that pages fold away."""
-ERRORS = tuple(metric for metric in METRICS if metric.label and metric.unit != "%")
-"""Metrics shown as medians."""
+
+def columns() -> tuple[Metric, ...]:
+    """Metrics shown as means: the paper's, and up to the object's symmetries."""
+    return tuple(m for m in METRICS.working().values() if m.label and m.unit == "%" and not m.folded)
+
+
+def folded_columns() -> tuple[Metric, ...]:
+    """Means that pages fold away."""
+    return tuple(metric for metric in METRICS.working().values() if metric.folded)
+
+
+def error_columns() -> tuple[Metric, ...]:
+    """Metrics shown as medians."""
+    return tuple(metric for metric in METRICS.working().values() if metric.label and metric.unit != "%")
 
 
 @dataclass(frozen=True)
@@ -33,7 +41,7 @@ class Row:
     differences: dict[str, Estimate]
     """Mean differences in pairs from the variant that it is compared with; empty for that variant itself."""
     medians: dict[str, float]
-    """Of ``ERRORS``, by label; of clips on which the method did not fail."""
+    """Of ``error_columns``, by label; of clips on which the method did not fail."""
     ambiguous: int
     """Results marked ambiguous."""
     wrong: int
@@ -42,9 +50,9 @@ class Row:
     """Of these, how many are marked ambiguous."""
     serious: dict[str, int]
     """On how many clips each check found something serious; the checks that found anything."""
-    doubtful: int
+    flagged: int
     """Results with a serious finding."""
-    doubtful_right: int
+    flagged_right: int
     """Of these, those whose pose is right."""
     noted: dict[str, int]
     """As ``serious``, of findings that are not."""
@@ -68,7 +76,7 @@ class Table:
     columns: tuple[Metric, ...]
     """Those for which there are values."""
     folded: tuple[Metric, ...]
-    """Of ``FOLDED`` those that can be known; of results made before they were measured there are none."""
+    """Of ``folded_columns`` those that can be known; of results made before they were measured there are none."""
     rows: tuple[Row, ...]
 
     def ranks(self, column: Metric) -> list[int]:
@@ -107,10 +115,10 @@ def groups(scores: Sequence[Scores]) -> list[str]:
 
 
 def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], of: Sequence[str]) -> Table:
-    means = (*COLUMNS, *FOLDED)
+    means = (*columns(), *folded_columns())
     cells = {v.label: {column.label: _values(scores, v, column) for column in means} for v in variants}
-    there = tuple(c for c in COLUMNS if any(not np.isnan(values[c.label]).all() for values in cells.values()))
-    folded = tuple(c for c in FOLDED if not c.needs_truth or any(clip.has_truth for clip in scores))
+    there = tuple(c for c in columns() if any(not np.isnan(values[c.label]).all() for values in cells.values()))
+    folded = tuple(c for c in folded_columns() if not c.needs_truth or any(clip.has_truth for clip in scores))
     rows = []
     for variant in variants:
         own, other = cells[variant.label], cells.get(variant.against)
@@ -118,7 +126,9 @@ def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], of
         tried = [score for clip in scores if (score := _score(clip, variant))]
         done = [score for score in tried if not score.failed]
         wrong = [score for score in done if _is_right(score, variant) is False]
-        errors = {e.label: [score.metrics.get(e.key(variant.contact), np.nan) for score in done] for e in ERRORS}
+        errors = {
+            e.label: [score.metrics.get(e.key(variant.contact), np.nan) for score in done] for e in error_columns()
+        }
         rows.append(
             Row(
                 variant,
@@ -131,8 +141,8 @@ def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], of
                 wrong=len(wrong),
                 wrong_ambiguous=sum(score.ambiguous for score in wrong),
                 serious=_counts([score.serious for score in done]),
-                doubtful=sum(bool(score.serious) for score in done),
-                doubtful_right=sum(bool(score.serious) for score in done if _is_right(score, variant)),
+                flagged=sum(bool(score.serious) for score in done),
+                flagged_right=sum(bool(score.serious) for score in done if _is_right(score, variant)),
                 noted=_counts([score.noted for score in done]),
                 seconds=_median([score.seconds for score in done]),
                 failed=len(tried) - len(done),

@@ -52,8 +52,8 @@ def segment_scores(
         sym = pose_errors(clip.mesh, found, true, best_symmetry(clip.mesh, found, true, symmetries))
         sca = None
         if segment.state == "grasp":
-            held = ObjectTrack(se3.inverse(T_cam_hand[rows]) @ T_cam_obj[rows], 1.0)
-            (distances,) = contact_distances(clip.mesh, [held], clip.hand.vertices[rows], clip.hand.faces)
+            grasped = ObjectTrack(se3.inverse(T_cam_hand[rows]) @ T_cam_obj[rows], 1.0)
+            (distances,) = contact_distances(clip.mesh, [grasped], clip.hand.vertices[rows], clip.hand.faces)
             sca = stable_contact(distances, CONTACT).sca
         share = float(sym.add.mean() / sym.diameter)
         out.append(SegmentScore(KINDS[segment.state], plain.success, sym.success, share, sca))

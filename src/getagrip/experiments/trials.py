@@ -17,7 +17,7 @@ from getagrip.batch.job import failure
 from getagrip.batch.kept import good_result, made_by
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
 from getagrip.errors import InputError
-from getagrip.evaluation.metric import SCA
+from getagrip.evaluation.metric import METRICS, SCA
 from getagrip.experiments.changes import AS_GIVEN
 from getagrip.experiments.other_systems import options_of, result_of
 from getagrip.experiments.trial import ClipScores, Trial
@@ -127,7 +127,7 @@ def _try(trial: GraspTrial, variant: Variant, changed: tuple[Clip, Masks], masks
     raised.
     """
     from getagrip.evaluation import evaluate
-    from getagrip.fitting.reconstruct import reconstruct
+    from getagrip.timelines.reconstruct import reconstruct
 
     clip, place = changed[0], _place(trial, variant)
     try:
@@ -137,7 +137,7 @@ def _try(trial: GraspTrial, variant: Variant, changed: tuple[Clip, Masks], masks
         elif variant.system is not None:
             result = replace(result_of(variant, *changed), options=options_of(variant, clip.name))
         else:
-            result = reconstruct(*changed, variant.options)
+            result = reconstruct(replace(clip, segments=()), changed[1], variant.options)
         metrics = evaluate(result, clip, masks, trial.contacts).metrics
         write_result(result, place, checksum, metrics, clip.folder, overwrite=True, made_by=_made_by(variant))
     except Exception as error:
@@ -149,7 +149,7 @@ def _try(trial: GraspTrial, variant: Variant, changed: tuple[Clip, Masks], masks
 
 def _measured(record: Json, contacts: Sequence[ContactDefinition]) -> bool:
     """Whether a result was evaluated by this code, by all these definitions; else only that is done again."""
-    by_this = record["software"].get("evaluation") == code.fingerprint(EVALUATION)
+    by_this = record["software"].get("evaluation") == _evaluation()
     return by_this and all(SCA.key(contact) in record["metrics"] for contact in contacts)
 
 
@@ -198,4 +198,9 @@ def _made_by(variant: Variant) -> dict[str, str]:
     if variant.system is not None:
         also += SYSTEMS
     made = made_by(variant.method, *also) if variant.system is None else software(*also)
-    return made | {"evaluation": code.fingerprint(EVALUATION)}
+    return made | {"evaluation": _evaluation()}
+
+
+def _evaluation() -> str:
+    """The code of ``evaluation``, and of other packages' metrics."""
+    return " with ".join([code.fingerprint(EVALUATION), *METRICS.made_of()])

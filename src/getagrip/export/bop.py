@@ -4,8 +4,8 @@ As in the BOP toolkit: ``R`` row by row and ``t`` [mm] bring the model into the 
 forward); ``time`` is the same for all poses of an image, -1 where it was not measured per image. File names are
 ``METHOD_DATASET-SPLIT.csv``: the toolkit parts them at underscores and hyphens.
 
-Clips of HOT3D have its names: the dataset ``hot3d``, the split's type the headset (``aria``, ``quest3``), and files of
-the headset's camera in BOP's evaluation, such as ``scene_gt_rgb.json``.
+Clips of BOP's own datasets, such as HOT3D, have its names, which their provenance says: the dataset ``hot3d``, the
+split's type the headset (``aria``, ``quest3``), and files of the camera, such as ``scene_gt_rgb.json``.
 """
 
 from __future__ import annotations
@@ -37,14 +37,6 @@ class Naming:
     split: str = "test"
     camera: str = ""
     """Of the scene's files, with an underscore before it."""
-
-
-CAMERAS = {
-    "Aria, camera-rgb": Naming("hot3d", "test-aria", "_rgb"),
-    "Aria, camera-slam-left": Naming("hot3d", "test-aria", "_gray1"),
-    "Quest 3,": Naming("hot3d", "test-quest3", "_gray1"),
-}
-"""By the beginning of what HOT3D's importer says of the camera."""
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
@@ -83,10 +75,8 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
 
 def naming_of(scene: Scene) -> Naming:
     """What the files of a scene are called: as in BOP's own dataset where the clip is of one."""
-    if scene.source.startswith("HOT3D"):
-        found = next((naming for camera, naming in CAMERAS.items() if scene.camera.startswith(camera)), None)
-        if found is not None:
-            return found
+    if {"dataset", "split", "camera"} <= scene.bop.keys():
+        return Naming(scene.bop["dataset"], scene.bop["split"], f"_{scene.bop['camera']}")
     return Naming("".join(filter(str.isalnum, word(scene.name))) or "clip")
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -71,8 +71,8 @@ class Scene:
         angle: (T,) angle about the latent axis [rad]; None for methods without one.
         notes: the result's notes: guesses among them.
         world: where the camera was; None where the clip does not say so.
-        source: what the clip was made from, as its provenance says.
-        camera: likewise, what its camera is.
+        bop: what the BOP benchmark calls the clip's ``dataset``, ``split`` and ``camera``, as the clip's provenance
+            says; empty where it is of none of BOP's.
         image_files: (T,) files of the images; None where a frame has none.
         other_hand: of a timeline, the hand of the other side, in the frames in which it is known.
     """
@@ -98,8 +98,7 @@ class Scene:
     angle: Float[ndarray, "T"] | None
     notes: tuple[str, ...]
     world: World | None = None
-    source: str = ""
-    camera: str = ""
+    bop: Mapping[str, str] = field(default_factory=dict)
     image_files: tuple[Path | None, ...] = ()
     other_hand: OtherHand | None = None
 
@@ -130,8 +129,7 @@ class Scene:
             angle=None if result.axis is None else result.axis.angle,
             notes=result.notes,
             world=some.world,
-            source=str(clip.provenance.get("source", "")),
-            camera=str(clip.provenance.get("camera", "")),
+            bop=_names(clip.provenance.get("bop")),
             image_files=tuple(some.image_file(n) for n in range(len(some))),
             other_hand=some.other_hand,
         )
@@ -218,3 +216,9 @@ def file_names(frames: Sequence[str]) -> list[str]:
     if all(map(files.is_plain_name, frames)):
         return list(frames)
     return [f"{n:06d}" for n in range(len(frames))]
+
+
+def _names(entry: object) -> dict[str, str]:
+    """Names of a clip's provenance as they can be in those of files; nothing of what are none."""
+    named = entry.items() if isinstance(entry, dict) else ()
+    return {str(key): word(value) for key, value in named if isinstance(value, str)}

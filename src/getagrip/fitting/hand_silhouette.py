@@ -71,7 +71,7 @@ class HandMask:
         valid = ~objects
         fxfycxcy = np.stack([K[:, 0, 0], K[:, 1, 1], K[:, 0, 2], K[:, 1, 2]], axis=1)
         if masks.hand is None:
-            valid &= ~hand | _near(_given_bits(clip.hand, fxfycxcy))
+            valid &= ~hand | _near(_mask_bits(clip.hand, fxfycxcy))
         else:
             valid &= hand | ~crops.resample(masks.ignore, outside=True)
             valid &= masks.hand.any(axis=(1, 2), keepdims=True)
@@ -111,6 +111,32 @@ class HandMask:
 
 
 @dataclass(frozen=True)
+class HandContour:
+    """Points of a hand's contour in N frames, against those of its mask.
+
+    Attributes:
+        value: (N,) pixels in which silhouette and mask differ; infinite for a hand behind the camera.
+        weight: (N, M) length of contour that each point stands for [px]; 0: none.
+        distance: (N, M) signed distance to the mask's contour [px].
+        nearest: (N, M) the vertex that each point goes with.
+        along: (N, M, 3) derivative of how far a point moves outward [px] by that vertex in the camera frame [m].
+    """
+
+    value: Float[ndarray, "N"]
+    weight: Float[ndarray, "N M"]
+    distance: Float[ndarray, "N M"]
+    nearest: Int[ndarray, "N M"]
+    along: Float[ndarray, "N M 3"]
+
+    def quadratic(
+        self, J: Float[ndarray, "N M P"]
+    ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]:
+        """Value, gradient and Gauss-Newton Hessian, by P numbers that move the points outward by J."""
+        hJ = np.swapaxes(self.weight[..., None] * J, 1, 2)
+        return self.value, (hJ @ self.distance[..., None])[..., 0], hJ @ J
+
+
+@dataclass(frozen=True)
 class HandSilhouette:
     """A hand's errors, and the mask that tells them."""
 
@@ -131,7 +157,7 @@ class HandSilhouette:
     def with_masks_grown(self, x: Float[ndarray, "N P"]) -> HandSilhouette:
         """The same with masks as large as the silhouettes there, if they are much too small."""
         in_camera = se3.transform(self.errors.T_cam_hand(x), self.errors.surface(x)[0])
-        silhouettes = _contours(in_camera, self.errors.given, self.edges, self.mask, 0)[3]
+        silhouettes = _contours(in_camera, self.errors.tracked, self.edges, self.mask, 0)[3]
         return replace(self, mask=self.mask.grown_to(silhouettes))
 
     @property
@@ -146,21 +172,24 @@ class HandSilhouette:
     def differing(self, x: Float[ndarray, "N P"]) -> float:
         """Pixels in which silhouette and mask differ, in all frames."""
         in_camera = se3.transform(self.errors.T_cam_hand(x), self.errors.surface(x)[0])
-        return float(_contours(in_camera, self.errors.given, self.edges, self.mask, 0)[0].sum())
+        return float(_contours(in_camera, self.errors.tracked, self.edges, self.mask, 0)[0].sum())
 
     def __call__(
         self, x: Float[ndarray, "N P"]
     ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]:
         """Pixels of each frame in which silhouette and mask differ, gradient and Gauss-Newton Hessian by the errors."""
         vertices, joints = self.errors.surface(x)
-        in_camera = se3.transform(self.errors.T_cam_hand(x), vertices)
-        value, points, nearest, _ = _contours(in_camera, self.errors.given, self.edges, self.mask)
+        contour = self.contour(se3.transform(self.errors.T_cam_hand(x), vertices))
+        return contour.quadratic(self.errors.jacobian(x, vertices, joints, contour.nearest, contour.along))
+
+    def contour(self, in_camera: Float[ndarray, "N V 3"]) -> HandContour:
+        """The contour of the hand's vertices in the camera frame, beside that of its mask."""
+        value, points, nearest, _ = _contours(in_camera, self.errors.tracked, self.edges, self.mask)
         z, (fx, fy, cx, cy) = np.maximum(points[:, Z], 1e-6), self.mask.K.T[..., None]
         nx, ny = points[:, NX] / z, points[:, NY] / z
         depth = -(nx * (points[:, U] - cx) + ny * (points[:, V] - cy))
-        J = self.errors.jacobian(x, vertices, joints, nearest, np.stack([nx * fx, ny * fy, depth], axis=-1))
-        hJ = np.swapaxes(points[:, WEIGHT, :, None] * J, 1, 2)
-        return value, (hJ @ points[:, DISTANCE, :, None])[..., 0], hJ @ J
+        along = np.stack([nx * fx, ny * fy, depth], axis=-1)
+        return HandContour(value, points[:, WEIGHT], points[:, DISTANCE], nearest, along)
 
 
 def _contours(
@@ -185,7 +214,7 @@ def _edges(hand: HandTrack) -> Int[ndarray, "4 E"]:
     return np.ascontiguousarray(edge_table(hand.faces).T)
 
 
-def _given_bits(hand: HandTrack, K: Float[ndarray, "N 4"]) -> UInt64[ndarray, "N _ _"]:
+def _mask_bits(hand: HandTrack, K: Float[ndarray, "N 4"]) -> UInt64[ndarray, "N _ _"]:
     """The given hand's silhouette in the crops."""
     N = len(K)
     nothing = np.zeros((N, SIZE, SIZE // 64), np.uint64)

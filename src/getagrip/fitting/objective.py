@@ -1,21 +1,26 @@
 """The energy of Eq. 5 for a clip, at any of its resolutions and frames: E_mask, E_push and E_pull.
 
-A method adds a term where it builds its energy: ``plus(energy_of(...), mine)``.
+Other evidence of the clip counts beside its masks (``evidence_of``). A method adds a term where it builds its energy:
+``plus(energy_of(...), mine)``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from getagrip.clip import modalities
 from getagrip.fitting.contact import HandContacts, spread_points
-from getagrip.fitting.energy import Energy, InHand, Term
+from getagrip.fitting.energy import Energy, HandEnergy, HandTerm, InHand, OnHand, Term
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
+from getagrip.fitting.energy.hand_mask import HandMaskTerm
 from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
 from getagrip.fitting.energy.pull import PullTerm
 from getagrip.fitting.energy.push import PushTerm
+from getagrip.fitting.hand_silhouette import HandSilhouette
 from getagrip.fitting.problem import Problem
 from getagrip.geometry.mesh import decimate
 
@@ -37,8 +42,34 @@ PER_REGION, POINTS = 2, 20
 
 
 def energy_of(problem: Problem, push: float, pull: float) -> Energy:
-    """E_mask, E_push and E_pull."""
-    return plus(mask_of(problem), contact_of(problem, push, pull))
+    """E_mask, what other evidence there is, E_push and E_pull."""
+    return plus(evidence_of(problem), contact_of(problem, push, pull))
+
+
+def evidence_of(problem: Problem) -> Energy:
+    """The terms that all evidence gives on the object: E_mask first, since masks are the first modality."""
+    terms = (modality.terms(problem).object for modality in modalities())
+    return plus(*(energy for energy in terms if energy is not None))
+
+
+def evidence_on_hand(problem: Problem) -> Energy:
+    """The terms that all evidence gives on a hand that is unknown as well; nothing where it is held."""
+    terms = [modality.terms(problem).hand for modality in modalities()]
+    return lambda level, index: [OnHand(one) for hand in terms if hand is not None for one in hand(level, index)]
+
+
+def hand_mask_of(problem: Problem) -> HandEnergy:
+    """E_mask of the hand; a pixel of the image counts as much as one of the object's mask."""
+
+    @cache
+    def seen() -> HandSilhouette:
+        return HandSilhouette.of(problem.clip, problem.input_masks).with_field
+
+    def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[HandTerm]:
+        some = seen().take(index)
+        return [HandMaskTerm(some, (problem.observation.K[index, 0] / some.mask.K[:, 0]) ** 2)]
+
+    return terms
 
 
 def mask_of(problem: Problem) -> Energy:

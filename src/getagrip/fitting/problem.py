@@ -10,13 +10,22 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.clip import Clip, Masks, observed_frames, read_masks, read_observed
+from getagrip.clip import (
+    Clip,
+    Masks,
+    masks_in,
+    observed_frames,
+    read_masks,
+    read_observed,
+    with_evidence,
+    with_masks,
+)
 from getagrip.clip.occlusion import occluded_by_hand
 from getagrip.clip.sampling import frame_indices
 from getagrip.fitting import pose_priors
 from getagrip.fitting.contact import MARGIN
 from getagrip.fitting.energy import Energy
-from getagrip.fitting.hand_correction import correct_hand
+from getagrip.fitting.hand_refinement import refine_hand
 from getagrip.fitting.mask_gaps import GAP_SHARE
 from getagrip.fitting.methods import method_of
 from getagrip.fitting.motion import Motion, PosesInHand
@@ -45,16 +54,16 @@ class Trust:
         hand_differing: share of the hand's visible pixels that differ from its silhouette; NaN where it is not known.
         hand_drawn: whether the drawn hand stands in for missing ignore masks.
         mesh_fitted: whether the mesh was warped to the masks.
-        doubted: names of frames whose masks contradict the others, and are left out (``doubted_masks``).
+        doubted: names of frames whose masks contradict the others, and are left out (``outlier_masks``).
         most_differing: pixels by which a mask may differ from the silhouette that the other frames predict.
     """
 
-    hand_corrected: bool = False
+    hand_refined: bool = False
     hand_differing: float = np.nan
     hand_drawn: bool = False
     mesh_fitted: bool = False
-    doubted: tuple[str, ...] = ()
-    most_differing: float = np.inf
+    outliers: tuple[str, ...] = ()
+    outlier_threshold: float = np.inf
 
     @property
     def contact(self) -> float:
@@ -72,9 +81,9 @@ class Problem:
     """A clip at the frames that are used.
 
     Attributes:
-        clip: the clip, in the frames that are used, its hand corrected where its pixels ask for it.
-        masks: its masks, in the same frames.
-        given_masks: the same as they were given; ``masks`` may ignore what the drawn hand covers besides.
+        clip: the clip, in the frames that are used, all of its evidence in memory, its hand refined where its pixels
+            ask for it.
+        masks: its masks, in the same frames; they may ignore what the drawn hand covers besides (``input_masks``).
         observation: its masks as crops, with contours.
         surface: surface of the object.
         options: options of the reconstruction, with as many initial poses as there may be.
@@ -86,7 +95,6 @@ class Problem:
 
     clip: Clip
     masks: Masks
-    given_masks: Masks
     observation: Observation
     surface: ObjectSurface
     options: Options
@@ -100,15 +108,25 @@ class Problem:
         """How many initial poses the object in the hand has: those given, if they stand alone."""
         return len(self.prior_poses) if self.options.priors_only else self.options.inits
 
-    def at(self, clip: Clip, masks: Masks) -> Problem:
+    @property
+    def input_masks(self) -> Masks:
+        """The masks of the clip, as they were given."""
+        masks = masks_in(self.clip)
+        assert masks is not None
+        return masks
+
+    def at(self, clip: Clip, masks: Masks | None = None) -> Problem:
         """The same problem in other frames of its clip, with the masks that are given for them.
 
-        Whether the masks leave gaps stays as it was found.
+        Without ``masks`` they are those that the clip has in memory or in its folder, as all other evidence is. Whether
+        the masks leave gaps stays as it was found.
         """
+        clip = with_evidence(clip if masks is None else with_masks(clip, masks))
+        masks = read_masks(clip)
         shown = occluded_by_hand(clip, masks) if self.trust.hand_drawn and not masks.say_what_hides else masks
         gap_share = 0.0 if self.observation.has_gaps else 1.0
         observation = observe(shown, clip.K, self.options.occlusion, gap_share)
-        return replace(self, clip=clip, masks=shown, given_masks=masks, observation=observation)
+        return replace(self, clip=clip, masks=shown, observation=observation)
 
     def warped(self, warp: Warp | None) -> Problem:
         """The same problem with its mesh warped, where there is a warp, and contact of more weight."""
@@ -160,18 +178,18 @@ def prepare(clip: Clip, masks: Masks | None, options: Options, threads: int = 1)
     as_published = method_of(options.method).as_published
     if clip.scale == "free" and not as_published:
         options = replace(options, inits=WITH_FREE_SCALE * options.inits)
-    clip, given = _sampled(clip, masks, options.frames)
+    clip = _sampled(clip, masks, options.frames)
     with ThreadPoolExecutor(1) as pool:
         surface = pool.submit(ObjectSurface.of, clip.mesh)  # knows nothing of hands and masks
         if threads == 1:
             wait([surface])
-        return _prepared(clip, given, options, surface, threads)
+        return _prepared(clip, options, surface, threads)
 
 
-def _prepared(clip: Clip, given: Masks, options: Options, surface: Future[ObjectSurface], threads: int) -> Problem:
+def _prepared(clip: Clip, options: Options, surface: Future[ObjectSurface], threads: int) -> Problem:
     """``prepare`` at the frames that are used."""
     as_published = method_of(options.method).as_published
-    masks, notes = given, []
+    masks, notes = read_masks(clip), []
     if clip.left_out:
         one, more = "frame without a mask that shows the object was", "frames without masks that show the object were"
         notes.append(f"{counted(len(clip.left_out), one, more)} left out of the fit: {', '.join(clip.left_out)}")
@@ -180,7 +198,7 @@ def _prepared(clip: Clip, given: Masks, options: Options, surface: Future[Object
     observation = observe(masks, clip.K, options.occlusion, gap_share)
     correction, differing = None, float("nan")
     if options.hands == "corrected" and not as_published:
-        correction, differing = correct_hand(clip, masks, observation.has_gaps)
+        correction, differing = refine_hand(clip, masks, observation.has_gaps)
     if correction is not None:
         clip = clip.with_hand_at(correction.T_cam_hand)
         notes.append(str(correction))
@@ -195,20 +213,21 @@ def _prepared(clip: Clip, given: Masks, options: Options, surface: Future[Object
     if observation.has_gaps:
         notes.append("masks leave gaps between the object and what hides it: what lies in them does not count")
     return Problem(
-        clip=clip, masks=masks, given_masks=given, observation=observation, surface=surface.result(), options=options,
-        prior_poses=poses, notes=tuple(notes), threads=threads,
-        trust=Trust(hand_corrected=correction is not None, hand_differing=differing, hand_drawn=hand_drawn),
+        clip=clip, masks=masks, observation=observation, surface=surface.result(),
+        options=options, prior_poses=poses, notes=tuple(notes), threads=threads,
+        trust=Trust(hand_refined=correction is not None, hand_differing=differing, hand_drawn=hand_drawn),
     )  # fmt: skip
 
 
-def _sampled(clip: Clip, masks: Masks | None, frames: int) -> tuple[Clip, Masks]:
-    """The frames that are used, and their masks. Masks of other frames are read one by one, and not kept."""
+def _sampled(clip: Clip, masks: Masks | None, frames: int) -> Clip:
+    """The frames that are used, with their evidence. That of other frames is read one by one, and not kept."""
+    masks = masks_in(clip) if masks is None else masks
     if masks is None and len(clip) <= frames:
         masks = read_masks(clip)
     observed = read_observed(clip) if masks is None else masks.observed
     visible = observed_frames(clip, observed)
     index = frame_indices(len(visible), frames)
     clip = visible.take(index)
-    if masks is None:
-        return clip, read_masks(clip)
-    return clip, masks if len(clip) == len(observed) else masks.take(np.flatnonzero(observed)[index])
+    if masks is not None:
+        clip = with_masks(clip, masks if len(clip) == len(observed) else masks.take(np.flatnonzero(observed)[index]))
+    return with_evidence(clip)

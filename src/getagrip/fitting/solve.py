@@ -80,14 +80,14 @@ class Solution(Generic[M]):
 
 def in_camera(motion: Motion, T_cam_hand: Float[ndarray, "N 4 4"]) -> PosesInCamera:
     """The motion's poses as the terms read them."""
-    held = moved(motion.poses(), T_cam_hand)
+    seen = moved(motion.poses(), T_cam_hand)
     # Kernels are compiled for one layout; another would compile each of them again.
-    poses = np.ascontiguousarray(held.R), np.ascontiguousarray(held.centre), held.scale
-    if held.hand is None:
+    poses = np.ascontiguousarray(seen.R), np.ascontiguousarray(seen.centre), seen.scale
+    if seen.hand is None:
         return PosesInCamera(*poses)
-    R, centre = np.ascontiguousarray(held.hand.R), np.ascontiguousarray(held.hand.centre)
-    middle = held.hand.frame.middle
-    return ObjectWithHand(*poses, HandInCamera(R, centre, held.hand.scale, held.hand.modes, middle, T_cam_hand))
+    R, centre = np.ascontiguousarray(seen.hand.R), np.ascontiguousarray(seen.hand.centre)
+    middle = seen.hand.frame.middle
+    return ObjectWithHand(*poses, HandInCamera(R, centre, seen.hand.scale, seen.hand.modes, middle, T_cam_hand))
 
 
 @dataclass

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from getagrip.grasps.cut import Cut
 
 
-def _distance(given: str) -> str:
+def _distance(value: str) -> str:
     """What help says of a distance that was not given."""
-    return f"(default: {'0, or 10 with --from-masks' if given == 'None' else given})"
+    return f"(default: {'0, or 10 with --from-masks' if value == 'None' else value})"
 
 
 @dataclass(frozen=True, kw_only=True)

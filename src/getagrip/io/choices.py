@@ -10,10 +10,10 @@ from typing import Literal, get_args, get_origin, get_type_hints
 from getagrip.errors import UsageError
 
 
-def check_word(name: str, given: object, words: object) -> None:
+def check_word(name: str, value: object, words: object) -> None:
     """Raise ``UsageError`` for what is none of the words of a ``Literal``."""
-    if not (isinstance(given, str) and given in get_args(words)):
-        raise UsageError(f"unknown {name} {given!r}; choose from {', '.join(get_args(words))}")
+    if not (isinstance(value, str) and value in get_args(words)):
+        raise UsageError(f"unknown {name} {value!r}; choose from {', '.join(get_args(words))}")
 
 
 def check_values(options: object) -> None:

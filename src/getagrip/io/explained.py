@@ -18,8 +18,8 @@ def explained(kind: T) -> T:
     lines = [line for one in reversed(kind.__mro__) if is_dataclass(one) for line in _fields(one)]
     kind.__doc__ = "\n".join([cleandoc(kind.__doc__ or ""), "", "Attributes:", *lines])
     plain = get_type_hints(kind)
-    _, *given = signature(kind.__init__).parameters.values()  # type: ignore[misc]
-    shown = [one.replace(annotation=plain[one.name]) for one in given]
+    _, *value = signature(kind.__init__).parameters.values()  # type: ignore[misc]
+    shown = [one.replace(annotation=plain[one.name]) for one in value]
     kind.__signature__ = Signature(shown)  # type: ignore[attr-defined]
     return kind
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from getagrip.checks import RESULT_CHECKS, Evidence, examine
-from getagrip.checks.held import gap, penetration
+from getagrip.checks.plausibility import gap, penetration
 from getagrip.clip.occlusion import occluded_by_hand
 from getagrip.finding import Finding
 from getagrip.metrics.contact import pairwise_iou, stable_contact_area
@@ -88,7 +88,7 @@ def numbers(view: View) -> list[Numbers]:
         mean, deep, far, stable = (float("nan"),) * 4
         if view.masks is not None and np.isfinite(iou).any():
             grasp = Evidence(view.clip, view.masks, T_hand_obj, track.scale, iou)
-            findings = examine(RESULT_CHECKS, grasp)[1]
+            findings = examine(RESULT_CHECKS.working().values(), grasp)[1]
             mean, deep, far = float(np.nanmean(iou)), penetration(grasp), gap(grasp)
             stable = stable_contact_area(pairwise_iou(grasp.to_object <= TOUCHING))
         excess = float(energy) / lowest - 1.0 if lowest > 0.0 else float("nan")

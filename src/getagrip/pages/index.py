@@ -16,7 +16,7 @@ from getagrip import __version__
 from getagrip.errors import legible
 from getagrip.evaluation.metric import METRICS, Metric
 from getagrip.evaluation.results import Evaluation
-from getagrip.fitting.methods import method_of
+from getagrip.fitting.methods import label_of
 from getagrip.io import files
 from getagrip.pages.document import document
 from getagrip.pages.frames import jpeg
@@ -29,7 +29,7 @@ from getagrip.result import Reconstruction
 
 THUMBNAIL, QUALITY = 220, 72
 """Side of each of the two pictures of a result [px], and their JPEG quality."""
-PENETRATION = next(metric for metric in METRICS if metric.name == "penetration_object_mm")
+PENETRATION = METRICS["penetration_object_mm"]
 COLUMNS: Mapping[str, Metric] = {**MAIN, "penetration": PENETRATION}
 """Metrics of the index beside the IOU, each under a short name."""
 
@@ -48,7 +48,7 @@ class IndexRow:
     status: str = ""
     flags: tuple[str, ...] = ()
     """What speaks against it: failed, left (not done yet), misfit, serious, note, ambiguous, guess."""
-    doubts: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     """Its findings, in words."""
     values: dict[str, float] = field(default_factory=dict)
     """By the names of the columns."""
@@ -99,10 +99,10 @@ def _row(folder: str, result: Reconstruction, metrics: Mapping[str, float]) -> I
     return IndexRow(
         folder=folder,
         clip=result.clip,
-        method=method_of(result.method).label,
+        method=label_of(result.method),
         status=result.message,
         flags=tuple(name for name, holds in flags.items() if holds),
-        doubts=tuple(str(finding) for finding in result.findings),
+        warnings=tuple(str(finding) for finding in result.findings),
         values={"IOU": result.mean_iou} | values | probable | {"time": float(result.seconds.get("total", np.nan))},
     )
 

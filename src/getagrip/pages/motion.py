@@ -49,6 +49,8 @@ def fixed(view: View, surface: Mesh) -> dict[str, ndarray]:
         out["axis"] = np.stack([_axis(one) for one in each])
     if clip.world is not None:
         out["T_world_cam"] = clip.world.T_world_cam
+        if clip.world.up is not None:
+            out["world_up"] = clip.world.up
     if clip.truth is not None and not view.of_truth:
         out |= {"true_T_cam_obj": clip.truth.T_cam_obj, "true_scale": np.array([clip.truth.scale])}
         out["true_T_cam_hand"] = clip.truth.T_cam_hand

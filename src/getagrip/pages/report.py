@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_CAM_MM, ADD_SYM_MM, ROTATION_SYM, SCA, Metric
 from getagrip.evaluation.results import Evaluation
-from getagrip.fitting.methods import method_of
+from getagrip.fitting.methods import label_of
 from getagrip.io import files
 from getagrip.io.files import Json
 from getagrip.metrics.contact import ContactDefinition
@@ -49,7 +49,7 @@ def write_page(view: View, evaluation: Evaluation, record: Json, path: Path) -> 
     ``evaluation`` is what ``evaluate`` gives for it, ``record`` the content of its ``result.json``. Raises
     ``InputError`` for an image that cannot be read, ``UsageError`` for an unknown method.
     """
-    view, label = coarse(view), method_of(view.result.method).label
+    view, label = coarse(view), label_of(view.result.method)
     shown = _shown(view)
     some = view.at([view.result.frames[n] for n in shown])
     surface, crops = finer(some), steady_windows(some, PICTURE)

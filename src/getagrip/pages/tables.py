@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS
+from getagrip.checks import input_checks, result_checks
 from getagrip.checks.of_timeline import JUMP
 from getagrip.evaluation.metric import METRICS, Metric
 from getagrip.evaluation.results import Evaluation
@@ -15,7 +15,6 @@ from getagrip.metrics.contact import CONTACT_DEFINITIONS
 from getagrip.pictures.shown import View
 from getagrip.result import Reconstruction
 
-CHECKS = {check.name: check for check in (*INPUT_CHECKS, *RESULT_CHECKS, JUMP)}
 SAID = {"iou": "iou, in the crop", "iou_soft": "iou_soft, in the crop"}
 """Metrics whose keys could be taken for the IOU at the top of the page."""
 
@@ -23,7 +22,7 @@ SAID = {"iou": "iou, in the crop", "iou_soft": "iou_soft, in the crop"}
 def tables(view: View, evaluation: Evaluation, record: Json) -> list[dict[str, object]]:
     """Tables as ``parts/report.js`` reads them: a title, names of columns or none, and rows of texts."""
     result = view.result
-    known = {metric.key(contact): metric for metric in METRICS for contact in CONTACT_DEFINITIONS}
+    known = {metric.key(contact): metric for metric in METRICS.working().values() for contact in CONTACT_DEFINITIONS}
     values = [
         [f"{SAID.get(key, key)}{where}", f"{known[key].text(value)}{unit_of(known[key])}"]
         for metrics, where in ((evaluation.metrics, ""), (evaluation.metrics_of_grasps, ", in grasps"))
@@ -58,9 +57,10 @@ def unit_of(metric: Metric) -> str:
 
 def _checked(checks: Mapping[str, float]) -> list[list[str]]:
     """What each check has measured, what is usual, and what it says; of an unknown one the value alone."""
+    known = {check.name: check for check in (*input_checks(), *result_checks(), JUMP)}
     out = []
     for name, value in checks.items():
-        check = CHECKS.get(name)
+        check = known.get(name)
         if check is None:
             out.append([name, f"{value:.3g}", "", ""])
         else:

@@ -12,7 +12,7 @@ from jaxtyping import Shaped
 from numpy import ndarray
 
 from getagrip.errors import legible
-from getagrip.io import arrays, code, files
+from getagrip.io import arrays, code, files, plugins
 from getagrip.result.data import Reconstruction
 
 VERSION = 2
@@ -37,10 +37,10 @@ def write_result(
 
     ``input_sha256`` is the checksum of the clip's files (``clip.input_sha256``), if it has any: ``getagrip evaluate``
     takes no other clip for it. ``clip_folder`` is where that command looks for the clip. With ``overwrite`` an older
-    result in ``folder`` is replaced. ``made_by`` is the software, by default ``software()``.
+    result in ``folder`` is replaced. ``made_by`` is the software, by default this one.
     Raises ``UsageError`` where the folder exists otherwise.
     """
-    folder, made_by = Path(folder), made_by or software()
+    folder, made_by = Path(folder), made_by or software() | plugins.made_with(result.method)
     with files.new_folder(folder, FILES if overwrite else ()) as new:
         arrays.write(new / "result.npz", _arrays(result))
         files.write_json(new / "result.json", _fields(result, input_sha256, metrics, clip_folder, made_by))

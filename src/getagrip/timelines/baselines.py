@@ -1,4 +1,4 @@
-"""Ways to reconstruct a timeline without joining its segments, and the authors' propagation, to compare with.
+"""The variants that a benchmark of timelines compares: without joining segments, the authors' propagation, and ours.
 
 Propagation after the authors' later code (objects-along-hit): it starts at the longest static segment, goes back to the
 first, on to the last and back again. Each segment is fitted with one more start, the pose of the segment visited before
@@ -9,24 +9,27 @@ construction; the weight of its links is 0. Search, optimiser and hand correctio
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.clip import Segment
+from getagrip.clip import Clip, Masks, Segment
 from getagrip.errors import InputError
 from getagrip.fitting.every_frame import at_every_frame, at_sampled_frames
 from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.methods import contact_consistency
+from getagrip.fitting.options import Options
+from getagrip.fitting.pipeline import repair
 from getagrip.fitting.problem import prepare
 from getagrip.geometry import se3
 from getagrip.result import FrameKind
 from getagrip.timelines.footage import Footage
-from getagrip.timelines.held import prepared, solved
-from getagrip.timelines.joint import fill, put_grasp, runs
-from getagrip.timelines.motion import Motion
+from getagrip.timelines.grasp_segment import Grasp, fit_in_all_frames, solve_grasp
+from getagrip.timelines.joint import choose_hypotheses, fill_all_frames
+from getagrip.timelines.motion import Motion, split_at_gaps
 from getagrip.timelines.static_pose import static_hypotheses
 
 
@@ -36,10 +39,10 @@ def grasp_only(footage: Footage) -> Motion:
     """
     motion, known = Motion.of(footage), list[Segment]()
     for segment in footage.clip.segments:
-        problem = prepared(footage, segment) if segment.state == "grasp" else None
-        if problem is not None:
-            rows = put_grasp(motion, footage, solved(footage, segment, problem, []), 0, [])
-            known += runs(segment, rows)
+        grasp = Grasp.of(footage, segment) if segment.state == "grasp" else None
+        if grasp is not None:
+            motion.put_grasp(fit_in_all_frames(solve_grasp(grasp, []), 0, []))
+            known += split_at_gaps(segment, grasp.rows)
     _carry(motion, footage, known)
     return motion
 
@@ -50,7 +53,7 @@ def static_only(footage: Footage) -> Motion:
     for segment in footage.clip.segments:
         found = static_hypotheses(footage, segment, support=False) if segment.state == "static" else None
         if found is not None:
-            motion.put(footage, segment.rows, found.take(np.zeros(1, int)), "sampled")
+            motion.put(segment.rows, found.take(np.zeros(1, int)), "sampled")
             known.append(segment)
     _carry(motion, footage, known)
     return motion
@@ -59,7 +62,7 @@ def static_only(footage: Footage) -> Motion:
 def _carry(motion: Motion, footage: Footage, known: list[Segment]) -> None:
     """Frames of no known segment from the nearest frame of one: with the hand, or in the world while it is static."""
     if not known:
-        raise InputError(footage.clip.origin, "segments", "none that can be solved alone", "one at least")
+        raise InputError(footage.clip.origin, "segments", "none that can be solve_grasp alone", "one at least")
     there = np.concatenate([segment.rows for segment in known])
     nearest = there[np.argmin(np.abs(np.arange(len(footage))[:, None] - there), axis=1)]
     static = {row: s for s in footage.clip.segments if s.state == "static" for row in s.rows}
@@ -79,9 +82,9 @@ def _carry(motion: Motion, footage: Footage, known: list[Segment]) -> None:
 
 def _with_hand(motion: Motion, footage: Footage, source: int, row: int) -> Float[ndarray, "4 4"]:
     """The pose in the world of an object that goes with the given hand from one frame to another."""
-    given = footage.clip.hand.T_cam_hand
-    T_hand_obj = se3.inverse(given[source]) @ motion.T_cam_obj[source]
-    return np.asarray(footage.T_world_cam[row] @ given[row] @ T_hand_obj)
+    T_cam_hand = footage.clip.hand.T_cam_hand
+    T_hand_obj = se3.inverse(T_cam_hand[source]) @ motion.T_cam_obj[source]
+    return np.asarray(footage.T_world_cam[row] @ T_cam_hand[row] @ T_hand_obj)
 
 
 def propagate(footage: Footage) -> Motion:
@@ -100,7 +103,7 @@ def propagate(footage: Footage) -> Motion:
             continue
         _visit(motion, footage, segments, n, before, best)
         before = n
-    fill(motion, footage, segments)
+    motion.fill(segments)
     return motion
 
 
@@ -113,7 +116,7 @@ def _visit(
     if before is not None:
         one = segments[before]
         source = one.last if before < n else one.first
-        start = motion.at(footage, source)
+        start = motion.at(source)
     if segment.state == "static":
         found = static_hypotheses(footage, segment, support=False, start=start)
         assert found is not None
@@ -121,7 +124,7 @@ def _visit(
         T_cam_hand, kind = footage.clip.hand.T_cam_hand[rows], tuple("sampled" for _ in rows)
     else:
         clip, masks = footage.clip.take(rows), footage.masks.take(rows)
-        problem = prepare(clip, masks, replace(footage.options, method="contact-consistency"))
+        problem = prepare(clip, masks, replace(footage.source.options, method="contact-consistency"))
         if start is not None:
             at = 0 if before is not None and before < n else -1
             T_hand_world = se3.inverse(problem.clip.world.T_world_cam[at] @ problem.clip.hand.T_cam_hand[at])  # type: ignore[union-attr]
@@ -140,3 +143,18 @@ def _visit(
         motion.T_cam_obj[rows], motion.T_cam_hand[rows] = T_cam_obj, T_cam_hand
         for row, how in zip(rows, kind, strict=True):
             motion.kind[row] = how
+
+
+VARIANTS: dict[str, Callable[[Footage], Motion]] = {
+    "grasp only": grasp_only,
+    "static only": static_only,
+    "propagate": propagate,
+    "joint": lambda footage: fill_all_frames(footage, choose_hypotheses(footage, support=False)),
+    "joint + plane": lambda footage: fill_all_frames(footage, choose_hypotheses(footage, support=True)),
+}
+"""The last is what ``getagrip reconstruct`` does."""
+
+
+def reconstruct_with(variant: str, clip: Clip, masks: Masks, options: Options) -> Motion:
+    """An object's motion in a clip of known scale, found by a variant. Raises as that variant does."""
+    return VARIANTS[variant](Footage.of(repair(clip, masks, options)))

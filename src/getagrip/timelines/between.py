@@ -6,24 +6,57 @@ two that disagree, as where a box was turned over unseen, is no motion.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 
+from getagrip.fitting.energy import PosesInCamera, Quadratic, Term
 from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
 from getagrip.fitting.motion import Free
-from getagrip.fitting.objective import mask_of
+from getagrip.fitting.objective import evidence_of
 from getagrip.fitting.solve import minimise
 from getagrip.geometry import se3
 from getagrip.timelines.following import follow
 from getagrip.timelines.footage import Footage
 from getagrip.timelines.hypotheses import Hypotheses
-from getagrip.timelines.world_term import WorldTerm
 
 SMOOTH = 2e5
 """Energy of a surface that moves from one frame to the next [px^2 / m^2]: 20 for a centimetre."""
 STAGES = ((128, 6), (256, 4))
 """Resolution [px] and iterations."""
+
+
+@dataclass(frozen=True)
+class WorldTerm:
+    """Another term, at poses in the world. Its derivatives are taken back to the camera's frame."""
+
+    term: Term
+    T_world_cam: Float[ndarray, "N 4 4"]
+
+    @property
+    def name(self) -> str:
+        return self.term.name
+
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
+        R = self.T_world_cam[:, :3, :3]
+        centre = se3.transform(self.T_world_cam, poses.centre[:, :, None])[:, :, 0]
+        found = self.term(PosesInCamera(R @ poses.R, np.asarray(centre), poses.scale), bound)
+        turn = np.zeros((len(R), 7, 7))
+        turn[:, :3, :3] = turn[:, 3:6, 3:6] = R
+        turn[:, 6, 6] = 1.0
+        back = np.swapaxes(turn, -1, -2)
+        cross = found.cross
+        if cross is not None:
+            cross = np.einsum("nji,bnjmk,mkl->bniml", turn, cross, turn, optimize=True)
+        return Quadratic(found.value, (back @ found.g[..., None])[..., 0], back @ found.H @ turn, cross)
+
+
+def smooth_in_world(footage: Footage, rows: Int[ndarray, "n"]) -> WorldTerm:
+    """The term by which the object's surface moves little in the world from each of some frames to the next."""
+    about = moments(footage.clip.mesh.vertices - footage.clip.mesh.centre)
+    return WorldTerm(SmoothnessTerm(about, SMOOTH), footage.T_world_cam[rows])
 
 
 def between(
@@ -58,10 +91,8 @@ def _fitted(footage: Footage, rows: Int[ndarray, "n"], start: Hypotheses) -> Hyp
         return start.take(np.array([-1]))
     at = np.searchsorted(rows, seen)
     problem = footage.problem(seen)
-    about = footage.clip.mesh.vertices - footage.clip.mesh.centre
     motion = Free(start.R[:, at], start.centre[:, at], np.log(start.scale))
-    energy = mask_of(problem)
-    smooth = WorldTerm(SmoothnessTerm(moments(about), SMOOTH), footage.T_world_cam[seen])
+    energy, smooth = evidence_of(problem), smooth_in_world(footage, seen)
     everywhere, T_cam_world = np.arange(len(at)), footage.T_cam_world[seen]
     for level, iterations in STAGES:
         found = minimise(motion, [*energy(level, everywhere), smooth], T_cam_world, iterations)

@@ -14,16 +14,13 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.clip.timeline import Side
-from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
 from getagrip.fitting.misfit import misfit, stiffened
 from getagrip.fitting.motion import Fixed, Frozen, Soft
-from getagrip.fitting.objective import mask_of
+from getagrip.fitting.objective import evidence_of
 from getagrip.fitting.solve import in_camera, minimise
 from getagrip.geometry import se3
-from getagrip.timelines.between import SMOOTH
-from getagrip.timelines.footage import Footage
+from getagrip.timelines.between import smooth_in_world
 from getagrip.timelines.motion import Motion
-from getagrip.timelines.world_term import WorldTerm
 
 JITTER, LEAST = 0.01, 0.001
 """Jitter of depth at which deviations are as stiff as ``RIDGE`` says, and below which nothing moves [m]."""
@@ -39,8 +36,9 @@ STAGES = ((128, 6), (256, 4), (256, 4))
 """Resolution [px] and iterations; before the last, it is known how well masks are met."""
 
 
-def settle(motion: Motion, footage: Footage, rows: Int[ndarray, "n"], side: Side) -> None:
+def settle(motion: Motion, rows: Int[ndarray, "n"], side: Side) -> None:
     """Move object and hand in those frames of a grasp, by the hand of ``side``, that show the object; all are known."""
+    footage = motion.footage
     seen, centre = footage.observed(rows), footage.clip.mesh.centre
     if len(seen) < 3:
         return
@@ -53,16 +51,15 @@ def settle(motion: Motion, footage: Footage, rows: Int[ndarray, "n"], side: Side
     ridge = RIDGE[0] * times, RIDGE[1] * times
     T_cam = se3.rigid(motion.T_cam_obj[seen, :3, :3], before)
     still = Fixed(np.eye(3)[None], np.zeros((1, 3)), np.zeros(1), len(seen))
-    held, misfits = Frozen(Soft(still, np.zeros((1, len(seen), 6)), ridge)), 1.0
-    about = moments(footage.clip.mesh.vertices - centre)
-    energy, smooth = mask_of(problem), WorldTerm(SmoothnessTerm(about, SMOOTH), footage.T_world_cam[seen])
+    frozen, misfits = Frozen(Soft(still, np.zeros((1, len(seen), 6)), ridge)), 1.0
+    energy, smooth = evidence_of(problem), smooth_in_world(footage, seen)
     for level, iterations in STAGES:
-        held = Frozen(replace(held.core, ridge=stiffened(ridge, misfits)))
-        found = minimise(held, [*energy(level, everywhere), smooth], T_cam, iterations)
-        held = found.motion
+        frozen = Frozen(replace(frozen.core, ridge=stiffened(ridge, misfits)))
+        found = minimise(frozen, [*energy(level, everywhere), smooth], T_cam, iterations)
+        frozen = found.motion
         if level == STAGES[-1][0]:
             misfits = misfit(problem.observation, float(found.terms["mask"][0]) / len(seen))
-    poses = in_camera(held, T_cam)
+    poses = in_camera(frozen, T_cam)
     moved = np.sum((poses.centre[0] - before) * before, axis=1) / np.sum(before**2, axis=1)
     motion.T_cam_obj[seen] = se3.rigid(poses.R[0], poses.centre[0] - poses.R[0] @ centre)
     hand = motion.T_cam_hands[side]

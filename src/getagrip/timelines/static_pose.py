@@ -7,24 +7,23 @@ comes from the object's size, and from the plane that it lies on where that is k
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.clip import Segment
 from getagrip.clip.sampling import frame_indices
-from getagrip.fitting.energy import Energy, Term
+from getagrip.fitting.energy import Energy, PosesInCamera, Quadratic, Term
 from getagrip.fitting.motion import Fixed
-from getagrip.fitting.objective import mask_of, plus
+from getagrip.fitting.objective import evidence_of, plus
 from getagrip.fitting.problem import Problem
 from getagrip.fitting.schedule import USUAL
 from getagrip.fitting.search import Search
 from getagrip.geometry import camera, se3
 from getagrip.timelines.footage import Footage
 from getagrip.timelines.hypotheses import Hypotheses
-from getagrip.timelines.support_term import SupportTerm, hull_vertices, plane_in_camera
 
 FRAMES = 8
 """Of a static segment that are fitted: they show nearly the same."""
@@ -49,7 +48,7 @@ def static_hypotheses(
         return None
     rows = seen[frame_indices(len(seen), FRAMES)]
     problem = footage.problem(rows)
-    energy = plus(mask_of(problem), support_of(problem)) if support else mask_of(problem)
+    energy = plus(evidence_of(problem), support_of(problem)) if support else evidence_of(problem)
     search = Search(footage.T_cam_world[rows], problem.surface, USUAL, lambda _: None)
     found = search.run(search.relax(initial_poses(problem, start), energy).core, energy)
     best = found.take(np.flatnonzero(found.energy <= LIKELY * found.energy[0]))
@@ -96,3 +95,54 @@ def initial_poses(problem: Problem, start: Hypotheses | None) -> Fixed:
         R, centre = np.concatenate([start.R[:, 0], R]), np.concatenate([start.centre[:, 0], centre])
         log_scale = np.concatenate([np.log(start.scale), log_scale])
     return Fixed(R, centre, log_scale, len(clip), clip.scale == "free")
+
+
+@dataclass(frozen=True)
+class SupportTerm:
+    """``weight * h^2 / (1 + h^2 / far^2)`` in each frame, h the height of the lowest vertex over the plane.
+
+    An object may lie on something else that lies on the plane: beyond ``far``, more height costs little more.
+    """
+
+    vertices: Float[ndarray, "V 3"]
+    """Of the object, about its centre, unscaled [m]; those of the convex hull are enough."""
+    normal: Float[ndarray, "N 3"]
+    """Up, in the camera frame."""
+    height: Float[ndarray, "N"]
+    """Of the plane along it, from the camera [m]."""
+    weight: float
+    """Energy per square metre [px^2 / m^2]."""
+    far: float = 0.02
+    """[m]."""
+    name: str = "support"
+
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
+        scale = poses.scale[:, None, None]
+        up = np.broadcast_to(self.normal, poses.centre.shape)
+        along = scale * (np.swapaxes(poses.R, -1, -2) @ up[..., None])[..., 0] @ self.vertices.T
+        lowest = np.argmin(along, axis=-1)
+        arm = scale * (poses.R @ self.vertices[lowest][..., None])[..., 0]
+        h = np.sum((poses.centre + arm) * up, axis=-1) - self.height
+        shape = 1.0 / (1.0 + (h / self.far) ** 2)
+        J = np.concatenate([up, np.cross(arm, up), np.sum(arm * up, axis=-1, keepdims=True)], axis=-1)
+        slope = 2.0 * self.weight * shape**2 * h
+        H = 2.0 * self.weight * (shape**2)[..., None, None] * (J[..., :, None] * J[..., None, :])
+        return Quadratic(self.weight * shape * h**2, slope[..., None] * J, H)
+
+
+def hull_vertices(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "n 3"]:
+    """Those that can be the lowest."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return np.asarray(vertices[ConvexHull(vertices).vertices])
+    except QhullError:  # a flat mesh
+        return vertices
+
+
+def plane_in_camera(
+    T_world_cam: Float[ndarray, "N 4 4"], up: Float[ndarray, "3"], support: float
+) -> tuple[Float[ndarray, "N 3"], Float[ndarray, "N"]]:
+    """Normal and height of the world's plane as the camera sees it."""
+    normal = (se3.inverse(T_world_cam)[:, :3, :3] @ up[:, None])[..., 0]
+    return normal, support - T_world_cam[:, :3, 3] @ up

@@ -16,7 +16,7 @@ from getagrip.fitting.methods import METHODS, Method, OnStage, paper
 from getagrip.fitting.methods.all_frames import soft_hinge, static
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem
-from getagrip.fitting.reconstruct import reconstruct
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.clips import small_clip
 
 

@@ -70,8 +70,8 @@ class Hot3d(TrackedDataset):
             cut = self._of_timelines(cut)
         found = [source for source in self.sources(lengths) if not lengths or source.name in lengths]
         if listed is not None and not found:
-            given = f"none of the {len(lengths)} recordings of {listed.file}"
-            raise InputError(self.root, "", given, "one of them at least")
+            got = f"none of the {len(lengths)} recordings of {listed.file}"
+            raise InputError(self.root, "", got, "one of them at least")
         if listed is not None and (missing := max(0, len(lengths) - len(found))):
             note(f"{missing} of {len(lengths)} recordings of {listed.file} are not there: skipped")
         how: Pieces = partial(timelines.pieces if self.timelines else touching if self.whole else pieces, cut=cut)
@@ -228,6 +228,7 @@ def _track(
             "hands": "HOT3D's UmeTrack hands (true)",
             "masks": "rendered from the true poses, hidden by both hands and by the other objects that have a mesh",
             "camera": f"{camera.device}, {camera.label}: a pinhole of the fisheye lens's focal length and axis",
+            "bop": camera.bop,
             "scale": "HOT3D's scanned mesh, true size",
             "times": "poses are the nearest in time to the frame, at most 5 ms off",
         },
@@ -251,7 +252,7 @@ def _masks(
         for other, poses in recording.objects.items()
         if other in meshes and poses.known[n]
     }
-    held = objects.pop(uid)
+    grasped = objects.pop(uid)
     pinhole = recording.camera.pinhole
-    visible, ignore, holding = true_masks(held, hands, list(objects.values()), pinhole.K, pinhole.size)
+    visible, ignore, holding = true_masks(grasped, hands, list(objects.values()), pinhole.K, pinhole.size)
     return FrameMasks(visible & covered, ignore | ~covered, holding & covered)

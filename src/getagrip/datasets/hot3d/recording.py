@@ -75,6 +75,12 @@ class HeadsetCamera:
     T_world_cam: Float[ndarray, "N 4 4"]
     """Pinhole camera to world."""
 
+    @property
+    def bop(self) -> dict[str, str]:
+        """What the BOP benchmark calls the dataset, the headset's images and the files of the camera."""
+        split = "test-aria" if self.device == "Aria" else "test-quest3"
+        return {"dataset": "hot3d", "split": split, "camera": "rgb" if self.label == "camera-rgb" else "gray1"}
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -111,8 +117,8 @@ def find(root: Path) -> dict[str, dict[str, Path]]:
 
 def _is_clips(root: Path) -> InputError:
     """The error for HOT3D-Clips, which hold the same recordings in another layout."""
-    given = "HOT3D-Clips (clip-*.tar), another layout, which is not read"
-    return InputError(root, "", given, "HOT3D's full recordings, as its own downloader saves them")
+    got = "HOT3D-Clips (clip-*.tar), another layout, which is not read"
+    return InputError(root, "", got, "HOT3D's full recordings, as its own downloader saves them")
 
 
 def read_recording(name: str, files: dict[str, Path]) -> Recording:

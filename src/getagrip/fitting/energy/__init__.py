@@ -2,9 +2,11 @@
 
 from getagrip.fitting.energy.hand_term import HandInCamera, HandTerm, InHand, ObjectWithHand, OnHand
 from getagrip.fitting.energy.term import Energy, PosesInCamera, Quadratic, Term, no_bound
+from getagrip.fitting.energy.terms import HandEnergy, Terms
 
 __all__ = [
     "Energy",
+    "HandEnergy",
     "HandInCamera",
     "HandTerm",
     "InHand",
@@ -13,5 +15,6 @@ __all__ = [
     "PosesInCamera",
     "Quadratic",
     "Term",
+    "Terms",
     "no_bound",
 ]

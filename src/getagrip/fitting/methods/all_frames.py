@@ -36,10 +36,18 @@ ALONE = 4.0
 """Push and pull count so much more where no other term ties the object to the hand."""
 
 
-def soft_hinge(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> MethodResult:
-    """A hinge, and a small deviation from it in each frame; ``more`` terms count in all stages."""
+def soft_hinge(problem: Problem, on_stage: OnStage, more: EnergyOf | None = None) -> MethodResult:
+    """A hinge, and a small deviation from it in each frame.
+
+    ``more`` gives terms of one's own for a problem. They count in all stages and in all frames, so it is called again
+    for problems in the frames that were not sampled.
+    """
+
+    def own(problem: Problem) -> Energy:
+        return NOTHING if more is None else more(problem)
+
     search = search_of(problem, on_stage)
-    rough, warp, ridge = rough_fit(problem, search, more), None, SOFT_RIDGE
+    rough, warp, ridge = rough_fit(problem, search, own(problem)), None, SOFT_RIDGE
     if problem.options.mesh == "fitted":
         warp = shape_of(problem, search, rough)
     else:
@@ -47,10 +55,9 @@ def soft_hinge(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> M
     if warp is not None:
         problem = problem.warped(warp)
         search = replace(search, surface=problem.surface)
-        rough = rough_fit(problem, search, more)
-    found = fine_fit(problem, search, rough, ridge, more)
-    # Terms of one's own are of these frames only.
-    result = result_of(found, found.motion.core, soft_energy if more is NOTHING else None)
+        rough = rough_fit(problem, search, own(problem))
+    found = fine_fit(problem, search, rough, ridge, own(problem))
+    result = result_of(found, found.motion.core, lambda other: plus(soft_energy(other), own(other)))
     return replace(result, warp=warp)
 
 
@@ -126,8 +133,8 @@ def dynamic(problem: Problem, on_stage: OnStage, energy_of: EnergyOf | None = No
     energy_of = energy_of or energy_alone
     search, energy = search_of(problem, on_stage), energy_of(problem)
     relaxed = search.relax(initial_of(problem), energy)
-    held = relaxed.poses()
-    motion = Free(held.R, held.centre, relaxed.core.log_scale, relaxed.core.free_scale)
+    shared = relaxed.poses()
+    motion = Free(shared.R, shared.centre, relaxed.core.log_scale, relaxed.core.free_scale)
     return result_of(search.run(motion, energy), energy_of=energy_of)
 
 

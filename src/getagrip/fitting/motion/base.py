@@ -8,7 +8,7 @@ that all hypotheses of a search are solved at once. The object is centred: ``T``
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol, Self
 
 import numpy as np
@@ -78,7 +78,7 @@ class PosesInHand(Batch):
     R: Float[ndarray, "B N 3 3"]
     centre: Float[ndarray, "B N 3"]
     scale: Float[ndarray, "B"]
-    hand: HandPoses | None = None
+    hand: HandPoses | None = field(default=None, kw_only=True)
 
 
 def placed(poses: PosesInHand, centre: Float[ndarray, "3"]) -> Float[ndarray, "B N 4 4"]:
@@ -92,7 +92,7 @@ def moved(poses: PosesInHand, T: Float[ndarray, "N 4 4"]) -> PosesInHand:
     R, t, hand = T[:, :3, :3], T[:, :3, 3], poses.hand
     if hand is not None:
         hand = replace(hand, R=R @ hand.R, centre=(R @ hand.centre[..., None])[..., 0] + t)
-    return PosesInHand(R @ poses.R, (R @ poses.centre[..., None])[..., 0] + t, poses.scale, hand)
+    return PosesInHand(R @ poses.R, (R @ poses.centre[..., None])[..., 0] + t, poses.scale, hand=hand)
 
 
 @dataclass(frozen=True)

@@ -116,7 +116,7 @@ class MovingHand(Batch, Generic[Core]):
     def poses(self) -> PosesInHand:
         held, hand = self.core.poses(), self._hand()
         arm = hand.R @ (held.centre - self.assumed.middle)[..., None]
-        return PosesInHand(hand.R @ held.R, hand.centre + arm[..., 0], held.scale, hand)
+        return PosesInHand(hand.R @ held.R, hand.centre + arm[..., 0], held.scale, hand=hand)
 
     def rotated(self, R: Float[ndarray, "B 3 3"]) -> MovingHand[Core]:
         return replace(self, core=self.core.rotated(R))

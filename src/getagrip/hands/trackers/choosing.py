@@ -40,7 +40,7 @@ def one_each(hands: Sequence[Estimate], request: Request) -> tuple[list[Estimate
     known = {frame: 0 for frame in frames if len(found[frame]) == 1}
     by_mask = {frame: row for frame in several if (row := _in_mask(seen[frame], frame, request)) is not None}
     known |= by_mask
-    ways = [f"by the hand's mask in {len(by_mask)}"] if by_mask else []
+    reasons = [f"by the hand's mask in {len(by_mask)}"] if by_mask else []
     if len(by_mask) < len(several):
         near = "the nearest to the hand of the frame before or after"
         if not known:
@@ -48,9 +48,9 @@ def one_each(hands: Sequence[Estimate], request: Request) -> tuple[list[Estimate
             tracks = [_followed(seen, {frames[0]: row}) for row in range(len(seen[frames[0]]))]
             known = max(tracks, key=lambda rows: float(np.mean([np.ptp(seen[n][rows[n]], axis=0) for n in frames])))
         known = _followed(seen, known)
-        ways.append(f"{near} in {len(several) - len(by_mask)}")
+        reasons.append(f"{near} in {len(several) - len(by_mask)}")
     chosen = f"several {request.side} hands in {len(several)} of {len(frames)} frames, one taken as a guess"
-    return [found[frame][known[frame]] for frame in frames], assumed(f"{chosen}: {', '.join(ways)}")
+    return [found[frame][known[frame]] for frame in frames], assumed(f"{chosen}: {', '.join(reasons)}")
 
 
 def _followed(seen: dict[int, list[Float[ndarray, "N 2"]]], known: dict[int, int]) -> dict[int, int]:

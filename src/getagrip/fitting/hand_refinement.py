@@ -1,0 +1,158 @@
+"""The hand is an unknown too: its poses corrected by its own pixels, under a prior on how trackers err.
+
+Minimised is, over the errors x_n = b + e_n of each frame (``HandErrors``), b the same in all frames,
+
+    PIXEL * sum_n E_n(x_n) + 1/2 |b / BIAS|^2 + 1/2 sum_n |e_n / JITTER|^2
+
+with E_n the pixels in which the hand's silhouette differs from its mask (``HandSilhouette``). E counts area, so that a
+finger that is elsewhere weighs by its length and not by its square.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from getagrip import least_squares
+from getagrip.clip import Clip, Masks
+from getagrip.clip.sampling import frame_indices
+from getagrip.fitting.hand_errors import RIGID
+from getagrip.fitting.hand_silhouette import HandSilhouette
+from getagrip.geometry import se3
+from getagrip.least_squares import Arrow
+
+PIXEL = 0.03
+"""What a pixel counts against the prior: thirty of them, side by side along a contour, are as much as one fact."""
+BIAS = np.repeat([0.08, 0.008, 0.01, 0.2], [3, 3, 1, 15])
+"""Assumed standard deviations of the errors that all frames share: turn about each axis [rad], shift along each [m],
+logarithm of the size, bend of each finger joint [rad]. They are no tracker's in particular."""
+JITTER = np.repeat([0.03, 0.003, 0.003, 0.1], [3, 3, 1, 15])
+"""Those of each frame's own errors; neighbouring frames are taken as independent."""
+WORTH = 0.01
+"""Share of the hand's seen pixels that a correction must set right; less is noise of masks."""
+AGREE = 0.4
+"""Share of them that may still differ afterwards; more is not this hand's mask."""
+STEPS = 10, 8, 3
+"""Iterations: without bends; with them, at some of the frames; at all of them."""
+FEW = 10
+"""Frames of the second of these."""
+
+
+@dataclass(frozen=True)
+class HandRefinement:
+    """A hand that its pixels have corrected.
+
+    Attributes:
+        T_cam_hand: (N, 4, 4) its poses.
+        turned: mean angle to the given poses [rad].
+        moved: mean distance of the hand's middle from where it was given [m].
+        before, after: share of the hand's seen pixels that differed from its silhouette, and that still do.
+        grown: by how much its masks were grown before, since they are too small all round [px of a crop of 128].
+    """
+
+    T_cam_hand: Float[ndarray, "N 4 4"]
+    turned: float
+    moved: float
+    before: float
+    after: float
+    grown: float
+
+    def __str__(self) -> str:
+        grown = f" (grown by {self.grown:.1f} px: its masks are too small all round)" if self.grown else ""
+        return (
+            f"the hand was corrected by its own pixels{grown}: "
+            f"turned by {np.degrees(self.turned):.1f} degrees and moved by {1e3 * self.moved:.1f} mm on average; "
+            f"{100 * self.before:.0f} % of its pixels differed, {100 * self.after:.0f} % still do"
+        )
+
+
+def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[HandRefinement | None, float]:
+    """The correction of a clip's hand, and the share of its seen pixels that differ from its silhouette then.
+
+    There is no correction where its pixels are not known (the share is NaN) or ask for none, and where it cannot be
+    made to agree with them: then they are not this hand's, or it is too far off. Pixels of the hand are those of
+    ``masks.hand``, else the ignored ones near the given hand. Where masks leave gaps (``mask_gaps``) the hand's may be
+    too small all round, and are grown first.
+    """
+    seen = HandSilhouette.of(clip, masks)
+    if seen.mask.pixels == 0:
+        return None, float("nan")
+    unrefined = np.zeros((len(clip), RIGID))
+    before = seen.differing(unrefined) / seen.mask.pixels
+    if not np.isfinite(before):  # it goes behind the camera, and has no silhouette
+        return None, 1.0
+    if have_gaps:
+        seen = seen.with_masks_grown(unrefined)
+        before = seen.differing(unrefined) / seen.mask.pixels
+    if before < WORTH:
+        return None, before
+    found = _fitted(seen.with_field, unrefined)
+    after = found.pixels / seen.mask.pixels
+    if after > AGREE or before - after < WORTH:
+        return None, before
+    T, T_input, middle = found.T_cam_hand, clip.hand.T_cam_hand, seen.errors.middle[None]
+    turned = se3.angle_between(T[:, :3, :3], T_input[:, :3, :3])
+    moved = np.linalg.norm(se3.transform(T, middle) - se3.transform(T_input, middle), axis=-1)
+    return HandRefinement(T, float(turned.mean()), float(moved.mean()), before, after, seen.mask.grown), after
+
+
+def _fitted(seen: HandSilhouette, unrefined: Float[ndarray, "N P"]) -> _Fit:
+    """The least cost: first by rigid errors alone, since bends, too, could explain a hand that is turned."""
+    rigid, few, all_frames = STEPS
+    found = least_squares.minimise(_Fit.of(seen, unrefined), rigid).state
+    seen = seen.with_bends
+    if seen.errors.weights is None:
+        return found
+    spare = seen.errors.size - RIGID
+    shared, own = np.pad(found.shared, (0, spare)), np.pad(found.own, ((0, 0), (0, spare)))
+    index = frame_indices(len(own), FEW)
+    some = least_squares.minimise(_Fit.of(seen.take(index), own[index], shared), few).state
+    return least_squares.minimise(_Fit.of(seen, own, some.shared), all_frames).state
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Errors, and all that is known about them (``least_squares.State``, of one problem)."""
+
+    seen: HandSilhouette
+    shared: Float[ndarray, "P"]
+    own: Float[ndarray, "N P"]
+    value: Float[ndarray, "N"] = field(repr=False)
+    g: Float[ndarray, "N P"] = field(repr=False)
+    H: Float[ndarray, "N P P"] = field(repr=False)
+
+    @staticmethod
+    def of(seen: HandSilhouette, own: Float[ndarray, "N P"], shared: Float[ndarray, "P"] | None = None) -> _Fit:
+        """Evaluated at some errors."""
+        shared = np.zeros(own.shape[1]) if shared is None else shared
+        return _Fit(seen, shared, own, *seen(shared + own))
+
+    @property
+    def pixels(self) -> float:
+        """How many differ, in all frames."""
+        return float(self.value.sum())
+
+    @property
+    def T_cam_hand(self) -> Float[ndarray, "N 4 4"]:
+        return self.seen.errors.T_cam_hand(self.shared + self.own)
+
+    @property
+    def cost(self) -> Float[ndarray, "1"]:
+        P = len(self.shared)
+        prior = np.sum((self.shared / BIAS[:P]) ** 2) + np.sum((self.own / JITTER[:P]) ** 2)
+        return np.array([PIXEL * self.pixels + 0.5 * prior])
+
+    def trial(self, active: Int[ndarray, "n"], damping: Float[ndarray, "n"]) -> _Fit:
+        P = len(self.shared)
+        bias, jitter = BIAS[:P] ** -2.0, JITTER[:P] ** -2.0
+        arrow = Arrow.of(PIXEL * self.H[None], self.g[None], slice(P), slice(P))
+        arrow = replace(arrow, g_s=PIXEL * arrow.g_s, g_l=PIXEL * arrow.g_l)
+        arrow = arrow.plus(np.diag(bias), bias * self.shared, np.diag(jitter), jitter * self.own)
+        shared, own = arrow.step(damping)
+        return _Fit.of(self.seen, self.own + own[0], self.shared + shared[0])
+
+    def accept(self, trial: _Fit, active: Int[ndarray, "n"], better: Bool[ndarray, "n"]) -> _Fit:
+        return trial if better.all() else self

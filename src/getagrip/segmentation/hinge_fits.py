@@ -1,0 +1,117 @@
+"""Fits of the object to the hand: where it moves it may be held, and then one motion in the hand explains its masks.
+
+Each fit is made in some frames, by the usual search, and then tried in the frames around them, what it shares over
+frames held still. What it leaves of the masks there, and how far it must deviate from its own motion, says whether the
+object was held in the same way before and after.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.clip import Clip, Masks
+from getagrip.clip.timeline import Side
+from getagrip.errors import GetagripError
+from getagrip.fitting.every_frame import hand_everywhere, own_fit
+from getagrip.fitting.methods import METHODS
+from getagrip.fitting.misfit import CROP_PIXEL, PIXEL
+from getagrip.fitting.motion import placed
+from getagrip.fitting.options import Options
+from getagrip.fitting.problem import MethodResult, Problem, prepare
+from getagrip.fitting.solve import in_camera
+
+METHOD = "soft-hinge"
+CHUNK = 30
+"""So many frames are tried at once."""
+
+
+class NothingToFitError(GetagripError):
+    """Frames in which nothing of the object is seen."""
+
+
+@dataclass(frozen=True)
+class HingeFit:
+    """One way to hold the object.
+
+    Attributes:
+        frames: (n,) the frames in which it was tried, rising: those of the fit, and around them.
+        T_cam_obj: (n, 4, 4) where it has the object in them.
+        T_cam_hand: (n, 4, 4) where it has the hand.
+        misfit: (n,) mean distance of its contour from the mask's [px of the image], deviations from its own motion
+            included; NaN where no mask shows the object.
+        expected: (n,) what a right fit leaves of that in perfect masks (``fitting.misfit``) [px].
+        scale: of the object.
+    """
+
+    frames: Int[ndarray, "n"]
+    T_cam_obj: Float[ndarray, "n 4 4"]
+    T_cam_hand: Float[ndarray, "n 4 4"]
+    misfit: Float[ndarray, "n"]
+    expected: Float[ndarray, "n"]
+    scale: float
+    side: Side
+    """Whose hand it is."""
+
+
+def fit_hinge(
+    clip: Clip, masks: Masks, frames: Int[ndarray, "n"], around: Int[ndarray, "m"], options: Options
+) -> HingeFit:
+    """The best fit in some frames, tried in those ``around``, which are to include them.
+
+    Raises ``NothingToFitError`` where fewer than two masks show the object, or where it cannot be rendered, and
+    ``InputError`` for initial poses as ``prepare`` does.
+    """
+    if masks.observed[frames].sum() < 2:
+        raise NothingToFitError("fewer than two masks show the object")
+    problem = prepare(clip.take(frames), masks.take(frames), options)
+    try:
+        found = METHODS[METHOD].fit(problem, lambda _: None)
+    except GetagripError as error:
+        raise NothingToFitError(str(error)) from error
+    assert found.motion is not None
+    found = replace(found, motion=found.motion.take(np.zeros(1, int)))
+    part, part_masks = clip.take(around), masks.take(around)
+    sampled = part.index_of(problem.clip.frames)
+    part = part.with_hand_at(hand_everywhere(part, problem, sampled))
+    n = len(around)
+    T_hand_obj, misfit, expected = np.tile(np.eye(4), (n, 1, 1)), np.full(n, np.nan), np.full(n, PIXEL)
+    seen = np.flatnonzero(part_masks.observed)
+    for index in np.array_split(seen, -(-len(seen) // CHUNK)):
+        at = problem.at(part.take(index), part_masks.take(index))
+        T_hand_obj[index], misfit[index] = _tried(at, found, sampled, index)
+        expected[index] = PIXEL + CROP_PIXEL / at.observation.crops.zoom
+    for t in np.setdiff1d(np.arange(n), seen):
+        T_hand_obj[t] = T_hand_obj[seen[np.argmin(np.abs(seen - t))]]
+    T_cam_hand = part.hand.T_cam_hand
+    return HingeFit(
+        around, T_cam_hand @ T_hand_obj, T_cam_hand, misfit, expected, float(found.poses.scale[0]), clip.side
+    )
+
+
+def _tried(
+    problem: Problem, found: MethodResult, sampled: Int[ndarray, "n"], index: Int[ndarray, "m"]
+) -> tuple[Float[ndarray, "m 4 4"], Float[ndarray, "m"]]:
+    """Poses in the hand in the problem's frames, and their misfit [px of the image]."""
+    motion = own_fit(problem, found, sampled, index)
+    assert found.energy_of is not None
+    mask = next(term for term in found.energy_of(problem)(256, np.arange(len(index))) if term.name == "mask")
+    energy = mask(in_camera(motion, problem.clip.hand.T_cam_hand), np.full(1, np.inf)).value[0]
+    here = np.arange(len(index))
+    energy = energy + [motion.resampled(here, here[t : t + 1]).prior().value[0] for t in here]
+    observation = problem.observation
+    length = observation.targets[..., 4].sum(axis=1)
+    misfit = np.divide(energy, length * observation.crops.zoom, out=np.full(len(index), np.nan), where=length > 0.0)
+    return placed(motion.poses(), problem.clip.mesh.centre)[0], misfit
+
+
+def pieces(runs: Sequence[tuple[int, int]], longest: int, shortest: int) -> Iterator[Int[ndarray, "n"]]:
+    """The frames of runs, long ones in equal parts of ``longest`` frames at most, short ones left out."""
+    for first, last in runs:
+        n = last + 1 - first
+        if n >= shortest:
+            yield from np.array_split(np.arange(first, last + 1), -(-n // longest))

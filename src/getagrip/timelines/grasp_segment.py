@@ -1,0 +1,188 @@
+"""A stable grasp: a soft hinge in the hand, searched once for itself and once with links to its neighbours.
+
+A neighbour's pose that has been followed into the grasp is one more start of the second search, and what its link asks
+for. All solutions of both count afterwards: a wrong neighbour then cannot take the right one away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.clip import Clip, Masks, Segment
+from getagrip.fitting.energy import Energy, Term
+from getagrip.fitting.energy.smoothness import moments
+from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frames
+from getagrip.fitting.methods.all_frames import result_of, soft_energy, soft_hinges
+from getagrip.fitting.motion import Hinge, Soft, moved
+from getagrip.fitting.objective import NOTHING, plus
+from getagrip.fitting.problem import MethodResult, Problem, prepare
+from getagrip.fitting.solve import Solution, evaluate, minimise
+from getagrip.geometry import se3
+from getagrip.result import Axis, Status
+from getagrip.timelines.following import Paths
+from getagrip.timelines.footage import Footage, grasp_clip
+from getagrip.timelines.hypotheses import Hypotheses
+from getagrip.timelines.link_term import SLIP, WEIGHT, Expected, LinkTerm
+
+FINEST = 256
+"""Resolution at which solutions are compared [px]."""
+STARTS = 8
+"""Paths of a neighbour's poses that the search begins with, too."""
+POLISH = 6
+"""Iterations of the last fit."""
+
+
+@dataclass(frozen=True)
+class Neighbour:
+    """Where the hypotheses of a neighbouring segment, followed, have the object in some frames of a grasp's problem."""
+
+    paths: Paths
+    frames: Int[ndarray, "m"]
+    """Of the problem's frames, rising."""
+    earlier: bool
+    """Whether the neighbour comes before the grasp."""
+
+
+@dataclass(frozen=True)
+class Grasp:
+    """A grasp as a clip of the hand that holds the object, in the frames in which that hand is known.
+
+    Attributes:
+        rows: these frames, of the timeline.
+        problem: at those that are fitted together.
+        sampled: these frames, of the timeline.
+    """
+
+    segment: Segment
+    clip: Clip
+    masks: Masks
+    rows: Int[ndarray, "n"]
+    problem: Problem
+    sampled: Int[ndarray, "m"]
+
+    @staticmethod
+    def of(footage: Footage, segment: Segment) -> Grasp | None:
+        """None where its hand is not known or fewer than two frames show the object."""
+        of_hand = grasp_clip(footage.clip, footage.masks, segment)
+        if of_hand is None:
+            return None
+        clip, masks, rows = of_hand
+        problem = prepare(clip, masks, footage.source.options)
+        return Grasp(segment, clip, masks, rows, problem, rows[clip.index_of(problem.clip.frames)])
+
+
+@dataclass(frozen=True)
+class GraspSolutions:
+    """Solutions of a grasp at the frames of its problem."""
+
+    grasp: Grasp
+    motion: Soft[Hinge]
+    energy: Float[ndarray, "K"]
+    """Without links."""
+
+    @property
+    def hypotheses(self) -> Hypotheses:
+        """In the world, at the problem's frames."""
+        poses = moved(self.motion.poses(), _T_world_hand(self.grasp.problem))
+        return Hypotheses(poses.R, poses.centre, poses.scale, self.energy)
+
+
+def solve_grasp(grasp: Grasp, neighbours: Sequence[Neighbour]) -> GraspSolutions:
+    """The solutions of a grasp. Raises ``GetagripError`` where nothing can be rendered."""
+    problem = grasp.problem
+    found = soft_hinges(problem, lambda _: None)
+    motion = found.motion
+    if neighbours:
+        starts = [_starts(problem, neighbour) for neighbour in neighbours]
+        begun = replace(problem, prior_poses=np.concatenate([*starts, problem.prior_poses]))
+        linked = soft_hinges(begun, lambda _: None, links_of(problem, neighbours))
+        motion = motion.concatenate(replace(linked.motion, ridge=motion.ridge))
+    terms, N = soft_energy(problem)(FINEST, np.arange(len(problem.clip))), len(motion.deviation)
+    cost = evaluate(motion, terms, problem.clip.hand.T_cam_hand, np.full(N, np.inf)).cost
+    order = np.argsort(cost, kind="stable")  # all of them: a box turned by half is the same, but for its links
+    return GraspSolutions(grasp, motion.take(order), cost[order])
+
+
+@dataclass(frozen=True)
+class GraspTrack:
+    """A grasp in all of its frames in which its hand is known."""
+
+    solutions: GraspSolutions
+    chosen: int
+    """Which of its solutions."""
+    found: MethodResult
+    """That, fitted once more with its links, at the problem's frames."""
+    track: Track
+    """That, in all frames."""
+
+    @property
+    def axis(self) -> Axis | None:
+        """Its axis, with the angles in all frames."""
+        axis, angle = self.found.axis, self.track.angle
+        return None if axis is None or angle is None else replace(axis, angle=angle)
+
+
+def fit_in_all_frames(solutions: GraspSolutions, k: int, neighbours: Sequence[Neighbour]) -> GraspTrack:
+    """Solution k, fitted once more with its links, in every frame."""
+    motion = solutions.motion.take(np.array([k]))
+    energy = {"total": solutions.energy[[k]]}
+    solution = Solution(motion, solutions.energy[[k]], energy, [Status.FINISHED], 0)
+    grasp, found = solutions.grasp, result_of(solution, motion.core, soft_energy)
+    if neighbours:
+        found = _polished(grasp.problem, found, neighbours)
+    sampled = at_sampled_frames(grasp.problem, found)
+    return GraspTrack(solutions, k, found, at_every_frame(grasp.clip, grasp.masks, grasp.problem, found, sampled))
+
+
+def _polished(problem: Problem, found: MethodResult, neighbours: Sequence[Neighbour]) -> MethodResult:
+    """Fitted again, links included."""
+    assert isinstance(found.motion, Soft)
+    energy = plus(soft_energy(problem), links_of(problem, neighbours))
+    terms = energy(FINEST, np.arange(len(problem.clip)))
+    solution = minimise(found.motion, terms, problem.clip.hand.T_cam_hand, POLISH)
+    return result_of(solution, solution.motion.core, soft_energy)
+
+
+def links_of(problem: Problem, neighbours: Sequence[Neighbour]) -> Energy:
+    """The energy of the links of a grasp."""
+    return plus(*(_link(problem, neighbour) for neighbour in neighbours)) if neighbours else NOTHING
+
+
+def most(problem: Problem) -> float:
+    """The most that a link to a problem can cost [px^2]."""
+    return WEIGHT * float(problem.observation.area.mean()) * len(problem.clip)
+
+
+def _link(problem: Problem, neighbour: Neighbour) -> Energy:
+    """The energy of one link."""
+    clip, frames, expected = problem.clip, neighbour.frames, neighbour.paths.found
+    assert clip.world is not None
+    seen = moved(expected, se3.inverse(clip.world.T_world_cam[frames]))
+    of, size = moments(clip.mesh.vertices - clip.mesh.centre), SLIP * clip.mesh.diameter
+    cost = expected.energy - expected.energy.min()
+
+    def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[Term]:
+        share = len(index) / len(clip)
+        here = np.flatnonzero(np.isin(frames, index))
+        known = Expected(np.searchsorted(index, frames[here]), seen.R[:, here], seen.centre[:, here], share * cost)
+        return [LinkTerm(of, known, share * most(problem), size)]
+
+    return terms
+
+
+def _starts(problem: Problem, neighbour: Neighbour) -> Float[ndarray, "k 4 4"]:
+    """``T_hand_obj`` as the neighbour has it in the first and in the last of its frames."""
+    T_world_obj = neighbour.paths.found.T_world_obj(problem.clip.mesh.centre)[:STARTS]
+    T_hand_world = se3.inverse(_T_world_hand(problem)[neighbour.frames])
+    return np.concatenate([T_hand_world[n] @ T_world_obj[:, n] for n in (0, -1)])
+
+
+def _T_world_hand(problem: Problem) -> Float[ndarray, "n 4 4"]:
+    clip = problem.clip
+    assert clip.world is not None
+    return np.asarray(clip.world.T_world_cam @ clip.hand.T_cam_hand)
