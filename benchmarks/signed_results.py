@@ -26,7 +26,7 @@ from getagrip.experiments.changes import AS_GIVEN, Noisy, OtherObject, ScaleFree
 from getagrip.experiments.sources.dexycb import DexYcb
 from getagrip.experiments.stamp import stamp
 from getagrip.fitting.options import Options
-from getagrip.fitting.reconstruct import reconstruct
+from getagrip.timelines.reconstruct import reconstruct
 
 EVERY: dict[Split, tuple[int, int]] = {"train": (1, 3), "validation": (2, 5)}
 """Of DexYCB's clips, and of the synthetic ones of each preset, every so many are used."""

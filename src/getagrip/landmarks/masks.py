@@ -58,7 +58,7 @@ def hand_mask(
         return out
     cv2.setRNGSeed(0)
     background, foreground = np.zeros((1, 65)), np.zeros((1, 65))
-    cv2.grabCut(colours, labels, (0, 0, 1, 1), background, foreground, ROUNDS, cv2.GC_INIT_WITH_MASK)
+    cv2.grabCut(colours, labels, (0, 0, 0, 0), background, foreground, ROUNDS, cv2.GC_INIT_WITH_MASK)
     found = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
     whole = _connected(found)
     large = cv2.resize(whole.astype(np.float32), tuple((high - low).tolist()), interpolation=cv2.INTER_LINEAR)
