@@ -76,7 +76,9 @@ def test_a_pixel_of_the_image_counts_as_much_as_one_of_the_object(problem: Probl
 def far_hand(problem: Problem) -> HandInCamera:
     """The hand of a frame, outside of the image."""
     hand = hands(problem, np.array([5.0, 0.0, 0.0]))
-    return replace(hand, R=hand.R[:, 2:3], centre=hand.centre[:, 2:3], modes=hand.modes[:, 2:3], given=hand.given[2:3])
+    return replace(
+        hand, R=hand.R[:, 2:3], centre=hand.centre[:, 2:3], modes=hand.modes[:, 2:3], T_cam_hand=hand.T_cam_hand[2:3]
+    )
 
 
 def test_a_held_hand_has_no_such_energy(problem: Problem) -> None:
