@@ -25,8 +25,20 @@ NAMES = re.compile(r"(^|_)(doubt(ed|ful|s)?|foretold|crews?|told|ways|held|given
 """Identifiers."""
 LOCAL = {"given", "held"}
 """Names that are fine alone: of an argument, and of a lock."""
-VERBS = set(
-    ["Add", "Answer", "Apply", "Approximate", "Assign", "Begin", "Bend", "Blend", "Build", "Call", "Cancel", "Carry", "Check", "Choose", "Claim", "Clip", "Close", "Cluster", "Collect", "Combine", "Compare", "Compute", "Convert", "Copy", "Correlate", "Count", "Crop", "Decode", "Delay", "Descend", "Describe", "Detect", "Differentiate", "Displace", "Do", "Draw", "Drop", "Embed", "Encode", "End", "Enlarge", "Enter", "Escape", "Estimate", "Evaluate", "Expand", "Explain", "Export", "Extend", "Fill", "Find", "Fit", "Flatten", "Flip", "Follow", "Give", "Group", "Grow", "Have", "Hold", "Identify", "Ignore", "Import", "Interpolate", "Join", "Judge", "Keep", "Learn", "Leave", "Let", "Limit", "Link", "List", "Listen", "Load", "Lock", "Make", "Mark", "Match", "Measure", "Minimise", "Mirror", "Move", "Name", "Note", "Open", "Overwrite", "Pack", "Pair", "Parse", "Place", "Pop", "Predict", "Print", "Project", "Pull", "Put", "Raise", "Rank", "Read", "Reconstruct", "Reduce", "Refine", "Refuse", "Remove", "Render", "Repair", "Replace", "Report", "Resample", "Resolve", "Return", "Reverse", "Rotate", "Run", "Sample", "Say", "Scale", "Score", "Search", "Segment", "Select", "Send", "Serve", "Set", "Shift", "Shorten", "Show", "Shrink", "Simplify", "Skip", "Smooth", "Solve", "Split", "Stack", "Start", "Strike", "Strip", "Study", "Subdivide", "Summarise", "Take", "Trace", "Track", "Transform", "Triangulate", "Turn", "Unpack", "Wait", "Write", "Yield"]
+VERBS = re.findall(
+    r"\w+",
+    """
+    Add Answer Apply Approximate Assign Begin Bend Blend Build Call Cancel Carry Check Choose Claim Clip Close
+    Cluster Collect Combine Compare Compute Convert Copy Correlate Count Crop Decode Delay Descend Describe Detect
+    Differentiate Displace Do Draw Drop Embed Encode End Enlarge Enter Escape Estimate Evaluate Expand Explain
+    Export Extend Fill Find Fit Flatten Flip Follow Give Group Grow Have Hold Identify Ignore Import Interpolate
+    Join Judge Keep Learn Leave Let Limit Link List Listen Load Lock Make Mark Match Measure Minimise Mirror Move
+    Name Note Open Overwrite Pack Pair Parse Place Pop Predict Print Project Pull Put Raise Rank Read Reconstruct
+    Reduce Refine Refuse Remove Render Repair Replace Report Resample Resolve Return Reverse Rotate Run Sample Say
+    Scale Score Search Segment Select Send Serve Set Shift Shorten Show Shrink Simplify Skip Smooth Solve Split
+    Stack Start Strike Strip Study Subdivide Summarise Take Trace Track Transform Triangulate Turn Unpack Wait Write
+    Yield
+    """,
 )
 """The words with which public functions begin. A new one is added here, if it is an imperative."""
 ELLIPSES = re.compile(r"(Of|The same|Likewise|As|What|Whether|Where|How far)\b")
