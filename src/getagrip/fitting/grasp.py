@@ -49,14 +49,12 @@ class Found:
     sampled: Track
 
 
-def _prepare(source: Input, clock: Clock) -> Prepared:
+def _prepare(source: Input) -> Prepared:
     """Choose frames, correct the hand, crop the masks; check the input."""
     problem = prepare(source.clip, source.masks, source.options, source.threads)
-    clock("prepare")
     clip = source.clip.take(source.clip.index_of(problem.clip.frames))
     clip = replace(clip, evidence=problem.clip.evidence)
     checks, findings = examine(input_checks(), Evidence(clip, problem.input_masks, glitches=source.glitches))
-    clock("check of the input")
     return Prepared(source, problem, clip, checks, findings)
 
 
@@ -115,4 +113,4 @@ def _judge(prepared: Prepared, found: Found, answer: Answer) -> Judgement:
     return Judgement(prepared.checks | checks, findings, signs, right)
 
 
-GRASP = Steps(_prepare, _search, _fit_all_frames, _judge, stages=9)
+GRASP = Steps(_prepare, _search, _fit_all_frames, _judge, stages=8)

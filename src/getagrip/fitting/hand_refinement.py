@@ -10,7 +10,7 @@ finger that is elsewhere weighs by its length and not by its square.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -22,7 +22,7 @@ from getagrip.clip.sampling import frame_indices
 from getagrip.fitting.hand_errors import RIGID
 from getagrip.fitting.hand_silhouette import HandSilhouette
 from getagrip.geometry import se3
-from getagrip.least_squares import arrow_step, damped
+from getagrip.least_squares import Arrow
 
 PIXEL = 0.03
 """Weight of a pixel against the prior: thirty of them, side by side along a contour, are as much as one fact."""
@@ -147,12 +147,11 @@ class _Fit:
 
     def trial(self, active: Int[ndarray, "n"], damping: Float[ndarray, "n"]) -> _Fit:
         P = len(self.shared)
-        bias, jitter, H = BIAS[:P] ** -2.0, JITTER[:P] ** -2.0, PIXEL * self.H
-        H_ss, H_ll = H.sum(axis=0) + np.diag(bias), H + np.diag(jitter)
-        g_s, g_l = PIXEL * self.g.sum(axis=0) + bias * self.shared, PIXEL * self.g + jitter * self.own
-        shared, own = arrow_step(
-            damped(H_ss[None], damping), H[None], damped(H_ll[None], damping[:, None]), g_s[None], g_l[None]
-        )
+        bias, jitter = BIAS[:P] ** -2.0, JITTER[:P] ** -2.0
+        arrow = Arrow.of(PIXEL * self.H[None], self.g[None], slice(P), slice(P))
+        arrow = replace(arrow, g_s=PIXEL * arrow.g_s, g_l=PIXEL * arrow.g_l)
+        arrow = arrow.plus(np.diag(bias), bias * self.shared, np.diag(jitter), jitter * self.own)
+        shared, own = arrow.step(damping)
         return _Fit.of(self.seen, self.own + own[0], self.shared + shared[0])
 
     def accept(self, trial: _Fit, active: Int[ndarray, "n"], better: Bool[ndarray, "n"]) -> _Fit:

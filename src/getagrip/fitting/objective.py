@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from getagrip.clip import modalities
 from getagrip.fitting.contact import HandContacts, spread_points
-from getagrip.fitting.energy import Energy, HandEnergy, HandTerm, OnHand, Term
+from getagrip.fitting.energy import Energy, HandEnergy, HandTerm, InHand, OnHand, Term
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
 from getagrip.fitting.energy.hand_mask import HandMaskTerm
 from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
@@ -108,13 +108,14 @@ def contact_weights(problem: Problem, push: float, pull: float) -> tuple[Float[n
 def push_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
     """Return our E_push, by its weight in each frame [px^2 / m]."""
     hands, solid = _contacts(problem), problem.surface.solid
-    return lambda level, index: [PushTerm(solid, hands[level].take(index), weight[index])]
+    return lambda level, index: [InHand(PushTerm(solid, hands[level].take(index), weight[index]))]
 
 
 def pull_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
     """Return our E_pull, by its weight in each frame [px^2 / m]."""
     hands, solid = _contacts(problem), problem.surface.solid
-    return lambda level, index: [PullTerm(solid, hands[level].take(index), weight[index], problem.trust.reach)]
+    reach = problem.trust.reach
+    return lambda level, index: [InHand(PullTerm(solid, hands[level].take(index), weight[index], reach))]
 
 
 def _contacts(problem: Problem) -> dict[int, HandContacts]:
@@ -136,7 +137,7 @@ def consistency_of(problem: Problem, weight: float) -> Energy:
     each = weight * observation.area.mean() * observation.K[:, 0]
 
     def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[Term]:
-        return [ContactConsistencyTerm(points, hand.position[index], each[index])]
+        return [InHand(ContactConsistencyTerm(points, hand.position[index], each[index]))]
 
     return terms
 

@@ -162,6 +162,11 @@ class Options(SearchOptions):
     departures: Annotated[Departures, Suppress, Fixed] = TO_THE_LETTER
     """Parts of ``paper`` that are replaced by ours; no other method has a choice."""
 
+    @property
+    def as_published(self) -> bool:
+        """Whether the method is left as its authors state it: nothing is done to its input."""
+        return method_of(self.method).as_published
+
     def __post_init__(self) -> None:
         method_of(self.method)
         super().__post_init__()

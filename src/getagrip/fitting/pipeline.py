@@ -139,7 +139,7 @@ class Clock:
 
 @dataclass(frozen=True)
 class Steps(Generic[P, F, A]):
-    """The steps after the hand's repair. Each calls the clock with the name of every stage that has ended.
+    """The steps after the hand's repair. Search and fit call the clock with the name of every stage that has ended.
 
     Attributes:
         prepare: what the search needs. Raises ``InputError`` for what no clip can be.
@@ -149,7 +149,7 @@ class Steps(Generic[P, F, A]):
         stages: how many stages there are.
     """
 
-    prepare: Callable[[Input, Clock], P]
+    prepare: Callable[[Input], P]
     search: Callable[[P, Clock], F]
     fit_all_frames: Callable[[P, F, Clock], A]
     judge: Callable[[P, F, A], Judgement]
@@ -177,7 +177,8 @@ def run(
     with threadpool_limits(1, user_api="blas"):
         clock = Clock(progress, steps.stages)
         source = repair(clip, masks, options, threads)
-        prepared = steps.prepare(source, clock)
+        prepared = steps.prepare(source)
+        clock("prepare")
         found = steps.search(prepared, clock)
         answer = steps.fit_all_frames(prepared, found, clock)
         judgement = steps.judge(prepared, found, answer)

@@ -38,7 +38,7 @@ def pose_spread(problem: Problem, found: MethodResult) -> float:
     if S == 0:
         return float("nan")
     H, prior = hessian(motion, found.energy_of(problem)(CROP, frames), T_cam_hand)[0], motion.prior()
-    own = H[:, S:, S:] + np.diag(prior.diagonal) + LEAST * np.eye(H.shape[-1] - S)
+    own = H[:, S:, S:] + prior.H + LEAST * np.eye(H.shape[-1] - S)
     reduced = (H[:, :S, :S] - H[:, :S, S:] @ np.linalg.solve(own, H[:, S:, :S])).sum(axis=0)
     certain, directions = np.linalg.eigh(reduced)
     if not certain[-1] > 0.0:  # no contour and no contact tells anything

@@ -27,7 +27,6 @@ from getagrip.fitting.contact import MARGIN
 from getagrip.fitting.energy import Energy
 from getagrip.fitting.hand_refinement import refine_hand
 from getagrip.fitting.mask_gaps import GAP_SHARE
-from getagrip.fitting.methods import method_of
 from getagrip.fitting.motion import Motion, PosesInHand
 from getagrip.fitting.observation import Observation, observe
 from getagrip.fitting.options import WITH_FREE_SCALE, Options
@@ -175,8 +174,7 @@ def prepare(clip: Clip, masks: Masks | None, options: Options, threads: int = 1)
     ``WITH_FREE_SCALE`` times as many initial poses. Raises ``InputError`` for fewer than 2 frames, and for initial
     poses as ``pose_priors.poses_for`` does.
     """
-    as_published = method_of(options.method).as_published
-    if clip.scale == "free" and not as_published:
+    if clip.scale == "free" and not options.as_published:
         options = replace(options, inits=WITH_FREE_SCALE * options.inits)
     clip = _sampled(clip, masks, options.frames)
     with ThreadPoolExecutor(1) as pool:
@@ -188,16 +186,15 @@ def prepare(clip: Clip, masks: Masks | None, options: Options, threads: int = 1)
 
 def _prepared(clip: Clip, options: Options, surface: Future[ObjectSurface], threads: int) -> Problem:
     """``prepare`` at the frames that are used."""
-    as_published = method_of(options.method).as_published
     masks, notes = read_masks(clip), []
     if clip.left_out:
         one, more = "frame without a mask that shows the object was", "frames without masks that show the object were"
         notes.append(f"{counted(len(clip.left_out), one, more)} left out of the fit: {', '.join(clip.left_out)}")
     # For the paper's method gaps between the masks are background.
-    gap_share = 1.0 if as_published else GAP_SHARE
+    gap_share = 1.0 if options.as_published else GAP_SHARE
     observation = observe(masks, clip.K, options.occlusion, gap_share)
     correction, differing = None, float("nan")
-    if options.hands == "corrected" and not as_published:
+    if options.hands == "corrected" and not options.as_published:
         correction, differing = refine_hand(clip, masks, observation.has_gaps)
     if correction is not None:
         clip = clip.with_hand_at(correction.T_cam_hand)

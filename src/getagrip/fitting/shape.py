@@ -22,7 +22,7 @@ from getagrip.fitting.objective import DELTA, STEP
 from getagrip.fitting.problem import Problem
 from getagrip.fitting.solve import FLOOR, in_camera, minimise, seen_from_camera
 from getagrip.geometry.warp import Warp, settled
-from getagrip.least_squares import arrow_step, damped
+from getagrip.least_squares import Arrow
 
 MISFIT = 1.2
 """A mesh is fitted if its misfit (``misfit``) is above this,"""
@@ -97,13 +97,10 @@ class _State:
         J[..., :7, :S], J[..., 7:, S : S + M], J[..., :7, S + M :] = seen[..., :S], np.eye(M), seen[..., S:]
         Jt = np.swapaxes(J, -1, -2)
         A, b = Jt @ self.H[active] @ J, (Jt @ self.g[active][..., None])[..., 0]
-        shared, own = slice(0, S + M), slice(S + M, None)
-        H_ss, g_s = A[..., shared, shared].sum(axis=1), b[..., shared].sum(axis=1)
-        H_ss[:, S:, S:] += self.stiffness
-        g_s[:, S:] += self.pull[active]
-        H_ll, g_l = A[..., own, own] + np.diag(prior.diagonal), b[..., own] + prior.g
-        H_ss, H_ll = damped(H_ss, damping, FLOOR), damped(H_ll, damping[:, None], FLOOR)
-        step, per_frame = arrow_step(H_ss, A[..., shared, own], H_ll, g_s, g_l)
+        arrow = Arrow.of(A, b, slice(S + M), slice(S + M, None)).plus(H_ll=prior.H, g_l=prior.g)
+        arrow.H_ss[:, S:, S:] += self.stiffness
+        arrow.g_s[:, S:] += self.pull[active]
+        step, per_frame = arrow.step(damping, FLOOR)
         return replace(self, motion=motion.retract(step[:, :S], per_frame), weights=weights + step[:, S:])
 
     def accept(self, trial: _State, active: Int[ndarray, "n"], better: Bool[ndarray, "n"]) -> _State:

@@ -18,7 +18,6 @@ from numpy import ndarray
 from getagrip.checks.evidence import Glitches
 from getagrip.clip import Clip, HandTrack
 from getagrip.clip.sampling import frame_indices
-from getagrip.fitting.methods import method_of
 from getagrip.fitting.motion import PosesInHand, interpolated
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
@@ -36,11 +35,8 @@ POINTS = 16
 
 
 def repair_hand(clip: Clip, options: Options) -> tuple[Clip, Glitches | None]:
-    """Repair a clip's hand, and return the frames with glitches.
-
-    The clip stays unchanged, without such frames (None), where the options say that hands are as given.
-    """
-    if options.hands == "as-given" or method_of(options.method).as_published:
+    """``repair_glitches``, and where the hand jumps; None, and the clip as it is, where hands are taken as given."""
+    if options.hands == "as-given" or options.as_published:
         return clip, None
     steady, frames = repair_glitches(clip)
     return steady, Glitches(frames, len(clip))

@@ -16,7 +16,7 @@ distance follows from it. Between clicked frames the hand moves smoothly; before
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -93,7 +93,10 @@ def hands_from_clicks(
     outliers = value.there & (residuals > OUTLIER * value.noise)
     T, q = between(keys, found.T, found.q, first, last)
     posed = model.with_shape(found.shape).with_pose(model_pose(q))
-    return ClickedHands(hand_track(posed, T), keys, residuals, outliers, found.shape)
+    seen = np.zeros((len(T), 21, 3))
+    seen[np.array(keys) - first] = np.concatenate([value.y, value.there[..., None]], axis=-1)
+    hand = replace(hand_track(posed, T), joints_2d=seen[..., :2], joints_2d_confidence=seen[..., 2])
+    return ClickedHands(hand, keys, residuals, outliers, found.shape)
 
 
 def _check(clicks: Mapping[int, Float[ndarray, "..."]], first: int, last: int) -> None:

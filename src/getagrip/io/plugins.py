@@ -193,8 +193,8 @@ TABLES: dict[str, Table[Any]] = {}
 def made_with(method: str) -> dict[str, str]:
     """Return the dependencies of a method's result besides this package: an entry of its record, or none."""
     methods = TABLES["methods"].made_of(method) if "methods" in TABLES else ()
-    checks = (part for kind in ("input_checks", "result_checks") if kind in TABLES for part in TABLES[kind].made_of())
-    parts = [*methods, *checks]
+    kinds = ("modalities", "input_checks", "result_checks")
+    parts = [*methods, *(part for kind in kinds if kind in TABLES for part in TABLES[kind].made_of())]
     return {"plugins": "; ".join(parts)} if parts else {}
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,12 +15,12 @@ from getagrip.fitting.every_frame import Track
 from getagrip.fitting.grasp import GRASP
 from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.options import Options
-from getagrip.fitting.pipeline import Answer, Clock, Input, Judgement, Steps, run
+from getagrip.fitting.pipeline import Clock, Steps, run
 from getagrip.geometry import se3
 from getagrip.result import Reconstruction, Status
 from getagrip.timelines.footage import Footage
 from getagrip.timelines.joint import Chain, choose_hypotheses, fill_all_frames
-from getagrip.timelines.judge import judge_motion
+from getagrip.timelines.judge import TimelineAnswer, judge_timeline
 from getagrip.timelines.motion import Motion
 
 
@@ -62,20 +62,6 @@ def reconstruct(
     return run(GRASP, clip, masks, options, progress, threads)
 
 
-@dataclass(frozen=True)
-class TimelineAnswer(Answer):
-    """The answer of a timeline, and the motion that it is made of."""
-
-    motion: Motion
-
-
-def _prepare(source: Input, clock: Clock) -> Footage:
-    """Read the masks, find the scale."""
-    footage = Footage.of(source)
-    clock("prepare")
-    return footage
-
-
 def _search(footage: Footage, clock: Clock) -> Chain:
     """Search for the hypotheses of all segments that are best together.
 
@@ -110,33 +96,25 @@ def _fit_all_frames(footage: Footage, chain: Chain, clock: Clock) -> TimelineAns
         warp=None,
         hand_moved=not np.array_equal(T_cam_hand, footage.source.original.hand.T_cam_hand),
         T_cam_other_hand=motion.T_cam_other_hand,
-        notes=(*_notes_of_grasps(motion), *footage.some.notes),
+        notes=(*_notes_of_grasps(clip, motion, footage.some.notes), *footage.some.notes),
         motion=motion,
     )
 
 
-def _notes_of_grasps(motion: Motion) -> list[str]:
-    """Return notes on grasps, and on those that could not be solved as such."""
-    footage, clip, out, masks_only = motion.footage, motion.footage.clip, list[str](), list[str]()
+def _notes_of_grasps(clip: Clip, motion: Motion, known: Sequence[str]) -> list[str]:
+    """What is to be known about grasps beyond what is ``known``, and about those that could not be solved as such."""
+    out, masks_only = list[str](), list[str]()
     for segment in (segment for segment in clip.segments if segment.state == "grasp"):
         track = motion.grasps.get(segment.first)
         if track is not None:
-            grasp = track.solutions.grasp
-            own = [note for note in grasp.problem.notes if note not in footage.some.notes]
-            out += [f"grasp from {clip.frames[grasp.rows[0]]}: {note}" for note in own]
+            first = clip.frames[track.solutions.grasp.rows[0]]
+            out += [f"grasp from {first}: {note}" for note in track.solutions.problem.notes if note not in known]
             continue
         name = f"grasp from {clip.frames[segment.first]} ({segment.side} hand)"
-        known = clip.hand_known(segment.side)[segment.rows].any()
-        why = (
-            "the object is visible in fewer than two frames" if known else f"the clip has no {segment.side} hand there"
-        )
-        masks_only.append(f"{name}: {why}, so it was tracked by its masks as in unstable contact, without an axis")
+        has_hand = clip.hand_known(segment.side)[segment.rows].any()
+        why = "the object is not seen in two frames" if has_hand else f"the clip has no {segment.side} hand there"
+        masks_only.append(f"{name}: {why}, so it was followed by the masks as in unstable contact, without an axis")
     return [*out, *masks_only]
 
 
-def _judge(footage: Footage, chain: Chain, answer: TimelineAnswer) -> Judgement:
-    """Run the checks of the motion, and compute signs and the probabilities of its grasps."""
-    return judge_motion(answer.motion, answer.track.iou)
-
-
-TIMELINE = Steps(_prepare, _search, _fit_all_frames, _judge, stages=7)
+TIMELINE = Steps(Footage.of, _search, _fit_all_frames, judge_timeline, stages=7)

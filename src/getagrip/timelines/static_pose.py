@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.clip import Segment
@@ -22,7 +22,6 @@ from getagrip.fitting.problem import Problem
 from getagrip.fitting.schedule import USUAL
 from getagrip.fitting.search import Search
 from getagrip.geometry import camera, se3
-from getagrip.timelines.footage import Footage
 from getagrip.timelines.hypotheses import Hypotheses
 
 FRAMES = 8
@@ -35,24 +34,25 @@ LIKELY = 1.5
 """Solutions with more than this multiple of the least energy are dropped."""
 
 
-def static_hypotheses(
-    footage: Footage, segment: Segment, support: bool, start: Hypotheses | None = None
-) -> Hypotheses | None:
-    """Search for the pose in the frames of a segment; None where fewer than two of them show the object.
+def frames_to_fit(segment: Segment, shown: Bool[ndarray, "T"]) -> Int[ndarray, "n"]:
+    """The frames of a static segment that tell its pose; none where fewer than two show the object."""
+    seen = segment.rows[shown[segment.rows]]
+    return seen[frame_indices(len(seen), FRAMES)] if len(seen) > 1 else seen[:0]
+
+
+def static_hypotheses(problem: Problem, frames: int, support: bool, start: Hypotheses | None = None) -> Hypotheses:
+    """Solutions for the ``frames`` of a segment, all the same pose, by the problem at some of them.
 
     ``start`` are poses to begin with besides uniform rotations (their first frame's). ``support``: whether the plane
     counts. Raises ``GetagripError`` where nothing can be rendered.
     """
-    seen = footage.observed(segment.rows)
-    if len(seen) < 2:
-        return None
-    rows = seen[frame_indices(len(seen), FRAMES)]
-    problem = footage.problem(rows)
+    assert problem.clip.world is not None
+    T_cam_world = se3.inverse(problem.clip.world.T_world_cam)
     energy = plus(evidence_of(problem), support_of(problem)) if support else evidence_of(problem)
-    search = Search(footage.T_cam_world[rows], problem.surface, USUAL, lambda _: None)
+    search = Search(T_cam_world, problem.surface, USUAL, lambda _: None)
     found = search.run(search.relax(initial_poses(problem, start), energy).core, energy)
     best = found.take(np.flatnonzero(found.energy <= LIKELY * found.energy[0]))
-    poses = replace(best.motion, frames=len(segment)).poses()
+    poses = replace(best.motion, frames=frames).poses()
     return Hypotheses(poses.R, poses.centre, poses.scale, best.energy)
 
 

@@ -24,7 +24,7 @@ from getagrip.fitting.objective import contact_of, mask_of
 from getagrip.fitting.problem import Problem
 from getagrip.fitting.solve import FLOOR, STATUS
 from getagrip.geometry import camera, se3
-from getagrip.least_squares import arrow_step, damped
+from getagrip.least_squares import Arrow
 from getagrip.result import Status
 
 STAGES = ((128, 15), (256, 15))
@@ -102,12 +102,9 @@ class NormalEquations:
     def step(self, damping: Float[ndarray, "1"], free_scale: bool) -> tuple[Float[ndarray, "N 12"], float]:
         """Solve for the damped step of all frames, and of the log scale where it is free."""
         S = int(free_scale)
-        H_ss = (self.H[None, :, 12:, 12:].sum(axis=1) + self.cross[None, ..., 12:, 12:].sum(axis=(1, 2)))[:, :S, :S]
-        H_sl = (self.H[None, :, 12:, :12] + self.cross[None, ..., 12:, :12].sum(axis=1))[:, :, :S]
-        H_ll, cross = self.H[None, :, :12, :12], np.swapaxes(self.cross[None, ..., :12, :12], 2, 3)
-        g_s, g_l = self.g[None, :, 12:].sum(axis=1)[:, :S], self.g[None, :, :12]
-        H_ss, H_ll = damped(H_ss, damping, FLOOR), damped(H_ll, damping[:, None], FLOOR)
-        shared, local = arrow_step(H_ss, H_sl, H_ll, g_s, g_l, cross)
+        J = np.broadcast_to(np.eye(13)[:, [*[12] * S, *range(12)]], (1, len(self.g), 13, S + 12))
+        arrow = Arrow.by(J, S, self.H[None], self.g[None], np.swapaxes(self.cross, 1, 2)[None])
+        shared, local = arrow.step(damping, FLOOR)
         return local[0], float(shared.sum())
 
 

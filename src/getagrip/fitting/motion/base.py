@@ -8,7 +8,7 @@ solved at once. The object is centred: ``T`` places the mesh's scaled centre.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol, Self
 
 import numpy as np
@@ -45,13 +45,40 @@ class Batch:
         return replace(self, **changed)
 
 
+class HandFrame(Protocol):
+    """What is known of a hand in all hypotheses alike."""
+
+    @property
+    def middle(self) -> Float[ndarray, "3"]:
+        """The point that the hand turns and grows about, in the hand frame [m]."""
+        ...
+
+
 @dataclass(frozen=True)
-class PosesInHand(Batch):
-    """The posed object in the hand frame: ``X_hand = R @ (scale * (X_obj - c)) + centre``."""
+class HandPoses(Batch):
+    """The moved hand in the frame of the given one: ``X_given = R @ (scale * (X_hand - middle)) + centre``.
+
+    ``modes`` (B, N, F) tells how much of each of F modes the fingers have.
+    """
 
     R: Float[ndarray, "B N 3 3"]
     centre: Float[ndarray, "B N 3"]
     scale: Float[ndarray, "B"]
+    modes: Float[ndarray, "B N F"]
+    frame: HandFrame
+
+
+@dataclass(frozen=True)
+class PosesInHand(Batch):
+    """The posed object in the hand frame: ``X_hand = R @ (scale * (X_obj - c)) + centre``.
+
+    ``hand`` is the moved hand where it moves (``MovingHand``); the object is in the frame of the given one even then.
+    """
+
+    R: Float[ndarray, "B N 3 3"]
+    centre: Float[ndarray, "B N 3"]
+    scale: Float[ndarray, "B"]
+    hand: HandPoses | None = field(default=None, kw_only=True)
 
 
 def placed(poses: PosesInHand, centre: Float[ndarray, "3"]) -> Float[ndarray, "B N 4 4"]:
@@ -61,18 +88,36 @@ def placed(poses: PosesInHand, centre: Float[ndarray, "3"]) -> Float[ndarray, "B
 
 
 def moved(poses: PosesInHand, T: Float[ndarray, "N 4 4"]) -> PosesInHand:
-    """Transform poses to another frame, given the hand's pose in it; the inverse leads back."""
-    R = T[:, :3, :3]
-    return PosesInHand(R @ poses.R, (R @ poses.centre[..., None])[..., 0] + T[:, :3, 3], poses.scale)
+    """Poses as another frame has them, given the hand's pose in it, and the other way round with the inverse."""
+    R, t, hand = T[:, :3, :3], T[:, :3, 3], poses.hand
+    if hand is not None:
+        hand = replace(hand, R=R @ hand.R, centre=(R @ hand.centre[..., None])[..., 0] + t)
+    return PosesInHand(R @ poses.R, (R @ poses.centre[..., None])[..., 0] + t, poses.scale, hand=hand)
 
 
 @dataclass(frozen=True)
 class Prior:
-    """A quadratic the model puts on its own per-frame parameters: value (B,), gradient (B, N, L), diagonal (L,)."""
+    """A quadratic the model puts on its own parameters.
+
+    Attributes:
+        value: its value.
+        g: gradient by the per-frame parameters.
+        diagonal: Hessian by these, (L,) the same in all frames or (N, L).
+        g_shared, diagonal_shared: the same by the shared parameters; None: nothing is put on them.
+        cross: Hessian between frames, zero within each; None: frames are independent.
+    """
 
     value: Float[ndarray, "B"]
     g: Float[ndarray, "B N L"]
-    diagonal: Float[ndarray, "L"]
+    diagonal: Float[ndarray, "*N L"]
+    g_shared: Float[ndarray, "B S"] | None = None
+    diagonal_shared: Float[ndarray, "S"] | None = None
+    cross: Float[ndarray, "N L N L"] | None = None
+
+    @property
+    def H(self) -> Float[ndarray, "*N L L"]:
+        """Hessian by the per-frame parameters."""
+        return self.diagonal[..., None] * np.eye(self.diagonal.shape[-1])
 
 
 class Motion(Protocol):
@@ -80,8 +125,11 @@ class Motion(Protocol):
 
     def poses(self) -> PosesInHand: ...
 
-    def jacobian(self) -> tuple[Float[ndarray, "B N 7 S"], Float[ndarray, "B N 7 L"]]:
-        """Differentiate the local 7-vectors, as seen in the hand frame, by shared and by per-frame parameters."""
+    def jacobian(self) -> tuple[Float[ndarray, "B N P S"], Float[ndarray, "B N P L"]]:
+        """Derivatives of the local vectors, as seen in the hand frame, by shared and by per-frame parameters.
+
+        P is 7, or more where the hand moves (``energy.hand_term``).
+        """
         ...
 
     def lengths(self) -> tuple[Bool[ndarray, "S"], Bool[ndarray, "L"]]:
