@@ -24,7 +24,7 @@ def problem() -> Problem:
 
 def hands(problem: Problem, shift: np.ndarray, scale: float = 1.0) -> HandInCamera:
     """The given hand, shifted."""
-    T = problem.clip.hand.T_cam_hand
+    T = problem.clip.hand.T_input
     middle = problem.clip.hand.vertices.mean(axis=(0, 1))
     centre = se3.transform(T, middle[None])[:, 0] + shift
     return HandInCamera(T[None, :, :3, :3], centre[None], np.array([scale]), np.zeros((1, len(T), 0)), middle, T)
@@ -51,7 +51,7 @@ def test_its_derivatives_are_those_of_the_silhouette_by_its_errors(problem: Prob
     """At no error, turns and shifts by the errors are those of the local vector, in the hand's frame."""
     (term,) = evidence_on_hand(problem)(128, np.arange(4))
     seen = HandSilhouette.of(problem.clip, problem.input_masks).with_field
-    T = problem.clip.hand.T_cam_hand
+    T = problem.clip.hand.T_input
     value, g, H = seen(np.zeros((4, 7)))
     poses = with_object(hands(problem, np.zeros(3)))
     found = term(poses, no_bound(poses))
@@ -76,7 +76,9 @@ def test_a_pixel_of_the_image_counts_as_much_as_one_of_the_object(problem: Probl
 def far_hand(problem: Problem) -> HandInCamera:
     """The hand of a frame, outside of the image."""
     hand = hands(problem, np.array([5.0, 0.0, 0.0]))
-    return replace(hand, R=hand.R[:, 2:3], centre=hand.centre[:, 2:3], modes=hand.modes[:, 2:3], given=hand.given[2:3])
+    return replace(
+        hand, R=hand.R[:, 2:3], centre=hand.centre[:, 2:3], modes=hand.modes[:, 2:3], T_input=hand.T_input[2:3]
+    )
 
 
 def test_a_held_hand_has_no_such_energy(problem: Problem) -> None:

@@ -58,7 +58,7 @@ def moved(poses: ObjectWithHand, step: ndarray) -> ObjectWithHand:
         return se3.exp_so3(step[:, 3:6]) @ at.R, at.centre + step[:, :3], scale
 
     hand = poses.hand
-    there = HandInCamera(*body(hand, step[:, 7:14]), hand.modes + step[:, 14:], hand.middle, hand.given)
+    there = HandInCamera(*body(hand, step[:, 7:14]), hand.modes + step[:, 14:], hand.middle, hand.T_input)
     return ObjectWithHand(*body(poses, step), there)
 
 
@@ -111,7 +111,7 @@ def test_a_hand_and_its_object_may_move_together(kind: str) -> None:
     def there(at: PosesInCamera) -> tuple[ndarray, ndarray, ndarray]:
         return R @ at.R, (R @ at.centre[..., None])[..., 0] + t, at.scale
 
-    hand = HandInCamera(*there(poses.hand), poses.hand.modes, poses.hand.middle, poses.hand.given)
+    hand = HandInCamera(*there(poses.hand), poses.hand.modes, poses.hand.middle, poses.hand.T_input)
     together = ObjectWithHand(*there(poses), hand)
     np.testing.assert_allclose(term(together, no_bound(poses)).value, term(poses, no_bound(poses)).value, rtol=1e-9)
 
@@ -119,10 +119,10 @@ def test_a_hand_and_its_object_may_move_together(kind: str) -> None:
 def test_by_the_given_hand_a_term_in_the_hand_is_the_term() -> None:
     rng = np.random.default_rng(4)
     free, term = with_hand(rng), some_term("interaction", rng)
-    given, middle = free.hand.given, free.hand.middle
+    given, middle = free.hand.T_input, free.hand.middle
     R, centre = np.tile(given[:, :3, :3], (B, 1, 1, 1)), np.tile(se3.transform(given, middle[None])[:, 0], (B, 1, 1))
     hand = HandInCamera(R, centre, np.ones(B), np.zeros((B, N, F)), middle, given)
-    np.testing.assert_allclose(hand.T_cam_hand, np.tile(given, (B, 1, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(hand.T_input, np.tile(given, (B, 1, 1, 1)), atol=1e-12)
     held = PosesInCamera(free.R, free.centre, free.scale)
     expected = term(held, no_bound(held))
     for poses in (ObjectWithHand(*vars(held).values(), hand), held):

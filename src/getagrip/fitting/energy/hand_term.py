@@ -47,12 +47,12 @@ class HandInCamera(PosesInCamera):
     Attributes:
         modes: (B, N, F) how much of each of F modes the fingers have; F = 0 where they keep their bends.
         middle: (3,) the point that the hand turns and grows about, in the hand frame [m].
-        given: (N, 4, 4) ``T_cam_hand`` as it was given.
+        T_input: (N, 4, 4) ``T_cam_hand`` of the input hand.
     """
 
     modes: Float[ndarray, "B N F"]
     middle: Float[ndarray, "3"]
-    given: Float[ndarray, "N 4 4"]
+    T_input: Float[ndarray, "N 4 4"]
 
     @property
     def size(self) -> int:
@@ -122,11 +122,11 @@ class InHand:
         if not isinstance(poses, ObjectWithHand):
             return self.term(poses, bound)
         hand = poses.hand
-        R_given = hand.given[:, :3, :3]
-        M, offset = R_given @ np.swapaxes(hand.R, -1, -2), poses.centre - hand.centre
+        R_input = hand.T_input[:, :3, :3]
+        M, offset = R_input @ np.swapaxes(hand.R, -1, -2), poses.centre - hand.centre
         shrink = M / hand.scale[:, None, None, None]
         arm = (shrink @ offset[..., None])[..., 0]
-        home = R_given @ hand.middle + hand.given[:, :3, 3]
+        home = R_input @ hand.middle + hand.T_input[:, :3, 3]
         J = np.zeros((*offset.shape[:2], 7, poses.size))
         J[..., :3, :3], J[..., 3:6, 3:6], J[..., 6, 6] = shrink, M, 1.0
         # Moving the hand moves the object in the hand the other way.
