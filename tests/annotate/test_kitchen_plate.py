@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from getagrip.annotate import labels
-from getagrip.annotate.clicked_hands import hands_from_clicks
 from getagrip.annotate.labelled import make
 from getagrip.annotate.labels import OBJECT
 from getagrip.annotate.video import Video
@@ -20,6 +19,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.lens import Lens
 from getagrip.geometry.mesh_files import write_mesh
+from getagrip.hands.clicked_hands import hands_from_clicks
 from helpers.command_line import Run
 from helpers.paths import DATA, ROOT, needs
 
@@ -33,7 +33,7 @@ def test_the_labels_are_of_one_hand_and_one_plate() -> None:
     K, _ = intrinsics(Lens(guess_focal=True), given.size)
     found = hands_from_clicks(given.clicks, K, given.side, given.first, given.last)
     assert np.sqrt(np.nanmean(found.residuals**2)) < 4.0
-    assert not found.doubtful.any()
+    assert not found.outliers.any()
     assert np.abs(found.shape).max() < 0.25
     assert found.hand.joints is not None
     tips = project(K, se3.transform(found.hand.T_cam_hand, found.hand.joints))[:, 4]

@@ -47,6 +47,7 @@ def test_a_box_finds_it_and_the_hand_is_not_the_object() -> None:
     image, mask = scene()
     hand = np.zeros(SIZE[::-1], bool)
     hand[55:65, :80] = True
+    image[hand] = (220, 190, 160)
     found = boxed(image, (46, 26, 68, 68), hand)
     assert iou(found == OBJECT, mask & ~hand) > 0.93
     assert ((found == HAND) == hand).all()

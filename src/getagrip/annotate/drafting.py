@@ -9,7 +9,6 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.annotate.carried_masks import Hands, Images
-from getagrip.annotate.clicked_hands import hands_from_clicks
 from getagrip.annotate.found_hands import FoundHands
 from getagrip.annotate.labels import FRONT, HAND, OBJECT, Labels
 from getagrip.annotate.propagated_masks import propagate
@@ -18,6 +17,7 @@ from getagrip.annotate.strokes import key_masks
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.depth import covered
+from getagrip.hands.clicked_hands import hands_from_clicks
 
 HAND_SIDE = 640
 """The hand's silhouette is drawn in an image whose longer side is so long [px]."""

@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from getagrip.annotate.clicked_hands import SCALE, ClickedHands, hands_from_clicks
 from getagrip.annotate.found_hands import FoundHands
 from getagrip.annotate.labels import FRONT, HAND, OBJECT, Labels
 from getagrip.annotate.propagated_masks import propagate
@@ -22,6 +21,7 @@ from getagrip.clip.writing import write_hand
 from getagrip.geometry import se3
 from getagrip.geometry.depth import covered
 from getagrip.geometry.lens import Lens
+from getagrip.hands.clicked_hands import SCALE, ClickedHands, hands_from_clicks
 from getagrip.io import files
 from getagrip.io.images import write_image
 from getagrip.provenance import Source, as_arrays, assumed, estimated

@@ -18,7 +18,6 @@ from numpy import ndarray
 
 from getagrip.annotate import keyframes, labels, reconstruction, versions
 from getagrip.annotate.background import Background, BackgroundJob, Work
-from getagrip.annotate.clicked_hands import FEWEST
 from getagrip.annotate.footage import Footage
 from getagrip.annotate.found_hands import FOLDER, FoundHands
 from getagrip.annotate.interaction import Interaction
@@ -33,6 +32,7 @@ from getagrip.annotate.versions import RefusedError
 from getagrip.clip.intrinsics import intrinsics
 from getagrip.errors import UsageError
 from getagrip.geometry.lens import Lens
+from getagrip.hands.clicked_hands import FEWEST
 from getagrip.hands.model import Side
 from getagrip.io import files
 from getagrip.io.files import Json, shown

@@ -17,11 +17,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
 from numpy import ndarray
 
-from getagrip.annotate.clicked_hands import ClickedHands
 from getagrip.clip.plausible import NEAREST
 from getagrip.geometry import se3
 from getagrip.geometry.camera import backproject, project
 from getagrip.geometry.depth import depth_and_face
+from getagrip.hands.clicked_hands import ClickedHands
 
 WIDTH = 960
 """Images are looked at so wide at most [px]."""

@@ -23,9 +23,11 @@ SIDE = 480
 """The part of the image that is looked at has so long a side at most [px]."""
 WIDTH = 0.008
 """Of a stroke, as a share of the image's shorter side."""
-AROUND, LEAST, MOST = 0.3, 0.1, 0.45
-"""Nothing farther from the strokes than this share of their extent is the object, or than the second of these of the
-image's shorter side where that is more; from a single click, than the third."""
+LEAST, MOST = 0.25, 0.45
+"""Nothing farther from the strokes than their extent is the object: than these shares of the image's shorter side at
+least and at most; the latter from a single click."""
+CLICK = 0.05
+"""Strokes of an extent less than this share are a click."""
 NEAR = 0.12
 """Polygons are corrected within this share of the image's shorter side from a stroke."""
 ROUNDS = 5
@@ -60,7 +62,7 @@ def stroked(
     found = _cut(image, on, no_object & ~on, start, _around(on | (drawn == OBJECT), shape))
     out = np.where(drawn == OBJECT, 0, drawn).astype(np.uint8)
     out[found] = OBJECT
-    out[on], out[off & (out == OBJECT)] = OBJECT, 0
+    out[off & (out == OBJECT)], out[on] = 0, OBJECT
     return out
 
 
@@ -112,7 +114,7 @@ def _around(mask: Bool[ndarray, "H W"], shape: tuple[int, ...], margin: float | 
     short, marked = min(shape[:2]), np.nonzero(mask)
     if margin is None:
         extent = max(float(np.ptp(i)) for i in marked)
-        margin = MOST * short if extent < LEAST * short else max(AROUND * extent, LEAST * short)
+        margin = MOST * short if extent < CLICK * short else min(max(extent, LEAST * short), MOST * short)
     rows, columns = (
         slice(max(0, int(i.min() - margin)), min(length, int(i.max() + margin) + 1))
         for i, length in zip(marked, shape, strict=False)

@@ -272,15 +272,30 @@ def _other_hand(
 
 def read_hand(path: Path, frames: int) -> HandTrack:
     """The hands of a ``hand.npz`` of so many frames, checked. Raises ``InputError``."""
-    named = ("vertices", "faces", "T_cam_hand", "joints")
+    named = ("vertices", "faces", "T_cam_hand", "joints", "joints_2d", "joints_2d_confidence")
     stored = arrays.read(path, lambda key: key in named or key.startswith("region_"))
     vertices = arrays.floats(path, stored, "vertices", (frames, -1, 3))
     faces = arrays.indices(path, stored, "faces", vertices.shape[1], (-1, 3))
     T_cam_hand = arrays.floats(path, stored, "T_cam_hand", (frames, 4, 4))
     joints = arrays.floats(path, stored, "joints", (frames, 21, 3)) if "joints" in stored else None
-    hand = HandTrack(vertices, faces, T_cam_hand, _regions(path, stored, vertices.shape[1]), joints)
+    seen = _joints_2d(path, stored, frames) if "joints_2d" in stored else (None, None)
+    hand = HandTrack(vertices, faces, T_cam_hand, _regions(path, stored, vertices.shape[1]), joints, *seen)
     check_hand(path, hand)
     return hand
+
+
+def _joints_2d(
+    path: Path, stored: dict[str, ndarray], frames: int
+) -> tuple[Float[ndarray, "T 21 2"], Float[ndarray, "T 21"]]:
+    """Joints as seen in the images, and their confidence; 1 where the file does not say."""
+    points = arrays.floats(path, stored, "joints_2d", (frames, 21, 2))
+    if "joints_2d_confidence" not in stored:
+        return points, np.ones((frames, 21))
+    confidence = arrays.floats(path, stored, "joints_2d_confidence", (frames, 21))
+    if confidence.min(initial=0.0) < 0.0 or confidence.max(initial=0.0) > 1.0:
+        bad = f"numbers from {confidence.min():.3g} to {confidence.max():.3g}"
+        raise InputError(path, "joints_2d_confidence", bad, "0 to 1")
+    return points, confidence
 
 
 def _regions(path: Path, stored: dict[str, ndarray], count: int) -> dict[str, Int[ndarray, "_"]]:

@@ -70,6 +70,8 @@ def write_hand(hand: HandTrack, path: Path, extra: Mapping[str, Shaped[ndarray, 
     """Write the hands of a clip, and arrays that a clip's reader passes over."""
     regions = {f"region_{name}": ids for name, ids in hand.regions.items()}
     joints = {} if hand.joints is None else {"joints": hand.joints}
+    if hand.joints_2d is not None and hand.joints_2d_confidence is not None:
+        joints |= {"joints_2d": hand.joints_2d, "joints_2d_confidence": hand.joints_2d_confidence}
     T_cam_hand = {"T_cam_hand": hand.T_cam_hand}
     arrays.write(
         path, {"vertices": hand.vertices, "faces": hand.faces} | T_cam_hand | joints | regions | dict(extra or {})

@@ -16,19 +16,19 @@ from importlib import metadata
 from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
 from time import perf_counter
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import arg
 
 from getagrip.commands.command import Command
 from getagrip.errors import GetagripError
-from getagrip.io.arguments import OptionalFolder
+from getagrip.io.arguments import OptionalFolder, one_of
 
 EXTRAS = {
     "torch": "reads estimators' .pt files", "lerobot": "exports to LeRobot", "mujoco": "exports to MuJoCo",
     "usd": "exports to USD", "ray": "`--engine ray`", "slurm": "`--engine slurm`",
     "s3": "clips and results at s3:// addresses", "gs": "at gs:// addresses",
-    "bench": "the peer of the speed benchmark",
+    "bench": "the peer of the speed benchmark", "hands": "finds hands in a video",
 }  # fmt: skip
 """What each extra of the package is for."""
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "firefox", "open", "xdg-open")
@@ -49,6 +49,10 @@ class Doctor(Command):
     """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl, to be tried."""
     address: Annotated[str | None, arg(metavar="ADDR", help_behavior_hint="(default: RAY_ADDRESS)")] = None
     """Ray cluster to be tried."""
+    fetch: Annotated[Literal["hands"] | None, one_of("hands"), arg(help_behavior_hint="")] = None
+    """Fetch MediaPipe's hand models (Apache-2.0, 8 MB) by pip, into the cache, for `draft`."""
+    models: OptionalFolder = None
+    """Folder of the hand models, to be tried (default: the cache)."""
 
     def run(self) -> int:
         """Print what is there, what is missing and whether a small clip can be reconstructed; 1 if anything is wrong.
@@ -56,8 +60,14 @@ class Doctor(Command):
         The first reconstruction compiles the kernels and keeps them on disk, so that later ones start at once.
         """
         print(f"getagrip {metadata.version('getagrip')}, Python {platform.python_version()}, {platform.platform()}")
+        if self.fetch:
+            from getagrip.landmarks import fetch
+
+            for path in fetch():
+                print(f"ok       {path}")
         wrong = False
-        for check in (_libraries(), _extras(), _clusters(self.address), _machine(), _mano(self.mano)):
+        checks = (_libraries(), _extras(), _clusters(self.address), _machine(), _mano(self.mano), _hands(self.models))
+        for check in checks:
             for state, words in check:
                 print(f"{state:<8} {words}", flush=True)
                 wrong |= state in ("MISSING", "BROKEN")
@@ -184,6 +194,24 @@ def _mano(folder: Path | None) -> Iterator[Line]:
             "mean pose (DexYCB, HOT3D, ARCTIC); `import hands --from mano` asks for it"
         ),
     )
+
+
+def _hands(folder: Path | None) -> Iterator[Line]:
+    """The models that find hands, and whether they are run as they should."""
+    from getagrip.landmarks import load
+    from getagrip.landmarks.models import cache_folder, missing
+
+    where = folder or cache_folder()
+    if missing(folder):
+        yield "without", f"hand models in {where}, which `draft` needs: getagrip doctor --fetch hands"
+        return
+    try:
+        nets = load(folder)
+    except GetagripError as error:
+        yield "BROKEN", f"hand models: {error}"
+        return
+    slow = "" if nets.runtime == "LiteRT" else "; six times as fast: pip install 'getagrip[hands]'"
+    yield "ok", f"hand models in {where}, run by {nets.runtime}{slow}"
 
 
 def _version(name: str) -> str | None:

@@ -93,6 +93,7 @@ class Estimate(NamedTuple):
             order.
         vertices: (778, 3) the surface where it is not that of ``mano.betas``: ``mano.t`` is then where the origin of
             these is, their mean counts.
+        seen: (21, 3) the joints as seen in the clip's image [px] and their confidence, where the estimator gives them.
     """
 
     path: Path
@@ -101,6 +102,7 @@ class Estimate(NamedTuple):
     mano: Parameters | None
     joints: Float[ndarray, "21 3"] | None = None
     vertices: Float[ndarray, "778 3"] | None = None
+    seen: Float[ndarray, "21 3"] | None = None
 
 
 @dataclass(frozen=True)

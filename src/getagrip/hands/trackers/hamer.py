@@ -45,7 +45,7 @@ from getagrip.hands.trackers.estimates import (
     mirror_rotation,
     rotations,
 )
-from getagrip.hands.trackers.records import PEOPLE, Record, child, numbers
+from getagrip.hands.trackers.records import PEOPLE, Record, child, numbers, seen_joints
 from getagrip.hands.trackers.tracker import Tracker, per_image
 from getagrip.hands.trackers.weak_perspective import WeakPerspective, hamer_focal, vitdet_side
 from getagrip.io import files
@@ -147,7 +147,8 @@ def estimate(path: Path, frame: int, record: Record, request: Request) -> Estima
     t = weak.before(camera)
     pose = se3.log_so3(fingers).reshape(45)
     joints = _joints(path, inner, side, R, pose, betas) if "pred_keypoints_3d" in inner else None
-    return Estimate(path, frame, depth, Parameters(R, pose, betas, t), None if joints is None else joints + t)
+    parameters, seen = Parameters(R, pose, betas, t), seen_joints(path, inner)
+    return Estimate(path, frame, depth, parameters, None if joints is None else joints + t, seen=seen)
 
 
 def _weak_perspective(path: Path, record: Record, camera: Camera) -> tuple[WeakPerspective, Source]:

@@ -70,6 +70,9 @@ def read(paths: Sequence[Path], tracker: Tracker, request: Request) -> Hands:
     depths = joined(hand.depth for hand in hands)
     estimates = replace(estimates, hands=tuple(hands))
     made, what = track(estimates, request.mano)
+    if any(hand.seen is not None for hand in hands):
+        seen = np.array([np.zeros((21, 3)) if hand.seen is None else hand.seen for hand in hands])
+        made = replace(made, joints_2d=seen[..., :2], joints_2d_confidence=seen[..., 2])
     first = estimates.hands[0]
     if first.mano is not None:  # a hand fitted to plain joints has a hand's size; whether it is in view, callers check
         check_in_hand(first.path, "betas", made.vertices, "a hand")

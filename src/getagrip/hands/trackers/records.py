@@ -180,3 +180,33 @@ def child(path: Path, record: Record, key: str) -> Record:
         got = "no such key" if key not in record else files.shown(value)
         raise InputError(path, key, got, "a dictionary")
     return value
+
+
+def seen_joints(path: Path, record: Record, *leading: int) -> Float[ndarray, "*leading 21 3"] | None:
+    """``joints_2d`` of a record [px of the clip's images], (21, 2) or with the confidence (21, 3), in this package's
+    order; ``joints_2d_confidence`` (21) may be apart. Zeros where a joint was not seen. Nothing without the key.
+
+    Raises ``InputError``.
+    """
+    if "joints_2d" not in record:
+        return None
+    value = arrays.from_lists(_without_none(record["joints_2d"]))
+    if value is None or value.dtype.kind not in "fiu" or value.shape not in {(*leading, 21, 2), (*leading, 21, 3)}:
+        given = files.shown(record["joints_2d"]) if value is None else f"the shape {value.shape}"
+        raise InputError(path, "joints_2d", given, f"numbers of shape {(*leading, 21, 2)}, or 3 with the confidence")
+    value = value.astype(float)
+    there = np.isfinite(value).all(axis=-1)
+    if np.abs(value[there]).max(initial=0.0) > ABSURD:
+        raise InputError(path, "joints_2d", f"the number {np.abs(value[there]).max():.3g}", "pixels")
+    confidence = np.ones(there.shape) if value.shape[-1] == 2 else value[..., 2]
+    if "joints_2d_confidence" in record:
+        confidence = numbers(path, record, "joints_2d_confidence", (*leading, 21))
+    confidence = np.where(there, np.clip(confidence, 0.0, 1.0), 0.0)
+    return np.concatenate([np.where(there[..., None], value[..., :2], 0.0), confidence[..., None]], axis=-1)
+
+
+def _without_none(value: object) -> object:
+    """Lists with NaN in place of what is not there, as JSON's null."""
+    if isinstance(value, list):
+        return [_without_none(item) for item in value]
+    return np.nan if value is None else value

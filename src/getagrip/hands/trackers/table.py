@@ -12,6 +12,7 @@ from getagrip.hands.trackers.frankmocap import FrankMocap
 from getagrip.hands.trackers.hamer import HaMeR
 from getagrip.hands.trackers.hawor import HaWoR
 from getagrip.hands.trackers.joints import Joints
+from getagrip.hands.trackers.landmarks import Landmarks
 from getagrip.hands.trackers.mano_parameters import ManoParameters
 from getagrip.hands.trackers.tracker import Tracker
 from getagrip.hands.trackers.wilor import WiLoR
@@ -23,6 +24,7 @@ TRACKERS: dict[str, Tracker] = {
     "frankmocap": FrankMocap(),
     "mano": ManoParameters(),
     "joints": Joints(),
+    "landmarks": Landmarks(),
 }
 
 

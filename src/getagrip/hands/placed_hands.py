@@ -20,6 +20,8 @@ from getagrip.least_squares import Rules, damped, minimise
 
 CLICK_NOISE = 0.005
 """Standard deviation of a click beside that of the joints themselves, at the hand [m]."""
+DEPTH_NOISE = 0.025
+"""Standard deviation of a network's depths of joints about the hand's middle [m]."""
 OUTLIER = 2.5
 """Clicks beyond so many standard deviations are doubted."""
 ROTATIONS = 48
@@ -41,6 +43,9 @@ class Clicks(NamedTuple):
     there: Bool[ndarray, "n 21"]
     noise: Float[ndarray, "n 21"]
     """Standard deviation of each [px]."""
+    depth: Float[ndarray, "n 21"]
+    """How far each is beyond the middle of the hand, along the ray to it [m]; of use where ``depth_known``."""
+    depth_known: Bool[ndarray, "n"]
 
     @staticmethod
     def of(K: Float[ndarray, "3 3"], points: Float[ndarray, "n 21 2"]) -> Clicks:
@@ -49,7 +54,8 @@ class Clicks(NamedTuple):
         flat = generic.load("right").with_shape().with_pose().joints
         per_metre = np.array([_spread(y[seen]) / _spread(flat[seen]) for y, seen in zip(points, there, strict=True)])
         noise = per_metre[:, None] * np.hypot(JOINT_NOISE, CLICK_NOISE)
-        return Clicks(K, np.where(there[..., None], points, 0.0), there, noise)
+        none = np.zeros(len(points), dtype=bool)
+        return Clicks(K, np.where(there[..., None], points, 0.0), there, noise, np.zeros(there.shape), none)
 
 
 def _spread(points: Float[ndarray, "n d"]) -> float:
@@ -76,7 +82,37 @@ def equations(
     H = np.swapaxes(weighted, 1, 2) @ A.reshape(n, 42, size)
     g = (r.reshape(n, 1, 42) @ weighted)[:, 0]
     costs = OUTLIER**2 * np.sum(clicks.there * np.log1p(np.sum(r * r, axis=-1) / OUTLIER**2), axis=1)
+    if clicks.depth_known.any():
+        _add_depths(clicks, T, X, J, costs, H, g)
     return costs, H, g
+
+
+def _add_depths(
+    clicks: Clicks,
+    T: Float[ndarray, "n 4 4"],
+    X: Float[ndarray, "n 21 3"],
+    J: Float[ndarray, "n 21 3 D"],
+    costs: Float[ndarray, "n"],
+    H: Float[ndarray, "n D D"],
+    g: Float[ndarray, "n D"],
+) -> None:
+    """Add what joints that are nearer or farther than the hand's middle say of the way it is turned."""
+    rows = clicks.depth_known
+    ray = np.einsum("ni,nij->nj", _rays(clicks)[rows], T[rows, :3, :3])[:, None]
+    off, A = np.sum(X[rows] * ray, axis=-1), (ray[:, :, None] @ J[rows])[:, :, 0]
+    r = (off - off.mean(axis=1, keepdims=True) - clicks.depth[rows]) / DEPTH_NOISE
+    A = (A - A.mean(axis=1, keepdims=True)) / DEPTH_NOISE
+    weighted = A / (1.0 + r[..., None] ** 2 / OUTLIER**2)
+    costs[rows] += OUTLIER**2 * np.sum(np.log1p(r * r / OUTLIER**2), axis=1)
+    H[rows] += np.swapaxes(weighted, 1, 2) @ A
+    g[rows] += (r[:, None] @ weighted)[:, 0]
+
+
+def _rays(clicks: Clicks) -> Float[ndarray, "n 3"]:
+    """Unit vectors towards the middles of the hands."""
+    count = np.maximum(clicks.there.sum(axis=1), 1)[:, None]
+    ray = backproject(clicks.K, clicks.y.sum(axis=1) / count)
+    return np.asarray(ray / np.linalg.norm(ray, axis=1, keepdims=True))
 
 
 def place(
