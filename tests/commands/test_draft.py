@@ -14,8 +14,9 @@ from getagrip.annotate.store import Store
 from getagrip.clip.reading import read_hand
 from getagrip.commands.annotate import DATABASE
 from getagrip.commands.hand_file import HandFile
+from getagrip.io.images import read_png
 from helpers.command_line import Run
-from helpers.labelled_scene import HEIGHT, WIDTH, write_scene
+from helpers.labelled_scene import HEIGHT, RADIUS, WIDTH, middle, write_scene
 from helpers.seen_hands import POINTS, SceneNets
 
 DRAFT = ("draft", "scene.mp4", "--object", "cup", "--out", "out", "--no-page")
@@ -50,6 +51,27 @@ def test_hands_masks_and_marks_are_there(scene: Path, run: Run) -> None:
     assert (mark.interval, mark.side) == ((0, 7), "left")
     assert run(*DRAFT, "--interval", "1", "4")[0] == 0  # again, over it
     assert len(HandFile.of(found.path).numbers or ()) == 4
+
+
+@pytest.mark.slow
+def test_a_box_on_the_object_is_enough_for_masks_of_all_frames(
+    scene: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    no_hand = np.zeros((HEIGHT, WIDTH), bool)  # the scene shows none
+    monkeypatch.setattr("getagrip.annotate.finding_hands.hand_mask", lambda *_: no_hand)
+    x, y = (middle(0) - RADIUS - 3.0).tolist()
+    status, out, err = run(*DRAFT, "--object-box", f"{x},{y},{2 * RADIUS + 6},{2 * RADIUS + 6}")
+    assert status == 0, err
+    assert "getagrip clip new" in out
+    (masks,) = (scene.parent / "out").glob("draft-*/masks")
+    for n in range(8):
+        mask = read_png(masks / f"{n + 1:06d}.png", (WIDTH, HEIGHT))
+        x, y = middle(n).astype(int)
+        assert mask[y, x] == 1
+        assert mask[5, 5] == 0
+    status, _, err = run(*DRAFT, "--object-box", "2000,2000,5,5")
+    assert status == 2
+    assert "320 x 240" in err
 
 
 def test_no_hand_and_no_models_are_said(scene: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

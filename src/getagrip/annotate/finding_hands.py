@@ -15,6 +15,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from getagrip.annotate.footage import Footage
+from getagrip.annotate.found_hands import FOLDER
 from getagrip.clip import HandTrack
 from getagrip.clip.writing import write_hand
 from getagrip.errors import UsageError
@@ -29,8 +30,6 @@ from getagrip.landmarks.nets import Nets
 from getagrip.landmarks.selecting import Side
 from getagrip.provenance import Provenance, Source, as_arrays, assumed, estimated
 
-FOLDER = "found"
-"""Beside the marks."""
 THUMBNAIL = 24
 """Side of the images in which cuts are looked for [px]."""
 CUT = (25.0, 0.4)

@@ -18,6 +18,8 @@ from getagrip.io.terminal import report
 if TYPE_CHECKING:
     from getagrip.annotate.finding_hands import FoundHands
     from getagrip.annotate.footage import Footage
+    from getagrip.annotate.project import Project
+    from getagrip.annotate.tasks import Task
 
 MOST_FRAMES = 3000
 """Of a draft: each is looked at by two networks."""
@@ -59,9 +61,10 @@ class Draft(Command):
     side: OptionalSide = None
     """Which hand (default: as most frames say)."""
     object_box: Annotated[tuple[float, float, float, float] | None, BOX, arg(help_behavior_hint="")] = None
-    """Where the object is in the first frame [px]: the hand nearest to it is taken."""
+    """Where the object is in the first frame [px]: the hand nearest to it is taken, and what stands out in the box is
+    drawn as the object."""
     no_page: Flag = False
-    """Open no page: make files only."""
+    """Open no page: make files only; with object-box masks of all frames, too, and the command that makes a clip."""
     models: OptionalFolder = None
     """Folder of the hand models (default: the cache; getagrip doctor --fetch hands)."""
     lens: Annotated[Lens, arg(name="")] = field(default_factory=Lens)
@@ -84,6 +87,7 @@ class Draft(Command):
         from getagrip.annotate.project import Project
         from getagrip.annotate.store import Store
         from getagrip.annotate.tasks import read_tasks
+        from getagrip.annotate.written_files import write_labels
         from getagrip.commands.annotate import DATABASE, serve
         from getagrip.io.terminal import progress_bar
 
@@ -100,12 +104,32 @@ class Draft(Command):
                 made = write_found(self.folder, found, footage.image, lambda n: bar.update(job, completed=n))
             print(f"{made}: the {found.landmarks.side} hand in {len(found.frames)} of {self._count(footage)} frames")
             project.mark_grasp(task, DRAFTER, (found.frames[0], found.frames[-1]), found.landmarks.side)
-            if not self.no_page:
-                print(f"the grasp is marked; give the page the name {DRAFTER}, and press l to show it the object")
-                serve(project, self.port)
+            if self.object_box is not None:
+                self._draw(project, task, found)
+            if self.no_page:
+                return 0 if self.object_box is None else write_labels(project)
+            print(f"the grasp is marked; give the page the name {DRAFTER}, and press l to show it the object")
+            serve(project, self.port)
             return 0
         finally:
             project.close()
+
+    def _draw(self, project: Project, task: Task, found: FoundHands) -> None:
+        """Draw what stands out in the box as the object on the first frame with a hand. Raises ``UsageError``."""
+        from getagrip.annotate import found_hands
+        from getagrip.annotate.drafting import traced
+        from getagrip.annotate.labels import OBJECT, FrameLabels, Labels
+        from getagrip.annotate.strokes import boxed
+
+        footage, n, side = project.footage(task), found.frames[0], found.landmarks.side
+        assert self.object_box is not None
+        hand = found_hands.FoundHands(self.folder / found_hands.FOLDER).mask(n)
+        shapes = traced(boxed(footage.image(n), self.object_box, hand) == OBJECT)
+        if not shapes:
+            raise UsageError(f"--object-box: no object stands out in it in {footage.name(n)}: draw it on the page")
+        drawn = {n: FrameLabels(object=tuple(shapes))}
+        extent = found.frames[0], found.frames[-1]
+        project.import_labels(Labels(self.video.name, footage.size, side, footage.fps, *extent, drawn), DRAFTER)
 
     @property
     def _lens(self) -> Lens:
