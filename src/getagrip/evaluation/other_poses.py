@@ -93,7 +93,7 @@ def poses_of(place: Path, name: str, clip: Clip, masks: Masks | None, first: int
         axis=None,
         candidates=Candidates(T_hand_obj[None], np.array([scale]), np.zeros(1)),
         energy={"total": float("nan")},
-        status=Status.GIVEN,
+        status=Status.EXTERNAL,
         ambiguous=False,
         seconds={"total": float("nan")},
         notes=tuple(notes),

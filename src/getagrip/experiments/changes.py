@@ -43,7 +43,7 @@ class Change(Protocol):
 
 
 @dataclass(frozen=True)
-class AsGiven(Change):
+class Unchanged(Change):
     """The clip itself."""
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
@@ -209,4 +209,4 @@ class WrongMasks(Change):
         return clip, replace(masks, object=changed)
 
 
-AS_GIVEN = AsGiven()
+UNCHANGED = Unchanged()

@@ -63,7 +63,7 @@ def true_view(folder: Path) -> View:
         axis=Axis(hinge.point, hinge.direction, np.unwrap(hinge.angles(R, centre))),
         candidates=Candidates(T_hand_obj[None], np.array([truth.scale]), np.zeros(1)),
         energy={},
-        status=Status.GIVEN,
+        status=Status.EXTERNAL,
         ambiguous=False,
         seconds={},
     )
@@ -84,7 +84,7 @@ def hand_alone(clip: Clip) -> View:
         axis=None,
         candidates=Candidates(still[None], np.ones(1), np.zeros(1)),
         energy={},
-        status=Status.GIVEN,
+        status=Status.EXTERNAL,
         ambiguous=False,
         seconds={},
     )

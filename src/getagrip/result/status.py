@@ -17,7 +17,7 @@ class Status(Enum):
     )
     FINISHED = "finished", "stopped: all iterations of the fixed number were made"
     JOINT = "joint", "all segments were fitted together"
-    GIVEN = "given", "another system's poses, or the ground truth"
+    EXTERNAL = "given", "another system's poses, or the ground truth"
     PARTLY_FAILED = "partly-failed", "partly failed: low mask IOU in some segments"
     MISFIT = "misfit", "failed: even the best pose has a low mask IOU; the object's pose is unknown"
     INVISIBLE = "invisible", "failed: the object is behind the camera or too near to it in every hypothesis tried"
@@ -43,4 +43,4 @@ class Status(Enum):
             return known
         if sentence.startswith(("failed in part", "partly failed")):
             return Status.PARTLY_FAILED
-        return Status.MISFIT if sentence.startswith("failed") else Status.GIVEN
+        return Status.MISFIT if sentence.startswith("failed") else Status.EXTERNAL
