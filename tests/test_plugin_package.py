@@ -35,6 +35,7 @@ TORN = {
     "methods": "torn = nowhere:METHOD\nstatic = getagrip_upright.method:UPRIGHT",
     "datasets": "torn = torn:DATASET", "trackers": "torn = torn:TRACKER", "exports": "torn = torn:EXPORT",
     "metrics": "torn = torn:METRIC", "input_checks": "torn = torn:CHECK", "result_checks": "torn = torn:CHECK",
+    "modalities": "torn = torn:MODALITY",
 }  # fmt: skip
 """A package of which nothing is right."""
 
@@ -86,6 +87,18 @@ def test_method_term_dataset_metric_and_checks_are_found_also_by_workers(there: 
     assert "tilt: error of" in " ".join(call("evaluate", "bench/results/upright").split())
 
 
+def test_a_modality_is_read_from_the_clip_and_counts(there: tuple[Path, Call]) -> None:
+    folder, call = there
+    clip = shutil.copytree(folder / "clips" / "plate-1", folder / "seen" / "plate-1")
+    frames = np.array(read_clip(clip).frames)[1:]
+    np.savez(clip / "axis.npz", frames=frames, direction=np.tile([0.0, -1.0, 0.0], (len(frames), 1)))
+    call("reconstruct", "seen", "--out", "with-axis", "--inits", "2", "--workers", "1")
+    record = json.loads((folder / "with-axis" / "plate-1" / "result.json").read_text())
+    assert record["energy"]["axis"] > 0.0
+    assert "(modalities axis " in record["software"]["plugins"]
+    assert record["probability_right"] is None
+
+
 def test_a_result_says_which_packages_made_it(there: tuple[Path, Call]) -> None:
     folder, _ = there
     by = {}
@@ -94,7 +107,7 @@ def test_a_result_says_which_packages_made_it(there: tuple[Path, Call]) -> None:
         by[method] = record["software"]["plugins"]
         assert "getagrip-upright 0.1 (metrics tilt_deg " in record["software"]["evaluation"]
     assert by["upright"].startswith("getagrip-upright 0.1 (methods upright ")
-    assert by["static"].startswith("getagrip-upright 0.1 (input_checks short ")
+    assert by["static"].startswith("getagrip-upright 0.1 (modalities axis ")
 
 
 def test_the_export_is_found(there: tuple[Path, Call]) -> None:

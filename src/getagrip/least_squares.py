@@ -22,11 +22,11 @@ class State(Protocol):
     def cost(self) -> Float[ndarray, "B"]: ...
 
     def trial(self, active: Int[ndarray, "n"], damping: Float[ndarray, "n"]) -> Self:
-        """The active problems alone, each after a step with its damping."""
+        """Return the active problems alone, each after a step with its damping."""
         ...
 
     def accept(self, trial: Self, active: Int[ndarray, "n"], better: Bool[ndarray, "n"]) -> Self:
-        """All problems, with the better ones of the active problems' trials in place."""
+        """Replace the active problems whose trial is better by their trial."""
         ...
 
 
@@ -36,8 +36,8 @@ S = TypeVar("S", bound=State)
 class Ending(Enum):
     """Why a problem's iterations ended."""
 
-    LOST = "its cost was not finite to begin with"
-    CONVERGED = "steps gain next to nothing"
+    LOST = "the initial cost was not finite"
+    CONVERGED = "further steps gain almost nothing"
     STUCK = "no step lowers the cost"
     LIMIT = "the limit of iterations"
 
@@ -69,7 +69,7 @@ class Rules:
 
 @dataclass(frozen=True)
 class Minimum(Generic[S]):
-    """Where the iterations led.
+    """The result of the iterations.
 
     Attributes:
         state: the state of least cost that was found.
@@ -86,7 +86,7 @@ DEFAULT = Rules()
 
 
 def minimise(state: S, iterations: int, rules: Rules = DEFAULT) -> Minimum[S]:
-    """Take every problem downhill, for at most so many iterations of one evaluation each."""
+    """Minimise every problem, in at most ``iterations`` iterations of one evaluation each."""
     B = len(state.cost)
     damping = np.full(B, rules.damping)
     rejected, small = np.zeros(B, int), np.zeros(B, int)
@@ -117,7 +117,7 @@ def minimise(state: S, iterations: int, rules: Rules = DEFAULT) -> Minimum[S]:
 
 
 def damped(H: Float[ndarray, "*batch n n"], damping: ndarray, floor: float = 0.0) -> Float[ndarray, "*batch n n"]:
-    """A Hessian with its diagonal raised in proportion; ``floor`` is added to directions that the cost does not see.
+    """Raise a Hessian's diagonal in proportion; ``floor`` is added to directions that the cost does not see.
 
     ``damping`` has the batch's axes, or some axes of length 1 in their place.
     """

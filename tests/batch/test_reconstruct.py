@@ -267,7 +267,7 @@ def test_what_a_killed_writer_leaves_is_swept_and_what_it_was_replacing_returns(
     with new_folder(replaced) as new:
         for name in FILES:
             (new / name).touch()
-    assert "left behind by a process that has died" in run("reconstruct", clips, "--out", out)[2]
+    assert "unfinished work of a process that has died" in run("reconstruct", clips, "--out", out)[2]
     assert not left.exists()
     assert (out / "older" / FILES[0]).exists()
     assert not (out / "clip").exists()

@@ -19,7 +19,7 @@ def matrices(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
 @pytest.mark.parametrize(
     "K", [(600, 600, 320, 240), (614, 613, 312.4, 241.6), (900, 900, 300, 262), (5000, 5000, 320, 240)]
 )
-def test_cameras_of_the_images_are_not_doubted(K: tuple[float, ...]) -> None:
+def test_cameras_of_the_images_are_not_flagged(K: tuple[float, ...]) -> None:
     assert camera_warning(matrices(*K), (640, 480)) == ""
 
 
@@ -36,7 +36,7 @@ def test_cameras_of_the_images_are_not_doubted(K: tuple[float, ...]) -> None:
         ((12500, 12500, 320, 240), "an estimator's own"),
     ],
 )
-def test_cameras_of_other_images_are_doubted_and_the_images_named(K: tuple[float, ...], words: str) -> None:
+def test_cameras_of_other_images_are_flagged_and_the_images_named(K: tuple[float, ...], words: str) -> None:
     assert words in camera_warning(matrices(*K), (640, 480))
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from getagrip.fitting.reconstruct import reconstruct
 from jaxtyping import Float, Int
 from numpy import ndarray
 
@@ -25,6 +24,7 @@ from getagrip.geometry.camera import project
 from getagrip.io import arrays, files
 from getagrip.io.array_data import ArrayData
 from getagrip.result import Reconstruction
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.clips import small_clip
 from helpers.scenes import SMALL, scene
 

@@ -33,8 +33,8 @@ def test_the_papers_metrics_are_columns() -> None:
 
 def test_findings_are_counted_for_each_variant() -> None:
     variants = method_variants(("static",), Options())
-    doubted = replace(score("static", 1.0), serious=("mask-fit", "hand-side"), noted=("penetration",))
-    scores = [Scores(name, scores=(s,)) for name, s in (("a", doubted), ("b", score("static", 0.0)))]
+    flagged = replace(score("static", 1.0), serious=("mask-fit", "hand-side"), noted=("penetration",))
+    scores = [Scores(name, scores=(s,)) for name, s in (("a", flagged), ("b", score("static", 0.0)))]
     (row,) = compare(scores, variants)[0].rows
     assert row.serious == {"mask-fit": 1, "hand-side": 1}
     assert row.noted == {"penetration": 1}

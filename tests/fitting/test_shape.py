@@ -113,12 +113,14 @@ def test_a_result_has_the_shape_and_says_so(tmp_path: Path, method: str) -> None
     options = Options(method=method, inits=6)
     result = reconstruct(given, masks, options)
     assert result.warp is not None
-    assert any("the object's shape is a guess" in note for note in result.notes)
+    assert any("the object's shape is an assumption" in note for note in result.notes)
     deformed = result.warp.displacement(given.mesh) / given.mesh.diameter
     assert result.checks["mesh-deformed"] == pytest.approx(deformed)
     (message,) = (finding.message for finding in result.findings if finding.check == "mesh-deformed")
     by = 1e3 * result.scale * result.warp.displacement(given.mesh)
-    assert message.startswith(f"to meet the masks the mesh was deformed by {by:.1f} mm, so its shape is a guess; ")
+    assert message.startswith(
+        f"to meet the masks the mesh was deformed by {by:.1f} mm, so its shape is an assumption; "
+    )
     as_given = reconstruct(given, masks, replace(options, mesh="as-given"))
     assert as_given.warp is None
     assert result.mean_iou > as_given.mean_iou

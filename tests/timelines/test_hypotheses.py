@@ -16,8 +16,8 @@ from getagrip.fitting.options import Options
 from getagrip.fitting.pipeline import repair
 from getagrip.geometry import se3
 from getagrip.timelines.between import _blended
-from getagrip.timelines.following import _spots
-from getagrip.timelines.footage import Footage, grasp_clip
+from getagrip.timelines.following import _spots, carried_by_hands
+from getagrip.timelines.footage import Footage, Grasp
 from getagrip.timelines.hypotheses import Hypotheses
 from getagrip.timelines.motion import Motion, split_at_gaps
 from helpers.clips import box
@@ -109,7 +109,7 @@ def test_parts_without_gaps_are_all_of_the_frames(known: set[int]) -> None:
 
 
 def test_what_is_put_in_a_frame_is_there(footage: Footage) -> None:
-    motion, rows = Motion.of(footage), np.arange(2, 5)
+    motion, rows = Motion.of(footage.clip, footage.shown), np.arange(2, 5)
     T = random_motions(np.random.default_rng(0), 1)[0]
     found = Hypotheses.of_pose(T, footage.clip.mesh.centre).at(np.zeros(3, int))
     motion.put(rows, found, "fitted")
@@ -120,7 +120,9 @@ def test_what_is_put_in_a_frame_is_there(footage: Footage) -> None:
 
 
 def test_what_a_hand_carries_comes_back(footage: Footage) -> None:
-    (there,), (back,), (on,), (whole,) = (footage.carried(*ends) for ends in ((1, 6), (6, 1), (6, 9), (1, 9)))
+    (there,), (back,), (on,), (whole,) = (
+        carried_by_hands(footage.clip, *ends) for ends in ((1, 6), (6, 1), (6, 9), (1, 9))
+    )
     np.testing.assert_allclose(there @ back, np.eye(4), atol=1e-12)
     np.testing.assert_allclose(on @ there, whole, atol=1e-12)
 
@@ -129,9 +131,9 @@ def test_a_grasp_is_a_clip_of_the_frames_in_which_its_hand_is_known() -> None:
     clip, masks = by_other_hand()
     assert clip.other_hand is not None
     grasp = clip.segments[2]
-    found = grasp_clip(clip, masks, grasp)
+    found = Grasp.of(clip, masks, grasp)
     assert found is not None
-    of_hand, seen, rows = found
+    of_hand, seen, rows = found.clip, found.masks, found.rows
     assert rows.tolist() == [n for n in grasp.rows if clip.other_hand.known[n]]
     assert (of_hand.side, of_hand.frames) == (grasp.side, tuple(clip.frames[n] for n in rows))
     np.testing.assert_array_equal(of_hand.hand.T_cam_hand, clip.other_hand.track.T_cam_hand[rows])

@@ -24,9 +24,9 @@ def test_depth_is_mended_and_contact_stays() -> None:
     middle = se3.transform(true, clip.mesh.centre[None])[:, 0]
     ray = middle / np.linalg.norm(middle, axis=1, keepdims=True)
     deeper = se3.rigid(None, 0.015 * np.where(rows % 2, 1.0, -1.0)[:, None] * ray)
-    motion = Motion.of(footage)
+    motion = Motion.of(footage.clip, footage.shown)
     motion.T_cam_obj[rows], motion.T_cam_hand[rows] = deeper @ true, deeper @ clip.hand.T_cam_hand[rows]
-    settle(motion, rows, footage.clip.side)
+    settle(motion, footage.problem(rows), rows, footage.clip.side, depth_jitter(motion.places(rows)))
     for found, right in ((motion.T_cam_obj, true), (motion.T_cam_hand, clip.hand.T_cam_hand[rows])):
         off = np.abs(np.sum((found[rows, :3, 3] - right[:, :3, 3]) * ray, axis=1))
         assert off.mean() < 0.007

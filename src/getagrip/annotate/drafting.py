@@ -8,10 +8,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip.annotate.carried_masks import Images
-from getagrip.annotate.labels import FRONT, OBJECT, Labels
+from getagrip.annotate.carried_masks import Hands, Images
+from getagrip.annotate.found_hands import FoundHands
+from getagrip.annotate.labels import FRONT, HAND, OBJECT, Labels
 from getagrip.annotate.propagated_masks import propagate
 from getagrip.annotate.steadied_hands import steadied
+from getagrip.annotate.strokes import key_masks
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.depth import covered
@@ -28,7 +30,7 @@ Polygon = Float[ndarray, "_n 2"]
 
 
 def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, dict[str, object]]:
-    """By frame: joints and silhouette of the fitted hand [px], and which clicks do not fit the others.
+    """Return, by frame, joints and silhouette of the fitted hand [px], and the clicks that do not fit the others.
 
     Raises ``UsageError`` as ``hands_from_clicks`` does.
     """
@@ -43,25 +45,42 @@ def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, d
         out[labels.first + n] = {
             "joints": _rounded(project(K, se3.transform(T, joints))),
             "outlines": _polygons(mask, 1.0 / zoom),
-            "doubtful": [],
+            "uncertain": [],
         }
     for frame, outliers in zip(found.keys, found.outliers, strict=True):
-        out[frame]["doubtful"] = np.flatnonzero(outliers).tolist()
+        out[frame]["uncertain"] = np.flatnonzero(outliers).tolist()
     return out
 
 
-def masks(labels: Labels, image: Images, known: Container[int] = ()) -> Iterator[tuple[int, dict[str, object]]]:
-    """Each frame with polygons around the object and what is in front of it [px], and how sure they are (0 to 1).
+def found_hand(labels: Labels, found: FoundHands) -> dict[int, dict[str, object]]:
+    """The same of hands that were found, in all frames; where there is none, it has no joints."""
+    out: dict[int, dict[str, object]] = {}
+    for n in range(labels.first, labels.last + 1):
+        mask, joints = found.mask(n), found.joints.get(n)
+        shapes = [] if mask is None else _polygons(mask, labels.size[0] / mask.shape[1])
+        out[n] = {"joints": [] if joints is None else _rounded(joints), "outlines": shapes, "doubtful": []}
+    return out
+
+
+def masks(
+    labels: Labels, image: Images, known: Container[int] = (), seen: Hands = lambda _: None
+) -> Iterator[tuple[int, dict[str, object]]]:
+    """Each frame with polygons around the object, the hand and what is in front [px], and how sure they are (0 to 1).
+
+    ``seen`` is where the hand is, as far as that is known.
 
     Stretches between key frames of which all frames are ``known`` are left out. Raises ``UsageError`` as ``propagate``
     does.
     """
-    for frame, drawn, confidence in propagate(image, labels.label_maps(), labels.first, labels.last, known):
+    for frame, drawn, confidence in propagate(
+        image, key_masks(labels, image, seen), labels.first, labels.last, known, seen
+    ):
         yield (
             frame,
             {
                 "object": _polygons(drawn == OBJECT),
                 "front": _polygons(drawn == FRONT),
+                "hand": _polygons(drawn == HAND),
                 "confidence": round(float(confidence), 3),
             },
         )
@@ -76,7 +95,7 @@ def _rounded(points: Float[ndarray, "n 2"]) -> list[list[float]]:
 
 
 def traced(mask: Bool[ndarray, "H W"]) -> list[Polygon]:
-    """Polygons around the parts of a mask [px]; filled (``clip.segments.polygons``) they give it again, nearly.
+    """Trace polygons around the parts of a mask [px]; filling them (``clip.segments.polygons``) nearly restores it.
 
     A part with a hole has a polygon with a slit: along its border, in to the hole, around it and back out.
     """

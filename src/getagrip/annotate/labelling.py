@@ -1,4 +1,4 @@
-"""What the page can ask for about one grasp's key frames: changes, drafts, and the files that a clip is made of."""
+"""The page's requests about one grasp's key frames: changes, drafts, and the files that a clip is made of."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ from numpy import ndarray
 from getagrip.annotate import keyframes, labels, reconstruction, versions
 from getagrip.annotate.background import Background, BackgroundJob, Work
 from getagrip.annotate.footage import Footage
+from getagrip.annotate.found_hands import FOLDER, FoundHands
 from getagrip.annotate.interaction import Interaction
 from getagrip.annotate.keyframes import KeyFrame
 from getagrip.annotate.labelled_footage import checksum
-from getagrip.annotate.labels import Labels
+from getagrip.annotate.labels import SHAPES, Labels
 from getagrip.annotate.marks import Mark
 from getagrip.annotate.propagated_masks import stretches
 from getagrip.annotate.store import Store
@@ -37,7 +38,7 @@ from getagrip.io import files
 from getagrip.io.files import Json, shown
 
 Basis = dict[str, list[tuple[int, int, str]]]
-"""Of the "masks" and the "hand": first and last frame, and what drafts of these are made of, in a word."""
+"""Inputs of the drafts of "masks" and "hand": first and last frame, and the kind of input, in a word."""
 
 LONGEST_NAME = 100
 """Characters of a grasp's name in files."""
@@ -51,7 +52,7 @@ class Grasp:
     footage: Footage
     mark: Mark
     whole: Interaction | None = None
-    """Of a whole interaction: its segments."""
+    """Segments of a whole interaction."""
 
     @property
     def extent(self) -> tuple[int, int]:
@@ -69,7 +70,7 @@ class Grasp:
 
     @property
     def name(self) -> str:
-        """What its files are called; names that had to be cut or changed for that differ by a checksum."""
+        """Name of its files; names that had to be cut or changed for that differ by a checksum."""
         parts = [self.mark.annotator, self.task.video, self.mark.start_number, self.mark.end_number, self.side]
         whole = "-".join(map(str, parts))
         plain = re.sub(r"[^\w.-]", "_", whole).lstrip(".")[:LONGEST_NAME]
@@ -80,13 +81,14 @@ class Labelling:
     """The key frames of the grasps in a store."""
 
     def __init__(self, store: Store, lens: Lens, out: Path) -> None:
-        """The files of grasps go into ``out``; without a lens the focal length is guessed."""
+        """Write the files of grasps into ``out``; without a lens the focal length is assumed."""
         self.store, self.out = store, out
         self.lens = lens if lens.is_set else Lens(guess_focal=True)
+        self.found = FoundHands(out / FOLDER)
         self.background = Background()
 
     def state(self, grasp: Grasp) -> dict[str, object]:
-        """The labels of a grasp's frames, what drafts would be made of now, and the progress of the work on it."""
+        """Return the labels of a grasp's frames, the inputs of drafts now, and the progress of the work on it."""
         newest = self.store.keyframes.newest(grasp.mark.mark, grasp.mark.annotator)  # before the frames, as with marks
         own = self._own(grasp)
         job = self.background.job(grasp.mark.mark)
@@ -121,14 +123,14 @@ class Labelling:
         return {"undone": undone is not None, "frame": None if undone is None else undone.frame}
 
     def labels(self, grasp: Grasp) -> Labels:
-        """The labels of a grasp, as a file has them."""
+        """Return the labels of a grasp, as a file has them."""
         (first, last), footage = grasp.extent, grasp.footage
         frames = {one.frame: one.labels() for one in self._own(grasp) if first <= one.frame <= last}
         video = (grasp.task.path or Path(grasp.task.video)).name
         return Labels(video, footage.size, grasp.side, footage.fps, first, last, frames)
 
     def whole_labels(self, grasp: Grasp) -> Labels:
-        """The labels of a grasp with the checksum of its footage, by which a file of them finds it again."""
+        """Return the labels of a grasp with the checksum of its footage, by which a file of them finds it again."""
         return replace(self.labels(grasp), sha256=checksum(_path(grasp)))
 
     def take(self, grasp: Grasp, labels: Labels) -> None:
@@ -157,9 +159,7 @@ class Labelling:
     def make(self, grasp: Grasp) -> None:
         """Begin to write the files that a clip is made of. Raises ``RefusedError`` where something is missing."""
         value = self.labels(grasp)
-        self._check_joints(grasp, value)
-        if not value.clicks or not value.label_maps():
-            raise RefusedError("a clip needs joints on one frame at least, and a polygon around the object on one")
+        self._check_enough(grasp, value)
         self._start(grasp, "files", lambda job: self.write(grasp, value, job))
 
     def reconstruct(self, grasp: Grasp, content: Json) -> None:
@@ -167,9 +167,7 @@ class Labelling:
         from getagrip.annotate.labelled import clip_words
 
         shape, value = reconstruction.shape_of(content), self.labels(grasp)
-        self._check_joints(grasp, value)
-        if not value.clicks or not value.label_maps():
-            raise RefusedError("a clip needs joints on one frame at least, and a polygon around the object on one")
+        self._check_enough(grasp, value)
 
         def work(job: BackgroundJob) -> str:
             job.message = "writing the files"
@@ -180,7 +178,7 @@ class Labelling:
         self._start(grasp, "reconstruct", work)
 
     def result_file(self, grasp: Grasp, name: str) -> bytes:
-        """The report of the grasp's result. Raises ``RefusedError`` where there is none."""
+        """Return the report of the grasp's result. Raises ``RefusedError`` where there is none."""
         path = reconstruction.result_folder(self.out, grasp.name) / name
         if not path.is_file():
             raise RefusedError("there is no result of this grasp yet")
@@ -206,11 +204,19 @@ class Labelling:
                 return footage.image(n)
 
             out = self.out / grasp.name
-            make(value, image, self.lens, out, overwrite=True, done=lambda masks: job.report(masks, frames))
+            make(
+                value,
+                image,
+                self.lens,
+                out,
+                overwrite=True,
+                done=lambda masks: job.report(masks, frames),
+                found=self.found,
+            )
         return command(replace(value, video=str(_path(grasp))), out, self._segments(grasp))
 
     def _segments(self, grasp: Grasp) -> Path | None:
-        """Where the segments of a whole interaction go."""
+        """Return the file of a whole interaction's segments."""
         return None if grasp.whole is None else self.out / f"segments-{grasp.name}.json"
 
     def close(self) -> None:
@@ -236,20 +242,31 @@ class Labelling:
         return self.store.keyframes.standing(grasp.mark.mark, grasp.mark.annotator)
 
     def _basis(self, grasp: Grasp, own: Sequence[KeyFrame]) -> Basis:
-        """What drafts of each kind are made of now; nothing where there is nothing to make them of."""
+        """Return the inputs of drafts of each kind now; empty where there are none."""
         first, last = grasp.extent
         frames = [(one, one.labels()) for one in own if first <= one.frame <= last]
         masks = {
-            one.frame: [[shape.tolist() for shape in shapes or ()] for shapes in (labelled.object, labelled.front)]
+            one.frame: [[shape.tolist() for shape in getattr(labelled, kind) or ()] for kind in SHAPES]
             for one, labelled in frames
-            if labelled.object is not None
+            if labelled.object is not None or labelled.on
         }
         hand = {one.frame: one.joints for one, labelled in frames if labelled.joints is not None}
         between = stretches(masks, first, last) if masks else ()
+        hands = [(first, last, _word(first, last, hand, grasp.side, asdict(self.lens)))] if hand else []
+        if not hand and self.found.joints:
+            hands = [(first, last, self.found.word)]
         return {
-            "masks": [(one.first, one.last, _word({n: masks[n] for n in one.keys})) for one in between],
-            "hand": [(first, last, _word(first, last, hand, grasp.side, asdict(self.lens)))] if hand else [],
+            "masks": [
+                (one.first, one.last, _word({n: masks[n] for n in one.keys}, self.found.word)) for one in between
+            ],
+            "hand": hands,
         }
+
+    def _check_enough(self, grasp: Grasp, value: Labels) -> None:
+        """Raise ``RefusedError`` where no clip can be made."""
+        self._check_joints(grasp, value)
+        if not (value.clicks or self.found.path.is_file()) or not value.label_maps():
+            raise RefusedError("a clip needs a hand, found or clicked on one frame, and the object drawn on one")
 
     def _check_joints(self, grasp: Grasp, labels: Labels) -> None:
         """Raise ``RefusedError`` for a frame with too few joints, by the number that the page shows."""
@@ -272,11 +289,16 @@ class Labelling:
             if len(known["hand"]) < len(words["hand"]):
                 K, _ = intrinsics(self.lens, labels.size)
                 try:
-                    drafts.put(key, "hand", words["hand"][labels.first], drafting.hand(labels, K, footage.image))
+                    hands = (
+                        drafting.hand(labels, K, footage.image)
+                        if labels.clicks
+                        else drafting.found_hand(labels, self.found)
+                    )
+                    drafts.put(key, "hand", words["hand"][labels.first], hands)
                 except UsageError as error:  # masks can be filled in nevertheless
                     wrong = error
             if len(known["masks"]) < len(words["masks"]):
-                for n, content in drafting.masks(labels, footage.image, known["masks"]):
+                for n, content in drafting.masks(labels, footage.image, known["masks"], self.found.mask):
                     drafts.put(key, "masks", words["masks"][n], {n: content | {"number": footage.number(n)}})
                     job.report(n - labels.first + 1, frames)
         if wrong is not None:

@@ -1,4 +1,4 @@
-"""Whether inputs and results can be believed: each check measures one thing, and finds fault beyond its limit.
+"""Checks of inputs and results: each measures one thing, and reports values beyond its limits.
 
 ``INPUT_CHECKS`` need the clip and its masks, ``RESULT_CHECKS`` the poses that were found, too. Limits were chosen on
 training data (docs/checks.md). ``read_signs`` is what ``CALIBRATIONS`` (``calibrated``) make a probability of.

@@ -22,9 +22,9 @@ from getagrip.finding import Finding
 from getagrip.geometry import se3
 
 FRAMES = 30
-"""Of a segment that are looked at: as many as are fitted together."""
+"""Number of frames of a segment that are checked: as many as are fitted together."""
 HAND_SIDE = "hand-side"
-"""Of the other hand where that holds the object; of the clip's own it is a check of the whole."""
+"""Name of the check of the other hand where that holds the object; of the clip's own it is a check of the whole."""
 WITH_HAND = (
     "mask-size", "visible-size", "frame-order", "frames-late", "masks-follow-hand", "object-over-hand",
     "hand-over-object", "regrasp", "second-gap", "contact-gap", "penetration",
@@ -32,14 +32,14 @@ WITH_HAND = (
 """Checks that suppose a grasp, by the hand that holds the object."""
 FEWEST = 2
 """Frames that must show the object in a grasp."""
-UNSEEN_ADVICE = "nothing is known of this grasp: are masks missing there, or is it another object's?"
+UNSEEN_ADVICE = "there is no evidence for this grasp: are masks missing there, or is it another object's?"
 OF_MASKS = ("mask-fit", "poor-mask-fit", "worst-frame")
 """Checks of any segment's result."""
 
 
 @dataclass(frozen=True)
 class Examined:
-    """What the checks of a timeline say.
+    """The outcome of the checks of a timeline.
 
     Attributes:
         checks: what was measured of the clip as a whole.
@@ -82,12 +82,12 @@ def examine_timeline(
 
 
 def name_of(clip: Clip, segment: Segment) -> str:
-    """What findings call a segment."""
+    """Return the name of a segment in findings."""
     return f"{segment.state} from {clip.frames[segment.first]}"
 
 
 def _examine(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:
-    """The checks of one segment."""
+    """Run the checks of one segment."""
     assert whole.iou is not None
     assert whole.T_hand_obj is not None
     iou = whole.iou[segment.rows]
@@ -120,14 +120,17 @@ def _examine(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[str, f
 
 
 def _by_other(clip: Clip) -> Clip:
-    """The clip with the other hand for its own."""
+    """Return the clip with the other hand for its own."""
     swapped = clip.with_side(clip.other_side)
     assert swapped is not None
     return swapped
 
 
 def jump(it: Evidence) -> float:
-    """Largest movement of the surface across a border of two segments, beyond the largest within one [diameters]."""
+    """Measure the largest movement of the surface across a border of two segments [diameters].
+
+    The largest movement within a segment is subtracted.
+    """
     surface = _surface_in_world(it, frame_indices(len(it.clip.mesh.vertices), 100))
     step = np.sqrt(np.mean(np.sum(np.diff(surface, axis=0) ** 2, axis=-1), axis=-1))
     border = np.isin(np.arange(1, len(it.clip)), [segment.first for segment in it.clip.segments])
@@ -138,7 +141,7 @@ def jump(it: Evidence) -> float:
 
 
 def height(it: Evidence) -> float:
-    """Of the lowest point over the support plane, median over frames [mm]; NaN where the plane is not known."""
+    """Return the height of the lowest point over the support plane, median over frames [mm]; NaN without a plane."""
     world = it.clip.world
     if world is None or world.up is None or world.support is None:
         return float("nan")
@@ -147,7 +150,7 @@ def height(it: Evidence) -> float:
 
 
 def _surface_in_world(it: Evidence, some: Int[ndarray, "n"]) -> Float[ndarray, "T n 3"]:
-    """Some of the object's vertices, posed in the world; without one, before the camera."""
+    """Pose some of the object's vertices in the world; without one, before the camera."""
     assert it.T_hand_obj is not None
     T = it.clip.hand.T_cam_hand @ it.T_hand_obj
     if it.clip.world is not None:

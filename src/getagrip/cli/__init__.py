@@ -22,6 +22,7 @@ from getagrip.commands.bench import Benches, with_source
 from getagrip.commands.command import Command
 from getagrip.commands.demo import Demo
 from getagrip.commands.doctor import Doctor
+from getagrip.commands.draft import Draft
 from getagrip.commands.epic_candidates import EpicCandidates
 from getagrip.commands.evaluate import Evaluate
 from getagrip.commands.export import Export
@@ -47,13 +48,14 @@ BENCH = "Compare methods on a dataset, or on a folder of clips: the paper's tabl
 
 
 def commands(imports: Any, figures: Any) -> Any:
-    """All commands, in the order of use: to try it, input, reconstruction, what to do with results, research.
+    """Make the union of all commands, in the order of use: to try it, input, reconstruction, results, research.
 
     ``imports`` is what ``import`` takes, ``figures`` what ``figure`` takes.
     """
     return (
         Annotated[Demo, subcommand("demo")]
         | Annotated[Doctor, subcommand("doctor")]
+        | Annotated[Draft, subcommand("draft")]
         | Annotated[NewClip, subcommand("clip new")]
         | Annotated[Annotate, subcommand("annotate")]
         | Annotated[imports, subcommand("import", description="Import datasets, hands or masks.")]
@@ -111,7 +113,7 @@ def _run(args: Sequence[str]) -> int:
 
 
 def _parsed(args: Sequence[str]) -> Command:
-    """The command that arguments call for. Ends the process after ``--help``, and for arguments that fit no command."""
+    """Parse the arguments of a call. Ends the process after ``--help``, and for arguments that fit no command."""
     imports: Any = Command
     figures: Any = Command
     if args and args[0] == "import":  # what it takes is declared with the readers, which take longer to load
@@ -141,6 +143,6 @@ def _parsed(args: Sequence[str]) -> Command:
 
 
 def _by_name(choice: Any) -> dict[str, Any]:
-    """The commands of a union, by the words that are typed; none of a command that has none below it."""
+    """List the commands of a union, by the words that are typed; none for a command without subcommands."""
     union = get_args(choice)[0] if get_origin(choice) is Annotated else choice
     return {one.__metadata__[0].name: one for one in get_args(union) if get_origin(one) is Annotated}

@@ -29,7 +29,7 @@ class PerFrame(Protocol):
     def __len__(self) -> int: ...
 
     def take(self, index: Int[ndarray, "n"]) -> Self:
-        """The data of some of the frames, in the given order."""
+        """Return the data of some of the frames, in the given order."""
         ...
 
 
@@ -43,7 +43,7 @@ class FrameMasks(NamedTuple):
 
     @staticmethod
     def unknown(size: tuple[int, int]) -> FrameMasks:
-        """Of a frame that has none; ``size``: width and height [px]."""
+        """Make the masks of a frame that has none; ``size``: width and height [px]."""
         nothing = np.zeros(size[::-1], dtype=bool)
         return FrameMasks(nothing, ~nothing)
 
@@ -67,14 +67,14 @@ class Masks(ArrayData):
 
     @staticmethod
     def of(frames: Iterable[FrameMasks]) -> Masks:
-        """The masks of frames, those of the hand where all have them."""
+        """Stack the masks of frames, those of the hand where all have them."""
         objects, ignored, hands = zip(*frames, strict=True)
         known = [hand for hand in hands if hand is not None]
         return Masks(np.stack(objects), np.stack(ignored), np.stack(known) if len(known) == len(hands) else None)
 
     @staticmethod
     def packed(frames: Iterable[FrameMasks], size: tuple[int, int]) -> Masks:
-        """The same in little memory (``PackedMasks``), not to be written to. ``size``: width and height [px]."""
+        """Stack masks in little memory (``PackedMasks``), read-only. ``size``: width and height [px]."""
         packed = [[None if mask is None else PackedMask.of(mask) for mask in frame] for frame in frames]
         objects, ignored, hands = (
             PackedMasks([mask for mask in column if mask is not None], (size[1], size[0])).as_array()
@@ -95,7 +95,7 @@ class Masks(ArrayData):
 
     @property
     def say_what_hides(self) -> bool:
-        """Whether pixels are ignored in a frame whose mask is known."""
+        """True if pixels are ignored in a frame whose mask is known."""
         shown = np.asarray(self.object.any(axis=(1, 2)))
         return any(i.any() and (one or not i.all()) for one, i in zip(shown, self.ignore, strict=True))
 
@@ -103,13 +103,13 @@ class Masks(ArrayData):
         return len(self.object)
 
     def take(self, index: Int[ndarray, "n"]) -> Masks:
-        """The masks of some of the frames, in the given order."""
+        """Return the masks of some of the frames, in the given order."""
         return Masks(self.object[index], self.ignore[index], None if self.hand is None else self.hand[index])
 
 
 @dataclass(frozen=True, eq=False)
 class World(ArrayData):
-    """Where the camera of a clip was, in a frame that stands still.
+    """The camera's path in a frame that stands still.
 
     Attributes:
         T_world_cam: (T, 4, 4) pose of the camera, camera frame to world frame [m].
@@ -128,7 +128,7 @@ class World(ArrayData):
             raise UsageError("World.support cannot be used without World.up, along which it is")
 
     def take(self, index: Int[ndarray, "n"]) -> World:
-        """At some of the frames, in the given order."""
+        """Return the world at some of the frames, in the given order."""
         return replace(self, T_world_cam=self.T_world_cam[index])
 
 
@@ -221,14 +221,17 @@ class Clip(ArrayData):
 
     @property
     def origin(self) -> Path:
-        """What errors call the clip: its folder or, where it has none, its name."""
+        """Name of the clip in errors: its folder or, where it has none, its name."""
         return self.folder or Path(self.name)
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def image_file(self, n: int) -> Path | None:
-        """The image of a frame, where the clip's folder has one. Raises ``InputError`` for a link that leads out."""
+        """Return the image of a frame, where the clip's folder has one.
+
+        Raises ``InputError`` for a link that leads out.
+        """
         if self.folder is None:
             return None
         names = (f"frames/{self.frames[n]}{suffix}" for suffix in (".jpg", ".png"))
@@ -236,7 +239,7 @@ class Clip(ArrayData):
         return None if there is None else inside(self.folder, there, "", "an image")
 
     def index_of(self, frames: Sequence[str]) -> Int[ndarray, "n"]:
-        """Where the named frames are in the clip. Raises ``InputError`` for a name that is none of its frames."""
+        """Return the indices of the named frames. Raises ``InputError`` for a name that is none of its frames."""
         place = {name: n for n, name in enumerate(self.frames)}
         unknown = next((name for name in frames if name not in place), None)
         if unknown is not None:
@@ -247,7 +250,7 @@ class Clip(ArrayData):
     def with_hand_at(
         self, T_cam_hand: Float[ndarray, "T 4 4"] | None, T_cam_other: Float[ndarray, "T 4 4"] | None = None
     ) -> Clip:
-        """The clip with its hand elsewhere, and the other one, as where a result has them; None: where it is."""
+        """Return the clip with its hands at other poses, such as those of a result; None leaves a hand in place."""
         hand, other = self.hand, self.other_hand
         if T_cam_hand is not None:
             hand = replace(hand, T_cam_hand=T_cam_hand)
@@ -261,7 +264,7 @@ class Clip(ArrayData):
         return "left" if self.side == "right" else "right"
 
     def with_side(self, side: Side | None) -> Clip | None:
-        """The clip with the hand of a side for its own; None where that hand is not known.
+        """Return the clip with the hand of a side for its own; None where that hand is not known.
 
         Of the other side it has no ground truth, and in some of its frames the hand may not be known (``hand_known``).
         """
@@ -273,21 +276,21 @@ class Clip(ArrayData):
         return replace(self, hand=self.other_hand.track, side=side, other_hand=other, truth=None)
 
     def hand_known(self, side: Side | None) -> Bool[ndarray, "T"]:
-        """The frames in which the hand of a side is known."""
+        """Return the frames in which the hand of a side is known."""
         if side == self.side:
             return np.ones(len(self), dtype=bool)
         return np.zeros(len(self), dtype=bool) if side is None or self.other_hand is None else self.other_hand.known
 
     def light(self) -> Clip:
-        """The clip with a mesh that is not too large to fit, measure and draw (``Mesh.light``)."""
+        """Return the clip with a mesh that is small enough to fit, measure and draw (``Mesh.light``)."""
         return self if self.mesh.light is self.mesh else replace(self, mesh=self.mesh.light)
 
     def warped(self, warp: Warp | None) -> Clip:
-        """The clip with its mesh warped, as where a result has fitted its shape; None: as it is."""
+        """Return the clip with its mesh deformed, as a result has it; None: as it is."""
         return self if warp is None else replace(self, mesh=warp(self.mesh))
 
     def take(self, index: Int[ndarray, "n"]) -> Clip:
-        """The clip at some of its frames, in the given order."""
+        """Return the clip at some of its frames, in the given order."""
         truth = self.truth and replace(
             self.truth,
             T_cam_obj=self.truth.T_cam_obj[index],

@@ -37,19 +37,19 @@ class VisibleHand(ArrayData):
         return len(self.pixels)
 
     def take(self, index: Int[ndarray, "n"]) -> VisibleHand:
-        """The masks of some of the frames, in the given order."""
+        """Return the masks of some of the frames, in the given order."""
         return VisibleHand(self.pixels[index])
 
 
 def with_masks(clip: Clip, masks: Masks | None) -> Clip:
-    """The clip with masks of its frames in memory; None: it has none, whatever its folder has."""
+    """Return the clip with masks of its frames in memory; None: without any, whatever its folder has."""
     hand = None if masks is None or masks.hand is None else VisibleHand(masks.hand)
     alone = None if masks is None else replace(masks, hand=None)
     return replace(clip, evidence={**clip.evidence, OBJECT: alone, HAND: hand})
 
 
 def masks_in(clip: Clip) -> Masks | None:
-    """The masks that a clip has in memory."""
+    """Return the masks that a clip has in memory."""
     masks, hand = clip.evidence.get(OBJECT), clip.evidence.get(HAND)
     assert masks is None or isinstance(masks, Masks)
     assert hand is None or isinstance(hand, VisibleHand)
@@ -68,12 +68,12 @@ def read_masks(clip: Clip) -> Masks:
 
 
 def find_masks(clip: Clip) -> Masks | None:
-    """The masks of a clip, as ``read_masks`` reads them; None where there is no folder of them."""
+    """Read the masks of a clip with ``read_masks``; None where there is no folder of them."""
     return read_masks(clip) if masks_in(clip) is not None or _are_there(clip) else None
 
 
 def masks_of_some(clip: Clip, with_hand: bool = False) -> Masks | None:
-    """``find_masks`` of some frames of a clip, none of which need show the object; those of the hand if wanted."""
+    """Read masks of some frames, none of which need show the object; those of the hand if wanted."""
     if not _are_there(clip):
         return None
     masks = Masks.packed(_each(clip), clip.size)
@@ -99,13 +99,13 @@ def read_hand_masks(clip: Clip) -> VisibleHand | None:
 
 
 def with_hand_masks(masks: Masks, clip: Clip) -> Masks:
-    """Masks of a clip's frames with those of the hand, where its folder has them."""
+    """Add the masks of the hand, where the clip's folder has them, to masks of its frames."""
     hand = read_hand_masks(clip)
     return masks if hand is None else replace(masks, hand=hand.pixels)
 
 
 def read_observed(clip: Clip) -> Bool[ndarray, "T"]:
-    """``read_masks(clip).observed``, with one frame at a time in memory."""
+    """Compute ``read_masks(clip).observed`` with one frame at a time in memory."""
     any_object, observed = False, np.zeros(len(clip), dtype=bool)
     for n, (mask, ignore, _) in enumerate(_each(clip)):
         any_object |= bool(mask.any())
@@ -115,7 +115,7 @@ def read_observed(clip: Clip) -> Bool[ndarray, "T"]:
 
 
 def _each(clip: Clip) -> Iterator[FrameMasks]:
-    """The masks of each frame, but those of the hand."""
+    """Yield the masks of each frame, without those of the hand."""
     folder, (width, height) = _folder(clip), clip.size
     hidden = (folder / "masks" / "ignore").exists()
     for frame in clip.frames:
@@ -128,7 +128,7 @@ def _each(clip: Clip) -> Iterator[FrameMasks]:
 
 
 def has_mask(folder: Path, frame: str) -> bool:
-    """Whether there is a file, or a link, of the object's mask in a frame of the clip in a folder."""
+    """Return whether there is a file, or a link, of the object's mask in a frame of the clip in a folder."""
     return os.path.lexists(folder / "masks" / "object" / f"{frame}.png")
 
 
@@ -148,19 +148,19 @@ def write_masks(masks: Bool[ndarray, "T H W"], known: Bool[ndarray, "T"], frames
 
 
 def _are_there(clip: Clip) -> bool:
-    """Whether the clip's folder has masks."""
+    """Return whether the clip's folder has masks."""
     return clip.folder is not None and (clip.folder / "masks" / "object").exists()
 
 
 def _folder(clip: Clip) -> Path:
-    """The clip's folder. Raises ``InputError`` where it has none."""
+    """Return the clip's folder. Raises ``InputError`` where it has none."""
     if clip.folder is None:
         raise InputError(clip.origin, "masks", "none, for a clip that is in no folder", "the masks beside the clip")
     return clip.folder
 
 
 def _read(folder: Path, kind: str, frame: str, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
-    """The mask of a frame."""
+    """Read the mask of a frame."""
     path = files.inside(folder, f"masks/{kind}/{frame}.png", "", "a mask for each frame of clip.json")
     return read_png(path, size) != 0
 
@@ -182,7 +182,7 @@ def check_masks(clip: Clip, masks: Masks) -> None:
 
 
 def observed_frames(clip: Clip, observed: Bool[ndarray, "T"]) -> Clip:
-    """The clip at the frames in which the object is observed (``Masks.observed``).
+    """Return the clip at the frames in which the object is observed (``Masks.observed``).
 
     Raises ``InputError`` for fewer than two: one silhouette says nothing about a motion.
     """

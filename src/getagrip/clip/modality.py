@@ -2,13 +2,13 @@
 
 A modality is all that is known of one kind: its files in a clip's folder, how they are read at some frames, its checks,
 and the terms that it gives. A new one is a file in ``getagrip/evidence`` and a line in ``MODALITIES``; a script adds
-its own with ``MODALITIES["mine"] = Mine()``.
+its own with ``MODALITIES["mine"] = Mine()``, another package by an entry point (``io.plugins``).
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -16,6 +16,7 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, cast
 
 from getagrip.clip.data import Clip, PerFrame
+from getagrip.io.plugins import Table
 
 if TYPE_CHECKING:  # the only upward look: what a modality answers with is defined where it is used
     from getagrip.checks import Check
@@ -54,30 +55,36 @@ class Modality(ABC, Generic[D]):
         return Terms()
 
     def of(self, clip: Clip) -> D | None:
-        """The data that a clip has in memory."""
+        """Return the data that a clip has in memory."""
         return cast("D | None", clip.evidence.get(self.name))
 
 
-MODALITIES: dict[str, Modality[Any] | str] = {
+OURS: Mapping[str, Modality[Any] | str] = {
     "object-masks": "getagrip.evidence.object_masks:ObjectMasks",
     "hand-masks": "getagrip.evidence.hand_masks:HandMasks",
 }
+MODALITIES = Table(
+    "modalities",
+    dict(OURS),
+    "a Modality of the same name",
+    lambda name, it: isinstance(it, Modality) and it.name == name,
+)
 """Every modality by its name, or where its class is, which is imported when it is first needed."""
 
 
 def modalities() -> tuple[Modality[Any], ...]:
     """Every modality of the table."""
-    return tuple(_loaded(entry) if isinstance(entry, str) else entry for entry in MODALITIES.values())
+    return tuple(_loaded(entry) if isinstance(entry, str) else entry for entry in MODALITIES.working().values())
 
 
 @cache
 def _loaded(entry: str) -> Modality[Any]:
-    """The modality of a class named as ``module:class``."""
+    """Return the modality of a class named as ``module:class``."""
     return cast(Modality[Any], resolve_name(entry)())
 
 
 def with_evidence(clip: Clip) -> Clip:
-    """The clip with all evidence of its frames in memory: what it does not hold yet is read from its folder.
+    """Return the clip with all evidence of its frames in memory; missing data is read from its folder.
 
     Raises ``InputError``.
     """
@@ -85,3 +92,8 @@ def with_evidence(clip: Clip) -> Clip:
     if clip.folder is None or not missing:
         return clip
     return replace(clip, evidence={**clip.evidence, **{modality.name: modality.read(clip) for modality in missing}})
+
+
+def other_evidence(clip: Clip) -> list[str]:
+    """Name the evidence that a clip has in memory besides its masks."""
+    return [name for name, data in clip.evidence.items() if data is not None and name not in OURS]

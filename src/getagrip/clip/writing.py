@@ -70,6 +70,8 @@ def write_hand(hand: HandTrack, path: Path, extra: Mapping[str, Shaped[ndarray, 
     """Write the hands of a clip, and arrays that a clip's reader passes over."""
     regions = {f"region_{name}": ids for name, ids in hand.regions.items()}
     joints = {} if hand.joints is None else {"joints": hand.joints}
+    if hand.joints_2d is not None and hand.joints_2d_confidence is not None:
+        joints |= {"joints_2d": hand.joints_2d, "joints_2d_confidence": hand.joints_2d_confidence}
     T_cam_hand = {"T_cam_hand": hand.T_cam_hand}
     arrays.write(
         path, {"vertices": hand.vertices, "faces": hand.faces} | T_cam_hand | joints | regions | dict(extra or {})
@@ -83,13 +85,13 @@ def write_hand_at(hand: HandTrack, frames: Sequence[str], rows: Sequence[int], p
 
 
 def without_hand(frames: Sequence[str], rows: Sequence[int]) -> dict[str, str]:
-    """What a clip's provenance says where only the frames ``rows`` have a hand; nothing where all have one."""
+    """Return the provenance of a clip where only the frames ``rows`` have a hand; nothing where all have one."""
     missing = [name for row, name in enumerate(frames) if row not in {*rows}]
     return {WITHOUT_HAND: f"left out until they have one: {', '.join(missing)}"} if missing else {}
 
 
 def _fields(clip: Clip) -> dict[str, object]:
-    """What ``clip.json`` says of a clip."""
+    """Return the fields of a clip's ``clip.json``."""
     camera: dict[str, object] = {"K": _once(clip.K)}
     if clip.world is not None:
         camera["T_world_cam"] = _once(clip.world.T_world_cam)
@@ -118,7 +120,7 @@ def _once(of_frames: Float[ndarray, "T n n"]) -> Float[ndarray, "..."]:
 
 
 def _truth_arrays(clip: Clip, truth: Truth) -> dict[str, Shaped[ndarray, "..."]]:
-    """The ground truth, of the hand only what differs from the clip's."""
+    """Return the arrays of the ground truth, of the hand only those that differ from the clip's."""
     out: dict[str, ndarray] = {"T_cam_obj": truth.T_cam_obj, "scale": np.array(truth.scale)}
     if not np.array_equal(truth.T_cam_hand, clip.hand.T_cam_hand):
         out["T_cam_hand"] = truth.T_cam_hand

@@ -39,7 +39,7 @@ _DATASETS: dict[str, type[Dataset]] = {
 
 
 OTHERS = ("hands", "masks", "segments")
-"""What is imported into clips that are there."""
+"""Imports into existing clips."""
 
 
 def _is_dataset(_: str, it: object) -> bool:
@@ -57,7 +57,7 @@ class Import(Command, Generic[D]):
 
     dataset: Annotated[D, arg(name="")]
     out: Folder
-    """Where the clips go, a folder each. Those that are there already are kept, unless they lack hands found now."""
+    """Folder of the clips, one folder each. Existing clips are kept, unless they lack hands found now."""
     share: Annotated[Share, arg(name="")] = field(default_factory=Share)
 
     def run(self) -> int:
@@ -65,7 +65,7 @@ class Import(Command, Generic[D]):
 
 
 def subcommands(name: str = "") -> Any:
-    """What ``import`` takes: a dataset each, then hands, masks and segments.
+    """Return the subcommands of ``import``: a dataset each, then hands, masks and segments.
 
     Behind a ``name`` that there is, nothing else of other packages is loaded. Raises ``UsageError`` where it cannot be.
     """

@@ -29,19 +29,22 @@ class HandFile:
     K: Float[ndarray, "3 3"] | None
     side: str | None
     provenance: Provenance
-    """Where its hands come from."""
+    """Sources of its hands."""
 
     @staticmethod
     def of(path: Path) -> HandFile:
-        """Raises ``InputError``."""
+        """Read a hand file; raise ``InputError`` for a malformed one."""
         stored = arrays.read(path, lambda key: key in {"frames", "K", "side"} or of_provenance(key))
         side = str(stored["side"]) if "side" in stored and stored["side"].dtype.kind == "U" else None
         K = arrays.floats(path, stored, "K", (3, 3)) if "K" in stored else None
         return HandFile(path, arrays.frame_numbers(path, stored), K, side, from_arrays(path, stored))
 
     def at(self, frames: tuple[str, ...], side: Side, first: int | None) -> Hands:
-        """The hands in those of the frames that have one; ``first`` is the number of the first frame's, where hands are
-        counted from another start. Raises ``InputError``, and ``UsageError`` where they seem to be."""
+        """Return the hands in those of the frames that have one.
+
+        ``first`` is the number of the first frame's hand, where hands are counted from another start. Raises
+        ``InputError``, and ``UsageError`` where hands seem to be counted from another start.
+        """
         if self.side not in (None, side):
             raise InputError(self.path, "side", f"a {self.side} hand", f"a {side} hand, as --side says")
         sources = {"hands": f"from {self.path.name}", **self.provenance}

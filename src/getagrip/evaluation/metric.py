@@ -37,29 +37,29 @@ class Metric:
     label: str = ""
     """Its column in the tables of ``bench``: of means if it is a share, else of medians; empty: none."""
     folded: bool = False
-    """Whether ``bench`` shows it among what its pages fold away."""
+    """True if ``bench`` shows it in the folded part of its pages."""
     decimals: int = 1
     by_contact: bool = False
-    """Whether each definition of contact gives another value."""
+    """True if each definition of contact gives another value."""
     needs_truth: bool = False
-    """Whether it is known only where there is ground truth."""
+    """True if it needs ground truth."""
     ranked: bool = True
-    """Whether more is better; else methods are not compared by it."""
+    """True if more is better; else methods are not compared by it."""
     averaged: bool = True
-    """Whether the mean over frames is given, too."""
+    """True if the mean over frames is given, too."""
 
     def key(self, contact: ContactDefinition) -> str:
-        """Its key in JSON, by a definition of contact."""
+        """Return its key in JSON, by a definition of contact."""
         return f"{self.name}_{contact.key}" if self.by_contact else self.name
 
     def text(self, value: float) -> str:
-        """A value as text."""
+        """Write a value as text."""
         factor = 100 if self.unit == "%" else 1
         return "-" if np.isnan(value) else f"{factor * value:.{self.decimals}f}"
 
 
 def mean_of(values: Float[ndarray, "n"]) -> float:
-    """Mean of the values that are known (not NaN); NaN if none is."""
+    """Compute the mean of the values that are known (not NaN); NaN if none is."""
     known = values[~np.isnan(values)]
     return float(known.mean()) if known.size else float("nan")
 
@@ -210,8 +210,7 @@ METRICS = Table(
 
 
 def measure(it: Comparison, wanted: Sequence[Metric] | None = None) -> tuple[dict[str, float], dict[str, list[float]]]:
-    """The wanted metrics, or all, that can be known, one number for the clip each; and those that are numbers for each
-    frame.
+    """Compute the wanted metrics, or all, that can be known: one number for the clip each, and those per frame.
 
     One of another package that raises is left out, after a warning.
     """

@@ -1,4 +1,4 @@
-"""What a benchmark of grasps compares: options of ``getagrip bench``, light to load."""
+"""The comparison that a benchmark of grasps makes: options of ``getagrip bench``, light to load."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from getagrip.fitting.methods import METHODS
 
 
 def _methods(_: str) -> str:
-    """The methods that there are when help is shown."""
+    """List the methods that there are when help is shown."""
     return f"(of {', '.join(METHODS)}; default: all of getagrip's but paper...)"
 
 
 def _ablations(_: str) -> str:
-    """The names that an option takes, loaded only to show its help."""
+    """Return the names that an option takes, loaded only to show its help."""
     from getagrip.experiments.settings import ABLATIONS
 
     return f"(one of {', '.join(ABLATIONS)}; default: none)"

@@ -31,12 +31,12 @@ SCENE, OBJECT = 1, 1
 
 @dataclass(frozen=True)
 class Naming:
-    """What the files are called."""
+    """Names of the files."""
 
     dataset: str
     split: str = "test"
     camera: str = ""
-    """Of the scene's files, with an underscore before it."""
+    """Name of the camera in the scene's files, with an underscore before it."""
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
@@ -74,21 +74,21 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
 
 
 def naming_of(scene: Scene) -> Naming:
-    """What the files of a scene are called: as in BOP's own dataset where the clip is of one."""
+    """Name the files of a scene as BOP's own dataset does, where the clip is of one."""
     if {"dataset", "split", "camera"} <= scene.bop.keys():
         return Naming(scene.bop["dataset"], scene.bop["split"], f"_{scene.bop['camera']}")
     return Naming("".join(filter(str.isalnum, word(scene.name))) or "clip")
 
 
 def image_ids(frames: tuple[str, ...]) -> list[int]:
-    """BOP's image ids: the frames' names where all are whole numbers, else their places."""
+    """Return BOP's image ids: the frames' names where all are whole numbers, else their places."""
     if all(name.isascii() and name.isdigit() for name in frames) and len({int(name) for name in frames}) == len(frames):
         return [int(name) for name in frames]
     return list(range(len(frames)))
 
 
 def _camera(scene: Scene, n: int) -> dict[str, object]:
-    """The camera of one image."""
+    """Describe the camera of one image."""
     out: dict[str, object] = {"cam_K": scene.K[n].ravel(), "depth_scale": 1.0}
     if scene.world is not None:
         T_cam_world = se3.inverse(scene.world.T_world_cam[n])
@@ -99,7 +99,7 @@ def _camera(scene: Scene, n: int) -> dict[str, object]:
 def _results(
     images: list[int], R: Float[ndarray, "T 3 3"], t: Float[ndarray, "T 3"], score: Float[ndarray, "T"]
 ) -> str:
-    """The results' text."""
+    """Write the text of the results."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["scene_id", "im_id", "obj_id", "score", "R", "t", "time"])

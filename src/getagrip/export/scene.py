@@ -1,4 +1,4 @@
-"""What is exported: a result with its clip, as poses in time."""
+"""The scene to export: a result with its clip, as poses in time."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class MovingHand(NamedTuple):
     """A hand in T frames; arrays as in ``Scene``."""
 
     name: str
-    """Of its node, its arrays and its files."""
+    """Name of its node, its arrays and its files."""
     T_cam_hand: Float[ndarray, "T 4 4"]
     vertices: Float[ndarray, "T V 3"]
     faces: Int[ndarray, "F 3"]
@@ -104,7 +104,10 @@ class Scene:
 
     @staticmethod
     def of(result: Reconstruction, clip: Clip) -> Scene:
-        """Of a result and the clip that it was made from. Raises ``InputError`` where the frames are not the clip's."""
+        """Make the scene of a result and the clip that it was made from.
+
+        Raises ``InputError`` where the frames are not the clip's.
+        """
         index = clip.index_of(result.frames)
         some = clip.take(index).warped(result.warp).with_hand_at(result.T_cam_hand, result.T_cam_other_hand)
         return Scene(
@@ -180,7 +183,7 @@ class Scene:
         return self.hand.in_camera
 
     def about(self, written: dict[str, str]) -> files.Json:
-        """What goes beside the files of any format, as ``about.json``."""
+        """Return the content of ``about.json``, which goes beside the files of any format."""
         return {
             "clip": self.name,
             "method": self.method,
@@ -202,17 +205,17 @@ class Scene:
 
 
 def _about_hand(hand: MovingHand) -> dict[str, object]:
-    """Where a hand is, and in which frames that is known."""
+    """Describe a hand's pose, and the frames in which it is known."""
     return {"known": hand.known, "T_cam_hand": hand.T_cam_hand, "joints_cam": hand.joints_in_camera}
 
 
 def word(text: str) -> str:
-    """A text as a part of a file name or an identifier of any program: letters, digits, points and hyphens."""
+    """Turn a text into a part of a file name or an identifier of any program: letters, digits, points and hyphens."""
     return re.sub(r"[^A-Za-z0-9.-]+", "-", text).strip("-.")[:80] or "clip"
 
 
 def file_names(frames: Sequence[str]) -> list[str]:
-    """The frames' names as those of files: as they are where all can be, else their places."""
+    """Return file names of the frames: their own names where all can be, else their places."""
     if all(map(files.is_plain_name, frames)):
         return list(frames)
     return [f"{n:06d}" for n in range(len(frames))]

@@ -36,10 +36,10 @@ class Prepared:
 
 @dataclass(frozen=True)
 class Found:
-    """What a method has found.
+    """The solutions of a method.
 
     Attributes:
-        problem: the clip at the frames whose masks are believed, with the mesh that was fitted.
+        problem: the clip at the frames without outlier masks, with the fitted mesh.
         result: the solutions.
         sampled: the solutions at the problem's frames.
     """
@@ -49,19 +49,17 @@ class Found:
     sampled: Track
 
 
-def _prepare(source: Input, clock: Clock) -> Prepared:
+def _prepare(source: Input) -> Prepared:
     """Choose frames, correct the hand, crop the masks; check the input."""
     problem = prepare(source.clip, source.masks, source.options, source.threads)
-    clock("prepare")
     clip = source.clip.take(source.clip.index_of(problem.clip.frames))
     clip = replace(clip, evidence=problem.clip.evidence)
     checks, findings = examine(input_checks(), Evidence(clip, problem.input_masks, glitches=source.glitches))
-    clock("check of the input")
     return Prepared(source, problem, clip, checks, findings)
 
 
 def _search(prepared: Prepared, clock: Clock) -> Found:
-    """What the method finds in the frames whose masks are believed.
+    """Run the method in the frames without outlier masks.
 
     Where it fails, the error also says what was unusual about its inputs.
     """
@@ -83,7 +81,7 @@ def _search(prepared: Prepared, clock: Clock) -> Found:
 
 
 def _fit_all_frames(prepared: Prepared, found: Found, clock: Clock) -> Answer:
-    """The solutions in all frames that the options ask for."""
+    """Extend the solutions to all frames that the options ask for."""
     source, result, problem = prepared.source, found.result, found.problem
     clip, masks = source.clip, source.masks
     if not problem.options.every_frame:
@@ -106,7 +104,7 @@ def _fit_all_frames(prepared: Prepared, found: Found, clock: Clock) -> Answer:
 
 
 def _judge(prepared: Prepared, found: Found, answer: Answer) -> Judgement:
-    """What checks and signs say of it, and how probable it is that it is right."""
+    """Run the checks, and compute signs and probabilities."""
     source = prepared.source
     solved = solved_of(source.clip, found.problem, found.result, found.sampled, answer.track)
     checks, after = examine(result_checks(), solved)
@@ -115,4 +113,4 @@ def _judge(prepared: Prepared, found: Found, answer: Answer) -> Judgement:
     return Judgement(prepared.checks | checks, findings, signs, right)
 
 
-GRASP = Steps(_prepare, _search, _fit_all_frames, _judge, stages=9)
+GRASP = Steps(_prepare, _search, _fit_all_frames, _judge, stages=8)

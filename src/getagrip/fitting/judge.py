@@ -27,7 +27,7 @@ TERMS = ("total", "mask", "push", "pull", "consistency", "prior")
 
 
 def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: Track, whole: Track) -> Solved:
-    """A result as its checks and signs look at it.
+    """Make the view of a result for its checks and signs.
 
     ``input_clip`` has the hand and the mesh as they came; ``sampled`` and ``whole`` are the poses in the frames that
     were fitted together and in every frame.
@@ -48,24 +48,32 @@ def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: 
 def probabilities(
     clip: Clip, options: Options, signs: Mapping[str, float], findings: Sequence[Finding], terms: Iterable[str]
 ) -> dict[Where, Probability | None]:
-    """How probable it is that a result is right, in the hand and in the camera; ``terms`` are those of its energy."""
-    if uncalibrated(options, findings, terms):
-        return {"hand": None, "camera": None}
-    in_hand = probability_right(options, signs, findings)
+    """Compute the probability that a result is right, in the hand and in the camera.
+
+    ``terms`` are those of its energy.
+    """
+    in_hand = probability_right(options, signs, findings, "hand", terms)
+    in_camera = probability_right(options, signs, findings, "camera", terms)
     # No pixel tells a wrong focal length from another distance.
     guessed = is_assumed(clip.provenance.get("camera"))
-    return {"hand": in_hand, "camera": None if guessed else probability_right(options, signs, findings, "camera")}
+    return {"hand": in_hand, "camera": None if guessed else in_camera}
 
 
 def probability_right(
-    options: Options, signs: Mapping[str, float], findings: Sequence[Finding], where: Where = "hand"
+    options: Options,
+    signs: Mapping[str, float],
+    findings: Sequence[Finding],
+    where: Where = "hand",
+    terms: Iterable[str] = (),
 ) -> Probability | None:
-    """How probable it is that a result with such signs is right; ``findings`` are those about its input and itself.
+    """Compute the probability that a result with such signs is right.
+
+    ``findings`` are those about its input and itself.
 
     None where nothing is calibrated (``uncalibrated``).
     """
     calibration = CALIBRATIONS.get((options.method, where))
-    if calibration is None or uncalibrated(options, findings):
+    if calibration is None or uncalibrated(options, findings, terms):
         return None
     if not signs.keys() >= calibration.weights.keys():  # of a motion of one's own
         return None
@@ -73,12 +81,10 @@ def probability_right(
 
 
 def uncalibrated(options: Options, findings: Sequence[Finding], terms: Iterable[str] = ()) -> str:
-    """Why there is no probability that a result is right, in words; empty where there is one.
+    """Say why there is no probability that a result is right; empty where there is one.
 
-    ``terms`` are the names of its energy's terms.
-
-    There is none for methods and energies other than those that were calibrated, for shorter searches, and where a
-    finding is serious: wrong inputs were no part of the calibration.
+    There is none for methods and energies (``terms``: their names) other than those that were calibrated, for shorter
+    searches, and where a finding is serious: wrong inputs were no part of the calibration.
     """
     if not any(method == options.method for method, _ in CALIBRATIONS):
         return f"none is calibrated for {options.method}"

@@ -33,13 +33,13 @@ from getagrip.result import Axis, Candidates, Reconstruction, SegmentResult, Sta
 AMBIGUOUS = 1.05
 """A distinct solution within this factor of the best energy makes a result ambiguous."""
 
-SCALE_GUESSED = "the scale {:.3f} is a guess from the masks and the hand's size, not a measurement"
-SHAPE_GUESSED = "the object's shape is a guess from the masks: the mesh leaves contours that no pose explains"
+SCALE_GUESSED = "the scale {:.3f} is estimated from the masks and the hand's size, not measured"
+SHAPE_GUESSED = "the object's shape is an assumption from the masks: no pose of the mesh explains their contours"
 """A note where the mesh was not taken as it is given."""
 
-UNEXPLAINED = "failed: the best pose meets the masks with a mean IOU of {:.2f} only; nothing is known of the object"
+UNEXPLAINED = "failed: even the best pose has a mean mask IOU of only {:.2f}; the object's pose is unknown"
 """The message of a result whose mean IOU is below ``LEAST_IOU``, however the minimisation ended."""
-PARTLY_UNEXPLAINED = "failed in part: masks are hardly met (mean IOU) in the segments {}"
+PARTLY_UNEXPLAINED = "partly failed: low mask IOU in the segments {}"
 """The message of a result some of whose segments are below ``LEAST_IOU``."""
 
 P = TypeVar("P")
@@ -70,7 +70,7 @@ class Input:
 
 @dataclass(frozen=True)
 class Answer:
-    """What was found, in every frame that the options ask for.
+    """The answer in every frame that the options ask for.
 
     Attributes:
         track: the K best distinct solutions in these frames, the best first.
@@ -101,7 +101,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class Judgement:
-    """What is known of a result without ground truth.
+    """The judgement of a result without ground truth.
 
     Attributes:
         checks: what each check has measured, by its name.
@@ -139,17 +139,17 @@ class Clock:
 
 @dataclass(frozen=True)
 class Steps(Generic[P, F, A]):
-    """The steps after the hand's repair. Each calls the clock with the name of every stage that has ended.
+    """The steps after the hand's repair. Search and fit call the clock with the name of every stage that has ended.
 
     Attributes:
         prepare: what the search needs. Raises ``InputError`` for what no clip can be.
         search: the solutions at some of the frames. Raises ``GetagripError`` where nothing can be rendered.
         fit_all_frames: the best of them in all frames.
-        judge: whether that can be believed.
+        judge: whether that is reliable.
         stages: how many stages there are.
     """
 
-    prepare: Callable[[Input, Clock], P]
+    prepare: Callable[[Input], P]
     search: Callable[[P, Clock], F]
     fit_all_frames: Callable[[P, F, Clock], A]
     judge: Callable[[P, F, A], Judgement]
@@ -177,7 +177,8 @@ def run(
     with threadpool_limits(1, user_api="blas"):
         clock = Clock(progress, steps.stages)
         source = repair(clip, masks, options, threads)
-        prepared = steps.prepare(source, clock)
+        prepared = steps.prepare(source)
+        clock("prepare")
         found = steps.search(prepared, clock)
         answer = steps.fit_all_frames(prepared, found, clock)
         judgement = steps.judge(prepared, found, answer)
@@ -186,7 +187,7 @@ def run(
 
 
 def repair(clip: Clip, masks: Masks | None, options: Options, threads: int = 1) -> Input:
-    """The clip with its hand put between its neighbours where it jumps, and a mesh that is not too large."""
+    """Repair the hand's tracker glitches, and simplify a mesh that is too large."""
     light = clip.light()
     steady, glitches = repair_hand(light, options)
     return Input(light, steady, masks, options, threads, glitches, tuple(light.mesh.stands_for(clip.mesh, "fitted")))
@@ -200,7 +201,7 @@ def _result(
     judgement: Judgement,
     seconds: dict[str, float],
 ) -> Reconstruction:
-    """The answer, with all that is known about how it was found."""
+    """Make the result, with all that is known about how it was found."""
     track, scale, energy = answer.track, float(answer.scale[0]), float(answer.energy[0])
     guesses = {}
     if clip.scale == "free":
@@ -243,7 +244,7 @@ def _ending(answer: Answer, failed: str) -> tuple[Status, str]:
     """How it ended, in a word and a sentence; ``failed`` are segments whose masks are hardly met."""
     track = answer.track
     shown = np.count_nonzero(~np.isnan(track.iou)) + len(track.outliers)
-    mean_iou = float(np.nansum(track.iou)) / shown  # a doubted mask is one that is not explained
+    mean_iou = float(np.nansum(track.iou)) / shown  # an outlier mask is not explained
     if mean_iou < LEAST_IOU:
         return Status.MISFIT, UNEXPLAINED.format(mean_iou)
     if failed:

@@ -1,4 +1,4 @@
-"""The shape of an object whose mesh is only of its kind, from the silhouettes of all frames.
+"""Mesh fit: the shape of an object that has only a mesh of its category, from the silhouettes of all frames.
 
 A CAD of the category leaves contours that no pose explains, and the search ends at a pose whose wrong contours are a
 little better. So after the coarse stages the mesh may be warped: stretched, sheared, tapered and bent (``Warp``), by
@@ -25,9 +25,9 @@ from getagrip.geometry.warp import Warp, settled
 from getagrip.least_squares import Arrow
 
 MISFIT = 1.2
-"""A mesh is doubted that leaves contours so many times as far off as the object's own would (``misfit``),"""
+"""A mesh is fitted if its misfit (``misfit``) is above this,"""
 GAIN = 0.85
-"""and believed all the same, unless another shape has at most this share of the energy. On 26 training clips of DexYCB,
+"""and stays as it is unless another shape has at most this share of the energy. On 26 training clips of DexYCB,
 under each of four errors of hands, masks and size, at most one own mesh met both conditions."""
 LEAST = 0.008
 """A shape that is nearer to the mesh [diameters] is the mesh's own: what explains the masks better is the pose. Of 111
@@ -116,9 +116,9 @@ class _State:
 
 
 def own_shape(problem: Problem, motion: Soft[Fixed], index: Int[ndarray, "n"], misfit: float) -> Warp | None:
-    """The warp of the mesh that explains the masks best, from hypotheses in some frames of the problem.
+    """Fit the mesh to the masks, from hypotheses in some frames of the problem.
 
-    ``misfit`` is how far off the best of them leaves the contours. None where the mesh is to be believed.
+    ``misfit`` is how far off the best of them leaves the contours. None where the mesh stays as it is.
     """
     if misfit < MISFIT:
         return None
@@ -141,7 +141,7 @@ def own_shape(problem: Problem, motion: Soft[Fixed], index: Int[ndarray, "n"], m
 
 
 def _prior(size_known: bool) -> Float[ndarray, "24 24"]:
-    """The stiffness of the modes in each frame [px^2]."""
+    """Return the stiffness of the modes in each frame [px^2]."""
     deviation = np.full(len(MODES), BEND)
     deviation[STRETCHES] = STRETCH
     stiffness = np.diag(WEIGHT / deviation**2)

@@ -58,7 +58,7 @@ class Solution(Generic[M]):
     evaluations: int
 
     def take(self, index: Int[ndarray, "n"]) -> Solution[M]:
-        """Some of the solutions."""
+        """Return some of the solutions."""
         return Solution(
             self.motion.take(index),
             self.energy[index],
@@ -68,7 +68,7 @@ class Solution(Generic[M]):
         )
 
     def concatenate(self, other: Solution[M]) -> Solution[M]:
-        """These solutions, then the other's."""
+        """Return these solutions, then the other's."""
         return Solution(
             self.motion.concatenate(other.motion),
             np.concatenate([self.energy, other.energy]),
@@ -131,7 +131,7 @@ class _State(Generic[M]):
 def evaluate(
     motion: M, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"], bound: Float[ndarray, "B"]
 ) -> _State[M]:
-    """Energy and derivatives; derivatives may be missing where the energy exceeds ``bound``."""
+    """Evaluate energy and derivatives; derivatives may be missing where the energy exceeds ``bound``."""
     poses = in_camera(motion, T_cam_hand)
     prior = motion.prior().value
     values = np.empty((len(prior), len(terms) + 1))
@@ -183,7 +183,7 @@ def _minimised(
 def _step(
     motion: Motion, local: Quadratic, damping: Float[ndarray, "B"], T_cam_hand: Float[ndarray, "N 4 4"]
 ) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
-    """The damped Gauss-Newton step of the motion's shared and per-frame parameters, not longer than ``LONGEST``."""
+    """Solve for the damped Gauss-Newton step of the shared and per-frame parameters, not longer than ``LONGEST``."""
     J_shared, J_local = motion.jacobian()
     S, prior = J_shared.shape[-1], motion.prior()
     J = seen_from_camera(J_shared, J_local, T_cam_hand)
@@ -211,7 +211,7 @@ def seen_from_camera(
 
 
 def hessian(motion: Motion, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"]) -> Float[ndarray, "B N P P"]:
-    """The Gauss-Newton Hessian of each frame's terms by the shared parameters and those of the frame, in this order.
+    """Compute the Gauss-Newton Hessian of each frame's terms by the shared parameters, then those of the frame.
 
     Without the motion's own prior, and without what ties frames to each other.
     """

@@ -23,10 +23,10 @@ Equations = tuple[float, Float[ndarray, "T D D"], Float[ndarray, "T D"]]
 
 
 class Hands(Protocol):
-    """What is sought."""
+    """The unknowns."""
 
     def retract(self, frames: Float[ndarray, "T 51"], shared: Float[ndarray, "S"]) -> Self:
-        """After a step."""
+        """Return the hands after a step."""
         ...
 
 
@@ -58,6 +58,9 @@ class _State(Generic[Sought]):
 
 
 def descend(hands: Sought, equations: Callable[[Sought], Equations], steps: int) -> tuple[Sought, float, bool]:
-    """The minimum near some hands, its cost, and whether the last step changed next to nothing."""
+    """Descend to the minimum near some hands.
+
+    Return it, its cost, and whether the last step changed next to nothing.
+    """
     found = minimise(_State(hands, equations, *equations(hands)), steps, RULES)
     return found.state.hands, found.state.value, found.endings[0] is not Ending.LIMIT

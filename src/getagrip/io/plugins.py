@@ -19,7 +19,7 @@ from getagrip.io.terminal import report
 T = TypeVar("T")
 
 PREFIX = "getagrip."
-"""Of the groups of entry points."""
+"""Prefix of the groups of entry points."""
 
 
 @cache
@@ -40,17 +40,17 @@ def _package(entry: metadata.EntryPoint) -> str:
 
 
 def names(kind: str) -> list[str]:
-    """The names that other packages give things of a kind, such as ``exports``."""
+    """List the names that other packages give things of a kind, such as ``exports``."""
     return list(dict.fromkeys(entry.name for entry in _entries() if entry.group == PREFIX + kind))
 
 
 def installed() -> list[str]:
-    """Names and versions of the packages that add anything."""
+    """List names and versions of the packages that add anything."""
     return sorted({_package(entry) for entry in _entries()})
 
 
 def fingerprint() -> str:
-    """``code.fingerprint``, and the packages that add anything."""
+    """Return ``code.fingerprint``, and the packages that add anything."""
     return " with ".join(filter(None, [code.fingerprint(), ", ".join(installed())]))
 
 
@@ -80,7 +80,7 @@ class Plugin:
         )
 
     def load(self) -> Any:
-        """The object. Raises ``UsageError``, whatever goes wrong."""
+        """Load the object. Raises ``UsageError``, whatever goes wrong."""
         if len(self.entries) > 1:
             raise UsageError(f"{self} have the same name: rename one, or uninstall its package")
         try:
@@ -102,14 +102,14 @@ class Table(MutableMapping[str, T], Generic[T]):
     own: dict[str, T]
     """Those of this package and of scripts."""
     expected: str
-    """What an entry point must name, in words."""
+    """Description of what an entry point must name."""
     fits: Callable[[str, object], bool]
-    """Whether an entry point's name and object are that."""
+    """Test of an entry point's name and object."""
     taken: tuple[str, ...] = ()
     """Other names that none may have."""
     _loaded: dict[str, T] = field(default_factory=dict, init=False)
     _made_of: dict[str, str] = field(default_factory=dict, init=False)
-    """Of loaded ones, as their files were when it was first asked for: what changes later does not run here."""
+    """Checksums of loaded ones, as their files were when first asked for: later changes do not run here."""
 
     def __post_init__(self) -> None:
         self._reserved = frozenset((*self.own, *self.taken))
@@ -158,7 +158,7 @@ class Table(MutableMapping[str, T], Generic[T]):
         return len({*self.own, *self.plugins})
 
     def working(self) -> dict[str, T]:
-        """All that can be loaded, after a warning about each of the others."""
+        """Return all that can be loaded, after a warning about each of the others."""
         there: dict[str, T] = {}
         for name in self:
             try:
@@ -168,7 +168,7 @@ class Table(MutableMapping[str, T], Generic[T]):
         return there
 
     def made_of(self, *only: str) -> Iterator[str]:
-        """For each working one of another package, of those named if any are, its package, version and checksum."""
+        """Yield package, version and checksum of each working entry of another package, with names only of these."""
         for name, value in self.working().items():
             if name not in self.own and (not only or name in only):
                 if name not in self._made_of:
@@ -177,7 +177,7 @@ class Table(MutableMapping[str, T], Generic[T]):
 
 
 def _checksum(value: object) -> str:
-    """Of what it is made of, if that can be known."""
+    """Return the checksum of its sources, if these can be known."""
     from getagrip.io.own_code import UnknownSourceError, checksum
 
     try:
@@ -191,15 +191,15 @@ TABLES: dict[str, Table[Any]] = {}
 
 
 def made_with(method: str) -> dict[str, str]:
-    """What a result of a method depends on besides this package: an entry of its record, or none."""
+    """Return the dependencies of a method's result besides this package: an entry of its record, or none."""
     methods = TABLES["methods"].made_of(method) if "methods" in TABLES else ()
-    checks = (part for kind in ("input_checks", "result_checks") if kind in TABLES for part in TABLES[kind].made_of())
-    parts = [*methods, *checks]
+    kinds = ("modalities", "input_checks", "result_checks")
+    parts = [*methods, *(part for kind in kinds if kind in TABLES for part in TABLES[kind].made_of())]
     return {"plugins": "; ".join(parts)} if parts else {}
 
 
 def origin(value: object) -> Plugin | None:
-    """Where something comes from that a table has; None for what is of this package or of a script."""
+    """Return the origin of an entry of a table; None for one of this package or of a script."""
     for table in TABLES.values():
         for name, loaded in table._loaded.items():
             if loaded is value:

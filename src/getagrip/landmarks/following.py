@@ -23,7 +23,7 @@ SURE = 0.75
 """A hand of less confidence, followed from the frame before, is looked for where it is detected and from the frame
 after, too."""
 SAME = 0.4
-"""Hands whose palms are nearer than so many of their sizes are one."""
+"""Distance, in sizes of the palm, below which two hands are one."""
 PALM = [0, 5, 9, 13, 17]
 """Wrist and knuckles."""
 
@@ -36,14 +36,14 @@ class Sighting(NamedTuple):
     points: Float[ndarray, "21 2"]
     """Wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip [px]."""
     world: Float[ndarray, "21 3"]
-    """The same about the hand's middle, along the camera's axes, of a hand of about mean size [m]."""
+    """Landmarks about the hand's middle, along the camera's axes, of a hand of about mean size [m]."""
     confidence: float
     right: float
     """Probability that it is a right hand."""
 
     @property
     def middle(self) -> Float[ndarray, "2"]:
-        """Of the palm [px]."""
+        """Middle of the palm [px]."""
         return np.asarray(self.points[PALM].mean(axis=0))
 
     @property
@@ -53,14 +53,14 @@ class Sighting(NamedTuple):
         return max(float(np.linalg.norm(self.points[10] - self.points[0])), 2.0 * float(across), 1.0)
 
     def same(self, other: Sighting) -> bool:
-        """Whether both are of one hand."""
+        """Return whether both are of one hand."""
         return bool(np.linalg.norm(self.middle - other.middle) < SAME * max(self.size, other.size))
 
 
 def follow(
     image: Callable[[int], Image], count: int, nets: Nets, on_frame: Callable[[int], None] = lambda n: None
 ) -> list[list[Sighting]]:
-    """The hands in each of ``count`` frames, the most certain first. ``on_frame`` is called before each."""
+    """Follow the hands over ``count`` frames, the most certain first. ``on_frame`` is called before each."""
     seen: list[list[Sighting]] = []
     for n in range(count):
         on_frame(n)
@@ -79,12 +79,12 @@ def follow(
 
 
 def _looked(image: Image, where: Sequence[Crop], nets: Nets) -> list[Sighting]:
-    """What is in some squares of an image."""
+    """Find the hands in some squares of an image."""
     return [Sighting(*nets.landmarks(image, crop)) for crop in where]
 
 
 def one_each(hands: Sequence[Sighting]) -> list[Sighting]:
-    """Of each hand the most certain sighting, the most certain first."""
+    """Choose the most certain sighting of each hand, the most certain first."""
     out: list[Sighting] = []
     for each in sorted(hands, key=lambda hand: -hand.confidence):
         if each.confidence >= LEAST and not any(each.same(other) for other in out):

@@ -51,7 +51,7 @@ def write_report(
 def report_figure(
     result: Reconstruction, clip: Clip, masks: Masks | None, metrics: Mapping[str, float] | None = None
 ) -> Figure:
-    """The picture as a matplotlib figure: three rows of tiles, one tile per frame shown, above two plots over time.
+    """Draw the report as a matplotlib figure: three rows of tiles, one tile per frame shown, above two plots over time.
 
     ``clip`` and ``masks`` may have more frames than the result. ``metrics`` are those of ``evaluate``; those in
     ``SHOWN`` are shown if given. Images are read from the clip's folder where it has them; without images the masks are

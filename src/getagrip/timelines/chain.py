@@ -21,7 +21,7 @@ from getagrip.timelines.link_term import SLIP
 
 
 def link_cost(mesh: Mesh, paths: Paths, start: Hypotheses, ends: Hypotheses, most: float) -> Float[ndarray, "K L"]:
-    """Energy of each pair of hypotheses of two segments [px^2], ``most`` at the most, each at one frame.
+    """Compute the energy of each pair of hypotheses of two segments [px^2], ``most`` at the most, each at one frame.
 
     ``paths`` lead from ``start`` to the frame that ``ends`` are of.
     """
@@ -33,7 +33,7 @@ def link_cost(mesh: Mesh, paths: Paths, start: Hypotheses, ends: Hypotheses, mos
 
 
 def distance2(mesh: Mesh, one: Hypotheses, other: Hypotheses) -> Float[ndarray, "K L"]:
-    """Mean squared distance of the vertices between hypotheses, each at one frame [m^2]."""
+    """Compute the mean squared distance of the vertices between hypotheses, each at one frame [m^2]."""
     about = mesh.vertices - mesh.centre
     posed = [h.scale[:, None, None] * about @ np.swapaxes(h.R[:, 0], -1, -2) + h.centre[:, :1] for h in (one, other)]
     return np.asarray(np.sum((posed[0][:, None] - posed[1][None]) ** 2, axis=-1).mean(axis=-1))
@@ -42,7 +42,7 @@ def distance2(mesh: Mesh, one: Hypotheses, other: Hypotheses) -> Float[ndarray, 
 def best_chain(
     energy: Sequence[Float[ndarray, "_"]], links: Sequence[Float[ndarray, "_ _"]]
 ) -> tuple[list[int], float]:
-    """One hypothesis of each segment, and their energy: a dynamic programme.
+    """Choose one hypothesis of each segment by dynamic programming; also return their energy.
 
     ``energy[i][k]`` is that of hypothesis k of segment i, ``links[i][k, l]`` that of following it by hypothesis l.
     """
@@ -62,7 +62,7 @@ def second_best(
     links: Sequence[Float[ndarray, "_ _"]],
     copies: Sequence[Bool[ndarray, "_"]],
 ) -> float:
-    """The least energy of a chain that differs from the chosen one, infinite where there is no other.
+    """Return the least energy of a chain that differs from the chosen one, infinite where there is no other.
 
     ``copies[i]`` are the hypotheses of segment i that are as good as the chosen one, itself included.
     """

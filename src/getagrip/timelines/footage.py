@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip.clip import Clip, Masks, Segment, World, check_masks, read_masks
+from getagrip.clip import Clip, Masks, Segment, World, read_masks
 from getagrip.errors import UsageError
 from getagrip.fitting.methods.all_frames import soft_hinges
 from getagrip.fitting.options import Options
@@ -23,7 +23,7 @@ METHOD = "soft-hinge"
 
 @dataclass(frozen=True)
 class Footage:
-    """What a timeline is reconstructed from.
+    """The inputs of a timeline's reconstruction.
 
     Attributes:
         source: the clip as it came.
@@ -56,7 +56,6 @@ class Footage:
         if options.method != METHOD:
             raise UsageError(f"method must be {METHOD!r} for a clip with segments (got {options.method!r})")
         masks = read_masks(clip) if source.masks is None else source.masks
-        check_masks(clip, masks)
         if clip.scale == "free":
             scale = find_scale(clip, masks, options)
             clip = replace(clip, mesh=Mesh(scale * clip.mesh.vertices, clip.mesh.faces), scale="known", truth=None)
@@ -69,41 +68,42 @@ class Footage:
     def __len__(self) -> int:
         return len(self.clip)
 
-    def observed(self, rows: Int[ndarray, "n"]) -> Int[ndarray, "m"]:
-        """Those of some frames whose masks show the object."""
-        return rows[self.shown[rows]]
-
     def problem(self, rows: Int[ndarray, "n"]) -> Problem:
-        """At frames that show the object, in the given order, with the repaired hand."""
+        """Make the problem at frames that show the object, in the given order, with the repaired hand."""
         return self.some.at(self.clip.take(rows), self.masks.take(rows))
 
-    def carried(self, before: int, after: int) -> list[Float[ndarray, "4 4"]]:
-        """What moves with a given hand from one frame to another, moves so in the world: by the clip's own hand, and by
-        the other one if it is known in both frames."""
-        hands, other = [self.clip.hand], self.clip.other_hand
-        if other is not None and other.known[before] and other.known[after]:
-            hands.append(other.track)
-        T = [self.T_world_cam[[before, after]] @ hand.T_cam_hand[[before, after]] for hand in hands]
-        return [end @ se3.inverse(start) for start, end in T]
 
+@dataclass(frozen=True)
+class Grasp:
+    """A grasp as a clip of the hand that holds the object, in the frames in which that hand is known.
 
-def grasp_clip(clip: Clip, masks: Masks, segment: Segment) -> tuple[Clip, Masks, Int[ndarray, "n"]] | None:
-    """A grasp as a clip of the hand that holds the object, its masks, and its frames: those in which the hand is known.
-
-    None where fewer than two of them show the object. The other hand's pixels are not known apart from all ignored.
+    Attributes:
+        rows: these frames, of the timeline.
     """
-    by, rows = clip.with_side(segment.side), segment.rows[clip.hand_known(segment.side)[segment.rows]]
-    if by is None or not len(rows):
-        return None
-    of_grasp = masks.take(rows)
-    if of_grasp.observed.sum() < 2:
-        return None
-    return by.take(rows), of_grasp if by is clip else replace(of_grasp, hand=None), rows
+
+    segment: Segment
+    clip: Clip
+    masks: Masks
+    rows: Int[ndarray, "n"]
+
+    @staticmethod
+    def of(clip: Clip, masks: Masks, segment: Segment) -> Grasp | None:
+        """None where fewer than two of its frames show the object.
+
+        The other hand's pixels are not known apart from all ignored.
+        """
+        by, rows = clip.with_side(segment.side), segment.rows[clip.hand_known(segment.side)[segment.rows]]
+        if by is None or not len(rows):
+            return None
+        of_grasp = masks.take(rows)
+        if of_grasp.observed.sum() < 2:
+            return None
+        return Grasp(segment, by.take(rows), of_grasp if by is clip else replace(of_grasp, hand=None), rows)
 
 
 def find_scale(clip: Clip, masks: Masks, options: Options) -> float:
     """The object's scale: that of the longest grasp, where hand and camera tell it. Raises ``InputError``."""
-    grasps = [grasp_clip(clip, masks, s) for s in clip.segments if s.state == "grasp"]
-    longest = max((grasp for grasp in grasps if grasp is not None), key=lambda grasp: len(grasp[2]), default=None)
-    problem = prepare(*(longest[:2] if longest else (clip, masks)), options)
+    grasps = [Grasp.of(clip, masks, segment) for segment in clip.segments if segment.state == "grasp"]
+    longest = max((grasp for grasp in grasps if grasp is not None), key=lambda grasp: len(grasp.rows), default=None)
+    problem = prepare(*((longest.clip, longest.masks) if longest else (clip, masks)), options)
     return float(soft_hinges(problem, lambda _: None).motion.poses().scale[0])

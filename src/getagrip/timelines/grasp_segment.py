@@ -13,19 +13,18 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.clip import Clip, Masks, Segment
 from getagrip.fitting.energy import Energy, Term
 from getagrip.fitting.energy.smoothness import moments
 from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frames
 from getagrip.fitting.methods.all_frames import result_of, soft_energy, soft_hinges
 from getagrip.fitting.motion import Hinge, Soft, moved
 from getagrip.fitting.objective import NOTHING, plus
-from getagrip.fitting.problem import MethodResult, Problem, prepare
+from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.solve import Solution, evaluate, minimise
 from getagrip.geometry import se3
 from getagrip.result import Axis, Status
 from getagrip.timelines.following import Paths
-from getagrip.timelines.footage import Footage, grasp_clip
+from getagrip.timelines.footage import Grasp
 from getagrip.timelines.hypotheses import Hypotheses
 from getagrip.timelines.link_term import SLIP, WEIGHT, Expected, LinkTerm
 
@@ -39,41 +38,13 @@ POLISH = 6
 
 @dataclass(frozen=True)
 class Neighbour:
-    """Where the hypotheses of a neighbouring segment, followed, have the object in some frames of a grasp's problem."""
+    """The object's pose in some frames of a grasp's problem, by the followed hypotheses of a neighbouring segment."""
 
     paths: Paths
     frames: Int[ndarray, "m"]
-    """Of the problem's frames, rising."""
+    """Rising indices of the problem's frames."""
     earlier: bool
-    """Whether the neighbour comes before the grasp."""
-
-
-@dataclass(frozen=True)
-class Grasp:
-    """A grasp as a clip of the hand that holds the object, in the frames in which that hand is known.
-
-    Attributes:
-        rows: these frames, of the timeline.
-        problem: at those that are fitted together.
-        sampled: these frames, of the timeline.
-    """
-
-    segment: Segment
-    clip: Clip
-    masks: Masks
-    rows: Int[ndarray, "n"]
-    problem: Problem
-    sampled: Int[ndarray, "m"]
-
-    @staticmethod
-    def of(footage: Footage, segment: Segment) -> Grasp | None:
-        """None where its hand is not known or fewer than two frames show the object."""
-        of_hand = grasp_clip(footage.clip, footage.masks, segment)
-        if of_hand is None:
-            return None
-        clip, masks, rows = of_hand
-        problem = prepare(clip, masks, footage.source.options)
-        return Grasp(segment, clip, masks, rows, problem, rows[clip.index_of(problem.clip.frames)])
+    """True if the neighbour comes before the grasp."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +52,10 @@ class GraspSolutions:
     """Solutions of a grasp at the frames of its problem."""
 
     grasp: Grasp
+    problem: Problem
+    """At the frames that are fitted together."""
+    sampled: Int[ndarray, "m"]
+    """These frames, of the timeline."""
     motion: Soft[Hinge]
     energy: Float[ndarray, "K"]
     """Without links."""
@@ -88,13 +63,12 @@ class GraspSolutions:
     @property
     def hypotheses(self) -> Hypotheses:
         """In the world, at the problem's frames."""
-        poses = moved(self.motion.poses(), _T_world_hand(self.grasp.problem))
+        poses = moved(self.motion.poses(), _T_world_hand(self.problem))
         return Hypotheses(poses.R, poses.centre, poses.scale, self.energy)
 
 
-def solve_grasp(grasp: Grasp, neighbours: Sequence[Neighbour]) -> GraspSolutions:
-    """The solutions of a grasp. Raises ``GetagripError`` where nothing can be rendered."""
-    problem = grasp.problem
+def solve_grasp(grasp: Grasp, problem: Problem, neighbours: Sequence[Neighbour]) -> GraspSolutions:
+    """The solutions of a grasp, by its problem. Raises ``GetagripError`` where nothing can be rendered."""
     found = soft_hinges(problem, lambda _: None)
     motion = found.motion
     if neighbours:
@@ -105,7 +79,8 @@ def solve_grasp(grasp: Grasp, neighbours: Sequence[Neighbour]) -> GraspSolutions
     terms, N = soft_energy(problem)(FINEST, np.arange(len(problem.clip))), len(motion.deviation)
     cost = evaluate(motion, terms, problem.clip.hand.T_cam_hand, np.full(N, np.inf)).cost
     order = np.argsort(cost, kind="stable")  # all of them: a box turned by half is the same, but for its links
-    return GraspSolutions(grasp, motion.take(order), cost[order])
+    sampled = grasp.rows[grasp.clip.index_of(problem.clip.frames)]
+    return GraspSolutions(grasp, problem, sampled, motion.take(order), cost[order])
 
 
 @dataclass(frozen=True)
@@ -128,15 +103,15 @@ class GraspTrack:
 
 
 def fit_in_all_frames(solutions: GraspSolutions, k: int, neighbours: Sequence[Neighbour]) -> GraspTrack:
-    """Solution k, fitted once more with its links, in every frame."""
+    """Fit solution k once more with its links, in every frame."""
     motion = solutions.motion.take(np.array([k]))
     energy = {"total": solutions.energy[[k]]}
     solution = Solution(motion, solutions.energy[[k]], energy, [Status.FINISHED], 0)
-    grasp, found = solutions.grasp, result_of(solution, motion.core, soft_energy)
+    grasp, problem, found = solutions.grasp, solutions.problem, result_of(solution, motion.core, soft_energy)
     if neighbours:
-        found = _polished(grasp.problem, found, neighbours)
-    sampled = at_sampled_frames(grasp.problem, found)
-    return GraspTrack(solutions, k, found, at_every_frame(grasp.clip, grasp.masks, grasp.problem, found, sampled))
+        found = _polished(problem, found, neighbours)
+    sampled = at_sampled_frames(problem, found)
+    return GraspTrack(solutions, k, found, at_every_frame(grasp.clip, grasp.masks, problem, found, sampled))
 
 
 def _polished(problem: Problem, found: MethodResult, neighbours: Sequence[Neighbour]) -> MethodResult:
@@ -149,17 +124,17 @@ def _polished(problem: Problem, found: MethodResult, neighbours: Sequence[Neighb
 
 
 def links_of(problem: Problem, neighbours: Sequence[Neighbour]) -> Energy:
-    """The energy of the links of a grasp."""
+    """Return the energy of the links of a grasp."""
     return plus(*(_link(problem, neighbour) for neighbour in neighbours)) if neighbours else NOTHING
 
 
 def most(problem: Problem) -> float:
-    """The most that a link to a problem can cost [px^2]."""
+    """Return the most that a link to a problem can cost [px^2]."""
     return WEIGHT * float(problem.observation.area.mean()) * len(problem.clip)
 
 
 def _link(problem: Problem, neighbour: Neighbour) -> Energy:
-    """The energy of one link."""
+    """Return the energy of one link."""
     clip, frames, expected = problem.clip, neighbour.frames, neighbour.paths.found
     assert clip.world is not None
     seen = moved(expected, se3.inverse(clip.world.T_world_cam[frames]))

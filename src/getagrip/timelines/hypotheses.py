@@ -1,4 +1,4 @@
-"""What is known of the object in some frames of a timeline: a few distinct solutions, in the world."""
+"""Hypotheses about the object in some frames of a timeline: a few distinct solutions, in the world."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ class Hypotheses(PosesInHand):
     energy: Float[ndarray, "K"]
 
     def at(self, frames: Int[ndarray, "m"]) -> Hypotheses:
-        """At some of the frames."""
+        """Return the hypotheses at some of the frames."""
         return Hypotheses(self.R[:, frames], self.centre[:, frames], self.scale, self.energy)
 
     def T_world_obj(self, centre: Float[ndarray, "3"]) -> Float[ndarray, "K n 4 4"]:
-        """Poses of the mesh's own frame, in which its centre is where it is given."""
+        """Return poses of the mesh's own frame, in which its centre is where it is given."""
         return placed(self, centre)
 
     @staticmethod
     def of_pose(T_world_obj: Float[ndarray, "4 4"], centre: Float[ndarray, "3"]) -> Hypotheses:
-        """One known pose in one frame, at the scale of the mesh."""
+        """Make the hypothesis of one known pose in one frame, at the scale of the mesh."""
         placed_centre = se3.transform(T_world_obj, centre[None])
         return Hypotheses(T_world_obj[None, None, :3, :3], placed_centre[None], np.ones(1), np.zeros(1))

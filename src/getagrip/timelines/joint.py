@@ -17,16 +17,18 @@ from numpy import ndarray
 
 from getagrip.clip import Segment
 from getagrip.errors import InputError
+from getagrip.fitting.problem import prepare
 from getagrip.fitting.search import suppress_duplicates
 from getagrip.fitting.surface import ObjectSurface
+from getagrip.timelines.between import fill_between
 from getagrip.timelines.chain import best_chain, link_cost, second_best
 from getagrip.timelines.following import Paths, follow
-from getagrip.timelines.footage import Footage
-from getagrip.timelines.grasp_segment import Grasp, GraspSolutions, Neighbour, fit_in_all_frames, most, solve_grasp
+from getagrip.timelines.footage import Footage, Grasp
+from getagrip.timelines.grasp_segment import GraspSolutions, Neighbour, fit_in_all_frames, most, solve_grasp
 from getagrip.timelines.hypotheses import Hypotheses
 from getagrip.timelines.motion import Motion, split_at_gaps
-from getagrip.timelines.settled import settle
-from getagrip.timelines.static_pose import static_hypotheses
+from getagrip.timelines.settled import LEAST_JITTER, depth_jitter, settle
+from getagrip.timelines.static_pose import frames_to_fit, static_hypotheses
 
 REACH = 6
 """Frames of a grasp's problem that a link to it holds in."""
@@ -48,13 +50,13 @@ class Anchor:
     near: tuple[Neighbour, ...] = ()
 
     def end(self, side: int) -> tuple[Hypotheses, int]:
-        """Its hypotheses at the first known frame (side 0) or the last (-1), and which that is."""
+        """Return its hypotheses at the first known frame (side 0) or the last (-1), and which that is."""
         segment = self.segment
-        row = int(self.solutions.grasp.sampled[side]) if self.solutions else segment.last if side else segment.first
+        row = int(self.solutions.sampled[side]) if self.solutions else segment.last if side else segment.first
         return self.found.at(np.array([side])), row
 
     def near_at(self, earlier: bool) -> Paths | None:
-        """The paths of the neighbour before or after it at its end there, if it was searched with them."""
+        """Return the paths of the neighbour before or after it at its end there, if it was searched with them."""
         at = np.array([0 if earlier else -1])
         return next((one.paths.at(at) for one in self.near if one.earlier == earlier), None)
 
@@ -70,12 +72,14 @@ class Chain:
 
 
 def choose_hypotheses(footage: Footage, support: bool, on_stage: Callable[[str], None] = lambda _: None) -> Chain:
-    """The chain of least energy; ``support``: whether the plane counts that static objects lie on.
+    """Find the chain of least energy; ``support`` includes the plane that static objects lie on.
 
-    Raises ``InputError`` where no segment shows the object, as static or held.
+    Raises ``InputError`` where no static segment and no grasp shows the object.
     """
-    found = {s: static_hypotheses(footage, s, support) for s in footage.clip.segments if s.state == "static"}
-    static = {segment: hypotheses for segment, hypotheses in found.items() if hypotheses is not None}
+    static = {}
+    for segment in footage.clip.segments:
+        if segment.state == "static" and len(rows := frames_to_fit(segment, footage.shown)):
+            static[segment] = static_hypotheses(footage.problem(rows), len(segment), support)
     on_stage("static")
     anchors = _with_grasps(footage, static)
     on_stage("grasps")
@@ -92,7 +96,7 @@ def choose_hypotheses(footage: Footage, support: bool, on_stage: Callable[[str],
 
 def fill_all_frames(footage: Footage, chain: Chain, on_stage: Callable[[str], None] = lambda _: None) -> Motion:
     """The chosen hypotheses in all frames of their segments, and the frames between."""
-    motion, known = Motion.of(footage), list[Segment]()
+    motion, known = Motion.of(footage.clip, footage.shown), list[Segment]()
     for anchor, k in zip(chain.anchors, chain.chosen, strict=True):
         if anchor.solutions is None:
             motion.put(anchor.segment.rows, anchor.found.take(np.array([k])), "sampled")
@@ -100,17 +104,19 @@ def fill_all_frames(footage: Footage, chain: Chain, on_stage: Callable[[str], No
         else:
             grasp = anchor.solutions.grasp
             motion.put_grasp(fit_in_all_frames(anchor.solutions, k, anchor.near))
-            settle(motion, grasp.rows, grasp.clip.side)
+            seen = grasp.rows[footage.shown[grasp.rows]]
+            if (jitter := depth_jitter(motion.places(seen))) >= LEAST_JITTER:
+                settle(motion, footage.problem(seen), seen, grasp.clip.side, jitter)
             known += split_at_gaps(anchor.segment, grasp.rows)
     on_stage("all frames")
-    motion.fill(known)
+    fill_between(motion, footage, known)
     on_stage("between")
     return motion
 
 
 def _with_grasps(footage: Footage, static: dict[Segment, Hypotheses]) -> list[Anchor]:
     """Static segments and grasps in their order."""
-    grasps = {s: Grasp.of(footage, s) for s in footage.clip.segments if s.state == "grasp"}
+    grasps = {s: Grasp.of(footage.clip, footage.masks, s) for s in footage.clip.segments if s.state == "grasp"}
     order = [s for s in footage.clip.segments if s in static or grasps.get(s) is not None]
     anchors = []
     for before, segment, after in zip([None, *order], order, [*order[1:], None], strict=False):
@@ -118,15 +124,17 @@ def _with_grasps(footage: Footage, static: dict[Segment, Hypotheses]) -> list[An
         if grasp is None:
             anchors.append(Anchor(segment, static[segment]))
             continue
-        m = min(REACH, len(grasp.sampled))
+        problem = prepare(grasp.clip, grasp.masks, footage.source.options)
+        rows = grasp.rows[grasp.clip.index_of(problem.clip.frames)]
+        m = min(REACH, len(rows))
         near, frames = list[Neighbour](), np.arange(m)
         if before in static:
-            paths = follow(footage, before.last, grasp.sampled[:m], static[before].at(np.zeros(1, int)))
+            paths = follow(footage, before.last, rows[:m], static[before].at(np.zeros(1, int)))
             near.append(Neighbour(paths, frames, earlier=True))
         if after in static:
-            paths = follow(footage, after.first, grasp.sampled[::-1][:m], static[after].at(np.zeros(1, int)))
-            near.append(Neighbour(paths.at(frames[::-1]), len(grasp.sampled) - m + frames, earlier=False))
-        solutions = solve_grasp(grasp, near)
+            paths = follow(footage, after.first, rows[::-1][:m], static[after].at(np.zeros(1, int)))
+            near.append(Neighbour(paths.at(frames[::-1]), len(rows) - m + frames, earlier=False))
+        solutions = solve_grasp(grasp, problem, near)
         anchors.append(Anchor(segment, solutions.hypotheses, solutions, tuple(near)))
     return anchors
 
@@ -138,9 +146,9 @@ def _copies(surface: ObjectSurface, hypotheses: Hypotheses, k: int) -> Bool[ndar
 
 
 def _link(footage: Footage, one: Anchor, other: Anchor) -> Float[ndarray, "K L"]:
-    """What each pair of hypotheses of two neighbouring segments costs."""
+    """Compute the cost of each pair of hypotheses of two neighbouring segments."""
     mesh, (before, end), (after, begin) = footage.clip.mesh, one.end(-1), other.end(0)
-    problems = [anchor.solutions.grasp.problem for anchor in (one, other) if anchor.solutions is not None]
+    problems = [anchor.solutions.problem for anchor in (one, other) if anchor.solutions is not None]
     weight = most(problems[0]) if problems else float(min(one.found.energy.min(), other.found.energy.min()))
     ahead = other.near_at(earlier=True) or follow(footage, end, np.array([begin]), before)
     behind = one.near_at(earlier=False) or follow(footage, begin, np.array([end]), after)

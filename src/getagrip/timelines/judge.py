@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -11,50 +11,63 @@ from numpy import ndarray
 
 from getagrip.checks import INPUT_CHECKS
 from getagrip.checks.calibration import MEANING as MEANING_ALONE
-from getagrip.checks.of_timeline import Examined, examine_timeline, name_of
+from getagrip.checks.of_timeline import examine_timeline, name_of
 from getagrip.checks.signs import read_signs
-from getagrip.clip import Segment
+from getagrip.clip import Clip, Segment, other_evidence
 from getagrip.finding import Finding
 from getagrip.fitting.every_frame import at_sampled_frames
 from getagrip.fitting.judge import probability_right, solved_of
 from getagrip.fitting.methods.all_frames import soft_energy
 from getagrip.fitting.motion import PosesInHand
-from getagrip.fitting.pipeline import Judgement
+from getagrip.fitting.options import Options
+from getagrip.fitting.pipeline import Answer, Judgement
 from getagrip.fitting.search import suppress_duplicates
 from getagrip.fitting.solve import in_camera
 from getagrip.probability import Probability
 from getagrip.result import SegmentResult
+from getagrip.timelines.footage import Footage
 from getagrip.timelines.grasp_segment import FINEST, GraspTrack
+from getagrip.timelines.joint import Chain
 from getagrip.timelines.motion import Motion
 
 CANDIDATES = 4
 """Solutions that count, the chosen one included: as many as a search by itself ends with."""
-MEANING = f"{MEANING_ALONE.format('hand')}; calibrated on grasps by themselves, of timelines a rough guide only"
-"""Of a grasp's probability (docs/checks.md)."""
+MEANING = f"{MEANING_ALONE.format('hand')}; calibrated on single grasps, a rough guide for timelines"
+"""Meaning of a grasp's probability (docs/checks.md)."""
 
 
-def judge_motion(motion: Motion, iou: Float[ndarray, "T"]) -> Judgement:
-    """Check a motion and its parts; ``iou`` is that of each frame, NaN where no mask shows the object."""
-    footage = motion.footage
+@dataclass(frozen=True)
+class TimelineAnswer(Answer):
+    """The answer of a timeline, and the motion that it is made of."""
+
+    motion: Motion
+
+
+def judge_timeline(footage: Footage, chain: Chain, answer: TimelineAnswer) -> Judgement:
+    """Check a timeline and its segments, and say how probable it is that its grasps are right."""
+    source, motion, iou = footage.source, answer.motion, answer.track.iou
     hands = motion.T_cam_hand, motion.T_cam_obj, footage.scale, iou, motion.T_cam_other_hand
-    examined = examine_timeline(footage.source.original, footage.masks, *hands, footage.source.glitches)
-    segments = tuple(
-        _segment_result(motion, segment, iou, checks, examined)
-        for segment, checks in zip(footage.clip.segments, examined.of_segments, strict=True)
-    )
-    return Judgement(examined.checks, examined.findings, segments=segments, failed=examined.failed)
+    examined = examine_timeline(source.original, footage.masks, *hands, source.glitches)
+    segments = []
+    for segment, checks in zip(source.original.segments, examined.of_segments, strict=True):
+        found = replace(_segment_result(source.original, segment, motion, iou), checks=checks)
+        track = motion.grasps.get(segment.first) if segment.state == "grasp" else None
+        if track is not None:
+            signs = read_grasp_signs(track)
+            evidence = other_evidence(track.solutions.problem.clip)
+            right = _probability(source.original, segment, source.options, signs, examined.findings, evidence)
+            found = replace(found, signs=signs, probability_right=right)
+        segments.append(found)
+    return Judgement(examined.checks, examined.findings, segments=tuple(segments), failed=examined.failed)
 
 
-def _segment_result(
-    motion: Motion, segment: Segment, iou: Float[ndarray, "T"], checks: dict[str, float], examined: Examined
-) -> SegmentResult:
-    """What was found in a segment; signs and a probability are a grasp's."""
-    clip, rows, is_grasp = motion.footage.source.original, segment.rows, segment.state == "grasp"
+def _segment_result(clip: Clip, segment: Segment, motion: Motion, iou: Float[ndarray, "T"]) -> SegmentResult:
+    """Describe what was found in a segment."""
+    rows, is_grasp = segment.rows, segment.state == "grasp"
     seen = iou[rows][~np.isnan(iou[rows])]
     grasp = motion.grasps.get(segment.first) if is_grasp else None
     axis = None if grasp is None else grasp.axis
     lying = segment.state == "static" and clip.world is not None
-    signs = {} if grasp is None else read_grasp_signs(grasp)
     return SegmentResult(
         state=segment.state,
         first=clip.frames[segment.first],
@@ -65,27 +78,29 @@ def _segment_result(
         T_world_obj=clip.world.T_world_cam[rows[0]] @ motion.T_cam_obj[rows[0]] if lying and clip.world else None,
         axis_point=None if axis is None else axis.point,
         axis_direction=None if axis is None else axis.direction,
-        checks=checks,
-        signs=signs,
-        probability_right=None if grasp is None else _probability(motion, segment, signs, examined.findings),
     )
 
 
 def _probability(
-    motion: Motion, segment: Segment, signs: dict[str, float], findings: Sequence[Finding]
+    clip: Clip,
+    segment: Segment,
+    options: Options,
+    signs: dict[str, float],
+    findings: Sequence[Finding],
+    evidence: Sequence[str],
 ) -> Probability | None:
     """How probable it is that a grasp is right; findings about other segments say nothing of it."""
-    clip, names = motion.footage.clip, {*INPUT_CHECKS}
+    names = {*INPUT_CHECKS}
     others = tuple(f"{name_of(clip, one)}: " for one in clip.segments if one is not segment)
     of_input = [one for one in findings if one.check in names and not one.message.startswith(others)]
-    right = probability_right(motion.footage.source.options, signs, of_input)
+    right = probability_right(options, signs, of_input, terms=evidence)
     return right and replace(right, meaning=MEANING)
 
 
 def read_grasp_signs(track: GraspTrack) -> dict[str, float]:
-    """The signs of a grasp, at the frames that were fitted together; solutions' energies are without links."""
+    """Return the signs of a grasp, at the frames that were fitted together; solutions' energies are without links."""
     solutions, found = track.solutions, track.found
-    problem, poses = solutions.grasp.problem, solutions.motion.poses()
+    problem, poses = solutions.problem, solutions.motion.poses()
     energy = solutions.energy.copy()
     energy[track.chosen] = min(0.0, float(energy.min())) - 1.0
     best = suppress_duplicates(poses, energy, problem.surface, CANDIDATES)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,12 +15,12 @@ from getagrip.fitting.every_frame import Track
 from getagrip.fitting.grasp import GRASP
 from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.options import Options
-from getagrip.fitting.pipeline import Answer, Clock, Input, Judgement, Steps, run
+from getagrip.fitting.pipeline import Clock, Steps, run
 from getagrip.geometry import se3
 from getagrip.result import Reconstruction, Status
 from getagrip.timelines.footage import Footage
 from getagrip.timelines.joint import Chain, choose_hypotheses, fill_all_frames
-from getagrip.timelines.judge import judge_motion
+from getagrip.timelines.judge import TimelineAnswer, judge_timeline
 from getagrip.timelines.motion import Motion
 
 
@@ -40,7 +40,7 @@ def reconstruct(
         clip: hands, mesh and camera (``read_clip``, ``Clip``); a free scale is found, too.
         masks: masks of all of the clip's frames. Without them, those of the frames that are used are read from the
             clip's folder.
-        options: method, number of initial poses, weights and what of the inputs is believed; None for the usual ones.
+        options: method, number of initial poses, weights and use of the inputs; None for the defaults.
             ``options.frames`` frames, sampled evenly, are fitted together, and the others follow from them.
         progress: called with the name of the stage that has ended and the fraction done, 0 to 1.
         threads: number of threads that share the hypotheses of a search. The result is the same to the last bit
@@ -48,7 +48,7 @@ def reconstruct(
             processes. A timeline is solved on one.
 
     Returns:
-        The object's poses in the hand, what was believed, and how probable it is that they are right.
+        The object's poses in the hand, the assumptions behind them, and the probability that they are right.
 
     Raises:
         UsageError: masks of another clip, or a timeline and another method than the soft hinge.
@@ -62,22 +62,8 @@ def reconstruct(
     return run(GRASP, clip, masks, options, progress, threads)
 
 
-@dataclass(frozen=True)
-class TimelineAnswer(Answer):
-    """What was found, and the motion that it is made of."""
-
-    motion: Motion
-
-
-def _prepare(source: Input, clock: Clock) -> Footage:
-    """Read the masks, find the scale."""
-    footage = Footage.of(source)
-    clock("prepare")
-    return footage
-
-
 def _search(footage: Footage, clock: Clock) -> Chain:
-    """The hypotheses of all segments that are best together.
+    """Search for the hypotheses of all segments that are best together.
 
     Where there are none, the error also says what is unusual about the inputs.
     """
@@ -94,7 +80,7 @@ def _search(footage: Footage, clock: Clock) -> Chain:
 
 
 def _fit_all_frames(footage: Footage, chain: Chain, clock: Clock) -> TimelineAnswer:
-    """The motion over all segments and what lies between them."""
+    """Fill the motion over all segments and between them."""
     motion, clip = fill_all_frames(footage, chain, clock), footage.clip
     T_cam_hand = motion.T_cam_hand
     T_hand_obj = se3.inverse(T_cam_hand) @ motion.T_cam_obj
@@ -110,31 +96,25 @@ def _fit_all_frames(footage: Footage, chain: Chain, clock: Clock) -> TimelineAns
         warp=None,
         hand_moved=not np.array_equal(T_cam_hand, footage.source.original.hand.T_cam_hand),
         T_cam_other_hand=motion.T_cam_other_hand,
-        notes=(*_notes_of_grasps(motion), *footage.some.notes),
+        notes=(*_notes_of_grasps(clip, motion, footage.some.notes), *footage.some.notes),
         motion=motion,
     )
 
 
-def _notes_of_grasps(motion: Motion) -> list[str]:
-    """What is to be known about grasps, and about those that could not be solved as such."""
-    footage, clip, out, masks_only = motion.footage, motion.footage.clip, list[str](), list[str]()
+def _notes_of_grasps(clip: Clip, motion: Motion, known: Sequence[str]) -> list[str]:
+    """Say what is to be known about grasps beyond what is ``known``, and which could not be solved as such."""
+    out, masks_only = list[str](), list[str]()
     for segment in (segment for segment in clip.segments if segment.state == "grasp"):
         track = motion.grasps.get(segment.first)
         if track is not None:
-            grasp = track.solutions.grasp
-            own = [note for note in grasp.problem.notes if note not in footage.some.notes]
-            out += [f"grasp from {clip.frames[grasp.rows[0]]}: {note}" for note in own]
+            first = clip.frames[track.solutions.grasp.rows[0]]
+            out += [f"grasp from {first}: {note}" for note in track.solutions.problem.notes if note not in known]
             continue
         name = f"grasp from {clip.frames[segment.first]} ({segment.side} hand)"
-        known = clip.hand_known(segment.side)[segment.rows].any()
-        why = "the object is not seen in two frames" if known else f"the clip has no {segment.side} hand there"
+        has_hand = clip.hand_known(segment.side)[segment.rows].any()
+        why = "the object is not seen in two frames" if has_hand else f"the clip has no {segment.side} hand there"
         masks_only.append(f"{name}: {why}, so it was followed by the masks as in unstable contact, without an axis")
     return [*out, *masks_only]
 
 
-def _judge(footage: Footage, chain: Chain, answer: TimelineAnswer) -> Judgement:
-    """What checks and signs say of the motion, and how probable it is that its grasps are right."""
-    return judge_motion(answer.motion, answer.track.iou)
-
-
-TIMELINE = Steps(_prepare, _search, _fit_all_frames, _judge, stages=7)
+TIMELINE = Steps(Footage.of, _search, _fit_all_frames, judge_timeline, stages=7)

@@ -1,4 +1,4 @@
-"""Where a static object lies: one pose in the world for all frames of the segment, from the masks alone.
+"""The pose of a static object: one pose in the world for all frames of the segment, from the masks alone.
 
 No hand helps and none disturbs. A camera that stands still sees one silhouette only, through hands that pass: depth
 comes from the object's size, and from the plane that it lies on where that is known.
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.clip import Segment
@@ -22,42 +22,42 @@ from getagrip.fitting.problem import Problem
 from getagrip.fitting.schedule import USUAL
 from getagrip.fitting.search import Search
 from getagrip.geometry import camera, se3
-from getagrip.timelines.footage import Footage
 from getagrip.timelines.hypotheses import Hypotheses
 
 FRAMES = 8
-"""Of a static segment that are fitted: they show nearly the same."""
+"""Number of frames of a static segment that are fitted: they show nearly the same."""
 SUPPORT = 0.01
 """Energy, in mean areas of the masks, of an object that floats at ``FLOATS``."""
 FLOATS = 0.01
 """[m]."""
 LIKELY = 1.5
-"""Solutions of more than so many times the least energy are given up."""
+"""Solutions with more than this multiple of the least energy are dropped."""
 
 
-def static_hypotheses(
-    footage: Footage, segment: Segment, support: bool, start: Hypotheses | None = None
-) -> Hypotheses | None:
-    """Solutions in the frames of a segment, all the same pose; None where fewer than two of them show the object.
+def frames_to_fit(segment: Segment, shown: Bool[ndarray, "T"]) -> Int[ndarray, "n"]:
+    """The frames of a static segment that tell its pose; none where fewer than two show the object."""
+    seen = segment.rows[shown[segment.rows]]
+    return seen[frame_indices(len(seen), FRAMES)] if len(seen) > 1 else seen[:0]
+
+
+def static_hypotheses(problem: Problem, frames: int, support: bool, start: Hypotheses | None = None) -> Hypotheses:
+    """Solutions for the ``frames`` of a segment, all the same pose, by the problem at some of them.
 
     ``start`` are poses to begin with besides uniform rotations (their first frame's). ``support``: whether the plane
     counts. Raises ``GetagripError`` where nothing can be rendered.
     """
-    seen = footage.observed(segment.rows)
-    if len(seen) < 2:
-        return None
-    rows = seen[frame_indices(len(seen), FRAMES)]
-    problem = footage.problem(rows)
+    assert problem.clip.world is not None
+    T_cam_world = se3.inverse(problem.clip.world.T_world_cam)
     energy = plus(evidence_of(problem), support_of(problem)) if support else evidence_of(problem)
-    search = Search(footage.T_cam_world[rows], problem.surface, USUAL, lambda _: None)
+    search = Search(T_cam_world, problem.surface, USUAL, lambda _: None)
     found = search.run(search.relax(initial_poses(problem, start), energy).core, energy)
     best = found.take(np.flatnonzero(found.energy <= LIKELY * found.energy[0]))
-    poses = replace(best.motion, frames=len(segment)).poses()
+    poses = replace(best.motion, frames=frames).poses()
     return Hypotheses(poses.R, poses.centre, poses.scale, best.energy)
 
 
 def support_of(problem: Problem) -> Energy:
-    """The energy of an object above or below its support; nothing where the plane is not known."""
+    """Return the energy of an object above or below its support; zero where the plane is not known."""
     clip = problem.clip
     world = clip.world
     if world is None or world.up is None or world.support is None:
@@ -73,7 +73,7 @@ def support_of(problem: Problem) -> Energy:
 
 
 def initial_poses(problem: Problem, start: Hypotheses | None) -> Fixed:
-    """Given poses, then uniform rotations on the ray through the first mask, as far as the mask is small.
+    """Return the given poses, then uniform rotations on the ray through the first mask, as far as the mask is small.
 
     A free scale begins where the object is as far away as the hand is on average.
     """
@@ -105,11 +105,11 @@ class SupportTerm:
     """
 
     vertices: Float[ndarray, "V 3"]
-    """Of the object, about its centre, unscaled [m]; those of the convex hull are enough."""
+    """Vertices of the object about its centre, unscaled [m]; those of the convex hull are enough."""
     normal: Float[ndarray, "N 3"]
     """Up, in the camera frame."""
     height: Float[ndarray, "N"]
-    """Of the plane along it, from the camera [m]."""
+    """Height of the plane along it, from the camera [m]."""
     weight: float
     """Energy per square metre [px^2 / m^2]."""
     far: float = 0.02
@@ -131,7 +131,7 @@ class SupportTerm:
 
 
 def hull_vertices(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "n 3"]:
-    """Those that can be the lowest."""
+    """Return the vertices that can be the lowest."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -143,6 +143,6 @@ def hull_vertices(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "n 3"]:
 def plane_in_camera(
     T_world_cam: Float[ndarray, "N 4 4"], up: Float[ndarray, "3"], support: float
 ) -> tuple[Float[ndarray, "N 3"], Float[ndarray, "N"]]:
-    """Normal and height of the world's plane as the camera sees it."""
+    """Return normal and height of the world's plane in the camera frame."""
     normal = (se3.inverse(T_world_cam)[:, :3, :3] @ up[:, None])[..., 0]
     return normal, support - T_world_cam[:, :3, 3] @ up

@@ -1,5 +1,7 @@
-"""What a term of the energy is: called with ``PosesInCamera`` of B hypotheses in N frames, it answers with its value,
-gradient and Hessian per frame, in the frame's local 7-vector (``se3``). The solver only sums and solves.
+"""The interface of a term of the energy.
+
+A term is called with ``PosesInCamera`` of B hypotheses in N frames, and returns its value, gradient and Hessian per
+frame, in the frame's local 7-vector (``se3``). The solver only sums and solves.
 """
 
 from __future__ import annotations
@@ -42,13 +44,13 @@ class Quadratic:
 
     @staticmethod
     def zero(poses: PosesInCamera, size: int = 7) -> Quadratic:
-        """Zeros, for a term to fill in."""
+        """Return zeros, for a term to fill in."""
         B, N = poses.centre.shape[:2]
         return Quadratic(np.zeros((B, N)), np.zeros((B, N, size)), np.zeros((B, N, size, size)))
 
     @staticmethod
     def of_squares(error: Float[ndarray, "B N m"], J: Float[ndarray, "B N m P"], weight: float) -> Quadratic:
-        """``weight * |error|^2``, for errors with the Jacobian J by the local vector (Gauss-Newton)."""
+        """Return ``weight * |error|^2``, for errors with the Jacobian J by the local vector (Gauss-Newton)."""
         Jt = np.swapaxes(J, -1, -2)
         value = weight * np.sum(error**2, axis=-1)
         return Quadratic(value, 2.0 * weight * (Jt @ error[..., None])[..., 0], 2.0 * weight * (Jt @ J))
@@ -59,7 +61,7 @@ class Quadratic:
         return Quadratic(self.value + other.value, self.g + other.g, self.H + other.H, total)
 
     def within(self, size: int, first: int = 0) -> Quadratic:
-        """The same by a longer vector, of which this one's is the part from ``first`` on."""
+        """Embed it in a longer vector, of which this one's vector is the part from ``first`` on."""
         B, N, P = self.g.shape
         if size == P:
             return self
@@ -72,7 +74,7 @@ class Quadratic:
         return Quadratic(self.value, g, H, cross)
 
     def take(self, index: ndarray) -> Quadratic:
-        """Some of the hypotheses."""
+        """Return some of the hypotheses."""
         cross = None if self.cross is None else self.cross[index]
         return Quadratic(self.value[index], self.g[index], self.H[index], cross)
 
@@ -90,9 +92,11 @@ class Term(Protocol):
     def name(self) -> str: ...
 
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
-        """Evaluate at the poses. Where the sum of values over frames exceeds ``bound`` the derivatives, and values
-        that follow in other frames, may be left zero: the solver is going to reject that step. Where ``bound`` is below
-        zero it is going to anyway."""
+        """Evaluate at the poses.
+
+        Where the sum of values over frames exceeds ``bound``, the derivatives, and the values of further frames, may be
+        left zero: the solver will reject that step. Where ``bound`` is below zero it will reject it in any case.
+        """
         ...
 
 
@@ -101,5 +105,5 @@ Energy = Callable[[int, Int[ndarray, "n"]], Sequence[Term]]
 
 
 def no_bound(poses: PosesInCamera) -> Float[ndarray, "B"]:
-    """A bound that asks for the derivatives everywhere."""
+    """Return a bound that asks for the derivatives everywhere."""
     return np.full(len(poses.scale), np.inf)

@@ -1,4 +1,4 @@
-"""What a modality gives to a fit: terms on the object and on the hand."""
+"""The terms of a modality, on the object and on the hand."""
 
 from __future__ import annotations
 

@@ -28,30 +28,30 @@ class Method:
     """A way to find an object in a hand."""
 
     label: str
-    """What tables and pictures call it."""
+    """Name in tables and pictures."""
     fit: Fit
     """Raises ``GetagripError`` where nothing can be rendered."""
     has_axis: bool = False
-    """Whether its results have a latent axis."""
+    """True if its results have a latent axis."""
     baseline: bool = False
-    """Whether it is another system's method, to compare with."""
+    """True for another system's method, to compare with."""
     slow: bool = False
-    """Whether it takes so long that benchmarks run it only where it is named."""
+    """True if it is so slow that benchmarks run it only where it is named."""
     checks_masks: bool = False
-    """Whether it is fitted again without the masks that contradict the others (``outlier_masks``)."""
+    """True if it is fitted again without outlier masks (``outlier_masks``)."""
     as_published: bool = False
-    """Whether it is left as its authors state it: nothing is done to its input."""
+    """True if it stays as its authors state it: its input is not changed."""
 
 
 def method_of(name: str) -> Method:
-    """The method of a name. Raises ``UsageError`` for one that is not in ``METHODS``, or cannot be loaded."""
+    """Return the method of a name. Raises ``UsageError`` for one that is not in ``METHODS``, or cannot be loaded."""
     if name not in METHODS:
         raise unknown("method", name, METHODS)
     return METHODS[name]
 
 
 def label_of(name: str) -> str:
-    """What tables and pictures call a method: its name where it is not installed here."""
+    """Return the label of a method: its name where it is not installed here."""
     try:
         return method_of(name).label
     except UsageError:
@@ -59,7 +59,7 @@ def label_of(name: str) -> str:
 
 
 def _in(file: str, function: str = "fit") -> Fit:
-    """A function of a file beside this one."""
+    """Return a function of a file beside this one."""
 
     def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
         found: Fit = getattr(import_module(f"{__name__}.{file}"), function)
@@ -69,7 +69,7 @@ def _in(file: str, function: str = "fit") -> Fit:
 
 
 def _published(label: str, function: str, has_axis: bool = False) -> Method:
-    """The paper's method to the letter."""
+    """Make the paper's method to the letter."""
     return Method(label, _in("paper", function), has_axis, baseline=True, slow=True, as_published=True)
 
 

@@ -1,8 +1,8 @@
-"""What a motion model is: a map from parameters to ``T_hand_obj`` of every frame, with the Jacobian of each frame's
-local 7-vector (``se3``) by the parameters.
+"""The interface of a motion model: a map from parameters to ``T_hand_obj`` of every frame, with its Jacobian.
 
-Parameters are of two kinds: S shared by all frames and L per frame. All arrays have a leading axis of B hypotheses, so
-that all hypotheses of a search are solved at once. The object is centred: ``T`` places the mesh's scaled centre.
+The Jacobian is that of each frame's local 7-vector (``se3``) by the parameters. Parameters are of two kinds: S shared
+by all frames and L per frame. All arrays have a leading axis of B hypotheses, so that all hypotheses of a search are
+solved at once. The object is centred: ``T`` places the mesh's scaled centre.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class HandPoses(Batch):
 
 
 def placed(poses: PosesInHand, centre: Float[ndarray, "3"]) -> Float[ndarray, "B N 4 4"]:
-    """``T_hand_obj`` of poses about the mesh's centre, which lies at ``centre`` in its own frame."""
+    """Return ``T_hand_obj`` of poses about the mesh's centre, which lies at ``centre`` in its own frame."""
     R, scale = poses.R, poses.scale[:, None, None]
     return se3.rigid(R, poses.centre - scale * (R @ centre))
 
@@ -124,7 +124,7 @@ class Prior:
 
 
 class Motion(Protocol):
-    """What solver and search need of a motion model."""
+    """The methods of a motion model that solver and search use."""
 
     def poses(self) -> PosesInHand: ...
 
@@ -136,45 +136,47 @@ class Motion(Protocol):
         ...
 
     def lengths(self) -> tuple[Bool[ndarray, "S"], Bool[ndarray, "L"]]:
-        """Which shared and which per-frame parameters are in metres; the others are radians or logarithms."""
+        """Mark the shared and the per-frame parameters in metres; the others are radians or logarithms."""
         ...
 
     def angles(self) -> Float[ndarray, "B N"] | None:
-        """The angles about the latent axis [rad], where the model has one."""
+        """Return the angles about the latent axis [rad], where the model has one."""
         ...
 
     def prior(self) -> Prior: ...
 
     def retract(self, shared: Float[ndarray, "B S"], local: Float[ndarray, "B N L"]) -> Self:
-        """The parameters after a step."""
+        """Return the parameters after a step."""
         ...
 
     def where(self, mask: Bool[ndarray, "B"], other: Self) -> Self:
-        """This model's hypotheses where the mask is set, the other's elsewhere."""
+        """Return this model's hypotheses where the mask is set, the other's elsewhere."""
         ...
 
     def take(self, index: ndarray) -> Self:
-        """Some of the hypotheses."""
+        """Return some of the hypotheses."""
         ...
 
     def concatenate(self, other: Self) -> Self:
-        """This model's hypotheses, then the other's."""
+        """Return this model's hypotheses, then the other's."""
         ...
 
     def rotated(self, R: Float[ndarray, "B 3 3"]) -> Self:
-        """The object rotated about its centre by R (object frame), in all frames alike."""
+        """Rotate the object about its centre by R (object frame), in all frames alike."""
         ...
 
     def with_free_scale(self) -> Self:
-        """The same motion, its scale a parameter."""
+        """Return the motion with its scale a parameter."""
         ...
 
     def resampled(self, old: Int[ndarray, "M"], new: Int[ndarray, "N"]) -> Self:
-        """The motion at other frames (indices into a clip): per-frame parameters interpolated linearly, rotations along
-        the shortest path."""
+        """Interpolate the motion at other frames (indices into a clip).
+
+        Per-frame parameters are interpolated linearly, rotations along the shortest path.
+        """
         ...
 
 
 def no_prior(B: int, N: int, L: int) -> Prior:
-    """The prior of a model that has none."""
+    """Return the prior of a model that has none."""
     return Prior(np.zeros(B), np.zeros((B, N, L)), np.zeros(L))

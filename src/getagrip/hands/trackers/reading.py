@@ -35,10 +35,10 @@ class Hands:
     """These frames, rising, as indices into those of the ``Request``."""
     provenance: Provenance
     warnings: tuple[str, ...] = ()
-    """What may be wrong with it, in words."""
+    """Warnings about it, in words."""
 
     def extrapolate_to_ends(self, frames: Sequence[str]) -> Hands:
-        """The hand stands still, as a guess, before the first and after the last frame in which it was found.
+        """Keep the hand still, as an assumption, before the first and after the last frame in which it was found.
 
         ``frames`` are the names of those of the ``Request``. Frames between two hands stay without one.
         """
@@ -55,7 +55,7 @@ class Hands:
 
 
 def read(paths: Sequence[Path], tracker: Tracker, request: Request) -> Hands:
-    """The hand of one side in some frames of a clip.
+    """Read the hand of one side in some frames of a clip.
 
     ``paths`` are files, folders of them, or patterns (``out/*.npz``). Raises as ``Tracker.read`` does, and
     ``InputError`` where there is no such file or hand, or none that can be one.
@@ -70,6 +70,9 @@ def read(paths: Sequence[Path], tracker: Tracker, request: Request) -> Hands:
     depths = joined(hand.depth for hand in hands)
     estimates = replace(estimates, hands=tuple(hands))
     made, what = track(estimates, request.mano)
+    if any(hand.seen is not None for hand in hands):
+        seen = np.array([np.zeros((21, 3)) if hand.seen is None else hand.seen for hand in hands])
+        made = replace(made, joints_2d=seen[..., :2], joints_2d_confidence=seen[..., 2])
     first = estimates.hands[0]
     if first.mano is not None:  # a hand fitted to plain joints has a hand's size; whether it is in view, callers check
         check_in_hand(first.path, "betas", made.vertices, "a hand")

@@ -13,6 +13,7 @@ from getagrip.hands.trackers.frankmocap import FrankMocap
 from getagrip.hands.trackers.hamer import HaMeR
 from getagrip.hands.trackers.hawor import HaWoR
 from getagrip.hands.trackers.joints import Joints
+from getagrip.hands.trackers.landmarks import Landmarks
 from getagrip.hands.trackers.mano_parameters import ManoParameters
 from getagrip.hands.trackers.tracker import Tracker
 from getagrip.hands.trackers.wilor import WiLoR
@@ -26,6 +27,7 @@ _TRACKERS: dict[str, Tracker] = {
     "frankmocap": FrankMocap(),
     "mano": ManoParameters(),
     "joints": Joints(),
+    "landmarks": Landmarks(),
 }
 
 
@@ -37,7 +39,7 @@ TRACKERS = Table("trackers", _TRACKERS, "a Tracker, under a name that is a Pytho
 
 
 def usable(taken: Iterable[str] = ()) -> dict[str, Tracker]:
-    """All that can be loaded, but for those of other packages whose options are ``taken``, by another tracker maybe."""
+    """Return all trackers that can be loaded, except those of other packages whose options are already ``taken``."""
     owners, there = dict.fromkeys(taken, "import hands"), dict[str, Tracker]()
     for name, tracker in TRACKERS.working().items():
         options = vars(tracker)
@@ -50,7 +52,7 @@ def usable(taken: Iterable[str] = ()) -> dict[str, Tracker]:
 
 
 def choose(name: str, entry: Mapping[str, Tracker] = TRACKERS) -> Tracker:
-    """The tracker of a name, with its options as ``given``.
+    """Return the tracker of a name, with its options as ``given``.
 
     Raises ``UsageError`` for an unknown name, and for options that are given to another tracker.
     """

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SIDE, GAP, LABEL = 1.55, 0.06, 1.75
-"""Of a tile, between tiles, and of the words beside a row [in]."""
+"""Sizes of a tile, between tiles, and of the words beside a row [in]."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,10 @@ def numbers(view: View, contact: ContactDefinition) -> list[str]:
 
 
 def draw_rows(rows: Sequence[Row], title: str, under: str, frames: int, dpi: int, with_hand: bool) -> Figure:
-    """The figure. ``rows`` show the same frames, of which ``frames`` are drawn; the hand's contour where wanted."""
+    """Draw the figure.
+
+    ``rows`` show the same frames, of which ``frames`` are drawn; the hand's contour where wanted.
+    """
     chosen = np.array(evenly(frames, len(rows[0].view.result.frames)))
     width = LABEL + 2 * len(chosen) * (SIDE + GAP) + 0.25 + 0.1
     top = HEAD + 0.45
@@ -145,7 +148,7 @@ def draw_rows(rows: Sequence[Row], title: str, under: str, frames: int, dpi: int
 
 
 def _headings(sheet: Sheet, view: View, chosen: Int[ndarray, "n"], turned: float) -> None:
-    """What the tiles show, and the frames' names."""
+    """Draw the headings of the tiles, and the frames' names."""
     for x, words in (
         (LABEL, "over the masks" if view.image_file(0) is None else "over the image"),
         (turned, "from the side"),
