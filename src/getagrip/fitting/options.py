@@ -164,7 +164,7 @@ class Options(SearchOptions):
 
     @property
     def as_published(self) -> bool:
-        """Whether the method is left as its authors state it: nothing is done to its input."""
+        """True if the method stays as its authors state it: its input is not changed."""
         return method_of(self.method).as_published
 
     def __post_init__(self) -> None:

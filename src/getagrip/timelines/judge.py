@@ -38,7 +38,7 @@ MEANING = f"{MEANING_ALONE.format('hand')}; calibrated on single grasps, a rough
 
 @dataclass(frozen=True)
 class TimelineAnswer(Answer):
-    """What was found, and the motion that it is made of."""
+    """The answer of a timeline, and the motion that it is made of."""
 
     motion: Motion
 
@@ -62,7 +62,7 @@ def judge_timeline(footage: Footage, chain: Chain, answer: TimelineAnswer) -> Ju
 
 
 def _segment_result(clip: Clip, segment: Segment, motion: Motion, iou: Float[ndarray, "T"]) -> SegmentResult:
-    """What was found in a segment."""
+    """Return the result of a segment."""
     rows, is_grasp = segment.rows, segment.state == "grasp"
     seen = iou[rows][~np.isnan(iou[rows])]
     grasp = motion.grasps.get(segment.first) if is_grasp else None

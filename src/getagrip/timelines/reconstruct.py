@@ -102,7 +102,7 @@ def _fit_all_frames(footage: Footage, chain: Chain, clock: Clock) -> TimelineAns
 
 
 def _notes_of_grasps(clip: Clip, motion: Motion, known: Sequence[str]) -> list[str]:
-    """What is to be known about grasps beyond what is ``known``, and about those that could not be solved as such."""
+    """Return notes on grasps beyond what is ``known``, and on those that could not be solved as such."""
     out, masks_only = list[str](), list[str]()
     for segment in (segment for segment in clip.segments if segment.state == "grasp"):
         track = motion.grasps.get(segment.first)
@@ -112,8 +112,12 @@ def _notes_of_grasps(clip: Clip, motion: Motion, known: Sequence[str]) -> list[s
             continue
         name = f"grasp from {clip.frames[segment.first]} ({segment.side} hand)"
         has_hand = clip.hand_known(segment.side)[segment.rows].any()
-        why = "the object is not seen in two frames" if has_hand else f"the clip has no {segment.side} hand there"
-        masks_only.append(f"{name}: {why}, so it was followed by the masks as in unstable contact, without an axis")
+        why = (
+            "the object is visible in fewer than two frames"
+            if has_hand
+            else f"the clip has no {segment.side} hand there"
+        )
+        masks_only.append(f"{name}: {why}, so it was tracked by its masks as in unstable contact, without an axis")
     return [*out, *masks_only]
 
 

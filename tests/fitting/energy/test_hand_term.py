@@ -122,7 +122,7 @@ def test_by_the_given_hand_a_term_in_the_hand_is_the_term() -> None:
     given, middle = free.hand.T_input, free.hand.middle
     R, centre = np.tile(given[:, :3, :3], (B, 1, 1, 1)), np.tile(se3.transform(given, middle[None])[:, 0], (B, 1, 1))
     hand = HandInCamera(R, centre, np.ones(B), np.zeros((B, N, F)), middle, given)
-    np.testing.assert_allclose(hand.T_input, np.tile(given, (B, 1, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(hand.T_cam_hand, np.tile(given, (B, 1, 1, 1)), atol=1e-12)
     held = PosesInCamera(free.R, free.centre, free.scale)
     expected = term(held, no_bound(held))
     for poses in (ObjectWithHand(*vars(held).values(), hand), held):
