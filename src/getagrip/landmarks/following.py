@@ -74,7 +74,7 @@ def follow(
         followed = _looked(now, expected, nets)
         known = [crop for crop, hand in zip(expected, followed, strict=True) if hand.confidence >= SURE]
         detected = [crop for crop in map(crops.of_palm, nets.palms(now)) if not any(map(crop.near, known))]
-        before = next((hands for hands in reversed(seen[-MEMORY:]) if hands), [])
+        before: list[Sighting] = next((hands for hands in reversed(seen[-MEMORY:]) if hands), [])
         lost = [crop for crop in _crops(before) if not any(map(crop.near, [*known, *detected]))]
         seen.append(one_each([*followed, *_looked(now, [*detected, *_nearby(now, lost, nets)], nets)]))
     for n in range(count - 2, -1, -1):
