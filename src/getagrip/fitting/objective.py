@@ -48,13 +48,13 @@ def energy_of(problem: Problem, push: float, pull: float) -> Energy:
 
 def evidence_of(problem: Problem) -> Energy:
     """Return the terms of all evidence on the object: E_mask first, since masks are the first modality."""
-    terms = (modality.terms(problem).object for modality in modalities())
-    return plus(*(energy for energy in terms if energy is not None))
+    terms = (modality.terms(problem) for modality in modalities())
+    return plus(*(one.object for one in terms if one is not None and one.object is not None))
 
 
 def evidence_on_hand(problem: Problem) -> Energy:
     """Return the terms of all evidence on a hand that is unknown as well; nothing where it is fixed."""
-    terms = [modality.terms(problem).hand for modality in modalities()]
+    terms = [one.hand for modality in modalities() if (one := modality.terms(problem)) is not None]
     return lambda level, index: [OnHand(one) for hand in terms if hand is not None for one in hand(level, index)]
 
 
