@@ -85,12 +85,14 @@ class Draft(Command):
         """
         from getagrip.annotate.finding_hands import write_found
         from getagrip.annotate.project import Project
+        from getagrip.annotate.reconstruction import Shape
         from getagrip.annotate.store import Store
         from getagrip.annotate.tasks import read_tasks
         from getagrip.annotate.written_files import write_labels
         from getagrip.commands.annotate import DATABASE, serve
         from getagrip.io.terminal import progress_bar
 
+        mesh = " ".join(Shape(self.object, self.size_mm).options)
         task = read_tasks(self.video, None)[0]
         self.folder.mkdir(parents=True, exist_ok=True)
         project = Project([task], Store(self.folder / DATABASE), self._lens)
@@ -107,8 +109,11 @@ class Draft(Command):
             if self.object_box is not None:
                 self._draw(project, task, found)
             if self.no_page:
-                return 0 if self.object_box is None else write_labels(project)
-            print(f"the grasp is marked; give the page the name {DRAFTER}, and press l to show it the object")
+                status = 0 if self.object_box is None else write_labels(project)
+                print(f"of clip new, the object's mesh is {mesh}")
+                return status
+            name = f"give the page the name {DRAFTER}"
+            print(f"the grasp is marked; {name}, press l to show it the object, and reconstruct with {mesh}")
             serve(project, self.port)
             return 0
         finally:
@@ -148,7 +153,7 @@ class Draft(Command):
         return last - first + 1
 
     def _find(self, footage: Footage) -> FoundHands:
-        """The hand that holds the object. Raises as ``run`` does."""
+        """Find the hand that holds the object. Raises as ``run`` does."""
         import numpy as np
 
         from getagrip.annotate.finding_hands import find_hands
