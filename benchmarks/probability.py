@@ -30,9 +30,9 @@ from benchmarks.timing import circumstances
 from getagrip.batch.pool import cores
 from getagrip.checks.calibration import Calibration, Where
 from getagrip.checks.signs import SIGNS
-from getagrip.experiments.stamp import stamp
 from getagrip.experiments.statistics import resamples
 from getagrip.fitting.options import Options
+from getagrip.io.code import stamp
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

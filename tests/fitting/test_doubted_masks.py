@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from getagrip.experiments.wrong_masks import another_object
+from getagrip.experiments.changes import another_object
 from getagrip.fitting.doubted_masks import SHARE, TIMES, most_differing
 from getagrip.fitting.foretold import typical
 from getagrip.fitting.image_iou import Overlap

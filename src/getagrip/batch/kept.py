@@ -1,14 +1,18 @@
-"""Whether a result that is there is still good: of the same clip, options and code, and readable."""
+"""Whether a result or a benchmark's record that exists is still valid: same clip, options and code, and readable."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 
+from getagrip.clip import input_sha256
 from getagrip.errors import InputError, UsageError
 from getagrip.fitting.methods import OURS, Method, method_of
+from getagrip.fitting.options import Options
 from getagrip.io import files
+from getagrip.io.files import Json
 from getagrip.io.own_code import UnknownSourceError, checksum
 from getagrip.result import Reconstruction, is_result, read_result, software
 
@@ -28,6 +32,8 @@ OTHER = {
 """In what a record may differ, by its key."""
 _CHECKSUMS: dict[str, tuple[Method, str]] = {}
 """Of methods from outside, as their files were when they were first asked for: what changes later does not run here."""
+KEYS = {"inputs": "another clip", "options": "other options", "software": "other code or other libraries"}
+"""What a record says that it was made of, and how it is called where that differs."""
 
 
 def made_by(method: str, *also: str) -> dict[str, str]:
@@ -89,3 +95,29 @@ def without_source(method: str) -> str:
 def damaged(error: object) -> str:
     """The reason where a record, or what belongs to it, cannot be read."""
     return f"what was there is damaged ({error})"
+
+
+def made_of(clip: Path, options: Options, *code: str) -> Json:
+    """What a record is made of; ``code`` are parts of the package that a reconstruction does not depend on."""
+    return {"inputs": input_sha256(clip), "options": asdict(options), "software": made_by(options.method, *code)}
+
+
+def kept_or_made(path: Path, of: Json, overwrite: bool, make: Callable[[], Json]) -> tuple[Json, str]:
+    """The record in a file, if it is good, else one that is made and written; and why one that was there was not good.
+
+    The reason is empty where there was none, and with ``overwrite``.
+    """
+    why = ""
+    if path.exists() and not overwrite:
+        try:
+            record = files.read_json(path)
+            why = difference(record, of, KEYS)
+            if of["software"].get(KEY) == UNKNOWN:
+                why = without_source(of["options"]["method"])
+            if not why:
+                return record, ""
+        except InputError as error:
+            why = damaged(error)
+    record = {**of, **make()}
+    files.write_json(path, record)
+    return record, why

@@ -14,12 +14,10 @@ from tyro.conf import arg, subcommand
 from getagrip.batch.share import Share
 from getagrip.commands.command import Command
 from getagrip.experiments.compared import Compared
-from getagrip.experiments.sources.dexycb import DexYcb, DexYcbSequences, DexYcbTimelines
 from getagrip.experiments.sources.folder import ClipFolder
-from getagrip.experiments.sources.hot3d import Hot3dTimelines
+from getagrip.experiments.sources.recorded import DexYcb, DexYcbSequences, DexYcbTimelines, Hot3dTimelines, Timelines
 from getagrip.experiments.sources.source import ClipSource
 from getagrip.experiments.sources.synthetic import Synthetic
-from getagrip.experiments.sources.timelines import Timelines
 from getagrip.fitting.options import Options, SearchOptions
 from getagrip.io.arguments import Flag, Folder, OptionalFile
 

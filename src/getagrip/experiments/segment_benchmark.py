@@ -12,12 +12,12 @@ from getagrip.datasets.tracks import subject_of
 from getagrip.experiments.segment_scores import Matched, Summary, summary
 from getagrip.experiments.segment_trials import DEFINITION, DIRECTIONS, WAYS, SequenceScores, SequenceTrial
 from getagrip.experiments.sources import Sample
-from getagrip.experiments.sources.dexycb import DexYcbSequences
-from getagrip.experiments.stamp import stamp
+from getagrip.experiments.sources.recorded import DexYcbSequences
 from getagrip.experiments.statistics import resamples
 from getagrip.experiments.trial import Benchmark, Page, Trial
 from getagrip.fitting.options import Options
 from getagrip.io import files, markdown
+from getagrip.io.code import stamp
 from getagrip.io.counts import counted
 
 HEADINGS = ("", "sequences", "grasps", "tIoU", "F1@.5", "F1@.7", "start", "end", "missed", "false")

@@ -8,9 +8,9 @@ from functools import partial
 
 import numpy as np
 
+from getagrip.batch.kept import kept_or_made, made_of
 from getagrip.clip import Clip, Masks, read_clip, read_masks
 from getagrip.datasets.synthetic.noise import NOISE, perturbed
-from getagrip.experiments.records import kept_or_made, made_of
 from getagrip.experiments.segment_scores import Matched, Span, matched
 from getagrip.experiments.trial import ClipScores, Trial
 from getagrip.fitting.options import Options

@@ -12,13 +12,13 @@ import numpy as np
 from getagrip.datasets.tracks import subject_of
 from getagrip.errors import UsageError
 from getagrip.experiments.sources import Sample
-from getagrip.experiments.sources.timelines import Timelines
-from getagrip.experiments.stamp import stamp
+from getagrip.experiments.sources.recorded import Timelines
 from getagrip.experiments.statistics import estimate
 from getagrip.experiments.timeline_trials import ALL, LEVELS, TimelineScores, TimelineTrial
 from getagrip.experiments.trial import Benchmark, Page, Trial
 from getagrip.fitting.options import Options
 from getagrip.io import files, markdown
+from getagrip.io.code import stamp
 from getagrip.io.counts import counted
 
 HEADINGS = ("hands", "", "static", "between", "grasp", "grasp, ADD", "mugs, grasp", "jump, mm", "SCA", "s")

@@ -15,9 +15,8 @@ from getagrip.batch.share import Share
 from getagrip.clip import write_clip
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.experiments.sources import names_in, samples
-from getagrip.experiments.sources.dexycb import DexYcb
 from getagrip.experiments.sources.folder import ClipFolder
-from getagrip.experiments.sources.recorded import Recorded
+from getagrip.experiments.sources.recorded import DexYcb, Recorded
 from getagrip.experiments.sources.synthetic import Synthetic
 from getagrip.grasps import lists
 from helpers.library import Library, Shelf
