@@ -22,8 +22,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.grasps import lists
 from getagrip.grasps.cut import Cut
-from getagrip.grasps.definition import Definition
-from getagrip.grasps.options import GraspOptions
+from getagrip.grasps.definition import Definition, GraspOptions
 from getagrip.grasps.stable import segment
 from helpers.command_line import Run
 

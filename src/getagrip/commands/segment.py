@@ -14,7 +14,7 @@ from getagrip.commands.command import Clips, Command, Workers
 from getagrip.commands.each_clip import each_clip
 from getagrip.commands.segment_masks import find_in_clips
 from getagrip.errors import UsageError
-from getagrip.grasps.options import GraspOptions
+from getagrip.grasps.definition import GraspOptions
 from getagrip.io import files
 from getagrip.io.arguments import Flag, OptionalFile, OptionalFolder
 from getagrip.io.counts import counted

@@ -11,8 +11,9 @@ from tyro.conf import Positional, arg
 
 from getagrip.commands.command import Command
 from getagrip.errors import UsageError
-from getagrip.io import files, markdown
+from getagrip.io import files
 from getagrip.io.arguments import OptionalFile, OptionalFolder, one_of
+from getagrip.io.tables import markdown_table
 from getagrip.io.terminal import console, plain_table, report
 
 if TYPE_CHECKING:
@@ -112,7 +113,7 @@ def _write(rows: Sequence[CategoryDurations], counted: Counts, out: Path) -> Non
     out.mkdir(parents=True, exist_ok=True)
     figures = {name: "-" if number is None else f"{number}" for name, number in asdict(counted).items()}
     grids: list[list[Sequence[str]]] = [[HEADINGS, *map(_cells, rows)], [list(figures), list(figures.values())]]
-    tables = ["\n".join(markdown.table(grid)) for grid in grids]
+    tables = ["\n".join(markdown_table(grid)) for grid in grids]
     files.write_text(out / "stats.md", "\n\n".join(tables) + "\n")
     files.write_csv(out / "counts.csv", [asdict(counted), asdict(counted).values()])
     heading = asdict(rows[0]) if rows else ()

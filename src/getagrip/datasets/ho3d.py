@@ -31,7 +31,7 @@ from getagrip.datasets.mano_tracks import numbers
 from getagrip.datasets.tracks import Source, Track, check_length, in_pixels
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
-from getagrip.grasps.options import GraspOptions
+from getagrip.grasps.definition import GraspOptions
 from getagrip.hands import generic
 from getagrip.hands.fit import fit_joints
 from getagrip.io import pickles

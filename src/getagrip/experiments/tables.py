@@ -12,7 +12,7 @@ from getagrip.experiments.statistics import LEVEL, Estimate
 from getagrip.experiments.trials import Scores
 from getagrip.experiments.variants import Variant
 from getagrip.io.counts import counted
-from getagrip.io.markdown import table as table_lines
+from getagrip.io.tables import markdown_table as table_lines
 from getagrip.io.terminal import plain_table
 
 if TYPE_CHECKING:

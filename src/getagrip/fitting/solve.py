@@ -21,7 +21,7 @@ from getagrip import least_squares
 from getagrip.fitting.energy import PosesInCamera, Quadratic, Term
 from getagrip.fitting.motion import Motion, moved
 from getagrip.least_squares import DEFAULT, Ending, Rules, arrow_step, damped
-from getagrip.result.status import Status
+from getagrip.result.data import Status
 
 M = TypeVar("M", bound=Motion)
 

@@ -24,9 +24,8 @@ from getagrip.pages.entries import Column, Entry
 from getagrip.pages.evidence import compared
 from getagrip.pages.frames import PICTURE, drawn
 from getagrip.pages.report import SCRIPTS, described, gap_plot, over_time
-from getagrip.pictures.candidates import candidate
 from getagrip.pictures.gap import coarse, gap
-from getagrip.pictures.shown import View
+from getagrip.pictures.shown import View, candidate
 from getagrip.pictures.stills import ROOM, STEADY, smoothed
 from getagrip.pictures.tiles import input_windows
 from getagrip.pictures.touched import finer

@@ -23,8 +23,7 @@ from getagrip.grasps.stable import segment
 from getagrip.hands.trackers import HELD
 from getagrip.segmentation.held import METHOD, Held, NothingToFitError, held_in, pieces
 from getagrip.segmentation.image_motion import ImageMotion, image_motion
-from getagrip.segmentation.semi_markov import Division, cheapest, margins
-from getagrip.segmentation.window_costs import MOTIONS, Motion, chosen, window_costs
+from getagrip.segmentation.semi_markov import MOTIONS, Division, Motion, cheapest, chosen, margins, window_costs
 
 OTHERWISE: dict[Motion, State] = {"static": "static", "held": "contact", "free": "free"}
 """What a segment is called where no grasp is stable."""

@@ -222,3 +222,11 @@ def _joints(
     both = [joints, joints * MIRROR]
     errors = [np.linalg.norm((x - x[0]) - (expected - expected[0])) for x in both]
     return both[int(np.argmin(errors))]
+
+
+@dataclass(frozen=True)
+class WiLoR(Demo):
+    """WiLoR's records, from its demo or from WiLoR-mini (``wilor_preds``), and its demo's meshes."""
+
+    name = "WiLoR"
+    takes = "the demo's out_folder with --save_mesh, or a record for each image, of its demo or of WiLoR-mini"

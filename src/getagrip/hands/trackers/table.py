@@ -9,12 +9,11 @@ from collections.abc import Mapping
 
 from getagrip.errors import UsageError
 from getagrip.hands.trackers.frankmocap import FrankMocap
-from getagrip.hands.trackers.hamer import HaMeR
+from getagrip.hands.trackers.hamer import HaMeR, WiLoR
 from getagrip.hands.trackers.hawor import HaWoR
 from getagrip.hands.trackers.joints import Joints
 from getagrip.hands.trackers.mano_parameters import ManoParameters
 from getagrip.hands.trackers.tracker import Tracker
-from getagrip.hands.trackers.wilor import WiLoR
 
 TRACKERS: dict[str, Tracker] = {
     "hamer": HaMeR(),

@@ -1,4 +1,4 @@
-"""CSV tables that a spreadsheet opens without running anything.
+"""Tables in CSV, which a spreadsheet opens without running anything, and in Markdown.
 
 Spreadsheets take a text that begins with ``=``, ``+``, ``-``, ``@`` or a control character for a formula. Names come
 from strangers' files, so that such a text gets an apostrophe before it, which spreadsheets do not show and
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TextIO
 
 _FORMULA = re.compile(r"'*[=+\-@\t\r\n]")
@@ -40,3 +40,17 @@ def text_cell(text: str) -> str:
 def cell_text(cell: str) -> str:
     """The text of a cell that ``text_cell`` wrote; cells of others stay as they are."""
     return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
+
+
+def markdown_page(title: str, grid: Sequence[Sequence[str]], about: Sequence[str], words: int = 1) -> str:
+    """One table under a title, and how it was made; the first columns are ``words``, the others numbers."""
+    lines = [f"# {title}", "", *markdown_table(grid, words), "", *(f"- {line}" for line in about)]
+    return "\n".join(lines) + "\n"
+
+
+def markdown_table(grid: Sequence[Sequence[str]], words: int = 1) -> list[str]:
+    """The lines of a table, its headings first; the first columns are ``words``, the others numbers."""
+    headings, *body = grid
+    rule = [*["---"] * words, *["---:"] * (len(headings) - words)]
+    escaped = ([cell.replace("|", "\\|") for cell in cells] for cells in (headings, rule, *body))
+    return [f"| {' | '.join(cells)} |" for cells in escaped]
