@@ -125,7 +125,7 @@ def entry(calibration: Calibration) -> str:
 '''
 
 
-def tables(rows: Results, calibrations: Mapping[Where, Calibration], doubted: Results) -> dict[str, Table]:
+def tables(rows: Results, calibrations: Mapping[Where, Calibration], flagged: Results) -> dict[str, Table]:
     """One for right in the hand, one for right in the camera."""
     train, test = rows.only(part="train"), rows.only(part="validation")
     minutes = sum(float(row["seconds"]) for row in rows.rows) / 60.0
@@ -136,7 +136,7 @@ def tables(rows: Results, calibrations: Mapping[Where, Calibration], doubted: Re
     return {
         f"{SECTION}-{where}": replace(
             table(Results(test.rows, where), Results(train.rows, where), calibration),
-            notes=(about, left_out(doubted)),
+            notes=(about, left_out(flagged)),
         )
         for where, calibration in calibrations.items()
     }
@@ -212,12 +212,12 @@ def _diagram(upper: Axes, lower: Axes, test: Results, calibration: Calibration) 
         axes.spines[["top", "right"]].set_visible(False)
 
 
-def left_out(doubted: Results) -> str:
+def left_out(flagged: Results) -> str:
     """How many results have no probability, since a finding is serious, and how many of these are right."""
     counts = [
         f"{len(some.rows)} of the {part} results, {some.right.sum()} of them right in the hand"
         for part in ("training", "validation")
-        for some in [doubted.only(part=part.removesuffix("ing"))]
+        for some in [flagged.only(part=part.removesuffix("ing"))]
     ]
     return f"A finding was serious for {', and for '.join(counts)}: these have no probability."
 
@@ -232,14 +232,14 @@ def report(rows: Results) -> None:
 
     Results with a serious finding have no probability, and are no part of either.
     """
-    doubted, rows = rows.only(serious="1"), rows.only(serious="0")
+    flagged, rows = rows.only(serious="1"), rows.only(serious="0")
     train, made = rows.only(part="train"), stamp()
     calibrations = {where: calibrated(Results(train.rows, where), made) for where in RIGHT}
     SOURCE.write_text(source([*calibrations.values()]), encoding="utf-8")
     subprocess.run([sys.executable, "-m", "ruff", "format", "-q", SOURCE], check=True)
     draw(rows.only(part="validation"), calibrations, store.ROOT / "docs/images" / PICTURE)
     how = circumstances("python -m benchmarks.probability OUT DEXYCB YCB")
-    for name, made_table in tables(rows, calibrations, doubted).items():
+    for name, made_table in tables(rows, calibrations, flagged).items():
         print(store.write(name, replace(made_table, made=how)))
 
 

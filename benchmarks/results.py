@@ -117,7 +117,7 @@ def _estimate(line: Mapping[str, str], prefix: str, column: Column) -> Cell:
 
 
 def _of_clips(rows: Mapping[str, dict[str, Cell]], path: Path) -> dict[str, Column]:
-    """Counts of results: failed, ambiguous, wrong, doubted by the checks; added to the rows. Their columns."""
+    """Counts of results: failed, ambiguous, wrong, flagged by the checks; added to the rows. Their columns."""
     by_setting = defaultdict(list)
     for line in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
         by_setting[line["method"], line["setting"].removeprefix("'")].append(line)  # bars a spreadsheet's formula
@@ -129,22 +129,22 @@ def _of_clips(rows: Mapping[str, dict[str, Cell]], path: Path) -> dict[str, Colu
         right = [float(line.get("add_sym_success") or "nan") for line in done]
         ambiguous = [line["ambiguous"] == "True" for line in done]
         named = [line["findings"].split() for line in done]
-        doubted = [any(name in SERIOUS for name in each) for each in named]
+        flagged = [any(name in SERIOUS for name in each) for each in named]
         counts = Counter(name for each in named for name in each).most_common()
         row |= {
             "failed": len(lines) - len(done),
             "ambiguous": sum(ambiguous),
             "wrong": right.count(0.0),
             "wrong_ambiguous": sum(a for a, r in zip(ambiguous, right, strict=True) if r == 0.0),
-            "doubted": sum(doubted),
-            "doubted_right": sum(d for d, r in zip(doubted, right, strict=True) if r == 1.0),
+            "flagged": sum(flagged),
+            "flagged_right": sum(d for d, r in zip(flagged, right, strict=True) if r == 1.0),
         }
         for key, wanted in (("serious", True), ("notes", False)):
             if of := {name: count for name, count in counts if (name in SERIOUS) == wanted}:
                 row[key] = of
     labels = {
         "failed": "failed", "ambiguous": "ambiguous", "wrong": "wrong", "wrong_ambiguous": "of these ambiguous",
-        "doubted": "doubted", "doubted_right": "of these right", "serious": "serious findings", "notes": "notes",
+        "flagged": "flagged", "flagged_right": "of these right", "serious": "serious findings", "notes": "notes",
     }  # fmt: skip
     return {key: Column(key, label) for key, label in labels.items()}
 

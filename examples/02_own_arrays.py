@@ -16,13 +16,13 @@ out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 out.mkdir(parents=True, exist_ok=True)
 
 # These arrays stand for yours. T frames, V vertices; metres; camera axes x right, y down, z forward.
-given, given_masks = getagrip.synthesise("bottle", seed=1)
+given, input_masks = getagrip.synthesise("bottle", seed=1)
 vertices, faces = given.hand.vertices, given.hand.faces  # (T, V, 3) in a frame that moves with the hand; (F, 3)
 T_cam_hand = given.hand.T_cam_hand  # (T, 4, 4): X_cam = T_cam_hand @ X_hand
 regions = given.hand.regions  # vertex ids of the pads of the fingertips: "thumb", "index", "middle", "ring", "pinky"
 K = given.K[0]  # (3, 3) pinhole intrinsics [px]; lens distortion must have been removed
-visible = given_masks.object  # (T, H, W): the object
-in_front = given_masks.ignore  # (T, H, W): the hand and all else in front of it
+visible = input_masks.object  # (T, H, W): the object
+in_front = input_masks.ignore  # (T, H, W): the hand and all else in front of it
 object_vertices, object_faces = given.mesh.vertices, given.mesh.faces
 
 frames, height, width = visible.shape

@@ -33,9 +33,9 @@ class UsageError(GetagripError):
     """The call itself is wrong (exit status 2)."""
 
 
-def unknown(what: str, given: object, known: Iterable[object]) -> UsageError:
+def unknown(what: str, got: object, known: Iterable[object]) -> UsageError:
     """The error for a name that is none of those known."""
-    return UsageError(f"unknown {what} {given!r}; choose from {', '.join(map(str, known))}")
+    return UsageError(f"unknown {what} {got!r}; choose from {', '.join(map(str, known))}")
 
 
 class InputError(GetagripError):
@@ -45,9 +45,9 @@ class InputError(GetagripError):
     ``<file>: missing <key>``; or ``... cannot be used ...``, of what is expected to be none in such a place.
     """
 
-    def __init__(self, path: str | Path, key: str, given: str, expected: str) -> None:
-        self.path, self.key, self.given, self.expected = Path(path), key, given, expected
-        short = given if len(given) <= LONGEST else f"{given[:LONGEST]}..."
+    def __init__(self, path: str | Path, key: str, got: str, expected: str) -> None:
+        self.path, self.key, self.got, self.expected = Path(path), key, got, expected
+        short = got if len(got) <= LONGEST else f"{got[:LONGEST]}..."
         super().__init__(cleaned(" ".join(f"{path}{_wrong(key, short, expected)}".split())))
 
 
@@ -55,14 +55,14 @@ ABSENT = ("nothing", "no such key", "no such array")
 """What is given where something is missing that has a name."""
 
 
-def _wrong(key: str, given: str, expected: str) -> str:
+def _wrong(key: str, got: str, expected: str) -> str:
     """What is wrong with a file, behind its name."""
     verb = "needs" if re.match(r"some\b|one (at least|for each)", expected) else "must be"
     named = f": {key}" if key else ""
-    if given in ABSENT or given.startswith("no "):
+    if got in ABSENT or got.startswith("no "):
         asked = "" if expected in ("it", "the key", "the array") else f"; {verb} {expected}"
-        return f": missing {key}{asked}" if key and given in ABSENT else f"{named}: {given}{asked}"
+        return f": missing {key}{asked}" if key and got in ABSENT else f"{named}: {got}{asked}"
     if expected.startswith(("none with ", "none without ")):
         return f"{named} cannot be used {expected.removeprefix('none ')}"
     allowed, semicolon, advice = expected.partition("; ")
-    return f"{named} {verb} {allowed} (got {given}){semicolon}{advice}"
+    return f"{named} {verb} {allowed} (got {got}){semicolon}{advice}"

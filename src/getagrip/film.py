@@ -149,13 +149,13 @@ class Stage:
         """Hands and object in frame ``n``, with their shadows."""
         view = self.view
         T = self.T_eye_world @ view.clip.world.T_world_cam[n]  # type: ignore[union-attr]
-        hands, held = view.hands(n), view.object(n)
+        hands, grasped = view.hands(n), view.object(n)
         meshes: list[Mesh3] = [(se3.transform(self.T_eye_world, v), f, c) for v, f, c in self.ground]
         if self.ground:
-            in_world = [se3.transform(view.clip.world.T_world_cam[n], v) for v in (*(v for v, _ in hands), held)]  # type: ignore[union-attr]
+            in_world = [se3.transform(view.clip.world.T_world_cam[n], v) for v in (*(v for v, _ in hands), grasped)]  # type: ignore[union-attr]
             meshes += [(se3.transform(self.T_eye_world, v), f, SHADOW) for v, f in map(self._shadow, in_world)]
         meshes += [(se3.transform(T, hand), faces, HAND) for hand, faces in hands]
-        meshes.append((se3.transform(T, held), view.clip.mesh.faces, OBJECT))
+        meshes.append((se3.transform(T, grasped), view.clip.mesh.faces, OBJECT))
         return render_rgb(meshes, self.K, (self.size, self.size), PAPER_RGB)
 
     def _shadow(self, vertices: Float[ndarray, "V 3"]) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"]]:
@@ -210,8 +210,8 @@ def _shown(view: View, T_eye_world: Float[ndarray, "4 4"]) -> float:
     for n in np.unique(np.linspace(0, len(view.clip) - 1, TRIED).round().astype(int)):
         T = T_eye_world @ world.T_world_cam[n]
         hand = se3.transform(T, view.hand(n)), view.clip.hand.faces
-        held = se3.transform(T, view.object(n)), view.clip.mesh.faces
-        part, alone = (nearest_surface(surfaces, K, (COARSE, COARSE)) for surfaces in ([held, hand], [held]))
+        grasped = se3.transform(T, view.object(n)), view.clip.mesh.faces
+        part, alone = (nearest_surface(surfaces, K, (COARSE, COARSE)) for surfaces in ([grasped, hand], [grasped]))
         shares.append(np.count_nonzero(part == 0) / (np.count_nonzero(alone == 0) or 1))
     return float(np.mean(shares))
 

@@ -37,18 +37,18 @@ KINDS: dict[str, tuple[type, ...]] = {
 }  # fmt: skip
 
 
-def read_findings(path: Path, given: Sequence[Json]) -> tuple[Finding, ...]:
+def read_findings(path: Path, value: Sequence[Json]) -> tuple[Finding, ...]:
     """The findings of a ``result.json``. Raises ``InputError``."""
-    for n, item in enumerate(given):
+    for n, item in enumerate(value):
         if not isinstance(item, dict) or not all(isinstance(item.get(key), kind) for key, kind in KINDS.items()):
             raise InputError(path, f"findings[{n}]", shown(item), f"an object with {', '.join(KINDS)}")
-    return tuple(Finding(**{key: item[key] for key in KINDS}) for item in given)
+    return tuple(Finding(**{key: item[key] for key in KINDS}) for item in value)
 
 
-def read_checks(path: Path, given: Mapping[str, object], key: str = "checks") -> dict[str, float]:
+def read_checks(path: Path, entry: Mapping[str, object], key: str = "checks") -> dict[str, float]:
     """Measured values by name, as the ``key`` of a ``result.json`` has them; NaN for null. Raises ``InputError``."""
     out = {}
-    for name, value in given.items():
+    for name, value in entry.items():
         if isinstance(value, bool) or not isinstance(value, int | float | None):
             raise InputError(path, f"{key}.{shown(name)}", shown(value), "a number, or null")
         out[name] = float("nan") if value is None else float(value)

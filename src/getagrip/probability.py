@@ -43,17 +43,17 @@ def percent(value: float) -> str:
 KINDS: dict[str, tuple[type, ...]] = {"value": (int, float), "meaning": (str,), "beyond": (list,)}
 
 
-def read_probability(path: Path, given: object, key: str = "probability_right") -> Probability | None:
+def read_probability(path: Path, value: object, key: str = "probability_right") -> Probability | None:
     """That of a ``result.json`` under a key; None for null. Raises ``InputError``."""
-    if given is None:
+    if value is None:
         return None
     if (
-        not isinstance(given, dict)
-        or not all(isinstance(given.get(part), kind) for part, kind in KINDS.items())
-        or isinstance(given["value"], bool)
-        or not all(isinstance(name, str) for name in given["beyond"])
+        not isinstance(value, dict)
+        or not all(isinstance(value.get(part), kind) for part, kind in KINDS.items())
+        or isinstance(value["value"], bool)
+        or not all(isinstance(name, str) for name in value["beyond"])
     ):
-        raise InputError(path, key, shown(given), f"an object with {', '.join(KINDS)}, or null")
-    if not 0.0 <= given["value"] <= 1.0:
-        raise InputError(path, f"{key}.value", shown(given["value"]), "0 to 1")
-    return Probability(float(given["value"]), given["meaning"], tuple(given["beyond"]))
+        raise InputError(path, key, shown(value), f"an object with {', '.join(KINDS)}, or null")
+    if not 0.0 <= value["value"] <= 1.0:
+        raise InputError(path, f"{key}.value", shown(value["value"]), "0 to 1")
+    return Probability(float(value["value"]), value["meaning"], tuple(value["beyond"]))

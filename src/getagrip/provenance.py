@@ -91,9 +91,9 @@ def of_provenance(key: str) -> bool:
     return key.startswith((TEXT, BASIS))
 
 
-def from_arrays(path: Path, given: Mapping[str, ndarray]) -> dict[str, Source]:
+def from_arrays(path: Path, arrays: Mapping[str, ndarray]) -> dict[str, Source]:
     """The sources in a hand file; one without a basis is an older file's. Raises ``InputError``."""
-    texts = {key: str(value) for key, value in given.items() if value.dtype.kind == "U" and value.shape == ()}
+    texts = {key: str(value) for key, value in arrays.items() if value.dtype.kind == "U" and value.shape == ()}
     out = {}
     for key, text in texts.items():
         if not key.startswith(TEXT):
@@ -105,9 +105,9 @@ def from_arrays(path: Path, given: Mapping[str, ndarray]) -> dict[str, Source]:
     return out
 
 
-def parse(path: Path, given: Mapping[str, Any], version: int) -> Provenance:
+def parse(path: Path, entry: Mapping[str, Any], version: int) -> Provenance:
     """The provenance in a ``clip.json``. Raises ``InputError`` for a basis that there is not."""
-    return {topic: _parsed(path, topic, value, version) for topic, value in given.items()}
+    return {topic: _parsed(path, topic, value, version) for topic, value in entry.items()}
 
 
 def _parsed(path: Path, topic: str, value: Any, version: int) -> Any:

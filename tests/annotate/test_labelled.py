@@ -20,7 +20,7 @@ from getagrip.annotate.steadied_hands import steadied
 from getagrip.annotate.tasks import Task
 from getagrip.clip import read_clip, read_masks
 from getagrip.errors import UsageError
-from getagrip.fitting.hand_correction import correct_hand
+from getagrip.fitting.hand_refinement import refine_hand
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.depth import covered
@@ -133,7 +133,7 @@ def test_labels_become_a_clip(tmp_path: Path, run: Run) -> None:
     clip = read_clip(tmp_path / "shaken")
     assert clip.frames == tuple(f"{n:06d}" for n in range(1, LAST + 2))
     masks = read_masks(clip)
-    assert correct_hand(clip, masks)[0] is None  # nobody drew the hand: ignored is where it was fitted
+    assert refine_hand(clip, masks)[0] is None  # nobody drew the hand: ignored is where it was fitted
     for n in range(LAST + 1):
         drawn = np.zeros(SIZE[::-1], np.uint8)
         cv2.fillPoly(drawn, [np.round(scene(n).square).astype(np.int32)], 1)

@@ -57,9 +57,9 @@ one_frame = st.builds(FrameLabels, st.none() | joints_, st.none() | shapes, st.n
 @given(st.dictionaries(st.integers(0, 40), one_frame, max_size=4), st.sampled_from(["left", "right"]))
 @pytest.mark.slow
 def test_any_labels_survive_json(frames: dict[int, FrameLabels], side: Any) -> None:
-    given_labels = Labels("a.mp4", (64, 48), side, 30.0, 0, 40, frames)
-    content = json.loads(json.dumps(labels.to_json(given_labels)))
-    assert same(labels.parse(content, "labels.json"), given_labels)
+    imported_labels = Labels("a.mp4", (64, 48), side, 30.0, 0, 40, frames)
+    content = json.loads(json.dumps(labels.to_json(imported_labels)))
+    assert same(labels.parse(content, "labels.json"), imported_labels)
 
 
 def test_label_maps_have_the_drawn_pixels_and_what_is_in_front_wins() -> None:

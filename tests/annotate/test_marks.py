@@ -78,9 +78,9 @@ def test_undo_goes_back_through_every_state(
     made = Project([Task(VIDEO, VIDEO, video)], Store(tmp_path_factory.mktemp("undo") / DATABASE))
     marks, states = [new() for _ in range(3)], [made.store.marks.standing()]
     for which, field, value in steps:
-        given_value = {"side": "left" if value % 2 else "right", "deleted": bool(value % 2)}.get(field, value)
+        input_value = {"side": "left" if value % 2 else "right", "deleted": bool(value % 2)}.get(field, value)
         try:
-            made.change(change(marks[which], {field: given_value}))
+            made.change(change(marks[which], {field: input_value}))
         except RefusedError:
             continue
         states.append(made.store.marks.standing())

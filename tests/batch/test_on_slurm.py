@@ -15,7 +15,7 @@ import pytest
 from getagrip.batch import on_slurm
 from getagrip.batch.imports import import_clips
 from getagrip.batch.limits import NONE, Limits
-from getagrip.batch.on_slurm import SlurmCrew
+from getagrip.batch.on_slurm import SlurmExecutor
 from getagrip.batch.pool import shared_out
 from getagrip.batch.share import Share
 from getagrip.clip import write_clip
@@ -51,7 +51,7 @@ def slurm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 @pytest.mark.slow
 def test_each_task_of_the_ledger_is_done_once(slurm: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    states = [line.split()[1] for line in drive(out, 7, 0.0, 1, partial(SlurmCrew, 2))]
+    states = [line.split()[1] for line in drive(out, 7, 0.0, 1, partial(SlurmExecutor, 2))]
     assert states == ["done"] * 7
     assert Counter((out / "runs").read_text().splitlines()) == {f"task-{n:02d}": 1 for n in range(7)}
     assert list((tmp_path / "state" / "getagrip" / "slurm").iterdir()) == []
@@ -63,10 +63,10 @@ def test_each_task_of_the_ledger_is_done_once(slurm: Path, tmp_path: Path) -> No
 @needs_submitit
 @pytest.mark.slow
 def test_a_lost_task_is_given_out_again_and_a_process_that_dies_is_its_own_matter(slurm: Path, tmp_path: Path) -> None:
-    crew = SlurmCrew(1, loses_its_task, NONE, None)
-    (ended,) = shared_out(crew, [str(tmp_path / "lost")])
+    executor = SlurmExecutor(1, loses_its_task, NONE, None)
+    (ended,) = shared_out(executor, [str(tmp_path / "lost")])
     assert (ended.result, ended.attempts) == ("done", 1)
-    (ended,) = shared_out(SlurmCrew(1, dies_once, NONE, None), [str(tmp_path / "dies")])
+    (ended,) = shared_out(SlurmExecutor(1, dies_once, NONE, None), [str(tmp_path / "dies")])
     assert (ended.result, ended.attempts) == (ended.process, 2)
 
 
@@ -98,7 +98,7 @@ def test_grasps_are_found_there(slurm: Path, tmp_path: Path, run: Run) -> None:
 @pytest.mark.slow
 def test_limits_hold_there_as_well(slurm: Path) -> None:
     limits = Limits(seconds=0.5)
-    ends = {ended.job: ended for ended in shared_out(SlurmCrew(1, patient, limits, None), ["a", "slow"], limits)}
+    ends = {ended.job: ended for ended in shared_out(SlurmExecutor(1, patient, limits, None), ["a", "slow"], limits)}
     assert ends["a"].result == "a"
     assert ends["slow"].why == "it took longer than 0.5 s (--limit-seconds)"
 
@@ -108,7 +108,7 @@ def test_limits_hold_there_as_well(slurm: Path) -> None:
 def test_a_machine_with_other_code_is_named(slurm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(code, "fingerprint", lambda: "0123456789abcdef")
     with pytest.raises(GetagripError, match=r"must be the same on every machine.*got getagrip of other code "):
-        list(shared_out(SlurmCrew(1, patient, NONE, None), ["a"]))
+        list(shared_out(SlurmExecutor(1, patient, NONE, None), ["a"]))
 
 
 @needs_submitit

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from getagrip.batch.crew import Ended
+from getagrip.batch.executor import Ended
 from getagrip.batch.limits import NONE, Limits
 from getagrip.batch.pool import in_processes, shared_out
 from getagrip.batch.processes import Processes

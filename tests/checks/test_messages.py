@@ -34,7 +34,7 @@ CHECKS = {check.name: check for check in (*INPUT_CHECKS, *RESULT_CHECKS, JUMP, F
         ("mesh-deformed", 0.03, "was deformed by 7.8 mm, so its shape is a guess; it is not the object's own"),
         ("jump", 0.5, "the object jumps by 50 % of its diameter more than"),
         ("floats", 20.0, "it lies 20 mm above the support plane (usual: at most 15 mm);"),
-        ("masks-doubted", 0.25, "1 of 4 masks contradicts the others and was left out: frame 0002; --given-masks"),
+        ("outlier-masks", 0.25, "1 of 4 masks contradicts the others and was left out: frame 0002; --given-masks"),
     ],
 )
 def test_values_are_said_as_people_count_them(check: str, value: float, words: str) -> None:

@@ -60,7 +60,7 @@ def mug() -> Solved:
         iou,
         candidates=candidates,
         axis=None,
-        T_cam_hand_given=given,
+        T_cam_hand_input=given,
         misfit=1.0,
         spread=0.05,
         deformed=0.0,
@@ -147,7 +147,7 @@ def test_signs_do_not_depend_on_where_the_camera_is() -> None:
     it = mug()
     T = se3.rigid(se3.exp_so3(np.array([0.3, -0.2, 0.1])), np.array([0.1, 0.2, 0.3]))
     moved = replace(
-        it, clip=it.clip.with_hand_at(T @ it.clip.hand.T_cam_hand), T_cam_hand_given=T @ it.T_cam_hand_given
+        it, clip=it.clip.with_hand_at(T @ it.clip.hand.T_cam_hand), T_cam_hand_input=T @ it.T_cam_hand_input
     )
     of_poses = DIRECTION.keys() - {"depth-order"}  # which the masks show, where the camera was
     one, other = ({name: signs[name] for name in of_poses} for signs in (read_signs(moved), read_signs(it)))
@@ -156,7 +156,7 @@ def test_signs_do_not_depend_on_where_the_camera_is() -> None:
 
 def test_a_hand_that_was_corrected_far_is_a_sign() -> None:
     it, by = mug(), se3.rigid(se3.exp_so3(np.array([0.0, 0.2, 0.0])), np.array([0.01, 0.0, 0.0]))
-    off = replace(it, T_cam_hand_given=it.T_cam_hand_given @ by)
+    off = replace(it, T_cam_hand_input=it.T_cam_hand_input @ by)
     assert off.hand_turn == pytest.approx(0.2)
     assert it.hand_shift == it.hand_turn == 0.0
     assert read_signs(off)["hand-turn"] > read_signs(it)["hand-turn"]

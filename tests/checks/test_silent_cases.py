@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from getagrip.checks import INPUT_CHECKS, Evidence, examine
-from getagrip.checks.evidence import Jumps
+from getagrip.checks.evidence import Glitches
 from getagrip.checks.frame_order import Lateness, lateness
 from getagrip.checks.hand_side import bend
 from getagrip.clip import Clip, Masks, write_clip
@@ -126,7 +126,7 @@ def test_a_hand_that_flips_is_put_right() -> None:
     clip, masks = mug()
     flipped, _ = Wrong("hand flips")(clip, masks, seed=5)
     result = reconstruct(flipped, masks, QUICK)
-    assert {"hand-jumps"} <= {finding.check for finding in result.findings}
+    assert {"tracker-glitches"} <= {finding.check for finding in result.findings}
     assert result.T_cam_hand is not None
     middle = clip.hand.vertices.mean(axis=(0, 1))[None]
     off = se3.transform(result.T_cam_hand, middle) - se3.transform(clip.hand.T_cam_hand, middle)
@@ -134,9 +134,9 @@ def test_a_hand_that_flips_is_put_right() -> None:
 
 
 def test_a_hand_that_jumps_all_the_time_is_doubted() -> None:
-    given = Evidence(*mug(), jumps=Jumps(("000001", "000003", "000005"), 8))
+    given = Evidence(*mug(), jumps=Glitches(("000001", "000003", "000005"), 8))
     findings = [finding for finding in examine(INPUT_CHECKS, given)[1] if "jumps" in finding.check]
-    assert [(finding.check, finding.serious) for finding in findings] == [("many-hand-jumps", True)]
+    assert [(finding.check, finding.serious) for finding in findings] == [("many-tracker-glitches", True)]
     assert "frames 000001, 000003, 000005" in findings[0].message
 
 

@@ -57,7 +57,7 @@ def test_the_other_hand_is_kept_in_its_own_frames(timeline: Clip, tmp_path: Path
     np.testing.assert_array_equal(other.track.T_cam_hand, timeline.hand.T_cam_hand[[1, 1, 1, 4, 4, 5, 5, 5]])
     assert timeline.side == "right"
     assert back.take(np.array([1, 6])).hand_known("left").tolist() == [True, False]
-    swapped = back.held_by("left")
+    swapped = back.with_side("left")
     assert swapped is not None
     assert (swapped.hand, swapped.side) == (other.track, "left")
     checksum = input_sha256(folder)
@@ -88,9 +88,9 @@ def test_frames_without_a_hand_leave_the_rest_of_their_segments(timeline: Clip, 
 
 
 @given(st.lists(st.tuples(st.sampled_from(STATES), st.integers(0, 2), st.integers(1, 4))), st.sets(st.integers(0, 40)))
-def test_each_frame_keeps_its_state(given_segments: list[tuple[State, int, int]], chosen: set[int]) -> None:
+def test_each_frame_keeps_its_state(input_segments: list[tuple[State, int, int]], chosen: set[int]) -> None:
     segments, at = [], 0
-    for state, gap, length in given_segments:
+    for state, gap, length in input_segments:
         first = at + gap
         segments.append(Segment(state, first, first + length - 1, "left" if state == "grasp" else None))
         at = first + length
@@ -132,9 +132,9 @@ def test_what_is_wrong_is_named(folder: Path, change: dict[str, Any], words: tup
         assert all(word in str(caught.value) for word in words), str(caught.value)
 
 
-@pytest.mark.parametrize("given_segments", [5, [1], {"static": [0, 1]}, "static"])
-def test_segments_are_a_list_of_objects(folder: Path, given_segments: object) -> None:
-    fields = json.loads((folder / "clip.json").read_text()) | {"segments": given_segments}
+@pytest.mark.parametrize("input_segments", [5, [1], {"static": [0, 1]}, "static"])
+def test_segments_are_a_list_of_objects(folder: Path, input_segments: object) -> None:
+    fields = json.loads((folder / "clip.json").read_text()) | {"segments": input_segments}
     (folder / "clip.json").write_text(json.dumps(fields))
     with pytest.raises(InputError, match="a list of"):
         read_clip(folder)

@@ -19,7 +19,7 @@ from getagrip.batch import clips as batch_clips
 from getagrip.clip import write_clip
 from getagrip.commands.reconstruct import Reconstruct
 from getagrip.segmentation import found
-from getagrip.segmentation.found import FoundSegments
+from getagrip.segmentation.found import DetectedSegments
 from helpers.command_line import Run
 from helpers.table_scene import from_table
 
@@ -42,7 +42,7 @@ def searched(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     names: list[str] = []
     find = found.find_segments
 
-    def noting(clip: Any, *args: Any, **kwargs: Any) -> FoundSegments:
+    def noting(clip: Any, *args: Any, **kwargs: Any) -> DetectedSegments:
         names.append(clip.name)
         return find(clip, *args, **kwargs)
 
@@ -117,7 +117,7 @@ def test_two_calls_at_once_search_each_clip_once_and_both_have_them_all(
 ) -> None:  # fmt: skip
     find = found.find_segments
 
-    def slowly(*args: Any, **kwargs: Any) -> FoundSegments:
+    def slowly(*args: Any, **kwargs: Any) -> DetectedSegments:
         time.sleep(0.1)
         return find(*args, **kwargs)
 

@@ -18,7 +18,7 @@ from getagrip.grasps import lists
 from getagrip.io.images import write_image
 from getagrip.result import read_result
 from getagrip.segmentation import found
-from getagrip.segmentation.found import FoundSegments
+from getagrip.segmentation.found import DetectedSegments
 from helpers.command_line import Run
 from helpers.table_scene import HOLDING, LYING, from_table
 
@@ -89,10 +89,10 @@ def test_timelines_have_one_method(tmp_path: Path, run: Run) -> None:
 def test_grasps_and_the_whole_are_reconstructed_and_named(
     tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    known: list[FoundSegments] = []
+    known: list[DetectedSegments] = []
     find = found.find_segments
 
-    def find_once(*args: Any, **kwargs: Any) -> FoundSegments:  # both commands ask for the same
+    def find_once(*args: Any, **kwargs: Any) -> DetectedSegments:  # both commands ask for the same
         known.extend([] if known else [find(*args, **kwargs)])
         return known[0]
 

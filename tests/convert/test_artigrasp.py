@@ -118,16 +118,16 @@ def test_estimates_are_no_sequences(estimated: Path) -> None:
 def test_estimated_hands_stand_by_the_true_object_as_by_the_estimated_one(estimated: Path) -> None:
     for track in read(estimated, "--estimated"):
         np.testing.assert_array_equal(track.numbers, np.arange(10, 60))
-        assert track.given_hand is not None
+        assert track.input_hand is not None
         true, given = (
-            se3.transform(hand.T_cam_hand, hand.joints) for hand in (track.hand, track.given_hand)
+            se3.transform(hand.T_cam_hand, hand.joints) for hand in (track.hand, track.input_hand)
         )  # the same hand, fitted twice, nearer to the camera
         np.testing.assert_allclose(given - true, np.broadcast_to([0.0, 0.0, -0.01], true.shape), atol=4e-3)
         clip = cutting.known_clip(track)
         assert clip.truth is not None
-        np.testing.assert_array_equal(clip.hand.T_cam_hand, track.given_hand.T_cam_hand)
+        np.testing.assert_array_equal(clip.hand.T_cam_hand, track.input_hand.T_cam_hand)
         np.testing.assert_array_equal(clip.truth.T_cam_hand, track.hand.T_cam_hand)
-        np.testing.assert_array_equal(track.take(np.arange(5)).given_hand.T_cam_hand, clip.hand.T_cam_hand[:5])
+        np.testing.assert_array_equal(track.take(np.arange(5)).input_hand.T_cam_hand, clip.hand.T_cam_hand[:5])
         T_cam_template = track.T_cam_obj @ template(estimated).T_neutral_template
         expected = ESTIMATE_WORLD @ recording().T_world_obj[track.numbers]
         assert np.degrees(se3.angle_between(T_cam_template[:, :3, :3], expected[:, :3, :3]).max()) < 1.0

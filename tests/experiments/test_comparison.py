@@ -12,7 +12,7 @@ from getagrip.experiments.settings import ABLATIONS
 from getagrip.experiments.tables import (
     CATEGORIES,
     DIFFERENCES,
-    DOUBTS,
+    FLAGGED,
     LATEX,
     MEDIANS,
     SETTINGS,
@@ -38,7 +38,7 @@ def test_findings_are_counted_for_each_variant() -> None:
     (row,) = compare(scores, variants)[0].rows
     assert row.serious == {"mask-fit": 1, "hand-side": 1}
     assert row.noted == {"penetration": 1}
-    assert (row.doubtful, row.doubtful_right) == (1, 1)
+    assert (row.doubtful, row.flagged_right) == (1, 1)
     assert "1 of 2" in markdown(compare(scores, variants), "Methods", [], [])
 
 
@@ -141,7 +141,7 @@ def test_a_page_shows_the_means_and_folds_the_rest_away() -> None:
     shown, *folded = page.split("<details>")
     assert "- what was run" in shown
     assert shown.count("\n| one-dof |") == 1
-    titles = [SETTINGS, DIFFERENCES, MEDIANS, DOUBTS, CATEGORIES]
+    titles = [SETTINGS, DIFFERENCES, MEDIANS, FLAGGED, CATEGORIES]
     assert [fold.split("</summary>\n\n")[0] for fold in folded] == [f"<summary>{title}" for title in titles]
     assert all(fold.rstrip().endswith("\n\n</details>") for fold in folded)
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from getagrip.batch.crew import Start
 from getagrip.batch.engine import Engine
 from getagrip.batch.entries import Entry
+from getagrip.batch.executor import Start
 from getagrip.batch.ledger import Ledger
 from getagrip.batch.processes import Processes
 
@@ -87,13 +87,15 @@ class Errand:
         return Entry(self.name, "done")
 
 
-def drive(out: Path, count: int, seconds: float, workers: int, crew: Start[Errand, Entry] | None = None) -> list[str]:
+def drive(
+    out: Path, count: int, seconds: float, workers: int, executor: Start[Errand, Entry] | None = None
+) -> list[str]:
     """A driver of such tasks; what has become of each. ``crew`` None: processes here, or of one worker this one."""
-    if crew is None and workers > 1:
-        crew = partial(Processes, workers)
+    if executor is None and workers > 1:
+        executor = partial(Processes, workers)
     engine = Engine(
         work=Errand.run, lost=lambda errand, why: Entry(errand.name, "failed", why), entry=lambda entry: entry,
-        options=None, crew=crew,
+        options=None, executor=executor,
     )  # fmt: skip
     errands = (Errand(f"task-{n:02d}", out, seconds) for n in range(count))
     with Ledger(out) as ledger:

@@ -28,7 +28,7 @@ from getagrip.hands import generic
 from getagrip.io import arrays
 from getagrip.pictures.figures import FIGURES
 from getagrip.result import Reconstruction, write_result
-from getagrip.segmentation.found import FoundSegment, FoundSegments
+from getagrip.segmentation.found import DetectedSegment, DetectedSegments
 from helpers.clip_inputs import AHEAD, K, everything, write_inputs
 from helpers.clips import small_clip
 from helpers.labelled_scene import circle, joints, write_scene
@@ -123,8 +123,8 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
     def fitted(clip: Clip, masks: object, options: Options = Options(), *_: object, **__: object) -> Reconstruction:  # noqa: B008
         return replace(true_result(clip, None), options=asdict(options))
 
-    def found(clip: Clip, *_: object, **__: object) -> FoundSegments:
-        return FoundSegments((FoundSegment(Segment("grasp", 0, len(clip) - 1, clip.side), 9.0),), ())
+    def found(clip: Clip, *_: object, **__: object) -> DetectedSegments:
+        return DetectedSegments((DetectedSegment(Segment("grasp", 0, len(clip) - 1, clip.side), 9.0),), ())
 
     def made(category: str, seed: int, options: SceneOptions) -> tuple[Clip, Masks]:
         return small(clip_name(category, seed, options))

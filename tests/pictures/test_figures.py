@@ -18,7 +18,7 @@ from getagrip.evaluation.metric import ADD_MM, IOU, SCA
 from getagrip.finding import Finding
 from getagrip.geometry import se3
 from getagrip.metrics.contact import ContactDefinition
-from getagrip.pictures.figures import GivenResult
+from getagrip.pictures.figures import StoredResult
 from getagrip.pictures.figures.aligned import RAMP, Aligned, _overlay
 from getagrip.pictures.figures.contact import Contact
 from getagrip.pictures.figures.gallery import Gallery
@@ -65,8 +65,8 @@ def _moved(result: Reconstruction) -> Reconstruction:
     return replace(result, T_hand_obj=T, method="dynamic")
 
 
-def given(root: Path, *names: str) -> list[GivenResult]:
-    return [GivenResult(folder) for name in names for folder in sorted((root / name).iterdir())]
+def given(root: Path, *names: str) -> list[StoredResult]:
+    return [StoredResult(folder) for name in names for folder in sorted((root / name).iterdir())]
 
 
 def never(error: Exception) -> None:
@@ -110,7 +110,7 @@ def test_an_object_far_from_the_hand_has_no_red(made: Path, tmp_path: Path) -> N
     T = se3.rigid(t=np.array([0.0, 0.0, 0.5])) @ view.result.T_hand_obj
     result = replace(view.result, T_hand_obj=T)
     write_result(result, tmp_path / "far", input_sha256(view.clip.origin), clip_folder=view.clip.origin)
-    figure = Contact(dpi=DPI, frames=1).draw([GivenResult(tmp_path / "far")], never)
+    figure = Contact(dpi=DPI, frames=1).draw([StoredResult(tmp_path / "far")], never)
     assert sum(red(tile) for tile in drawn(figure)[:7]) == 0
     assert any("(SCA) 0.0 %" in words for words in texts(figure))
 
@@ -135,19 +135,19 @@ def test_aligned_frames_have_axis_angles_and_colours(made: Path) -> None:
 def test_a_clip_is_drawn_by_its_ground_truth(made: Path, tmp_path: Path, run: Run) -> None:
     """The true axis of an exact hinge is that of the result that has it, and the figures are its own."""
     clip, result = next((made / "clips").glob("mug*")), next((made / "true").glob("mug*"))
-    true, found = GivenResult(clip).read(), GivenResult(result).read()
+    true, found = StoredResult(clip).read(), StoredResult(result).read()
     assert true.of_truth
     assert true.result.axis is not None
     assert found.result.axis is not None
     assert abs(true.result.axis.direction @ found.result.axis.direction) > 0.999
     np.testing.assert_allclose(true.result.T_hand_obj, found.result.T_hand_obj, atol=1e-9)
     for kind in (Contact(dpi=DPI, frames=2), Aligned(dpi=DPI, frames=2)):
-        assert any("ground truth" in text for text in texts(kind.draw([GivenResult(clip)], pytest.fail)))
+        assert any("ground truth" in text for text in texts(kind.draw([StoredResult(clip)], pytest.fail)))
     for kind_name, status in (("contact", 0), ("gallery", 1)):
         assert run("figure", kind_name, clip, "--out", tmp_path / "x.png", "--dpi", DPI)[0] == status
     without = next((made / "clips").glob("can*"))
     with pytest.raises(InputError, match=r"truth\.npz"):
-        GivenResult(without).read()
+        StoredResult(without).read()
 
 
 @pytest.mark.slow

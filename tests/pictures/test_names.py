@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from getagrip.pictures.figures import GivenResult
-from getagrip.pictures.given import distinct
+from getagrip.pictures.figures import StoredResult
 from getagrip.pictures.sheet import Sheet
+from getagrip.pictures.stored_results import distinct
 
 DPI = 60
 
 
 def test_folders_are_told_apart_by_what_differs() -> None:
     def names(*paths: str) -> list[str]:
-        return distinct([GivenResult(Path(path)) for path in paths])
+        return distinct([StoredResult(Path(path)) for path in paths])
 
     assert names("/r/a/clip", "/r/b/clip") == ["a", "b"]
     assert names("/r/a/x/clip", "/r/b/y/clip") == ["a/x", "b/y"]

@@ -13,7 +13,7 @@ from getagrip.clip import HandTrack, Masks, OtherHand
 from getagrip.errors import UsageError
 from getagrip.fitting.options import Options
 from getagrip.grasps.definition import Definition
-from getagrip.segmentation.found import FoundSegments, find_segments
+from getagrip.segmentation.found import DetectedSegments, find_segments
 from helpers.table_scene import HOLDING, LYING, from_table
 
 DEFINITION = Definition(contact=0.010, shortest=10)
@@ -21,7 +21,7 @@ QUICK = Options(inits=12, frames=12)
 
 
 @cache
-def found() -> FoundSegments:
+def found() -> DetectedSegments:
     clip, masks = from_table()
     return find_segments(replace(clip, truth=None), masks, DEFINITION, QUICK)
 

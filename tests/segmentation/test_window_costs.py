@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from getagrip.segmentation.held import Held, pieces
+from getagrip.segmentation.hinge_fits import Held, pieces
 from getagrip.segmentation.image_motion import ImageMotion
 from getagrip.segmentation.semi_markov import MOTIONS, STILL, cheapest, chosen, window_costs
 

@@ -143,4 +143,4 @@ def test_a_hand_that_jumps_in_a_timeline_is_put_right() -> None:
     result = reconstruct(clip.with_hand_at(T), masks, FEW)
     assert result.T_cam_hand is not None
     assert np.linalg.norm((result.T_cam_hand - clip.hand.T_cam_hand)[11, :3, 3]) < 0.03
-    assert {f.check for f in result.findings if clip.frames[11] in f.message} == {"hand-jumps"}
+    assert {f.check for f in result.findings if clip.frames[11] in f.message} == {"tracker-glitches"}

@@ -66,7 +66,7 @@ class ClickedHands:
     """The frames that were clicked."""
     residuals: Float[ndarray, "n 21"]
     """Distance of each fitted joint from its click [px]; NaN where there is none."""
-    doubtful: Bool[ndarray, "n 21"]
+    outliers: Bool[ndarray, "n 21"]
     """Clicks that do not fit the others."""
     shape: Float[ndarray, "S"]
 
@@ -82,18 +82,18 @@ def hands_from_clicks(
     """
     _check(clicks, first, last)
     keys = tuple(sorted(clicks))
-    given = Clicks.of(K, np.array([clicks[n] for n in keys], dtype=float))
+    value = Clicks.of(K, np.array([clicks[n] for n in keys], dtype=float))
     model = generic.load(side)
     chains, prior = Chains.of(model), PosePrior.of(model)
-    found = min((_fit(model, chains, prior, given, curl) for curl in CURLS), key=lambda each: each[1])[0]
+    found = min((_fit(model, chains, prior, value, curl) for curl in CURLS), key=lambda each: each[1])[0]
     _check_found(keys, found)
     X, _ = joints_and_jacobian(chains, found.q, found.shape)
-    offset = project(K, se3.transform(found.T, X)) - given.y
-    residuals = np.where(given.there, np.linalg.norm(offset, axis=-1), np.nan)
-    doubtful = given.there & (residuals > OUTLIER * given.noise)
+    offset = project(K, se3.transform(found.T, X)) - value.y
+    residuals = np.where(value.there, np.linalg.norm(offset, axis=-1), np.nan)
+    outliers = value.there & (residuals > OUTLIER * value.noise)
     T, q = between(keys, found.T, found.q, first, last)
     posed = model.with_shape(found.shape).with_pose(model_pose(q))
-    return ClickedHands(hand_track(posed, T), keys, residuals, doubtful, found.shape)
+    return ClickedHands(hand_track(posed, T), keys, residuals, outliers, found.shape)
 
 
 def _check(clicks: Mapping[int, Float[ndarray, "..."]], first: int, last: int) -> None:

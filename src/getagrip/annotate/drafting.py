@@ -45,8 +45,8 @@ def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, d
             "outlines": _polygons(mask, 1.0 / zoom),
             "doubtful": [],
         }
-    for frame, doubtful in zip(found.keys, found.doubtful, strict=True):
-        out[frame]["doubtful"] = np.flatnonzero(doubtful).tolist()
+    for frame, outliers in zip(found.keys, found.outliers, strict=True):
+        out[frame]["doubtful"] = np.flatnonzero(outliers).tolist()
     return out
 
 

@@ -105,7 +105,7 @@ class Cache(Generic[Kept]):
     weigh: Callable[[Kept], int]
     """The bytes of an image."""
     limit: int = CACHE
-    held: int = 0
+    cached_bytes: int = 0
     images: OrderedDict[int, Kept] = field(default_factory=OrderedDict)
 
     def get(self, index: int) -> Kept | None:
@@ -117,12 +117,12 @@ class Cache(Generic[Kept]):
     def put(self, index: int, image: Kept) -> None:
         """Keep an image, and forget those that were not wanted for longest."""
         if index in self.images:
-            self.held -= self.weigh(self.images.pop(index))
-        self.held += self.weigh(image)
+            self.cached_bytes -= self.weigh(self.images.pop(index))
+        self.cached_bytes += self.weigh(image)
         self.images[index] = image
-        while self.held > self.limit and len(self.images) > 1:
+        while self.cached_bytes > self.limit and len(self.images) > 1:
             _, old = self.images.popitem(last=False)
-            self.held -= self.weigh(old)
+            self.cached_bytes -= self.weigh(old)
 
 
 @dataclass(frozen=True)

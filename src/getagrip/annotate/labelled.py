@@ -57,7 +57,7 @@ def make(
     number of masks that are written. Raises ``UsageError`` for labels that do not suffice, and where ``out`` exists and
     is not to be replaced, or is not what this made before.
     """
-    K, camera = intrinsics(lens if lens.given else Lens(guess_focal=True), labels.size)
+    K, camera = intrinsics(lens if lens.is_set else Lens(guess_focal=True), labels.size)
     clicked = hands_from_clicks(labels.clicks, K, labels.side, labels.first, labels.last)
     hands = steadied(clicked, labels.first, K, labels.size, image)
     confidence = {}

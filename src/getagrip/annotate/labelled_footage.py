@@ -32,22 +32,22 @@ def _checksum(known: tuple[tuple[Path, int, int], ...], folder: bool) -> str:
     return total.hexdigest()
 
 
-def tasks_of(given: Labels, tasks: Sequence[Task]) -> list[Task]:
+def tasks_of(labels: Labels, tasks: Sequence[Task]) -> list[Task]:
     """The tasks whose footage the labels are of, whatever it is called now; that of their name is looked at first.
 
     Raises ``RefusedError`` where there is none.
     """
     there = [(task, task.path) for task in tasks if task.path is not None]
-    named = [(task, path) for task, path in there if path.name == given.video]
-    name = files.plain(given.video)
-    if not given.sha256:
+    named = [(task, path) for task, path in there if path.name == labels.video]
+    name = files.plain(labels.video)
+    if not labels.sha256:
         if not named:
             raise RefusedError(
                 f"video must be the name of a video that is given here (got {name} and no checksum of it)"
             )
         return [task for task, _ in named]
     for some in (named, there):
-        same = [task for task, path in some if checksum(path) == given.sha256]
+        same = [task for task, path in some if checksum(path) == labels.sha256]
         if same:
             return same
     if named:

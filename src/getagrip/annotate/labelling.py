@@ -82,7 +82,7 @@ class Labelling:
     def __init__(self, store: Store, lens: Lens, out: Path) -> None:
         """The files of grasps go into ``out``; without a lens the focal length is guessed."""
         self.store, self.out = store, out
-        self.lens = lens if lens.given else Lens(guess_focal=True)
+        self.lens = lens if lens.is_set else Lens(guess_focal=True)
         self.background = Background()
 
     def state(self, grasp: Grasp) -> dict[str, object]:
@@ -131,50 +131,50 @@ class Labelling:
         """The labels of a grasp with the checksum of its footage, by which a file of them finds it again."""
         return replace(self.labels(grasp), sha256=checksum(_path(grasp)))
 
-    def take(self, grasp: Grasp, given: Labels) -> None:
+    def take(self, grasp: Grasp, labels: Labels) -> None:
         """Replace the labels of a grasp by those of a file. Raises ``RefusedError``."""
         (width, height), tab = grasp.footage.size, str(uuid4())
-        if given.size != (width, height):
-            raise RefusedError(f"labels of {given.size[0]} x {given.size[1]} pixels, footage of {width} x {height}")
+        if labels.size != (width, height):
+            raise RefusedError(f"labels of {labels.size[0]} x {labels.size[1]} pixels, footage of {width} x {height}")
 
         def replaced(old: KeyFrame, sets: Json) -> KeyFrame:
             blank = keyframes.blank(old.task, old.annotator, old.grasp, old.frame)
-            return keyframes.changed(blank, sets, given.size)
+            return keyframes.changed(blank, sets, labels.size)
 
-        for n, frame in given.frames.items():
+        for n, frame in labels.frames.items():
             blank = keyframes.blank(grasp.mark.task, grasp.mark.annotator, grasp.mark.mark, n)
             change = versions.Change(str(uuid4()), tab, keyframes.from_labels(frame))
             self.store.keyframes.apply(change, blank, replaced)
 
     def propagate(self, grasp: Grasp) -> None:
         """Begin to make the drafts that are not up to date. Raises ``RefusedError`` where there is nothing."""
-        basis, given = self._basis(grasp, self._own(grasp)), self.labels(grasp)
+        basis, value = self._basis(grasp, self._own(grasp)), self.labels(grasp)
         if not any(basis.values()):
             raise RefusedError("nothing to fill in yet: click joints, or draw a polygon around the object, on a frame")
-        self._check_joints(grasp, given)
-        self._start(grasp, "propagate", lambda job: self._draft(grasp, given, basis, job))
+        self._check_joints(grasp, value)
+        self._start(grasp, "propagate", lambda job: self._draft(grasp, value, basis, job))
 
     def make(self, grasp: Grasp) -> None:
         """Begin to write the files that a clip is made of. Raises ``RefusedError`` where something is missing."""
-        given = self.labels(grasp)
-        self._check_joints(grasp, given)
-        if not given.clicks or not given.label_maps():
+        value = self.labels(grasp)
+        self._check_joints(grasp, value)
+        if not value.clicks or not value.label_maps():
             raise RefusedError("a clip needs joints on one frame at least, and a polygon around the object on one")
-        self._start(grasp, "files", lambda job: self.write(grasp, given, job))
+        self._start(grasp, "files", lambda job: self.write(grasp, value, job))
 
     def reconstruct(self, grasp: Grasp, content: Json) -> None:
         """Begin to write the files, make a clip of them and reconstruct it. Raises ``RefusedError``."""
         from getagrip.annotate.labelled import clip_words
 
-        shape, given = reconstruction.shape_of(content), self.labels(grasp)
-        self._check_joints(grasp, given)
-        if not given.clicks or not given.label_maps():
+        shape, value = reconstruction.shape_of(content), self.labels(grasp)
+        self._check_joints(grasp, value)
+        if not value.clicks or not value.label_maps():
             raise RefusedError("a clip needs joints on one frame at least, and a polygon around the object on one")
 
         def work(job: BackgroundJob) -> str:
             job.message = "writing the files"
-            self.write(grasp, given, job)
-            words = clip_words(given, self.out / grasp.name, str(_path(grasp)), self._segments(grasp))
+            self.write(grasp, value, job)
+            words = clip_words(value, self.out / grasp.name, str(_path(grasp)), self._segments(grasp))
             return reconstruction.reconstruct(words, shape, self.out, grasp.name, job)
 
         self._start(grasp, "reconstruct", work)
@@ -186,7 +186,7 @@ class Labelling:
             raise RefusedError("there is no result of this grasp yet")
         return path.read_bytes()
 
-    def write(self, grasp: Grasp, given: Labels, job: BackgroundJob) -> str:
+    def write(self, grasp: Grasp, value: Labels, job: BackgroundJob) -> str:
         """Write ``labels-<name>.json``, and ``<name>/`` with hand and masks; the command that makes a clip of them.
 
         Of a whole interaction also ``segments-<name>.json``. Raises ``RefusedError`` where segments overlap.
@@ -196,9 +196,9 @@ class Labelling:
         self.out.mkdir(parents=True, exist_ok=True)
         if (path := self._segments(grasp)) is not None and grasp.whole is not None:
             files.write_json(path, {grasp.task.key: grasp.whole.listed().fields})
-        whole = replace(given, sha256=checksum(_path(grasp)))
+        whole = replace(value, sha256=checksum(_path(grasp)))
         labels.write(whole, self.out / f"labels-{grasp.name}.json")
-        frames = given.last - given.first + 1
+        frames = value.last - value.first + 1
         with closing(open_footage(_path(grasp))) as footage:
 
             def image(n: int) -> UInt8[ndarray, "H W 3"]:
@@ -206,8 +206,8 @@ class Labelling:
                 return footage.image(n)
 
             out = self.out / grasp.name
-            make(given, image, self.lens, out, overwrite=True, done=lambda masks: job.report(masks, frames))
-        return command(replace(given, video=str(_path(grasp))), out, self._segments(grasp))
+            make(value, image, self.lens, out, overwrite=True, done=lambda masks: job.report(masks, frames))
+        return command(replace(value, video=str(_path(grasp))), out, self._segments(grasp))
 
     def _segments(self, grasp: Grasp) -> Path | None:
         """Where the segments of a whole interaction go."""
@@ -251,34 +251,34 @@ class Labelling:
             "hand": [(first, last, _word(first, last, hand, grasp.side, asdict(self.lens)))] if hand else [],
         }
 
-    def _check_joints(self, grasp: Grasp, given: Labels) -> None:
+    def _check_joints(self, grasp: Grasp, labels: Labels) -> None:
         """Raise ``RefusedError`` for a frame with too few joints, by the number that the page shows."""
-        for n, joints in given.clicks.items():
+        for n, joints in labels.clicks.items():
             count = int(np.isfinite(joints).all(axis=1).sum())
             if count < FEWEST:
                 number = grasp.footage.number(n)
                 raise RefusedError(f"frame {number} has {count} joints: click {FEWEST} at least, or delete them")
 
-    def _draft(self, grasp: Grasp, given: Labels, basis: Basis, job: BackgroundJob) -> str:
+    def _draft(self, grasp: Grasp, labels: Labels, basis: Basis, job: BackgroundJob) -> str:
         """Make drafts of both kinds where those that are there were made of something else."""
         from getagrip.annotate import drafting
 
-        drafts, key, frames = self.store.drafts, grasp.mark.mark, given.last - given.first + 1
+        drafts, key, frames = self.store.drafts, grasp.mark.mark, labels.last - labels.first + 1
         words = {kind: {n: word for a, b, word in rows for n in range(a, b + 1)} for kind, rows in basis.items()}
         made = {kind: drafts.bases(key, kind) for kind in basis}
         known = {kind: {n for n, word in rows.items() if made[kind].get(n) == word} for kind, rows in words.items()}
         wrong: UsageError | None = None
         with closing(open_footage(_path(grasp))) as footage:
             if len(known["hand"]) < len(words["hand"]):
-                K, _ = intrinsics(self.lens, given.size)
+                K, _ = intrinsics(self.lens, labels.size)
                 try:
-                    drafts.put(key, "hand", words["hand"][given.first], drafting.hand(given, K, footage.image))
+                    drafts.put(key, "hand", words["hand"][labels.first], drafting.hand(labels, K, footage.image))
                 except UsageError as error:  # masks can be filled in nevertheless
                     wrong = error
             if len(known["masks"]) < len(words["masks"]):
-                for n, content in drafting.masks(given, footage.image, known["masks"]):
+                for n, content in drafting.masks(labels, footage.image, known["masks"]):
                     drafts.put(key, "masks", words["masks"][n], {n: content | {"number": footage.number(n)}})
-                    job.report(n - given.first + 1, frames)
+                    job.report(n - labels.first + 1, frames)
         if wrong is not None:
             raise wrong
         return ""

@@ -193,11 +193,11 @@ class _Checked:
         return value[0], value[1]
 
     def frames(self, first: int, last: int, size: tuple[int, int]) -> dict[int, FrameLabels]:
-        given = self.content["frames"]
-        if not isinstance(given, Mapping):
+        value = self.content["frames"]
+        if not isinstance(value, Mapping):
             raise self.wrong("frames", "an object with a key for each frame")
         out = {}
-        for text, frame in given.items():
+        for text, frame in value.items():
             where = f"frames.{files.plain(text)}"
             if not re.fullmatch(r"0|[1-9][0-9]{0,7}", text) or not first <= int(text) <= last:
                 raise InputError(self.path, where, "a key that is no frame of the grasp", f"{first} to {last}")
@@ -212,48 +212,48 @@ class _Checked:
         return dict(sorted(out.items()))
 
 
-def _only(path: Path, where: str, given: Mapping[str, object], known: set[str], needed: set[str]) -> None:
+def _only(path: Path, where: str, value: Mapping[str, object], known: set[str], needed: set[str]) -> None:
     """Raise ``InputError`` for unknown and missing keys."""
-    for key in [key for key in given if key not in known][:1]:
+    for key in [key for key in value if key not in known][:1]:
         expected = f"one of {', '.join(sorted(known))}"
         raise InputError(path, f"{where}.{files.plain(key)}".lstrip("."), "an unknown key", expected)
-    for key in sorted(needed - given.keys())[:1]:
+    for key in sorted(needed - value.keys())[:1]:
         raise InputError(path, key, "no such key", "it")
 
 
-def _joints(path: Path, key: str, given: object, size: tuple[int, int]) -> Float[ndarray, "21 2"] | None:
-    if given is None:
+def _joints(path: Path, key: str, value: object, size: tuple[int, int]) -> Float[ndarray, "21 2"] | None:
+    if value is None:
         return None
-    if not isinstance(given, list | tuple) or len(given) != 21:
-        raise InputError(path, key, files.shown(given), "21 points, null where there is none")
+    if not isinstance(value, list | tuple) or len(value) != 21:
+        raise InputError(path, key, files.shown(value), "21 points, null where there is none")
     rows = [
         [math.nan, math.nan] if point is None else _point(path, f"{key}[{n}]", point, size)
-        for n, point in enumerate(given)
+        for n, point in enumerate(value)
     ]
     return np.array(rows)
 
 
-def _polygons(path: Path, key: str, given: object, size: tuple[int, int]) -> Polygons | None:
-    if given is None:
+def _polygons(path: Path, key: str, value: object, size: tuple[int, int]) -> Polygons | None:
+    if value is None:
         return None
-    if not isinstance(given, list | tuple) or len(given) > MOST_POLYGONS:
-        raise InputError(path, key, files.shown(given), f"at most {MOST_POLYGONS} polygons [[x, y], ...]")
+    if not isinstance(value, list | tuple) or len(value) > MOST_POLYGONS:
+        raise InputError(path, key, files.shown(value), f"at most {MOST_POLYGONS} polygons [[x, y], ...]")
     out = []
-    for n, corners in enumerate(given):
+    for n, corners in enumerate(value):
         if not isinstance(corners, list | tuple) or not 3 <= len(corners) <= MOST_CORNERS:
             raise InputError(path, f"{key}[{n}]", files.shown(corners), f"3 to {MOST_CORNERS} corners [x, y]")
         out.append(np.array([_point(path, f"{key}[{n}][{k}]", corner, size) for k, corner in enumerate(corners)]))
     return tuple(out)
 
 
-def _point(path: Path, key: str, given: object, size: tuple[int, int]) -> list[float]:
+def _point(path: Path, key: str, value: object, size: tuple[int, int]) -> list[float]:
     """A point in the image, or beside it by no more than the image's own size."""
-    pair = isinstance(given, list | tuple) and len(given) == 2 and all(_is_number(x) for x in given)
-    if not pair or not isinstance(given, list | tuple):
-        raise InputError(path, key, files.shown(given), "[x, y] in pixels")
-    if not all(-side <= x <= 2 * side for x, side in zip(given, size, strict=True)):
-        raise InputError(path, key, files.shown(given), f"a point in or about the {size[0]} x {size[1]} image")
-    return [float(x) for x in given]
+    pair = isinstance(value, list | tuple) and len(value) == 2 and all(_is_number(x) for x in value)
+    if not pair or not isinstance(value, list | tuple):
+        raise InputError(path, key, files.shown(value), "[x, y] in pixels")
+    if not all(-side <= x <= 2 * side for x, side in zip(value, size, strict=True)):
+        raise InputError(path, key, files.shown(value), f"a point in or about the {size[0]} x {size[1]} image")
+    return [float(x) for x in value]
 
 
 def _is_number(value: object) -> bool:

@@ -129,10 +129,10 @@ def changed(mark: Mark, sets: Json, footage: Footage) -> Mark:
         raise RefusedError("a segment cannot end before it starts")
     if new.end is not None and new.state == GRASP and new.side is None and not new.deleted:
         raise RefusedError("say first which hand holds the object: left or right")
-    given = [value for value in (new.start, new.reason, new.camera) if value is not None]
-    if len(given) > 1:
+    entry = [value for value in (new.start, new.reason, new.camera) if value is not None]
+    if len(entry) > 1:
         raise RefusedError("a mark is a segment, the reason why there is none, or about the camera: one of them")
-    if not given and not new.deleted:
+    if not entry and not new.deleted:
         raise RefusedError("a mark needs a start, or a reason why there is none")
     return replace(
         new,

@@ -150,21 +150,21 @@ class Project:
                 if key in with_labels and grasp.mark.interval and grasp.mark.side:
                     yield grasp
 
-    def import_labels(self, given: Labels, annotator: str) -> Grasp:
+    def import_labels(self, labels: Labels, annotator: str) -> Grasp:
         """Take a file of labels as an annotator's own, of a grasp that is marked if it is not yet.
 
         Raises ``RefusedError`` where it is of other footage.
         """
-        tasks = tasks_of(given, list(self.tasks.values()))
+        tasks = tasks_of(labels, list(self.tasks.values()))
         footage = self.footage(tasks[0])
-        inside = [task for task in tasks if _holds(task.extent(footage), (given.first, given.last))]
+        inside = [task for task in tasks if _holds(task.extent(footage), (labels.first, labels.last))]
         task, name = (inside or tasks)[0], versions.annotator(annotator)
-        sets = {"start": given.first, "end": given.last, "side": given.side}
-        extent = (given.first, given.last)
+        sets = {"start": labels.first, "end": labels.last, "side": labels.side}
+        extent = (labels.first, labels.last)
         known = self._grasps(task, name).values()
-        same = [grasp for grasp in known if grasp.mark.interval == extent and grasp.mark.side == given.side]
+        same = [grasp for grasp in known if grasp.mark.interval == extent and grasp.mark.side == labels.side]
         grasp = same[-1] if same else Grasp(task, footage, self._mark(task, name, str(uuid4()), sets))
-        self.labelling.take(grasp, given)
+        self.labelling.take(grasp, labels)
         return grasp
 
     def import_segments(self, path: Path, annotator: str) -> int:
@@ -175,11 +175,11 @@ class Project:
         """
         name, count, tab = versions.annotator(annotator), 0, str(uuid4())
         there = [task for task in self.tasks.values() if task.path is not None]
-        for task, given in segments_of(path, there):
+        for task, listed in segments_of(path, there):
             footage = self.footage(task)
             if any(mark.start is not None for mark in self.store.marks.standing(task.key, name)):
                 raise RefusedError(f"{name} has marked segments of {task.key} already: choose another --annotator")
-            for one in given.at(Names(footage), has_world=True):
+            for one in listed.at(Names(footage), has_world=True):
                 side = one.side or task.side
                 sets = {"start": one.first, "end": one.last, "state": one.state}
                 self._mark(task, name, tab, sets | ({} if side is None else {"side": side}))

@@ -77,8 +77,8 @@ def read_tasks(source: Path, videos: Path | None = None) -> list[Task]:
         if twice:
             raise InputError(source, "", f"the candidate {plain(twice[0])} twice", "each once")
         if all(task.path is None for task in tasks):
-            given = f"no footage of its {len(tasks)} candidates in {videos or source.parent}"
-            raise InputError(source, "", given, f"{plain(tasks[0].video)}.mp4, or a folder {plain(tasks[0].video)}")
+            got = f"no footage of its {len(tasks)} candidates in {videos or source.parent}"
+            raise InputError(source, "", got, f"{plain(tasks[0].video)}.mp4, or a folder {plain(tasks[0].video)}")
         return tasks
     if not source.exists():
         raise InputError(source, "", "no such file", "a video, a folder of images, or a list of candidates")

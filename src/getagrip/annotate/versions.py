@@ -81,8 +81,8 @@ class Database:
 
     def damaged(self, error: Exception) -> InputError:
         """What to raise for contents that this program does not write."""
-        given = f"{type(error).__name__}: {error}"
-        return InputError(self.path, "", f"contents that are damaged ({given})", "what this program writes")
+        got = f"{type(error).__name__}: {error}"
+        return InputError(self.path, "", f"contents that are damaged ({got})", "what this program writes")
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:

@@ -32,12 +32,12 @@ def write_labels(project: Project) -> int:
             status = 1
             continue
         written.add(grasp.name)
-        given = project.labelling.labels(grasp)
-        frames = counted(given.last - given.first + 1, "frame")
+        value = project.labelling.labels(grasp)
+        frames = counted(value.last - value.first + 1, "frame")
         print(f"{grasp.name}: making the hand and the masks of {frames} ...", flush=True)
         try:
             with progress_bar(counted=True) as bar:
-                command = project.labelling.write(grasp, given, JobOnBar(bar, grasp.name))
+                command = project.labelling.write(grasp, value, JobOnBar(bar, grasp.name))
         except GetagripError as error:
             report(f"{grasp.name}: labels only: {error}")
             status = 1

@@ -88,7 +88,7 @@ class _Tally:
 
     def __init__(self) -> None:
         self.counts = Counter[str]()
-        self.doubtful: list[str] = []
+        self.flagged: list[str] = []
         """Names of those with serious findings."""
         self.right: dict[str, float] = {}
         self.right_in_camera: dict[str, float] = {}
@@ -96,7 +96,7 @@ class _Tally:
 
     def add(self, outcome: Outcome) -> None:
         self.counts[outcome.state] += 1
-        self.doubtful += [outcome.name] * any(finding.serious for finding in outcome.findings)
+        self.flagged += [outcome.name] * any(finding.serious for finding in outcome.findings)
         if outcome.probability_right is not None:
             self.right[outcome.name] = outcome.probability_right.value
         if outcome.probability_right_in_camera is not None:
@@ -107,12 +107,12 @@ class _Tally:
 
     def passes(self, min_probability: float) -> bool:
         """Whether no result has a serious finding, or a probability below the least one."""
-        return not self.doubtful and all(right >= min_probability for right in self.right.values())
+        return not self.flagged and all(right >= min_probability for right in self.right.values())
 
     def print(self) -> None:
         print(f"{self.counts['done']} done, {self.counts['kept']} already done, {self.counts['failed']} failed")
-        if self.doubtful:
-            print(f"{len(self.doubtful)} with serious findings: {', '.join(sorted(self.doubtful))}")
+        if self.flagged:
+            print(f"{len(self.flagged)} with serious findings: {', '.join(sorted(self.flagged))}")
         if self.right:
             print(expected(self.right))
         if self.right_in_camera:
@@ -134,7 +134,7 @@ def _work_off(plan: Plan, ledger: Ledger, out: Place, options: Options, batch: B
             lost=_lost,
             entry=partial(entry_of, method=options.method, seed=options.seed),
             options=asdict(options),
-            crew=batch.share.crew(len(plan)),
+            executor=batch.share.executor(len(plan)),
             limits=batch.share.limits,
             prepare=load,
             in_this=partial(shown, bar, work),

@@ -20,7 +20,7 @@ def compile_once() -> None:
     try:
         mark.parent.mkdir(parents=True, exist_ok=True)
         mark.touch()
-        with locks.held(mark):
+        with locks.holding(mark):
             if not _is_set(mark):
                 reconstruct_small()
                 files.write_text(mark, code.fingerprint())

@@ -12,8 +12,8 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Generic, Protocol, TypeVar
 
-from getagrip.batch.crew import Ended, Start
 from getagrip.batch.entries import Entry
+from getagrip.batch.executor import Ended, Start
 from getagrip.batch.ledger import Ledger
 from getagrip.batch.limits import NONE, Limits
 from getagrip.batch.pool import in_turn, shared_out
@@ -45,7 +45,7 @@ class Engine(Generic[J, R]):
     """What the ledger is to say: state, why, inputs and about."""
     options: object
     """What the work depends on besides its inputs and the code: anything that JSON can hold."""
-    crew: Start[J, R] | None = None
+    executor: Start[J, R] | None = None
     """Who does it; None: this process."""
     limits: Limits = NONE
     """For a crew."""
@@ -62,10 +62,10 @@ class Engine(Generic[J, R]):
         digest = hashlib.sha256(files.to_json({"options": self.options}).encode()).hexdigest()
         failed_elsewhere = deque[R]()
         claims = self._claims(tasks, ledger, digest, failed_elsewhere)
-        if self.crew is None:
+        if self.executor is None:
             ends = in_turn(self.in_this or self.work, claims)
         else:
-            ends = shared_out(self.crew(self.work, self.limits, self.prepare), claims, self.limits)
+            ends = shared_out(self.executor(self.work, self.limits, self.prepare), claims, self.limits)
         with closing(ends):
             for ended in ends:
                 result = self._result(ended)

@@ -114,8 +114,8 @@ class Entries:
         except sqlite3.OperationalError as error:  # a full disk, no permission, no answer
             raise GetagripError(f"{self.path}: the ledger cannot be used ({error})") from error
         except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter: a message that quotes damaged text
-            given = f"a file that is no ledger ({error})"
-            raise InputError(self.path, "", given, "a ledger, or none: results do without") from error
+            got = f"a file that is no ledger ({error})"
+            raise InputError(self.path, "", got, "a ledger, or none: results do without") from error
 
 
 class ReadLedger(Entries):

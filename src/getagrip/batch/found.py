@@ -40,14 +40,14 @@ class FindJob:
 
     def made_from(self, checksum: str) -> dict[str, object]:
         """All that decides what is found; ``checksum`` is that of the clip."""
-        from getagrip.segmentation.held import METHOD
+        from getagrip.segmentation.hinge_fits import METHOD
 
         options = asdict(replace(self.options, method=METHOD, every_frame=True))  # of both, the user's does not matter
         return {"input_sha256": checksum, "options": options, "code": code.fingerprint("segmentation")}
 
 
 @dataclass(frozen=True)
-class FoundClip:
+class DetectedClip:
     """What was found in a clip, as clips."""
 
     clip: str
@@ -67,7 +67,7 @@ class FoundClip:
         return f"{self.clip}: {'; '.join([found, *self.notes, *how])}"
 
 
-def find_one(job: FindJob, progress: Progress = lambda *_: None) -> FoundClip | Outcome:
+def find_one(job: FindJob, progress: Progress = lambda *_: None) -> DetectedClip | Outcome:
     """Find the segments of one clip and write them; or how it failed. Raises nothing."""
     try:
         checksum = input_sha256(job.clip)
@@ -77,12 +77,12 @@ def find_one(job: FindJob, progress: Progress = lambda *_: None) -> FoundClip | 
         return failure(job.name, error)
 
 
-def lost(job: FindJob, why: str) -> FoundClip | Outcome:
+def lost(job: FindJob, why: str) -> DetectedClip | Outcome:
     """What becomes of a clip that no process could do."""
     return Outcome(job.name, "failed", why)
 
 
-def entry_of(found: FoundClip | Outcome) -> Entry:
+def entry_of(found: DetectedClip | Outcome) -> Entry:
     """What the ledger is to say of a clip."""
     if isinstance(found, Outcome):
         return Entry(found.name, "failed", found.message)
@@ -90,7 +90,7 @@ def entry_of(found: FoundClip | Outcome) -> Entry:
     return Entry(found.clip, found.state, "; ".join(found.notes), inputs=found.inputs, about=about)
 
 
-def _found(job: FindJob, checksum: str, why: str, progress: Progress) -> FoundClip:
+def _found(job: FindJob, checksum: str, why: str, progress: Progress) -> DetectedClip:
     """Find and write. Raises ``InputError`` where the clip is bad, or changes meanwhile."""
     from getagrip.segmentation.cut import write_grasps, write_timeline
     from getagrip.segmentation.found import find_segments
@@ -105,10 +105,10 @@ def _found(job: FindJob, checksum: str, why: str, progress: Progress) -> FoundCl
     clips = {folder.name: input_sha256(folder) for folder in folders}
     with files.new_file(job.record) as part:
         files.write_json(part, {**job.made_from(checksum), "clips": clips, "spans": spans, "notes": found.notes})
-    return FoundClip(job.name, "done", folders, spans, found.notes, checksum, why)
+    return DetectedClip(job.name, "done", folders, spans, found.notes, checksum, why)
 
 
-def _standing(job: FindJob, checksum: str) -> tuple[FoundClip | None, str]:
+def _standing(job: FindJob, checksum: str) -> tuple[DetectedClip | None, str]:
     """What was found before, if it is there and good, else None and why it is not.
 
     Good is what was made from the same clip, with the same options, by the same code, and has not changed since.
@@ -127,4 +127,4 @@ def _standing(job: FindJob, checksum: str) -> tuple[FoundClip | None, str]:
             return None, "what was there has been changed"
     except InputError as error:
         return None, damaged(error)
-    return FoundClip(job.name, "kept", folders, tuple(map(str, spans)), tuple(map(str, notes)), checksum), ""
+    return DetectedClip(job.name, "kept", folders, tuple(map(str, spans)), tuple(map(str, notes)), checksum), ""

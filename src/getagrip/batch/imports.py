@@ -14,7 +14,7 @@ from getagrip.batch.entries import Entry, State
 from getagrip.batch.job import Outcome, failure
 from getagrip.batch.share import ALONE, Share
 from getagrip.clip import Clip, write_clip
-from getagrip.clip.intrinsics import doubt
+from getagrip.clip.intrinsics import camera_warning
 from getagrip.clip.reading import read_header
 from getagrip.datasets.dataset import Dataset, Draft, Part
 from getagrip.errors import InputError, UsageError
@@ -23,7 +23,7 @@ from getagrip.io import files, leftovers
 from getagrip.io.counts import counted
 from getagrip.io.terminal import report
 
-DOUBTED = 3
+WARNED = 3
 """Exit status where a clip was made but its camera seems to be of other images."""
 
 
@@ -54,7 +54,7 @@ class Imported:
     """Provenance of the clips that were made."""
     handless: int = 0
     """Clips, made or kept, that lack their hands."""
-    doubted: int = 0
+    warned: int = 0
     """Clips that were made, whose camera seems to be of other images."""
 
 
@@ -71,7 +71,7 @@ def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE,
     cut = dataset.cut_record()
     claim_folder(out, cut)
     leftovers.sweep(out)
-    counts, made, handless, doubted = Counter[str](), list[Mapping[str, object]](), 0, 0
+    counts, made, handless, warned = Counter[str](), list[Mapping[str, object]](), 0, 0
     engine = Engine(work=import_part, lost=_lost, entry=_entry, options=repr(dataset))
     with closing(share.ended(engine, jobs, out, dataset.parts_are)) as parts:
         for imported in parts:
@@ -86,7 +86,7 @@ def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE,
             counts["failed"] += any(outcome.state == "failed" for outcome in imported.clips)
             made += imported.made
             handless += imported.handless
-            doubted += imported.doubted
+            warned += imported.warned
             if share.fail_fast and counts["failed"]:
                 report(f"--fail-fast: no other of the {dataset.parts_are} is begun")
                 break
@@ -96,7 +96,7 @@ def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE,
     print(f"{counted(counts['done'], 'clip')}, {counts['kept']} already there, {failed}")
     for advice in dataset.advice(made, handless):
         report(advice)
-    return 1 if counts["failed"] else DOUBTED if doubted else 0
+    return 1 if counts["failed"] else WARNED if warned else 0
 
 
 def _lost(job: ImportJob, why: str) -> Imported:
@@ -114,7 +114,7 @@ def _entry(imported: Imported) -> Entry:
 
 def import_part(job: ImportJob) -> Imported:
     """Write the clips of one part. Raises nothing."""
-    outcomes, notes, made, doubted = list[Outcome](), list[str](), list[Mapping[str, object]](), 0
+    outcomes, notes, made, warned = list[Outcome](), list[str](), list[Mapping[str, object]](), 0
 
     def missing(name: str, with_hands: bool = False) -> bool:
         folder = job.out / name
@@ -132,8 +132,8 @@ def import_part(job: ImportJob) -> Imported:
                 if clip is not None:
                     outcomes.append(Outcome(draft.name, "done", str(job.out / draft.name)))
                     made.append(clip.provenance)
-                    if why := doubt(clip.K, clip.size):
-                        doubted += 1
+                    if why := camera_warning(clip.K, clip.size):
+                        warned += 1
                         notes.append(f"{job.out / draft.name}: warning: camera: {why}")
             except Exception as error:  # one clip's trouble must not end the others
                 outcomes.append(failure(draft.name, error))
@@ -141,7 +141,7 @@ def import_part(job: ImportJob) -> Imported:
         outcomes.append(failure(job.part.name, error))
     clips = [job.out / outcome.name for outcome in outcomes if outcome.state != "failed"]
     handless = sum(not (folder / "hand.npz").exists() for folder in clips)
-    return Imported(outcomes, notes, made, handless, doubted)
+    return Imported(outcomes, notes, made, handless, warned)
 
 
 def _write(draft: Draft, folder: Path) -> Clip | None:

@@ -14,13 +14,13 @@ def state_folder() -> Path:
     return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "getagrip"
 
 
-def ledger_folder(out: Place, given: Path | None) -> Path:
+def ledger_folder(out: Place, value: Path | None) -> Path:
     """The ledger's folder: what the user has ``given``, else the results' own, else one in the user's state folder.
 
     SQLite needs a local disk. Calls on the same results on one machine share the ledger.
     """
-    if given is not None:
-        return given
+    if value is not None:
+        return value
     if isinstance(out, Path):
         return out
     return state_folder() / f"{out.name[:40]}-{sha256(out.url.encode()).hexdigest()[:12]}"

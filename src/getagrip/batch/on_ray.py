@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
-from getagrip.batch.crew import DIES, TRIES, Ended, check_code
+from getagrip.batch.executor import DIES, TRIES, Ended, check_code
 from getagrip.batch.limits import Limits
 from getagrip.batch.pool import cores
 from getagrip.batch.processes import Processes
@@ -36,7 +36,7 @@ STORE = 100 * 2**20
 
 
 @dataclass(frozen=True)
-class _Given(Generic[J]):
+class _Submitted(Generic[J]):
     """A job at work."""
 
     job: J
@@ -44,7 +44,7 @@ class _Given(Generic[J]):
     tries: int = 1
 
 
-class RayCrew(Generic[J, R]):
+class RayExecutor(Generic[J, R]):
     """Workers of a cluster that runs, or of one on this machine that ends with the crew."""
 
     def __init__(
@@ -68,11 +68,11 @@ class RayCrew(Generic[J, R]):
         task = self._ray.remote(num_cpus=1, max_retries=0)(_do)
         how = self._ray.put((work, limits, prepare, code.fingerprint(), os.getcwd()))
         self._start: Callable[[J], object] = lambda job: task.remote(how, job)
-        self._at_work: dict[object, _Given[J]] = {}
+        self._at_work: dict[object, _Submitted[J]] = {}
         self._cpus, self._looked = 0, -LOOK_EVERY
 
     @property
-    def room(self) -> int:
+    def capacity(self) -> int:
         """For how many more jobs; there is always room for one, which waits for a cluster that grows."""
         if self._workers is None and time.monotonic() - self._looked >= LOOK_EVERY:
             self._cpus, self._looked = int(self._ray.cluster_resources().get("CPU", 0)), time.monotonic()
@@ -83,9 +83,9 @@ class RayCrew(Generic[J, R]):
         """Jobs at work."""
         return len(self._at_work)
 
-    def give(self, job: J, attempt: int) -> None:
+    def submit(self, job: J, attempt: int) -> None:
         """Send a job to the cluster."""
-        self._at_work[self._start(job)] = _Given(job, attempt)
+        self._at_work[self._start(job)] = _Submitted(job, attempt)
 
     def wait(self, nap: float | None) -> list[Ended[J, R]]:
         """The jobs that end next; maybe none, when the ``nap`` is over [s] or nobody is at work."""
@@ -110,20 +110,20 @@ class RayCrew(Generic[J, R]):
         if self._ours:
             self._ray.shutdown()
 
-    def _ended(self, ref: object, given: _Given[J]) -> Ended[J, R] | None:
+    def _ended(self, ref: object, submitted: _Submitted[J]) -> Ended[J, R] | None:
         """What has become of a job; None where its worker was lost and it has been sent again."""
         try:
             ended = self._ray.get(ref)
         except self._ray.exceptions.OutOfMemoryError:  # Ray has ended the worker, to save its node
-            return Ended(given.job, None, DIES, attempts=given.attempt)
+            return Ended(submitted.job, None, DIES, attempts=submitted.attempt)
         except self._ray.exceptions.RayError:
-            if given.tries == TRIES:
-                return Ended(given.job, None, DIES, attempts=given.attempt)
-            self._at_work[self._start(given.job)] = replace(given, tries=given.tries + 1)
+            if submitted.tries == TRIES:
+                return Ended(submitted.job, None, DIES, attempts=submitted.attempt)
+            self._at_work[self._start(submitted.job)] = replace(submitted, tries=submitted.tries + 1)
             return None
         if isinstance(ended, Exception):
             raise ended
-        return replace(ended, attempts=given.attempt)
+        return replace(ended, attempts=submitted.attempt)
 
 
 def _connect(ray: Any, workers: int | None, address: str | None) -> None:
@@ -161,18 +161,20 @@ def _do(how: tuple[Callable[[J], R], Limits, Callable[[], object] | None, str, s
     work, limits, prepare, expected, folder = how
     try:
         check_code(expected)
-        crew = _crew(work, limits, prepare, folder)
+        executor = _executor(work, limits, prepare, folder)
         with _as_of_the_driver(folder):
-            crew.give(job, 1)
+            executor.submit(job, 1)
         while True:
-            for ended in crew.wait(None):
+            for ended in executor.wait(None):
                 return ended
     except Exception as error:
         return error
 
 
 @lru_cache(maxsize=1)  # what comes later is of another call: the process of the one before ends when it is forgotten
-def _crew(work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None, folder: str) -> Processes[J, R]:
+def _executor(
+    work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None, folder: str
+) -> Processes[J, R]:
     """This Ray worker's one process, which works in the driver's ``folder``; kept for its next job."""
     return Processes(1, work, limits, prepare)
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 from uuid import uuid4
 
-from getagrip.batch.crew import DIES, TRIES, Ended, check_code
+from getagrip.batch.executor import DIES, TRIES, Ended, check_code
 from getagrip.batch.ledger_place import state_folder
 from getagrip.batch.limits import Limits
 from getagrip.batch.pool import shared_out
@@ -40,7 +40,7 @@ LOOK_EVERY = 1.0
 
 
 @dataclass(frozen=True)
-class _Given(Generic[J]):
+class _Submitted(Generic[J]):
     """A job that is to be done, or at work."""
 
     job: J
@@ -48,7 +48,7 @@ class _Given(Generic[J]):
     tries: int = 1
 
 
-class SlurmCrew(Generic[J, R]):
+class SlurmExecutor(Generic[J, R]):
     """Tasks of array jobs, so many at once; new ones are submitted when half of them have ended."""
 
     def __init__(
@@ -69,12 +69,12 @@ class SlurmCrew(Generic[J, R]):
             name="getagrip", cpus_per_task=1, timeout_min=math.ceil(seconds / 60.0),
             mem_gb=math.ceil((limits.gigabytes or MEMORY) + 1.0),
         )  # fmt: skip
-        self._collected: list[_Given[J]] = []
-        self._at_work: dict[Any, list[_Given[J]]] = {}
+        self._collected: list[_Submitted[J]] = []
+        self._at_work: dict[Any, list[_Submitted[J]]] = {}
         self._lost = 0
 
     @property
-    def room(self) -> int:
+    def capacity(self) -> int:
         """For how many more jobs; none while more than half of the tasks are at work, so that arrays are not small."""
         if len(self._at_work) > self._workers // 2:
             return 0
@@ -85,9 +85,9 @@ class SlurmCrew(Generic[J, R]):
         """Jobs at work."""
         return len(self._collected) + sum(map(len, self._at_work.values()))
 
-    def give(self, job: J, attempt: int) -> None:
+    def submit(self, job: J, attempt: int) -> None:
         """Put a job into the next array."""
-        self._collected.append(_Given(job, attempt))
+        self._collected.append(_Submitted(job, attempt))
 
     def wait(self, nap: float | None) -> list[Ended[J, R]]:
         """The jobs that end next; maybe none, when the ``nap`` is over [s] or nobody is at work."""
@@ -123,24 +123,30 @@ class SlurmCrew(Generic[J, R]):
         size = min(BUNDLE, math.ceil(len(jobs) / free))
         bundles = [jobs[first : first + size] for first in range(0, len(jobs), size)]
         self._executor.update_parameters(slurm_array_parallelism=free)
-        given_out = [[given.job for given in bundle] for bundle in bundles]
+        handed_out = [[submitted.job for submitted in bundle] for bundle in bundles]
         try:
-            tasks = self._executor.map_array(_do, [self._how] * len(bundles), given_out)
+            tasks = self._executor.map_array(_do, [self._how] * len(bundles), handed_out)
         except (*self._errors, OSError, RuntimeError) as error:
             raise GetagripError(
                 f"--engine slurm: sbatch has refused the jobs ({' '.join(str(error).split())})"
             ) from error
         self._at_work |= dict(zip(tasks, bundles, strict=True))
 
-    def _ended(self, task: Any, bundle: list[_Given[J]]) -> list[Ended[J, R]]:
+    def _ended(self, task: Any, bundle: list[_Submitted[J]]) -> list[Ended[J, R]]:
         """What has become of the jobs of a task that has ended; those of a lost one are collected again."""
         try:
             ends = task.result()
         except self._errors:
             self._lost += 1
             report(f"Slurm has lost a task ({task.job_id}); its jobs are given out again ({len(bundle)})")
-            self._collected += [replace(given, tries=given.tries + 1) for given in bundle if given.tries < TRIES]
-            return [Ended(given.job, None, DIES, attempts=given.attempt) for given in bundle if given.tries == TRIES]
+            self._collected += [
+                replace(submitted, tries=submitted.tries + 1) for submitted in bundle if submitted.tries < TRIES
+            ]
+            return [
+                Ended(submitted.job, None, DIES, attempts=submitted.attempt)
+                for submitted in bundle
+                if submitted.tries == TRIES
+            ]
         if isinstance(ends, Exception):
             raise ends
         return [replace(ended, attempts=max(ended.attempts, bundle[0].attempt)) for ended in ends]

@@ -9,7 +9,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import replace
 from typing import TypeVar
 
-from getagrip.batch.crew import DIES, Crew, Ended
+from getagrip.batch.executor import DIES, Ended, Executor
 from getagrip.batch.limits import NONE, Limits
 from getagrip.batch.processes import Processes
 
@@ -47,7 +47,9 @@ def in_turn(work: Callable[[J], R], jobs: Iterable[J | None]) -> Generator[Ended
         yield Ended(job, work(job), seconds=time.monotonic() - since, process=os.getpid())
 
 
-def shared_out(crew: Crew[J, R], jobs: Iterable[J | None], limits: Limits = NONE) -> Generator[Ended[J, R], None, None]:
+def shared_out(
+    executor: Executor[J, R], jobs: Iterable[J | None], limits: Limits = NONE
+) -> Generator[Ended[J, R], None, None]:
     """Each job as it ends, done by a crew with such limits, which is closed in the end.
 
     A job is taken from ``jobs`` when there is room for it, not before; None among them: none for the moment. A job
@@ -57,9 +59,9 @@ def shared_out(crew: Crew[J, R], jobs: Iterable[J | None], limits: Limits = NONE
     source, again = iter(jobs), deque[J]()
     more = True
     try:
-        while more or crew.busy or again:
+        while more or executor.busy or again:
             nap = None
-            while more and not nap and crew.room > 0:
+            while more and not nap and executor.capacity > 0:
                 try:
                     job = next(source)
                 except StopIteration:
@@ -68,10 +70,10 @@ def shared_out(crew: Crew[J, R], jobs: Iterable[J | None], limits: Limits = NONE
                 if job is None:
                     nap = NAP
                 else:
-                    crew.give(job, 1)
-            if again and not more and not crew.busy:
-                crew.give(again.popleft(), ATTEMPTS)
-            for ended in crew.wait(nap):
+                    executor.submit(job, 1)
+            if again and not more and not executor.busy:
+                executor.submit(again.popleft(), ATTEMPTS)
+            for ended in executor.wait(nap):
                 if ended.why != DIES:
                     yield ended
                 elif ended.attempts < ATTEMPTS:
@@ -79,4 +81,4 @@ def shared_out(crew: Crew[J, R], jobs: Iterable[J | None], limits: Limits = NONE
                 else:
                     yield replace(ended, why=f"its process died twice; {limits.suspicion}")
     finally:
-        crew.close()
+        executor.close()

@@ -12,7 +12,7 @@ from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 from typing import Generic, TypeVar
 
-from getagrip.batch.crew import DIES, Ended
+from getagrip.batch.executor import DIES, Ended
 from getagrip.batch.limits import Limits
 
 J = TypeVar("J")
@@ -35,7 +35,7 @@ class Processes(Generic[J, R]):
         self._there: list[_Process[J, R]] = []
 
     @property
-    def room(self) -> int:
+    def capacity(self) -> int:
         """For how many more jobs."""
         return self.workers - self.busy
 
@@ -44,13 +44,13 @@ class Processes(Generic[J, R]):
         """Jobs at work."""
         return len(self._at_work())
 
-    def give(self, job: J, attempt: int) -> None:
+    def submit(self, job: J, attempt: int) -> None:
         """Give a job to an idle process, or to a new one."""
         idle = next((process for process in self._there if not process.busy), None)
         if idle is None:
             idle = self._start()
             self._there.append(idle)
-        idle.give(job, attempt)
+        idle.submit(job, attempt)
 
     def wait(self, nap: float | None) -> list[Ended[J, R]]:
         """The jobs that end next; maybe none, when the ``nap`` is over [s] or nobody is at work."""
@@ -86,7 +86,7 @@ class _Process(Generic[J, R]):
         self.busy = self.ready = self.gone = False
         self.attempt, self.since = 0, 0.0
 
-    def give(self, job: J, attempt: int) -> None:
+    def submit(self, job: J, attempt: int) -> None:
         """Have it do a job."""
         self.job, self.attempt, self.since, self.busy = job, attempt, time.monotonic(), True
         with suppress(OSError):  # it has died; ``ended`` will notice

@@ -20,8 +20,8 @@ from getagrip.io.arguments import Flag, OptionalFolder, parsed
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from getagrip.batch.crew import Start
     from getagrip.batch.engine import Engine, Named
+    from getagrip.batch.executor import Start
 
 J = TypeVar("J", bound="Named")
 R = TypeVar("R")
@@ -61,9 +61,9 @@ class Share:
         if self.workers is not None and self.workers < 1:
             raise UsageError(f"--workers must be 1 or more (got {self.workers})")
 
-    def crew(self, count: int, few: int = FEW) -> Start[Any, Any] | None:
+    def executor(self, count: int, few: int = FEW) -> Start[Any, Any] | None:
         """Who does a ``count`` of tasks; None: this process, by default for a ``few`` without limits."""
-        from getagrip.batch.crews import ENGINES
+        from getagrip.batch.executors import ENGINES
         from getagrip.batch.pool import cores
 
         workers, local = self.workers, self.engine == "local"
@@ -84,7 +84,7 @@ class Share:
         from getagrip.batch.progress import Pace
         from getagrip.io.terminal import progress_bar
 
-        engine = replace(engine, crew=self.crew(len(tasks), few), limits=self.limits)
+        engine = replace(engine, executor=self.executor(len(tasks), few), limits=self.limits)
         ledger = Ledger(ledger_folder(out, self.ledger))
         with ledger, progress_bar() as bar, closing(engine.run(tasks, ledger)) as ends:
             pace = Pace(bar, called, len(tasks))

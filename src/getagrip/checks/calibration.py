@@ -33,7 +33,7 @@ class Weight:
     high: float
     """The range of the sign in the training data, but for the last hundredth at either end."""
 
-    def held(self, value: float) -> float:
+    def clipped(self, value: float) -> float:
         """The value, no better than the range: what is better than in training is no surer, what is worse counts on."""
         return max(value, self.low) if self.weight < 0.0 else min(value, self.high)
 
@@ -62,8 +62,8 @@ class Calibration:
 
     def probability(self, signs: Mapping[str, float]) -> Probability:
         """Of a result with these signs."""
-        held = {name: weight.held(signs[name]) for name, weight in self.weights.items()}
-        logit = self.bias + sum(self.weights[name].weight * value for name, value in held.items())
+        clipped = {name: weight.clipped(signs[name]) for name, weight in self.weights.items()}
+        logit = self.bias + sum(self.weights[name].weight * value for name, value in clipped.items())
         beyond = tuple(name for name, weight in self.weights.items() if weight.beyond(signs[name]))
         meaning = f"{MEANING.format(self.where)}; calibrated on {self.data}; for anything else it is an extrapolation"
         return Probability(float(sigmoid(np.array(logit))), meaning, beyond)

@@ -45,12 +45,12 @@ class Check:
             return "not applicable"
         return "usual" if self.is_usual(value) else "serious" if self.serious else "note"
 
-    def finding(self, value: float, given: Evidence) -> Finding | None:
+    def finding(self, value: float, it: Evidence) -> Finding | None:
         """What there is to say about a value that was measured."""
         if self.is_usual(value):
             return None
         limit, least = (self.low, "least") if value < self.low else (self.high, "most")
-        fault = self.fault.format(value=self.shown(value)) if isinstance(self.fault, str) else self.fault(given)
+        fault = self.fault.format(value=self.shown(value)) if isinstance(self.fault, str) else self.fault(it)
         usual = f" (usual: at {least} {self.shown(limit)})" if limit else ""  # that there is usually none is plain
         return Finding(self.name, self.serious, value, limit, f"{fault}{usual}; {self.advice}")
 

@@ -30,7 +30,7 @@ PER_REGION = 6
 
 
 @dataclass(frozen=True)
-class Jumps:
+class Glitches:
     """Where the given hand jumps away and back (``fitting.hand_jumps``).
 
     Attributes:
@@ -79,23 +79,23 @@ class Evidence:
     T_hand_obj: Float[ndarray, "T 4 4"] | None = None
     scale: float = 1.0
     iou: Float[ndarray, "n"] | None = None
-    doubted: tuple[str, ...] | None = None
+    outliers: tuple[str, ...] | None = None
     deformed: float = np.nan
     deformed_mm: float = np.nan
     hand_differing: float = np.nan
     misfit: float = np.nan
-    other_size: tuple[float, float] = (np.nan, np.nan)
-    jumps: Jumps | None = None
+    scale_check: tuple[float, float] = (np.nan, np.nan)
+    glitches: Glitches | None = None
 
     @property
-    def jumps_share(self) -> float:
+    def glitch_share(self) -> float:
         """Share of the clip's frames in which the hand jumps; NaN where none was looked for."""
-        return np.nan if self.jumps is None else self.jumps.share
+        return np.nan if self.glitches is None else self.glitches.share
 
     @property
-    def doubted_share(self) -> float:
+    def outlier_share(self) -> float:
         """Share of the frames whose masks are doubted; NaN where none was checked."""
-        return np.nan if self.doubted is None else len(self.doubted) / len(self.overlaps)
+        return np.nan if self.outliers is None else len(self.outliers) / len(self.overlaps)
 
     @cached_property
     def hand_middle(self) -> Float[ndarray, "T 3"]:

@@ -47,38 +47,38 @@ class Lateness:
         return f"masks seem to come {count} {when}: shifted, they would meet the hands {self.times:.2f} times better"
 
 
-def following(given: Evidence) -> float:
+def following(it: Evidence) -> float:
     """Distance of the masks' middles from a point that moves with the hand, in sizes of the mask (root of its area)."""
-    here = np.flatnonzero(given.mask_area > 0)
-    return _miss(given, here, here) if len(here) >= FEWEST else float("nan")
+    here = np.flatnonzero(it.mask_area > 0)
+    return _miss(it, here, here) if len(here) >= FEWEST else float("nan")
 
 
-def misorder(given: Evidence) -> float:
+def misorder(it: Evidence) -> float:
     """How many times better the masks fit the hands in another order than in the given one; 1: no order is better.
 
     The distance of the masks' middles in the given order over that in the other; times, likewise, the overlap of hands
     and ignored pixels, where there are any.
     """
-    shown = given.mask_area > 0
-    overlap = _overlap(given.drawn_hands, given.small_ignore) if given.masks.say_what_hides else None
+    shown = it.mask_area > 0
+    overlap = _overlap(it.drawn_hands, it.small_ignore) if it.masks.say_what_hides else None
     best = 1.0 if shown.sum() >= FEWEST else float("nan")
     for frames, others in _orders(len(shown)):
         both = shown[frames] & shown[others]
         n, m = frames[both], others[both]
         if len(n) < FEWEST:
             continue
-        times = _miss(given, n, n) / max(_miss(given, n, m), LEAST_MISS)
+        times = _miss(it, n, n) / max(_miss(it, n, m), LEAST_MISS)
         if overlap is not None:
             times *= overlap[n, m].mean() / max(overlap[n, n].mean(), LEAST_OVERLAP)
         best = max(best, times)
     return best
 
 
-def lateness(given: Evidence) -> Lateness:
+def lateness(it: Evidence) -> Lateness:
     """At which shift the hands overlap their own pixels best: ``masks/hand``, else those ignored."""
-    pixels, known = given.small_hand_pixels, given.masks.known
+    pixels, known = it.small_hand_pixels, it.masks.known
     best = Lateness(0, 1.0 if pixels[known].any() and len(pixels) >= FEWEST else float("nan"))
-    overlap, when = _overlap(given.drawn_hands, pixels), given.clip.time * given.clip.fps
+    overlap, when = _overlap(it.drawn_hands, pixels), it.clip.time * it.clip.fps
     for frames, others in _shifts(len(pixels)):
         both = known[frames] & known[others]
         n, m = frames[both], others[both]
@@ -105,15 +105,15 @@ def _shifts(count: int) -> Iterator[tuple[Int[ndarray, "n"], Int[ndarray, "n"]]]
         yield every[:-shift], every[shift:]
 
 
-def _miss(given: Evidence, frames: Int[ndarray, "n"], masks: Int[ndarray, "n"]) -> float:
+def _miss(it: Evidence, frames: Int[ndarray, "n"], masks: Int[ndarray, "n"]) -> float:
     """Root mean square distance of the masks' middles from the projection of the best point in the hand."""
-    hand, K = given.clip.hand, given.clip.K[frames]
+    hand, K = it.clip.hand, it.clip.K[frames]
     T = hand.T_cam_hand[frames]
-    middle = given.hand_middle[frames].mean(axis=0)
+    middle = it.hand_middle[frames].mean(axis=0)
     P = K @ T[:, :3]
-    uv, depth = given.centroids[masks], given.depth[frames]
+    uv, depth = it.centroids[masks], it.depth[frames]
     rows = (P[:, :2] - uv[..., None] * P[:, 2:]) / depth[:, None, None]  # (n, 2, 4): pixels off, nearly
-    size = max(np.sqrt(np.median(given.mask_area[masks])), _expected_size(given))
+    size = max(np.sqrt(np.median(it.mask_area[masks])), _expected_size(it))
     rows = rows / size
     A, b = rows[..., :3].reshape(-1, 3), -(rows @ np.append(middle, 1.0)).ravel()
     ridge = 0.01 * len(frames) / NEAR**2
@@ -121,15 +121,15 @@ def _miss(given: Evidence, frames: Int[ndarray, "n"], masks: Int[ndarray, "n"]) 
     return float(np.sqrt(np.sum((A @ p - b) ** 2) / len(frames)))
 
 
-def _expected_size(given: Evidence) -> float:
+def _expected_size(it: Evidence) -> float:
     """The object's diameter in the image, over two, where it is known [px]: about the root of the area of a whole mask.
 
     What little the hand leaves to see of an object may lie anywhere in it.
     """
-    if given.clip.scale != "known":
+    if it.clip.scale != "known":
         return 0.0
-    focal = given.clip.K[:, [0, 1], [0, 1]].mean(axis=1)
-    return float(np.median(focal / given.depth)) * given.clip.mesh.diameter / 2.0
+    focal = it.clip.K[:, [0, 1], [0, 1]].mean(axis=1)
+    return float(np.median(focal / it.depth)) * it.clip.mesh.diameter / 2.0
 
 
 def _overlap(hands: Bool[ndarray, "T h w"], pixels: Bool[ndarray, "T h w"]) -> Float[ndarray, "T T"]:

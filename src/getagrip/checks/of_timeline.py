@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.checks.check import Check, millimetres, of_diameter
-from getagrip.checks.evidence import Evidence, Jumps
+from getagrip.checks.evidence import Evidence, Glitches
 from getagrip.checks.of_segment import SEGMENT_CHECKS, STATIC
 from getagrip.checks.table import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, examine
 from getagrip.clip import Clip, Masks, Segment
@@ -26,7 +26,7 @@ FRAMES = 30
 HAND_SIDE = "hand-side"
 """Of the other hand where that holds the object; of the clip's own it is a check of the whole."""
 WITH_HAND = (
-    "mask-size", "seen-size", "frame-order", "frames-late", "masks-follow-hand", "object-over-hand",
+    "mask-size", "visible-size", "frame-order", "frames-late", "masks-follow-hand", "object-over-hand",
     "hand-over-object", "regrasp", "second-gap", "contact-gap", "penetration",
 )  # fmt: skip
 """Checks that suppose a grasp, by the hand that holds the object."""
@@ -62,11 +62,11 @@ def examine_timeline(
     scale: float,
     iou: Float[ndarray, "T"],
     T_cam_other_hand: Float[ndarray, "T 4 4"] | None = None,
-    jumps: Jumps | None = None,
+    glitches: Glitches | None = None,
 ) -> Examined:
     """Check a timeline and its result: the poses that were found, hands corrected, and IOU, NaN where unobserved."""
     T_hand_obj = se3.inverse(T_cam_hand) @ T_cam_obj
-    whole = Evidence(clip.with_hand_at(T_cam_hand, T_cam_other_hand), masks, T_hand_obj, scale, iou, jumps=jumps)
+    whole = Evidence(clip.with_hand_at(T_cam_hand, T_cam_other_hand), masks, T_hand_obj, scale, iou, glitches=glitches)
     of_clip = [c for c in (*INPUT_CHECKS, *RESULT_CHECKS, JUMP) if c.name not in (*WITH_HAND, *OF_MASKS)]
     checks, findings = examine(of_clip, whole)
     of_segments, failed = [], []
@@ -97,28 +97,28 @@ def _examine(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[str, f
     if not len(seen):
         return {}, ()
     known = seen[clip.hand_known(segment.side)[seen]] if segment.state == "grasp" else seen[:0]
-    held, rows = len(known) > 0, known if len(known) else seen
+    grasped, rows = len(known) > 0, known if len(known) else seen
     rows = rows[frame_indices(len(rows), FRAMES)]
     by, of, T_hand_obj, masks = whole.clip, clip, whole.T_hand_obj, whole.masks.take(rows)
-    other = held and segment.side != clip.side
+    other = grasped and segment.side != clip.side
     if other:
         by, of = (_by_other(one) for one in (by, of))
         T_hand_obj = se3.inverse(by.hand.T_cam_hand) @ whole.clip.hand.T_cam_hand @ T_hand_obj
         masks = replace(masks, hand=None)
     result = Evidence(by.take(rows), masks, T_hand_obj[rows], whole.scale, iou)
-    checks = [c for c in RESULT_CHECKS if c.name in OF_MASKS or (held and c.name in WITH_HAND)]
+    checks = [c for c in RESULT_CHECKS if c.name in OF_MASKS or (grasped and c.name in WITH_HAND)]
     checks += [*SEGMENT_CHECKS, *((STATIC, FLOATS) if segment.state == "static" else ())]
     measured, findings = examine(checks, result)
-    if not held:
+    if not grasped:
         return measured, findings
-    given, wanted = Evidence(of.take(rows), masks), (*WITH_HAND, HAND_SIDE) if other else WITH_HAND
-    of_input, before = examine([c for c in INPUT_CHECKS if c.name in wanted], given)
+    value, wanted = Evidence(of.take(rows), masks), (*WITH_HAND, HAND_SIDE) if other else WITH_HAND
+    of_input, before = examine([c for c in INPUT_CHECKS if c.name in wanted], value)
     return of_input | measured, (*before, *findings)
 
 
 def _by_other(clip: Clip) -> Clip:
     """The clip with the other hand for its own."""
-    swapped = clip.held_by(clip.other_side)
+    swapped = clip.with_side(clip.other_side)
     assert swapped is not None
     return swapped
 

@@ -88,7 +88,7 @@ def size_shift(it: Solved) -> float:
     """
     centre = se3.transform(it.clip.hand.T_cam_hand @ it.poses, it.scale * it.clip.mesh.centre[None])
     away = np.linalg.norm(centre, axis=-1).mean()
-    return _logarithm(np.nan_to_num(abs(it.other_size[0] - 1.0)) * away / it.diameter, 0.02)
+    return _logarithm(np.nan_to_num(abs(it.scale_check[0] - 1.0)) * away / it.diameter, 0.02)
 
 
 def off_axis_turn(it: Solved) -> float:

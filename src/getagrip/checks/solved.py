@@ -35,7 +35,7 @@ class Solved(Evidence):
 
     candidates: Candidates
     axis: Axis | None
-    T_cam_hand_given: Float[ndarray, "T 4 4"]
+    T_cam_hand_input: Float[ndarray, "T 4 4"]
     spread: float
 
     @property
@@ -99,11 +99,11 @@ class Solved(Evidence):
     def hand_shift(self) -> float:
         """How far the hand's middle was moved when it was corrected, mean over frames [m]."""
         middle = self.clip.hand.vertices.mean(axis=(0, 1))[None]
-        T, given = self.clip.hand.T_cam_hand, self.T_cam_hand_given
-        return float(np.linalg.norm(se3.transform(T, middle) - se3.transform(given, middle), axis=-1).mean())
+        T, value = self.clip.hand.T_cam_hand, self.T_cam_hand_input
+        return float(np.linalg.norm(se3.transform(T, middle) - se3.transform(value, middle), axis=-1).mean())
 
     @property
     def hand_turn(self) -> float:
         """By how much it was turned, mean over frames [rad]."""
-        T, given = self.clip.hand.T_cam_hand, self.T_cam_hand_given
-        return float(se3.angle_between(T[:, :3, :3], given[:, :3, :3]).mean())
+        T, value = self.clip.hand.T_cam_hand, self.T_cam_hand_input
+        return float(se3.angle_between(T[:, :3, :3], value[:, :3, :3]).mean())

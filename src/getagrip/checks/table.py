@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from getagrip.checks import frame_order, held, mask_agreement, mesh_form, regrasp
+from getagrip.checks import frame_order, mask_agreement, mesh_form, plausibility, regrasp
 from getagrip.checks.check import Check, millimetres, of_diameter, percent
 from getagrip.checks.evidence import Evidence
 from getagrip.checks.hand_side import bend
@@ -16,9 +16,9 @@ from getagrip.finding import Finding
 GRAVER = {
     "mesh-open": "mesh-holes",
     "frames-late": "frame-order",
-    "hand-jumps": "many-hand-jumps",
+    "tracker-glitches": "many-tracker-glitches",
     "other-size": "wrong-size",
-    "masks-doubted": "many-masks-doubted",
+    "outlier-masks": "many-outlier-masks",
     "mesh-deformed": "mesh-much-deformed",
     "pixel-stretch": "principal-point",
     "field-of-view": "principal-point",
@@ -32,16 +32,16 @@ LEAST_IOU = 0.5
 
 def contradicting(it: Evidence) -> str:
     """Which masks are doubted."""
-    assert it.doubted
-    masks, names = f"{len(it.doubted)} of {len(it.overlaps)} masks", ", ".join(it.doubted)
-    if len(it.doubted) == 1:
+    assert it.outliers
+    masks, names = f"{len(it.outliers)} of {len(it.overlaps)} masks", ", ".join(it.outliers)
+    if len(it.outliers) == 1:
         return f"{masks} contradicts the others and was left out: frame {names}"
     return f"{masks} contradict the others and were left out: frames {names}"
 
 
 def rather(it: Evidence) -> str:
     """Which size would be better."""
-    factor, gain = it.other_size
+    factor, gain = it.scale_check
     return f"{factor:.2f} times its size would explain the masks and the hand better, by {percent(gain)} of the energy"
 
 
@@ -57,7 +57,7 @@ def deformation(it: Evidence) -> str:
 
 def other_images(it: Evidence) -> str:
     """Of which images the camera seems to be."""
-    return intrinsics.doubt(it.clip.K, it.clip.size)
+    return intrinsics.camera_warning(it.clip.K, it.clip.size)
 
 
 CAMERA_ADVICE = "give the camera of these images: K is scaled and cropped as they are"
@@ -89,22 +89,22 @@ INPUT_CHECKS: tuple[Check, ...] = (
         advice="is it stretched along one axis, or another object's?",
     ),
     Check(
-        "object-size", held.given_size, low=0.1, high=6.0,
+        "object-size", plausibility.size_input, low=0.1, high=6.0,
         fault="the mesh is {value} times as large as the hand",
         advice="check the units of mesh and hand; an unknown size is \"scale\": \"free\"",
     ),
     Check(
-        "mask-size", held.mask_size, low=0.15, high=2.5,
+        "mask-size", plausibility.mask_size, low=0.15, high=2.5,
         fault="the masks show something {value} times as large as the mesh, at the hand's distance",
         advice="check the masks' label, the mesh's size, the focal length and the hand's distance",
     ),
     Check(
-        "seen-size", held.seen_size, low=0.1, high=8.0,
+        "visible-size", plausibility.seen_size, low=0.1, high=8.0,
         fault="the masks show something {value} times as large as the hand, at the hand's distance",
         advice="check the masks' label, the focal length and the hand's distance",
     ),
     Check(
-        "mask-at-edges", held.edge_share, high=0.7, shown=percent,
+        "mask-at-edges", plausibility.edge_share, high=0.7, shown=percent,
         fault="the masks cover {value} of the image's edge",
         advice="are these masks of the background, or of the whole image? Check their label",
     ),
@@ -122,7 +122,7 @@ INPUT_CHECKS: tuple[Check, ...] = (
         fault=other_images, advice=CAMERA_ADVICE,
     ),
     Check(
-        "focal-jumps", held.focal_jump, high=1.1,
+        "focal-jumps", plausibility.focal_jump, high=1.1,
         fault="from one frame to the next the focal length changes by a factor of {value}",
         advice="give one camera for all frames, unless the lens zooms",
     ),
@@ -132,12 +132,12 @@ INPUT_CHECKS: tuple[Check, ...] = (
         advice="it is the other hand: correct \"side\" in clip.json, or the hand was mirrored",
     ),
     Check(
-        "many-hand-jumps", lambda it: it.jumps_share, high=0.3, shown=percent,
-        fault=lambda it: str(it.jumps), advice="is it the same hand in all frames? --given-hands believes all",
+        "many-tracker-glitches", lambda it: it.glitch_share, high=0.3, shown=percent,
+        fault=lambda it: str(it.glitches), advice="is it the same hand in all frames? --given-hands believes all",
     ),
     Check(
-        "hand-jumps", lambda it: it.jumps_share, high=0.0, serious=False,
-        fault=lambda it: str(it.jumps), advice="--given-hands believes all",
+        "tracker-glitches", lambda it: it.glitch_share, high=0.0, serious=False,
+        fault=lambda it: str(it.glitches), advice="--given-hands believes all",
     ),
     Check(
         "frame-order", frame_order.misorder, high=2.5,
@@ -172,11 +172,11 @@ RESULT_CHECKS: tuple[Check, ...] = (
         advice="look at the IOU over time in the report: is the mask of that frame right?",
     ),
     Check(
-        "many-masks-doubted", lambda it: it.doubted_share, high=0.3, shown=percent,
+        "many-outlier-masks", lambda it: it.outlier_share, high=0.3, shown=percent,
         fault=contradicting, advice="are they all of the same object? --given-masks believes all",
     ),
     Check(
-        "masks-doubted", lambda it: it.doubted_share, high=0.0, serious=False,
+        "outlier-masks", lambda it: it.outlier_share, high=0.0, serious=False,
         fault=contradicting, advice="--given-masks believes all",
     ),
     Check(
@@ -189,11 +189,11 @@ RESULT_CHECKS: tuple[Check, ...] = (
         advice="it is not the object's own, or all masks are off alike; --given-mesh takes it as it is",
     ),
     Check(
-        "wrong-size", lambda it: it.other_size[1], high=0.3, shown=percent, fault=rather,
+        "wrong-size", lambda it: it.scale_check[1], high=0.3, shown=percent, fault=rather,
         advice="are mesh and hand as large as the real ones? For an unknown size: \"scale\": \"free\"",
     ),
     Check(
-        "other-size", lambda it: it.other_size[1], high=0.15, serious=False, shown=percent, fault=rather,
+        "other-size", lambda it: it.scale_check[1], high=0.15, serious=False, shown=percent, fault=rather,
         advice="are mesh and hand as large as the real ones, and the hand as far away?",
     ),
     Check(
@@ -209,12 +209,12 @@ RESULT_CHECKS: tuple[Check, ...] = (
         advice=CAUSES + " Are they rough?",
     ),
     Check(
-        "hand-off-pixels", held.hand_off_pixels, high=0.4, shown=percent,
+        "hand-off-pixels", plausibility.hand_off_pixels, high=0.4, shown=percent,
         fault="the hand's silhouette and its pixels (masks/hand) differ by {value} of these, and no correction helps",
         advice="check the hand's poses, size and side, the camera, and the label of its masks",
     ),
     Check(
-        "hand-off-ignored", held.hand_off_ignored, high=0.4, serious=False, shown=percent,
+        "hand-off-ignored", plausibility.hand_off_ignored, high=0.4, serious=False, shown=percent,
         fault="the hand's silhouette and the ignored pixels there differ by {value} of these, and no correction helps",
         advice="if nothing else is ignored there, check the hand's poses, size and side, and the camera",
     ),
@@ -229,22 +229,22 @@ RESULT_CHECKS: tuple[Check, ...] = (
         advice="do the masks include what the hand hides, or the hand itself? Or is one at the wrong distance?",
     ),
     Check(
-        "second-gap", held.second_gap, high=12.0, serious=False, shown=millimetres,
+        "second-gap", plausibility.second_gap, high=12.0, serious=False, shown=millimetres,
         fault="only one part of the hand is near the object, the next is {value} away",
         advice="is it held so? Else sizes or distances of hand and object do not agree",
     ),
     Check(
-        "contact-gap", held.gap, high=15.0, shown=millimetres,
+        "contact-gap", plausibility.gap, high=15.0, shown=millimetres,
         fault="hand and object are {value} apart in half of the frames",
         advice="nothing is held there: check the hands' distance from the camera, and --method one-dof",
     ),
     Check(
-        "penetration", held.penetration, high=35.0, serious=False, shown=millimetres,
+        "penetration", plausibility.penetration, high=35.0, serious=False, shown=millimetres,
         fault="the hand is {value} inside the object in half of the frames",
         advice="hands, mesh size or pose are off by about as much",
     ),
     Check(
-        "found-size", held.found_size, low=0.1, high=6.0,
+        "result-size", plausibility.found_size, low=0.1, high=6.0,
         fault="the object was found to be {value} times as large as the hand",
         advice="a free scale needs masks and hands that agree; give the size if you know it",
     ),
@@ -255,10 +255,10 @@ MOST = 1e9
 """JSON has no infinity."""
 
 
-def examine(checks: Iterable[Check], given: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:
+def examine(checks: Iterable[Check], it: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:
     """What each check measures, at most ``MOST`` either way, and what is found."""
-    measured = {check.name: float(np.clip(check.measure(given), -MOST, MOST)) for check in checks}
-    findings = [check.finding(measured[check.name], given) for check in checks]
+    measured = {check.name: float(np.clip(check.measure(it), -MOST, MOST)) for check in checks}
+    findings = [check.finding(measured[check.name], it) for check in checks]
     found = [finding for finding in findings if finding is not None]
     names = {finding.check for finding in found}
     return measured, tuple(f for f in found if GRAVER.get(f.check) not in names)

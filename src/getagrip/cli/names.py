@@ -22,9 +22,9 @@ def joined(words: Sequence[str], names: Collection[str], before: str = "") -> li
     begun = [name for name in names if name.split()[0] == words[0]]
     if begun and {"-h", "--help"} & {*words}:
         return [begun[0], "--help"]
-    given = " ".join(words[:2]) if begun else words[0]
-    alike = [before + name for name in begun or _alike(given, names)]
-    print(f"getagrip: {cleaned(str(unknown('command', before + given, alike or names)))}", file=sys.stderr)
+    value = " ".join(words[:2]) if begun else words[0]
+    alike = [before + name for name in begun or _alike(value, names)]
+    print(f"getagrip: {cleaned(str(unknown('command', before + value, alike or names)))}", file=sys.stderr)
     sys.exit(2)
 
 

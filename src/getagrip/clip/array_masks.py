@@ -30,28 +30,28 @@ Numbers = Callable[[int], tuple[Path, str, ndarray]]
 
 def npz(path: Path, request: MaskRequest) -> MaskReader:
     """Masks or labels of all frames, or an array for each, in an ``.npz`` file. Raises ``InputError``."""
-    given = arrays.read(path, lambda _: True)
-    key = next((key for key in ("labels", "object") if key in given), None)
+    stored = arrays.read(path, lambda _: True)
+    key = next((key for key in ("labels", "object") if key in stored), None)
     if key is None:
-        names = [name for name, array in given.items() if array.ndim in (2, 3)]
+        names = [name for name, array in stored.items() if array.ndim in (2, 3)]
         if not any(frame_of(name, request.frames) is not None for name in names):
-            there = f"the arrays {', '.join(map(files.plain, list(given)[:3]))}" if given else "no array"
+            there = f"the arrays {', '.join(map(files.plain, list(stored)[:3]))}" if stored else "no array"
             raise InputError(path, "object", there, "the array, or one called labels, or one for each frame")
         rows = request.places(path, [f"{name}.npy" for name in names])
-        return _labels(path, lambda n: (path, names[rows[n]], given[names[rows[n]]]), rows, request)
-    if given[key].ndim == 4 and given[key].shape[1] == 1:
-        given[key] = given[key][:, 0]
-    kinds = (key,) if key == "labels" else tuple(kind for kind in KINDS if kind in given)
+        return _labels(path, lambda n: (path, names[rows[n]], stored[names[rows[n]]]), rows, request)
+    if stored[key].ndim == 4 and stored[key].shape[1] == 1:
+        stored[key] = stored[key][:, 0]
+    kinds = (key,) if key == "labels" else tuple(kind for kind in KINDS if kind in stored)
     width, height = request.size
     for name in kinds:
         expected = f"numbers or booleans of shape (n, H, W), as (n, {height}, {width})"
-        if given[name].shape != (*given[key].shape[:1], height, width):
-            raise InputError(path, name, f"{given[name].dtype} of shape {given[name].shape}", expected)
-    rows = _rows(path, given, len(given[key]), request)
+        if stored[name].shape != (*stored[key].shape[:1], height, width):
+            raise InputError(path, name, f"{stored[name].dtype} of shape {stored[name].shape}", expected)
+    rows = _rows(path, stored, len(stored[key]), request)
     if key == "labels":
-        return _labels(path, lambda n: (path, key, given[key][rows[n]]), rows, request)
+        return _labels(path, lambda n: (path, key, stored[key][rows[n]]), rows, request)
     notes = Counter[str]()
-    loads = {kind: _masks_of(path, kind, given[kind], rows, request, notes) for kind in kinds}
+    loads = {kind: _masks_of(path, kind, stored[kind], rows, request, notes) for kind in kinds}
 
     def read(n: int) -> FrameMasks:
         at = {kind: load(n)[1] != 0 for kind, load in loads.items()}
@@ -75,10 +75,10 @@ def npy_folder(folder: Path, paths: Sequence[Path], request: MaskRequest) -> Mas
         path = paths[rows[n]]
         if path.suffix == ".npy":
             return path, "", arrays.parse_npy(path, "", files.read_bytes(path, arrays.LARGEST))
-        given = arrays.read(path, lambda _: True)
-        if len(given) != 1:
-            raise InputError(path, "", f"{len(given)} arrays", "one, the labels of a frame")
-        return path, *next(iter(given.items()))
+        stored = arrays.read(path, lambda _: True)
+        if len(stored) != 1:
+            raise InputError(path, "", f"{len(stored)} arrays", "one, the labels of a frame")
+        return path, *next(iter(stored.items()))
 
     return _labels(folder, load, rows, request)
 
@@ -125,14 +125,14 @@ def _whole(load: Numbers, frames: Collection[int], size: tuple[int, int], notes:
     return labels
 
 
-def _rows(path: Path, given: Mapping[str, ndarray], count: int, request: MaskRequest) -> dict[int, int]:
+def _rows(path: Path, arrays: Mapping[str, ndarray], count: int, request: MaskRequest) -> dict[int, int]:
     """The row of each frame that has one."""
     frames = request.frames
-    if "frames" not in given:
+    if "frames" not in arrays:
         if count != len(frames):
             raise InputError(path, "frames", f"no such array, {count} masks", f"{len(frames)} masks, or their frames")
         return {n: n for n in range(count)}
-    names = given["frames"]
+    names = arrays["frames"]
     if names.dtype.kind not in "Uiu" or names.shape != (count,):
         raise InputError(path, "frames", f"{names.dtype} of shape {names.shape}", f"{count} names or numbers")
     return request.places(path, [str(name) for name in names])

@@ -72,8 +72,8 @@ def objects(path: Path, content: Mapping[str, object], key: str, needed: bool = 
     """A list of JSON objects. Raises ``InputError``."""
     value = content.get(key, None if needed else [])
     if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
-        given = "no such key" if key not in content else files.shown(value)
-        raise InputError(path, key, given, "a list of objects, as COCO has it")
+        got = "no such key" if key not in content else files.shown(value)
+        raise InputError(path, key, got, "a list of objects, as COCO has it")
     return value
 
 
@@ -95,8 +95,8 @@ def _annotations(
 def _thing(item: Mapping[str, object]) -> str:
     """Which thing of its category an annotation is of; empty where it does not say."""
     attributes = item.get("attributes")
-    for given in (item, attributes if isinstance(attributes, dict) else {}):
+    for value in (item, attributes if isinstance(attributes, dict) else {}):
         for key in THING_KEYS:
-            if isinstance(given.get(key), int | str):
-                return str(given[key])
+            if isinstance(value.get(key), int | str):
+                return str(value[key])
     return ""

@@ -179,9 +179,9 @@ class Clip(ArrayData):
             counts["world"] = len(self.world.T_world_cam)
         if self.other_hand is not None:
             counts["other_hand"] = len(self.other_hand.known)
-        for name, given in counts.items():
-            if given != count:
-                raise UsageError(f"Clip.{name} must be {count} frames, as many as the hand has (got {given})")
+        for name, value in counts.items():
+            if value != count:
+                raise UsageError(f"Clip.{name} must be {count} frames, as many as the hand has (got {value})")
         if self.side not in ("left", "right"):
             raise UsageError(f"Clip.side must be 'left' or 'right' (got {self.side!r})")
         if self.scale not in ("known", "free"):
@@ -243,7 +243,7 @@ class Clip(ArrayData):
         """The side of the hand that is not the clip's own."""
         return "left" if self.side == "right" else "right"
 
-    def held_by(self, side: Side | None) -> Clip | None:
+    def with_side(self, side: Side | None) -> Clip | None:
         """The clip with the hand of a side for its own; None where that hand is not known.
 
         Of the other side it has no ground truth, and in some of its frames the hand may not be known (``hand_known``).
@@ -300,7 +300,7 @@ def observed_frames(clip: Clip, observed: Bool[ndarray, "T"]) -> Clip:
     Raises ``InputError`` for fewer than two: one silhouette says nothing about a motion.
     """
     if observed.sum() < 2:
-        given = f"{observed.sum()} of {len(clip)} frames whose mask has a pixel that is not ignored"
-        raise InputError(clip.origin / "masks" / "object", "", given, "at least 2")
+        got = f"{observed.sum()} of {len(clip)} frames whose mask has a pixel that is not ignored"
+        raise InputError(clip.origin / "masks" / "object", "", got, "at least 2")
     unobserved = tuple(name for name, is_observed in zip(clip.frames, observed, strict=True) if not is_observed)
     return replace(clip.take(np.flatnonzero(observed)), left_out=(*clip.left_out, *unobserved))

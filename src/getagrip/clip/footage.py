@@ -57,8 +57,8 @@ class Stretch:
         )
         for name, image in zip(self.names, shown, strict=True):
             if image.shape[1::-1] != self.size:
-                given = f"{image.shape[1]} x {image.shape[0]} pixels in frame {files.plain(name)}"
-                raise InputError(self.path, "size", given, "{} x {}, as the first frame has".format(*self.size))
+                got = f"{image.shape[1]} x {image.shape[0]} pixels in frame {files.plain(name)}"
+                raise InputError(self.path, "size", got, "{} x {}, as the first frame has".format(*self.size))
             yield image
 
 

@@ -29,10 +29,10 @@ MILLIMETRES = 36.0
 
 def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], Source]:
     """The pinhole of images of some size [px], and where it comes from. Raises ``UsageError``."""
-    given = [lens.K is not None, lens.focal is not None, lens.guess_focal]
-    if not any(given):
+    got = [lens.K is not None, lens.focal is not None, lens.guess_focal]
+    if not any(got):
         raise UsageError("missing --K, --focal or --guess-focal: the camera")
-    if sum(given) > 1:
+    if sum(got) > 1:
         raise UsageError("--K, --focal, --guess-focal cannot be used with each other")
     width, height = size
     if lens.K is not None:
@@ -53,7 +53,7 @@ def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"]
         check_intrinsics(Path(), K[None], size)
     except InputError as error:
         option = "--K" if lens.K is not None else "--focal"
-        raise UsageError(f"{option} must be {error.expected} (got {error.given})") from error
+        raise UsageError(f"{option} must be {error.expected} (got {error.got})") from error
     return K, source
 
 
@@ -75,7 +75,7 @@ def field_of_view(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> float:
     return float(angles[np.argmax(np.abs(angles - 0.5 * (NARROW + WIDE)))])
 
 
-def doubt(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> str:
+def camera_warning(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> str:
     """Why matrices seem to be of other images than those of a size [px], in words; empty where they fit."""
     image = f"the {size[0]} x {size[1]} images"
     if off_middle(K, size) > OFF_MIDDLE:

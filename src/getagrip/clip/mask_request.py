@@ -40,7 +40,7 @@ class MaskReader:
     """Labels that were met so far in frames without the object, for an error about a label that is nowhere."""
     notes: dict[str, int] = field(default_factory=dict)
     """What was made of unusual content so far, and of how much of it."""
-    doubts: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     """What is probably not as it is meant."""
 
     def __call__(self, n: int) -> FrameMasks | None:
@@ -90,10 +90,16 @@ class MaskRequest:
         several = next((n for n in sorted(found) if len(found[n]) > 1), None)
         if several is not None:
             first, second = (files.plain(names[k]) for k in found[several][:2])
-            ways = sorted(_ways([names[k] for of_frame in found.values() for k in of_frame]))[:MOST_NAMED]
-            choice = f"; {self.ask_images} chooses: {' or '.join(map(files.plain, ways))}" if len(ways) > 1 else ""
-            given = f"a second mask of frame {files.plain(self.frames[several])}, {second} beside {first}"
-            raise InputError(source, "", given, f"one{choice}")
+            alternatives = sorted(_alternatives([names[k] for of_frame in found.values() for k in of_frame]))[
+                :MOST_NAMED
+            ]
+            choice = (
+                f"; {self.ask_images} chooses: {' or '.join(map(files.plain, alternatives))}"
+                if len(alternatives) > 1
+                else ""
+            )
+            got = f"a second mask of frame {files.plain(self.frames[several])}, {second} beside {first}"
+            raise InputError(source, "", got, f"one{choice}")
         if not found:
             raise self.nothing(source, names)
         return {n: of_frame[0] for n, of_frame in found.items()}
@@ -101,8 +107,8 @@ class MaskRequest:
     def nothing(self, source: Path, names: Sequence[str]) -> InputError:
         """That there is no mask of any frame."""
         some = ", ".join(map(files.plain, names[:2])) + (", ..." if len(names) > 2 else "")
-        given = f"no mask of any of {len(self.frames)} frames" + (f" among {some}" if names else "")
-        return InputError(source, "", given, f"masks named like the frames, as {files.plain(self.frames[0])}")
+        got = f"no mask of any of {len(self.frames)} frames" + (f" among {some}" if names else "")
+        return InputError(source, "", got, f"masks named like the frames, as {files.plain(self.frames[0])}")
 
     def _is_meant(self, name: str) -> bool:
         name, folder = name.replace("\\", "/"), self.images.strip("/")
@@ -110,14 +116,14 @@ class MaskRequest:
         return not folder or f"/{folder}/" in f"/{parent}/" or fnmatchcase(name, self.images)
 
 
-def _ways(names: Sequence[str]) -> set[str]:
+def _alternatives(names: Sequence[str]) -> set[str]:
     """Folders, suffixes or beginnings of names, whichever tell images of one frame apart."""
     paths = [PurePosixPath(name.replace("\\", "/")) for name in names]
-    for ways in (
+    for alternatives in (
         {str(path.parent) for path in paths},
         {f"*{path.suffix}" for path in paths},
         {str(path.with_name(f"{path.stem.rstrip('0123456789')}*")) for path in paths},
     ):
-        if len(ways) > 1:
-            return ways
+        if len(alternatives) > 1:
+            return alternatives
     return set()

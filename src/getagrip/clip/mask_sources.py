@@ -53,8 +53,8 @@ def open_masks(path: Path, request: MaskRequest) -> MaskReader:
         if "shapes" in content:
             return label_me(path, [path], request)
         return (youtube_vis if "videos" in content and "images" not in content else coco)(path, content, request)
-    given = "no folder, .json, .npz, .pkl or .npy" if path.exists() else "no such file or folder"
-    raise InputError(path, "", given, "masks: a folder of PNG, COCO's JSON, arrays, or SAM 2's video_segments")
+    got = "no folder, .json, .npz, .pkl or .npy" if path.exists() else "no such file or folder"
+    raise InputError(path, "", got, "masks: a folder of PNG, COCO's JSON, arrays, or SAM 2's video_segments")
 
 
 def _folder(folder: Path, request: MaskRequest) -> MaskReader:
@@ -70,9 +70,9 @@ def _folder(folder: Path, request: MaskRequest) -> MaskReader:
     if images[".json"]:
         return label_me(folder, images[".json"], request)
     other = next((path.name for path in sorted(folder.iterdir()) if path.suffix.lower() in LOSSY), None)
-    given = f"no mask of any of {len(request.frames)} frames"
-    given += f"; {files.plain(other)} is no PNG, and has no labels" if other else ""
-    raise InputError(folder, "", given, f"a PNG for each frame, named like it, as {files.plain(request.frames[0])}.png")
+    got = f"no mask of any of {len(request.frames)} frames"
+    got += f"; {files.plain(other)} is no PNG, and has no labels" if other else ""
+    raise InputError(folder, "", got, f"a PNG for each frame, named like it, as {files.plain(request.frames[0])}.png")
 
 
 def _things(folder: Path, request: MaskRequest, things: Sequence[str]) -> MaskReader:

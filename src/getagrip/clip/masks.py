@@ -87,5 +87,5 @@ def _check_some(clip: Clip, any_object: bool) -> None:
     if not any_object:
         folder = clip.origin / "masks" / "object"
         count = sum(has_mask(clip.origin, frame) for frame in clip.frames)
-        given = f"{count} masks without a pixel" if count else "no mask of any frame"
-        raise InputError(folder, "", given, "masks that show the object")
+        got = f"{count} masks without a pixel" if count else "no mask of any frame"
+        raise InputError(folder, "", got, "masks that show the object")

@@ -125,14 +125,14 @@ def counted_elsewhere(frames: Sequence[str], names: Iterable[str]) -> bool:
     That is where they have a number 0 and frames have not, and where only some of their numbers are frames': where
     about as many numbers as frames, from half of these to all, begin and end earlier, or begin and end later.
     """
-    of_frames, given = _numbers(frames, number_of), _numbers(names, number_in)
-    if len(of_frames) < len(frames) or not given:
+    of_frames, value = _numbers(frames, number_of), _numbers(names, number_in)
+    if len(of_frames) < len(frames) or not value:
         return False
-    earlier = min(given) < min(of_frames) and max(given) < max(of_frames)
-    later = min(given) > min(of_frames) and max(given) > max(of_frames)
-    from_zero = 0 in given and 0 not in of_frames
-    about_as_many = len(of_frames) <= 2 * len(given) <= 2 * len(of_frames)
-    return from_zero or ((earlier or later) and bool(given & of_frames) and about_as_many)
+    earlier = min(value) < min(of_frames) and max(value) < max(of_frames)
+    later = min(value) > min(of_frames) and max(value) > max(of_frames)
+    from_zero = 0 in value and 0 not in of_frames
+    about_as_many = len(of_frames) <= 2 * len(value) <= 2 * len(of_frames)
+    return from_zero or ((earlier or later) and bool(value & of_frames) and about_as_many)
 
 
 def check_numbers(frames: Sequence[str], names: Iterable[str], source: object, what: str, option: str) -> None:
@@ -144,17 +144,17 @@ def check_numbers(frames: Sequence[str], names: Iterable[str], source: object, w
     names = list(names)
     if not option or not counted_elsewhere(frames, names):
         return
-    of_frames, given = _numbers(frames, number_of), _numbers(names, number_in)
+    of_frames, value = _numbers(frames, number_of), _numbers(names, number_in)
     first, used = number_of(frames[0]) or 0, "segmented" if what == "mask" else "its input"
-    choices = {min(given): f"if the clip's images were {used}"}
-    if 0 in given and first > 1:
+    choices = {min(value): f"if the clip's images were {used}"}
+    if 0 in value and first > 1:
         choices[first - 1] = "if the whole video was"
     choices |= {first: "if its numbers are the frames' numbers"}
     each = ", ".join(f"{option} {start} {when}" for start, when in choices.items())
-    found = ", ".join(str(len({n - first + start for n in of_frames} & given)) for start in choices)
+    found = ", ".join(str(len({n - first + start for n in of_frames} & value)) for start in choices)
     raise UsageError(
         f"missing {option}: the number of the {what} of frame {files.plain(frames[0])}: in {source} they "
-        f"are numbered {min(given)} to {max(given)}, the clip's frames {min(of_frames)} to {max(of_frames)}. "
+        f"are numbered {min(value)} to {max(value)}, the clip's frames {min(of_frames)} to {max(of_frames)}. "
         f"{each}: then {found} of {len(frames)} frames have one"
     )
 

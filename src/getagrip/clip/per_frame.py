@@ -45,10 +45,8 @@ def world(path: Path, camera: dict[str, object], frames: tuple[str, ...]) -> Wor
         raise InputError(path, "camera.world_up", files.shown(camera["world_up"]), "[x, y, z], a direction of length 1")
     support = None if "world_support" not in camera else _numbers(camera["world_support"])
     if support is not None and not (support.shape == () and abs(support) <= ROOM):
-        given = files.shown(camera["world_support"])
-        raise InputError(
-            path, "camera.world_support", given, f"a height [m], at most {ROOM:g} m from the world's origin"
-        )
+        got = files.shown(camera["world_support"])
+        raise InputError(path, "camera.world_support", got, f"a height [m], at most {ROOM:g} m from the world's origin")
     if support is not None and up is None:
         raise InputError(path, "camera.world_support", "it", "none without camera.world_up, along which it is")
     if "T_world_cam" not in camera:
@@ -60,28 +58,28 @@ def world(path: Path, camera: dict[str, object], frames: tuple[str, ...]) -> Wor
     return World(T, up, None if support is None else float(support))
 
 
-def times(path: Path, given: object, frames: tuple[str, ...]) -> Float[ndarray, "T"]:
+def times(path: Path, value: object, frames: tuple[str, ...]) -> Float[ndarray, "T"]:
     """When each frame was taken [s]."""
-    values = _numbers(given)
+    values = _numbers(value)
     if values.ndim != 1:
-        raise InputError(path, "times", files.shown(given), "a list of numbers [s], one for each frame")
+        raise InputError(path, "times", files.shown(value), "a list of numbers [s], one for each frame")
     if len(values) != len(frames):
         raise InputError(path, "times", f"{len(values)} numbers", f"one for each of the {len(frames)} frames")
     check_times(path, values, frames)
     return values
 
 
-def _matrices(path: Path, key: str, given: object, rows: int, frames: int) -> Float[ndarray, "T rows rows"]:
+def _matrices(path: Path, key: str, value: object, rows: int, frames: int) -> Float[ndarray, "T rows rows"]:
     """A square matrix of finite numbers for each frame, given once for all or for each."""
-    values = _numbers(given)
+    values = _numbers(value)
     if values.shape[-2:] != (rows, rows) or values.ndim not in (2, 3):
-        raise InputError(path, key, files.shown(given), f"a {rows}x{rows} matrix of numbers, or one for each frame")
+        raise InputError(path, key, files.shown(value), f"a {rows}x{rows} matrix of numbers, or one for each frame")
     if values.ndim == 3 and len(values) != frames:
         raise InputError(path, key, f"{len(values)} matrices", f"one, or one for each of the {frames} frames")
     return np.broadcast_to(values, (frames, rows, rows)).copy()
 
 
-def _numbers(given: object) -> Float[ndarray, "..."]:
+def _numbers(value: object) -> Float[ndarray, "..."]:
     """Lists of numbers as an array, which JSON's reader has found to be finite; of no axes where they are none."""
-    values = arrays.from_lists(given)
+    values = arrays.from_lists(value)
     return np.array(np.nan) if values is None or values.dtype.kind not in "fi" else values.astype(float)

@@ -87,8 +87,8 @@ def check_intrinsics(path: Path, K: Float[ndarray, "T 3 3"], size: tuple[int, in
     shear = np.abs(K[:, [0, 1], [1, 0]]).max(axis=1) > 1e-6 * focal.min()
     other = shear | np.any(K[:, 2] != [0.0, 0.0, 1.0], axis=1)
     if other.any():
-        given = str(K[np.argmax(other)].tolist())
-        raise InputError(path, "camera.K", given, "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]: pixels without shear")
+        got = str(K[np.argmax(other)].tolist())
+        raise InputError(path, "camera.K", got, "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]: pixels without shear")
     least, most = 0.05 * max(size), 100.0 * max(size)
     if focal.min() < least or focal.max() > most:
         odd = focal.min() if focal.min() < least else focal.max()
@@ -128,13 +128,13 @@ def check_camera_poses(path: Path, T_world_cam: Float[ndarray, "T 4 4"], frames:
     far = np.abs(T_world_cam[:, :3, 3]).max(axis=1)
     if not far.max() <= FROM_WORLD:
         n = int(np.argmax(far))
-        given = f"a camera {far[n]:.4g} m from the world's origin in frame {shown(frames[n])}"
+        got = f"a camera {far[n]:.4g} m from the world's origin in frame {shown(frames[n])}"
         expected = f"at most {FROM_WORLD:g} m; subtract its first place from all, in metres"
-        raise InputError(path, "camera.T_world_cam", given, expected)
+        raise InputError(path, "camera.T_world_cam", got, expected)
     if not apart.max() <= ROOM:
         n = int(np.argmax(apart))
-        given = f"a camera {apart[n]:.4g} m from its first place in frame {shown(frames[n])}"
-        raise InputError(path, "camera.T_world_cam", given, f"at most {ROOM:g} m; are these millimetres?")
+        got = f"a camera {apart[n]:.4g} m from its first place in frame {shown(frames[n])}"
+        raise InputError(path, "camera.T_world_cam", got, f"at most {ROOM:g} m; are these millimetres?")
 
 
 def check_poses(
@@ -150,16 +150,16 @@ def check_poses(
     behind, distance = posed[:, 2] <= 0, np.linalg.norm(posed, axis=1)
     if behind.any():
         n = int(np.argmax(behind))
-        given = f"{what} behind the camera in frame {n} (z = {posed[n, 2]:.3g} m)"
-        raise InputError(path, key, given, "z above 0, forward; is it the inverse, or of a camera that looks along -z?")
+        got = f"{what} behind the camera in frame {n} (z = {posed[n, 2]:.3g} m)"
+        raise InputError(path, key, got, "z above 0, forward; is it the inverse, or of a camera that looks along -z?")
     if distance.max() > FARTHEST:
         n = int(np.argmax(distance))
-        given = f"{what} {distance[n]:.4g} m from the camera in frame {n}"
-        raise InputError(path, key, given, f"at most {FARTHEST:g} m; are these millimetres?")
+        got = f"{what} {distance[n]:.4g} m from the camera in frame {n}"
+        raise InputError(path, key, got, f"at most {FARTHEST:g} m; are these millimetres?")
     if distance.min() < NEAREST:
         n = int(np.argmin(distance))
-        given = f"{what} {distance[n]:.2g} m from the camera in frame {n}"
-        raise InputError(path, key, given, f"at least {NEAREST:g} m, from its own frame into the camera's")
+        got = f"{what} {distance[n]:.2g} m from the camera in frame {n}"
+        raise InputError(path, key, got, f"at least {NEAREST:g} m, from its own frame into the camera's")
 
 
 def check_in_hand(path: Path, key: str, points: Float[ndarray, "T P 3"], what: str) -> None:
@@ -167,9 +167,9 @@ def check_in_hand(path: Path, key: str, points: Float[ndarray, "T P 3"], what: s
     distance = np.linalg.norm(points.mean(axis=1), axis=1)
     if distance.max() > OFF_ORIGIN:
         n = int(np.argmax(distance))
-        given = f"{what} {distance[n]:.2g} m from the origin of the hand frame in frame {n}"
+        got = f"{what} {distance[n]:.2g} m from the origin of the hand frame in frame {n}"
         expected = f"at most {OFF_ORIGIN:g} m; are these camera coordinates, to which T_cam_hand would apply again?"
-        raise InputError(path, key, given, expected)
+        raise InputError(path, key, got, expected)
 
 
 def check_in_view(path: Path, hand: HandTrack, K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> None:
@@ -185,6 +185,6 @@ def check_in_view(path: Path, hand: HandTrack, K: Float[ndarray, "T 3 3"], size:
         where = (
             f"at u = {u:.0f}, v = {v:.0f} px" if centre[0, 0, 2] > 0 else f"{-centre[0, 0, 2]:.2g} m behind the camera"
         )
-        given = f"a hand outside the image in every frame (in the first {where})"
+        got = f"a hand outside the image in every frame (in the first {where})"
         expected = f"a hand in the {size[0]} x {size[1]} image; do T_cam_hand and clip.json's camera belong together?"
-        raise InputError(path, "T_cam_hand", given, expected)
+        raise InputError(path, "T_cam_hand", got, expected)

@@ -203,9 +203,9 @@ def _fields(folder: Path) -> ClipFields:
     return cast(ClipFields, fields | {"provenance": parse(path, fields["provenance"], version)})
 
 
-def _known(path: Path, where: str, given: dict[str, object], known: tuple[str, ...], version: int) -> None:
+def _known(path: Path, where: str, stored: dict[str, object], known: tuple[str, ...], version: int) -> None:
     """Raise ``InputError`` for a key that a version does not have."""
-    unknown = next((key for key in given if key not in known), None)
+    unknown = next((key for key in stored if key not in known), None)
     if unknown is not None:
         expected = f"one of {', '.join(known)} (version {version})"
         raise InputError(path, f"{where}{files.plain(unknown)}", "an unknown key", expected)
@@ -234,12 +234,12 @@ def frames_with_hand(path: Path, frames: tuple[str, ...]) -> Int[ndarray, "n"]:
 
     Numbers instead of names are passed over: in a hand file they are those of the footage.
     """
-    given = arrays.read(path, {"frames"}.__contains__).get("frames", np.arange(0))
-    if given.dtype.kind != "U":
+    stored = arrays.read(path, {"frames"}.__contains__).get("frames", np.arange(0))
+    if stored.dtype.kind != "U":
         return np.arange(len(frames))
     expected = "names of frames of the clip, in its order, each once"
     try:
-        names = [str(name) for name in given.ravel()]
+        names = [str(name) for name in stored.ravel()]
     except ValueError as error:  # code points that do not exist
         raise InputError(path, "frames", "a damaged text", expected) from error
     row_of = {name: row for row, name in enumerate(frames)}
@@ -247,7 +247,7 @@ def frames_with_hand(path: Path, frames: tuple[str, ...]) -> Int[ndarray, "n"]:
     if unknown is not None:
         raise InputError(path, "frames", files.shown(unknown), expected)
     rows = np.array([row_of[name] for name in names], dtype=int)
-    if given.ndim != 1 or not rows.size or (np.diff(rows) <= 0).any():
+    if stored.ndim != 1 or not rows.size or (np.diff(rows) <= 0).any():
         raise InputError(path, "frames", f"{files.shown(' '.join(names)[:80])}", expected)
     return rows
 
@@ -273,28 +273,28 @@ def _other_hand(
 def read_hand(path: Path, frames: int) -> HandTrack:
     """The hands of a ``hand.npz`` of so many frames, checked. Raises ``InputError``."""
     named = ("vertices", "faces", "T_cam_hand", "joints")
-    given = arrays.read(path, lambda key: key in named or key.startswith("region_"))
-    vertices = arrays.floats(path, given, "vertices", (frames, -1, 3))
-    faces = arrays.indices(path, given, "faces", vertices.shape[1], (-1, 3))
-    T_cam_hand = arrays.floats(path, given, "T_cam_hand", (frames, 4, 4))
-    joints = arrays.floats(path, given, "joints", (frames, 21, 3)) if "joints" in given else None
-    hand = HandTrack(vertices, faces, T_cam_hand, _regions(path, given, vertices.shape[1]), joints)
+    stored = arrays.read(path, lambda key: key in named or key.startswith("region_"))
+    vertices = arrays.floats(path, stored, "vertices", (frames, -1, 3))
+    faces = arrays.indices(path, stored, "faces", vertices.shape[1], (-1, 3))
+    T_cam_hand = arrays.floats(path, stored, "T_cam_hand", (frames, 4, 4))
+    joints = arrays.floats(path, stored, "joints", (frames, 21, 3)) if "joints" in stored else None
+    hand = HandTrack(vertices, faces, T_cam_hand, _regions(path, stored, vertices.shape[1]), joints)
     check_hand(path, hand)
     return hand
 
 
-def _regions(path: Path, given: dict[str, ndarray], count: int) -> dict[str, Int[ndarray, "_"]]:
+def _regions(path: Path, stored: dict[str, ndarray], count: int) -> dict[str, Int[ndarray, "_"]]:
     """Contact regions of a hand; they cannot be found from a bare mesh."""
-    missing = [f"region_{finger}" for finger in FINGERS if f"region_{finger}" not in given]
+    missing = [f"region_{finger}" for finger in FINGERS if f"region_{finger}" not in stored]
     if missing:
         expected = f"{', '.join(missing)}: the vertex ids of each fingertip's pad"
         raise InputError(path, missing[0], f"a mesh of {count} vertices without this region", expected)
-    palm = sorted(key.removeprefix("region_") for key in given if key.startswith("region_palm_"))
+    palm = sorted(key.removeprefix("region_") for key in stored if key.startswith("region_palm_"))
     if len(palm) > MOST_PALM_REGIONS:
         raise InputError(path, "region_palm_...", f"{len(palm)} regions of the palm", f"at most {MOST_PALM_REGIONS}")
-    sizes = {key: given[f"region_{key}"].size for key in (*FINGERS, *palm)}
+    sizes = {key: stored[f"region_{key}"].size for key in (*FINGERS, *palm)}
     if sum(sizes.values()) > REGIONS_PER_VERTEX * count:
         key, size = max(sizes.items(), key=lambda item: item[1])
         bad = f"{size} vertex ids, {sum(sizes.values())} with those of the other regions"
         raise InputError(path, f"region_{key}", bad, f"at most {REGIONS_PER_VERTEX * count} for {count} vertices")
-    return {name: arrays.indices(path, given, f"region_{name}", count, (-1,)) for name in (*FINGERS, *palm)}
+    return {name: arrays.indices(path, stored, f"region_{name}", count, (-1,)) for name in (*FINGERS, *palm)}

@@ -59,7 +59,7 @@ def region_masks(path: Path, request: MaskRequest, regions: Mapping[int, Sequenc
     labels = {one.labels[0] for frame in frames.values() for one in frame.object}
     if not request.object and len(labels) > 1:
         raise InputError(path, "categories", f"several, {_some(labels)}", "one, or --object names it")
-    doubts = (
+    warnings = (
         *_together("--object", request.object, [frame.object for frame in frames.values()]),
         *_together("--hand", request.hand, [frame.hand for frame in frames.values()]),
     )
@@ -81,7 +81,7 @@ def region_masks(path: Path, request: MaskRequest, regions: Mapping[int, Sequenc
         return without_object(drawn(frame.object), drawn(frame.ignore), drawn(frame.hand) if request.hand else None)
 
     everything = {one.name for of_frame in regions.values() for one in of_frame}
-    return MaskReader(path, read, frames.keys(), {*sorted(everything)[:MOST_NAMED]}, notes, doubts)
+    return MaskReader(path, read, frames.keys(), {*sorted(everything)[:MOST_NAMED]}, notes, warnings)
 
 
 @dataclass(frozen=True)

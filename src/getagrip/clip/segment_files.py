@@ -66,13 +66,13 @@ class SegmentList:
         inside = [row for row in (_at(row, frames) for row in self.rows) if row is not None]
         if self.rows and not inside:
             ends = [files.shown(row.get(end)) for row, end in ((self.rows[0], "first"), (self.rows[-1], "last"))]
-            given = f"segments from {ends[0]} to {ends[1]}"
-            raise InputError(self.path, self.key, given, f"some of the frames {frames[0]} to {frames[-1]}")
+            listed = f"segments from {ends[0]} to {ends[1]}"
+            raise InputError(self.path, self.key, listed, f"some of the frames {frames[0]} to {frames[-1]}")
         try:
             return read_segments(self.path, inside, frames, has_world)
         except InputError as error:
             hint = "; --still-camera says that the camera did not move" if error.key.endswith(".state") else ""
-            raise InputError(self.path, f"{self.key}.{error.key}", error.given, f"{error.expected}{hint}") from error
+            raise InputError(self.path, f"{self.key}.{error.key}", error.got, f"{error.expected}{hint}") from error
 
 
 def read(path: Path, names: Sequence[str]) -> SegmentList:
@@ -92,15 +92,15 @@ def read(path: Path, names: Sequence[str]) -> SegmentList:
     return SegmentList(path, files.plain(key), rows, texts[0] or f"from {path.name}", texts[1])
 
 
-def with_segments(clip: Clip, given: SegmentList) -> Clip:
+def with_segments(clip: Clip, listed: SegmentList) -> Clip:
     """A clip with segments, and where it has no camera pose, with that of a camera that is said to stand still.
 
     Raises ``InputError`` for segments that are malformed or not in the clip.
     """
-    still = given.still_camera if clip.world is None else None
+    still = listed.still_camera if clip.world is None else None
     world = clip.world if still is None else World(np.tile(np.eye(4), (len(clip), 1, 1)))
-    segments = given.at(clip.frames, world is not None)
-    known = clip.provenance | _provenance(given.source, still)
+    segments = listed.at(clip.frames, world is not None)
+    known = clip.provenance | _provenance(listed.source, still)
     return replace(clip, segments=segments, world=world, provenance=known)
 
 
@@ -110,7 +110,7 @@ def check_free(header: ClipHeader, overwrite: bool) -> None:
         raise UsageError(f"{header.folder / 'clip.json'}: has segments already; --overwrite replaces them")
 
 
-def into_clip(header: ClipHeader, given: SegmentList) -> tuple[Segment, ...]:
+def into_clip(header: ClipHeader, listed: SegmentList) -> tuple[Segment, ...]:
     """Write segments into the ``clip.json`` of a folder, in the place of those that are there.
 
     A camera pose stays as it is, unless it was itself a statement that the camera stands still. Raises ``InputError``
@@ -118,11 +118,11 @@ def into_clip(header: ClipHeader, given: SegmentList) -> tuple[Segment, ...]:
     """
     fields, camera = header.fields, header.fields["camera"]
     has_world = "T_world_cam" in camera and CAMERA not in fields["provenance"]
-    still = None if has_world else given.still_camera
-    segments = given.at(header.frames, still is not None or "T_world_cam" in camera)
+    still = None if has_world else listed.still_camera
+    segments = listed.at(header.frames, still is not None or "T_world_cam" in camera)
     pose = {} if still is None else {"T_world_cam": np.eye(4)}
     new = {"camera": {**camera, **pose}, "segments": segment_fields(segments, header.frames)}
-    known = fields["provenance"] | _provenance(given.source, still)
+    known = fields["provenance"] | _provenance(listed.source, still)
     with files.new_file(header.folder / "clip.json") as part:
         files.write_json(part, header.changed({**new, "provenance": known}))
     return segments

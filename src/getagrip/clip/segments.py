@@ -23,7 +23,7 @@ MOST_DRAWN = 2**30
 """Pixels that are gone through for the regions of one kind in a frame, or for the polygons of one region."""
 
 
-def polygons(path: Path, key: str, given: object, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
+def polygons(path: Path, key: str, value: object, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
     """The pixels in any of some polygons [[x, y, x, y, ...], ...], clipped to the image. Raises ``InputError``.
 
     Corners may leave the image by its own size, no further.
@@ -31,13 +31,13 @@ def polygons(path: Path, key: str, given: object, size: tuple[int, int]) -> Bool
     import cv2
 
     width, height = size
-    if not isinstance(given, list) or not all(isinstance(corners, list) for corners in given):
-        raise InputError(path, key, files.shown(given), "polygons, [[x, y, x, y, ...], ...]")
-    if sum(map(len, given)) > 2 * MOST_CORNERS:
-        raise InputError(path, key, f"{sum(map(len, given)) // 2} corners", f"at most {MOST_CORNERS}")
+    if not isinstance(value, list) or not all(isinstance(corners, list) for corners in value):
+        raise InputError(path, key, files.shown(value), "polygons, [[x, y, x, y, ...], ...]")
+    if sum(map(len, value)) > 2 * MOST_CORNERS:
+        raise InputError(path, key, f"{sum(map(len, value)) // 2} corners", f"at most {MOST_CORNERS}")
     out = np.zeros((height, width), np.uint8)
     drawn = 0
-    for corners in given:
+    for corners in value:
         points = arrays.from_lists(corners)
         if points is None or points.dtype.kind not in "fi" or points.ndim != 1 or len(points) < 6 or len(points) % 2:
             raise InputError(path, key, files.shown(corners), "at least three corners x, y, x, y, x, y")
@@ -52,19 +52,19 @@ def polygons(path: Path, key: str, given: object, size: tuple[int, int]) -> Bool
     return out.astype(bool)
 
 
-def run_lengths(path: Path, key: str, given: object, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
+def run_lengths(path: Path, key: str, value: object, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
     """The pixels of ``{"size": [height, width], "counts": [...] or "..."}``. Raises ``InputError``."""
     width, height = size
-    if not isinstance(given, dict) or given.get("size") != [height, width]:
-        shape = given.get("size") if isinstance(given, dict) else given
+    if not isinstance(value, dict) or value.get("size") != [height, width]:
+        shape = value.get("size") if isinstance(value, dict) else value
         raise InputError(path, f"{key}.size", files.shown(shape), f"[{height}, {width}], the size of the images")
-    counts = given.get("counts")
+    counts = value.get("counts")
     if isinstance(counts, str):
         counts = _uncompressed(path, key, counts, width * height)
     whole = isinstance(counts, list) and all(type(n) is int and n >= 0 for n in counts)
     if not whole or not isinstance(counts, list) or sum(counts) != width * height:
-        given_words = f"runs of {sum(counts)} pixels" if whole and isinstance(counts, list) else files.shown(counts)
-        raise InputError(path, f"{key}.counts", given_words, f"runs of {width * height} pixels in all")
+        input_words = f"runs of {sum(counts)} pixels" if whole and isinstance(counts, list) else files.shown(counts)
+        raise InputError(path, f"{key}.counts", input_words, f"runs of {width * height} pixels in all")
     inside = np.arange(len(counts)) % 2 == 1
     return np.repeat(inside, counts).reshape(width, height).T
 
@@ -94,16 +94,16 @@ def _uncompressed(path: Path, key: str, text: str, pixels: int) -> list[int]:
     return counts
 
 
-def region(path: Path, key: str, given: object, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
+def region(path: Path, key: str, value: object, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
     """The pixels of a COCO ``segmentation``, of either kind. Raises ``InputError``."""
-    return (run_lengths if isinstance(given, dict) else polygons)(path, key, given, size)
+    return (run_lengths if isinstance(value, dict) else polygons)(path, key, value, size)
 
 
-def with_area(given: object) -> object:
+def with_area(value: object) -> object:
     """A ``segmentation`` without its polygons of fewer than three corners or without area; others as they are."""
-    if not isinstance(given, list) or sum(len(one) for one in given if isinstance(one, list)) > 2 * MOST_CORNERS:
-        return given
-    return [one for one in given if not _is_flat(one)]
+    if not isinstance(value, list) or sum(len(one) for one in value if isinstance(one, list)) > 2 * MOST_CORNERS:
+        return value
+    return [one for one in value if not _is_flat(one)]
 
 
 def _is_flat(corners: object) -> bool:

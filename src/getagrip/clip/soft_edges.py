@@ -91,8 +91,8 @@ def soft_maximum(path: Path, labels: Int[ndarray, "H W"], named: Sequence[int], 
         return None
     edge = next((one for one in named if 2 * max(one >> 16, one >> 8 & 255, one & 255) < min(maximum, 255)), None)
     if edge is not None or others:
-        given = "a mask with soft edges, the only thing in the image"
-        raise InputError(path, "labels", given, "--object for its maximum or for nothing, no --ignore and --hand")
+        got = "a mask with soft edges, the only thing in the image"
+        raise InputError(path, "labels", got, "--object for its maximum or for nothing, no --ignore and --hand")
     return maximum
 
 

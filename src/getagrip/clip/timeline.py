@@ -49,8 +49,8 @@ class Segment:
         if self.state not in STATES:
             raise UsageError(f"unknown Segment.state {self.state!r}; choose from {', '.join(STATES)}")
         if not 0 <= self.first <= self.last:
-            given = f"frames {self.first} to {self.last}"
-            raise UsageError(f"Segment.first must be 0 or more, and not after Segment.last (got {given})")
+            got = f"frames {self.first} to {self.last}"
+            raise UsageError(f"Segment.first must be 0 or more, and not after Segment.last (got {got})")
         wrong = side_error(self.state, self.side)
         if wrong:
             raise UsageError(f"Segment.side must be {wrong} (got {self.side!r})")
@@ -76,11 +76,11 @@ def side_error(state: State, side: object) -> str | None:
 def check_segments(segments: Sequence[Segment], frames: int, has_world: bool) -> None:
     """Raise ``UsageError`` for segments that overlap, are not in order or leave the clip, or lie in no known world."""
     for n, segment in enumerate(segments):
-        given = f"frames {segment.first} to {segment.last}"
+        got = f"frames {segment.first} to {segment.last}"
         if segment.last >= frames:
-            raise UsageError(f"Clip.segments[{n}] must be in frames 0 to {frames - 1} (got {given})")
+            raise UsageError(f"Clip.segments[{n}] must be in frames 0 to {frames - 1} (got {got})")
         if n and segment.first <= segments[n - 1].last:
-            raise UsageError(f"Clip.segments[{n}] must start after frame {segments[n - 1].last} (got {given})")
+            raise UsageError(f"Clip.segments[{n}] must start after frame {segments[n - 1].last} (got {got})")
         if segment.state == "static" and not has_world:
             raise UsageError(f"Clip.segments[{n}] cannot be static without Clip.world")
 
@@ -97,13 +97,13 @@ def at_frames(segments: Sequence[Segment], index: Int[ndarray, "n"]) -> tuple[Se
     )
 
 
-def read_segments(path: Path, given: object, frames: Sequence[str], has_world: bool) -> tuple[Segment, ...]:
+def read_segments(path: Path, value: object, frames: Sequence[str], has_world: bool) -> tuple[Segment, ...]:
     """The ``segments`` of a ``clip.json``, which name their frames. Raises ``InputError``."""
-    if not isinstance(given, list) or not all(isinstance(row, dict) for row in given):
-        raise InputError(path, "segments", files.shown(given), f"a list of {FORM}")
+    if not isinstance(value, list) or not all(isinstance(row, dict) for row in value):
+        raise InputError(path, "segments", files.shown(value), f"a list of {FORM}")
     row_of = {name: row for row, name in enumerate(frames)}
     out: list[Segment] = []
-    for n, fields in enumerate(given):
+    for n, fields in enumerate(value):
         segment = _read_segment(path, f"segments[{n}]", fields, row_of)
         if out and segment.first <= out[-1].last:
             before = f"a frame after {files.shown(frames[out[-1].last])}, where the segment before it ends"
@@ -136,8 +136,8 @@ def _read_segment(path: Path, key: str, fields: files.Json, row_of: dict[str, in
             raise InputError(path, f"{key}.{end}", files.shown(name), "the name of one of the clip's frames")
         rows.append(row_of[name])
     if rows[0] > rows[1]:
-        given = f"{files.shown(fields['last'])} before {files.shown(fields['first'])}"
-        raise InputError(path, f"{key}.last", given, "the first frame of the segment or a later one")
+        got = f"{files.shown(fields['last'])} before {files.shown(fields['first'])}"
+        raise InputError(path, f"{key}.last", got, "the first frame of the segment or a later one")
     return Segment(state, rows[0], rows[1], side)
 
 

@@ -29,17 +29,17 @@ def video_segments(path: Path, request: MaskRequest) -> MaskReader:
 
     Raises ``InputError`` for malformed frames and where there is none of the wanted ones, ``UsageError`` for labels.
     """
-    given = pickles.read_file(path, WHAT, LARGEST)
-    request.check_numbers(path, given)
+    value = pickles.read_file(path, WHAT, LARGEST)
+    request.check_numbers(path, value)
     masks: dict[int, dict[str, ndarray]] = {}
-    for name, of_frame in given.items():
+    for name, of_frame in value.items():
         n = frame_of(name, request.frames)
         if n is not None:
             if not isinstance(of_frame, Mapping):
                 raise InputError(path, files.plain(name), files.shown(of_frame), WHAT)
             masks[n] = {str(key): _mask(path, f"{name}.{key}", mask, request) for key, mask in of_frame.items()}
     if not masks:
-        raise request.nothing(path, list(given))
+        raise request.nothing(path, list(value))
     there = sorted({key for of_frame in masks.values() for key in of_frame})
     chosen = request.object or tuple(there[:1])
     unknown = next((name for name in (*chosen, *request.ignore, *request.hand) if name not in there), None)
@@ -63,8 +63,8 @@ def _mask(path: Path, key: str, value: object, request: MaskRequest) -> Bool[nda
     width, height = request.size
     expected = f"a mask of booleans, whole numbers or logits, ({height}, {width}) or (1, {height}, {width})"
     if not isinstance(value, ndarray) or value.dtype.kind not in "biuf" or value.size != width * height:
-        given = f"{value.dtype} of shape {value.shape}" if isinstance(value, ndarray) else files.shown(value)
-        raise InputError(path, files.plain(key), given, expected)
+        got = f"{value.dtype} of shape {value.shape}" if isinstance(value, ndarray) else files.shown(value)
+        raise InputError(path, files.plain(key), got, expected)
     if value.shape not in {(height, width), (1, height, width)}:
         raise InputError(path, files.plain(key), f"the shape {value.shape}", expected)
     if value.dtype.kind == "f":

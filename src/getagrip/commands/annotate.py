@@ -75,15 +75,15 @@ class Annotate(Command):
         out, imported = self.out, self.import_labels is not None or self.import_segments is not None
         if self.export and not imported and not (out / DATABASE).is_file():
             raise UsageError(f"missing {out / DATABASE}: --export writes what has been marked")
-        given = None if self.import_labels is None else read_labels(self.import_labels, tasks)
+        labels = None if self.import_labels is None else read_labels(self.import_labels, tasks)
         out.mkdir(parents=True, exist_ok=True)
         project = Project(tasks, Store(out / DATABASE), self.lens)
         try:
-            if self.lens.given and (there := next((task for task in tasks if task.path is not None), None)):
+            if self.lens.is_set and (there := next((task for task in tasks if task.path is not None), None)):
                 intrinsics(self.lens, project.footage(there).size)  # refused now rather than once joints are clicked
-            if given is not None and self.import_labels is not None:
-                grasp = take_labels(project, given, self.import_labels, self.annotator)
-                frames = f"{counted(len(given.frames), 'key frame')} of {grasp.task.key}, {grasp.mark.start_number}"
+            if labels is not None and self.import_labels is not None:
+                grasp = take_labels(project, labels, self.import_labels, self.annotator)
+                frames = f"{counted(len(labels.frames), 'key frame')} of {grasp.task.key}, {grasp.mark.start_number}"
                 print(f"{self.annotator}: {frames} to {grasp.mark.end_number}")
             if self.import_segments is not None:
                 count = take_segments(project, self.import_segments, self.annotator)
@@ -103,20 +103,20 @@ def read_labels(path: Path, tasks: list[Task]) -> Labels:
     from getagrip.annotate.labelled_footage import tasks_of
     from getagrip.annotate.versions import RefusedError
 
-    given = labels.read(path)
+    value = labels.read(path)
     try:
-        tasks_of(given, tasks)
+        tasks_of(value, tasks)
     except RefusedError as error:
         raise InputError(path, "", f"labels of other footage ({error})", "labels of the footage given") from error
-    return given
+    return value
 
 
-def take_labels(project: Project, given: Labels, path: Path, annotator: str) -> Grasp:
+def take_labels(project: Project, labels: Labels, path: Path, annotator: str) -> Grasp:
     """Take labels that were read from a file. Raises ``InputError`` where they are not of the footage."""
     from getagrip.annotate.versions import RefusedError
 
     try:
-        return project.import_labels(given, annotator)
+        return project.import_labels(labels, annotator)
     except RefusedError as error:
         raise InputError(path, "", f"labels that do not fit ({error})", "labels of the footage") from error
 

@@ -115,11 +115,11 @@ class ResultJob:
 
 def _print_doubts(made: Evaluation) -> None:
     """What speaks against an evaluated result, and what is to be known about its metrics, on stderr."""
-    doubts = [*made.findings, *made.notes]
+    warnings = [*made.findings, *made.notes]
     if missing := int(made.metrics.get("frames_without_mesh", 0)):
-        doubts.append(f"no mesh of {missing} of {len(made.frames)} frames: IOU 0, no contact")
-    for doubt in doubts:
-        report(f"{made.method}, {made.clip}: {doubt}")
+        warnings.append(f"no mesh of {missing} of {len(made.frames)} frames: IOU 0, no contact")
+    for warning in warnings:
+        report(f"{made.method}, {made.clip}: {warning}")
 
 
 J = TypeVar("J", "ResultJob", "OtherJob")
@@ -182,5 +182,5 @@ def results_in(path: Path) -> list[Path]:
 
 def no_result(path: Path) -> InputError:
     """The error for a folder in which there is no result."""
-    given = "a clip" if (path / "clip.json").exists() else "no result.json in it or in its folders"
-    return InputError(path, "", given, "a result that getagrip reconstruct made, or a folder of results")
+    got = "a clip" if (path / "clip.json").exists() else "no result.json in it or in its folders"
+    return InputError(path, "", got, "a result that getagrip reconstruct made, or a folder of results")

@@ -19,8 +19,8 @@ from getagrip.commands.evaluate import results_in
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.arguments import File
-from getagrip.pictures.figures import FIGURES, GivenResult, Kind
-from getagrip.pictures.given import is_clip
+from getagrip.pictures.figures import FIGURES, Kind, StoredResult
+from getagrip.pictures.stored_results import is_clip
 from getagrip.pictures.style import letters
 
 SUFFIXES = (".png", ".pdf")
@@ -53,18 +53,18 @@ class DrawFigure(Command, Generic[K]):
 
         Raises ``UsageError`` where there are too many for this kind, ``InputError`` where none can be shown.
         """
-        given: list[GivenResult] = []
+        stored: list[StoredResult] = []
         problems: list[Exception] = []
         for path in self.results:
             try:
                 folders = [path] if self.kind.draws_truth and is_clip(path) else results_in(path)
-                given += [GivenResult(folder, self.clips) for folder in folders]
+                stored += [StoredResult(folder, self.clips) for folder in folders]
             except (InputError, OSError) as error:
                 if len(self.results) == 1:
                     raise
                 problems.append(error)
         with letters():
-            figure = self.kind.draw(given, problems.append)
+            figure = self.kind.draw(stored, problems.append)
             form = self.out.suffix.lower()[1:]
             undated = {"CreationDate": None} if form == "pdf" else {"Software": None}  # the same picture, the same file
             with files.new_file(self.out) as part:

@@ -44,10 +44,10 @@ class HandFile:
     @staticmethod
     def of(path: Path) -> HandFile:
         """Raises ``InputError``."""
-        given = arrays.read(path, lambda key: key in {"frames", "K", "side"} or of_provenance(key))
-        side = str(given["side"]) if "side" in given and given["side"].dtype.kind == "U" else None
-        K = arrays.floats(path, given, "K", (3, 3)) if "K" in given else None
-        return HandFile(path, arrays.frame_numbers(path, given), K, side, from_arrays(path, given))
+        stored = arrays.read(path, lambda key: key in {"frames", "K", "side"} or of_provenance(key))
+        side = str(stored["side"]) if "side" in stored and stored["side"].dtype.kind == "U" else None
+        K = arrays.floats(path, stored, "K", (3, 3)) if "K" in stored else None
+        return HandFile(path, arrays.frame_numbers(path, stored), K, side, from_arrays(path, stored))
 
     def at(self, frames: tuple[str, ...], side: Side, first: int | None) -> HandsInClip:
         """The hands in those of the frames that have one; ``first`` is the number of the first frame's, where hands are
@@ -65,8 +65,8 @@ class HandFile:
         at = [None if number is None else place.get(number) for number in map(number_of, names)]
         rows = tuple(row for row, there in enumerate(at) if there is not None)
         if len(rows) < 2:
-            given = f"hands in {len(rows)} frames of the interval"
+            got = f"hands in {len(rows)} frames of the interval"
             expected = f"hands in frames {number_of(names[0])} to {number_of(names[-1])}"
-            raise InputError(self.path, "frames", given, expected)
+            raise InputError(self.path, "frames", got, expected)
         picked = track.take(np.array([there for there in at if there is not None]))
         return HandsInClip(picked, rows, sources)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import Positional, arg
 
-from getagrip.clip.intrinsics import doubt, intrinsics
+from getagrip.clip.intrinsics import camera_warning, intrinsics
 from getagrip.clip.naming import renumbered
 from getagrip.clip.plausible import check_in_view
 from getagrip.clip.reading import OTHER_HAND, ClipHeader, frames_with_hand, read_header
@@ -21,7 +21,7 @@ from getagrip.commands.command import Command, OptionalSide
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.lens import Lens
 from getagrip.hands.model import Side
-from getagrip.hands.trackers import CHOSEN, HELD, TRACKERS, Hands, Request, Tracker, choose, read
+from getagrip.hands.trackers import CHOSEN, EXTRAPOLATED, TRACKERS, Hands, Request, Tracker, choose, read
 from getagrip.io import files
 from getagrip.io.arguments import Flag, OptionalFile
 from getagrip.io.terminal import report, say
@@ -31,7 +31,7 @@ PREFIX = "other_"
 """Of what a clip's provenance says of the other hand."""
 MOST_FRAMES = 20_000
 """Of a hand file."""
-DOUBTED = 3
+WARNED = 3
 """Exit status where the hands are written, and something seems to be wrong with them or with the camera."""
 
 
@@ -59,9 +59,9 @@ class NewFrames:
     """With --out: the camera."""
 
     @property
-    def given(self) -> bool:
+    def stated(self) -> bool:
         """Whether anything is."""
-        return bool(self.side or self.frames or self.size or self.lens.given)
+        return bool(self.side or self.frames or self.size or self.lens.is_set)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +114,7 @@ class ImportHands(Command):
             return self._into_file(self.new, self.out)
         if self.clip is None:
             raise UsageError("missing --clip or --out")
-        if self.new.given:
+        if self.new.stated:
             raise UsageError("--side, --frames, --size, --K cannot be used with --clip, which has them")
         return self._other_into_clip(self.clip) if self.other_hand else self._into_clip(self.clip)
 
@@ -132,7 +132,7 @@ class ImportHands(Command):
         request = self._request(side, header.frames, header.K, header.size)
         hands = read(self.paths, self.tracker, replace(request, hand_masks=_hand_masks(header)))
         check_in_view(self.paths[0], hands.track, header.K[list(hands.found)], header.size)
-        hands = hands.held_at_ends(header.frames) if self.hold_ends else hands
+        hands = hands.extrapolate_to_ends(header.frames) if self.hold_ends else hands
         if len(hands.found) < len(header.frames) and (header.folder / "truth.npz").exists():
             missing = len(header.frames) - len(hands.found)
             raise UsageError(f"missing hand in {missing} frames: {folder} has a truth.npz, which needs one in each")
@@ -141,7 +141,7 @@ class ImportHands(Command):
             files.write_json(fields, _fields(header, hands))
         _report(hands, header.frames)
         say(str(target))
-        return _status(header.K, header.size, _doubts(hands, len(header.frames)))
+        return _status(header.K, header.size, _warnings(hands, len(header.frames)))
 
     def _other_into_clip(self, folder: Path) -> int:
         """Add ``other_hand.npz``, in the frames in which it was found. Raises ``UsageError`` where there is one,
@@ -156,9 +156,9 @@ class ImportHands(Command):
         check_in_view(self.paths[0], hands.track, header.K[list(hands.found)], header.size)
         alone = sorted({*hands.found} - {*own.tolist()})
         if len(alone) == len(hands.found):
-            given = f"the {side} hand in {len(alone)} frames, in none of which the clip has its own"
+            got = f"the {side} hand in {len(alone)} frames, in none of which the clip has its own"
             raise InputError(
-                self.paths[0], "", given, "some in which it has: frames without it are left out (--hold-ends)"
+                self.paths[0], "", got, "some in which it has: frames without it are left out (--hold-ends)"
             )
         known = {key: text for key, text in header.fields["provenance"].items() if not key.startswith(PREFIX)}
         provenance = {PREFIX + key: text for key, text in hands.provenance.items()}
@@ -172,7 +172,7 @@ class ImportHands(Command):
             some = _some(header.frames[row] for row in alone)
             left_out = f"{len(alone)} frames have the {side} hand only and are left out, as all without the clip's own"
             report(f"warning: {left_out}: {some}")
-        return _status(header.K, header.size, hands.doubts)
+        return _status(header.K, header.size, hands.warnings)
 
     def _into_file(self, new: NewFrames, out: Path) -> int:
         """Write a hand file for ``clip new``, ``import epic``: a ``hand.npz`` with ``frames`` (T,) and ``K`` (3, 3)."""
@@ -186,16 +186,16 @@ class ImportHands(Command):
             raise UsageError(f"{out}: exists already; --overwrite replaces it")
         first, last = new.frames
         if not 0 <= first <= last < first + MOST_FRAMES or min(new.size) < 1:
-            given = f"{first} {last}, {new.size[0]} {new.size[1]}"
+            got = f"{first} {last}, {new.size[0]} {new.size[1]}"
             allowed = f"numbers of the first and the last frame, at most {MOST_FRAMES}, and a size in pixels"
-            raise UsageError(f"--frames, --size must be {allowed} (got {given})")
+            raise UsageError(f"--frames, --size must be {allowed} (got {got})")
         K, camera = intrinsics(new.lens, new.size)
         numbers = np.arange(first, last + 1)
         names = tuple(f"{n:06d}" for n in numbers)
         many = np.tile(K, (len(names), 1, 1))
         hands = read(self.paths, self.tracker, self._request(new.side, names, many, new.size))
         check_in_view(self.paths[0], hands.track, many[list(hands.found)], new.size)
-        hands = hands.held_at_ends(names) if self.hold_ends else hands
+        hands = hands.extrapolate_to_ends(names) if self.hold_ends else hands
         provenance = hands.provenance | {"camera": camera}
         extra = {"frames": numbers[list(hands.found)], "K": K, "side": np.array(new.side)}
         extra |= as_arrays(provenance)
@@ -203,7 +203,7 @@ class ImportHands(Command):
             write_hand(hands.track, part, extra)
         _report(replace(hands, provenance=provenance), names)
         print(out)
-        return _status(many, new.size, _doubts(hands, len(names)))
+        return _status(many, new.size, _warnings(hands, len(names)))
 
     def _request(
         self, side: Side, frames: tuple[str, ...], K: Float[ndarray, "T 3 3"], size: tuple[int, int]
@@ -216,7 +216,7 @@ class ImportHands(Command):
 
 def _fields(header: ClipHeader, hands: Hands) -> dict[str, object]:
     """What ``clip.json`` says with the hands: where they come from, and which frames have none."""
-    old = (WITHOUT_HAND, HELD, CHOSEN)
+    old = (WITHOUT_HAND, EXTRAPOLATED, CHOSEN)
     known = {key: text for key, text in header.fields["provenance"].items() if key not in old}
     return header.changed({"provenance": known | hands.provenance | without_hand(header.frames, hands.found)})
 
@@ -230,19 +230,19 @@ def _report(hands: Hands, frames: Sequence[str]) -> None:
         report(f"warning: no hand in {len(missing)} of {len(frames)} frames, skipped: {_some(missing)}")
 
 
-def _doubts(hands: Hands, frames: int) -> tuple[str, ...]:
+def _warnings(hands: Hands, frames: int) -> tuple[str, ...]:
     """What may be wrong with hands, in words, that most frames lack included."""
     most = 2 * len(hands.found) < frames
-    return (*hands.doubts, f"only {len(hands.found)} of {frames} frames have a hand") if most else hands.doubts
+    return (*hands.warnings, f"only {len(hands.found)} of {frames} frames have a hand") if most else hands.warnings
 
 
-def _status(K: Float[ndarray, "T 3 3"], size: tuple[int, int], doubts: tuple[str, ...]) -> int:
+def _status(K: Float[ndarray, "T 3 3"], size: tuple[int, int], warnings: tuple[str, ...]) -> int:
     """0, or ``DOUBTED`` with warnings where the hands seem to be wrong, or the camera to be of other images."""
-    camera = doubt(K, size)
-    texts = [*(f"hands: {text}" for text in doubts), *([f"camera: {camera}"] if camera else [])]
+    camera = camera_warning(K, size)
+    texts = [*(f"hands: {text}" for text in warnings), *([f"camera: {camera}"] if camera else [])]
     for text in texts:
         report(f"warning: {text}")
-    return DOUBTED if texts else 0
+    return WARNED if texts else 0
 
 
 def _hand_masks(header: ClipHeader) -> tuple[Path | None, ...]:
@@ -257,5 +257,5 @@ def _hand_masks(header: ClipHeader) -> tuple[Path | None, ...]:
 
 def _some(names: Iterable[str]) -> str:
     """The first few of them."""
-    given = list(names)
-    return ", ".join(given[:5]) + (", ..." if len(given) > 5 else "")
+    stated = list(names)
+    return ", ".join(stated[:5]) + (", ..." if len(stated) > 5 else "")

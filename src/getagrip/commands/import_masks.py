@@ -79,9 +79,9 @@ def report_masks(reader: MaskReader, frames: tuple[str, ...], visible: int) -> i
         report(f"warning: {reader.source}: {some}; reconstruct puts the object of these between that of the others")
     if visible < FEWEST:
         report(f"warning: {reader.source}: the object is visible in {visible} frame, reconstruct needs {FEWEST}")
-    for doubt in reader.doubts:
-        report(f"warning: {reader.source}: {doubt}")
-    return 3 if reader.doubts or visible < FEWEST else 0
+    for warning in reader.warnings:
+        report(f"warning: {reader.source}: {warning}")
+    return 3 if reader.warnings or visible < FEWEST else 0
 
 
 def write_masks(reader: MaskReader, frames: tuple[str, ...], folder: Path) -> int:

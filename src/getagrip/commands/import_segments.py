@@ -40,17 +40,17 @@ class ImportSegments(Command):
         """
         header = read_header(self.clip)
         segment_files.check_free(header, self.overwrite)
-        given = stated(segment_files.read(self.path, [header.fields["name"]]), self.still_camera)
+        listed = stated(segment_files.read(self.path, [header.fields["name"]]), self.still_camera)
         if self.still_camera and "T_world_cam" in header.fields["camera"]:
             raise UsageError(f"--still-camera cannot be used with {header.folder}: it has camera.T_world_cam")
-        segments = segment_files.into_clip(header, given)
+        segments = segment_files.into_clip(header, listed)
         say(f"{header.folder / 'clip.json'}: {in_words(segments)}")
         return 0
 
 
-def stated(given: SegmentList, still_camera: bool) -> SegmentList:
+def stated(listed: SegmentList, still_camera: bool) -> SegmentList:
     """Segments with what the command line says of the camera."""
-    return replace(given, still_camera=STATED) if still_camera else given
+    return replace(listed, still_camera=STATED) if still_camera else listed
 
 
 def in_words(segments: tuple[Segment, ...]) -> str:

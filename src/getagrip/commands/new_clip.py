@@ -130,7 +130,7 @@ class NewClip(Command):
             "interval": self.interval is not None,
             "side": self.side is not None,
             "mesh": self.shape.mesh is not None,
-            "camera": self.lens.given or (hands is not None and hands.K is not None),
+            "camera": self.lens.is_set or (hands is not None and hands.K is not None),
         }
         missing = [key for key, there in has.items() if not there]
         for key in missing:
@@ -176,15 +176,15 @@ class NewClip(Command):
         return _summary(clip, self, found_hands, self.out) or unsure
 
 
-def _segments(given: NewClip, out: Path) -> SegmentList:
+def _segments(new: NewClip, out: Path) -> SegmentList:
     """What is known of the segments and of the camera's motion; nothing at all of a clip that is one stable grasp."""
     from getagrip.clip.segment_files import SegmentList, read
     from getagrip.commands.import_segments import stated
 
     listed = SegmentList(out, "segments", [], None)
-    if given.segments is not None:
-        listed = read(given.segments, [out.name, given.video.stem])
-    return stated(listed, given.still_camera)
+    if new.segments is not None:
+        listed = read(new.segments, [out.name, new.video.stem])
+    return stated(listed, new.still_camera)
 
 
 def _numbers(interval: tuple[int, int]) -> Int[ndarray, "T"]:
@@ -203,7 +203,7 @@ def _camera(lens: Lens, hands: HandFile | None, size: tuple[int, int]) -> tuple[
     from getagrip.clip.plausible import check_intrinsics
     from getagrip.provenance import measured
 
-    if lens.given or hands is None or hands.K is None:
+    if lens.is_set or hands is None or hands.K is None:
         return intrinsics(lens, size)
     check_intrinsics(hands.path, hands.K[None], size)
     known = hands.provenance.get("camera", measured("it does not say from where"))
@@ -220,28 +220,28 @@ def _no_hand(frames: int) -> HandTrack:
     return HandTrack(none, np.zeros((0, 3), dtype=int), np.tile(np.eye(4), (frames, 1, 1)), {})
 
 
-def _of_masks(given: NewClip) -> str:
+def _of_masks(new: NewClip) -> str:
     """Where masks come from."""
     from getagrip.commands.import_masks import provenance
 
-    if given.masks is None:
+    if new.masks is None:
         return "none yet"
-    return provenance(given.masks, given.object, given.ignore, given.hand, given.mask_images)
+    return provenance(new.masks, new.object, new.ignore, new.hand, new.mask_images)
 
 
-def _masks(given: NewClip, names: tuple[str, ...], size: tuple[int, int]) -> MaskReader:
+def _masks(new: NewClip, names: tuple[str, ...], size: tuple[int, int]) -> MaskReader:
     """A reader of the masks of the clip's frames."""
     from getagrip.clip.mask_request import MaskRequest
     from getagrip.clip.mask_sources import open_masks
     from getagrip.clip.naming import renumbered
 
-    assert given.masks is not None
-    if given.mask_first is not None:
-        names = renumbered(names, given.mask_first, "--mask-first")
-    ask_first = "--mask-first" if given.mask_first is None else ""
-    labels = given.object, given.ignore, given.hand
-    request = MaskRequest(names, size, *labels, ask_first, given.mask_images, "--mask-images")
-    return open_masks(given.masks, request)
+    assert new.masks is not None
+    if new.mask_first is not None:
+        names = renumbered(names, new.mask_first, "--mask-first")
+    ask_first = "--mask-first" if new.mask_first is None else ""
+    labels = new.object, new.ignore, new.hand
+    request = MaskRequest(names, size, *labels, ask_first, new.mask_images, "--mask-images")
+    return open_masks(new.masks, request)
 
 
 def _write(
@@ -280,12 +280,12 @@ def _check(made: Path, masks: bool, out: Path) -> None:
             read_observed(clip)
     except InputError as error:
         inside = error.path.relative_to(made) if error.path.is_relative_to(made) else error.path
-        raise InputError(out / inside, error.key, error.given, error.expected) from error
+        raise InputError(out / inside, error.key, error.got, error.expected) from error
 
 
-def _summary(clip: Clip, given: NewClip, hands: HandsInClip | None, out: Path) -> int:
+def _summary(clip: Clip, new: NewClip, hands: HandsInClip | None, out: Path) -> int:
     """Print what was made, what is a guess and what is missing; 3 where something is."""
-    from getagrip.clip.intrinsics import doubt
+    from getagrip.clip.intrinsics import camera_warning
     from getagrip.provenance import is_assumed, warn_of
 
     print(f"{out}: {len(clip)} frames")
@@ -299,10 +299,10 @@ def _summary(clip: Clip, given: NewClip, hands: HandsInClip | None, out: Path) -
     for key, text in clip.provenance.items():
         if is_assumed(text):
             report(warn_of(key, text))
-    if doubted := doubt(clip.K, clip.size):
-        report(f"warning: camera: {doubted}")
-    missing = [key for key, there in (("masks", given.masks), ("hands", given.hands)) if there is None]
+    if warning := camera_warning(clip.K, clip.size):
+        report(f"warning: camera: {warning}")
+    missing = [key for key, there in (("masks", new.masks), ("hands", new.hands)) if there is None]
     for key in missing:
-        print(f"missing: {key}: {LATER[key].format(out=out, video=given.video)}", file=sys.stderr)
+        print(f"missing: {key}: {LATER[key].format(out=out, video=new.video)}", file=sys.stderr)
     few_hands = hands is not None and 2 * len(hands.rows) < len(clip)
-    return INCOMPLETE if missing or doubted or few_hands else 0
+    return INCOMPLETE if missing or warning or few_hands else 0

@@ -135,9 +135,9 @@ def _rescaled(
     if not stated and plausible:
         return known_unit * vertices, None
     if not stated and request.known_scale:
-        given = f"the object {known_unit * extent:.4g} m large"
+        got = f"the object {known_unit * extent:.4g} m large"
         expected = f"{SMALLEST:g} to {LARGEST:g} m; if the file is in another unit than the metre, --unit mm, cm or in"
-        raise InputError(request.path, "vertices", given, f"{expected}, or --size-mm or --diameter-mm")
+        raise InputError(request.path, "vertices", got, f"{expected}, or --size-mm or --diameter-mm")
     if not stated:
         factor = FREE_SIZE / extent
         text = f"the mesh, {extent:.4g} units large, rescaled by {factor:.6g}: its size is a guess"

@@ -18,7 +18,7 @@ from getagrip.io.storage import Place, on_disk
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from getagrip.batch.found import FindJob, FoundClip
+    from getagrip.batch.found import DetectedClip, FindJob
 
 CLIPS = "clips"
 """Where the clips with their segments, or the grasps' own clips, go, in the folder of the results."""
@@ -83,14 +83,14 @@ class Reconstruct(Command):
         found_here = replace(self.batch, share=replace(share, shard=ALL))  # their clips are this shard's
         return max(int(failures > 0), reconstruct_clips(made, out, self.options, found_here, self.debug))
 
-    def _find(self, jobs: Sequence[FindJob], out: Path) -> list[FoundClip]:
+    def _find(self, jobs: Sequence[FindJob], out: Path) -> list[DetectedClip]:
         """What is found in each clip, in their order, without those that fail; all of it is printed."""
         from contextlib import closing
         from functools import partial
 
         from getagrip.batch.clips import print_outcome, shown
         from getagrip.batch.engine import Engine
-        from getagrip.batch.found import FoundClip, entry_of, find_one, lost
+        from getagrip.batch.found import DetectedClip, entry_of, find_one, lost
         from getagrip.batch.job import load
         from getagrip.batch.ledger import Ledger
         from getagrip.batch.progress import Pace
@@ -99,19 +99,20 @@ class Reconstruct(Command):
 
         if not jobs:
             return []
-        found: dict[str, FoundClip] = {}
+        found: dict[str, DetectedClip] = {}
         share = self.batch.share
         leftovers.sweep(files.folder_inside(out, CLIPS))
         with Ledger(files.folder_inside(share.ledger or out, CLIPS)) as ledger, progress_bar() as bar:
             pace = Pace(bar, "clips", len(jobs))
             engine = Engine(
                 work=find_one, lost=lost, entry=entry_of, options=[asdict(jobs[0].options), jobs[0].alone],
-                crew=share.crew(len(jobs)), limits=share.limits, prepare=load, in_this=partial(shown, bar, find_one),
+                executor=share.executor(len(jobs)), limits=share.limits, prepare=load,
+                in_this=partial(shown, bar, find_one),
             )  # fmt: skip
             with closing(engine.run(jobs, ledger)) as ends:
                 for one in ends:
                     pace.count(entry_of(one).state)
-                    if isinstance(one, FoundClip):
+                    if isinstance(one, DetectedClip):
                         say(str(one))
                         found[one.clip] = one
                         continue

@@ -91,7 +91,7 @@ class Segment(GraspCommand):
         if in_order:
             _print(in_order, self.out)
         grasps = [grasp for one in in_order for grasp in one.listed]
-        tell_missing(cut, len(grasps))
+        report_missing(cut, len(grasps))
         if self.out is not None:
             rows = (row.values() for one in in_order for row in one.rows())
             files.write_csv(self.out / "segments.csv", [COLUMNS, *rows])
@@ -150,7 +150,7 @@ def segment_one(job: SegmentJob, progress: Progress = lambda *_: None) -> Segmen
         return failure(job.clip.name, error)
 
 
-def tell_missing(cut: Cut, found: int) -> None:
+def report_missing(cut: Cut, found: int) -> None:
     """Report how many grasps of a list are not in the clips."""
     if cut.listed is not None and found < len(cut.listed.grasps):
         report(f"{found} of the {len(cut.listed.grasps)} grasps of {cut.listed.file} are in these clips")
@@ -160,10 +160,10 @@ def _print(found: Sequence[SegmentedClip], out: Path | None) -> None:
     """A table of all grasps, and their sum in a line."""
     console().print(_table(found))
     grasps = [end + 1 - start for one in found for start, end in one.grasps]
-    held = sum(1 for one in found if one.grasps)
+    grasped = sum(1 for one in found if one.grasps)
     share = 100.0 * sum(grasps) / sum(one.frames for one in found)
     of = counted(len(found), "clip")
-    print(f"{counted(len(grasps), 'stable grasp')} in {held} of {of}, {share:.1f} % of their frames")
+    print(f"{counted(len(grasps), 'stable grasp')} in {grasped} of {of}, {share:.1f} % of their frames")
     if out is not None:
         print(out / "segments.csv")
 

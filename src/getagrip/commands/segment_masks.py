@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from getagrip.commands.segment import Segment
     from getagrip.grasps.definition import Definition
     from getagrip.grasps.lists import ListedGrasp
-    from getagrip.segmentation.found import FoundSegments
+    from getagrip.segmentation.found import DetectedSegments
 
 SEGMENTS = "segments.json"
 COLUMNS = ("sequence", "side", "object", "state", "start", "end", "duration", "first", "last", "margin")
@@ -83,8 +83,8 @@ def find_in_clips(options: Segment) -> int:
         for note in one.fields["notes"]:
             report(f"{one.clip}: {note}")
     grasps = [grasp for one in found for grasp in one.grasps]
-    held = sum(bool(one.grasps) for one in found)
-    print(f"{counted(len(grasps), 'stable grasp')} in {held} of {counted(len(found), 'clip')}")
+    grasped = sum(bool(one.grasps) for one in found)
+    print(f"{counted(len(grasps), 'stable grasp')} in {grasped} of {counted(len(found), 'clip')}")
     if out is not None:
         _write(found, out)
     for path in filter(None, (options.json, out and out / lists.FILE)):
@@ -111,12 +111,14 @@ def find_one(job: SegmentJob, progress: Progress = lambda *_: None) -> Segmented
             segment_files.into_clip(read_header(job.clip), listed)
     except Exception as error:  # one clip's trouble must not end the others
         return failure(job.clip.name, error)
-    held = [(clip.held_by(one.segment.side), one.segment) for one in found.segments if one.segment.state == "grasp"]
-    grasps = tuple(as_listed(by or clip, segment.first, segment.last) for by, segment in held)
+    grasped = [
+        (clip.with_side(one.segment.side), one.segment) for one in found.segments if one.segment.state == "grasp"
+    ]
+    grasps = tuple(as_listed(by or clip, segment.first, segment.last) for by, segment in grasped)
     return SegmentedClip(clip.name, tuple(_rows(clip, found)), _fields(listed, found), grasps)
 
 
-def _rows(clip: Clip, found: FoundSegments) -> list[Json]:
+def _rows(clip: Clip, found: DetectedSegments) -> list[Json]:
     """The segments, by ``COLUMNS``."""
     return [
         {
@@ -135,7 +137,7 @@ def _rows(clip: Clip, found: FoundSegments) -> list[Json]:
     ]
 
 
-def _fields(listed: SegmentList, found: FoundSegments) -> Json:
+def _fields(listed: SegmentList, found: DetectedSegments) -> Json:
     """The segments as ``clip.json`` has them, and beside them the margins and what was assumed."""
     return listed.fields | {"margins": [one.margin for one in found.segments], "notes": list(found.notes)}
 

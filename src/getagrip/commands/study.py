@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from getagrip.commands.each_clip import each_clip
-from getagrip.commands.segment import GraspCommand, SegmentJob, tell_missing
+from getagrip.commands.segment import GraspCommand, SegmentJob, report_missing
 from getagrip.io import files
 from getagrip.io.arguments import Folder
 from getagrip.io.counts import counted
@@ -42,7 +42,7 @@ class Study(GraspCommand):
 
         done, failures = each_clip(self.clips, job, study_one, self.workers, self.debug)
         studied = [grasp for grasps in done for grasp in grasps]
-        tell_missing(cut, len(studied))
+        report_missing(cut, len(studied))
         print(f"{counted(len(studied), 'stable grasp')} in {sum(map(bool, done))} of {counted(len(done), 'clip')}")
         if studied:
             _print(studied)

@@ -79,6 +79,6 @@ def found(paths: Sequence[Path], problems: list[Exception]) -> tuple[list[Path],
         results += below
         clips += [] if below else alone
         if not below and not alone:
-            given = "neither result.json nor clip.json in it or below" if path.is_dir() else "no such folder"
-            problems.append(InputError(path, "", given, "a result, a clip, or a folder of them"))
+            got = "neither result.json nor clip.json in it or below" if path.is_dir() else "no such folder"
+            problems.append(InputError(path, "", got, "a result, a clip, or a folder of them"))
     return results, clips

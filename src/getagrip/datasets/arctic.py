@@ -162,10 +162,10 @@ def _read(base: Path, file: Path, mano: Path, view: int, note: Note) -> Iterator
 
 def _hands(file: Path, mano: Path, T_cam_world: Float[ndarray, "T 4 4"], T: int) -> dict[Side, HandTrack]:
     """Both hands. ARCTIC was fitted with the published left hand, faults included."""
-    given = pickles.read_file(file, "ARCTIC's MANO parameters")
+    value = pickles.read_file(file, "ARCTIC's MANO parameters")
     hands: dict[Side, HandTrack] = {}
     for side in SIDES:
-        values = given.get(side)
+        values = value.get(side)
         if not isinstance(values, dict):
             raise InputError(file, side, shown(values), "the parameters of this hand")
         rot, pose, trans = (
@@ -186,10 +186,10 @@ def _view(file: Path, misc: dict[str, object], subject: str, number: int, egocam
         raise InputError(file, f"{subject}.image_size", shown(sizes[number].tolist()), "width and height in pixels")
     if number == 0:
         file, subject = egocam, ""
-        given = pickles.read_file(egocam, "ARCTIC's camera on the head")
-        K = numbers(egocam, given, "intrinsics", (3, 3))
+        value = pickles.read_file(egocam, "ARCTIC's camera on the head")
+        K = numbers(egocam, value, "intrinsics", (3, 3))
         T_cam_world = se3.rigid(
-            numbers(egocam, given, "R_k_cam_np", (T, 3, 3)), numbers(egocam, given, "T_k_cam_np", (T, 3, 1))[..., 0]
+            numbers(egocam, value, "R_k_cam_np", (T, 3, 3)), numbers(egocam, value, "T_k_cam_np", (T, 3, 1))[..., 0]
         )
     else:
         K = numbers(file, of, "intris_mat", (VIEWS - 1, 3, 3), subject)[number - 1]

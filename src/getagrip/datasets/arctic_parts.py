@@ -35,8 +35,8 @@ def is_top(folder: Path, mesh: Mesh) -> Bool[ndarray, "V"]:
     clear = np.abs(nearer) > CLEAR
     differ = clear & ((nearer > 0.0) != numbered)
     if differ.sum() > CONTRADICTION * clear.sum():
-        given = f"{differ.sum()} of {clear.sum()} vertices numbered against top.obj and bottom.obj, which lie beside it"
-        raise InputError(folder / "parts.json", "", given, f"{TOP} for each vertex of mesh.obj at top.obj, else 1")
+        got = f"{differ.sum()} of {clear.sum()} vertices numbered against top.obj and bottom.obj, which lie beside it"
+        raise InputError(folder / "parts.json", "", got, f"{TOP} for each vertex of mesh.obj at top.obj, else 1")
     return np.where(clear, nearer > 0.0, numbered)
 
 
@@ -47,8 +47,8 @@ def _numbered(file: Path, count: int) -> ndarray:
     except (ValueError, RecursionError) as error:
         raise InputError(file, "", f"text that is no JSON ({error})", "a JSON list") from error
     if part is None or part.shape != (count,) or not np.isin(part, (0, 1)).all():
-        given = f"{len(part)} numbers" if part is not None and part.ndim == 1 else "something else"
-        raise InputError(file, "", given, f"0 or 1 for each of the {count} vertices of mesh.obj")
+        got = f"{len(part)} numbers" if part is not None and part.ndim == 1 else "something else"
+        raise InputError(file, "", got, f"0 or 1 for each of the {count} vertices of mesh.obj")
     return part
 
 

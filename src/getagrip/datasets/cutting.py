@@ -159,7 +159,7 @@ def without_gaps(track: Track) -> list[Track]:
 def ahead(track: Track) -> Bool[ndarray, "T"]:
     """The frames in which hand and object are before the camera."""
     seen = np.ones(len(track), dtype=bool)
-    hands = [hand for hand in (track.hand, track.given_hand) if hand is not None]
+    hands = [hand for hand in (track.hand, track.input_hand) if hand is not None]
     for centre in (
         *(se3.transform(hand.T_cam_hand, hand.vertices.mean(axis=1)[:, None])[:, 0] for hand in hands),
         se3.transform(track.T_cam_obj, track.mesh.centre[None])[:, 0],
@@ -191,7 +191,7 @@ def known_clip(
         K=np.tile(track.K, (len(track), 1, 1)),
         mesh=checked_mesh(track.file, mesh.vertices, mesh.faces),
         scale="known",
-        hand=track.given_hand or track.hand,
+        hand=track.input_hand or track.hand,
         truth=Truth(track.T_cam_obj, 1.0, track.hand.T_cam_hand, track.hand.vertices, track.articulation, joint),
         provenance=provenance or {},
     )
@@ -230,7 +230,7 @@ def _other_hand(other: Track, track: Track) -> OtherHand | None:
     _, rows, source = np.intersect1d(track.numbers, other.numbers, return_indices=True)
     if not len(rows):
         return None
-    hand = (other.given_hand or other.hand).take(source)
+    hand = (other.input_hand or other.hand).take(source)
     try:
         check_in_view(other.file, hand, np.tile(track.K, (len(rows), 1, 1)), track.size)
     except InputError:

@@ -100,19 +100,19 @@ def _read(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator
         note(f"{name}: {counted(unknown, 'frame')} without the pose of the hand or of the object: skipped")
     if not frames:
         return
-    held = frames[0].name
-    other = next((frame for frame in frames if frame.name != held or not np.allclose(frame.K, frames[0].K)), None)
+    grasped = frames[0].name
+    other = next((frame for frame in frames if frame.name != grasped or not np.allclose(frame.K, frames[0].K)), None)
     if other is not None:
         raise InputError(
             folder / "meta" / f"{other.number:04d}.pkl", "objName or camMat", "another", "one per sequence"
         )
-    mesh = ycb.mesh(models, held)
+    mesh = ycb.mesh(models, grasped)
     letters = re.match(r"[A-Za-z]+", folder.name)
     yield Track(
         file=folder,
         subject=letters[0] if letters else folder.name,
         sequence=folder.name,
-        category=held,
+        category=grasped,
         side="right",
         fps=FPS,
         numbers=np.array([frame.number for frame in frames]),
@@ -136,28 +136,28 @@ def _read(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator
 
 def _frame(file: Path, with_mano: bool) -> Frame | None:
     """The labels of a frame; nothing where the object or the hand is not known."""
-    given = pickles.read_file(file, "the labels of a frame of HO-3D")
+    value = pickles.read_file(file, "the labels of a frame of HO-3D")
     if not file.stem.isdigit():
         raise InputError(file, "", f"the name {file.name!r}", "<number>.pkl")
-    rotation, joints = given.get("objRot", 0), given.get("handJoints3D", 0)
+    rotation, joints = value.get("objRot", 0), value.get("handJoints3D", 0)
     if rotation is None or joints is None or (isinstance(joints, ndarray) and joints.size == 3):
         return None
-    name = given.get("objName")
+    name = value.get("objName")
     if not isinstance(name, str) or not is_plain_name(name):
         raise InputError(file, "objName", shown(name), "the name of a YCB object")
     T_cam_obj = se3.rigid(
-        OPENGL @ se3.exp_so3(numbers(file, given, "objRot", (3,))), OPENGL @ numbers(file, given, "objTrans", (3,))
+        OPENGL @ se3.exp_so3(numbers(file, value, "objRot", (3,))), OPENGL @ numbers(file, value, "objTrans", (3,))
     )
-    K = numbers(file, given, "camMat", (3, 3))
+    K = numbers(file, value, "camMat", (3, 3))
     if not (K[0, 0] > 0 and K[1, 1] > 0 and np.all(K[2] == [0, 0, 1]) and K[0, 1] == 0):
         raise InputError(file, "camMat", shown(K.tolist()), "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
-    joints = numbers(file, given, "handJoints3D", (21, 3)) @ OPENGL
+    joints = numbers(file, value, "handJoints3D", (21, 3)) @ OPENGL
     mano = (np.zeros(48), np.zeros(3), np.zeros(10))
     if with_mano:
         mano = (
-            numbers(file, given, "handPose", (48,)),
-            numbers(file, given, "handTrans", (3,)),
-            numbers(file, given, "handBeta", (10,)),
+            numbers(file, value, "handPose", (48,)),
+            numbers(file, value, "handTrans", (3,)),
+            numbers(file, value, "handBeta", (10,)),
         )
     return Frame(int(file.stem), name, T_cam_obj, K, joints, *mano)
 

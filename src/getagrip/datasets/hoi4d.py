@@ -177,10 +177,10 @@ def _object_pose(file: Path) -> Float[ndarray, "4 4"]:
 
 def _hand(files: list[Path], mano: Path, side: Side) -> HandTrack:
     """The hand in each frame, of the person's shape, by the published MANO, faults included: as HOI4D's code does."""
-    given = [pickles.read_file(file, "a hand's pose of HOI4D") for file in files]
-    pose = np.stack([numbers(file, g, "poseCoeff", (48,)) for file, g in zip(files, given, strict=True)])
-    trans = np.stack([numbers(file, g, "trans", (3,)) for file, g in zip(files, given, strict=True)])
-    shape = numbers(files[0], given[0], "beta", (10,))
+    value = [pickles.read_file(file, "a hand's pose of HOI4D") for file in files]
+    pose = np.stack([numbers(file, g, "poseCoeff", (48,)) for file, g in zip(files, value, strict=True)])
+    trans = np.stack([numbers(file, g, "trans", (3,)) for file, g in zip(files, value, strict=True)])
+    shape = numbers(files[0], value[0], "beta", (10,))
     model = mano_tracks.load(mano, side, repaired=False)
     return mano_tracks.track(model, pose[:, :3], pose[:, 3:], trans, shape, True, np.eye(4))
 

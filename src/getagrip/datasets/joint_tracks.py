@@ -78,13 +78,13 @@ def tracks(motion: Motion) -> Iterator[Track]:
     for side, hand in hands.items():
         described = "the generic hand, fitted to the true 21 joints over all frames: not the true surface"
         provenance = motion.provenance | {"hands": described, "hand_fit": _fit(fitted[side])}
-        given_hand = None
+        input_hand = None
         if side in motion.estimated:
-            given = fit_hand(motion.file, f"estimated {side} joints", side, motion.estimated[side])
-            given_hand = seen(given.track, camera.T_cam_world)
+            value = fit_hand(motion.file, f"estimated {side} joints", side, motion.estimated[side])
+            input_hand = seen(value.track, camera.T_cam_world)
             provenance["truth"] = f"{described}; {_fit(fitted[side])}"
             provenance["hands"] = estimated("the generic hand, fitted to 21 joints that were estimated")
-            provenance["hand_fit"] = _fit(given)
+            provenance["hand_fit"] = _fit(value)
         yield Track(
             file=motion.file,
             subject=motion.subject,
@@ -103,7 +103,7 @@ def tracks(motion: Motion) -> Iterator[Track]:
             articulation=motion.articulation,
             other_hand=next((other for of, other in hands.items() if of != side), None),
             world=World(se3.inverse(camera.T_cam_world), up),
-            given_hand=given_hand,
+            input_hand=input_hand,
             provenance=provenance | {"camera": camera.described},
         )
 

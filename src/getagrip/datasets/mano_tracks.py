@@ -72,20 +72,20 @@ def track(
 
 
 def numbers(
-    path: Path, given: Mapping[str, object], key: str, shape: tuple[int, ...], of: str = ""
+    path: Path, entry: Mapping[str, object], key: str, shape: tuple[int, ...], of: str = ""
 ) -> Float[ndarray, "..."]:
     """A finite array of the given shape, -1 standing for any length above 0; axes of length 1 in front are let be.
 
     ``of`` names the dictionary that ``given`` is, where it stands in another. Raises ``InputError``.
     """
     name = f"{of}.{key}" if of else key
-    if key not in given:
+    if key not in entry:
         raise InputError(path, name, "no such key", "the key")
-    value: object = given[key]
+    value: object = entry[key]
     if isinstance(value, list | tuple):
         value = arrays.from_lists(value)
     if not isinstance(value, ndarray):
-        raise InputError(path, name, shown(given[key]), f"numbers of shape {shape}")
+        raise InputError(path, name, shown(entry[key]), f"numbers of shape {shape}")
     if value.dtype.kind not in "fiu":
         raise InputError(path, name, f"an array of {value.dtype}", f"numbers of shape {shape}")
     if value.size == abs(int(np.prod(shape))) and -1 not in shape:

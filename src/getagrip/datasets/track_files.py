@@ -92,13 +92,13 @@ def _read(file: Path, note: Note) -> Iterator[Track]:
 
 def read_motion(file: Path, note: Note) -> Motion | None:
     """A file, in the frames in which all that it holds is known; None for fewer than 2. Raises ``InputError``."""
-    given = arrays.read(file, KEYS.__contains__)
-    order = _order(file, given)
-    category, subject, sequence = (_name(file, given, key) for key in NAMES)
-    poses = _maybe_unknown(file, given, "T_world_obj", (-1, 4, 4))
+    stored = arrays.read(file, KEYS.__contains__)
+    order = _order(file, stored)
+    category, subject, sequence = (_name(file, stored, key) for key in NAMES)
+    poses = _maybe_unknown(file, stored, "T_world_obj", (-1, 4, 4))
     T = len(poses)
     check_length(file, "T_world_obj", T)
-    joints, estimated = _joints(file, given, "joints", T), _joints(file, given, "estimated", T)
+    joints, estimated = _joints(file, stored, "joints", T), _joints(file, stored, "estimated", T)
     if not joints:
         raise InputError(file, "joints_left, joints_right", "none of them", "the joints of a hand or of both")
     if estimated and estimated.keys() != joints.keys():
@@ -112,125 +112,125 @@ def read_motion(file: Path, note: Note) -> Motion | None:
         return None
     if not se3.is_rigid(poses[rows]).all():
         raise InputError(file, "T_world_obj", "matrices that are no rigid motions", "rotations and translations [m]")
-    mesh, joint = _object(file, given)
+    mesh, joint = _object(file, stored)
     return Motion(
         file=file,
         subject=subject,
         sequence=sequence,
         category=category,
-        fps=_rate(file, given),
-        numbers=_numbers(file, given, T)[rows],
+        fps=_rate(file, stored),
+        numbers=_numbers(file, stored, T)[rows],
         joints={side: of_side[rows][:, order] for side, of_side in joints.items()},
         estimated={side: of_side[rows][:, order] for side, of_side in estimated.items()},
         T_world_obj=poses[rows],
         mesh=mesh,
         joint=joint,
-        articulation=_angles(file, given, T, rows),
-        camera=_camera(file, given, T, rows),
+        articulation=_angles(file, stored, T, rows),
+        camera=_camera(file, stored, T, rows),
         provenance={
             "source": f"{file.name}, {subject}/{sequence}",
-            **{key: _text(file, given, key) for key in ("source", "licence") if key in given},
+            **{key: _text(file, stored, key) for key in ("source", "licence") if key in stored},
             "scale": f"the file's mesh, taken as of true size; long edges halved: {len(mesh.vertices)} vertices",
         },
     )
 
 
-def _joints(file: Path, given: Arrays, kind: str, T: int) -> dict[Side, Float[ndarray, "T 21 3"]]:
+def _joints(file: Path, arrays: Arrays, kind: str, T: int) -> dict[Side, Float[ndarray, "T 21 3"]]:
     """The joints of each hand that the file has them of, in its own order."""
     keys = {side: f"{kind}_{side}" for side in SIDES}
-    return {side: _maybe_unknown(file, given, key, (T, 21, 3)) for side, key in keys.items() if key in given}
+    return {side: _maybe_unknown(file, arrays, key, (T, 21, 3)) for side, key in keys.items() if key in arrays}
 
 
-def _object(file: Path, given: Arrays) -> tuple[Mesh, Joint | None]:
+def _object(file: Path, value: Arrays) -> tuple[Mesh, Joint | None]:
     """The object of its mesh, or of two where it has a joint."""
-    has = [key for key in JOINT if key in given]
+    has = [key for key in JOINT if key in value]
     if has and len(has) < len(JOINT):
         raise InputError(file, ", ".join(JOINT), f"only {', '.join(has)}", "all of them, or none")
     parts = []
     for key in ("mesh", "mesh_top") if has else ("mesh",):
-        parts.append(read_mesh(inside(file.parent, _text(file, given, key), key, "a mesh", file)))
+        parts.append(read_mesh(inside(file.parent, _text(file, value, key), key, "a mesh", file)))
     mesh, part = fine(parts)
     if not has:
         return mesh, None
-    point, direction = arrays.floats(file, given, "joint", (2, 3))
+    point, direction = arrays.floats(file, value, "joint", (2, 3))
     length = float(np.linalg.norm(direction))
     if length < 1e-6:
         raise InputError(file, "joint", "a direction of length 0", "a direction of the axis")
     return mesh, Joint(moves=part == 1, point=point, direction=direction / length)
 
 
-def _angles(file: Path, given: Arrays, T: int, rows: Int[ndarray, "n"]) -> Float[ndarray, "n"] | None:
-    return arrays.floats(file, given, "articulation", (T,))[rows] if "articulation" in given else None
+def _angles(file: Path, value: Arrays, T: int, rows: Int[ndarray, "n"]) -> Float[ndarray, "n"] | None:
+    return arrays.floats(file, value, "articulation", (T,))[rows] if "articulation" in value else None
 
 
-def _camera(file: Path, given: Arrays, T: int, rows: Int[ndarray, "n"]) -> PosedCamera | None:
+def _camera(file: Path, value: Arrays, T: int, rows: Int[ndarray, "n"]) -> PosedCamera | None:
     """The file's camera in some of its frames; none where it has none."""
-    has = [key for key in CAMERA if key in given]
+    has = [key for key in CAMERA if key in value]
     if not has:
         return None
     if len(has) < len(CAMERA):
         raise InputError(file, ", ".join(CAMERA), f"only {', '.join(has)}", "all of them, or none")
-    K = arrays.floats(file, given, "K", (3, 3))
-    width, height = (float(n) for n in arrays.floats(file, given, "size", (2,), kinds="iuf"))
+    K = arrays.floats(file, value, "K", (3, 3))
+    width, height = (float(n) for n in arrays.floats(file, value, "size", (2,), kinds="iuf"))
     if not (1 <= width <= 10_000 and 1 <= height <= 10_000 and width % 1 == height % 1 == 0):
         raise InputError(file, "size", f"{width:g} x {height:g}", "width and height in pixels, 1 to 10000")
-    T_cam_world = arrays.floats(file, given, "T_cam_world", (4, 4) if given["T_cam_world"].ndim == 2 else (T, 4, 4))
+    T_cam_world = arrays.floats(file, value, "T_cam_world", (4, 4) if value["T_cam_world"].ndim == 2 else (T, 4, 4))
     if not se3.is_rigid(T_cam_world).all():
         raise InputError(file, "T_cam_world", "what is no rigid motion", "rotations and translations [m]")
     described = (
-        assumed(_text(file, given, "assumed_camera")) if "assumed_camera" in given else measured("the file's own")
+        assumed(_text(file, value, "assumed_camera")) if "assumed_camera" in value else measured("the file's own")
     )
     return PosedCamera(K, (int(width), int(height)), np.broadcast_to(T_cam_world, (T, 4, 4))[rows], described)
 
 
-def _numbers(file: Path, given: Arrays, T: int) -> Int[ndarray, "T"]:
+def _numbers(file: Path, value: Arrays, T: int) -> Int[ndarray, "T"]:
     """Numbers of all frames."""
-    if "frames" not in given:
+    if "frames" not in value:
         return np.arange(T)
-    numbers = arrays.floats(file, given, "frames", (T,), kinds="iu").astype(np.int64)
+    numbers = arrays.floats(file, value, "frames", (T,), kinds="iu").astype(np.int64)
     if numbers[0] < 0 or np.any(np.diff(numbers) <= 0) or numbers[-1] >= 10**9:
         raise InputError(file, "frames", shown(numbers[:8].tolist()), "rising numbers from 0 to 999999999")
     return numbers
 
 
-def _rate(file: Path, given: Arrays) -> float:
-    fps = float(arrays.floats(file, given, "fps", (), kinds="iuf"))
+def _rate(file: Path, value: Arrays) -> float:
+    fps = float(arrays.floats(file, value, "fps", (), kinds="iuf"))
     if not 0.0 < fps <= FASTEST:
         raise InputError(file, "fps", f"{fps:g}", f"frames per second, up to {FASTEST:g}")
     return fps
 
 
-def _maybe_unknown(file: Path, given: Arrays, key: str, shape: tuple[int, ...]) -> Float[ndarray, "T ..."]:
+def _maybe_unknown(file: Path, value: Arrays, key: str, shape: tuple[int, ...]) -> Float[ndarray, "T ..."]:
     """An array in which whole frames may be NaN. Raises ``InputError`` also for frames of which only a part is."""
-    if key in given and given[key].dtype.kind == "f" and given[key].ndim == len(shape):
-        values = given[key].astype(float)
+    if key in value and value[key].dtype.kind == "f" and value[key].ndim == len(shape):
+        values = value[key].astype(float)
         unknown = np.asarray(np.isnan(values).all(axis=tuple(range(1, len(shape)))))
         values[unknown] = 0.0
         values = arrays.floats(file, {key: values}, key, shape)
         values[unknown] = np.nan
         return values
-    return arrays.floats(file, given, key, shape)
+    return arrays.floats(file, value, key, shape)
 
 
-def _text(file: Path, given: Arrays, key: str) -> str:
-    if key not in given:
+def _text(file: Path, arrays: Arrays, key: str) -> str:
+    if key not in arrays:
         raise InputError(file, key, "no such array", "a text")
-    value = given[key]
+    value = arrays[key]
     if value.dtype.kind != "U" or value.ndim != 0 or not 0 < len(str(value)) <= 200 or not str(value).isprintable():
         raise InputError(file, key, f"{value.dtype} of shape {value.shape}", "a text of up to 200 printable characters")
     return str(value)
 
 
-def _name(file: Path, given: Arrays, key: str) -> str:
-    name = _text(file, given, key)
+def _name(file: Path, arrays: Arrays, key: str) -> str:
+    name = _text(file, arrays, key)
     if not is_plain_name(name):
         raise InputError(file, key, shown(name), "a name that can be part of a folder's")
     return name
 
 
-def _order(file: Path, given: Arrays) -> list[int]:
+def _order(file: Path, arrays: Arrays) -> list[int]:
     """Where each of this package's joints stands in the file."""
-    order = _text(file, given, "order")
+    order = _text(file, arrays, "order")
     for name, places in ORDERS.items():
         if order == name:
             return places

@@ -72,7 +72,7 @@ class Track:
     """Number of the sequence's first frame, by which lists of grasps count."""
     other_hand: HandTrack | None = None
     """The other hand, which hides and is ignored as well, in the same frames."""
-    given_hand: HandTrack | None = None
+    input_hand: HandTrack | None = None
     """The hand as an estimator has it: its clips are given that one, and ``hand`` is their ground truth."""
     read_masks: Callable[[int], FrameMasks] | None = None
     """The dataset's own masks of the frame of some number; rendered from the true poses where it has none."""
@@ -115,7 +115,7 @@ class Track:
             other_hand=None if self.other_hand is None else of(self.other_hand),
             world=self.world and self.world.take(index),
             stamps=None if self.stamps is None else self.stamps[index],
-            given_hand=None if self.given_hand is None else of(self.given_hand),
+            input_hand=None if self.input_hand is None else of(self.input_hand),
         )
 
     def object(self, angle: float) -> Mesh:

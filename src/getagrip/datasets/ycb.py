@@ -16,9 +16,9 @@ Models = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default:
 """The option that names their folder."""
 
 
-def folder(root: Path, given: Path | None) -> Path:
+def folder(root: Path, value: Path | None) -> Path:
     """The folder of the models: the one given, or else ``models`` in ``root``. Raises ``UsageError`` without it."""
-    models = given or root / "models"
+    models = value or root / "models"
     if not models.is_dir():
         raise UsageError(f"--meshes must be the folder of the YCB models (got {models}, which is no folder)")
     return models

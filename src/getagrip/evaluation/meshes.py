@@ -123,13 +123,13 @@ def _read(path: Path, frame: MeshFrame, T_cam_hand: Float[ndarray, "4 4"]) -> Me
     mesh = checked_mesh(path, vertices, with_area(vertices, faces))
     if frame == "camera":
         if not NEAREST < mesh.centre[2] < FARTHEST:
-            given = f"a mesh whose middle is {mesh.centre[2]:.3g} m before the camera"
-            raise InputError(path, "vertices", given, f"{NEAREST:g} to {FARTHEST:g} m; is it in the hand frame?")
+            got = f"a mesh whose middle is {mesh.centre[2]:.3g} m before the camera"
+            raise InputError(path, "vertices", got, f"{NEAREST:g} to {FARTHEST:g} m; is it in the hand frame?")
         mesh = _moved(mesh, se3.inverse(T_cam_hand))
     away = float(np.linalg.norm(mesh.centre))
     if frame == "hand" and away > FROM_HAND:
-        given = f"a mesh whose middle is {away:.3g} m from the hand's"
-        raise InputError(path, "vertices", given, f"at most {FROM_HAND:g} m; is it in the camera frame?")
+        got = f"a mesh whose middle is {away:.3g} m from the hand's"
+        raise InputError(path, "vertices", got, f"at most {FROM_HAND:g} m; is it in the camera frame?")
     return mesh
 
 

@@ -62,12 +62,12 @@ def poses_of(place: Path, name: str, clip: Clip, masks: Masks | None, first: int
 
     A frame without a pose has that of the nearest one that has, still in the hand, and counts as interpolated.
     """
-    given = _of_result(place, clip) if place.is_dir() and is_result(place) else read_pose_file(_only_file(place))
-    rows = _rows(given, clip, first)
+    poses = _of_result(place, clip) if place.is_dir() and is_result(place) else read_pose_file(_only_file(place))
+    rows = _rows(poses, clip, first)
     index = np.array(sorted(rows))
-    T = given.T[[rows[n] for n in index]]
-    scale = 1.0 if given.scale is None else given.scale
-    T_hand_obj = _in_hand(given, T, scale, clip, index)
+    T = poses.T[[rows[n] for n in index]]
+    scale = 1.0 if poses.scale is None else poses.scale
+    T_hand_obj = _in_hand(poses, T, scale, clip, index)
     nearest = index[np.abs(np.arange(len(clip))[:, None] - index).argmin(axis=1)]
     T_hand_obj = T_hand_obj[np.searchsorted(index, nearest)]
     kind: tuple[FrameKind, ...] = tuple("sampled" if n in rows else "interpolated" for n in range(len(clip)))
@@ -79,7 +79,7 @@ def poses_of(place: Path, name: str, clip: Clip, masks: Masks | None, first: int
         notes.append(
             f"no pose in {len(clip) - len(index)} of {len(clip)} frames: those of their neighbours, in the hand"
         )
-    if given.scale is None and clip.scale == "free":
+    if poses.scale is None and clip.scale == "free":
         notes.append("the scale 1 is a guess: the poses say none, and the clip's mesh has no known size")
     return Reconstruction(
         clip=clip.name,
@@ -117,38 +117,38 @@ def _of_result(folder: Path, clip: Clip) -> PoseFile:
     return PoseFile(folder, result.T_cam_hand @ result.T_hand_obj, result.frames, scale=result.scale)
 
 
-def _rows(given: PoseFile, clip: Clip, first: int | None) -> dict[int, int]:
+def _rows(poses: PoseFile, clip: Clip, first: int | None) -> dict[int, int]:
     """The row of each of the clip's frames that has one. Raises ``InputError``."""
-    if given.names is None:
-        if len(given.T) != len(clip):
+    if poses.names is None:
+        if len(poses.T) != len(clip):
             expected = f"{len(clip)} as the clip has frames, or names of frames beside them"
-            raise InputError(given.path, "", f"{len(given.T)} poses without names", expected)
+            raise InputError(poses.path, "", f"{len(poses.T)} poses without names", expected)
         return {n: n for n in range(len(clip))}
     frames = clip.frames
-    if given.by_place and number_of(frames[0]) is None:
+    if poses.by_place and number_of(frames[0]) is None:
         frames = tuple(str(n) for n in range(len(clip)))
     if first is not None:
         frames = renumbered(frames, first, FIRST)
-    check_numbers(frames, given.names, given.path, "pose", FIRST if first is None else "")
-    rows = row_of_each(given.names, [frame_of(name, frames) for name in given.names], given.path)
+    check_numbers(frames, poses.names, poses.path, "pose", FIRST if first is None else "")
+    rows = row_of_each(poses.names, [frame_of(name, frames) for name in poses.names], poses.path)
     if not rows:
         shown = f"{files.plain(frames[0])} to {files.plain(frames[-1])}"
-        raise InputError(given.path, "", f"no pose of the clip's frames ({files.plain(given.names[0])}, ...)", shown)
+        raise InputError(poses.path, "", f"no pose of the clip's frames ({files.plain(poses.names[0])}, ...)", shown)
     return rows
 
 
 def _in_hand(
-    given: PoseFile, T: Float[ndarray, "n 4 4"], scale: float, clip: Clip, index: ndarray
+    poses: PoseFile, T: Float[ndarray, "n 4 4"], scale: float, clip: Clip, index: ndarray
 ) -> Float[ndarray, "n 4 4"]:
     """The poses in the clip's hand, as it is given. Raises ``InputError`` for what can be no pose there."""
     T_cam_hand = clip.hand.T_cam_hand[index]
     centres = np.tile(scale * clip.mesh.centre, (len(T), 1))
-    if not given.in_hand:
-        check_poses(given.path, "T_cam_obj", T, centres, "the object")
+    if not poses.in_hand:
+        check_poses(poses.path, "T_cam_obj", T, centres, "the object")
         return np.asarray(se3.inverse(T_cam_hand) @ T)
-    check_poses(given.path, "T_hand_obj", T_cam_hand @ T, centres, "the object")
+    check_poses(poses.path, "T_hand_obj", T_cam_hand @ T, centres, "the object")
     away = np.linalg.norm(se3.transform(T, centres[:, None])[:, 0], axis=1).max()
     if away > FROM_HAND:
         expected = f"at most {FROM_HAND:g} m; are these in the camera frame (T_cam_obj)?"
-        raise InputError(given.path, "T_hand_obj", f"an object {away:.3g} m from the hand's origin", expected)
+        raise InputError(poses.path, "T_hand_obj", f"an object {away:.3g} m from the hand's origin", expected)
     return T

@@ -119,22 +119,22 @@ def _json(path: Path) -> PoseFile:
     return PoseFile(path, np.concatenate(T), tuple(content))
 
 
-def _record(path: Path, given: Mapping[str, object]) -> PoseFile:
+def _record(path: Path, entry: Mapping[str, object]) -> PoseFile:
     """Poses by name."""
-    key = next((key for key in ("T_cam_obj", "T_hand_obj") if key in given), None)
+    key = next((key for key in ("T_cam_obj", "T_hand_obj") if key in entry), None)
     if key is None:
         raise InputError(path, "T_cam_obj", "no such array", "T_cam_obj or T_hand_obj (T, 4, 4)")
-    T = _matrices(path, key, given[key])
+    T = _matrices(path, key, entry[key])
     names, scale = None, None
-    if "frames" in given:
-        values = arrays.names(given["frames"])
+    if "frames" in entry:
+        values = arrays.names(entry["frames"])
         if values is None or len(values) != len(T):
-            raise InputError(path, "frames", files.shown(given["frames"]), f"{len(T)} names or numbers of frames")
+            raise InputError(path, "frames", files.shown(entry["frames"]), f"{len(T)} names or numbers of frames")
         names = tuple(str(value) for value in values)
-    if "scale" in given:
-        value = arrays.from_lists(given["scale"])
+    if "scale" in entry:
+        value = arrays.from_lists(entry["scale"])
         if value is None or value.dtype.kind not in "fiu" or value.size != 1 or not 0 < float(value.item()) < np.inf:
-            raise InputError(path, "scale", files.shown(given["scale"]), "one number above 0 for all frames")
+            raise InputError(path, "scale", files.shown(entry["scale"]), "one number above 0 for all frames")
         scale = float(value.item())
     return PoseFile(path, T, names, key == "T_hand_obj", scale)
 
@@ -196,9 +196,9 @@ def _numbers(path: Path, where: str, text: str | None, count: int) -> Float[ndar
     return values
 
 
-def _matrices(path: Path, key: str, given: object) -> Float[ndarray, "n 4 4"]:
+def _matrices(path: Path, key: str, value: object) -> Float[ndarray, "n 4 4"]:
     """Finite matrices of four rows and columns; a last row that a file leaves out is added."""
-    found = arrays.from_lists(given)
+    found = arrays.from_lists(value)
     values = np.array("") if found is None else found
     if values.dtype.kind in "fiu" and values.shape[-1:] == (16,):
         values = values.reshape(*values.shape[:-1], 4, 4)
@@ -206,7 +206,7 @@ def _matrices(path: Path, key: str, given: object) -> Float[ndarray, "n 4 4"]:
         row = np.broadcast_to(LAST_ROW, (*values.shape[:-2], 1, 4))
         values = np.concatenate([values, row], axis=-2)
     if values.dtype.kind not in "fiu" or values.shape[-2:] != (4, 4) or values.ndim > 3 or not values.size:
-        shape = files.shown(given) if not isinstance(given, ndarray) else f"{given.dtype} of shape {given.shape}"
+        shape = files.shown(value) if not isinstance(value, ndarray) else f"{value.dtype} of shape {value.shape}"
         raise InputError(path, key, shape, "a 4x4 matrix of numbers for each frame")
     values = values.reshape(-1, 4, 4).astype(float)
     return arrays.floats(path, {key: values}, key, values.shape)
@@ -218,7 +218,7 @@ def row_of_each(names: Sequence[str], found: Sequence[int | None], path: Path) -
     for row, frame in enumerate(found):
         if frame is not None:
             if frame in rows:
-                given = f"{files.plain(names[rows[frame]])} and {files.plain(names[row])}"
-                raise InputError(path, "frames", given, "one pose for each frame")
+                got = f"{files.plain(names[rows[frame]])} and {files.plain(names[row])}"
+                raise InputError(path, "frames", got, "one pose for each frame")
             rows[frame] = row
     return rows

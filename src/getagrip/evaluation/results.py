@@ -88,8 +88,8 @@ class Evaluation:
 
     def fields(self) -> dict[str, object]:
         """As ``evaluate --json`` writes it: what is empty is left out."""
-        given = {key: value for key, value in asdict(self).items() if value or key in ("symmetry", "metrics")}
-        return {"result": given.pop("result"), **given} if "result" in given else given
+        entry = {key: value for key, value in asdict(self).items() if value or key in ("symmetry", "metrics")}
+        return {"result": entry.pop("result"), **entry} if "result" in entry else entry
 
 
 def evaluate_result(folder: str | Path, clips: str | Path | None = None) -> Evaluation:
@@ -208,10 +208,10 @@ class _ResultComparison(Comparison):
     @cached_property
     def _distances(self) -> list[ContactDistances]:
         """Of the predicted object to the given hand; and of the true one, where hand and mesh are the true ones."""
-        clip, given = self.clip, self.clip.hand
-        same = clip.truth is not None and np.array_equal(clip.truth.hand_vertices, given.vertices)
+        clip, value = self.clip, self.clip.hand
+        same = clip.truth is not None and np.array_equal(clip.truth.hand_vertices, value.vertices)
         tracks = [self.track, self.true] if same and self.found is clip.mesh else [self.track]
-        return contact_distances(self.found, tracks, given.vertices, given.faces, self.reach)
+        return contact_distances(self.found, tracks, value.vertices, value.faces, self.reach)
 
 
 def clip_of(folder: Path, result: Reconstruction, record: Json, clips: str | Path | None) -> Clip:
@@ -231,8 +231,8 @@ def clip_of(folder: Path, result: Reconstruction, record: Json, clips: str | Pat
     if clip.name != result.clip:
         raise InputError(found / "clip.json", "name", files.shown(clip.name), f"{result.clip!r}, as {folder} says")
     if record.get("input_sha256") != input_sha256(found):
-        given = f"the checksum of other masks, hands or mesh than those in {found}"
-        raise InputError(folder / "result.json", "input_sha256", given, "an unchanged clip; reconstruct it again")
+        got = f"the checksum of other masks, hands or mesh than those in {found}"
+        raise InputError(folder / "result.json", "input_sha256", got, "an unchanged clip; reconstruct it again")
     return clip
 
 
@@ -259,13 +259,13 @@ def contact_in_grasps(
     """
     each = []
     for segment in clip.segments:
-        by, rows = clip.held_by(segment.side), segment.rows[clip.hand_known(segment.side)[segment.rows]]
+        by, rows = clip.with_side(segment.side), segment.rows[clip.hand_known(segment.side)[segment.rows]]
         if segment.state != "grasp" or by is None or len(rows) < 2:
             continue
         hand = by.hand.take(rows)
         T_hand_obj = se3.inverse(hand.T_cam_hand) @ clip.hand.T_cam_hand[rows] @ track.T_ref_obj[rows]
-        held = ObjectTrack(T_hand_obj, track.scale)
-        (distances,) = contact_distances(found, [held], hand.vertices, hand.faces, reach)
+        track_in_hand = ObjectTrack(T_hand_obj, track.scale)
+        (distances,) = contact_distances(found, [track_in_hand], hand.vertices, hand.faces, reach)
         each.append([stable_contact(distances, contact).sca for contact in contacts])
     if not each:
         return {}

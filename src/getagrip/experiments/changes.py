@@ -119,12 +119,12 @@ class OtherObject(Change):
         sides = np.exp(rng.uniform(-1.0, 1.0, 3) * np.log(1.0 + self.stretched))
         other = Mesh(mesh.centre + sides * (deformation(mesh.vertices) - mesh.centre), mesh.faces)
         T, size = aligned(mesh, other, resize=True)
-        held = truth.scale * se3.transform(se3.inverse(T), other.vertices) / size
+        grasped = truth.scale * se3.transform(se3.inverse(T), other.vertices) / size
         hands = se3.transform(truth.T_cam_hand, truth.hand_vertices)
         return clip, Masks.of(
             _drawn(
                 masks.take(np.array([n])),
-                (se3.transform(truth.T_cam_obj[n], held), mesh.faces),
+                (se3.transform(truth.T_cam_obj[n], grasped), mesh.faces),
                 (hands[n], clip.hand.faces),
                 clip.K[n],
                 clip.size,
@@ -133,9 +133,9 @@ class OtherObject(Change):
         )
 
 
-def _drawn(seen: Masks, held: Surface, hand: Surface, K: Float[ndarray, "3 3"], size: tuple[int, int]) -> FrameMasks:
+def _drawn(seen: Masks, grasped: Surface, hand: Surface, K: Float[ndarray, "3 3"], size: tuple[int, int]) -> FrameMasks:
     """The masks of a frame with another object; what other things hid in those that are given, is hidden still."""
-    visible, ignore, holding = true_masks(held, [hand], [], K, size)
+    visible, ignore, holding = true_masks(grasped, [hand], [], K, size)
     others = seen.ignore[0] & ~covered(*hand, K, size)
     return FrameMasks(visible & ~others, ignore | others, None if seen.hand is None else holding & ~others)
 

@@ -42,9 +42,9 @@ class Row:
     """Of these, how many are marked ambiguous."""
     serious: dict[str, int]
     """On how many clips each check found something serious; the checks that found anything."""
-    doubtful: int
+    flagged: int
     """Results with a serious finding."""
-    doubtful_right: int
+    flagged_right: int
     """Of these, those whose pose is right."""
     noted: dict[str, int]
     """As ``serious``, of findings that are not."""
@@ -131,8 +131,8 @@ def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], of
                 wrong=len(wrong),
                 wrong_ambiguous=sum(score.ambiguous for score in wrong),
                 serious=_counts([score.serious for score in done]),
-                doubtful=sum(bool(score.serious) for score in done),
-                doubtful_right=sum(bool(score.serious) for score in done if _is_right(score, variant)),
+                flagged=sum(bool(score.serious) for score in done),
+                flagged_right=sum(bool(score.serious) for score in done if _is_right(score, variant)),
                 noted=_counts([score.noted for score in done]),
                 seconds=_median([score.seconds for score in done]),
                 failed=len(tried) - len(done),

@@ -110,10 +110,8 @@ class WithHands(Change):
         found = {source: source.read(clip) for source in self.sources}
         common = reduce(set.intersection, ({*hands.frames} for hands in found.values()), {*clip.frames})
         if len(common) < FEWEST:
-            given = f"{len(common)} of the {len(clip)} frames of {clip.name} in {' and '.join(s.name for s in found)}"
-            raise InputError(
-                found[self.source].file, "frames", given, f"{FEWEST} frames at least that all of them have"
-            )
+            got = f"{len(common)} of the {len(clip)} frames of {clip.name} in {' and '.join(s.name for s in found)}"
+            raise InputError(found[self.source].file, "frames", got, f"{FEWEST} frames at least that all of them have")
         index = np.array([n for n, name in enumerate(clip.frames) if name in common])
         return found[self.source].in_clip(clip.take(index)), masks.take(index)
 

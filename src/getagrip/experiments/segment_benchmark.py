@@ -10,7 +10,7 @@ import numpy as np
 
 from getagrip.datasets.tracks import subject_of
 from getagrip.experiments.segment_scores import Matched, Summary, summary
-from getagrip.experiments.segment_trials import DEFINITION, DIRECTIONS, WAYS, SequenceScores, SequenceTrial
+from getagrip.experiments.segment_trials import DEFINITION, DIRECTIONS, VARIANTS, SequenceScores, SequenceTrial
 from getagrip.experiments.sources import Sample
 from getagrip.experiments.sources.recorded import DexYcbSequences
 from getagrip.experiments.statistics import resamples
@@ -71,20 +71,20 @@ def _csv_rows(scores: Sequence[SequenceScores]) -> list[Sequence[object]]:
     """Every sequence's numbers, the headings first."""
     lines: list[Sequence[object]] = [COLUMNS]
     for one in scores:
-        for (direction, way), of in one.by.items():
+        for (direction, variant), of in one.by.items():
             for match in of.matches or (None,):
                 numbers = ("", "", "") if match is None else (match.tiou, match.start, match.end)
-                lines.append((one.name, direction, way, len(of.matches), of.found, *numbers))
+                lines.append((one.name, direction, variant, len(of.matches), of.found, *numbers))
     return lines
 
 
 def _rows(scores: Sequence[SequenceScores]) -> dict[str, list[Matched]]:
     """The rows of the table: every way, in each direction and in both."""
     out = {}
-    for way, label in WAYS.items():
+    for variant, label in VARIANTS.items():
         for directions in (DIRECTIONS[:1], DIRECTIONS[1:], DIRECTIONS):
             words = "both" if len(directions) > 1 else directions[0]
-            out[f"{label}, {words}"] = [one.by[direction, way] for one in scores for direction in directions]
+            out[f"{label}, {words}"] = [one.by[direction, variant] for one in scores for direction in directions]
     return out
 
 

@@ -20,7 +20,7 @@ from getagrip.io.files import Json
 DIRECTIONS = ("forwards", "in reverse")
 DEFINITION = Definition(contact=0.010)
 """Of a stable grasp, as that of the truth (``datasets.dexycb.reader``)."""
-WAYS = {"fits": "fits and Eq. 2", "motion": "first to last motion"}
+VARIANTS = {"fits": "fits and Eq. 2", "motion": "first to last motion"}
 """How grasps are found: ours; and what the image motion alone says, with no fit."""
 CODE = ("segmentation", "experiments/segment_trials.py")
 """Code that what is found depends on, besides that of a reconstruction."""
@@ -56,8 +56,8 @@ class SequenceTrial(Trial[SequenceScores]):
         for direction in DIRECTIONS:
             here = record[direction]
             seconds.append(float(here["seconds"]))
-            for way in WAYS:
-                by[direction, way] = matched(_spans(here["true"]), _spans(here[way]))
+            for variant in VARIANTS:
+                by[direction, variant] = matched(_spans(here["true"]), _spans(here[variant]))
         return SequenceScores(self.name, by, float(np.mean(seconds)), again)
 
 
@@ -100,5 +100,5 @@ def _found(trial: SequenceTrial) -> Json:
     return out
 
 
-def _spans(given: list[list[int]]) -> list[Span]:
-    return [(first, last) for first, last in given]
+def _spans(value: list[list[int]]) -> list[Span]:
+    return [(first, last) for first, last in value]

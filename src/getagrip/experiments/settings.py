@@ -84,7 +84,7 @@ def _wrong_masks(fault: str, share: float) -> Setting:
     return Setting(f"{fault} in {100 * share:.0f} %", change=WrongMasks(fault, share))
 
 
-OF_ITS_KIND = {
+CATEGORY_MESHES = {
     "of its kind": OtherObject(),
     "of its kind, size unknown": Several((OtherObject(), ScaleFree())),
     "of its kind, size unknown, hands moderate": Several(
@@ -103,7 +103,7 @@ INPUTS = (
     _wrong_masks("another object", 0.2),
     Setting("size unknown", change=ScaleFree()),
     *(
-        Setting(label, change=OF_ITS_KIND[label])
+        Setting(label, change=CATEGORY_MESHES[label])
         for label in ("of its kind", "of its kind, size unknown, hands moderate")
     ),
 )
@@ -179,7 +179,7 @@ ABLATIONS: dict[str, Ablation] = {
             replace(_noise_level("estimated"), label="corrected", options={"hands": "corrected"}),
         ),
     ),
-    "hand-correction": Ablation(
+    "hand-refinement": Ablation(
         "Hands corrected by their own pixels, or as they are given",
         "none, as given",
         tuple(
@@ -234,7 +234,7 @@ ABLATIONS: dict[str, Ablation] = {
         "own, as given",
         tuple(
             Setting(f"{label}, {word}", {"mesh": mesh}, change)
-            for label, change in ({"own": AS_GIVEN} | OF_ITS_KIND).items()
+            for label, change in ({"own": AS_GIVEN} | CATEGORY_MESHES).items()
             for mesh, word in (("as-given", "as given"), ("fitted", "fitted"))
         ),
         ("soft-hinge",),

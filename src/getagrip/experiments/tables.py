@@ -53,7 +53,7 @@ MEDIANS = (
     "Right in the camera (ADD sym.); medians over clips; results marked ambiguous, of all and of those whose pose is "
     "wrong (ADD sym.)"
 )
-DOUBTS = "Results that the checks doubt, how many of them are right, and the checks"
+FLAGGED = "Results that the checks doubt, how many of them are right, and the checks"
 CATEGORIES = "Each category"
 """Titles of what a page folds away."""
 FAILED = "failed"
@@ -136,9 +136,9 @@ def _findings(table: Table, style: Style) -> list[list[str]]:
     rows = [["", "doubted", "right ones", "serious findings", "notes"]]
     for row in table.rows:
         known = any(not math.isnan(row.medians[error.label]) for error in ERRORS)
-        right = str(row.doubtful_right) if known else "–"
+        right = str(row.flagged_right) if known else "–"
         named = [", ".join(f"{name} {count}" for name, count in of.items()) or "–" for of in (row.serious, row.noted)]
-        rows.append([style.text(row.variant.label), f"{row.doubtful} of {table.clips}", right, *named])
+        rows.append([style.text(row.variant.label), f"{row.flagged} of {table.clips}", right, *named])
     return rows
 
 
@@ -152,7 +152,7 @@ def markdown(tables: Sequence[Table], title: str, about: Sequence[str], settings
         if len(differences) > 1:
             lines += _folded(DIFFERENCES, table_lines(differences))
         lines += _folded(MEDIANS, table_lines(_errors(table, MARKDOWN)))
-        lines += _folded(DOUBTS, table_lines(_findings(table, MARKDOWN)))
+        lines += _folded(FLAGGED, table_lines(_findings(table, MARKDOWN)))
     if tables[1:]:
         lines += _folded(CATEGORIES, [line for table in tables[1:] for line in _means(table)][:-1])
     return "\n".join(lines).rstrip() + "\n"
@@ -270,8 +270,8 @@ def as_json(tables: Sequence[Table], scores: Sequence[Scores]) -> dict[str, obje
                         "wrong": row.wrong,
                         "wrong_ambiguous": row.wrong_ambiguous,
                         "serious": row.serious,
-                        "doubtful": row.doubtful,
-                        "doubtful_right": row.doubtful_right,
+                        "doubtful": row.flagged,
+                        "flagged_right": row.flagged_right,
                         "noted": row.noted,
                         "seconds": row.seconds,
                         "failed": row.failed,

@@ -52,7 +52,11 @@ class TimelineBenchmark(Benchmark[TimelineScores]):
         if not whole:
             return None
         grid: list[Sequence[str]] = [HEADINGS]
-        grid += [(level, way, *_cells(whole, level, way)) for level, ways in whole[0].by.items() for way in ways]
+        grid += [
+            (level, variant, *_cells(whole, level, variant))
+            for level, variants in whole[0].by.items()
+            for variant in variants
+        ]
         about = [
             f"{self.source.title}: {len(whole)} of {len(done)} sequences, those with a static segment and a stable "
             "grasp",
@@ -69,9 +73,9 @@ class TimelineBenchmark(Benchmark[TimelineScores]):
         return Page(self.source.preset, text, {".md": text}, {}, {one.name: one.by for one in whole})
 
 
-def _cells(scores: Sequence[TimelineScores], level: str, way: str) -> list[str]:
+def _cells(scores: Sequence[TimelineScores], level: str, variant: str) -> list[str]:
     """A row's numbers as text."""
-    found: list[tuple[TimelineScores, dict[str, Any]]] = [(one, one.by[level][way]) for one in scores]
+    found: list[tuple[TimelineScores, dict[str, Any]]] = [(one, one.by[level][variant]) for one in scores]
     cells = [_share(found, kind, "right_sym") for kind in ("static", "between", "grasp")]
     cells.append(_share(found, "grasp", "right"))
     cells.append(_share([(one, of) for one, of in found if "mug" in one.category], "grasp", "right_sym"))

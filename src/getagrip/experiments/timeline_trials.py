@@ -76,29 +76,29 @@ class TimelineTrial(Trial[TimelineScores]):
 
 def _found(trial: TimelineTrial, level: str) -> dict[str, Any]:
     """The scores of every way at a level; of timelines that hold both a static segment and a grasp."""
-    from getagrip.timelines.ways import WAYS, moved
+    from getagrip.timelines.variants import VARIANTS, reconstruct_with
 
-    given = read_clip(trial.sample.folder)
-    given_masks = read_masks(given)
-    states = {segment.state for segment in given.segments}
+    tracked = read_clip(trial.sample.folder)
+    input_masks = read_masks(tracked)
+    states = {segment.state for segment in tracked.segments}
     by: dict[str, dict[str, Any]] = {}
     if not {"static", "grasp"} <= states:
-        return {"category": given.category, "by": by}
-    symmetries = find_symmetries(given.mesh)
-    clip, masks = perturbed(given, given_masks, LEVELS[level], [trial.options.seed, *given.name.encode()])
-    for way in WAYS:
+        return {"category": tracked.category, "by": by}
+    symmetries = find_symmetries(tracked.mesh)
+    clip, masks = perturbed(tracked, input_masks, LEVELS[level], [trial.options.seed, *tracked.name.encode()])
+    for variant in VARIANTS:
         since = time.process_time()
         try:
-            motion = moved(way, clip, masks, trial.options)
+            motion = reconstruct_with(variant, clip, masks, trial.options)
         except GetagripError as error:
-            by[way] = {"failure": str(error), "seconds": time.process_time() - since}
+            by[variant] = {"failure": str(error), "seconds": time.process_time() - since}
             continue
-        by[way] = {
+        by[variant] = {
             "seconds": time.process_time() - since,
             "segments": [asdict(s) for s in segment_scores(clip, symmetries, motion.T_cam_obj, motion.T_cam_hand)],
             "jumps": jumps(clip, motion.T_cam_obj),
         }
-    return {"category": given.category, "by": by}
+    return {"category": tracked.category, "by": by}
 
 
 @dataclass(frozen=True)
@@ -133,8 +133,8 @@ def segment_scores(
         sym = pose_errors(clip.mesh, found, true, best_symmetry(clip.mesh, found, true, symmetries))
         sca = None
         if segment.state == "grasp":
-            held = ObjectTrack(se3.inverse(T_cam_hand[rows]) @ T_cam_obj[rows], 1.0)
-            (distances,) = contact_distances(clip.mesh, [held], clip.hand.vertices[rows], clip.hand.faces)
+            grasped = ObjectTrack(se3.inverse(T_cam_hand[rows]) @ T_cam_obj[rows], 1.0)
+            (distances,) = contact_distances(clip.mesh, [grasped], clip.hand.vertices[rows], clip.hand.faces)
             sca = stable_contact(distances, CONTACT).sca
         share = float(sym.add.mean() / sym.diameter)
         out.append(SegmentScore(KINDS[segment.state], plain.success, sym.success, share, sca))

@@ -93,14 +93,14 @@ def _mesh(
     """A mesh; ``moved`` are the displacements of its morph targets."""
     from pygltflib import Attributes, Mesh, Primitive
 
-    given = Attributes(
+    value = Attributes(
         POSITION=buffers.add(vertices.astype(np.float32), bounds=True),
         NORMAL=buffers.add(vertex_normals(vertices, faces).astype(np.float32)),
     )
     steps = () if moved is None else moved.astype(np.float32)
     targets = [{"POSITION": buffers.add(step, bounds=True)} for step in steps]
     corners = buffers.add(faces.astype(np.uint32).ravel(), corners=True)
-    part = Primitive(attributes=given, indices=corners, material=material, targets=targets)
+    part = Primitive(attributes=value, indices=corners, material=material, targets=targets)
     return Mesh(name=name, primitives=[part], weights=[0.0] * len(targets))
 
 

@@ -99,9 +99,9 @@ def rate(scene: Scene) -> int:
 class Pictures:
     """The images of all frames, cut to an even width and height, as H.264 wants them; they are read one at a time."""
 
-    def __init__(self, paths: list[Path], given: tuple[int, int]) -> None:
-        self.paths, self.given = paths, given
-        self.size = (given[0] // 2 * 2, given[1] // 2 * 2)
+    def __init__(self, paths: list[Path], value: tuple[int, int]) -> None:
+        self.paths, self.value = paths, value
+        self.size = (value[0] // 2 * 2, value[1] // 2 * 2)
 
     @staticmethod
     def of(scene: Scene) -> Pictures | None:
@@ -112,7 +112,7 @@ class Pictures:
     def __iter__(self) -> Iterator[UInt8[ndarray, "H W 3"]]:
         width, height = self.size
         for path in self.paths:
-            yield read_image(path, self.given)[:height, :width]
+            yield read_image(path, self.value)[:height, :width]
 
     def feature(self, fps: int) -> dict[str, object]:
         """How LeRobot describes the video."""

@@ -28,14 +28,14 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     joints = joints_on_stage(scene, stage, "spider")
     T_stage_obj, _ = stage.poses(scene)
     count = len(scene.frames)
-    given = {
+    value = {
         "wrist": pose7(se3.rigid(palm(joints, scene.side, RING), joints[:, WRIST]), "wxyz"),
         "finger": np.concatenate([joints[:, TIPS], np.tile(IDENTITY[3:], (count, len(TIPS), 1))], axis=-1),
         "obj": pose7(T_stage_obj, "wxyz"),
     }
     content = {}
     for side in ("right", "left"):
-        for name, poses in given.items():
+        for name, poses in value.items():
             content[f"qpos_{name}_{side}"] = poses if side == scene.side else np.broadcast_to(IDENTITY, poses.shape)
     content |= {"timestamps": np.round(1e9 * scene.time).astype(np.int64), "joints": joints, **besides(scene)}
     task, mesh_folder = word(scene.name), f"processed/{DATASET}/assets/objects/{word(scene.name)}"

@@ -15,9 +15,9 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.clip import Clip, Masks, read_masks
-from getagrip.fitting.foretold import Foretold
 from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.motion import Frozen, Motion, PosesInHand, interpolated, placed
+from getagrip.fitting.predicted_silhouette import NeighbourPrediction
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.solve import minimise
 from getagrip.geometry import se3
@@ -50,7 +50,7 @@ class Track:
     T_hand_obj: Float[ndarray, "K T 4 4"]
     angle: Float[ndarray, "T"] | None
     iou: Float[ndarray, "T"]
-    doubted: tuple[str, ...] = ()
+    outliers: tuple[str, ...] = ()
 
 
 def at_sampled_frames(problem: Problem, found: MethodResult) -> Track:
@@ -73,13 +73,15 @@ def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: Met
     clip = clip.with_hand_at(hand_everywhere(clip, problem, sampled))
     T, K, scale = len(clip), len(track.T_hand_obj), float(found.poses.scale[0])
     kind: list[FrameKind] = ["interpolated"] * T
-    doubted = list(problem.trust.doubted)
+    outliers = list(problem.trust.outliers)
     iou, angle, known = np.full(T, np.nan), np.full(T, np.nan), np.zeros(T, dtype=bool)
     R, centre = np.empty((K, T, 3, 3)), np.empty((K, T, 3))
     R[:, sampled], centre[:, sampled], known[sampled], iou[sampled] = found.poses.R, found.poses.centre, True, track.iou
     if track.angle is not None:
         angle[sampled] = track.angle
-    foretold = Foretold.by(problem, found.poses, sampled) if np.isfinite(problem.trust.most_differing) else None
+    predicted = (
+        NeighbourPrediction.by(problem, found.poses, sampled) if np.isfinite(problem.trust.outlier_threshold) else None
+    )
     for index, part in _others(clip, masks, problem, sampled):
         if found.motion is not None and found.energy_of is not None:
             fitted = own_fit(part, found, sampled, index)
@@ -91,12 +93,12 @@ def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: Met
             poses = interpolated(found.poses, sampled, index)
         R[:, index], centre[:, index], known[index] = poses.R, poses.centre, True
         iou[index] = image_iou(part.clip, part.masks, placed(poses, clip.mesh.centre)[0], scale)
-        if foretold is not None:
-            wrong = index[foretold.overlap(part, index).differing > problem.trust.most_differing]
+        if predicted is not None:
+            wrong = index[predicted.overlap(part, index).differing > problem.trust.outlier_threshold]
             known[wrong], iou[wrong], angle[wrong] = False, np.nan, np.nan
             for n in wrong:
                 kind[n] = "interpolated"
-            doubted += [clip.frames[n] for n in wrong]
+            outliers += [clip.frames[n] for n in wrong]
     rest, there = np.flatnonzero(~known), np.flatnonzero(known)
     poses = interpolated(PosesInHand(R[:, there], centre[:, there], found.poses.scale), there, rest)
     R[:, rest], centre[:, rest] = poses.R, poses.centre
@@ -104,7 +106,7 @@ def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: Met
     T_hand_obj[:, sampled] = track.T_hand_obj
     for n in sampled:
         kind[n] = "sampled"
-    names = tuple(name for name in clip.frames if name in doubted)
+    names = tuple(name for name in clip.frames if name in outliers)
     if track.angle is None:
         return Track(clip.frames, tuple(kind), clip.hand.T_cam_hand, T_hand_obj, None, iou, names)
     seen = ~np.isnan(angle)
@@ -130,12 +132,12 @@ def own_fit(problem: Problem, found: MethodResult, sampled: Int[ndarray, "n"], i
 
 def hand_everywhere(clip: Clip, problem: Problem, sampled: Int[ndarray, "n"]) -> Float[ndarray, "T 4 4"] | None:
     """The hand of every frame: where it was corrected, by corrections between those of the sampled frames."""
-    if not problem.trust.hand_corrected:
+    if not problem.trust.hand_refined:
         return None
-    given, corrected = clip.hand.T_cam_hand, problem.clip.hand.T_cam_hand
-    C = (se3.inverse(given[sampled]) @ corrected)[None]
+    input_poses, corrected = clip.hand.T_cam_hand, problem.clip.hand.T_cam_hand
+    C = (se3.inverse(input_poses[sampled]) @ corrected)[None]
     between = interpolated(PosesInHand(C[..., :3, :3], C[..., :3, 3], np.ones(1)), sampled, np.arange(len(clip)))
-    T_cam_hand = given @ se3.rigid(between.R[0], between.centre[0])
+    T_cam_hand = input_poses @ se3.rigid(between.R[0], between.centre[0])
     T_cam_hand[sampled] = corrected
     return np.asarray(T_cam_hand)
 
@@ -144,7 +146,7 @@ def _others(
     clip: Clip, masks: Masks | None, problem: Problem, sampled: Int[ndarray, "n"]
 ) -> Iterator[tuple[Int[ndarray, "m"], Problem]]:
     """The frames beyond the sampled ones that show the object, a few at a time, each few spread over the clip."""
-    hidden = {*problem.clip.left_out, *problem.trust.doubted}
+    hidden = {*problem.clip.left_out, *problem.trust.outliers}
     shown = np.flatnonzero([name not in hidden for name in clip.frames])
     rest = np.setdiff1d(shown, sampled)
     parts = -(-len(rest) // CHUNK)

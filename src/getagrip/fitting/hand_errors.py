@@ -35,7 +35,7 @@ class HandErrors:
         weights: (V, 5, 3) how far vertices go with each bone; None: the fingers keep their bends, and P is ``RIGID``.
     """
 
-    given: HandTrack
+    tracked: HandTrack
     middle: Float[ndarray, "3"]
     weights: Float[ndarray, "V 5 3"] | None
 
@@ -47,7 +47,7 @@ class HandErrors:
     @property
     def with_bends(self) -> HandErrors:
         """All the errors that the hand can have; one without joints has rigid ones only."""
-        return self if self.given.joints is None else replace(self, weights=finger_weights(self.given))
+        return self if self.tracked.joints is None else replace(self, weights=finger_weights(self.tracked))
 
     @property
     def size(self) -> int:
@@ -56,19 +56,19 @@ class HandErrors:
 
     def take(self, index: Int[ndarray, "n"]) -> HandErrors:
         """The hand at some of its frames."""
-        hand = self.given
+        hand = self.tracked
         joints = None if hand.joints is None else hand.joints[index]
         taken = replace(hand, vertices=hand.vertices[index], T_cam_hand=hand.T_cam_hand[index], joints=joints)
-        return replace(self, given=taken)
+        return replace(self, tracked=taken)
 
     def T_cam_hand(self, x: Float[ndarray, "N P"]) -> Float[ndarray, "N 4 4"]:
         """Poses of the corrected hand."""
         R = se3.exp_so3(x[:, TURN])
-        return self.given.T_cam_hand @ se3.rigid(R, self.middle + x[:, SHIFT] - R @ self.middle)
+        return self.tracked.T_cam_hand @ se3.rigid(R, self.middle + x[:, SHIFT] - R @ self.middle)
 
     def surface(self, x: Float[ndarray, "N P"]) -> tuple[Float[ndarray, "N V 3"], Float[ndarray, "N 21 3"] | None]:
         """Vertices and joints in the corrected hand's frame, in the size and with the bends that explain it best."""
-        vertices, joints = self.given.vertices, self.given.joints
+        vertices, joints = self.tracked.vertices, self.tracked.joints
         if self.weights is not None and joints is not None:
             vertices, joints = bent(vertices, joints, self.weights, x[:, BENDS].reshape(-1, 5, 3))
         size = np.exp(x[:, SIZE, None, None])
@@ -91,18 +91,18 @@ class HandErrors:
         frame.
         """
         turn = se3.exp_so3(x[:, TURN])
-        in_given = along @ self.given.T_cam_hand[:, :3, :3]
+        in_input = along @ self.tracked.T_cam_hand[:, :3, :3]
         X = np.take_along_axis(vertices, nearest[..., None], axis=1)
         arm = (X - self.middle) @ np.swapaxes(turn, 1, 2)
         J = np.empty((*nearest.shape, x.shape[1]))
-        J[..., TURN] = np.cross(arm, in_given) @ se3.left_jacobian(x[:, TURN])
-        J[..., SHIFT] = in_given
-        J[..., SIZE] = np.sum(arm * in_given, axis=-1)
-        if self.weights is None or joints is None or self.given.joints is None:
+        J[..., TURN] = np.cross(arm, in_input) @ se3.left_jacobian(x[:, TURN])
+        J[..., SHIFT] = in_input
+        J[..., SIZE] = np.sum(arm * in_input, axis=-1)
+        if self.weights is None or joints is None or self.tracked.joints is None:
             return J
-        in_hand = in_given @ turn
+        in_hand = in_input @ turn
         moment = np.cross(X, in_hand)
-        axes = hinges(self.given.joints)  # those of a finger are parallel: bends do not turn them
+        axes = hinges(self.tracked.joints)  # those of a finger are parallel: bends do not turn them
         beyond = np.cumsum(self.weights[..., ::-1], axis=-1)[..., ::-1]  # what moves with a joint
         for f, chain in enumerate(CHAINS):
             # Turning X about the axis a through p moves it by a x (X - p), along n by a . (X x n) - (a x p) . n.

@@ -71,7 +71,7 @@ class HandMask:
         valid = ~objects
         fxfycxcy = np.stack([K[:, 0, 0], K[:, 1, 1], K[:, 0, 2], K[:, 1, 2]], axis=1)
         if masks.hand is None:
-            valid &= ~hand | _near(_given_bits(clip.hand, fxfycxcy))
+            valid &= ~hand | _near(_mask_bits(clip.hand, fxfycxcy))
         else:
             valid &= hand | ~crops.resample(masks.ignore, outside=True)
             valid &= masks.hand.any(axis=(1, 2), keepdims=True)
@@ -131,7 +131,7 @@ class HandSilhouette:
     def with_masks_grown(self, x: Float[ndarray, "N P"]) -> HandSilhouette:
         """The same with masks as large as the silhouettes there, if they are much too small."""
         in_camera = se3.transform(self.errors.T_cam_hand(x), self.errors.surface(x)[0])
-        silhouettes = _contours(in_camera, self.errors.given, self.edges, self.mask, 0)[3]
+        silhouettes = _contours(in_camera, self.errors.tracked, self.edges, self.mask, 0)[3]
         return replace(self, mask=self.mask.grown_to(silhouettes))
 
     @property
@@ -146,7 +146,7 @@ class HandSilhouette:
     def differing(self, x: Float[ndarray, "N P"]) -> float:
         """Pixels in which silhouette and mask differ, in all frames."""
         in_camera = se3.transform(self.errors.T_cam_hand(x), self.errors.surface(x)[0])
-        return float(_contours(in_camera, self.errors.given, self.edges, self.mask, 0)[0].sum())
+        return float(_contours(in_camera, self.errors.tracked, self.edges, self.mask, 0)[0].sum())
 
     def __call__(
         self, x: Float[ndarray, "N P"]
@@ -154,7 +154,7 @@ class HandSilhouette:
         """Pixels of each frame in which silhouette and mask differ, gradient and Gauss-Newton Hessian by the errors."""
         vertices, joints = self.errors.surface(x)
         in_camera = se3.transform(self.errors.T_cam_hand(x), vertices)
-        value, points, nearest, _ = _contours(in_camera, self.errors.given, self.edges, self.mask)
+        value, points, nearest, _ = _contours(in_camera, self.errors.tracked, self.edges, self.mask)
         z, (fx, fy, cx, cy) = np.maximum(points[:, Z], 1e-6), self.mask.K.T[..., None]
         nx, ny = points[:, NX] / z, points[:, NY] / z
         depth = -(nx * (points[:, U] - cx) + ny * (points[:, V] - cy))
@@ -185,7 +185,7 @@ def _edges(hand: HandTrack) -> Int[ndarray, "4 E"]:
     return np.ascontiguousarray(edge_table(hand.faces).T)
 
 
-def _given_bits(hand: HandTrack, K: Float[ndarray, "N 4"]) -> UInt64[ndarray, "N _ _"]:
+def _mask_bits(hand: HandTrack, K: Float[ndarray, "N 4"]) -> UInt64[ndarray, "N _ _"]:
     """The given hand's silhouette in the crops."""
     N = len(K)
     nothing = np.zeros((N, SIZE, SIZE // 64), np.uint64)

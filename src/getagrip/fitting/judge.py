@@ -13,9 +13,9 @@ from getagrip.finding import Finding
 from getagrip.fitting.every_frame import Track
 from getagrip.fitting.misfit import misfit
 from getagrip.fitting.options import Options
-from getagrip.fitting.other_size import other_size
 from getagrip.fitting.pose_spread import pose_spread
 from getagrip.fitting.problem import MethodResult, Problem
+from getagrip.fitting.scale_check import scale_check
 from getagrip.probability import Probability
 from getagrip.provenance import is_assumed
 from getagrip.result import Candidates
@@ -39,22 +39,22 @@ class Judgement:
     signs: dict[str, float]
 
 
-def judge(given: Clip, problem: Problem, found: MethodResult, sampled: Track, whole: Track) -> Judgement:
+def judge(input_clip: Clip, problem: Problem, found: MethodResult, sampled: Track, whole: Track) -> Judgement:
     """Check a result.
 
     ``given`` is the clip with its hand and mesh as they came; ``sampled`` and ``whole`` are the poses in the frames
     that were fitted together and in every frame.
     """
     scale = float(found.poses.scale[0])
-    deformed = 0.0 if found.warp is None else found.warp.displacement(given.mesh)
+    deformed = 0.0 if found.warp is None else found.warp.displacement(input_clip.mesh)
     solved = Solved(
-        problem.clip, problem.given_masks, sampled.T_hand_obj[0], scale, whole.iou,
-        doubted=whole.doubted, deformed=deformed / given.mesh.diameter, deformed_mm=1e3 * scale * deformed,
+        problem.clip, problem.input_masks, sampled.T_hand_obj[0], scale, whole.iou,
+        outliers=whole.outliers, deformed=deformed / input_clip.mesh.diameter, deformed_mm=1e3 * scale * deformed,
         candidates=Candidates(sampled.T_hand_obj, found.poses.scale, found.energy), axis=found.axis,
         hand_differing=problem.trust.hand_differing,
-        T_cam_hand_given=given.hand.T_cam_hand[given.index_of(problem.clip.frames)],
+        T_cam_hand_input=input_clip.hand.T_cam_hand[input_clip.index_of(problem.clip.frames)],
         misfit=misfit(problem.observation, found.terms["mask"] / len(problem.clip)),
-        spread=pose_spread(problem, found), other_size=other_size(problem, found),
+        spread=pose_spread(problem, found), scale_check=scale_check(problem, found),
     )  # fmt: skip
     measured, findings = examine(RESULT_CHECKS, solved)
     return Judgement(measured, findings, read_signs(solved))

@@ -15,8 +15,8 @@ from getagrip.io.arguments import Flag, meant, parsed, switch
 from getagrip.io.choices import check_values, explained
 
 Hands = Literal["corrected", "as-given"]
-GivenMasks = Literal["checked", "as-given"]
-GivenMesh = Literal["fitted", "as-given"]
+MaskUse = Literal["checked", "as-given"]
+MeshUse = Literal["fitted", "as-given"]
 Init = Literal["uniform", "clusters", "priors"]
 
 
@@ -105,10 +105,10 @@ class SearchOptions:
     hands: Annotated[Hands, switch("as-given"), arg(name="given-hands", help_behavior_hint="")] = "corrected"
     """Do not refine the hands (as-given). By default (corrected) they are aligned to the hand's pixels (masks/hand,
     else masks/ignore) where they disagree, and interpolated in frames in which they jump."""
-    masks: Annotated[GivenMasks, switch("as-given"), arg(name="given-masks", help_behavior_hint="")] = "checked"
+    masks: Annotated[MaskUse, switch("as-given"), arg(name="given-masks", help_behavior_hint="")] = "checked"
     """Use all masks (as-given). By default (checked) soft-hinge and one-dof leave out those that contradict the masks
     of other frames."""
-    mesh: Annotated[GivenMesh, switch("as-given"), arg(name="given-mesh", help_behavior_hint="")] = "fitted"
+    mesh: Annotated[MeshUse, switch("as-given"), arg(name="given-mesh", help_behavior_hint="")] = "fitted"
     """Take the mesh as it is (as-given). By default (fitted) soft-hinge and one-dof deform it where the masks show that
     it is only of the object's kind."""
     seed: Annotated[int, arg(metavar="S")] = 0

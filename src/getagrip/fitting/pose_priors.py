@@ -175,12 +175,12 @@ def _check_poses(path: Path, key: str, T: Float[ndarray, "N 4 4"]) -> None:
     """Raise ``InputError`` for what is no rigid motion in metres."""
     rigid = se3.is_rigid(T)
     if not rigid.all():
-        given = f"a matrix that is no rigid motion ({int(np.argmin(rigid))})"
-        raise InputError(path, key, given, "rotations and translations [m]")
+        got = f"a matrix that is no rigid motion ({int(np.argmin(rigid))})"
+        raise InputError(path, key, got, "rotations and translations [m]")
     far = float(np.linalg.norm(T[:, :3, 3], axis=1).max())
     if far > FARTHEST:
-        given = f"an object {far:.4g} m from the hand"
-        raise InputError(path, key, given, f"at most {FARTHEST:g} m; are these millimetres?")
+        got = f"an object {far:.4g} m from the hand"
+        raise InputError(path, key, got, f"at most {FARTHEST:g} m; are these millimetres?")
 
 
 def _texts(path: Path, content: dict[str, ndarray], key: str) -> tuple[str, ...]:

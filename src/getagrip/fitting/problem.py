@@ -16,7 +16,7 @@ from getagrip.clip.sampling import frame_indices
 from getagrip.fitting import pose_priors
 from getagrip.fitting.contact import MARGIN
 from getagrip.fitting.energy import Energy
-from getagrip.fitting.hand_correction import correct_hand
+from getagrip.fitting.hand_refinement import refine_hand
 from getagrip.fitting.mask_gaps import GAP_SHARE
 from getagrip.fitting.methods import method_of
 from getagrip.fitting.motion import Motion, PosesInHand
@@ -45,16 +45,16 @@ class Trust:
         hand_differing: share of the hand's visible pixels that differ from its silhouette; NaN where it is not known.
         hand_drawn: whether the drawn hand stands in for missing ignore masks.
         mesh_fitted: whether the mesh was warped to the masks.
-        doubted: names of frames whose masks contradict the others, and are left out (``doubted_masks``).
+        doubted: names of frames whose masks contradict the others, and are left out (``outlier_masks``).
         most_differing: pixels by which a mask may differ from the silhouette that the other frames predict.
     """
 
-    hand_corrected: bool = False
+    hand_refined: bool = False
     hand_differing: float = np.nan
     hand_drawn: bool = False
     mesh_fitted: bool = False
-    doubted: tuple[str, ...] = ()
-    most_differing: float = np.inf
+    outliers: tuple[str, ...] = ()
+    outlier_threshold: float = np.inf
 
     @property
     def contact(self) -> float:
@@ -86,7 +86,7 @@ class Problem:
 
     clip: Clip
     masks: Masks
-    given_masks: Masks
+    input_masks: Masks
     observation: Observation
     surface: ObjectSurface
     options: Options
@@ -108,7 +108,7 @@ class Problem:
         shown = occluded_by_hand(clip, masks) if self.trust.hand_drawn and not masks.say_what_hides else masks
         gap_share = 0.0 if self.observation.has_gaps else 1.0
         observation = observe(shown, clip.K, self.options.occlusion, gap_share)
-        return replace(self, clip=clip, masks=shown, given_masks=masks, observation=observation)
+        return replace(self, clip=clip, masks=shown, input_masks=masks, observation=observation)
 
     def warped(self, warp: Warp | None) -> Problem:
         """The same problem with its mesh warped, where there is a warp, and contact of more weight."""
@@ -160,18 +160,20 @@ def prepare(clip: Clip, masks: Masks | None, options: Options, threads: int = 1)
     as_published = method_of(options.method).as_published
     if clip.scale == "free" and not as_published:
         options = replace(options, inits=WITH_FREE_SCALE * options.inits)
-    clip, given = _sampled(clip, masks, options.frames)
+    clip, masks_input = _sampled(clip, masks, options.frames)
     with ThreadPoolExecutor(1) as pool:
         surface = pool.submit(ObjectSurface.of, clip.mesh)  # knows nothing of hands and masks
         if threads == 1:
             wait([surface])
-        return _prepared(clip, given, options, surface, threads)
+        return _prepared(clip, masks_input, options, surface, threads)
 
 
-def _prepared(clip: Clip, given: Masks, options: Options, surface: Future[ObjectSurface], threads: int) -> Problem:
+def _prepared(
+    clip: Clip, masks_input: Masks, options: Options, surface: Future[ObjectSurface], threads: int
+) -> Problem:
     """``prepare`` at the frames that are used."""
     as_published = method_of(options.method).as_published
-    masks, notes = given, []
+    masks, notes = masks_input, []
     if clip.left_out:
         one, more = "frame without a mask that shows the object was", "frames without masks that show the object were"
         notes.append(f"{counted(len(clip.left_out), one, more)} left out of the fit: {', '.join(clip.left_out)}")
@@ -180,7 +182,7 @@ def _prepared(clip: Clip, given: Masks, options: Options, surface: Future[Object
     observation = observe(masks, clip.K, options.occlusion, gap_share)
     correction, differing = None, float("nan")
     if options.hands == "corrected" and not as_published:
-        correction, differing = correct_hand(clip, masks, observation.has_gaps)
+        correction, differing = refine_hand(clip, masks, observation.has_gaps)
     if correction is not None:
         clip = clip.with_hand_at(correction.T_cam_hand)
         notes.append(str(correction))
@@ -195,9 +197,9 @@ def _prepared(clip: Clip, given: Masks, options: Options, surface: Future[Object
     if observation.has_gaps:
         notes.append("masks leave gaps between the object and what hides it: what lies in them does not count")
     return Problem(
-        clip=clip, masks=masks, given_masks=given, observation=observation, surface=surface.result(), options=options,
-        prior_poses=poses, notes=tuple(notes), threads=threads,
-        trust=Trust(hand_corrected=correction is not None, hand_differing=differing, hand_drawn=hand_drawn),
+        clip=clip, masks=masks, input_masks=masks_input, observation=observation, surface=surface.result(),
+        options=options, prior_poses=poses, notes=tuple(notes), threads=threads,
+        trust=Trust(hand_refined=correction is not None, hand_differing=differing, hand_drawn=hand_drawn),
     )  # fmt: skip
 
 

@@ -13,13 +13,13 @@ from getagrip.checks import INPUT_CHECKS, LEAST_IOU, Evidence, examine
 from getagrip.clip import Clip, Masks, check_clip, check_masks
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.finding import Finding
-from getagrip.fitting.doubted_masks import fitted_to_believed
 from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frames
-from getagrip.fitting.hand_jumps import steady_hand
 from getagrip.fitting.judge import judge, probabilities
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
+from getagrip.fitting.outlier_masks import fit_without_outliers
 from getagrip.fitting.problem import MethodResult, Problem, prepare
+from getagrip.fitting.tracker_glitches import repair_hand
 from getagrip.provenance import assumptions
 from getagrip.result import Candidates, Reconstruction, Status
 
@@ -54,20 +54,20 @@ def reconstruct(
         check_masks(clip, masks)
     with threadpool_limits(1, user_api="blas"):
         clock = Clock(progress)
-        steady, jumps = steady_hand(clip, options)
+        steady, glitches = repair_hand(clip, options)
         light = steady.light()
         problem = prepare(light, masks, options, threads)
         clock("prepare")
-        given = Evidence(light.take(light.index_of(problem.clip.frames)), problem.given_masks, jumps=jumps)
-        measured, findings = examine(INPUT_CHECKS, given)
+        evidence = Evidence(light.take(light.index_of(problem.clip.frames)), problem.input_masks, glitches=glitches)
+        measured, findings = examine(INPUT_CHECKS, evidence)
         clock("check of the input")
         problem, found = _searched(problem, clock, findings)
-        sampled, whole = _followed(light, masks, given, problem, found, clock)
+        sampled, whole = _followed(light, masks, evidence, problem, found, clock)
         judgement = judge(light, problem, found, sampled, whole)
         clock("check of the result")
     findings = (*findings, *judgement.findings)
     right = probabilities(clip, options, judgement.signs, findings)
-    moved = problem.trust.hand_corrected or bool(jumps and jumps.frames)
+    moved = problem.trust.hand_refined or bool(glitches and glitches.frames)
     result = _reconstruction(problem, options, found, whole, moved, clock.seconds())
     return replace(
         result,
@@ -88,7 +88,7 @@ def _searched(problem: Problem, clock: Clock, findings: tuple[Finding, ...]) -> 
     method = METHODS[problem.options.method]
     try:
         if method.checks_masks and problem.options.masks == "checked":
-            return fitted_to_believed(problem, lambda some: method.fit(some, clock))
+            return fit_without_outliers(problem, lambda some: method.fit(some, clock))
         found = method.fit(problem, clock)
         return problem.warped(found.warp), found
     except InputError:
@@ -98,12 +98,12 @@ def _searched(problem: Problem, clock: Clock, findings: tuple[Finding, ...]) -> 
 
 
 def _followed(
-    clip: Clip, masks: Masks | None, given: Evidence, problem: Problem, found: MethodResult, clock: Clock
+    clip: Clip, masks: Masks | None, it: Evidence, problem: Problem, found: MethodResult, clock: Clock
 ) -> tuple[Track, Track]:
     """The solutions in the frames that were fitted together, and in all that the options ask for."""
     sampled = at_sampled_frames(problem, found)
     clock("finish")
-    footage = (clip, masks) if problem.options.every_frame else (given.clip, given.masks)
+    footage = (clip, masks) if problem.options.every_frame else (it.clip, it.masks)
     whole = at_every_frame(footage[0].warped(found.warp), footage[1], problem, found, sampled)
     clock("every frame")
     return sampled, whole
@@ -120,7 +120,7 @@ def _reconstruction(
     """A method's solutions, with all that is known about how they were found; ``options`` are those that were given."""
     clip, energy = problem.clip, found.energy
     scale = float(found.poses.scale[0])
-    shown = np.count_nonzero(~np.isnan(track.iou)) + len(track.doubted)
+    shown = np.count_nonzero(~np.isnan(track.iou)) + len(track.outliers)
     mean_iou = float(np.nansum(track.iou)) / shown  # a doubted mask is one that is not explained
     explained = mean_iou >= LEAST_IOU
     guesses = {}

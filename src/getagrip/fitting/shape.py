@@ -129,12 +129,12 @@ def own_shape(problem: Problem, motion: Soft[Fixed], index: Int[ndarray, "n"], m
     coarse, radius = problem.surface.coarse, problem.surface.diameter / 2.0
     seen = observation, LEVEL, STEP[LEVEL], DELTA[LEVEL]
     T_cam_hand, stiffness = problem.clip.hand.T_cam_hand[index], len(index) * _prior(problem.clip.scale == "known")
-    given = minimise(motion, [MaskTerm(SilhouetteMesh.of(coarse, mesh.centre), *seen)], T_cam_hand, ITERATIONS)
-    start = np.zeros((len(given.energy), len(MODES)))
-    begun = _State(given.motion, start, MaskByShape(coarse, mesh.centre, radius, *seen), stiffness, T_cam_hand)
+    undeformed = minimise(motion, [MaskTerm(SilhouetteMesh.of(coarse, mesh.centre), *seen)], T_cam_hand, ITERATIONS)
+    start = np.zeros((len(undeformed.energy), len(MODES)))
+    begun = _State(undeformed.motion, start, MaskByShape(coarse, mesh.centre, radius, *seen), stiffness, T_cam_hand)
     warped = least_squares.minimise(begun, ITERATIONS).state
     best = int(warped.cost.argmin())
-    if not warped.cost[best] < GAIN * given.energy.min():
+    if not warped.cost[best] < GAIN * undeformed.energy.min():
         return None
     warp = Warp.by(mesh.centre, radius, (warped.weights[best] @ MODES).reshape(9, 3))
     if warp.expansion(mesh.vertices).min() < LEAST_EXPANSION:

@@ -80,9 +80,11 @@ class Solution(Generic[M]):
 
 def in_camera(motion: Motion, T_cam_hand: Float[ndarray, "N 4 4"]) -> PosesInCamera:
     """The motion's poses as the terms read them."""
-    held = moved(motion.poses(), T_cam_hand)
+    in_camera_poses = moved(motion.poses(), T_cam_hand)
     # Kernels are compiled for one layout; another would compile each of them again.
-    return PosesInCamera(np.ascontiguousarray(held.R), np.ascontiguousarray(held.centre), held.scale)
+    return PosesInCamera(
+        np.ascontiguousarray(in_camera_poses.R), np.ascontiguousarray(in_camera_poses.centre), in_camera_poses.scale
+    )
 
 
 @dataclass

@@ -119,8 +119,8 @@ def _scene(file: _File) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
             if len(parts) > MOST_PARTS:
                 raise InputError(file.path, "nodes", f"more than {MOST_PARTS} parts of meshes", "at most that")
             if vertices > MOST or corners > 3 * MOST:
-                given = f"{vertices} vertices and {corners} corners of faces, or more"
-                raise InputError(file.path, "nodes", given, f"at most {MOST} and {3 * MOST}, of all nodes together")
+                got = f"{vertices} vertices and {corners} corners of faces, or more"
+                raise InputError(file.path, "nodes", got, f"at most {MOST} and {3 * MOST}, of all nodes together")
     if not parts:
         return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
     first, found = 0, []
@@ -152,8 +152,8 @@ def _placed(file: _File) -> Iterator[tuple[int, Float[ndarray, "4 4"]]]:
             with np.errstate(all="ignore"):
                 T_scene_node = T_scene_parent @ _transform(node)
             if not (np.abs(T_scene_node) <= FARTHEST).all():
-                given = "a transform with numbers that are vast or not finite"
-                raise InputError(file.path, f"nodes[{n}]", given, f"at most {FARTHEST:g}, in the scene")
+                got = "a transform with numbers that are vast or not finite"
+                raise InputError(file.path, f"nodes[{n}]", got, f"at most {FARTHEST:g}, in the scene")
             waiting.append((node.get("children", []), T_scene_node))
             if "mesh" in node:
                 yield node["mesh"], T_scene_node

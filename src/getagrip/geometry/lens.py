@@ -24,6 +24,6 @@ class Lens:
     """Guess it. Depths and sizes are guesses then, too."""
 
     @property
-    def given(self) -> bool:
+    def is_set(self) -> bool:
         """Whether there is anything."""
         return self.K is not None or self.focal is not None or self.guess_focal

@@ -121,11 +121,11 @@ def check_size(path: Path, key: str, extent: float, what: str, units: str = "") 
 
     ``units``: what can be done where the unit is not the metre.
     """
-    given = f"{what} {extent:.4g} m large"
+    got = f"{what} {extent:.4g} m large"
     if extent > LARGEST:
-        raise InputError(path, key, given, f"at most {LARGEST:g} m; are these millimetres?{units}")
+        raise InputError(path, key, got, f"at most {LARGEST:g} m; are these millimetres?{units}")
     if extent < SMALLEST:
-        raise InputError(path, key, given, f"at least {SMALLEST:g} m; is the unit the metre?{units}")
+        raise InputError(path, key, got, f"at least {SMALLEST:g} m; is the unit the metre?{units}")
 
 
 def write_mesh(mesh: Mesh, path: str | Path) -> Path:

@@ -69,11 +69,11 @@ def parse_ply(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[nd
         try:
             columns = _rows(element, body)
         except (ValueError, OverflowError) as error:
-            given = f"fewer rows of {files.shown(element.name)} than {element.length}, or other ones"
-            raise InputError(path, key, given, f"{element.length}, as its header says; is it cut short?") from error
+            got = f"fewer rows of {files.shown(element.name)} than {element.length}, or other ones"
+            raise InputError(path, key, got, f"{element.length}, as its header says; is it cut short?") from error
         if columns is None:
-            given = f"more than {MOST_ONE_BY_ONE} rows of {files.shown(element.name)} with lists of several lengths"
-            raise InputError(path, key, given, "triangles: triangulate the mesh where it was made")
+            got = f"more than {MOST_ONE_BY_ONE} rows of {files.shown(element.name)} with lists of several lengths"
+            raise InputError(path, key, got, "triangles: triangulate the mesh where it was made")
         if element.name == "vertex":
             if not all(axis in columns for axis in "xyz"):
                 raise InputError(path, "vertices", "no x, y and z", "three coordinates for each vertex")

@@ -103,8 +103,8 @@ def _ears(path: Path, flat: Float[ndarray, "N 2"], effort: Effort) -> list[tuple
         if convex:
             effort.left -= 1 + (len(reflex) if few else 20 * FEW + len(flat) // 4)
         if effort.left < 0:
-            given = f"concave polygons, one of {len(flat)} corners, that take too long to be cut"
-            raise InputError(path, "faces", given, "triangles: triangulate the mesh where it was made")
+            got = f"concave polygons, one of {len(flat)} corners, that take too long to be cut"
+            raise InputError(path, "faces", got, "triangles: triangulate the mesh where it was made")
         if convex and few:
             convex = not any(_holds(at[a], at[n], at[c], at[r]) for r in reflex)
         elif convex:

@@ -34,7 +34,11 @@ def nearest_surface(
 
 
 def true_masks(
-    held: Surface, hands: Sequence[Surface], others: Sequence[Surface], K: Float[ndarray, "3 3"], size: tuple[int, int]
+    grasped: Surface,
+    hands: Sequence[Surface],
+    others: Sequence[Surface],
+    K: Float[ndarray, "3 3"],
+    size: tuple[int, int],
 ) -> tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"], Bool[ndarray, "H W"]]:
     """The visible pixels of the held object, those that say nothing about it (1 - C_o of the paper's Eq. 6), and the
     visible ones of the hand that holds it, the first of ``hands``.
@@ -43,10 +47,10 @@ def true_masks(
     that hide nothing are background, which does say where the held object is not. An object in front is ignored as
     a whole, so that the ignored area does not betray the silhouette of what it hides.
     """
-    part = nearest_surface([held, *hands, *others], K, size)  # 0: held, then hands, then others
+    part = nearest_surface([grasped, *hands, *others], K, size)  # 0: held, then hands, then others
     ignore = (part > 0) & (part <= len(hands))
     if others:
-        shown = np.bincount(part[covered(*held, K, size)], minlength=1 + len(hands) + len(others))
+        shown = np.bincount(part[covered(*grasped, K, size)], minlength=1 + len(hands) + len(others))
         for k in range(1 + len(hands), len(shown)):
             if shown[k] > HIDES * shown.sum():
                 ignore |= part == k

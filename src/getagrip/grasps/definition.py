@@ -57,9 +57,9 @@ class Definition:
         return f"{self.points} within {1e3 * self.contact:g} mm, {tested}, {self.shortest} frames or more"
 
 
-def _distance(given: str) -> str:
+def _distance(value: str) -> str:
     """What help says of a distance that was not given."""
-    return f"(default: {'0, or 10 with --from-masks' if given == 'None' else given})"
+    return f"(default: {'0, or 10 with --from-masks' if value == 'None' else value})"
 
 
 @dataclass(frozen=True, kw_only=True)

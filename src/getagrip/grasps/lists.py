@@ -144,27 +144,27 @@ def read(path: Path, note: Callable[[str], None] = lambda _: None) -> GraspList:
         _check_heads(path, heads)
         return GraspList(path.name, checksum, tuple(grasp_of(path, where, row) for where, row in table))
     try:
-        given = json.loads(content)
+        value = json.loads(content)
     except (ValueError, RecursionError) as error:  # RecursionError: nested thousands deep
         raise InputError(path, "", f"text that is no JSON ({error})", WHAT) from error
     where = ""
-    if isinstance(given, dict):
-        _check_version(path, given)
-        given, where = given.get("grasps"), "grasps"
-    if not isinstance(given, list):
-        raise InputError(path, where, shown(given), "a list of grasps")
-    for n, row in enumerate(given):
+    if isinstance(value, dict):
+        _check_version(path, value)
+        value, where = value.get("grasps"), "grasps"
+    if not isinstance(value, list):
+        raise InputError(path, where, shown(value), "a list of grasps")
+    for n, row in enumerate(value):
         if not isinstance(row, dict):
             raise InputError(path, f"{where}[{n}]", shown(row), "a grasp: an object with sequence, side and object")
-    if given and "segments" in given[0]:
-        found, lengths = timelines.read(path, given, note)
+    if value and "segments" in value[0]:
+        found, lengths = timelines.read(path, value, note)
         grasps = tuple(
             ListedGrasp(one.sequence, cast(Side, s.side), one.category, s.first, s.last)
             for one in found
-            for s in one.held
+            for s in one.grasped
         )
         return GraspList(path.name, checksum, grasps, lengths, found)
-    rows = [grasp_of(path, f"{where}[{n}].", row) for n, row in enumerate(given)]
+    rows = [grasp_of(path, f"{where}[{n}].", row) for n, row in enumerate(value)]
     return GraspList(path.name, checksum, tuple(rows))
 
 
@@ -180,10 +180,8 @@ def _check_version(path: Path, content: Mapping[str, object]) -> None:
 def _check_heads(path: Path, heads: Sequence[str]) -> None:
     for head in (*NEEDED, *heads):
         if heads.count(head) != 1:
-            given = f"{heads.count(head)} columns of this name among {shown(heads)}"
-            raise InputError(
-                path, f"line 1, {plain(head)}", given, f"one; those of a list are {', '.join(NEEDED)}, ..."
-            )
+            got = f"{heads.count(head)} columns of this name among {shown(heads)}"
+            raise InputError(path, f"line 1, {plain(head)}", got, f"one; those of a list are {', '.join(NEEDED)}, ...")
 
 
 def grasp_of(path: Path, where: str, row: files.Json) -> ListedGrasp:

@@ -81,14 +81,14 @@ def interactions(segments: Sequence[Segment]) -> Iterator[Int[ndarray, "n"]]:
     if not segments:
         return
     begin = segments[0].first
-    held = False
+    grasped = False
     for segment in segments:
         if segment.state == "static" and len(segment) > 2 * MARGIN:
-            if held:
+            if grasped:
                 yield np.arange(begin, segment.first + MARGIN)
-            begin, held = segment.last + 1 - MARGIN, False
-        held |= segment.state in ("contact", "grasp")
-    if held:
+            begin, grasped = segment.last + 1 - MARGIN, False
+        grasped |= segment.state in ("contact", "grasp")
+    if grasped:
         yield np.arange(begin, segments[-1].last + 1)
 
 

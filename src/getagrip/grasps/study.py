@@ -123,12 +123,12 @@ class Spread:
     @staticmethod
     def of(values: Sequence[float] | Float[ndarray, "n"]) -> Spread:
         """Of values that may be not a number; all but the count is not a number where none is left."""
-        given = np.asarray(values, dtype=float)
-        given = given[np.isfinite(given)]
-        if len(given) == 0:
+        value = np.asarray(values, dtype=float)
+        value = value[np.isfinite(value)]
+        if len(value) == 0:
             return Spread(np.nan, np.nan, np.nan, np.nan, np.nan, 0)
-        low, middle, high = map(float, np.percentile(given, [25.0, 50.0, 75.0]))
-        return Spread(float(given.mean()), float(given.std()), low, middle, high, len(given))
+        low, middle, high = map(float, np.percentile(value, [25.0, 50.0, 75.0]))
+        return Spread(float(value.mean()), float(value.std()), low, middle, high, len(value))
 
 
 def study(

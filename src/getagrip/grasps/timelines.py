@@ -43,7 +43,7 @@ class Timeline:
     segments: tuple[Segment, ...]
 
     @property
-    def held(self) -> tuple[Segment, ...]:
+    def grasped(self) -> tuple[Segment, ...]:
         """The stable grasps."""
         return tuple(segment for segment in self.segments if segment.state == "grasp")
 
@@ -72,14 +72,14 @@ def read(
     return tuple(found), frames
 
 
-def segments_of(path: Path, key: str, given: object) -> tuple[Segment, ...]:
+def segments_of(path: Path, key: str, value: object) -> tuple[Segment, ...]:
     """The segments of a timeline, but for those that end before they start. Raises ``InputError``."""
-    if not isinstance(given, list) or not all(isinstance(segment, dict) for segment in given):
-        raise InputError(path, key, shown(given), "a list of objects")
-    if len(given) > MOST_SEGMENTS:
-        raise InputError(path, key, f"{len(given)} segments", f"at most {MOST_SEGMENTS}")
+    if not isinstance(value, list) or not all(isinstance(segment, dict) for segment in value):
+        raise InputError(path, key, shown(value), "a list of objects")
+    if len(value) > MOST_SEGMENTS:
+        raise InputError(path, key, f"{len(value)} segments", f"at most {MOST_SEGMENTS}")
     out = []
-    for k, segment in enumerate(given):
+    for k, segment in enumerate(value):
         first, last = (whole(path, f"{key}[{k}].{end}", segment.get(end)) for end in ("st", "ed"))
         ref, side = segment.get("ref"), segment.get("side")
         if not isinstance(ref, str) or ref not in STATES:

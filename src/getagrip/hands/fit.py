@@ -64,9 +64,9 @@ class HandFit:
 class JointsError(UsageError):
     """Joints that are no hand's."""
 
-    def __init__(self, given: str, expected: str, advice: str = "") -> None:
-        self.given, self.expected = given, f"{expected}; {advice}" if advice else expected
-        super().__init__(f"joints must be {expected} (got {given}){f'; {advice}' if advice else ''}")
+    def __init__(self, got: str, expected: str, advice: str = "") -> None:
+        self.got, self.expected = got, f"{expected}; {advice}" if advice else expected
+        super().__init__(f"joints must be {expected} (got {got}){f'; {advice}' if advice else ''}")
 
 
 def fit_joints(model: HandModel, joints_cam: Float[ndarray, "..."], order: JointOrder) -> HandFit:
@@ -205,14 +205,14 @@ def _checked(joints_cam: Float[ndarray, "..."], order: JointOrder) -> Float[ndar
         raise JointsError(f"{Y.shape}", "of shape (T, 21, 3) with T > 0")
     bad = np.flatnonzero(~np.isfinite(Y).all(axis=(1, 2)))
     if bad.size:
-        given = f"NaN or infinite numbers in {bad.size} frames, first {bad[0]}"
-        raise JointsError(given, "finite", "leave these frames out")
+        got = f"NaN or infinite numbers in {bad.size} frames, first {bad[0]}"
+        raise JointsError(got, "finite", "leave these frames out")
     if np.abs(Y).max() > FARTHEST:
         raise JointsError(f"a coordinate of {np.abs(Y).max():.4g} m", f"at most {FARTHEST:g} m away")
     Y = Y[:, ORDERS[order]]
     palm = np.linalg.norm(Y[:, 9] - Y[:, 0], axis=1)
     if palm.min() < 0.03 or palm.max() > 0.25:
-        given = f"{1e3 * palm.min():.3g} to {1e3 * palm.max():.3g} mm"
+        got = f"{1e3 * palm.min():.3g} to {1e3 * palm.max():.3g} mm"
         asked = "is the unit the metre, is the order right?"
-        raise JointsError(given, "30 to 250 mm from wrist to middle knuckle", asked)
+        raise JointsError(got, "30 to 250 mm from wrist to middle knuckle", asked)
     return Y

@@ -120,8 +120,8 @@ def checked(path: Path, values: dict[str, object]) -> dict[str, ndarray]:
             raise InputError(path, key, "nothing", f"an array of shape {shape}")
         value = values[key]
         if not isinstance(value, ndarray) or value.dtype.kind not in "fiu" or value.shape != shape:
-            given = f"shape {value.shape} of {value.dtype}" if isinstance(value, ndarray) else type(value).__name__
-            raise InputError(path, key, given, f"numbers of shape {shape}")
+            got = f"shape {value.shape} of {value.dtype}" if isinstance(value, ndarray) else type(value).__name__
+            raise InputError(path, key, got, f"numbers of shape {shape}")
         if not np.isfinite(value).all():
             raise InputError(path, key, "NaN or infinite numbers", "finite numbers")
         found[key] = value.astype(np.int64) if key in {"f", "kintree_table"} else value.astype(float)

@@ -65,8 +65,8 @@ def parse_npy(path: Path, key: str, content: bytes) -> Shaped[ndarray, "..."]:
         raise InputError(path, key, "an array of Python objects", "an array of numbers")
     start, count = stream.tell(), math.prod(shape)  # exact integers: a hostile header must not overflow
     if min(shape, default=1) < 0 or count * dtype.itemsize != len(content) - start:
-        given = f"{len(content) - start} bytes for the shape {shape}"
-        raise InputError(path, key, given, f"{count * dtype.itemsize} bytes")
+        got = f"{len(content) - start} bytes for the shape {shape}"
+        raise InputError(path, key, got, f"{count * dtype.itemsize} bytes")
     if count == 0:
         return np.zeros(shape, dtype)
     return np.frombuffer(content, dtype, offset=start).reshape(shape, order="F" if fortran else "C")
@@ -118,10 +118,10 @@ def _is_name(value: object) -> bool:
 
 
 def floats(
-    path: Path, given: dict[str, ndarray], key: str, shape: tuple[int, ...], kinds: str = "f"
+    path: Path, arrays: dict[str, ndarray], key: str, shape: tuple[int, ...], kinds: str = "f"
 ) -> Float[ndarray, "..."]:
     """A finite array of the given shape, -1 standing for any length above 0."""
-    array = _shaped(path, given, key, shape, kinds, "floating-point numbers")
+    array = _shaped(path, arrays, key, shape, kinds, "floating-point numbers")
     with np.errstate(over="ignore"):
         array = array.astype(float)
     finite = np.isfinite(array)
@@ -133,21 +133,21 @@ def floats(
 
 
 def indices(
-    path: Path, given: dict[str, ndarray], key: str, vertices: int, shape: tuple[int, ...]
+    path: Path, arrays: dict[str, ndarray], key: str, vertices: int, shape: tuple[int, ...]
 ) -> Int[ndarray, "..."]:
     """An array of vertex ids."""
-    array = _shaped(path, given, key, shape, "iu", "integers")
+    array = _shaped(path, arrays, key, shape, "iu", "integers")
     if array.min() < 0 or array.max() >= vertices:
         bad = array.min() if array.min() < 0 else array.max()
         raise InputError(path, key, f"the vertex id {bad}", f"ids of the hand's vertices, 0 to {vertices - 1}")
     return array.astype(np.int64)
 
 
-def frame_numbers(path: Path, given: dict[str, ndarray]) -> tuple[int, ...] | None:
+def frame_numbers(path: Path, arrays: dict[str, ndarray]) -> tuple[int, ...] | None:
     """The numbers of the frames that a hand file is of, each once; None where it has no ``frames``."""
-    if "frames" not in given:
+    if "frames" not in arrays:
         return None
-    array = given["frames"]
+    array = arrays["frames"]
     if array.dtype.kind not in "iu" or array.ndim != 1 or not 0 < len(array) <= MOST_NAMES:
         expected = f"the numbers of 1 to {MOST_NAMES} frames"
         raise InputError(path, "frames", f"{files.plain(str(array.dtype))} of shape {array.shape}", expected)
@@ -158,12 +158,12 @@ def frame_numbers(path: Path, given: dict[str, ndarray]) -> tuple[int, ...] | No
 
 
 def _shaped(
-    path: Path, given: dict[str, ndarray], key: str, shape: tuple[int, ...], kinds: str, what: str
+    path: Path, arrays: dict[str, ndarray], key: str, shape: tuple[int, ...], kinds: str, what: str
 ) -> Shaped[ndarray, "..."]:
     """An array that is there, of the expected kind and shape, and not too large with 8 bytes for each number."""
-    if key not in given:
+    if key not in arrays:
         raise InputError(path, key, "no such array", f"an array of {what}")
-    array = given[key]
+    array = arrays[key]
     if array.dtype.kind not in kinds:
         raise InputError(path, key, f"the type {files.shown(str(array.dtype))}", what)
     fits = len(array.shape) == len(shape) and all(

@@ -18,10 +18,10 @@ from getagrip.errors import UsageError
 T = TypeVar("T", bound=type)
 
 
-def check_word(name: str, given: object, words: object) -> None:
+def check_word(name: str, value: object, words: object) -> None:
     """Raise ``UsageError`` for what is none of the words of a ``Literal``."""
-    if not (isinstance(given, str) and given in get_args(words)):
-        raise UsageError(f"unknown {name} {given!r}; choose from {', '.join(get_args(words))}")
+    if not (isinstance(value, str) and value in get_args(words)):
+        raise UsageError(f"unknown {name} {value!r}; choose from {', '.join(get_args(words))}")
 
 
 def check_values(options: object) -> None:
@@ -50,8 +50,8 @@ def explained(kind: T) -> T:
     lines = [line for one in reversed(kind.__mro__) if is_dataclass(one) for line in _fields(one)]
     kind.__doc__ = "\n".join([cleandoc(kind.__doc__ or ""), "", "Attributes:", *lines])
     plain = get_type_hints(kind)
-    _, *given = signature(kind.__init__).parameters.values()  # type: ignore[misc]
-    shown = [one.replace(annotation=plain[one.name]) for one in given]
+    _, *value = signature(kind.__init__).parameters.values()  # type: ignore[misc]
+    shown = [one.replace(annotation=plain[one.name]) for one in value]
     kind.__signature__ = Signature(shown)  # type: ignore[attr-defined]
     return kind
 

@@ -61,8 +61,8 @@ def read_image(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
     try:
         image = open_jpeg(path, "", content)
         if size not in (image.size, image.size[::-1]):  # upright images may be stored on their side, with a note
-            given, expected = (f"{width} x {height}" for width, height in (image.size, size))
-            raise InputError(path, "size", f"{given} pixels", f"{expected}, the clip's size")
+            value, expected = (f"{width} x {height}" for width, height in (image.size, size))
+            raise InputError(path, "size", f"{value} pixels", f"{expected}, the clip's size")
         upright = ImageOps.exif_transpose(image).convert("RGB")
     except InputError:
         raise
@@ -172,8 +172,8 @@ def open_png(path: Path, size: tuple[int, int]) -> tuple[PngImageFile, str, int]
         header = PngImageFile(stream)
         colours, _, bits = str(header.tile[0].args).partition(";")
         if header.size != size:
-            given, expected = (f"{width} x {height}" for width, height in (header.size, size))
-            raise InputError(path, "size", f"{given} pixels", f"{expected}, the size of the images")
+            value, expected = (f"{width} x {height}" for width, height in (header.size, size))
+            raise InputError(path, "size", f"{value} pixels", f"{expected}, the size of the images")
         header.verify()  # up to the head of the last chunk
         if content[stream.tell() - 8 :] != END:
             raise InputError(path, "", "a PNG that does not end where it should", "a whole PNG file")

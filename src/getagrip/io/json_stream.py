@@ -142,8 +142,8 @@ class _Text:
         """Read a mark that must come next."""
         if not self.skip(mark):
             rest = self.window[self.at : self.at + 20]
-            given = shown(rest) if rest else "the end of the file"
-            raise InputError(self.path, key, given, f"{mark!r}, as in a JSON object; is the file cut short?")
+            value = shown(rest) if rest else "the end of the file"
+            raise InputError(self.path, key, value, f"{mark!r}, as in a JSON object; is the file cut short?")
 
     def value(self, key: str) -> object:
         """Read a value: with the text that is there or, where that does not parse, with twice as much."""

@@ -17,7 +17,7 @@ KNOWN = fcntl is not None
 
 
 @contextmanager
-def held(path: Path) -> Iterator[None]:
+def holding(path: Path) -> Iterator[None]:
     """Within it this process has the lock of a file or folder, for which it waits; or none, where it cannot be had."""
     lock = locked(path, wait=True)
     try:

@@ -24,7 +24,7 @@ from getagrip.io.code import PACKAGE
 
 PLAIN = (type(None), bool, int, float, complex, str, bytes, np.generic, Path)
 """Types whose ``repr`` says all about a value."""
-HELD: Mapping[type, Callable[[Any], Iterable[Any]]] = {
+PARTS: Mapping[type, Callable[[Any], Iterable[Any]]] = {
     partial: lambda of: (of.func, of.args, of.keywords),
     MethodType: lambda of: (of.__func__, of.__self__),
     dict: lambda of: of.items(),
@@ -134,7 +134,7 @@ class _Parts:
 
 def _parts(value: object) -> Iterable[object]:
     """What a container or another object without code of its own holds."""
-    for kind, parts in HELD.items():
+    for kind, parts in PARTS.items():
         if isinstance(value, kind):
             return parts(value)
     if hasattr(value, "__wrapped__"):  # a function that a decorator keeps

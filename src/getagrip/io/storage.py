@@ -242,15 +242,15 @@ def wanted_names(source: str, names: Iterable[str], leave_out: Sequence[str]) ->
 def check_size(source: str, sizes: Sequence[int]) -> None:
     """Raise ``InputError`` for too many files of a folder, or too many bytes in all."""
     if len(sizes) > MOST_FILES or sum(sizes) > MOST_BYTES:
-        given = f"{len(sizes)} files of {sum(sizes)} bytes"
-        raise InputError(source, "", given, f"at most {MOST_FILES} files of {MOST_BYTES} bytes")
+        got = f"{len(sizes)} files of {sum(sizes)} bytes"
+        raise InputError(source, "", got, f"at most {MOST_FILES} files of {MOST_BYTES} bytes")
 
 
-def on_disk(option: str, given: Place) -> Path:
+def on_disk(option: str, value: Place) -> Path:
     """A path, of an option that takes no other. Raises ``UsageError``."""
-    if isinstance(given, Remote):
-        raise UsageError(f"{option} cannot be used with {given}, only with folders on a disk")
-    return given
+    if isinstance(value, Remote):
+        raise UsageError(f"{option} cannot be used with {value}, only with folders on a disk")
+    return value
 
 
 def _write(folder: Path, contents: Mapping[str, bytes]) -> None:

@@ -14,8 +14,8 @@ from getagrip.errors import GetagripError
 from getagrip.evaluation import read_with_clip
 from getagrip.fitting.methods import METHODS
 from getagrip.io.files import Json
-from getagrip.pictures.given import GivenResult, at_common_frames, distinct, hand_alone, true_view
 from getagrip.pictures.shown import View
+from getagrip.pictures.stored_results import StoredResult, at_common_frames, distinct, hand_alone, true_view
 from getagrip.result import Reconstruction, read_record, read_result
 
 TRUTH, ALONE = "ground truth", "the hand alone: no result and no ground truth"
@@ -53,9 +53,9 @@ class Entry:
             return [
                 Column(ALONE, hand_alone(clip), {}) if clip.truth is None else Column(TRUTH, true_view(self.clip), {})
             ]
-        given = [GivenResult(folder, self.clips) for folder in self.results]
-        read = [(one, View.of(*read_with_clip(one.folder, one.clips), None)) for one in given]
-        views, names = at_common_frames(read), labels([view for _, view in read], distinct(given))
+        stored = [StoredResult(folder, self.clips) for folder in self.results]
+        read = [(one, View.of(*read_with_clip(one.folder, one.clips), None)) for one in stored]
+        views, names = at_common_frames(read), labels([view for _, view in read], distinct(stored))
         return [Column(*each) for each in zip(names, views, map(read_record, self.results), strict=True)]
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from getagrip.checks import RESULT_CHECKS, Evidence, examine
-from getagrip.checks.held import gap, penetration
+from getagrip.checks.plausibility import gap, penetration
 from getagrip.clip.occlusion import occluded_by_hand
 from getagrip.finding import Finding
 from getagrip.metrics.contact import pairwise_iou, stable_contact_area

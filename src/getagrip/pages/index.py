@@ -48,7 +48,7 @@ class IndexRow:
     status: str = ""
     flags: tuple[str, ...] = ()
     """What speaks against it: failed, left (not done yet), misfit, serious, note, ambiguous, guess."""
-    doubts: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     """Its findings, in words."""
     values: dict[str, float] = field(default_factory=dict)
     """By the names of the columns."""
@@ -102,7 +102,7 @@ def _row(folder: str, result: Reconstruction, metrics: Mapping[str, float]) -> I
         method=method_of(result.method).label,
         status=result.message,
         flags=tuple(name for name, holds in flags.items() if holds),
-        doubts=tuple(str(finding) for finding in result.findings),
+        warnings=tuple(str(finding) for finding in result.findings),
         values={"IOU": result.mean_iou} | values | probable | {"time": float(result.seconds.get("total", np.nan))},
     )
 

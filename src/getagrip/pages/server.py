@@ -48,8 +48,8 @@ class Server(QuietServer):
             if port is None and isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
                 super().__init__((host, 0), _Handler)
             else:
-                given = f"{PORT if port is None else port}, {host}: {error}"
-                raise UsageError(f"--port, --host must be a free port of this machine (got {given})") from error
+                got = f"{PORT if port is None else port}, {host}: {error}"
+                raise UsageError(f"--port, --host must be a free port of this machine (got {got})") from error
 
     @property
     def url(self) -> str:

@@ -43,10 +43,10 @@ def gap(view: View) -> Float[ndarray, "T"]:
 def _of_own_hand(view: View) -> Float[ndarray, "T"]:
     """Of the clip's own hand."""
     T_hand_obj, hand = view.result.T_hand_obj, view.clip.hand
-    held = Mesh(view.result.scale * view.clip.mesh.vertices, view.clip.mesh.faces)
-    surface, faces = close_holes(held.vertices, held.faces)
+    grasped = Mesh(view.result.scale * view.clip.mesh.vertices, view.clip.mesh.faces)
+    surface, faces = close_holes(grasped.vertices, grasped.faces)
     in_object = se3.transform(se3.inverse(T_hand_obj), hand.vertices)
     of_hand = moving_distance(in_object, np.broadcast_to(surface, (len(in_object), *surface.shape)), faces)
-    in_hand = se3.transform(T_hand_obj, fine([held], VERTICES)[0].vertices)
+    in_hand = se3.transform(T_hand_obj, fine([grasped], VERTICES)[0].vertices)
     of_object = moving_distance(in_hand, *close_holes(hand.vertices, hand.faces), REACH)
     return np.asarray(np.minimum(of_hand.min(axis=1), of_object.min(axis=1)))

@@ -28,7 +28,7 @@ class View:
     clip: Clip
     masks: Masks | None
     result: Reconstruction
-    given_mesh: Mesh | None = None
+    input_mesh: Mesh | None = None
     """The mesh as it was given, which the ground truth poses; None where it is the clip's."""
     of_truth: bool = False
     """Whether the result is the clip's ground truth, given its form (``true_view``)."""
@@ -69,7 +69,7 @@ class View:
 
     def by_other_hand(self) -> View | None:
         """The same with the other hand for the clip's own, in the frames in which it is known; None without any."""
-        seen = self.clip.held_by(self.clip.other_side)
+        seen = self.clip.with_side(self.clip.other_side)
         known = np.flatnonzero(self.clip.hand_known(self.clip.other_side))
         if seen is None or not len(known):
             return None
@@ -120,7 +120,7 @@ class View:
         T_hand_obj = se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj
         hand = replace(self.clip.hand, vertices=truth.hand_vertices, T_cam_hand=truth.T_cam_hand)
         result = replace(self.result, T_hand_obj=T_hand_obj, T_cam_hand=None, scale=truth.scale, axis=None, findings=())
-        clip = replace(self.clip, hand=hand, mesh=self.given_mesh or self.clip.mesh)
+        clip = replace(self.clip, hand=hand, mesh=self.input_mesh or self.clip.mesh)
         return View(clip, self.masks, replace(result, warp=None))
 
 

@@ -103,20 +103,20 @@ def posed(
 ) -> tuple[UInt8[ndarray, "size size 3"], AxisLine | None]:
     """A picture of hand and object in window ``k``, as ``rendered`` shows it, and the axis in it, if there is one."""
     K, size = intrinsics_of(view, n, crops, k), crops.size
-    hand, held = view.hand(n), view.object(n)
+    hand, grasped = view.hand(n), view.object(n)
     T_view_cam = np.eye(4)
     if from_side:
-        both = np.concatenate([hand, held])
+        both = np.concatenate([hand, grasped])
         middle = (both.min(axis=0) + both.max(axis=0)) / 2.0
         R = se3.exp_so3(np.array([0.0, -SIDE_VIEW, 0.0]))
         T_view_cam = se3.rigid(R, np.array([0.0, 0.0, np.linalg.norm(middle)]) - R @ middle)
         K = np.array([[K[0, 0], 0.0, size / 2.0], [0.0, K[1, 1], size / 2.0], [0.0, 0.0, 1.0]])
     others = [(se3.transform(T_view_cam, v), faces) for v, faces in view.hands(n)[1:]]
-    hand, held = se3.transform(T_view_cam, hand), se3.transform(T_view_cam, held)
+    hand, grasped = se3.transform(T_view_cam, hand), se3.transform(T_view_cam, grasped)
     if from_side:  # an object far before or behind the hand would be cut off
-        reach = np.abs(project(K, np.concatenate([hand, held])) - size / 2.0).max()
+        reach = np.abs(project(K, np.concatenate([hand, grasped])) - size / 2.0).max()
         K[:2, :2] *= min(1.0, 0.48 * size / reach)
-    meshes = [(hand, view.clip.hand.faces, HAND), (held, view.clip.mesh.faces, OBJECT)]
+    meshes = [(hand, view.clip.hand.faces, HAND), (grasped, view.clip.mesh.faces, OBJECT)]
     meshes += [(*other, HAND) for other in others]
     picture = render_rgb(meshes, K, (size, size), PAPER_RGB)
     if view.result.axis is None:

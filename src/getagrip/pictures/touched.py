@@ -69,7 +69,7 @@ def touched(view: View, threshold: float) -> tuple[Touched, Touched]:
     """The object in its own frame, scaled, and the hand in the hand frame; in contact within ``threshold`` [m]."""
     clip, T_hand_obj = view.clip, view.result.T_hand_obj
     surface, T = finer(view), len(T_hand_obj)
-    held, faces, hand = view.result.scale * surface.vertices, surface.faces, clip.hand.vertices
+    grasped, faces, hand = view.result.scale * surface.vertices, surface.faces, clip.hand.vertices
     on_object, on_hand = (
         np.clip(0.5 + (threshold - d) / (2 * BORDER), 0.0, 1.0) for d in distances(view, surface, threshold + BORDER)
     )
@@ -77,13 +77,13 @@ def touched(view: View, threshold: float) -> tuple[Touched, Touched]:
     middle = T // 2
     R_hand = clip.hand.T_cam_hand[middle, :3, :3].T  # camera to hand
     R_obj = T_hand_obj[middle, :3, :3].T @ R_hand
-    most = _outwards(held, faces, on_object, -R_obj[:, 2])
+    most = _outwards(grasped, faces, on_object, -R_obj[:, 2])
     palm = _outwards(hand[middle], clip.hand.faces, on_hand, -R_hand[:, 2])
     fingers = hand[middle, clip.hand.regions["middle"]].mean(axis=0) - hand[middle].mean(axis=0)
     about = fingers / max(float(np.linalg.norm(fingers)), 1e-9)
     beside = np.array([se3.exp_so3(sign * BESIDE * about) @ palm for sign in (-1.0, 1.0)])
     return (
-        Touched(np.tile(held, (T, 1, 1)), faces, on_object, np.array([most, -most]), _upright(-R_obj[:, 1], most)),
+        Touched(np.tile(grasped, (T, 1, 1)), faces, on_object, np.array([most, -most]), _upright(-R_obj[:, 1], most)),
         Touched(hand, clip.hand.faces, on_hand, beside, fingers),
     )
 

@@ -62,34 +62,34 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, Json]:
     folder = Path(folder)
     fields = read_record(folder)
     path = files.inside(folder, "result.npz", "", "the poses of a result")
-    given = arrays.read(path, lambda key: key in ARRAYS)
-    frames = _texts(path, given, "frames")
+    stored = arrays.read(path, lambda key: key in ARRAYS)
+    frames = _texts(path, stored, "frames")
     T = len(frames)
     if len({*frames}) < T:
         twice = next(name for name in frames if frames.count(name) > 1)
         raise InputError(path, "frames", f"{files.shown(twice)} twice", "each frame once")
-    kind = _frame_kind(path, given, T)
-    K = len(given.get("candidate_energy", [])) if np.ndim(given.get("candidate_energy", 0)) else 1
+    kind = _frame_kind(path, stored, T)
+    K = len(stored.get("candidate_energy", [])) if np.ndim(stored.get("candidate_energy", 0)) else 1
     axis = None
-    if any(key in given for key in AXIS):
-        direction = arrays.floats(path, given, "axis_direction", (3,))
+    if any(key in stored for key in AXIS):
+        direction = arrays.floats(path, stored, "axis_direction", (3,))
         if abs(np.linalg.norm(direction) - 1.0) > 1e-3:
             raise InputError(path, "axis_direction", f"length {np.linalg.norm(direction):.4g}", "a unit vector")
-        point = _within(path, "axis_point", arrays.floats(path, given, "axis_point", (3,)), -FARTHEST, FARTHEST)
-        axis = Axis(point=point, direction=direction, angle=arrays.floats(path, given, "angle", (T,)))
+        point = _within(path, "axis_point", arrays.floats(path, stored, "axis_point", (3,)), -FARTHEST, FARTHEST)
+        axis = Axis(point=point, direction=direction, angle=arrays.floats(path, stored, "angle", (T,)))
     result = Reconstruction(
         clip=fields["clip"],
         method=fields["method"],
         frames=frames,
         frame_kind=kind,
-        T_hand_obj=_rigid(path, given, "T_hand_obj", (T, 4, 4)),
-        scale=float(_scales(path, given, "scale", ())),
-        iou=_iou(path, given, kind),
+        T_hand_obj=_rigid(path, stored, "T_hand_obj", (T, 4, 4)),
+        scale=float(_scales(path, stored, "scale", ())),
+        iou=_iou(path, stored, kind),
         axis=axis,
         candidates=Candidates(
-            T_hand_obj=_rigid(path, given, "candidate_T_hand_obj", (K, T, 4, 4)),
-            scale=_scales(path, given, "candidate_scale", (K,)),
-            energy=arrays.floats(path, given, "candidate_energy", (K,)),
+            T_hand_obj=_rigid(path, stored, "candidate_T_hand_obj", (K, T, 4, 4)),
+            scale=_scales(path, stored, "candidate_scale", (K,)),
+            energy=arrays.floats(path, stored, "candidate_energy", (K,)),
         ),
         energy=read_checks(folder / "result.json", fields["energy"], "energy"),
         status=Status(fields["status"]),
@@ -107,9 +107,9 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, Json]:
         probability_right_in_camera=read_probability(
             folder / "result.json", fields["probability_right_in_camera"], "probability_right_in_camera"
         ),
-        T_cam_hand=_rigid(path, given, "T_cam_hand", (T, 4, 4)) if "T_cam_hand" in given else None,
-        T_cam_other_hand=_rigid(path, given, "T_cam_other_hand", (T, 4, 4)) if "T_cam_other_hand" in given else None,
-        warp=_warp(path, given) if any(key in given for key in WARP) else None,
+        T_cam_hand=_rigid(path, stored, "T_cam_hand", (T, 4, 4)) if "T_cam_hand" in stored else None,
+        T_cam_other_hand=_rigid(path, stored, "T_cam_other_hand", (T, 4, 4)) if "T_cam_other_hand" in stored else None,
+        warp=_warp(path, stored) if any(key in stored for key in WARP) else None,
         segments=read_segments(folder / "result.json", fields["segments"]),
     )
     return result, fields
@@ -144,9 +144,9 @@ def read_record(folder: str | Path) -> Json:
     return fields
 
 
-def _check_texts(path: Path, given: dict[str, object]) -> None:
+def _check_texts(path: Path, stored: dict[str, object]) -> None:
     """Raise ``InputError`` for a value that is no text, by its key."""
-    for key, value in given.items():
+    for key, value in stored.items():
         if not isinstance(value, str):
             raise InputError(path, key, files.shown(value), "a text")
 
@@ -158,58 +158,58 @@ def _of_version_1(fields: Json) -> Json:
     return {"status": status.value, "message": fields["status"], "assumptions": guesses}
 
 
-def _texts(path: Path, given: dict[str, ndarray], key: str) -> tuple[str, ...]:
+def _texts(path: Path, arrays: dict[str, ndarray], key: str) -> tuple[str, ...]:
     """An array of names."""
-    if key not in given or given[key].dtype.kind != "U" or given[key].ndim != 1 or len(given[key]) == 0:
+    if key not in arrays or arrays[key].dtype.kind != "U" or arrays[key].ndim != 1 or len(arrays[key]) == 0:
         raise InputError(path, key, "no array of names", "the frames' names")
     try:
-        return tuple(str(text) for text in given[key])
+        return tuple(str(text) for text in arrays[key])
     except ValueError as error:  # code points that do not exist
         raise InputError(path, key, "a damaged text", "the frames' names") from error
 
 
-def _frame_kind(path: Path, given: dict[str, ndarray], frames: int) -> tuple[FrameKind, ...]:
+def _frame_kind(path: Path, arrays: dict[str, ndarray], frames: int) -> tuple[FrameKind, ...]:
     """How each frame's pose was found; in older results, all frames were sampled."""
-    if "frame_kind" not in given:
+    if "frame_kind" not in arrays:
         return tuple("sampled" for _ in range(frames))
     kinds: dict[str, FrameKind] = {kind: kind for kind in get_args(FrameKind)}
-    texts = _texts(path, given, "frame_kind")
+    texts = _texts(path, arrays, "frame_kind")
     if len(texts) != frames or not {*texts} <= {*kinds}:
-        given_texts = f"{len(texts)} texts, {files.shown(' '.join(sorted({*texts}))[:80])}"
-        raise InputError(path, "frame_kind", given_texts, f"{', '.join(kinds)} for each of {frames} frames")
+        input_texts = f"{len(texts)} texts, {files.shown(' '.join(sorted({*texts}))[:80])}"
+        raise InputError(path, "frame_kind", input_texts, f"{', '.join(kinds)} for each of {frames} frames")
     return tuple(kinds[text] for text in texts)
 
 
-def _iou(path: Path, given: dict[str, ndarray], kind: tuple[FrameKind, ...]) -> Float[ndarray, "T"]:
+def _iou(path: Path, stored: dict[str, ndarray], kind: tuple[FrameKind, ...]) -> Float[ndarray, "T"]:
     """The IOU of each frame; only interpolated ones may have none."""
-    if "iou" in given and given["iou"].dtype.kind == "f" and given["iou"].shape == (len(kind),):
-        unknown = np.isnan(given["iou"]) & (np.array(kind) == "interpolated")
-        known = arrays.floats(path, given | {"iou": np.where(unknown, 0.0, given["iou"])}, "iou", (len(kind),))
+    if "iou" in stored and stored["iou"].dtype.kind == "f" and stored["iou"].shape == (len(kind),):
+        unknown = np.isnan(stored["iou"]) & (np.array(kind) == "interpolated")
+        known = arrays.floats(path, stored | {"iou": np.where(unknown, 0.0, stored["iou"])}, "iou", (len(kind),))
         return np.where(unknown, np.nan, _within(path, "iou", known, 0.0, 1.0))
-    return _within(path, "iou", arrays.floats(path, given, "iou", (len(kind),)), 0.0, 1.0)
+    return _within(path, "iou", arrays.floats(path, stored, "iou", (len(kind),)), 0.0, 1.0)
 
 
-def _rigid(path: Path, given: dict[str, ndarray], key: str, shape: tuple[int, ...]) -> Float[ndarray, "*batch 4 4"]:
+def _rigid(path: Path, stored: dict[str, ndarray], key: str, shape: tuple[int, ...]) -> Float[ndarray, "*batch 4 4"]:
     """An array of rigid motions."""
-    T = arrays.floats(path, given, key, shape)
+    T = arrays.floats(path, stored, key, shape)
     if not se3.is_rigid(T).all():
         raise InputError(path, key, "a matrix that is no rigid motion", "rotations and translations [m]")
     _within(path, key, T[..., :3, 3], -FARTHEST, FARTHEST)
     return T
 
 
-def _warp(path: Path, given: dict[str, ndarray]) -> Warp:
+def _warp(path: Path, stored: dict[str, ndarray]) -> Warp:
     """What the mesh was made into."""
     centre, radius, factors = WARP
-    coefficients = arrays.floats(path, given, factors, (MONOMIALS, 3))
+    coefficients = arrays.floats(path, stored, factors, (MONOMIALS, 3))
     _within(path, factors, coefficients, -MOST_WARPED, MOST_WARPED)
-    about = _within(path, centre, arrays.floats(path, given, centre, (3,)), -FARTHEST, FARTHEST)
-    return Warp(about, float(_scales(path, given, radius, ())), coefficients)
+    about = _within(path, centre, arrays.floats(path, stored, centre, (3,)), -FARTHEST, FARTHEST)
+    return Warp(about, float(_scales(path, stored, radius, ())), coefficients)
 
 
-def _scales(path: Path, given: dict[str, ndarray], key: str, shape: tuple[int, ...]) -> Float[ndarray, "..."]:
+def _scales(path: Path, stored: dict[str, ndarray], key: str, shape: tuple[int, ...]) -> Float[ndarray, "..."]:
     """An array of scales."""
-    return _within(path, key, arrays.floats(path, given, key, shape, kinds="fiu"), SMALLEST, LARGEST)
+    return _within(path, key, arrays.floats(path, stored, key, shape, kinds="fiu"), SMALLEST, LARGEST)
 
 
 def _within(path: Path, key: str, values: Float[ndarray, "..."], least: float, most: float) -> Float[ndarray, "..."]:

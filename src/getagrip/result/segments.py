@@ -74,60 +74,60 @@ def probabilities_of_grasps(segments: Sequence[SegmentResult]) -> str:
     return f"probability that its grasps are right: {', '.join(each)}" if each else ""
 
 
-def read_segments(path: Path, given: list[object]) -> tuple[SegmentResult, ...]:
+def read_segments(path: Path, value: list[object]) -> tuple[SegmentResult, ...]:
     """The segments in a ``result.json``. Raises ``InputError``."""
-    return tuple(_read(path, f"segments[{n}]", segment) for n, segment in enumerate(given))
+    return tuple(_read(path, f"segments[{n}]", segment) for n, segment in enumerate(value))
 
 
-def _read(path: Path, key: str, given: object) -> SegmentResult:
-    if not isinstance(given, dict) or not all(isinstance(given.get(k), str) for k in ("state", "first", "last")):
-        raise InputError(path, key, shown(given), "an object with state, first and last")
-    if given.get("side") not in (None, "left", "right"):
-        raise InputError(path, f"{key}.side", shown(given["side"]), "left or right")
-    iou = read_checks(path, {"iou": given.get("iou")}, key)["iou"]
+def _read(path: Path, key: str, value: object) -> SegmentResult:
+    if not isinstance(value, dict) or not all(isinstance(value.get(k), str) for k in ("state", "first", "last")):
+        raise InputError(path, key, shown(value), "an object with state, first and last")
+    if value.get("side") not in (None, "left", "right"):
+        raise InputError(path, f"{key}.side", shown(value["side"]), "left or right")
+    iou = read_checks(path, {"iou": value.get("iou")}, key)["iou"]
     return SegmentResult(
-        state=given["state"],
-        first=given["first"],
-        last=given["last"],
-        side=given.get("side"),
+        state=value["state"],
+        first=value["first"],
+        last=value["last"],
+        side=value.get("side"),
         iou=None if np.isnan(iou) else iou,
-        by_masks=given.get("followed") is True,
-        T_world_obj=_pose(path, f"{key}.T_world_obj", given["T_world_obj"]) if "T_world_obj" in given else None,
-        axis_point=_vector(path, f"{key}.axis_point", given.get("axis_point")),
-        axis_direction=_vector(path, f"{key}.axis_direction", given.get("axis_direction")),
-        signs=_numbers(path, f"{key}.signs", given.get("signs")),
-        checks=_numbers(path, f"{key}.checks", given.get("checks")),
-        probability_right=read_probability(path, given.get("probability_right"), f"{key}.probability_right"),
+        by_masks=value.get("followed") is True,
+        T_world_obj=_pose(path, f"{key}.T_world_obj", value["T_world_obj"]) if "T_world_obj" in value else None,
+        axis_point=_vector(path, f"{key}.axis_point", value.get("axis_point")),
+        axis_direction=_vector(path, f"{key}.axis_direction", value.get("axis_direction")),
+        signs=_numbers(path, f"{key}.signs", value.get("signs")),
+        checks=_numbers(path, f"{key}.checks", value.get("checks")),
+        probability_right=read_probability(path, value.get("probability_right"), f"{key}.probability_right"),
     )
 
 
-def _numbers(path: Path, key: str, given: object) -> dict[str, float]:
+def _numbers(path: Path, key: str, value: object) -> dict[str, float]:
     """Numbers by name; none where there is no object."""
-    if given is not None and not isinstance(given, dict):
-        raise InputError(path, key, shown(given), "an object")
-    return read_checks(path, given or {}, key)
+    if value is not None and not isinstance(value, dict):
+        raise InputError(path, key, shown(value), "an object")
+    return read_checks(path, value or {}, key)
 
 
-def _floats(given: object) -> list[float]:
+def _floats(value: object) -> list[float]:
     """The numbers in a list; none where it is no list."""
-    values = given if isinstance(given, list) else []
+    values = value if isinstance(value, list) else []
     return [float(x) for x in values if isinstance(x, int | float) and not isinstance(x, bool) and abs(x) <= FARTHEST]
 
 
-def _vector(path: Path, key: str, given: object) -> Float[ndarray, "3"] | None:
+def _vector(path: Path, key: str, value: object) -> Float[ndarray, "3"] | None:
     """Three numbers; None for null."""
-    numbers = _floats(given)
-    if given is not None and (len(numbers) != 3 or numbers != given):
-        raise InputError(path, key, shown(given), f"3 numbers, at most {FARTHEST:g} [m]")
-    return None if given is None else np.array(numbers)
+    numbers = _floats(value)
+    if value is not None and (len(numbers) != 3 or numbers != value):
+        raise InputError(path, key, shown(value), f"3 numbers, at most {FARTHEST:g} [m]")
+    return None if value is None else np.array(numbers)
 
 
-def _pose(path: Path, key: str, given: object) -> Float[ndarray, "4 4"]:
+def _pose(path: Path, key: str, value: object) -> Float[ndarray, "4 4"]:
     """Four rows of four numbers: a rigid motion that takes nothing too far."""
     expected = "4 rows of 4 numbers: a rotation and a translation [m]"
-    rows = [_floats(row) for row in given] if isinstance(given, list) else []
+    rows = [_floats(row) for row in value] if isinstance(value, list) else []
     if [len(row) for row in rows] != [4] * 4:
-        raise InputError(path, key, shown(given), expected)
+        raise InputError(path, key, shown(value), expected)
     if not se3.is_rigid(np.array(rows)).all():
         raise InputError(path, key, "a matrix that is no rigid motion", expected)
     return np.array(rows)

@@ -17,10 +17,10 @@ from getagrip.grasps.cut import as_listed
 from getagrip.grasps.lists import BETWEEN
 from getagrip.io import files
 from getagrip.provenance import assumed
-from getagrip.segmentation.found import STILL, FoundSegment, FoundSegments
+from getagrip.segmentation.found import STILL, DetectedSegment, DetectedSegments
 
 
-def segment_list(clip: Clip, found: FoundSegments) -> SegmentList:
+def segment_list(clip: Clip, found: DetectedSegments) -> SegmentList:
     """The segments, and where they come from."""
     least = min(one.margin for one in found.segments)
     source = f"found in masks and hands, each at least {least:.0f} nats before the next best"
@@ -28,7 +28,7 @@ def segment_list(clip: Clip, found: FoundSegments) -> SegmentList:
     return SegmentList.of(clip, [one.segment for one in found.segments], source, still)
 
 
-def write_timeline(clip: Clip, masks: Masks, found: FoundSegments, folder: Path) -> list[Path]:
+def write_timeline(clip: Clip, masks: Masks, found: DetectedSegments, folder: Path) -> list[Path]:
     """Write the whole clip with its segments into ``folder/<clip>``, and return this folder, in a list.
 
     Images are copied where the clip's folder has them. The folder of an earlier call is replaced.
@@ -37,7 +37,7 @@ def write_timeline(clip: Clip, masks: Masks, found: FoundSegments, folder: Path)
     return [_write(whole, masks, clip, np.arange(len(clip)), folder / clip.name)]
 
 
-def write_grasps(clip: Clip, masks: Masks, found: FoundSegments, folder: Path) -> list[Path]:
+def write_grasps(clip: Clip, masks: Masks, found: DetectedSegments, folder: Path) -> list[Path]:
     """Write each stable grasp into ``folder/<clip>--<n>``, n from 1, and return these folders.
 
     Images are copied where the clip's folder has them. Folders of an earlier call are replaced.
@@ -48,10 +48,10 @@ def write_grasps(clip: Clip, masks: Masks, found: FoundSegments, folder: Path) -
     ]
 
 
-def _write_grasp(clip: Clip, masks: Masks, found: FoundSegments, one: FoundSegment, folder: Path) -> Path:
+def _write_grasp(clip: Clip, masks: Masks, found: DetectedSegments, one: DetectedSegment, folder: Path) -> Path:
     """One of them."""
     segment = one.segment
-    by = clip.held_by(segment.side)
+    by = clip.with_side(segment.side)
     assert by is not None
     if by is not clip:
         masks = replace(masks, hand=None)

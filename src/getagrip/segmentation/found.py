@@ -15,13 +15,13 @@ from threadpoolctl import threadpool_limits
 from getagrip.clip import Clip, Masks, Segment, Truth, check_clip, check_masks, read_masks
 from getagrip.clip.timeline import SIDES, Side, State
 from getagrip.errors import InputError
-from getagrip.fitting.hand_jumps import steady_hand
 from getagrip.fitting.options import Options
+from getagrip.fitting.tracker_glitches import repair_hand
 from getagrip.geometry import se3
 from getagrip.grasps.definition import Definition
 from getagrip.grasps.stable import segment
-from getagrip.hands.trackers import HELD
-from getagrip.segmentation.held import METHOD, Held, NothingToFitError, held_in, pieces
+from getagrip.hands.trackers import EXTRAPOLATED
+from getagrip.segmentation.hinge_fits import METHOD, HingeFit, NothingToFitError, fit_hinge, pieces
 from getagrip.segmentation.image_motion import ImageMotion, image_motion
 from getagrip.segmentation.semi_markov import MOTIONS, Division, Motion, cheapest, chosen, margins, window_costs
 
@@ -46,7 +46,7 @@ what they touch."""
 
 
 @dataclass(frozen=True)
-class FoundSegment:
+class DetectedSegment:
     """A segment, and how sure it is.
 
     Attributes:
@@ -60,10 +60,10 @@ class FoundSegment:
 
 
 @dataclass(frozen=True)
-class FoundSegments:
+class DetectedSegments:
     """All segments of a clip, which follow each other, and what was assumed."""
 
-    segments: tuple[FoundSegment, ...]
+    segments: tuple[DetectedSegment, ...]
     notes: tuple[str, ...]
 
     @property
@@ -78,7 +78,7 @@ def find_segments(
     definition: Definition = WITHIN_10_MM,
     options: Options | None = None,
     progress: Callable[[float], None] = lambda _: None,
-) -> FoundSegments:
+) -> DetectedSegments:
     """What the object does from frame to frame; ``masks`` are read from the clip's folder where none are given.
 
     Without ``clip.world`` the camera is taken to stand still. Frames whose mask is not known are left out; halfway
@@ -97,22 +97,22 @@ def find_segments(
         rate = clip.fps * (len(rows) - 1) / (rows[-1] - rows[0])
         some = replace(replace(clip, segments=(), truth=None).take(rows), fps=rate)
         return _at_all(find_segments(some, masks.take(rows), definition, options, progress), rows, len(clip))
-    clip, jumps = steady_hand(replace(clip, segments=(), truth=None), options)
+    clip, glitches = repair_hand(replace(clip, segments=(), truth=None), options)
     moved = _moved(clip, masks)
     with threadpool_limits(1, user_api="blas"):
-        held = _fits(clip, masks, _runs(moved), options, progress)
-    cost = window_costs(moved, held)
+        fits = _fits(clip, masks, _runs(moved), options, progress)
+    cost = window_costs(moved, fits)
     division = cheapest(cost)
     notes = [] if clip.world is not None else ["the camera is taken to stand still: a guess"]
-    if HELD in clip.provenance:
-        notes.append(f"{HELD}: {clip.provenance[HELD]}: a grasp found there is one, too")
-    if jumps is not None and jumps.frames:
-        notes.append(str(jumps))
+    if EXTRAPOLATED in clip.provenance:
+        notes.append(f"{EXTRAPOLATED}: {clip.provenance[EXTRAPOLATED]}: a grasp found there is one, too")
+    if glitches is not None and glitches.frames:
+        notes.append(str(glitches))
     margin = margins(cost, division)
-    return FoundSegments(tuple(_segments(clip, division, margin, held, moved.jitter, definition)), tuple(notes))
+    return DetectedSegments(tuple(_segments(clip, division, margin, fits, moved.jitter, definition)), tuple(notes))
 
 
-def _at_all(found: FoundSegments, rows: Int[ndarray, "n"], frames: int) -> FoundSegments:
+def _at_all(found: DetectedSegments, rows: Int[ndarray, "n"], frames: int) -> DetectedSegments:
     """Segments found in some of the frames, in all."""
     begins = [0, *(int(rows[s.segment.first - 1] + rows[s.segment.first]) // 2 + 1 for s in found.segments[1:])]
     ends = [*(begin - 1 for begin in begins[1:]), frames - 1]
@@ -121,7 +121,7 @@ def _at_all(found: FoundSegments, rows: Int[ndarray, "n"], frames: int) -> Found
         for one, first, last in zip(found.segments, begins, ends, strict=True)
     )
     note = f"{frames - len(rows)} of {frames} frames have no mask: they are in the segment of the frames beside them"
-    return FoundSegments(spread, (*found.notes, note))
+    return DetectedSegments(spread, (*found.notes, note))
 
 
 def moving_runs(clip: Clip, masks: Masks) -> list[tuple[int, int]]:
@@ -149,7 +149,7 @@ def _fits(
     runs: Sequence[tuple[int, int]],
     options: Options,
     progress: Callable[[float], None],
-) -> list[Held]:
+) -> list[HingeFit]:
     """A fit to each known hand wherever the object does not lie still; none where nothing can be fitted."""
     hands, parts, fits = _hands(clip, masks), list(pieces(runs, LONGEST, LEAST)), []
     for k, frames in enumerate(parts):
@@ -158,7 +158,7 @@ def _fits(
         around = np.arange(max(0, before, frames[0] - AROUND), min(len(clip), after, frames[-1] + 1 + AROUND))
         for by, seen, known in hands:
             with suppress(NothingToFitError):
-                fits.append(held_in(by, seen, frames[known[frames]], around[known[around]], options))
+                fits.append(fit_hinge(by, seen, frames[known[frames]], around[known[around]], options))
         progress((k + 1) / len(parts))
     return fits
 
@@ -167,7 +167,7 @@ def _hands(clip: Clip, masks: Masks) -> list[tuple[Clip, Masks, Bool[ndarray, "T
     """The clip with each known hand for its own, and the frames in which that is known."""
     hands = [(clip, masks, clip.hand_known(clip.side))]
     for side in SIDES:
-        by = clip.held_by(side)
+        by = clip.with_side(side)
         if by is not None and by is not clip:  # its own pixels are not known apart
             hands.append((by, replace(masks, hand=None), clip.hand_known(side)))
     return hands
@@ -177,10 +177,10 @@ def _segments(
     clip: Clip,
     division: Division,
     margin: Float[ndarray, "n"],
-    held: Sequence[Held],
+    fits: Sequence[HingeFit],
     jitter: float,
     definition: Definition,
-) -> Iterator[FoundSegment]:
+) -> Iterator[DetectedSegment]:
     """The segments of a division, the held ones divided by Eq. 2.
 
     A hand may hold an object steadily before it lifts it, and after it has set it down: then the grasp takes frames
@@ -194,8 +194,8 @@ def _segments(
     for k in np.flatnonzero(np.array(motions) == "held"):
         first, last = (int(n) for n in spans[k])
         before, after = (int(lying[n]) if 0 <= n < len(spans) else 0 for n in (k - 1, k + 1))
-        fit = chosen(held, first, last, jitter)
-        by, known = clip.held_by(fit.side), clip.hand_known(fit.side)
+        fit = chosen(fits, first, last, jitter)
+        by, known = clip.with_side(fit.side), clip.hand_known(fit.side)
         assert by is not None
         before = before - int(np.flatnonzero(~known[first - before : first]).max(initial=-1)) - 1
         after = int(np.argmin([*known[last + 1 : last + 1 + after], False]))
@@ -211,7 +211,7 @@ def _segments(
         k = owner[rows[0]]
         state = "grasp" if stable[rows[0]] >= 0 else OTHERWISE[motions[k]]
         side = sides.get(int(k)) if state in ("grasp", "contact") else None
-        yield FoundSegment(Segment(state, int(rows[0]), int(rows[-1]), side), float(margin[k]))
+        yield DetectedSegment(Segment(state, int(rows[0]), int(rows[-1]), side), float(margin[k]))
 
 
 @dataclass(frozen=True)
@@ -227,13 +227,15 @@ class Reconstructed:
     """
 
     frames: Int[ndarray, "n"]
-    held: Bool[ndarray, "n"]
+    fits: Bool[ndarray, "n"]
     T_cam_obj: Float[ndarray, "n 4 4"]
     T_cam_hand: Float[ndarray, "n 4 4"]
     scale: float
 
 
-def reconstructed(clip: Clip, fit: Held, first: int, last: int, still_before: int, still_after: int) -> Reconstructed:
+def reconstructed(
+    clip: Clip, fit: HingeFit, first: int, last: int, still_before: int, still_after: int
+) -> Reconstructed:
     """A fit in its segment, and the object left lying in the world in so many frames before and after.
 
     Where the fit was tried in those, too, the hand is where it has it, else where the clip has it.
@@ -259,5 +261,5 @@ def stable_in(clip: Clip, found: Reconstructed, definition: Definition) -> list[
     return [
         (int(found.frames[first]), int(found.frames[last]))
         for first, last in grasps
-        if found.held[first : last + 1].any()
+        if found.fits[first : last + 1].any()
     ]

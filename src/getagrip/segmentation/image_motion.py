@@ -78,9 +78,11 @@ def image_motion(clip: Clip, masks: Masks, lags: int) -> ImageMotion:
             if min(contour[s], contour[t]) < SHORTEST:
                 continue
             window = _around(boxes[[s, t]], clip.size)
-            ways = _homographies(clip, s, t, depth)
-            moved[lag - 1, t] = min(_differ(masks, s, t, H, window) / length for H in ways)
-            by_camera[lag - 1, t] = _displacement(ways[len(ways) // 2], (boxes[s, :2] + boxes[s, 2:]) / 2.0)
+            homographies = _homographies(clip, s, t, depth)
+            moved[lag - 1, t] = min(_differ(masks, s, t, H, window) / length for H in homographies)
+            by_camera[lag - 1, t] = _displacement(
+                homographies[len(homographies) // 2], (boxes[s, :2] + boxes[s, 2:]) / 2.0
+            )
     return ImageMotion(moved, by_camera)
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.segmentation.held import Held
+from getagrip.segmentation.hinge_fits import HingeFit
 from getagrip.segmentation.image_motion import ImageMotion
 
 Motion = Literal["static", "held", "free"]
@@ -95,14 +95,16 @@ def margins(cost: Float[ndarray, "S T T"], division: Division) -> Float[ndarray,
     return np.maximum(out, 0.0)
 
 
-def window_costs(moved: ImageMotion, held: Sequence[Held]) -> Float[ndarray, "3 T T"]:
+def window_costs(moved: ImageMotion, fits: Sequence[HingeFit]) -> Float[ndarray, "3 T T"]:
     """``cost[s, i, j]``: state s (``MOTIONS``) in the frames i to j, both included; infinite where j < i."""
     T = moved.moved.shape[1]
     frames = np.arange(T)
     length = frames[None] - frames[:, None] + 1.0
     known = np.log(SAMPLES * np.maximum(length, 1.0))
     free = length * POSE / 2.0 * np.log(SAMPLES)
-    cost = np.stack([_static(moved) + POSE / 2.0 * known, _held(held, T, moved.jitter) + HINGE / 2.0 * known, free])
+    cost = np.stack(
+        [_static(moved) + POSE / 2.0 * known, _in_hand_cost(fits, T, moved.jitter) + HINGE / 2.0 * known, free]
+    )
     cost += np.log(T)
     shortest = np.array([SHORTEST[motion] for motion in MOTIONS])
     return np.where(length >= shortest[:, None, None], cost, np.inf)
@@ -119,10 +121,10 @@ def _static(moved: ImageMotion) -> Float[ndarray, "T T"]:
     return out
 
 
-def _held(held: Sequence[Held], T: int, jitter: float) -> Float[ndarray, "T T"]:
+def _in_hand_cost(fits: Sequence[HingeFit], T: int, jitter: float) -> Float[ndarray, "T T"]:
     """Misfit of the fit to the hand that is best in each window."""
     out = np.full((T, T), np.inf)
-    for one in held:
+    for one in fits:
         each = np.full(T, NOT_TRIED)
         each[one.frames] = _misfit(one, jitter)
         total = np.concatenate([[0.0], np.cumsum(each)])
@@ -130,7 +132,7 @@ def _held(held: Sequence[Held], T: int, jitter: float) -> Float[ndarray, "T T"]:
     return out
 
 
-def _misfit(one: Held, jitter: float) -> Float[ndarray, "n"]:
+def _misfit(one: HingeFit, jitter: float) -> Float[ndarray, "n"]:
     """Cost of each frame in which a fit was tried. Of two masks' jitter, one has its share."""
     return residual(one.misfit / np.hypot(one.expected, jitter / np.sqrt(2.0)))
 
@@ -141,10 +143,10 @@ def residual(distance: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
     return np.asarray(np.minimum(0.5 * SAMPLES * excess**2, MOST))
 
 
-def chosen(held: Sequence[Held], first: int, last: int, jitter: float) -> Held:
+def chosen(fits: Sequence[HingeFit], first: int, last: int, jitter: float) -> HingeFit:
     """The fit that is best in a window, of those tried in all of it."""
     costs = []
-    for one in held:
+    for one in fits:
         inside = (one.frames >= first) & (one.frames <= last)
         costs.append(_misfit(one, jitter)[inside].sum() + NOT_TRIED * (last + 1 - first - inside.sum()))
-    return held[int(np.argmin(costs))]
+    return fits[int(np.argmin(costs))]

@@ -24,7 +24,7 @@ from getagrip.fitting.problem import prepare
 from getagrip.geometry import se3
 from getagrip.result import FrameKind
 from getagrip.timelines.footage import Footage
-from getagrip.timelines.held import prepared, solved
+from getagrip.timelines.grasp_segment import prepared, solved
 from getagrip.timelines.joint import fill, put_grasp, runs
 from getagrip.timelines.motion import Motion
 from getagrip.timelines.static_pose import static_hypotheses
@@ -79,9 +79,9 @@ def _carry(motion: Motion, footage: Footage, known: list[Segment]) -> None:
 
 def _with_hand(motion: Motion, footage: Footage, source: int, row: int) -> Float[ndarray, "4 4"]:
     """The pose in the world of an object that goes with the given hand from one frame to another."""
-    given = footage.clip.hand.T_cam_hand
-    T_hand_obj = se3.inverse(given[source]) @ motion.T_cam_obj[source]
-    return np.asarray(footage.T_world_cam[row] @ given[row] @ T_hand_obj)
+    value = footage.clip.hand.T_cam_hand
+    T_hand_obj = se3.inverse(value[source]) @ motion.T_cam_obj[source]
+    return np.asarray(footage.T_world_cam[row] @ value[row] @ T_hand_obj)
 
 
 def propagate(footage: Footage) -> Motion:

@@ -8,20 +8,20 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.checks.evidence import Jumps
+from getagrip.checks.evidence import Glitches
 from getagrip.clip import Clip, Masks, Segment, World
-from getagrip.fitting.hand_jumps import steady_hand
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import Problem, prepare
+from getagrip.fitting.tracker_glitches import repair_hand
 from getagrip.geometry import se3
 
 
-def held(clip: Clip, masks: Masks, segment: Segment) -> tuple[Clip, Masks, Int[ndarray, "n"]] | None:
+def grasp_clip(clip: Clip, masks: Masks, segment: Segment) -> tuple[Clip, Masks, Int[ndarray, "n"]] | None:
     """A grasp as a clip of the hand that holds the object, its masks, and its frames: those in which the hand is known.
 
     None where fewer than two of them show the object. The other hand's pixels are not known apart from all ignored.
     """
-    by, rows = clip.held_by(segment.side), segment.rows[clip.hand_known(segment.side)[segment.rows]]
+    by, rows = clip.with_side(segment.side), segment.rows[clip.hand_known(segment.side)[segment.rows]]
     if by is None or not len(rows):
         return None
     of_grasp = masks.take(rows)
@@ -40,7 +40,7 @@ class Footage:
     options: Options
     some: Problem
     """At a few of the frames; others are made from it."""
-    jumps: Jumps | None = None
+    glitches: Glitches | None = None
 
     @staticmethod
     def of(clip: Clip, masks: Masks, options: Options) -> Footage:
@@ -50,8 +50,10 @@ class Footage:
         """
         if clip.world is None:
             clip = replace(clip, world=World(np.tile(np.eye(4), (len(clip), 1, 1))))
-        clip, jumps = steady_hand(clip, options)
-        return Footage(clip, masks, options, prepare(clip, masks, replace(options, frames=2, hands="as-given")), jumps)
+        clip, glitches = repair_hand(clip, options)
+        return Footage(
+            clip, masks, options, prepare(clip, masks, replace(options, frames=2, hands="as-given")), glitches
+        )
 
     def __len__(self) -> int:
         return len(self.clip)
@@ -80,9 +82,9 @@ class Footage:
             T_world_hands.append(self.T_world_cam @ other.track.T_cam_hand)
         return [T[after] @ se3.inverse(T[before]) for T in T_world_hands]
 
-    def held(self, segment: Segment) -> tuple[Clip, Masks, Int[ndarray, "n"]] | None:
+    def grasp_clip(self, segment: Segment) -> tuple[Clip, Masks, Int[ndarray, "n"]] | None:
         """A grasp as a clip (``held``)."""
-        return held(self.clip, self.masks, segment)
+        return grasp_clip(self.clip, self.masks, segment)
 
     def observed(self, rows: Int[ndarray, "n"]) -> Int[ndarray, "m"]:
         """Those of some frames whose masks show the object."""

@@ -22,7 +22,7 @@ from getagrip.fitting.search import suppress_duplicates
 from getagrip.timelines.between import between
 from getagrip.timelines.chain import best_chain, second_best
 from getagrip.timelines.footage import Footage
-from getagrip.timelines.held import Held, Neighbour, in_all_frames, most, prepared, solved
+from getagrip.timelines.grasp_segment import GraspSolutions, Neighbour, in_all_frames, most, prepared, solved
 from getagrip.timelines.hypotheses import Hypotheses
 from getagrip.timelines.links import followed_to, link_cost
 from getagrip.timelines.motion import Motion
@@ -33,7 +33,7 @@ REACH = 6
 """Frames of a grasp's problem that a link to it holds in."""
 
 
-Anchor = tuple[Segment, Hypotheses, Held | None]
+Anchor = tuple[Segment, Hypotheses, GraspSolutions | None]
 """A segment whose pose is found by itself; what is known of it at its frames, or at those of a grasp's problem."""
 
 
@@ -44,8 +44,8 @@ def joint(footage: Footage, support: bool = True, on_stage: Callable[[str], None
     anchors, neighbours = _with_grasps(footage, static)
     on_stage("grasps")
     if not anchors:
-        given = "no static segment and no grasp by a known hand that shows the object in two frames"
-        raise InputError(footage.clip.origin, "segments", given, "one at least")
+        got = "no static segment and no grasp by a known hand that shows the object in two frames"
+        raise InputError(footage.clip.origin, "segments", got, "one at least")
     pairs = zip(itertools.pairwise(anchors), itertools.pairwise(neighbours), strict=True)
     links = [_link(footage, *ends, near) for ends, near in pairs]
     energies = [hypotheses.energy for _, hypotheses, _ in anchors]
@@ -55,13 +55,13 @@ def joint(footage: Footage, support: bool = True, on_stage: Callable[[str], None
     motion = Motion.of(footage)
     motion.energy = energy, second_best(energies, links, copies)
     known = list[Segment]()
-    for (segment, hypotheses, held), k, near in zip(anchors, chosen, neighbours, strict=True):
-        if held is None:
+    for (segment, hypotheses, grasp), k, near in zip(anchors, chosen, neighbours, strict=True):
+        if grasp is None:
             motion.put(footage, segment.rows, hypotheses.take(np.array([k])), "sampled")
             known.append(segment)
         else:
-            rows = put_grasp(motion, footage, held, k, near)
-            settle(motion, footage, rows, held.problem.clip.side)
+            rows = put_grasp(motion, footage, grasp, k, near)
+            settle(motion, footage, rows, grasp.problem.clip.side)
             known += runs(segment, rows)
     on_stage("all frames")
     fill(motion, footage, known)
@@ -69,19 +69,21 @@ def joint(footage: Footage, support: bool = True, on_stage: Callable[[str], None
     return motion
 
 
-def put_grasp(motion: Motion, footage: Footage, held: Held, k: int, neighbours: list[Neighbour]) -> Int[ndarray, "n"]:
+def put_grasp(
+    motion: Motion, footage: Footage, grasp: GraspSolutions, k: int, neighbours: list[Neighbour]
+) -> Int[ndarray, "n"]:
     """A solution of a grasp, in all of its frames in which its hand is known, and which these are."""
-    track = in_all_frames(footage, held, k, neighbours)
+    track = in_all_frames(footage, grasp, k, neighbours)
     rows = track.rows
     motion.T_cam_obj[rows] = track.T_cam_hand @ track.T_hand_obj
-    motion.T_cam_hands[held.problem.clip.side][rows] = track.T_cam_hand
+    motion.T_cam_hands[grasp.problem.clip.side][rows] = track.T_cam_hand
     for row, kind in zip(rows, track.kind, strict=True):
         motion.kind[row] = kind
     own = [note for note in track.notes if note not in footage.some.notes]
     motion.notes += [f"grasp from {footage.clip.frames[rows[0]]}: {note}" for note in own]
-    motion.held[held.segment.first] = track
+    motion.grasps[grasp.segment.first] = track
     if track.axis is not None:
-        motion.axes[held.segment.first] = track.axis
+        motion.axes[grasp.segment.first] = track.axis
     return rows
 
 
@@ -132,8 +134,8 @@ def _with_grasps(footage: Footage, static: dict[Segment, Hypotheses]) -> tuple[l
             paths = followed_to(footage, one.first, rows[::-1][:m], static[one].at(np.zeros(1, int)))
             frames = np.arange(len(rows) - m, len(rows))
             near.append(Neighbour(paths.at(np.arange(m)[::-1]), frames, earlier=False))
-        held = solved(footage, segment, problem, near)
-        anchors.append((segment, held.hypotheses, held))
+        grasp = solved(footage, segment, problem, near)
+        anchors.append((segment, grasp.hypotheses, grasp))
         neighbours.append(near)
     return anchors, neighbours
 
@@ -151,7 +153,7 @@ def _link(
 ) -> Float[ndarray, "K L"]:
     """What each pair of hypotheses of two neighbouring segments costs; ``near``: those followed into grasps already."""
     mesh, (before, end), (after, begin) = footage.clip.mesh, _end(one, -1), _end(other, 0)
-    problems = [held.problem for _, _, held in (one, other) if held is not None]
+    problems = [grasp.problem for _, _, grasp in (one, other) if grasp is not None]
     weight = most(problems[0]) if problems else float(min(one[1].energy.min(), other[1].energy.min()))
     ahead = next((x.paths.at(np.array([0])) for x in near[1] if x.earlier), None)
     behind = next((x.paths.at(np.array([-1])) for x in near[0] if not x.earlier), None)
@@ -162,6 +164,6 @@ def _link(
 
 def _end(anchor: Anchor, side: int) -> tuple[Hypotheses, int]:
     """The hypotheses of a segment at its first known frame (side 0) or its last (-1), and which that is."""
-    segment, hypotheses, held = anchor
-    row = int(held.rows[side]) if held else segment.last if side else segment.first
+    segment, hypotheses, grasp = anchor
+    row = int(grasp.rows[side]) if grasp else segment.last if side else segment.first
     return hypotheses.at(np.array([side])), row

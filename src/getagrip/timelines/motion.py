@@ -12,7 +12,7 @@ from getagrip.clip.timeline import Side
 from getagrip.geometry import se3
 from getagrip.result import Axis, FrameKind
 from getagrip.timelines.footage import Footage
-from getagrip.timelines.held import HeldTrack
+from getagrip.timelines.grasp_segment import GraspTrack
 from getagrip.timelines.hypotheses import Hypotheses
 
 
@@ -26,7 +26,7 @@ class Motion:
         T_cam_hands: (T, 4, 4) poses of each known hand, by its side, corrected in its grasps.
         kind: how each frame's pose was found.
         axes: axis of each grasp, by its segment's first frame.
-        held: the grasps that were solved as such, likewise.
+        grasps: the grasps that were solved as such, likewise.
         energy: of the chosen chain, and of the next best.
         notes: what is to be known about it.
     """
@@ -36,7 +36,7 @@ class Motion:
     T_cam_hands: dict[Side, Float[ndarray, "T 4 4"]]
     kind: list[FrameKind]
     axes: dict[int, Axis] = field(default_factory=dict)
-    held: dict[int, HeldTrack] = field(default_factory=dict)
+    grasps: dict[int, GraspTrack] = field(default_factory=dict)
     energy: tuple[float, float] = (0.0, float("inf"))
     notes: list[str] = field(default_factory=list)
 

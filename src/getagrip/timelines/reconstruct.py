@@ -16,18 +16,18 @@ from getagrip.clip import Clip, Masks, Segment, check_clip, check_masks, read_ma
 from getagrip.errors import GetagripError, UsageError
 from getagrip.finding import Finding
 from getagrip.fitting import reconstruct as grasp
-from getagrip.fitting.hand_jumps import steady_hand
 from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.judge import probability_right
 from getagrip.fitting.methods.all_frames import soft_hinges
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare
+from getagrip.fitting.tracker_glitches import repair_hand
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.probability import Probability
 from getagrip.provenance import assumptions
 from getagrip.result import Candidates, Reconstruction, SegmentResult, Status
-from getagrip.timelines.footage import Footage, held
+from getagrip.timelines.footage import Footage, grasp_clip
 from getagrip.timelines.joint import joint
 from getagrip.timelines.motion import Motion
 from getagrip.timelines.signs import signs_of
@@ -102,8 +102,8 @@ def reconstruct(
 
 def scale_of(clip: Clip, masks: Masks, options: Options) -> float:
     """The object's scale: that of the longest grasp, where hand and camera tell it. Raises ``InputError``."""
-    clip, _ = steady_hand(clip, options)
-    grasps = [held(clip, masks, s) for s in clip.segments if s.state == "grasp"]
+    clip, _ = repair_hand(clip, options)
+    grasps = [grasp_clip(clip, masks, s) for s in clip.segments if s.state == "grasp"]
     longest = max((grasp for grasp in grasps if grasp is not None), key=lambda grasp: len(grasp[2]), default=None)
     problem = prepare(*(longest[:2] if longest else (clip, masks)), options)
     return float(soft_hinges(problem, lambda _: None).motion.poses().scale[0])
@@ -120,7 +120,7 @@ def result_of(clip: Clip, footage: Footage, motion: Motion, scale: float, second
     guesses = {"scale": grasp.SCALE_GUESSED.format(scale)} if clip.scale == "free" else {}
     mean_iou = float(np.nanmean(iou))
     hands = motion.T_cam_hand, motion.T_cam_obj, scale, iou, other_hand
-    examined = examine_timeline(clip.light(), footage.masks, *hands, footage.jumps)
+    examined = examine_timeline(clip.light(), footage.masks, *hands, footage.glitches)
     status, message = Status.JOINT, Status.JOINT.sentence
     if examined.failed:
         status, message = Status.PARTLY_FAILED, UNEXPLAINED.format(examined.failed)
@@ -161,7 +161,7 @@ def followed(clip: Clip, footage: Footage) -> list[str]:
     """What is to be known about grasps that could not be solved as such."""
     out = []
     for segment in clip.segments:
-        if segment.state == "grasp" and footage.held(segment) is None:
+        if segment.state == "grasp" and footage.grasp_clip(segment) is None:
             name = f"grasp from {clip.frames[segment.first]} ({segment.side} hand)"
             known = clip.hand_known(segment.side)[segment.rows].any()
             why = "the object is not seen in two frames" if known else f"the clip has no {segment.side} hand there"
@@ -173,7 +173,7 @@ def probability_of(
     clip: Clip, segment: Segment, motion: Motion, footage: Footage, findings: Sequence[Finding]
 ) -> tuple[dict[str, float], Probability | None]:
     """The signs of a grasp, and how probable it is that it is right; nothing of other segments."""
-    track = motion.held.get(segment.first)
+    track = motion.grasps.get(segment.first)
     if segment.state != "grasp" or track is None:
         return {}, None
     signs, names = signs_of(footage, track), {check.name for check in INPUT_CHECKS}
@@ -195,7 +195,7 @@ def segment_result(clip: Clip, segment: Segment, motion: Motion, iou: Float[ndar
         last=clip.frames[segment.last],
         side=segment.side,
         iou=float(seen.mean()) if len(seen) else None,
-        by_masks=is_grasp and segment.first not in motion.held,
+        by_masks=is_grasp and segment.first not in motion.grasps,
         T_world_obj=clip.world.T_world_cam[rows[0]] @ motion.T_cam_obj[rows[0]] if lying and clip.world else None,
         axis_point=None if axis is None else axis.point,
         axis_direction=None if axis is None else axis.direction,

@@ -53,16 +53,16 @@ def settle(motion: Motion, footage: Footage, rows: Int[ndarray, "n"], side: Side
     ridge = RIDGE[0] * times, RIDGE[1] * times
     T_cam = se3.rigid(motion.T_cam_obj[seen, :3, :3], before)
     still = Fixed(np.eye(3)[None], np.zeros((1, 3)), np.zeros(1), len(seen))
-    held, misfits = Frozen(Soft(still, np.zeros((1, len(seen), 6)), ridge)), 1.0
+    grasp, misfits = Frozen(Soft(still, np.zeros((1, len(seen), 6)), ridge)), 1.0
     about = moments(footage.clip.mesh.vertices - centre)
     energy, smooth = mask_of(problem), WorldTerm(SmoothnessTerm(about, SMOOTH), footage.T_world_cam[seen])
     for level, iterations in STAGES:
-        held = Frozen(replace(held.core, ridge=stiffened(ridge, misfits)))
-        found = minimise(held, [*energy(level, everywhere), smooth], T_cam, iterations)
-        held = found.motion
+        grasp = Frozen(replace(grasp.core, ridge=stiffened(ridge, misfits)))
+        found = minimise(grasp, [*energy(level, everywhere), smooth], T_cam, iterations)
+        grasp = found.motion
         if level == STAGES[-1][0]:
             misfits = misfit(problem.observation, float(found.terms["mask"][0]) / len(seen))
-    poses = in_camera(held, T_cam)
+    poses = in_camera(grasp, T_cam)
     moved = np.sum((poses.centre[0] - before) * before, axis=1) / np.sum(before**2, axis=1)
     motion.T_cam_obj[seen] = se3.rigid(poses.R[0], poses.centre[0] - poses.R[0] @ centre)
     hand = motion.T_cam_hands[side]

@@ -40,7 +40,7 @@ def test_an_object_is_placed_in_its_box(seed: int) -> None:
 def joint_scene(seed: int = 0) -> tuple[JointEnergy, Bodies]:
     """Object and hand near each other, the hand a little off where it was given; all terms but the mask."""
     rng = np.random.default_rng(seed)
-    given_hand = se3.rigid(
+    input_hand = se3.rigid(
         se3.exp_so3(rng.normal(size=(N, 3))), np.array([0.0, 0.0, 0.5]) + rng.normal(0.0, 0.01, (N, 3))
     )
     grip = rng.normal(0.0, 0.01, (N, 3))
@@ -55,14 +55,14 @@ def joint_scene(seed: int = 0) -> tuple[JointEnergy, Bodies]:
             PullTerm(body, contacts, weight, 0.01, delta=1e-9),
             some_term("interaction", rng),
         ],
-        T_cam_hand=given_hand,
+        T_cam_hand=input_hand,
     )
-    hand_centre = se3.transform(given_hand, grip[:, None])[:, 0]
+    hand_centre = se3.transform(input_hand, grip[:, None])[:, 0]
     bodies = Bodies(
         R=se3.exp_so3(rng.normal(size=(N, 3))),
         centre=np.array([0.0, 0.0, 0.5]) + rng.normal(0.0, 0.005, (N, 3)),
         log_scale=0.05,
-        hand_R=se3.exp_so3(rng.normal(0.0, 0.05, (N, 3))) @ given_hand[:, :3, :3],
+        hand_R=se3.exp_so3(rng.normal(0.0, 0.05, (N, 3))) @ input_hand[:, :3, :3],
         hand_centre=hand_centre + rng.normal(0.0, 0.005, (N, 3)),
         grip=grip,
     )
@@ -99,14 +99,14 @@ def test_descent_goes_down_and_keeps_a_known_scale(free_scale: bool) -> None:
 
 def test_an_unmoved_hand_holds_the_object_where_the_camera_sees_it() -> None:
     energy, bodies = joint_scene(2)
-    given_hand = energy.T_cam_hand
+    input_hand = energy.T_cam_hand
     same = replace(
         bodies,
-        hand_R=given_hand[:, :3, :3],
-        hand_centre=se3.transform(given_hand, bodies.grip[:, None])[:, 0],
+        hand_R=input_hand[:, :3, :3],
+        hand_centre=se3.transform(input_hand, bodies.grip[:, None])[:, 0],
     )
-    np.testing.assert_allclose(same.T_cam_hand, given_hand, atol=1e-12)
+    np.testing.assert_allclose(same.T_cam_hand, input_hand, atol=1e-12)
     held = same.in_hand()
-    middle = se3.transform(given_hand, held.centre[0][:, None])[:, 0]
+    middle = se3.transform(input_hand, held.centre[0][:, None])[:, 0]
     np.testing.assert_allclose(middle, same.centre, atol=1e-12)
-    np.testing.assert_allclose(given_hand[:, :3, :3] @ held.R[0], same.R, atol=1e-12)
+    np.testing.assert_allclose(input_hand[:, :3, :3] @ held.R[0], same.R, atol=1e-12)

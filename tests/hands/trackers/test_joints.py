@@ -23,9 +23,9 @@ from helpers.tracked_hands import SIDES, joints_of, request
 def test_joints(tmp_path: Path, side: Side) -> None:
     """Joints of a generic hand give that hand back but for what the prior takes, in whatever order the frames are."""
     known = Known(side, None)
-    given_joints = np.empty_like(known.joints)
-    given_joints[:, ORDERS["ho3d"]] = known.joints
-    content = {"joints": given_joints[[2, 0]], "frames": np.array(["000009", "frame_7"])}
+    input_joints = np.empty_like(known.joints)
+    input_joints[:, ORDERS["ho3d"]] = known.joints
+    content = {"joints": input_joints[[2, 0]], "frames": np.array(["000009", "frame_7"])}
     path = write_npz(tmp_path / "j.npz", content)
     hands = read([path], Joints("ho3d"), request(side))
     assert hands.found == (0, 2)
@@ -39,11 +39,11 @@ def test_joints(tmp_path: Path, side: Side) -> None:
 def test_the_hand_stands_still_before_the_first_and_after_the_last_frame(tmp_path: Path) -> None:
     path = write_npz(tmp_path / "j.npz", {"joints": Known("right", None).joints[[0, 2]], "frames": np.array([7, 9])})
     found = replace(read([path], Joints("openpose"), request("right")), found=(2, 4))
-    held = found.held_at_ends(tuple("abcdefg"))
+    held = found.extrapolate_to_ends(tuple("abcdefg"))
     assert held.found == (0, 1, 2, 4, 5, 6)  # d lies between two hands
     for there, at in ((found.track.T_cam_hand, held.track.T_cam_hand), (found.track.joints, held.track.joints)):
         assert there is not None
         np.testing.assert_array_equal(at, there[[0, 0, 0, 1, 1, 1]])
     assert "a guess in the frames a to b and f to g" in str(held.provenance["hands_held"])
-    assert found.held_at_ends(tuple("abcde")).found == (0, 1, 2, 4)
-    assert replace(found, found=(0, 1)).held_at_ends(("a", "b")).provenance == found.provenance
+    assert found.extrapolate_to_ends(tuple("abcde")).found == (0, 1, 2, 4)
+    assert replace(found, found=(0, 1)).extrapolate_to_ends(("a", "b")).provenance == found.provenance

@@ -31,10 +31,10 @@ def intrinsics(path: Path) -> Float[ndarray, "3 3"]:
 
 def table_camera(path: Path, serial: str) -> Float[ndarray, "4 4"]:
     """The pose of a camera in the frame of the tag on the table. Raises ``InputError``."""
-    given = read_yaml(path).get("extrinsics")
+    value = read_yaml(path).get("extrinsics")
     T_master = {}
     for key in (serial, TAG):  # both in the frame of one of the cameras
-        values = given.get(key) if isinstance(given, dict) else None
+        values = value.get(key) if isinstance(value, dict) else None
         numbers = values if isinstance(values, list | tuple) else []
         if len(numbers) != 12 or not all(isinstance(v, float | int) for v in numbers):
             raise InputError(path, f"extrinsics.{key}", shown(values), "12 numbers, [R | t] row by row")

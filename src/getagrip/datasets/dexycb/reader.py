@@ -144,12 +144,12 @@ def _tracks(sequence: Sequence, models: Path, whole: bool, shortest: int, note: 
     if np.count_nonzero(recording.hand_known) < shortest:
         note(f"{sequence.name}: the hand is known in fewer than {shortest} frames: skipped")
         return []
-    mesh, hand, poses = ycb.mesh(models, recording.held), fit_hand(recording), recording.objects[recording.held]
+    mesh, hand, poses = ycb.mesh(models, recording.grasped), fit_hand(recording), recording.objects[recording.grasped]
     track = Track(
         file=recording.file,
         subject=recording.subject,
         sequence=recording.sequence,
-        category=recording.held,
+        category=recording.grasped,
         side=recording.side,
         fps=FPS,
         numbers=hand.frames,
@@ -184,10 +184,10 @@ def _masks(recording: Recording, hand: Hand, models: Path, n: int) -> FrameMasks
         mesh = ycb.find_mesh(models, name)
         if mesh is not None and poses.known[n]:
             surfaces[name] = se3.transform(poses.T_cam_obj[n], mesh.vertices), mesh.faces
-    held = surfaces.pop(recording.held)
+    grasped = surfaces.pop(recording.grasped)
     row = int(np.searchsorted(hand.frames, n))
     in_front = se3.transform(hand.track.T_cam_hand[row], hand.track.vertices[row]), hand.track.faces
-    return FrameMasks(*true_masks(held, [in_front], list(surfaces.values()), recording.K, SIZE))
+    return FrameMasks(*true_masks(grasped, [in_front], list(surfaces.values()), recording.K, SIZE))
 
 
 def fit_hand(recording: Recording) -> Hand:

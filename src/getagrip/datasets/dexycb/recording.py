@@ -83,7 +83,7 @@ class Recording:
     sequence: str
     camera: str
     side: Side
-    held: str
+    grasped: str
     """Name of the object that is held."""
     objects: dict[str, ObjectPoses]
     """By name, the held one among them."""
@@ -122,26 +122,26 @@ def find(root: Path) -> list[Sequence]:
 
 def _packed(path: Path) -> list[Sequence]:
     """The sequences of a packed file. Which hand it is shows in how the fingers bend."""
-    given = arrays.read(path, PACKED_ARRAYS.__contains__)
-    names, held = _texts(path, given, "sequence"), _texts(path, given, "object")
-    q = arrays.floats(path, given, "obj_quat_xyzw", (-1, 4))
+    stored = arrays.read(path, PACKED_ARRAYS.__contains__)
+    names, grasped = _texts(path, stored, "sequence"), _texts(path, stored, "object")
+    q = arrays.floats(path, stored, "obj_quat_xyzw", (-1, 4))
     N, S = len(q), len(names)
-    t = arrays.floats(path, given, "obj_trans", (N, 3))
-    joints = arrays.floats(path, given, "joints", (N, 21, 3))[:, ORDERS["ho3d"]]
-    known = _array(path, given, "hand_valid", (N,), "b")
-    offset = _array(path, given, "offset", (S + 1,), "iu").astype(np.int64)
-    if len(held) != S:
-        raise InputError(path, "object", f"{len(held)} names", f"{S}, one for each sequence")
+    t = arrays.floats(path, stored, "obj_trans", (N, 3))
+    joints = arrays.floats(path, stored, "joints", (N, 21, 3))[:, ORDERS["ho3d"]]
+    known = _array(path, stored, "hand_valid", (N,), "b")
+    offset = _array(path, stored, "offset", (S + 1,), "iu").astype(np.int64)
+    if len(grasped) != S:
+        raise InputError(path, "object", f"{len(grasped)} names", f"{S}, one for each sequence")
     if offset[0] != 0 or offset[-1] != N or np.any(np.diff(offset) <= 0):
         raise InputError(path, "offset", shown(offset.tolist()), f"rising numbers from 0 to {N}")
     if np.diff(offset).max() > MOST_FRAMES:
         raise InputError(path, "offset", f"a sequence of {np.diff(offset).max()} frames", f"at most {MOST_FRAMES}")
     lengths = np.linalg.norm(q, axis=1)
     if np.abs(lengths - 1.0).max() > 1e-2:
-        given_length = f"a quaternion of length {lengths[np.argmax(np.abs(lengths - 1.0))]:.3g}"
-        raise InputError(path, "obj_quat_xyzw", given_length, "unit quaternions")
+        input_length = f"a quaternion of length {lengths[np.argmax(np.abs(lengths - 1.0))]:.3g}"
+        raise InputError(path, "obj_quat_xyzw", input_length, "unit quaternions")
     sequences = []
-    for i, (name, obj) in enumerate(zip(names, held, strict=True)):
+    for i, (name, obj) in enumerate(zip(names, grasped, strict=True)):
         rows = slice(offset[i], offset[i + 1])
         subject, _, sequence = name.partition("/")
         if not (_is_name(subject) and _is_name(sequence)):
@@ -159,13 +159,13 @@ def _packed_recording(
     path: Path,
     subject: str,
     sequence: str,
-    held: str,
+    grasped: str,
     poses: ObjectPoses,
     joints: Float[ndarray, "N 21 3"],
     known: Bool[ndarray, "N"],
 ) -> Recording:
     side = bent_side(joints[known])
-    return Recording(path, subject, sequence, "", side, held, {held: poses}, joints, known, PACKED_K)
+    return Recording(path, subject, sequence, "", side, grasped, {grasped: poses}, joints, known, PACKED_K)
 
 
 def bent_side(joints: Float[ndarray, "N 21 3"]) -> Side:
@@ -186,12 +186,12 @@ def _read_folder(root: Path, folder: Path) -> Recording:
     ids = _list(path, meta, "ycb_ids")
     if not all(isinstance(i, int) and i in YCB for i in ids) or len(set(ids)) < len(ids):
         raise InputError(path, "ycb_ids", shown(ids), "different numbers of DexYCB's objects, 1 to 21")
-    held = ids[_whole(path, meta, "ycb_grasp_ind", 0, len(ids) - 1)]
+    grasped = ids[_whole(path, meta, "ycb_grasp_ind", 0, len(ids) - 1)]
     sides: dict[object, Side] = {"left": "left", "right": "right"}
     side = _list(path, meta, "mano_sides")[0]
     if side not in sides:
         raise InputError(path, "mano_sides", shown(side), "left or right")
-    serial = _best_camera(folder, [str(s) for s in _list(path, meta, "serials")], held, frames)
+    serial = _best_camera(folder, [str(s) for s in _list(path, meta, "serials")], grasped, frames)
     labels = [_label(folder / serial / _label_name(n), len(ids)) for n in range(frames)]
     pose_y, joints = (np.stack(a) for a in zip(*labels, strict=True))
     T_cam_obj = np.zeros((frames, len(ids), 4, 4))
@@ -208,7 +208,7 @@ def _read_folder(root: Path, folder: Path) -> Recording:
         sequence=folder.name,
         camera=serial,
         side=sides[side],
-        held=YCB[held],
+        grasped=YCB[grasped],
         objects={YCB[id_]: ObjectPoses(T_cam_obj[:, k], known[:, k]) for k, id_ in enumerate(ids)},
         joints=joints,
         hand_known=~np.all(joints == -1.0, axis=(1, 2)),  # a hand that is not known is -1
@@ -217,7 +217,7 @@ def _read_folder(root: Path, folder: Path) -> Recording:
     )
 
 
-def _best_camera(folder: Path, serials: list[str], held: int, frames: int) -> str:
+def _best_camera(folder: Path, serials: list[str], grasped: int, frames: int) -> str:
     """The camera with the most pixels of the held object in the last frame, of those that are there."""
     there = {serial: folder / serial for serial in serials if serial.isalnum() and (folder / serial).is_dir()}
     if not there:
@@ -228,7 +228,7 @@ def _best_camera(folder: Path, serials: list[str], held: int, frames: int) -> st
     for serial, camera in there.items():
         path = camera / _label_name(frames - 1)
         seg = _array(path, arrays.read(path, {"seg"}.__contains__), "seg", SIZE[::-1], "iu")
-        pixels[serial] = np.count_nonzero(seg == held)
+        pixels[serial] = np.count_nonzero(seg == grasped)
     return max(pixels, key=pixels.__getitem__)
 
 
@@ -238,8 +238,10 @@ def _label_name(frame: int) -> str:
 
 def _label(path: Path, objects: int) -> tuple[Float[ndarray, "O 3 4"], Float[ndarray, "21 3"]]:
     """Poses of the objects and joints of the hand; ``joint_3d`` is in this package's order already."""
-    given = arrays.read(path, {"pose_y", "joint_3d"}.__contains__)
-    return arrays.floats(path, given, "pose_y", (objects, 3, 4)), arrays.floats(path, given, "joint_3d", (1, 21, 3))[0]
+    stored = arrays.read(path, {"pose_y", "joint_3d"}.__contains__)
+    return arrays.floats(path, stored, "pose_y", (objects, 3, 4)), arrays.floats(path, stored, "joint_3d", (1, 21, 3))[
+        0
+    ]
 
 
 def _table_camera(root: Path, path: Path, meta: dict[str, object], serial: str) -> Float[ndarray, "4 4"] | None:
@@ -251,22 +253,22 @@ def _table_camera(root: Path, path: Path, meta: dict[str, object], serial: str) 
     return calibration.table_camera(file, serial) if file.is_file() else None
 
 
-def _list(path: Path, given: dict[str, object], key: str) -> list[int]:
-    value = given.get(key)
+def _list(path: Path, entry: dict[str, object], key: str) -> list[int]:
+    value = entry.get(key)
     if not isinstance(value, list) or not value:
         raise InputError(path, key, shown(value), "a list that is not empty")
     return value
 
 
-def _whole(path: Path, given: dict[str, object], key: str, least: int, most: int) -> int:
-    value = given.get(key)
+def _whole(path: Path, entry: dict[str, object], key: str, least: int, most: int) -> int:
+    value = entry.get(key)
     if not isinstance(value, int) or not least <= value <= most:
         raise InputError(path, key, shown(value), f"a whole number from {least} to {most}")
     return value
 
 
-def _texts(path: Path, given: dict[str, ndarray], key: str) -> list[str]:
-    array = _array(path, given, key, (-1,), "U")
+def _texts(path: Path, arrays: dict[str, ndarray], key: str) -> list[str]:
+    array = _array(path, arrays, key, (-1,), "U")
     try:
         return [str(text) for text in array.tolist()]
     except ValueError as error:
@@ -274,10 +276,10 @@ def _texts(path: Path, given: dict[str, ndarray], key: str) -> list[str]:
 
 
 def _array(
-    path: Path, given: dict[str, ndarray], key: str, shape: tuple[int, ...], kinds: str
+    path: Path, arrays: dict[str, ndarray], key: str, shape: tuple[int, ...], kinds: str
 ) -> Shaped[ndarray, "..."]:
     """An array that is there, of one of the kinds and of the shape, -1 standing for any length above 0."""
-    array = given.get(key)
+    array = arrays.get(key)
     if array is None:
         raise InputError(path, key, "no such array", f"an array of shape {shape}")
     alike = (a == b or (b == -1 and a > 0) for a, b in zip(array.shape, shape, strict=False))

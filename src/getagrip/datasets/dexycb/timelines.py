@@ -67,8 +67,8 @@ def _read(sequence: files.Sequence, others: Sequence[files.Sequence], models: Pa
 
 def _at_first(recording: files.Recording, models: Path) -> np.ndarray:
     """The held object's vertices as it lies in the first frame in which it is known (V, 3) [m]."""
-    poses = recording.objects[recording.held]
-    return se3.transform(poses.T_cam_obj[int(np.argmax(poses.known))], ycb.mesh(models, recording.held).vertices)
+    poses = recording.objects[recording.grasped]
+    return se3.transform(poses.T_cam_obj[int(np.argmax(poses.known))], ycb.mesh(models, recording.grasped).vertices)
 
 
 def pieces(tracks: Iterable[Track], note: Note, definition: Definition) -> Iterator[Piece]:

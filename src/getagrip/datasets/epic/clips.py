@@ -107,14 +107,14 @@ def annotated(files: Sequence[Path], mapping: visor.Mapping, grasps: Sequence[Ep
         for frame in visor.read_frames(path):
             number = mapping.number(frame)
             for grasp in grasps:
-                if grasp.start <= number <= grasp.end and any(_is_held(a, grasp) for a in frame.annotations):
+                if grasp.start <= number <= grasp.end and any(_is_grasped(a, grasp) for a in frame.annotations):
                     other = out[grasp.name].get(number)
                     if other is None or _rank(frame) > _rank(other):
                         out[grasp.name][number] = frame
     return out
 
 
-def _is_held(annotation: visor.Annotation, grasp: EpicGrasp) -> bool:
+def _is_grasped(annotation: visor.Annotation, grasp: EpicGrasp) -> bool:
     return annotation.name == grasp.entity and not annotation.hands and bool(annotation.polygons)
 
 
@@ -133,9 +133,9 @@ def masks_of(frame: visor.Frame, grasp: EpicGrasp) -> FrameMasks:
     def drawn(chosen: Iterable[visor.Annotation]) -> Bool[ndarray, "H W"]:
         return visor.mask(chosen, frame.size, SIZE)
 
-    held = [a for a in frame.annotations if _is_held(a, grasp)]
-    hiding = [a for a in frame.annotations if a not in held and (a.hands or a.class_id not in BACKGROUND)]
-    observed = drawn(held)
+    grasped = [a for a in frame.annotations if _is_grasped(a, grasp)]
+    hiding = [a for a in frame.annotations if a not in grasped and (a.hands or a.class_id not in BACKGROUND)]
+    observed = drawn(grasped)
     holding = drawn(a for a in frame.annotations if a.hands == (grasp.side,))
     return FrameMasks(observed, drawn(hiding) & ~observed, holding & ~observed)
 
@@ -245,14 +245,14 @@ def _provenance(
 
 def hand_file(path: Path) -> HandFile:
     """A hand file: a ``hand.npz`` that may have ``frames`` (N,) and ``K`` (3, 3) as well. Raises ``InputError``."""
-    given = arrays.read(path, lambda key: key in {"frames", "K"} or of_provenance(key))
+    stored = arrays.read(path, lambda key: key in {"frames", "K"} or of_provenance(key))
     K = None
-    if "K" in given:
-        K = arrays.floats(path, given, "K", (3, 3))
+    if "K" in stored:
+        K = arrays.floats(path, stored, "K", (3, 3))
         check_intrinsics(path, K[None], SIZE)
-    known = from_arrays(path, given).get("camera", measured("it does not say from where"))
+    known = from_arrays(path, stored).get("camera", measured("it does not say from where"))
     camera = replace(known, text=f"the hand file's: {known}")
-    return HandFile(path, arrays.frame_numbers(path, given), K, camera)
+    return HandFile(path, arrays.frame_numbers(path, stored), K, camera)
 
 
 def pinhole(focal: float | None = None) -> EpicCamera:

@@ -37,10 +37,10 @@ def metric(path: Path) -> tuple[float, Float[ndarray, "4 4"]]:
     Raises ``InputError``.
     """
     content = read_json(path)
-    given = content.get("T") if isinstance(content, dict) else content
-    T = arrays.from_lists(given) if isinstance(given, list) else None
+    value = content.get("T") if isinstance(content, dict) else content
+    T = arrays.from_lists(value) if isinstance(value, list) else None
     if T is None or T.shape != (4, 4) or T.dtype.kind not in "fi" or not np.isfinite(T.astype(float)).all():
-        raise InputError(path, "T", shown(given), "a 4x4 matrix [sR | t], a similarity into metres")
+        raise InputError(path, "T", shown(value), "a 4x4 matrix [sR | t], a similarity into metres")
     T = T.astype(float)
     scale = float(np.cbrt(np.linalg.det(T[:3, :3])))
     rigid = T.copy()
@@ -60,15 +60,15 @@ def cameras(
     Raises ``InputError``.
     """
     found = {}
-    for name, given in json_stream.entries(path, "images"):
+    for name, value in json_stream.entries(path, "images"):
         number = FRAME.fullmatch(name)
         if number is None:
             raise InputError(path, f"images.{plain(name)}", "this name", "a frame's, as frame_0000000001.jpg")
         if int(number[1]) not in wanted:
             continue
-        q_t = arrays.from_lists(given) if isinstance(given, list) else None
+        q_t = arrays.from_lists(value) if isinstance(value, list) else None
         if q_t is None or q_t.shape != (7,) or q_t.dtype.kind not in "fi" or not _is_pose(q_t.astype(float)):
-            raise InputError(path, f"images.{plain(name)}", shown(given), "[qw, qx, qy, qz, tx, ty, tz], |q| = 1")
+            raise InputError(path, f"images.{plain(name)}", shown(value), "[qw, qx, qy, qz, tx, ty, tz], |q| = 1")
         T_cam_world = se3.rigid(se3.from_quaternion(q_t[:4].astype(float)), q_t[4:].astype(float))
         T_world_cam = se3.inverse(T_cam_world)
         T_world_cam[:3, 3] *= scale

@@ -178,9 +178,9 @@ def _resized(frame: VideoFrame) -> UInt8[ndarray, "H W 3"]:
     return _fitted(np.asarray(frame.to_ndarray(format="rgb24"), np.uint8))
 
 
-def _image(path: Path, key: str, given: bytes) -> UInt8[ndarray, "H W 3"]:
+def _image(path: Path, key: str, value: bytes) -> UInt8[ndarray, "H W 3"]:
     """An image at the size of the masks; path and key are named in errors."""
-    return _fitted(decoded(path, key, given, LARGEST_SIDE))
+    return _fitted(decoded(path, key, value, LARGEST_SIDE))
 
 
 def _fitted(image: UInt8[ndarray, "h w 3"]) -> UInt8[ndarray, "H W 3"]:

@@ -199,20 +199,20 @@ def read_timelines(path: Path, grasps: Sequence[EpicGrasp], note: Note) -> list[
     """The timelines of the authors' list (``epic_hit.json``), each once. Raises ``InputError``."""
     content = read_bytes(path, LARGEST_TABLE)
     try:
-        given = json.loads(content)
+        listed = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise InputError(path, "", f"text that is no JSON ({error})", "EPIC-HIT's list of timelines") from error
-    if not isinstance(given, list) or not all(isinstance(entry, dict) for entry in given):
-        raise InputError(path, "", shown(given), "a list of timelines, as epic_hit.json")
+    if not isinstance(listed, list) or not all(isinstance(entry, dict) for entry in listed):
+        raise InputError(path, "", shown(listed), "a list of timelines, as epic_hit.json")
     by_film = {grasp.film: grasp for grasp in grasps if grasp.film}
     found: dict[str, EpicTimeline] = {}
-    for n, entry in enumerate(given):
+    for n, entry in enumerate(listed):
         timeline = _timeline(path, f"[{n}]", entry, by_film)
         if timeline.segments:
             found[timeline.span.name] = timeline
-    lists.report_backwards(path, given, note)
-    if len(found) < len(given):
-        note(f"{path.name}: {len(given) - len(found)} of {len(given)} timelines are listed twice or empty: skipped")
+    lists.report_backwards(path, listed, note)
+    if len(found) < len(listed):
+        note(f"{path.name}: {len(listed) - len(found)} of {len(listed)} timelines are listed twice or empty: skipped")
     return list(found.values())
 
 

@@ -160,10 +160,10 @@ def _grasp(row: _Row, side: str, column: str) -> EpicGrasp:
     )
 
 
-def _side(row: _Row, given: str, column: str) -> Side:
-    if given not in SIDES:
+def _side(row: _Row, value: str, column: str) -> Side:
+    if value not in SIDES:
         raise row.wrong(column, " or ".join(SIDES))
-    return SIDES[given]
+    return SIDES[value]
 
 
 def read_actions(paths: Sequence[Path]) -> dict[str, list[Action]]:

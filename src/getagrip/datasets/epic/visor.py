@@ -103,8 +103,8 @@ def read_mapping(path: Path | None, video: str) -> Mapping:
     """The frame numbers of a video; the same numbers without a file. Raises ``InputError``, also without the video."""
     if path is None:
         return Mapping({})
-    given = json_stream.member(path, video)
-    return Mapping({_number(path, video, a): _number(path, f"{video}.{plain(a)}", b) for a, b in given.items()})
+    value = json_stream.member(path, video)
+    return Mapping({_number(path, video, a): _number(path, f"{video}.{plain(a)}", b) for a, b in value.items()})
 
 
 def find(folder: Path) -> dict[str, list[Path]]:
@@ -154,22 +154,22 @@ def _number(path: Path, key: str, name: object) -> int:
     return int(named[1])
 
 
-def _annotation(path: Path, key: str, given: object, dense: bool) -> Annotation:
-    if not isinstance(given, dict):
-        raise InputError(path, key, shown(given), "an object")
-    name, class_id = given.get("name"), given.get("class_id")
+def _annotation(path: Path, key: str, value: object, dense: bool) -> Annotation:
+    if not isinstance(value, dict):
+        raise InputError(path, key, shown(value), "an object")
+    name, class_id = value.get("name"), value.get("class_id")
     if not isinstance(name, str) or not name.strip() or len(name) > LONGEST_NAME:
         raise InputError(path, f"{key}.name", shown(name), "a name")
     if not (class_id is None or type(class_id) is int):
         raise InputError(path, f"{key}.class_id", shown(class_id), "a whole number")
-    hands = _hands(name, class_id, given.get("on_which_hand"))
+    hands = _hands(name, class_id, value.get("on_which_hand"))
     return Annotation(
-        str(given.get("id", "")),
+        str(value.get("id", "")),
         name.strip(),
         class_id,
-        _polygons(path, f"{key}.segments", given.get("segments"), DENSE_SIZE if dense else SPARSE_SIZE),
+        _polygons(path, f"{key}.segments", value.get("segments"), DENSE_SIZE if dense else SPARSE_SIZE),
         hands,
-        _touched(given.get("in_contact_object")) if hands else None,
+        _touched(value.get("in_contact_object")) if hands else None,
     )
 
 
@@ -184,20 +184,20 @@ def _hands(name: str, class_id: int | None, on: object) -> tuple[Side, ...]:
     return stated or ((GLOVES[class_id],) if class_id in GLOVES else ())
 
 
-def _touched(given: object) -> str | None:
-    if not isinstance(given, str) or given in UNKNOWN:
+def _touched(value: object) -> str | None:
+    if not isinstance(value, str) or value in UNKNOWN:
         return None
-    return "" if given in NOT_TOUCHING else given
+    return "" if value in NOT_TOUCHING else value
 
 
-def _polygons(path: Path, key: str, given: object, size: tuple[int, int]) -> tuple[Float[ndarray, "_P 2"], ...]:
+def _polygons(path: Path, key: str, value: object, size: tuple[int, int]) -> tuple[Float[ndarray, "_P 2"], ...]:
     """Corners of polygons, without those that have no corner; they may leave the image by its own size."""
-    if not isinstance(given, list) or not all(isinstance(polygon, list) for polygon in given):
-        raise InputError(path, key, shown(given), "a list of polygons, [[[x, y], ...], ...]")
-    if sum(map(len, given)) > MOST_POINTS:
-        raise InputError(path, key, f"{sum(map(len, given))} corners", f"at most {MOST_POINTS}")
+    if not isinstance(value, list) or not all(isinstance(polygon, list) for polygon in value):
+        raise InputError(path, key, shown(value), "a list of polygons, [[[x, y], ...], ...]")
+    if sum(map(len, value)) > MOST_POINTS:
+        raise InputError(path, key, f"{sum(map(len, value))} corners", f"at most {MOST_POINTS}")
     polygons = []
-    for k, polygon in enumerate(given):
+    for k, polygon in enumerate(value):
         if not polygon:
             continue
         points = from_lists(polygon)
@@ -210,7 +210,7 @@ def _polygons(path: Path, key: str, given: object, size: tuple[int, int]) -> tup
     return tuple(polygons)
 
 
-def mask(annotations: Iterable[Annotation], given: tuple[int, int], size: tuple[int, int]) -> Bool[ndarray, "H W"]:
+def mask(annotations: Iterable[Annotation], value: tuple[int, int], size: tuple[int, int]) -> Bool[ndarray, "H W"]:
     """The pixels of annotations whose polygons are in an image of ``given`` (width, height), in one of ``size``.
 
     Drawn as VISOR's own code does: corners cut down to whole pixels, borders included, the polygons of one annotation
@@ -218,10 +218,10 @@ def mask(annotations: Iterable[Annotation], given: tuple[int, int], size: tuple[
     """
     import cv2
 
-    out = np.zeros(given[::-1], np.uint8)
+    out = np.zeros(value[::-1], np.uint8)
     for annotation in annotations:
         if annotation.polygons:
             cv2.fillPoly(out, [polygon.astype(np.int32) for polygon in annotation.polygons], 1)
-    if given != size:
+    if value != size:
         out = np.asarray(cv2.resize(out, size, interpolation=cv2.INTER_NEAREST), np.uint8)
     return out.astype(bool)

@@ -70,8 +70,8 @@ class Hot3d(TrackedDataset):
             cut = self._of_timelines(cut)
         found = [source for source in self.sources(lengths) if not lengths or source.name in lengths]
         if listed is not None and not found:
-            given = f"none of the {len(lengths)} recordings of {listed.file}"
-            raise InputError(self.root, "", given, "one of them at least")
+            got = f"none of the {len(lengths)} recordings of {listed.file}"
+            raise InputError(self.root, "", got, "one of them at least")
         if listed is not None and (missing := max(0, len(lengths) - len(found))):
             note(f"{missing} of {len(lengths)} recordings of {listed.file} are not there: skipped")
         how: Pieces = partial(timelines.pieces if self.timelines else touching if self.whole else pieces, cut=cut)
@@ -251,7 +251,7 @@ def _masks(
         for other, poses in recording.objects.items()
         if other in meshes and poses.known[n]
     }
-    held = objects.pop(uid)
+    grasped = objects.pop(uid)
     pinhole = recording.camera.pinhole
-    visible, ignore, holding = true_masks(held, hands, list(objects.values()), pinhole.K, pinhole.size)
+    visible, ignore, holding = true_masks(grasped, hands, list(objects.values()), pinhole.K, pinhole.size)
     return FrameMasks(visible & covered, ignore | ~covered, holding & covered)

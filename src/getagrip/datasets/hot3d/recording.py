@@ -111,8 +111,8 @@ def find(root: Path) -> dict[str, dict[str, Path]]:
 
 def _is_clips(root: Path) -> InputError:
     """The error for HOT3D-Clips, which hold the same recordings in another layout."""
-    given = "HOT3D-Clips (clip-*.tar), another layout, which is not read"
-    return InputError(root, "", given, "HOT3D's full recordings, as its own downloader saves them")
+    got = "HOT3D-Clips (clip-*.tar), another layout, which is not read"
+    return InputError(root, "", got, "HOT3D's full recordings, as its own downloader saves them")
 
 
 def read_recording(name: str, files: dict[str, Path]) -> Recording:

@@ -67,10 +67,10 @@ def _derived(hands: Sequence[Track], cut: Cut) -> Iterator[Piece]:
                 yield _piece(track.take(rows), at_frames(segments, rows), made_of)
 
 
-def _at(given: Int[ndarray, "S"], sets: Bool[ndarray, "S P"], wanted: Int[ndarray, "T"]) -> Bool[ndarray, "T P"]:
+def _at(value: Int[ndarray, "S"], sets: Bool[ndarray, "S P"], wanted: Int[ndarray, "T"]) -> Bool[ndarray, "T P"]:
     """Contact sets of the frames ``given`` in the frames ``wanted``; none where they are not known."""
     out = np.zeros((len(wanted), sets.shape[1]), dtype=bool)
-    _, rows, source = np.intersect1d(wanted, given, return_indices=True)
+    _, rows, source = np.intersect1d(wanted, value, return_indices=True)
     out[rows] = sets[source]
     return out
 
@@ -91,8 +91,8 @@ def _listed(track: Track, sides: Sequence[Side], timelines: Sequence[Timeline], 
         segments = painted(spans, len(known), track.side)
         for rows in interactions(segments):
             cut = at_frames(segments, rows)
-            held = {side: sum(len(s) for s in cut if s.state == "grasp" and s.side == side) for side in sides}
-            if _main(held) == track.side:
+            grasped = {side: sum(len(s) for s in cut if s.state == "grasp" and s.side == side) for side in sides}
+            if _main(grasped) == track.side:
                 yield _piece(known.take(rows), cut, f"a timeline of {source}")
 
 

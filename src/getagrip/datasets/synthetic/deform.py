@@ -48,8 +48,8 @@ def drawn(mesh: Mesh, share: float, rng: np.random.Generator) -> Deformation:
     return replace(unit, amplitude=unit.amplitude * share * mesh.diameter / misfit(mesh, deformed))
 
 
-def misfit(cad: Mesh, held: Mesh) -> float:
+def misfit(cad: Mesh, grasped: Mesh) -> float:
     """Root mean square distance of corresponding points of the surfaces after the best similarity [m]."""
-    T, size = aligned(cad, held, resize=True)
-    off = np.sum((se3.transform(T, size * cad.vertices) - held.vertices) ** 2, axis=1)
-    return float(np.sqrt(held.vertex_areas @ off / held.vertex_areas.sum()))
+    T, size = aligned(cad, grasped, resize=True)
+    off = np.sum((se3.transform(T, size * cad.vertices) - grasped.vertices) ** 2, axis=1)
+    return float(np.sqrt(grasped.vertex_areas @ off / grasped.vertex_areas.sum()))

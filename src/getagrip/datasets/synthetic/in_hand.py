@@ -85,18 +85,18 @@ def hinge(grasper: Grasper, T_base: Float[ndarray, "4 4"], options: SceneOptions
         1e-3 * options.residual_mm * smooth(rng, options.frames, 3),
     )
     keys = np.linspace(axis.angle.min(), axis.angle.max(), 5)
-    posed = _held(grasper, se3.rotation_about_line(axis.point, axis.direction, keys) @ T_base, keys, axis.angle)
+    posed = _grasped(grasper, se3.rotation_about_line(axis.point, axis.direction, keys) @ T_base, keys, axis.angle)
     return InHand(residual @ line @ T_base, axis, posed, None)
 
 
 def measured(
-    grasper: Grasper, T_base: Float[ndarray, "4 4"], held: Mesh, frames: int, rng: np.random.Generator
+    grasper: Grasper, T_base: Float[ndarray, "4 4"], grasped: Mesh, frames: int, rng: np.random.Generator
 ) -> InHand:
     """A motion drawn from the statistics of one of the datasets in ``MEASURED``."""
     statistics = list(MEASURED.values())[rng.integers(len(MEASURED))]
-    areas = held.vertex_areas / held.vertex_areas.sum()
-    centre = areas @ held.vertices
-    size = float(np.sqrt(areas @ np.sum((held.vertices - centre) ** 2, axis=1) / 3.0))
+    areas = grasped.vertex_areas / grasped.vertex_areas.sum()
+    centre = areas @ grasped.vertices
+    size = float(np.sqrt(areas @ np.sum((grasped.vertices - centre) ** 2, axis=1) / 3.0))
     drawn = draw(statistics, rng)
     around = rng.normal(size=(AXES, 2, 3))
     directions = around[:, 0] / np.linalg.norm(around[:, 0], axis=1, keepdims=True)
@@ -110,7 +110,7 @@ def measured(
     R, c, residual = motion(starts, drawn, touched, statistics, frames, rng)
     T = se3.rigid(R, c - R @ centre)
     keys = np.linspace(0.0, frames - 1.0, min(KEYS, frames)).round()
-    posed = _held(grasper, T[keys.astype(int)], keys, np.arange(float(frames)))
+    posed = _grasped(grasper, T[keys.astype(int)], keys, np.arange(float(frames)))
     axis = Axis(residual.hinge.point, residual.hinge.direction, residual.angle)
     return InHand(T, axis, posed, drawn["duration"])
 
@@ -222,7 +222,7 @@ def _curves(wanted: Sequence[float], frames: int, count: int, rng: np.random.Gen
     return np.asarray(idct(amplitudes, axis=0, norm="ortho"))
 
 
-def _held(
+def _grasped(
     grasper: Grasper, T_keys: Float[ndarray, "K 4 4"], keys: Float[ndarray, "K"], at: Float[ndarray, "T"]
 ) -> PosedHand:
     """The hand with its fingers closed about the object in some poses, and between them in between."""

@@ -62,11 +62,11 @@ class Scene:
         """The held object and the hands in the camera frame."""
         clip, truth = self.clip, self.clip.truth
         assert truth is not None
-        held = se3.transform(truth.T_cam_obj[frame], self.object.vertices)
+        grasped = se3.transform(truth.T_cam_obj[frame], self.object.vertices)
         hands = [(se3.transform(truth.T_cam_hand[frame], truth.hand_vertices[frame]), clip.hand.faces)]
         if self.other_hand is not None:
             hands.append((self.other_hand[frame], clip.hand.faces[:, ::-1]))
-        return (held, self.object.faces), hands
+        return (grasped, self.object.faces), hands
 
 
 def synthesise(category: str, seed: int = 0, options: SceneOptions | None = None) -> tuple[Clip, Masks]:
@@ -105,28 +105,30 @@ def make_scene(category: str, seed: int, options: SceneOptions) -> Scene:
     stretch = 1.0 + options.vary * rng.uniform(-1.0, 1.0, 3)
     mean = kind.make()
     shaped = _shape(mean, stretch, category, seed, options)
-    held = Mesh(shaped(mean.vertices), mean.faces)
+    grasped = Mesh(shaped(mean.vertices), mean.faces)
     grip = kind.grips[rng.integers(len(kind.grips))]
     grip = replace(grip, at=tuple(shaped(np.array([grip.at]))[0] + rng.normal(0.0, 0.002, 3)))
     model = generic.load("right")
     hand = model.with_shape(rng.normal(0.0, 0.04, len(model.shape_names)))
     if options.grip_deg > 0.0:
-        grip = _drawn_grip(category, seed, shaped, options, Grasper(hand, SignedDistance(held), grip.hold))
-    grasper = Grasper(hand, SignedDistance(held), grip.hold)
+        grip = _drawn_grip(category, seed, shaped, options, Grasper(hand, SignedDistance(grasped), grip.hold))
+    grasper = Grasper(hand, SignedDistance(grasped), grip.hold)
 
     T_base = grasper.approach(grip)
     if options.motion == "measured":
-        moved = in_hand.measured(grasper, T_base, held, options.frames, _own_stream(category, seed, 3))
+        moved = in_hand.measured(grasper, T_base, grasped, options.frames, _own_stream(category, seed, 3))
     else:
         moved = in_hand.hinge(grasper, T_base, options, rng)
-    T_hand_held, posed = moved.T_hand_obj, moved.posed
-    middle = (posed.joints[:, 9].mean(axis=0) + se3.transform(T_hand_held, held.centre[None]).mean(axis=0)[0]) / 2.0
-    T_world_cam, T_world_hand = seen_from_head(T_hand_held[0], middle, held.diameter, options.frames, moves)
+    T_hand_grasped, posed = moved.T_hand_obj, moved.posed
+    middle = (
+        posed.joints[:, 9].mean(axis=0) + se3.transform(T_hand_grasped, grasped.centre[None]).mean(axis=0)[0]
+    ) / 2.0
+    T_world_cam, T_world_hand = seen_from_head(T_hand_grasped[0], middle, grasped.diameter, options.frames, moves)
     T_cam_hand = se3.inverse(T_world_cam) @ T_world_hand
     unknown = 1.0 if options.scale == "known" else float(rng.uniform(0.8, 1.25))
-    T_held_cad, size = np.eye(4), 1.0
+    T_grasped_cad, size = np.eye(4), 1.0
     if options.cad == "mean":
-        T_held_cad, size = aligned(mean, held, resize=options.scale == "free")
+        T_grasped_cad, size = aligned(mean, grasped, resize=options.scale == "free")
     track = hand_track(posed, T_cam_hand)
     fps = options.frames / moved.duration if moved.duration else options.fps
     width, height = options.size
@@ -141,14 +143,14 @@ def make_scene(category: str, seed: int, options: SceneOptions) -> Scene:
         world=World(T_world_cam, np.array([0.0, 0.0, 1.0])),
         size=options.size,
         K=np.broadcast_to(K, (options.frames, 3, 3)).copy(),
-        mesh=Mesh((mean if options.cad == "mean" else held).vertices / unknown, held.faces),
+        mesh=Mesh((mean if options.cad == "mean" else grasped).vertices / unknown, grasped.faces),
         scale=options.scale,
         hand=track,
-        truth=Truth(T_cam_hand @ T_hand_held @ T_held_cad, size * unknown, T_cam_hand, track.vertices),
+        truth=Truth(T_cam_hand @ T_hand_grasped @ T_grasped_cad, size * unknown, T_cam_hand, track.vertices),
         provenance={"source": "synthetic, by getagrip", "seed": seed, "options": asdict(options)},
     )
     other = other_hand(grasper, T_cam_hand, middle, moves) if options.other_hand else None
-    shown = Mesh(se3.transform(se3.inverse(T_held_cad), held.vertices), held.faces)
+    shown = Mesh(se3.transform(se3.inverse(T_grasped_cad), grasped.vertices), grasped.faces)
     scene = Scene(clip, shown, moved.axis, other, options)
     return scene if options.side == "right" else _mirror_image(scene)
 
@@ -225,7 +227,7 @@ def ground_truth_masks(scene: Scene) -> Masks:
     clip = scene.clip
     surfaces = [scene.surfaces(n) for n in range(len(clip))]
     drawn = zip(surfaces, clip.K, strict=True)
-    return Masks.of(FrameMasks(*true_masks(held, hands, [], K, clip.size)) for (held, hands), K in drawn)
+    return Masks.of(FrameMasks(*true_masks(grasped, hands, [], K, clip.size)) for (grasped, hands), K in drawn)
 
 
 def pictures(scene: Scene) -> list[UInt8[ndarray, "H W 3"]]:
@@ -235,8 +237,8 @@ def pictures(scene: Scene) -> list[UInt8[ndarray, "H W 3"]]:
     background = np.broadcast_to(255.0 * shade, (height, width, 3)).astype(np.uint8)
     images = []
     for n in range(len(scene.clip)):
-        held, hands = scene.surfaces(n)
-        meshes = [(*held, (0.47, 0.60, 0.68)), *((*hand, (0.86, 0.68, 0.58)) for hand in hands)]
+        grasped, hands = scene.surfaces(n)
+        meshes = [(*grasped, (0.47, 0.60, 0.68)), *((*hand, (0.86, 0.68, 0.58)) for hand in hands)]
         K = scene.clip.K[n]
         uv = project(K, np.concatenate([vertices for vertices, _, _ in meshes]))
         left, top = np.clip(np.floor(uv.min(axis=0)).astype(int), 0, (width - 1, height - 1))

@@ -36,8 +36,8 @@ def names_in(path: Path) -> frozenset[str]:
     names = frozenset(filter(None, map(str.strip, lines)))
     bad = next((name for name in names if not files.is_plain_name(name)), None)
     if bad is not None or not names:
-        given = "no names" if bad is None else f"the name {files.shown(bad)}"
-        raise InputError(path, "", given, "names of clips, one a line")
+        got = "no names" if bad is None else f"the name {files.shown(bad)}"
+        raise InputError(path, "", got, "names of clips, one a line")
     return names
 
 

@@ -37,7 +37,7 @@ class Method:
     slow: bool = False
     """Whether it takes so long that benchmarks run it only where it is named."""
     checks_masks: bool = False
-    """Whether it is fitted again without the masks that contradict the others (``doubted_masks``)."""
+    """Whether it is fitted again without the masks that contradict the others (``outlier_masks``)."""
     as_published: bool = False
     """Whether it is left as its authors state it: nothing is done to its input."""
 

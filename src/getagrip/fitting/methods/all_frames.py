@@ -126,8 +126,8 @@ def dynamic(problem: Problem, on_stage: OnStage, energy_of: EnergyOf | None = No
     energy_of = energy_of or energy_alone
     search, energy = search_of(problem, on_stage), energy_of(problem)
     relaxed = search.relax(initial_of(problem), energy)
-    held = relaxed.poses()
-    motion = Free(held.R, held.centre, relaxed.core.log_scale, relaxed.core.free_scale)
+    shared = relaxed.poses()
+    motion = Free(shared.R, shared.centre, relaxed.core.log_scale, relaxed.core.free_scale)
     return result_of(search.run(motion, energy), energy_of=energy_of)
 
 

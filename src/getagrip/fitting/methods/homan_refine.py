@@ -124,20 +124,20 @@ class JointEnergy:
         eye, scale = np.eye(6), np.array([bodies.scale])
         back = self.T_cam_hand @ se3.inverse(bodies.T_cam_hand)
         turn = back[:, :3, :3]
-        J_object, J_hand, J_held = np.zeros((3, N, 7, 13))
+        J_object, J_hand, J_relative = np.zeros((3, N, 7, 13))
         J_object[:, :6, :6] = J_hand[:, :6, 6:12] = eye
-        J_object[:, 6, 12] = J_held[:, 6, 12] = 1.0
-        J_held[:, :3, :3] = J_held[:, 3:6, 3:6] = turn
+        J_object[:, 6, 12] = J_relative[:, 6, 12] = 1.0
+        J_relative[:, :3, :3] = J_relative[:, 3:6, 3:6] = turn
         # Moving the hand moves the object in the hand the other way.
-        J_held[:, :3, 6:9] = J_held[:, 3:6, 9:12] = -turn
-        J_held[:, :3, 9:12] = turn @ se3.hat(bodies.centre - bodies.hand_centre)
-        held = PosesInCamera(
+        J_relative[:, :3, 6:9] = J_relative[:, 3:6, 9:12] = -turn
+        J_relative[:, :3, 9:12] = turn @ se3.hat(bodies.centre - bodies.hand_centre)
+        relative = PosesInCamera(
             np.ascontiguousarray(turn @ bodies.R)[None], se3.transform(back, bodies.centre[:, None])[None, :, 0], scale
         )
         relations = (
             (self.object_in_camera, PosesInCamera(bodies.R[None], bodies.centre[None], scale), J_object),
             (self.hand_in_camera, PosesInCamera(bodies.hand_R[None], bodies.hand_centre[None], np.ones(1)), J_hand),
-            (self.object_in_hand, held, J_held),
+            (self.object_in_hand, relative, J_relative),
         )
         values: dict[str, float] = {}
         g, H, cross = np.zeros((N, 13)), np.zeros((N, 13, 13)), np.zeros((N, N, 13, 13))
@@ -155,14 +155,14 @@ class JointEnergy:
 
 def refine(problem: Problem, track: Free) -> Refined:
     """Object and hand from one track of the object and the given hand."""
-    given = problem.clip.hand
-    grip = given.vertices.mean(axis=1)
+    tracked = problem.clip.hand
+    grip = tracked.vertices.mean(axis=1)
     bodies = Bodies(
         R=track.R[0],
         centre=track.centre[0],
         log_scale=float(track.log_scale[0]),
-        hand_R=given.T_cam_hand[:, :3, :3],
-        hand_centre=se3.transform(given.T_cam_hand, grip[:, None])[:, 0],
+        hand_R=tracked.T_cam_hand[:, :3, :3],
+        hand_centre=se3.transform(tracked.T_cam_hand, grip[:, None])[:, 0],
         grip=grip,
     )
     for level, iterations in STAGES:
@@ -179,11 +179,11 @@ def joint_energy(problem: Problem, level: int, bodies: Bodies) -> JointEnergy:
     contact = contact_of(problem, options.push, options.pull)(level, everywhere)
     about_grip = clip.hand.vertices - bodies.grip[:, None]
     points = about_grip[:, spread_points(about_grip[0], REPROJECTED)]
-    given = clip.hand.T_cam_hand
-    grip = se3.transform(given, bodies.grip[:, None])
+    tracked = clip.hand.T_cam_hand
+    grip = se3.transform(tracked, bodies.grip[:, None])
     crop = np.zeros((len(K), 3, 3))
     crop[:, [0, 1, 0, 1, 2], [0, 1, 2, 2, 2]] = np.concatenate([K, np.ones((len(K), 1))], axis=1)
-    target = camera.project(crop, points @ np.swapaxes(given[:, :3, :3], 1, 2) + grip)
+    target = camera.project(crop, points @ np.swapaxes(tracked[:, :3, :3], 1, 2) + grip)
     return JointEnergy(
         object_in_camera=[
             *mask,
@@ -197,7 +197,7 @@ def joint_energy(problem: Problem, level: int, bodies: Bodies) -> JointEnergy:
             *contact,
             InteractionTerm(grip[:, 0], INTERACT),
         ],
-        T_cam_hand=given,
+        T_cam_hand=tracked,
     )
 
 

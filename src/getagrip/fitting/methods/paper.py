@@ -80,8 +80,8 @@ def static(problem: Problem, on_stage: OnStage) -> MethodResult:
 def dynamic(problem: Problem, on_stage: OnStage) -> MethodResult:
     """A pose per frame (paper, Sec. 5.2), the same in all frames to begin with."""
     initial = initial_of(problem)
-    held = initial.poses()
-    motion = Free(held.R.copy(), held.centre.copy(), initial.log_scale, initial.free_scale)
+    start = initial.poses()
+    motion = Free(start.R.copy(), start.centre.copy(), initial.log_scale, initial.free_scale)
     found = chosen(problem, every_start(problem, motion, energy_of(problem), on_stage))
     return result_of(found, energy_of=energy_of)
 

@@ -50,12 +50,12 @@ def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
     on_stage("fine")
     if problem.clip.scale == "free":
         best = _at_one_scale(problem, best, energy)
-    held = [found.motion.poses() for found in best]
-    R, centre = np.stack([h.R[0, 0] for h in held]), np.stack([h.centre[0, 0] for h in held])
+    poses_by_frame = [found.motion.poses() for found in best]
+    R, centre = np.stack([h.R[0, 0] for h in poses_by_frame]), np.stack([h.centre[0, 0] for h in poses_by_frame])
     status = [found.status[0] for found in best]
     on_stage("finest")
     return MethodResult(
-        poses=PosesInHand(R[None], centre[None], held[0].scale[:1]),
+        poses=PosesInHand(R[None], centre[None], poses_by_frame[0].scale[:1]),
         energy=np.array([sum(found.energy[0] for found in best)]),
         terms={name: float(sum(found.terms[name][0] for found in best)) for name in best[0].terms},
         status=next(s for s in WORST if s in status),
@@ -84,10 +84,10 @@ def _at_one_scale(problem: Problem, best: list[Solution[Fixed]], energy: Energy)
 
     Raises ``GetagripError`` where one cannot be rendered there.
     """
-    held = [found.motion.poses() for found in best]
-    scale = float(np.median([h.scale[0] for h in held]))
+    poses_by_frame = [found.motion.poses() for found in best]
+    scale = float(np.median([h.scale[0] for h in poses_by_frame]))
     again = []
-    for n, (h, T) in enumerate(zip(held, problem.clip.hand.T_cam_hand, strict=True)):
+    for n, (h, T) in enumerate(zip(poses_by_frame, problem.clip.hand.T_cam_hand, strict=True)):
         eye = se3.inverse(T)[:3, 3]
         centre = eye + scale / h.scale[0] * (h.centre[:1, 0] - eye)
         start = Fixed(h.R[:1, 0], centre, np.full(1, np.log(scale)), frames=1)

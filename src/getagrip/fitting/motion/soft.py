@@ -41,9 +41,9 @@ class Soft(Batch, Generic[Core]):
         return Soft(core, np.concatenate([poses.centre - inner.centre, w], axis=-1), ridge)
 
     def poses(self) -> PosesInHand:
-        held = self.core.poses()
-        R = se3.exp_so3(self.deviation[..., 3:]) @ held.R
-        return PosesInHand(R, held.centre + self.deviation[..., :3], held.scale)
+        core_poses = self.core.poses()
+        R = se3.exp_so3(self.deviation[..., 3:]) @ core_poses.R
+        return PosesInHand(R, core_poses.centre + self.deviation[..., :3], core_poses.scale)
 
     def rotated(self, R: Float[ndarray, "B 3 3"]) -> Soft[Core]:
         return replace(self, core=self.core.rotated(R))

@@ -121,7 +121,7 @@ class Estimates:
     hands: tuple[Estimate, ...]
     left_model: Literal["mirrored", "own"] = "mirrored"
     scale: str = ""
-    doubt: str = ""
+    warning: str = ""
 
 
 def rotations(path: Path, key: str, values: Float[ndarray, "... 3"], axes: int) -> Float[ndarray, "... 3 3"]:

@@ -59,8 +59,8 @@ def of_side(path: Path, record: Record, side: Side) -> list[Record]:
     """The records of one side's hands, of one person or several. Raises ``InputError``."""
     people = record.get("pred_output_list") if isinstance(record, Mapping) else None
     if not isinstance(people, list) or not all(person is None or isinstance(person, Mapping) for person in people):
-        given = "no such key" if people is None else shown(people)
-        raise InputError(path, "pred_output_list", given, "a list with a dictionary for each person")
+        got = "no such key" if people is None else shown(people)
+        raise InputError(path, "pred_output_list", got, "a list with a dictionary for each person")
     hands = [person.get(f"{side}_hand") for person in people if person]
     hands = [hand for hand in hands if not (hand is None or (isinstance(hand, Mapping) and not hand))]
     wrong = next((hand for hand in hands if not isinstance(hand, Mapping)), None)

@@ -68,11 +68,11 @@ class Demo(Tracker):
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
         """The hand of the side that is asked for, in the records of the clip's frames or, without any, as saved."""
-        held = [path for path in paths if not hamer_demo.is_saved(path)]
-        if not held:
+        unsaved = [path for path in paths if not hamer_demo.is_saved(path)]
+        if not unsaved:
             return Estimates(request.side, tuple(hamer_demo.estimates(paths, request, self.joints_of)))
         found = []
-        for path, frame, content in per_image(held, request):
+        for path, frame, content in per_image(unsaved, request):
             for record in people(path, content):
                 found += [estimate(path, frame, hand, request) for hand in of_side(path, record, request.side)]
         return Estimates(request.side, tuple(found))

@@ -109,7 +109,7 @@ def fitted(path: Path, side: Side, joints: Float[ndarray, "T 21 3"]) -> tuple[Ha
     try:
         fit = fit_joints(generic.load(side), joints, "openpose")
     except JointsError as error:
-        raise InputError(path, "joints", error.given, error.expected) from error
+        raise InputError(path, "joints", error.got, error.expected) from error
     off = 1e3 * np.sqrt(np.mean(fit.residuals**2))
     return fit.hand, f"the generic hand fitted to the estimator's joints ({off:.1f} mm off, root mean square)"
 
@@ -142,12 +142,12 @@ def _onto_vertices(
 
     Raises ``InputError`` where the vertices then still are far from the estimator's.
     """
-    given = np.array([hand.vertices for hand in estimates.hands])
+    value = np.array([hand.vertices for hand in estimates.hands])
     ours = se3.transform(T_cam_hand, posed.vertices)
-    shift = given.mean(axis=1) - ours.mean(axis=1)
-    off = np.sqrt(np.mean(np.sum((ours + shift[:, None] - given) ** 2, axis=-1), axis=1))
+    shift = value.mean(axis=1) - ours.mean(axis=1)
+    off = np.sqrt(np.mean(np.sum((ours + shift[:, None] - value) ** 2, axis=-1), axis=1))
     if off.max() > DISAGREES:
         worst = estimates.hands[int(np.argmax(off))]
-        given_words = f"vertices {1e3 * off.max():.0f} mm from MANO's in the same pose"
-        raise InputError(worst.path, "pred_vertices_smpl", given_words, "the hand of pred_hand_pose")
+        input_words = f"vertices {1e3 * off.max():.0f} mm from MANO's in the same pose"
+        raise InputError(worst.path, "pred_vertices_smpl", input_words, "the hand of pred_hand_pose")
     return se3.rigid(None, shift) @ T_cam_hand

@@ -35,7 +35,7 @@ class Ordered(NamedTuple):
     joints: Float[ndarray, "T 21 3"]
     chosen: str
     """How their order was chosen, in words; empty where it was stated."""
-    doubt: str
+    warning: str
     """What may be wrong with them, in words; empty where nothing seems to be."""
 
 
@@ -65,10 +65,10 @@ def in_order(path: Path, joints: Float[ndarray, "T 21 3"], order: Order, side: S
         chosen = f"order {order}, a guess: {both}"
     else:
         best, chosen = misfit(some, order, side), ""
-    return Ordered(joints[:, ORDERS[order]], chosen, _doubt(path, some, order, side, best))
+    return Ordered(joints[:, ORDERS[order]], chosen, _warning(path, some, order, side, best))
 
 
-def _doubt(path: Path, some: Float[ndarray, "T 21 3"], order: JointOrder, side: Side, off: float) -> str:
+def _warning(path: Path, some: Float[ndarray, "T 21 3"], order: JointOrder, side: Side, off: float) -> str:
     """Which other order or side may fit better, in words. Raises ``InputError`` where one clearly does."""
     if off < EXACT:
         return ""
@@ -80,10 +80,10 @@ def _doubt(path: Path, some: Float[ndarray, "T 21 3"], order: JointOrder, side: 
     is_order = f"--order {other} fits, {_mm(best)} off"
     is_side = f"a {of} hand{'' if other == order else f' in --order {other}'} fits, {_mm(best)} off"
     fits = is_order if of == side else f"{is_side}: are they the other hand's, or mirrored (an axis reversed)?"
-    given = f"joints {_mm(off)} off every pose of a {side} hand in --order {order}"
+    got = f"joints {_mm(off)} off every pose of a {side} hand in --order {order}"
     if best < CLEARLY * off:
-        raise InputError(path, "joints", given, f"joints of such a hand; {fits}")
-    return f"{given}; {fits}"
+        raise InputError(path, "joints", got, f"joints of such a hand; {fits}")
+    return f"{got}; {fits}"
 
 
 def misfit(joints: Float[ndarray, "T 21 3"], order: JointOrder, side: Side) -> float:

@@ -50,8 +50,8 @@ class Joints(Tracker):
             if frame is not None
         ]
         if not found:
-            given = f"hands in other frames ({files.plain(str(np.asarray(record['frames'])[0]))}, ...)"
+            got = f"hands in other frames ({files.plain(str(np.asarray(record['frames'])[0]))}, ...)"
             named = " to ".join(files.plain(frame) for frame in (request.frames[0], request.frames[-1]))
-            raise InputError(path, "frames", given, f"hands in the clip's, {named}")
+            raise InputError(path, "frames", got, f"hands in the clip's, {named}")
         scale = "; ".join(filter(None, ["the joints, as the file has them", ordered.chosen]))
-        return Estimates(request.side, tuple(found), scale=scale, doubt=ordered.doubt)
+        return Estimates(request.side, tuple(found), scale=scale, warning=ordered.warning)

@@ -26,7 +26,7 @@ from getagrip.hands.trackers.tracker import Tracker
 from getagrip.io.images import read_png
 from getagrip.provenance import Provenance, Source, assumed, estimated, joined
 
-HELD = "hands_held"
+EXTRAPOLATED = "hands_held"
 """Key of a clip's provenance: frames in which the hand is not known, and stands still."""
 CHOSEN = "hands_chosen"
 """Key of a clip's provenance: which hand was taken where there were several."""
@@ -42,10 +42,10 @@ class Hands:
     found: tuple[int, ...]
     """These frames, rising, as indices into those of the ``Request``."""
     provenance: Provenance
-    doubts: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     """What may be wrong with it, in words."""
 
-    def held_at_ends(self, frames: Sequence[str]) -> Hands:
+    def extrapolate_to_ends(self, frames: Sequence[str]) -> Hands:
         """The hand stands still, as a guess, before the first and after the last frame in which it was found.
 
         ``frames`` are the names of those of the ``Request``. Frames between two hands stay without one.
@@ -58,7 +58,7 @@ class Hands:
         nearest = np.searchsorted(self.found, np.clip(rows, first, last))
         where = " and ".join(f"{frames[end[0]]} to {frames[end[-1]]}" for end in ends)
         guess = f"a guess in the frames {where}, which have none: the hand of the nearest frame that has one"
-        known = self.provenance | {HELD: assumed(guess)}
+        known = self.provenance | {EXTRAPOLATED: assumed(guess)}
         return replace(self, track=self.track.take(nearest), found=tuple(rows), provenance=known)
 
 
@@ -72,8 +72,8 @@ def read(paths: Sequence[Path], tracker: Tracker, request: Request) -> Hands:
     estimates = tracker.read(paths, request)
     if not estimates.hands:
         other = "left" if request.side == "right" else "right"
-        given = f"no {request.side} hand in the clip's frames, in {len(paths)} files"
-        raise InputError(paths[0], "", given, f"one; or is it the {other} hand that holds the object?")
+        got = f"no {request.side} hand in the clip's frames, in {len(paths)} files"
+        raise InputError(paths[0], "", got, f"one; or is it the {other} hand that holds the object?")
     hands, chosen = one_each(estimates.hands, request)
     depths = joined(hand.depth for hand in hands)
     estimates = replace(estimates, hands=tuple(hands))
@@ -90,16 +90,16 @@ def read(paths: Sequence[Path], tracker: Tracker, request: Request) -> Hands:
     }
     if chosen:
         provenance[CHOSEN] = chosen
-    doubts = tuple(filter(None, [estimates.doubt, _misfit(estimates, made)]))
-    return Hands(made, tuple(hand.frame for hand in estimates.hands), provenance, doubts)
+    warnings = tuple(filter(None, [estimates.warning, _misfit(estimates, made)]))
+    return Hands(made, tuple(hand.frame for hand in estimates.hands), provenance, warnings)
 
 
 def _misfit(estimates: Estimates, made: HandTrack) -> str:
     """Words for joints that are far from those of the hand that was fitted to them; empty where they are not."""
-    given = [hand.joints for hand in estimates.hands if hand.joints is not None]
-    if len(given) < len(estimates.hands) or made.joints is None:
+    value = [hand.joints for hand in estimates.hands if hand.joints is not None]
+    if len(value) < len(estimates.hands) or made.joints is None:
         return ""
-    apart = se3.transform(made.T_cam_hand, made.joints) - np.array(given)
+    apart = se3.transform(made.T_cam_hand, made.joints) - np.array(value)
     off = float(np.sqrt(np.mean(np.sum(apart**2, axis=-1))))
     causes = "noise, another order, another skeleton, or depths that are not in metres"
     return "" if off <= MISFIT else f"joints {1e3 * off:.1f} mm off every pose of a hand (root mean square): {causes}"
@@ -125,7 +125,7 @@ def one_each(hands: Sequence[Estimate], request: Request) -> tuple[list[Estimate
     known = {frame: 0 for frame in frames if len(found[frame]) == 1}
     by_mask = {frame: row for frame in several if (row := _in_mask(seen[frame], frame, request)) is not None}
     known |= by_mask
-    ways = [f"by the hand's mask in {len(by_mask)}"] if by_mask else []
+    reasons = [f"by the hand's mask in {len(by_mask)}"] if by_mask else []
     if len(by_mask) < len(several):
         near = "the nearest to the hand of the frame before or after"
         if not known:
@@ -133,9 +133,9 @@ def one_each(hands: Sequence[Estimate], request: Request) -> tuple[list[Estimate
             tracks = [_followed(seen, {frames[0]: row}) for row in range(len(seen[frames[0]]))]
             known = max(tracks, key=lambda rows: float(np.mean([np.ptp(seen[n][rows[n]], axis=0) for n in frames])))
         known = _followed(seen, known)
-        ways.append(f"{near} in {len(several) - len(by_mask)}")
+        reasons.append(f"{near} in {len(several) - len(by_mask)}")
     chosen = f"several {request.side} hands in {len(several)} of {len(frames)} frames, one taken as a guess"
-    return [found[frame][known[frame]] for frame in frames], assumed(f"{chosen}: {', '.join(ways)}")
+    return [found[frame][known[frame]] for frame in frames], assumed(f"{chosen}: {', '.join(reasons)}")
 
 
 def _followed(seen: dict[int, list[Float[ndarray, "N 2"]]], known: dict[int, int]) -> dict[int, int]:

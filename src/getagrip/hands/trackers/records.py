@@ -49,9 +49,9 @@ def listed(paths: Sequence[Path]) -> list[Path]:
             files_of = [path]
         else:  # a shell leaves a pattern as it is where nothing matches
             files_of = sorted(Path(name) for name in glob.glob(str(path)))
-            given = "a pattern that matches no file" if glob.has_magic(str(path)) else "no such file or folder"
+            got = "a pattern that matches no file" if glob.has_magic(str(path)) else "no such file or folder"
             if not files_of:
-                raise InputError(path, "", given, "an estimator's files")
+                raise InputError(path, "", got, "an estimator's files")
         found += files_of
     return found
 
@@ -86,8 +86,8 @@ def _check_not_joblib(path: Path) -> None:
         line = (
             f"import joblib, pickle; pickle.dump(joblib.load({path.name!r}), open({path.stem + '_plain.pkl'!r}, 'wb'))"
         )
-        given = "a file of joblib.dump, which could run code when loaded"
-        raise InputError(path, "", given, f"a plain pickle; where it was made, Python converts it: {line}")
+        got = "a file of joblib.dump, which could run code when loaded"
+        raise InputError(path, "", got, f"a plain pickle; where it was made, Python converts it: {line}")
 
 
 def by_image(record: Record) -> Record:
@@ -134,8 +134,8 @@ def _record(path: Path, content: object) -> Record:
     if isinstance(content, list) and all(isinstance(each, Mapping) for each in content):
         return {PEOPLE: content}
     if not isinstance(content, Mapping):
-        given = "a list of other things" if isinstance(content, list) else f"a {type(content).__name__}"
-        raise InputError(path, "", given, "a dictionary, or a list of one for each hand")
+        got = "a list of other things" if isinstance(content, list) else f"a {type(content).__name__}"
+        raise InputError(path, "", got, "a dictionary, or a list of one for each hand")
     return content
 
 
@@ -177,6 +177,6 @@ def child(path: Path, record: Record, key: str) -> Record:
     """A record within a record. Raises ``InputError``."""
     value = record.get(key)
     if not isinstance(value, Mapping):
-        given = "no such key" if key not in record else files.shown(value)
-        raise InputError(path, key, given, "a dictionary")
+        got = "no such key" if key not in record else files.shown(value)
+        raise InputError(path, key, got, "a dictionary")
     return value

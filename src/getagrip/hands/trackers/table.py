@@ -25,16 +25,16 @@ TRACKERS: dict[str, Tracker] = {
 }
 
 
-def choose(name: str, given: Mapping[str, Tracker] = TRACKERS) -> Tracker:
+def choose(name: str, entry: Mapping[str, Tracker] = TRACKERS) -> Tracker:
     """The tracker of a name, with its options as ``given``.
 
     Raises ``UsageError`` for an unknown name, and for options that are given to another tracker.
     """
-    if name not in given:
-        raise UsageError(f"unknown --from {name!r}; choose from {', '.join(given)}")
-    for other, tracker in given.items():
+    if name not in entry:
+        raise UsageError(f"unknown --from {name!r}; choose from {', '.join(entry)}")
+    for other, tracker in entry.items():
         for option, value in vars(tracker).items():
             if other != name and value != vars(TRACKERS[other])[option]:
                 dashed = option.replace("_", "-")
                 raise UsageError(f"--{dashed} cannot be used with --from {name}: it belongs to --from {other}")
-    return given[name]
+    return entry[name]

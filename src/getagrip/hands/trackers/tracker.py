@@ -69,8 +69,8 @@ def per_image(paths: Sequence[Path], request: Request) -> Iterator[tuple[Path, i
 def no_name(paths: Sequence[Path], example: str, request: Request) -> InputError:
     """The error for files of which none is named like a frame."""
     named = " to ".join(files.plain(frame) for frame in (request.frames[0], request.frames[-1]))
-    given = f"no name of a frame ({files.plain(example)}, ...) in {len(paths)} file{'s' if len(paths) > 1 else ''}"
-    return InputError(paths[0], "", given, f"names like those of the clip's frames, {named}")
+    got = f"no name of a frame ({files.plain(example)}, ...) in {len(paths)} file{'s' if len(paths) > 1 else ''}"
+    return InputError(paths[0], "", got, f"names like those of the clip's frames, {named}")
 
 
 def frames_of_rows(path: Path, record: records.Record, count: int, request: Request) -> list[int | None]:

@@ -8,7 +8,7 @@ from getagrip.pictures.figures.contact import Contact
 from getagrip.pictures.figures.gallery import Gallery
 from getagrip.pictures.figures.kind import Kind
 from getagrip.pictures.figures.rows import Hands, Methods
-from getagrip.pictures.given import GivenResult
+from getagrip.pictures.stored_results import StoredResult
 
 FIGURES: dict[str, type[Kind]] = {
     "contact": Contact,
@@ -18,4 +18,4 @@ FIGURES: dict[str, type[Kind]] = {
     "gallery": Gallery,
 }
 
-__all__ = ["FIGURES", "GivenResult", "Kind"]
+__all__ = ["FIGURES", "Kind", "StoredResult"]

@@ -15,10 +15,10 @@ from getagrip.geometry.camera import project
 from getagrip.geometry.depth import depth_and_face
 from getagrip.geometry.render import Colour, Surface, render_rgb
 from getagrip.pictures.figures.kind import Count, Fail, Kind, evenly, summary, the_one
-from getagrip.pictures.given import GivenResult
 from getagrip.pictures.looking import Eye, looking
 from getagrip.pictures.sheet import HEAD, Sheet, frame
 from getagrip.pictures.shown import View
+from getagrip.pictures.stored_results import StoredResult
 from getagrip.pictures.style import AXIS, HAND, OBJECT, PAPER_RGB, TRUE
 from getagrip.pictures.tiles import axis_line, axis_points, contour, rendered, show, windows
 
@@ -56,7 +56,7 @@ class Aligned(Kind):
     frames: Count = 5
     """Frames to draw."""
 
-    def draw(self, results: Sequence[GivenResult], fail: Fail) -> Figure:
+    def draw(self, results: Sequence[StoredResult], fail: Fail) -> Figure:
         view = the_one(results, "aligned")
         chosen, colours = self._frames(view)
         width = 0.25 + max(len(chosen) * (SMALL + GAP), 4 * (LARGE + GAP)) + 0.17
@@ -121,12 +121,16 @@ class Aligned(Kind):
 
         result, clip = view.result, view.clip
         middle = int(chosen[len(chosen) // 2])
-        held = [se3.transform(result.T_hand_obj[n], result.scale * clip.mesh.vertices) for n in chosen]
+        surfaces = [se3.transform(result.T_hand_obj[n], result.scale * clip.mesh.vertices) for n in chosen]
         # Where the object is fixed: to the middle frame's hand frame, such that the object is where it is there.
         fix = [result.T_hand_obj[middle] @ se3.inverse(result.T_hand_obj[n]) for n in chosen]
         hands = [se3.transform(T, clip.hand.vertices[n]) for T, n in zip(fix, chosen, strict=True)]
-        one = (clip.hand.vertices[middle], clip.hand.faces) if fixed_hand else (held[len(chosen) // 2], clip.mesh.faces)
-        many = held if fixed_hand else hands
+        one = (
+            (clip.hand.vertices[middle], clip.hand.faces)
+            if fixed_hand
+            else (surfaces[len(chosen) // 2], clip.mesh.faces)
+        )
+        many = surfaces if fixed_hand else hands
         faces = clip.mesh.faces if fixed_hand else clip.hand.faces
         eye = _eye(view, middle, np.concatenate([one[0], *many]), along, sheet.pixels(LARGE))
         moved = [(se3.transform(eye.T_view_frame, vertices), faces) for vertices in many]

@@ -17,10 +17,10 @@ from getagrip.metrics.contact import (
 )
 from getagrip.metrics.pose import ObjectTrack
 from getagrip.pictures.figures.kind import Count, Fail, Kind, Millimetres, evenly, summary, the_one
-from getagrip.pictures.given import GivenResult
 from getagrip.pictures.matrix import IOU_RAMP
 from getagrip.pictures.sheet import HEAD, Sheet, frame
 from getagrip.pictures.shown import View
+from getagrip.pictures.stored_results import StoredResult
 from getagrip.pictures.style import FAINT, LINE, TRUE
 from getagrip.pictures.tiles import rendered, show, windows
 from getagrip.pictures.touched import SHARE, Touched, touched
@@ -50,7 +50,7 @@ class Contact(Kind):
     contact: Millimetres = 10.0
     """What is within MM of the other surface is in contact."""
 
-    def draw(self, results: Sequence[GivenResult], fail: Fail) -> Figure:
+    def draw(self, results: Sequence[StoredResult], fail: Fail) -> Figure:
         (definition,) = at_millimetres([self.contact])
         view = the_one(results, "contact")
         surfaces = touched(view, definition.threshold)

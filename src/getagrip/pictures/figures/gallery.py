@@ -13,9 +13,9 @@ from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, IOU, ROTATION_SYM, SCA, Metric
 from getagrip.fitting.methods import method_of
 from getagrip.metrics.contact import ContactDefinition
-from getagrip.pictures.figures.kind import Count, Fail, Kind, doubts, guesses
-from getagrip.pictures.given import GivenResult
+from getagrip.pictures.figures.kind import Count, Fail, Kind, guesses, warnings
 from getagrip.pictures.sheet import HEAD, Sheet
+from getagrip.pictures.stored_results import StoredResult
 from getagrip.pictures.style import AXIS, FAINT, FOUND, INK
 from getagrip.pictures.tiles import input_windows, over_image, rendered
 
@@ -41,7 +41,7 @@ MOST = 60
 class _Scored:
     """A result that can be read, its value of the metric, and the frame to show: its worst."""
 
-    given: GivenResult
+    stored: StoredResult
     value: float
     worst: int
 
@@ -62,7 +62,7 @@ class Gallery(Kind):
         if not 1 <= self.n <= MOST:
             raise UsageError(f"--n must be 1 to {MOST} (got {self.n})")
 
-    def draw(self, results: Sequence[GivenResult], fail: Fail) -> Figure:
+    def draw(self, results: Sequence[StoredResult], fail: Fail) -> Figure:
         name, metric = METRICS[self.by]
         scored = self._scored(results, fail)
         order = sorted(scored, key=lambda one: one.value, reverse=metric.unit != "%")  # the worst first
@@ -94,12 +94,12 @@ class Gallery(Kind):
         sheet.legend(0.25, height - 0.34, lines)
         return sheet.figure
 
-    def _scored(self, results: Sequence[GivenResult], fail: Fail) -> list[_Scored]:
+    def _scored(self, results: Sequence[StoredResult], fail: Fail) -> list[_Scored]:
         """The results that have a value of the metric; one at a time in memory, since masks are large."""
         out, errors = [], []
-        for given in results:
+        for stored in results:
             try:
-                out.append(self._score(given))
+                out.append(self._score(stored))
             except (GetagripError, OSError) as error:
                 errors.append(error)
         if not out:
@@ -108,9 +108,9 @@ class Gallery(Kind):
             fail(problem)
         return out
 
-    def _score(self, given: GivenResult) -> _Scored:
+    def _score(self, stored: StoredResult) -> _Scored:
         """A result's value of the metric, and its worst frame. Raises ``InputError`` where it has none."""
-        metric, view = METRICS[self.by][1], given.read()
+        metric, view = METRICS[self.by][1], stored.read()
         method_of(view.result.method)
         if metric.needs_truth and view.clip.truth is None:
             raise InputError(view.clip.origin / "truth.npz", "", "no ground truth", f"some, for --by {self.by}")
@@ -119,11 +119,11 @@ class Gallery(Kind):
         made, key = evaluate(view.result, view.clip, view.masks, [CONTACT], [metric]), metric.key(CONTACT)
         value = float(made.metrics.get(key, np.nan))
         if np.isnan(value):
-            raise InputError(given.folder, "", f"a result without {self.by}", "one that has it: two frames or more")
+            raise InputError(stored.folder, "", f"a result without {self.by}", "one that has it: two frames or more")
         errors = np.array(made.per_frame.get(key, view.result.iou), dtype=float)
         if key not in made.per_frame or metric.unit == "%":  # more is better
             errors = -errors
-        return _Scored(given, value, int(np.nanargmax(errors)) if not np.isnan(errors).all() else 0)
+        return _Scored(stored, value, int(np.nanargmax(errors)) if not np.isnan(errors).all() else 0)
 
     def _groups(self, order: Sequence[_Scored]) -> list[tuple[str, Sequence[_Scored]]]:
         """Headings and results, none of them twice."""
@@ -137,10 +137,10 @@ class Gallery(Kind):
 
     def _clip(self, sheet: Sheet, x: float, y: float, one: _Scored, words: str) -> None:
         """A clip's two tiles, under its name and value."""
-        view, n = one.given.read(), one.worst
+        view, n = one.stored.read(), one.worst
         label = method_of(view.result.method).label
         sheet.text(x, y + 0.02, view.clip.name, 2 * SIDE, fontsize=8.5, fontweight="bold")
-        facts = [words, label, *guesses(view), *doubts(view), f"frame {view.result.frames[n]}"]
+        facts = [words, label, *guesses(view), *warnings(view), f"frame {view.result.frames[n]}"]
         sheet.text(x, y + 0.20, "  ·  ".join(facts), 2 * SIDE, fontsize=8, color=FAINT)
         crops = input_windows([view], np.array([n]), sheet.pixels(SIDE))
         over_image(sheet.tile(x, y + LINES, SIDE), view, n, crops, 0)

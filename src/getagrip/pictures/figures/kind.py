@@ -11,8 +11,8 @@ from tyro.conf import arg
 
 from getagrip.errors import GetagripError, UsageError
 from getagrip.fitting.methods import method_of
-from getagrip.pictures.given import GivenResult
 from getagrip.pictures.shown import View
+from getagrip.pictures.stored_results import StoredResult
 from getagrip.provenance import assumptions
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class Kind:
     dpi: Annotated[int, arg(metavar="N")] = 130
     """Pixels an inch."""
 
-    def draw(self, results: Sequence[GivenResult], fail: Fail) -> Figure:
+    def draw(self, results: Sequence[StoredResult], fail: Fail) -> Figure:
         """The figure. Raises ``GetagripError`` where there is nothing that it could show."""
         raise NotImplementedError
 
@@ -48,20 +48,20 @@ class Kind:
             raise UsageError(f"--frames must be 1 to {MOST_FRAMES} (got {frames})")
 
 
-def the_one(results: Sequence[GivenResult], kind: str) -> View:
+def the_one(results: Sequence[StoredResult], kind: str) -> View:
     """The result of a figure that shows one. Raises ``UsageError`` for more."""
     if len(results) != 1:
-        first = ", ".join(str(given.folder) for given in results[:2])
+        first = ", ".join(str(value.folder) for value in results[:2])
         raise UsageError(f"RESULT must be one for the figure {kind!r} (got {len(results)}: {first}, ...)")
     return results[0].read()
 
 
-def readable(results: Sequence[GivenResult], fail: Fail) -> list[tuple[GivenResult, View]]:
+def readable(results: Sequence[StoredResult], fail: Fail) -> list[tuple[StoredResult, View]]:
     """The results that can be read; the others go to ``fail``. Raises the error where there is only one."""
-    out: list[tuple[GivenResult, View]] = []
-    for given in results:
+    out: list[tuple[StoredResult, View]] = []
+    for value in results:
         try:
-            out.append((given, given.read()))
+            out.append((value, value.read()))
         except (GetagripError, OSError) as error:
             if len(results) == 1:
                 raise
@@ -93,7 +93,7 @@ def guesses(view: View) -> list[str]:
     return [f"guessed: {', '.join(known)}"] if known else []
 
 
-def doubts(view: View) -> list[str]:
+def warnings(view: View) -> list[str]:
     """How many findings a result has (docs/checks.md), in words; nothing where it has none."""
     count, serious = len(view.result.findings), sum(finding.serious for finding in view.result.findings)
     words = f"{count} finding{'s' if count > 1 else ''}" + (f", {serious} serious" if serious else "")

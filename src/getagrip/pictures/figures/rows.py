@@ -22,10 +22,10 @@ from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, IOU, SCA
 from getagrip.fitting.methods import method_of
 from getagrip.metrics.contact import ContactDefinition, at_millimetres
-from getagrip.pictures.figures.kind import Count, Fail, Kind, Millimetres, about, doubts, evenly, readable, summary
-from getagrip.pictures.given import GivenResult, at_common_frames, distinct
+from getagrip.pictures.figures.kind import Count, Fail, Kind, Millimetres, about, evenly, readable, summary, warnings
 from getagrip.pictures.sheet import HEAD, Sheet
 from getagrip.pictures.shown import View
+from getagrip.pictures.stored_results import StoredResult, at_common_frames, distinct
 from getagrip.pictures.style import AXIS, FAINT, FOUND, HAND_LINE, TRUE
 from getagrip.pictures.tiles import input_windows, over_image, rendered
 
@@ -62,13 +62,13 @@ class Methods(Rows):
     truth: bool = True
     """Draw the ground truth as the last row, where it is known."""
 
-    def draw(self, results: Sequence[GivenResult], fail: Fail) -> Figure:
+    def draw(self, results: Sequence[StoredResult], fail: Fail) -> Figure:
         (contact,) = at_millimetres([self.contact])
         read = readable(results, fail)
         views = at_common_frames(read)
         _check_inputs(read)
         labels = [method_of(view.result.method).label for view in views]
-        folders = distinct([given for given, _ in read])
+        folders = distinct([value for value, _ in read])
         names = [f"{a}\n{b}" if Counter(labels)[a] > 1 else a for a, b in zip(labels, folders, strict=True)]
         rows = [Row(name, numbers(view, contact), view) for name, view in zip(names, views, strict=True)]
         if self.truth and (true := views[0].true()) is not None:
@@ -85,26 +85,26 @@ class Hands(Rows):
     called after what tells the results' folders apart.
     """
 
-    def draw(self, results: Sequence[GivenResult], fail: Fail) -> Figure:
+    def draw(self, results: Sequence[StoredResult], fail: Fail) -> Figure:
         (contact,) = at_millimetres([self.contact])
         read = readable(results, fail)
         views = at_common_frames(read)
         methods = {view.result.method for view in views}
         if len(methods) > 1:
             raise UsageError(f"RESULT must be of one method (got {' and '.join(sorted(methods))}); see methods")
-        names = distinct([given for given, _ in read])
+        names = distinct([value for value, _ in read])
         rows = [Row(name, numbers(view, contact), view) for name, view in zip(names, views, strict=True)]
         under = "  ·  ".join([summary(views[0]), f"SCA: {contact.description}"])
         return draw_rows(rows, views[0].clip.name, under, self.frames, self.dpi, with_hand=True)
 
 
-def _check_inputs(read: Sequence[tuple[GivenResult, View]]) -> None:
+def _check_inputs(read: Sequence[tuple[StoredResult, View]]) -> None:
     """Refuse results that were made with different hands, masks or meshes."""
     first, clip = read[0][0], read[0][1].clip
-    for given, view in read[1:]:
+    for value, view in read[1:]:
         if view.clip.origin != clip.origin and input_sha256(view.clip.origin) != input_sha256(clip.origin):
             expected = f"those of {first.folder}; the figure hands compares hands"
-            raise InputError(given.folder, "", f"a result of other hands or masks, in {view.clip.origin}", expected)
+            raise InputError(value.folder, "", f"a result of other hands or masks, in {view.clip.origin}", expected)
 
 
 def numbers(view: View, contact: ContactDefinition) -> list[str]:
@@ -115,7 +115,7 @@ def numbers(view: View, contact: ContactDefinition) -> list[str]:
     for name, metric in shown.items():
         if (key := metric.key(contact)) in known:
             texts.append(f"{name} {metric.text(known[key])} {metric.unit}")
-    return texts + doubts(view)
+    return texts + warnings(view)
 
 
 def draw_rows(rows: Sequence[Row], title: str, under: str, frames: int, dpi: int, with_hand: bool) -> Figure:

@@ -25,7 +25,7 @@ NEIGHBOURS = 6
 
 
 @dataclass(frozen=True)
-class Foretold:
+class NeighbourPrediction:
     """What some frames foretell of others, and each of itself by the others.
 
     Attributes:
@@ -39,10 +39,10 @@ class Foretold:
     at: Int[ndarray, "n"]
 
     @staticmethod
-    def by(problem: Problem, poses: PosesInHand, at: Int[ndarray, "n"]) -> Foretold:
+    def by(problem: Problem, poses: PosesInHand, at: Int[ndarray, "n"]) -> NeighbourPrediction:
         """By the best of the poses in a problem's frames, which are ``at`` these places."""
         best = poses.take(np.zeros(1, dtype=int))
-        return Foretold(typical(best, problem.surface.points), moved(best, problem.clip.hand.T_cam_hand), at)
+        return NeighbourPrediction(typical(best, problem.surface.points), moved(best, problem.clip.hand.T_cam_hand), at)
 
     def overlap(self, problem: Problem, at: Int[ndarray, "m"]) -> Overlap:
         """How the masks of a problem's frames, which are ``at`` these places, overlap what is foretold.

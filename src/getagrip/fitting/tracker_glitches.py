@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.checks.evidence import Jumps
+from getagrip.checks.evidence import Glitches
 from getagrip.clip import Clip, HandTrack
 from getagrip.clip.sampling import frame_indices
 from getagrip.fitting.methods import method_of
@@ -35,32 +35,32 @@ POINTS = 16
 """Points of the surface that stand for the hand."""
 
 
-def steady_hand(clip: Clip, options: Options) -> tuple[Clip, Jumps | None]:
-    """``without_jumps``, and where the hand jumps; None, and the clip as it is, where hands are taken as given."""
+def repair_hand(clip: Clip, options: Options) -> tuple[Clip, Glitches | None]:
+    """``repair_glitches``, and where the hand jumps; None, and the clip as it is, where hands are taken as given."""
     if options.hands == "as-given" or method_of(options.method).as_published:
         return clip, None
-    steady, frames = without_jumps(clip)
-    return steady, Jumps(frames, len(clip))
+    steady, frames = repair_glitches(clip)
+    return steady, Glitches(frames, len(clip))
 
 
-def without_jumps(clip: Clip) -> tuple[Clip, tuple[str, ...]]:
+def repair_glitches(clip: Clip) -> tuple[Clip, tuple[str, ...]]:
     """The clip with its hand put between its neighbours where it jumps, and the names of those frames.
 
     Rotations are interpolated along the shortest path, the hand's middle along a line; before the first frame that is
     kept and after the last, the hand is as there. Vertices stay as given.
     """
-    kept = kept_frames(clip.hand)
+    kept = frames_without_glitch(clip.hand)
     moved = np.setdiff1d(np.arange(len(clip)), kept)
     if not len(moved) or len(kept) < 2:
         return clip, ()
     T, middle = clip.hand.T_cam_hand.copy(), clip.hand.vertices.mean(axis=(0, 1))
-    given = PosesInHand(T[None, kept, :3, :3], se3.transform(T[kept], middle[None])[None, :, 0], np.ones(1))
-    between = interpolated(given, kept, moved)
+    known = PosesInHand(T[None, kept, :3, :3], se3.transform(T[kept], middle[None])[None, :, 0], np.ones(1))
+    between = interpolated(known, kept, moved)
     T[moved] = se3.rigid(between.R[0], between.centre[0] - between.R[0] @ middle)
     return clip.with_hand_at(T), tuple(clip.frames[n] for n in moved)
 
 
-def kept_frames(hand: HandTrack) -> Int[ndarray, "n"]:
+def frames_without_glitch(hand: HandTrack) -> Int[ndarray, "n"]:
     """The frames in which the hand does not jump."""
     steps = steps_of(hand)
     if not steps:

@@ -35,7 +35,7 @@ class NothingToFitError(GetagripError):
 
 
 @dataclass(frozen=True)
-class Held:
+class HingeFit:
     """One way to hold the object.
 
     Attributes:
@@ -58,7 +58,9 @@ class Held:
     """Whose hand it is."""
 
 
-def held_in(clip: Clip, masks: Masks, frames: Int[ndarray, "n"], around: Int[ndarray, "m"], options: Options) -> Held:
+def fit_hinge(
+    clip: Clip, masks: Masks, frames: Int[ndarray, "n"], around: Int[ndarray, "m"], options: Options
+) -> HingeFit:
     """The best fit in some frames, tried in those ``around``, which are to include them.
 
     Raises ``NothingToFitError`` where fewer than two masks show the object, or where it cannot be rendered, and
@@ -86,7 +88,9 @@ def held_in(clip: Clip, masks: Masks, frames: Int[ndarray, "n"], around: Int[nda
     for t in np.setdiff1d(np.arange(n), seen):
         T_hand_obj[t] = T_hand_obj[seen[np.argmin(np.abs(seen - t))]]
     T_cam_hand = part.hand.T_cam_hand
-    return Held(around, T_cam_hand @ T_hand_obj, T_cam_hand, misfit, expected, float(found.poses.scale[0]), clip.side)
+    return HingeFit(
+        around, T_cam_hand @ T_hand_obj, T_cam_hand, misfit, expected, float(found.poses.scale[0]), clip.side
+    )
 
 
 def _tried(

@@ -36,11 +36,11 @@ class Ended(Generic[J, R]):
     """Of the process."""
 
 
-class Crew(Protocol[J, R]):
+class Executor(Protocol[J, R]):
     """Does jobs, several at once. What the work raises, ``wait`` raises."""
 
     @property
-    def room(self) -> int:
+    def capacity(self) -> int:
         """How many more jobs it can begin now."""
         ...
 
@@ -49,7 +49,7 @@ class Crew(Protocol[J, R]):
         """How many jobs are at work."""
         ...
 
-    def give(self, job: J, attempt: int) -> None:
+    def submit(self, job: J, attempt: int) -> None:
         """Begin a job, for the so-manieth time; only where there is room."""
         ...
 
@@ -69,9 +69,9 @@ def check_code(expected: str) -> None:
     """Raise ``GetagripError`` where this machine has another getagrip than the one that gave out the jobs."""
     if code.fingerprint() != expected:
         here = f"{code.PACKAGE} on {socket.gethostname()}"
-        given = f"getagrip of other code ({code.fingerprint()})"
-        raise GetagripError(f"{here} must be the same on every machine, {expected} (got {given})")
+        got = f"getagrip of other code ({code.fingerprint()})"
+        raise GetagripError(f"{here} must be the same on every machine, {expected} (got {got})")
 
 
-Start = Callable[[Callable[[J], R], Limits, Callable[[], object] | None], Crew[J, R]]
+Start = Callable[[Callable[[J], R], Limits, Callable[[], object] | None], Executor[J, R]]
 """From the work, the limits of a job and what each process calls first to a crew."""

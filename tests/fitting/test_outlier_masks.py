@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from getagrip.experiments.changes import another_object
-from getagrip.fitting.doubted_masks import SHARE, TIMES, most_differing
-from getagrip.fitting.foretold import typical
 from getagrip.fitting.image_iou import Overlap
 from getagrip.fitting.motion import PosesInHand
 from getagrip.fitting.options import Options
+from getagrip.fitting.outlier_masks import SHARE, TIMES, outlier_threshold
+from getagrip.fitting.predicted_silhouette import typical
 from getagrip.fitting.reconstruct import reconstruct
 from helpers.scenes import SMALL, scene, scores
 
@@ -32,11 +32,11 @@ def test_wrong_masks_are_left_out_and_named(method: str) -> None:
     result = reconstruct(clip, spoilt, options)
     assert [clip.frames[n] for n in WRONG] == [clip.frames[n] for n in np.flatnonzero(np.isnan(result.iou))]
     assert {result.frame_kind[n] for n in WRONG} == {"interpolated"}
-    (message,) = (finding.message for finding in result.findings if finding.check == "masks-doubted")
+    (message,) = (finding.message for finding in result.findings if finding.check == "outlier-masks")
     names = f"frames {clip.frames[4]}, {clip.frames[7]}"
     assert message == f"2 of 9 masks contradict the others and were left out: {names}; --given-masks believes all"
     assert not any("contradict" in note for note in result.notes)
-    assert result.checks["masks-doubted"] == pytest.approx(2 / 9)
+    assert result.checks["outlier-masks"] == pytest.approx(2 / 9)
     off = scores(result, clip, masks)["add_sym_mm"]
     believing = reconstruct(clip, spoilt, replace(options, masks="as-given"))
     assert not np.isnan(believing.iou).any()
@@ -47,9 +47,9 @@ def test_wrong_masks_are_left_out_and_named(method: str) -> None:
 def test_a_mask_is_doubted_by_the_objects_size_and_by_the_other_masks(times: float) -> None:
     size, usual = 1000.0, np.array([10.0, 12.0, 14.0])
     met = Overlap(np.full(3, 800.0), 800.0 + times * usual, np.full(3, size))
-    assert most_differing(met) == max(SHARE * size, TIMES * times * 12.0)
+    assert outlier_threshold(met) == max(SHARE * size, TIMES * times * 12.0)
     poor = met._replace(either=met.either + size)  # all are missed: none contradicts the others
-    assert poor.differing.max() < most_differing(poor)
+    assert poor.differing.max() < outlier_threshold(poor)
 
 
 def test_the_typical_pose_is_none_that_stands_alone() -> None:

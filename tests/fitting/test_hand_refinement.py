@@ -13,8 +13,8 @@ from getagrip.clip import Clip, HandTrack, Masks
 from getagrip.datasets.synthetic.noise import Noise, noisy_hand
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
-from getagrip.fitting.hand_correction import correct_hand
 from getagrip.fitting.hand_errors import HandErrors
+from getagrip.fitting.hand_refinement import refine_hand
 from getagrip.fitting.hand_silhouette import SIZE, HandMask, HandSilhouette
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare
@@ -80,16 +80,16 @@ def test_at_the_truth_hardly_a_pixel_differs(
 
 @pytest.mark.slow
 def test_a_true_hand_is_left_alone(made: tuple[Clip, Masks]) -> None:
-    assert correct_hand(*made)[0] is None
+    assert refine_hand(*made)[0] is None
     problem = prepare(*made, Options())
-    assert not problem.trust.hand_corrected
+    assert not problem.trust.hand_refined
     np.testing.assert_array_equal(problem.clip.hand.T_cam_hand, made[0].hand.T_cam_hand)
 
 
 @pytest.mark.slow
 def test_a_constant_error_is_found(made: tuple[Clip, Masks]) -> None:
     clip = off(made[0], CONSTANT)
-    found = correct_hand(clip, made[1])[0]
+    found = refine_hand(clip, made[1])[0]
     assert found is not None
     assert found.after < 0.3 * found.before
     before, after = apart(clip, clip.hand.T_cam_hand), apart(clip, found.T_cam_hand)
@@ -110,7 +110,7 @@ def smaller(masks: Masks, by: int) -> Masks:
 @pytest.mark.slow
 def test_masks_that_are_too_small_all_round_do_not_turn_the_hand(made: tuple[Clip, Masks], by: int) -> None:
     clip, masks = made
-    found = correct_hand(clip, smaller(masks, by), have_gaps=True)[0]
+    found = refine_hand(clip, smaller(masks, by), have_gaps=True)[0]
     turned, moved = (0.0, 0.0) if found is None else apart(clip, found.T_cam_hand)
     assert turned < 1.0
     assert moved < 1.0
@@ -119,7 +119,7 @@ def test_masks_that_are_too_small_all_round_do_not_turn_the_hand(made: tuple[Cli
 @pytest.mark.slow
 def test_nor_do_they_hide_its_error(made: tuple[Clip, Masks]) -> None:
     clip = off(made[0], CONSTANT)
-    found = correct_hand(clip, smaller(made[1], 3), have_gaps=True)[0]
+    found = refine_hand(clip, smaller(made[1], 3), have_gaps=True)[0]
     assert found is not None
     assert f"grown by {found.grown:.1f} px" in str(found)
     assert apart(clip, found.T_cam_hand)[1] < 0.4 * apart(clip, clip.hand.T_cam_hand)[1]
@@ -142,14 +142,14 @@ def test_grown_masks_are_as_large_as_the_silhouettes_and_no_smaller_than_given(m
 def test_without_joints_the_hand_is_corrected_as_a_rigid_one(made: tuple[Clip, Masks]) -> None:
     clip = off(made[0], CONSTANT)
     clip = replace(clip, hand=replace(clip.hand, joints=None))
-    found = correct_hand(clip, made[1])[0]
+    found = refine_hand(clip, made[1])[0]
     assert found is not None
     assert apart(clip, found.T_cam_hand)[1] < 0.3 * apart(clip, clip.hand.T_cam_hand)[1]
 
 
 def test_without_pixels_the_prior_decides(made: tuple[Clip, Masks]) -> None:
     clip = off(made[0], CONSTANT)
-    assert correct_hand(clip, Masks(made[1].object, np.zeros_like(made[1].ignore)))[0] is None
+    assert refine_hand(clip, Masks(made[1].object, np.zeros_like(made[1].ignore)))[0] is None
 
 
 def test_of_a_hand_that_goes_behind_the_camera_all_pixels_differ(made: tuple[Clip, Masks]) -> None:
@@ -157,14 +157,14 @@ def test_of_a_hand_that_goes_behind_the_camera_all_pixels_differ(made: tuple[Cli
     behind = clip.hand.T_cam_hand.copy()
     behind[0, 2, 3] = -0.1
     through = replace(clip, hand=replace(clip.hand, T_cam_hand=behind))
-    assert correct_hand(through, Masks(masks.object, masks.ignore, masks.ignore)) == (None, 1.0)
+    assert refine_hand(through, Masks(masks.object, masks.ignore, masks.ignore)) == (None, 1.0)
 
 
 @pytest.mark.slow
 def test_pixels_that_are_not_the_hand_move_nothing(made: tuple[Clip, Masks]) -> None:
     clip, masks = made
     everything = Masks(masks.object, ~masks.object)
-    assert correct_hand(clip, everything)[0] is None
+    assert refine_hand(clip, everything)[0] is None
     far = np.zeros_like(masks.ignore)
     far[:, :20, :20] = True
     assert HandMask.of(clip, Masks(masks.object, masks.ignore | far)).pixels == HandMask.of(clip, masks).pixels
@@ -182,16 +182,16 @@ def test_the_arm_says_nothing(made: tuple[Clip, Masks]) -> None:
             u, v = int(u0 + t * (u0 - u1)), int(v0 + t * (v0 - v1))
             arm.ignore[n, max(v - 3, 0) : v + 3, max(u - 3, 0) : u + 3] = True
     assert (arm.ignore & ~masks.ignore).any()
-    assert correct_hand(clip, arm)[0] is None
+    assert refine_hand(clip, arm)[0] is None
 
 
 @pytest.mark.slow
 def test_as_given_leaves_everything_as_it_is(made: tuple[Clip, Masks]) -> None:
     clip = off(made[0], CONSTANT)
-    assert prepare(clip, made[1], Options()).trust.hand_corrected
+    assert prepare(clip, made[1], Options()).trust.hand_refined
     for options in (Options(hands="as-given"), Options(method="paper")):
         problem = prepare(clip, made[1], options)
-        assert not problem.trust.hand_corrected
+        assert not problem.trust.hand_refined
         np.testing.assert_array_equal(problem.clip.hand.T_cam_hand, clip.hand.T_cam_hand)
 
 
@@ -199,8 +199,8 @@ def test_as_given_leaves_everything_as_it_is(made: tuple[Clip, Masks]) -> None:
 def test_where_the_hand_is_known_alone_another_one_does_not_count(made: tuple[Clip, Masks]) -> None:
     clip, masks = off(made[0], CONSTANT), made[1]
     beside = masks.ignore | (np.roll(masks.ignore, 25, axis=2) & ~masks.object)
-    alone, _ = correct_hand(clip, Masks(masks.object, masks.ignore, masks.ignore))
-    both, _ = correct_hand(clip, Masks(masks.object, beside, masks.ignore))
+    alone, _ = refine_hand(clip, Masks(masks.object, masks.ignore, masks.ignore))
+    both, _ = refine_hand(clip, Masks(masks.object, beside, masks.ignore))
     assert alone is not None
     assert both is not None
     assert apart(clip, both.T_cam_hand)[1] < 0.4 * apart(clip, clip.hand.T_cam_hand)[1]

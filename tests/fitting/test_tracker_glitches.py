@@ -9,9 +9,9 @@ import pytest
 from numpy import ndarray
 
 from getagrip.clip import Clip
-from getagrip.fitting.hand_jumps import kept_frames, steady_hand, without_jumps
 from getagrip.fitting.options import Options
 from getagrip.fitting.reconstruct import reconstruct
+from getagrip.fitting.tracker_glitches import frames_without_glitch, repair_glitches, repair_hand
 from getagrip.geometry import se3
 from helpers.scenes import SHORT, scene
 
@@ -42,19 +42,19 @@ def flipped(clip: Clip, frames: list[int]) -> Clip:
 
 def test_a_hand_that_moves_is_left_as_it_is() -> None:
     clip = smooth()
-    assert without_jumps(clip) == (clip, ())
+    assert repair_glitches(clip) == (clip, ())
 
 
 def test_a_hand_that_is_shaken_is_left_as_it_is() -> None:
     """By 10 cm, 3 times a second, at 30 frames a second."""
     t = np.arange(FRAMES)[:, None] / 30.0
     clip = along(0.05 * np.sin(2.0 * np.pi * 3.0 * t) * [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert without_jumps(clip)[1] == ()
+    assert repair_glitches(clip)[1] == ()
 
 
 def test_a_hand_that_goes_elsewhere_and_stays_does_not_jump() -> None:
     clip = along(np.where(np.arange(FRAMES)[:, None] < 20, 0.0, 0.3) * [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert without_jumps(clip)[1] == ()
+    assert repair_glitches(clip)[1] == ()
 
 
 def test_a_hand_that_comes_in_fast_and_slows_down_keeps_its_frames() -> None:
@@ -62,13 +62,13 @@ def test_a_hand_that_comes_in_fast_and_slows_down_keeps_its_frames() -> None:
     steps = [69, 115, 63, 61, 52, 52, 29, 28, 12, 12, 4, 5, 2, 5, 3, 1, 2, 2, 4, 4, 4, 4, 5, 7, 8, 16, 7, 5, 6, 7]
     way = 1e-3 * np.cumsum([0, *steps])[:, None] * [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     for motion in (way, way[::-1]):
-        assert without_jumps(along(motion))[1] == ()
+        assert repair_glitches(along(motion))[1] == ()
 
 
 @pytest.mark.parametrize("frames", [[7], [7, 20], [10, 11, 12], [0], [39], [3, 9, 15, 16, 22, 30, 36]])
 def test_flips_are_found_and_put_right(frames: list[int]) -> None:
     clip = smooth()
-    steady, names = without_jumps(flipped(clip, frames))
+    steady, names = repair_glitches(flipped(clip, frames))
     assert names == tuple(clip.frames[n] for n in frames)
     assert steady.hand.vertices is clip.hand.vertices
     kept = np.setdiff1d(np.arange(FRAMES), frames)
@@ -81,24 +81,24 @@ def test_flips_are_found_and_put_right(frames: list[int]) -> None:
 
 def test_jumps_are_the_same_from_any_camera_and_in_reverse() -> None:
     clip = flipped(smooth(), [5, 17, 18])
-    kept = kept_frames(clip.hand)
+    kept = frames_without_glitch(clip.hand)
     rng = np.random.default_rng(0)
     elsewhere = se3.rigid(se3.exp_so3(rng.normal(size=3)), rng.normal(size=3)) @ clip.hand.T_cam_hand
-    assert np.array_equal(kept_frames(replace(clip.hand, T_cam_hand=elsewhere)), kept)
+    assert np.array_equal(frames_without_glitch(replace(clip.hand, T_cam_hand=elsewhere)), kept)
     reverse = np.arange(FRAMES)[::-1]
-    assert np.array_equal(np.sort(reverse[kept_frames(clip.hand.take(reverse))]), kept)
+    assert np.array_equal(np.sort(reverse[frames_without_glitch(clip.hand.take(reverse))]), kept)
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3])
 def test_few_frames_have_no_jumps_that_could_be_told(frames: int) -> None:
     clip = smooth().take(np.arange(frames))
-    assert without_jumps(clip)[1] == ()
+    assert repair_glitches(clip)[1] == ()
 
 
 def test_hands_are_believed_where_asked_to_and_by_the_method_to_the_letter() -> None:
     clip = flipped(smooth(), [5])
     for options in (Options(hands="as-given"), Options(method="paper")):
-        assert steady_hand(clip, options) == (clip, None)
+        assert repair_hand(clip, options) == (clip, None)
 
 
 def test_a_result_says_where_the_hand_jumps_and_has_it_put_right() -> None:
@@ -110,5 +110,5 @@ def test_a_result_says_where_the_hand_jumps_and_has_it_put_right() -> None:
     middle = clip.hand.vertices.mean(axis=(0, 1))[None]
     off = se3.transform(result.T_cam_hand, middle) - se3.transform(clip.hand.T_cam_hand, middle)
     assert np.linalg.norm(off, axis=-1).max() < 0.02
-    assert {"hand-jumps"} == {f.check for f in result.findings} - {f.check for f in right.findings}
-    assert clip.frames[3] in next(f for f in result.findings if f.check == "hand-jumps").message
+    assert {"tracker-glitches"} == {f.check for f in result.findings} - {f.check for f in right.findings}
+    assert clip.frames[3] in next(f for f in result.findings if f.check == "tracker-glitches").message

@@ -49,7 +49,7 @@ class Neighbour:
 
 
 @dataclass(frozen=True)
-class Held:
+class GraspSolutions:
     """Solutions of a grasp at the frames of its problem."""
 
     segment: Segment
@@ -69,11 +69,11 @@ class Held:
 
 def prepared(footage: Footage, segment: Segment) -> Problem | None:
     """The problem of a grasp; None where its hand is not known or fewer than two frames show the object."""
-    held = footage.held(segment)
-    return None if held is None else prepare(held[0], held[1], footage.options)
+    grasp = footage.grasp_clip(segment)
+    return None if grasp is None else prepare(grasp[0], grasp[1], footage.options)
 
 
-def solved(footage: Footage, segment: Segment, problem: Problem, neighbours: Sequence[Neighbour]) -> Held:
+def solved(footage: Footage, segment: Segment, problem: Problem, neighbours: Sequence[Neighbour]) -> GraspSolutions:
     """The solutions of a grasp. Raises ``GetagripError`` where nothing can be rendered."""
     found = soft_hinges(problem, lambda _: None)
     motion = found.motion
@@ -86,14 +86,14 @@ def solved(footage: Footage, segment: Segment, problem: Problem, neighbours: Seq
     cost = evaluate(motion, terms, problem.clip.hand.T_cam_hand, np.full(N, np.inf)).cost
     order = np.argsort(cost, kind="stable")  # all of them: a box turned by half is the same, but for its links
     rows = footage.clip.index_of(problem.clip.frames)
-    return Held(segment, problem, rows, motion.take(order), cost[order])
+    return GraspSolutions(segment, problem, rows, motion.take(order), cost[order])
 
 
 @dataclass(frozen=True)
-class HeldTrack:
+class GraspTrack:
     """A grasp in all of its frames in which its hand is known."""
 
-    held: Held
+    grasp: GraspSolutions
     chosen: int
     """Which of its solutions."""
     found: MethodResult
@@ -106,20 +106,20 @@ class HeldTrack:
     notes: tuple[str, ...]
 
 
-def in_all_frames(footage: Footage, held: Held, k: int, neighbours: Sequence[Neighbour]) -> HeldTrack:
+def in_all_frames(footage: Footage, grasp: GraspSolutions, k: int, neighbours: Sequence[Neighbour]) -> GraspTrack:
     """Solution k, fitted once more with its links, in every frame."""
-    motion = held.motion.take(np.array([k]))
-    energy = {"total": held.energy[[k]]}
-    solution = Solution(motion, held.energy[[k]], energy, [Status.FINISHED], 0)
-    problem, found = held.problem, result_of(solution, motion.core, soft_energy)
+    motion = grasp.motion.take(np.array([k]))
+    energy = {"total": grasp.energy[[k]]}
+    solution = Solution(motion, grasp.energy[[k]], energy, [Status.FINISHED], 0)
+    problem, found = grasp.problem, result_of(solution, motion.core, soft_energy)
     if neighbours:
         found = _polished(problem, found, neighbours)
-    given = footage.held(held.segment)
-    assert given is not None
-    clip, masks, rows = given
+    value = footage.grasp_clip(grasp.segment)
+    assert value is not None
+    clip, masks, rows = value
     track = at_every_frame(clip, masks, problem, found, at_sampled_frames(problem, found))
     axis = None if found.axis is None or track.angle is None else replace(found.axis, angle=track.angle)
-    return HeldTrack(held, k, found, rows, track.T_cam_hand, track.T_hand_obj[0], track.kind, axis, problem.notes)
+    return GraspTrack(grasp, k, found, rows, track.T_cam_hand, track.T_hand_obj[0], track.kind, axis, problem.notes)
 
 
 def _polished(problem: Problem, found: MethodResult, neighbours: Sequence[Neighbour]) -> MethodResult:

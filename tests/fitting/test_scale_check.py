@@ -10,15 +10,15 @@ import pytest
 from getagrip.clip import Clip, Masks
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
-from getagrip.fitting.other_size import other_size
 from getagrip.fitting.problem import prepare
+from getagrip.fitting.scale_check import scale_check
 from getagrip.geometry.mesh import Mesh
 from helpers.scenes import SHORT, scene
 
 
 def rather(clip: Clip, masks: Masks, method: str = "soft-hinge") -> tuple[float, float]:
     problem = prepare(clip, masks, Options(method=method, inits=10))
-    return other_size(problem, METHODS[method].fit(problem, lambda _: None))
+    return scale_check(problem, METHODS[method].fit(problem, lambda _: None))
 
 
 def resized(clip: Clip, by: float) -> Clip:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from getagrip.batch.crew import Start
+from getagrip.batch.executor import Start
 from getagrip.batch.pool import cores
 from getagrip.batch.processes import Processes
 from getagrip.errors import UsageError
@@ -17,16 +17,16 @@ def _local(workers: int | None, address: str | None) -> Start[object, object]:
 
 
 def _ray(workers: int | None, address: str | None) -> Start[object, object]:
-    from getagrip.batch.on_ray import RayCrew
+    from getagrip.batch.on_ray import RayExecutor
 
-    return partial(RayCrew, workers, address)
+    return partial(RayExecutor, workers, address)
 
 
 def _slurm(workers: int | None, address: str | None) -> Start[object, object]:
-    from getagrip.batch.on_slurm import SlurmCrew
+    from getagrip.batch.on_slurm import SlurmExecutor
 
     _without(address)
-    return partial(SlurmCrew, workers)
+    return partial(SlurmExecutor, workers)
 
 
 def _without(address: str | None) -> None:

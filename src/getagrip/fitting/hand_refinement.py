@@ -42,7 +42,7 @@ FEW = 10
 
 
 @dataclass(frozen=True)
-class HandCorrection:
+class HandRefinement:
     """A hand that its pixels have corrected.
 
     Attributes:
@@ -69,7 +69,7 @@ class HandCorrection:
         )
 
 
-def correct_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[HandCorrection | None, float]:
+def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[HandRefinement | None, float]:
     """The correction of a clip's hand, and the share of its seen pixels that differ from its silhouette then.
 
     There is no correction where its pixels are not known (the share is NaN) or ask for none, and where it cannot be
@@ -80,29 +80,29 @@ def correct_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Han
     seen = HandSilhouette.of(clip, masks)
     if seen.mask.pixels == 0:
         return None, float("nan")
-    given = np.zeros((len(clip), RIGID))
-    before = seen.differing(given) / seen.mask.pixels
+    unrefined = np.zeros((len(clip), RIGID))
+    before = seen.differing(unrefined) / seen.mask.pixels
     if not np.isfinite(before):  # it goes behind the camera, and has no silhouette
         return None, 1.0
     if have_gaps:
-        seen = seen.with_masks_grown(given)
-        before = seen.differing(given) / seen.mask.pixels
+        seen = seen.with_masks_grown(unrefined)
+        before = seen.differing(unrefined) / seen.mask.pixels
     if before < WORTH:
         return None, before
-    found = _fitted(seen.with_field, given)
+    found = _fitted(seen.with_field, unrefined)
     after = found.pixels / seen.mask.pixels
     if after > AGREE or before - after < WORTH:
         return None, before
-    T, T_given, middle = found.T_cam_hand, clip.hand.T_cam_hand, seen.errors.middle[None]
-    turned = se3.angle_between(T[:, :3, :3], T_given[:, :3, :3])
-    moved = np.linalg.norm(se3.transform(T, middle) - se3.transform(T_given, middle), axis=-1)
-    return HandCorrection(T, float(turned.mean()), float(moved.mean()), before, after, seen.mask.grown), after
+    T, T_input, middle = found.T_cam_hand, clip.hand.T_cam_hand, seen.errors.middle[None]
+    turned = se3.angle_between(T[:, :3, :3], T_input[:, :3, :3])
+    moved = np.linalg.norm(se3.transform(T, middle) - se3.transform(T_input, middle), axis=-1)
+    return HandRefinement(T, float(turned.mean()), float(moved.mean()), before, after, seen.mask.grown), after
 
 
-def _fitted(seen: HandSilhouette, given: Float[ndarray, "N P"]) -> _Fit:
+def _fitted(seen: HandSilhouette, unrefined: Float[ndarray, "N P"]) -> _Fit:
     """The least cost: first by rigid errors alone, since bends, too, could explain a hand that is turned."""
     rigid, few, all_frames = STEPS
-    found = least_squares.minimise(_Fit.of(seen, given), rigid).state
+    found = least_squares.minimise(_Fit.of(seen, unrefined), rigid).state
     seen = seen.with_bends
     if seen.errors.weights is None:
         return found

@@ -11,7 +11,7 @@ from getagrip.timelines.footage import Footage
 from getagrip.timelines.joint import joint
 from getagrip.timelines.motion import Motion
 
-WAYS: dict[str, Callable[[Footage], Motion]] = {
+VARIANTS: dict[str, Callable[[Footage], Motion]] = {
     "grasp only": grasp_only,
     "static only": static_only,
     "propagate": propagate,
@@ -21,6 +21,6 @@ WAYS: dict[str, Callable[[Footage], Motion]] = {
 """The last is what ``getagrip reconstruct`` does."""
 
 
-def moved(way: str, clip: Clip, masks: Masks, options: Options) -> Motion:
+def reconstruct_with(variant: str, clip: Clip, masks: Masks, options: Options) -> Motion:
     """An object's motion in a clip of known scale, found one of the ways. Raises as that way does."""
-    return WAYS[way](Footage.of(clip.light(), masks, options))
+    return VARIANTS[variant](Footage.of(clip.light(), masks, options))

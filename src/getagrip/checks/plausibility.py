@@ -9,7 +9,7 @@ from getagrip.checks.evidence import Evidence
 UNKNOWN = float("nan")
 
 
-def given_size(it: Evidence) -> float:
+def size_input(it: Evidence) -> float:
     """The mesh's diameter, where that is the object's, in sizes of the hand."""
     return it.clip.mesh.diameter / it.hand_size if it.clip.scale == "known" else UNKNOWN
 

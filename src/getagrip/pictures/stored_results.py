@@ -20,7 +20,7 @@ from getagrip.result import Axis, Candidates, Reconstruction, Status
 
 
 @dataclass(frozen=True)
-class GivenResult:
+class StoredResult:
     """A result's folder, and where to look for its clip (None: where the result says); or a clip's."""
 
     folder: Path
@@ -89,27 +89,27 @@ def hand_alone(clip: Clip) -> View:
     return View(clip.light(), None, nothing, posed=False)
 
 
-def at_common_frames(results: Sequence[tuple[GivenResult, View]]) -> list[View]:
+def at_common_frames(results: Sequence[tuple[StoredResult, View]]) -> list[View]:
     """The results at the frames that all of them have. Raises ``InputError`` where they are not of one clip."""
     first, one = results[0]
-    for given, view in results[1:]:
+    for value, view in results[1:]:
         if view.clip.name != one.clip.name:
             expected = f"{one.clip.name!r}, as of {first.folder}: results of one clip"
-            raise InputError(given.folder / "result.json", "clip", repr(view.clip.name), expected)
+            raise InputError(value.folder / "result.json", "clip", repr(view.clip.name), expected)
         if view.clip.size != one.clip.size:
             width, height = one.clip.size
             raise InputError(view.clip.origin / "clip.json", "size", f"{view.clip.size}", f"{width} x {height}")
     common = reduce(set.intersection, (set(view.result.frames) for _, view in results))
     if not common:
-        of = " and ".join(str(given.folder) for given, _ in results[1:])
+        of = " and ".join(str(value.folder) for value, _ in results[1:])
         raise InputError(of, "frames", f"none of those of {first.folder}", "results that share frames")
     names = [name for name in one.result.frames if name in common]
     return [view.at(names) for _, view in results]
 
 
-def distinct(results: Sequence[GivenResult]) -> list[str]:
+def distinct(results: Sequence[StoredResult]) -> list[str]:
     """What tells the folders of results apart: their paths without what all begin and end with."""
-    paths = [given.folder.resolve().parts for given in results]
+    paths = [value.folder.resolve().parts for value in results]
     if len(paths) == 1:
         return [paths[0][-1]]
     begin = _same(paths)

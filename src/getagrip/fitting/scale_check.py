@@ -15,7 +15,7 @@ LEVEL, ITERATIONS = 128, 8
 """Resolution [px] and iterations of the fit."""
 
 
-def other_size(problem: Problem, found: MethodResult) -> tuple[float, float]:
+def scale_check(problem: Problem, found: MethodResult) -> tuple[float, float]:
     """How many times as large the object would rather be, and what share of the energy of the best solution that saves.
 
     NaN where the scale was free, and for a method that has no motion of its own.

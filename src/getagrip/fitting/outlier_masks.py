@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from getagrip.fitting.foretold import Foretold
 from getagrip.fitting.image_iou import Overlap
+from getagrip.fitting.predicted_silhouette import NeighbourPrediction
 from getagrip.fitting.problem import MethodResult, Problem
 
 FITS = 4
@@ -26,7 +26,7 @@ TIMES = 4.0
 """and by more than so many times as much as the median mask. Chosen on DexYCB's training subjects."""
 
 
-def fitted_to_believed(problem: Problem, fit: Callable[[Problem], MethodResult]) -> tuple[Problem, MethodResult]:
+def fit_without_outliers(problem: Problem, fit: Callable[[Problem], MethodResult]) -> tuple[Problem, MethodResult]:
     """What ``fit`` finds in the frames whose masks are believed, and the problem in these frames.
 
     Raises what ``fit`` raises.
@@ -36,21 +36,21 @@ def fitted_to_believed(problem: Problem, fit: Callable[[Problem], MethodResult])
     for _ in range(FITS - 1):
         if len(used) < FEWEST:
             break
-        foretold = Foretold.by(some.warped(found.warp), found.poses, used)
-        met = foretold.overlap(problem.warped(found.warp), everywhere)
-        limit = most_differing(met)
+        predicted = NeighbourPrediction.by(some.warped(found.warp), found.poses, used)
+        met = predicted.overlap(problem.warped(found.warp), everywhere)
+        limit = outlier_threshold(met)
         believed = np.flatnonzero(met.differing <= limit)
         if np.array_equal(believed, used):
             break
         used = believed
-        some = problem.at(problem.clip.take(used), problem.given_masks.take(used))
+        some = problem.at(problem.clip.take(used), problem.input_masks.take(used))
         found = fit(some)
     names = tuple(name for n, name in enumerate(problem.clip.frames) if n not in used)
     some = some.warped(found.warp)
-    return replace(some, trust=replace(some.trust, doubted=names, most_differing=limit)), found
+    return replace(some, trust=replace(some.trust, outliers=names, outlier_threshold=limit)), found
 
 
-def most_differing(met: Overlap) -> float:
+def outlier_threshold(met: Overlap) -> float:
     """Pixels by which a mask may differ from the silhouette that is foretold before it is doubted."""
     size = float(np.median(met.silhouette))
     return max(SHARE * size, TIMES * float(np.median(met.differing)))
