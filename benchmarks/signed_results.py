@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from getagrip.batch.pool import in_processes
+from getagrip.batch.executor import in_processes
 from getagrip.checks.signs import SIGNS
 from getagrip.clip import Clip, Masks, read_clip, read_masks
 from getagrip.datasets.synthetic.noise import NOISE, Noise

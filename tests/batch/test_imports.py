@@ -15,8 +15,7 @@ from getagrip.batch.entries import FILE
 from getagrip.batch.imports import ImportJob, import_clips, import_part
 from getagrip.batch.ledger import Ledger
 from getagrip.batch.limits import Limits
-from getagrip.batch.shard import Shard
-from getagrip.batch.share import Share
+from getagrip.batch.share import Shard, Share
 from getagrip.commands.datasets import DATASETS
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import clips
@@ -174,7 +173,7 @@ def test_clips_in_memory_are_read_to_the_end_before_an_error_is_raised() -> None
 
 
 def test_a_camera_of_other_images_is_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("getagrip.batch.imports.doubt", lambda K, size: "it fits images of 8 x 6")
+    monkeypatch.setattr("getagrip.batch.imports.camera_warning", lambda K, size: "it fits images of 8 x 6")
     imported = import_part(ImportJob(Shelf("a"), tmp_path))
-    assert imported.doubted == len(imported.made) == 2
+    assert imported.warned == len(imported.made) == 2
     assert f"{tmp_path / 'a-0'}: warning: camera: it fits images of 8 x 6" in imported.notes

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from getagrip.checks import INPUT_CHECKS, Evidence, examine
-from getagrip.clip.intrinsics import doubt, intrinsics
+from getagrip.clip.intrinsics import camera_warning, intrinsics
 from getagrip.errors import UsageError
 from getagrip.geometry.lens import Lens
 from helpers.clips import small_clip
@@ -20,7 +20,7 @@ def matrices(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
     "K", [(600, 600, 320, 240), (614, 613, 312.4, 241.6), (900, 900, 300, 262), (5000, 5000, 320, 240)]
 )
 def test_cameras_of_the_images_are_not_doubted(K: tuple[float, ...]) -> None:
-    assert doubt(matrices(*K), (640, 480)) == ""
+    assert camera_warning(matrices(*K), (640, 480)) == ""
 
 
 @pytest.mark.parametrize(
@@ -37,12 +37,12 @@ def test_cameras_of_the_images_are_not_doubted(K: tuple[float, ...]) -> None:
     ],
 )
 def test_cameras_of_other_images_are_doubted_and_the_images_named(K: tuple[float, ...], words: str) -> None:
-    assert words in doubt(matrices(*K), (640, 480))
+    assert words in camera_warning(matrices(*K), (640, 480))
 
 
 def test_one_frame_with_another_camera_is_enough() -> None:
     K = np.concatenate([matrices(600, 600, 320, 240)] * 5 + [matrices(900, 900, 480, 360)])
-    assert "960 x 720" in doubt(K, (640, 480))
+    assert "960 x 720" in camera_warning(K, (640, 480))
 
 
 def test_a_focal_length_in_millimetres_is_refused() -> None:

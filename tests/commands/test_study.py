@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from getagrip.batch import pool
 from getagrip.clip import write_clip
 from getagrip.errors import InputError
 from getagrip.geometry import se3

@@ -17,7 +17,7 @@ from getagrip.datasets.dataset import Note
 from getagrip.datasets.tracks import Source, Track
 from getagrip.errors import InputError, UsageError
 from getagrip.experiments.dataset_tables import durations, list_durations
-from getagrip.experiments.sources.folder import ClipFolder
+from getagrip.experiments.sources.source import ClipFolder
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.grasps import lists

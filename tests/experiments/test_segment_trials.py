@@ -12,7 +12,7 @@ import pytest
 from getagrip.clip import Segment, World, write_clip
 from getagrip.experiments.segment_trials import (
     DIRECTIONS,
-    WAYS,
+    VARIANTS,
     SequenceTrial,
     mirrored,
     reversed_in_time,
@@ -45,7 +45,7 @@ def trial(tmp_path: Path) -> SequenceTrial:
 def test_what_is_found_and_what_is_true_is_scored_in_both_directions(trial: SequenceTrial) -> None:
     scores = run(trial)
     assert not scores.failure
-    assert set(scores.by) == {(direction, way) for direction in DIRECTIONS for way in WAYS}
+    assert set(scores.by) == {(direction, way) for direction in DIRECTIONS for way in VARIANTS}
     for of in scores.by.values():
         assert of.found == 0
         assert [match.tiou for match in of.matches] == [0.0]

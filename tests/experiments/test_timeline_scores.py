@@ -11,7 +11,7 @@ from getagrip.experiments.timeline_trials import jumps, segment_scores
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 from getagrip.metrics.symmetry import find_symmetries
-from getagrip.timelines.variants import WAYS, moved
+from getagrip.timelines.variants import VARIANTS, reconstruct_with
 from helpers.timelines import timeline
 
 
@@ -32,11 +32,11 @@ def test_the_truth_is_right_and_does_not_jump() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", VARIANTS)
 def test_every_way_answers_every_frame(way: str) -> None:
     clip, masks = timeline()
     assert clip.world is not None
-    motion = moved(way, replace(clip, truth=None), masks, Options(inits=4))
+    motion = reconstruct_with(way, replace(clip, truth=None), masks, Options(inits=4))
     assert se3.is_rigid(motion.T_cam_obj).all()
     assert len(motion.kind) == len(clip)
     lying = clip.segments[0].rows

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from getagrip.segmentation.hinge_fits import Held, pieces
+from getagrip.segmentation.hinge_fits import HingeFit, pieces
 from getagrip.segmentation.image_motion import ImageMotion
 from getagrip.segmentation.semi_markov import MOTIONS, STILL, cheapest, chosen, window_costs
 
@@ -22,16 +22,16 @@ def moved(lags: int = 4, speed: float = 2.0) -> ImageMotion:
     return ImageMotion(displaced, np.zeros((lags, T)))
 
 
-def fit(first: int, last: int, right: slice, frames: np.ndarray | None = None) -> Held:
+def fit(first: int, last: int, right: slice, frames: np.ndarray | None = None) -> HingeFit:
     """A fit that is right in some frames, and wrong elsewhere."""
     frames = np.arange(first, last + 1) if frames is None else frames
     misfit = np.full(T, 30.0)
     misfit[right] = 0.8
     eye = np.tile(np.eye(4), (len(frames), 1, 1))
-    return Held(frames, eye, eye, misfit[frames], np.ones(len(frames)), 1.0, "right")
+    return HingeFit(frames, eye, eye, misfit[frames], np.ones(len(frames)), 1.0, "right")
 
 
-def states(held: list[Held], motion: ImageMotion | None = None) -> list[tuple[int, int, int]]:
+def states(held: list[HingeFit], motion: ImageMotion | None = None) -> list[tuple[int, int, int]]:
     found = cheapest(window_costs(motion or moved(), held))
     return [(int(a), int(b), int(s)) for (a, b), s in zip(found.spans, found.states, strict=True)]
 

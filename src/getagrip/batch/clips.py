@@ -12,12 +12,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from getagrip.batch.engine import Engine, Named
+from getagrip.batch.engine import Engine, Named, Pace
 from getagrip.batch.job import Job, Outcome, load, reconstruct_one
-from getagrip.batch.ledger import Ledger
-from getagrip.batch.ledger_place import ledger_folder
+from getagrip.batch.ledger import Ledger, ledger_folder
 from getagrip.batch.plan import Plan
-from getagrip.batch.progress import Pace
 from getagrip.batch.streamed import StreamedJob, reconstruct_streamed
 from getagrip.batch.summary import entry_of, entry_of_path, write_summary
 from getagrip.errors import UsageError, cleaned
@@ -28,7 +26,7 @@ from getagrip.io.terminal import progress_bar, report, say, show_stage
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from getagrip.batch.treatment import Batch
+    from getagrip.batch.share import Batch
     from getagrip.fitting.options import Options
 
 R = TypeVar("R")

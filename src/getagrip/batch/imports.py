@@ -20,8 +20,7 @@ from getagrip.datasets.dataset import Dataset, Draft, Part
 from getagrip.errors import InputError, UsageError
 from getagrip.grasps import lists
 from getagrip.io import files, leftovers
-from getagrip.io.counts import counted
-from getagrip.io.terminal import report
+from getagrip.io.terminal import counted, report
 
 WARNED = 3
 """Exit status where a clip was made but its camera seems to be of other images."""

@@ -14,9 +14,8 @@ from tyro.conf import arg, subcommand
 from getagrip.batch.share import Share
 from getagrip.commands.command import Command
 from getagrip.experiments.compared import Compared
-from getagrip.experiments.sources.folder import ClipFolder
 from getagrip.experiments.sources.recorded import DexYcb, DexYcbSequences, DexYcbTimelines, Hot3dTimelines, Timelines
-from getagrip.experiments.sources.source import ClipSource
+from getagrip.experiments.sources.source import ClipFolder, ClipSource
 from getagrip.experiments.sources.synthetic import Synthetic
 from getagrip.fitting.options import Options, SearchOptions
 from getagrip.io.arguments import Flag, Folder, OptionalFile

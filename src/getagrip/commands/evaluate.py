@@ -127,8 +127,8 @@ J = TypeVar("J", "ResultJob", "OtherJob")
 
 def _in_order(work: Callable[[J], Evaluated], jobs: Sequence[J], advance: Callable[[], None]) -> list[Evaluated]:
     """What each job gives; many jobs are shared out over processes."""
+    from getagrip.batch.executor import DIED
     from getagrip.batch.job import Outcome
-    from getagrip.batch.pool import DIED
 
     done: dict[int, Evaluated] = {}
     places = {id(job): place for place, job in enumerate(jobs)}
@@ -140,7 +140,7 @@ def _in_order(work: Callable[[J], Evaluated], jobs: Sequence[J], advance: Callab
 
 
 def _done(work: Callable[[J], Evaluated], jobs: Sequence[J]) -> Iterator[tuple[J, Evaluated | None]]:
-    from getagrip.batch.pool import cores, in_processes
+    from getagrip.batch.executor import cores, in_processes
 
     if len(jobs) <= FEW or cores() == 1:
         return ((job, work(job)) for job in jobs)

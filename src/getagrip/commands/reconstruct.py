@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from getagrip.batch.treatment import Batch
+from getagrip.batch.share import Batch
 from getagrip.commands.command import Command, Sources
 from getagrip.errors import UsageError
 from getagrip.fitting.options import Options
@@ -61,7 +61,7 @@ class Reconstruct(Command):
         from getagrip.batch.clips import print_outcome, reconstruct_clips
         from getagrip.batch.found import FindJob
         from getagrip.batch.plan import by_name
-        from getagrip.batch.shard import ALL
+        from getagrip.batch.share import ALL
         from getagrip.timelines.reconstruct import METHOD
 
         if not self.cut_grasps and self.options.method != METHOD:
@@ -89,11 +89,10 @@ class Reconstruct(Command):
         from functools import partial
 
         from getagrip.batch.clips import print_outcome, shown
-        from getagrip.batch.engine import Engine
+        from getagrip.batch.engine import Engine, Pace
         from getagrip.batch.found import DetectedClip, entry_of, find_one, lost
         from getagrip.batch.job import load
         from getagrip.batch.ledger import Ledger
-        from getagrip.batch.progress import Pace
         from getagrip.io import files, leftovers
         from getagrip.io.terminal import progress_bar, report, say
 

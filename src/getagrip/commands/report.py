@@ -160,8 +160,8 @@ def _unwritten(job: ReportJob, problem: str) -> IndexRow:
 def _folder(path: Path, request: ReportRequest, workers: int | None) -> list[Outcome]:
     """Report on all results in a folder and write their index, with what its ledger knows; what went wrong."""
     from getagrip.batch.entries import ledger_there
+    from getagrip.batch.executor import DIED
     from getagrip.batch.job import Outcome
-    from getagrip.batch.pool import DIED
     from getagrip.batch.summary import TABLE, known_entries, row_without_result, write_table
     from getagrip.pages import IndexRow, write_index
 
@@ -186,7 +186,7 @@ def _folder(path: Path, request: ReportRequest, workers: int | None) -> list[Out
 
 def _reported(jobs: Sequence[ReportJob], workers: int | None) -> Iterator[tuple[ReportJob, Reported | None]]:
     """Each job with what it gives, as they finish; many are shared out over processes."""
-    from getagrip.batch.pool import cores, in_processes
+    from getagrip.batch.executor import cores, in_processes
 
     count = min(len(jobs), workers or (1 if len(jobs) <= FEW else cores()))
     if count == 1:

@@ -36,8 +36,8 @@ from getagrip.hands import generic
 from getagrip.hands.fit import fit_joints
 from getagrip.io import pickles
 from getagrip.io.arguments import OptionalFolder
-from getagrip.io.counts import counted
 from getagrip.io.files import is_plain_name, shown
+from getagrip.io.terminal import counted
 
 WITHIN_10_MM = GraspOptions(contact_mm=10.0)
 SIZE = (640, 480)

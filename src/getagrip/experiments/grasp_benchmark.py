@@ -25,7 +25,7 @@ from getagrip.fitting.methods import method_of
 from getagrip.fitting.options import WITH_FREE_SCALE, Options
 from getagrip.io import files, leftovers
 from getagrip.io.code import stamp
-from getagrip.io.counts import counted
+from getagrip.io.terminal import counted
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition, at_millimetres
 from getagrip.result import software
 

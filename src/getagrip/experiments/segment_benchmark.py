@@ -9,17 +9,25 @@ from pathlib import Path
 import numpy as np
 
 from getagrip.datasets.tracks import subject_of
-from getagrip.experiments.segment_scores import Matched, Summary, summary
-from getagrip.experiments.segment_trials import DEFINITION, DIRECTIONS, VARIANTS, SequenceScores, SequenceTrial
+from getagrip.experiments.comparison import resamples
+from getagrip.experiments.segment_trials import (
+    DEFINITION,
+    DIRECTIONS,
+    VARIANTS,
+    Matched,
+    SequenceScores,
+    SequenceTrial,
+    Summary,
+    summary,
+)
 from getagrip.experiments.sources import Sample
 from getagrip.experiments.sources.recorded import DexYcbSequences
-from getagrip.experiments.statistics import resamples
 from getagrip.experiments.trial import Benchmark, Page, Trial
 from getagrip.fitting.options import Options
 from getagrip.io import files
 from getagrip.io.code import stamp
-from getagrip.io.counts import counted
 from getagrip.io.tables import markdown_page
+from getagrip.io.terminal import counted
 
 HEADINGS = ("", "sequences", "grasps", "tIoU", "F1@.5", "F1@.7", "start", "end", "missed", "false")
 COLUMNS = ("sequence", "direction", "way", "true", "found", "tiou", "start", "end")

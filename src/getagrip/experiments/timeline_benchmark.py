@@ -11,16 +11,16 @@ import numpy as np
 
 from getagrip.datasets.tracks import subject_of
 from getagrip.errors import UsageError
+from getagrip.experiments.comparison import estimate
 from getagrip.experiments.sources import Sample
 from getagrip.experiments.sources.recorded import Timelines
-from getagrip.experiments.statistics import estimate
 from getagrip.experiments.timeline_trials import ALL, LEVELS, TimelineScores, TimelineTrial
 from getagrip.experiments.trial import Benchmark, Page, Trial
 from getagrip.fitting.options import Options
 from getagrip.io import files
 from getagrip.io.code import stamp
-from getagrip.io.counts import counted
 from getagrip.io.tables import markdown_page
+from getagrip.io.terminal import counted
 
 HEADINGS = ("hands", "", "static", "between", "grasp", "grasp, ADD", "mugs, grasp", "jump, mm", "SCA", "s")
 

@@ -23,11 +23,10 @@ from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
 from getagrip.pages import motion
 from getagrip.pages.document import document, pack
 from getagrip.pages.frames import PICTURE, drawn, outline
-from getagrip.pictures.gap import coarse, gap
 from getagrip.pictures.shown import View, angle_curve, candidate, seconds
 from getagrip.pictures.stills import steady_windows
 from getagrip.pictures.style import AXIS, FOUND, HAND_LINE, INK, STATE, TRUE
-from getagrip.pictures.touched import BORDER, finer
+from getagrip.pictures.touched import BORDER, coarse, finer, gap
 from getagrip.probability import RIGHT
 from getagrip.result import Reconstruction
 

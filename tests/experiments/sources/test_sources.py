@@ -8,15 +8,13 @@ from typing import ClassVar
 
 import pytest
 
-from getagrip.batch import progress
 from getagrip.batch.limits import Limits
-from getagrip.batch.shard import Shard
-from getagrip.batch.share import Share
+from getagrip.batch.share import Shard, Share
 from getagrip.clip import write_clip
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.experiments.sources import names_in, samples
-from getagrip.experiments.sources.folder import ClipFolder
 from getagrip.experiments.sources.recorded import DexYcb, Recorded
+from getagrip.experiments.sources.source import ClipFolder
 from getagrip.experiments.sources.synthetic import Synthetic
 from getagrip.grasps import lists
 from helpers.library import Library, Shelf

@@ -30,7 +30,7 @@ from getagrip.geometry import se3
 from getagrip.grasps.definition import FEWEST, GraspOptions
 from getagrip.grasps.lists import BETWEEN
 from getagrip.io.arguments import Flag
-from getagrip.io.counts import counted
+from getagrip.io.terminal import counted
 from getagrip.metrics.contact import signed_distance
 
 if TYPE_CHECKING:

@@ -52,8 +52,7 @@ class Recorded(ClipSource):
     def samples(self, clips: Path, debug: bool, share: Share | None = None) -> tuple[list[Sample], list[Outcome]]:
         from getagrip.batch.imports import import_clips
         from getagrip.batch.plan import by_name
-        from getagrip.batch.shard import ALL
-        from getagrip.batch.share import ALONE
+        from getagrip.batch.share import ALL, ALONE
         from getagrip.datasets.tracks import subject_of
 
         if self.root is None:

@@ -42,12 +42,14 @@ from getagrip.hands.trackers.estimates import (
     Estimates,
     Parameters,
     Request,
+    WeakPerspective,
+    hamer_focal,
     mirror_rotation,
     rotations,
+    vitdet_side,
 )
 from getagrip.hands.trackers.records import PEOPLE, Record, child, numbers
 from getagrip.hands.trackers.tracker import Tracker, per_image
-from getagrip.hands.trackers.weak_perspective import WeakPerspective, hamer_focal, vitdet_side
 from getagrip.io import files
 from getagrip.io.arguments import one_of
 from getagrip.provenance import Basis, Source

@@ -1,6 +1,6 @@
 """What a hand tracker is to the import of hands: a dataclass of options, and how its files are read.
 
-A tracker subclasses ``Tracker`` in a file of its own. ``table`` lists them.
+A tracker subclasses ``Tracker`` in a file of its own. ``TRACKERS`` lists them.
 """
 
 from __future__ import annotations
