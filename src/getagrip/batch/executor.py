@@ -6,11 +6,12 @@ import os
 import socket
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic, Protocol, TypeVar
 
 from getagrip.batch.limits import NONE, Limits
+from getagrip.batch.share import FEW
 from getagrip.errors import GetagripError
 from getagrip.io import code
 
@@ -21,7 +22,7 @@ DIES = "its process died"
 TRIES = 4
 """Machines that a cluster may lose under a job before it counts as one whose process dies."""
 DIED = "its process died twice; out of memory?"
-"""The message for a job for which ``in_processes`` gives None."""
+"""The message for a job whose process died, in ``each``."""
 ATTEMPTS = 2
 """Of a job whose process dies."""
 NAP = 0.5
@@ -91,6 +92,28 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):  # Linux: what a cluster's scheduler leaves us
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def each(
+    work: Callable[[J], R],
+    jobs: Sequence[J],
+    died: Callable[[J], R],
+    ended: Callable[[R], object],
+    workers: int | None = None,
+    here: Callable[[J], R] | None = None,
+) -> list[R]:
+    """What ``work`` returns for each job, in their order; many are shared out over processes, one for each core.
+
+    ``died`` says what becomes of a job whose process died twice. ``ended`` is called with what comes of each, as they
+    finish. ``here`` is the work as it is done in this process, where that differs.
+    """
+    workers = min(len(jobs), workers or (1 if len(jobs) <= FEW else cores()))
+    ends = in_processes(work, jobs, workers) if workers > 1 else ((job, (here or work)(job)) for job in jobs)
+    done = dict[int, R]()
+    for job, made in ends:
+        done[id(job)] = died(job) if made is None else made
+        ended(done[id(job)])
+    return [done[id(job)] for job in jobs]
 
 
 def in_processes(work: Callable[[J], R], jobs: Iterable[J], workers: int) -> Iterator[tuple[J, R | None]]:

@@ -6,7 +6,7 @@ A command is a frozen dataclass of options and the body that runs them, in one f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,15 +14,12 @@ from typing import TYPE_CHECKING, Annotated, Literal, Protocol, TypeVar
 
 from tyro.conf import Positional, arg
 
-from getagrip.batch.share import FEW
 from getagrip.errors import UsageError
 from getagrip.io.arguments import Flag, one_of, placed
 from getagrip.io.storage import Place, Remote
 from getagrip.io.terminal import progress_bar, show_stage
 
 if TYPE_CHECKING:
-    from rich.progress import Progress as Bar
-
     from getagrip.batch.job import Outcome
 
 Clips = Annotated[Positional[tuple[Path, ...]], arg(metavar="CLIP...", help_behavior_hint="")]
@@ -88,6 +85,7 @@ def each_clip(
     Raises ``UsageError`` where no path is given.
     """
     from getagrip.batch.clips import print_outcome
+    from getagrip.batch.executor import DIED, each
     from getagrip.batch.job import Outcome
     from getagrip.batch.plan import by_name
 
@@ -99,34 +97,23 @@ def each_clip(
     for outcome in failed:
         print_outcome(outcome, debug)
     jobs = [made for name, folder in clips.items() if (made := job(name, folder)) is not None]
-    done: dict[Path, R] = {}
+
+    def died(one: J) -> R | Outcome:
+        return Outcome(one.clip.name, "failed", DIED)
+
+    def ended(result: R | Outcome) -> None:
+        if isinstance(result, Outcome):
+            print_outcome(result, debug)
+        bar.advance(task)
+
     with progress_bar() as bar:
-        for one, result in _outcomes(work, jobs, workers, bar):
-            if isinstance(result, Outcome):
-                print_outcome(result, debug)
-            else:
-                done[one.clip] = result
-    found = [done[one.clip] for one in jobs if one.clip in done]
+        task = bar.add_task("clips", total=len(jobs), visible=len(jobs) > 1)
+        stage = bar.add_task("", total=1.0, visible=False)
+
+        def here(one: J) -> R | Outcome:
+            bar.update(stage, visible=True)
+            return work(one, partial(show_stage, bar, stage, one.clip.name))
+
+        results = each(work, jobs, died, ended, workers, here)
+    found = [result for result in results if not isinstance(result, Outcome)]
     return found, len(failed) + len(jobs) - len(found)
-
-
-def _outcomes(
-    work: Callable[..., R | Outcome], jobs: Sequence[J], workers: int | None, bar: Bar
-) -> Iterator[tuple[J, R | Outcome]]:
-    """What becomes of each job, as they finish, while the bar shows it."""
-    from getagrip.batch.executor import DIED, cores, in_processes
-    from getagrip.batch.job import Outcome
-
-    if workers is None:
-        workers = min(len(jobs), cores()) if len(jobs) > FEW else 1
-    clips = bar.add_task("clips", total=len(jobs), visible=len(jobs) > 1)
-    if workers > 1:
-        for job, outcome in in_processes(work, jobs, workers):
-            died = Outcome(job.clip.name, "failed", DIED)
-            yield job, died if outcome is None else outcome
-            bar.advance(clips)
-        return
-    stage = bar.add_task("", total=1.0, visible=bool(jobs))
-    for job in jobs:
-        yield job, work(job, partial(show_stage, bar, stage, job.clip.name))
-        bar.advance(clips)
