@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from getagrip.batch.entries import Entry
@@ -19,7 +20,7 @@ from getagrip.batch.executor import Ended, Start, in_turn, shared_out
 from getagrip.batch.ledger import Ledger
 from getagrip.batch.limits import NONE, Limits
 from getagrip.io import code, files
-from getagrip.io.terminal import Silence, report
+from getagrip.io.terminal import Silence, report, show_stage
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -154,3 +155,12 @@ class Pace:
 def _duration(minutes: float) -> str:
     """A time in minutes, or in hours where it is long."""
     return f"{minutes:.0f} min" if minutes < 100 else f"{minutes / 60.0:.1f} h"
+
+
+def shown(bar: Progress, work: Callable[..., R], job: Named) -> R:
+    """Do the work on a clip in this process, with a bar for it."""
+    stage = bar.add_task("", total=1.0)
+    try:
+        return work(job, partial(show_stage, bar, stage, job.name))
+    finally:
+        bar.remove_task(stage)

@@ -5,7 +5,7 @@ These are options of several commands; what runs is loaded when it does.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -19,10 +19,9 @@ from getagrip.errors import UsageError
 from getagrip.io.arguments import Flag, OptionalFolder, parsed
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from getagrip.batch.engine import Engine, Named
     from getagrip.batch.executor import Start
+    from getagrip.batch.ledger import Ledger
 
 J = TypeVar("J", bound="Named")
 R = TypeVar("R")
@@ -97,23 +96,33 @@ class Share:
         return None if local and workers == 1 and not self.limits else start
 
     def ended(
-        self, engine: Engine[J, R], tasks: Sequence[J], out: Path, called: str, few: int = FEW
+        self,
+        engine: Engine[J, R],
+        tasks: Iterable[J],
+        count: int,
+        ledger: Ledger,
+        called: str,
+        *,
+        few: int = FEW,
+        stages: bool = False,
     ) -> Generator[R, None, None]:
-        """What an ``engine`` makes of each task, as they end, counted by a ``Pace``; the ledger is that of ``out``.
+        """What an ``engine`` makes of each of ``count`` tasks, as they end, counted by a ``Pace``.
 
-        ``called`` is what tasks are, in the plural. Raises ``UsageError`` as ``crew``, else as ``Engine.run``.
+        ``called`` is what tasks are, in the plural. With ``stages``, work in this process also takes a function to call
+        with its progress, which a bar shows. Raises ``UsageError`` as ``executor``, else as ``Engine.run``.
         """
-        from getagrip.batch.engine import Pace
-        from getagrip.batch.ledger import Ledger, ledger_folder
+        from getagrip.batch.engine import Pace, shown
         from getagrip.io.terminal import progress_bar
 
-        engine = replace(engine, executor=self.executor(len(tasks), few), limits=self.limits)
-        ledger = Ledger(ledger_folder(out, self.ledger))
-        with ledger, progress_bar() as bar, closing(engine.run(tasks, ledger)) as ends:
-            pace = Pace(bar, called, len(tasks))
-            for result in ends:
-                yield result
-                pace.count(engine.entry(result).state)
+        engine = replace(engine, executor=self.executor(count, few), limits=self.limits)
+        with progress_bar() as bar:
+            if stages:
+                engine = replace(engine, in_this=partial(shown, bar, engine.work))
+            pace = Pace(bar, called, count)
+            with closing(engine.run(tasks, ledger)) as ends:
+                for result in ends:
+                    yield result
+                    pace.count(engine.entry(result).state)
 
 
 ALONE = Share()

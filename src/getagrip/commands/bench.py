@@ -63,6 +63,7 @@ class Bench(Command, Generic[C]):
         from getagrip.batch.clips import print_outcome
         from getagrip.batch.engine import Engine
         from getagrip.batch.job import load
+        from getagrip.batch.ledger import Ledger, ledger_folder
         from getagrip.experiments.sources import samples
         from getagrip.experiments.trial import lost, run
         from getagrip.io import files, leftovers
@@ -80,7 +81,10 @@ class Bench(Command, Generic[C]):
         trials = benchmark.trials(chosen, files.folder_inside(self.out, "results"), self.overwrite)
         engine = Engine(work=run, lost=lost, entry=benchmark.entry, options=repr(benchmark), prepare=load)
         scores, failures = [], len(bad)
-        with closing(self.share.ended(engine, trials, self.out, "clips", few=0)) as ended:
+        with (
+            Ledger(ledger_folder(self.out, self.share.ledger)) as ledger,
+            closing(self.share.ended(engine, trials, len(trials), ledger, "clips", few=0)) as ended,
+        ):
             for one in ended:
                 failed = benchmark.failures(one)
                 for outcome in failed:
