@@ -69,7 +69,7 @@ def test_known_hands_are_found_again(side: Side, seed: int) -> None:
     angles = se3.angle_between(found.hand.T_cam_hand[list(KEYS)][:, :3, :3], truth.T[:, :3, :3])
     assert np.degrees(angles).max() < 10.0
     assert np.abs(X[..., 2] / truth.X[..., 2] - 1.0).max() < 0.08
-    assert not found.doubtful.any()
+    assert not found.outliers.any()
     assert np.array_equal(np.isnan(found.residuals), np.isnan(list(clicked(truth, seed).values())).any(axis=-1))
 
 
@@ -81,7 +81,7 @@ def test_a_few_wrong_clicks_are_reported_and_do_little_harm() -> None:
     for frame, joint in wrong:
         clicks[frame][joint] = truth.uv[KEYS.index(frame), joint] + [90.0, -70.0]
     found = hands_from_clicks(clicks, K, "right", 0, 40)
-    doubted = {(KEYS[k], int(joint)) for k, joint in zip(*np.nonzero(found.doubtful), strict=True)}
+    doubted = {(KEYS[k], int(joint)) for k, joint in zip(*np.nonzero(found.outliers), strict=True)}
     assert doubted == set(wrong)
     assert np.median(np.linalg.norm(project(K, joints_of(found)) - truth.uv, axis=-1)) < 3.0
 

@@ -61,7 +61,7 @@ def test_steps_back_come_from_the_cache_which_is_bounded(tmp_path: Path) -> None
     cache = Cache(len, limit=100)
     for n in range(50):
         cache.put(n, bytes(30))
-        assert cache.held == sum(map(len, cache.images.values())) <= 100
+        assert cache.cached_bytes == sum(map(len, cache.images.values())) <= 100
     assert cache.get(49) is not None
     assert cache.get(0) is None
     cache.put(1, bytes(1000))

@@ -33,7 +33,7 @@ def test_the_labels_are_of_one_hand_and_one_plate() -> None:
     K, _ = intrinsics(Lens(guess_focal=True), given.size)
     found = hands_from_clicks(given.clicks, K, given.side, given.first, given.last)
     assert np.sqrt(np.nanmean(found.residuals**2)) < 4.0
-    assert not found.doubtful.any()
+    assert not found.outliers.any()
     assert np.abs(found.shape).max() < 0.25
     assert found.hand.joints is not None
     tips = project(K, se3.transform(found.hand.T_cam_hand, found.hand.joints))[:, 4]

@@ -38,7 +38,7 @@ CHECKS = {check.name: check for check in (*INPUT_CHECKS, *RESULT_CHECKS, JUMP, F
     ],
 )
 def test_values_are_said_as_people_count_them(check: str, value: float, words: str) -> None:
-    given = Evidence(*small_clip(), iou=np.array([0.9, np.nan, 0.9, 0.9]), doubted=("0002",), deformed_mm=7.8)
+    given = Evidence(*small_clip(), iou=np.array([0.9, np.nan, 0.9, 0.9]), outliers=("0002",), deformed_mm=7.8)
     finding = CHECKS[check].finding(value, given)
     assert finding is not None
     assert words in finding.message

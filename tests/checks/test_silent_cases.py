@@ -134,8 +134,8 @@ def test_a_hand_that_flips_is_put_right() -> None:
 
 
 def test_a_hand_that_jumps_all_the_time_is_doubted() -> None:
-    given = Evidence(*mug(), jumps=Glitches(("000001", "000003", "000005"), 8))
-    findings = [finding for finding in examine(INPUT_CHECKS, given)[1] if "jumps" in finding.check]
+    given = Evidence(*mug(), glitches=Glitches(("000001", "000003", "000005"), 8))
+    findings = [finding for finding in examine(INPUT_CHECKS, given)[1] if "glitches" in finding.check]
     assert [(finding.check, finding.serious) for finding in findings] == [("many-tracker-glitches", True)]
     assert "frames 000001, 000003, 000005" in findings[0].message
 

@@ -104,26 +104,26 @@ def test_several_things_of_one_category_are_said(tmp_path: Path, way: str) -> No
         for k, mask in ((7, A), (8, B))
     ]
     path = write_coco(tmp_path / "c.json", [image(n, f"{name}.jpg") for n, name in enumerate(FRAMES)], regions)
-    (doubt,) = open_masks(path, REQUEST).doubts
-    assert "2 regions in 2 of 2 frames" in doubt
+    (warning,) = open_masks(path, REQUEST).warnings
+    assert "2 regions in 2 of 2 frames" in warning
     np.testing.assert_array_equal(seen(path, REQUEST), A | B)
-    assert open_masks(path, replace(REQUEST, object=("cup:all",))).doubts == ()
-    assert "--hand" in open_masks(path, replace(REQUEST, object=("1:9",), hand=("cup",))).doubts[0]
-    assert open_masks(path, replace(REQUEST, object=("1:9",), ignore=("cup",))).doubts == ()
+    assert open_masks(path, replace(REQUEST, object=("cup:all",))).warnings == ()
+    assert "--hand" in open_masks(path, replace(REQUEST, object=("1:9",), hand=("cup",))).warnings[0]
+    assert open_masks(path, replace(REQUEST, object=("1:9",), ignore=("cup",))).warnings == ()
     if way:
-        assert "cup:7 or cup:8" in doubt
+        assert "cup:7 or cup:8" in warning
         for k, mask in ((7, A), (8, B)):
             chosen = replace(REQUEST, object=(f"cup:{k}",))
-            assert open_masks(path, chosen).doubts == ()
+            assert open_masks(path, chosen).warnings == ()
             np.testing.assert_array_equal(seen(path, chosen), mask)
 
 
 def test_parts_of_one_thing_are_no_several(tmp_path: Path) -> None:
     parts = {"image_id": 0, "segmentation": [[3, 2, 9, 2, 9, 6, 3, 6], [11, 8, 18, 8, 18, 12, 11, 12]]}
     images = [image(0, f"{FRAMES[0]}.jpg")]
-    assert open_masks(write_coco(tmp_path / "a.json", images, [parts]), REQUEST).doubts == ()
+    assert open_masks(write_coco(tmp_path / "a.json", images, [parts]), REQUEST).warnings == ()
     tracked = [{"image_id": 0, "segmentation": encoded(mask, True), "track_id": 1} for mask in (A, B)]
-    assert open_masks(write_coco(tmp_path / "b.json", images, tracked), REQUEST).doubts == ()
+    assert open_masks(write_coco(tmp_path / "b.json", images, tracked), REQUEST).warnings == ()
 
 
 @pytest.mark.parametrize(
@@ -162,7 +162,7 @@ def test_youtube_vis_has_a_region_of_each_frame(tmp_path: Path) -> None:
     }
     (tmp_path / "y.json").write_text(json.dumps(content))
     request = replace(REQUEST, images="take1")
-    assert "cup:5 or cup:6" in open_masks(tmp_path / "y.json", request).doubts[0]
+    assert "cup:5 or cup:6" in open_masks(tmp_path / "y.json", request).warnings[0]
     for thing, n, mask in (("cup:5", 0, A), ("cup:5", 1, A & B), ("cup:6", 1, B)):
         np.testing.assert_array_equal(seen(tmp_path / "y.json", replace(request, object=(thing,)), n), mask)
     np.testing.assert_array_equal(seen(tmp_path / "y.json", replace(request, images="take2"), 1), A)

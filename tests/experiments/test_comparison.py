@@ -38,7 +38,7 @@ def test_findings_are_counted_for_each_variant() -> None:
     (row,) = compare(scores, variants)[0].rows
     assert row.serious == {"mask-fit": 1, "hand-side": 1}
     assert row.noted == {"penetration": 1}
-    assert (row.doubtful, row.flagged_right) == (1, 1)
+    assert (row.flagged, row.flagged_right) == (1, 1)
     assert "1 of 2" in markdown(compare(scores, variants), "Methods", [], [])
 
 

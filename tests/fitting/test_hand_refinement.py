@@ -51,7 +51,7 @@ def test_points_move_as_the_jacobian_says(made: tuple[Clip, Masks], number: int)
     errors = HandErrors.of(made[0].hand).with_bends.take(np.arange(2))
     rng = np.random.default_rng(number)
     x = 0.02 * rng.standard_normal((2, errors.size))
-    nearest = rng.integers(errors.given.vertices.shape[1], size=(2, 40))
+    nearest = rng.integers(errors.tracked.vertices.shape[1], size=(2, 40))
     along = rng.standard_normal((2, 40, 3))
 
     def place(x: ndarray) -> ndarray:

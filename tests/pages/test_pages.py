@@ -165,7 +165,7 @@ def test_words_of_strangers_stay_words(page: Any, folder: Path) -> None:
     assert page.inner_text("#name") == EVIL
     assert page.title() == f"{EVIL}, 1-DoF, ours"
     assert page.locator("img").count() == 1
-    assert page.locator(".doubts li").all_inner_texts() == [
+    assert page.locator(".warnings li").all_inner_texts() == [
         "note ambiguous: another pose explains the masks almost as well; the candidates below show it",
         f"serious mask-fit: </script>{EVIL}",
     ]

@@ -60,17 +60,17 @@ def test_mirrored_joints_are_said_to_be_the_other_hands(axis: int) -> None:
     with pytest.raises(InputError, match="a left hand in --order openpose fits"):
         in_order(PATH, turned, "ho3d", "right")
     noisy = turned + np.random.default_rng(0).normal(scale=0.005, size=turned.shape)
-    assert "a left hand fits" in in_order(PATH, noisy, "openpose", "right").doubt
+    assert "a left hand fits" in in_order(PATH, noisy, "openpose", "right").warning
 
 
 def test_joints_that_fit_no_hand_are_doubted(tmp_path: Path) -> None:
     known = Known("right", None)
     path = write_npz(tmp_path / "j.npz", {"joints": known.joints})
-    assert read([path], Joints("openpose"), request("right")).doubts == ()
+    assert read([path], Joints("openpose"), request("right")).warnings == ()
     swapped = known.joints.copy()
     swapped[:, [4, 20]] = swapped[:, [20, 4]]
     write_npz(path, {"joints": swapped})
-    assert "mm off every pose of a hand" in read([path], Joints("openpose"), request("right")).doubts[0]
+    assert "mm off every pose of a hand" in read([path], Joints("openpose"), request("right")).warnings[0]
 
 
 @pytest.mark.parametrize("about", [[0], [9], range(21)])

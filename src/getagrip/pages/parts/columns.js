@@ -56,7 +56,7 @@ class Column {
     const shown = candidates.length > 1 ? "; the candidates below show it" : "";  // of a timeline there is one only
     if (ambiguous) doubts.unshift(["note", "ambiguous", `another pose explains the masks almost as well${shown}`]);
     for (const [kind, check, message] of doubts) {
-      this.part(".doubts").append(element("li", { class: kind }, element("b", {}, kind), ` ${check}: ${message}`));
+      this.part(".warnings").append(element("li", { class: kind }, element("b", {}, kind), ` ${check}: ${message}`));
     }
   }
 

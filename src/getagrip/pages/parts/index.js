@@ -28,7 +28,7 @@ function chosen() {
   const words = byId("words").value.toLowerCase().split(/\s+/), set = byId("sets").value, flag = byId("flags").value;
   const by = column(byId("by").value), sign = (by.more ? 1 : -1) * (byId("order").value === "worst" ? 1 : -1);
   const rows = data.rows.filter((row) => {
-    const text = [row.clip, row.method, row.folder, row.status, row.problem, ...row.doubts].join(" ").toLowerCase();
+    const text = [row.clip, row.method, row.folder, row.status, row.problem, ...row.warnings].join(" ").toLowerCase();
     const flags = flagsOf(row);
     const flagged = flag === "any" || (flag === "none" ? flags.length === 0 : flags.includes(flag));
     return flagged && (set === "*" || row.set === set) && words.every((word) => text.includes(word));
@@ -70,7 +70,7 @@ function table(rows) {
   const lines = rows.map((row) => element("tr", {},
     element("td", { class: "thumbnail" }, linked(row, picture(row))),
     element("td", { class: "name" }, linked(row, title(row)), element("small", {}, about(row)), element("div", {}, ...badges(row)),
-      ...row.doubts.map((words) => element("small", { class: "doubt" }, words))),
+      ...row.warnings.map((words) => element("small", { class: "warning" }, words))),
     ...data.columns.map((one) => element("td", { class: one.name === by ? "value by" : "value" }, number(row.values[one.name], one)))));
   return element("table", { class: "rows" }, element("thead", {}, element("tr", {}, element("th"), element("th"), ...heads)), element("tbody", {}, ...lines));
 }
