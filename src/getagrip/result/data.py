@@ -132,6 +132,17 @@ class Reconstruction(ArrayData):
             expected = f"one of {', '.join(get_args(FrameKind))} for each frame"
             raise UsageError(f"Reconstruction.frame_kind must be {expected} (got {self.frame_kind})")
 
+    @staticmethod
+    def given(
+        clip: str, method: str, frames: tuple[str, ...], T_hand_obj: Float[ndarray, "T 4 4"], scale: float = 1.0
+    ) -> Reconstruction:
+        """Poses that no fit has found: another system's, or the true ones."""
+        return Reconstruction(
+            clip, method, frames, T_hand_obj, scale, iou=np.full(len(frames), np.nan), axis=None,
+            candidates=Candidates(T_hand_obj[None], np.array([scale]), np.zeros(1)), energy={}, status=Status.GIVEN,
+            ambiguous=False, seconds={},
+        )  # fmt: skip
+
     @property
     def probabilities(self) -> dict[str, Probability]:
         """How probable it is that the poses are right, by where; those that are known."""
