@@ -200,14 +200,14 @@ class Estimate:
     clips: int
 
 
-def resamples(groups: Sequence[str], seed: int = 0) -> Float[ndarray, "B n"]:
+def resamples(groups: Sequence[str]) -> Float[ndarray, "B n"]:
     """How often each clip is drawn in each bootstrap resample.
 
     Clips of the same group (subject) are drawn together, as many groups as there are: they are no independent
     evidence. With a group for each clip this is the plain bootstrap.
     """
     names, member = np.unique(np.asarray(groups), return_inverse=True)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     drawn = rng.multinomial(len(names), np.full(len(names), 1.0 / len(names)), size=RESAMPLES)
     return drawn[:, member].astype(float)
 

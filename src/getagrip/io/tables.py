@@ -19,8 +19,8 @@ _FORMULA = re.compile(r"'*[=+\-@\t\r\n]")
 class CsvTable:
     """A table that is being written into a text stream, opened with ``newline=""``."""
 
-    def __init__(self, stream: TextIO, line_end: str = "\r\n") -> None:
-        self._rows = csv.writer(stream, lineterminator=line_end)
+    def __init__(self, stream: TextIO) -> None:
+        self._rows = csv.writer(stream)
 
     def write_row(self, cells: Iterable[object]) -> None:
         """Add a row: texts so that none is a formula, numbers as they are."""

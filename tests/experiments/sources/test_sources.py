@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import pytest
 
+from getagrip.batch import engine
 from getagrip.batch.limits import Limits
 from getagrip.batch.share import Shard, Share
 from getagrip.clip import write_clip
@@ -80,7 +81,7 @@ class Shelves(Recorded):
 def test_a_dataset_is_imported_first_which_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(progress, "EVERY", 0.0)
+    monkeypatch.setattr(engine, "EVERY", 0.0)
     source = Shelves(root=tmp_path, split="all")
     assert len(samples(source, tmp_path / "clips", 1, debug=False)[0]) == 1
     said = capsys.readouterr().err

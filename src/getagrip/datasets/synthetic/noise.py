@@ -76,7 +76,7 @@ TABLE = Path(__file__).with_name("estimated_hands.json")
 """How far hands estimated from images are off; written by ``python -m benchmarks.hand_errors measure``.
 
 ``noise``: fields of ``Noise``, whose errors, drawn for clips of the same lengths, have these measures (fingers: joints
-as far off). ``measured``: ``error_curves.measure`` of the estimates, and their joints' error after the best similarity;
+as far off). ``measured``: what the tests measure of the estimates, and their joints' error after the best similarity;
 SI units. ``lengths``: frames of these grasps; 5, 15, ..., 95 % are shorter.
 """
 NOISE: dict[str, Noise] = {
