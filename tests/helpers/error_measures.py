@@ -14,7 +14,6 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from getagrip.datasets.synthetic.error_curves import Drawn
-from getagrip.grasps.motion import correlation_time
 
 OUTSIDE = 4.0
 """Frames are outliers whose rotation is so many times the usual jitter about one axis from the clip's median."""
@@ -103,3 +102,19 @@ def _parts(x: Float[ndarray, "T k"]) -> tuple[Float[ndarray, "k"], Float[ndarray
     """What all frames share, and the rest."""
     middle = np.median(x, axis=0)
     return middle, x - middle
+
+
+def correlation_time(x: Float[ndarray, "N 3"], fps: float) -> float:
+    """Lag at which the autocorrelation of a curve first falls to 1/e [s], linear between frames; at most half of it."""
+    x = x - x.mean(axis=0)
+    lags = np.arange(len(x) // 2)
+    product = np.array([np.mean(np.sum(x[: len(x) - lag] * x[lag:], axis=1)) for lag in lags])
+    if product[0] <= 0.0:
+        return float("nan")
+    correlation = product / product[0]
+    below = np.flatnonzero(correlation < np.exp(-1.0))
+    if not below.size:
+        return float(lags[-1] / fps)
+    k = int(below[0])
+    part = (correlation[k - 1] - np.exp(-1.0)) / (correlation[k - 1] - correlation[k])
+    return float((k - 1 + part) / fps)
