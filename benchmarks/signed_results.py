@@ -25,8 +25,8 @@ from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_CAM, ADD_SYM_MM
 from getagrip.experiments.changes import AS_GIVEN, Noisy, OtherObject, ScaleFree
 from getagrip.experiments.sources.recorded import DexYcb
 from getagrip.fitting.options import Options
-from getagrip.fitting.reconstruct import reconstruct
 from getagrip.io.code import stamp
+from getagrip.timelines.reconstruct import reconstruct
 
 EVERY: dict[Split, tuple[int, int]] = {"train": (1, 3), "validation": (2, 5)}
 """Of DexYCB's clips, and of the synthetic ones of each preset, every so many are used."""

@@ -47,7 +47,7 @@ BENCH = "Compare methods on a dataset, or on a folder of clips: the paper's tabl
 
 
 def commands(imports: Any, figures: Any) -> Any:
-    """All commands, in the order of use: to try it, input, reconstruction, what to do with results, research.
+    """Make the union of all commands, in the order of use: to try it, input, reconstruction, results, research.
 
     ``imports`` is what ``import`` takes, ``figures`` what ``figure`` takes.
     """
@@ -111,13 +111,13 @@ def _run(args: Sequence[str]) -> int:
 
 
 def _parsed(args: Sequence[str]) -> Command:
-    """The command that arguments call for. Ends the process after ``--help``, and for arguments that fit no command."""
+    """Parse the arguments of a call. Ends the process after ``--help``, and for arguments that fit no command."""
     imports: Any = Command
     figures: Any = Command
     if args and args[0] == "import":  # what it takes is declared with the readers, which take longer to load
-        from getagrip.commands.datasets import Imports
+        from getagrip.commands.datasets import subcommands
 
-        imports = Imports
+        imports = subcommands(*args[1:2])
     elif args and args[0] == "figure":  # likewise
         from getagrip.commands.figure import Figures
 
@@ -141,13 +141,15 @@ def _parsed(args: Sequence[str]) -> Command:
 
 
 def _by_name(choice: Any) -> dict[str, Any]:
-    """The commands of a union, by the words that are typed; none of a command that has none below it."""
+    """List the commands of a union, by the words that are typed; none for a command without subcommands."""
     union = get_args(choice)[0] if get_origin(choice) is Annotated else choice
     return {one.__metadata__[0].name: one for one in get_args(union) if get_origin(one) is Annotated}
 
 
 def joined(words: Sequence[str], names: Collection[str], before: str = "") -> list[str]:
-    """The words of a call, with those that name a command as one. Ends the process where they name none.
+    """Join the words that name a command into one.
+
+    Ends the process where they name none.
 
     They are checked before the options, each of which would be reported as unknown with them.
 
@@ -168,7 +170,7 @@ def joined(words: Sequence[str], names: Collection[str], before: str = "") -> li
 
 
 def _alike(word: str, names: Iterable[str]) -> list[str]:
-    """The names that begin with a word or, if there is none, the one most like it."""
+    """Return the names that begin with a word or, if there is none, the one most like it."""
     spelt = {spelling: name for name in names for spelling in (name, name.split()[0])}
     alike = [name for name in spelt if name.startswith(word)] or get_close_matches(word, spelt, n=1)
     return [*dict.fromkeys(spelt[name] for name in alike)]

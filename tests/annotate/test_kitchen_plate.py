@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from getagrip.annotate import labels
-from getagrip.annotate.clicked_hands import hands_from_clicks
 from getagrip.annotate.labelled import make
 from getagrip.annotate.labels import OBJECT
 from getagrip.annotate.video import Video
@@ -20,6 +19,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.lens import Lens
 from getagrip.geometry.mesh_files import write_mesh
+from getagrip.hands.clicked_hands import hands_from_clicks
 from helpers.command_line import Run
 from helpers.paths import DATA, ROOT, needs
 

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.annotate.clicked_hands import hands_from_clicks
 from getagrip.annotate.labelled import make
 from getagrip.annotate.labelling import Grasp
 from getagrip.annotate.labels import FRONT, OBJECT, FrameLabels, Labels
@@ -27,6 +26,7 @@ from getagrip.geometry.depth import covered
 from getagrip.geometry.lens import Lens
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.hands import generic
+from getagrip.hands.clicked_hands import hands_from_clicks
 from getagrip.io.files import is_plain_name
 from helpers.clips import box
 from helpers.command_line import Run

@@ -73,3 +73,13 @@ def test_mano_files_are_tried(run: Run, tmp_path: Path, monkeypatch: pytest.Monk
     assert "ok       MANO, right hand" in out
     assert "BROKEN   MANO: " in out
     assert "MANO_LEFT.pkl" in out
+
+
+def test_hand_models_are_tried(run: Run, tmp_path: Path) -> None:
+    assert "without  hand models in" in run("doctor", "--models", str(tmp_path))[1]
+    for name in ("palm_detection_full.tflite", "hand_landmark_full.tflite"):
+        (tmp_path / name).write_bytes(b"other")
+    status, out, _ = run("doctor", "--models", str(tmp_path))
+    assert status == 1
+    assert "BROKEN   hand models: " in out
+    assert "another file" in out

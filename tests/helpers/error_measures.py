@@ -16,7 +16,7 @@ from numpy import ndarray
 from getagrip.datasets.synthetic.error_curves import Drawn
 
 OUTSIDE = 4.0
-"""Frames are outliers whose rotation is so many times the usual jitter about one axis from the clip's median."""
+"""Distance of an outlier's rotation from the clip's median, in units of the usual jitter about one axis."""
 ROBUST = 1.4826
 """A normal distribution's standard deviation, in medians of its magnitude."""
 ERROR_MEASURES = (
@@ -49,7 +49,7 @@ class ErrorCurves:
 
     @staticmethod
     def of(drawn: Drawn) -> ErrorCurves:
-        """As they are measured: shifts in the hand frame have no direction of their own."""
+        """Curves as they are measured: shifts in the hand frame have no direction of their own."""
         shift = drawn.shift.copy()
         shift[:, 2:] += drawn.deeper
         return ErrorCurves(drawn.turn, shift, drawn.bends)
@@ -99,13 +99,16 @@ def measure(clips: Sequence[ErrorCurves], fps: float) -> dict[str, float]:
 
 
 def _parts(x: Float[ndarray, "T k"]) -> tuple[Float[ndarray, "k"], Float[ndarray, "T k"]]:
-    """What all frames share, and the rest."""
+    """Split into what all frames share, and the rest."""
     middle = np.median(x, axis=0)
     return middle, x - middle
 
 
 def correlation_time(x: Float[ndarray, "N 3"], fps: float) -> float:
-    """Lag at which the autocorrelation of a curve first falls to 1/e [s], linear between frames; at most half of it."""
+    """Measure the lag at which a curve's autocorrelation first falls to 1/e [s], linear between frames.
+
+    At most half of it.
+    """
     x = x - x.mean(axis=0)
     lags = np.arange(len(x) // 2)
     product = np.array([np.mean(np.sum(x[: len(x) - lag] * x[lag:], axis=1)) for lag in lags])

@@ -22,13 +22,13 @@ Images = Callable[[int], Image]
 """RGB by frame, from 0; of any one size that has the shape of the masks'."""
 
 MARGIN = 120
-"""What moves farther than this from one frame to the next is lost [px]."""
+"""Largest motion between frames [px]; what moves farther is lost."""
 FAR = 16
 """Signed distances end here [px]."""
 BAND, UNSURE_BAND = 3.0, 10.0
 """GrabCut moves the border by less than this, the second where flow there and back disagrees [px]."""
 ROUNDS = 2
-"""Of GrabCut."""
+"""Rounds of GrabCut."""
 BACK = 1.5
 """Flow there and back agrees if it ends so near to where it began [px]."""
 
@@ -51,7 +51,7 @@ class Carried(NamedTuple):
 def carry(
     image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], key: int, to: int, size: tuple[int, int]
 ) -> Iterator[Carried]:
-    """The mask of a key, carried to the frames after it until ``to``, or before it."""
+    """Carry the mask of a key to the frames after it until ``to``, or before it."""
     if key == to:
         return
     now, before = _of_key(key, keys[key], size), _resized(image(key), size)
@@ -78,7 +78,7 @@ def _resized(image: Image, size: tuple[int, int]) -> UInt8[ndarray, "h w 3"]:
 
 
 def _step(now: Carried, before: Image, after: Image, frame: int) -> Carried:
-    """A mask in the next frame."""
+    """Carry a mask to the next frame."""
     import cv2
 
     if not now.inside.size:  # it is not visible
@@ -112,7 +112,7 @@ def _moved(
 
 
 def _flow(a: Image, b: Image) -> Float32[ndarray, "H W 2"]:
-    """Where each pixel of a is in b, less where it is in a [px]."""
+    """Return the place in b of each pixel of a, less its place in a [px]."""
     import cv2
 
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
@@ -171,7 +171,7 @@ def _cut(
 
 
 def blended(one: Carried, other: Carried, share: float) -> tuple[Carried, float]:
-    """Two masks of a frame made one, the other's ``share`` from 0 to 1 by how near its key is; how far they agree.
+    """Blend two masks of a frame by the other's ``share``, 0 to 1; also return their agreement.
 
     They agree or not where both are known.
     """
@@ -191,7 +191,7 @@ def blended(one: Carried, other: Carried, share: float) -> tuple[Carried, float]
 def placed(
     each: Carried, corner: tuple[int, int], size: tuple[int, int]
 ) -> tuple[Float32[ndarray, "2 h w"], Float32[ndarray, "h w"]]:
-    """Signed distances, and what is known, in another part of the image, which holds theirs."""
+    """Place signed distances, and what is known, in another part of the image, which holds theirs."""
     inside, known = np.full((2, *size[::-1]), -float(FAR), np.float32), np.ones(size[::-1], np.float32)
     (left, top), (h, w) = np.subtract(each.corner, corner).tolist(), each.inside.shape[1:]
     inside[:, top : top + h, left : left + w] = each.inside

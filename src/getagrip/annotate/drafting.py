@@ -9,13 +9,13 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.annotate.carried_masks import Images
-from getagrip.annotate.clicked_hands import hands_from_clicks
 from getagrip.annotate.labels import FRONT, OBJECT, Labels
 from getagrip.annotate.propagated_masks import propagate
 from getagrip.annotate.steadied_hands import steadied
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.depth import covered
+from getagrip.hands.clicked_hands import hands_from_clicks
 
 HAND_SIDE = 640
 """The hand's silhouette is drawn in an image whose longer side is so long [px]."""
@@ -28,7 +28,7 @@ Polygon = Float[ndarray, "_n 2"]
 
 
 def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, dict[str, object]]:
-    """By frame: joints and silhouette of the fitted hand [px], and which clicks do not fit the others.
+    """Return, by frame, joints and silhouette of the fitted hand [px], and the clicks that do not fit the others.
 
     Raises ``UsageError`` as ``hands_from_clicks`` does.
     """
@@ -43,15 +43,15 @@ def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, d
         out[labels.first + n] = {
             "joints": _rounded(project(K, se3.transform(T, joints))),
             "outlines": _polygons(mask, 1.0 / zoom),
-            "doubtful": [],
+            "uncertain": [],
         }
     for frame, outliers in zip(found.keys, found.outliers, strict=True):
-        out[frame]["doubtful"] = np.flatnonzero(outliers).tolist()
+        out[frame]["uncertain"] = np.flatnonzero(outliers).tolist()
     return out
 
 
 def masks(labels: Labels, image: Images, known: Container[int] = ()) -> Iterator[tuple[int, dict[str, object]]]:
-    """Each frame with polygons around the object and what is in front of it [px], and how sure they are (0 to 1).
+    """Yield each frame with polygons around the object and what is in front of it [px], and their confidence (0 to 1).
 
     Stretches between key frames of which all frames are ``known`` are left out. Raises ``UsageError`` as ``propagate``
     does.
@@ -76,7 +76,7 @@ def _rounded(points: Float[ndarray, "n 2"]) -> list[list[float]]:
 
 
 def traced(mask: Bool[ndarray, "H W"]) -> list[Polygon]:
-    """Polygons around the parts of a mask [px]; filled (``clip.segments.polygons``) they give it again, nearly.
+    """Trace polygons around the parts of a mask [px]; filling them (``clip.segments.polygons``) nearly restores it.
 
     A part with a hole has a polygon with a slit: along its border, in to the hole, around it and back out.
     """

@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from getagrip.annotate.clicked_hands import SCALE, ClickedHands, hands_from_clicks
 from getagrip.annotate.labels import FRONT, OBJECT, Labels
 from getagrip.annotate.propagated_masks import propagate
 from getagrip.annotate.steadied_hands import steadied
@@ -20,6 +19,7 @@ from getagrip.clip.writing import write_hand
 from getagrip.geometry import se3
 from getagrip.geometry.depth import covered
 from getagrip.geometry.lens import Lens
+from getagrip.hands.clicked_hands import SCALE, ClickedHands, hands_from_clicks
 from getagrip.io import files
 from getagrip.io.images import write_image
 from getagrip.provenance import Source, as_arrays, assumed, estimated
@@ -33,13 +33,13 @@ BESIDE = 0.004
 
 @dataclass(frozen=True)
 class Made:
-    """What was made of labels."""
+    """The files made of labels."""
 
     hands: ClickedHands
     confidence: dict[int, float]
-    """Of the mask of each frame, 1 where it was drawn; see ``propagated_masks``."""
+    """Confidence of the mask of each frame, 1 where it was drawn; see ``propagated_masks``."""
     command: str
-    """What makes a clip of it, but for the object's mesh."""
+    """Command that makes a clip of it, but for the object's mesh."""
 
 
 def make(
@@ -75,7 +75,7 @@ def make(
 def with_hand(
     drawn: UInt8[ndarray, "H W"], hands: ClickedHands, row: int, K: Float[ndarray, "3 3"]
 ) -> UInt8[ndarray, "H W"]:
-    """A mask in which pixels that the hand covers, or may, and that do not show the object, are in front of it."""
+    """Return a mask in which pixels that the hand may cover and that do not show the object are in front of it."""
     import cv2
 
     posed = se3.transform(hands.hand.T_cam_hand[row], hands.hand.vertices[row])
@@ -86,13 +86,13 @@ def with_hand(
 
 
 def command(labels: Labels, out: Path, segments: Path | None = None) -> str:
-    """The call that makes a clip of what ``make`` has written; a timeline, where there is a file of segments."""
+    """Return the call that makes a clip of the files of ``make``; a timeline, where there is a file of segments."""
     words = ["getagrip", *clip_words(labels, out, labels.video, segments)]
     return " ".join(map(shlex.quote, words)) + " --mesh MESH --out CLIP"
 
 
 def clip_words(labels: Labels, out: Path, video: str, segments: Path | None = None) -> list[str]:
-    """The words of that call after the program's name, but for the mesh and the clip's folder."""
+    """Return the words of that call after the program's name, but for the mesh and the clip's folder."""
     return [
         *("clip", "new", video, "--interval", str(labels.first + 1), str(labels.last + 1), "--side", labels.side),
         *("--hands", str(out / "hand.npz"), "--masks", str(out / "masks")),
@@ -102,7 +102,7 @@ def clip_words(labels: Labels, out: Path, video: str, segments: Path | None = No
 
 
 def _extra(labels: Labels, hands: ClickedHands, K: Float[ndarray, "3 3"], camera: Source) -> dict[str, ndarray]:
-    """What a hand file says of its frames, its camera and where it comes from."""
+    """Return the fields of a hand file on its frames, its camera and its sources."""
     off = float(np.sqrt(np.nanmean(hands.residuals**2)))
     provenance = {
         "hands": estimated(

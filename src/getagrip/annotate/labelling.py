@@ -1,4 +1,4 @@
-"""What the page can ask for about one grasp's key frames: changes, drafts, and the files that a clip is made of."""
+"""The page's requests about one grasp's key frames: changes, drafts, and the files that a clip is made of."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from numpy import ndarray
 
 from getagrip.annotate import keyframes, labels, reconstruction, versions
 from getagrip.annotate.background import Background, BackgroundJob, Work
-from getagrip.annotate.clicked_hands import FEWEST
 from getagrip.annotate.footage import Footage
 from getagrip.annotate.interaction import Interaction
 from getagrip.annotate.keyframes import KeyFrame
@@ -32,12 +31,13 @@ from getagrip.annotate.versions import RefusedError
 from getagrip.clip.intrinsics import intrinsics
 from getagrip.errors import UsageError
 from getagrip.geometry.lens import Lens
+from getagrip.hands.clicked_hands import FEWEST
 from getagrip.hands.model import Side
 from getagrip.io import files
 from getagrip.io.files import Json, shown
 
 Basis = dict[str, list[tuple[int, int, str]]]
-"""Of the "masks" and the "hand": first and last frame, and what drafts of these are made of, in a word."""
+"""Inputs of the drafts of "masks" and "hand": first and last frame, and the kind of input, in a word."""
 
 LONGEST_NAME = 100
 """Characters of a grasp's name in files."""
@@ -51,7 +51,7 @@ class Grasp:
     footage: Footage
     mark: Mark
     whole: Interaction | None = None
-    """Of a whole interaction: its segments."""
+    """Segments of a whole interaction."""
 
     @property
     def extent(self) -> tuple[int, int]:
@@ -69,7 +69,7 @@ class Grasp:
 
     @property
     def name(self) -> str:
-        """What its files are called; names that had to be cut or changed for that differ by a checksum."""
+        """Name of its files; names that had to be cut or changed for that differ by a checksum."""
         parts = [self.mark.annotator, self.task.video, self.mark.start_number, self.mark.end_number, self.side]
         whole = "-".join(map(str, parts))
         plain = re.sub(r"[^\w.-]", "_", whole).lstrip(".")[:LONGEST_NAME]
@@ -80,13 +80,13 @@ class Labelling:
     """The key frames of the grasps in a store."""
 
     def __init__(self, store: Store, lens: Lens, out: Path) -> None:
-        """The files of grasps go into ``out``; without a lens the focal length is guessed."""
+        """Write the files of grasps into ``out``; without a lens the focal length is assumed."""
         self.store, self.out = store, out
         self.lens = lens if lens.is_set else Lens(guess_focal=True)
         self.background = Background()
 
     def state(self, grasp: Grasp) -> dict[str, object]:
-        """The labels of a grasp's frames, what drafts would be made of now, and the progress of the work on it."""
+        """Return the labels of a grasp's frames, the inputs of drafts now, and the progress of the work on it."""
         newest = self.store.keyframes.newest(grasp.mark.mark, grasp.mark.annotator)  # before the frames, as with marks
         own = self._own(grasp)
         job = self.background.job(grasp.mark.mark)
@@ -121,14 +121,14 @@ class Labelling:
         return {"undone": undone is not None, "frame": None if undone is None else undone.frame}
 
     def labels(self, grasp: Grasp) -> Labels:
-        """The labels of a grasp, as a file has them."""
+        """Return the labels of a grasp, as a file has them."""
         (first, last), footage = grasp.extent, grasp.footage
         frames = {one.frame: one.labels() for one in self._own(grasp) if first <= one.frame <= last}
         video = (grasp.task.path or Path(grasp.task.video)).name
         return Labels(video, footage.size, grasp.side, footage.fps, first, last, frames)
 
     def whole_labels(self, grasp: Grasp) -> Labels:
-        """The labels of a grasp with the checksum of its footage, by which a file of them finds it again."""
+        """Return the labels of a grasp with the checksum of its footage, by which a file of them finds it again."""
         return replace(self.labels(grasp), sha256=checksum(_path(grasp)))
 
     def take(self, grasp: Grasp, labels: Labels) -> None:
@@ -180,7 +180,7 @@ class Labelling:
         self._start(grasp, "reconstruct", work)
 
     def result_file(self, grasp: Grasp, name: str) -> bytes:
-        """The report of the grasp's result. Raises ``RefusedError`` where there is none."""
+        """Return the report of the grasp's result. Raises ``RefusedError`` where there is none."""
         path = reconstruction.result_folder(self.out, grasp.name) / name
         if not path.is_file():
             raise RefusedError("there is no result of this grasp yet")
@@ -210,7 +210,7 @@ class Labelling:
         return command(replace(value, video=str(_path(grasp))), out, self._segments(grasp))
 
     def _segments(self, grasp: Grasp) -> Path | None:
-        """Where the segments of a whole interaction go."""
+        """Return the file of a whole interaction's segments."""
         return None if grasp.whole is None else self.out / f"segments-{grasp.name}.json"
 
     def close(self) -> None:
@@ -236,7 +236,7 @@ class Labelling:
         return self.store.keyframes.standing(grasp.mark.mark, grasp.mark.annotator)
 
     def _basis(self, grasp: Grasp, own: Sequence[KeyFrame]) -> Basis:
-        """What drafts of each kind are made of now; nothing where there is nothing to make them of."""
+        """Return the inputs of drafts of each kind now; empty where there are none."""
         first, last = grasp.extent
         frames = [(one, one.labels()) for one in own if first <= one.frame <= last]
         masks = {

@@ -26,11 +26,11 @@ from getagrip.errors import UsageError
 SIDE = 200.0
 """Masks are carried at a size at which the object's longer side is about so long [px]."""
 ENOUGH = 1e6
-"""Small images are enlarged for that up to so many pixels."""
+"""Pixels up to which small images are enlarged for that."""
 
 
 class Propagated(NamedTuple):
-    """The mask of a frame."""
+    """A mask of a frame."""
 
     frame: int
     labels: UInt8[ndarray, "H W"]
@@ -49,7 +49,7 @@ class Stretch(NamedTuple):
 
 
 def stretches(keys: Iterable[int], first: int, last: int) -> Iterator[Stretch]:
-    """The frames ``first`` to ``last``, both included and in order, by the keys that their masks come from."""
+    """Yield the frames ``first`` to ``last``, both included and in order, by the keys that their masks come from."""
     for before, after in pairwise([None, *sorted(keys), None]):
         if before is not None:
             yield Stretch(before, before, (before,))
@@ -61,7 +61,9 @@ def stretches(keys: Iterable[int], first: int, last: int) -> Iterator[Stretch]:
 def propagate(
     image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], first: int, last: int, known: Container[int] = ()
 ) -> Iterator[Propagated]:
-    """The masks of the frames ``first`` to ``last``, both included, in order; those of keys are as they are given.
+    """Yield the masks of the frames ``first`` to ``last``, both included, in order.
+
+    Those of keys are as they are given.
 
     Stretches of which all frames are ``known`` are left out. Images are asked for from one key to the next and back
     again. Raises ``UsageError`` where no key shows the object, keys are outside the interval or of different sizes.
@@ -73,7 +75,7 @@ def propagate(
 
 
 def _filled(image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], stretch: Stretch) -> Iterator[Propagated]:
-    """The masks of a stretch from its own keys."""
+    """Yield the masks of a stretch from its own keys."""
     first, last, (before, after) = stretch.first, stretch.last, (min(keys), max(keys))
     if first in keys:
         yield Propagated(first, keys[first], 1.0)

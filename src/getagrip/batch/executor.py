@@ -1,4 +1,4 @@
-"""What an executor is, processes here or those of a cluster; and jobs done by one, or in turn in this process."""
+"""The executor's interface: processes on this machine or those of a cluster; and jobs on one, or in this process."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Generic, Protocol, TypeVar
 from getagrip.batch.limits import NONE, Limits
 from getagrip.batch.share import FEW
 from getagrip.errors import GetagripError
-from getagrip.io import code
+from getagrip.io import code, plugins
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -24,7 +24,7 @@ TRIES = 4
 DIED = "its process died twice; out of memory?"
 """The message for a job whose process died, in ``each``."""
 ATTEMPTS = 2
-"""Of a job whose process dies."""
+"""Number of attempts of a job whose process dies."""
 NAP = 0.5
 """Seconds after which we ask again for jobs, where there were none for the moment."""
 
@@ -35,7 +35,7 @@ class Ended(Generic[J, R]):
 
     job: J
     result: R | None
-    """What the work returned; None where its process died or was ended."""
+    """Return value of the work; None where its process died or was ended."""
     why: str = ""
     """Why there is none."""
     seconds: float = 0.0
@@ -43,7 +43,7 @@ class Ended(Generic[J, R]):
     attempts: int = 1
     process: int = 0
     machine: str = field(default_factory=socket.gethostname)
-    """Of the process."""
+    """Host name of the process."""
 
 
 class Executor(Protocol[J, R]):
@@ -64,7 +64,7 @@ class Executor(Protocol[J, R]):
         ...
 
     def wait(self, nap: float | None) -> list[Ended[J, R]]:
-        """The jobs that end next; maybe none, when the ``nap`` is over [s] or nobody is at work.
+        """Wait for the jobs that end next; none, when the ``nap`` is over [s] or no job is running.
 
         ``DIES`` is why a job has ended whose process was lost, maybe by the job's own fault.
         """
@@ -77,18 +77,18 @@ class Executor(Protocol[J, R]):
 
 def check_code(expected: str) -> None:
     """Raise ``GetagripError`` where this machine has another getagrip than the one that gave out the jobs."""
-    if code.fingerprint() != expected:
+    if plugins.fingerprint() != expected:
         here = f"{code.PACKAGE} on {socket.gethostname()}"
-        got = f"getagrip of other code ({code.fingerprint()})"
+        got = f"getagrip of other code ({plugins.fingerprint()})"
         raise GetagripError(f"{here} must be the same on every machine, {expected} (got {got})")
 
 
 Start = Callable[[Callable[[J], R], Limits, Callable[[], object] | None], Executor[J, R]]
-"""From the work, the limits of a job and what each process calls first to a crew."""
+"""Makes an executor from the work, the limits of a job and the function that each process calls first."""
 
 
 def cores() -> int:
-    """How many cores this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):  # Linux: what a cluster's scheduler leaves us
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -117,7 +117,7 @@ def each(
 
 
 def in_processes(work: Callable[[J], R], jobs: Iterable[J], workers: int) -> Iterator[tuple[J, R | None]]:
-    """Each job with what ``work`` returns for it, as they finish; None where the process died twice."""
+    """Yield each job with the value of ``work``, as they finish; None where the process died twice."""
     from getagrip.batch.processes import Processes
 
     for ended in shared_out(Processes(workers, work, NONE, None), jobs):
@@ -125,7 +125,7 @@ def in_processes(work: Callable[[J], R], jobs: Iterable[J], workers: int) -> Ite
 
 
 def in_turn(work: Callable[[J], R], jobs: Iterable[J | None]) -> Generator[Ended[J, R], None, None]:
-    """Each job with what ``work`` returns for it, done in this process. None among the jobs: none for the moment."""
+    """Yield each job with the value of ``work``, done in this process. None among the jobs: none for the moment."""
     for job in jobs:
         if job is None:
             time.sleep(NAP)
@@ -137,7 +137,7 @@ def in_turn(work: Callable[[J], R], jobs: Iterable[J | None]) -> Generator[Ended
 def shared_out(
     executor: Executor[J, R], jobs: Iterable[J | None], limits: Limits = NONE
 ) -> Generator[Ended[J, R], None, None]:
-    """Each job as it ends, done by a crew with such limits, which is closed in the end.
+    """Yield each job as it ends, done by an executor within limits; the executor is closed in the end.
 
     A job is taken from ``jobs`` when there is room for it, not before; None among them: none for the moment. A job
     whose process dies is tried once more when all others have ended, alone: nothing else takes its memory then. An

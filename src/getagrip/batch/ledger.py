@@ -124,7 +124,7 @@ class Ledger(Entries):
             db.execute(f"UPDATE tasks SET {changes} WHERE {ours}", values | {"me": self._drivers.id})
 
     def _of_another(self, driver: str) -> bool:
-        """Whether this is a driver that lives, and not ourselves."""
+        """Return whether this is a living driver other than this process."""
         return bool(driver) and driver != self._drivers.id and self._drivers.lives(driver)
 
     def _prepare(self) -> None:
@@ -155,7 +155,7 @@ class Ledger(Entries):
 
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:
-        """A transaction that nobody else writes into; it holds whole or not at all."""
+        """Open a transaction that holds whole or not at all, without other writers in between."""
         with self._named():
             self._db.execute("BEGIN IMMEDIATE")
             try:
@@ -168,12 +168,12 @@ class Ledger(Entries):
 
 
 def state_folder() -> Path:
-    """The user's own folder for what is neither input nor result."""
+    """Return the user's own folder for what is neither input nor result."""
     return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "getagrip"
 
 
 def ledger_folder(out: Place, value: Path | None) -> Path:
-    """The ledger's folder: what the user has ``given``, else the results' own, else one in the user's state folder.
+    """Return the ledger's folder: the one ``given``, else that of the results, else one in the user's state folder.
 
     SQLite needs a local disk. Calls on the same results on one machine share the ledger.
     """

@@ -40,7 +40,7 @@ class Shard:
 
     @classmethod
     def of(cls, text: str) -> Shard:
-        """From "i/N". Raises ``UsageError``."""
+        """Parse "i/N". Raises ``UsageError``."""
         index, slash, count = text.partition("/")
         if not (slash and index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count)):
             raise UsageError(f"--shard must be i/N with i from 1 to N, such as 2/4 (got {text})")
@@ -62,22 +62,22 @@ class Share:
     """
 
     workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core)")] = None
-    """Processes to share the tasks between; up to three clips to reconstruct, or parts of a dataset, need no other. On
-    a Ray cluster, as many as it has CPUs; tasks of a Slurm array, 64."""
+    """Number of processes; up to three clips, or parts of a dataset, are done in this one. Default on a Ray cluster:
+    its CPUs; on Slurm: 64 tasks of an array."""
     engine: Literal["local", "ray", "slurm"] = "local"
-    """Where they run: on this machine, on a Ray cluster, or in Slurm's array jobs. All machines must see what is read
-    and written under the same paths."""
+    """Executor of the jobs: this machine, a Ray cluster, or Slurm's array jobs. All machines must see inputs and
+    outputs under the same paths."""
     address: Annotated[str | None, arg(metavar="ADDR", help_behavior_hint="(default: RAY_ADDRESS, else one here)")] = (
         None
     )
-    """Ray cluster that runs: HOST:PORT, or auto."""
+    """Address of a running Ray cluster: HOST:PORT, or auto."""
     limits: Annotated[Limits, arg(name="")] = field(default_factory=Limits)
     fail_fast: Flag = False
-    """Begin nothing else once something has failed."""
+    """Stop after the first failure; work in progress is finished."""
     shard: Annotated[Shard, parsed("I/N", Shard.of, Shard), arg(metavar="I/N", help_behavior_hint="(default: all)")] = (
         ALL
     )
-    """Of N equal parts of the work only the I-th, for N machines."""
+    """Do part I of N equal parts of the work, for N machines."""
     ledger: OptionalFolder = None
     """Local folder for the ledger, where --out is on a network file system."""
 
@@ -86,7 +86,7 @@ class Share:
             raise UsageError(f"--workers must be 1 or more (got {self.workers})")
 
     def executor(self, count: int, few: int = FEW) -> Start[Any, Any] | None:
-        """Who does a ``count`` of tasks; None: this process, by default for a ``few`` without limits."""
+        """Choose the executor of ``count`` tasks; None: this process, by default for a ``few`` without limits."""
         from getagrip.batch.executor import cores
 
         workers, local = self.workers, self.engine == "local"
@@ -106,10 +106,10 @@ class Share:
         few: int = FEW,
         stages: bool = False,
     ) -> Generator[R, None, None]:
-        """What an ``engine`` makes of each of ``count`` tasks, as they end, counted by a ``Pace``.
+        """Yield the outcome of each of ``count`` tasks, as they end, counted by a ``Pace``.
 
         ``called`` is what tasks are, in the plural. With ``stages``, work in this process also takes a function to call
-        with its progress, which a bar shows. Raises ``UsageError`` as ``executor``, else as ``Engine.run``.
+        with its progress, which a bar shows. Raises ``UsageError`` as ``executor`` does, else as ``Engine.run``.
         """
         from getagrip.batch.engine import Pace, shown
         from getagrip.io.terminal import progress_bar
@@ -134,12 +134,12 @@ class Batch:
     """How a call treats its clips. Raises ``UsageError``."""
 
     threads: Annotated[int, arg(metavar="N")] = 1
-    """Threads for each clip, for one that is waited for; many clips are done sooner by --workers. Results are the same
-    to the last bit."""
+    """Threads for each clip, to get a single clip sooner; many clips are faster with --workers. Results are
+    bit-equal."""
     overwrite: Flag = False
-    """Make results again that are there already, of the same clip, options and code."""
+    """Make valid results again, too."""
     strict: Flag = False
-    """Exit with 1 also where a check finds something serious (the result is probably worthless), or a result is less
+    """Exit with 1 also if a check has a serious finding (the result is probably worthless), or a result is less
     probable than --min-probability."""
     min_probability: Annotated[float, arg(metavar="P")] = 0.5
     """With --strict, the least probability that poses are right in the hand, 0 to 1. Results without a probability

@@ -29,6 +29,9 @@ class HandTrack(ArrayData):
             any ``palm_*``.
         joints: (T, 21, 3) joints in the hand frame [m]: wrist, then thumb, index, middle, ring and pinky, each from the
             palm to the tip; None where they are not known.
+        joints_2d: (T, 21, 2) the same as seen in the images [px]; None where nobody has looked. Evidence: it stays when
+            the hand is moved.
+        joints_2d_confidence: (T, 21) how far each is to be believed, from 0, where it was not seen, to 1.
     """
 
     vertices: Float[ndarray, "T V 3"]
@@ -36,9 +39,13 @@ class HandTrack(ArrayData):
     T_cam_hand: Float[ndarray, "T 4 4"]
     regions: dict[str, Int[ndarray, "_"]]
     joints: Float[ndarray, "T 21 3"] | None = None
+    joints_2d: Float[ndarray, "T 21 2"] | None = None
+    joints_2d_confidence: Float[ndarray, "T 21"] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if (self.joints_2d is None) != (self.joints_2d_confidence is None):
+            raise UsageError("HandTrack.joints_2d and HandTrack.joints_2d_confidence go together")
         count = self.vertices.shape[1]
         check_ids("HandTrack.faces", self.faces, count)
         regions = {}
@@ -54,8 +61,12 @@ class HandTrack(ArrayData):
 
     def take(self, index: Int[ndarray, "n"]) -> HandTrack:
         """The hand in some of the frames, in the given order."""
-        joints = None if self.joints is None else self.joints[index]
-        return replace(self, vertices=self.vertices[index], T_cam_hand=self.T_cam_hand[index], joints=joints)
+        optional = (self.joints, self.joints_2d, self.joints_2d_confidence)
+        joints, seen, confidence = (None if each is None else each[index] for each in optional)
+        return replace(
+            self, vertices=self.vertices[index], T_cam_hand=self.T_cam_hand[index], joints=joints, joints_2d=seen,
+            joints_2d_confidence=confidence,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,10 +89,10 @@ class OtherHand(ArrayData):
 
     @staticmethod
     def at(hand: HandTrack, rows: Int[ndarray, "n"], frames: int) -> OtherHand:
-        """A hand that is known in the frames ``rows``, one at least, of so many."""
+        """Make a hand that is known in the frames ``rows``, at least one, of a clip of ``frames`` frames."""
         near = np.round(np.interp(np.arange(frames), rows, np.arange(len(rows)))).astype(int)
         return OtherHand(hand.take(near), np.isin(np.arange(frames), rows))
 
     def take(self, index: Int[ndarray, "n"]) -> OtherHand:
-        """In some of the frames, in the given order."""
+        """Return the hand in some of the frames, in the given order."""
         return OtherHand(self.track.take(index), self.known[index])

@@ -1,4 +1,4 @@
-"""What commands share: the ways arguments are written, checks before any work, and work on each of some clips.
+"""The base of all commands: the forms of arguments, checks before any work, and work on each of some clips.
 
 A command is a frozen dataclass of options and the body that runs them, in one file. The files of all commands but
 ``import`` and ``figure`` are loaded for ``getagrip --help``: what only the body needs is imported in it.
@@ -37,7 +37,7 @@ Labels = Annotated[tuple[str, ...], arg(metavar="LABEL...", help_behavior_hint="
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """What every command takes."""
+    """The options of every command."""
 
     debug: Flag = False
     """Show where an error arose."""
@@ -78,7 +78,7 @@ def each_clip(
     workers: int | None,
     debug: bool,
 ) -> tuple[list[R], int]:
-    """What becomes of each clip, in their order, and how many failed, which is printed.
+    """Do the work for each clip; return the values in order, and how many failed, which is printed.
 
     A path is a clip, or a folder of clips; ``job`` makes one of a clip's name and folder, or None for clips to be
     passed over. ``work`` takes a job and, where it is done in this process, a function to call with its progress.

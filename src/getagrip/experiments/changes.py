@@ -1,4 +1,4 @@
-"""What is done to clips before a benchmark reconstructs them: nothing, noise, another size, true hands, mistakes.
+"""Changes of clips before a benchmark reconstructs them: none, noise, another size, true hands, mistakes.
 
 ``wrong_inputs`` has the mistakes. Masks that are wrong in some frames are as those of a video segmenter that loses its
 object; sizes are in that of the mask, the root of its area.
@@ -30,17 +30,20 @@ from getagrip.geometry.warp import aligned
 Fault = Callable[[Bool[ndarray, "H W"], Float[ndarray, "2"]], Bool[ndarray, "H W"]]
 """From a mask that is not empty, and a direction (x, y) in the image, to a wrong one."""
 AWAY, BESIDE, RADIUS = 1.2, 0.6, 0.6
-"""How far another object is away; how far from the mask's middle, and how large, the disc is by which one runs over."""
+"""Distance of another object; distance from the mask's middle, and radius, of the disc by which a mask runs over."""
 
 
 class Change(Protocol):
-    """What is done to a clip before it is reconstructed. Its ``repr`` and the ``inputs`` identify it."""
+    """A change of a clip before it is reconstructed. Its ``repr`` and the ``inputs`` identify it."""
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
-        """The changed clip and masks, perhaps of some of its frames. Raises ``InputError`` where it cannot be done."""
+        """Return the changed clip and masks, perhaps of some of its frames.
+
+        Raises ``InputError`` where it cannot be done.
+        """
 
     def inputs(self, clip: str) -> Mapping[str, Path]:
-        """Files by name that it reads for a clip. Raises ``InputError`` where one is missing."""
+        """Return the files, by name, that it reads for a clip. Raises ``InputError`` where one is missing."""
         return {}
 
 
@@ -99,8 +102,9 @@ class Gapped(Change):
 
 @dataclass(frozen=True)
 class OtherObject(Change):
-    """Another object of the same kind in the masks, of which the clip's mesh has not the shape: deformed and stretched,
-    but where the mesh is and as large. Its symmetries are those of the mesh, nearly.
+    """Masks of another object of the category, whose shape the clip's mesh does not have.
+
+    It is the mesh, deformed and stretched, at the mesh's place and size. Its symmetries are nearly those of the mesh.
 
     Attributes:
         deformed: how far a smooth deformation leaves it from the mesh, root mean square, in diameters.
@@ -134,7 +138,7 @@ class OtherObject(Change):
 
 
 def _drawn(seen: Masks, grasped: Surface, hand: Surface, K: Float[ndarray, "3 3"], size: tuple[int, int]) -> FrameMasks:
-    """The masks of a frame with another object; what other things hid in those that are given, is hidden still."""
+    """Render a frame's masks with another object; pixels that other things hid stay hidden."""
     visible, ignore, holding = true_masks(grasped, [hand], [], K, size)
     others = seen.ignore[0] & ~covered(*hand, K, size)
     return FrameMasks(visible & ~others, ignore | others, None if seen.hand is None else holding & ~others)
@@ -174,7 +178,7 @@ class TrueHands(Change):
 
 
 def _resized(clip: Clip, factor: float) -> Clip:
-    """The clip with a mesh so many times as large; the true object is as it was."""
+    """Scale a clip's mesh by a factor; the true object stays."""
     truth = clip.truth
     if truth is not None:
         joint = truth.joint and replace(truth.joint, point=factor * truth.joint.point)
@@ -214,7 +218,7 @@ AS_GIVEN = AsGiven()
 
 
 def another_object(mask: Bool[ndarray, "H W"], towards: Float[ndarray, "2"]) -> Bool[ndarray, "H W"]:
-    """Something of the same shape beside the object."""
+    """Return a mask of the same shape beside the object."""
     rows, columns = np.nonzero(mask)
     dx, dy = np.rint(AWAY * np.sqrt(len(rows)) * towards).astype(int)
     rows, columns = rows + dy, columns + dx
@@ -225,13 +229,13 @@ def another_object(mask: Bool[ndarray, "H W"], towards: Float[ndarray, "2"]) -> 
 
 
 def half(mask: Bool[ndarray, "H W"], towards: Float[ndarray, "2"]) -> Bool[ndarray, "H W"]:
-    """One side of the object."""
+    """Return one side of the object."""
     dx, dy = _from_middle(mask)
     return mask & (dx * towards[0] + dy * towards[1] < 0.0)
 
 
 def over(mask: Bool[ndarray, "H W"], towards: Float[ndarray, "2"]) -> Bool[ndarray, "H W"]:
-    """The object, and a disc that its mask runs over."""
+    """Return the object with a disc that its mask runs over."""
     dx, dy = _from_middle(mask)
     size = np.sqrt(np.count_nonzero(mask))
     return mask | (np.hypot(dx - BESIDE * size * towards[0], dy - BESIDE * size * towards[1]) < RADIUS * size)

@@ -19,7 +19,7 @@ from getagrip.io.files import Json
 
 DIRECTIONS = ("forwards", "in reverse")
 DEFINITION = Definition(contact=0.010)
-"""Of a stable grasp, as that of the truth (``datasets.dexycb.reader``)."""
+"""Definition of a stable grasp, as that of the truth (``datasets.dexycb.reader``)."""
 VARIANTS = {"fits": "fits and Eq. 2", "motion": "first to last motion"}
 """How grasps are found: ours; and what the image motion alone says, with no fit."""
 CODE = ("segmentation", "experiments/segment_trials.py")
@@ -30,12 +30,12 @@ Span = tuple[int, int]
 
 @dataclass(frozen=True)
 class SequenceScores(ClipScores):
-    """What was found in a sequence."""
+    """The scores of a sequence."""
 
     by: dict[tuple[str, str], Matched] = field(default_factory=dict)
     """By direction and way; empty where it failed."""
     seconds: float = 0.0
-    """Of the process, for one direction; the mean of both."""
+    """Time of the process for one direction [s]; the mean of both."""
     again: str = ""
     """Why it was made again, where what was there is no longer good."""
 
@@ -45,7 +45,7 @@ class SequenceTrial(Trial[SequenceScores]):
     """A sequence to find the grasps of; a file for it goes into ``results``."""
 
     noise: str
-    """Of ``NOISE``: of hands and masks."""
+    """Key of ``NOISE``: the noise of hands and masks."""
     options: Options
 
     def failed(self, why: str, trace: str = "") -> SequenceScores:
@@ -64,19 +64,19 @@ class SequenceTrial(Trial[SequenceScores]):
 
 
 def reversed_in_time(clip: Clip, masks: Masks) -> tuple[Clip, Masks]:
-    """The clip as if it had been filmed backwards; its truth goes with it, its segments do not."""
+    """Reverse a clip in time; its truth goes with it, its segments do not."""
     index = np.arange(len(clip))[::-1]
     back = clip.take(index)
     return replace(back, frames=clip.frames, times=None, segments=(), name=f"{clip.name}--reversed"), masks.take(index)
 
 
 def mirrored(spans: list[Span], frames: int) -> list[Span]:
-    """Intervals of a sequence, in its reverse."""
+    """Return the intervals of a sequence, in its reverse."""
     return [(frames - 1 - last, frames - 1 - first) for first, last in reversed(spans)]
 
 
 def _found(trial: SequenceTrial) -> Json:
-    """What is true and what is found, by direction."""
+    """Return the true and the found segments, by direction."""
     from getagrip.segmentation.found import find_segments, moving_runs
 
     clip = read_clip(trial.sample.folder)
@@ -153,13 +153,13 @@ class Summary:
 
 
 def tiou(a: Span, b: Span) -> float:
-    """Intersection over union of two intervals of frames."""
+    """Compute the intersection over union of two intervals of frames."""
     both = min(a[1], b[1]) - max(a[0], b[0]) + 1
     return max(both, 0) / (max(a[1], b[1]) - min(a[0], b[0]) + 1) if both > 0 else 0.0
 
 
 def matched(true: Sequence[Span], found: Sequence[Span]) -> Matched:
-    """Pairs of true and found intervals, those that overlap most first."""
+    """Match true and found intervals, those that overlap most first."""
     pairs = sorted(((tiou(a, b), i, j) for i, a in enumerate(true) for j, b in enumerate(found)), reverse=True)
     partner: dict[int, int] = {}
     for overlap, i, j in pairs:
@@ -176,7 +176,7 @@ def matched(true: Sequence[Span], found: Sequence[Span]) -> Matched:
 
 
 def summary(sequences: Sequence[Matched]) -> Summary:
-    """What becomes of the intervals of all sequences together."""
+    """Summarise the intervals of all sequences together."""
     matches = [match for one in sequences for match in one.matches]
     overlaps = np.array([match.tiou for match in matches])
     found = sum(one.found for one in sequences)

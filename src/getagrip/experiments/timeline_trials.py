@@ -36,12 +36,12 @@ ALL = "all"
 """All levels, one after the other."""
 CONTACT = ContactDefinition("object", 0.010)
 KINDS = {"static": "static", "contact": "between", "free": "between", "grasp": "grasp"}
-"""What tables call the states of segments."""
+"""Words for the states of segments in tables."""
 
 
 @dataclass(frozen=True)
 class TimelineScores(ClipScores):
-    """What was found."""
+    """The scores of a timeline."""
 
     category: str = ""
     by: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -55,7 +55,7 @@ class TimelineTrial(Trial[TimelineScores]):
     """A timeline to reconstruct; a folder for each level, with a file for it, goes into ``results``."""
 
     levels: tuple[str, ...]
-    """Of ``LEVELS``."""
+    """Keys of ``LEVELS``."""
     options: Options
 
     def failed(self, why: str, trace: str = "") -> TimelineScores:
@@ -75,8 +75,8 @@ class TimelineTrial(Trial[TimelineScores]):
 
 
 def _found(trial: TimelineTrial, level: str) -> dict[str, Any]:
-    """The scores of every way at a level; of timelines that hold both a static segment and a grasp."""
-    from getagrip.timelines.variants import VARIANTS, reconstruct_with
+    """Return the scores of every variant at a level, for timelines with both a static segment and a grasp."""
+    from getagrip.timelines.baselines import VARIANTS, reconstruct_with
 
     tracked = read_clip(trial.sample.folder)
     input_masks = read_masks(tracked)
@@ -123,7 +123,7 @@ class SegmentScore:
 def segment_scores(
     clip: Clip, symmetries: Symmetries, T_cam_obj: Float[ndarray, "T 4 4"], T_cam_hand: Float[ndarray, "T 4 4"]
 ) -> list[SegmentScore]:
-    """Of each segment; contact is with the hand that was found. The clip's scale is known."""
+    """Score each segment; contact is with the hand of the result. The clip's scale is known."""
     assert clip.truth is not None
     out = []
     for segment in clip.segments:
@@ -142,7 +142,7 @@ def segment_scores(
 
 
 def jumps(clip: Clip, T_cam_obj: Float[ndarray, "T 4 4"]) -> Sequence[float]:
-    """How far the object moves from each segment to the next beyond its true motion [m]: the mean over vertices."""
+    """Measure the object's jump from each segment to the next beyond its true motion [m]: the mean over vertices."""
     assert clip.truth is not None
     out = []
     for one, other in zip(clip.segments, clip.segments[1:], strict=False):

@@ -48,12 +48,12 @@ class Residual:
 
     @staticmethod
     def of(R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"], size: float) -> Residual:
-        """Of rotations and positions of the centre [m] of an object of some size [m] (``study.object_in_hand``)."""
+        """Compute the residual from rotations and centres [m] of an object of some size [m]."""
         return Residual.beside(pose_hinge(R, c, size), R, c)
 
     @staticmethod
     def beside(hinge: AxisRotation, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> Residual:
-        """Beside a hinge that is known."""
+        """Compute the residual beside a hinge that is known."""
         angle = np.unwrap(hinge.angles(R, c))
         R_hinge, c_hinge = hinge.at(angle)
         axes = hinge_axes(hinge.direction, se3.exp_so3(np.median(angle) * hinge.direction) @ hinge.arm)
@@ -68,7 +68,10 @@ class Residual:
 
 
 def hinge_axes(direction: Float[ndarray, "3"], arm: Float[ndarray, "3"]) -> Float[ndarray, "3 3"]:
-    """Unit vectors, as columns: along an axis, along the arm as far as it is square to the axis, and square to both."""
+    """Return unit vectors, as columns.
+
+    They point along an axis, along the arm as far as it is square to the axis, and square to both.
+    """
     across = arm - direction * (direction @ arm)
     if np.linalg.norm(across) < 1e-9:
         across = np.linalg.svd(direction[None])[2][1]
@@ -83,7 +86,7 @@ def measure(
     touched: Float[ndarray, "P 3"],
     fps: float,
 ) -> tuple[dict[str, float], Residual]:
-    """The measures ``JOINT`` of one grasp, in SI units (NaN where one has no value); and what is left of the hinge.
+    """Measure ``JOINT`` of one grasp in SI units, NaN where one has no value; also return the residual of the hinge.
 
     Args:
         T_hand_obj: poses of the object, of unit scale.
@@ -116,7 +119,7 @@ def measure(
 
 
 def axis_drift(R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> float:
-    """Angle between the best axes of the rotations of both halves [rad]; not a number where one hardly turns."""
+    """Measure the angle between the best axes of the rotations of both halves [rad]; NaN where one hardly turns."""
     half = len(R) // 2
     hinges = [rotation_hinge(R[part], c[part]) for part in (slice(half), slice(half, None))]
     for hinge, part in zip(hinges, (slice(half), slice(half, None)), strict=True):
@@ -126,7 +129,7 @@ def axis_drift(R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> float:
 
 
 def bend(residual: Residual) -> float:
-    """Share of the residual's rotation square to the axis that a parabola of the angle explains: the axis drifts."""
+    """Measure the share of the residual's rotation square to the axis that a parabola of the angle explains."""
     x = residual.rotation[:, 1:]
     powers = np.vander(residual.angle - residual.angle.mean(), 3)
     unexplained = x - powers @ np.linalg.lstsq(powers, x, rcond=None)[0]
@@ -135,7 +138,7 @@ def bend(residual: Residual) -> float:
 
 
 def spectrum(x: Float[ndarray, "N k"]) -> Float[ndarray, "M"]:
-    """Share of a curve's energy in each of ``MODES`` cosines over its time, cos(pi m t); the constant is left out."""
+    """Measure the share of a curve's energy in each of ``MODES`` cosines cos(pi m t), without the constant."""
     from scipy.fft import dct
 
     energy = np.sum(dct(x, axis=0, norm="ortho")[1:] ** 2, axis=1)
@@ -147,7 +150,7 @@ def spectrum(x: Float[ndarray, "N k"]) -> Float[ndarray, "M"]:
 
 @dataclass(frozen=True)
 class MotionStatistics:
-    """What grasps have in common: numbers over all of them, none of a single one.
+    """Statistics over all grasps; nothing of a single one.
 
     Attributes:
         grasps: number of grasps.

@@ -19,7 +19,7 @@ where ``reconstruct`` is; and ``evaluation``."""
 
 @cache
 def fingerprint(*also: str) -> str:
-    """Checksum of all sources and tables of the package that a reconstruction may depend on, 16 hexadecimal digits.
+    """Compute the checksum of all sources and tables that a reconstruction may depend on, 16 hexadecimal digits.
 
     What is made otherwise depends on more: ``also`` are the folders and files ``ABOVE`` that it depends on, relative to
     the package. It changes with a comment, too: that a change does not matter cannot be seen from outside.
@@ -37,7 +37,7 @@ def fingerprint(*also: str) -> str:
 
 
 def stamp() -> str:
-    """The date and, where the package runs from a git checkout, its commit: "2025-03-01, commit a1b2c3d".
+    """Return the date and, in a git checkout, the package's commit: "2025-03-01, commit a1b2c3d".
 
     The commit is marked where files of the package differ from it.
     """
@@ -47,7 +47,7 @@ def stamp() -> str:
 
 
 def commit(folder: Path) -> str | None:
-    """The commit that a folder is checked out at, with a mark if files in it have changed; None if git has it not."""
+    """Return the commit of a folder, marked if its files have changed; None if git does not have it."""
 
     def git(*words: str) -> str:
         return subprocess.run(["git", *words], cwd=folder, capture_output=True, text=True, check=True).stdout.strip()

@@ -33,23 +33,23 @@ class CsvTable:
 
 
 def text_cell(text: str) -> str:
-    """A text as it stands in a cell."""
+    """Write a text as a cell holds it."""
     return f"'{text}" if _FORMULA.match(text) else text
 
 
 def cell_text(cell: str) -> str:
-    """The text of a cell that ``text_cell`` wrote; cells of others stay as they are."""
+    """Return the text of a cell that ``text_cell`` wrote; other cells stay as they are."""
     return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
 
 
 def markdown_page(title: str, grid: Sequence[Sequence[str]], about: Sequence[str], words: int = 1) -> str:
-    """One table under a title, and how it was made; the first columns are ``words``, the others numbers."""
+    """Write one table under a title, and how it was made; the first columns are ``words``, the others numbers."""
     lines = [f"# {title}", "", *markdown_table(grid, words), "", *(f"- {line}" for line in about)]
     return "\n".join(lines) + "\n"
 
 
 def markdown_table(grid: Sequence[Sequence[str]], words: int = 1) -> list[str]:
-    """The lines of a table, its headings first; the first columns are ``words``, the others numbers."""
+    """Return the lines of a table, headings first; the first columns are ``words``, the others numbers."""
     headings, *body = grid
     rule = [*["---"] * words, *["---:"] * (len(headings) - words)]
     escaped = ([cell.replace("|", "\\|") for cell in cells] for cells in (headings, rule, *body))

@@ -1,4 +1,4 @@
-"""What a served page asks for: the entries, the worst first, and of each its results side by side, frame by frame."""
+"""The answers of a served page: the entries, the worst first, and the results of each side by side, frame by frame."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from getagrip.clip.sampling import frame_indices
 from getagrip.errors import GetagripError
 from getagrip.evaluation import read_with_clip
 from getagrip.evaluation.results import Evaluation
-from getagrip.fitting.methods import METHODS
+from getagrip.fitting.methods import label_of
 from getagrip.geometry.camera import Crops, project
 from getagrip.geometry.mesh import Mesh
 from getagrip.io.files import Json
@@ -56,7 +56,7 @@ class Shown:
         return Shown(column, view, finer(view))
 
     def about(self) -> Json:
-        """What is the same in all frames."""
+        """Return what is the same in all frames."""
         metrics = {k: float(v) for k, v in self.column.record.get("metrics", {}).items() if isinstance(v, int | float)}
         arrays, packed = pack(motion.fixed(self.view, self.surface))
         known = Evaluation.recorded(self.view.clip, self.view.result.method, metrics)
@@ -65,13 +65,13 @@ class Shown:
         return {**said, **more, "arrays": arrays, "packed": packed}
 
     def frame(self, rank: int, n: int) -> dict[str, object]:
-        """A frame with one of the candidates."""
+        """Return a frame with one of the candidates."""
         view = candidate(self.at(np.array([n])), rank)
         arrays, packed = pack(motion.moving(view, self.surface))
         return {**drawn(view, 0, self.windows, n), "arrays": arrays, "packed": packed}
 
     def at(self, index: Int[ndarray, "n"], with_hand: bool = False) -> View:
-        """Some frames, with the masks of the object, and of the hand if wanted."""
+        """Return some frames, with the masks of the object, and of the hand if wanted."""
         some = self.view.at([self.view.result.frames[n] for n in index])
         return replace(some, masks=masks_of_some(some.clip, with_hand))
 
@@ -115,12 +115,12 @@ class Library:
             return False
 
     def page(self) -> bytes:
-        """The page, which asks for all else."""
+        """Return the page, which asks for all else."""
         data = {"entries": [entry.label for entry in self.entries], "first": self.first}
         return document("getagrip view", "viewer.html", SCRIPTS, data, asks=True).encode()
 
     def entry(self, n: int) -> dict[str, object]:
-        """All that is the same in all frames of an entry."""
+        """Return all that is the same in all frames of an entry."""
 
         def made() -> dict[str, object]:
             columns = self._opened(n)
@@ -130,11 +130,11 @@ class Library:
         return self._frames.submit(made).result()
 
     def frame(self, n: int, column: int, rank: int, frame: int) -> dict[str, object]:
-        """A frame of a column, with one of the candidates in the result's place."""
+        """Return a frame of a column, with one of the candidates in the result's place."""
         return self._frames.submit(lambda: self._opened(n)[column].frame(rank, frame)).result()
 
     def gap(self, n: int, column: int) -> dict[str, object]:
-        """The curve of a column that takes time."""
+        """Return the curve of a column that takes time."""
         view = self._shown(n, column).view
         if not view.posed:
             return {}
@@ -143,7 +143,7 @@ class Library:
         return gap_plot(np.concatenate([self._measured.submit(gap, part).result() for part in parts]))
 
     def candidates(self, n: int, column: int) -> dict[str, object]:
-        """What speaks for and against the candidates of a column."""
+        """Return the evidence for and against the candidates of a column."""
         shown = self._shown(n, column)
         return self._measured.submit(lambda: compared(shown.at(shown.sampled, with_hand=True))).result()
 
@@ -177,7 +177,7 @@ class Entry:
     clips: Path | None = None
 
     def read(self) -> list[Column]:
-        """A column for each result, at the frames that all of them have, without masks. Raises ``InputError``."""
+        """Read a column for each result, at the frames that all of them have, without masks. Raises ``InputError``."""
         if self.clip is not None:
             clip = read_clip(self.clip)
             return [
@@ -190,8 +190,8 @@ class Entry:
 
 
 def labels(views: Sequence[View], folders: Sequence[str]) -> list[str]:
-    """The results' methods; where these agree, also the folders that tell the results apart."""
-    named = [METHODS[v.result.method].label if v.result.method in METHODS else v.result.method for v in views]
+    """Return the results' methods; where these agree, also the folders that tell the results apart."""
+    named = [label_of(v.result.method) for v in views]
     return [
         label if named.count(label) == 1 else f"{label} ({folder})"
         for label, folder in zip(named, folders, strict=True)
@@ -201,7 +201,7 @@ def labels(views: Sequence[View], folders: Sequence[str]) -> list[str]:
 def entries(
     results: Sequence[Path], clip_folders: Sequence[Path], clips: Path | None, fail: Callable[[Exception], None]
 ) -> list[Entry]:
-    """Results of the same clip and inputs make one entry: the serious ones first, then by mean IOU; clips follow.
+    """Group results of the same clip and inputs: the serious ones first, then by mean IOU; clips follow.
 
     Those that cannot be read go to ``fail``.
     """
@@ -220,7 +220,7 @@ def entries(
 
 
 def badness(results: Sequence[Reconstruction]) -> tuple[bool, float]:
-    """Sorts the worst first: whether nothing serious is found, then the lowest mean IOU."""
+    """Return a key that sorts the worst first: whether nothing serious is found, then the lowest mean IOU."""
     serious = any(finding.serious for result in results for finding in result.findings)
     return not serious, min(_iou(result) for result in results)
 

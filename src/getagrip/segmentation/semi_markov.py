@@ -26,7 +26,7 @@ from getagrip.segmentation.image_motion import ImageMotion
 
 Motion = Literal["static", "held", "free"]
 MOTIONS: tuple[Motion, ...] = ("static", "held", "free")
-"""What the object does, before Eq. 2 tells a stable grasp from an unstable contact."""
+"""States of the object, before Eq. 2 separates stable grasps from unstable contacts."""
 
 SAMPLES = 10.0
 """Contour points per frame that are independent."""
@@ -60,7 +60,7 @@ class Division:
 
 
 def cheapest(cost: Float[ndarray, "S T T"]) -> Division:
-    """The cheapest division of T frames; ``cost[s, i, j]`` is that of state s in the frames i to j, both included.
+    """Find the cheapest division of T frames; ``cost[s, i, j]`` is that of state s in the frames i to j, both included.
 
     Costs may be infinite, where a state is impossible; entries with j < i are not read. If no division is finite, the
     cost is infinite and there are no segments.
@@ -83,8 +83,10 @@ def cheapest(cost: Float[ndarray, "S T T"]) -> Division:
 
 
 def margins(cost: Float[ndarray, "S T T"], division: Division) -> Float[ndarray, "n"]:
-    """How much more the next best division costs, for each segment of the cheapest one: the best of those in which
-    none of the middle half of its frames is in its state. Not negative; infinite where no other is possible.
+    """Return how much more the next best division costs, for each segment of the cheapest one.
+
+    The next best is that of the divisions in which none of the middle half of the segment's frames is in its state. Not
+    negative; infinite where no other is possible.
     """
     out = np.empty(len(division.states))
     for k, ((first, last), state) in enumerate(zip(division.spans, division.states, strict=True)):
@@ -96,7 +98,7 @@ def margins(cost: Float[ndarray, "S T T"], division: Division) -> Float[ndarray,
 
 
 def window_costs(moved: ImageMotion, fits: Sequence[HingeFit]) -> Float[ndarray, "3 T T"]:
-    """``cost[s, i, j]``: state s (``MOTIONS``) in the frames i to j, both included; infinite where j < i."""
+    """Compute ``cost[s, i, j]``: state s (``MOTIONS``) in the frames i to j, both included; infinite where j < i."""
     T = moved.moved.shape[1]
     frames = np.arange(T)
     length = frames[None] - frames[:, None] + 1.0
@@ -138,13 +140,13 @@ def _misfit(one: HingeFit, jitter: float) -> Float[ndarray, "n"]:
 
 
 def residual(distance: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
-    """Cost of distances in standard deviations, those that are not known for nothing."""
+    """Compute the cost of distances in standard deviations; unknown ones cost nothing."""
     excess = np.maximum(np.nan_to_num(distance, nan=0.0) - 1.0, 0.0)
     return np.asarray(np.minimum(0.5 * SAMPLES * excess**2, MOST))
 
 
 def chosen(fits: Sequence[HingeFit], first: int, last: int, jitter: float) -> HingeFit:
-    """The fit that is best in a window, of those tried in all of it."""
+    """Return the fit that is best in a window, of those tried in all of it."""
     costs = []
     for one in fits:
         inside = (one.frames >= first) & (one.frames <= last)

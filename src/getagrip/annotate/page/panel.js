@@ -91,8 +91,8 @@ function drawWork() {
   const unsure = [...drafts.masks.values()].filter((one) => within(one.frame) && !stale("masks", one.frame) && one.content.confidence < UNSURE)
     .sort((a, b) => a.content.confidence - b.content.confidence).slice(0, NAMED).sort((a, b) => a.frame - b.frame);
   drawFrames("unsure", unsure.map((one) => [one.frame, one.content.number, `${Math.round(100 * one.content.confidence)} % sure`]));
-  const doubted = own.map((one) => [one, (drafts.hand.get(one.frame)?.content.doubtful ?? []).filter((n) => Array.isArray(one.joints[n]))]);
-  drawFrames("doubtful", doubted.filter(([, joints]) => joints.length).map(([one, joints]) => [one.frame, one.number, joints.map((n) => NAMES[n]).join(", ")]));
+  const uncertain = own.map((one) => [one, (drafts.hand.get(one.frame)?.content.uncertain ?? []).filter((n) => Array.isArray(one.joints[n]))]);
+  drawFrames("uncertain", uncertain.filter(([, joints]) => joints.length).map(([one, joints]) => [one.frame, one.number, joints.map((n) => NAMES[n]).join(", ")]));
   const command = job?.what === "files" && job.state === "done" ? job.message : "";
   $("command-box").hidden = !command;
   $("command").textContent = command;

@@ -1,4 +1,4 @@
-"""How far a tracker's hand is off in each frame of a clip: curves of errors, drawn from ``Noise``."""
+"""Errors of a tracker's hand in each frame of a clip: curves, drawn from ``Noise``."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Drawn:
 
 
 def draw(noise: Noise, frames: int, fps: float, rng: np.random.Generator) -> Drawn:
-    """Errors of a clip. The same generator draws the same errors, larger or smaller, for every noise."""
+    """Draw the errors of a clip. The same generator draws the same errors, larger or smaller, for every noise."""
     # Generators of their own: hands err alike whatever their depth, fingers and outliers do.
     depth, fingers, levels, bursts = rng.spawn(4)
     a = float(np.exp(-1.0 / (fps * noise.jitter_memory_s))) if noise.jitter_memory_s > 0.0 else 0.0
@@ -55,7 +55,7 @@ def draw(noise: Noise, frames: int, fps: float, rng: np.random.Generator) -> Dra
 
 
 def _outliers(noise: Noise, frames: int, fps: float, rng: np.random.Generator) -> Int[ndarray, "T"]:
-    """The first frame of the burst of outliers that each frame is in; -1 of those in none.
+    """Draw the first frame of the burst of outliers that each frame is in; -1 of those in none.
 
     Bursts come and go as a chain of two states, with the noise's share of frames and mean duration.
     """

@@ -42,11 +42,14 @@ class Recorded(ClipSource):
     """The dataset's folder, as for import."""
 
     def reader(self, root: Path) -> Dataset:
-        """What imports it."""
+        """Return the reader that imports it."""
         raise NotImplementedError
 
     def training(self, subjects: Collection[str]) -> Collection[str]:
-        """Those of the subjects that are for training: unless a dataset says otherwise, of every three the first."""
+        """Return the subjects that are for training.
+
+        Unless a dataset says otherwise, every third, beginning with the first.
+        """
         return sorted(subjects)[::3]
 
     def samples(self, clips: Path, debug: bool, share: Share | None = None) -> tuple[list[Sample], list[Outcome]]:
@@ -95,7 +98,7 @@ class Timelines(Recorded):
             raise unknown("--preset", self.preset, self.presets())
 
     def presets(self) -> Collection[str]:
-        """What ``preset`` may be: the clips are without noise."""
+        """Return the values of ``preset``: the clips are without noise."""
         from getagrip.experiments.timeline_trials import ALL, LEVELS
 
         return (ALL, *LEVELS)
@@ -121,7 +124,7 @@ class DexYcb(Recorded):
 
 @dataclass(frozen=True, kw_only=True)
 class DexYcbTimelines(Timelines, DexYcb):
-    """DexYCB's sequences, not cut, with their true segments."""
+    """DexYCB's uncut sequences, with their true segments."""
 
     dataset: ClassVar[str] = "dexycb-timelines"
 
@@ -133,7 +136,7 @@ class DexYcbTimelines(Timelines, DexYcb):
 
 @dataclass(frozen=True, kw_only=True)
 class DexYcbSequences(DexYcbTimelines):
-    """DexYCB's sequences, not cut, whose grasps are to be found without 3D labels."""
+    """DexYCB's uncut sequences; grasps are found without 3D labels."""
 
     dataset: ClassVar[str] = "dexycb-segments"
     preset: Preset = "none"

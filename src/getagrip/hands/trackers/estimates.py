@@ -1,4 +1,4 @@
-"""What an estimator says of one hand, in this package's conventions; its crop's camera, as the whole image's.
+"""An estimator's output for one hand, in this package's conventions; its crop's camera, as the whole image's.
 
 A network that is given a crop of side b [px] about (cx, cy) predicts (s, tx, ty): a point X of its hand projects to
 
@@ -73,7 +73,7 @@ class Request:
         check_numbers(self.frames, names, source, "hand", self.ask_first)
 
     def camera(self, frame: int) -> Camera:
-        """The camera in a frame, by its index."""
+        """Return the camera in a frame, by its index."""
         return Camera(self.K[frame], self.size)
 
 
@@ -105,6 +105,7 @@ class Estimate(NamedTuple):
             order.
         vertices: (778, 3) the surface where it is not that of ``mano.betas``: ``mano.t`` is then where the origin of
             these is, their mean counts.
+        seen: (21, 3) the joints as seen in the clip's image [px] and their confidence, where the estimator gives them.
     """
 
     path: Path
@@ -113,6 +114,7 @@ class Estimate(NamedTuple):
     mano: Parameters | None
     joints: Float[ndarray, "21 3"] | None = None
     vertices: Float[ndarray, "778 3"] | None = None
+    seen: Float[ndarray, "21 3"] | None = None
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,7 @@ class Estimates:
             only, or the left one's own.
         scale: where the size comes from, in words; empty where it is that of the shape parameters or of the generic
             hand.
-        doubt: what may be wrong with them, in words; empty where nothing seems to be.
+        warning: possible error, in words; empty where there is none.
     """
 
     side: Side
@@ -137,7 +139,7 @@ class Estimates:
 
 
 def rotations(path: Path, key: str, values: Float[ndarray, "... 3"], axes: int) -> Float[ndarray, "... 3 3"]:
-    """Rotation matrices (..., 3, 3) from rotation vectors [rad] (..., 3), or from matrices that a network has rounded.
+    """Convert rotation vectors [rad] (..., 3), or rounded matrices, to rotation matrices (..., 3, 3).
 
     ``axes`` is the number of leading axes: three vectors are no matrix. Raises ``InputError`` for other matrices.
     """
@@ -151,7 +153,7 @@ def rotations(path: Path, key: str, values: Float[ndarray, "... 3"], axes: int) 
 
 
 def mirror_rotation(R: Float[ndarray, "*n 3 3"]) -> Float[ndarray, "*n 3 3"]:
-    """M R M with M = diag(-1, 1, 1): what a rotation is in the mirrored image. (Of a vector, y and z change sign.)"""
+    """Return a rotation in the mirrored image, M R M with M = diag(-1, 1, 1); in vectors, y and z change sign."""
     return np.asarray(MIRROR[:, None] * R * MIRROR)
 
 
@@ -164,21 +166,21 @@ class WeakPerspective(NamedTuple):
 
     @staticmethod
     def of_crop(centre: Float[ndarray, "2"], side: float, cam: Float[ndarray, "3"]) -> WeakPerspective:
-        """From a crop's middle and side [px], and the camera (s, tx, ty) in it."""
+        """Make it from a crop's middle and side [px], and the camera (s, tx, ty) in it."""
         scale = side * cam[0] / 2.0
         return WeakPerspective(centre + scale * cam[1:], float(scale))
 
     @staticmethod
     def of_translation(t: Float[ndarray, "3"], focal: float, centre: Float[ndarray, "2"]) -> WeakPerspective:
-        """From a translation [m] before a pinhole with a focal length and a principal point [px]."""
+        """Make it from a translation [m] before a pinhole with a focal length and a principal point [px]."""
         return WeakPerspective(centre + focal * t[:2] / t[2], focal / float(t[2]))
 
     def resized(self, zoom: Float[ndarray, "2"]) -> WeakPerspective:
-        """In an image ``zoom`` times as wide and as high."""
+        """Return it in an image ``zoom`` times as wide and as high."""
         return WeakPerspective(self.origin * zoom, self.pixels_per_metre * float(zoom[0]))
 
     def before(self, camera: Camera) -> Float[ndarray, "3"]:
-        """The translation [m] that shows the hand's origin there, and at fx / z pixels to the metre."""
+        """Return the translation [m] that shows the hand's origin there, and at fx / z pixels to the metre."""
         K = camera.K
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a hand that is too far is refused later
             z = K[0, 0] / self.pixels_per_metre
@@ -186,12 +188,12 @@ class WeakPerspective(NamedTuple):
 
 
 def hamer_focal(size: tuple[int, int]) -> float:
-    """The focal length that HaMeR's and WiLoR's demos assume of an image [px]."""
+    """Return the focal length that HaMeR's and WiLoR's demos assume of an image [px]."""
     return HAMER_FOCAL / HAMER_CROP * max(size)
 
 
 def vitdet_side(box: Float[ndarray, "2"], rescale: float) -> float:
-    """Side [px] of the crop that HaMeR takes of a box of some width and height.
+    """Return the side [px] of the crop that HaMeR takes of a box of some width and height.
 
     ``rescale`` times as large, and high enough for 192 : 256 (``expand_to_aspect_ratio``).
     """

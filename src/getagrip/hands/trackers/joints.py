@@ -35,7 +35,7 @@ class Joints(Tracker):
     """Their order (docs/hands.md); auto: the one in which they fit a hand."""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """The joints in those of the file's frames that the clip has."""
+        """Read the joints in those of the file's frames that the clip has."""
         if self.order is None:
             raise UsageError("missing --order (openpose, ho3d or auto): the order of the joints is in no file")
         path = only_file(paths, "joints")
@@ -44,9 +44,10 @@ class Joints(Tracker):
         check_before_camera(path, points)
         frames = frames_of_rows(path, record, len(points), request)
         ordered = in_order(path, points, self.order, request.side)
+        seen = records.seen_joints(path, record, len(points))
         found = [
-            Estimate(path, frame, DEPTH, None, hand)
-            for frame, hand in zip(frames, ordered.joints, strict=True)
+            Estimate(path, frame, DEPTH, None, hand, seen=None if seen is None else seen[row])
+            for row, (frame, hand) in enumerate(zip(frames, ordered.joints, strict=True))
             if frame is not None
         ]
         if not found:

@@ -43,10 +43,10 @@ class Hands:
     """These frames, rising, as indices into those of the ``Request``."""
     provenance: Provenance
     warnings: tuple[str, ...] = ()
-    """What may be wrong with it, in words."""
+    """Warnings about it, in words."""
 
     def extrapolate_to_ends(self, frames: Sequence[str]) -> Hands:
-        """The hand stands still, as a guess, before the first and after the last frame in which it was found.
+        """Keep the hand still, as an assumption, before the first and after the last frame in which it was found.
 
         ``frames`` are the names of those of the ``Request``. Frames between two hands stay without one.
         """
@@ -63,7 +63,7 @@ class Hands:
 
 
 def read(paths: Sequence[Path], tracker: Tracker, request: Request) -> Hands:
-    """The hand of one side in some frames of a clip.
+    """Read the hand of one side in some frames of a clip.
 
     ``paths`` are files, folders of them, or patterns (``out/*.npz``). Raises as ``Tracker.read`` does, and
     ``InputError`` where there is no such file or hand, or none that can be one.
@@ -78,6 +78,9 @@ def read(paths: Sequence[Path], tracker: Tracker, request: Request) -> Hands:
     depths = joined(hand.depth for hand in hands)
     estimates = replace(estimates, hands=tuple(hands))
     made, what = track(estimates, request.mano)
+    if any(hand.seen is not None for hand in hands):
+        seen = np.array([np.zeros((21, 3)) if hand.seen is None else hand.seen for hand in hands])
+        made = replace(made, joints_2d=seen[..., :2], joints_2d_confidence=seen[..., 2])
     first = estimates.hands[0]
     if first.mano is not None:  # a hand fitted to plain joints has a hand's size; whether it is in view, callers check
         check_in_hand(first.path, "betas", made.vertices, "a hand")
@@ -106,8 +109,8 @@ def _misfit(estimates: Estimates, made: HandTrack) -> str:
 
 
 def one_each(hands: Sequence[Estimate], request: Request) -> tuple[list[Estimate], Source | None]:
-    """One hand in each frame, in the order of frames, where an estimator found the same twice, or somebody else's; and
-    how it was chosen, None where nothing was.
+    """Choose one hand in each frame, in the order of frames, where an estimator found the same twice, or somebody
+    else's; also return how, None where there was no choice.
 
     Where the clip has the hand's masks, it is the one of which most is in the mask. Where these do not tell, it is the
     one nearest in the image to the hand of the frame before, or of the frame after where none before is known; frames
@@ -152,7 +155,7 @@ def _followed(seen: dict[int, list[Float[ndarray, "N 2"]]], known: dict[int, int
 
 
 def _in_mask(seen: Sequence[Float[ndarray, "N 2"]], frame: int, request: Request) -> int | None:
-    """The hand of which most is in the hand's mask; None where there is no mask, or it does not tell."""
+    """Return the hand with the largest part in the hand's mask; None where there is no mask, or it does not decide."""
     path = request.hand_masks[frame] if request.hand_masks else None
     if path is None:
         return None
@@ -167,7 +170,7 @@ def _in_mask(seen: Sequence[Float[ndarray, "N 2"]], frame: int, request: Request
 
 
 def _seen(hand: Estimate, request: Request) -> Float[ndarray, "N 2"]:
-    """Where points of a hand are in the image [px]: its joints, its surface, or the generic hand's joints."""
+    """Project points of a hand to the image [px]: its joints, its surface, or the generic hand's joints."""
     if hand.joints is not None or hand.vertices is not None:
         points = hand.vertices if hand.joints is None else hand.joints
     else:

@@ -16,14 +16,13 @@ distance follows from it. Between clicked frames the hand moves smoothly; before
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from getagrip.annotate.placed_hands import OUTLIER, Clicks, equations, place, turning
 from getagrip.clip import HandTrack
 from getagrip.clip.plausible import FARTHEST, NEAREST
 from getagrip.errors import UsageError
@@ -33,6 +32,7 @@ from getagrip.hands import generic
 from getagrip.hands.descent import Equations, descend
 from getagrip.hands.fit import Chains, joints_and_jacobian, stepped
 from getagrip.hands.model import KNUCKLES, HandModel, Side, hand_track
+from getagrip.hands.placed_hands import OUTLIER, Clicks, equations, place, turning
 from getagrip.hands.pose_prior import PosePrior
 
 SCALE = "a guess: the generic hand has the size of a mean one, and its distance follows from that"
@@ -46,7 +46,7 @@ LOOSENESS = 0.12
 CURLS = ((0.3, 0.3, 0.3), (0.9, 0.6, 0.4))
 """Bends of the fingers that are tried at first, from knuckle to fingertip [rad]."""
 ROUNDS = 4
-"""Of placing hands and fitting them."""
+"""Rounds of placing hands and fitting them."""
 STEPS = 60
 TOLERANCE = 1e-5
 """Stop when a round lowers the cost by less than this share of it."""
@@ -74,7 +74,7 @@ class ClickedHands:
 def hands_from_clicks(
     clicks: Mapping[int, Float[ndarray, "..."]], K: Float[ndarray, "3 3"], side: Side, first: int, last: int
 ) -> ClickedHands:
-    """The hand in the frames ``first`` to ``last``, both included, from joints clicked on some of them [px].
+    """Fit the hand in the frames ``first`` to ``last``, both included, to joints clicked on some of them [px].
 
     ``clicks`` (21, 2) are wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip, NaN where not
     clicked. Raises ``UsageError`` for no clicked frame, for one with fewer than ``FEWEST`` joints or outside the
@@ -85,15 +85,18 @@ def hands_from_clicks(
     value = Clicks.of(K, np.array([clicks[n] for n in keys], dtype=float))
     model = generic.load(side)
     chains, prior = Chains.of(model), PosePrior.of(model)
-    found = min((_fit(model, chains, prior, value, curl) for curl in CURLS), key=lambda each: each[1])[0]
-    _check_found(keys, found)
+    found = fitted(Fit(model, chains, prior, value))
+    check_found(keys, found)
     X, _ = joints_and_jacobian(chains, found.q, found.shape)
     offset = project(K, se3.transform(found.T, X)) - value.y
     residuals = np.where(value.there, np.linalg.norm(offset, axis=-1), np.nan)
     outliers = value.there & (residuals > OUTLIER * value.noise)
     T, q = between(keys, found.T, found.q, first, last)
     posed = model.with_shape(found.shape).with_pose(model_pose(q))
-    return ClickedHands(hand_track(posed, T), keys, residuals, outliers, found.shape)
+    seen = np.zeros((len(T), 21, 3))
+    seen[np.array(keys) - first] = np.concatenate([value.y, value.there[..., None]], axis=-1)
+    hand = replace(hand_track(posed, T), joints_2d=seen[..., :2], joints_2d_confidence=seen[..., 2])
+    return ClickedHands(hand, keys, residuals, outliers, found.shape)
 
 
 def _check(clicks: Mapping[int, Float[ndarray, "..."]], first: int, last: int) -> None:
@@ -114,7 +117,7 @@ def _check(clicks: Mapping[int, Float[ndarray, "..."]], first: int, last: int) -
             )
 
 
-def _check_found(keys: Sequence[int], found: Guess) -> None:
+def check_found(keys: Sequence[int], found: Guess) -> None:
     """Raise ``UsageError`` where clicks led to no hand."""
     for n, T, q in zip(keys, found.T, found.q, strict=True):
         if not NEAREST < T[2, 3] < FARTHEST or np.abs(q).max() > np.pi:
@@ -122,21 +125,21 @@ def _check_found(keys: Sequence[int], found: Guess) -> None:
 
 
 class Guess(NamedTuple):
-    """What is sought."""
+    """The unknowns of the fit."""
 
     T: Float[ndarray, "n 4 4"]
     """T_cam_hand."""
     q: Float[ndarray, "n 5 3 3"]
     """Rotation vectors of the fingers' joints."""
     grasp: Float[ndarray, "1 5 3 3"]
-    """What all q are near to."""
+    """Prior mean of all q."""
     shape: Float[ndarray, "S"]
 
     wrist: Float[ndarray, "3"]
-    """Of the mean hand, which rotations are about."""
+    """Wrist of the mean hand, which rotations are about."""
 
     def retract(self, frames: Float[ndarray, "n 51"], shared: Float[ndarray, "s"]) -> Guess:
-        """After a step: each hand shifts in its own axes and turns about the wrist, the rest adds up."""
+        """Apply a step: each hand shifts in its own axes and turns about the wrist, the rest adds up."""
         return self._replace(
             T=stepped(self.T, frames[:, :6], self.wrist),
             q=self.q + frames[:, 6:].reshape(self.q.shape),
@@ -145,19 +148,64 @@ class Guess(NamedTuple):
         )
 
 
-def _fit(model: HandModel, chains: Chains, prior: PosePrior, clicks: Clicks, curl: Curl) -> tuple[Guess, float]:
-    """The best hands from fingers that are bent by ``curl``, and their cost.
+class Fit(NamedTuple):
+    """The fit: unknowns, observations and their weights."""
+
+    model: HandModel
+    chains: Chains
+    prior: PosePrior
+    clicks: Clicks
+    looseness: float = LOOSENESS
+    """Standard deviation of each number of the fingers' pose from that of the grasp [rad]."""
+    repeats: float = 1.0
+    """Frames whose joints are wrong in the same way: their evidence of what frames share counts as that of one."""
+
+    def equations(self, guess: Guess) -> Equations:
+        """Compute the cost, and per frame J^T J and J^T r of (T_cam_hand step, pose, grasp, shape)."""
+        n, S = len(self.clicks.y), len(guess.shape)
+        X, J_hand = joints_and_jacobian(self.chains, guess.q, guess.shape)
+        J = np.zeros((n, 21, 3, 51 + SHARED + S))
+        J[..., :51], J[..., 51 + SHARED :] = J_hand[..., :51], J_hand[..., 51:]
+        costs, H, g = equations(self.clicks, guess.T, X, J)
+        i = np.arange(45)
+        off = (guess.q - guess.grasp).reshape(n, 45) / self.looseness
+        for at, sign in ((6, 1.0), (51, -1.0)):
+            H[:, at + i, at + i] += 1.0 / self.looseness**2
+            H[:, at + i, 57 - at + i] -= 1.0 / self.looseness**2
+            g[:, at + i] += sign * off / self.looseness
+        # What is shared has its own priors; they are shared out among the frames, so that the sum has them once.
+        p, P = self.prior.residuals(guess.grasp)
+        b, share = guess.shape / self.model.shape_spread, self.repeats / n
+        H[:, 51:96, 51:96] += share * P[0].T @ P[0]
+        g[:, 51:96] += share * p[0] @ P[0]
+        H[:, 96:, 96:] += share * np.diag(1.0 / self.model.shape_spread**2)
+        g[:, 96:] += share * b / self.model.shape_spread
+        return float(np.sum(costs) + np.sum(off**2) + self.repeats * (np.sum(p**2) + b @ b)), H, g
+
+    def near(self, guess: Guess) -> tuple[Guess, float]:
+        """Fit the hands near a guess; also return their cost."""
+        found, cost, _ = descend(guess, self.equations, STEPS)
+        return found, cost
+
+
+def fitted(fit: Fit) -> Guess:
+    """Fit the hands, from fingers that are bent in several ways."""
+    return min((_from_curl(fit, curl) for curl in CURLS), key=lambda each: each[1])[0]
+
+
+def _from_curl(fit: Fit, curl: Curl) -> tuple[Guess, float]:
+    """Fit the hands from fingers that are bent by ``curl``; also return their cost.
 
     After a fit the orientation of the hands is known better: they are placed and fitted anew
     as long as that helps.
     """
-    grasp, shape = prior.mean.copy(), np.zeros(len(model.shape_names))
+    prior, chains = fit.prior, fit.chains
+    grasp, shape = prior.mean.copy(), np.zeros(len(fit.model.shape_names))
     grasp[1:] = np.array(curl)[:, None] * prior.axes[1:, :, 1]
     best, cost = None, np.inf
     for _ in range(ROUNDS):
-        T = place(chains, clicks, grasp, shape)
-        start = Guess(T, np.tile(grasp, (len(T), 1, 1, 1)), grasp[None], shape, chains.wrist)
-        found, new_cost, _ = descend(start, lambda at: _normal_equations(model, chains, prior, at, clicks), STEPS)
+        T = place(chains, fit.clicks, grasp, shape)
+        found, new_cost = fit.near(Guess(T, np.tile(grasp, (len(T), 1, 1, 1)), grasp[None], shape, chains.wrist))
         new_cost += float(turning(found.T[:-1, :3, :3], found.T[1:, :3, :3]).sum())
         if best is not None and new_cost > (1.0 - TOLERANCE) * cost:
             break
@@ -166,33 +214,10 @@ def _fit(model: HandModel, chains: Chains, prior: PosePrior, clicks: Clicks, cur
     return best, cost
 
 
-def _normal_equations(model: HandModel, chains: Chains, prior: PosePrior, guess: Guess, clicks: Clicks) -> Equations:
-    """The cost, and per frame J^T J and J^T r of (T_cam_hand step, pose, grasp, shape)."""
-    n, S = len(clicks.y), len(guess.shape)
-    X, J_hand = joints_and_jacobian(chains, guess.q, guess.shape)
-    J = np.zeros((n, 21, 3, 51 + SHARED + S))
-    J[..., :51], J[..., 51 + SHARED :] = J_hand[..., :51], J_hand[..., 51:]
-    costs, H, g = equations(clicks, guess.T, X, J)
-    i = np.arange(45)
-    off = (guess.q - guess.grasp).reshape(n, 45) / LOOSENESS
-    for at, sign in ((6, 1.0), (51, -1.0)):
-        H[:, at + i, at + i] += 1.0 / LOOSENESS**2
-        H[:, at + i, 57 - at + i] -= 1.0 / LOOSENESS**2
-        g[:, at + i] += sign * off / LOOSENESS
-    # What is shared has its own priors; they are shared out among the frames, so that the sum has them once.
-    p, P = prior.residuals(guess.grasp)
-    b = guess.shape / model.shape_spread
-    H[:, 51:96, 51:96] += P[0].T @ P[0] / n
-    g[:, 51:96] += p[0] @ P[0] / n
-    H[:, 96:, 96:] += np.diag(1.0 / model.shape_spread**2) / n
-    g[:, 96:] += b / model.shape_spread / n
-    return float(np.sum(costs) + np.sum(off**2) + np.sum(p**2) + b @ b), H, g
-
-
 def between(
     keys: Sequence[int], T: Float[ndarray, "n 4 4"], q: Float[ndarray, "n 5 3 3"], first: int, last: int
 ) -> tuple[Float[ndarray, "T 4 4"], Float[ndarray, "T 5 3 3"]]:
-    """Hands in all frames: smooth through those of the keys, at rest beyond them.
+    """Interpolate hands in all frames: smooth through those of the keys, at rest beyond them.
 
     Positions go along straight rays' pixels and log depths (so that a hand in view stays in view), fingers along
     monotone cubic splines, rotations along a spline of continuous acceleration.
@@ -213,7 +238,7 @@ def between(
 
 
 def model_pose(q: Float[ndarray, "T 5 3 3"]) -> Float[ndarray, "T 45"]:
-    """The fingers' rotation vectors in the order of the model's joints."""
+    """Return the fingers' rotation vectors in the order of the model's joints."""
     pose = np.zeros((len(q), 45))
     for n, knuckle in enumerate(KNUCKLES):
         pose[:, 3 * knuckle - 3 : 3 * knuckle + 6] = q[:, n].reshape(len(q), 9)

@@ -1,0 +1,159 @@
+"""From 2D landmarks in every frame to a hand in every frame: the fit to clicks, told how networks err.
+
+A network errs alike in frames that look alike, so a thousand landmarks are no thousand measurements: what they say of
+the hand's shape and grip counts as one frame's. Else they outvote the prior on the hand's size, and the hand shrinks to
+a few centimetres before the camera. Fingers may move further from their mean pose than those of clicked frames, within
+the prior on poses, and the whole is smoothed over time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from getagrip.clip import HandTrack
+from getagrip.errors import UsageError
+from getagrip.geometry import se3
+from getagrip.geometry.camera import project
+from getagrip.hands import generic
+from getagrip.hands.clicked_hands import FEWEST, Fit, Guess, between, check_found, fitted, model_pose
+from getagrip.hands.fit import Chains, joints_and_jacobian
+from getagrip.hands.model import Side, hand_track
+from getagrip.hands.placed_hands import CLICK_NOISE, Clicks
+from getagrip.hands.pose_prior import PosePrior
+
+NOISE = 0.009
+"""Standard deviation of a landmark, at the hand [m]."""
+LOOSENESS = 0.3
+"""Standard deviation of each number of the fingers' pose from the mean one [rad]."""
+KEYS = 24
+"""Frames that are fitted from scratch at most; the others begin between them."""
+LEAST = 0.05
+"""A landmark of less confidence is none."""
+GAP = 10
+"""Frames without landmarks that are interpolated at most."""
+SMOOTH = {"place": 2.0, "turn": 3.0, "depth": 4.0}
+"""Standard deviations in time of what is averaged [frames]."""
+
+
+@dataclass(frozen=True)
+class LiftedHands:
+    """A hand in those frames that have landmarks, or are between such by no more than ``GAP``."""
+
+    hand: HandTrack
+    rows: tuple[int, ...]
+    """These frames."""
+    residuals: Float[ndarray, "n 21"]
+    """Distance of each joint from its landmark [px]; NaN where there is none."""
+    shape: Float[ndarray, "S"]
+
+
+def hands_from_landmarks(
+    points: Float[ndarray, "T 21 2"],
+    confidence: Float[ndarray, "T 21"],
+    K: Float[ndarray, "3 3"],
+    side: Side,
+    world: Float[ndarray, "T 21 3"] | None = None,
+) -> LiftedHands:
+    """Fit the hand to landmarks [px], in this package's order.
+
+    ``world`` are the same about the hand's middle, in the camera's axes [m], from networks that give them: only the
+    depths are taken, with caution.
+
+    Raises ``UsageError`` where no frame has ``FEWEST`` landmarks, or no hand looks like them.
+    """
+    seen = np.isfinite(points).all(axis=-1) & (confidence >= LEAST)
+    rows = np.flatnonzero(seen.sum(axis=1) >= FEWEST)
+    if not len(rows):
+        raise UsageError(f"landmarks must be {FEWEST} at least in some frame (got {seen.sum(axis=1).max(initial=0)})")
+    given = np.where(seen[..., None], points, np.nan)[rows]
+    depth = np.full((len(rows), 21), np.nan) if world is None else world[rows, :, 2]
+    clicks = _clicks(K, given, confidence[rows], depth)
+    model = generic.load(side)
+    chains, prior = Chains.of(model), PosePrior.of(model)
+
+    def fit(some: Int[ndarray, "k"]) -> Fit:
+        part = Clicks(K, *(each[some] for each in clicks[1:]))
+        return Fit(model, chains, prior, part, LOOSENESS, float(len(some)))
+
+    keys = _keys(rows, confidence[rows].mean(axis=1))
+    found = fitted(fit(keys))
+    check_found(rows[keys].tolist(), found)
+    first, last = int(rows[0]), int(rows[-1])
+    T, q = between(rows[keys].tolist(), found.T, found.q, first, last)
+    start = Guess(T[rows - first], q[rows - first], found.grasp, found.shape, chains.wrist)
+    found, _ = fit(np.arange(len(rows))).near(start)
+    check_found(rows.tolist(), found)
+    X, _ = joints_and_jacobian(chains, found.q, found.shape)
+    residuals = np.linalg.norm(project(K, se3.transform(found.T, X)) - clicks.y, axis=-1)
+    T, q = between(rows.tolist(), *_smoothed(rows, found.T, found.q), first, last)
+    kept = np.flatnonzero(_bridged(rows, last - first + 1))
+    posed = model.with_shape(found.shape).with_pose(model_pose(q[kept]))
+    hand = hand_track(posed, T[kept])
+    return LiftedHands(hand, tuple((kept + first).tolist()), np.where(clicks.there, residuals, np.nan), found.shape)
+
+
+def _clicks(
+    K: Float[ndarray, "3 3"],
+    points: Float[ndarray, "n 21 2"],
+    confidence: Float[ndarray, "n 21"],
+    depth: Float[ndarray, "n 21"],
+) -> Clicks:
+    """Landmarks as clicks, as noisy as landmarks are."""
+    known = np.isfinite(depth).all(axis=1)
+    depth = np.where(known[:, None], depth - depth.mean(axis=1, keepdims=True), 0.0)
+    noisy = Clicks.of(K, points)
+    noise = noisy.noise * (NOISE / CLICK_NOISE) / np.sqrt(np.clip(confidence, LEAST, 1.0))
+    return noisy._replace(noise=noise, depth=depth, depth_known=known)
+
+
+def _keys(rows: Int[ndarray, "n"], confidence: Float[ndarray, "n"]) -> Int[ndarray, "k"]:
+    """Return the most certain of each of ``KEYS`` equal parts."""
+    parts = np.array_split(np.arange(len(rows)), min(KEYS, len(rows)))
+    return np.array([part[np.argmax(confidence[part])] for part in parts])
+
+
+def _bridged(rows: Int[ndarray, "n"], count: int) -> Bool[ndarray, "T"]:
+    """Frames from the first to the last row that are one, or between two that are near."""
+    kept = np.zeros(count, dtype=bool)
+    at = rows - rows[0]
+    kept[at] = True
+    for a, b in pairwise(at):
+        if b - a <= GAP + 1:
+            kept[a:b] = True
+    return kept
+
+
+def _smoothed(
+    rows: Int[ndarray, "n"], T: Float[ndarray, "n 4 4"], q: Float[ndarray, "n 5 3 3"]
+) -> tuple[Float[ndarray, "n 4 4"], Float[ndarray, "n 5 3 3"]]:
+    """Smooth by local lines through the frames about each, with weights that fall with time.
+
+    The lines are robust, so that one wrong frame moves no other.
+    """
+    t = T[:, :3, 3]
+    place = _lines(rows, t[:, :2] / t[:, 2:], SMOOTH["place"])
+    z = np.exp(_lines(rows, np.log(t[:, 2:]), SMOOTH["depth"]))
+    turn = se3.nearest_rotation(_lines(rows, T[:, :3, :3].reshape(-1, 9), SMOOTH["turn"]).reshape(-1, 3, 3))
+    bent = _lines(rows, q.reshape(len(q), 45), SMOOTH["turn"]).reshape(q.shape)
+    return se3.rigid(turn, np.concatenate([place * z, z], axis=1)), bent
+
+
+def _lines(rows: Int[ndarray, "n"], values: Float[ndarray, "n d"], width: float) -> Float[ndarray, "n d"]:
+    """Fit a line about each row, twice, with lower weights for outliers; return its values."""
+    out = values
+    apart = (rows[:, None] - rows).astype(float)
+    for _ in range(2):
+        off = np.linalg.norm(values - out, axis=1)
+        robust = 1.0 / (1.0 + (off / max(2.0 * float(np.median(off)), 1e-9)) ** 2)
+        w = np.exp(-0.5 * (apart / width) ** 2) * robust
+        s0, s1, s2 = w.sum(axis=1), (w * apart).sum(axis=1), (w * apart**2).sum(axis=1)
+        line = w * (s2[:, None] - apart * s1[:, None]) / np.maximum(s0 * s2 - s1**2, 1e-12)[:, None]
+        alone = s0 * s2 - s1**2 < 1e-6 * s0
+        line[alone] = np.eye(len(rows))[alone]
+        out = line @ values
+    return out

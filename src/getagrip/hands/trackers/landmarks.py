@@ -1,0 +1,120 @@
+"""2D landmarks of any tracker, as of MediaPipe, OpenPose, ViTPose or COCO-WholeBody, lifted to hands before the camera.
+
+One file for all frames: ``joints_2d`` (T, 21, 2) [px of the clip's images], or (T, 21, 3) with the confidence, or with
+``joints_2d_confidence`` (T, 21); NaN or null where not seen. All of these trackers have one order: wrist, then thumb,
+index, middle, ring and pinky, each from the palm to the tip. A .csv has ``frame``, ``x0``, ``y0`` to ``x20``, ``y20``,
+optionally ``c0`` to ``c20``. Or OpenPose's ``*_keypoints.json``, one for each image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.errors import InputError
+from getagrip.geometry import se3
+from getagrip.geometry.camera import backproject, project
+from getagrip.hands.clicked_hands import SCALE
+from getagrip.hands.lifted_hands import hands_from_landmarks
+from getagrip.hands.trackers import records
+from getagrip.hands.trackers.estimates import Estimate, Estimates, Request
+from getagrip.hands.trackers.tracker import Tracker, frames_of_rows, only_file
+from getagrip.io import files
+from getagrip.provenance import assumed
+
+DEPTH = assumed("from the size of the generic hand and the clip's focal length")
+LARGEST_SHARE = 1.5
+"""Coordinates up to here are shares of the image's sides, as MediaPipe gives them."""
+OPENPOSE = "_keypoints"
+"""At the end of the names of OpenPose's files."""
+
+
+@dataclass(frozen=True)
+class Landmarks(Tracker):
+    """2D landmarks, lifted to the generic hand."""
+
+    name = "2D landmarks"
+    takes = "21 of them in pixels (MediaPipe, OpenPose, ViTPose)"
+
+    def read(self, paths: Sequence[Path], request: Request) -> Estimates:
+        """The lifted hand in the clip's frames that have landmarks, or are between such by few frames."""
+        seen, path = np.zeros((len(request.frames), 21, 3)), paths[0]
+        if path.stem.endswith(OPENPOSE):
+            read = [(path.stem.removesuffix(OPENPOSE), _openpose(path, request.side)) for path in paths]
+            rows = {"frames": [name for name, _ in read]}
+            points = np.array([found for _, found in read])
+        else:
+            path = only_file(paths, "landmarks")
+            rows = dict(_csv(path) if path.suffix.lower() == ".csv" else records.read(path))
+            found = records.seen_joints(path, rows, _count(path, rows))
+            if found is None:
+                raise InputError(path, "joints_2d", "no such key", "the landmarks (T, 21, 2) [px]")
+            points = found
+        for row, frame in enumerate(frames_of_rows(path, rows, len(points), request)):
+            if frame is not None:
+                seen[frame] = points[row]
+        there = seen[..., 2] > 0.0
+        shares = there.any() and np.abs(seen[there][:, :2]).max() <= LARGEST_SHARE
+        if shares:
+            seen[..., :2] *= request.size
+        if not there.any():
+            return Estimates(request.side, ())
+        K = request.K[0]
+        as_seen = project(K, backproject(request.K, seen[..., :2]))
+        lifted = hands_from_landmarks(as_seen, seen[..., 2], K, request.side)
+        assert lifted.hand.joints is not None
+        joints = se3.transform(lifted.hand.T_cam_hand, lifted.hand.joints)
+        hands = (
+            Estimate(path, frame, DEPTH, None, hand, seen=seen[frame])
+            for frame, hand in zip(lifted.rows, joints, strict=True)
+        )
+        scale = SCALE + ("; coordinates up to 1 taken as shares of the image" if shares else "")
+        return Estimates(request.side, tuple(hands), scale=scale)
+
+
+def _count(path: Path, rows: records.Record) -> int:
+    """How many frames there are. Raises ``InputError``."""
+    try:
+        return len(rows.get("joints_2d", ()))
+    except TypeError as error:
+        raise InputError(path, "joints_2d", files.shown(rows["joints_2d"]), "an array (T, 21, 2)") from error
+
+
+def _openpose(path: Path, side: str) -> Float[ndarray, "21 3"]:
+    """The hand of a side in one of OpenPose's files, of the person whose hand is surest; zeros where there is none."""
+    people = records.read(path).get(records.PEOPLE, [])
+    best = np.zeros((21, 3))
+    for person in people if isinstance(people, list) else []:
+        values = person.get(f"hand_{side}_keypoints_2d") if isinstance(person, dict) else None
+        if values:
+            hand = records.numbers(path, person, f"hand_{side}_keypoints_2d", (63,)).reshape(21, 3)
+            best = max(best, hand, key=lambda each: float(each[:, 2].sum()))
+    return best
+
+
+def _csv(path: Path) -> records.Record:
+    """A table of landmarks. Raises ``InputError``."""
+    heads, rows = files.csv_rows(path, files.read_bytes(path, records.LARGEST), "a table of landmarks")
+    columns = [f"{axis}{joint}" for joint in range(21) for axis in "xy"]
+    missing = next((name for name in ("frame", *columns) if name not in heads), None)
+    if missing or not rows:
+        raise InputError(
+            path, missing or "", "no such column" if missing else "no rows", "frame, x0, y0, ..., x20, y20"
+        )
+
+    def number(where: str, row: dict[str, str], key: str) -> float:
+        try:
+            return float(row[key] or "nan")
+        except ValueError as error:
+            raise InputError(path, where + key, files.shown(row[key]), "a number") from error
+
+    points = np.array([[number(*each, name) for name in columns] for each in rows]).reshape(-1, 21, 2)
+    of_confidence = [f"c{k}" for k in range(21)] if "c0" in heads else []
+    confidence = np.array([[number(*each, name) for name in of_confidence] for each in rows])
+    found = {"frames": [row["frame"] for _, row in rows], "joints_2d": points}
+    return found | ({"joints_2d_confidence": np.nan_to_num(confidence)} if of_confidence else {})

@@ -1,0 +1,92 @@
+"""Hands in every frame of a clip: detected in each, and followed from the frames before and after.
+
+A detector misses hands that hold something, and a follower lags where a hand moves fast or is lost in blur; of what
+both say of a hand the network's own confidence chooses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+
+from getagrip.landmarks import crops
+from getagrip.landmarks.crops import Crop
+from getagrip.landmarks.nets import Nets
+
+LEAST = 0.5
+"""Confidence of a hand."""
+SURE = 0.75
+"""A hand of less confidence, followed from the frame before, is looked for where it is detected and from the frame
+after, too."""
+SAME = 0.4
+"""Hands whose palms are nearer than so many of their sizes are one."""
+PALM = [0, 5, 9, 13, 17]
+"""Wrist and knuckles."""
+
+Image = UInt8[ndarray, "H W 3"]
+
+
+class Sighting(NamedTuple):
+    """A hand in a frame."""
+
+    points: Float[ndarray, "21 2"]
+    """Wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip [px]."""
+    world: Float[ndarray, "21 3"]
+    """Landmarks about the hand's middle, along the camera's axes, of a hand of about mean size [m]."""
+    confidence: float
+    right: float
+    """Probability that it is a right hand."""
+
+    @property
+    def middle(self) -> Float[ndarray, "2"]:
+        """Middle of the palm [px]."""
+        return np.asarray(self.points[PALM].mean(axis=0))
+
+    @property
+    def size(self) -> float:
+        """From the wrist to the fingers' middle joints, or across the palm where that is more [px]."""
+        across = np.linalg.norm(self.points[5] - self.points[17])
+        return max(float(np.linalg.norm(self.points[10] - self.points[0])), 2.0 * float(across), 1.0)
+
+    def same(self, other: Sighting) -> bool:
+        """Return whether both are of one hand."""
+        return bool(np.linalg.norm(self.middle - other.middle) < SAME * max(self.size, other.size))
+
+
+def follow(
+    image: Callable[[int], Image], count: int, nets: Nets, on_frame: Callable[[int], None] = lambda n: None
+) -> list[list[Sighting]]:
+    """Follow the hands over ``count`` frames, the most certain first. ``on_frame`` is called before each."""
+    seen: list[list[Sighting]] = []
+    for n in range(count):
+        on_frame(n)
+        now = image(n)
+        expected = [crops.of_landmarks(each.points) for each in (seen[-1] if seen else [])]
+        followed = _looked(now, expected, nets)
+        known = [crop for crop, hand in zip(expected, followed, strict=True) if hand.confidence >= SURE]
+        detected = [crop for crop in map(crops.of_palm, nets.palms(now)) if not any(map(crop.near, known))]
+        seen.append(one_each([*followed, *_looked(now, detected, nets)]))
+    for n in range(count - 2, -1, -1):
+        again = [each for each in seen[n + 1] if not any(each.same(old) and old.confidence >= SURE for old in seen[n])]
+        if again:
+            there = _looked(image(n), [crops.of_landmarks(each.points) for each in again], nets)
+            seen[n] = one_each([*seen[n], *there])
+    return seen
+
+
+def _looked(image: Image, where: Sequence[Crop], nets: Nets) -> list[Sighting]:
+    """Find the hands in some squares of an image."""
+    return [Sighting(*nets.landmarks(image, crop)) for crop in where]
+
+
+def one_each(hands: Sequence[Sighting]) -> list[Sighting]:
+    """Choose the most certain sighting of each hand, the most certain first."""
+    out: list[Sighting] = []
+    for each in sorted(hands, key=lambda hand: -hand.confidence):
+        if each.confidence >= LEAST and not any(each.same(other) for other in out):
+            out.append(each)
+    return out

