@@ -22,7 +22,7 @@ from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.splits import Split, split
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_CAM, ADD_SYM_MM
-from getagrip.experiments.changes import AS_GIVEN, Noisy, OtherObject, ScaleFree
+from getagrip.experiments.changes import UNCHANGED, Noisy, OtherObject, ScaleFree
 from getagrip.experiments.sources.recorded import DexYcb
 from getagrip.fitting.options import Options
 from getagrip.io.code import stamp
@@ -42,7 +42,7 @@ def unseen_hand(clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
 
 
 CONDITIONS: dict[str, Change] = {
-    "as it is": AS_GIVEN,
+    "as it is": UNCHANGED,
     "moderate": Noisy(NOISE["moderate"]),
     "strong": Noisy(NOISE["strong"]),
     "estimated": Noisy(NOISE["estimated"]),

@@ -113,7 +113,7 @@ def test_a_result_has_the_shape_and_says_so(tmp_path: Path, method: str) -> None
     options = Options(method=method, inits=6)
     result = reconstruct(given, masks, options)
     assert result.warp is not None
-    assert any("the object's shape is a guess" in note for note in result.notes)
+    assert any("the object's shape is an assumption" in note for note in result.notes)
     deformed = result.warp.displacement(given.mesh) / given.mesh.diameter
     assert result.checks["mesh-deformed"] == pytest.approx(deformed)
     (message,) = (finding.message for finding in result.findings if finding.check == "mesh-deformed")

@@ -79,7 +79,7 @@ def test_one_scale_is_found_for_all_segments() -> None:
     result = reconstruct(replace(clip, mesh=smaller, scale="free", truth=None), masks, FEW)
     assert result.scale == pytest.approx(1.2, rel=0.05)
     assert result.mean_iou > 0.9
-    assert any("guess" in note for note in result.notes)
+    assert any("estimated" in note for note in result.notes)
 
 
 @pytest.mark.slow

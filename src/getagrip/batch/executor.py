@@ -102,7 +102,7 @@ def each(
     workers: int | None = None,
     here: Callable[[J], R] | None = None,
 ) -> list[R]:
-    """What ``work`` returns for each job, in their order; many are shared out over processes, one for each core.
+    """Return what ``work`` makes of each job, in their order; many are shared out over processes, one for each core.
 
     ``died`` says what becomes of a job whose process died twice. ``ended`` is called with what comes of each, as they
     finish. ``here`` is the work as it is done in this process, where that differs.

@@ -38,9 +38,7 @@ KEYS = {"inputs": "another clip", "options": "other options", "software": "other
 
 
 def made_by(method: str, *also: str) -> dict[str, str]:
-    """Return ``result.software``, the additions of other packages, and a checksum of a method from outside the
-    package.
-    """
+    """Return ``result.software``, the additions of other packages, and the checksum of a method from outside."""
     there, made = method_of(method), software(*also) | plugins.made_with(method)
     if there is OURS.get(method):
         return made

@@ -1,4 +1,4 @@
-"""How much time and memory one job may take: a clip that asks for more is named and left behind."""
+"""Limits of the time and memory of one job: a clip that needs more fails, and is named."""
 
 from __future__ import annotations
 

@@ -93,7 +93,7 @@ class _Process(Generic[J, R]):
             self.pipe.send(job)
 
     def time_left(self) -> float | None:
-        """Seconds until its job has taken too long; None: any."""
+        """Return the seconds until its job has taken too long; None: any."""
         if self.limits.seconds is None or not self.ready:
             return None
         return max(0.0, self.since + self.limits.seconds - time.monotonic())

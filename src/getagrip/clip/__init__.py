@@ -18,7 +18,7 @@ from getagrip.clip.masks import (
     read_observed,
     with_masks,
 )
-from getagrip.clip.modality import MODALITIES, Modality, modalities, with_evidence
+from getagrip.clip.modality import MODALITIES, Modality, modalities, other_evidence, with_evidence
 from getagrip.clip.plausible import check_clip
 from getagrip.clip.reading import input_sha256, read_clip, read_name
 from getagrip.clip.timeline import Segment, State
@@ -48,6 +48,7 @@ __all__ = [
     "masks_of_some",
     "modalities",
     "observed_frames",
+    "other_evidence",
     "read_clip",
     "read_masks",
     "read_name",

@@ -8,7 +8,7 @@ its own with ``MODALITIES["mine"] = Mine()``, another package by an entry point 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -59,12 +59,15 @@ class Modality(ABC, Generic[D]):
         return cast("D | None", clip.evidence.get(self.name))
 
 
-OURS: dict[str, Modality[Any] | str] = {
+OURS: Mapping[str, Modality[Any] | str] = {
     "object-masks": "getagrip.evidence.object_masks:ObjectMasks",
     "hand-masks": "getagrip.evidence.hand_masks:HandMasks",
 }
 MODALITIES = Table(
-    "modalities", OURS, "a Modality of the same name", lambda name, it: isinstance(it, Modality) and it.name == name
+    "modalities",
+    dict(OURS),
+    "a Modality of the same name",
+    lambda name, it: isinstance(it, Modality) and it.name == name,
 )
 """Every modality by its name, or where its class is, which is imported when it is first needed."""
 
@@ -89,3 +92,8 @@ def with_evidence(clip: Clip) -> Clip:
     if clip.folder is None or not missing:
         return clip
     return replace(clip, evidence={**clip.evidence, **{modality.name: modality.read(clip) for modality in missing}})
+
+
+def other_evidence(clip: Clip) -> list[str]:
+    """Name the evidence that a clip has in memory besides its masks."""
+    return [name for name, data in clip.evidence.items() if data is not None and name not in OURS]

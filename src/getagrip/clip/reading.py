@@ -162,7 +162,7 @@ def _folder(path: str | Path) -> Path:
 
 def _mesh(folder: Path, fields: ClipFields) -> Path:
     """Return the path of the mesh, checked."""
-    return files.inside(folder, fields["mesh"], "mesh", "a triangle mesh", given_in=folder / "clip.json")
+    return files.inside(folder, fields["mesh"], "mesh", "a triangle mesh", source=folder / "clip.json")
 
 
 def _fields(folder: Path) -> ClipFields:

@@ -98,7 +98,7 @@ class Evaluate(Command):
             for table in (results_table(evaluations), *(contact_tables(evaluations) if self.contact else ())):
                 console().print(table)
         for made in evaluations:
-            _print_doubts(made)
+            _print_warnings(made)
         if self.json is not None:
             files.write_json(self.json, summary(evaluations))
         return 1 if problems else 0
@@ -112,7 +112,7 @@ class ResultJob:
     clips: Path | None
 
 
-def _print_doubts(made: Evaluation) -> None:
+def _print_warnings(made: Evaluation) -> None:
     """Print the findings of an evaluated result, and notes on its metrics, on stderr."""
     warnings = [*made.findings, *made.notes]
     if missing := int(made.metrics.get("frames_without_mesh", 0)):

@@ -84,7 +84,7 @@ def poses_of(place: Path, name: str, clip: Clip, masks: Masks | None, first: int
         notes.append("the scale 1 is a guess: the poses say none, and the clip's mesh has no known size")
     unknown = {"total": float("nan")}
     return replace(
-        Reconstruction.given(clip.name, name, clip.frames, T_hand_obj, scale),
+        Reconstruction.external(clip.name, name, clip.frames, T_hand_obj, scale),
         frame_kind=kind, iou=iou, energy=unknown, seconds=unknown, notes=tuple(notes),
     )  # fmt: skip
 

@@ -48,7 +48,7 @@ class Change(Protocol):
 
 
 @dataclass(frozen=True)
-class AsGiven(Change):
+class Unchanged(Change):
     """The clip itself."""
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
@@ -214,7 +214,7 @@ class WrongMasks(Change):
         return clip, replace(masks, object=changed)
 
 
-AS_GIVEN = AsGiven()
+UNCHANGED = Unchanged()
 
 
 def another_object(mask: Bool[ndarray, "H W"], towards: Float[ndarray, "2"]) -> Bool[ndarray, "H W"]:

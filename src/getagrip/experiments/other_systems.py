@@ -10,7 +10,7 @@ from getagrip.clip import Clip, Masks, observed_frames
 from getagrip.clip.sampling import frame_indices
 from getagrip.errors import InputError, UsageError
 from getagrip.evaluation.other_poses import OtherSystem
-from getagrip.experiments.changes import AS_GIVEN
+from getagrip.experiments.changes import UNCHANGED
 from getagrip.experiments.settings import REFERENCE
 from getagrip.experiments.variants import Variant, by_contact
 from getagrip.fitting.methods import METHODS
@@ -37,7 +37,7 @@ def system_variants(
 ) -> list[Variant]:
     """Make a row for each system, by each definition of contact."""
     rows = [
-        Variant(each.name, each.name, base, AS_GIVEN, contacts[0], REFERENCE, each.name, each.name, each)
+        Variant(each.name, each.name, base, UNCHANGED, contacts[0], REFERENCE, each.name, each.name, each)
         for each in systems
     ]
     return by_contact(rows, contacts)

@@ -8,7 +8,7 @@ from typing import Any
 
 from getagrip.datasets.synthetic.noise import NOISE, Noise
 from getagrip.experiments.changes import (
-    AS_GIVEN,
+    UNCHANGED,
     Change,
     FlippedHands,
     Gapped,
@@ -41,7 +41,7 @@ class Setting:
     label: str
     options: Mapping[str, Any] = field(default_factory=dict)
     """``Options`` that differ from those of the run."""
-    change: Change = AS_GIVEN
+    change: Change = UNCHANGED
     contact: ContactDefinition | None = None
     """Definition of contact in the metrics; None: the run's."""
 
@@ -197,7 +197,10 @@ ABLATIONS: dict[str, Ablation] = {
         "none, as given",
         tuple(
             Setting(f"{label}, {word}", {"hands": hands}, change)
-            for label, change in (("none", AS_GIVEN), *((f"{100 * p:.0f} %", FlippedHands(p)) for p in (0.1, 0.2, 0.4)))
+            for label, change in (
+                ("none", UNCHANGED),
+                *((f"{100 * p:.0f} %", FlippedHands(p)) for p in (0.1, 0.2, 0.4)),
+            )
             for hands, word in (("as-given", "as given"), ("corrected", "repaired"))
         ),
         ("soft-hinge",),
@@ -237,7 +240,7 @@ ABLATIONS: dict[str, Ablation] = {
         "own, as given",
         tuple(
             Setting(f"{label}, {word}", {"mesh": mesh}, change)
-            for label, change in ({"own": AS_GIVEN} | CATEGORY_MESHES).items()
+            for label, change in ({"own": UNCHANGED} | CATEGORY_MESHES).items()
             for mesh, word in (("as-given", "as given"), ("fitted", "fitted"))
         ),
         ("soft-hinge",),

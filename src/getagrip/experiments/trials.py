@@ -18,7 +18,7 @@ from getagrip.batch.kept import good_result, made_by
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
 from getagrip.errors import InputError
 from getagrip.evaluation.metric import METRICS, SCA
-from getagrip.experiments.changes import AS_GIVEN
+from getagrip.experiments.changes import UNCHANGED
 from getagrip.experiments.other_systems import options_of, result_of
 from getagrip.experiments.trial import ClipScores, Trial
 from getagrip.experiments.variants import Variant
@@ -176,7 +176,7 @@ def _place(trial: GraspTrial, variant: Variant) -> Path:
 
 def _checksum(checksum: str, variant: Variant, clip: str) -> str:
     """Return the checksum of the clip as the variant changes it: ``evaluate`` must not take it for the folder's."""
-    if variant.change == AS_GIVEN:
+    if variant.change == UNCHANGED:
         return checksum
     changed = f"{checksum} {variant.change} {variant.options.seed}"
     if inputs := variant.change.inputs(clip):
@@ -197,7 +197,7 @@ def _good(
 
 def _made_by(variant: Variant) -> dict[str, str]:
     """Return the software that makes a variant's result, and the code of ``evaluation`` that measures it."""
-    also = () if variant.change == AS_GIVEN else CHANGES
+    also = () if variant.change == UNCHANGED else CHANGES
     if variant.system is not None:
         also += SYSTEMS
     made = made_by(variant.method, *also) if variant.system is None else software(*also)

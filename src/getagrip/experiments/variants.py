@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from getagrip.evaluation.other_poses import OtherSystem
-from getagrip.experiments.changes import AS_GIVEN, Change
+from getagrip.experiments.changes import UNCHANGED, Change
 from getagrip.experiments.settings import ABLATIONS, COMPARED, CONTACTS, REFERENCE, Ablation
 from getagrip.fitting.options import Options
 from getagrip.metrics.contact import ContactDefinition
@@ -43,7 +43,7 @@ def method_variants(
 ) -> list[Variant]:
     """Make a variant of each method, by each definition of contact; all but the slow ones where none is named."""
     named: Sequence[str] = methods or COMPARED
-    plain = [Variant(m, m, replace(base, method=m), AS_GIVEN, contacts[0], REFERENCE, m, m) for m in named]
+    plain = [Variant(m, m, replace(base, method=m), UNCHANGED, contacts[0], REFERENCE, m, m) for m in named]
     return by_contact(plain, contacts)
 
 
@@ -64,7 +64,7 @@ def ablation_variants(
         usual = replace(base, method=method)
         for setting in ablation.settings:
             options = replace(usual, **setting.options)
-            same = options == usual and setting.change == AS_GIVEN
+            same = options == usual and setting.change == UNCHANGED
             folder = method if same else f"{method}+{name}-{_slug(setting.label)}"
             against = f"{REFERENCE}, {setting.label}" if ablation.usual is None else f"{method}, {ablation.usual}"
             label, contact = f"{method}, {setting.label}", setting.contact or contacts[0]

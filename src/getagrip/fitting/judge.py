@@ -52,16 +52,19 @@ def probabilities(
 
     ``terms`` are those of its energy.
     """
-    if uncalibrated(options, findings, terms):
-        return {"hand": None, "camera": None}
-    in_hand = probability_right(options, signs, findings)
+    in_hand = probability_right(options, signs, findings, "hand", terms)
+    in_camera = probability_right(options, signs, findings, "camera", terms)
     # No pixel tells a wrong focal length from another distance.
     guessed = is_assumed(clip.provenance.get("camera"))
-    return {"hand": in_hand, "camera": None if guessed else probability_right(options, signs, findings, "camera")}
+    return {"hand": in_hand, "camera": None if guessed else in_camera}
 
 
 def probability_right(
-    options: Options, signs: Mapping[str, float], findings: Sequence[Finding], where: Where = "hand"
+    options: Options,
+    signs: Mapping[str, float],
+    findings: Sequence[Finding],
+    where: Where = "hand",
+    terms: Iterable[str] = (),
 ) -> Probability | None:
     """Compute the probability that a result with such signs is right.
 
@@ -70,7 +73,7 @@ def probability_right(
     None where nothing is calibrated (``uncalibrated``).
     """
     calibration = CALIBRATIONS.get((options.method, where))
-    if calibration is None or uncalibrated(options, findings):
+    if calibration is None or uncalibrated(options, findings, terms):
         return None
     if not signs.keys() >= calibration.weights.keys():  # of a motion of one's own
         return None
@@ -80,10 +83,8 @@ def probability_right(
 def uncalibrated(options: Options, findings: Sequence[Finding], terms: Iterable[str] = ()) -> str:
     """Say why there is no probability that a result is right; empty where there is one.
 
-    ``terms`` are the names of its energy's terms.
-
-    There is none for methods and energies other than those that were calibrated, for shorter searches, and where a
-    finding is serious: wrong inputs were no part of the calibration.
+    There is none for methods and energies (``terms``: their names) other than those that were calibrated, for shorter
+    searches, and where a finding is serious: wrong inputs were no part of the calibration.
     """
     if not any(method == options.method for method, _ in CALIBRATIONS):
         return f"none is calibrated for {options.method}"

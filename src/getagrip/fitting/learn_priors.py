@@ -23,7 +23,7 @@ from getagrip.io import arrays, files
 
 Way = Literal["geodesic", "axis-angle"]
 """How rotations are clustered."""
-WAYS: tuple[Way, ...] = get_args(Way)
+CLUSTERINGS: tuple[Way, ...] = get_args(Way)
 VERSION = 2
 """Version of the file."""
 MOST_CLUSTERS = 1000

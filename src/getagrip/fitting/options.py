@@ -163,7 +163,7 @@ class Options(SearchOptions):
 
     @property
     def as_published(self) -> bool:
-        """Whether the method is left as its authors state it: nothing is done to its input."""
+        """True if the method is left as its authors state it: nothing is done to its input."""
         return method_of(self.method).as_published
 
     def __post_init__(self) -> None:

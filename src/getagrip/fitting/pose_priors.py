@@ -17,7 +17,16 @@ from numpy import ndarray
 
 from getagrip.clip import Clip
 from getagrip.errors import InputError
-from getagrip.fitting.learn_priors import MOST_CLUSTERS, VERSION, WAYS, Hold, LearntGrasps, Priors, Way, subject_of
+from getagrip.fitting.learn_priors import (
+    CLUSTERINGS,
+    MOST_CLUSTERS,
+    VERSION,
+    Hold,
+    LearntGrasps,
+    Priors,
+    Way,
+    subject_of,
+)
 from getagrip.fitting.options import Init, Options, PriorsFile
 from getagrip.geometry import se3
 from getagrip.io import arrays, files
@@ -114,8 +123,8 @@ def read_learnt(path: Path) -> Priors | LearntGrasps:
         _check_poses(path, key, se3.rigid(t=at))
     _check_counts(path, names, NAMES, len(R))
     way = content.get("way", np.array(""))
-    if way.shape != () or str(way) not in WAYS:
-        raise InputError(path, "way", files.shown(way.tolist()), f"one of {', '.join(WAYS)}")
+    if way.shape != () or str(way) not in CLUSTERINGS:
+        raise InputError(path, "way", files.shown(way.tolist()), f"one of {', '.join(CLUSTERINGS)}")
     k, seed = _whole(path, content, "k", 1, MOST_CLUSTERS), _whole(path, content, "seed", 0, 2**63 - 1)
     rows = zip(
         *(names[key] for key in ("category", "side")),

@@ -133,7 +133,7 @@ class _Text:
         self.at = 0
 
     def table(self, element: Element, counts: list[int]) -> Columns | None:
-        """All rows of an element whose lists have the lengths ``counts``; None where a row's are others."""
+        """Read all rows of an element whose lists have the lengths ``counts``; None where a row's are others."""
         width = sum(count + bool(p.counted) for p, count in zip(element.properties, counts, strict=True))
         values = self.values[self.at : self.at + element.length * width]
         if len(values) < element.length * width:
@@ -164,7 +164,7 @@ class _Binary:
         self.content, self.at, self.order = content, start, order
 
     def table(self, element: Element, counts: list[int]) -> Columns | None:
-        """All rows of an element whose lists have the lengths ``counts``; None where a row's are others."""
+        """Read all rows of an element whose lists have the lengths ``counts``; None where a row's are others."""
         fields: list[tuple[str, str, int]] = []
         for n, (p, count) in enumerate(zip(element.properties, counts, strict=True)):
             fields += [(f"count{n}", self.order + p.counted, 1)] if p.counted else []

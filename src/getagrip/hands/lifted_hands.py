@@ -1,4 +1,4 @@
-"""From 2D landmarks in every frame to a hand in every frame: the fit to clicks, told how networks err.
+"""Fit a hand in every frame to 2D landmarks: the fit to clicks, with the errors of networks.
 
 A network errs alike in frames that look alike, so a thousand landmarks are no thousand measurements: what they say of
 the hand's shape and grip counts as one frame's. Else they outvote the prior on the hand's size, and the hand shrinks to
@@ -70,9 +70,9 @@ def hands_from_landmarks(
     rows = np.flatnonzero(seen.sum(axis=1) >= FEWEST)
     if not len(rows):
         raise UsageError(f"landmarks must be {FEWEST} at least in some frame (got {seen.sum(axis=1).max(initial=0)})")
-    given = np.where(seen[..., None], points, np.nan)[rows]
+    points_seen = np.where(seen[..., None], points, np.nan)[rows]
     depth = np.full((len(rows), 21), np.nan) if world is None else world[rows, :, 2]
-    clicks = _clicks(K, given, confidence[rows], depth)
+    clicks = _clicks(K, points_seen, confidence[rows], depth)
     model = generic.load(side)
     chains, prior = Chains.of(model), PosePrior.of(model)
 

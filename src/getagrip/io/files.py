@@ -55,25 +55,25 @@ def is_plain_name(name: str) -> bool:
     return plain and 0 < len(name.encode()) <= 200
 
 
-def inside(folder: Path, relative: str, key: str, what: str, given_in: Path | None = None) -> Path:
+def inside(folder: Path, relative: str, key: str, what: str, source: Path | None = None) -> Path:
     """Return the file ``folder/relative``, which must exist and lie in the folder, links followed.
 
-    Raises ``InputError``, in the name of the file ``given_in`` where the path was read from one.
+    Raises ``InputError``, in the name of the file ``source`` where the path was read from one.
     """
-    source = given_in or folder / relative
+    named = source or folder / relative
     parts = PurePosixPath(relative)
     if not relative or "\0" in relative or "\\" in relative or parts.is_absolute() or ".." in parts.parts:
-        raise InputError(source, key, f"the path {shown(relative)}", f"{what} inside the folder")
+        raise InputError(named, key, f"the path {shown(relative)}", f"{what} inside the folder")
     path = folder / relative
     try:
         leaves = not os.path.realpath(path).startswith(os.path.join(os.path.realpath(folder), ""))
         there = path.is_file()
     except OSError as error:  # names that are too long, no permission
-        raise InputError(source, key, f"the path {shown(relative)} ({error.strerror})", what) from error
+        raise InputError(named, key, f"the path {shown(relative)} ({error.strerror})", what) from error
     if leaves:
-        raise InputError(source, key, f"the path {shown(relative)}, which leads out", f"{what} inside the folder")
+        raise InputError(named, key, f"the path {shown(relative)}, which leads out", f"{what} inside the folder")
     if not there:
-        raise InputError(path, "" if given_in is None else key, "no such file", what)
+        raise InputError(path, "" if source is None else key, "no such file", what)
     return path
 
 

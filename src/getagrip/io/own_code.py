@@ -96,7 +96,7 @@ class _Parts:
                 self.add(part)
 
     def digests(self) -> list[str]:
-        """Those of the files, and of the files that these import."""
+        """Return the checksums of the files, and of the files that these import."""
         found, left = dict[Path, str](), list(self.files)
         while left:
             file = left.pop()

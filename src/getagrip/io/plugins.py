@@ -168,9 +168,7 @@ class Table(MutableMapping[str, T], Generic[T]):
         return there
 
     def made_of(self, *only: str) -> Iterator[str]:
-        """Yield, for each working one of another package, of those named if any are, its package, version and
-        checksum.
-        """
+        """Yield package, version and checksum of each working entry of another package, with names only of these."""
         for name, value in self.working().items():
             if name not in self.own and (not only or name in only):
                 if name not in self._made_of:

@@ -23,7 +23,7 @@ SURE = 0.75
 """A hand of less confidence, followed from the frame before, is looked for where it is detected and from the frame
 after, too."""
 SAME = 0.4
-"""Hands whose palms are nearer than so many of their sizes are one."""
+"""Distance, in sizes of the palm, below which two hands are one."""
 PALM = [0, 5, 9, 13, 17]
 """Wrist and knuckles."""
 

@@ -106,12 +106,12 @@ def _litert(content: bytes, outputs: int) -> Net:
 
     interpreter: Any = Interpreter(model_content=content, num_threads=1)
     interpreter.allocate_tensors()
-    given = interpreter.get_input_details()[0]["index"]
+    index = interpreter.get_input_details()[0]["index"]
     named = {each["name"].split(":")[0]: each["index"] for each in interpreter.get_output_details()}
     wanted = [named[name] for name in _names(outputs)]
 
     def run(image: Float32[ndarray, "n n 3"]) -> list[Float32[ndarray, "..."]]:
-        interpreter.set_tensor(given, image[None])
+        interpreter.set_tensor(index, image[None])
         interpreter.invoke()
         return [np.array(interpreter.get_tensor(index)) for index in wanted]
 

@@ -23,11 +23,11 @@ Side = Literal["left", "right"]
 GAP = 10
 """Frames over which a hand is linked, and over which it is interpolated later; longer gaps stay gaps."""
 REACH = 1.0
-"""A palm moves by less than so many of its sizes from one frame to the next that has it."""
+"""Largest motion of a palm, in its sizes, from one frame to the next that has it."""
 SHORTEST = 4
 """Least frames of a track that counts."""
 JUMP = 0.25
-"""Landmarks that are so many sizes (root mean square) from the median of the frames about them are wrong."""
+"""Largest distance of landmarks, in sizes (root mean square), from the median of the frames about them."""
 ABOUT = 3
 """Frames before and after, of that median."""
 UNSURE = 0.02

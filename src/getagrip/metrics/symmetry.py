@@ -110,7 +110,7 @@ class _Surface:
         return rotations[distance.mean(axis=1) < 3.0 * MEAN * self.mesh.diameter]
 
     def nearest(self, X: Float[ndarray, "P 3"]) -> tuple[ndarray, ndarray, ndarray]:
-        """Distances [m], nearest points and the normals there."""
+        """Return distances [m], nearest points and the normals there."""
         squared, face, nearest = self.tree.squared_distance(self.mesh.vertices, self.mesh.faces, X)
         return np.sqrt(squared), nearest, self.mesh.planes[face, :3]
 

@@ -54,7 +54,7 @@ def true_view(folder: Path) -> View:
     hinge = pose_hinge(R, centre, size)
     T_hand_obj = se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj
     axis = Axis(hinge.point, hinge.direction, np.unwrap(hinge.angles(R, centre)))
-    motion = replace(Reconstruction.given(clip.name, "one-dof", clip.frames, T_hand_obj, truth.scale), axis=axis)
+    motion = replace(Reconstruction.external(clip.name, "one-dof", clip.frames, T_hand_obj, truth.scale), axis=axis)
     hand = replace(clip.hand, vertices=truth.hand_vertices, T_cam_hand=truth.T_cam_hand)
     return View(replace(clip, hand=hand, scale="known"), None, motion, of_truth=True)
 
@@ -62,7 +62,7 @@ def true_view(folder: Path) -> View:
 def hand_alone(clip: Clip) -> View:
     """Return a clip of which no pose of the object is known."""
     still = np.tile(np.eye(4), (len(clip), 1, 1))
-    nothing = Reconstruction.given(clip.name, "", clip.frames, still)
+    nothing = Reconstruction.external(clip.name, "", clip.frames, still)
     return View(clip.light(), None, nothing, posed=False)
 
 

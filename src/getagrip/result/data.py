@@ -133,13 +133,13 @@ class Reconstruction(ArrayData):
             raise UsageError(f"Reconstruction.frame_kind must be {expected} (got {self.frame_kind})")
 
     @staticmethod
-    def given(
+    def external(
         clip: str, method: str, frames: tuple[str, ...], T_hand_obj: Float[ndarray, "T 4 4"], scale: float = 1.0
     ) -> Reconstruction:
         """Poses that no fit has found: another system's, or the true ones."""
         return Reconstruction(
             clip, method, frames, T_hand_obj, scale, iou=np.full(len(frames), np.nan), axis=None,
-            candidates=Candidates(T_hand_obj[None], np.array([scale]), np.zeros(1)), energy={}, status=Status.GIVEN,
+            candidates=Candidates(T_hand_obj[None], np.array([scale]), np.zeros(1)), energy={}, status=Status.EXTERNAL,
             ambiguous=False, seconds={},
         )  # fmt: skip
 
@@ -186,7 +186,7 @@ class Status(Enum):
     )
     FINISHED = "finished", "stopped: all iterations of the fixed number were made"
     JOINT = "joint", "all segments were fitted together"
-    GIVEN = "given", "another system's poses, or the ground truth"
+    EXTERNAL = "given", "another system's poses, or the ground truth"
     PARTLY_FAILED = "partly-failed", "partly failed: low mask IOU in some segments"
     MISFIT = "misfit", "failed: even the best pose has a low mask IOU; the object's pose is unknown"
     INVISIBLE = "invisible", "failed: the object is behind the camera or too near to it in every hypothesis tried"
@@ -212,4 +212,4 @@ class Status(Enum):
             return known
         if sentence.startswith(("failed in part", "partly failed")):
             return Status.PARTLY_FAILED
-        return Status.MISFIT if sentence.startswith("failed") else Status.GIVEN
+        return Status.MISFIT if sentence.startswith("failed") else Status.EXTERNAL

@@ -69,8 +69,9 @@ def follow(footage: Footage, begin: int, rows: Int[ndarray, "n"], start: Hypothe
 
 
 def carried_by_hands(clip: Clip, before: int, after: int) -> list[Float[ndarray, "4 4"]]:
-    """What moves with a hand of the clip from one frame to another, moves so in the world: by its own hand, and by the
-    other one if it is known in both frames.
+    """Get how something that goes with a hand moves in the world from one frame to another.
+
+    One motion for the clip's own hand, and one for the other hand if it is known in both frames.
     """
     assert clip.world is not None
     ends, hands, other = [before, after], [clip.hand], clip.other_hand

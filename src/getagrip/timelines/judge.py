@@ -13,7 +13,7 @@ from getagrip.checks import INPUT_CHECKS
 from getagrip.checks.calibration import MEANING as MEANING_ALONE
 from getagrip.checks.of_timeline import examine_timeline, name_of
 from getagrip.checks.signs import read_signs
-from getagrip.clip import Clip, Segment
+from getagrip.clip import Clip, Segment, other_evidence
 from getagrip.finding import Finding
 from getagrip.fitting.every_frame import at_sampled_frames
 from getagrip.fitting.judge import probability_right, solved_of
@@ -38,7 +38,7 @@ MEANING = f"{MEANING_ALONE.format('hand')}; calibrated on single grasps, a rough
 
 @dataclass(frozen=True)
 class TimelineAnswer(Answer):
-    """What was found, and the motion that it is made of."""
+    """The answer of a timeline, and the motion that it is made of."""
 
     motion: Motion
 
@@ -54,14 +54,15 @@ def judge_timeline(footage: Footage, chain: Chain, answer: TimelineAnswer) -> Ju
         track = motion.grasps.get(segment.first) if segment.state == "grasp" else None
         if track is not None:
             signs = read_grasp_signs(track)
-            right = _probability(source.original, segment, source.options, signs, examined.findings)
+            evidence = other_evidence(track.solutions.problem.clip)
+            right = _probability(source.original, segment, source.options, signs, examined.findings, evidence)
             found = replace(found, signs=signs, probability_right=right)
         segments.append(found)
     return Judgement(examined.checks, examined.findings, segments=tuple(segments), failed=examined.failed)
 
 
 def _segment_result(clip: Clip, segment: Segment, motion: Motion, iou: Float[ndarray, "T"]) -> SegmentResult:
-    """What was found in a segment."""
+    """Describe what was found in a segment."""
     rows, is_grasp = segment.rows, segment.state == "grasp"
     seen = iou[rows][~np.isnan(iou[rows])]
     grasp = motion.grasps.get(segment.first) if is_grasp else None
@@ -81,13 +82,18 @@ def _segment_result(clip: Clip, segment: Segment, motion: Motion, iou: Float[nda
 
 
 def _probability(
-    clip: Clip, segment: Segment, options: Options, signs: dict[str, float], findings: Sequence[Finding]
+    clip: Clip,
+    segment: Segment,
+    options: Options,
+    signs: dict[str, float],
+    findings: Sequence[Finding],
+    evidence: Sequence[str],
 ) -> Probability | None:
     """How probable it is that a grasp is right; findings about other segments say nothing of it."""
     names = {*INPUT_CHECKS}
     others = tuple(f"{name_of(clip, one)}: " for one in clip.segments if one is not segment)
     of_input = [one for one in findings if one.check in names and not one.message.startswith(others)]
-    right = probability_right(options, signs, of_input)
+    right = probability_right(options, signs, of_input, terms=evidence)
     return right and replace(right, meaning=MEANING)
 
 

@@ -111,7 +111,7 @@ class _Obstacles:
         self._points, self._normals = posed.vertices[:, members], posed.normals[:, members]
 
     def gap(self, X: Float[ndarray, "B n 3"], which: Int[ndarray, "B"]) -> Float[ndarray, "B"]:
-        """Smallest signed distance from points of the thumb to the fingers of some of the hands [m]."""
+        """Compute the smallest signed distance from points of the thumb to the fingers of some of the hands [m]."""
         gap = np.empty(len(X))
         for b, hand in enumerate(which):
             distance, nearest = self._trees[hand].query(X[b])

@@ -109,8 +109,9 @@ def _misfit(estimates: Estimates, made: HandTrack) -> str:
 
 
 def one_each(hands: Sequence[Estimate], request: Request) -> tuple[list[Estimate], Source | None]:
-    """Choose one hand in each frame, in the order of frames, where an estimator found the same twice, or somebody
-    else's; also return how, None where there was no choice.
+    """Choose one hand in each frame, in the order of frames; also return how, None where there was no choice.
+
+    An estimator may find the same hand twice, or somebody else's.
 
     Where the clip has the hand's masks, it is the one of which most is in the mask. Where these do not tell, it is the
     one nearest in the image to the hand of the frame before, or of the frame after where none before is known; frames

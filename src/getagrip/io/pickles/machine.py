@@ -101,7 +101,7 @@ class _Machine:
         self.stack = []
 
     def pop_marked(self) -> list[Value]:
-        """All values above the last mark, which goes too."""
+        """Pop all values above the last mark, and the mark."""
         values, self.stack = self.stack, self.below.pop()
         return values
 
