@@ -27,12 +27,12 @@ from benchmarks.reliability import auroc, auroc_interval, bins, calibration_erro
 from benchmarks.signed_results import Row, cases, collect
 from benchmarks.store import Table
 from benchmarks.timing import circumstances
-from getagrip.batch.pool import cores
+from getagrip.batch.executor import cores
 from getagrip.checks.calibration import Calibration, Where
 from getagrip.checks.signs import SIGNS
-from getagrip.experiments.stamp import stamp
-from getagrip.experiments.statistics import resamples
+from getagrip.experiments.comparison import resamples
 from getagrip.fitting.options import Options
+from getagrip.io.code import stamp
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

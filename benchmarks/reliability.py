@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from getagrip.checks.calibration import Weight, sigmoid
-from getagrip.experiments.statistics import LEVEL
+from getagrip.experiments.comparison import LEVEL
 
 BINS = 10
 """Of the same width."""

@@ -22,7 +22,7 @@ from benchmarks.release import BENCHES
 from benchmarks.store import Cell, Column, Table
 from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS
 from getagrip.evaluation.metric import METRICS
-from getagrip.experiments.stamp import stamp
+from getagrip.io.code import stamp
 
 README = store.ROOT / "README.md"
 PICTURES = store.ROOT / "docs/images"

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from getagrip.batch.pool import in_processes
+from getagrip.batch.executor import in_processes
 from getagrip.checks.signs import SIGNS
 from getagrip.clip import Clip, Masks, read_clip, read_masks
 from getagrip.datasets.synthetic.noise import NOISE, Noise
@@ -23,9 +23,9 @@ from getagrip.datasets.synthetic.splits import Split, split
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_CAM, ADD_SYM_MM
 from getagrip.experiments.changes import UNCHANGED, Noisy, OtherObject, ScaleFree
-from getagrip.experiments.sources.dexycb import DexYcb
-from getagrip.experiments.stamp import stamp
+from getagrip.experiments.sources.recorded import DexYcb
 from getagrip.fitting.options import Options
+from getagrip.io.code import stamp
 from getagrip.timelines.reconstruct import reconstruct
 
 EVERY: dict[Split, tuple[int, int]] = {"train": (1, 3), "validation": (2, 5)}

@@ -12,7 +12,7 @@ from pathlib import Path
 from statistics import median
 from typing import TypeVar
 
-from getagrip.experiments.stamp import stamp
+from getagrip.io.code import stamp
 
 LIBRARIES = ("numpy", "numba", "scipy", "deodr")
 

@@ -20,8 +20,7 @@ from getagrip.fitting.methods import label_of
 from getagrip.geometry import se3
 from getagrip.geometry.render import nearest_surface, render_rgb
 from getagrip.io.videos import write_video
-from getagrip.pictures.curves import seconds
-from getagrip.pictures.shown import View
+from getagrip.pictures.shown import View, seconds
 from getagrip.pictures.stills import overlay, steady_windows, turned
 from getagrip.pictures.style import HAND, INK, OBJECT, PAPER_RGB, STATE
 

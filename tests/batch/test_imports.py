@@ -15,8 +15,7 @@ from getagrip.batch.entries import FILE
 from getagrip.batch.imports import ImportJob, import_clips, import_part
 from getagrip.batch.ledger import Ledger
 from getagrip.batch.limits import Limits
-from getagrip.batch.shard import Shard
-from getagrip.batch.share import Share
+from getagrip.batch.share import Shard, Share
 from getagrip.commands.datasets import DATASETS
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import clips

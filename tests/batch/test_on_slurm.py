@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 
 from getagrip.batch import on_slurm
+from getagrip.batch.executor import shared_out
 from getagrip.batch.imports import import_clips
 from getagrip.batch.limits import NONE, Limits
 from getagrip.batch.on_slurm import SlurmExecutor
-from getagrip.batch.pool import shared_out
 from getagrip.batch.share import Share
 from getagrip.clip import write_clip
 from getagrip.errors import GetagripError

@@ -12,9 +12,8 @@ from typing import Any
 
 import pytest
 
-from getagrip.batch.executor import Ended
+from getagrip.batch.executor import Ended, in_processes, shared_out
 from getagrip.batch.limits import NONE, Limits
-from getagrip.batch.pool import in_processes, shared_out
 from getagrip.batch.processes import Processes
 from getagrip.errors import UsageError
 from helpers.jobs import dies_once, greedy, patient, slow_start, work
@@ -38,7 +37,7 @@ def test_a_dying_process_takes_no_other_job_along() -> None:
 def test_a_killed_parent_leaves_no_process_behind(tmp_path: Path) -> None:
     file = tmp_path / "ticks"
     code = (
-        "from getagrip.batch.pool import in_processes; from helpers.jobs import tick;"
+        "from getagrip.batch.executor import in_processes; from helpers.jobs import tick;"
         f"list(in_processes(tick, [{str(file)!r}], 1))"
     )
     parent = subprocess.Popen([sys.executable, "-c", code], env=import_path(), stderr=subprocess.DEVNULL)

@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from getagrip.batch.plan import Plan
-from getagrip.batch.shard import Shard
+from getagrip.batch.share import Shard
 from getagrip.clip import Clip, input_sha256, write_clip
 from getagrip.errors import UsageError
 from getagrip.fitting.options import Options

@@ -7,7 +7,7 @@ import pytest
 
 from getagrip.batch.clips import _Tally
 from getagrip.batch.job import Outcome
-from getagrip.batch.treatment import Batch
+from getagrip.batch.share import Batch
 from getagrip.checks import RESULT_CHECKS, Evidence, examine
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.noise import Noise, perturbed

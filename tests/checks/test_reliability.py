@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.reliability import auroc, auroc_interval, bins, calibration_error, fit_weights, least_error
 from getagrip.checks.calibration import sigmoid
-from getagrip.experiments.statistics import resamples
+from getagrip.experiments.comparison import resamples
 
 
 def test_the_fit_finds_what_drew_the_labels() -> None:

@@ -15,8 +15,7 @@ from getagrip.experiments import sources
 from getagrip.experiments.segment_benchmark import SegmentBenchmark
 from getagrip.experiments.segment_trials import SequenceScores, SequenceTrial
 from getagrip.experiments.sources import Sample
-from getagrip.experiments.sources.dexycb import DexYcbSequences
-from getagrip.experiments.sources.hot3d import Hot3dTimelines
+from getagrip.experiments.sources.recorded import DexYcbSequences, Hot3dTimelines
 from getagrip.experiments.timeline_trials import TimelineScores, TimelineTrial
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from getagrip.batch import pool
+from getagrip.batch import executor
 from getagrip.clip import write_clip
 from getagrip.errors import InputError
 from getagrip.geometry import se3
@@ -64,7 +64,7 @@ def test_all_is_written_and_printed(run: Run, tmp_path: Path, monkeypatch: pytes
             assert pixels_of(half, INSIDE) > 1000  # six panels, the time of the grasp in blue
     assert pixels_of(picture, FOUND) > 200  # static
     assert pixels_of(picture, AXIS) > 200  # 1-DoF
-    monkeypatch.setattr(pool, "in_processes", crossing)
+    monkeypatch.setattr(executor, "in_processes", crossing)
     again = run("study", tmp_path / "clips", *options, "--workers", 2)
     assert again == (status, printed, err)  # a clip without grasps is none that failed
 

@@ -16,14 +16,13 @@ from getagrip.datasets.cutting import TrackedDataset, clip, pieces
 from getagrip.datasets.dataset import Note
 from getagrip.datasets.tracks import Source, Track
 from getagrip.errors import InputError, UsageError
-from getagrip.experiments.durations import durations, of_list
-from getagrip.experiments.sources.folder import ClipFolder
+from getagrip.experiments.dataset_tables import durations, list_durations
+from getagrip.experiments.sources.source import ClipFolder
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.grasps import lists
 from getagrip.grasps.cut import Cut
-from getagrip.grasps.definition import Definition
-from getagrip.grasps.options import GraspOptions
+from getagrip.grasps.definition import Definition, GraspOptions
 from getagrip.grasps.stable import segment
 from helpers.command_line import Run
 
@@ -135,7 +134,7 @@ def test_the_list_beside_the_clips_is_theirs(tmp_path: Path, run: Run, capsys: p
     (grasp,) = found.grasps
     assert (grasp.sequence, grasp.first, grasp.last) == (NAME, first, last)
     assert grasp.duration == pytest.approx((LAST + 1 - FIRST) / 30.0)
-    (row, _) = durations(of_list(out, found.grasps))
+    (row, _) = durations(list_durations(out, found.grasps))
     assert (row.category, row.clips, row.mean) == ("ball", 1, pytest.approx(grasp.duration))
     # Clips cut in another way do not go beside them.
     for other in (OneTrack(whole=True), OneTrack(grasps=GraspOptions(shortest=11))):

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.experiments.segment_scores import Span, matched, summary, tiou
+from getagrip.experiments.segment_trials import Span, matched, summary, tiou
 
 SPANS = st.tuples(st.integers(0, 40), st.integers(0, 40)).map(lambda ends: (min(ends), max(ends)))
 

@@ -7,7 +7,7 @@ import subprocess
 from datetime import date
 from pathlib import Path
 
-from getagrip.experiments.stamp import commit, stamp
+from getagrip.io.code import commit, stamp
 
 
 def git(folder: Path, *words: str) -> None:

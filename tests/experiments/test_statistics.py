@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.experiments.statistics import estimate, resamples
+from getagrip.experiments.comparison import estimate, resamples
 
 
 @given(st.lists(st.floats(0.0, 1.0), min_size=5, max_size=20))

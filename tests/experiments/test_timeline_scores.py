@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from getagrip.experiments.timeline_scores import jumps, segment_scores
+from getagrip.experiments.timeline_trials import jumps, segment_scores
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 from getagrip.metrics.symmetry import find_symmetries

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from getagrip.experiments.changes import WrongMasks
-from getagrip.experiments.wrong_masks import FAULTS, another_object, half, over
+from getagrip.experiments.changes import FAULTS, WrongMasks, another_object, half, over
 from helpers.scenes import SHORT, scene
 
 

@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from getagrip.errors import UsageError
 from getagrip.export import Scene, export
-from getagrip.export.palm import palm
-from getagrip.export.stage import Stage
+from getagrip.export.stage import Stage, palm
 from getagrip.geometry import se3
 from getagrip.hands import generic
 from getagrip.hands.model import mirrored

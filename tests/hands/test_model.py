@@ -13,7 +13,6 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.hands import generic
 from getagrip.hands.generic_skeleton import BONES, GIRTHS, MEN_TO_ALL, WRIST, half_depth, rest_fingers
-from getagrip.hands.generic_surface import distance, gradient
 from getagrip.hands.model import (
     JOINTS,
     KNUCKLES,
@@ -27,6 +26,7 @@ from getagrip.hands.model import (
     mirrored_pose,
     root_transform,
 )
+from scripts.generic_surface import distance, gradient
 
 SIDES: tuple[Side, Side] = ("right", "left")
 

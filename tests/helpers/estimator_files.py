@@ -13,8 +13,7 @@ from numpy import ndarray
 from getagrip.geometry import se3
 from getagrip.hands import generic, mano
 from getagrip.hands.model import MIRROR, Side, mirrored, mirrored_pose
-from getagrip.hands.trackers.estimates import mirror_rotation
-from getagrip.hands.trackers.weak_perspective import vitdet_side
+from getagrip.hands.trackers.estimates import mirror_rotation, vitdet_side
 from getagrip.io import arrays
 from helpers.mano_files import fake_mano, python2
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 import getagrip
-from getagrip.io.csv_tables import CsvTable, cell_text, text_cell
 from getagrip.io.files import csv_rows
+from getagrip.io.tables import CsvTable, cell_text, text_cell
 
 FORMULAS = ("=cmd|'calc'!A0", "+1", "-1", "@SUM(1)", "\t=1", "\r=1", "\n=1", "'=1", "''+1", "=", '=a,"b"')
 PLAIN = ("", "mug", "'mug'", "a=1", "5", "'", "left hand")
@@ -34,4 +34,4 @@ def test_other_writers_have_numbers_only() -> None:
     """Poses and BOP's results are formatted by their writers, which know what is a number."""
     files = Path(getagrip.__file__).parent.rglob("*.py")
     writers = {path.name for path in files if re.search(r"csv\.(Dict)?[wW]riter", path.read_text("utf-8"))}
-    assert writers == {"csv_tables.py", "poses_csv.py", "bop.py"}
+    assert writers == {"tables.py", "poses_csv.py", "bop.py"}

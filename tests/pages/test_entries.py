@@ -12,7 +12,7 @@ import pytest
 from getagrip.clip import input_sha256, write_clip
 from getagrip.commands.view import found
 from getagrip.finding import Finding
-from getagrip.pages.entries import TRUTH, badness, entries, labels
+from getagrip.pages.served import TRUTH, badness, entries, labels
 from getagrip.result import Reconstruction, write_result
 from helpers.command_line import Run
 from helpers.two_candidates import two_candidates, view

@@ -9,9 +9,8 @@ import numpy as np
 from getagrip.clip import OtherHand
 from getagrip.geometry import se3
 from getagrip.pages import motion
-from getagrip.pictures.gap import gap
 from getagrip.pictures.shown import View
-from getagrip.pictures.touched import finer
+from getagrip.pictures.touched import finer, gap
 from helpers.egg_and_mug import egg_and_mug, perfect
 
 

@@ -21,9 +21,8 @@ from getagrip.errors import UsageError
 from getagrip.evaluation.results import Evaluation
 from getagrip.io.serving import LOOPBACK
 from getagrip.pages import served
-from getagrip.pages.entries import TRUTH, entries
 from getagrip.pages.report import write_page
-from getagrip.pages.served import Library
+from getagrip.pages.served import TRUTH, Library, entries
 from getagrip.pages.server import Server
 from getagrip.pictures.shown import View
 from getagrip.result import read_record, write_result

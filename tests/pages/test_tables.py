@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from getagrip.evaluation.results import Evaluation
-from getagrip.pages.tables import tables
+from getagrip.pages.report import tables
 from getagrip.pictures.shown import View
 from helpers.egg_and_mug import egg_and_mug, perfect
 

@@ -14,8 +14,7 @@ import pytest
 from PIL import Image
 
 from getagrip.clip import input_sha256, write_clip
-from getagrip.pages.entries import entries
-from getagrip.pages.served import Library
+from getagrip.pages.served import Library, entries
 from getagrip.pages.server import Server
 from getagrip.result import write_result
 from helpers.browser import IN_BROWSER, READS_BACK, expect, until

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from getagrip.geometry import se3
-from getagrip.pictures.candidates import candidate, hinge
+from getagrip.pictures.shown import candidate, hinge
 from helpers.two_candidates import two_candidates, view
 
 

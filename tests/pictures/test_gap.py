@@ -9,8 +9,8 @@ import pytest
 
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.pictures.gap import REACH, gap
 from getagrip.pictures.shown import View
+from getagrip.pictures.touched import REACH, gap
 from helpers.clips import box
 from helpers.egg_and_mug import FRAMES, egg_and_mug, perfect
 

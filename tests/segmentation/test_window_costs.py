@@ -7,8 +7,7 @@ import pytest
 
 from getagrip.segmentation.hinge_fits import HingeFit, pieces
 from getagrip.segmentation.image_motion import ImageMotion
-from getagrip.segmentation.semi_markov import cheapest
-from getagrip.segmentation.window_costs import MOTIONS, STILL, chosen, window_costs
+from getagrip.segmentation.semi_markov import MOTIONS, STILL, cheapest, chosen, window_costs
 
 T, ONSET = 40, 18
 STATIC, HELD, FREE = (MOTIONS.index(name) for name in ("static", "held", "free"))

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from getagrip.annotate.marks import Mark
 from getagrip.annotate.tasks import Task
-from getagrip.io.csv_tables import CsvTable
+from getagrip.io.tables import CsvTable
 
 COLUMNS = ("vid", "st_bound", "ed_bound", "st", "ed", "contact", "handside", "cat", "hos_name", "mp4_name", "set_name",
            "round", "duration", "n_unfiltered_masks", "n_filtered_masks", "good_CAD", "example", "fmt",

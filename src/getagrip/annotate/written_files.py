@@ -15,8 +15,7 @@ from getagrip.annotate.project import Project
 from getagrip.annotate.versions import RefusedError
 from getagrip.errors import GetagripError
 from getagrip.io import files
-from getagrip.io.counts import counted
-from getagrip.io.terminal import progress_bar, report
+from getagrip.io.terminal import counted, progress_bar, report
 
 if TYPE_CHECKING:
     from rich.progress import Progress

@@ -10,28 +10,22 @@ from contextlib import closing
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
-from getagrip.batch.engine import Engine, Named
+from getagrip.batch.engine import Engine
 from getagrip.batch.job import Job, Outcome, load, reconstruct_one
-from getagrip.batch.ledger import Ledger
-from getagrip.batch.ledger_place import ledger_folder
+from getagrip.batch.ledger import Ledger, ledger_folder
 from getagrip.batch.plan import Plan
-from getagrip.batch.progress import Pace
 from getagrip.batch.streamed import StreamedJob, reconstruct_streamed
 from getagrip.batch.summary import entry_of, entry_of_path, write_summary
 from getagrip.errors import UsageError, cleaned
 from getagrip.io import leftovers
 from getagrip.io.storage import Place, Remote
-from getagrip.io.terminal import progress_bar, report, say, show_stage
+from getagrip.io.terminal import report, say
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
-
-    from getagrip.batch.treatment import Batch
+    from getagrip.batch.share import Batch
     from getagrip.fitting.options import Options
-
-R = TypeVar("R")
 
 
 def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batch: Batch, debug: bool) -> int:
@@ -126,43 +120,24 @@ def _work_off(plan: Plan, ledger: Ledger, out: Place, options: Options, batch: B
     work: Callable[..., Outcome] = reconstruct_streamed if streamed else reconstruct_one
     per_clip = {"options": options, "overwrite": batch.overwrite, "threads": batch.threads}
     jobs = (make(name, clip, out / name, **per_clip) for name, clip in plan)
+    engine: Engine[Any, Outcome] = Engine(
+        work=work, lost=_lost, entry=partial(entry_of, method=options.method, seed=options.seed),
+        options=asdict(options), prepare=load,
+    )  # fmt: skip
     tally = _Tally()
-    with progress_bar() as bar:
-        pace = Pace(bar, "clips", len(plan))
-        engine = Engine(
-            work=work,
-            lost=_lost,
-            entry=partial(entry_of, method=options.method, seed=options.seed),
-            options=asdict(options),
-            executor=batch.share.executor(len(plan)),
-            limits=batch.share.limits,
-            prepare=load,
-            in_this=partial(shown, bar, work),
-        )
-        outcomes = engine.run(jobs, ledger)
-        with closing(outcomes):
-            for outcome in outcomes:
-                print_outcome(outcome, debug)
-                tally.add(outcome)
-                pace.count(outcome.state)
-                if batch.share.fail_fast and outcome.state == "failed":
-                    report("--fail-fast: the other clips are skipped")
-                    break
+    with closing(batch.share.ended(engine, jobs, len(plan), ledger, "clips", stages=True)) as outcomes:
+        for outcome in outcomes:
+            print_outcome(outcome, debug)
+            tally.add(outcome)
+            if batch.share.fail_fast and outcome.state == "failed":
+                report("--fail-fast: the other clips are skipped")
+                break
     return tally
 
 
 def _lost(job: Job | StreamedJob, why: str) -> Outcome:
     """Make the outcome of a clip that no process could do."""
     return Outcome(job.name, "failed", why)
-
-
-def shown(bar: Progress, work: Callable[..., R], job: Named) -> R:
-    """Do the work on a clip in this process, with a bar for it."""
-    stage = bar.add_task("", total=1.0)
-    try:
-        return work(job, partial(show_stage, bar, stage, job.name))
-    finally:
-        bar.remove_task(stage)
 
 
 def expected(right: Mapping[str, float], what: str = "right in the hand") -> str:

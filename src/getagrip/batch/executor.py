@@ -1,13 +1,17 @@
-"""The executor's interface: processes on this machine or those of a cluster do the jobs that ``pool`` submits."""
+"""The executor's interface: processes on this machine or those of a cluster; and jobs on one, or in this process."""
 
 from __future__ import annotations
 
+import os
 import socket
-from collections.abc import Callable
-from dataclasses import dataclass, field
+import time
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Generic, Protocol, TypeVar
 
-from getagrip.batch.limits import Limits
+from getagrip.batch.limits import NONE, Limits
+from getagrip.batch.share import FEW
 from getagrip.errors import GetagripError
 from getagrip.io import code, plugins
 
@@ -17,6 +21,12 @@ R = TypeVar("R")
 DIES = "its process died"
 TRIES = 4
 """Machines that a cluster may lose under a job before it counts as one whose process dies."""
+DIED = "its process died twice; out of memory?"
+"""The message for a job whose process died, in ``each``."""
+ATTEMPTS = 2
+"""Number of attempts of a job whose process dies."""
+NAP = 0.5
+"""Seconds after which we ask again for jobs, where there were none for the moment."""
 
 
 @dataclass(frozen=True)
@@ -75,3 +85,87 @@ def check_code(expected: str) -> None:
 
 Start = Callable[[Callable[[J], R], Limits, Callable[[], object] | None], Executor[J, R]]
 """Makes an executor from the work, the limits of a job and the function that each process calls first."""
+
+
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):  # Linux: what a cluster's scheduler leaves us
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def each(
+    work: Callable[[J], R],
+    jobs: Sequence[J],
+    died: Callable[[J], R],
+    ended: Callable[[R], object],
+    workers: int | None = None,
+    here: Callable[[J], R] | None = None,
+) -> list[R]:
+    """Return what ``work`` makes of each job, in their order; many are shared out over processes, one for each core.
+
+    ``died`` says what becomes of a job whose process died twice. ``ended`` is called with what comes of each, as they
+    finish. ``here`` is the work as it is done in this process, where that differs.
+    """
+    workers = min(len(jobs), workers or (1 if len(jobs) <= FEW else cores()))
+    ends = in_processes(work, jobs, workers) if workers > 1 else ((job, (here or work)(job)) for job in jobs)
+    done = dict[int, R]()
+    for job, made in ends:
+        done[id(job)] = died(job) if made is None else made
+        ended(done[id(job)])
+    return [done[id(job)] for job in jobs]
+
+
+def in_processes(work: Callable[[J], R], jobs: Iterable[J], workers: int) -> Iterator[tuple[J, R | None]]:
+    """Yield each job with the value of ``work``, as they finish; None where the process died twice."""
+    from getagrip.batch.processes import Processes
+
+    for ended in shared_out(Processes(workers, work, NONE, None), jobs):
+        yield ended.job, ended.result
+
+
+def in_turn(work: Callable[[J], R], jobs: Iterable[J | None]) -> Generator[Ended[J, R], None, None]:
+    """Yield each job with the value of ``work``, done in this process. None among the jobs: none for the moment."""
+    for job in jobs:
+        if job is None:
+            time.sleep(NAP)
+            continue
+        since = time.monotonic()
+        yield Ended(job, work(job), seconds=time.monotonic() - since, process=os.getpid())
+
+
+def shared_out(
+    executor: Executor[J, R], jobs: Iterable[J | None], limits: Limits = NONE
+) -> Generator[Ended[J, R], None, None]:
+    """Yield each job as it ends, done by an executor within limits; the executor is closed in the end.
+
+    A job is taken from ``jobs`` when there is room for it, not before; None among them: none for the moment. A job
+    whose process dies is tried once more when all others have ended, alone: nothing else takes its memory then. An
+    interrupt lets the jobs at work finish. What the work raises is raised.
+    """
+    source, again = iter(jobs), deque[J]()
+    more = True
+    try:
+        while more or executor.busy or again:
+            nap = None
+            while more and not nap and executor.capacity > 0:
+                try:
+                    job = next(source)
+                except StopIteration:
+                    more = False
+                    break
+                if job is None:
+                    nap = NAP
+                else:
+                    executor.submit(job, 1)
+            if again and not more and not executor.busy:
+                executor.submit(again.popleft(), ATTEMPTS)
+            for ended in executor.wait(nap):
+                if ended.why != DIES:
+                    yield ended
+                elif ended.attempts < ATTEMPTS:
+                    again.append(ended.job)
+                else:
+                    yield replace(ended, why=f"its process died twice; {limits.suspicion}")
+    finally:
+        executor.close()

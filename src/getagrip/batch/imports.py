@@ -12,6 +12,7 @@ from getagrip.batch.clips import print_outcome
 from getagrip.batch.engine import Engine
 from getagrip.batch.entries import Entry, State
 from getagrip.batch.job import Outcome, failure
+from getagrip.batch.ledger import Ledger, ledger_folder
 from getagrip.batch.share import ALONE, Share
 from getagrip.clip import Clip, write_clip
 from getagrip.clip.intrinsics import camera_warning
@@ -20,8 +21,7 @@ from getagrip.datasets.dataset import Dataset, Draft, Part
 from getagrip.errors import InputError, UsageError
 from getagrip.grasps import lists
 from getagrip.io import files, leftovers
-from getagrip.io.counts import counted
-from getagrip.io.terminal import report
+from getagrip.io.terminal import counted, report
 
 WARNED = 3
 """Exit status where a clip was made but its camera seems to be of other images."""
@@ -73,7 +73,10 @@ def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE,
     leftovers.sweep(out)
     counts, made, handless, warned = Counter[str](), list[Mapping[str, object]](), 0, 0
     engine = Engine(work=import_part, lost=_lost, entry=_entry, options=repr(dataset))
-    with closing(share.ended(engine, jobs, out, dataset.parts_are)) as parts:
+    with (
+        Ledger(ledger_folder(out, share.ledger)) as ledger,
+        closing(share.ended(engine, jobs, len(jobs), ledger, dataset.parts_are)) as parts,
+    ):
         for imported in parts:
             for outcome in imported.clips:
                 if outcome.state == "failed":

@@ -1,14 +1,18 @@
-"""Validity of existing results: of the same clip, options and code, and readable."""
+"""Validity of existing results and of a benchmark's records: of the same clip, options and code, and readable."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 
+from getagrip.clip import input_sha256
 from getagrip.errors import InputError, UsageError
 from getagrip.fitting.methods import OURS, Method, method_of
+from getagrip.fitting.options import Options
 from getagrip.io import files, plugins
+from getagrip.io.files import Json
 from getagrip.io.own_code import UnknownSourceError, checksum
 from getagrip.result import Reconstruction, is_result, read_result, software
 
@@ -29,6 +33,8 @@ OTHER = {
 """In what a record may differ, by its key."""
 _CHECKSUMS: dict[str, tuple[Method, str]] = {}
 """Checksums of methods from outside, as their files were when first asked for: later changes do not run here."""
+KEYS = {"inputs": "another clip", "options": "other options", "software": "other code or other libraries"}
+"""Keys of a record's inputs, and the words for one that differs."""
 
 
 def made_by(method: str, *also: str) -> dict[str, str]:
@@ -90,3 +96,29 @@ def without_source(method: str) -> str:
 def damaged(error: object) -> str:
     """Return the reason where a record, or what belongs to it, cannot be read."""
     return f"what was there is damaged ({error})"
+
+
+def made_of(clip: Path, options: Options, *code: str) -> Json:
+    """Return what a record depends on; ``code`` are parts of the package that a reconstruction does not depend on."""
+    return {"inputs": input_sha256(clip), "options": asdict(options), "software": made_by(options.method, *code)}
+
+
+def kept_or_made(path: Path, of: Json, overwrite: bool, make: Callable[[], Json]) -> tuple[Json, str]:
+    """Read the record in a file, if it is valid, else make and write it; also return why an existing one was not valid.
+
+    The reason is empty where there was none, and with ``overwrite``.
+    """
+    why = ""
+    if path.exists() and not overwrite:
+        try:
+            record = files.read_json(path)
+            why = difference(record, of, KEYS)
+            if of["software"].get(KEY) == UNKNOWN:
+                why = without_source(of["options"]["method"])
+            if not why:
+                return record, ""
+        except InputError as error:
+            why = damaged(error)
+    record = {**of, **make()}
+    files.write_json(path, record)
+    return record, why

@@ -7,10 +7,12 @@ made again from them.
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from hashlib import sha256
 from pathlib import Path
 
 from getagrip.batch.drivers import Drivers
@@ -28,6 +30,7 @@ from getagrip.batch.entries import (
 )
 from getagrip.errors import GetagripError
 from getagrip.io import databases
+from getagrip.io.storage import Place
 
 
 class Ledger(Entries):
@@ -162,3 +165,20 @@ class Ledger(Entries):
                 if self._db.in_transaction:
                     self._db.execute("ROLLBACK")
                 raise
+
+
+def state_folder() -> Path:
+    """Return the user's own folder for what is neither input nor result."""
+    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "getagrip"
+
+
+def ledger_folder(out: Place, value: Path | None) -> Path:
+    """Return the ledger's folder: the one ``given``, else that of the results, else one in the user's state folder.
+
+    SQLite needs a local disk. Calls on the same results on one machine share the ledger.
+    """
+    if value is not None:
+        return value
+    if isinstance(out, Path):
+        return out
+    return state_folder() / f"{out.name[:40]}-{sha256(out.url.encode()).hexdigest()[:12]}"

@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
-from getagrip.batch.executor import DIES, TRIES, Ended, check_code
+from getagrip.batch.executor import DIES, TRIES, Ended, check_code, cores
 from getagrip.batch.limits import Limits
-from getagrip.batch.pool import cores
 from getagrip.batch.processes import Processes
 from getagrip.errors import UsageError
 from getagrip.io import extras, plugins

@@ -15,10 +15,9 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 from uuid import uuid4
 
-from getagrip.batch.executor import DIES, TRIES, Ended, check_code
-from getagrip.batch.ledger_place import state_folder
+from getagrip.batch.executor import DIES, TRIES, Ended, check_code, shared_out
+from getagrip.batch.ledger import state_folder
 from getagrip.batch.limits import Limits
-from getagrip.batch.pool import shared_out
 from getagrip.batch.processes import Processes
 from getagrip.errors import GetagripError, UsageError
 from getagrip.io import extras, plugins

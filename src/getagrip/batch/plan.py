@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from getagrip.batch.job import Outcome, failure
-from getagrip.batch.shard import ALL, Shard
+from getagrip.batch.share import ALL, Shard
 from getagrip.clip import read_name
 from getagrip.errors import GetagripError, InputError, UsageError, cleaned
 from getagrip.io import files

@@ -1,33 +1,57 @@
-"""How a call shares its tasks out: over whom, within which limits, which part of them, and by which ledger.
+"""How a call shares its tasks out, over whom, within which limits, by which ledger; and how it treats its clips.
 
 These are options of several commands; what runs is loaded when it does.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Iterable
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from zlib import crc32
 
 from tyro.conf import arg
 
 from getagrip.batch.limits import Limits
-from getagrip.batch.shard import ALL, Shard
 from getagrip.errors import UsageError
 from getagrip.io.arguments import Flag, OptionalFolder, parsed
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from getagrip.batch.engine import Engine, Named
     from getagrip.batch.executor import Start
+    from getagrip.batch.ledger import Ledger
 
 J = TypeVar("J", bound="Named")
 R = TypeVar("R")
 
 FEW = 3
 """Up to this number of tasks are done in this process: others take longer to start."""
+
+
+@dataclass(frozen=True)
+class Shard:
+    """One of several equal parts of all clips, by their names: which one a clip is in depends on nothing else."""
+
+    index: int = 1
+    """1 to ``count``."""
+    count: int = 1
+
+    @classmethod
+    def of(cls, text: str) -> Shard:
+        """Parse "i/N". Raises ``UsageError``."""
+        index, slash, count = text.partition("/")
+        if not (slash and index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count)):
+            raise UsageError(f"--shard must be i/N with i from 1 to N, such as 2/4 (got {text})")
+        return cls(int(index), int(count))
+
+    def __contains__(self, name: str) -> bool:
+        return crc32(name.encode()) % self.count == self.index - 1
+
+
+ALL = Shard()
+"""Every clip."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,8 +87,7 @@ class Share:
 
     def executor(self, count: int, few: int = FEW) -> Start[Any, Any] | None:
         """Choose the executor of ``count`` tasks; None: this process, by default for a ``few`` without limits."""
-        from getagrip.batch.executors import ENGINES
-        from getagrip.batch.pool import cores
+        from getagrip.batch.executor import cores
 
         workers, local = self.workers, self.engine == "local"
         if local:
@@ -73,25 +96,90 @@ class Share:
         return None if local and workers == 1 and not self.limits else start
 
     def ended(
-        self, engine: Engine[J, R], tasks: Sequence[J], out: Path, called: str, few: int = FEW
+        self,
+        engine: Engine[J, R],
+        tasks: Iterable[J],
+        count: int,
+        ledger: Ledger,
+        called: str,
+        *,
+        few: int = FEW,
+        stages: bool = False,
     ) -> Generator[R, None, None]:
-        """Yield the outcome of each task, as they end, counted by a ``Pace``; the ledger is that of ``out``.
+        """Yield the outcome of each of ``count`` tasks, as they end, counted by a ``Pace``.
 
-        ``called`` is what tasks are, in the plural. Raises ``UsageError`` as ``executor`` does, else as ``Engine.run``.
+        ``called`` is what tasks are, in the plural. With ``stages``, work in this process also takes a function to call
+        with its progress, which a bar shows. Raises ``UsageError`` as ``executor`` does, else as ``Engine.run``.
         """
-        from getagrip.batch.ledger import Ledger
-        from getagrip.batch.ledger_place import ledger_folder
-        from getagrip.batch.progress import Pace
+        from getagrip.batch.engine import Pace, shown
         from getagrip.io.terminal import progress_bar
 
-        engine = replace(engine, executor=self.executor(len(tasks), few), limits=self.limits)
-        ledger = Ledger(ledger_folder(out, self.ledger))
-        with ledger, progress_bar() as bar, closing(engine.run(tasks, ledger)) as ends:
-            pace = Pace(bar, called, len(tasks))
-            for result in ends:
-                yield result
-                pace.count(engine.entry(result).state)
+        engine = replace(engine, executor=self.executor(count, few), limits=self.limits)
+        with progress_bar() as bar:
+            if stages:
+                engine = replace(engine, in_this=partial(shown, bar, engine.work))
+            pace = Pace(bar, called, count)
+            with closing(engine.run(tasks, ledger)) as ends:
+                for result in ends:
+                    yield result
+                    pace.count(engine.entry(result).state)
 
 
 ALONE = Share()
 """All tasks, on this machine, any time and memory."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """How a call treats its clips. Raises ``UsageError``."""
+
+    threads: Annotated[int, arg(metavar="N")] = 1
+    """Threads for each clip, to get a single clip sooner; many clips are faster with --workers. Results are
+    bit-equal."""
+    overwrite: Flag = False
+    """Make valid results again, too."""
+    strict: Flag = False
+    """Exit with 1 also if a check has a serious finding (the result is probably worthless), or a result is less
+    probable than --min-probability."""
+    min_probability: Annotated[float, arg(metavar="P")] = 0.5
+    """With --strict, the least probability that poses are right in the hand, 0 to 1. Results without a probability
+    pass, if no finding is serious."""
+    share: Annotated[Share, arg(name="")] = field(default_factory=Share)
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.min_probability <= 1.0:
+            raise UsageError(f"--min-probability must be 0 to 1 (got {self.min_probability:g})")
+        if self.threads < 1:
+            raise UsageError(f"--threads must be 1 or more (got {self.threads})")
+
+
+def _local(workers: int | None, address: str | None) -> Start[Any, Any]:
+    from getagrip.batch.executor import cores
+    from getagrip.batch.processes import Processes
+
+    _without(address)
+    return partial(Processes, workers or cores())
+
+
+def _ray(workers: int | None, address: str | None) -> Start[Any, Any]:
+    from getagrip.batch.on_ray import RayExecutor
+
+    return partial(RayExecutor, workers, address)
+
+
+def _slurm(workers: int | None, address: str | None) -> Start[Any, Any]:
+    from getagrip.batch.on_slurm import SlurmExecutor
+
+    _without(address)
+    return partial(SlurmExecutor, workers)
+
+
+def _without(address: str | None) -> None:
+    if address is not None:
+        raise UsageError("--address cannot be used without --engine ray")
+
+
+ENGINES: dict[str, Callable[[int | None, str | None], Start[Any, Any]]] = {
+    "local": _local, "ray": _ray, "slurm": _slurm,
+}  # fmt: skip
+"""By name: from the number of workers and the cluster's address, each None if not said, to the start of an executor."""

@@ -17,8 +17,8 @@ from getagrip.batch.streamed import readable
 from getagrip.errors import InputError, cleaned, legible
 from getagrip.finding import read_findings
 from getagrip.io import files
-from getagrip.io.csv_tables import CsvTable
 from getagrip.io.storage import Place, Remote
+from getagrip.io.tables import CsvTable
 from getagrip.probability import read_probability
 from getagrip.result import is_result, read_record, read_result
 

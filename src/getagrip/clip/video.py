@@ -16,7 +16,7 @@ from numpy import ndarray
 
 from getagrip.clip.reading import LARGEST_IMAGE, LARGEST_SIDE
 from getagrip.errors import InputError
-from getagrip.io.counts import counted
+from getagrip.io.terminal import counted
 
 if TYPE_CHECKING:
     from fractions import Fraction

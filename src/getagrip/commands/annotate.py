@@ -15,8 +15,7 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry.lens import Lens
 from getagrip.io import files
 from getagrip.io.arguments import Flag, Folder, OptionalFile
-from getagrip.io.counts import counted
-from getagrip.io.terminal import report
+from getagrip.io.terminal import counted, report
 
 if TYPE_CHECKING:
     from getagrip.annotate.labelling import Grasp
@@ -135,7 +134,7 @@ def take_segments(project: Project, path: Path, annotator: str) -> int:
 def serve(project: Project, port: int | None) -> None:
     """Serve the page until it is interrupted. Raises ``UsageError`` for a port that is taken."""
     from getagrip.annotate.server import Server, first_free, kept_token
-    from getagrip.batch.ledger_place import state_folder
+    from getagrip.batch.ledger import state_folder
 
     marks = sha256(os.fsencode(project.store.path.resolve())).hexdigest()[:16]
     token = kept_token(state_folder() / TOKENS / marks)  # not beside the marks: a folder may be a stranger's

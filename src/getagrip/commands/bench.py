@@ -14,12 +14,9 @@ from tyro.conf import arg, subcommand
 from getagrip.batch.share import Share
 from getagrip.commands.command import Command
 from getagrip.experiments.compared import Compared
-from getagrip.experiments.sources.dexycb import DexYcb, DexYcbSequences, DexYcbTimelines
-from getagrip.experiments.sources.folder import ClipFolder
-from getagrip.experiments.sources.hot3d import Hot3dTimelines
-from getagrip.experiments.sources.source import ClipSource
+from getagrip.experiments.sources.recorded import DexYcb, DexYcbSequences, DexYcbTimelines, Hot3dTimelines, Timelines
+from getagrip.experiments.sources.source import ClipFolder, ClipSource
 from getagrip.experiments.sources.synthetic import Synthetic
-from getagrip.experiments.sources.timelines import Timelines
 from getagrip.fitting.options import Options, SearchOptions
 from getagrip.io.arguments import Flag, Folder, OptionalFile
 
@@ -66,6 +63,7 @@ class Bench(Command, Generic[C]):
         from getagrip.batch.clips import print_outcome
         from getagrip.batch.engine import Engine
         from getagrip.batch.job import load
+        from getagrip.batch.ledger import Ledger, ledger_folder
         from getagrip.experiments.sources import samples
         from getagrip.experiments.trial import lost, run
         from getagrip.io import files, leftovers
@@ -83,7 +81,10 @@ class Bench(Command, Generic[C]):
         trials = benchmark.trials(chosen, files.folder_inside(self.out, "results"), self.overwrite)
         engine = Engine(work=run, lost=lost, entry=benchmark.entry, options=repr(benchmark), prepare=load)
         scores, failures = [], len(bad)
-        with closing(self.share.ended(engine, trials, self.out, "clips", few=0)) as ended:
+        with (
+            Ledger(ledger_folder(self.out, self.share.ledger)) as ledger,
+            closing(self.share.ended(engine, trials, len(trials), ledger, "clips", few=0)) as ended,
+        ):
             for one in ended:
                 failed = benchmark.failures(one)
                 for outcome in failed:

@@ -6,7 +6,9 @@ load numpy and more. So this one is loaded when the command is called, not for `
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, is_dataclass
+from pathlib import Path
 from typing import Annotated, Any, Generic, TypeVar, Union
 
 from tyro.conf import arg, subcommand
@@ -14,18 +16,46 @@ from tyro.conf import arg, subcommand
 from getagrip.batch.imports import import_clips
 from getagrip.batch.share import Share
 from getagrip.commands.command import Command
-from getagrip.commands.import_epic import ImportEpic
 from getagrip.commands.import_masks import ImportMasks
 from getagrip.commands.import_segments import ImportSegments
 from getagrip.datasets.arctic import Arctic
-from getagrip.datasets.dataset import Dataset
+from getagrip.datasets.dataset import Dataset, Note, Part
 from getagrip.datasets.dexycb.reader import DexYcb
+from getagrip.datasets.epic.reader import EpicGrasps
 from getagrip.datasets.ho3d import Ho3d
 from getagrip.datasets.hoi4d import Hoi4d
 from getagrip.datasets.hot3d.reader import Hot3d
 from getagrip.datasets.track_files import Tracks
-from getagrip.io.arguments import Folder
+from getagrip.fitting import pose_priors
+from getagrip.io.arguments import Folder, OptionalFolder
 from getagrip.io.plugins import Table
+from getagrip.io.terminal import report
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportEpic(EpicGrasps):
+    """EPIC-Grasps: its stable grasps in EPIC-KITCHENS, with VISOR's masks; hands come from an estimator's files."""
+
+    priors: OptionalFolder = None
+    """Initial poses of reconstruct --init priors, by category and hand: they are only checked."""
+
+    def parts(self, note: Note) -> Sequence[Part]:
+        """List the videos, and report how the poses will be used, and whether they can be. Raises ``InputError``."""
+        parts = super().parts(note)
+        if self.priors is not None:
+            self._report(self.priors)
+        return parts
+
+    def _report(self, folder: Path) -> None:
+        learnt = pose_priors.read_folder(folder)
+        kinds = sorted({(grasp.category, grasp.side) for grasp in self.grasps()})
+        without = [f"{category} in a {side} hand" for category, side in kinds if not len(learnt.of(category, side))]
+        print(f"to start from the poses of {folder}: getagrip reconstruct ... --init priors --priors {folder}")
+        if without:
+            report(f"{folder} has no poses of {', '.join(without)}")
+        if self.cad is None:
+            report("poses belong to the meshes they were made with: bring these with --cad")
+
 
 _DATASETS: dict[str, type[Dataset]] = {
     "hot3d": Hot3d,

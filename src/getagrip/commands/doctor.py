@@ -170,7 +170,7 @@ def _machine() -> Iterator[Line]:
     import scipy.linalg  # noqa: F401 - brings its own
     from threadpoolctl import threadpool_info
 
-    from getagrip.batch.pool import cores
+    from getagrip.batch.executor import cores
 
     yield "ok", f"{cores()} cores to use, a clip on each: --workers"
     for blas in {str(one["filepath"]): one for one in threadpool_info() if one["user_api"] == "blas"}.values():

@@ -15,8 +15,7 @@ from getagrip.commands.command import Command
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.arguments import File, Folder, OptionalFile
-from getagrip.io.counts import counted
-from getagrip.io.terminal import progress_bar
+from getagrip.io.terminal import counted, progress_bar
 
 if TYPE_CHECKING:
     from getagrip.datasets.epic import candidates

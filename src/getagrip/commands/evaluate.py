@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from tyro.conf import arg
 
-from getagrip.batch.share import FEW
 from getagrip.commands.command import ClipsFolder, Command, Results
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
@@ -69,6 +67,7 @@ class Evaluate(Command):
         the clip's. Raises ``InputError`` where there are no such meshes or poses.
         """
         from getagrip.batch.clips import print_outcome
+        from getagrip.batch.executor import each
         from getagrip.batch.job import failure
         from getagrip.commands.evaluate_others import evaluate_other, mesh_jobs, pose_jobs
         from getagrip.evaluation import contact_tables, results_table, summary
@@ -83,14 +82,14 @@ class Evaluate(Command):
         evaluations: list[Evaluation] = []
         with progress_bar() as bar:
             task = bar.add_task("results", total=len(jobs), visible=bool(jobs))
-            for made, failed in _in_order(evaluate_one, jobs, lambda: bar.advance(task)):
+            for made, failed in each(evaluate_one, jobs, _died, lambda _: bar.advance(task)):
                 evaluations += [] if made is None else [made]
                 problems += failed
             frames = {made.clip: tuple(made.frames) for made in evaluations}
             others = [] if self.meshes is None else mesh_jobs(self, frames)
             others += [] if self.poses is None else pose_jobs(self, frames)
             of_others = bar.add_task("of other systems", total=len(others), visible=bool(others))
-            for made, failed in _in_order(evaluate_other, others, lambda: bar.advance(of_others)):
+            for made, failed in each(evaluate_other, others, _died, lambda _: bar.advance(of_others)):
                 evaluations += [] if made is None else [made]
                 problems += failed
         for outcome in problems:
@@ -122,29 +121,11 @@ def _print_warnings(made: Evaluation) -> None:
         report(f"{made.method}, {made.clip}: {warning}")
 
 
-J = TypeVar("J", "ResultJob", "OtherJob")
-
-
-def _in_order(work: Callable[[J], Evaluated], jobs: Sequence[J], advance: Callable[[], None]) -> list[Evaluated]:
-    """Return the value of each job, in order; many jobs are shared out over processes."""
+def _died(job: ResultJob | OtherJob) -> Evaluated:
+    from getagrip.batch.executor import DIED
     from getagrip.batch.job import Outcome
-    from getagrip.batch.pool import DIED
 
-    done: dict[int, Evaluated] = {}
-    places = {id(job): place for place, job in enumerate(jobs)}
-    for job, made in _done(work, jobs):
-        dead = None, [Outcome(str(job.folder), "failed", DIED)]
-        done[places[id(job)]] = made or dead
-        advance()
-    return [done[place] for place in sorted(done)]
-
-
-def _done(work: Callable[[J], Evaluated], jobs: Sequence[J]) -> Iterator[tuple[J, Evaluated | None]]:
-    from getagrip.batch.pool import cores, in_processes
-
-    if len(jobs) <= FEW or cores() == 1:
-        return ((job, work(job)) for job in jobs)
-    return in_processes(work, jobs, min(len(jobs), cores()))
+    return None, [Outcome(str(job.folder), "failed", DIED)]
 
 
 def evaluate_one(job: ResultJob) -> Evaluated:

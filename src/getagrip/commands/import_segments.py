@@ -14,8 +14,7 @@ from getagrip.clip.segment_files import STATED, SegmentList
 from getagrip.commands.command import Command
 from getagrip.errors import UsageError
 from getagrip.io.arguments import Flag
-from getagrip.io.counts import counted
-from getagrip.io.terminal import say
+from getagrip.io.terminal import counted, say
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ from tyro.conf import arg
 from getagrip.commands.command import Clips, Command
 from getagrip.errors import UsageError
 from getagrip.io.arguments import File, OptionalFolder
-from getagrip.io.counts import counted
+from getagrip.io.terminal import counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -10,7 +10,7 @@ from tyro.conf import arg
 
 from getagrip.errors import InputError, UsageError
 from getagrip.io.arguments import Flag, one_of
-from getagrip.io.counts import counted
+from getagrip.io.terminal import counted
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from getagrip.batch.treatment import Batch
+from getagrip.batch.share import Batch
 from getagrip.commands.command import Command, Sources
 from getagrip.errors import UsageError
 from getagrip.fitting.options import Options
@@ -61,7 +61,7 @@ class Reconstruct(Command):
         from getagrip.batch.clips import print_outcome, reconstruct_clips
         from getagrip.batch.found import FindJob
         from getagrip.batch.plan import by_name
-        from getagrip.batch.shard import ALL
+        from getagrip.batch.share import ALL
         from getagrip.timelines.footage import METHOD
 
         if not self.cut_grasps and self.options.method != METHOD:
@@ -86,38 +86,34 @@ class Reconstruct(Command):
     def _find(self, jobs: Sequence[FindJob], out: Path) -> list[DetectedClip]:
         """Find the segments of each clip, in order, without clips that fail; print all of it."""
         from contextlib import closing
-        from functools import partial
 
-        from getagrip.batch.clips import print_outcome, shown
+        from getagrip.batch.clips import print_outcome
         from getagrip.batch.engine import Engine
         from getagrip.batch.found import DetectedClip, entry_of, find_one, lost
         from getagrip.batch.job import load
         from getagrip.batch.ledger import Ledger
-        from getagrip.batch.progress import Pace
         from getagrip.io import files, leftovers
-        from getagrip.io.terminal import progress_bar, report, say
+        from getagrip.io.terminal import report, say
 
         if not jobs:
             return []
         found: dict[str, DetectedClip] = {}
         share = self.batch.share
         leftovers.sweep(files.folder_inside(out, CLIPS))
-        with Ledger(files.folder_inside(share.ledger or out, CLIPS)) as ledger, progress_bar() as bar:
-            pace = Pace(bar, "clips", len(jobs))
-            engine = Engine(
-                work=find_one, lost=lost, entry=entry_of, options=[asdict(jobs[0].options), jobs[0].alone],
-                executor=share.executor(len(jobs)), limits=share.limits, prepare=load,
-                in_this=partial(shown, bar, find_one),
-            )  # fmt: skip
-            with closing(engine.run(jobs, ledger)) as ends:
-                for one in ends:
-                    pace.count(entry_of(one).state)
-                    if isinstance(one, DetectedClip):
-                        say(str(one))
-                        found[one.clip] = one
-                        continue
-                    print_outcome(one, self.debug)
-                    if share.fail_fast:
-                        report("--fail-fast: the other clips are skipped")
-                        break
+        engine = Engine(
+            work=find_one, lost=lost, entry=entry_of, options=[asdict(jobs[0].options), jobs[0].alone], prepare=load
+        )
+        with (
+            Ledger(files.folder_inside(share.ledger or out, CLIPS)) as ledger,
+            closing(share.ended(engine, jobs, len(jobs), ledger, "clips", stages=True)) as ends,
+        ):
+            for one in ends:
+                if isinstance(one, DetectedClip):
+                    say(str(one))
+                    found[one.clip] = one
+                    continue
+                print_outcome(one, self.debug)
+                if share.fail_fast:
+                    report("--fail-fast: the other clips are skipped")
+                    break
         return [found[job.name] for job in jobs if job.name in found]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import filterfalse
 from pathlib import Path
@@ -11,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from tyro.conf import Positional, arg
 
-from getagrip.batch.share import FEW
 from getagrip.commands.command import ClipsFolder, Command, Workers
 from getagrip.commands.evaluate import no_result, of_batch
 from getagrip.errors import InputError, UsageError
@@ -163,8 +161,8 @@ def _unwritten(job: ReportJob, problem: str) -> IndexRow:
 def _folder(path: Path, request: ReportRequest, workers: int | None) -> list[Outcome]:
     """Report on all results in a folder and write their index, with what its ledger knows; what went wrong."""
     from getagrip.batch.entries import ledger_there
+    from getagrip.batch.executor import DIED, each
     from getagrip.batch.job import Outcome
-    from getagrip.batch.pool import DIED
     from getagrip.batch.summary import TABLE, known_entries, row_without_result, write_table
     from getagrip.pages import IndexRow, write_index
 
@@ -173,28 +171,17 @@ def _folder(path: Path, request: ReportRequest, workers: int | None) -> list[Out
         if ledger is not None:
             write_table(ledger, path, path / TABLE)
     jobs = [ReportJob(folder, path, request) for folder in results_below(path, may_lack=bool(without))]
-    done: dict[Path, Reported] = {}
+
+    def died(job: ReportJob) -> Reported:
+        return IndexRow(job.name, problem=DIED, flags=("failed",)), Outcome(str(job.folder), "failed", DIED)
+
     with progress_bar(counted=True) as bar:
         task = bar.add_task("results", total=len(jobs))
-        for job, reported in _reported(jobs, workers):
-            dead = IndexRow(job.name, problem=DIED, flags=("failed",)), Outcome(str(job.folder), "failed", DIED)
-            done[job.folder] = reported or dead
-            bar.advance(task)
-    ends = [done[job.folder] for job in jobs]
+        ends = each(report_one, jobs, died, lambda _: bar.advance(task), workers)
     rows = [*(row for row, _ in ends), *map(row_without_result, without)]
     tables = sorted(file.name for file in (*path.glob("*.md"), *path.glob(TABLE)))
     write_index(rows, path.resolve().name, tables, path / INDEX)
     return [problem for _, problem in ends if problem is not None]
-
-
-def _reported(jobs: Sequence[ReportJob], workers: int | None) -> Iterator[tuple[ReportJob, Reported | None]]:
-    """Each job with what it gives, as they finish; many are shared out over processes."""
-    from getagrip.batch.pool import cores, in_processes
-
-    count = min(len(jobs), workers or (1 if len(jobs) <= FEW else cores()))
-    if count == 1:
-        return ((job, report_one(job)) for job in jobs)
-    return in_processes(report_one, jobs, count)
 
 
 def _files(request: ReportRequest) -> list[str]:

@@ -10,16 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from getagrip.commands.command import Clips, Command, Workers
-from getagrip.commands.each_clip import each_clip
+from getagrip.commands.command import Clips, Command, Workers, each_clip
 from getagrip.commands.segment_masks import find_in_clips
 from getagrip.errors import UsageError
-from getagrip.grasps.options import GraspOptions
+from getagrip.grasps.definition import GraspOptions
 from getagrip.io import files
 from getagrip.io.arguments import Flag, OptionalFile, OptionalFolder
-from getagrip.io.counts import counted
 from getagrip.io.files import Json
-from getagrip.io.terminal import console, plain_table, report
+from getagrip.io.terminal import console, counted, plain_table, report
 
 if TYPE_CHECKING:
     from rich.table import Table

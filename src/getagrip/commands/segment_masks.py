@@ -7,12 +7,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from getagrip.commands.each_clip import each_clip
+from getagrip.commands.command import each_clip
 from getagrip.errors import UsageError
 from getagrip.io import files
-from getagrip.io.counts import counted
 from getagrip.io.files import Json
-from getagrip.io.terminal import console, plain_table, report
+from getagrip.io.terminal import console, counted, plain_table, report
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -11,13 +11,13 @@ from tyro.conf import Positional, arg
 
 from getagrip.commands.command import Command
 from getagrip.errors import UsageError
-from getagrip.io import files, markdown
+from getagrip.io import files
 from getagrip.io.arguments import OptionalFile, OptionalFolder, one_of
+from getagrip.io.tables import markdown_table
 from getagrip.io.terminal import console, plain_table, report
 
 if TYPE_CHECKING:
-    from getagrip.experiments.counts import Counts
-    from getagrip.experiments.durations import CategoryDurations
+    from getagrip.experiments.dataset_tables import CategoryDurations, Counts
 
 EPIC = "epic-grasps"
 HEADINGS = ("category", "avg [s]", "std [s]", "max [s]", "clips", "left", "right")
@@ -50,7 +50,7 @@ class Stats(Command):
         Raises ``UsageError`` for calls that fit neither EPIC-Grasps nor a list, and ``InputError``.
         """
         from getagrip.datasets.epic.tables import chosen_errata, read_grasps
-        from getagrip.experiments import counts, durations
+        from getagrip.experiments import dataset_tables as tables
         from getagrip.grasps import lists
 
         if self.source == EPIC:
@@ -61,7 +61,8 @@ class Stats(Command):
                 lacking = self.csv.with_name(f"{self.csv.stem}_errata.csv")
                 raise UsageError(f"missing {lacking}: --errata needs it, or --errata-file")
             grasps = read_grasps(self.csv, chosen)
-            lasting, counted = durations.of_epic(grasps, self.fps or "paper"), counts.of_epic(grasps)
+            lasting = tables.epic_durations(grasps, self.fps or "paper")
+            counted = tables.epic_counts(grasps)
         else:
             if self.csv is not None:
                 raise UsageError(f"{self.csv} cannot be used with {self.source}, only with {EPIC}")
@@ -72,8 +73,8 @@ class Stats(Command):
             folder = Path(self.source) if Path(self.source).is_dir() else None
             path = Path(self.source) if folder is None else folder / lists.FILE
             listed = lists.read(path, report).grasps
-            lasting, counted = durations.of_list(path, listed), counts.of_list(listed, folder)
-        rows = durations.durations(lasting)
+            lasting, counted = tables.list_durations(path, listed), tables.list_counts(listed, folder)
+        rows = tables.durations(lasting)
         if not rows:
             print("no grasps")
         else:
@@ -95,7 +96,7 @@ def _cells(row: CategoryDurations) -> list[str]:
 def _print(rows: Sequence[CategoryDurations]) -> None:
     from rich.text import Text
 
-    from getagrip.experiments.durations import ALL
+    from getagrip.experiments.dataset_tables import ALL
 
     shown = plain_table()
     for n, heading in enumerate(HEADINGS):
@@ -112,7 +113,7 @@ def _write(rows: Sequence[CategoryDurations], counted: Counts, out: Path) -> Non
     out.mkdir(parents=True, exist_ok=True)
     figures = {name: "-" if number is None else f"{number}" for name, number in asdict(counted).items()}
     grids: list[list[Sequence[str]]] = [[HEADINGS, *map(_cells, rows)], [list(figures), list(figures.values())]]
-    tables = ["\n".join(markdown.table(grid)) for grid in grids]
+    tables = ["\n".join(markdown_table(grid)) for grid in grids]
     files.write_text(out / "stats.md", "\n\n".join(tables) + "\n")
     files.write_csv(out / "counts.csv", [asdict(counted), asdict(counted).values()])
     heading = asdict(rows[0]) if rows else ()

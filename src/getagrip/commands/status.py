@@ -42,7 +42,7 @@ class Status(Command):
         from collections import Counter
 
         from getagrip.batch.entries import ledger_there
-        from getagrip.batch.ledger_place import ledger_folder
+        from getagrip.batch.ledger import ledger_folder
         from getagrip.batch.summary import badness, known_entries, write_summary
         from getagrip.io.terminal import report, say
 

@@ -8,12 +8,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from getagrip.commands.each_clip import each_clip
+from getagrip.commands.command import each_clip
 from getagrip.commands.segment import GraspCommand, SegmentJob, report_missing
 from getagrip.io import files
 from getagrip.io.arguments import Folder
-from getagrip.io.counts import counted
-from getagrip.io.terminal import console, plain_table
+from getagrip.io.terminal import console, counted, plain_table
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome, Progress

@@ -46,8 +46,7 @@ class View(Command):
         """
         from getagrip.batch.clips import print_outcome
         from getagrip.batch.job import failure
-        from getagrip.pages.entries import entries
-        from getagrip.pages.served import Library
+        from getagrip.pages.served import Library, entries
         from getagrip.pages.server import Server
 
         say(f"reading {', '.join(map(str, self.paths))} ...")  # to load what draws takes seconds, too

@@ -16,6 +16,7 @@ the head, its lens undistorted, 1 to 8 are the fixed ones. Images are not read.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -29,7 +30,6 @@ from tyro.conf import arg
 
 from getagrip.clip import HandTrack, Joint, World
 from getagrip.datasets import mano_tracks
-from getagrip.datasets.arctic_parts import is_top
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
 from getagrip.datasets.mano_tracks import numbers
@@ -39,12 +39,11 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import LARGEST_FILE, checked_mesh, with_area
 from getagrip.geometry.obj import parse_obj
-from getagrip.grasps.definition import FEWEST
-from getagrip.grasps.options import GraspOptions
+from getagrip.grasps.definition import FEWEST, GraspOptions
 from getagrip.hands.model import Side
 from getagrip.io import arrays, pickles
 from getagrip.io.arguments import OptionalFolder
-from getagrip.io.files import is_plain_name, read_bytes, read_json, shown
+from getagrip.io.files import LARGEST_JSON, is_plain_name, read_bytes, read_json, shown
 
 PAPER = GraspOptions(tau=0.5, contact_mm=0.0, shortest=FEWEST)
 """The paper's stable grasps of ARCTIC: it states no shortest length."""
@@ -52,8 +51,14 @@ VIEWS = 9
 FPS = 30.0
 SCALE = 0.3
 """Masks are so much smaller than the images, 840 x 600 for view 0, as the paper's are."""
-MM = 1e-3
 SIDES: tuple[Side, ...] = ("left", "right")
+MM = 1e-3
+TOP = 0
+"""The number of the top in ``parts.json``: ARCTIC's code adds 1 and turns what is then 1."""
+CLEAR = 0.002
+"""A vertex this much nearer to one part than to the other belongs to it [m]; else ``parts.json`` decides."""
+CONTRADICTION = 0.05
+"""Share of the clear vertices that may differ from ``parts.json``: the template is coarser than its parts."""
 
 
 @dataclass(frozen=True)
@@ -243,3 +248,42 @@ def neutral_frame(mesh: Mesh) -> Float[ndarray, "4 4"]:
     R[1] = np.cross(R[2], R[0])
     turned = mesh.vertices @ R.T
     return se3.rigid(R, -(turned.min(axis=0) + turned.max(axis=0)) / 2.0)
+
+
+def is_top(folder: Path, mesh: Mesh) -> Bool[ndarray, "V"]:
+    """Return the vertices of the template in ``folder`` that turn. Raises ``InputError``."""
+    numbered = _numbered(folder / "parts.json", len(mesh.vertices)) == TOP
+    top, bottom = folder / "top.obj", folder / "bottom.obj"
+    if not (top.is_file() and bottom.is_file()):
+        return numbered
+    nearer = _distance(bottom, mesh.vertices) - _distance(top, mesh.vertices)
+    clear = np.abs(nearer) > CLEAR
+    differ = clear & ((nearer > 0.0) != numbered)
+    if differ.sum() > CONTRADICTION * clear.sum():
+        got = f"{differ.sum()} of {clear.sum()} vertices numbered against top.obj and bottom.obj, which lie beside it"
+        raise InputError(folder / "parts.json", "", got, f"{TOP} for each vertex of mesh.obj at top.obj, else 1")
+    return np.where(clear, nearer > 0.0, numbered)
+
+
+def _numbered(file: Path, count: int) -> ndarray:
+    """Read the numbers in ``parts.json``, (V,)."""
+    try:
+        part = arrays.from_lists(json.loads(read_bytes(file, LARGEST_JSON)))
+    except (ValueError, RecursionError) as error:
+        raise InputError(file, "", f"text that is no JSON ({error})", "a JSON list") from error
+    if part is None or part.shape != (count,) or not np.isin(part, (0, 1)).all():
+        got = f"{len(part)} numbers" if part is not None and part.ndim == 1 else "something else"
+        raise InputError(file, "", got, f"0 or 1 for each of the {count} vertices of mesh.obj")
+    return part
+
+
+def _distance(file: Path, points: Float[ndarray, "V 3"]) -> Float[ndarray, "V"]:
+    """From points [m] to the surface of the mesh in a file [mm]."""
+    import igl
+
+    vertices, faces = parse_obj(file, read_bytes(file, LARGEST_FILE))
+    vertices, faces = MM * vertices, with_area(MM * vertices, faces)
+    checked_mesh(file, vertices, faces)
+    tree = igl.AABB()
+    tree.init(vertices, faces)
+    return np.sqrt(tree.squared_distance(vertices, faces, points)[0])

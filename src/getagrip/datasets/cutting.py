@@ -26,9 +26,8 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import checked_mesh
 from getagrip.grasps.cut import FIRST_FRAME, Cut, as_listed
-from getagrip.grasps.definition import FEWEST
+from getagrip.grasps.definition import FEWEST, GraspOptions
 from getagrip.grasps.lists import BETWEEN, ListedGrasp
-from getagrip.grasps.options import GraspOptions
 from getagrip.io.arguments import Flag
 from getagrip.io.files import is_plain_name
 from getagrip.metrics.contact import stable_contact_area

@@ -31,13 +31,13 @@ from getagrip.datasets.mano_tracks import numbers
 from getagrip.datasets.tracks import Source, Track, check_length, in_pixels
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
-from getagrip.grasps.options import GraspOptions
+from getagrip.grasps.definition import GraspOptions
 from getagrip.hands import generic
 from getagrip.hands.fit import fit_joints
 from getagrip.io import pickles
 from getagrip.io.arguments import OptionalFolder
-from getagrip.io.counts import counted
 from getagrip.io.files import is_plain_name, shown
+from getagrip.io.terminal import counted
 
 WITHIN_10_MM = GraspOptions(contact_mm=10.0)
 SIZE = (640, 480)

@@ -36,8 +36,7 @@ from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import LARGEST_FILE, checked_mesh, with_area
 from getagrip.geometry.obj import parse_obj
-from getagrip.grasps.definition import FEWEST
-from getagrip.grasps.options import GraspOptions
+from getagrip.grasps.definition import FEWEST, GraspOptions
 from getagrip.hands.model import Side
 from getagrip.io import arrays, pickles
 from getagrip.io.arguments import OptionalFolder

@@ -45,8 +45,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import read_mesh
 from getagrip.geometry.subdivide import fine
-from getagrip.grasps.definition import FEWEST
-from getagrip.grasps.options import GraspOptions
+from getagrip.grasps.definition import FEWEST, GraspOptions
 from getagrip.hands.fit import ORDERS
 from getagrip.hands.model import Side
 from getagrip.io import arrays

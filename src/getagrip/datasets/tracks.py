@@ -21,8 +21,8 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.grasps.lists import BETWEEN, ListedGrasp
 from getagrip.hands.model import Side
-from getagrip.io.counts import counted
 from getagrip.io.files import Json
+from getagrip.io.terminal import counted
 from getagrip.provenance import Provenance
 
 if TYPE_CHECKING:

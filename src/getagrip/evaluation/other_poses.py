@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from getagrip.evaluation.pose_files import SUFFIXES, PoseFile, read_pose_file, r
 from getagrip.geometry import se3
 from getagrip.io import files
 from getagrip.metrics.mask import iou_of_poses
-from getagrip.result import Candidates, FrameKind, Reconstruction, Status, is_result, read_result
+from getagrip.result import FrameKind, Reconstruction, is_result, read_result
 
 FIRST = "--first"
 """The option of ``evaluate`` that states the number of the first frame's pose."""
@@ -82,22 +82,11 @@ def poses_of(place: Path, name: str, clip: Clip, masks: Masks | None, first: int
         )
     if poses.scale is None and clip.scale == "free":
         notes.append("the scale 1 is a guess: the poses say none, and the clip's mesh has no known size")
-    return Reconstruction(
-        clip=clip.name,
-        method=name,
-        frames=clip.frames,
-        frame_kind=kind,
-        T_hand_obj=T_hand_obj,
-        scale=scale,
-        iou=iou,
-        axis=None,
-        candidates=Candidates(T_hand_obj[None], np.array([scale]), np.zeros(1)),
-        energy={"total": float("nan")},
-        status=Status.EXTERNAL,
-        ambiguous=False,
-        seconds={"total": float("nan")},
-        notes=tuple(notes),
-    )
+    unknown = {"total": float("nan")}
+    return replace(
+        Reconstruction.external(clip.name, name, clip.frames, T_hand_obj, scale),
+        frame_kind=kind, iou=iou, energy=unknown, seconds=unknown, notes=tuple(notes),
+    )  # fmt: skip
 
 
 def _only_file(place: Path) -> Path:

@@ -17,7 +17,6 @@ from getagrip.experiments.hand_sources import HandSource, comparison
 from getagrip.experiments.other_systems import system_of, system_variants
 from getagrip.experiments.settings import ABLATIONS, Ablation
 from getagrip.experiments.sources import ClipSource, Sample
-from getagrip.experiments.stamp import stamp
 from getagrip.experiments.tables import as_json, clips_csv_rows, csv_rows, latex, markdown, terminal
 from getagrip.experiments.trial import Benchmark, Page, Trial
 from getagrip.experiments.trials import GraspTrial, Scores
@@ -25,7 +24,8 @@ from getagrip.experiments.variants import Variant, ablation_variants, method_var
 from getagrip.fitting.methods import method_of
 from getagrip.fitting.options import WITH_FREE_SCALE, Options
 from getagrip.io import files, leftovers
-from getagrip.io.counts import counted
+from getagrip.io.code import stamp
+from getagrip.io.terminal import counted
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition, at_millimetres
 from getagrip.result import software
 

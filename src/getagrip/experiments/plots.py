@@ -10,10 +10,9 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.evaluation.metric import SCA, TRUE_SCA, Metric
-from getagrip.experiments.comparison import Row, Table
-from getagrip.experiments.statistics import LEVEL
+from getagrip.experiments.comparison import LEVEL, Row, Table
 from getagrip.io import files
-from getagrip.io.counts import counted
+from getagrip.io.terminal import counted
 
 SHOWN = ("iou", "add_sym_success", "sca", "sca_add_sym", "sca_iou_80")
 """Names of the metrics drawn."""

@@ -9,16 +9,25 @@ from pathlib import Path
 import numpy as np
 
 from getagrip.datasets.tracks import subject_of
-from getagrip.experiments.segment_scores import Matched, Summary, summary
-from getagrip.experiments.segment_trials import DEFINITION, DIRECTIONS, VARIANTS, SequenceScores, SequenceTrial
+from getagrip.experiments.comparison import resamples
+from getagrip.experiments.segment_trials import (
+    DEFINITION,
+    DIRECTIONS,
+    VARIANTS,
+    Matched,
+    SequenceScores,
+    SequenceTrial,
+    Summary,
+    summary,
+)
 from getagrip.experiments.sources import Sample
-from getagrip.experiments.sources.dexycb import DexYcbSequences
-from getagrip.experiments.stamp import stamp
-from getagrip.experiments.statistics import resamples
+from getagrip.experiments.sources.recorded import DexYcbSequences
 from getagrip.experiments.trial import Benchmark, Page, Trial
 from getagrip.fitting.options import Options
-from getagrip.io import files, markdown
-from getagrip.io.counts import counted
+from getagrip.io import files
+from getagrip.io.code import stamp
+from getagrip.io.tables import markdown_page
+from getagrip.io.terminal import counted
 
 HEADINGS = ("", "sequences", "grasps", "tIoU", "F1@.5", "F1@.7", "start", "end", "missed", "false")
 COLUMNS = ("sequence", "direction", "way", "true", "found", "tiou", "start", "end")
@@ -61,7 +70,7 @@ class SegmentBenchmark(Benchmark[SequenceScores]):
             f"{np.median([one.seconds for one in scores]):.1f} s of CPU per sequence and direction (median)",
             f"made {stamp()}",
         ]
-        text = markdown.page("Grasps found without 3D labels", grid, about)
+        text = markdown_page("Grasps found without 3D labels", grid, about)
         content = {"noise": self.source.preset, "rows": {label: asdict(summary(own)) for label, own in rows.items()}}
         return Page(self.source.preset, text, {".md": text}, {"-sequences.csv": _csv_rows(scores)}, content)
 

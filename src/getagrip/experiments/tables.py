@@ -7,13 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from getagrip.experiments.comparison import Table, error_columns
-from getagrip.experiments.statistics import LEVEL, Estimate
+from getagrip.experiments.comparison import LEVEL, Estimate, Table, error_columns
 from getagrip.experiments.trials import Scores
 from getagrip.experiments.variants import Variant
-from getagrip.io.counts import counted
-from getagrip.io.markdown import table as table_lines
-from getagrip.io.terminal import plain_table
+from getagrip.io.tables import markdown_table as table_lines
+from getagrip.io.terminal import counted, plain_table
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable

@@ -11,15 +11,16 @@ import numpy as np
 
 from getagrip.datasets.tracks import subject_of
 from getagrip.errors import UsageError
+from getagrip.experiments.comparison import estimate
 from getagrip.experiments.sources import Sample
-from getagrip.experiments.sources.timelines import Timelines
-from getagrip.experiments.stamp import stamp
-from getagrip.experiments.statistics import estimate
+from getagrip.experiments.sources.recorded import Timelines
 from getagrip.experiments.timeline_trials import ALL, LEVELS, TimelineScores, TimelineTrial
 from getagrip.experiments.trial import Benchmark, Page, Trial
 from getagrip.fitting.options import Options
-from getagrip.io import files, markdown
-from getagrip.io.counts import counted
+from getagrip.io import files
+from getagrip.io.code import stamp
+from getagrip.io.tables import markdown_page
+from getagrip.io.terminal import counted
 
 HEADINGS = ("hands", "", "static", "between", "grasp", "grasp, ADD", "mugs, grasp", "jump, mm", "SCA", "s")
 
@@ -68,7 +69,7 @@ class TimelineBenchmark(Benchmark[TimelineScores]):
             "in brackets: 95 % intervals by Student's t over the subjects",
             f"{self.options.inits} initial poses, seed {self.options.seed}; made {stamp()}",
         ]
-        text = markdown.page("Timelines", grid, about, words=2)
+        text = markdown_page("Timelines", grid, about, words=2)
         return Page(self.source.preset, text, {".md": text}, {}, {one.name: one.by for one in whole})
 
 

@@ -1,21 +1,27 @@
-"""One timeline of a benchmark, reconstructed every way at every level of noise."""
+"""One timeline of a benchmark, reconstructed every way at every level of noise: its poses, jumps and contact scored."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from getagrip.clip import read_clip, read_masks
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.batch.kept import kept_or_made, made_of
+from getagrip.clip import Clip, read_clip, read_masks
 from getagrip.datasets.synthetic.noise import NOISE, Noise, perturbed
 from getagrip.errors import GetagripError
-from getagrip.experiments.records import kept_or_made, made_of
-from getagrip.experiments.timeline_scores import jumps, segment_scores
 from getagrip.experiments.trial import ClipScores, Trial
 from getagrip.fitting.options import Options
-from getagrip.metrics.symmetry import find_symmetries
+from getagrip.geometry import se3
+from getagrip.metrics.contact import ContactDefinition, contact_distances, stable_contact
+from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
+from getagrip.metrics.symmetry import Symmetries, find_symmetries
 
 LEVELS: dict[str, Noise] = {
     "exact": Noise(),
@@ -24,10 +30,13 @@ LEVELS: dict[str, Noise] = {
     "ragged": NOISE["strong"],
 }
 """Noise of hands; ``ragged`` is strong noise, and that of masks, too: 1 px."""
-CODE = ("experiments/timeline_scores.py", "experiments/timeline_trials.py")
+CODE = ("experiments/timeline_trials.py",)
 """Code that scores depend on, besides that of a reconstruction."""
 ALL = "all"
 """All levels, one after the other."""
+CONTACT = ContactDefinition("object", 0.010)
+KINDS = {"static": "static", "contact": "between", "free": "between", "grasp": "grasp"}
+"""Words for the states of segments in tables."""
 
 
 @dataclass(frozen=True)
@@ -90,3 +99,55 @@ def _found(trial: TimelineTrial, level: str) -> dict[str, Any]:
             "jumps": jumps(clip, motion.T_cam_obj),
         }
     return {"category": tracked.category, "by": by}
+
+
+@dataclass(frozen=True)
+class SegmentScore:
+    """A segment's poses in the camera frame.
+
+    Attributes:
+        kind: of ``KINDS``.
+        right: whether its mean ADD is below a tenth of the diameter.
+        right_sym: the same up to the object's symmetries.
+        add_sym: that mean, in diameters.
+        sca: of grasps, else None.
+    """
+
+    kind: str
+    right: bool
+    right_sym: bool
+    add_sym: float
+    sca: float | None
+
+
+def segment_scores(
+    clip: Clip, symmetries: Symmetries, T_cam_obj: Float[ndarray, "T 4 4"], T_cam_hand: Float[ndarray, "T 4 4"]
+) -> list[SegmentScore]:
+    """Score each segment; contact is with the hand of the result. The clip's scale is known."""
+    assert clip.truth is not None
+    out = []
+    for segment in clip.segments:
+        rows = segment.rows
+        found, true = ObjectTrack(T_cam_obj[rows], 1.0), ObjectTrack(clip.truth.T_cam_obj[rows], clip.truth.scale)
+        plain = pose_errors(clip.mesh, found, true)
+        sym = pose_errors(clip.mesh, found, true, best_symmetry(clip.mesh, found, true, symmetries))
+        sca = None
+        if segment.state == "grasp":
+            grasped = ObjectTrack(se3.inverse(T_cam_hand[rows]) @ T_cam_obj[rows], 1.0)
+            (distances,) = contact_distances(clip.mesh, [grasped], clip.hand.vertices[rows], clip.hand.faces)
+            sca = stable_contact(distances, CONTACT).sca
+        share = float(sym.add.mean() / sym.diameter)
+        out.append(SegmentScore(KINDS[segment.state], plain.success, sym.success, share, sca))
+    return out
+
+
+def jumps(clip: Clip, T_cam_obj: Float[ndarray, "T 4 4"]) -> Sequence[float]:
+    """Measure the object's jump from each segment to the next beyond its true motion [m]: the mean over vertices."""
+    assert clip.truth is not None
+    out = []
+    for one, other in zip(clip.segments, clip.segments[1:], strict=False):
+        moves = [T[other.first] @ se3.inverse(T[one.last]) for T in (T_cam_obj, clip.truth.T_cam_obj)]
+        posed = se3.transform(clip.truth.T_cam_obj[one.last], clip.truth.scale * clip.mesh.vertices)
+        apart = se3.transform(moves[0], posed) - se3.transform(moves[1], posed)
+        out.append(float(np.linalg.norm(apart, axis=1).mean()))
+    return out

@@ -1,6 +1,57 @@
 """Results in other programs' formats."""
 
-from getagrip.export.formats import FORMATS, export
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from getagrip.errors import unknown
+from getagrip.export import (
+    arrays_npz,
+    bop,
+    dex_retargeting,
+    gltf,
+    lerobot,
+    mujoco,
+    obj_sequence,
+    poses_csv,
+    spider,
+    usd,
+)
 from getagrip.export.scene import Scene
+from getagrip.io import files
+from getagrip.io.plugins import Table
 
 __all__ = ["FORMATS", "Scene", "export"]
+
+Write = Callable[[Scene, Path], dict[str, str]]
+"""Writes a scene's files into an empty folder; returns what each file holds, with units and axes."""
+
+_FORMATS: dict[str, Write] = {
+    "csv": poses_csv.write,
+    "npz": arrays_npz.write,
+    "obj": obj_sequence.write,
+    "glb": gltf.write,
+    "bop": bop.write,
+    "usd": usd.write,
+    "mujoco": mujoco.write,
+    "lerobot": lerobot.write,
+    "spider": spider.write,
+    "dex-retargeting": dex_retargeting.write,
+}
+FORMATS = Table("exports", _FORMATS, "a function write(scene, folder)", lambda _, it: callable(it))
+ABOUT = "about.json"
+
+
+def export(scene: Scene, folder: str | Path, to: str, overwrite: bool = False) -> Path:
+    """Write a scene in one of ``FORMATS`` into a folder, with ``about.json``: files, units, axes, times and notes.
+
+    Raises ``UsageError`` for an unknown format, or where the folder exists and may not be replaced.
+    """
+    if to not in FORMATS:
+        raise unknown("--to", to, FORMATS)
+    folder, write = Path(folder), FORMATS[to]
+    with files.new_folder(folder, (ABOUT,) if overwrite else ()) as new:
+        about = scene.about(write(scene, new))
+        files.write_json(new / ABOUT, {"format": to} | about)
+    return folder

@@ -21,9 +21,8 @@ from jaxtyping import Shaped, UInt8
 from numpy import ndarray
 
 from getagrip.export.bones import JOINTS
-from getagrip.export.palm import joints_on_stage, pose7
 from getagrip.export.scene import Scene
-from getagrip.export.stage import Stage
+from getagrip.export.stage import Stage, joints_on_stage, pose7
 from getagrip.io import extras, files
 from getagrip.io.images import read_image
 from getagrip.io.videos import write_video

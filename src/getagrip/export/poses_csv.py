@@ -13,7 +13,7 @@ from numpy import ndarray
 from getagrip.export.scene import AXES, Scene
 from getagrip.geometry import se3
 from getagrip.io import files
-from getagrip.io.csv_tables import text_cell
+from getagrip.io.tables import text_cell
 
 POSE = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 

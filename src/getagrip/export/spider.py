@@ -12,9 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from getagrip.export.palm import RING, TIPS, WRIST, besides, joints_on_stage, palm, pose7
 from getagrip.export.scene import Scene, word
-from getagrip.export.stage import Stage
+from getagrip.export.stage import RING, TIPS, WRIST, Stage, besides, joints_on_stage, palm, pose7
 from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import arrays, files

@@ -12,8 +12,7 @@ from tyro.conf import Fixed, FlagConversionOff, Suppress, arg
 from getagrip.errors import UsageError
 from getagrip.fitting.methods import METHODS, method_of
 from getagrip.io.arguments import Flag, meant, parsed, switch
-from getagrip.io.choices import check_values
-from getagrip.io.explained import explained
+from getagrip.io.choices import check_values, explained
 
 Hands = Literal["corrected", "as-given"]
 MaskUse = Literal["checked", "as-given"]

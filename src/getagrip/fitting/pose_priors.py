@@ -30,7 +30,7 @@ from getagrip.fitting.learn_priors import (
 from getagrip.fitting.options import Init, Options, PriorsFile
 from getagrip.geometry import se3
 from getagrip.io import arrays, files
-from getagrip.io.counts import counted
+from getagrip.io.terminal import counted
 
 NAMES = ("category", "side", "clips", "subjects")
 """Arrays of names in a file: of version 1 for each pose, each clip and each subject, of version 2 for each grasp."""

@@ -32,7 +32,7 @@ from getagrip.fitting.observation import Observation, observe
 from getagrip.fitting.options import WITH_FREE_SCALE, Options
 from getagrip.fitting.surface import ObjectSurface
 from getagrip.geometry.warp import Warp
-from getagrip.io.counts import counted
+from getagrip.io.terminal import counted
 from getagrip.provenance import assumptions
 from getagrip.result import Axis, Status
 

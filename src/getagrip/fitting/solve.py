@@ -21,7 +21,7 @@ from getagrip import least_squares
 from getagrip.fitting.energy import HandInCamera, ObjectWithHand, PosesInCamera, Quadratic, Term
 from getagrip.fitting.motion import HandPoses, Motion, PosesInHand, moved
 from getagrip.least_squares import DEFAULT, Arrow, Ending, Rules
-from getagrip.result.status import Status
+from getagrip.result.data import Status
 
 M = TypeVar("M", bound=Motion)
 

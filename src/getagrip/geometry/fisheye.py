@@ -23,8 +23,6 @@ from numpy import ndarray
 from getagrip.geometry import se3
 from getagrip.geometry.camera import backproject
 
-NEWTON_STEPS = 15
-
 
 @dataclass(frozen=True)
 class Fisheye624:
@@ -64,32 +62,13 @@ class Fisheye624:
         xy = X_cam[..., :2] / X_cam[..., 2:]
         r = np.linalg.norm(xy, axis=-1, keepdims=True)
         theta = np.arctan(r)
-        m = self._radial(theta)[0] * xy / np.maximum(r, 1e-12)
+        m = self._radial(theta) * xy / np.maximum(r, 1e-12)
         return self.f * self._bent(m) + self.c
 
-    def unproject(self, uv: Float[ndarray, "*batch 2"]) -> Float[ndarray, "*batch 3"]:
-        """Return the points at depth 1 on the rays through pixel coordinates, by Newton's method.
-
-        Only where the model can be inverted: pixels of rays within some 75 degrees of the axis.
-        """
-        d = (uv - self.c) / self.f
-        m = d
-        for _ in range(NEWTON_STEPS):
-            m = m + np.linalg.solve(self._bend(m), (d - self._bent(m))[..., None])[..., 0]
-        length = np.linalg.norm(m, axis=-1, keepdims=True)
-        theta = np.minimum(length, 1.3)
-        for _ in range(NEWTON_STEPS):
-            radial, gain = self._radial(theta)
-            theta = np.clip(theta + (length - radial) / gain, 0.0, 0.999 * np.pi / 2.0)
-        xy = np.tan(theta) * m / np.maximum(length, 1e-12)
-        return np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
-
-    def _radial(self, theta: Float[ndarray, "*b 1"]) -> tuple[Float[ndarray, "*b 1"], Float[ndarray, "*b 1"]]:
-        """|m| and its derivative by theta."""
+    def _radial(self, theta: Float[ndarray, "*b 1"]) -> Float[ndarray, "*b 1"]:
+        """|m|."""
         powers = theta ** np.array([2, 4, 6, 8, 10, 12])
-        value = theta * (1.0 + (powers @ self.k)[..., None])
-        slope = 1.0 + (powers @ (self.k * np.array([3, 5, 7, 9, 11, 13])))[..., None]
-        return value, slope
+        return np.asarray(theta * (1.0 + (powers @ self.k)[..., None]))
 
     def _bent(self, m: Float[ndarray, "*b 2"]) -> Float[ndarray, "*b 2"]:
         """Return the distorted point d(m)."""
@@ -97,18 +76,6 @@ class Fisheye624:
         dot = (m @ self.p)[..., None]
         prism = self.s.reshape(2, 2)
         return np.asarray(m + 2.0 * dot * m + square * self.p + square * prism[:, 0] + square**2 * prism[:, 1])
-
-    def _bend(self, m: Float[ndarray, "*b 2"]) -> Float[ndarray, "*b 2 2"]:
-        """Return the derivative of d by m."""
-        square = np.sum(m * m, axis=-1, keepdims=True)
-        dot = (m @ self.p)[..., None]
-        prism = self.s.reshape(2, 2)
-        by_square = self.p + prism[:, 0] + 2.0 * square * prism[:, 1]
-        return np.asarray(
-            (1.0 + 2.0 * dot)[..., None] * np.eye(2)
-            + 2.0 * m[..., :, None] * self.p
-            + by_square[..., :, None] * 2.0 * m[..., None, :]
-        )
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.geometry import se3
-from getagrip.grasps.approximation import AxisRotation, mean_rotation, pose_hinge, rotation_hinge
-from getagrip.grasps.study import Measure
+from getagrip.grasps.approximation import AxisRotation, pose_hinge, rotation_hinge
 
 LEAST_TURN = np.radians(5.0)
 """Each half of a grasp turns at least so far where the drift of the axis is measured."""
@@ -23,21 +22,12 @@ MODES = 12
 """Number of cosines over the grasp's time in a spectrum, the constant left out; the last has all that is faster."""
 ENDS = 0.2
 """Share of the frames at either end between which slip is measured."""
-
-MOTION_MEASURES = {
-    "duration": Measure("duration", "s", 1.0),
-    "turn": Measure("range of the angle about the best hinge", "deg", float(np.degrees(1.0))),
-    "static": Measure("rotation error of one pose, mean", "deg", float(np.degrees(1.0))),
-    "rotation": Measure("rotation besides the best hinge, rms", "deg", float(np.degrees(1.0))),
-    "place": Measure("translation of the centre besides the best hinge, rms", "mm", 1e3),
-    "drift": Measure("angle between the axes of the first and the second half", "deg", float(np.degrees(1.0))),
-    "bend": Measure("share of the rotation square to the axis that goes with the angle's square", "", 1.0),
-    "rotation_memory": Measure("correlation time of that rotation", "s", 1.0),
-    "place_memory": Measure("correlation time of that translation", "s", 1.0),
-    "pivot": Measure("distance of the axis from the middle of the contact", "mm", 1e3),
-    "slip": Measure("way of the contact points in the hand frame, first to last fifth", "mm", 1e3),
-}
-"""By name; shown in these units, stored in SI units."""
+QUANTILES = (10, 25, 50, 75, 90)
+"""Per cent."""
+JOINT = ("duration", "turn", "rotation", "place", "drift", "pivot", "slip")
+"""Measures of a grasp whose logarithms are taken to be jointly normal: how long it lasts, the range of the angle about
+the best hinge, rotation and translation besides it (root mean square), the angle between the axes of both halves, the
+axis's distance from the middle of the contact, and the way of the contact points in the hand, first to last fifth."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +86,7 @@ def measure(
     touched: Float[ndarray, "P 3"],
     fps: float,
 ) -> tuple[dict[str, float], Residual]:
-    """Measure ``MOTION_MEASURES`` of one grasp, NaN where one has no value; also return the residual of the hinge.
+    """Measure ``JOINT`` of one grasp in SI units, NaN where one has no value; also return the residual of the hinge.
 
     Args:
         T_hand_obj: poses of the object, of unit scale.
@@ -111,13 +101,9 @@ def measure(
     values = {
         "duration": len(R) / fps,
         "turn": turn,
-        "static": float(se3.angle_between(mean_rotation(R), R).mean()),
         "rotation": rotation,
         "place": place,
         "drift": axis_drift(R, c),
-        "bend": bend(residual),
-        "rotation_memory": correlation_time(residual.rotation, fps),
-        "place_memory": correlation_time(residual.place, fps),
         "pivot": np.nan,
         "slip": np.nan,
     }
@@ -151,25 +137,6 @@ def bend(residual: Residual) -> float:
     return float(1.0 - np.sum(unexplained**2) / whole) if whole > 0.0 else float("nan")
 
 
-def correlation_time(x: Float[ndarray, "N 3"], fps: float) -> float:
-    """Measure the lag at which a curve's autocorrelation first falls to 1/e [s], linear between frames.
-
-    At most half of it.
-    """
-    x = x - x.mean(axis=0)
-    lags = np.arange(len(x) // 2)
-    product = np.array([np.mean(np.sum(x[: len(x) - lag] * x[lag:], axis=1)) for lag in lags])
-    if product[0] <= 0.0:
-        return float("nan")
-    correlation = product / product[0]
-    below = np.flatnonzero(correlation < np.exp(-1.0))
-    if not below.size:
-        return float(lags[-1] / fps)
-    k = int(below[0])
-    part = (correlation[k - 1] - np.exp(-1.0)) / (correlation[k - 1] - correlation[k])
-    return float((k - 1 + part) / fps)
-
-
 def spectrum(x: Float[ndarray, "N k"]) -> Float[ndarray, "M"]:
     """Measure the share of a curve's energy in each of ``MODES`` cosines cos(pi m t), without the constant."""
     from scipy.fft import dct
@@ -179,12 +146,6 @@ def spectrum(x: Float[ndarray, "N k"]) -> Float[ndarray, "M"]:
     shares[: min(MODES, len(energy))] = energy[:MODES]
     shares[-1] += energy[MODES:].sum()
     return shares / shares.sum()
-
-
-QUANTILES = (10, 25, 50, 75, 90)
-"""Per cent."""
-JOINT = ("duration", "turn", "rotation", "place", "drift", "pivot", "slip")
-"""Measures whose logarithms are taken to be jointly normal."""
 
 
 @dataclass(frozen=True)
@@ -212,35 +173,3 @@ class MotionStatistics:
     place: Sequence[float]
     rotation_shares: Sequence[float]
     place_shares: Sequence[float]
-
-    @staticmethod
-    def of(measured: Sequence[tuple[dict[str, float], Residual]]) -> MotionStatistics:
-        """Compute the statistics of several grasps, as ``measure`` gives them."""
-        values = {name: np.array([one[name] for one, _ in measured]) for name in MOTION_MEASURES}
-        logs = np.log([values[name] for name in JOINT])
-        known, mean = np.isfinite(logs), np.nanmean(logs, axis=1)
-        off = np.where(known, logs - mean[:, None], 0.0)
-        pairs = known.astype(float) @ known.T
-        residuals = [residual for _, residual in measured]
-        return MotionStatistics(
-            grasps=len(measured),
-            quantiles={name: _rounded(np.percentile(x[np.isfinite(x)], QUANTILES)) for name, x in values.items()},
-            log_mean=_rounded(mean),
-            log_covariance=tuple(_rounded(row) for row in off @ off.T / (pairs - 1.0)),
-            angle=_rounded(np.mean([spectrum(r.angle[:, None]) for r in residuals], axis=0)),
-            rotation=_rounded(np.mean([spectrum(r.rotation) for r in residuals], axis=0)),
-            place=_rounded(np.mean([spectrum(r.place) for r in residuals], axis=0)),
-            rotation_shares=_shares([r.rotation for r in residuals]),
-            place_shares=_shares([r.place for r in residuals]),
-        )
-
-
-def _shares(curves: Sequence[Float[ndarray, "_ 3"]]) -> tuple[float, ...]:
-    """Share of the energy in each of three components, mean over curves."""
-    energy = np.array([np.mean(x**2, axis=0) for x in curves])
-    return _rounded((energy / energy.sum(axis=1, keepdims=True)).mean(axis=0))
-
-
-def _rounded(values: Float[ndarray, "n"]) -> tuple[float, ...]:
-    """Four digits, more than these numbers are known to."""
-    return tuple(float(f"{x:.4g}") for x in values)

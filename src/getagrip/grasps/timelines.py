@@ -23,8 +23,8 @@ from getagrip.clip import Segment
 from getagrip.clip.timeline import State
 from getagrip.errors import InputError
 from getagrip.hands.model import Side
-from getagrip.io.counts import counted
 from getagrip.io.files import Json, is_plain_name, shown
+from getagrip.io.terminal import counted
 
 STATES: dict[str, State] = {"inhand": "grasp", "scene_static": "static", "scene_dynamic": "contact"}
 """Our name of each ``ref``."""

@@ -1,7 +1,7 @@
 """The generic hand: free, watertight, about MANO's size in vertices, driven by MANO's pose numbers.
 
 It is built from published anthropometry (``generic_skeleton``) and an implicit skin around the bones
-(``generic_surface``), and from no other hand model. Shape parameters are fractions: 0.1 makes a tenth more.
+(``scripts/generic_surface.py``), and from no other hand model. Shape parameters are fractions: 0.1 makes a tenth more.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import lru_cache
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,10 +18,11 @@ from numpy import ndarray
 from getagrip.clip import FINGERS
 from getagrip.geometry.mesh import edge_table, vertex_normals
 from getagrip.hands.generic_skeleton import Finger, metacarpal_base, rest_fingers, rest_joints
-from getagrip.hands.generic_surface import FILE
 from getagrip.hands.model import KNUCKLES, PARENTS, HandModel, Side, mirrored_model
 from getagrip.io.choices import check_word
 
+FILE = Path(__file__).with_name("generic_hand.npz")
+"""Its vertices and faces."""
 SHAPES = (
     "size",
     "thickness",

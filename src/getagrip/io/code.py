@@ -1,8 +1,10 @@
-"""Which code made something: a fingerprint of the package's files, since they change within a version."""
+"""Which code made something: a fingerprint of the package's files, since they change within a version; the commit."""
 
 from __future__ import annotations
 
 import hashlib
+import subprocess
+from datetime import date
 from functools import cache
 from pathlib import Path
 
@@ -32,3 +34,28 @@ def fingerprint(*also: str) -> str:
             total.update(f"{name}\0{len(content)}\0".encode())
             total.update(content)
     return total.hexdigest()[:16]
+
+
+def stamp() -> str:
+    """Return the date and, in a git checkout, the package's commit: "2025-03-01, commit a1b2c3d".
+
+    The commit is marked where files of the package differ from it.
+    """
+    today = date.today().isoformat()
+    found = commit(PACKAGE)
+    return f"{today}, commit {found}" if found else today
+
+
+def commit(folder: Path) -> str | None:
+    """Return the commit of a folder, marked if its files have changed; None if git does not have it."""
+
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], cwd=folder, capture_output=True, text=True, check=True).stdout.strip()
+
+    try:
+        if not git("ls-files", "."):  # ignored: installed into an environment within another checkout
+            return None
+        changed = git("status", "--porcelain", "--", ".")
+        return git("rev-parse", "--short", "HEAD") + (" with uncommitted changes" if changed else "")
+    except (OSError, subprocess.CalledProcessError):  # no git, or no checkout
+        return None

@@ -24,7 +24,7 @@ from typing import Any, TextIO
 
 from getagrip.errors import InputError, UsageError, legible
 from getagrip.io import leftovers
-from getagrip.io.csv_tables import CsvTable, cell_text
+from getagrip.io.tables import CsvTable, cell_text
 
 Json = dict[str, Any]
 """A JSON object: whoever reads one checks its values."""

@@ -1,4 +1,4 @@
-"""Output on a terminal or into a pipe: tables, and a progress bar."""
+"""Output on a terminal or into a pipe: tables, a progress bar, numbers of things in words."""
 
 from __future__ import annotations
 
@@ -91,3 +91,8 @@ def progress_bar(counted: bool = False) -> Iterator[Progress]:
 def show_stage(bar: Progress, task: TaskID, name: str, stage: str, part: float) -> None:
     """Show how far the clip at work is: its stage in words, and how much of that is done, 0 to 1."""
     bar.update(task, description=cleaned(f"{name}: {stage}"), completed=part)
+
+
+def counted(number: int, thing: str, things: str = "") -> str:
+    """Write a count, such as "1 clip" or "2 clips"; ``things`` is the plural where it takes more than an s."""
+    return f"{number} {thing if number == 1 else things or f'{thing}s'}"

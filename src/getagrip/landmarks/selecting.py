@@ -16,7 +16,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.errors import UsageError
-from getagrip.io.counts import counted
+from getagrip.io.terminal import counted
 from getagrip.landmarks.following import Sighting
 
 Side = Literal["left", "right"]

@@ -7,8 +7,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.geometry.mesh import Mesh
-from getagrip.pictures.candidates import candidate
-from getagrip.pictures.shown import View
+from getagrip.pictures.shown import View, candidate
 from getagrip.pictures.stills import smoothed
 from getagrip.pictures.tiles import axis_points
 from getagrip.pictures.touched import BORDER, distances

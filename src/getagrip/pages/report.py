@@ -1,4 +1,7 @@
-"""The page of one result: it plays in 3D and over its images, with metrics, assumptions and findings."""
+"""The page of one result: it plays in 3D and over its images, with metrics, assumptions and findings.
+
+Tables that are folded at first hold everything that is known but not shown above.
+"""
 
 from __future__ import annotations
 
@@ -9,23 +12,21 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.evaluation.metric import ADD_MM, ADD_SYM_CAM_MM, ADD_SYM_MM, ROTATION_SYM, SCA, Metric
+from getagrip.checks import input_checks, result_checks
+from getagrip.checks.of_timeline import JUMP
+from getagrip.evaluation.metric import ADD_MM, ADD_SYM_CAM_MM, ADD_SYM_MM, METRICS, ROTATION_SYM, SCA, Metric
 from getagrip.evaluation.results import Evaluation
 from getagrip.fitting.methods import label_of
 from getagrip.io import files
 from getagrip.io.files import Json
-from getagrip.metrics.contact import ContactDefinition
+from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
 from getagrip.pages import motion
 from getagrip.pages.document import document, pack
 from getagrip.pages.frames import PICTURE, drawn, outline
-from getagrip.pages.tables import meanings, tables, unit_of
-from getagrip.pictures.candidates import candidate
-from getagrip.pictures.curves import angle_curve, seconds
-from getagrip.pictures.gap import coarse, gap
-from getagrip.pictures.shown import View
+from getagrip.pictures.shown import View, angle_curve, candidate, seconds
 from getagrip.pictures.stills import steady_windows
 from getagrip.pictures.style import AXIS, FOUND, HAND_LINE, INK, STATE, TRUE
-from getagrip.pictures.touched import BORDER, finer
+from getagrip.pictures.touched import BORDER, coarse, finer, gap
 from getagrip.probability import RIGHT
 from getagrip.result import Reconstruction
 
@@ -41,6 +42,8 @@ MAIN: Mapping[str, Metric] = {
 """Metrics at the top of the page beside the IOU, each under a short name."""
 PLOTTED: Mapping[str, Metric] = {"ADD, symmetries allowed": ADD_SYM_MM}
 """Metrics of each frame that are plotted where they are known."""
+SAID = {"iou": "iou, in the crop", "iou_soft": "iou_soft, in the crop"}
+"""Metrics whose keys could be taken for the IOU at the top of the page."""
 
 
 def write_page(view: View, evaluation: Evaluation, record: Json, path: Path) -> Path:
@@ -196,3 +199,57 @@ def gap_plot(values: Float[ndarray, "T"]) -> Json:
 
 def _line(name: str, values: Float[ndarray, "T"], colour: str) -> Json:
     return {"name": name, "values": np.round(values, 3), "colour": colour}
+
+
+def tables(view: View, evaluation: Evaluation, record: Json) -> list[dict[str, object]]:
+    """Return tables as ``parts/report.js`` reads them: a title, names of columns or none, and rows of texts."""
+    result = view.result
+    known = {metric.key(contact): metric for metric in METRICS.working().values() for contact in CONTACT_DEFINITIONS}
+    values = [
+        [f"{SAID.get(key, key)}{where}", f"{known[key].text(value)}{unit_of(known[key])}"]
+        for metrics, where in ((evaluation.metrics, ""), (evaluation.metrics_of_grasps, ", in grasps"))
+        for key, value in metrics.items()
+        if key in known
+    ]
+    content = {
+        "What the probabilities mean": _rows(meanings(result)),
+        "Metrics (docs/metrics.md)": values,
+        "Checks (docs/checks.md)": _checked(result.checks),
+        "Energy [px²]": _rows(result.energy),
+        "Time [s]": _rows(result.seconds),
+        "Options": [*_rows(result.options), ["seed", str(result.seed)]] if result.options else [],
+        "Sources of the clip": _rows(view.clip.provenance),
+        "Software": _rows(record.get("software", {})),
+    }
+    heads = {"Checks (docs/checks.md)": ("check", "value", "usual", "verdict")}
+    return [{"title": title, "head": heads.get(title, ()), "rows": rows} for title, rows in content.items() if rows]
+
+
+def meanings(result: Reconstruction) -> dict[str, str]:
+    """Explain its probabilities at length, by where; of a timeline, that of its grasps."""
+    of_grasps = [segment.probability_right for segment in result.segments if segment.probability_right is not None]
+    known = [*result.probabilities.items(), *(("in the hand", right) for right in of_grasps[:1])]
+    return {f"right {where}": right.meaning for where, right in known}
+
+
+def unit_of(metric: Metric) -> str:
+    """Return a metric's unit as it follows a number."""
+    return "°" if metric.unit == "deg" else f" {metric.unit}"
+
+
+def _checked(checks: Mapping[str, float]) -> list[list[str]]:
+    """Return each check's value, its limits and its verdict; for an unknown one the value alone."""
+    known = {check.name: check for check in (*input_checks(), *result_checks(), JUMP)}
+    out = []
+    for name, value in checks.items():
+        check = known.get(name)
+        if check is None:
+            out.append([name, f"{value:.3g}", "", ""])
+        else:
+            out.append([name, "" if np.isnan(value) else check.shown(value), check.usual, check.verdict(value)])
+    return out
+
+
+def _rows(content: Mapping[str, object]) -> list[list[str]]:
+    """Names and values as texts."""
+    return [[str(key), f"{value:.4g}" if isinstance(value, float) else str(value)] for key, value in content.items()]

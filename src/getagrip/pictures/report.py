@@ -13,8 +13,7 @@ from getagrip.clip import Clip, Masks, check_masks
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, ROTATION_SYM
 from getagrip.fitting.methods import label_of
 from getagrip.io import files
-from getagrip.pictures.curves import angle_curve, seconds
-from getagrip.pictures.shown import View
+from getagrip.pictures.shown import View, angle_curve, seconds
 from getagrip.pictures.style import AXIS, FAINT, FOUND, INK, LINE, PAPER, TRUE, letters
 from getagrip.pictures.tiles import over_image, rendered, windows
 from getagrip.probability import percent

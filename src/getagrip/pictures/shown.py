@@ -1,4 +1,4 @@
-"""The view that pictures show: a result with its clip and its masks, at the same frames."""
+"""The view that pictures show: a result with its clip and masks, another candidate in its place, its curves."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, Masks, Segment
 from getagrip.geometry import se3
-from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.mesh import Mesh, diameter
 from getagrip.geometry.render import Surface
-from getagrip.result import Reconstruction
+from getagrip.grasps.approximation import pose_hinge
+from getagrip.result import Axis, Reconstruction
 
 
 @dataclass(frozen=True)
@@ -128,3 +129,64 @@ class View:
         result = replace(self.result, T_hand_obj=T_hand_obj, T_cam_hand=None, scale=truth.scale, axis=None, findings=())
         clip = replace(self.clip, hand=hand, mesh=self.input_mesh or self.clip.mesh)
         return View(clip, self.masks, replace(result, warp=None))
+
+
+def candidate(view: View, rank: int) -> View:
+    """Return the result for rank 0; else the candidate, with the axis that fits its poses best, and without an IOU."""
+    if rank == 0:
+        return view
+    found = view.result
+    T_hand_obj, scale = found.candidates.T_hand_obj[rank], float(found.candidates.scale[rank])
+    axis = None if found.axis is None else hinge(T_hand_obj, scale * view.clip.mesh.vertices)
+    other = replace(
+        found, T_hand_obj=T_hand_obj, scale=scale, iou=np.full(len(found.frames), np.nan), axis=axis,
+        findings=(), probability_right=None, probability_right_in_camera=None,
+    )  # fmt: skip
+    return replace(view, result=other)
+
+
+def hinge(T_hand_obj: Float[ndarray, "T 4 4"], vertices: Float[ndarray, "V 3"]) -> Axis | None:
+    """Fit the axis about which poses turn best (Eq. 4), with the angles from the first frame on.
+
+    None for a single pose.
+    """
+    if len(T_hand_obj) < 2:
+        return None
+    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2.0
+    R, c = T_hand_obj[:, :3, :3], se3.transform(T_hand_obj, centre[None])[:, 0]
+    best = pose_hinge(R, c, diameter(vertices) / 2.0)
+    angle = np.unwrap(best.angles(R, c))
+    return Axis(point=best.point, direction=best.direction, angle=angle - angle[0])
+
+
+@dataclass(frozen=True, eq=False)
+class AngleCurve:
+    """An angle of the object in each of T frames [rad], of the result and, where it is known, of the ground truth."""
+
+    title: str
+    """Name of the angle."""
+    found: Float[ndarray, "T"]
+    true: Float[ndarray, "T"] | None
+
+
+def seconds(view: View) -> Float[ndarray, "T"]:
+    """Return the times of the frames since the first."""
+    times = view.clip.time[view.clip.index_of(view.result.frames)]
+    return np.asarray(times - times[0])
+
+
+def angle_curve(view: View) -> AngleCurve:
+    """Return the angle about the axis, less its mean; or, without an axis, of the rotation since the first frame."""
+    result, truth = view.result, view.clip.truth
+    true = None if truth is None else (se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj)[:, :3, :3]
+    if result.axis is None:
+        R = result.T_hand_obj[:, :3, :3]
+        turned = [None if r is None else se3.angle_between(r[:1], r) for r in (R, true)]
+        assert turned[0] is not None
+        which = "" if view.clip.other_hand is None else f"{view.clip.side} "
+        return AngleCurve(f"rotation in the {which}hand since the start", turned[0], turned[1])
+    found, about = result.axis.angle - result.axis.angle.mean(), None
+    if true is not None:
+        about = se3.log_so3(true @ true[0].T) @ result.axis.direction
+        about -= about.mean()
+    return AngleCurve("angle of the object about the axis", found, about)

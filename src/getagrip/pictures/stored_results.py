@@ -16,7 +16,7 @@ from getagrip.geometry import se3
 from getagrip.grasps.approximation import pose_hinge
 from getagrip.grasps.study import object_in_hand
 from getagrip.pictures.shown import View
-from getagrip.result import Axis, Candidates, Reconstruction, Status
+from getagrip.result import Axis, Reconstruction
 
 
 @dataclass(frozen=True)
@@ -53,20 +53,8 @@ def true_view(folder: Path) -> View:
     R, centre, size = object_in_hand(clip)
     hinge = pose_hinge(R, centre, size)
     T_hand_obj = se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj
-    motion = Reconstruction(
-        clip=clip.name,
-        method="one-dof",
-        frames=clip.frames,
-        T_hand_obj=T_hand_obj,
-        scale=truth.scale,
-        iou=np.full(len(clip), np.nan),
-        axis=Axis(hinge.point, hinge.direction, np.unwrap(hinge.angles(R, centre))),
-        candidates=Candidates(T_hand_obj[None], np.array([truth.scale]), np.zeros(1)),
-        energy={},
-        status=Status.EXTERNAL,
-        ambiguous=False,
-        seconds={},
-    )
+    axis = Axis(hinge.point, hinge.direction, np.unwrap(hinge.angles(R, centre)))
+    motion = replace(Reconstruction.external(clip.name, "one-dof", clip.frames, T_hand_obj, truth.scale), axis=axis)
     hand = replace(clip.hand, vertices=truth.hand_vertices, T_cam_hand=truth.T_cam_hand)
     return View(replace(clip, hand=hand, scale="known"), None, motion, of_truth=True)
 
@@ -74,20 +62,7 @@ def true_view(folder: Path) -> View:
 def hand_alone(clip: Clip) -> View:
     """Return a clip of which no pose of the object is known."""
     still = np.tile(np.eye(4), (len(clip), 1, 1))
-    nothing = Reconstruction(
-        clip=clip.name,
-        method="",
-        frames=clip.frames,
-        T_hand_obj=still,
-        scale=1.0,
-        iou=np.full(len(clip), np.nan),
-        axis=None,
-        candidates=Candidates(still[None], np.ones(1), np.zeros(1)),
-        energy={},
-        status=Status.EXTERNAL,
-        ambiguous=False,
-        seconds={},
-    )
+    nothing = Reconstruction.external(clip.name, "", clip.frames, still)
     return View(clip.light(), None, nothing, posed=False)
 
 

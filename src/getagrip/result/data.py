@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from enum import Enum
+from typing import Literal, Self, get_args
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -15,7 +16,6 @@ from getagrip.geometry.warp import Warp
 from getagrip.io.array_data import ArrayData
 from getagrip.probability import Probability
 from getagrip.result.segments import SegmentResult
-from getagrip.result.status import Status
 
 FrameKind = Literal["sampled", "fitted", "interpolated"]
 """How the pose of a frame was found: together with the other sampled ones; by its own mask, what frames share held
@@ -132,6 +132,17 @@ class Reconstruction(ArrayData):
             expected = f"one of {', '.join(get_args(FrameKind))} for each frame"
             raise UsageError(f"Reconstruction.frame_kind must be {expected} (got {self.frame_kind})")
 
+    @staticmethod
+    def external(
+        clip: str, method: str, frames: tuple[str, ...], T_hand_obj: Float[ndarray, "T 4 4"], scale: float = 1.0
+    ) -> Reconstruction:
+        """Poses that no fit has found: another system's, or the true ones."""
+        return Reconstruction(
+            clip, method, frames, T_hand_obj, scale, iou=np.full(len(frames), np.nan), axis=None,
+            candidates=Candidates(T_hand_obj[None], np.array([scale]), np.zeros(1)), energy={}, status=Status.EXTERNAL,
+            ambiguous=False, seconds={},
+        )  # fmt: skip
+
     @property
     def probabilities(self) -> dict[str, Probability]:
         """How probable it is that the poses are right, by where; those that are known."""
@@ -162,3 +173,43 @@ class Reconstruction(ArrayData):
         """Mean of ``iou`` over the frames in which it is known; NaN where it is in none."""
         known = self.iou[~np.isnan(self.iou)]
         return float(known.mean()) if len(known) else float("nan")
+
+
+class Status(Enum):
+    """A word for programs, and a sentence that says what to do about it."""
+
+    CONVERGED = "converged", "converged: further steps gain less than 0.1 % of the energy"
+    STUCK = "stuck", "stopped: no step lowers the energy any more"
+    LIMIT = (
+        "iteration-limit",
+        "stopped at the iteration limit while the energy was still falling a little; --thorough goes on longer",
+    )
+    FINISHED = "finished", "stopped: all iterations of the fixed number were made"
+    JOINT = "joint", "all segments were fitted together"
+    EXTERNAL = "given", "another system's poses, or the ground truth"
+    PARTLY_FAILED = "partly-failed", "partly failed: low mask IOU in some segments"
+    MISFIT = "misfit", "failed: even the best pose has a low mask IOU; the object's pose is unknown"
+    INVISIBLE = "invisible", "failed: the object is behind the camera or too near to it in every hypothesis tried"
+
+    sentence: str
+
+    def __new__(cls, word: str, sentence: str = "") -> Self:
+        """Make a member from its word; each member has its own sentence."""
+        member = object.__new__(cls)
+        member._value_, member.sentence = word, sentence
+        return member
+
+    @property
+    def failed(self) -> bool:
+        """True if the result, or a part of it, is not to be used."""
+        return self in (Status.PARTLY_FAILED, Status.MISFIT, Status.INVISIBLE)
+
+    @staticmethod
+    def of_sentence(sentence: str) -> Status:
+        """Return the status of a result of version 1, which has the sentence only; ``given`` for one from elsewhere."""
+        known = next((status for status in Status if status.sentence == sentence), None)
+        if known is not None:
+            return known
+        if sentence.startswith(("failed in part", "partly failed")):
+            return Status.PARTLY_FAILED
+        return Status.MISFIT if sentence.startswith("failed") else Status.EXTERNAL

@@ -16,10 +16,9 @@ from getagrip.geometry.warp import MONOMIALS, Warp
 from getagrip.io import arrays, files
 from getagrip.io.files import Json
 from getagrip.probability import read_probability
-from getagrip.result.data import Axis, Candidates, FrameKind, Reconstruction
+from getagrip.result.data import Axis, Candidates, FrameKind, Reconstruction, Status
 from getagrip.result.folder import AXIS, VERSION, WARP
 from getagrip.result.segments import FARTHEST, read_segments
-from getagrip.result.status import Status
 
 SMALLEST, LARGEST = 1e-15, 1e4
 """Scales of meshes lie between these: meshes are checked when they are read, in metres. A free scale may end near 0."""

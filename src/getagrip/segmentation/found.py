@@ -23,8 +23,7 @@ from getagrip.grasps.stable import segment
 from getagrip.hands.trackers import EXTRAPOLATED
 from getagrip.segmentation.hinge_fits import METHOD, HingeFit, NothingToFitError, fit_hinge, pieces
 from getagrip.segmentation.image_motion import ImageMotion, image_motion
-from getagrip.segmentation.semi_markov import Division, cheapest, margins
-from getagrip.segmentation.window_costs import MOTIONS, Motion, chosen, window_costs
+from getagrip.segmentation.semi_markov import MOTIONS, Division, Motion, cheapest, chosen, margins, window_costs
 
 OTHERWISE: dict[Motion, State] = {"static": "static", "held": "contact", "free": "free"}
 """State of a segment where no grasp is stable."""

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from getagrip.clip import read_clip, read_masks
-from getagrip.commands.import_epic import ImportEpic
+from getagrip.commands.datasets import ImportEpic
 from getagrip.datasets.epic import clips, tables
 from getagrip.datasets.epic.images import Frames
 from getagrip.datasets.synthetic.categories import CATEGORIES

@@ -16,7 +16,8 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.render import true_masks
 from getagrip.grasps.approximation import AxisRotation
-from getagrip.grasps.motion import JOINT, QUANTILES, measure, spectrum
+from getagrip.grasps.motion import JOINT, QUANTILES, bend, measure, spectrum
+from helpers.error_measures import correlation_time
 
 SMALL = replace(PRESETS["measured"], frames=12, size=(160, 120), focal=150.0)
 SIZE = 0.04
@@ -71,8 +72,8 @@ def test_drawn_motions_are_measured_as_they_were_drawn(name: str) -> None:
         for key in ("duration", "turn", "rotation", "place"):
             assert values[key] == pytest.approx(wanted[key], rel=0.2), key
         spectra.append([spectrum(residual.angle[:, None]), spectrum(residual.rotation), spectrum(residual.place)])
-        memory.append(values["rotation_memory"])
-        bends.append(values["bend"])
+        memory.append(correlation_time(residual.rotation, 30.0 / wanted["duration"]))
+        bends.append(bend(residual))
         chosen.append(np.log([values[key] / wanted[key] for key in ("drift", "pivot", "slip")]))
     stored = [statistics.angle, statistics.rotation, statistics.place]
     np.testing.assert_allclose(np.cumsum(np.mean(spectra, axis=0), axis=1), np.cumsum(stored, axis=1), atol=0.15)

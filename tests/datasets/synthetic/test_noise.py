@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.clip import Clip, Masks
-from getagrip.datasets.synthetic.error_curves import ERROR_MEASURES, draw, measure
+from getagrip.datasets.synthetic.error_curves import draw
 from getagrip.datasets.synthetic.noise import NOISE, TABLE, Noise, noisy_hand, perturbed, ragged
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
@@ -20,6 +20,7 @@ from getagrip.geometry import se3
 from getagrip.hands import generic
 from getagrip.hands.bending import bent, finger_weights
 from getagrip.hands.model import KNUCKLES
+from helpers.error_measures import ERROR_MEASURES, ErrorCurves, measure
 
 
 @pytest.fixture(scope="module")
@@ -187,7 +188,7 @@ def test_measures_of_drawn_errors_are_those_that_were_drawn() -> None:
         hand_bias_deg=12.0, hand_jitter_deg=3.0, hand_bias_depth_mm=20.0, hand_jitter_depth_mm=5.0, hand_jitter_mm=0.1,
         finger_bias_deg=10.0, finger_jitter_deg=4.0, jitter_memory_s=0.05,
     )  # fmt: skip
-    clips = [draw(noise, 200, 30.0, rng).curves for _ in range(40)]
+    clips = [ErrorCurves.of(draw(noise, 200, 30.0, rng)) for _ in range(40)]
     found = measure(clips, 30.0)
     for name, expected in (("turn_bias", 12.0), ("turn_jitter", 3.0), ("finger_bias", 10.0), ("finger_jitter", 4.0)):
         assert np.degrees(found[name]) == pytest.approx(expected, rel=0.15)
@@ -201,7 +202,7 @@ def test_measures_of_drawn_errors_are_those_that_were_drawn() -> None:
 @pytest.mark.slow
 def test_errors_drawn_as_estimated_have_the_measures_of_the_estimates() -> None:
     rng, table = np.random.default_rng(0), json.loads(TABLE.read_text())
-    clips = [draw(NOISE["estimated"], int(n), 30.0, rng).curves for n in rng.choice(table["lengths"], 300)]
+    clips = [ErrorCurves.of(draw(NOISE["estimated"], int(n), 30.0, rng)) for n in rng.choice(table["lengths"], 300)]
     found = measure(clips, 30.0)
     for name in {*ERROR_MEASURES, "spread"} - {"finger_bias", "finger_jitter"}:
         assert found[name] == pytest.approx(table["measured"][name], rel=0.25), name

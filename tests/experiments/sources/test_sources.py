@@ -8,16 +8,14 @@ from typing import ClassVar
 
 import pytest
 
-from getagrip.batch import progress
+from getagrip.batch import engine
 from getagrip.batch.limits import Limits
-from getagrip.batch.shard import Shard
-from getagrip.batch.share import Share
+from getagrip.batch.share import Shard, Share
 from getagrip.clip import write_clip
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.experiments.sources import names_in, samples
-from getagrip.experiments.sources.dexycb import DexYcb
-from getagrip.experiments.sources.folder import ClipFolder
-from getagrip.experiments.sources.recorded import Recorded
+from getagrip.experiments.sources.recorded import DexYcb, Recorded
+from getagrip.experiments.sources.source import ClipFolder
 from getagrip.experiments.sources.synthetic import Synthetic
 from getagrip.grasps import lists
 from helpers.library import Library, Shelf
@@ -83,7 +81,7 @@ class Shelves(Recorded):
 def test_a_dataset_is_imported_first_which_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(progress, "EVERY", 0.0)
+    monkeypatch.setattr(engine, "EVERY", 0.0)
     source = Shelves(root=tmp_path, split="all")
     assert len(samples(source, tmp_path / "clips", 1, debug=False)[0]) == 1
     said = capsys.readouterr().err

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.hands.trackers.choosing import one_each
 from getagrip.hands.trackers.estimates import Estimate, Parameters, Request
+from getagrip.hands.trackers.reading import one_each
 from getagrip.provenance import estimated
 from helpers.estimator_files import SIZE, K
 

@@ -12,8 +12,7 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands.model import Side
 from getagrip.hands.trackers import read
-from getagrip.hands.trackers.hamer import HaMeR
-from getagrip.hands.trackers.wilor import WiLoR
+from getagrip.hands.trackers.hamer import HaMeR, WiLoR
 from helpers.estimator_files import (
     Known,
     demo_files,

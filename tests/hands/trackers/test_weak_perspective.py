@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from getagrip.geometry.camera import project
-from getagrip.hands.trackers.estimates import Camera
-from getagrip.hands.trackers.weak_perspective import WeakPerspective
+from getagrip.hands.trackers.estimates import Camera, WeakPerspective
 from helpers.estimator_files import (
     SIZE,
     cam_crop_to_full,

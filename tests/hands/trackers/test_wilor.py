@@ -11,8 +11,7 @@ import pytest
 from getagrip.geometry import se3
 from getagrip.hands.model import Side
 from getagrip.hands.trackers import Tracker, read
-from getagrip.hands.trackers.hamer import HaMeR
-from getagrip.hands.trackers.wilor import WiLoR
+from getagrip.hands.trackers.hamer import HaMeR, WiLoR
 from helpers.estimator_files import (
     FRAMES,
     Known,

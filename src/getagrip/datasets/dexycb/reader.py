@@ -27,11 +27,10 @@ from getagrip.datasets.joint_tracks import describe_fit
 from getagrip.datasets.tracks import Piece, Source, Track
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
-from getagrip.grasps.definition import FEWEST
+from getagrip.grasps.definition import FEWEST, GraspOptions
 from getagrip.grasps.lists import BETWEEN
-from getagrip.grasps.options import GraspOptions
 from getagrip.io.arguments import Flag
-from getagrip.io.counts import counted
+from getagrip.io.terminal import counted
 from getagrip.metrics.contact import signed_distance
 
 if TYPE_CHECKING:

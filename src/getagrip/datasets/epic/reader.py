@@ -22,8 +22,8 @@ from getagrip.datasets.epic.tables import LARGEST_TABLE, EpicGrasp, chosen_errat
 from getagrip.errors import InputError, UsageError
 from getagrip.grasps import timelines as lists
 from getagrip.io.arguments import Folder, OptionalFile, OptionalFolder
-from getagrip.io.counts import counted
 from getagrip.io.files import read_bytes, shown
+from getagrip.io.terminal import counted
 from getagrip.provenance import is_assumed
 
 

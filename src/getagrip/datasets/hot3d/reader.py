@@ -32,7 +32,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import SUFFIXES, read_mesh
 from getagrip.grasps.cut import Cut
-from getagrip.grasps.options import GraspOptions
+from getagrip.grasps.definition import GraspOptions
 from getagrip.hands.model import Side
 from getagrip.io.arguments import Flag
 from getagrip.io.files import is_plain_name, plain, read_json, shown

@@ -1,64 +1,16 @@
-"""Errors of a tracker's hand in each frame of a clip: curves, drawn from ``Noise`` or measured.
-
-The measures are robust: medians over frames and over clips, so that they describe the usual clip. What is far outside a
-clip's own jitter is counted apart, as outliers.
-"""
+"""Errors of a tracker's hand in each frame of a clip: curves, drawn from ``Noise``."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray
-
-from getagrip.grasps.motion import correlation_time
-from getagrip.grasps.study import Measure
 
 if TYPE_CHECKING:
     from getagrip.datasets.synthetic.noise import Noise
-
-OUTSIDE = 4.0
-"""Distance of an outlier's rotation from the clip's median, in units of the usual jitter about one axis."""
-ROBUST = 1.4826
-"""A normal distribution's standard deviation, in medians of its magnitude."""
-_DEGREES, _MM = float(np.degrees(1.0)), 1e3
-ERROR_MEASURES = {
-    "turn_bias": Measure("rotation, the same in all frames", "deg", _DEGREES),
-    "turn_jitter": Measure("rotation, frame by frame (rms)", "deg", _DEGREES),
-    "across_bias": Measure("place across the view, the same in all frames", "mm", _MM),
-    "across_jitter": Measure("place across the view, frame by frame (rms)", "mm", _MM),
-    "depth_bias": Measure("depth, the same in all frames", "mm", _MM),
-    "depth_jitter": Measure("depth, frame by frame (rms)", "mm", _MM),
-    "finger_bias": Measure("bend of each finger joint, the same in all frames (rms)", "deg", _DEGREES),
-    "finger_jitter": Measure("bend of each finger joint, frame by frame (rms)", "deg", _DEGREES),
-    "memory": Measure("correlation time of the rotation", "s", 1.0),
-}
-"""Measures of a clip's errors, by name; shown in these units, stored in SI units."""
-SHARES = {
-    "spread": Measure("spread over clips of the logarithm of these errors (standard deviation)", "", 1.0),
-    "outlier_share": Measure("frames with outliers", "%", 100.0),
-    "outlier_times": Measure("outliers, in jitters", "", 1.0),
-    "outlier_s": Measure("duration of a run of outliers, mean", "s", 1.0),
-}
-"""Measures over all clips."""
-
-
-@dataclass(frozen=True)
-class ErrorCurves:
-    """A hand's errors over T frames.
-
-    Attributes:
-        turn: (T, 3) rotation vector of the hand about its middle [rad].
-        shift: (T, 3) how far its middle is off [m]; the last number is along the camera's ray.
-        bends: (T, 5, 3) how much more each finger's joints are bent, from the palm to the tip [rad].
-    """
-
-    turn: Float[ndarray, "T 3"]
-    shift: Float[ndarray, "T 3"]
-    bends: Float[ndarray, "T 5 3"]
 
 
 @dataclass(frozen=True)
@@ -76,13 +28,6 @@ class Drawn:
     shift: Float[ndarray, "T 3"]
     deeper: Float[ndarray, "T 1"]
     bends: Float[ndarray, "T 5 3"]
-
-    @property
-    def curves(self) -> ErrorCurves:
-        """Curves as they are measured: shifts in the hand frame have no direction of their own."""
-        shift = self.shift.copy()
-        shift[:, 2:] += self.deeper
-        return ErrorCurves(self.turn, shift, self.bends)
 
 
 def draw(noise: Noise, frames: int, fps: float, rng: np.random.Generator) -> Drawn:
@@ -107,51 +52,6 @@ def draw(noise: Noise, frames: int, fps: float, rng: np.random.Generator) -> Dra
     bends = bias[3] * np.radians(noise.finger_bias_deg) * fingers.normal(size=15)
     bends = bends + wander(fingers.normal(size=(frames, 5, 3)).reshape(-1, 15), np.radians(noise.finger_jitter_deg), 3)
     return Drawn(turn, shift, deeper, bends.reshape(-1, 5, 3))
-
-
-def measure(clips: Sequence[ErrorCurves], fps: float) -> dict[str, float]:
-    """Compute ``ERROR_MEASURES``, medians over clips, and ``SHARES``. No clip may be without jitter."""
-    rows, outside, beyond, runs = [], list[Bool[ndarray, "_"]](), list[Float[ndarray, "_"]](), list[int]()
-    for clip in clips:
-        bends = clip.bends.reshape(len(clip.bends), -1)
-        (turn, turns), (across, acrosses), (depth, depths), (bend, bendings) = (
-            _parts(x) for x in (clip.turn, clip.shift[:, :2], clip.shift[:, 2:], bends)
-        )
-        sigma = ROBUST * np.median(np.abs(turns))
-        jitters = np.linalg.norm(turns, axis=1) / sigma
-        out = jitters > OUTSIDE
-        outside.append(out)
-        beyond.append(jitters[out] / np.sqrt(3.0))
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], out, [0]])))
-        runs += list(edges[1::2] - edges[::2])
-        rows.append(
-            {
-                "turn_bias": np.linalg.norm(turn),
-                "turn_jitter": np.sqrt(3.0) * sigma,
-                "across_bias": np.linalg.norm(across),
-                "across_jitter": np.sqrt(2.0) * ROBUST * np.median(np.abs(acrosses)),
-                "depth_bias": np.abs(depth[0]),
-                "depth_jitter": ROBUST * np.median(np.abs(depths)),
-                "finger_bias": ROBUST * np.median(np.abs(bend)),
-                "finger_jitter": ROBUST * np.median(np.abs(bendings)),
-                "memory": correlation_time(np.where(out[:, None], 0.0, turns), fps),
-            }
-        )
-    found = {name: np.array([row[name] for row in rows]) for name in ERROR_MEASURES}
-    spread = [np.log(found[name]).std() for name in ("turn_bias", "turn_jitter", "across_jitter", "finger_bias")]
-    far = np.concatenate(beyond)
-    return {name: float(np.median(x)) for name, x in found.items()} | {
-        "spread": float(np.mean(spread)),
-        "outlier_share": float(np.concatenate(outside).mean()),
-        "outlier_times": float(np.sqrt(np.mean(far**2))) if far.size else 1.0,
-        "outlier_s": float(np.mean(runs)) / fps if runs else 0.0,
-    }
-
-
-def _parts(x: Float[ndarray, "T k"]) -> tuple[Float[ndarray, "k"], Float[ndarray, "T k"]]:
-    """Split into what all frames share, and the rest."""
-    middle = np.median(x, axis=0)
-    return middle, x - middle
 
 
 def _outliers(noise: Noise, frames: int, fps: float, rng: np.random.Generator) -> Int[ndarray, "T"]:

@@ -73,10 +73,10 @@ class Noise:
 
 
 TABLE = Path(__file__).with_name("estimated_hands.json")
-"""File with the errors of hands estimated from images; written by ``python -m benchmarks.hand_errors measure``.
+"""File with the errors of hands estimated from images, by ``benchmarks/hand_errors.py``, last in commit ea913fa.
 
 ``noise``: fields of ``Noise``, whose errors, drawn for clips of the same lengths, have these measures (fingers: joints
-as far off). ``measured``: ``error_curves.measure`` of the estimates, and their joints' error after the best similarity;
+as far off). ``measured``: what the tests measure of the estimates, and their joints' error after the best similarity;
 SI units. ``lengths``: frames of these grasps; 5, 15, ..., 95 % are shorter."""
 NOISE: dict[str, Noise] = {
     "none": Noise(),

@@ -1,4 +1,4 @@
-"""Datasets of recordings, imported where that is not done yet and split by subjects."""
+"""Datasets of recordings, imported where that is not done yet and split by subjects: grasps, timelines, sequences."""
 
 from __future__ import annotations
 
@@ -17,6 +17,21 @@ if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
     from getagrip.batch.share import Share
     from getagrip.datasets.dataset import Dataset
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+from tyro.conf import arg
+
+from getagrip.errors import unknown
+
+if TYPE_CHECKING:
+    from getagrip.datasets.dataset import Dataset
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from getagrip.datasets.dataset import Dataset
+
+
+Preset = Annotated[str, arg(metavar="NAME")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +55,7 @@ class Recorded(ClipSource):
     def samples(self, clips: Path, debug: bool, share: Share | None = None) -> tuple[list[Sample], list[Outcome]]:
         from getagrip.batch.imports import import_clips
         from getagrip.batch.plan import by_name
-        from getagrip.batch.shard import ALL
-        from getagrip.batch.share import ALONE
+        from getagrip.batch.share import ALL, ALONE
         from getagrip.datasets.tracks import subject_of
 
         if self.root is None:
@@ -69,3 +83,78 @@ class Recorded(ClipSource):
         if found and not chosen:
             raise UsageError(f"--split {self.part} cannot be used with {self.dataset}: no clip of it is in that part")
         return [Sample(name, found[name]) for name in chosen], failed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timelines(Recorded):
+    """A dataset's timelines with their true segments."""
+
+    preset: Preset = "all"
+    """Noise of hands: exact, moderate or strong; ragged: strong, and noise of masks; all: each of these."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.preset not in self.presets():
+            raise unknown("--preset", self.preset, self.presets())
+
+    def presets(self) -> Collection[str]:
+        """Return the values of ``preset``: the clips are without noise."""
+        from getagrip.experiments.timeline_trials import ALL, LEVELS
+
+        return (ALL, *LEVELS)
+
+    def claim(self, clips: Path) -> None:
+        super(Timelines, replace(self, preset=type(self).preset)).claim(clips)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DexYcb(Recorded):
+    """DexYCB's visible stable grasps."""
+
+    dataset: ClassVar[str] = "dexycb"
+
+    meshes: OptionalFolder = None
+    """The folder of the YCB models, where they are not in --root."""
+
+    def reader(self, root: Path) -> Dataset:
+        from getagrip.datasets.dexycb import reader
+
+        return reader.DexYcb(root=root, meshes=self.meshes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DexYcbTimelines(Timelines, DexYcb):
+    """DexYCB's uncut sequences, with their true segments."""
+
+    dataset: ClassVar[str] = "dexycb-timelines"
+
+    def reader(self, root: Path) -> Dataset:
+        from getagrip.datasets.dexycb import reader
+
+        return reader.DexYcb(root=root, meshes=self.meshes, timelines=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DexYcbSequences(DexYcbTimelines):
+    """DexYCB's uncut sequences; grasps are found without 3D labels."""
+
+    dataset: ClassVar[str] = "dexycb-segments"
+    preset: Preset = "none"
+    """Noise of hands and masks: none, moderate, strong or estimated."""
+
+    def presets(self) -> Collection[str]:
+        from getagrip.datasets.synthetic.noise import NOISE
+
+        return NOISE
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hot3dTimelines(Timelines):
+    """HOT3D's timelines by the true poses; the head moves."""
+
+    dataset: ClassVar[str] = "hot3d-timelines"
+
+    def reader(self, root: Path) -> Dataset:
+        from getagrip.datasets.hot3d import reader
+
+        return reader.Hot3d(root=root, timelines=True)

@@ -2,18 +2,77 @@
 
 Every estimator's file becomes ``Estimates``: per frame MANO's parameters of the hand as it is, left or right, before
 the camera that the clip has, or joints. ``hand.track`` makes the surface of them. Each estimator is a ``Tracker`` in a
-file of its own, and a line in ``table``. Two things go wrong in this step everywhere, and are done in one place each:
+file of its own, and a line in ``TRACKERS``: its fields are options of
+``getagrip import hands``. Two things go wrong in this step everywhere, and are done in one place each:
 
 - **The camera.** Most networks see a square crop, and say where the hand is in it by a scale and a shift (weak
-  perspective). Where that is before the camera depends on the focal length (``weak_perspective``); guessed focal
+  perspective). Where that is before the camera depends on the focal length (``WeakPerspective``); guessed focal
   lengths are reported as guesses.
 - **Left hands.** Most networks know right hands only, and are shown left ones mirrored: their rotations are those of
   the right hand in the mirrored image (``mirror_rotation``), and the surface is the right one's mirror image.
 """
 
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from keyword import iskeyword
+
+from getagrip.errors import UsageError, unknown
 from getagrip.hands.trackers.estimates import Estimates, Request
+from getagrip.hands.trackers.frankmocap import FrankMocap
+from getagrip.hands.trackers.hamer import HaMeR, WiLoR
+from getagrip.hands.trackers.hawor import HaWoR
+from getagrip.hands.trackers.joints import Joints
+from getagrip.hands.trackers.landmarks import Landmarks
+from getagrip.hands.trackers.mano_parameters import ManoParameters
 from getagrip.hands.trackers.reading import CHOSEN, EXTRAPOLATED, Hands, read
-from getagrip.hands.trackers.table import TRACKERS, choose, usable
 from getagrip.hands.trackers.tracker import Tracker
+from getagrip.io import plugins
+from getagrip.io.plugins import Table
 
 __all__ = ["CHOSEN", "EXTRAPOLATED", "TRACKERS", "Estimates", "Hands", "Request", "Tracker", "choose", "read", "usable"]
+
+_TRACKERS: dict[str, Tracker] = {
+    "hamer": HaMeR(),
+    "wilor": WiLoR(),
+    "hawor": HaWoR(),
+    "frankmocap": FrankMocap(),
+    "mano": ManoParameters(),
+    "joints": Joints(),
+    "landmarks": Landmarks(),
+}
+
+
+def _fits(name: str, it: object) -> bool:
+    return isinstance(it, Tracker) and name.isidentifier() and not iskeyword(name)
+
+
+TRACKERS = Table("trackers", _TRACKERS, "a Tracker, under a name that is a Python identifier", _fits)
+
+
+def usable(taken: Iterable[str] = ()) -> dict[str, Tracker]:
+    """Return all trackers that can be loaded, except those of other packages whose options are already ``taken``."""
+    owners, there = dict.fromkeys(taken, "import hands"), dict[str, Tracker]()
+    for name, tracker in TRACKERS.working().items():
+        options = vars(tracker)
+        if name not in _TRACKERS and (both := next((one for one in options if one in owners), None)):
+            plugins.warn(f"{plugins.origin(tracker) or name} is left out: {owners[both]} has an option {both!r}, too")
+            continue
+        there[name] = tracker
+        owners |= dict.fromkeys(options, f"the tracker {name}")
+    return there
+
+
+def choose(name: str, entry: Mapping[str, Tracker] = TRACKERS) -> Tracker:
+    """Return the tracker of a name, with its options as ``given``.
+
+    Raises ``UsageError`` for an unknown name, and for options that are given to another tracker.
+    """
+    if name not in entry:
+        raise unknown("--from", name, entry)
+    for other, tracker in entry.items():
+        for option, value in vars(tracker).items():
+            if other != name and value != vars(TRACKERS[other])[option]:
+                dashed = option.replace("_", "-")
+                raise UsageError(f"--{dashed} cannot be used with --from {name}: it belongs to --from {other}")
+    return entry[name]

@@ -26,11 +26,18 @@ from numpy import ndarray
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands.model import Side, mirrored_pose
-from getagrip.hands.trackers.estimates import ONE_CAMERA, Camera, Estimate, Estimates, Parameters, Request
+from getagrip.hands.trackers.estimates import (
+    ONE_CAMERA,
+    Camera,
+    Estimate,
+    Estimates,
+    Parameters,
+    Request,
+    WeakPerspective,
+)
 from getagrip.hands.trackers.hand import load_mano
 from getagrip.hands.trackers.records import Record, numbers
 from getagrip.hands.trackers.tracker import Tracker, per_image
-from getagrip.hands.trackers.weak_perspective import WeakPerspective
 from getagrip.io.files import shown
 from getagrip.provenance import estimated
 

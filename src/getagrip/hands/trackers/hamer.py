@@ -42,12 +42,14 @@ from getagrip.hands.trackers.estimates import (
     Estimates,
     Parameters,
     Request,
+    WeakPerspective,
+    hamer_focal,
     mirror_rotation,
     rotations,
+    vitdet_side,
 )
 from getagrip.hands.trackers.records import PEOPLE, Record, child, numbers, seen_joints
 from getagrip.hands.trackers.tracker import Tracker, per_image
-from getagrip.hands.trackers.weak_perspective import WeakPerspective, hamer_focal, vitdet_side
 from getagrip.io import files
 from getagrip.io.arguments import one_of
 from getagrip.provenance import Basis, Source
@@ -226,3 +228,11 @@ def _joints(
     both = [joints, joints * MIRROR]
     errors = [np.linalg.norm((x - x[0]) - (expected - expected[0])) for x in both]
     return both[int(np.argmin(errors))]
+
+
+@dataclass(frozen=True)
+class WiLoR(Demo):
+    """WiLoR's records, from its demo or from WiLoR-mini (``wilor_preds``), and its demo's meshes."""
+
+    name = "WiLoR"
+    takes = "the demo's out_folder with --save_mesh, or a record for each image, of its demo or of WiLoR-mini"

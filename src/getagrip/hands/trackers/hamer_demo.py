@@ -24,10 +24,9 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry.obj import parse_obj
 from getagrip.hands.model import MIRROR, Side
 from getagrip.hands.trackers import records
-from getagrip.hands.trackers.estimates import Estimate, Request
+from getagrip.hands.trackers.estimates import Estimate, Request, WeakPerspective, hamer_focal
 from getagrip.hands.trackers.hand import load_mano, mano_joints, network_model
 from getagrip.hands.trackers.tracker import no_name
-from getagrip.hands.trackers.weak_perspective import WeakPerspective, hamer_focal
 from getagrip.io import arrays, files
 from getagrip.provenance import estimated
 

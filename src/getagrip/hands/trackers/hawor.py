@@ -21,10 +21,17 @@ from getagrip.clip.naming import counted_elsewhere, frame_of
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands.trackers import records
-from getagrip.hands.trackers.estimates import Camera, Estimate, Estimates, Parameters, Request, rotations
+from getagrip.hands.trackers.estimates import (
+    Camera,
+    Estimate,
+    Estimates,
+    Parameters,
+    Request,
+    WeakPerspective,
+    rotations,
+)
 from getagrip.hands.trackers.records import Record, numbers
 from getagrip.hands.trackers.tracker import Tracker, frames_of_rows
-from getagrip.hands.trackers.weak_perspective import WeakPerspective
 from getagrip.provenance import estimated
 
 KEYS = ("init_root_orient", "init_hand_pose", "init_trans", "init_betas")

@@ -1,6 +1,6 @@
 """The interface of a hand tracker: a dataclass of options, and a reader of its files.
 
-A tracker subclasses ``Tracker`` in a file of its own. ``table`` lists them.
+A tracker subclasses ``Tracker`` in a file of its own. ``TRACKERS`` lists them.
 """
 
 from __future__ import annotations

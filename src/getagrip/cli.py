@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from contextlib import nullcontext, redirect_stdout
+from difflib import get_close_matches
 from typing import Annotated, Any, get_args, get_origin
 
 # Commands share their work between processes, one for each core. Said before numpy is loaded, which reads it once.
@@ -16,7 +17,6 @@ import tyro
 from tyro.conf import OmitArgPrefixes, subcommand
 
 from getagrip import __version__
-from getagrip.cli.names import joined
 from getagrip.commands.annotate import Annotate
 from getagrip.commands.bench import Benches, with_source
 from getagrip.commands.command import Command
@@ -35,7 +35,7 @@ from getagrip.commands.stats import Stats
 from getagrip.commands.status import Status
 from getagrip.commands.study import Study
 from getagrip.commands.view import View
-from getagrip.errors import GetagripError, UsageError, cleaned
+from getagrip.errors import GetagripError, UsageError, cleaned, unknown
 from getagrip.io.arguments import PATHS
 from getagrip.io.terminal import Silence
 
@@ -146,3 +146,33 @@ def _by_name(choice: Any) -> dict[str, Any]:
     """List the commands of a union, by the words that are typed; none for a command without subcommands."""
     union = get_args(choice)[0] if get_origin(choice) is Annotated else choice
     return {one.__metadata__[0].name: one for one in get_args(union) if get_origin(one) is Annotated}
+
+
+def joined(words: Sequence[str], names: Collection[str], before: str = "") -> list[str]:
+    """Join the words that name a command into one.
+
+    Ends the process where they name none.
+
+    They are checked before the options, each of which would be reported as unknown with them.
+
+    ``names`` are the commands, of one word or two, and ``before`` is the command whose subcommands they are.
+    """
+    if not words or words[0].startswith("-"):
+        return list(words)
+    for length in (2, 1):
+        if (name := " ".join(words[:length])) in names:
+            return [name, *words[length:]]
+    begun = [name for name in names if name.split()[0] == words[0]]
+    if begun and {"-h", "--help"} & {*words}:
+        return [begun[0], "--help"]
+    value = " ".join(words[:2]) if begun else words[0]
+    alike = [before + name for name in begun or _alike(value, names)]
+    print(f"getagrip: {cleaned(str(unknown('command', before + value, alike or names)))}", file=sys.stderr)
+    sys.exit(2)
+
+
+def _alike(word: str, names: Iterable[str]) -> list[str]:
+    """Return the names that begin with a word or, if there is none, the one most like it."""
+    spelt = {spelling: name for name in names for spelling in (name, name.split()[0])}
+    alike = [name for name in spelt if name.startswith(word)] or get_close_matches(word, spelt, n=1)
+    return [*dict.fromkeys(spelt[name] for name in alike)]

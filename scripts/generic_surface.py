@@ -1,22 +1,20 @@
 """The skin of the generic hand: a smooth implicit surface around its bones, and its triangulation.
 
 The surface is the zero level of a smooth union (polynomial smooth minimum: I. Quilez, "Smooth minimum", 2013) of round
-cones and ellipsoids. ``python -m getagrip.hands.generic_surface`` triangulates it and writes ``generic_hand.npz``, the
-file that ``generic.load`` reads; the result depends on nothing but this package's sources.
+cones and ellipsoids. ``python scripts/generic_surface.py`` triangulates it and writes ``generic_hand.npz``, the file
+that ``hands.generic.load`` reads; the result depends on nothing but the sources here.
 """
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.geometry.mesh import Mesh
+from getagrip.hands.generic import FILE
 from getagrip.hands.generic_skeleton import WRIST, metacarpal_base, rest_fingers
 
-FILE = Path(__file__).with_name("generic_hand.npz")
 GRID = 0.0016
 """Cell size of the first triangulation [m]."""
 VERTICES = 950

@@ -1,4 +1,4 @@
-"""CSV tables that a spreadsheet opens without running anything.
+"""Tables in CSV, which a spreadsheet opens without running anything, and in Markdown.
 
 Spreadsheets take a text that begins with ``=``, ``+``, ``-``, ``@`` or a control character for a formula. Names come
 from strangers' files, so that such a text gets an apostrophe before it, which spreadsheets do not show and
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TextIO
 
 _FORMULA = re.compile(r"'*[=+\-@\t\r\n]")
@@ -19,8 +19,8 @@ _FORMULA = re.compile(r"'*[=+\-@\t\r\n]")
 class CsvTable:
     """A table that is being written into a text stream, opened with ``newline=""``."""
 
-    def __init__(self, stream: TextIO, line_end: str = "\r\n") -> None:
-        self._rows = csv.writer(stream, lineterminator=line_end)
+    def __init__(self, stream: TextIO) -> None:
+        self._rows = csv.writer(stream)
 
     def write_row(self, cells: Iterable[object]) -> None:
         """Add a row: texts so that none is a formula, numbers as they are."""
@@ -40,3 +40,17 @@ def text_cell(text: str) -> str:
 def cell_text(cell: str) -> str:
     """Return the text of a cell that ``text_cell`` wrote; other cells stay as they are."""
     return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
+
+
+def markdown_page(title: str, grid: Sequence[Sequence[str]], about: Sequence[str], words: int = 1) -> str:
+    """Write one table under a title, and how it was made; the first columns are ``words``, the others numbers."""
+    lines = [f"# {title}", "", *markdown_table(grid, words), "", *(f"- {line}" for line in about)]
+    return "\n".join(lines) + "\n"
+
+
+def markdown_table(grid: Sequence[Sequence[str]], words: int = 1) -> list[str]:
+    """Return the lines of a table, headings first; the first columns are ``words``, the others numbers."""
+    headings, *body = grid
+    rule = [*["---"] * words, *["---:"] * (len(headings) - words)]
+    escaped = ([cell.replace("|", "\\|") for cell in cells] for cells in (headings, rule, *body))
+    return [f"| {' | '.join(cells)} |" for cells in escaped]
