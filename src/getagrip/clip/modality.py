@@ -48,11 +48,9 @@ class Modality(ABC, Generic[D]):
     def write(self, clip: Clip, folder: Path) -> None:
         """Write the data of a clip into its new folder, where there is some."""
 
-    def terms(self, problem: Problem) -> Terms:
-        """Give terms on the object and on the hand, at the problem's frames; none where there is no data."""
-        from getagrip.fitting.energy import Terms
-
-        return Terms()
+    def terms(self, problem: Problem) -> Terms | None:
+        """Give terms on the object and on the hand, at the problem's frames; None where there is no data."""
+        return None
 
     def of(self, clip: Clip) -> D | None:
         """Return the data that a clip has in memory."""

@@ -24,7 +24,7 @@ def problem() -> Problem:
 
 def hands(problem: Problem, shift: np.ndarray, scale: float = 1.0) -> HandInCamera:
     """The given hand, shifted."""
-    T = problem.clip.hand.T_input
+    T = problem.clip.hand.T_cam_hand
     middle = problem.clip.hand.vertices.mean(axis=(0, 1))
     centre = se3.transform(T, middle[None])[:, 0] + shift
     return HandInCamera(T[None, :, :3, :3], centre[None], np.array([scale]), np.zeros((1, len(T), 0)), middle)
@@ -52,7 +52,7 @@ def test_its_derivatives_are_those_of_the_silhouette_by_its_errors(problem: Prob
     """At no error, turns and shifts by the errors are those of the local vector, in the hand's frame."""
     (term,) = evidence_on_hand(problem)(128, np.arange(4))
     seen = HandSilhouette.of(problem.clip, problem.input_masks).with_field
-    T = problem.clip.hand.T_input
+    T = problem.clip.hand.T_cam_hand
     value, g, H = seen(np.zeros((4, 7)))
     poses = with_object(hands(problem, np.zeros(3)))
     found = term(poses, no_bound(poses))
