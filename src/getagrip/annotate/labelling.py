@@ -104,6 +104,7 @@ class Labelling:
                 {key: getattr(one, key) for key in keys} | {"number": grasp.footage.number(one.frame)} for one in own
             ],
             "basis": self._basis(grasp, own),
+            "found": bool(self.found.joints),
             "drafts": self.store.drafts.newest(grasp.mark.mark),
             "job": None if job is None else job.status(),
         }

@@ -60,7 +60,7 @@ class HandTrack(ArrayData):
             raise UsageError(f"missing {', '.join(missing)} in HandTrack.regions: {needed}")
 
     def take(self, index: Int[ndarray, "n"]) -> HandTrack:
-        """The hand in some of the frames, in the given order."""
+        """Return the hand in some of the frames, in the given order."""
         optional = (self.joints, self.joints_2d, self.joints_2d_confidence)
         joints, seen, confidence = (None if each is None else each[index] for each in optional)
         return replace(

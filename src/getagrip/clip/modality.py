@@ -71,7 +71,7 @@ MODALITIES = Table(
 
 
 def modalities() -> tuple[Modality[Any], ...]:
-    """Every modality of the table."""
+    """Return every modality of the table."""
     return tuple(_loaded(entry) if isinstance(entry, str) else entry for entry in MODALITIES.working().values())
 
 

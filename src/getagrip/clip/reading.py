@@ -274,7 +274,7 @@ def _other_hand(
 
 
 def read_hand(path: Path, frames: int) -> HandTrack:
-    """The hands of a ``hand.npz`` of so many frames, checked. Raises ``InputError``."""
+    """Read the hands of a ``hand.npz`` of ``frames`` frames. Raises ``InputError``."""
     named = ("vertices", "faces", "T_cam_hand", "joints", "joints_2d", "joints_2d_confidence")
     stored = arrays.read(path, lambda key: key in named or key.startswith("region_"))
     vertices = arrays.floats(path, stored, "vertices", (frames, -1, 3))

@@ -79,7 +79,7 @@ class Solution(Generic[M]):
 
 
 def in_camera(motion: Motion, T_cam_hand: Float[ndarray, "N 4 4"]) -> PosesInCamera:
-    """The motion's poses as the terms read them."""
+    """Return the motion's poses as the terms read them."""
     seen = moved(motion.poses(), T_cam_hand)
     if seen.hand is None:
         return PosesInCamera(*_body(seen))
@@ -202,7 +202,7 @@ def _step(
 def seen_from_camera(
     J_shared: Float[ndarray, "B N P S"], J_local: Float[ndarray, "B N P L"], T_cam_hand: Float[ndarray, "N 4 4"]
 ) -> Float[ndarray, "B N P Q"]:
-    """A motion's Jacobians side by side, of local vectors in the camera's frame."""
+    """Return a motion's Jacobians side by side, of local vectors in the camera's frame."""
     J, R = np.concatenate([J_shared, J_local], axis=-1), T_cam_hand[:, :3, :3]
     bodies = (0,) if J.shape[-2] == 7 else (0, 7, -7)
     for k in (first + 3 * part for first in bodies for part in range(2)):

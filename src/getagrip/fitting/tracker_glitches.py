@@ -35,7 +35,10 @@ POINTS = 16
 
 
 def repair_hand(clip: Clip, options: Options) -> tuple[Clip, Glitches | None]:
-    """``repair_glitches``, and where the hand jumps; None, and the clip as it is, where hands are taken as given."""
+    """Repair a clip's hand, and return the frames with glitches.
+
+    The clip stays unchanged, without such frames (None), where the options say that hands are as given.
+    """
     if options.hands == "as-given" or options.as_published:
         return clip, None
     steady, frames = repair_glitches(clip)

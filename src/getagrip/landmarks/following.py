@@ -22,6 +22,11 @@ LEAST = 0.5
 SURE = 0.75
 """A hand of less confidence, followed from the frame before, is looked for where it is detected and from the frame
 after, too."""
+MEMORY = 10
+"""Frames for which a hand that is lost is looked for where it was."""
+AROUND, LEAST_AROUND = 0.9, 0.33
+"""Half the side of the part in which it is looked for, in sides of its square and, at least, as a share of the image's
+shorter side."""
 SAME = 0.4
 """Distance, in sizes of the palm, below which two hands are one."""
 PALM = [0, 5, 9, 13, 17]
@@ -65,17 +70,39 @@ def follow(
     for n in range(count):
         on_frame(n)
         now = image(n)
-        expected = [crops.of_landmarks(each.points) for each in (seen[-1] if seen else [])]
+        expected = _crops(seen[-1]) if seen else []
         followed = _looked(now, expected, nets)
         known = [crop for crop, hand in zip(expected, followed, strict=True) if hand.confidence >= SURE]
         detected = [crop for crop in map(crops.of_palm, nets.palms(now)) if not any(map(crop.near, known))]
-        seen.append(one_each([*followed, *_looked(now, detected, nets)]))
+        before: list[Sighting] = next((hands for hands in reversed(seen[-MEMORY:]) if hands), [])
+        lost = [crop for crop in _crops(before) if not any(map(crop.near, [*known, *detected]))]
+        seen.append(one_each([*followed, *_looked(now, [*detected, *_nearby(now, lost, nets)], nets)]))
     for n in range(count - 2, -1, -1):
         again = [each for each in seen[n + 1] if not any(each.same(old) and old.confidence >= SURE for old in seen[n])]
         if again:
-            there = _looked(image(n), [crops.of_landmarks(each.points) for each in again], nets)
-            seen[n] = one_each([*seen[n], *there])
+            now, where = image(n), _crops(again)
+            seen[n] = one_each([*seen[n], *_looked(now, [*where, *_nearby(now, where, nets)], nets)])
     return seen
+
+
+def _crops(hands: Sequence[Sighting]) -> list[Crop]:
+    return [crops.of_landmarks(each.points) for each in hands]
+
+
+def _nearby(image: Image, where: Sequence[Crop], nets: Nets) -> list[Crop]:
+    """Where palms are detected in enlarged parts of an image: the detector sees a whole image at 192 pixels."""
+    out = []
+    for crop in where:
+        half = max(AROUND * crop.side, LEAST_AROUND * min(image.shape[:2]))
+        low = np.maximum(np.floor(crop.middle - half), 0).astype(int)
+        high = np.minimum(np.ceil(crop.middle + half), image.shape[1::-1]).astype(int)
+        if (high - low).min() > crops.SIDE // 4:
+            part = np.ascontiguousarray(image[low[1] : high[1], low[0] : high[0]])
+            found = (
+                palm._replace(box=palm.box + np.tile(low, 2), points=palm.points + low) for palm in nets.palms(part)
+            )
+            out += [crops.of_palm(palm) for palm in found]
+    return out
 
 
 def _looked(image: Image, where: Sequence[Crop], nets: Nets) -> list[Sighting]:

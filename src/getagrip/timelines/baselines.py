@@ -52,7 +52,7 @@ def grasp_only(footage: Footage) -> Motion:
 
 
 def static_only(footage: Footage) -> Motion:
-    """Each static segment by itself; elsewhere, the object goes with the hand. Raises ``InputError`` likewise."""
+    """Fit each static segment by itself; elsewhere, the object goes with the hand. Raises ``InputError`` likewise."""
     motion, known = Motion.of(footage.clip, footage.shown), []
     for segment in footage.clip.segments:
         if segment.state == "static" and len(rows := frames_to_fit(segment, footage.shown)):
@@ -92,7 +92,7 @@ def _with_hand(motion: Motion, footage: Footage, source: int, row: int) -> Float
 
 
 def propagate(footage: Footage) -> Motion:
-    """The authors' propagation. Raises ``InputError`` where no segment shows the object."""
+    """Run the authors' propagation. Raises ``InputError`` where no segment shows the object."""
     segments = [s for s in footage.clip.segments if footage.shown[s.rows].sum() > 1]
     if not segments:
         raise InputError(footage.clip.origin, "segments", "none that shows the object in two frames", "one at least")

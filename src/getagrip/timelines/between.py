@@ -58,14 +58,14 @@ class WorldTerm:
 
 
 def smooth_in_world(problem: Problem) -> WorldTerm:
-    """The term by which the object's surface moves little in the world from each of the frames to the next."""
+    """Make the term by which the object's surface moves little in the world from each of the frames to the next."""
     mesh, world = problem.clip.mesh, problem.clip.world
     assert world is not None
     return WorldTerm(SmoothnessTerm(moments(mesh.vertices - mesh.centre), SMOOTH), world.T_world_cam)
 
 
 def fill_between(motion: Motion, footage: Footage, known: list[Segment]) -> None:
-    """The frames between segments that are known, and before and after them."""
+    """Fill the frames between segments that are known, and before and after them."""
     edges = [(None, known[0]), *itertools.pairwise(known), (known[-1], None)]
     for one, other in edges:
         rows = np.arange(0 if one is None else one.last + 1, len(footage) if other is None else other.first)
@@ -83,7 +83,7 @@ def fill_between(motion: Motion, footage: Footage, known: list[Segment]) -> None
 
 
 def _known_motions(ahead: Hypotheses | None, behind: Hypotheses | None) -> Hypotheses:
-    """The motions that are known; of two, the blend of the best as well."""
+    """Return the motions that are known; of two, the blend of the best as well."""
     if ahead is None or behind is None:
         start = ahead or behind
         assert start is not None
@@ -102,7 +102,7 @@ def _blended(ahead: Hypotheses, behind: Hypotheses) -> Hypotheses:
 
 
 def _fitted(problem: Problem, at: Int[ndarray, "m"], start: Hypotheses) -> Hypotheses:
-    """The best smooth motion near these that meets the masks; the problem is at the frames ``at`` of theirs."""
+    """Fit the best smooth motion near these that meets the masks; the problem is at the frames ``at`` of theirs."""
     world = problem.clip.world
     assert world is not None
     motion = Free(start.R[:, at], start.centre[:, at], np.log(start.scale))

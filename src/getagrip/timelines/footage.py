@@ -88,7 +88,7 @@ class Grasp:
 
     @staticmethod
     def of(clip: Clip, masks: Masks, segment: Segment) -> Grasp | None:
-        """None where fewer than two of its frames show the object.
+        """Make the grasp; None where fewer than two of its frames show the object.
 
         The other hand's pixels are not known apart from all ignored.
         """
@@ -102,7 +102,10 @@ class Grasp:
 
 
 def find_scale(clip: Clip, masks: Masks, options: Options) -> float:
-    """The object's scale: that of the longest grasp, where hand and camera tell it. Raises ``InputError``."""
+    """Return the object's scale: that of the longest grasp, where hand and camera determine it.
+
+    Raises ``InputError``.
+    """
     grasps = [Grasp.of(clip, masks, segment) for segment in clip.segments if segment.state == "grasp"]
     longest = max((grasp for grasp in grasps if grasp is not None), key=lambda grasp: len(grasp.rows), default=None)
     problem = prepare(*((longest.clip, longest.masks) if longest else (clip, masks)), options)

@@ -68,7 +68,7 @@ class GraspSolutions:
 
 
 def solve_grasp(grasp: Grasp, problem: Problem, neighbours: Sequence[Neighbour]) -> GraspSolutions:
-    """The solutions of a grasp, by its problem. Raises ``GetagripError`` where nothing can be rendered."""
+    """Search for the solutions of a grasp, by its problem. Raises ``GetagripError`` where nothing can be rendered."""
     found = soft_hinges(problem, lambda _: None)
     motion = found.motion
     if neighbours:

@@ -95,7 +95,7 @@ def choose_hypotheses(footage: Footage, support: bool, on_stage: Callable[[str],
 
 
 def fill_all_frames(footage: Footage, chain: Chain, on_stage: Callable[[str], None] = lambda _: None) -> Motion:
-    """The chosen hypotheses in all frames of their segments, and the frames between."""
+    """Extend the chosen hypotheses to all frames of their segments, and fill the frames between."""
     motion, known = Motion.of(footage.clip, footage.shown), list[Segment]()
     for anchor, k in zip(chain.anchors, chain.chosen, strict=True):
         if anchor.solutions is None:
@@ -115,7 +115,7 @@ def fill_all_frames(footage: Footage, chain: Chain, on_stage: Callable[[str], No
 
 
 def _with_grasps(footage: Footage, static: dict[Segment, Hypotheses]) -> list[Anchor]:
-    """Static segments and grasps in their order."""
+    """Return static segments and grasps in their order."""
     grasps = {s: Grasp.of(footage.clip, footage.masks, s) for s in footage.clip.segments if s.state == "grasp"}
     order = [s for s in footage.clip.segments if s in static or grasps.get(s) is not None]
     anchors = []

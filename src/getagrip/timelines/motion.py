@@ -42,7 +42,7 @@ class Motion:
 
     @staticmethod
     def of(clip: Clip, shown: Bool[ndarray, "T"]) -> Motion:
-        """Nothing known yet."""
+        """Make a motion of which nothing is known yet."""
         assert clip.world is not None
         T = len(clip)
         hands = {clip.side: clip.hand.T_cam_hand.copy()}
@@ -63,7 +63,7 @@ class Motion:
         return next((T for side, T in self.T_cam_hands.items() if side != self.side), None)
 
     def put(self, rows: Int[ndarray, "n"], found: Hypotheses, kind: FrameKind) -> None:
-        """The first hypothesis, in some frames; of ``kind`` where the object is seen."""
+        """Put the first hypothesis into some frames; of ``kind`` where the object is visible."""
         self.T_cam_obj[rows] = se3.inverse(self.T_world_cam[rows]) @ found.T_world_obj(self.centre)[0]
         for row in rows[self.shown[rows]]:
             self.kind[row] = kind
@@ -82,7 +82,7 @@ class Motion:
         return np.asarray(se3.transform(self.T_cam_obj[rows], self.centre[None])[:, 0])
 
     def at(self, row: int) -> Hypotheses:
-        """The pose of one frame, in the world."""
+        """Return the pose of one frame, in the world."""
         return Hypotheses.of_pose(self.T_world_cam[row] @ self.T_cam_obj[row], self.centre)
 
 

@@ -112,8 +112,12 @@ def _notes_of_grasps(clip: Clip, motion: Motion, known: Sequence[str]) -> list[s
             continue
         name = f"grasp from {clip.frames[segment.first]} ({segment.side} hand)"
         has_hand = clip.hand_known(segment.side)[segment.rows].any()
-        why = "the object is not seen in two frames" if has_hand else f"the clip has no {segment.side} hand there"
-        masks_only.append(f"{name}: {why}, so it was followed by the masks as in unstable contact, without an axis")
+        why = (
+            "the object is visible in fewer than two frames"
+            if has_hand
+            else f"the clip has no {segment.side} hand there"
+        )
+        masks_only.append(f"{name}: {why}, so it was tracked by its masks as in unstable contact, without an axis")
     return [*out, *masks_only]
 
 

@@ -35,13 +35,13 @@ LIKELY = 1.5
 
 
 def frames_to_fit(segment: Segment, shown: Bool[ndarray, "T"]) -> Int[ndarray, "n"]:
-    """The frames of a static segment that tell its pose; none where fewer than two show the object."""
+    """Choose the frames of a static segment that determine its pose; none where fewer than two show the object."""
     seen = segment.rows[shown[segment.rows]]
     return seen[frame_indices(len(seen), FRAMES)] if len(seen) > 1 else seen[:0]
 
 
 def static_hypotheses(problem: Problem, frames: int, support: bool, start: Hypotheses | None = None) -> Hypotheses:
-    """Solutions for the ``frames`` of a segment, all the same pose, by the problem at some of them.
+    """Search for one pose in the ``frames`` of a segment, by the problem at some of them.
 
     ``start`` are poses to begin with besides uniform rotations (their first frame's). ``support``: whether the plane
     counts. Raises ``GetagripError`` where nothing can be rendered.

@@ -71,7 +71,7 @@ function nextStep(joint) {
 function drawKeyframes() {
   const rows = [...state.labels.keyframes.values()].sort((a, b) => a.frame - b.frame).map((one) => {
     const joints = clicked(one), drawn = Object.values(one.outlines).length;
-    const about = [joints && many(joints, "joint"), drawn && many(drawn, "polygon"), one.hidden && "object not visible", !within(one.frame) && "outside of the grasp"];
+    const about = [joints && many(joints, "joint"), drawn && many(drawn, "shape"), one.hidden && "object not visible", !within(one.frame) && "outside of the grasp"];
     const away = element("button", { textContent: "✕", title: "Delete what is labelled on this frame", onclick: (event) => { event.stopPropagation(); change(one.frame, { deleted: true }); } });
     const text = element("span", { className: "text" }, `${one.number ?? "…"} `, element("small", { textContent: about.filter(Boolean).join(" · ") }));
     return element("li", { className: one.frame === player.wanted ? "chosen" : "", onclick: () => move(one.frame) }, text, away);

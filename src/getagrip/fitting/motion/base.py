@@ -90,7 +90,7 @@ def placed(poses: PosesInHand, centre: Float[ndarray, "3"]) -> Float[ndarray, "B
 
 
 def moved(poses: PosesInHand, T: Float[ndarray, "N 4 4"]) -> PosesInHand:
-    """Poses as another frame has them, given the hand's pose in it, and the other way round with the inverse."""
+    """Transform poses to another frame, given the hand's pose in it; the inverse leads back."""
     R, t, hand = T[:, :3, :3], T[:, :3, 3], poses.hand
     if hand is not None:
         centre = (R @ hand.centre[..., None])[..., 0] + t
@@ -129,7 +129,7 @@ class Motion(Protocol):
     def poses(self) -> PosesInHand: ...
 
     def jacobian(self) -> tuple[Float[ndarray, "B N P S"], Float[ndarray, "B N P L"]]:
-        """Derivatives of the local vectors, as seen in the hand frame, by shared and by per-frame parameters.
+        """Differentiate the local vectors, as seen in the hand frame, by shared and by per-frame parameters.
 
         P is 7, or more where the hand moves (``energy.hand_term``).
         """

@@ -17,14 +17,14 @@ from getagrip.geometry import se3
 Core = TypeVar("Core", bound=Motion)
 
 SHIFT, TURN, DEPTH, MODES = slice(0, 3), slice(3, 6), 6, 7
-"""Where the errors of a frame stand: shift in the hand frame [m], turn about the hand's middle [rad], shift along the
+"""Positions of a frame's errors: shift in the hand frame [m], turn about the hand's middle [rad], shift along the
 camera's ray through the middle [m], then F modes of the fingers. The constant part has the logarithm of the hand's size
 besides, as its last."""
 
 
 @dataclass(frozen=True)
 class HandPrior:
-    """How far a given hand is assumed to be off: a constant error of the clip, and one of each frame.
+    """The prior on a hand's errors: a constant error of the clip, and one of each frame.
 
     Attributes:
         middle: (3,) the point that the hand turns and grows about, in the hand frame [m].
@@ -52,14 +52,14 @@ class HandPrior:
         weight: float,
         memory: float = 0.0,
     ) -> HandPrior:
-        """The prior of a clip's hand, at all of its frames."""
+        """Make the prior of a clip's hand, at all of its frames."""
         middle = hand.vertices.mean(axis=(0, 1))
         ray = se3.transform(hand.T_cam_hand, middle[None])[:, 0]
         rays = ((ray / np.linalg.norm(ray, axis=1, keepdims=True))[:, None] @ hand.T_cam_hand[:, :3, :3])[:, 0]
         return HandPrior(middle, rays, np.arange(len(rays)), constant, own, weight, memory)
 
     def at(self, frames: Int[ndarray, "N"]) -> HandPrior:
-        """The same at some frames of the clip."""
+        """Return the prior at some frames of the clip."""
         return replace(self, frames=frames)
 
     @cached_property
@@ -75,7 +75,7 @@ class HandPrior:
 
     @cached_property
     def stiffness(self) -> tuple[Float[ndarray, "C"], Float[ndarray, "D"]]:
-        """What ``weight`` makes of the inverse variances; zero of what is held."""
+        """Inverse variances times ``weight``; zero for fixed parameters."""
         with np.errstate(divide="ignore"):
             pair = [np.where(sd > 0.0, self.weight / sd**2, 0.0) for sd in (self.constant, self.own)]
         return pair[0], pair[1]
@@ -103,7 +103,7 @@ class MovingHand(Batch, Generic[Core]):
 
     @staticmethod
     def around(core: Core, assumed: HandPrior) -> MovingHand[Core]:
-        """A motion in the hand as it was given."""
+        """Make a motion in the input hand."""
         B, N = len(core.poses().scale), len(assumed.frames)
         return MovingHand(core, np.zeros((B, len(assumed.constant))), np.zeros((B, N, len(assumed.own))), assumed)
 

@@ -185,10 +185,10 @@ def child(path: Path, record: Record, key: str) -> Record:
 
 
 def seen_joints(path: Path, record: Record, *leading: int) -> Float[ndarray, "*leading 21 3"] | None:
-    """``joints_2d`` of a record [px of the clip's images], (21, 2) or with the confidence (21, 3), in this package's
-    order; ``joints_2d_confidence`` (21) may be apart. Zeros where a joint was not seen. Nothing without the key.
+    """Read ``joints_2d`` of a record [px of the clip's images], in this package's order.
 
-    Raises ``InputError``.
+    They are (21, 2), or (21, 3) with the confidence; ``joints_2d_confidence`` (21) may be apart. Zeros where a joint
+    was not seen. Nothing without the key. Raises ``InputError``.
     """
     if "joints_2d" not in record:
         return None
@@ -208,7 +208,7 @@ def seen_joints(path: Path, record: Record, *leading: int) -> Float[ndarray, "*l
 
 
 def _without_none(value: object) -> object:
-    """Lists with NaN in place of what is not there, as JSON's null."""
+    """Replace missing values, JSON's null, by NaN in lists."""
     if isinstance(value, list):
         return [_without_none(item) for item in value]
     return np.nan if value is None else value
