@@ -79,10 +79,10 @@ class Centres(Modality[Points]):
         if (points := self.of(clip)) is not None:
             arrays.write(folder / "centres.npz", {"frames": np.array(clip.frames), "uv": points.uv})
 
-    def terms(self, problem: Problem) -> Terms:
+    def terms(self, problem: Problem) -> Terms | None:
         points, crops = self.of(problem.clip), problem.observation.crops
         if points is None:
-            return Terms()
+            return None
         target, centre = (points.uv - crops.corner) * crops.zoom, np.zeros((len(points), 1, 3))
         K = problem.observation.K
         return Terms(object=lambda level, at: [ReprojectionTerm(centre[at], K[at], target[at, None], 20.0, "centres")])

@@ -54,11 +54,11 @@ class SeenAxis(Modality[Axes]):
             known = np.isfinite(axes.direction).all(axis=1)
             arrays.write(folder / FILE, {"frames": np.array(clip.frames)[known], "direction": axes.direction[known]})
 
-    def terms(self, problem: Problem) -> Terms:
+    def terms(self, problem: Problem) -> Terms | None:
         """The term on the object; one on the hand would be ``Terms(hand=...)``."""
         axes = self.of(problem.clip)
         if axes is None:
-            return Terms()
+            return None
         return Terms(object=lambda level, at: [UprightTerm(1e3, "axis", axes.direction[at])])
 
 

@@ -49,7 +49,7 @@ class Modality(ABC, Generic[D]):
         """Write the data of a clip into its new folder, where there is some."""
 
     def terms(self, problem: Problem) -> Terms | None:
-        """Give terms on the object and on the hand, at the problem's frames; none where there is no data."""
+        """Give terms on the object and on the hand, at the problem's frames; None where there is no data."""
         return None
 
     def of(self, clip: Clip) -> D | None:

@@ -30,7 +30,7 @@ class HandMasks(Modality[VisibleHand]):
         if masks is not None and masks.hand is not None:
             write_masks(masks.hand, masks.known, clip.frames, folder / "masks" / "hand")
 
-    def terms(self, problem: Problem) -> Terms:
+    def terms(self, problem: Problem) -> Terms | None:
         from getagrip.fitting.objective import hand_mask_of
 
-        return Terms() if self.of(problem.clip) is None else Terms(hand=hand_mask_of(problem))
+        return None if self.of(problem.clip) is None else Terms(hand=hand_mask_of(problem))

@@ -6,7 +6,7 @@ Other evidence of the clip counts beside its masks (``evidence_of``). A method a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 
 from jaxtyping import Float, Int
@@ -48,14 +48,22 @@ def energy_of(problem: Problem, push: float, pull: float) -> Energy:
 
 def evidence_of(problem: Problem) -> Energy:
     """Return the terms of all evidence on the object: E_mask first, since masks are the first modality."""
-    terms = (modality.terms(problem) for modality in modalities())
-    return plus(*(one.object for one in terms if one is not None and one.object is not None))
+    energies = (terms.object for terms in _terms(problem))
+    return plus(*(energy for energy in energies if energy is not None))
 
 
 def evidence_on_hand(problem: Problem) -> Energy:
     """Return the terms of all evidence on a hand that is unknown as well; nothing where it is fixed."""
-    terms = [one.hand for modality in modalities() if (one := modality.terms(problem)) is not None]
-    return lambda level, index: [OnHand(one) for hand in terms if hand is not None for one in hand(level, index)]
+    energies = [terms.hand for terms in _terms(problem)]
+    return lambda level, index: [OnHand(one) for hand in energies if hand is not None for one in hand(level, index)]
+
+
+def _terms(problem: Problem) -> Iterator[Terms]:
+    """Yield what each modality gives that has data."""
+    for modality in modalities():
+        terms = modality.terms(problem)
+        if terms is not None:
+            yield terms
 
 
 def hand_mask_of(problem: Problem) -> HandEnergy:
