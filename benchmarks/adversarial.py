@@ -34,8 +34,8 @@ from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import GetagripError
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
-from getagrip.fitting.reconstruct import reconstruct
 from getagrip.result import Reconstruction, read_result, write_result
+from getagrip.timelines.reconstruct import reconstruct
 
 CATEGORIES = ("mug", "can", "plate", "scissors", "box")
 SECONDS, MEGABYTES = 120.0, 3000

@@ -2,6 +2,7 @@
 
     {{ TABLE.ROW.COLUMN }}                   a number; words behind it ask for more: "0" (decimals), "unit", "interval"
     {{ TABLE.ROW.COLUMN difference }}        its difference from the row that it is compared with; "absolute": unsigned
+    {{ TABLE.ROW.COLUMN minus=ROW }}         its difference from that of another row
     {{ table TABLE columns=A,B rows=GLOB }}  a table of some columns (all), of the rows that a glob names (all); words
                                              behind it: "interval", "difference" (of pairs), "notes"
     {{ inputs TABLE METHOD... }}             how often methods are right with each kind of input, in hand and camera;
@@ -40,8 +41,8 @@ INPUTS = {
     "masks off by 4 px": "masks off by 4 px",
     "another object in 20 %": "masks of something else in one frame of five",
     "size unknown": "the object's size unknown",
-    "of its kind": "a mesh that is only of the object's kind",
-    "of its kind, size unknown, hands moderate": "the same, size unknown, hands off (`moderate`, assumed)",
+    "category mesh": "a mesh that is only of the object's kind",
+    "category mesh, size unknown, hands moderate": "the same, size unknown, hands off (`moderate`, assumed)",
 }
 """Settings of the ablations ``inputs`` and ``final``, in words."""
 CLIPS = {
@@ -80,7 +81,18 @@ def said(place: str) -> str:
     name, row, column = [*first.split("."), "", ""][:3]
     table = store.read(name)
     found = table.row(row, "differences" if "difference" in words else "rows")
-    return shown(table.column(column), found.get(column), words)
+    value = found.get(column)
+    for other in (word.removeprefix("minus=") for word in words if word.startswith("minus=")):
+        value, words = _first(value) - _first(table.row(other).get(column)), [*words, "difference"]
+    return shown(table.column(column), value, words)
+
+
+def _first(cell: Cell) -> float:
+    """The number of a cell."""
+    value = cell[0] if isinstance(cell, list) else cell
+    if not isinstance(value, int | float):
+        raise KeyError(f"minus= needs numbers (got {cell!r})")
+    return float(value)
 
 
 def shown(column: Column, cell: Cell, words: Sequence[str] = ()) -> str:

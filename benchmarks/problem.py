@@ -17,12 +17,12 @@ from getagrip.fitting.energy import PosesInCamera, no_bound
 from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
 from getagrip.fitting.observation import Observation, observe
 from getagrip.fitting.options import Options
-from getagrip.fitting.reconstruct import reconstruct
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
 from getagrip.metrics.symmetry import find_symmetries
 from getagrip.result import Reconstruction
+from getagrip.timelines.reconstruct import reconstruct
 
 CLIPS = (("mug", 0), ("pan", 0), ("kettle", 0), ("scissors", 0))
 """Category and seed: a hollow object with a handle, a large one, one of several parts, a thin one."""

@@ -28,8 +28,8 @@ README = store.ROOT / "README.md"
 PICTURES = store.ROOT / "docs/images"
 """Plots that a page shows; others stay where ``bench`` has drawn them."""
 MADE = re.compile(r"(?:; )?made (\d{4}-\d\d-\d\d)(?:, commit (\w+))?.*")
-SERIOUS = {check.name for check in (*INPUT_CHECKS, *RESULT_CHECKS) if check.serious}
-LABELLED = {metric.label: metric for metric in METRICS if metric.label}
+SERIOUS = {check.name for check in (*INPUT_CHECKS.values(), *RESULT_CHECKS.values()) if check.serious}
+LABELLED = {metric.label: metric for metric in METRICS.values() if metric.label}
 ALL, CATEGORIES = "all", "-categories"
 
 

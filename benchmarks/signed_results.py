@@ -22,11 +22,11 @@ from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.splits import Split, split
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_CAM, ADD_SYM_MM
-from getagrip.experiments.changes import AS_GIVEN, Noisy, OtherObject, ScaleFree
+from getagrip.experiments.changes import UNCHANGED, Noisy, OtherObject, ScaleFree
 from getagrip.experiments.sources.dexycb import DexYcb
 from getagrip.experiments.stamp import stamp
 from getagrip.fitting.options import Options
-from getagrip.fitting.reconstruct import reconstruct
+from getagrip.timelines.reconstruct import reconstruct
 
 EVERY: dict[Split, tuple[int, int]] = {"train": (1, 3), "validation": (2, 5)}
 """Of DexYCB's clips, and of the synthetic ones of each preset, every so many are used."""
@@ -42,7 +42,7 @@ def unseen_hand(clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
 
 
 CONDITIONS: dict[str, Change] = {
-    "as it is": AS_GIVEN,
+    "as it is": UNCHANGED,
     "moderate": Noisy(NOISE["moderate"]),
     "strong": Noisy(NOISE["strong"]),
     "estimated": Noisy(NOISE["estimated"]),

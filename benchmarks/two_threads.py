@@ -10,9 +10,9 @@ import numpy as np
 from benchmarks.problem import CLIPS, make
 from benchmarks.store import Table, of_cells
 from benchmarks.timing import timed
-from getagrip.fitting.reconstruct import reconstruct
 from getagrip.geometry.mesh import Mesh
 from getagrip.result import Reconstruction
+from getagrip.timelines.reconstruct import reconstruct
 
 REPEATS = 9
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import getagrip
-from getagrip.fitting.energy import PosesInCamera, Quadratic
+from getagrip.fitting.energy import Energy, PosesInCamera, Quadratic
 from getagrip.fitting.methods import METHODS, Method, OnStage
 from getagrip.fitting.methods.all_frames import soft_hinge
 from getagrip.fitting.problem import MethodResult, Problem
@@ -31,10 +31,15 @@ class AxisTerm:
         return Quadratic.of_squares(axis - self.measured, J, self.weight)
 
 
-def measured_soft_hinge(problem: Problem, on_stage: OnStage) -> MethodResult:
-    """The soft hinge with one term more. The sensor is the ground truth, 2 degrees off."""
+def sensor(problem: Problem) -> Energy:
+    """The term in the frames of a problem. The sensor is the ground truth, 2 degrees off."""
     axis = problem.clip.truth.T_cam_obj[:, :3, 2] + np.random.default_rng(0).normal(0.0, np.radians(2.0), 3)
-    return soft_hinge(problem, on_stage, more=lambda level, frames: [AxisTerm(axis[frames], 3e4)])
+    return lambda level, frames: [AxisTerm(axis[frames], 3e4)]
+
+
+def measured_soft_hinge(problem: Problem, on_stage: OnStage) -> MethodResult:
+    """The soft hinge with one term more, in every frame."""
+    return soft_hinge(problem, on_stage, more=sensor)
 
 
 if __name__ == "__main__":

@@ -23,10 +23,10 @@ COLUMNS = "92"
 
 def commands() -> Iterator[str]:
     """Every command that has a help of its own, as it is typed behind ``getagrip``."""
-    from getagrip.commands.datasets import Imports
+    from getagrip.commands.datasets import subcommands
     from getagrip.commands.figure import Figures
 
-    return _names(cli.commands(Imports, Figures), "")
+    return _names(cli.commands(subcommands(), Figures), "")
 
 
 def _names(union: Any, before: str) -> Iterator[str]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.least_squares import Ending, Rules, arrow_step, damped, minimise
+from getagrip.least_squares import Arrow, Ending, Rules, damped, minimise
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def test_the_arrow_step_is_that_of_the_dense_system(S: int, L: int, tied: bool) 
     g = rng.normal(size=(B, S + N * L))
     blocks = dense[:, S:, S:].reshape(B, N, L, N, L)
     n = np.arange(N)
-    shared, local = arrow_step(
+    arrow = Arrow(
         H_ss=dense[:, :S, :S],
         H_sl=np.swapaxes(dense[:, :S, S:].reshape(B, S, N, L), 1, 2),
         H_ll=np.swapaxes(blocks[:, n, :, n], 0, 1),
@@ -78,6 +78,7 @@ def test_the_arrow_step_is_that_of_the_dense_system(S: int, L: int, tied: bool) 
         g_l=g[:, S:].reshape(B, N, L),
         cross=extra if tied else None,
     )
+    shared, local = arrow.solved()
     expected = -np.linalg.solve(dense, g[..., None])[..., 0]
     np.testing.assert_allclose(np.concatenate([shared, local.reshape(B, -1)], axis=1), expected, atol=1e-10)
 
@@ -87,3 +88,52 @@ def test_damping_raises_the_diagonal_alone() -> None:
     raised = damped(H, np.array([0.0, 2.0]), floor=1.0) - H
     np.testing.assert_array_equal(raised[0], 0.0)
     np.testing.assert_allclose(raised[1], np.diag(2.0 * (np.diag(H[1]) + 1.0)))
+
+
+@pytest.mark.parametrize("tied", [0, 2])
+def test_parameters_that_are_not_tied_are_eliminated(tied: int) -> None:
+    rng = np.random.default_rng(4)
+    B, N, S, L = 2, 3, 2, 4
+    J, g = rng.normal(size=(B, N, 20, S + L)), rng.normal(size=(B, N, S + L))
+    between = np.zeros((B, N, L, N, L))
+    root = rng.normal(size=(B, 20, N * tied))
+    between[:, :, :tied, :, :tied] = (np.swapaxes(root, -1, -2) @ root).reshape(B, N, tied, N, tied)
+    n = np.arange(N)
+    between[:, n, :, n] = 0.0
+    alone = Arrow.of(np.swapaxes(J, -1, -2) @ J, g, slice(S), slice(S, None)).plus(H_ll=100.0 * np.eye(L))
+    arrow = replace(alone, cross=between)
+    for found, expected in zip(arrow.solved(), arrow._solved_together(between), strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-10)
+
+
+@pytest.mark.parametrize("tied", [False, True])
+def test_a_system_by_parameters_is_that_of_the_stacked_jacobian(tied: bool) -> None:
+    rng = np.random.default_rng(2)
+    B, N, P, S, L = 2, 3, 5, 2, 3
+    J, g = rng.normal(size=(B, N, P, S + L)), rng.normal(size=(B, N, P))
+    root = rng.normal(size=(B, 40, N * P))
+    whole = (np.swapaxes(root, 1, 2) @ root).reshape(B, N, P, N, P)
+    n = np.arange(N)
+    H = np.swapaxes(whole[:, n, :, n], 0, 1)
+    cross = whole.copy() if tied else np.zeros_like(whole)
+    cross[:, n, :, n] = 0.0
+    all_J = np.zeros((B, N, P, S + N * L))
+    all_J[..., :S] = J[..., :S]
+    for k in range(N):
+        all_J[:, k, :, S + k * L : S + (k + 1) * L] = J[:, k, :, S:]
+    flat, dense = all_J.reshape(B, N * P, -1), cross.copy()
+    dense[:, n, :, n] += np.swapaxes(H, 0, 1)
+    A = np.swapaxes(flat, 1, 2) @ dense.reshape(B, N * P, N * P) @ flat
+    expected = -np.linalg.solve(A, np.swapaxes(flat, 1, 2) @ g.reshape(B, N * P, 1))[..., 0]
+    shared, own = Arrow.by(J, S, H, g, cross if tied else None).solved()
+    np.testing.assert_allclose(np.concatenate([shared, own.reshape(B, -1)], axis=1), expected, atol=1e-8)
+
+
+def test_a_shared_part_of_the_same_numbers() -> None:
+    """With a prior on both parts, the sum of the two is what a frame alone asks for, drawn to the others."""
+    rng = np.random.default_rng(3)
+    H, g = np.tile(np.eye(2), (1, 4, 1, 1)), rng.normal(size=(1, 4, 2))
+    loose, stiff = 1e-6 * np.eye(2), 1e6 * np.eye(2)
+    shared, own = Arrow.of(H, g, slice(2), slice(2)).plus(H_ss=loose, H_ll=stiff).solved()
+    np.testing.assert_allclose(shared, -g.mean(axis=1), rtol=1e-5)
+    np.testing.assert_allclose(own, 0.0, atol=1e-5)

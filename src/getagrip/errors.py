@@ -11,7 +11,7 @@ LONGEST = 500
 
 
 def cleaned(text: str, kept: str = "") -> str:
-    """A text that moves no cursor and colours nothing on a terminal: what is not printable is escaped, as Python does.
+    """Escape unprintable characters, as Python does, so that a text moves no cursor and colours nothing on a terminal.
 
     ``kept`` are characters that stay as they are.
     """
@@ -21,7 +21,7 @@ def cleaned(text: str, kept: str = "") -> str:
 
 
 def legible(text: str) -> str:
-    """A text that a page or a table can hold: bytes of file names that are no UTF-8 become replacement characters."""
+    """Replace bytes of file names that are no UTF-8, so that a page or a table can hold the text."""
     return "".join("\ufffd" if "\ud800" <= letter <= "\udfff" else letter for letter in text)
 
 
@@ -34,7 +34,7 @@ class UsageError(GetagripError):
 
 
 def unknown(what: str, got: object, known: Iterable[object]) -> UsageError:
-    """The error for a name that is none of those known."""
+    """Make the error for a name that is none of those known."""
     return UsageError(f"unknown {what} {got!r}; choose from {', '.join(map(str, known))}")
 
 
@@ -52,11 +52,11 @@ class InputError(GetagripError):
 
 
 ABSENT = ("nothing", "no such key", "no such array")
-"""What is given where something is missing that has a name."""
+"""Values given where something that has a name is missing."""
 
 
 def _wrong(key: str, got: str, expected: str) -> str:
-    """What is wrong with a file, behind its name."""
+    """Return the second half of a message about a file: the key, the value and what is expected."""
     verb = "needs" if re.match(r"some\b|one (at least|for each)", expected) else "must be"
     named = f": {key}" if key else ""
     if got in ABSENT or got.startswith("no "):

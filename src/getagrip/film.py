@@ -16,7 +16,7 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 from scipy.spatial import ConvexHull, QhullError
 
-from getagrip.fitting.methods import method_of
+from getagrip.fitting.methods import label_of
 from getagrip.geometry import se3
 from getagrip.geometry.render import nearest_surface, render_rgb
 from getagrip.io.videos import write_video
@@ -93,9 +93,9 @@ def _timeline(view: View) -> Iterator[UInt8[ndarray, "H W 3"]]:
 
 
 def _under(view: View) -> Iterator[str]:
-    """The line of words under each frame."""
+    """Yield the line of words under each frame."""
     result, clip = view.result, view.clip
-    shared = [method_of(result.method).label, *["scale is a guess"] * (clip.scale == "free")]
+    shared = [label_of(result.method), *["scale is a guess"] * (clip.scale == "free")]
     shared += ["shape is a guess"] * (result.warp is not None)
     shared += ["ambiguous"] * result.ambiguous
     for name, kind in zip(result.frames, result.frame_kind, strict=True):
@@ -103,7 +103,7 @@ def _under(view: View) -> Iterator[str]:
 
 
 def _words(words: str) -> UInt8[ndarray, "STRIP W 3"]:
-    """A line of words, cut where it is too long."""
+    """Draw a line of words, cut where it is too long."""
     from PIL import Image, ImageDraw
 
     strip = Image.new("RGB", (2 * SIDE, STRIP), "white")
@@ -122,12 +122,12 @@ class Stage:
     size: int
     up: Float[ndarray, "3"] | None
     height: float | None
-    """Of the ground along ``up`` [m]."""
+    """Height of the ground along ``up`` [m]."""
     ground: tuple[Mesh3, ...]
 
     @staticmethod
     def of(view: View, size: int) -> Stage:
-        """A stage on which all frames of a view are seen. The clip has a world."""
+        """Make a stage on which all frames of a view are visible. The clip has a world."""
         world = view.clip.world
         assert world is not None
         frames = range(len(view.result.frames))
@@ -147,7 +147,7 @@ class Stage:
         return Stage(view, T_eye_world, K, size, world.up, height, ground)
 
     def picture(self, n: int) -> UInt8[ndarray, "size size 3"]:
-        """Hands and object in frame ``n``, with their shadows."""
+        """Draw hands and object in frame ``n``, with their shadows."""
         view = self.view
         T = self.T_eye_world @ view.clip.world.T_world_cam[n]  # type: ignore[union-attr]
         hands, grasped = view.hands(n), view.object(n)
@@ -160,7 +160,7 @@ class Stage:
         return render_rgb(meshes, self.K, (self.size, self.size), PAPER_RGB)
 
     def _shadow(self, vertices: Float[ndarray, "V 3"]) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"]]:
-        """The hull of some points, straight below them on the ground."""
+        """Return the hull of some points, straight below them on the ground."""
         assert self.up is not None
         assert self.height is not None
         flat = vertices - (vertices @ self.up - self.height - LIFTED)[:, None] * self.up
@@ -183,8 +183,11 @@ def _axes(up: Float[ndarray, "3"]) -> Float[ndarray, "2 3"]:
 def _eyes(
     T_world_cam: Float[ndarray, "T 4 4"], up: Float[ndarray, "3"] | None, middle: Float[ndarray, "3"], reach: float
 ) -> Iterator[Float[ndarray, "4 4"]]:
-    """The world before an eye that looks at its middle: as the clip's camera does or, where up is known, from several
-    sides, upright and down on the ground. ``reach``: how far from the middle there is anything to see [m]."""
+    """Yield the poses of the eyes that look at the world's middle.
+
+    An eye looks as the clip's camera does or, where up is known, from several sides, upright and down on the ground.
+    ``reach``: how far from the middle there is anything to see [m].
+    """
     back = se3.rigid(None, np.array([0.0, 0.0, 2.5 * reach]))
     if up is None:
         R = T_world_cam[len(T_world_cam) // 2, :3, :3].T
@@ -218,7 +221,7 @@ def _shown(view: View, T_eye_world: Float[ndarray, "4 4"]) -> float:
 
 
 def _height(view: View) -> float | None:
-    """Of the ground: as the clip says, else of the lowest point of an object that lies still."""
+    """Return the height of the ground: the clip's, else that of the lowest point of an object that lies still."""
     clip = view.clip
     world = clip.world
     assert world is not None
@@ -232,7 +235,7 @@ def _height(view: View) -> float | None:
 
 
 def _ground(seen: Float[ndarray, "n 3"], right: Float[ndarray, "3"], up: Float[ndarray, "3"], height: float) -> Mesh3:
-    """A chequered ground below what is seen and around it, its squares along ``right``."""
+    """Make a chequered ground below and around what is visible, its squares along ``right``."""
     across = np.stack([right, np.cross(up, right)])
     at = seen @ across.T
     low, high = at.min(axis=0), at.max(axis=0)
@@ -249,7 +252,7 @@ def _ground(seen: Float[ndarray, "n 3"], right: Float[ndarray, "3"], up: Float[n
 
 
 def segment_bar(view: View, n: int, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
-    """The segments of a view in their colours and words, frame ``n`` marked; width and height in pixels."""
+    """Draw the segments of a view in their colours and words, frame ``n`` marked; width and height in pixels."""
     from PIL import Image, ImageDraw
 
     width, height = size
@@ -271,7 +274,7 @@ def segment_bar(view: View, n: int, size: tuple[int, int]) -> UInt8[ndarray, "H 
 
 
 def captioned(picture: UInt8[ndarray, "H W 3"], words: str) -> UInt8[ndarray, "H W 3"]:
-    """A picture with words in its upper left corner."""
+    """Draw words in the upper left corner of a picture."""
     from PIL import Image, ImageDraw
 
     image = Image.fromarray(picture)
@@ -281,7 +284,7 @@ def captioned(picture: UInt8[ndarray, "H W 3"], words: str) -> UInt8[ndarray, "H
 
 
 def font(size: int) -> FreeTypeFont:
-    """The project's letters, so high in pixels."""
+    """Load the project's font at a height in pixels."""
     from matplotlib import get_data_path
     from PIL import ImageFont
 

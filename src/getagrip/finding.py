@@ -1,4 +1,4 @@
-"""What a check has found to be unusual about a clip or a result."""
+"""Findings of the checks: unusual properties of a clip or a result."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from getagrip.io.files import Json, shown
 
 @dataclass(frozen=True)
 class Finding:
-    """What a check has found to be unusual (docs/checks.md).
+    """An unusual property of a clip or a result that a check found (docs/checks.md).
 
     Attributes:
         check: name of the check.
@@ -38,7 +38,7 @@ KINDS: dict[str, tuple[type, ...]] = {
 
 
 def read_findings(path: Path, value: Sequence[Json]) -> tuple[Finding, ...]:
-    """The findings of a ``result.json``. Raises ``InputError``."""
+    """Read the findings of a ``result.json``. Raises ``InputError``."""
     for n, item in enumerate(value):
         if not isinstance(item, dict) or not all(isinstance(item.get(key), kind) for key, kind in KINDS.items()):
             raise InputError(path, f"findings[{n}]", shown(item), f"an object with {', '.join(KINDS)}")
@@ -46,7 +46,10 @@ def read_findings(path: Path, value: Sequence[Json]) -> tuple[Finding, ...]:
 
 
 def read_checks(path: Path, entry: Mapping[str, object], key: str = "checks") -> dict[str, float]:
-    """Measured values by name, as the ``key`` of a ``result.json`` has them; NaN for null. Raises ``InputError``."""
+    """Read measured values by name, as the ``key`` of a ``result.json`` has them; NaN for null.
+
+    Raises ``InputError``.
+    """
     out = {}
     for name, value in entry.items():
         if isinstance(value, bool) or not isinstance(value, int | float | None):

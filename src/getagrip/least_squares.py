@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt, once for all: the damping loop over problems side by side, and the block-arrow step.
+"""Levenberg-Marquardt, once for all: the damping loop over problems side by side, and the block-arrow system.
 
 What is minimised is the caller's: anything that has a cost, can be tried at a damped step, and can take over the trials
 that were better.
@@ -6,7 +6,7 @@ that were better.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Generic, Protocol, Self, TypeVar
 
@@ -22,11 +22,11 @@ class State(Protocol):
     def cost(self) -> Float[ndarray, "B"]: ...
 
     def trial(self, active: Int[ndarray, "n"], damping: Float[ndarray, "n"]) -> Self:
-        """The active problems alone, each after a step with its damping."""
+        """Return the active problems alone, each after a step with its damping."""
         ...
 
     def accept(self, trial: Self, active: Int[ndarray, "n"], better: Bool[ndarray, "n"]) -> Self:
-        """All problems, with the better ones of the active problems' trials in place."""
+        """Replace the active problems whose trial is better by their trial."""
         ...
 
 
@@ -36,8 +36,8 @@ S = TypeVar("S", bound=State)
 class Ending(Enum):
     """Why a problem's iterations ended."""
 
-    LOST = "its cost was not finite to begin with"
-    CONVERGED = "steps gain next to nothing"
+    LOST = "the initial cost was not finite"
+    CONVERGED = "further steps gain almost nothing"
     STUCK = "no step lowers the cost"
     LIMIT = "the limit of iterations"
 
@@ -69,7 +69,7 @@ class Rules:
 
 @dataclass(frozen=True)
 class Minimum(Generic[S]):
-    """Where the iterations led.
+    """The result of the iterations.
 
     Attributes:
         state: the state of least cost that was found.
@@ -86,7 +86,7 @@ DEFAULT = Rules()
 
 
 def minimise(state: S, iterations: int, rules: Rules = DEFAULT) -> Minimum[S]:
-    """Take every problem downhill, for at most so many iterations of one evaluation each."""
+    """Minimise every problem, in at most ``iterations`` iterations of one evaluation each."""
     B = len(state.cost)
     damping = np.full(B, rules.damping)
     rejected, small = np.zeros(B, int), np.zeros(B, int)
@@ -117,7 +117,7 @@ def minimise(state: S, iterations: int, rules: Rules = DEFAULT) -> Minimum[S]:
 
 
 def damped(H: Float[ndarray, "*batch n n"], damping: ndarray, floor: float = 0.0) -> Float[ndarray, "*batch n n"]:
-    """A Hessian with its diagonal raised in proportion; ``floor`` is added to directions that the cost does not see.
+    """Raise a Hessian's diagonal in proportion; ``floor`` is added to directions that the cost does not see.
 
     ``damping`` has the batch's axes, or some axes of length 1 in their place.
     """
@@ -125,50 +125,155 @@ def damped(H: Float[ndarray, "*batch n n"], damping: ndarray, floor: float = 0.0
     return np.asarray(H + diagonal[..., None] * np.eye(H.shape[-1]))
 
 
-def arrow_step(
-    H_ss: Float[ndarray, "B S S"],
-    H_sl: Float[ndarray, "B N S L"],
-    H_ll: Float[ndarray, "B N L L"],
-    g_s: Float[ndarray, "B S"],
-    g_l: Float[ndarray, "B N L"],
-    cross: Float[ndarray, "B N L N L"] | None = None,
-) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
-    """Solve the block-arrow normal equations for the step of S shared parameters and of L in each of N frames.
+@dataclass(frozen=True)
+class Arrow:
+    """Block-arrow normal equations: S parameters that all frames share, and L of each of N frames, in B problems.
 
-    Frames that know of each other only through what is shared are eliminated (Schur complement). Where ``cross``, the
-    Hessian between frames, ties them, the system is solved as it is.
+    Attributes:
+        H_ss: Hessian by the shared parameters.
+        H_sl: by the shared parameters and each frame's own.
+        H_ll: by each frame's own.
+        g_s, g_l: gradients.
+        cross: Hessian between the frames' own parameters, where terms tie frames to each other; ``[:, n, :, n]`` is
+            added to ``H_ll``.
     """
-    if cross is not None:
-        return _tied_step(H_ss, H_sl, H_ll, g_s, g_l, cross)
-    S, L = g_s.shape[-1], g_l.shape[-1]
-    if L == 0:
-        return -np.linalg.solve(H_ss, g_s[..., None])[..., 0], np.zeros_like(g_l)
-    right = np.concatenate([np.swapaxes(H_sl, -1, -2), g_l[..., None]], axis=-1)
-    solved = right / H_ll if L == 1 else np.linalg.solve(H_ll, right)
-    schur = H_ss - (H_sl @ solved[..., :S]).sum(axis=1)
-    reduced = g_s - (H_sl @ solved[..., S:]).sum(axis=1)[..., 0]
-    shared = -np.linalg.solve(schur, reduced[..., None])[..., 0] if S else np.zeros_like(g_s)
-    return shared, -(solved[..., S] + (solved[..., :S] @ shared[:, None, :, None])[..., 0])
+
+    H_ss: Float[ndarray, "B S S"]
+    H_sl: Float[ndarray, "B N S L"]
+    H_ll: Float[ndarray, "B N L L"]
+    g_s: Float[ndarray, "B S"]
+    g_l: Float[ndarray, "B N L"]
+    cross: Float[ndarray, "B N L N L"] | None = None
+
+    @staticmethod
+    def of(H: Float[ndarray, "B N P P"], g: Float[ndarray, "B N P"], shared: slice, own: slice) -> Arrow:
+        """Sum frames' equations by P numbers each, some of which are shared.
+
+        The slices may be one and the same: each frame's numbers are then a shared part plus its own.
+        """
+        H_ss, g_s = H[..., shared, shared].sum(axis=1), g[..., shared].sum(axis=1)
+        return Arrow(H_ss, H[..., shared, own], H[..., own, own], g_s, g[..., own])
+
+    @staticmethod
+    def by(
+        J: Float[ndarray, "B N P Q"],
+        S: int,
+        H: Float[ndarray, "B N P P"],
+        g: Float[ndarray, "B N P"],
+        cross: Float[ndarray, "B N P N P"] | None,
+    ) -> Arrow:
+        """Transform to Q parameters, S shared ones first, on which the P numbers of each frame depend by J."""
+        Jt = np.swapaxes(J, -1, -2)
+        alone = Arrow.of(Jt @ (H @ J), (Jt @ g[..., None])[..., 0], slice(S), slice(S, None))
+        if cross is None:
+            return alone
+        tied = cross.any(axis=(0, 1, 3, 4))  # of a long vector, often a part
+        if not tied.all():
+            J, cross = J[..., tied, :], cross[:, :, tied][..., tied]
+        ss, sl, ll = _between_frames(cross, J[..., :S], J[..., S:])
+        return replace(alone, H_ss=alone.H_ss + ss, H_sl=alone.H_sl + sl, cross=ll)
+
+    def plus(
+        self,
+        H_ss: ndarray | None = None,
+        g_s: ndarray | None = None,
+        H_ll: ndarray | None = None,
+        g_l: ndarray | None = None,
+        cross: ndarray | None = None,
+    ) -> Arrow:
+        """Add priors on the parameters, of shapes that broadcast to those of the fields."""
+        if cross is not None and self.cross is None:
+            cross = np.broadcast_to(cross, (len(self.g_l), *cross.shape))
+        return replace(
+            self,
+            H_ss=self.H_ss if H_ss is None else self.H_ss + H_ss,
+            g_s=self.g_s if g_s is None else self.g_s + g_s,
+            H_ll=self.H_ll if H_ll is None else self.H_ll + H_ll,
+            g_l=self.g_l if g_l is None else self.g_l + g_l,
+            cross=cross if self.cross is None else self.cross if cross is None else self.cross + cross,
+        )
+
+    def step(
+        self, damping: Float[ndarray, "B"], floor: float = 0.0
+    ) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
+        """Solve for the damped step of the shared parameters and of each frame's own (``damped``)."""
+        H_ss, H_ll = damped(self.H_ss, damping, floor), damped(self.H_ll, damping[:, None], floor)
+        return replace(self, H_ss=H_ss, H_ll=H_ll).solved()
+
+    def solved(self) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
+        """Solve for the step to where the gradient is zero.
+
+        Frames that know of each other only through what is shared are eliminated (Schur complement). Where ``cross``
+        ties them, parameters that it does not touch are eliminated, and the rest is solved as it is.
+        """
+        if self.cross is not None:
+            tied = np.asarray(self.cross.any(axis=(0, 1, 3, 4)))
+            return self._solved_together(self.cross) if tied.all() else self._loose_first(self.cross, tied)
+        H_sl, g_s, g_l = self.H_sl, self.g_s, self.g_l
+        S, L = g_s.shape[-1], g_l.shape[-1]
+        if L == 0:
+            return -np.linalg.solve(self.H_ss, g_s[..., None])[..., 0], np.zeros_like(g_l)
+        right = np.concatenate([np.swapaxes(H_sl, -1, -2), g_l[..., None]], axis=-1)
+        solved = right / self.H_ll if L == 1 else np.linalg.solve(self.H_ll, right)
+        schur = self.H_ss - (H_sl @ solved[..., :S]).sum(axis=1)
+        reduced = g_s - (H_sl @ solved[..., S:]).sum(axis=1)[..., 0]
+        shared = -np.linalg.solve(schur, reduced[..., None])[..., 0] if S else np.zeros_like(g_s)
+        return shared, -(solved[..., S] + (solved[..., :S] @ shared[:, None, :, None])[..., 0])
+
+    def _loose_first(
+        self, cross: Float[ndarray, "B N L N L"], tied: Bool[ndarray, "L"]
+    ) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
+        """The step where some of each frame's parameters are tied to other frames and some are not."""
+        H_st, H_su = self.H_sl[..., tied], self.H_sl[..., ~tied]
+        H_tu, H_uu = self.H_ll[..., tied, :][..., ~tied], self.H_ll[..., ~tied, :][..., ~tied]
+        columns = [np.swapaxes(H_su, -1, -2), np.swapaxes(H_tu, -1, -2), self.g_l[..., ~tied, None]]
+        S, solved = len(self.g_s[0]), np.linalg.solve(H_uu, np.concatenate(columns, axis=-1))
+        by_s, by_t, by_u = solved[..., :S], solved[..., S:-1], solved[..., -1:]
+        shared, own = Arrow(
+            self.H_ss - (H_su @ by_s).sum(axis=1),
+            H_st - H_su @ by_t,
+            self.H_ll[..., tied, :][..., tied] - H_tu @ by_t,
+            self.g_s - (H_su @ by_u).sum(axis=1)[..., 0],
+            self.g_l[..., tied] - (H_tu @ by_u)[..., 0],
+            cross[:, :, tied][..., tied],
+        ).solved()
+        step = np.empty_like(self.g_l)
+        step[..., tied] = own
+        step[..., ~tied] = -(by_u + by_s @ shared[:, None, :, None] + by_t @ own[..., None])[..., 0]
+        return shared, step
+
+    def _solved_together(
+        self, cross: Float[ndarray, "B N L N L"]
+    ) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
+        """Solve for the step where frames are tied to each other: nothing can be eliminated."""
+        B, N, L = self.g_l.shape
+        S = self.g_s.shape[1]
+        n = np.arange(N)
+        A = np.empty((B, S + N * L, S + N * L))
+        A[:, :S, :S] = self.H_ss
+        A[:, :S, S:] = np.swapaxes(self.H_sl, 1, 2).reshape(B, S, N * L)
+        A[:, S:, :S] = np.swapaxes(A[:, :S, S:], 1, 2)
+        blocks = cross.copy()
+        blocks[:, n, :, n] += np.swapaxes(self.H_ll, 0, 1)
+        A[:, S:, S:] = blocks.reshape(B, N * L, N * L)
+        g = np.concatenate([self.g_s, self.g_l.reshape(B, N * L)], axis=1)
+        step = -np.linalg.solve(A, g[..., None])[..., 0]
+        return step[:, :S], step[:, S:].reshape(B, N, L)
 
 
-def _tied_step(
-    H_ss: Float[ndarray, "B S S"],
-    H_sl: Float[ndarray, "B N S L"],
-    H_ll: Float[ndarray, "B N L L"],
-    g_s: Float[ndarray, "B S"],
-    g_l: Float[ndarray, "B N L"],
-    cross: Float[ndarray, "B N L N L"],
-) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
-    """The step where frames are tied to each other: nothing can be eliminated."""
-    B, N, L = g_l.shape
-    S = g_s.shape[1]
-    n = np.arange(N)
-    A = np.empty((B, S + N * L, S + N * L))
-    A[:, :S, :S] = H_ss
-    A[:, :S, S:] = np.swapaxes(H_sl, 1, 2).reshape(B, S, N * L)
-    A[:, S:, :S] = np.swapaxes(A[:, :S, S:], 1, 2)
-    blocks = cross.copy()
-    blocks[:, n, :, n] += np.swapaxes(H_ll, 0, 1)
-    A[:, S:, S:] = blocks.reshape(B, N * L, N * L)
-    step = -np.linalg.solve(A, np.concatenate([g_s, g_l.reshape(B, N * L)], axis=1)[..., None])[..., 0]
-    return step[:, :S], step[:, S:].reshape(B, N, L)
+def _between_frames(
+    cross: Float[ndarray, "B N P N P"], J_s: Float[ndarray, "B N P S"], J_l: Float[ndarray, "B N P L"]
+) -> tuple[Float[ndarray, "B S S"], Float[ndarray, "B N S L"], Float[ndarray, "B N L N L"]]:
+    """Compute the Hessian between frames.
+
+    ``sum_ij Js_i^T A_ij Js_j``, ``sum_i Js_i^T A_ij Jl_j``, ``Jl_i^T A_ij Jl_j``.
+    """
+    B, N, P, S = J_s.shape
+    L = J_l.shape[-1]
+    flat, tall = cross.reshape(B, N * P, N * P), J_s.reshape(B, N * P, S)
+    right = flat @ tall
+    ss = np.swapaxes(tall, -1, -2) @ right
+    sl = np.swapaxes(right.reshape(B, N, P, S), -1, -2) @ J_l
+    right = np.swapaxes(flat.reshape(B, N * P, N, P), 1, 2) @ J_l  # (B, j, i P, L)
+    right = np.swapaxes(right, 1, 2).reshape(B, N, P, N * L)
+    return ss, sl, (np.swapaxes(J_l, -1, -2) @ right).reshape(B, N, L, N, L)

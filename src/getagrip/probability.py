@@ -9,7 +9,7 @@ from getagrip.errors import InputError
 from getagrip.io.files import shown
 
 RIGHT = "right if the mean vertex distance is below 10 % of the diameter"
-"""What is meant, in short, where a probability is shown; ``Probability.meaning`` says it at length."""
+"""The meaning, in short, where a probability is shown; ``Probability.meaning`` says it at length."""
 
 LEAST = 0.01
 """Nearer to 0 or 1 than this, no number is shown: the calibration does not tell them apart."""
@@ -34,7 +34,7 @@ class Probability:
 
 
 def percent(value: float) -> str:
-    """A probability, 0 to 1, in words: it is never so sure as 0 or 100 %."""
+    """Write a probability, 0 to 1, as a percentage: never 0 % or 100 %."""
     if value < LEAST or value > 1.0 - LEAST:
         return "< 1 %" if value < LEAST else "> 99 %"
     return f"{100.0 * value:.0f} %"
@@ -44,7 +44,7 @@ KINDS: dict[str, tuple[type, ...]] = {"value": (int, float), "meaning": (str,), 
 
 
 def read_probability(path: Path, value: object, key: str = "probability_right") -> Probability | None:
-    """That of a ``result.json`` under a key; None for null. Raises ``InputError``."""
+    """Read the probability under a key of a ``result.json``; None for null. Raises ``InputError``."""
     if value is None:
         return None
     if (

@@ -1,4 +1,4 @@
-"""Where the data of a clip comes from, and how far it can be relied on."""
+"""Provenance: the source of each part of a clip's data, and how far it can be relied on."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TYPED = 4
 
 @dataclass(frozen=True)
 class Source:
-    """Where something comes from, in words, and its basis.
+    """The source of a value, in words, and its basis.
 
     Attributes:
         text: the words.
@@ -43,56 +43,56 @@ Provenance = dict[str, Any]
 
 
 def measured(text: str) -> Source:
-    """The source of what a sensor, the ground truth or the user says."""
+    """Make the source of a sensor's, the ground truth's or the user's value."""
     return Source(text)
 
 
 def assumed(text: str) -> Source:
-    """The source of a guess."""
+    """Make the source of an assumption."""
     return Source(text, "assumed")
 
 
 def estimated(text: str) -> Source:
-    """The source of what an algorithm has found."""
+    """Make the source of an algorithm's result."""
     return Source(text, "estimated")
 
 
 def is_assumed(source: object) -> bool:
-    """Whether a value of a provenance is a guess."""
+    """Return whether a value of a provenance is assumed."""
     return isinstance(source, Source) and source.basis == "assumed"
 
 
 def assumptions(provenance: Mapping[str, object]) -> dict[str, str]:
-    """The guesses in a provenance: their texts by topic."""
+    """Return the texts of the assumptions in a provenance, by topic."""
     return {topic: str(source) for topic, source in provenance.items() if is_assumed(source)}
 
 
 def joined(sources: Iterable[Source]) -> Source:
-    """Several sources as one, as weak as the weakest of them."""
+    """Join several sources to one, as weak as the weakest of them."""
     each = tuple(dict.fromkeys(sources))
     weakest = max((source.basis for source in each), key=get_args(Basis).index)
     return Source("; ".join(dict.fromkeys(source.text for source in each)), weakest)
 
 
 def warn_of(topic: str, source: object) -> str:
-    """A line that says where something comes from, marked as a warning where it is a guess."""
+    """Return a line that names the source of something, marked as a warning where it is assumed."""
     return f"{'warning: ' if is_assumed(source) else ''}{topic}: {source}"
 
 
 def as_arrays(provenance: Mapping[str, object]) -> dict[str, ndarray]:
-    """The sources, for a hand file: the text of each, and the basis of those that are not measured."""
+    """Convert the sources to arrays of a hand file: the text of each, and the basis of those that are not measured."""
     texts = {f"{TEXT}{topic}": np.array(str(source)) for topic, source in provenance.items()}
     sources = {topic: source for topic, source in provenance.items() if isinstance(source, Source)}
     return texts | {f"{BASIS}{topic}": np.array(source.basis) for topic, source in sources.items()}
 
 
 def of_provenance(key: str) -> bool:
-    """Whether an array of a hand file is one of ``as_arrays``."""
+    """Return whether an array of a hand file is one of ``as_arrays``."""
     return key.startswith((TEXT, BASIS))
 
 
 def from_arrays(path: Path, arrays: Mapping[str, ndarray]) -> dict[str, Source]:
-    """The sources in a hand file; one without a basis is an older file's. Raises ``InputError``."""
+    """Read the sources in a hand file; older files have no basis."""
     texts = {key: str(value) for key, value in arrays.items() if value.dtype.kind == "U" and value.shape == ()}
     out = {}
     for key, text in texts.items():
@@ -106,7 +106,7 @@ def from_arrays(path: Path, arrays: Mapping[str, ndarray]) -> dict[str, Source]:
 
 
 def parse(path: Path, entry: Mapping[str, Any], version: int) -> Provenance:
-    """The provenance in a ``clip.json``. Raises ``InputError`` for a basis that there is not."""
+    """Read the provenance in a ``clip.json``. Raises ``InputError`` for a basis that there is not."""
     return {topic: _parsed(path, topic, value, version) for topic, value in entry.items()}
 
 
@@ -122,5 +122,5 @@ def _parsed(path: Path, topic: str, value: Any, version: int) -> Any:
 
 
 def _of_old(value: Any) -> Any:
-    """What an older file says: guesses were marked as such by a word."""
+    """Convert an entry of an older file, in which a word marked assumptions."""
     return assumed(value) if isinstance(value, str) and "guess" in value.lower() else value

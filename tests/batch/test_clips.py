@@ -22,7 +22,7 @@ def test_a_batch_is_summed_up_by_its_probabilities() -> None:
     assert expected({"a": 0.95}, "right in the camera").startswith("about 1 of 1 are right in the camera, by")
     text = expected({"a": 0.9, "b": 0.4, "c": 0.1, "d": 0.6})
     assert text.startswith("about 2 of 4 are right")
-    assert text.endswith("the worst first: c, b")
+    assert text.endswith("worst first: c, b")
 
 
 def test_names_of_folders_move_no_cursor(clip_folder: Path, tmp_path: Path, run: Run) -> None:

@@ -60,7 +60,7 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[Callable[[Clip], None]]:
         given = json.loads(to_json(asdict(options)))
         return replace(perfect(clip), clip=clip.name, options=given, method=options.method, seed=options.seed)
 
-    monkeypatch.setattr("getagrip.fitting.reconstruct.reconstruct", fit)
+    monkeypatch.setattr("getagrip.timelines.reconstruct.reconstruct", fit)
     return meanwhile
 
 

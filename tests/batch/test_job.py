@@ -31,7 +31,7 @@ def test_a_result_that_another_run_made_meanwhile_is_kept(tmp_path: Path, monkey
         write_result(found, job.out, input_sha256(folder))  # the other run ends first
         return found
 
-    monkeypatch.setattr("getagrip.fitting.reconstruct.reconstruct", slow)
+    monkeypatch.setattr("getagrip.timelines.reconstruct.reconstruct", slow)
     outcome = reconstruct_one(job)
     assert outcome.state == "kept"
     assert outcome.findings == (DOUBT,)
@@ -48,7 +48,7 @@ def test_why_there_is_no_probability_is_said(
 ) -> None:
     scene = egg_and_mug()
     folder = write_clip(*scene, tmp_path / "clip")
-    monkeypatch.setattr("getagrip.fitting.reconstruct.reconstruct", lambda *_: perfect(scene[0]))
+    monkeypatch.setattr("getagrip.timelines.reconstruct.reconstruct", lambda *_: perfect(scene[0]))
     outcome = reconstruct_one(Job("egg-and-mug", folder, tmp_path / "out", options, overwrite=False))
     assert (outcome.state, f"{said}), " in outcome.message) == ("done", True)
     assert outcome.message.startswith("IOU ")

@@ -30,9 +30,9 @@ def start(out: Path, address: str) -> subprocess.Popen[str]:
     """A driver as a process, which prints what has become of the tasks."""
     code = (
         "from functools import partial; from pathlib import Path\n"
-        "from getagrip.batch.on_ray import RayCrew; from helpers.jobs import drive\n"
-        f"crew = partial(RayCrew, None, {address!r})\n"
-        f"print(*drive(Path({str(out)!r}), {COUNT}, 0.4, 1, crew), sep='\\n')"
+        "from getagrip.batch.on_ray import RayExecutor; from helpers.jobs import drive\n"
+        f"executor = partial(RayExecutor, None, {address!r})\n"
+        f"print(*drive(Path({str(out)!r}), {COUNT}, 0.4, 1, executor), sep='\\n')"
     )
     words = [sys.executable, "-c", code]
     return subprocess.Popen(words, env=import_path(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

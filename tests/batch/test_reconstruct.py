@@ -54,7 +54,7 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         given = json.loads(to_json(asdict(options)))
         return replace(perfect(clip), clip=clip.name, options=given, method=options.method, seed=options.seed)
 
-    monkeypatch.setattr("getagrip.fitting.reconstruct.reconstruct", fit)
+    monkeypatch.setattr("getagrip.timelines.reconstruct.reconstruct", fit)
     return names
 
 
@@ -97,7 +97,7 @@ def test_a_clip_that_changes_while_it_is_read_is_not_called_done(
             mesh.write_text(mesh.read_text() + "# edited\n")
         return perfect(clip, clip.name)
 
-    monkeypatch.setattr("getagrip.fitting.reconstruct.reconstruct", fit)
+    monkeypatch.setattr("getagrip.timelines.reconstruct.reconstruct", fit)
     status, printed, err = run("reconstruct", clips, "--out", tmp_path / "out")
     assert status == 1
     assert "2 done, 0 already done, 1 failed" in printed
@@ -267,7 +267,7 @@ def test_what_a_killed_writer_leaves_is_swept_and_what_it_was_replacing_returns(
     with new_folder(replaced) as new:
         for name in FILES:
             (new / name).touch()
-    assert "left behind by a process that has died" in run("reconstruct", clips, "--out", out)[2]
+    assert "unfinished work of a process that has died" in run("reconstruct", clips, "--out", out)[2]
     assert not left.exists()
     assert (out / "older" / FILES[0]).exists()
     assert not (out / "clip").exists()

@@ -29,7 +29,7 @@ def found(clip: Clip, masks: Masks, away: float = 0.0, misfit: float = np.nan) -
     T = se3.inverse(clip.hand.T_cam_hand) @ T_cam_obj
     iou = image_iou(clip, masks, T, clip.truth.scale)
     result = Evidence(clip, masks, T, clip.truth.scale, iou, misfit=misfit)
-    checks = [check for check in RESULT_CHECKS if "mask-" in check.name]
+    checks = [check for check in RESULT_CHECKS.values() if "mask-" in check.name]
     return {finding.check: finding for finding in examine(checks, result)[1]}
 
 

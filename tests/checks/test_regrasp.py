@@ -11,7 +11,7 @@ from getagrip.checks.regrasp import FEWEST, between, jump, steps
 from getagrip.geometry import se3
 from helpers.scenes import scene
 
-CHECK = [check for check in RESULT_CHECKS if check.name == "regrasp"]
+CHECK = [check for check in RESULT_CHECKS.values() if check.name == "regrasp"]
 
 
 def held(T_hand_obj: ndarray) -> Evidence:

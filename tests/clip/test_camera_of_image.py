@@ -19,7 +19,7 @@ def matrices(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
 @pytest.mark.parametrize(
     "K", [(600, 600, 320, 240), (614, 613, 312.4, 241.6), (900, 900, 300, 262), (5000, 5000, 320, 240)]
 )
-def test_cameras_of_the_images_are_not_doubted(K: tuple[float, ...]) -> None:
+def test_cameras_of_the_images_are_not_flagged(K: tuple[float, ...]) -> None:
     assert camera_warning(matrices(*K), (640, 480)) == ""
 
 
@@ -36,7 +36,7 @@ def test_cameras_of_the_images_are_not_doubted(K: tuple[float, ...]) -> None:
         ((12500, 12500, 320, 240), "an estimator's own"),
     ],
 )
-def test_cameras_of_other_images_are_doubted_and_the_images_named(K: tuple[float, ...], words: str) -> None:
+def test_cameras_of_other_images_are_flagged_and_the_images_named(K: tuple[float, ...], words: str) -> None:
     assert words in camera_warning(matrices(*K), (640, 480))
 
 
@@ -52,10 +52,10 @@ def test_a_focal_length_in_millimetres_is_refused() -> None:
 
 def test_a_clip_with_such_a_camera_has_a_serious_finding() -> None:
     clip, masks = small_clip()
-    _, right = examine(INPUT_CHECKS, Evidence(clip, masks))
+    _, right = examine(INPUT_CHECKS.values(), Evidence(clip, masks))
     K = clip.K.copy()
     K[:, :2] *= 1.5
-    _, found = examine(INPUT_CHECKS, Evidence(replace(clip, K=K), masks))
+    _, found = examine(INPUT_CHECKS.values(), Evidence(replace(clip, K=K), masks))
     assert not {"principal-point", "field-of-view", "pixel-stretch"} & {one.check for one in right}
     (finding,) = (one for one in found if one.check == "principal-point")
     width, height = (round(1.5 * side) for side in clip.size)

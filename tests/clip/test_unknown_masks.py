@@ -22,7 +22,7 @@ def sparse(masks: Masks) -> Masks:
     """The same, some not known."""
     frames = [FrameMasks(*each) for each in zip(masks.object, masks.ignore, strict=True)]
     size = masks.object.shape[2], masks.object.shape[1]
-    return Masks.of(FrameMasks.unknown(size, False) if n in GONE else frame for n, frame in enumerate(frames))
+    return Masks.of(FrameMasks.unknown(size) if n in GONE else frame for n, frame in enumerate(frames))
 
 
 @pytest.fixture

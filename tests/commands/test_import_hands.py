@@ -187,7 +187,7 @@ def test_hands_need_a_place_to_go(made: Path, capsys: pytest.CaptureFixture[str]
 
 
 @pytest.mark.slow
-def test_hands_that_are_doubted_are_written_with_status_3(made: Path, run: Run) -> None:
+def test_hands_that_are_flagged_are_written_with_status_3(made: Path, run: Run) -> None:
     """They fit no hand, or most frames have none."""
     run(*new(made, "--interval", "3", "8", "--side", "right", "--focal", "60", "--mesh", "mug"))
     joints = np.tile(generic.load("right").with_shape().with_pose().joints + AHEAD, (6, 1, 1))

@@ -32,12 +32,12 @@ def test_the_clip_of_a_report_may_have_moved(run: Run, tmp_path: Path) -> None:
 def test_findings_are_evaluated_and_drawn(run: Run, tmp_path: Path) -> None:
     clip, masks = egg_and_mug()
     folder, _ = written((clip, masks), tmp_path)
-    doubted = replace(
+    flagged = replace(
         perfect(clip), findings=(Finding("contact-gap", True, 240.0, 15.0, "hand and object are 240 mm apart"),)
     )
-    result = write_result(doubted, tmp_path / "doubted", input_sha256(folder), clip_folder=folder)
+    result = write_result(flagged, tmp_path / "flagged", input_sha256(folder), clip_folder=folder)
     assert "serious: contact-gap: hand and object are 240 mm apart" in run("evaluate", result)[2]
-    words = [text.get_text() for text in report_figure(doubted, clip, masks).texts]
+    words = [text.get_text() for text in report_figure(flagged, clip, masks).texts]
     assert any("contact-gap: hand and object are 240 mm apart" in text for text in words)
 
 

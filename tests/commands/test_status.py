@@ -49,7 +49,7 @@ def interrupted(monkeypatch: pytest.MonkeyPatch) -> None:
         given = json.loads(to_json(asdict(options)))
         return replace(perfect(clip), clip=clip.name, options=given, method=options.method, seed=options.seed)
 
-    monkeypatch.setattr("getagrip.fitting.reconstruct.reconstruct", fit)
+    monkeypatch.setattr("getagrip.timelines.reconstruct.reconstruct", fit)
 
 
 def rows(out: Path) -> dict[str, list[str]]:

@@ -60,6 +60,7 @@ def test_a_hold_becomes_a_clip(root):
     assert masks.hand[3].any()
     assert not (masks.hand[3] & ~(masks.ignore[3] & drawn)).any()
     assert masks.object.shape == masks.ignore.shape == (12, 640, 640)
+    assert clip.provenance["bop"] == {"dataset": "hot3d", "split": "test-quest3", "camera": "gray1"}
     json.dumps(clip.provenance)
 
 

@@ -85,6 +85,7 @@ def test_a_number_is_cited_as_it_is_asked_for(two: Path) -> None:
     assert cite.fill(f"{{{{ {place} 0 unit interval }}}}") == "99 % [96, 100]"
     assert cite.fill(f"{{{{ {place} difference interval }}}}") == "+11.5 [−4.3, +20.0]"
     assert cite.fill(f"{{{{ {place} difference absolute 0 }}}} points") == "11 points"
+    assert cite.fill(f"{{{{ {place} minus=one-dof-2-5-px }}}}") == "+11.5"
     assert cite.fill("{{ two.one-dof-2-5-px.notes }}, {{ two.soft-hinge-2-5-px.notes }}") == "–, regrasp 2"
 
 

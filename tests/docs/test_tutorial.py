@@ -56,7 +56,7 @@ def test_the_demo_and_a_video_of_ones_own(tmp_path: Path, run: Run, monkeypatch:
     assert run(*words[1:])[0] == 0
     again = read_result(tmp_path / "out" / "demo" / clip_name(demo.CATEGORY, demo.SEED, scene_options.DEMO))[0]
     with monkeypatch.context() as patch:  # it can be run again; the same would be found and drawn
-        patch.setattr("getagrip.fitting.reconstruct.reconstruct", lambda *_, **__: again)
+        patch.setattr("getagrip.timelines.reconstruct.reconstruct", lambda *_, **__: again)
         patch.setattr("getagrip.pictures.report.write_report", lambda *given: given[3])
         patch.setattr("getagrip.pages.write_page", lambda *given: given[3])
         assert run(*words[1:])[0] == 0

@@ -27,7 +27,7 @@ from helpers.egg_and_mug import FRAMES, perfect, same, written
 
 CAM = {"add_success": "add_cam_success", "add_sym_mm": "add_sym_cam_mm", "add_sym_success": "add_sym_cam_success"}
 """Metrics of the object in the hand, and the same in the camera."""
-IN_BOTH = [metric for metric in METRICS if metric.name in {*CAM, *CAM.values()}]
+IN_BOTH = [metric for metric in METRICS.values() if metric.name in {*CAM, *CAM.values()}]
 
 
 @pytest.mark.slow
@@ -105,7 +105,7 @@ def test_the_hand_that_was_given_and_the_true_one_are_kept_apart(scene: tuple[Cl
     """The object is judged in the frame of the hand that was given, the truth in that of the true hand."""
     clip, _ = scene
     off = replace(clip.hand, T_cam_hand=clip.hand.T_cam_hand @ se3.rigid(t=np.array([0.01, 0.0, 0.0])))
-    in_hand = [metric for metric in METRICS if "_cam_" not in metric.name]
+    in_hand = [metric for metric in METRICS.values() if "_cam_" not in metric.name]
     metrics = ev.evaluate(perfect(clip), replace(clip, hand=off), None, wanted=in_hand).metrics
     same(metrics, ev.evaluate(perfect(clip), clip, None, wanted=in_hand).metrics)
 
@@ -247,7 +247,9 @@ def test_tables_fit_a_terminal_and_json_holds_what_they_show(scene: tuple[Clip, 
 
 
 def test_every_number_stands_in_the_table_once(scene: tuple[Clip, Masks]) -> None:
-    keys = [metric.key(d) for metric in METRICS for d in CONTACT_DEFINITIONS[: None if metric.by_contact else 1]]
+    keys = [
+        metric.key(d) for metric in METRICS.values() for d in CONTACT_DEFINITIONS[: None if metric.by_contact else 1]
+    ]
     assert len(set(keys)) == len(keys)
     out = ev.evaluate(perfect(scene[0]), *scene)
     assert {*out.metrics, *out.per_frame} <= {*keys}
@@ -260,6 +262,6 @@ def test_the_table_says_which_numbers_need_ground_truth(scene: tuple[Clip, Masks
         {key for numbers in (made.metrics, made.per_frame) for key in numbers}
         for made in (ev.evaluate(perfect(clip), of, masks) for of in (clip, replace(clip, truth=None)))
     )
-    needing = {metric.key(d) for metric in METRICS for d in CONTACT_DEFINITIONS if metric.needs_truth}
+    needing = {metric.key(d) for metric in METRICS.values() for d in CONTACT_DEFINITIONS if metric.needs_truth}
     assert known - blind == known & needing
     assert blind == known - needing

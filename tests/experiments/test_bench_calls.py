@@ -96,6 +96,8 @@ def words(text: str) -> str:
         ("bench", "clips", "DIR", "--out", "out", "--clips", "1"),
         ("bench", "--out", "out", "clips", "DIR", "--clips", "1"),
         ("bench", "clips", "--out", "out", "--clips", "1"),
+        ("bench", "--out", "out", "DIR", "--clips", "1"),
+        ("bench", "--clips", "1", "--out", "synthetic", "DIR"),
     ],
 )
 def test_a_folder_of_clips_needs_no_other_word(

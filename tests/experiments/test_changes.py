@@ -10,7 +10,7 @@ import pytest
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError
-from getagrip.experiments.changes import AS_GIVEN, ScaleFree, ScaleKnown, TrueHands
+from getagrip.experiments.changes import UNCHANGED, ScaleFree, ScaleKnown, TrueHands
 from helpers.scenes import SHORT, scene
 
 
@@ -23,7 +23,7 @@ def test_scale_made_free_and_known_again() -> None:
     assert 0.8 <= free.truth.scale <= 1.25
     known, _ = ScaleKnown()(free, masks, 0)
     np.testing.assert_allclose(known.mesh.vertices, clip.mesh.vertices, atol=1e-12)
-    assert AS_GIVEN(clip, masks, 0) == (clip, masks)
+    assert UNCHANGED(clip, masks, 0) == (clip, masks)
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from getagrip.experiments.comparison import COLUMNS, ERRORS, compare, groups
+from getagrip.experiments.comparison import columns, compare, error_columns, groups
 from getagrip.experiments.settings import ABLATIONS
 from getagrip.experiments.tables import (
     CATEGORIES,
@@ -27,14 +27,14 @@ from helpers.scores import score
 
 def test_the_papers_metrics_are_columns() -> None:
     shares = "IOU|ADD|ADD sym.|SCA|truth's SCA|SCA-ADD|SCA-ADD sym.|SCA-IOU 0.8|SCA-IOU 0.6"
-    assert [metric.label for metric in COLUMNS] == shares.split("|")
-    assert [metric.label for metric in ERRORS] == ["ADD sym., mm", "rotation sym., °"]
+    assert [metric.label for metric in columns()] == shares.split("|")
+    assert [metric.label for metric in error_columns()] == ["ADD sym., mm", "rotation sym., °"]
 
 
 def test_findings_are_counted_for_each_variant() -> None:
     variants = method_variants(("static",), Options())
-    doubted = replace(score("static", 1.0), serious=("mask-fit", "hand-side"), noted=("penetration",))
-    scores = [Scores(name, scores=(s,)) for name, s in (("a", doubted), ("b", score("static", 0.0)))]
+    flagged = replace(score("static", 1.0), serious=("mask-fit", "hand-side"), noted=("penetration",))
+    scores = [Scores(name, scores=(s,)) for name, s in (("a", flagged), ("b", score("static", 0.0)))]
     (row,) = compare(scores, variants)[0].rows
     assert row.serious == {"mask-fit": 1, "hand-side": 1}
     assert row.noted == {"penetration": 1}

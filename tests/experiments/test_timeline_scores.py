@@ -11,7 +11,7 @@ from getagrip.experiments.timeline_scores import jumps, segment_scores
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 from getagrip.metrics.symmetry import find_symmetries
-from getagrip.timelines.variants import VARIANTS, reconstruct_with
+from getagrip.timelines.baselines import VARIANTS, reconstruct_with
 from helpers.timelines import timeline
 
 

@@ -125,19 +125,18 @@ def test_bop_poses_bring_the_model_into_the_camera(scene: Scene, tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    ("camera", "results", "ground_truth"),
+    ("split", "camera", "ground_truth"),
     [
-        ("Aria, camera-rgb: a pinhole", "hot3d-test-aria", "scene_gt_rgb.json"),
-        ("Aria, camera-slam-left: a pinhole", "hot3d-test-aria", "scene_gt_gray1.json"),
-        ("Quest 3, camera-slam-left: a pinhole", "hot3d-test-quest3", "scene_gt_gray1.json"),
+        ("test-aria", "rgb", "scene_gt_rgb.json"),
+        ("test-quest3", "gray1", "scene_gt_gray1.json"),
     ],
 )
 def test_clips_of_hot3d_have_the_names_of_bop(
-    scene: Scene, tmp_path: Path, camera: str, results: str, ground_truth: str
+    scene: Scene, tmp_path: Path, split: str, camera: str, ground_truth: str
 ) -> None:
-    scene = replace(scene, source="HOT3D, recording P0001_1", camera=camera)
+    scene = replace(scene, bop={"dataset": "hot3d", "split": split, "camera": camera})
     folder = export(scene, tmp_path / "out", "bop")
-    assert (folder / f"getagrip-soft-hinge_{results}.csv").is_file()
+    assert (folder / f"getagrip-soft-hinge_hot3d-{split}.csv").is_file()
     assert (folder / ground_truth).is_file()
 
 

@@ -23,9 +23,9 @@ from benchmarks.troubles import quartered
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
-from getagrip.fitting.reconstruct import reconstruct
 from getagrip.geometry import mesh as meshes
 from getagrip.geometry.mesh import clustered
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.clips import box
 from helpers.scenes import SHORT, scene
 

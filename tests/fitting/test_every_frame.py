@@ -13,14 +13,22 @@ from getagrip.clip import Clip, Masks, read_clip, read_masks, write_clip
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_MM
 from getagrip.fitting import every_frame
+from getagrip.fitting.energy import Energy
+from getagrip.fitting.energy.reprojection import ReprojectionTerm
+from getagrip.fitting.methods import METHODS, Method, OnStage
+from getagrip.fitting.methods.all_frames import soft_hinge
 from getagrip.fitting.motion import PosesInHand, interpolated
 from getagrip.fitting.options import Options
-from getagrip.fitting.reconstruct import reconstruct
+from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.geometry import se3
+from getagrip.geometry.camera import project
 from getagrip.result import Reconstruction, read_result, write_result
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.scenes import SMALL, scene
 
 HIDDEN = (5, 6)
+ASIDE = 8.0
+"""[px]"""
 QUICK = Options(inits=6, frames=5)
 LONGER = replace(SMALL, frames=13)
 
@@ -135,3 +143,28 @@ def test_a_corrected_hand_is_corrected_in_every_frame() -> None:
     assert off.max() < 0.8 * given
     assert off[result.frames_of("fitted")].max() < off[result.frames_of("sampled")].max() + 0.02
     assert result.iou.min() > 0.9
+
+
+@pytest.mark.slow
+def test_terms_of_ones_own_count_in_every_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They draw the object's centre a few pixels aside, in the frames that were sampled and in the others."""
+    clip, masks = made()
+    assert clip.truth is not None
+    true = project(clip.K, se3.transform(clip.truth.T_cam_obj, clip.mesh.centre[None]))
+
+    def aside(problem: Problem) -> Energy:
+        crops, at = problem.observation.crops, clip.index_of(problem.clip.frames)
+        target = (true[at] + np.array([ASIDE, 0.0]) - crops.corner[:, None]) * crops.zoom
+        points, K = np.zeros_like(problem.clip.hand.vertices[:, :1]), problem.observation.K
+        return lambda level, index: [ReprojectionTerm(points[index], K[index], target[index], 50.0)]
+
+    def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
+        return soft_hinge(problem, on_stage, more=aside)
+
+    monkeypatch.setitem(METHODS, "aside", Method("aside", fit))
+    result = reconstruct(clip, masks, replace(QUICK, method="aside"))
+    T_cam_obj = clip.with_hand_at(result.T_cam_hand).hand.T_cam_hand @ result.T_hand_obj
+    moved = project(clip.K, se3.transform(T_cam_obj, result.scale * clip.mesh.centre[None])) - true
+    fitted = [n for n, kind in enumerate(result.frame_kind) if kind == "fitted"]
+    assert len(fitted) == len(clip) - len(HIDDEN) - QUICK.frames
+    assert moved[fitted, 0, 0].min() > 0.7 * ASIDE

@@ -13,7 +13,7 @@ from getagrip.fitting.motion import PosesInHand
 from getagrip.fitting.options import Options
 from getagrip.fitting.outlier_masks import SHARE, TIMES, outlier_threshold
 from getagrip.fitting.predicted_silhouette import typical
-from getagrip.fitting.reconstruct import reconstruct
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.scenes import SMALL, scene, scores
 
 WRONG = [4, 7]
@@ -34,7 +34,7 @@ def test_wrong_masks_are_left_out_and_named(method: str) -> None:
     assert {result.frame_kind[n] for n in WRONG} == {"interpolated"}
     (message,) = (finding.message for finding in result.findings if finding.check == "outlier-masks")
     names = f"frames {clip.frames[4]}, {clip.frames[7]}"
-    assert message == f"2 of 9 masks contradict the others and were left out: {names}; --given-masks believes all"
+    assert message == f"2 of 9 masks contradict the others and were left out: {names}; --given-masks uses all"
     assert not any("contradict" in note for note in result.notes)
     assert result.checks["outlier-masks"] == pytest.approx(2 / 9)
     off = scores(result, clip, masks)["add_sym_mm"]
@@ -44,7 +44,7 @@ def test_wrong_masks_are_left_out_and_named(method: str) -> None:
 
 
 @pytest.mark.parametrize("times", [1.0, 3.0])
-def test_a_mask_is_doubted_by_the_objects_size_and_by_the_other_masks(times: float) -> None:
+def test_a_mask_is_an_outlier_by_the_objects_size_and_by_the_other_masks(times: float) -> None:
     size, usual = 1000.0, np.array([10.0, 12.0, 14.0])
     met = Overlap(np.full(3, 800.0), 800.0 + times * usual, np.full(3, size))
     assert outlier_threshold(met) == max(SHARE * size, TIMES * times * 12.0)

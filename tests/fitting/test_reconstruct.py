@@ -14,8 +14,9 @@ from getagrip.clip import FrameMasks, Masks
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.options import Options
-from getagrip.fitting.reconstruct import AMBIGUOUS, reconstruct
+from getagrip.fitting.pipeline import AMBIGUOUS
 from getagrip.geometry import se3
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.clips import small_clip
 from helpers.reconstructions import DEFAULT, found
 from helpers.scenes import SHORT, SMALL, scene, scores
@@ -197,7 +198,7 @@ def test_frames_without_a_mask_are_interpolated(ignored: bool) -> None:
     given = masks if ignored else replace(masks, ignore=np.zeros_like(masks.ignore))
     size, gone = clip.size, [2, 5]
     of_frames = [FrameMasks(*each) for each in zip(given.object, given.ignore, strict=True)]
-    sparse = Masks.of(FrameMasks.unknown(size, False) if n in gone else one for n, one in enumerate(of_frames))
+    sparse = Masks.of(FrameMasks.unknown(size) if n in gone else one for n, one in enumerate(of_frames))
     seen = given.object.copy()
     seen[gone] = False
     result, empty = (reconstruct(clip, m, Options(inits=8)) for m in (sparse, Masks(seen, given.ignore)))

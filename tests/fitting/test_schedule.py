@@ -7,8 +7,8 @@ from itertools import pairwise
 import pytest
 
 from getagrip.fitting.options import Options
-from getagrip.fitting.reconstruct import reconstruct
 from getagrip.fitting.schedule import THOROUGH, USUAL
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.scenes import SHORT, scene
 
 

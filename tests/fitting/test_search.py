@@ -13,13 +13,13 @@ from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.fitting.energy import Quadratic
 from getagrip.fitting.motion import Fixed
 from getagrip.fitting.options import Options
-from getagrip.fitting.reconstruct import reconstruct
 from getagrip.fitting.schedule import FAR, NEAR, Rotations, Schedule, Stage
 from getagrip.fitting.search import Search, drawn_rotations, explored, near, suppress_duplicates
 from getagrip.fitting.solve import minimise
 from getagrip.fitting.surface import ObjectSurface
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.clips import box
 from helpers.scenes import SMALL, scene, scores
 

@@ -16,7 +16,6 @@ from getagrip.fitting.motion import Fixed, PosesInHand, Soft
 from getagrip.fitting.objective import mask_of
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import CONTACT_IF_FITTED, Problem, prepare
-from getagrip.fitting.reconstruct import reconstruct
 from getagrip.fitting.shape import LEAST, MISFIT, own_shape
 from getagrip.fitting.solve import evaluate, minimise
 from getagrip.geometry import se3
@@ -24,6 +23,7 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.warp import Warp
 from getagrip.pictures.shown import View
 from getagrip.result import read_result, write_result
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.scenes import scene, scores
 
 STRETCH = np.array([1.15, 0.88, 1.0])
@@ -113,12 +113,14 @@ def test_a_result_has_the_shape_and_says_so(tmp_path: Path, method: str) -> None
     options = Options(method=method, inits=6)
     result = reconstruct(given, masks, options)
     assert result.warp is not None
-    assert any("the object's shape is a guess" in note for note in result.notes)
+    assert any("the object's shape is an assumption" in note for note in result.notes)
     deformed = result.warp.displacement(given.mesh) / given.mesh.diameter
     assert result.checks["mesh-deformed"] == pytest.approx(deformed)
     (message,) = (finding.message for finding in result.findings if finding.check == "mesh-deformed")
     by = 1e3 * result.scale * result.warp.displacement(given.mesh)
-    assert message.startswith(f"to meet the masks the mesh was deformed by {by:.1f} mm, so its shape is a guess; ")
+    assert message.startswith(
+        f"to meet the masks the mesh was deformed by {by:.1f} mm, so its shape is an assumption; "
+    )
     as_given = reconstruct(given, masks, replace(options, mesh="as-given"))
     assert as_given.warp is None
     assert result.mean_iou > as_given.mean_iou

@@ -10,9 +10,9 @@ from numpy import ndarray
 
 from getagrip.clip import Clip
 from getagrip.fitting.options import Options
-from getagrip.fitting.reconstruct import reconstruct
 from getagrip.fitting.tracker_glitches import frames_without_glitch, repair_glitches, repair_hand
 from getagrip.geometry import se3
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.scenes import SHORT, scene
 
 FRAMES = 40

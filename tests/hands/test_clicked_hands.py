@@ -81,8 +81,8 @@ def test_a_few_wrong_clicks_are_reported_and_do_little_harm() -> None:
     for frame, joint in wrong:
         clicks[frame][joint] = truth.uv[KEYS.index(frame), joint] + [90.0, -70.0]
     found = hands_from_clicks(clicks, K, "right", 0, 40)
-    doubted = {(KEYS[k], int(joint)) for k, joint in zip(*np.nonzero(found.outliers), strict=True)}
-    assert doubted == set(wrong)
+    flagged = {(KEYS[k], int(joint)) for k, joint in zip(*np.nonzero(found.outliers), strict=True)}
+    assert flagged == set(wrong)
     assert np.median(np.linalg.norm(project(K, joints_of(found)) - truth.uv, axis=-1)) < 3.0
 
 

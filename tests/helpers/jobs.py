@@ -90,7 +90,7 @@ class Errand:
 def drive(
     out: Path, count: int, seconds: float, workers: int, executor: Start[Errand, Entry] | None = None
 ) -> list[str]:
-    """A driver of such tasks; what has become of each. ``crew`` None: processes here, or of one worker this one."""
+    """A driver of such tasks; what has become of each. ``executor`` None: processes here, or of one worker this one."""
     if executor is None and workers > 1:
         executor = partial(Processes, workers)
     engine = Engine(

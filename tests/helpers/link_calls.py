@@ -146,7 +146,6 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
         "experiments.plots.SHOWN": ("iou",),
         "experiments.segment_trials._found": lambda _: dict.fromkeys(DIRECTIONS, spans),
         "experiments.timeline_trials._found": lambda *_: {"category": "box", "by": by},
-        "fitting.reconstruct.reconstruct": fitted,
         "segmentation.found.find_segments": found,
         "timelines.reconstruct.reconstruct": fitted,
         "pages.server.Server.serve_forever": ended,

@@ -6,8 +6,8 @@ from functools import cache
 
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.options import Options
-from getagrip.fitting.reconstruct import reconstruct
 from getagrip.result import Reconstruction
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.scenes import SMALL, scene
 
 DEFAULT = Options(inits=16)

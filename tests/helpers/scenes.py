@@ -33,6 +33,6 @@ def scene(category: str, seed: int, options: SceneOptions = SMALL) -> tuple[Clip
 
 def scores(result: Reconstruction, clip: Clip, masks: Masks) -> dict[str, float]:
     """Metrics of masks and poses alone: those of contact take as long as a reconstruction."""
-    wanted = [metric for metric in METRICS if metric.name.startswith(("iou", "add", "scale"))]
+    wanted = [metric for metric in METRICS.values() if metric.name.startswith(("iou", "add", "scale"))]
     metrics: dict[str, float] = evaluate(result, clip, masks, wanted=wanted).metrics
     return metrics

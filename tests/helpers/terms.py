@@ -51,11 +51,12 @@ def some_term(kind: str, rng: np.random.Generator) -> Term:
 
 
 def total_hessian(local: Quadratic) -> ndarray:
-    """The whole Hessian (B, 7 N, 7 N), frames tied to each other."""
-    H = np.zeros((B, N, 7, N, 7)) if local.cross is None else local.cross.copy()
+    """The whole Hessian (B, P N, P N), frames tied to each other."""
+    P = local.g.shape[-1]
+    H = np.zeros((B, N, P, N, P)) if local.cross is None else local.cross.copy()
     for n in range(N):
         H[:, n, :, n] += local.H[:, n]
-    return H.reshape(B, 7 * N, 7 * N)
+    return H.reshape(B, P * N, P * N)
 
 
 def differences(energy: Callable[[PosesInCamera], ndarray], poses: PosesInCamera, steps: ndarray) -> ndarray:

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 
 from getagrip.clip import Clip, HandTrack, Masks, OtherHand, Segment, Truth, World
+from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.geometry import se3
 from getagrip.geometry.render import true_masks
 from helpers.scenes import SMALL, scene
@@ -17,16 +18,16 @@ LIES, COMES = 5, 2
 
 
 @cache
-def timeline(category: str = "mug", seed: int = 0) -> tuple[Clip, Masks]:
+def timeline(category: str = "mug", seed: int = 0, options: SceneOptions = SMALL) -> tuple[Clip, Masks]:
     """A grasp of 8 frames; before it, the object lies still as it is grasped, the hand 20 cm aside, then nearer."""
-    grasp, masks = scene(category, seed, SMALL)
+    grasp, masks = scene(category, seed, options)
     assert grasp.world is not None
     assert grasp.truth is not None
     before = np.zeros(LIES + COMES, dtype=int)
     clip = grasp.take(np.concatenate([before, np.arange(len(grasp))]))
     hand = clip.hand.T_cam_hand.copy()
     aside = np.concatenate([np.full(LIES, 0.2), np.linspace(0.15, 0.05, COMES)])
-    hand[: len(before), 0, 3] += aside
+    hand[: len(before), 0, 3] += aside if grasp.side == "right" else -aside
     truth = Truth(clip.truth.T_cam_obj, grasp.truth.scale, hand, clip.truth.hand_vertices)  # type: ignore[union-attr]
     frames = tuple(f"{n:06d}" for n in range(len(clip)))
     lowest = se3.transform(grasp.world.T_world_cam[0] @ grasp.truth.T_cam_obj[0], grasp.mesh.vertices)[:, 2].min()

@@ -43,8 +43,8 @@ def root(tmp_path_factory: Any) -> Path:
 
 
 def test_serious_findings_come_first_and_then_the_lowest_iou() -> None:
-    given = {"fine": result(0.9), "poor": result(0.3), "doubtful": result(0.95, SERIOUS)}
-    assert sorted(given, key=lambda name: badness([given[name]])) == ["doubtful", "poor", "fine"]
+    given = {"fine": result(0.9), "poor": result(0.3), "flagged": result(0.95, SERIOUS)}
+    assert sorted(given, key=lambda name: badness([given[name]])) == ["flagged", "poor", "fine"]
 
 
 @pytest.mark.slow

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from getagrip.fitting.energy import PosesInCamera, Term, no_bound
 from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
 from getagrip.geometry import se3
+from getagrip.timelines.between import WorldTerm
 from getagrip.timelines.link_term import Expected, LinkTerm
-from getagrip.timelines.support_term import SupportTerm, hull_vertices
-from getagrip.timelines.world_term import WorldTerm
+from getagrip.timelines.static_pose import SupportTerm, hull_vertices, plane_in_camera
 from helpers.clips import box
 from helpers.terms import N, differences, hypotheses_are_independent, is_trustworthy, moved, random_poses, total_hessian
 
@@ -29,13 +31,80 @@ def some(kind: str, rng: np.random.Generator) -> Term:
 
 @pytest.mark.parametrize("kind", ["support", "link"])
 def test_derivatives(kind: str) -> None:
+    """By each frame's turn and shift, and by the size."""
     rng = np.random.default_rng(1)
     term, poses = some(kind, rng), random_poses(rng)
     local = term(poses, no_bound(poses))
-    expected = differences(lambda p: term(p, no_bound(p)).value, poses, np.full(6, 1e-6))
-    np.testing.assert_allclose(local.g[..., :6], expected, rtol=1e-3, atol=1e-4 * np.abs(local.g).max())
+    expected = differences(lambda p: term(p, no_bound(p)).value, poses, np.full(7, 1e-6))
+    np.testing.assert_allclose(local.g, expected, rtol=1e-3, atol=1e-4 * np.abs(local.g).max())
     is_trustworthy(local)
     hypotheses_are_independent(term, poses)
+
+
+def turned(T: np.ndarray, poses: PosesInCamera) -> PosesInCamera:
+    """Poses that the same rigid motion takes elsewhere."""
+    return PosesInCamera(T[:3, :3] @ poses.R, se3.transform(T, poses.centre), poses.scale)
+
+
+@pytest.mark.parametrize("kind", ["support", "link"])
+def test_the_frame_of_the_camera_does_not_matter(kind: str) -> None:
+    rng = np.random.default_rng(5)
+    term, poses = some(kind, rng), random_poses(rng)
+    T = se3.rigid(se3.exp_so3(rng.normal(size=3)), rng.normal(0.0, 0.3, 3))
+    if isinstance(term, SupportTerm):
+        normal = term.normal @ T[:3, :3].T
+        other = replace(term, normal=normal, height=term.height + normal @ T[:3, 3])
+    else:
+        assert isinstance(term, LinkTerm)
+        e = term.expected
+        other = replace(term, expected=replace(e, R=T[:3, :3] @ e.R, centre=se3.transform(T, e.centre)))
+    one, two = term(poses, no_bound(poses)), other(turned(T, poses), no_bound(poses))
+    np.testing.assert_allclose(two.value, one.value, rtol=1e-9)
+    for part in (slice(0, 3), slice(3, 6)):
+        np.testing.assert_allclose(two.g[..., part] @ T[:3, :3], one.g[..., part], rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(two.g[..., 6], one.g[..., 6], rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["support", "link"])
+def test_the_unit_of_length_does_not_matter(kind: str) -> None:
+    """What is given in lengths grows with the unit; an energy per square metre shrinks by its square."""
+    rng, k = np.random.default_rng(6), 1000.0
+    term, poses = some(kind, rng), random_poses(rng)
+    if isinstance(term, SupportTerm):
+        other: Term = SupportTerm(
+            k * term.vertices, term.normal, k * term.height, term.weight / k**2, far=k * term.far
+        )  # fmt: skip
+    else:
+        assert isinstance(term, LinkTerm)
+        expected = replace(term.expected, centre=k * term.expected.centre)
+        other = replace(term, moments=moments(k * VERTICES), expected=expected, slip=k * term.slip)
+    larger = PosesInCamera(poses.R, k * poses.centre, poses.scale)
+    value = other(larger, no_bound(larger)).value
+    np.testing.assert_allclose(value, term(poses, no_bound(poses)).value, rtol=1e-9)
+
+
+def test_the_frame_of_the_world_does_not_matter() -> None:
+    rng = np.random.default_rng(7)
+    T_world_cam = se3.rigid(se3.exp_so3(rng.normal(size=(N, 3))), rng.normal(size=(N, 3)))
+    T_new_world = se3.rigid(se3.exp_so3(rng.normal(size=3)), rng.normal(size=3))
+    poses, inner = random_poses(rng), SmoothnessTerm(moments(VERTICES), 1e4)
+    one, other = (WorldTerm(inner, T)(poses, no_bound(poses)) for T in (T_world_cam, T_new_world @ T_world_cam))
+    assert one.cross is not None
+    assert other.cross is not None
+    for a, b in ((one.value, other.value), (one.g, other.g), (one.H, other.H), (one.cross, other.cross)):
+        np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-6 * np.abs(a).max())
+
+
+def test_the_plane_before_the_camera_is_the_plane_of_the_world() -> None:
+    """Any point is as high above the one as above the other."""
+    rng = np.random.default_rng(8)
+    T_world_cam = se3.rigid(se3.exp_so3(rng.normal(size=(N, 3))), rng.normal(size=(N, 3)))
+    up, support, X = se3.exp_so3(rng.normal(size=3))[0], 0.7, rng.normal(size=(20, 3))
+    normal, height = plane_in_camera(T_world_cam, up, support)
+    before = se3.transform(se3.inverse(T_world_cam), X[None])
+    np.testing.assert_allclose(
+        np.sum(before * normal[:, None], axis=-1) - height[:, None], (X @ up - support)[None].repeat(N, 0)
+    )
 
 
 def test_a_term_in_the_world_sees_no_moving_camera() -> None:

@@ -1,4 +1,4 @@
-"""How far people agree on where stable grasps are: temporal intersection over union."""
+"""Agreement of people on stable grasps: temporal intersection over union."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from getagrip.annotate.marks import Mark
 
 @dataclass(frozen=True)
 class Agreement:
-    """Of two people, over the tasks that both have looked at."""
+    """The agreement of two people, over the tasks that both have looked at."""
 
     first: str
     second: str
@@ -31,13 +31,13 @@ class Agreement:
 
 
 def temporal_iou(a: tuple[int, int], b: tuple[int, int]) -> float:
-    """IOU of two intervals of frames, ends included."""
+    """Compute the IOU of two intervals of frames, ends included."""
     both = min(a[1], b[1]) - max(a[0], b[0]) + 1
     return max(0, both) / (a[1] - a[0] + 1 + b[1] - b[0] + 1 - max(0, both))
 
 
 def matched(ours: Sequence[Mark], theirs: Sequence[Mark]) -> list[float]:
-    """IOU of the grasps of two people, paired such that their sum is largest; 0 for each that has no partner.
+    """Match the grasps of two people such that the sum of IOU is largest; return their IOU, 0 for unmatched ones.
 
     Grasps of different hands are not paired, nor such as do not overlap. The order of the people does not matter.
     """
@@ -54,7 +54,7 @@ def matched(ours: Sequence[Mark], theirs: Sequence[Mark]) -> list[float]:
 
 
 def agreements(marks: Sequence[Mark]) -> list[Agreement]:
-    """The agreement of every two people who have looked at the same tasks."""
+    """Compute the agreement of every two people who have looked at the same tasks."""
     marked: dict[str, dict[str, list[Mark]]] = {}
     for mark in marks:
         if mark.interval or mark.reason:  # a start without an end says nothing yet

@@ -25,7 +25,7 @@ class BackgroundJob:
     done: int = 0
     total: int = 0
     message: str = ""
-    """What went wrong, or what was made."""
+    """Error, or a description of the output."""
     stop: Event = field(default_factory=Event)
 
     def report(self, done: int, total: int) -> None:
@@ -35,7 +35,7 @@ class BackgroundJob:
             raise CancelledError
 
     def status(self) -> dict[str, object]:
-        """What the page shows."""
+        """Return the fields that the page shows."""
         return {key: getattr(self, key) for key in ("what", "state", "done", "total", "message")}
 
 
@@ -66,7 +66,7 @@ class Background:
             job.stop.set()
 
     def job(self, key: str) -> BackgroundJob | None:
-        """The last job."""
+        """Return the last job."""
         return self._jobs.get(key)
 
     def close(self) -> None:

@@ -77,7 +77,7 @@ def carry(
     size: tuple[int, int],
     hand: Hands = lambda _: None,
 ) -> Iterator[Carried]:
-    """The mask of a key, carried to the frames after it until ``to``, or before it."""
+    """Carry the mask of a key to the frames after it until ``to``, or before it."""
     if key == to:
         return
     now, before = _of_key(key, keys[key], size), _resized(image(key), size)
@@ -254,7 +254,7 @@ def _cut(
 
 
 def blended(one: Carried, other: Carried, share: float) -> tuple[Carried, float]:
-    """Two masks of a frame made one, the other's ``share`` from 0 to 1 by how near its key is; how far they agree.
+    """Blend two masks of a frame by the other's ``share``, 0 to 1; also return their agreement.
 
     They agree or not where both are known.
     """

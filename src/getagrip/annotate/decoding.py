@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from av.container import InputContainer
 
 BEHIND = 48
-"""So many frames before one that is asked for are kept as well, since they have been decoded: for steps back."""
+"""Number of frames before a requested one that are kept, since they have been decoded: for steps back."""
 Kept = TypeVar("Kept")
 
 
@@ -33,7 +33,7 @@ class Decoder(Generic[Kept]):
         weigh: Callable[[Kept], int],
         limit: int = CACHE,
     ) -> None:
-        """Of a file whose frames, and key frames, have these presentation times; so many bytes are kept."""
+        """Decode a file whose frames, and key frames, have these presentation times; ``limit`` bytes are kept."""
         self.path = path
         self._times, self._keys, self._convert = times, keys, convert
         self.cache = Cache(weigh, limit)
@@ -44,7 +44,7 @@ class Decoder(Generic[Kept]):
         """Index of the frame decoded last."""
 
     def get(self, index: int) -> Kept:
-        """A frame. Raises ``InputError`` where it does not decode."""
+        """Decode a frame. Raises ``InputError`` where it does not decode."""
         from av.error import FFmpegError
 
         with self._lock:

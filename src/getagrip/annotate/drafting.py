@@ -30,7 +30,7 @@ Polygon = Float[ndarray, "_n 2"]
 
 
 def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, dict[str, object]]:
-    """By frame: joints and silhouette of the fitted hand [px], and which clicks do not fit the others.
+    """Return, by frame, joints and silhouette of the fitted hand [px], and the clicks that do not fit the others.
 
     Raises ``UsageError`` as ``hands_from_clicks`` does.
     """
@@ -45,10 +45,10 @@ def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, d
         out[labels.first + n] = {
             "joints": _rounded(project(K, se3.transform(T, joints))),
             "outlines": _polygons(mask, 1.0 / zoom),
-            "doubtful": [],
+            "uncertain": [],
         }
     for frame, outliers in zip(found.keys, found.outliers, strict=True):
-        out[frame]["doubtful"] = np.flatnonzero(outliers).tolist()
+        out[frame]["uncertain"] = np.flatnonzero(outliers).tolist()
     return out
 
 
@@ -95,7 +95,7 @@ def _rounded(points: Float[ndarray, "n 2"]) -> list[list[float]]:
 
 
 def traced(mask: Bool[ndarray, "H W"]) -> list[Polygon]:
-    """Polygons around the parts of a mask [px]; filled (``clip.segments.polygons``) they give it again, nearly.
+    """Trace polygons around the parts of a mask [px]; filling them (``clip.segments.polygons``) nearly restores it.
 
     A part with a hole has a polygon with a slit: along its border, in to the hole, around it and back out.
     """

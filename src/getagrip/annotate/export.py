@@ -12,16 +12,18 @@ from getagrip.io.csv_tables import CsvTable
 COLUMNS = ("vid", "st_bound", "ed_bound", "st", "ed", "contact", "handside", "cat", "hos_name", "mp4_name", "set_name",
            "round", "duration", "n_unfiltered_masks", "n_filtered_masks", "good_CAD", "example", "fmt",
            "ablate_inithand")  # fmt: skip
-"""Of EPIC-Grasps' table."""
+"""Columns of EPIC-Grasps' table."""
 
 
 def grasps(marks: Sequence[Mark]) -> list[Mark]:
-    """The finished grasps, each once: of those with the same video, hand, category and frames the first."""
+    """Return the finished grasps, each once: of those with the same video, hand, category and frames the first."""
     return [mark for mark in marks if mark.grasp and mark.side and mark.category]
 
 
 def epic_rows(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Mapping[str, object]]:
-    """Rows of EPIC-Grasps' table. What annotation cannot know stays empty: the counts of masks, sets and rounds.
+    """Return the rows of EPIC-Grasps' table.
+
+    What annotation cannot know stays empty: the counts of masks, sets and rounds.
 
     A task without rough bounds has the grasp's own.
     """
@@ -45,7 +47,7 @@ def epic_rows(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Mapping[
 
 
 def epic_csv(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> str:
-    """EPIC-Grasps' table as text."""
+    """Write EPIC-Grasps' table as text."""
     stream = io.StringIO(newline="")
     rows = epic_rows(marks, tasks)
     CsvTable(stream).write_rows([COLUMNS, *([row[column] for column in COLUMNS] for row in rows)])
@@ -53,7 +55,7 @@ def epic_csv(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> str:
 
 
 def intervals(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Mapping[str, object]]:
-    """The grasps under the names that ``segment`` gives them; frames count from 0, both included, seconds."""
+    """Return the grasps under the names that ``segment`` gives them; frames count from 0, both included, seconds."""
     rows = [
         {
             "clip": tasks[mark.task].video,
@@ -69,7 +71,7 @@ def intervals(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Mapping[
 
 
 def discards(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Mapping[str, object]]:
-    """The tasks that were discarded, and why."""
+    """Return the tasks that were discarded, and why."""
     return [
         {"task": mark.task, "clip": tasks[mark.task].video, "annotator": mark.annotator, "reason": mark.reason}
         for mark in marks

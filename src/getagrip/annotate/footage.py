@@ -29,7 +29,7 @@ MOST_FRAMES = 2_000_000
 FOLDER_FPS = 30.0
 """Frames per second that images in a folder are played at."""
 QUALITY = 88
-"""Of the JPEG images."""
+"""Quality of the JPEG images."""
 CACHE = 64 * 2**20
 """Bytes of JPEG images that are kept of one footage."""
 
@@ -50,34 +50,34 @@ class Footage(Protocol):
         """Width and height of the frames [px]."""
 
     def time(self, index: int) -> float:
-        """When a frame is shown, from the start [s]."""
+        """Return the time at which a frame is shown, from the start [s]."""
 
     def number(self, index: int) -> int:
-        """The number that the footage's own naming gives a frame."""
+        """Return the number that the footage's own naming gives a frame."""
 
     def index(self, number: int) -> int:
-        """The frame of a number, the nearest where it has none."""
+        """Return the frame of a number, the nearest where it has none."""
 
     def name(self, index: int) -> str:
-        """What a clip of the footage calls a frame."""
+        """Return a frame's name in a clip of the footage."""
 
     def jpeg(self, index: int, whole: bool = False) -> bytes:
-        """A frame to be shown, ``whole`` or made smaller where it is wide. Raises ``InputError``."""
+        """Return a frame for display, ``whole`` or made smaller where it is wide. Raises ``InputError``."""
 
     def image(self, index: int) -> UInt8[ndarray, "H W 3"]:
-        """A frame, all of its pixels: red, green, blue. Raises ``InputError`` where it does not decode."""
+        """Return a frame, all of its pixels: red, green, blue. Raises ``InputError`` where it does not decode."""
 
     def close(self) -> None:
         """Close the files, until a frame is asked for again."""
 
 
 def seconds(footage: Footage, start: int, end: int) -> float:
-    """How long frames ``start`` to ``end`` last, the last one included [s]."""
+    """Return the duration of frames ``start`` to ``end``, the last one included [s]."""
     return footage.time(end) - footage.time(start) + 1.0 / footage.fps
 
 
 class Names(Sequence[str]):
-    """What clips call the frames of footage; made when they are asked for, since footage may be hours long."""
+    """The names of footage's frames in clips; made when they are asked for, since footage may be hours long."""
 
     def __init__(self, footage: Footage) -> None:
         self.footage = footage
@@ -100,7 +100,7 @@ Kept = TypeVar("Kept")
 
 @dataclass
 class Cache(Generic[Kept]):
-    """The images that were asked for last, of so many bytes together."""
+    """The images that were requested last, up to a number of bytes in all."""
 
     weigh: Callable[[Kept], int]
     """The bytes of an image."""
@@ -109,7 +109,7 @@ class Cache(Generic[Kept]):
     images: OrderedDict[int, Kept] = field(default_factory=OrderedDict)
 
     def get(self, index: int) -> Kept | None:
-        """An image, if it is there."""
+        """Return an image, if it is there."""
         if index in self.images:
             self.images.move_to_end(index)
         return self.images.get(index)
@@ -135,7 +135,7 @@ class ImageFolder:
 
     @staticmethod
     def open(folder: Path) -> ImageFolder:
-        """The images of a folder. Raises ``InputError`` where there is none."""
+        """Open the images of a folder. Raises ``InputError`` where there is none."""
         paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGES and path.is_file())
         if not 0 < len(paths) <= MOST_FRAMES:
             raise InputError(folder, "", f"{len(paths)} images in it", f"images ({', '.join(IMAGES)})")
@@ -152,19 +152,19 @@ class ImageFolder:
         return len(self.paths)
 
     def time(self, index: int) -> float:
-        """When an image is shown [s]: by its number, so that gaps count."""
+        """Return the time at which an image is shown [s]: by its number, so that gaps count."""
         return (self.numbers[index] - self.numbers[0]) / self.fps
 
     def number(self, index: int) -> int:
-        """The number in the image's name, or its place from 1."""
+        """Return the number in the image's name, or its place from 1."""
         return self.numbers[index]
 
     def index(self, number: int) -> int:
-        """The image of a number, or the nearest to it."""
+        """Return the image of a number, or the nearest to it."""
         return int(np.argmin(np.abs(np.array(self.numbers) - number)))
 
     def name(self, index: int) -> str:
-        """The image's name, as of the images of a clip."""
+        """Return the image's name, as of the images of a clip."""
         return self.paths[index].stem
 
     @property
@@ -174,15 +174,15 @@ class ImageFolder:
         return width, height
 
     def jpeg(self, index: int, whole: bool = False) -> bytes:
-        """An image, as JPEG whatever its file is. Raises ``InputError``."""
+        """Return an image, as JPEG whatever its file is. Raises ``InputError``."""
         return encoded(self._bgr(index), LARGEST_SIDE if whole else WIDEST)
 
     def image(self, index: int) -> UInt8[ndarray, "H W 3"]:
-        """An image, all of its pixels. Raises ``InputError``."""
+        """Return an image, all of its pixels. Raises ``InputError``."""
         return np.ascontiguousarray(self._bgr(index)[..., ::-1])
 
     def close(self) -> None:
-        """No file is kept open."""
+        """Do nothing: no file is kept open."""
 
     def _bgr(self, index: int) -> UInt8[ndarray, "H W 3"]:
         path = self.paths[index]
@@ -191,7 +191,7 @@ class ImageFolder:
 
 
 def encoded(bgr: UInt8[ndarray, "H W 3"], widest: int = WIDEST) -> bytes:
-    """An image as JPEG, made narrower where it is too wide."""
+    """Encode an image as JPEG, made narrower where it is too wide."""
     import cv2
 
     height, width = bgr.shape[:2]

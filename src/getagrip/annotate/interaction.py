@@ -69,7 +69,7 @@ class Interaction:
         )  # fmt: skip
 
     def overlaps(self) -> list[str]:
-        """Frames that are in two segments: these cannot be written."""
+        """Return texts on frames that are in two segments: these cannot be written."""
         out = []
         for (n, one), (m, other) in combinations(self.finished, 2):
             first, last = max(one.start or 0, other.start or 0), min(one.end or 0, other.end or 0)
@@ -78,7 +78,7 @@ class Interaction:
         return out
 
     def hints(self) -> list[str]:
-        """What else a person may want to know: gaps, ends that are missing, a camera of which nothing is known."""
+        """Return hints: gaps, missing ends, a camera of which nothing is known."""
         return list(self._hints())
 
     def _hints(self) -> Iterator[str]:
@@ -105,7 +105,7 @@ class Interaction:
             )
 
     def listed(self) -> SegmentList:
-        """The segments as files have them, in frames of a clip. Raises ``RefusedError`` where some overlap."""
+        """Return the segments as files have them, in frames of a clip. Raises ``RefusedError`` where some overlap."""
         if overlaps := self.overlaps():
             raise RefusedError(" ".join(overlaps))
         order = sorted((mark for _, mark in self.finished), key=lambda mark: mark.start or 0)
@@ -126,7 +126,7 @@ class Interaction:
         return SegmentList(path, self.task.key, segment_fields(segments, names), f"marked by {who}", still)
 
     def state(self) -> dict[str, object]:
-        """What the page shows of it."""
+        """Return the fields that the page shows of it."""
         own = [mark for _, mark in self.finished]
         mark = self.mark if own else None
         about = {} if mark is None else {key: getattr(mark, key) for key in ABOUT}
@@ -138,18 +138,21 @@ class Interaction:
 
 
 ABOUT = ("mark", "start", "end", "start_number", "end_number", "side", "category")
-"""What the page shows of all of it."""
+"""Fields that the page shows of all of it."""
 
 
 def is_whole(marks: Sequence[Mark]) -> bool:
-    """Whether one person's marks of a task are of a whole interaction."""
+    """Return whether one person's marks of a task are of a whole interaction."""
     return any(mark.start is not None for mark in marks) and any(
         mark.camera == STILL or (mark.start is not None and mark.state != GRASP) for mark in marks
     )
 
 
 def interaction(task: Task, footage: Footage, marks: Sequence[Mark]) -> Interaction:
-    """That of one person's marks of a task; those beyond the footage, which was longer once, are left out."""
+    """Return the interaction of one person's marks of a task.
+
+    Marks beyond the footage, which was longer once, are left out.
+    """
     inside = [mark for mark in marks if mark.start is not None and max(mark.start, mark.end or 0) < footage.frames]
     segments = sorted(inside, key=lambda mark: mark.start or 0)
     still = any(mark.camera == STILL for mark in marks)
@@ -157,7 +160,10 @@ def interaction(task: Task, footage: Footage, marks: Sequence[Mark]) -> Interact
 
 
 def segments_of(path: Path, tasks: Sequence[Task]) -> list[tuple[Task, SegmentList]]:
-    """What a file has of some tasks, by their names; of a single task also the only entry. Raises ``InputError``."""
+    """Return a file's segments of some tasks, by their names; of a single task also the only entry.
+
+    Raises ``InputError``.
+    """
     if len(tasks) == 1:
         return [(tasks[0], segment_files.read(path, [tasks[0].key, tasks[0].video]))]
     known = files.read_json(path)
@@ -168,7 +174,7 @@ def segments_of(path: Path, tasks: Sequence[Task]) -> list[tuple[Task, SegmentLi
 
 
 def _name(mark: Mark) -> str:
-    """What labels of the whole are kept under, whatever its segments are."""
+    """Return the name that labels of the whole are kept under, whatever its segments are."""
     return str(uuid5(NAMESPACE_OID, f"{mark.annotator}/{mark.task}"))
 
 

@@ -28,12 +28,12 @@ from getagrip.annotate.versions import TOKEN, Database, RefusedError, Row, Versi
 from getagrip.io.files import Json, shown
 
 SETTABLE = frozenset({"joints", "outlines", "hidden", "deleted"})
-"""What the page may change."""
+"""Fields that the page may change."""
 UNSEEN = "unseen"
 """A joint that a person has looked for and not found, so that the next one is asked for."""
 JOINTS = 21
 ANY_SIZE = (LARGEST_SIDE, LARGEST_SIDE)
-"""Of images whose size is not at hand."""
+"""Size for images whose size is not at hand."""
 SCHEMA = """
 CREATE TABLE keyframe_versions (
     seq INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -93,18 +93,18 @@ COLUMNS = tuple(one.name for one in fields(KeyFrame))
 
 
 def versions(database: Database) -> Versions[KeyFrame]:
-    """The key frames in a database."""
+    """Return the key frames in a database."""
     order = "task, annotator, grasp, frame"
     return Versions(database, "keyframe_versions", "keyframes", "keyframe", "grasp", order, COLUMNS, _row, _keyframe)
 
 
 def blank(task: str, annotator: str, grasp: str, frame: int) -> KeyFrame:
-    """A frame without labels."""
+    """Make a frame without labels."""
     return KeyFrame(f"{grasp}:{frame}", task, annotator, grasp, frame)
 
 
 def from_labels(frame: FrameLabels) -> Json:
-    """The change that gives a blank key frame the labels of a file."""
+    """Return the change that gives a blank key frame the labels of a file."""
     joints = {} if frame.joints is None else {
         str(n): UNSEEN if np.isnan(point).any() else point.tolist() for n, point in enumerate(frame.joints)
     }  # fmt: skip
@@ -117,7 +117,7 @@ def from_labels(frame: FrameLabels) -> Json:
 
 
 def changed(keyframe: KeyFrame, sets: Json, size: tuple[int, int]) -> KeyFrame:
-    """A key frame after a change, on an image of some width and height. Raises ``RefusedError``."""
+    """Apply a change to a key frame on an image of some width and height. Raises ``RefusedError``."""
     for key in ("hidden", "deleted"):
         if not isinstance(sets.get(key, False), bool):
             raise RefusedError(f"{key} must be true or false (got {shown(sets[key])})")
@@ -168,7 +168,7 @@ def _outline(key: str, value: object, size: tuple[int, int]) -> Json | None:
 
 
 def _point(value: object, size: tuple[int, int]) -> Point:
-    """A point in the image, or beside it by no more than the image's own size, to a hundredth of a pixel."""
+    """Check a point in the image, or beside it by no more than the image's own size, to a hundredth of a pixel."""
     numbers = isinstance(value, list) and len(value) == 2 and all(type(x) in (int, float) for x in value)
     if not numbers or not isinstance(value, list):
         raise RefusedError(f"point must be [x, y] (got {shown(value)})")

@@ -34,14 +34,14 @@ EDGE = 1 / 400
 
 @dataclass(frozen=True)
 class Made:
-    """What was made of labels."""
+    """The files made of labels."""
 
     hands: ClickedHands | None
     """None where those that were found are taken."""
     confidence: dict[int, float]
-    """Of the mask of each frame, 1 where it was drawn; see ``propagated_masks``."""
+    """Confidence of the mask of each frame, 1 where it was drawn; see ``propagated_masks``."""
     command: str
-    """What makes a clip of it, but for the object's mesh."""
+    """Command that makes a clip of it, but for the object's mesh."""
 
 
 def make(
@@ -112,13 +112,13 @@ def with_hand(
 
 
 def command(labels: Labels, out: Path, segments: Path | None = None) -> str:
-    """The call that makes a clip of what ``make`` has written; a timeline, where there is a file of segments."""
+    """Return the call that makes a clip of the files of ``make``; a timeline, where there is a file of segments."""
     words = ["getagrip", *clip_words(labels, out, labels.video, segments)]
     return " ".join(map(shlex.quote, words)) + " --mesh MESH --out CLIP"
 
 
 def clip_words(labels: Labels, out: Path, video: str, segments: Path | None = None) -> list[str]:
-    """The words of that call after the program's name, but for the mesh and the clip's folder."""
+    """Return the words of that call after the program's name, but for the mesh and the clip's folder."""
     return [
         *("clip", "new", video, "--interval", str(labels.first + 1), str(labels.last + 1), "--side", labels.side),
         *("--hands", str(out / "hand.npz"), "--masks", str(out / "masks")),
@@ -128,7 +128,7 @@ def clip_words(labels: Labels, out: Path, video: str, segments: Path | None = No
 
 
 def _extra(labels: Labels, hands: ClickedHands, K: Float[ndarray, "3 3"], camera: Source) -> dict[str, ndarray]:
-    """What a hand file says of its frames, its camera and where it comes from."""
+    """Return the fields of a hand file on its frames, its camera and its sources."""
     off = float(np.sqrt(np.nanmean(hands.residuals**2)))
     provenance = {
         "hands": estimated(

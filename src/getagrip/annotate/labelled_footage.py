@@ -1,4 +1,4 @@
-"""Which footage a file of labels is of: told by its checksum, or by its name where the file has no checksum."""
+"""The footage of a file of labels, recognised by its checksum or, without one, by its name."""
 
 from __future__ import annotations
 
@@ -14,14 +14,17 @@ from getagrip.io import files
 
 
 def checksum(path: Path) -> str:
-    """SHA-256 of a video file; of a folder of images, that of their names and contents. Raises ``OSError``."""
+    """Compute the checksum of a video file; of a folder of images, that of their names and contents.
+
+    Raises ``OSError``.
+    """
     found = sorted(each for each in path.iterdir() if each.is_file()) if path.is_dir() else [path]
     return _checksum(tuple((each, each.stat().st_size, each.stat().st_mtime_ns) for each in found), path.is_dir())
 
 
 @lru_cache(maxsize=8)
 def _checksum(known: tuple[tuple[Path, int, int], ...], folder: bool) -> str:
-    """Of files that are as large and as old as they were."""
+    """Return the checksum of files whose sizes and times are unchanged."""
     total = hashlib.sha256()
     for path, size, _ in known:
         if folder:
@@ -33,7 +36,7 @@ def _checksum(known: tuple[tuple[Path, int, int], ...], folder: bool) -> str:
 
 
 def tasks_of(labels: Labels, tasks: Sequence[Task]) -> list[Task]:
-    """The tasks whose footage the labels are of, whatever it is called now; that of their name is looked at first.
+    """Return the tasks whose footage the labels are of, whatever its name is now; that of their name is tried first.
 
     Raises ``RefusedError`` where there is none.
     """

@@ -1,4 +1,4 @@
-"""What the page can ask for about one grasp's key frames: changes, drafts, and the files that a clip is made of."""
+"""The page's requests about one grasp's key frames: changes, drafts, and the files that a clip is made of."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from getagrip.io import files
 from getagrip.io.files import Json, shown
 
 Basis = dict[str, list[tuple[int, int, str]]]
-"""Of the "masks" and the "hand": first and last frame, and what drafts of these are made of, in a word."""
+"""Inputs of the drafts of "masks" and "hand": first and last frame, and the kind of input, in a word."""
 
 LONGEST_NAME = 100
 """Characters of a grasp's name in files."""
@@ -52,7 +52,7 @@ class Grasp:
     footage: Footage
     mark: Mark
     whole: Interaction | None = None
-    """Of a whole interaction: its segments."""
+    """Segments of a whole interaction."""
 
     @property
     def extent(self) -> tuple[int, int]:
@@ -70,7 +70,7 @@ class Grasp:
 
     @property
     def name(self) -> str:
-        """What its files are called; names that had to be cut or changed for that differ by a checksum."""
+        """Name of its files; names that had to be cut or changed for that differ by a checksum."""
         parts = [self.mark.annotator, self.task.video, self.mark.start_number, self.mark.end_number, self.side]
         whole = "-".join(map(str, parts))
         plain = re.sub(r"[^\w.-]", "_", whole).lstrip(".")[:LONGEST_NAME]
@@ -81,14 +81,14 @@ class Labelling:
     """The key frames of the grasps in a store."""
 
     def __init__(self, store: Store, lens: Lens, out: Path) -> None:
-        """The files of grasps go into ``out``; without a lens the focal length is guessed."""
+        """Write the files of grasps into ``out``; without a lens the focal length is assumed."""
         self.store, self.out = store, out
         self.lens = lens if lens.is_set else Lens(guess_focal=True)
         self.found = FoundHands(out / FOLDER)
         self.background = Background()
 
     def state(self, grasp: Grasp) -> dict[str, object]:
-        """The labels of a grasp's frames, what drafts would be made of now, and the progress of the work on it."""
+        """Return the labels of a grasp's frames, the inputs of drafts now, and the progress of the work on it."""
         newest = self.store.keyframes.newest(grasp.mark.mark, grasp.mark.annotator)  # before the frames, as with marks
         own = self._own(grasp)
         job = self.background.job(grasp.mark.mark)
@@ -124,14 +124,14 @@ class Labelling:
         return {"undone": undone is not None, "frame": None if undone is None else undone.frame}
 
     def labels(self, grasp: Grasp) -> Labels:
-        """The labels of a grasp, as a file has them."""
+        """Return the labels of a grasp, as a file has them."""
         (first, last), footage = grasp.extent, grasp.footage
         frames = {one.frame: one.labels() for one in self._own(grasp) if first <= one.frame <= last}
         video = (grasp.task.path or Path(grasp.task.video)).name
         return Labels(video, footage.size, grasp.side, footage.fps, first, last, frames)
 
     def whole_labels(self, grasp: Grasp) -> Labels:
-        """The labels of a grasp with the checksum of its footage, by which a file of them finds it again."""
+        """Return the labels of a grasp with the checksum of its footage, by which a file of them finds it again."""
         return replace(self.labels(grasp), sha256=checksum(_path(grasp)))
 
     def take(self, grasp: Grasp, labels: Labels) -> None:
@@ -179,7 +179,7 @@ class Labelling:
         self._start(grasp, "reconstruct", work)
 
     def result_file(self, grasp: Grasp, name: str) -> bytes:
-        """The report of the grasp's result. Raises ``RefusedError`` where there is none."""
+        """Return the report of the grasp's result. Raises ``RefusedError`` where there is none."""
         path = reconstruction.result_folder(self.out, grasp.name) / name
         if not path.is_file():
             raise RefusedError("there is no result of this grasp yet")
@@ -217,7 +217,7 @@ class Labelling:
         return command(replace(value, video=str(_path(grasp))), out, self._segments(grasp))
 
     def _segments(self, grasp: Grasp) -> Path | None:
-        """Where the segments of a whole interaction go."""
+        """Return the file of a whole interaction's segments."""
         return None if grasp.whole is None else self.out / f"segments-{grasp.name}.json"
 
     def close(self) -> None:
@@ -243,7 +243,7 @@ class Labelling:
         return self.store.keyframes.standing(grasp.mark.mark, grasp.mark.annotator)
 
     def _basis(self, grasp: Grasp, own: Sequence[KeyFrame]) -> Basis:
-        """What drafts of each kind are made of now; nothing where there is nothing to make them of."""
+        """Return the inputs of drafts of each kind now; empty where there are none."""
         first, last = grasp.extent
         frames = [(one, one.labels()) for one in own if first <= one.frame <= last]
         masks = {

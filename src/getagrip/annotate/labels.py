@@ -1,4 +1,4 @@
-"""What a person has clicked on some frames: the joints of the hand, the object, what is in front of it.
+"""Labels that a person has clicked on some frames: the joints of the hand, the object, what is in front of it.
 
 As JSON, one file for one grasp:
 
@@ -41,14 +41,14 @@ LAST_FRAME = 10**7
 SHAPES = {"object": 3, "front": 3, "hand": 3, "on": 1, "off": 1}
 """Kinds of polygons, then of strokes, and how many points such a shape has at least."""
 MOST_POLYGONS, MOST_CORNERS = 100, 5000
-"""Of one frame and kind; of one polygon."""
+"""Most polygons of one frame and kind; most corners of one polygon."""
 
 Polygons = tuple[Float[ndarray, "_ 2"], ...]
 
 
 @dataclass(frozen=True)
 class FrameLabels:
-    """What was clicked on one frame."""
+    """The labels of one frame."""
 
     joints: Float[ndarray, "21 2"] | None = None
     """NaN where not clicked [px]."""
@@ -63,7 +63,7 @@ class FrameLabels:
 
 @dataclass(frozen=True)
 class Labels:
-    """What was clicked on the frames of one grasp."""
+    """The labels of the frames of one grasp."""
 
     video: str
     """Name of the footage."""
@@ -100,7 +100,7 @@ def _label_map(frame: FrameLabels, size: tuple[int, int]) -> UInt8[ndarray, "H W
 
 
 def read(path: str | Path) -> Labels:
-    """The labels in a file. Raises ``InputError``."""
+    """Read the labels in a file. Raises ``InputError``."""
     return parse(files.read_json(Path(path)), path)
 
 
@@ -112,7 +112,7 @@ def write(labels: Labels, path: str | Path) -> None:
 
 
 def to_json(labels: Labels) -> files.Json:
-    """Labels as the file has them."""
+    """Write labels as the file has them."""
     fields = {key: getattr(labels, key) for key in ("video", "side", "fps", "first", "last")}
     frames = {str(n): _frame_json(frame) for n, frame in sorted(labels.frames.items())}
     whole = {"sha256": labels.sha256} if labels.sha256 else {}
@@ -131,12 +131,12 @@ def _frame_json(frame: FrameLabels) -> dict[str, object]:
 
 
 def _rounded(point: Float[ndarray, "2"]) -> list[float]:
-    """A hundredth of a pixel is more than anybody can click."""
+    """Round to a hundredth of a pixel, more than anybody can click."""
     return [round(float(x), 2) for x in point]
 
 
 def parse(content: files.Json, source: str | Path) -> Labels:
-    """Labels from JSON, everything checked. Raises ``InputError`` in the name of ``source``."""
+    """Parse labels from JSON, everything checked. Raises ``InputError`` in the name of ``source``."""
     checked = _Checked(Path(source), content)
     size = checked.size()
     first = checked.whole("first", 0, LAST_FRAME)
@@ -261,7 +261,7 @@ def _polygons(path: Path, key: str, value: object, size: tuple[int, int], least:
 
 
 def _point(path: Path, key: str, value: object, size: tuple[int, int]) -> list[float]:
-    """A point in the image, or beside it by no more than the image's own size."""
+    """Parse a point in the image, or beside it by no more than the image's own size."""
     pair = isinstance(value, list | tuple) and len(value) == 2 and all(_is_number(x) for x in value)
     if not pair or not isinstance(value, list | tuple):
         raise InputError(path, key, files.shown(value), "[x, y] in pixels")
@@ -271,5 +271,5 @@ def _point(path: Path, key: str, value: object, size: tuple[int, int]) -> list[f
 
 
 def _is_number(value: object) -> bool:
-    """Whether it is a finite number, and no truth value."""
+    """Return whether it is a finite number, and no truth value."""
     return type(value) is int or (isinstance(value, float) and math.isfinite(value))

@@ -19,9 +19,9 @@ REASONS = ("no stable grasp", "out of view", "other CAD")
 GRASP = "grasp"
 """The state of a stable grasp (``clip.timeline``)."""
 STILL = "still"
-"""Of a camera that did not move."""
+"""Value for a camera that did not move."""
 SETTABLE = frozenset({"start", "end", "side", "category", "entity", "reason", "state", "camera", "deleted"})
-"""What the page may change."""
+"""Fields that the page may change."""
 SCHEMA = """
 CREATE TABLE versions (
     seq INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -40,7 +40,7 @@ SEGMENTS = """
 ALTER TABLE versions ADD COLUMN state TEXT;
 ALTER TABLE versions ADD COLUMN camera TEXT;
 """
-"""What version 3 of the tables brought; without a state, an interval is a stable grasp."""
+"""Additions of version 3 of the tables; without a state, an interval is a stable grasp."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Mark:
     seconds: float | None = None
     """How long it lasts."""
     state: str = GRASP
-    """What the object does in the interval: one of ``STATES``."""
+    """State of the object in the interval: one of ``STATES``."""
     camera: str | None = None
     """``STILL`` where the mark says that of the camera: then it has neither start nor end."""
 
@@ -83,7 +83,7 @@ COLUMNS = tuple(field.name for field in fields(Mark))
 
 
 def versions(database: Database) -> Versions[Mark]:
-    """The marks in a database."""
+    """Return the marks in a database."""
     order = "task, annotator, start, mark"
     return Versions(database, "versions", "marks", "mark", "task", order, COLUMNS, astuple, _mark)
 
@@ -119,7 +119,7 @@ def _check(sets: Mapping[str, object]) -> None:
 
 
 def changed(mark: Mark, sets: Json, footage: Footage) -> Mark:
-    """A mark after a change, complete with what the footage says of its frames. Raises ``RefusedError``."""
+    """Apply a change to a mark, and add the footage's data of its frames. Raises ``RefusedError``."""
     _check(sets)
     new = replace(mark, **sets)
     for frame in (new.start, new.end):

@@ -38,9 +38,9 @@ def own_motion(
     some = np.flatnonzero(inner)[:: max(1, np.count_nonzero(inner) // SAMPLES)]
     if len(some) < SAMPLES // 100:
         return None
-    to, source = (np.stack([each.ravel()[some] for each in pair], axis=1) for pair in ((x, y), came))
-    A = cv2.estimateAffine2D(to, source, method=cv2.RANSAC, ransacReprojThreshold=1.0)[0]
-    if A is None:  # OpenCV found no motion
+    here, there = (np.stack([each.ravel()[some] for each in pair], axis=1) for pair in ((x, y), came))
+    A = cv2.estimateAffine2D(here, there, method=cv2.RANSAC, ransacReprojThreshold=1.0)[0]
+    if A is None:
         return None
     weight = inner.astype(np.float32)
     total = cv2.GaussianBlur(weight, (0, 0), SPREAD) + 0.01

@@ -1,4 +1,4 @@
-"""What the page can ask for: the tasks, their frames, and changes of marks. Plain functions of plain data, no HTTP."""
+"""The page's requests: the tasks, their frames, and changes of marks. Plain functions of plain data, no HTTP."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Project:
         self.store = store
         self.labelling = Labelling(store, lens or Lens(), store.path.parent)
         self.name = sha256(str(store.path.resolve()).encode()).hexdigest()[:16]
-        """What the page calls the database, so that it takes no other for it."""
+        """Name of the database for the page, so that it takes no other for it."""
         self._open: OrderedDict[str, Footage] = OrderedDict()
         self._lock = Lock()
 
@@ -51,7 +51,7 @@ class Project:
         self.store.close()
 
     def overview(self, annotator: object) -> dict[str, object]:
-        """All tasks, and how far an annotator is with each: "", started, marked, discarded."""
+        """List all tasks, and an annotator's progress with each: "", started, marked, discarded."""
         own: dict[str, list[Mark]] = {}
         for mark in self.store.marks.standing(annotator=versions.annotator(annotator)):
             own.setdefault(mark.task, []).append(mark)
@@ -62,7 +62,10 @@ class Project:
         return {"project": self.name, "tasks": tasks, "categories": CATEGORIES, "reasons": marks.REASONS}
 
     def task(self, key: object) -> dict[str, object]:
-        """The frames of a task. Raises ``RefusedError`` for an unknown one, ``InputError`` where it does not open."""
+        """Return the frames of a task.
+
+        Raises ``RefusedError`` for an unknown one, ``InputError`` where it does not open.
+        """
         task = self._task(key)
         footage = self.footage(task)
         first, last = task.extent(footage)
@@ -70,14 +73,14 @@ class Project:
         return {"frames": footage.frames, "fps": footage.fps, "first": first, "last": last, "contact": contact}
 
     def frame(self, key: object, index: int, whole: bool = False) -> tuple[bytes, float, int]:
-        """A frame as JPEG, when it is shown [s], and its number. Raises ``RefusedError`` and ``InputError``."""
+        """Return a frame as JPEG, its time [s], and its number. Raises ``RefusedError`` and ``InputError``."""
         footage = self.footage(self._task(key))
         if not 0 <= index < footage.frames:
             raise RefusedError(f"frame {index}: the footage has frames 0 to {footage.frames - 1}")
         return footage.jpeg(index, whole), footage.time(index), footage.number(index)
 
     def marks(self, key: object, annotator: object) -> dict[str, object]:
-        """Somebody's marks of a task, and the number of the change that made them what they are."""
+        """Return an annotator's marks of a task, and the number of their last change."""
         task, name = self._task(key), versions.annotator(annotator)
         newest = self.store.marks.newest(task.key, name)  # before the marks: what changes in between is asked for again
         own = self.store.marks.standing(task.key, name)
@@ -99,7 +102,7 @@ class Project:
         return self.marks(task.key, name) | {"undone": undone is not None}
 
     def labels(self, content: Json) -> dict[str, object]:
-        """The labels of a grasp. Raises ``RefusedError``."""
+        """Return the labels of a grasp. Raises ``RefusedError``."""
         return self.labelling.state(self._grasp(content))
 
     def label(self, content: Json) -> dict[str, object]:
@@ -129,21 +132,21 @@ class Project:
         return self.labelling.state(grasp)
 
     def drafts(self, content: Json, since: int) -> dict[str, object]:
-        """Some drafts of a grasp's frames that are newer than what was given before. Raises ``RefusedError``."""
+        """Return some drafts of a grasp's frames that are newer than what was given before. Raises ``RefusedError``."""
         return {"drafts": self.store.drafts.since(self._grasp(content).mark.mark, since)}
 
     def labels_file(self, content: Json) -> tuple[str, str]:
-        """The labels of a grasp as JSON, and what to call the file. Raises ``RefusedError``."""
+        """Return the labels of a grasp as JSON, and the name of the file. Raises ``RefusedError``."""
         grasp = self._grasp(content)
         text = files.to_json(labels.to_json(self.labelling.whole_labels(grasp))) + "\n"
         return text, f"labels-{grasp.name}.json"
 
     def result_file(self, content: Json, name: str) -> bytes:
-        """The picture or the page of a grasp's result. Raises ``RefusedError``."""
+        """Return the picture or the page of a grasp's result. Raises ``RefusedError``."""
         return self.labelling.result_file(self._grasp(content), name)
 
     def labelled(self) -> Iterator[Grasp]:
-        """The finished grasps and whole interactions of these tasks that have labels. Raises ``InputError``."""
+        """Yield the finished grasps and whole interactions of these tasks that have labels. Raises ``InputError``."""
         with_labels = {one.grasp for one in self.store.keyframes.standing()}
         for task, name in dict.fromkeys((self.tasks[mark.task], mark.annotator) for mark in self.known()):
             for key, grasp in self._grasps(task, name).items() if task.path is not None else ():
@@ -194,28 +197,31 @@ class Project:
             self._mark(task, name, str(uuid4()), {"start": extent[0], "end": extent[1], "side": side})
 
     def _mark(self, task: Task, name: str, tab: str, sets: Json) -> Mark:
-        """A new mark, of the object that the task is about."""
+        """Make a new mark, of the object that the task is about."""
         footage = self.footage(task)
         blank, about = Mark(str(uuid4()), task.key, name), {"category": task.category, "entity": task.entity}
         change = Change(str(uuid4()), tab, sets | {key: text for key, text in about.items() if text})
         return self.store.marks.apply(change, blank, lambda mark, sets: marks.changed(mark, sets, footage))
 
     def interactions(self, annotator: str) -> list[Interaction]:
-        """An annotator's whole interactions of these tasks. Raises ``InputError``."""
+        """Return an annotator's whole interactions of these tasks. Raises ``InputError``."""
         there = [task for task in self.tasks.values() if task.path is not None]
         own = ((task, self.store.marks.standing(task.key, annotator)) for task in there)
         return [interaction(task, self.footage(task), marks) for task, marks in own if is_whole(marks)]
 
     def known(self, annotator: str | None = None) -> list[Mark]:
-        """The marks of these tasks; those of other tasks in the same file are left out."""
+        """Return the marks of these tasks; those of other tasks in the same file are left out."""
         return [mark for mark in self.store.marks.standing(annotator=annotator) if mark.task in self.tasks]
 
     def agreement(self) -> dict[str, object]:
-        """How far people agree."""
+        """Return the agreement of people."""
         return {"pairs": [asdict(one) for one in agreement.agreements(self.known())]}
 
     def exported(self, kind: str, annotator: object) -> str:
-        """Somebody's grasps as text, "csv" or "json", or their "segments". Raises ``RefusedError``, ``InputError``."""
+        """Export an annotator's grasps as text, "csv" or "json", or their "segments".
+
+        Raises ``RefusedError``, ``InputError``.
+        """
         name = versions.annotator(annotator)
         if kind == "segments":
             listed = {one.task.key: one.listed().fields for one in self.interactions(name)}
@@ -226,7 +232,10 @@ class Project:
         return files.to_json(export.intervals(found, self.tasks)) + "\n"
 
     def footage(self, task: Task) -> Footage:
-        """The footage of a task, opened where it is not. Raises ``InputError``, ``RefusedError`` if none was found."""
+        """Return the footage of a task, opened where it is not.
+
+        Raises ``InputError``, ``RefusedError`` if none was found.
+        """
         if task.path is None:
             raise RefusedError(f"{task.video}: no such video or folder of images")
         with self._lock:
@@ -239,7 +248,7 @@ class Project:
             return self._open[name]
 
     def _grasp(self, content: Json) -> Grasp:
-        """The grasp that a request is about, and who asks. Raises ``RefusedError``."""
+        """Return the grasp that a request is about, and who asks. Raises ``RefusedError``."""
         task, name = self._task(content.get("task")), versions.annotator(content.get("annotator"))
         own = self._grasps(task, name)
         if not isinstance(key := content.get("grasp"), str) or key not in own:
@@ -247,7 +256,7 @@ class Project:
         return own[key]
 
     def _grasps(self, task: Task, name: str) -> dict[str, Grasp]:
-        """What can be labelled: a person's segments of a task and, at last, the whole interaction."""
+        """Return what can be labelled: a person's segments of a task and, at last, the whole interaction."""
         footage, own = self.footage(task), self.store.marks.standing(task.key, name)
         out = {mark.mark: Grasp(task, footage, mark) for mark in own if mark.start is not None}
         if is_whole(own) and (whole := interaction(task, footage, own)).finished:

@@ -26,11 +26,11 @@ from getagrip.errors import UsageError
 SIDE = 200.0
 """Masks are carried at a size at which the object's longer side is about so long [px]."""
 ENOUGH = 1e6
-"""Small images are enlarged for that up to so many pixels."""
+"""Pixels up to which small images are enlarged for that."""
 
 
 class Propagated(NamedTuple):
-    """The mask of a frame."""
+    """A mask of a frame."""
 
     frame: int
     labels: UInt8[ndarray, "H W"]
@@ -49,7 +49,7 @@ class Stretch(NamedTuple):
 
 
 def stretches(keys: Iterable[int], first: int, last: int) -> Iterator[Stretch]:
-    """The frames ``first`` to ``last``, both included and in order, by the keys that their masks come from."""
+    """Yield the frames ``first`` to ``last``, both included and in order, by the keys that their masks come from."""
     for before, after in pairwise([None, *sorted(keys), None]):
         if before is not None:
             yield Stretch(before, before, (before,))
@@ -66,7 +66,9 @@ def propagate(
     known: Container[int] = (),
     hand: Hands = lambda _: None,
 ) -> Iterator[Propagated]:
-    """The masks of the frames ``first`` to ``last``, both included, in order; those of keys are as they are given.
+    """Yield the masks of the frames ``first`` to ``last``, both included, in order.
+
+    Those of keys are as they are given.
 
     ``hand`` is where the hand is visible, if that is known; a key on which the hand is drawn replaces it up to the next
     keys. Pixels of a key that show the hand say nothing of what is behind.

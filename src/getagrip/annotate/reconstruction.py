@@ -37,12 +37,12 @@ class Shape:
 
     @property
     def options(self) -> list[str]:
-        """As ``clip new`` takes it."""
+        """Options of ``clip new``."""
         return ["--mesh", self.mesh, *([] if self.size_mm is None else ["--size-mm", f"{self.size_mm:g}"])]
 
 
 def shape_of(content: Json) -> Shape:
-    """What a request says of the mesh. Raises ``RefusedError``."""
+    """Parse a request's mesh. Raises ``RefusedError``."""
     mesh, size = content.get("mesh"), content.get("size_mm")
     if not isinstance(mesh, str) or not mesh.strip() or len(mesh) > LONGEST or not mesh.isprintable():
         raise RefusedError("missing mesh: a file, or a kind such as plate or mug")
@@ -54,7 +54,7 @@ def shape_of(content: Json) -> Shape:
 
 
 def result_folder(out: Path, name: str) -> Path:
-    """Where the result of a grasp is."""
+    """Return the folder of a grasp's result."""
     return out / RESULTS / name
 
 

@@ -28,7 +28,7 @@ from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.io.serving import LOOPBACK, OF_PAGE, Handler, QuietServer
 
 NAMES = (LOOPBACK, "localhost")
-"""What this machine is called by its own browser."""
+"""Names of this machine in its own browser."""
 PORT, PORTS = 8765, 20
 """The first of the ports that are tried where none is named, and how many of them."""
 SHORTEST = 20
@@ -56,7 +56,7 @@ DATA: dict[str, Callable[[Project, dict[str, str]], dict[str, object]]] = {
     "/api/drafts": lambda project, asked: project.drafts(asked, _whole(asked.get("since"))),
     "/api/agreement": lambda project, _: project.agreement(),
 }
-"""What is asked for as JSON."""
+"""Paths of JSON answers."""
 CHANGES = {
     "/api/change": "change",
     "/api/undo": "undo",
@@ -66,13 +66,13 @@ CHANGES = {
 }
 """Methods of the project, by where their content is sent."""
 FILES = {"/grasps.csv": "csv", "/grasps.json": "json", "/segments.json": "segments"}
-"""What an annotator has marked, as files."""
+"""Paths of files with an annotator's marks."""
 REPORTS = {"/report.png": "image/png", "/report.html": "text/html; charset=utf-8"}
-"""Of a grasp's result."""
+"""Paths of the files of a grasp's result."""
 OF_SCRIPTS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'"
 }
-"""Of the page whose scripts are files of ours."""
+"""Headers of the page whose scripts are files of ours."""
 
 
 class Server(QuietServer):
@@ -94,11 +94,11 @@ class Server(QuietServer):
 
     @property
     def url(self) -> str:
-        """Where the page is, for who may open it."""
+        """Address of the page, for who may open it."""
         return f"http://{LOOPBACK}:{self.server_port}/?token={self.token}"
 
     def admits(self, token: str) -> bool:
-        """Whether a token is this server's."""
+        """Return whether a token is this server's."""
         return compare_digest(token.encode("utf-8", "replace"), self.token.encode())
 
     def server_close(self) -> None:
@@ -108,7 +108,7 @@ class Server(QuietServer):
 
 
 def first_free(project: Project, token: str) -> Server:
-    """A server at the usual port, or at the next one that is free. Raises ``UsageError`` where none is."""
+    """Start a server at the usual port, or at the next one that is free. Raises ``UsageError`` where none is."""
     for port in range(PORT, PORT + PORTS):
         with suppress(UsageError):
             return Server(project, port, token)
@@ -116,9 +116,9 @@ def first_free(project: Project, token: str) -> Server:
 
 
 def kept_token(path: Path) -> str:
-    """The token in a file of ours that only we read; a new one where there is none, so that pages survive a restart.
+    """Read the token in a private file of ours; make one where there is none, so that pages survive a restart.
 
-    A link is not followed, and a short token not believed: whoever sent the folder may know either.
+    A link is not followed, and a short token is not used: whoever sent the folder may know either.
     """
     with suppress(OSError, ValueError):
         about = path.lstat()
@@ -191,7 +191,7 @@ class _Handler(Handler):
         return None
 
     def _may_enter(self) -> bool:
-        """Whether a request has the token, in its cookie or, as the first one, in its address."""
+        """Return whether a request has the token, in its cookie or, as the first one, in its address."""
         url = urlsplit(self.path)
         if url.path == "/" and self.server.admits("".join(parse_qs(url.query).get("token", [])[-1:])):
             return True
@@ -256,7 +256,7 @@ class _Handler(Handler):
 
 
 def _whole(text: str | None) -> int:
-    """A whole number in a request. Raises ``UsageError``."""
+    """Parse a whole number in a request. Raises ``UsageError``."""
     if text is None or not text.isascii() or not text.isdigit() or len(text) > 9:
         raise UsageError("length must be a whole number")
     return int(text)

@@ -28,7 +28,7 @@ WIDTH = 960
 WINDOW = 21
 """Side of what is compared around a point [px]."""
 LEVELS = 3
-"""Of the pyramid, above the image itself."""
+"""Levels of the pyramid, above the image itself."""
 BACK = 1.0
 """A point followed there and back must end so near to where it began [px]."""
 FEWEST = 12
@@ -44,7 +44,7 @@ def steadied(
     size: tuple[int, int],
     image: Callable[[int], UInt8[ndarray, "H W 3"]],
 ) -> ClickedHands:
-    """The same hands, those between clicked frames moved in the image. ``first`` is their first frame."""
+    """Move the hands between clicked frames in the image. ``first`` is their first frame."""
     shrunk = min(1.0, WIDTH / size[0])
     small = round(size[0] * shrunk), round(size[1] * shrunk)
     K_small = np.diag([small[0] / size[0], small[1] / size[1], 1.0]) @ K
@@ -118,7 +118,7 @@ def _moved(
     old: Float32[ndarray, "n 2"],
     guess: Float32[ndarray, "n 2"],
 ) -> tuple[Float32[ndarray, "n 2"], Bool[ndarray, "n"]]:
-    """Where points of an image are in another, and whether they were found."""
+    """Follow points of an image to another; also return whether they were found."""
     import cv2
 
     steps = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 0.01)
@@ -129,7 +129,7 @@ def _moved(
 
 
 def _similarity(uv: Float[ndarray, "V 2"], followed: Sequence[tuple[Points, float]]) -> tuple[complex, complex] | None:
-    """a, b such that a z + b takes the hand's points z = u + i v to the followed ones; None where too few are left.
+    """Fit a, b such that a z + b takes the hand's points z = u + i v to the followed ones; None where too few are left.
 
     Each key's points have the share that is given with them.
     """
@@ -152,7 +152,7 @@ def _similarity(uv: Float[ndarray, "V 2"], followed: Sequence[tuple[Points, floa
 def _applied(
     similarity: tuple[complex, complex], T_cam_hand: Float[ndarray, "4 4"], K: Float[ndarray, "3 3"]
 ) -> Float[ndarray, "4 4"]:
-    """The hand turned about its ray, brought nearer and shifted as its image is."""
+    """Turn the hand about its ray, and bring it nearer and shift it as its image is."""
     a, b = similarity
     u, v = project(K, T_cam_hand[None, :3, 3])[0]
     to = a * (u + 1j * v) + b

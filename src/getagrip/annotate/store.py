@@ -22,8 +22,8 @@ from getagrip.errors import InputError
 from getagrip.io import databases
 
 VERSION = 3
-"""Of the tables, kept as the file's ``user_version``. Version 1 had marks of grasps only, 2 key frames, too: they are
-read, and completed."""
+"""Version of the tables, kept as the file's ``user_version``. Version 1 had marks of grasps only, 2 key frames, too:
+they are read, and completed."""
 APPLICATION = 0x67616772
 """The file's ``application_id``: "gagr"."""
 LONGEST = 2**24
@@ -38,7 +38,7 @@ CREATE TABLE drafts (
 CREATE INDEX drafts_of_grasp ON drafts (grasp, seq);
 """
 SCHEMAS = {1: marks.SCHEMA, 2: keyframes.SCHEMA + DRAFTS, 3: marks.SEGMENTS}
-"""What each version brought."""
+"""Additions of each version."""
 MOST_AT_ONCE = 200
 """Drafts given in one answer."""
 
@@ -56,18 +56,18 @@ class Drafts:
             db.executemany("INSERT INTO drafts (grasp, kind, frame, basis, content) VALUES (?, ?, ?, ?, ?)", rows)
 
     def since(self, grasp: str, seq: int) -> list[dict[str, object]]:
-        """Drafts of a grasp that are newer than ``seq``, the oldest ``MOST_AT_ONCE`` of them."""
+        """Return the drafts of a grasp that are newer than ``seq``, the oldest ``MOST_AT_ONCE`` of them."""
         query = "SELECT seq, kind, frame, basis, content FROM drafts WHERE grasp = ? AND seq > ? ORDER BY seq LIMIT ?"
         rows = self.database.rows(query, (grasp, seq, MOST_AT_ONCE))
         keys = ("seq", "kind", "frame", "basis")
         return [dict(zip(keys, row, strict=False)) | {"content": json.loads(row[-1])} for row in rows]
 
     def bases(self, grasp: str, kind: str) -> dict[int, str]:
-        """By frame, what the drafts that there are were made of."""
+        """Return, by frame, the inputs of the existing drafts."""
         return dict(self.database.rows("SELECT frame, basis FROM drafts WHERE grasp = ? AND kind = ?", (grasp, kind)))
 
     def newest(self, grasp: str) -> int:
-        """A number that grows with every draft of a grasp."""
+        """Return a number that grows with every draft of a grasp."""
         query = "SELECT coalesce(max(seq), 0) FROM drafts WHERE grasp = ?"
         return int(self.database.rows(query, (grasp,))[0][0])
 
@@ -120,7 +120,7 @@ def _tables(db: sqlite3.Connection) -> set[tuple[str, str]]:
 
 
 def _made(version: int) -> sqlite3.Connection:
-    """An empty database of a version, in memory."""
+    """Make an empty database of a version, in memory."""
     db = sqlite3.connect(":memory:")
     for number, schema in SCHEMAS.items():
         db.executescript(schema if number <= version else "")

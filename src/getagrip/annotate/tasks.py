@@ -1,4 +1,4 @@
-"""What there is to look through: a video, a folder of images, or a list of candidates in several of them."""
+"""The tasks to look through: a video, a folder of images, or a list of candidates in several of them."""
 
 from __future__ import annotations
 
@@ -36,21 +36,21 @@ class Task:
     """Unlike any other task's."""
     video: str
     path: Path | None
-    """Where the footage is; None where it was not found."""
+    """Path of the footage; None where it was not found."""
     start: int | None = None
     """Rough start and end, both included, in the footage's own numbers; None for all of it."""
     end: int | None = None
     side: str | None = None
     category: str | None = None
     entity: str | None = None
-    """What the thing is called, as "olive oil bottle"."""
+    """Name of the thing, as "olive oil bottle"."""
     contact: int | None = None
     """Number of a frame in which the hand is known to touch the object."""
     mp4_name: str | None = None
     """EPIC-Grasps' name of the candidate."""
 
     def extent(self, footage: Footage) -> tuple[int, int]:
-        """First and last frame, from 0. Raises ``InputError`` where the footage ends before the first."""
+        """Return the first and last frame, from 0. Raises ``InputError`` where the footage ends before the first."""
         if self.start is None or self.end is None:
             return 0, footage.frames - 1
         last = footage.number(footage.frames - 1)
@@ -61,12 +61,12 @@ class Task:
 
 
 def open_footage(path: Path) -> Footage:
-    """A video file or a folder of images. Raises ``InputError``."""
+    """Open a video file or a folder of images. Raises ``InputError``."""
     return ImageFolder.open(path) if path.is_dir() else Video(path)
 
 
 def read_tasks(source: Path, videos: Path | None = None) -> list[Task]:
-    """One task for a video or a folder of images; for a list (.csv, .json) one for each candidate.
+    """Return one task for a video or a folder of images; for a list (.csv, .json) one for each candidate.
 
     The footage of a list is looked for in ``videos``, by default where the list is. Raises ``InputError``, also for a
     source that is no footage.
@@ -88,7 +88,7 @@ def read_tasks(source: Path, videos: Path | None = None) -> list[Task]:
 
 
 def _task(source: Path, videos: Path, where: str, named: Sequence[str], row: Mapping[str, object]) -> Task:
-    """A row of a list, checked."""
+    """Parse a row of a list."""
 
     def text(key: str, expected: str) -> str:
         value = row.get(key)
@@ -136,7 +136,7 @@ def _task(source: Path, videos: Path, where: str, named: Sequence[str], row: Map
 
 
 def _find(root: Path, video: str) -> Path | None:
-    """A video's file or folder of frames: in the folder itself, or where EPIC-KITCHENS has them."""
+    """Find a video's file or folder of frames: in the folder itself, or where EPIC-KITCHENS has them."""
     subject = root / subject_of(video)
     stem = Path(video).stem if Path(video).suffix in SUFFIXES else video
     files = (folder / f"{stem}{suffix}" for folder in (root, subject / "videos", subject) for suffix in SUFFIXES)

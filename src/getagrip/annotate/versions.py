@@ -22,11 +22,11 @@ from getagrip.errors import GetagripError, InputError
 from getagrip.io.files import Json, is_plain_name, shown
 
 TOKEN = re.compile(r"[A-Za-z0-9-]{8,64}")
-"""What the page calls its marks, changes and tabs."""
+"""Form of the page's names of marks, changes and tabs."""
 
 
 Row = tuple[Any, ...]
-"""Of a database: SQLite keeps any kind of value in any column."""
+"""Row of a database: SQLite keeps any kind of value in any column."""
 
 
 class RefusedError(GetagripError):
@@ -48,7 +48,7 @@ class State(Protocol):
 
     @property
     def deleted(self) -> bool:
-        """Whether it does not stand any more."""
+        """True if it is deleted."""
 
 
 Kind = TypeVar("Kind", bound=State)
@@ -56,7 +56,7 @@ Kind = TypeVar("Kind", bound=State)
 
 @dataclass(frozen=True)
 class Change:
-    """What the page wants of a state: only what a person has touched, so that two tabs can change the same one."""
+    """A change of a state: only what a person has touched, so that two tabs can change the same one."""
 
     change: str
     """Unlike any other: the page sends a change again where it saw no answer."""
@@ -72,7 +72,7 @@ class Database:
         self.lock = Lock()
 
     def rows(self, query: str, values: Sequence[object] = ()) -> list[Row]:
-        """What a query gives. Raises ``InputError`` where the file is damaged."""
+        """Return the rows of a query. Raises ``InputError`` where the file is damaged."""
         try:
             with self.lock:
                 return self.connection.execute(query, values).fetchall()
@@ -80,13 +80,13 @@ class Database:
             raise self.damaged(error) from error
 
     def damaged(self, error: Exception) -> InputError:
-        """What to raise for contents that this program does not write."""
+        """Make the error for contents that this program does not write."""
         got = f"{type(error).__name__}: {error}"
         return InputError(self.path, "", f"contents that are damaged ({got})", "what this program writes")
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
-        """A transaction: all or nothing, without other writers in between."""
+        """Open a transaction: all or nothing, without other writers in between."""
         with self.lock:
             self.connection.execute("BEGIN IMMEDIATE")
             try:
@@ -114,10 +114,10 @@ class Versions(Generic[Kind]):
     row: Callable[[Kind], Row]
     """The columns of a state."""
     state: Callable[[Row], Kind]
-    """The state of a row."""
+    """Convert a row to a state."""
 
     def standing(self, scope: str | None = None, annotator: str | None = None) -> list[Kind]:
-        """The states that stand, in order; of one scope or annotator where named."""
+        """Return the states that stand, in order; of one scope or annotator where named."""
         rows = self.database.rows(
             f"SELECT {', '.join(self.columns)} FROM {self.view} WHERE (?1 IS NULL OR {self.scope} = ?1) "
             f"AND (?2 IS NULL OR annotator = ?2) ORDER BY {self.order}",
@@ -126,12 +126,12 @@ class Versions(Generic[Kind]):
         return [self._state(row) for row in rows]
 
     def newest(self, scope: str, annotator: str) -> int:
-        """A number that grows with every change of an annotator's states of a scope."""
+        """Return a number that grows with every change of an annotator's states of a scope."""
         query = f"SELECT coalesce(max(seq), 0) FROM {self.table} WHERE {self.scope} = ? AND annotator = ?"
         return int(self.database.rows(query, (scope, annotator))[0][0])
 
     def history(self, key: str) -> list[Kind]:
-        """All that a state was, the oldest first."""
+        """Return all versions of a state, the oldest first."""
         query = f"SELECT {', '.join(self.columns)} FROM {self.table} WHERE {self.key} = ? ORDER BY seq"
         return [self._state(row) for row in self.database.rows(query, (key,))]
 
@@ -182,7 +182,7 @@ class Versions(Generic[Kind]):
             return old
 
     def _latest(self, db: sqlite3.Connection, key: str, before: int | None = None) -> Kind | None:
-        """The newest version of a state, or the newest before a version."""
+        """Return the newest version of a state, or the newest before a version."""
         row = db.execute(
             f"SELECT {', '.join(self.columns)} FROM {self.table} WHERE {self.key} = ?1 AND (?2 IS NULL OR seq < ?2) "
             "ORDER BY seq DESC LIMIT 1",
@@ -191,7 +191,10 @@ class Versions(Generic[Kind]):
         return None if row is None else self._state(row)
 
     def _state(self, row: Row) -> Kind:
-        """The state of a row. Raises ``InputError`` for values that no state has: SQLite keeps any in any column."""
+        """Convert a row to a state.
+
+        Raises ``InputError`` for values that no state has: SQLite keeps any in any column.
+        """
         try:
             state = self.state(row)
             annotator(state.annotator)
@@ -213,7 +216,7 @@ class Versions(Generic[Kind]):
 
 
 def read_change(content: Mapping[str, object], settable: frozenset[str]) -> Change:
-    """A change as the page sends it; its values are yet to be checked. Raises ``RefusedError``."""
+    """Parse a change as the page sends it; its values are yet to be checked. Raises ``RefusedError``."""
     sets = content.get("set")
     if not isinstance(sets, dict) or not sets or not sets.keys() <= settable:
         raise RefusedError(f"set must be some of {', '.join(sorted(settable))} (got {shown(sets)})")
@@ -221,7 +224,7 @@ def read_change(content: Mapping[str, object], settable: frozenset[str]) -> Chan
 
 
 def token(content: Mapping[str, object], key: str) -> str:
-    """What the page calls something. Raises ``RefusedError``."""
+    """Parse the page's name of something. Raises ``RefusedError``."""
     value = content.get(key)
     if not isinstance(value, str) or not TOKEN.fullmatch(value):
         raise RefusedError(f"{key} must be 8 to 64 letters, digits or hyphens (got {shown(value)})")
@@ -229,7 +232,7 @@ def token(content: Mapping[str, object], key: str) -> str:
 
 
 def annotator(name: object) -> str:
-    """The name of a person, which also names files. Raises ``RefusedError``."""
+    """Check the name of a person, which also names files. Raises ``RefusedError``."""
     if not isinstance(name, str) or not is_plain_name(name) or len(name) > 60:
         raise RefusedError(f"annotator must be a name of up to 60 letters, without / and \\ (got {shown(name)})")
     return name

@@ -85,18 +85,18 @@ class Video:
         return width, height
 
     def time(self, index: int) -> float:
-        """When a frame is shown, from the start of the stream [s]."""
+        """Return the time at which a frame is shown, from the start of the stream [s]."""
         return float(self._time(index))
 
     def _time(self, index: int) -> Fraction:
         return (self._times[index] - self._begin) * self._base
 
     def number(self, index: int) -> int:
-        """EPIC's number of a frame in one of its videos, else its place from 1."""
+        """Return EPIC's number of a frame in one of its videos, else its place from 1."""
         return index + 1 if self._rate is None else round(self._time(index) * Fraction(self._rate)) + 1
 
     def index(self, number: int) -> int:
-        """The frame of a number, as the reader of EPIC-Grasps finds it; the nearest where there is none."""
+        """Return the frame of a number, as the reader of EPIC-Grasps finds it; the nearest where there is none."""
         if self._rate is None:
             found = number - 1
         else:
@@ -106,15 +106,15 @@ class Video:
         return min(max(found, 0), self.frames - 1)
 
     def name(self, index: int) -> str:
-        """A frame's place from 1, as ``clip new`` has it."""
+        """Return a frame's place from 1, as ``clip new`` has it."""
         return f"{index + 1:06d}"
 
     def jpeg(self, index: int, whole: bool = False) -> bytes:
-        """A frame to be shown, ``whole`` or made smaller where it is wide. Raises ``InputError``."""
+        """Return a frame for display, ``whole`` or made smaller where it is wide. Raises ``InputError``."""
         return encoded(self.image(index)[..., ::-1], LARGEST_SIDE) if whole else self.shown.get(index)
 
     def image(self, index: int) -> UInt8[ndarray, "H W 3"]:
-        """A frame, all of its pixels: red, green, blue. Raises ``InputError`` where it does not decode."""
+        """Return a frame, all of its pixels: red, green, blue. Raises ``InputError`` where it does not decode."""
         return self.whole.get(index)
 
     def close(self) -> None:
@@ -124,7 +124,7 @@ class Video:
 
 
 def _encoded(frame: VideoFrame, aspect: Fraction | None) -> bytes:
-    """A frame as JPEG, upright, made smaller where it is too wide."""
+    """Encode a frame as JPEG, upright, made smaller where it is too wide."""
     width = shown_width(frame, aspect)
     shrunk = min(1.0, WIDEST / width)
     size = max(2, round(width * shrunk)), max(2, round(frame.height * shrunk))
@@ -133,5 +133,5 @@ def _encoded(frame: VideoFrame, aspect: Fraction | None) -> bytes:
 
 
 def _upright(frame: VideoFrame, aspect: Fraction | None) -> UInt8[ndarray, "H W 3"]:
-    """A frame, upright."""
+    """Return a frame, upright."""
     return np.ascontiguousarray(upright(frame, aspect))

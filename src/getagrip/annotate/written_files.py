@@ -91,7 +91,7 @@ def write_files(project: Project, out: Path) -> int:
 
 
 def not_listed(unfinished: Sequence[Mark]) -> str:
-    """What grasps lack to be in the list."""
+    """Say what grasps lack to be in the list."""
     lacks = {
         "mark the end": any(mark.end is None for mark in unfinished),
         "state the hand": any(not mark.side for mark in unfinished),
@@ -120,7 +120,7 @@ def write_segments(project: Project, out: Path, annotator: str) -> int:
 
 
 def in_words(one: Agreement) -> str:
-    """The agreement of two people in a line."""
+    """Write the agreement of two people in a line."""
     reached = "no grasps to compare"
     if one.iou is not None:
         reached = f"mean temporal IOU {100 * one.iou:.1f} % of {counted(one.grasps, 'grasp')}"

@@ -54,7 +54,7 @@ def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batc
             if ledger.path.parent != out:
                 report(f"{out}: its ledger is {ledger.path}")
             for folder in leftovers.sweep(out) if isinstance(out, Path) else ():
-                report(f"{folder}: removed, left behind by a process that has died")
+                report(f"{folder}: removed, unfinished work of a process that has died")
             ledger.expect((name for name, _ in plan), map(entry_of_path, plan.failed))
             many = len(plan) + len(plan.failed) > 1
             try:
@@ -65,7 +65,7 @@ def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batc
                 where = (
                     f"{shlex.quote(str(out))}{f' --ledger {shlex.quote(str(share.ledger))}' if share.ledger else ''}"
                 )
-                report(f"what is done: getagrip status {where}")
+                report(f"progress: getagrip status {where}")
                 raise
             if many:
                 _summarise(ledger, out)
@@ -84,7 +84,7 @@ def _summarise(ledger: Ledger, out: Place) -> None:
 
 
 class _Tally:
-    """What has become of the clips of a call."""
+    """The counts of a call's clips, by outcome."""
 
     def __init__(self) -> None:
         self.counts = Counter[str]()
@@ -106,7 +106,7 @@ class _Tally:
         return self.counts.total()
 
     def passes(self, min_probability: float) -> bool:
-        """Whether no result has a serious finding, or a probability below the least one."""
+        """Return whether no result has a serious finding, or a probability below the least one."""
         return not self.flagged and all(right >= min_probability for right in self.right.values())
 
     def print(self) -> None:
@@ -146,13 +146,13 @@ def _work_off(plan: Plan, ledger: Ledger, out: Place, options: Options, batch: B
                 tally.add(outcome)
                 pace.count(outcome.state)
                 if batch.share.fail_fast and outcome.state == "failed":
-                    report("--fail-fast: no other clip is begun")
+                    report("--fail-fast: the other clips are skipped")
                     break
     return tally
 
 
 def _lost(job: Job | StreamedJob, why: str) -> Outcome:
-    """The outcome of a clip that no process could do."""
+    """Make the outcome of a clip that no process could do."""
     return Outcome(job.name, "failed", why)
 
 
@@ -166,14 +166,14 @@ def shown(bar: Progress, work: Callable[..., R], job: Named) -> R:
 
 
 def expected(right: Mapping[str, float], what: str = "right in the hand") -> str:
-    """How many results are probably right, and which are rather wrong, by the probability of each that it is right."""
+    """Count the results that are probably right, and name those likely wrong, by the probability of each."""
     wrong = sorted((name for name in right if right[name] < 0.5), key=lambda name: right[name])
-    named = f"; rather wrong than right, the worst first: {', '.join(wrong)}" if wrong else ""
+    named = f"; likely wrong, worst first: {', '.join(wrong)}" if wrong else ""
     return f"about {sum(right.values()):.0f} of {len(right)} are {what}, by their probabilities{named}"
 
 
 def print_outcome(outcome: Outcome, debug: bool) -> None:
-    """One line about a clip, and one for each finding: failures on stderr, the rest on stdout."""
+    """Print one line about a clip, and one for each finding: failures on stderr, the rest on stdout."""
     failed = outcome.state == "failed"
     parts = ["failed"] * failed + [outcome.name] * bool(outcome.name) + [outcome.message]
     print(cleaned(": ".join(parts)), file=sys.stderr if failed else sys.stdout)

@@ -38,12 +38,12 @@ def reconstruct_small() -> None:
 
 
 def _is_set(mark: Path) -> bool:
-    """Whether the kernels of this code are compiled."""
+    """Return whether the kernels of this code are compiled."""
     return mark.is_file() and files.read_bytes(mark) == code.fingerprint().encode()
 
 
 def mark_file() -> Path:
-    """The mark: beside what numba keeps, named like it, and so removed with it.
+    """Return the mark: beside numba's cache, named like it, and so removed with it.
 
     Its name says what kernels are compiled for, since several machines may see one folder.
     """

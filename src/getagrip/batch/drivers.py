@@ -1,4 +1,4 @@
-"""The processes that work off a folder together, each as a row of its ledger: which of them still live?
+"""The living drivers: the processes that work on a folder together, each with a row in its ledger.
 
 A driver that dies gives back its claims. Clocks decide nothing, since they jump and differ between machines: a driver
 counts its heartbeats, and is dead to another one that has seen the same count for ``PATIENCE`` seconds of its own
@@ -65,7 +65,7 @@ class Drivers:
         self._db.executemany("DELETE FROM drivers WHERE id = ?", dead)
 
     def lives(self, driver: str) -> bool:
-        """Whether a driver is at work, as far as can be known."""
+        """Return whether a driver is at work, as far as can be known."""
         row = self._db.execute("SELECT machine, pid, born, beats FROM drivers WHERE id = ?", (driver,)).fetchone()
         if row is None:
             return False
@@ -79,7 +79,7 @@ class Drivers:
         return time.monotonic() - since < PATIENCE
 
     def _beat(self) -> None:
-        """Runs in a thread: count, until we leave."""
+        """Count in a thread until the driver leaves."""
         while not self._leaving.wait(EVERY):
             try:
                 db = sqlite3.connect(self._there, timeout=EVERY, isolation_level=None, uri=True)
@@ -92,7 +92,7 @@ class Drivers:
 
 
 def _machine() -> str:
-    """What tells this machine since it was started from others, and from containers with processes of their own."""
+    """Return an identifier of this machine since its start; containers with processes of their own have another one."""
     parts = [socket.gethostname()]
     try:
         parts.append(Path("/proc/sys/kernel/random/boot_id").read_text("utf-8").strip())

@@ -1,4 +1,4 @@
-"""The batch engine: tasks that several drivers share through a ledger, done in this process or by a crew.
+"""The batch engine: tasks that several drivers share through a ledger, done in this process or by an executor.
 
 What a task is and what its work returns is the caller's: clips to reconstruct, parts of a dataset to import.
 """
@@ -17,7 +17,7 @@ from getagrip.batch.executor import Ended, Start
 from getagrip.batch.ledger import Ledger
 from getagrip.batch.limits import NONE, Limits
 from getagrip.batch.pool import in_turn, shared_out
-from getagrip.io import code, files
+from getagrip.io import files, plugins
 
 
 class Named(Protocol):
@@ -40,22 +40,22 @@ class Engine(Generic[J, R]):
     work: Callable[[J], R]
     """In whatever process; raises nothing."""
     lost: Callable[[J, str], R]
-    """What becomes of a task that no process could do, and why."""
+    """Makes the outcome of a task that no process could do, from the reason."""
     entry: Callable[[R], Entry]
-    """What the ledger is to say: state, why, inputs and about."""
+    """Makes the ledger's entry: state, why, inputs and about."""
     options: object
-    """What the work depends on besides its inputs and the code: anything that JSON can hold."""
+    """Everything besides inputs and code that the work depends on: anything that JSON can hold."""
     executor: Start[J, R] | None = None
     """Who does it; None: this process."""
     limits: Limits = NONE
-    """For a crew."""
+    """Limits for an executor."""
     prepare: Callable[[], object] | None = None
-    """Called by each process of a crew before it does anything."""
+    """Called by each process of an executor before it does anything."""
     in_this: Callable[[J], R] | None = None
     """The work as it is done in this process, where that differs."""
 
     def run(self, tasks: Iterable[J], ledger: Ledger) -> Generator[R, None, None]:
-        """What becomes of each task, as they end; one that another driver does is waited for.
+        """Yield the outcome of each task, as they end; one that another driver does is waited for.
 
         Raises ``GetagripError`` where the ledger cannot be written any more. Tasks at work are finished first.
         """
@@ -78,7 +78,7 @@ class Engine(Generic[J, R]):
     def _claims(
         self, tasks: Iterable[J], ledger: Ledger, digest: str, failed_elsewhere: deque[R]
     ) -> Iterator[J | None]:
-        """The tasks that are ours to do, each claimed when it is asked for; None while all that is left is others'."""
+        """Claim tasks one by one, as they are asked for; yield None while another driver does all that is left."""
         waiting = deque[J]()
         for task in tasks:
             yield from self._claimed(task, ledger, digest, failed_elsewhere, waiting)
@@ -91,8 +91,8 @@ class Engine(Generic[J, R]):
     def _claimed(
         self, task: J, ledger: Ledger, digest: str, failed_elsewhere: deque[R], waiting: deque[J]
     ) -> Iterator[J]:
-        """The task, if it is ours to do; else it is waited for, or has failed elsewhere."""
-        entry = ledger.claim(task.name, digest, code.fingerprint())
+        """Claim a task; else wait for it, or pass it over where it has failed elsewhere."""
+        entry = ledger.claim(task.name, digest, plugins.fingerprint())
         if entry is None:
             waiting.append(task)
         elif entry.state == "failed":
@@ -105,7 +105,7 @@ class Engine(Generic[J, R]):
 
     def _note(self, ended: Ended[J, R], result: R, ledger: Ledger, digest: str) -> None:
         """Write into the ledger what has become of a task."""
-        entry = replace(self.entry(result), name=ended.job.name, options=digest, code=code.fingerprint())
+        entry = replace(self.entry(result), name=ended.job.name, options=digest, code=plugins.fingerprint())
         if entry.state != "kept":
             worker = f"{ended.machine}:{ended.process}"
             entry = replace(entry, worker=worker, attempts=ended.attempts, seconds=ended.seconds)

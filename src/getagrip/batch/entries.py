@@ -1,4 +1,4 @@
-"""What a ledger holds: an entry for each task. They are read here, by whoever does not change it, too."""
+"""The entries of a ledger, one for each task. They are read here, by whoever does not change it, too."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Entry:
     code: str = ""
     """Version and fingerprint of the code."""
     about: Mapping[str, object] = field(default_factory=dict)
-    """What else a summary says of it."""
+    """Other fields of a summary."""
 
 
 COLUMNS = tuple(Entry.__dataclass_fields__)
@@ -70,18 +70,18 @@ class Entries:
     _db: sqlite3.Connection
 
     def entries(self) -> Iterator[Entry]:
-        """All of them, by name."""
+        """Yield all entries, by name."""
         with self._named():
             for row in self._db.execute(f"SELECT {', '.join(COLUMNS)} FROM tasks ORDER BY name"):
                 yield self._entry(row)
 
     def has(self, name: str) -> bool:
-        """Whether a task has an entry."""
+        """Return whether a task has an entry."""
         with self._named():
             return self._db.execute("SELECT 1 FROM tasks WHERE name = ?", (name,)).fetchone() is not None
 
     def _entry(self, row: sqlite3.Row) -> Entry:
-        """A row as an entry. Raises ``InputError`` where it is none."""
+        """Convert a row to an entry. Raises ``InputError`` where it is none."""
         values = dict(zip(COLUMNS, row, strict=True))
         texts = [value for column, value in values.items() if column not in ("attempts", "seconds")]
         try:
@@ -143,7 +143,7 @@ class ReadLedger(Entries):
 
 @contextmanager
 def ledger_there(folder: Path) -> Iterator[Entries | None]:
-    """The ledger in a folder; None where there is none that can be read: results do without, and that is said."""
+    """Open the ledger in a folder; None, with a message, where there is none that can be read: results do without."""
     if not (folder / FILE).exists():
         yield None
         return

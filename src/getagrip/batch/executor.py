@@ -1,4 +1,4 @@
-"""What a crew is: whoever does jobs, processes here or those of a cluster; ``pool`` gives it jobs."""
+"""The executor's interface: processes on this machine or those of a cluster do the jobs that ``pool`` submits."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Generic, Protocol, TypeVar
 
 from getagrip.batch.limits import Limits
 from getagrip.errors import GetagripError
-from getagrip.io import code
+from getagrip.io import code, plugins
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -25,7 +25,7 @@ class Ended(Generic[J, R]):
 
     job: J
     result: R | None
-    """What the work returned; None where its process died or was ended."""
+    """Return value of the work; None where its process died or was ended."""
     why: str = ""
     """Why there is none."""
     seconds: float = 0.0
@@ -33,7 +33,7 @@ class Ended(Generic[J, R]):
     attempts: int = 1
     process: int = 0
     machine: str = field(default_factory=socket.gethostname)
-    """Of the process."""
+    """Host name of the process."""
 
 
 class Executor(Protocol[J, R]):
@@ -54,7 +54,7 @@ class Executor(Protocol[J, R]):
         ...
 
     def wait(self, nap: float | None) -> list[Ended[J, R]]:
-        """The jobs that end next; maybe none, when the ``nap`` is over [s] or nobody is at work.
+        """Wait for the jobs that end next; none, when the ``nap`` is over [s] or no job is running.
 
         ``DIES`` is why a job has ended whose process was lost, maybe by the job's own fault.
         """
@@ -67,11 +67,11 @@ class Executor(Protocol[J, R]):
 
 def check_code(expected: str) -> None:
     """Raise ``GetagripError`` where this machine has another getagrip than the one that gave out the jobs."""
-    if code.fingerprint() != expected:
+    if plugins.fingerprint() != expected:
         here = f"{code.PACKAGE} on {socket.gethostname()}"
-        got = f"getagrip of other code ({code.fingerprint()})"
+        got = f"getagrip of other code ({plugins.fingerprint()})"
         raise GetagripError(f"{here} must be the same on every machine, {expected} (got {got})")
 
 
 Start = Callable[[Callable[[J], R], Limits, Callable[[], object] | None], Executor[J, R]]
-"""From the work, the limits of a job and what each process calls first to a crew."""
+"""Makes an executor from the work, the limits of a job and the function that each process calls first."""

@@ -1,4 +1,4 @@
-"""The crews that a call can choose by ``--engine``, each from its own file."""
+"""The executors that a call can choose by ``--engine``, each from its own file."""
 
 from __future__ import annotations
 
@@ -37,4 +37,4 @@ def _without(address: str | None) -> None:
 ENGINES: dict[str, Callable[[int | None, str | None], Start[object, object]]] = {
     "local": _local, "ray": _ray, "slurm": _slurm,
 }  # fmt: skip
-"""By name: from the number of workers and the cluster's address, each None if not said, to the start of a crew."""
+"""By name: from the number of workers and the cluster's address, each None if not said, to the start of an executor."""

@@ -31,15 +31,15 @@ class FindJob:
     """The folder that gets the clips."""
     options: Options
     alone: bool
-    """Whether each grasp becomes a clip of its own, or the whole a timeline."""
+    """True if each grasp becomes a clip of its own; else the whole becomes a timeline."""
 
     @property
     def record(self) -> Path:
-        """What says from what the clips were made, and which they are."""
+        """File that lists the clips and what they were made from."""
         return self.to / f"{self.name}.{'grasps' if self.alone else 'timeline'}.json"
 
     def made_from(self, checksum: str) -> dict[str, object]:
-        """All that decides what is found; ``checksum`` is that of the clip."""
+        """Return everything that the found segments depend on; ``checksum`` is that of the clip."""
         from getagrip.segmentation.hinge_fits import METHOD
 
         options = asdict(replace(self.options, method=METHOD, every_frame=True))  # of both, the user's does not matter
@@ -48,7 +48,7 @@ class FindJob:
 
 @dataclass(frozen=True)
 class DetectedClip:
-    """What was found in a clip, as clips."""
+    """The segments found in a clip, as clips."""
 
     clip: str
     state: Literal["done", "kept"]
@@ -78,12 +78,12 @@ def find_one(job: FindJob, progress: Progress = lambda *_: None) -> DetectedClip
 
 
 def lost(job: FindJob, why: str) -> DetectedClip | Outcome:
-    """What becomes of a clip that no process could do."""
+    """Make the outcome of a clip that no process could do."""
     return Outcome(job.name, "failed", why)
 
 
 def entry_of(found: DetectedClip | Outcome) -> Entry:
-    """What the ledger is to say of a clip."""
+    """Make the ledger's entry of a clip."""
     if isinstance(found, Outcome):
         return Entry(found.name, "failed", found.message)
     about = {"clips": [folder.name for folder in found.folders]}
@@ -109,7 +109,7 @@ def _found(job: FindJob, checksum: str, why: str, progress: Progress) -> Detecte
 
 
 def _standing(job: FindJob, checksum: str) -> tuple[DetectedClip | None, str]:
-    """What was found before, if it is there and good, else None and why it is not.
+    """Return the segments that were found before, if they are valid, else None and the reason.
 
     Good is what was made from the same clip, with the same options, by the same code, and has not changed since.
     """

@@ -45,11 +45,11 @@ class ImportJob:
 
 @dataclass(frozen=True)
 class Imported:
-    """What became of a part."""
+    """The outcome of a part."""
 
     clips: Sequence[Outcome]
     notes: Sequence[str] = ()
-    """What was skipped, in words."""
+    """Notes on what was skipped."""
     made: Sequence[Mapping[str, object]] = ()
     """Provenance of the clips that were made."""
     handless: int = 0
@@ -59,13 +59,13 @@ class Imported:
 
 
 def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE, only: Set[str] | None = None) -> int:
-    """Write the clips of a dataset as ``out/<clip name>/``, or ``only`` some of them; 1 if something failed, 3 if a
-    camera seems to be of other images, else 0.
+    """Write the clips of a dataset as ``out/<clip name>/``, or ``only`` some of them.
 
-    Clips that are there already are kept, unless they lack hands that are known now. What killed processes have left
-    is removed. Beside clips that are cut to grasps stands the list of them (``write_list``). Several calls may share a
-    folder: its ledger says who reads which part. Raises as ``Dataset.parts`` does, ``UsageError`` where clips in the
-    folder were cut in another way, and ``GetagripError`` where the ledger cannot be written.
+    Returns 1 if something failed, 3 if a camera seems to belong to other images, else 0. Existing clips are kept,
+    unless they lack hands that are known now. Leftovers of killed processes are removed. Beside clips that are cut to
+    grasps, the list of them is written (``write_list``). Several calls may share a folder: its ledger says who reads
+    which part. Raises as ``Dataset.parts`` does, ``UsageError`` where clips in the folder were cut in another way, and
+    ``GetagripError`` where the ledger cannot be written.
     """
     jobs = [ImportJob(part, out, only) for part in dataset.parts(report) if part.name in share.shard]
     cut = dataset.cut_record()
@@ -100,12 +100,12 @@ def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE,
 
 
 def _lost(job: ImportJob, why: str) -> Imported:
-    """The outcome of a part that no process could read."""
+    """Make the outcome of a part that no process could read."""
     return Imported([Outcome(job.name, "failed", why)])
 
 
 def _entry(imported: Imported) -> Entry:
-    """What the ledger is to say of a part."""
+    """Make the ledger's entry of a part."""
     states = Counter(outcome.state for outcome in imported.clips)
     why = "; ".join(outcome.message for outcome in imported.clips if outcome.state == "failed")
     state: State = "failed" if states["failed"] else "done" if states["done"] else "kept"

@@ -35,14 +35,14 @@ class Job:
     options: Options
     overwrite: bool
     origin: str = ""
-    """Of a clip that is a copy: the address of the original."""
+    """Address of the original, for a clip that is a copy."""
     threads: int = 1
     """That share the hypotheses."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a clip (or of a path where none was found)."""
+    """The outcome of a clip (or of a path without one)."""
 
     name: str
     """Empty where a path is no clip and no folder."""
@@ -50,35 +50,35 @@ class Outcome:
     """``kept``: the result stood there already."""
     message: str
     trace: str = ""
-    """Where the error arose, for ``--debug``."""
+    """Place where the error arose, for ``--debug``."""
     findings: tuple[Finding, ...] = ()
-    """What is unusual about a result."""
+    """Findings of a result."""
     probability_right: Probability | None = None
     probability_right_in_camera: Probability | None = None
-    """Of a result, where they are known."""
+    """Probability in the camera; None where it is not known."""
     inputs: str = ""
     """Checksum of the clip, where it could be read."""
     status: str = ""
-    """Of a result: how it ended."""
+    """Status of a result."""
     iou: float | None = None
-    """Of a result: over its frames."""
+    """Mean IOU of a result over its frames."""
     ambiguous: bool | None = None
-    """Of a result."""
+    """True if a result is ambiguous; None without a result."""
     seconds: float = 0.0
-    """Of a result: what its making took."""
+    """Time that a result took [s]."""
     path: str = ""
-    """Of what gave no clip to work on: where it is, whole."""
+    """Whole path of what gave no clip to work on."""
 
 
 def failure(name: str, error: Exception) -> Outcome:
-    """The outcome of a clip that raised an error; one that nobody raised on purpose says where in a user's own code."""
+    """Make the outcome of a clip that raised an error; unexpected ones name the place in the user's own code."""
     expected = isinstance(error, GetagripError | OSError)
     message = str(error)
     if not expected:
         where = place(error)
         message = f"{f'{where}:' if where else 'unexpected'} {type(error).__name__}: {error}"
     if isinstance(error, MemoryError):
-        message = f"it needs more memory than there is, or than --limit-gb allows; {error}".removesuffix("; ")
+        message = f"it needs more memory than is available, or than --limit-gb allows;  {error}".removesuffix("; ")
     return Outcome(name, "failed", cleaned(" ".join(message.split())), "".join(traceback.format_exception(error)))
 
 
@@ -116,7 +116,7 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
     probably = f", right with a probability of {known}" if known else ""
     if grasps := probabilities_of_grasps(result.segments):
         probably = f", {grasps}"
-    if not known and (none := uncalibrated(job.options, result.findings)):
+    if not known and (none := uncalibrated(job.options, result.findings, result.energy)):
         probably = f"{probably or ', no probability that it is right'} ({none})"
     about = f"{probably}{', ambiguous' if result.ambiguous else ''}"
     again = f"done again, since {why}: " if why else ""
@@ -125,7 +125,7 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
 
 
 def _reconstructed(job: Job, progress: Progress | None) -> tuple[Reconstruction, str]:
-    """The clip's reconstruction, and the checksum of what it was made from.
+    """Reconstruct the clip, and return the checksum of its inputs.
 
     Raises ``InputError`` where the clip has changed meanwhile: some of it was read before, some after.
     """
@@ -139,7 +139,7 @@ def _reconstructed(job: Job, progress: Progress | None) -> tuple[Reconstruction,
 
 
 def standing(job: Job, checksum: str) -> tuple[Outcome | None, str]:
-    """The outcome of a job whose result is there and good, else None and why one that is there is not.
+    """Return the outcome of a job whose result is there and valid, else None and the reason.
 
     ``checksum`` is that of the clip. Raises ``UsageError`` where something else is in the result's place.
     """
@@ -151,7 +151,7 @@ def standing(job: Job, checksum: str) -> tuple[Outcome | None, str]:
 
 
 def _outcome(job: Job, state: Literal["done", "kept"], message: str, result: Reconstruction, checksum: str) -> Outcome:
-    """That of a job whose result is good."""
+    """Make the outcome of a job whose result is valid."""
     return Outcome(
         job.name, state, message, findings=result.findings, probability_right=result.probability_right,
         probability_right_in_camera=result.probability_right_in_camera,

@@ -1,4 +1,4 @@
-"""Whether a result that is there is still good: of the same clip, options and code, and readable."""
+"""Validity of existing results: of the same clip, options and code, and readable."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from pathlib import Path
 
 from getagrip.errors import InputError, UsageError
 from getagrip.fitting.methods import OURS, Method, method_of
-from getagrip.io import files
+from getagrip.io import files, plugins
 from getagrip.io.own_code import UnknownSourceError, checksum
 from getagrip.result import Reconstruction, is_result, read_result, software
 
 KEY = "method_code"
-"""Of a record's ``software``: the checksum of a method from outside."""
+"""Key in a record's ``software``: the checksum of a method from outside."""
 UNKNOWN = "unknown"
 """The checksum of a method whose source cannot be found: its results are never kept."""
 OTHER = {
@@ -24,17 +24,18 @@ OTHER = {
     "getagrip": "another version",
     "code": "other code",
     KEY: "another source of its method",
+    "plugins": "other plug-ins",
 }
 """In what a record may differ, by its key."""
 _CHECKSUMS: dict[str, tuple[Method, str]] = {}
-"""Of methods from outside, as their files were when they were first asked for: what changes later does not run here."""
+"""Checksums of methods from outside, as their files were when first asked for: later changes do not run here."""
 
 
 def made_by(method: str, *also: str) -> dict[str, str]:
-    """``result.software``, and of a method that is not the package's own a checksum of its code (``io.own_code``)."""
-    there = method_of(method)
+    """Return ``result.software``, the additions of other packages, and the checksum of a method from outside."""
+    there, made = method_of(method), software(*also) | plugins.made_with(method)
     if there is OURS.get(method):
-        return software(*also)
+        return made
     known, code = _CHECKSUMS.get(method, (None, ""))
     if known is not there:
         try:
@@ -42,13 +43,13 @@ def made_by(method: str, *also: str) -> dict[str, str]:
         except UnknownSourceError:
             code = UNKNOWN
         _CHECKSUMS[method] = there, code
-    return software(*also) | {KEY: code}
+    return made | {KEY: code}
 
 
 def good_result(
     folder: Path, checksum: str, method: str, options: Mapping[str, object], made_by: Mapping[str, str], overwrite: bool
 ) -> tuple[tuple[Reconstruction, dict[str, object]] | None, str]:
-    """The result in a folder with its record, if it is good, else None and why not; the reason is empty for no result.
+    """Return the result in a folder with its record, if it is valid, else None and the reason, empty for no result.
 
     ``checksum`` is that of the clip, ``made_by`` the software that would make it now. With ``overwrite`` none is good,
     for no reason. Raises ``UsageError`` where something else is in the result's place.
@@ -72,7 +73,7 @@ def good_result(
 
 
 def difference(there: Mapping[str, object], now: Mapping[str, object], called: Mapping[str, str]) -> str:
-    """In what a record differs from that of what would be made now, as a reason; empty where it does not.
+    """Explain in which entry a record differs from the one that would be made now; empty where it does not.
 
     ``called`` are the entries that count, and how each is called.
     """
@@ -82,10 +83,10 @@ def difference(there: Mapping[str, object], now: Mapping[str, object], called: M
 
 
 def without_source(method: str) -> str:
-    """The reason where nobody can know whether a method has changed."""
+    """Return the reason where it cannot be known whether a method has changed."""
     return f"the source of the method {method} is in no file, and it may have changed"
 
 
 def damaged(error: object) -> str:
-    """The reason where a record, or what belongs to it, cannot be read."""
+    """Return the reason where a record, or what belongs to it, cannot be read."""
     return f"what was there is damaged ({error})"

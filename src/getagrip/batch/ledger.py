@@ -121,7 +121,7 @@ class Ledger(Entries):
             db.execute(f"UPDATE tasks SET {changes} WHERE {ours}", values | {"me": self._drivers.id})
 
     def _of_another(self, driver: str) -> bool:
-        """Whether this is a driver that lives, and not ourselves."""
+        """Return whether this is a living driver other than this process."""
         return bool(driver) and driver != self._drivers.id and self._drivers.lives(driver)
 
     def _prepare(self) -> None:
@@ -152,7 +152,7 @@ class Ledger(Entries):
 
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:
-        """A transaction that nobody else writes into; it holds whole or not at all."""
+        """Open a transaction that holds whole or not at all, without other writers in between."""
         with self._named():
             self._db.execute("BEGIN IMMEDIATE")
             try:

@@ -1,4 +1,4 @@
-"""Where the ledger of results lies: beside them, or where they are in an object store, in the user's state folder."""
+"""The place of a folder's ledger: beside the results or, for those in an object store, in the user's state folder."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from getagrip.io.storage import Place
 
 
 def state_folder() -> Path:
-    """The user's own folder for what is neither input nor result."""
+    """Return the user's own folder for what is neither input nor result."""
     return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "getagrip"
 
 
 def ledger_folder(out: Place, value: Path | None) -> Path:
-    """The ledger's folder: what the user has ``given``, else the results' own, else one in the user's state folder.
+    """Return the ledger's folder: the one ``given``, else that of the results, else one in the user's state folder.
 
     SQLite needs a local disk. Calls on the same results on one machine share the ledger.
     """

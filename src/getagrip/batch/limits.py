@@ -1,4 +1,4 @@
-"""How much time and memory one job may take: a clip that asks for more is named and left behind."""
+"""Limits of the time and memory of one job: a clip that needs more fails, and is named."""
 
 from __future__ import annotations
 
@@ -11,19 +11,22 @@ from tyro.conf import arg
 from getagrip.errors import UsageError
 
 MOST = 1e6
-"""Of seconds and of GB: the kernel and the clock count no farther than some thousand times as many."""
+"""Most seconds and GB: the kernel and the clock count no farther than some thousand times as many."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Of each job. Raises ``UsageError`` for limits that are no positive numbers, or that cannot be held here."""
+    """The limits of each job.
+
+    Raises ``UsageError`` for limits that are no positive numbers, or that cannot be held here.
+    """
 
     seconds: Annotated[float | None, arg(name="limit-seconds", metavar="S", help_behavior_hint="(default: none)")] = (
         None
     )
-    """Time limit of a clip, in bench with all its methods, or of a part of a dataset [s]: its process is ended."""
+    """Time limit of a clip (in bench, with all its methods) or of a part of a dataset [s]."""
     gigabytes: Annotated[float | None, arg(name="limit-gb", metavar="GB", help_behavior_hint="(default: none)")] = None
-    """Memory limit of the process of each [10^9 bytes] (Linux): one that asks for more fails."""
+    """Memory limit of each process [10^9 bytes] (Linux only)."""
 
     def __post_init__(self) -> None:
         for option, value in (("--limit-seconds", self.seconds), ("--limit-gb", self.gigabytes)):

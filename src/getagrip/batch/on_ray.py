@@ -1,4 +1,4 @@
-"""A crew on a Ray cluster: each job is a Ray task, done by a process of ours that the Ray worker keeps for the next.
+"""An executor on a Ray cluster: each job is a Ray task, done by a process of ours that the worker keeps for the next.
 
 So limits of time and memory, and what becomes of a job whose process dies, are as on one machine. Jobs of a node that
 is lost are given to others.
@@ -21,7 +21,7 @@ from getagrip.batch.limits import Limits
 from getagrip.batch.pool import cores
 from getagrip.batch.processes import Processes
 from getagrip.errors import UsageError
-from getagrip.io import code, extras
+from getagrip.io import extras, plugins
 from getagrip.io.terminal import report
 
 J = TypeVar("J")
@@ -45,7 +45,7 @@ class _Submitted(Generic[J]):
 
 
 class RayExecutor(Generic[J, R]):
-    """Workers of a cluster that runs, or of one on this machine that ends with the crew."""
+    """Workers of a running cluster, or of one on this machine that ends with the executor."""
 
     def __init__(
         self,
@@ -66,7 +66,7 @@ class RayExecutor(Generic[J, R]):
             _connect(self._ray, workers, address or os.environ.get("RAY_ADDRESS"))
         self._workers = workers
         task = self._ray.remote(num_cpus=1, max_retries=0)(_do)
-        how = self._ray.put((work, limits, prepare, code.fingerprint(), os.getcwd()))
+        how = self._ray.put((work, limits, prepare, plugins.fingerprint(), os.getcwd()))
         self._start: Callable[[J], object] = lambda job: task.remote(how, job)
         self._at_work: dict[object, _Submitted[J]] = {}
         self._cpus, self._looked = 0, -LOOK_EVERY
@@ -88,7 +88,7 @@ class RayExecutor(Generic[J, R]):
         self._at_work[self._start(job)] = _Submitted(job, attempt)
 
     def wait(self, nap: float | None) -> list[Ended[J, R]]:
-        """The jobs that end next; maybe none, when the ``nap`` is over [s] or nobody is at work."""
+        """Wait for the jobs that end next; none, when the ``nap`` is over [s] or no job is running."""
         if not self._at_work:
             time.sleep(nap or 0.0)
             return []
@@ -99,7 +99,7 @@ class RayExecutor(Generic[J, R]):
         ends = [self._ended(ref, self._at_work.pop(ref)) for ref in ready]
         lost = sum(ended is None for ended in ends)
         if lost:
-            report(f"Ray has lost a node or a worker; its jobs are given to others ({lost})")
+            report(f"Ray has lost a node or a worker; its jobs are submitted again ({lost})")
         return [ended for ended in ends if ended is not None]
 
     def close(self) -> None:
@@ -111,7 +111,7 @@ class RayExecutor(Generic[J, R]):
             self._ray.shutdown()
 
     def _ended(self, ref: object, submitted: _Submitted[J]) -> Ended[J, R] | None:
-        """What has become of a job; None where its worker was lost and it has been sent again."""
+        """Return the end of a job; None where its worker was lost and the job has been sent again."""
         try:
             ended = self._ray.get(ref)
         except self._ray.exceptions.OutOfMemoryError:  # Ray has ended the worker, to save its node
@@ -157,7 +157,7 @@ def check_answer(address: str) -> None:
 
 
 def _do(how: tuple[Callable[[J], R], Limits, Callable[[], object] | None, str, str], job: J) -> Ended[J, R] | Exception:
-    """Runs in a Ray worker: do a job; an exception is to be raised by the driver."""
+    """Do a job in a Ray worker; an exception is returned, for the driver to raise."""
     work, limits, prepare, expected, folder = how
     try:
         check_code(expected)
@@ -175,13 +175,13 @@ def _do(how: tuple[Callable[[J], R], Limits, Callable[[], object] | None, str, s
 def _executor(
     work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None, folder: str
 ) -> Processes[J, R]:
-    """This Ray worker's one process, which works in the driver's ``folder``; kept for its next job."""
+    """Return this Ray worker's one process, which works in the driver's ``folder``; it is kept for the next job."""
     return Processes(1, work, limits, prepare)
 
 
 @contextmanager
 def _as_of_the_driver(folder: str) -> Iterator[None]:
-    """Processes that start meanwhile work in the driver's folder, if there is one here: paths may be relative.
+    """Start processes in the driver's folder, if there is one here: paths may be relative.
 
     Nor do they load the main file of a Ray worker, and with it Ray.
     """

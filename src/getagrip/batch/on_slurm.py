@@ -1,4 +1,4 @@
-"""A crew of Slurm's array jobs, by submitit: each task of an array does a bundle of jobs, one after the other.
+"""An executor of Slurm's array jobs, by submitit: each task of an array does a bundle of jobs, one after the other.
 
 In it they are done as on one machine, by a process of its own with limits of time and memory. Bundles that are lost, by
 Slurm's time limit or with their node, are given out again. submitit keeps functions and results as pickles in a folder
@@ -21,14 +21,14 @@ from getagrip.batch.limits import Limits
 from getagrip.batch.pool import shared_out
 from getagrip.batch.processes import Processes
 from getagrip.errors import GetagripError, UsageError
-from getagrip.io import code, extras
+from getagrip.io import extras, plugins
 from getagrip.io.terminal import report
 
 J = TypeVar("J")
 R = TypeVar("R")
 
 TASKS = 64
-"""Of all arrays at once, if the user does not say."""
+"""Most tasks of all arrays at once, if the user does not say."""
 BUNDLE = 100
 """Jobs of a task, at most: a task takes minutes, and Slurm some seconds for it."""
 HOURS = 4.0
@@ -49,7 +49,7 @@ class _Submitted(Generic[J]):
 
 
 class SlurmExecutor(Generic[J, R]):
-    """Tasks of array jobs, so many at once; new ones are submitted when half of them have ended."""
+    """Tasks of array jobs, ``workers`` at once; new ones are submitted when half of them have ended."""
 
     def __init__(
         self, workers: int | None, work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None
@@ -59,7 +59,7 @@ class SlurmExecutor(Generic[J, R]):
         if shutil.which("sbatch") is None:
             raise UsageError("missing command sbatch: --engine slurm needs a machine that can submit to Slurm")
         self._workers = workers or TASKS
-        self._how = work, limits, prepare, code.fingerprint()
+        self._how = work, limits, prepare, plugins.fingerprint()
         self._errors = submitit.core.utils.UncompletedJobError, submitit.core.utils.FailedJobError
         self._folder = state_folder() / "slurm" / uuid4().hex[:12]
         self._folder.mkdir(parents=True, mode=0o700)
@@ -90,7 +90,7 @@ class SlurmExecutor(Generic[J, R]):
         self._collected.append(_Submitted(job, attempt))
 
     def wait(self, nap: float | None) -> list[Ended[J, R]]:
-        """The jobs that end next; maybe none, when the ``nap`` is over [s] or nobody is at work."""
+        """Wait for the jobs that end next; none, when the ``nap`` is over [s] or no job is running."""
         self._submit()
         if not self._at_work:
             time.sleep(nap or 0.0)
@@ -133,12 +133,12 @@ class SlurmExecutor(Generic[J, R]):
         self._at_work |= dict(zip(tasks, bundles, strict=True))
 
     def _ended(self, task: Any, bundle: list[_Submitted[J]]) -> list[Ended[J, R]]:
-        """What has become of the jobs of a task that has ended; those of a lost one are collected again."""
+        """Return the ends of the jobs of a task that has ended; those of a lost one are collected again."""
         try:
             ends = task.result()
         except self._errors:
             self._lost += 1
-            report(f"Slurm has lost a task ({task.job_id}); its jobs are given out again ({len(bundle)})")
+            report(f"Slurm has lost a task ({task.job_id}); its jobs are submitted again ({len(bundle)})")
             self._collected += [
                 replace(submitted, tries=submitted.tries + 1) for submitted in bundle if submitted.tries < TRIES
             ]
@@ -155,7 +155,7 @@ class SlurmExecutor(Generic[J, R]):
 def _do(
     how: tuple[Callable[[J], R], Limits, Callable[[], object] | None, str], jobs: list[J]
 ) -> list[Ended[J, R]] | Exception:
-    """Runs in a task of an array: do its jobs; an exception is to be raised by the driver."""
+    """Do the jobs of an array's task; an exception is returned, for the driver to raise."""
     work, limits, prepare, expected = how
     try:
         check_code(expected)

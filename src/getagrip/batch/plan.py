@@ -17,7 +17,7 @@ from getagrip.io import files
 from getagrip.io.storage import ARCHIVE, Place, Remote, place
 
 OUR_FILES = ("index.html", "summary.csv", "ledger.sqlite", "ledger.sqlite-wal", "ledger.sqlite-shm", "clips")
-"""What stands beside the results in a folder of them: no clip may have these names."""
+"""Files beside the results in their folder: no clip may have these names."""
 
 
 class Plan:
@@ -28,7 +28,7 @@ class Plan:
         self.failed: list[Outcome] = []
         """Paths that are no clips, and clips that share their name with another, as their results would."""
         self.remote = any(isinstance(path, Remote) for path in paths)
-        """Whether some lie in an object store."""
+        """True if some lie in an object store."""
         self._db = sqlite3.connect("")  # a temporary file, and that only where it does not fit into the cache
         self._db.execute("CREATE TABLE found (place INTEGER PRIMARY KEY, name TEXT, folder BLOB)")
         for name, clip in _named_clips(paths, self.failed):
@@ -65,7 +65,7 @@ class Plan:
         return int(count)
 
     def __iter__(self) -> Iterator[tuple[str, Place]]:
-        """The name and the folder of each."""
+        """Yield the name and the folder of each."""
         for name, folder in self._db.execute("SELECT name, folder FROM found ORDER BY place"):
             yield name, place(os.fsdecode(folder))
 
@@ -77,7 +77,7 @@ class Plan:
 
 
 def by_name(paths: Sequence[Path]) -> tuple[dict[str, Path], list[Outcome]]:
-    """The folder of each clip by its name, and the outcome of those that have none.
+    """Return the folder of each clip by its name, and the outcome of those that have none.
 
     A path is a clip, a folder of clips, or a pattern; of clips that share a name, each has failed.
     """
@@ -86,7 +86,7 @@ def by_name(paths: Sequence[Path]) -> tuple[dict[str, Path], list[Outcome]]:
 
 
 def _failure(name: str, clip: Place, error: Exception) -> Outcome:
-    """That of a path that gives no clip to work on."""
+    """Make the outcome of a path that gives no clip to work on."""
     whole = clip.absolute() if isinstance(clip, Path) else clip
     return replace(failure(name, error), path=cleaned(str(whole)))
 
@@ -96,7 +96,7 @@ def _resolved(clip: Place) -> Place:
 
 
 def _named_clips(paths: Sequence[Place], failed: list[Outcome]) -> Iterator[tuple[str, Place]]:
-    """The name and the folder of each clip; paths that are none go to ``failed``."""
+    """Yield the name and the folder of each clip; paths that are none go to ``failed``."""
     for path in paths:
         try:
             if isinstance(path, Remote):
@@ -112,7 +112,7 @@ def _named_clips(paths: Sequence[Place], failed: list[Outcome]) -> Iterator[tupl
 
 
 def clips_in(path: Path) -> Iterator[Path]:
-    """The clip folders that a path stands for. Raises ``InputError`` where it holds none."""
+    """Yield the clip folders that a path stands for. Raises ``InputError`` where it holds none."""
     if path.name == "clip.json" or (path / "clip.json").exists():
         yield path.parent if path.name == "clip.json" else path
         return
@@ -136,9 +136,11 @@ def clips_in(path: Path) -> Iterator[Path]:
 
 
 def _in_store(path: Remote, failed: list[Outcome]) -> Iterator[tuple[str, Remote]]:
-    """The clips that an address stands for: one, the folders in it, or those that match it. No clip is read yet.
+    """Yield the clips that an address stands for: one, the folders in it, or those that match it.
 
-    A clip has its folder's or archive's name there, since to read so many names takes long.
+    No clip is read yet.
+
+    A clip has its folder's or archive's name there, since reading all names takes long.
     """
     try:
         found = _folders_in_store(path)
@@ -158,7 +160,7 @@ def _in_store(path: Remote, failed: list[Outcome]) -> Iterator[tuple[str, Remote
 
 
 def _folders_in_store(path: Remote) -> list[Remote]:
-    """The folders and archives that may be clips."""
+    """List the folders and archives that may be clips."""
     if glob.has_magic(path.url):
         return path.matches()
     if path.name.endswith(ARCHIVE):
@@ -172,7 +174,7 @@ def _folders_in_store(path: Remote) -> list[Remote]:
 
 
 def _in_folder(path: Path) -> Iterator[Path]:
-    """The clip that a folder is, or those in it, sorted."""
+    """Yield the clip that a folder is, or those in it, sorted."""
     if (path / "clip.json").exists():
         yield path
     elif path.is_dir():

@@ -1,4 +1,4 @@
-"""Jobs over a crew, or over none: in turn, in this process."""
+"""Jobs on an executor, or without one: in turn, in this process."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ R = TypeVar("R")
 DIED = "its process died twice; out of memory?"
 """The message for a job for which ``in_processes`` gives None."""
 ATTEMPTS = 2
-"""Of a job whose process dies."""
+"""Number of attempts of a job whose process dies."""
 NAP = 0.5
 """Seconds after which we ask again for jobs, where there were none for the moment."""
 
 
 def cores() -> int:
-    """How many cores this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):  # Linux: what a cluster's scheduler leaves us
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def in_processes(work: Callable[[J], R], jobs: Iterable[J], workers: int) -> Iterator[tuple[J, R | None]]:
-    """Each job with what ``work`` returns for it, as they finish; None where the process died twice."""
+    """Yield each job with the value of ``work``, as they finish; None where the process died twice."""
     for ended in shared_out(Processes(workers, work, NONE, None), jobs):
         yield ended.job, ended.result
 
 
 def in_turn(work: Callable[[J], R], jobs: Iterable[J | None]) -> Generator[Ended[J, R], None, None]:
-    """Each job with what ``work`` returns for it, done in this process. None among the jobs: none for the moment."""
+    """Yield each job with the value of ``work``, done in this process. None among the jobs: none for the moment."""
     for job in jobs:
         if job is None:
             time.sleep(NAP)
@@ -50,7 +50,7 @@ def in_turn(work: Callable[[J], R], jobs: Iterable[J | None]) -> Generator[Ended
 def shared_out(
     executor: Executor[J, R], jobs: Iterable[J | None], limits: Limits = NONE
 ) -> Generator[Ended[J, R], None, None]:
-    """Each job as it ends, done by a crew with such limits, which is closed in the end.
+    """Yield each job as it ends, done by an executor within limits; the executor is closed in the end.
 
     A job is taken from ``jobs`` when there is room for it, not before; None among them: none for the moment. A job
     whose process dies is tried once more when all others have ended, alone: nothing else takes its memory then. An

@@ -20,16 +20,16 @@ R = TypeVar("R")
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 JOBS_EACH = 500
-"""A process is replaced after so many jobs: whatever libraries hold on to goes with it."""
+"""Number of jobs after which a process is replaced, which frees whatever libraries hold on to."""
 
 
 class Processes(Generic[J, R]):
-    """A crew of processes on this machine: each starts when there is a job for it."""
+    """An executor of processes on this machine: each starts when there is a job for it."""
 
     def __init__(
         self, workers: int, work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None
     ) -> None:
-        """Of at most so many ``workers``. Each calls ``prepare`` first; that counts for no limit."""
+        """Run at most ``workers`` processes. Each calls ``prepare`` first; that counts for no limit."""
         self.workers = workers
         self._start: Callable[[], _Process[J, R]] = lambda: _Process(work, limits, prepare)
         self._there: list[_Process[J, R]] = []
@@ -53,7 +53,7 @@ class Processes(Generic[J, R]):
         idle.submit(job, attempt)
 
     def wait(self, nap: float | None) -> list[Ended[J, R]]:
-        """The jobs that end next; maybe none, when the ``nap`` is over [s] or nobody is at work."""
+        """Wait for the jobs that end next; none, when the ``nap`` is over [s] or no job is running."""
         busy = self._at_work()
         until = [left for process in busy if (left := process.time_left()) is not None]
         if busy or nap:
@@ -93,13 +93,13 @@ class _Process(Generic[J, R]):
             self.pipe.send(job)
 
     def time_left(self) -> float | None:
-        """Seconds until its job has taken too long; None: any."""
+        """Return the seconds until its job has taken too long; None: any."""
         if self.limits.seconds is None or not self.ready:
             return None
         return max(0.0, self.since + self.limits.seconds - time.monotonic())
 
     def ended(self) -> Ended[J, R] | None:
-        """What has become of its job; None while it is at work. ``gone`` where the process is not there any more."""
+        """Return the end of its job; None while it is at work. ``gone`` where the process is not there any more."""
         try:
             while self.pipe.poll():
                 answer = self.pipe.recv()
@@ -116,7 +116,7 @@ class _Process(Generic[J, R]):
         return None
 
     def _answered(self, result: R | None, error: Exception | None) -> Ended[J, R]:
-        """The job's end, as the process has said it."""
+        """Return the job's end, as the process has reported it."""
         self.busy, self.done = False, self.done + 1
         if error is not None:
             raise error
@@ -126,7 +126,7 @@ class _Process(Generic[J, R]):
         return Ended(self.job, result, "", took, self.attempt, self.pid)
 
     def _lost(self, why: str) -> Ended[J, R]:
-        """The job's end, where the process is gone."""
+        """Return the job's end, where the process is gone."""
         self.busy = False
         return Ended(self.job, None, why, time.monotonic() - self.since, self.attempt, self.pid)
 
@@ -144,7 +144,7 @@ class _Process(Generic[J, R]):
 
 
 def _serve(pipe: Connection, work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None) -> None:
-    """Runs in the process: do the jobs that come through the pipe, until it closes."""
+    """Do the jobs that come through the pipe, in the process, until it closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is left to the parent, which hands out no more jobs
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if prepare is not None:
@@ -164,7 +164,7 @@ def _serve(pipe: Connection, work: Callable[[J], R], limits: Limits, prepare: Ca
 
 
 def _end_with_parent() -> None:
-    """A parent that closes the pipe ends its processes, but only between jobs: one that is killed ends them at once."""
+    """End this process at once when its parent is killed; a parent that closes the pipe ends it between jobs only."""
     parent = parent_process()
     if parent is not None:
         parent.join()

@@ -26,7 +26,7 @@ class Pace:
         self._ended = self._worked = self._failed = 0
 
     def count(self, state: str) -> None:
-        """A task has ended as ``done``, ``kept`` or ``failed``."""
+        """Count a task that has ended as ``done``, ``kept`` or ``failed``."""
         self._ended += 1
         self._worked += state != "kept"
         self._failed += state == "failed"
@@ -38,7 +38,7 @@ class Pace:
             report(said)
 
     def __str__(self) -> str:
-        """What was kept took no time: it counts neither for the pace nor for what is left to do."""
+        """Write the pace; kept results took no time and count neither for the pace nor for what is left to do."""
         minutes = max(time.monotonic() - self._since, 1e-9) / 60.0
         pace = self._worked / minutes
         left = f", {_duration((self._total - self._ended) / pace)} left" if self._worked else ""
@@ -46,5 +46,5 @@ class Pace:
 
 
 def _duration(minutes: float) -> str:
-    """A time in minutes, or in hours where it is long."""
+    """Write a time in minutes, or in hours where it is long."""
     return f"{minutes:.0f} min" if minutes < 100 else f"{minutes / 60.0:.1f} h"

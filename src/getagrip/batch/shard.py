@@ -18,7 +18,7 @@ class Shard:
 
     @classmethod
     def of(cls, text: str) -> Shard:
-        """From "i/N". Raises ``UsageError``."""
+        """Parse "i/N". Raises ``UsageError``."""
         index, slash, count = text.partition("/")
         if not (slash and index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count)):
             raise UsageError(f"--shard must be i/N with i from 1 to N, such as 2/4 (got {text})")

@@ -38,22 +38,22 @@ class Share:
     """
 
     workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core)")] = None
-    """Processes to share the tasks between; up to three clips to reconstruct, or parts of a dataset, need no other. On
-    a Ray cluster, as many as it has CPUs; tasks of a Slurm array, 64."""
+    """Number of processes; up to three clips, or parts of a dataset, are done in this one. Default on a Ray cluster:
+    its CPUs; on Slurm: 64 tasks of an array."""
     engine: Literal["local", "ray", "slurm"] = "local"
-    """Where they run: on this machine, on a Ray cluster, or in Slurm's array jobs. All machines must see what is read
-    and written under the same paths."""
+    """Executor of the jobs: this machine, a Ray cluster, or Slurm's array jobs. All machines must see inputs and
+    outputs under the same paths."""
     address: Annotated[str | None, arg(metavar="ADDR", help_behavior_hint="(default: RAY_ADDRESS, else one here)")] = (
         None
     )
-    """Ray cluster that runs: HOST:PORT, or auto."""
+    """Address of a running Ray cluster: HOST:PORT, or auto."""
     limits: Annotated[Limits, arg(name="")] = field(default_factory=Limits)
     fail_fast: Flag = False
-    """Begin nothing else once something has failed."""
+    """Stop after the first failure; work in progress is finished."""
     shard: Annotated[Shard, parsed("I/N", Shard.of, Shard), arg(metavar="I/N", help_behavior_hint="(default: all)")] = (
         ALL
     )
-    """Of N equal parts of the work only the I-th, for N machines."""
+    """Do part I of N equal parts of the work, for N machines."""
     ledger: OptionalFolder = None
     """Local folder for the ledger, where --out is on a network file system."""
 
@@ -62,7 +62,7 @@ class Share:
             raise UsageError(f"--workers must be 1 or more (got {self.workers})")
 
     def executor(self, count: int, few: int = FEW) -> Start[Any, Any] | None:
-        """Who does a ``count`` of tasks; None: this process, by default for a ``few`` without limits."""
+        """Choose the executor of ``count`` tasks; None: this process, by default for a ``few`` without limits."""
         from getagrip.batch.executors import ENGINES
         from getagrip.batch.pool import cores
 
@@ -75,9 +75,9 @@ class Share:
     def ended(
         self, engine: Engine[J, R], tasks: Sequence[J], out: Path, called: str, few: int = FEW
     ) -> Generator[R, None, None]:
-        """What an ``engine`` makes of each task, as they end, counted by a ``Pace``; the ledger is that of ``out``.
+        """Yield the outcome of each task, as they end, counted by a ``Pace``; the ledger is that of ``out``.
 
-        ``called`` is what tasks are, in the plural. Raises ``UsageError`` as ``crew``, else as ``Engine.run``.
+        ``called`` is what tasks are, in the plural. Raises ``UsageError`` as ``executor`` does, else as ``Engine.run``.
         """
         from getagrip.batch.ledger import Ledger
         from getagrip.batch.ledger_place import ledger_folder

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from getagrip.fitting.options import Options
 
 LEFT_OUT = ("frames", "truth.npz")
-"""Of a clip: what no reconstruction reads (``clip.input_sha256``)."""
+"""Files of a clip that no reconstruction reads (``clip.input_sha256``)."""
 RECORD, POSES = "result.json", "result.npz"
-"""Of a result; the first says that it is one."""
+"""Files of a result; the first marks a folder as one."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,10 @@ class StreamedJob:
 
 
 def reconstruct_streamed(job: StreamedJob, progress: Progress | None = None) -> Outcome:
-    """As ``reconstruct_one``; what is in a store is copied to a temporary folder before, and back after."""
+    """Reconstruct one clip as ``reconstruct_one`` does.
+
+    What is in a store is copied to a temporary folder before, and the result is copied back after.
+    """
     try:
         with leftovers.workplace(_temporary()) as folder:
             outcome = _reconstructed(job, folder, progress)
@@ -57,14 +60,14 @@ def reconstruct_streamed(job: StreamedJob, progress: Progress | None = None) -> 
 
 @cache
 def _temporary() -> Path:
-    """The folder of temporary files, freed of what killed processes have left there."""
+    """Return the folder of temporary files, freed of what killed processes have left there."""
     folder = Path(tempfile.gettempdir())
     leftovers.sweep(folder)
     return folder
 
 
 def _reconstructed(job: StreamedJob, folder: Path, progress: Progress | None) -> Outcome:
-    """The outcome, whose message has names in the temporary folder."""
+    """Return the outcome, whose message has names in the temporary folder."""
     try:
         clip, out = _clip(job, folder), _result(job, folder)
         there = out.exists()
@@ -78,7 +81,7 @@ def _reconstructed(job: StreamedJob, folder: Path, progress: Progress | None) ->
 
 
 def _clip(job: StreamedJob, folder: Path) -> Path:
-    """The clip on this machine. Raises ``InputError`` where it has another name than its folder in the store."""
+    """Copy the clip to this machine. Raises ``InputError`` where it has another name than its folder in the store."""
     if isinstance(job.clip, Path):
         return job.clip
     clip = folder / "clip" / job.name
@@ -95,7 +98,7 @@ def _clip(job: StreamedJob, folder: Path) -> Path:
 
 
 def _result(job: StreamedJob, folder: Path) -> Path:
-    """Where the result goes on this machine, with what there is of one already."""
+    """Return the result's folder on this machine, with the existing files of the result."""
     if isinstance(job.out, Path):
         return job.out
     out = folder / "result" / job.name
@@ -119,7 +122,7 @@ def _send(result: Path, out: Remote, replaces: bool) -> None:
 
 @contextmanager
 def readable(out: Place, names: Sequence[str]) -> Iterator[Path]:
-    """A folder on this machine in which these results of a folder can be read."""
+    """Copy some results to a folder on this machine, where they can be read."""
     if isinstance(out, Path):
         yield out
         return

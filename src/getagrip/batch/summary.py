@@ -1,4 +1,4 @@
-"""What has become of all clips of a folder: ``summary.csv``, and the index page with the worst of them."""
+"""The summary of a folder's clips: ``summary.csv``, and the index page with the worst of them."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ HEAD = ("clip", "status", "why", "seconds", "IOU", *PROBABILITIES, *MADE, "findi
 LARGEST = 1e9
 """No number of a result is so large: ledgers may come from anybody."""
 WORST = 1000
-"""The index shows so many clips at most: a page of all would be too large for a browser."""
+"""Most clips that the index shows: a page of all would be too large for a browser."""
 KINDS = {"failed": "failed", "done": "results", "open": "left"}
 """States, the worst first (of what is not done yet nobody knows), each with what the index calls it."""
 
 
 def entry_of(outcome: Outcome, method: str, seed: int) -> Entry:
-    """What the ledger is to say of a clip that was given to a method."""
+    """Make the ledger's entry of a clip that was given to a method."""
     right = (outcome.probability_right, outcome.probability_right_in_camera)
     return Entry(
         name=outcome.name,
@@ -60,24 +60,24 @@ def entry_of(outcome: Outcome, method: str, seed: int) -> Entry:
 
 
 def entry_of_path(outcome: Outcome) -> Entry:
-    """What it is to say of a path that gave no clip to work on: its name is the path, as no clip's is."""
+    """Make the ledger's entry of a path that gave no clip to work on: its name is the path, as no clip's is."""
     clip = cleaned(outcome.name) or Path(outcome.path).name
     return Entry(outcome.path, "failed", outcome.message, about={"clip": clip})
 
 
 def shown_name(entry: Entry) -> str:
-    """What a table calls the clip of an entry."""
+    """Return the name of an entry's clip in tables."""
     return legible(str(entry.about.get("clip", entry.name)))
 
 
 def number_of(entry: Entry, key: str) -> float | None:
-    """A number that a result's entry has, if it is known."""
+    """Return a number of a result's entry, if it is known."""
     value = entry.about.get(key)
     return float(value) if isinstance(value, int | float) and abs(value) < LARGEST else None
 
 
 def known_entries(ledger: Entries | None, out: Place) -> Iterator[Entry]:
-    """An entry for each clip that the ledger knows or that has a result, in the state in which the results are.
+    """Yield an entry for each clip that the ledger knows or that has a result, in the state in which the results are.
 
     What is done but has no result any more is open; what is open but has one is done: who made it was interrupted. In
     an object store that is not looked up.
@@ -91,7 +91,7 @@ def known_entries(ledger: Entries | None, out: Place) -> Iterator[Entry]:
 
 
 def badness(entry: Entry) -> tuple[int, float, str]:
-    """The worse a clip, the less: failed ones first."""
+    """Return a key that sorts the worst clips first: failed ones, then by IOU."""
     return [*KINDS].index(entry.state), number_of(entry, "iou") or 0.0, entry.name
 
 
@@ -123,7 +123,7 @@ def write_table(ledger: Entries | None, results: Place, path: Path) -> Counter[s
 
 
 def row_without_result(entry: Entry) -> IndexRow:
-    """The row of the index of a clip that has failed, or that is not done."""
+    """Make the index's row of a clip that has failed, or that is not done."""
     from getagrip.pages import IndexRow
 
     return IndexRow(shown_name(entry), entry.why, flags=(KINDS[entry.state],))
@@ -136,7 +136,7 @@ def _write_here(ledger: Entries | None, results: Place, out: Path) -> list[Path]
 
 
 def _write_index(ledger: Entries | None, results: Place, out: Path, states: Counter[str]) -> Path:
-    """The index page of the worst clips; pictures are ``getagrip report``'s, which takes as long as the clips."""
+    """Write the index page of the worst clips; pictures are ``getagrip report``'s, which takes as long as the clips."""
     from getagrip.pages import IndexRow, row_without_clip, write_index
 
     worst = heapq.nsmallest(WORST, known_entries(ledger, results), key=badness)
@@ -159,7 +159,7 @@ def _write_index(ledger: Entries | None, results: Place, out: Path, states: Coun
 
 
 def _as_it_is(entry: Entry, out: Place) -> Entry:
-    """An entry in the state in which its result is."""
+    """Return an entry in the state in which its result is."""
     if entry.state == "failed":
         return entry
     has_result = isinstance(out, Remote) or (files.is_plain_name(entry.name) and is_result(out / entry.name))
@@ -171,7 +171,7 @@ def _as_it_is(entry: Entry, out: Place) -> Entry:
 
 
 def _of_result(entry: Entry, folder: Path) -> Entry:
-    """The entry of a clip whose result is there, by that alone."""
+    """Make the entry of a clip from its result alone."""
     path = folder / "result.json"
     try:
         record = read_record(folder)

@@ -17,12 +17,12 @@ class Batch:
     """How a call treats its clips. Raises ``UsageError``."""
 
     threads: Annotated[int, arg(metavar="N")] = 1
-    """Threads for each clip, for one that is waited for; many clips are done sooner by --workers. Results are the same
-    to the last bit."""
+    """Threads for each clip, to get a single clip sooner; many clips are faster with --workers. Results are
+    bit-equal."""
     overwrite: Flag = False
-    """Make results again that are there already, of the same clip, options and code."""
+    """Make valid results again, too."""
     strict: Flag = False
-    """Exit with 1 also where a check finds something serious (the result is probably worthless), or a result is less
+    """Exit with 1 also if a check has a serious finding (the result is probably worthless), or a result is less
     probable than --min-probability."""
     min_probability: Annotated[float, arg(metavar="P")] = 0.5
     """With --strict, the least probability that poses are right in the hand, 0 to 1. Results without a probability

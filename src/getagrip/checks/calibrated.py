@@ -1,4 +1,4 @@
-"""What signs count; written by ``python -m benchmarks.probability``.
+"""The weights of the signs; written by ``python -m benchmarks.probability``.
 
 Made 2026-11-24, commit 5c95f27.
 """

@@ -25,7 +25,7 @@ MEANING = "right: the mean distance of vertices (ADD) in the {}, up to symmetrie
 
 @dataclass(frozen=True)
 class Weight:
-    """What a sign counts."""
+    """The weight of a sign."""
 
     weight: float
     """For one unit of the sign, in the logarithm of the odds."""
@@ -34,17 +34,17 @@ class Weight:
     """The range of the sign in the training data, but for the last hundredth at either end."""
 
     def clipped(self, value: float) -> float:
-        """The value, no better than the range: what is better than in training is no surer, what is worse counts on."""
+        """Clip a value to the range: better than in training is no surer, worse counts on."""
         return max(value, self.low) if self.weight < 0.0 else min(value, self.high)
 
     def beyond(self, value: float) -> bool:
-        """Whether a value is worse than the range; never of a sign that does not count."""
+        """Return whether a value is worse than the range; never of a sign that does not count."""
         return value > self.high if self.weight < 0.0 else self.weight > 0.0 and value < self.low
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Of one method.
+    """The calibration of one method.
 
     Attributes:
         where: the frame in which poses are right.
@@ -61,7 +61,7 @@ class Calibration:
     made: str
 
     def probability(self, signs: Mapping[str, float]) -> Probability:
-        """Of a result with these signs."""
+        """Compute the probability of a result with these signs."""
         clipped = {name: weight.clipped(signs[name]) for name, weight in self.weights.items()}
         logit = self.bias + sum(self.weights[name].weight * value for name, value in clipped.items())
         beyond = tuple(name for name, weight in self.weights.items() if weight.beyond(signs[name]))
@@ -70,5 +70,5 @@ class Calibration:
 
 
 def sigmoid(logit: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
-    """Probabilities of logarithms of odds."""
+    """Return the probabilities of logarithms of odds."""
     return np.asarray(0.5 * (1.0 + np.tanh(0.5 * logit)))

@@ -19,12 +19,12 @@ class Check:
     measure: Callable[[Evidence], float]
     """NaN where it cannot be known."""
     fault: str | Callable[[Evidence], str]
-    """What is wrong beyond the limits, with the ``{value}`` as it is ``shown``; or in words for what was looked at."""
+    """The fault beyond the limits: a text with the ``{value}`` as it is ``shown``, or a function of the evidence."""
     advice: str
     low: float = -np.inf
     high: float = np.inf
     serious: bool = True
-    """Whether the result is probably worthless; else it may be right."""
+    """True if the result is probably worthless; else it may be right."""
     shown: Callable[[float], str] = "{:.3g}".format
     """A value, and a limit, as people read it."""
 
@@ -36,17 +36,17 @@ class Check:
         return f"at least {self.shown(self.low)}" if np.isfinite(self.low) else f"at most {self.shown(self.high)}"
 
     def is_usual(self, value: float) -> bool:
-        """Whether there is nothing to say about a value; nor is there about one that is not known, NaN."""
+        """Return whether a value is within the limits; so is one that is not known, NaN."""
         return bool(np.isnan(value) or self.low <= value <= self.high)
 
     def verdict(self, value: float) -> str:
-        """What a measured value says, in a word or two."""
+        """Judge a measured value in a word or two."""
         if np.isnan(value):
             return "not applicable"
         return "usual" if self.is_usual(value) else "serious" if self.serious else "note"
 
     def finding(self, value: float, it: Evidence) -> Finding | None:
-        """What there is to say about a value that was measured."""
+        """Return the finding about a measured value; None where it is usual."""
         if self.is_usual(value):
             return None
         limit, least = (self.low, "least") if value < self.low else (self.high, "most")
@@ -56,15 +56,15 @@ class Check:
 
 
 def percent(share: float) -> str:
-    """A share as people read it."""
+    """Write a share in per cent."""
     return f"{100.0 * share:.3g} %"
 
 
 def millimetres(length: float) -> str:
-    """A length likewise."""
+    """Write a length in millimetres."""
     return f"{length:.3g} mm"
 
 
 def of_diameter(share: float) -> str:
-    """A length by the object's."""
+    """Write a length as a share of the object's diameter."""
     return f"{percent(share)} of its diameter"

@@ -1,4 +1,4 @@
-"""What the checks look at: a clip, its masks and, after the fit, the result, in the same frames."""
+"""The evidence of the checks: a clip, its masks and, after the fit, the result, in the same frames."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ SMALL = 64
 LARGE, FRAMES = 256, 8
 """Longer side of the images in which hand and object are drawn [px], and frames in which they are."""
 NAMED = 8
-"""So many frames are named in a sentence; many may be in doubt."""
+"""Most frames that a sentence names."""
 PER_REGION = 6
 """Vertices that stand for a contact region of the hand."""
 
 
 @dataclass(frozen=True)
 class Glitches:
-    """Where the given hand jumps away and back (``fitting.hand_jumps``).
+    """The frames of tracker glitches (``fitting.hand_jumps``).
 
     Attributes:
         frames: names of those frames.
@@ -49,7 +49,7 @@ class Glitches:
     def __str__(self) -> str:
         where, more = "frame" if len(self.frames) == 1 else "frames", len(self.frames) - NAMED
         names = ", ".join(self.frames[:NAMED]) + (f" and {more} more" if more > 0 else "")
-        return f"the hand jumps away and back, and was put between its neighbours: {where} {names}"
+        return f"the hand leaves its path and returns (tracker glitch), and was interpolated: {where} {names}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +62,8 @@ class Evidence:
         T_hand_obj: (T, 4, 4) poses that were found; None before the fit.
         scale: the scale that was found.
         iou: (n,) overlap of rendered and observed mask, in these frames or more; NaN where no mask shows the object, or
-            one is doubted.
-        doubted: names of the frames whose masks are doubted; None where none was checked.
+            the mask is an outlier.
+        outliers: names of the frames with outlier masks; None where none was checked.
         deformed: root mean square distance by which the fit has deformed the mesh, in diameters; NaN where there was
             none.
         deformed_mm: the same in millimetres.
@@ -71,7 +71,7 @@ class Evidence:
         misfit: how much farther contours are from those of the masks than the object's own mesh would leave them.
         other_size: how many times as large the object would rather be, where its size was said to be known, and what
             share of the energy that saves; NaN where it was not looked at.
-        jumps: where the given hand jumps; None where hands are taken as they are given. ``clip`` has it put right.
+        glitches: frames of tracker glitches, repaired in ``clip``; None where hands are used as given.
     """
 
     clip: Clip
@@ -94,7 +94,7 @@ class Evidence:
 
     @property
     def outlier_share(self) -> float:
-        """Share of the frames whose masks are doubted; NaN where none was checked."""
+        """Share of the frames with outlier masks; NaN where none was checked."""
         return np.nan if self.outliers is None else len(self.outliers) / len(self.overlaps)
 
     @cached_property
@@ -200,8 +200,10 @@ class Evidence:
 
     @cached_property
     def in_front(self) -> tuple[float, float]:
-        """Share of the seen pixels of the hand in which the found object is in front of it, and share of the object's
-        mask in which the hand is in front: both 0 where all is right. NaN where there are no such pixels.
+        """Shares of pixels with the wrong depth order, 0 where all is right; NaN where there are no such pixels.
+
+        The first is the share of the hand's visible pixels in which the object is in front of it, the second the share
+        of the object's mask in which the hand is in front.
         """
         assert self.T_hand_obj is not None
         few, zoom = frame_indices(len(self.clip), FRAMES), min(1.0, LARGE / max(self.clip.size))
@@ -225,6 +227,6 @@ class Evidence:
 
 
 def _shrunk(mask: Bool[ndarray, "H W"], zoom: float, size: tuple[int, int]) -> Bool[ndarray, "h w"]:
-    """A mask in an image ``zoom`` times as large, of a size (width, height) [px]."""
+    """Shrink a mask by ``zoom`` to an image of a size (width, height) [px]."""
     columns, rows = (((np.arange(side) + 0.5) / zoom).astype(int) for side in size)
     return mask[rows[:, None], columns]

@@ -1,4 +1,4 @@
-"""Whether the masks belong to the frames of the hands: held against the same masks in reverse, and shifted.
+"""The order of masks and hands: the given one, compared with the reverse and with shifts.
 
 Masks that come a few frames late hardly displace their middles; but the hand's own pixels come late with them, and its
 outline shows a frame or two where it moves (``lateness``).
@@ -34,7 +34,7 @@ class Lateness:
     """By how much the hand's pixels come late.
 
     Attributes:
-        frames: so many frames late, counted as their names are; negative: early.
+        frames: number of frames by which masks are late, counted as their names are; negative: early.
         times: how many times better the hands overlap them then; 1: they are in time. NaN where no pixels are given.
     """
 
@@ -48,13 +48,13 @@ class Lateness:
 
 
 def following(it: Evidence) -> float:
-    """Distance of the masks' middles from a point that moves with the hand, in sizes of the mask (root of its area)."""
+    """Measure the distance of the masks' middles from a point that moves with the hand, in roots of the mask's area."""
     here = np.flatnonzero(it.mask_area > 0)
     return _miss(it, here, here) if len(here) >= FEWEST else float("nan")
 
 
 def misorder(it: Evidence) -> float:
-    """How many times better the masks fit the hands in another order than in the given one; 1: no order is better.
+    """Return how many times better the masks fit the hands in another order than in the given one; 1: none is better.
 
     The distance of the masks' middles in the given order over that in the other; times, likewise, the overlap of hands
     and ignored pixels, where there are any.
@@ -75,7 +75,7 @@ def misorder(it: Evidence) -> float:
 
 
 def lateness(it: Evidence) -> Lateness:
-    """At which shift the hands overlap their own pixels best: ``masks/hand``, else those ignored."""
+    """Find the shift at which the hands overlap their own pixels best: ``masks/hand``, else those ignored."""
     pixels, known = it.small_hand_pixels, it.masks.known
     best = Lateness(0, 1.0 if pixels[known].any() and len(pixels) >= FEWEST else float("nan"))
     overlap, when = _overlap(it.drawn_hands, pixels), it.clip.time * it.clip.fps
@@ -122,7 +122,10 @@ def _miss(it: Evidence, frames: Int[ndarray, "n"], masks: Int[ndarray, "n"]) -> 
 
 
 def _expected_size(it: Evidence) -> float:
-    """The object's diameter in the image, over two, where it is known [px]: about the root of the area of a whole mask.
+    """Return half of the object's diameter in the image, where it is known [px].
+
+    That is about the root of the area of a whole mask. The little that the hand leaves visible of an object may lie
+    anywhere in it.
 
     What little the hand leaves to see of an object may lie anywhere in it.
     """

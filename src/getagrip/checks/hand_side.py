@@ -1,4 +1,4 @@
-"""Whether a hand is a left or a right one: in which direction from the palm its fingers bend."""
+"""The side of a hand, by the direction from the palm in which its fingers bend."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from numpy import ndarray
 from getagrip.clip import Clip
 
 WRIST, INDEX, MIDDLE, PINKY = 0, 5, 9, 17
-"""Of the 21 joints: the wrist, and the first joints of three fingers."""
+"""Indices among the 21 joints: the wrist, and the first joints of three fingers."""
 ROOTS, TIPS = np.array([5, 9, 13, 17]), np.array([8, 12, 16, 20])
 
 
 def bend(clip: Clip) -> float:
-    """How far the fingers bend towards the palm of a hand of the clip's side, median over frames [degrees].
+    """Measure how far the fingers bend towards the palm of a hand of the clip's side, median over frames [degrees].
 
     Negative where they would bend backwards: it is the other hand. NaN for hands without joints.
 

@@ -1,4 +1,4 @@
-"""Whether masks agree with each other where they differ from the result: then the result is wrong, and not the masks.
+"""Agreement of masks where they differ from the result: if they agree, the result is wrong and not the masks.
 
 Where a right result differs from rough masks, it does so elsewhere in each frame. A wrong pose, hand, mesh or camera
 differs from exact masks at the same side of the object in successive frames.
@@ -28,19 +28,21 @@ with hands that turn wrongly (seen in trials, no command repeats it)."""
 
 
 def misfit(it: Evidence) -> float:
-    """How far contours are from those of masks that agree with each other (``Evidence.misfit``); else not known."""
+    """Return the contours' misfit to masks that agree with each other (``Evidence.misfit``); else NaN."""
     return it.misfit if it.misfit > USUAL_MISFIT and agreement(it) > ALIKE else UNKNOWN
 
 
 def mean_iou(it: Evidence) -> float:
-    """The result's IOU with masks that agree with each other; not known where they do not, or where contours are near:
-    then the object is small in the image."""
+    """Return the IOU with masks that agree with each other.
+
+    It is NaN where they do not, or where contours are near: then the object is small in the image.
+    """
     iou = float(np.nanmean(it.overlaps))
     return iou if iou < USUAL_IOU and not it.misfit <= USUAL_MISFIT and agreement(it) > ALIKE else UNKNOWN
 
 
 def agreement(it: Evidence) -> float:
-    """Correlation of what differs between mask and silhouette in successive frames, median; 0 where none follow."""
+    """Correlate the differences between mask and silhouette in successive frames, median; 0 where none follow."""
     assert it.T_hand_obj is not None
     posed = se3.transform(it.clip.hand.T_cam_hand @ it.T_hand_obj, it.scale * it.clip.mesh.vertices)
     shown = np.flatnonzero(it.mask_area > 0)
@@ -63,6 +65,6 @@ def _difference(it: Evidence, n: int, posed: Float[ndarray, "V 3"]) -> Float[nda
 
 
 def _correlation(a: Float[ndarray, "g g"], b: Float[ndarray, "g g"]) -> float:
-    """Of two differences; 0 where one is nothing."""
+    """Correlate two differences; 0 where one is nothing."""
     size = float(np.linalg.norm(a) * np.linalg.norm(b))
     return float(np.sum(a * b)) / size if size else 0.0

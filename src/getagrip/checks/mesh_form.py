@@ -1,4 +1,4 @@
-"""Whether a mesh is the surface of a body: not full of holes, not flat, no needle."""
+"""The form of a mesh: a body's surface has no large holes and is neither flat nor a needle."""
 
 from __future__ import annotations
 
@@ -11,14 +11,17 @@ from getagrip.metrics.contact import close_holes
 
 
 def hole_share(mesh: Mesh) -> float:
-    """Area of the holes as a share of the area of mesh and holes together; holes are closed by fans."""
+    """Compute the share of the holes in the area of mesh and holes together; holes are closed by fans."""
     vertices, faces = close_holes(mesh.vertices, mesh.faces)
     area = _areas(vertices, faces)
     return float(area[len(mesh.faces) :].sum() / area.sum())
 
 
 def extents(mesh: Mesh) -> Float[ndarray, "3"]:
-    """Sides of the box around the mesh along its principal axes, the smallest first, as shares of the largest."""
+    """Return the sides of the box around the mesh along its principal axes.
+
+    The smallest comes first; they are shares of the largest.
+    """
     about = mesh.vertices - mesh.vertices.mean(axis=0)
     _, axes = np.linalg.eigh(np.cov(about.T))
     sides = np.sort(np.ptp(about @ axes, axis=0))

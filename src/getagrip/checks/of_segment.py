@@ -18,20 +18,23 @@ LEAST_SHOWN = 0.5
 
 
 def distance(it: Evidence) -> float:
-    """Of the object's middle from the camera [m]: the least where that is too near, else the largest."""
+    """Return the object's distance from the camera [m]: the least where that is too near, else the largest."""
     middle = _posed(it).mean(axis=1)
     away = np.linalg.norm(middle, axis=1)
     return float(away.min() if away.min() < NEAREST else away.max())
 
 
 def pixels(it: Evidence) -> float:
-    """Of the largest mask."""
+    """Return the pixels of the largest mask."""
     return float(it.mask_area.max())
 
 
 def drift(it: Evidence) -> float:
-    """How far masks move against the silhouette: distance of their middles from where it is in most frames, in sizes of
-    the mask (the root of its area), but for the tenth of the frames in which it is largest."""
+    """Measure how far masks move against the silhouette.
+
+    That is the distance of their middles from where it is in most frames, in sizes of the mask (the root of its area),
+    but for the tenth of the frames in which it is largest.
+    """
     posed, offsets = _posed(it), []
     for n in np.flatnonzero(it.mask_area >= LEAST_SHOWN * it.mask_area.max()):
         mask, ignored = it.masks.object[n], it.masks.ignore[n]
@@ -47,7 +50,7 @@ def drift(it: Evidence) -> float:
 
 
 def _posed(it: Evidence) -> Float[ndarray, "T V 3"]:
-    """The object's vertices before the camera [m]."""
+    """Return the object's vertices before the camera [m]."""
     assert it.T_hand_obj is not None
     return np.asarray(se3.transform(it.clip.hand.T_cam_hand @ it.T_hand_obj, it.scale * it.clip.mesh.vertices))
 
@@ -55,17 +58,17 @@ def _posed(it: Evidence) -> Float[ndarray, "T V 3"]:
 SEGMENT_CHECKS = (
     Check(
         "object-distance", distance, low=NEAREST, high=FARTHEST, shown="{:.3g} m".format,
-        fault="the object was found {value} from the camera",
+        fault="the object is {value} from the camera",
         advice="check the masks, the mesh's size and the focal length",
     ),
     Check(
         "mask-pixels", pixels, low=50.0,
-        fault="even the largest mask has {value} pixels only, which do not tell where the object is",
+        fault="even the largest mask has {value} pixels only, too few to locate the object",
         advice="are these masks of the object? Give larger images",
     ),
 )  # fmt: skip
 STATIC = Check(
     "static-moves", drift, high=0.2, shown=percent,
-    fault="it is said to be static, but the masks move by {value} of their size against one pose",
+    fault="the segment is static, but the masks move by {value} of their size against one pose",
     advice="does the object move in some of these frames, or is the camera's motion wrong? Correct the segments",
 )  # fmt: skip

@@ -16,15 +16,15 @@ from getagrip.checks.check import Check, millimetres, of_diameter
 from getagrip.checks.evidence import Evidence, Glitches
 from getagrip.checks.of_segment import SEGMENT_CHECKS, STATIC
 from getagrip.checks.table import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, examine
-from getagrip.clip import Clip, Masks, Segment
+from getagrip.clip import Clip, Masks, Segment, modalities, with_evidence, with_masks
 from getagrip.clip.sampling import frame_indices
 from getagrip.finding import Finding
 from getagrip.geometry import se3
 
 FRAMES = 30
-"""Of a segment that are looked at: as many as are fitted together."""
+"""Number of frames of a segment that are checked: as many as are fitted together."""
 HAND_SIDE = "hand-side"
-"""Of the other hand where that holds the object; of the clip's own it is a check of the whole."""
+"""Name of the check of the other hand where that holds the object; of the clip's own it is a check of the whole."""
 WITH_HAND = (
     "mask-size", "visible-size", "frame-order", "frames-late", "masks-follow-hand", "object-over-hand",
     "hand-over-object", "regrasp", "second-gap", "contact-gap", "penetration",
@@ -32,14 +32,14 @@ WITH_HAND = (
 """Checks that suppose a grasp, by the hand that holds the object."""
 FEWEST = 2
 """Frames that must show the object in a grasp."""
-UNSEEN_ADVICE = "nothing is known of this grasp: are masks missing there, or is it another object's?"
+UNSEEN_ADVICE = "there is no evidence for this grasp: are masks missing there, or is it another object's?"
 OF_MASKS = ("mask-fit", "poor-mask-fit", "worst-frame")
 """Checks of any segment's result."""
 
 
 @dataclass(frozen=True)
 class Examined:
-    """What the checks of a timeline say.
+    """The outcome of the checks of a timeline.
 
     Attributes:
         checks: what was measured of the clip as a whole.
@@ -67,7 +67,8 @@ def examine_timeline(
     """Check a timeline and its result: the poses that were found, hands corrected, and IOU, NaN where unobserved."""
     T_hand_obj = se3.inverse(T_cam_hand) @ T_cam_obj
     whole = Evidence(clip.with_hand_at(T_cam_hand, T_cam_other_hand), masks, T_hand_obj, scale, iou, glitches=glitches)
-    of_clip = [c for c in (*INPUT_CHECKS, *RESULT_CHECKS, JUMP) if c.name not in (*WITH_HAND, *OF_MASKS)]
+    every = (*INPUT_CHECKS.working().values(), *RESULT_CHECKS.working().values(), JUMP)
+    of_clip = [c for c in every if c.name not in (*WITH_HAND, *OF_MASKS)]
     checks, findings = examine(of_clip, whole)
     of_segments, failed = [], []
     for segment in clip.segments:
@@ -81,12 +82,12 @@ def examine_timeline(
 
 
 def name_of(clip: Clip, segment: Segment) -> str:
-    """What findings call a segment."""
+    """Return the name of a segment in findings."""
     return f"{segment.state} from {clip.frames[segment.first]}"
 
 
 def _examine(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:
-    """The checks of one segment."""
+    """Run the checks of one segment."""
     assert whole.iou is not None
     assert whole.T_hand_obj is not None
     iou = whole.iou[segment.rows]
@@ -105,26 +106,31 @@ def _examine(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[str, f
         by, of = (_by_other(one) for one in (by, of))
         T_hand_obj = se3.inverse(by.hand.T_cam_hand) @ whole.clip.hand.T_cam_hand @ T_hand_obj
         masks = replace(masks, hand=None)
-    result = Evidence(by.take(rows), masks, T_hand_obj[rows], whole.scale, iou)
-    checks = [c for c in RESULT_CHECKS if c.name in OF_MASKS or (grasped and c.name in WITH_HAND)]
+    seen_at = with_evidence(with_masks(by.take(rows), masks))
+    result = Evidence(seen_at, masks, T_hand_obj[rows], whole.scale, iou)
+    checks = [c for c in RESULT_CHECKS.working().values() if c.name in OF_MASKS or (grasped and c.name in WITH_HAND)]
     checks += [*SEGMENT_CHECKS, *((STATIC, FLOATS) if segment.state == "static" else ())]
+    checks += [check for one in modalities() for check in (*one.input_checks, *one.result_checks)]
     measured, findings = examine(checks, result)
     if not grasped:
         return measured, findings
     value, wanted = Evidence(of.take(rows), masks), (*WITH_HAND, HAND_SIDE) if other else WITH_HAND
-    of_input, before = examine([c for c in INPUT_CHECKS if c.name in wanted], value)
+    of_input, before = examine([c for c in INPUT_CHECKS.own.values() if c.name in wanted], value)
     return of_input | measured, (*before, *findings)
 
 
 def _by_other(clip: Clip) -> Clip:
-    """The clip with the other hand for its own."""
+    """Return the clip with the other hand for its own."""
     swapped = clip.with_side(clip.other_side)
     assert swapped is not None
     return swapped
 
 
 def jump(it: Evidence) -> float:
-    """Largest movement of the surface across a border of two segments, beyond the largest within one [diameters]."""
+    """Measure the largest movement of the surface across a border of two segments [diameters].
+
+    The largest movement within a segment is subtracted.
+    """
     surface = _surface_in_world(it, frame_indices(len(it.clip.mesh.vertices), 100))
     step = np.sqrt(np.mean(np.sum(np.diff(surface, axis=0) ** 2, axis=-1), axis=-1))
     border = np.isin(np.arange(1, len(it.clip)), [segment.first for segment in it.clip.segments])
@@ -135,7 +141,7 @@ def jump(it: Evidence) -> float:
 
 
 def height(it: Evidence) -> float:
-    """Of the lowest point over the support plane, median over frames [mm]; NaN where the plane is not known."""
+    """Return the height of the lowest point over the support plane, median over frames [mm]; NaN without a plane."""
     world = it.clip.world
     if world is None or world.up is None or world.support is None:
         return float("nan")
@@ -144,7 +150,7 @@ def height(it: Evidence) -> float:
 
 
 def _surface_in_world(it: Evidence, some: Int[ndarray, "n"]) -> Float[ndarray, "T n 3"]:
-    """Some of the object's vertices, posed in the world; without one, before the camera."""
+    """Pose some of the object's vertices in the world; without one, before the camera."""
     assert it.T_hand_obj is not None
     T = it.clip.hand.T_cam_hand @ it.T_hand_obj
     if it.clip.world is not None:

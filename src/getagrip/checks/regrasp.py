@@ -1,4 +1,4 @@
-"""Whether the object jumps in the hand: once, and by far more than between other frames.
+"""Regrasps: one step of the object in the hand that is far larger than all others.
 
 So it does where a hand lets go and grasps again; a clip is to hold one stable grasp.
 """
@@ -16,13 +16,13 @@ from getagrip.metrics.symmetry import surface_points
 FEWEST = 8
 """Fewer frames tell no step from another."""
 USUAL = 3
-"""The step that so many are larger than is one of those that are usual in the clip."""
+"""Rank of the step that counts as a usual one in the clip."""
 POINTS = 200
 """Points of the object's surface."""
 
 
 def steps(it: Evidence) -> Float[ndarray, "n"]:
-    """How far the object's surface moves in the hand from each frame to the next (root mean square), in diameters."""
+    """Return the step of the object's surface in the hand between frames (root mean square), in diameters."""
     assert it.T_hand_obj is not None
     surface = se3.transform(it.T_hand_obj, it.scale * surface_points(it.clip.mesh, POINTS)[None])
     moved = np.sqrt(np.square(surface[1:] - surface[:-1]).sum(axis=-1).mean(axis=-1))
@@ -30,7 +30,7 @@ def steps(it: Evidence) -> Float[ndarray, "n"]:
 
 
 def jump(it: Evidence) -> float:
-    """The largest step, less two usual ones; NaN for few frames."""
+    """Return the largest step, less two usual ones; NaN for few frames."""
     if len(it.clip) < FEWEST:
         return float("nan")
     largest = np.sort(steps(it))[::-1]
@@ -38,6 +38,6 @@ def jump(it: Evidence) -> float:
 
 
 def between(it: Evidence) -> str:
-    """Where that is, in words."""
+    """Say between which frames the largest step is."""
     n = int(np.argmax(steps(it)))
     return f"from frame {it.clip.frames[n]} to {it.clip.frames[n + 1]}"

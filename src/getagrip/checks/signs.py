@@ -19,7 +19,7 @@ from getagrip.geometry import se3
 ELSEWHERE = 0.03
 """A candidate that is farther apart than this is another solution [diameters]."""
 LARGEST_GAP = 0.7
-"""Where there is no other solution, and at most: logarithm of the factor between two energies."""
+"""Largest energy gap, also where there is no other solution: logarithm of the factor between two energies."""
 FARTHEST_SOLUTION = 0.5
 """A solution counts as at most so far [diameters]."""
 LEAST_PROBABLE = 1e-2
@@ -39,14 +39,14 @@ class Sign:
 
 
 def energy_gap(it: Solved) -> float:
-    """How much more energy the best other solution has: square root of the logarithm of the factor."""
+    """Compare the energy of the best other solution: square root of the logarithm of the factor."""
     times = it.energy_times[it.apart > ELSEWHERE]
     factor = np.log(times.min()) if len(times) else LARGEST_GAP
     return float(np.sqrt(np.clip(factor, 0.0, LARGEST_GAP)))
 
 
 def solution_spread(it: Solved) -> float:
-    """How far the other solutions are, in diameters, each as probable as its energy says: mean over all solutions.
+    """Measure the spread of the other solutions, in diameters, weighted by the probability that each energy implies.
 
     Energies that differ by that of one frame count as a factor of e; solutions that are hardly probable do not count.
     """
@@ -57,32 +57,38 @@ def solution_spread(it: Solved) -> float:
 
 
 def contact_gap(it: Solved) -> float:
-    """How far regions of the hand are from the object, mean over regions and frames, in its diameters."""
+    """Measure the distance between regions of the hand and the object.
+
+    It is the mean over regions and frames, in the object's diameters.
+    """
     return _logarithm(np.clip(it.region_distance, 0.0, FARTHEST).mean() / it.diameter, 3e-3)
 
 
 def depth_order(it: Solved) -> float:
-    """Share of the seen pixels of hand or object in which the other one is in front: the larger of the two."""
+    """Measure the share of the visible pixels of hand or object in which the other one is in front.
+
+    The larger of the two.
+    """
     return _logarithm(np.nanmax(it.in_front), 0.01)
 
 
 def pose_spread(it: Solved) -> float:
-    """How far the object could still be moved, by what masks and contact tell, in its diameters."""
+    """Measure how far the object could still move with the same masks and contact, in its diameters."""
     return _logarithm(it.spread, 1e-4)
 
 
 def mask_misfit(it: Solved) -> float:
-    """How much worse the masks are explained than the object's own mesh would explain them (``fitting.misfit``)."""
+    """Return the misfit: how much worse the masks are explained than by the object's own mesh (``fitting.misfit``)."""
     return _logarithm(it.misfit, 0.05)
 
 
 def mesh_deformation(it: Solved) -> float:
-    """How far the mesh was deformed to meet the masks, in its diameters."""
+    """Return how far the mesh was deformed to meet the masks, in its diameters."""
     return it.deformed
 
 
 def size_shift(it: Solved) -> float:
-    """How far the object would move along the ray with the size that it would rather have, in its diameters.
+    """Return the shift along the ray that the scale check implies, in the object's diameters.
 
     Nothing where its size was free.
     """
@@ -92,12 +98,12 @@ def size_shift(it: Solved) -> float:
 
 
 def off_axis_turn(it: Solved) -> float:
-    """How much the object turns besides the rotation about the axis [rad]."""
+    """Measure the object's rotation besides that about the axis [rad]."""
     return _logarithm(it.off_axis, 5e-3)
 
 
 def hand_shift(it: Solved) -> float:
-    """How far the hand was moved when it was corrected, in diameters of the object, squared.
+    """Return the refinement's shift of the hand, in diameters of the object, squared.
 
     Corrections of the usual size succeed; those of hands that are far off leave much.
     """
@@ -105,12 +111,12 @@ def hand_shift(it: Solved) -> float:
 
 
 def hand_turn(it: Solved) -> float:
-    """By how much it was turned [rad], squared."""
+    """Return the refinement's rotation of the hand [rad], squared."""
     return it.hand_turn**2
 
 
 def _logarithm(value: float | Float[ndarray, ""], least: float) -> float:
-    """Of a number that is never below zero, and hardly counts below ``least``."""
+    """Return the logarithm of a number that is never below zero, and hardly counts below ``least``."""
     return float(np.log(max(float(value), 0.0) + least))
 
 
@@ -130,6 +136,6 @@ SIGNS: tuple[Sign, ...] = (
 
 
 def read_signs(it: Solved) -> dict[str, float]:
-    """Every sign of a result, by its name; those that are not known are left out."""
+    """Compute every sign of a result, by its name; unknown ones are left out."""
     measured = {sign.name: float(sign.measure(it)) for sign in SIGNS}
     return {name: value for name, value in measured.items() if not np.isnan(value)}

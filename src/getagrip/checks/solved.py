@@ -46,7 +46,7 @@ class Solved(Evidence):
 
     @property
     def diameter(self) -> float:
-        """Of the object at the scale that was found [m]."""
+        """Diameter of the object at the resulting scale [m]."""
         return self.scale * self.clip.mesh.diameter
 
     @property
@@ -57,7 +57,7 @@ class Solved(Evidence):
 
     @cached_property
     def apart(self) -> Float[ndarray, "K"]:
-        """How far the surface of each candidate is from that of the first, in diameters.
+        """Distance of each candidate's surface from that of the first, in diameters.
 
         Means of the distances to the nearest point, so that symmetric poses are not apart.
         """
@@ -73,7 +73,10 @@ class Solved(Evidence):
         return np.maximum(np.mean(off, axis=1) - 0.5 * np.mean(nearest), 0.0) / self.diameter
 
     def vertices_apart(self, k: int) -> float:
-        """How far the vertices of a candidate are from those of the first, in diameters: ADD, up to symmetries."""
+        """Return the distance of a candidate's vertices from those of the first, in diameters.
+
+        The distance is ADD, up to symmetries.
+        """
         if k == 0:
             return 0.0
         few, mesh = frame_indices(len(self.clip), FRAMES), self.clip.mesh
@@ -97,7 +100,7 @@ class Solved(Evidence):
 
     @property
     def hand_shift(self) -> float:
-        """How far the hand's middle was moved when it was corrected, mean over frames [m]."""
+        """Shift of the hand's middle by the refinement, mean over frames [m]."""
         middle = self.clip.hand.vertices.mean(axis=(0, 1))[None]
         T, value = self.clip.hand.T_cam_hand, self.T_cam_hand_input
         return float(np.linalg.norm(se3.transform(T, middle) - se3.transform(value, middle), axis=-1).mean())

@@ -10,8 +10,10 @@ from getagrip.checks import frame_order, mask_agreement, mesh_form, plausibility
 from getagrip.checks.check import Check, millimetres, of_diameter, percent
 from getagrip.checks.evidence import Evidence
 from getagrip.checks.hand_side import bend
-from getagrip.clip import intrinsics
+from getagrip.clip import intrinsics, modalities
 from getagrip.finding import Finding
+from getagrip.io import plugins
+from getagrip.io.plugins import Table
 
 GRAVER = {
     "mesh-open": "mesh-holes",
@@ -25,13 +27,13 @@ GRAVER = {
     "mask-misfit": "large-mask-misfit",
     "poor-mask-fit": "mask-fit",
 }
-"""What goes without saying where a graver check finds the same."""
+"""Checks that are not reported where a more severe check reports the same problem."""
 LEAST_IOU = 0.5
 """A result whose mean IOU is below this explains nothing, however well the minimisation ended."""
 
 
 def contradicting(it: Evidence) -> str:
-    """Which masks are doubted."""
+    """List the outlier masks."""
     assert it.outliers
     masks, names = f"{len(it.outliers)} of {len(it.overlaps)} masks", ", ".join(it.outliers)
     if len(it.outliers) == 1:
@@ -40,36 +42,36 @@ def contradicting(it: Evidence) -> str:
 
 
 def rather(it: Evidence) -> str:
-    """Which size would be better."""
+    """Say which scale the energy prefers."""
     factor, gain = it.scale_check
     return f"{factor:.2f} times its size would explain the masks and the hand better, by {percent(gain)} of the energy"
 
 
 def regrasped(it: Evidence) -> str:
-    """Where the object jumps in the hand."""
+    """Say where the object moves to another place in the hand."""
     return f"the object jumps in the hand {regrasp.between(it)}, by {of_diameter(regrasp.jump(it))} more than elsewhere"
 
 
 def deformation(it: Evidence) -> str:
-    """How far the mesh was deformed."""
-    return f"to meet the masks the mesh was deformed by {it.deformed_mm:.1f} mm, so its shape is a guess"
+    """Say how far the mesh was deformed."""
+    return f"to meet the masks the mesh was deformed by {it.deformed_mm:.1f} mm, so its shape is an assumption"
 
 
 def other_images(it: Evidence) -> str:
-    """Of which images the camera seems to be."""
+    """Say which images the camera seems to belong to."""
     return intrinsics.camera_warning(it.clip.K, it.clip.size)
 
 
 CAMERA_ADVICE = "give the camera of these images: K is scaled and cropped as they are"
 
 
-MISFIT = "contours are {value} times as far from those of the masks as the object's own mesh would leave them"
+MISFIT = "contours are {value} times as far from the masks' as they would be with the object's own mesh"
 CAUSES = (
     "is the hand's pose wrong, or the mesh another one? Do the masks show a box, a shadow, the hand, or only a part?"
 )
-"""Of contours that are off the masks."""
+"""Possible causes of contours that are off the masks."""
 
-INPUT_CHECKS: tuple[Check, ...] = (
+_INPUT: tuple[Check, ...] = (
     Check(
         "mesh-holes", lambda it: mesh_form.hole_share(it.clip.mesh), high=0.15, shown=percent,
         fault="holes are {value} of the mesh's surface",
@@ -81,7 +83,7 @@ INPUT_CHECKS: tuple[Check, ...] = (
     ),
     Check(
         "mesh-flat", lambda it: float(mesh_form.extents(it.clip.mesh)[0]), low=0.005, shown=percent,
-        fault="the mesh's thickness is {value} of its length", advice="a flat mesh is no body: give it its thickness",
+        fault="the mesh's thickness is {value} of its length", advice="the mesh has no volume: add its thickness",
     ),
     Check(
         "mesh-needle", lambda it: float(mesh_form.extents(it.clip.mesh)[1]), low=0.015, shown=percent,
@@ -129,15 +131,15 @@ INPUT_CHECKS: tuple[Check, ...] = (
     Check(
         "hand-side", lambda it: bend(it.clip), low=-5.0, shown="{:.3g} degrees".format,
         fault="the fingers bend by {value} towards the palm that such a hand would have",
-        advice="it is the other hand: correct \"side\" in clip.json, or the hand was mirrored",
+        advice="it is the other hand, or a mirrored one: correct \"side\" in clip.json, or the hand",
     ),
     Check(
         "many-tracker-glitches", lambda it: it.glitch_share, high=0.3, shown=percent,
-        fault=lambda it: str(it.glitches), advice="is it the same hand in all frames? --given-hands believes all",
+        fault=lambda it: str(it.glitches), advice="is it the same hand in all frames? --given-hands uses it unchanged",
     ),
     Check(
         "tracker-glitches", lambda it: it.glitch_share, high=0.0, serious=False,
-        fault=lambda it: str(it.glitches), advice="--given-hands believes all",
+        fault=lambda it: str(it.glitches), advice="--given-hands uses it unchanged",
     ),
     Check(
         "frame-order", frame_order.misorder, high=2.5,
@@ -156,7 +158,7 @@ INPUT_CHECKS: tuple[Check, ...] = (
     ),
 )  # fmt: skip
 
-RESULT_CHECKS: tuple[Check, ...] = (
+_RESULT: tuple[Check, ...] = (
     Check(
         "mask-fit", lambda it: float(np.nanmean(it.overlaps)), low=0.7,
         fault="the masks are met with a mean IOU of {value}",
@@ -173,11 +175,11 @@ RESULT_CHECKS: tuple[Check, ...] = (
     ),
     Check(
         "many-outlier-masks", lambda it: it.outlier_share, high=0.3, shown=percent,
-        fault=contradicting, advice="are they all of the same object? --given-masks believes all",
+        fault=contradicting, advice="are they all of the same object? --given-masks uses all",
     ),
     Check(
         "outlier-masks", lambda it: it.outlier_share, high=0.0, serious=False,
-        fault=contradicting, advice="--given-masks believes all",
+        fault=contradicting, advice="--given-masks uses all",
     ),
     Check(
         "mesh-much-deformed", lambda it: it.deformed, high=0.06, shown=of_diameter,
@@ -220,7 +222,7 @@ RESULT_CHECKS: tuple[Check, ...] = (
     ),
     Check(
         "object-over-hand", lambda it: it.in_front[0], high=0.2, shown=percent,
-        fault="the object was found in front of the hand in {value} of the pixels that show the hand",
+        fault="the object is in front of the hand in {value} of the pixels that show the hand",
         advice="hand and object are at the wrong distance: check the sizes of hand and mesh, and the hand's distance",
     ),
     Check(
@@ -231,12 +233,12 @@ RESULT_CHECKS: tuple[Check, ...] = (
     Check(
         "second-gap", plausibility.second_gap, high=12.0, serious=False, shown=millimetres,
         fault="only one part of the hand is near the object, the next is {value} away",
-        advice="is it held so? Else sizes or distances of hand and object do not agree",
+        advice="if it is not held with one part only, sizes or distances of hand and object do not agree",
     ),
     Check(
         "contact-gap", plausibility.gap, high=15.0, shown=millimetres,
         fault="hand and object are {value} apart in half of the frames",
-        advice="nothing is held there: check the hands' distance from the camera, and --method one-dof",
+        advice="the hand does not hold the object: check the hands' distance from the camera, and try --method one-dof",
     ),
     Check(
         "penetration", plausibility.penetration, high=35.0, serious=False, shown=millimetres,
@@ -251,14 +253,50 @@ RESULT_CHECKS: tuple[Check, ...] = (
 )  # fmt: skip
 
 
+def _table(kind: str, own: tuple[Check, ...]) -> Table[Check]:
+    """Make the table of checks by name."""
+    named = {check.name: check for check in own}
+    return Table(kind, named, "a Check of the same name", lambda name, it: isinstance(it, Check) and it.name == name)
+
+
+INPUT_CHECKS = _table("input_checks", _INPUT)
+RESULT_CHECKS = _table("result_checks", _RESULT)
+
+
+def input_checks() -> tuple[Check, ...]:
+    """Return ``INPUT_CHECKS``, and those of each modality."""
+    return (*INPUT_CHECKS.working().values(), *(check for modality in modalities() for check in modality.input_checks))
+
+
+def result_checks() -> tuple[Check, ...]:
+    """Return ``RESULT_CHECKS``, and those of each modality."""
+    return (
+        *RESULT_CHECKS.working().values(),
+        *(check for modality in modalities() for check in modality.result_checks),
+    )
+
+
 MOST = 1e9
 """JSON has no infinity."""
 
 
 def examine(checks: Iterable[Check], it: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:
-    """What each check measures, at most ``MOST`` either way, and what is found."""
-    measured = {check.name: float(np.clip(check.measure(it), -MOST, MOST)) for check in checks}
-    findings = [check.finding(measured[check.name], it) for check in checks]
-    found = [finding for finding in findings if finding is not None]
+    """Run checks: return the value of each, at most ``MOST`` in magnitude, and the findings.
+
+    That one of another package has raised is a finding, too.
+    """
+    measured: dict[str, float] = {}
+    found: list[Finding] = []
+    for check in checks:
+        try:
+            measured[check.name] = float(np.clip(check.measure(it), -MOST, MOST))
+            finding = check.finding(measured[check.name], it)
+        except Exception as error:
+            if (plugin := plugins.origin(check)) is None:
+                raise
+            measured[check.name] = np.nan
+            message = f"{plugin} failed: {type(error).__name__}: {error}"
+            finding = Finding(check.name, False, 0.0, 0.0, message)
+        found += [] if finding is None else [finding]
     names = {finding.check for finding in found}
     return measured, tuple(f for f in found if GRAVER.get(f.check) not in names)

@@ -48,7 +48,7 @@ BENCH = "Compare methods on a dataset, or on a folder of clips: the paper's tabl
 
 
 def commands(imports: Any, figures: Any) -> Any:
-    """All commands, in the order of use: to try it, input, reconstruction, what to do with results, research.
+    """Make the union of all commands, in the order of use: to try it, input, reconstruction, results, research.
 
     ``imports`` is what ``import`` takes, ``figures`` what ``figure`` takes.
     """
@@ -113,13 +113,13 @@ def _run(args: Sequence[str]) -> int:
 
 
 def _parsed(args: Sequence[str]) -> Command:
-    """The command that arguments call for. Ends the process after ``--help``, and for arguments that fit no command."""
+    """Parse the arguments of a call. Ends the process after ``--help``, and for arguments that fit no command."""
     imports: Any = Command
     figures: Any = Command
     if args and args[0] == "import":  # what it takes is declared with the readers, which take longer to load
-        from getagrip.commands.datasets import Imports
+        from getagrip.commands.datasets import subcommands
 
-        imports = Imports
+        imports = subcommands(*args[1:2])
     elif args and args[0] == "figure":  # likewise
         from getagrip.commands.figure import Figures
 
@@ -143,6 +143,6 @@ def _parsed(args: Sequence[str]) -> Command:
 
 
 def _by_name(choice: Any) -> dict[str, Any]:
-    """The commands of a union, by the words that are typed; none of a command that has none below it."""
+    """List the commands of a union, by the words that are typed; none for a command without subcommands."""
     union = get_args(choice)[0] if get_origin(choice) is Annotated else choice
     return {one.__metadata__[0].name: one for one in get_args(union) if get_origin(one) is Annotated}

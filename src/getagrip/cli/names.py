@@ -10,7 +10,9 @@ from getagrip.errors import cleaned, unknown
 
 
 def joined(words: Sequence[str], names: Collection[str], before: str = "") -> list[str]:
-    """The words of a call, with those that name a command as one. Ends the process where they name none.
+    """Join the words that name a command into one.
+
+    Ends the process where they name none.
 
     ``names`` are the commands, of one word or two, and ``before`` is the command whose subcommands they are.
     """
@@ -29,7 +31,7 @@ def joined(words: Sequence[str], names: Collection[str], before: str = "") -> li
 
 
 def _alike(word: str, names: Iterable[str]) -> list[str]:
-    """The names that begin with a word or, if there is none, the one most like it."""
+    """Return the names that begin with a word or, if there is none, the one most like it."""
     spelt = {spelling: name for name in names for spelling in (name, name.split()[0])}
     alike = [name for name in spelt if name.startswith(word)] or get_close_matches(word, spelt, n=1)
     return [*dict.fromkeys(spelt[name] for name in alike)]

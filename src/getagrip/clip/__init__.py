@@ -4,12 +4,21 @@ from getagrip.clip.data import (
     Clip,
     FrameMasks,
     Masks,
+    PerFrame,
     World,
-    check_masks,
-    observed_frames,
 )
 from getagrip.clip.hand_track import FINGERS, HandTrack, OtherHand
-from getagrip.clip.masks import find_masks, masks_of_some, read_masks, read_observed
+from getagrip.clip.masks import (
+    check_masks,
+    find_masks,
+    masks_in,
+    masks_of_some,
+    observed_frames,
+    read_masks,
+    read_observed,
+    with_masks,
+)
+from getagrip.clip.modality import MODALITIES, Modality, modalities, other_evidence, with_evidence
 from getagrip.clip.plausible import check_clip
 from getagrip.clip.reading import input_sha256, read_clip, read_name
 from getagrip.clip.timeline import Segment, State
@@ -18,12 +27,15 @@ from getagrip.clip.writing import write_clip
 
 __all__ = [
     "FINGERS",
+    "MODALITIES",
     "Clip",
     "FrameMasks",
     "HandTrack",
     "Joint",
     "Masks",
+    "Modality",
     "OtherHand",
+    "PerFrame",
     "Segment",
     "State",
     "Truth",
@@ -32,11 +44,16 @@ __all__ = [
     "check_masks",
     "find_masks",
     "input_sha256",
+    "masks_in",
     "masks_of_some",
+    "modalities",
     "observed_frames",
+    "other_evidence",
     "read_clip",
     "read_masks",
     "read_name",
     "read_observed",
+    "with_evidence",
+    "with_masks",
     "write_clip",
 ]

@@ -23,13 +23,16 @@ from getagrip.errors import InputError
 from getagrip.io import arrays, files
 
 KINDS = ("object", "ignore", "hand")
-LOGITS, HALVES = "logits: those above 0 were taken, in images", "probabilities: half and more was taken, in images"
+LOGITS, HALVES = (
+    "logits: values above 0 were used, in images",
+    "probabilities: values of one half and more were used, in images",
+)
 Numbers = Callable[[int], tuple[Path, str, ndarray]]
 """The file of a frame's array, its key, and the array."""
 
 
 def npz(path: Path, request: MaskRequest) -> MaskReader:
-    """Masks or labels of all frames, or an array for each, in an ``.npz`` file. Raises ``InputError``."""
+    """Open masks or labels of all frames, or an array for each, in an ``.npz`` file. Raises ``InputError``."""
     stored = arrays.read(path, lambda _: True)
     key = next((key for key in ("labels", "object") if key in stored), None)
     if key is None:
@@ -61,14 +64,14 @@ def npz(path: Path, request: MaskRequest) -> MaskReader:
 
 
 def npy(path: Path, request: MaskRequest) -> MaskReader:
-    """Masks or labels of all frames in an ``.npy`` file, in their order. Raises ``InputError``."""
+    """Open masks or labels of all frames in an ``.npy`` file, in their order. Raises ``InputError``."""
     stack = arrays.parse_npy(path, "", files.read_bytes(path, arrays.LARGEST))
     rows = _rows(path, {}, len(stack) if stack.ndim else 0, request)
     return _labels(path, lambda n: (path, "", stack[rows[n]]), rows, request)
 
 
 def npy_folder(folder: Path, paths: Sequence[Path], request: MaskRequest) -> MaskReader:
-    """An ``.npy`` file of each frame, or an ``.npz`` file of one array. Raises ``InputError``."""
+    """Open a folder with an ``.npy`` file of each frame, or an ``.npz`` file of one array. Raises ``InputError``."""
     rows = request.places(folder, [path.name for path in paths])
 
     def load(n: int) -> tuple[Path, str, ndarray]:
@@ -84,7 +87,7 @@ def npy_folder(folder: Path, paths: Sequence[Path], request: MaskRequest) -> Mas
 
 
 def _labels(source: Path, load: Numbers, frames: Mapping[int, int], request: MaskRequest) -> MaskReader:
-    """A reader of labels."""
+    """Make a reader of labels."""
     choose, notes = LabelChoice(request), Counter[str]()
     whole = _whole(load, frames, request.size, notes)
     sharp = sharpened(whole, frames, notes, choose.object, bool(choose.ignore or choose.hand))
@@ -94,12 +97,12 @@ def _labels(source: Path, load: Numbers, frames: Mapping[int, int], request: Mas
 def _masks_of(
     path: Path, key: str, stack: ndarray, rows: Mapping[int, int], request: MaskRequest, notes: Counter[str]
 ) -> Load:
-    """The masks of one thing."""
+    """Make a loader of the masks of one thing."""
     return sharpened(_whole(lambda n: (path, key, stack[rows[n]]), rows, request.size, notes), rows, notes)
 
 
 def _whole(load: Numbers, frames: Collection[int], size: tuple[int, int], notes: Counter[str]) -> Load:
-    """The labels in arrays of any numbers."""
+    """Make a loader of labels from arrays of any numbers."""
     samples = (load(n)[2] for n in looked_at(frames))
     logits = any(array.dtype.kind == "f" and array.size and array.min() < 0.0 for array in samples)
 
@@ -126,7 +129,7 @@ def _whole(load: Numbers, frames: Collection[int], size: tuple[int, int], notes:
 
 
 def _rows(path: Path, arrays: Mapping[str, ndarray], count: int, request: MaskRequest) -> dict[int, int]:
-    """The row of each frame that has one."""
+    """Return the row of each frame that has one."""
     frames = request.frames
     if "frames" not in arrays:
         if count != len(frames):

@@ -15,7 +15,7 @@ THING_KEYS = ("track_id", "instance_id", "object_id")
 
 
 def coco(path: Path, content: Mapping[str, object], request: MaskRequest) -> MaskReader:
-    """COCO's annotations; an image without any of the object shows nothing of it. Raises ``InputError``."""
+    """Open COCO's annotations; an image without any of the object shows nothing of it. Raises ``InputError``."""
     images, names = objects(path, content, "images"), []
     for k, image in enumerate(images):
         if not isinstance(image.get("file_name"), str) or not isinstance(image.get("id"), int | str):
@@ -38,7 +38,7 @@ def coco(path: Path, content: Mapping[str, object], request: MaskRequest) -> Mas
 
 
 def youtube_vis(path: Path, content: Mapping[str, object], request: MaskRequest) -> MaskReader:
-    """YouTube-VIS's annotations: a region of each thing for each frame of its video, or null."""
+    """Open YouTube-VIS's annotations: a region of each thing for each frame of its video, or null."""
     names: list[str] = []
     where: list[tuple[object, int]] = []
     for k, video in enumerate(objects(path, content, "videos")):
@@ -69,7 +69,7 @@ def check_size(path: Path, key: str, width: object, height: object, request: Mas
 
 
 def objects(path: Path, content: Mapping[str, object], key: str, needed: bool = True) -> list[files.Json]:
-    """A list of JSON objects. Raises ``InputError``."""
+    """Check a list of JSON objects. Raises ``InputError``."""
     value = content.get(key, None if needed else [])
     if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
         got = "no such key" if key not in content else files.shown(value)

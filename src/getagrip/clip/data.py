@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -23,6 +23,16 @@ from getagrip.io.packed_masks import PackedMask, PackedMasks
 from getagrip.provenance import Provenance
 
 
+class PerFrame(Protocol):
+    """Data of the T frames of a clip."""
+
+    def __len__(self) -> int: ...
+
+    def take(self, index: Int[ndarray, "n"]) -> Self:
+        """Return the data of some of the frames, in the given order."""
+        ...
+
+
 class FrameMasks(NamedTuple):
     """The masks of one frame, as ``Masks`` has them of all."""
 
@@ -32,10 +42,10 @@ class FrameMasks(NamedTuple):
     """Visible pixels of the hand that holds the object; None where they are not known apart."""
 
     @staticmethod
-    def unknown(size: tuple[int, int], with_hand: bool) -> FrameMasks:
-        """Of a frame that has none; ``size``: width and height [px]."""
+    def unknown(size: tuple[int, int]) -> FrameMasks:
+        """Make the masks of a frame that has none; ``size``: width and height [px]."""
         nothing = np.zeros(size[::-1], dtype=bool)
-        return FrameMasks(nothing, ~nothing, nothing if with_hand else None)
+        return FrameMasks(nothing, ~nothing)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +67,14 @@ class Masks(ArrayData):
 
     @staticmethod
     def of(frames: Iterable[FrameMasks]) -> Masks:
-        """The masks of frames, those of the hand where all have them."""
+        """Stack the masks of frames, those of the hand where all have them."""
         objects, ignored, hands = zip(*frames, strict=True)
         known = [hand for hand in hands if hand is not None]
         return Masks(np.stack(objects), np.stack(ignored), np.stack(known) if len(known) == len(hands) else None)
 
     @staticmethod
     def packed(frames: Iterable[FrameMasks], size: tuple[int, int]) -> Masks:
-        """The same in little memory (``PackedMasks``), not to be written to. ``size``: width and height [px]."""
+        """Stack masks in little memory (``PackedMasks``), read-only. ``size``: width and height [px]."""
         packed = [[None if mask is None else PackedMask.of(mask) for mask in frame] for frame in frames]
         objects, ignored, hands = (
             PackedMasks([mask for mask in column if mask is not None], (size[1], size[0])).as_array()
@@ -85,18 +95,21 @@ class Masks(ArrayData):
 
     @property
     def say_what_hides(self) -> bool:
-        """Whether pixels are ignored in a frame whose mask is known."""
+        """True if pixels are ignored in a frame whose mask is known."""
         shown = np.asarray(self.object.any(axis=(1, 2)))
         return any(i.any() and (one or not i.all()) for one, i in zip(shown, self.ignore, strict=True))
 
+    def __len__(self) -> int:
+        return len(self.object)
+
     def take(self, index: Int[ndarray, "n"]) -> Masks:
-        """The masks of some of the frames, in the given order."""
+        """Return the masks of some of the frames, in the given order."""
         return Masks(self.object[index], self.ignore[index], None if self.hand is None else self.hand[index])
 
 
 @dataclass(frozen=True, eq=False)
 class World(ArrayData):
-    """Where the camera of a clip was, in a frame that stands still.
+    """The camera's path in a frame that stands still.
 
     Attributes:
         T_world_cam: (T, 4, 4) pose of the camera, camera frame to world frame [m].
@@ -115,7 +128,7 @@ class World(ArrayData):
             raise UsageError("World.support cannot be used without World.up, along which it is")
 
     def take(self, index: Int[ndarray, "n"]) -> World:
-        """At some of the frames, in the given order."""
+        """Return the world at some of the frames, in the given order."""
         return replace(self, T_world_cam=self.T_world_cam[index])
 
 
@@ -123,7 +136,7 @@ class World(ArrayData):
 class Clip(ArrayData):
     """One stable grasp, or a timeline of segments: a hand in every frame, the object's mesh and the camera.
 
-    Masks are read apart from it (``read_masks``).
+    Its masks and other evidence are read apart from it (``read_masks``, ``with_evidence``).
 
     Attributes:
         hand: the hand in each of the T frames.
@@ -144,6 +157,8 @@ class Clip(ArrayData):
         truth: the ground truth; None where it is not known.
         folder: folder of the clip, with its masks and images; None for a clip that is only in memory.
         provenance: where the data comes from, by topic; guesses among the sources are kept in the result's notes.
+        evidence: what pixels say of the frames, by the name of the ``Modality``, where it is in memory; None: nothing,
+            whatever the folder has. What is not named here is read from the folder when it is needed.
         left_out: names of frames that are gone because the object is not visible in them, or their mask is not known
             (``observed_frames``).
     """
@@ -165,6 +180,7 @@ class Clip(ArrayData):
     truth: Truth | None = None
     folder: Path | None = None
     provenance: Provenance = field(default_factory=dict)
+    evidence: Mapping[str, PerFrame | None] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -179,6 +195,7 @@ class Clip(ArrayData):
             counts["world"] = len(self.world.T_world_cam)
         if self.other_hand is not None:
             counts["other_hand"] = len(self.other_hand.known)
+        counts |= {f"evidence[{name!r}]": len(data) for name, data in self.evidence.items() if data is not None}
         for name, value in counts.items():
             if value != count:
                 raise UsageError(f"Clip.{name} must be {count} frames, as many as the hand has (got {value})")
@@ -204,14 +221,17 @@ class Clip(ArrayData):
 
     @property
     def origin(self) -> Path:
-        """What errors call the clip: its folder or, where it has none, its name."""
+        """Name of the clip in errors: its folder or, where it has none, its name."""
         return self.folder or Path(self.name)
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def image_file(self, n: int) -> Path | None:
-        """The image of a frame, where the clip's folder has one. Raises ``InputError`` for a link that leads out."""
+        """Return the image of a frame, where the clip's folder has one.
+
+        Raises ``InputError`` for a link that leads out.
+        """
         if self.folder is None:
             return None
         names = (f"frames/{self.frames[n]}{suffix}" for suffix in (".jpg", ".png"))
@@ -219,7 +239,7 @@ class Clip(ArrayData):
         return None if there is None else inside(self.folder, there, "", "an image")
 
     def index_of(self, frames: Sequence[str]) -> Int[ndarray, "n"]:
-        """Where the named frames are in the clip. Raises ``InputError`` for a name that is none of its frames."""
+        """Return the indices of the named frames. Raises ``InputError`` for a name that is none of its frames."""
         place = {name: n for n, name in enumerate(self.frames)}
         unknown = next((name for name in frames if name not in place), None)
         if unknown is not None:
@@ -230,7 +250,7 @@ class Clip(ArrayData):
     def with_hand_at(
         self, T_cam_hand: Float[ndarray, "T 4 4"] | None, T_cam_other: Float[ndarray, "T 4 4"] | None = None
     ) -> Clip:
-        """The clip with its hand elsewhere, and the other one, as where a result has them; None: where it is."""
+        """Return the clip with its hands at other poses, such as those of a result; None leaves a hand in place."""
         hand, other = self.hand, self.other_hand
         if T_cam_hand is not None:
             hand = replace(hand, T_cam_hand=T_cam_hand)
@@ -244,7 +264,7 @@ class Clip(ArrayData):
         return "left" if self.side == "right" else "right"
 
     def with_side(self, side: Side | None) -> Clip | None:
-        """The clip with the hand of a side for its own; None where that hand is not known.
+        """Return the clip with the hand of a side for its own; None where that hand is not known.
 
         Of the other side it has no ground truth, and in some of its frames the hand may not be known (``hand_known``).
         """
@@ -256,21 +276,21 @@ class Clip(ArrayData):
         return replace(self, hand=self.other_hand.track, side=side, other_hand=other, truth=None)
 
     def hand_known(self, side: Side | None) -> Bool[ndarray, "T"]:
-        """The frames in which the hand of a side is known."""
+        """Return the frames in which the hand of a side is known."""
         if side == self.side:
             return np.ones(len(self), dtype=bool)
         return np.zeros(len(self), dtype=bool) if side is None or self.other_hand is None else self.other_hand.known
 
     def light(self) -> Clip:
-        """The clip with a mesh that is not too large to fit, measure and draw (``Mesh.light``)."""
+        """Return the clip with a mesh that is small enough to fit, measure and draw (``Mesh.light``)."""
         return self if self.mesh.light is self.mesh else replace(self, mesh=self.mesh.light)
 
     def warped(self, warp: Warp | None) -> Clip:
-        """The clip with its mesh warped, as where a result has fitted its shape; None: as it is."""
+        """Return the clip with its mesh deformed, as a result has it; None: as it is."""
         return self if warp is None else replace(self, mesh=warp(self.mesh))
 
     def take(self, index: Int[ndarray, "n"]) -> Clip:
-        """The clip at some of its frames, in the given order."""
+        """Return the clip at some of its frames, in the given order."""
         truth = self.truth and replace(
             self.truth,
             T_cam_obj=self.truth.T_cam_obj[index],
@@ -281,26 +301,9 @@ class Clip(ArrayData):
         frames = tuple(self.frames[i] for i in index)
         world = self.world and self.world.take(index)
         segments = at_frames(self.segments, index)
+        evidence = {name: None if data is None else data.take(index) for name, data in self.evidence.items()}
         return replace(
             self, frames=frames, K=self.K[index], hand=self.hand.take(index), truth=truth, times=self.time[index],
             world=world, segments=segments, other_hand=self.other_hand and self.other_hand.take(index),
+            evidence=evidence,
         )  # fmt: skip
-
-
-def check_masks(clip: Clip, masks: Masks) -> None:
-    """Raise ``UsageError`` for masks of another clip: of other frames, or another size."""
-    expected = (len(clip), clip.size[1], clip.size[0])
-    if masks.object.shape != expected:
-        raise UsageError(f"masks must be of the shape {expected}, as the clip {clip.name} (got {masks.object.shape})")
-
-
-def observed_frames(clip: Clip, observed: Bool[ndarray, "T"]) -> Clip:
-    """The clip at the frames in which the object is observed (``Masks.observed``).
-
-    Raises ``InputError`` for fewer than two: one silhouette says nothing about a motion.
-    """
-    if observed.sum() < 2:
-        got = f"{observed.sum()} of {len(clip)} frames whose mask has a pixel that is not ignored"
-        raise InputError(clip.origin / "masks" / "object", "", got, "at least 2")
-    unobserved = tuple(name for name, is_observed in zip(clip.frames, observed, strict=True) if not is_observed)
-    return replace(clip.take(np.flatnonzero(observed)), left_out=(*clip.left_out, *unobserved))

@@ -1,4 +1,4 @@
-"""What a clip is cut from: a video, or a folder of images of which each is a frame."""
+"""The footage that a clip is cut from: a video, or a folder of images of which each is a frame."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ IMAGES = (".jpg", ".jpeg", ".png")
 LARGEST_IMAGE = 64 * 2**20
 """Bytes of an image's file."""
 FOLDER_FPS = 30.0
-"""Of images in a folder, where nobody has said."""
+"""Assumed frame rate of images in a folder."""
 EVEN = 0.003
 """Times that are off the average rate's by no more are even [s]."""
 
@@ -48,7 +48,7 @@ class Stretch:
     rate: Source | None = None
 
     def images(self) -> Iterator[UInt8[ndarray, "H W 3"]]:
-        """RGB, one by one. Raises ``InputError`` where one has another size."""
+        """Yield RGB images, one by one. Raises ``InputError`` where one has another size."""
         last = self.first + len(self.names) - 1
         shown: Iterable[UInt8[ndarray, "H W 3"]] = (
             map(_image, images_of(self.path)[self.first - 1 : last])
@@ -63,7 +63,7 @@ class Stretch:
 
 
 def size_and_rate(path: Path, fps: float | None) -> tuple[tuple[int, int], float]:
-    """Width and height [px], and frames per second: as stated, else as the file says. Raises ``InputError``."""
+    """Return width and height [px], and frames per second: as stated, else as the file says. Raises ``InputError``."""
     if fps is not None and not 0.1 <= fps <= 10_000.0:
         raise UsageError(f"--fps must be 0.1 to 10000 frames per second (got {fps:g})")
     if path.is_dir():
@@ -76,7 +76,7 @@ def size_and_rate(path: Path, fps: float | None) -> tuple[tuple[int, int], float
 
 
 def stretch(path: Path, numbers: Int[ndarray, "T"], size: tuple[int, int], fps: float, stated: bool) -> Stretch:
-    """The frames of these numbers, counted from 1. Raises ``InputError`` where there are fewer."""
+    """Return the frames of these numbers, counted from 1. Raises ``InputError`` where there are fewer."""
     first, last = int(numbers[0]), int(numbers[-1])
     if path.is_dir():
         paths = images_of(path)
@@ -93,7 +93,10 @@ def stretch(path: Path, numbers: Int[ndarray, "T"], size: tuple[int, int], fps: 
 
 
 def images_of(folder: Path) -> Sequence[Path]:
-    """The images of a folder, in the order of the numbers in their names. Raises ``InputError`` where there is none."""
+    """List the images of a folder, in the order of the numbers in their names.
+
+    Raises ``InputError`` where there is none.
+    """
     paths = [path for path in folder.iterdir() if path.suffix.lower() in IMAGES and path.is_file()]
     if not paths:
         raise InputError(folder, "", "no images in it", f"a video, or a folder of images ({', '.join(IMAGES)})")

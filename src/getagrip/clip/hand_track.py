@@ -60,7 +60,7 @@ class HandTrack(ArrayData):
             raise UsageError(f"missing {', '.join(missing)} in HandTrack.regions: {needed}")
 
     def take(self, index: Int[ndarray, "n"]) -> HandTrack:
-        """The hand in some of the frames, in the given order."""
+        """Return the hand in some of the frames, in the given order."""
         optional = (self.joints, self.joints_2d, self.joints_2d_confidence)
         joints, seen, confidence = (None if each is None else each[index] for each in optional)
         return replace(
@@ -89,10 +89,10 @@ class OtherHand(ArrayData):
 
     @staticmethod
     def at(hand: HandTrack, rows: Int[ndarray, "n"], frames: int) -> OtherHand:
-        """A hand that is known in the frames ``rows``, one at least, of so many."""
+        """Make a hand that is known in the frames ``rows``, at least one, of a clip of ``frames`` frames."""
         near = np.round(np.interp(np.arange(frames), rows, np.arange(len(rows)))).astype(int)
         return OtherHand(hand.take(near), np.isin(np.arange(frames), rows))
 
     def take(self, index: Int[ndarray, "n"]) -> OtherHand:
-        """In some of the frames, in the given order."""
+        """Return the hand in some of the frames, in the given order."""
         return OtherHand(self.track.take(index), self.known[index])

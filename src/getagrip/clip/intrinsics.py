@@ -1,7 +1,7 @@
 """The camera of a user's own images, as far as the user knows it.
 
 Calibrations are often of another size, crop or orientation than images. A lens whose middle is far from the image's,
-whose pixels are not square or whose field of view no usual lens has is possible, so these are doubts and no errors.
+whose pixels are not square or whose field of view no usual lens has is possible, so these are warnings, not errors.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MILLIMETRES = 36.0
 
 
 def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], Source]:
-    """The pinhole of images of some size [px], and where it comes from. Raises ``UsageError``."""
+    """Compute the intrinsics of images of some size [px]; also return their source. Raises ``UsageError``."""
     got = [lens.K is not None, lens.focal is not None, lens.guess_focal]
     if not any(got):
         raise UsageError("missing --K, --focal or --guess-focal: the camera")
@@ -58,25 +58,28 @@ def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"]
 
 
 def off_middle(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> float:
-    """Distance of the principal point from the middle of images of a size [px], in sides; the worst frame's."""
+    """Measure the distance of the principal point from the middle of images of a size [px], in sides.
+
+    The worst frame's.
+    """
     return float(np.abs(K[:, :2, 2] / size - 0.5).max())
 
 
 def stretch(K: Float[ndarray, "T 3 3"]) -> float:
-    """How many times as long one focal length is as the other; the worst frame's."""
+    """Return the ratio of the two focal lengths; the worst frame's."""
     ratio = K[:, 0, 0] / K[:, 1, 1]
     return float(np.maximum(ratio, 1.0 / ratio).max())
 
 
 def field_of_view(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> float:
-    """Angle that the longer side of the image spans [degrees]; the most unusual frame's."""
+    """Measure the angle that the longer side of the image spans [degrees]; the most unusual frame's."""
     longer = int(np.argmax(size))
     angles = np.degrees(2.0 * np.arctan(0.5 * size[longer] / K[:, longer, longer]))
     return float(angles[np.argmax(np.abs(angles - 0.5 * (NARROW + WIDE)))])
 
 
 def camera_warning(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> str:
-    """Why matrices seem to be of other images than those of a size [px], in words; empty where they fit."""
+    """Say why matrices seem to belong to other images than those of a size [px]; empty where they fit."""
     image = f"the {size[0]} x {size[1]} images"
     if off_middle(K, size) > OFF_MIDDLE:
         u, v = K[int(np.argmax(np.abs(K[:, :2, 2] / size - 0.5).max(axis=1))), :2, 2]
@@ -94,7 +97,7 @@ def camera_warning(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> str:
 
 
 def in_pixels(focal: float, size: tuple[int, int]) -> str:
-    """What to do about a focal length that is too short or too long for images of a size [px]."""
+    """Say what to do about a focal length that is too short or too long for images of a size [px]."""
     if focal > max(size):
         return "the focal length is of larger images, or an estimator's own and not the camera's"
     pixels = focal / MILLIMETRES * max(size)

@@ -18,16 +18,16 @@ from getagrip.clip.mask_request import MOST_NAMED, MaskRequest, without_object
 from getagrip.errors import InputError, UsageError
 from getagrip.io.images import open_png
 
-ALPHA = "the alpha channel was taken for the mask, in images"
+ALPHA = "the alpha channel was used as the mask, in images"
 MOST_COLOURS = 64
-"""Of labels; an image of more is a photograph, cut out."""
+"""Most colours of an image of labels; an image with more is a photograph, cut out."""
 
 
 class LabelChoice:
     """Picks the object and what hides it from labels."""
 
     def __init__(self, request: MaskRequest) -> None:
-        """Raises ``UsageError`` for what is no label."""
+        """Parse the labels; raise ``UsageError`` for an unknown form."""
         self.object = [label_value(text, "--object") for text in request.object]
         self.ignore = [label_value(text, "--ignore") for text in request.ignore]
         self.hand = [label_value(text, "--hand") for text in request.hand]
@@ -35,7 +35,7 @@ class LabelChoice:
         self.others: set[str] = set()
 
     def __call__(self, path: Path, labels: Int[ndarray, "H W"]) -> FrameMasks:
-        """Raises ``InputError`` where no label is named and there are several."""
+        """Split an image into masks; raise ``InputError`` where no label is named and there are several."""
         ignored = np.isin(labels, [*self.ignore, *self.hand])
         hand = np.isin(labels, self.hand) if self.hand else None
         if self.object:
@@ -53,12 +53,12 @@ class LabelChoice:
 
 
 def _label_name(label: int) -> str:
-    """A label as it can be given."""
+    """Write a label as the command line takes it."""
     return str(label) if label < 2**16 else f"#{label:06x}"
 
 
 def read_labels(path: Path, size: tuple[int, int], notes: Counter[str] | None = None) -> Int[ndarray, "H W"]:
-    """The label of each pixel: a grey value, an index into the palette, or a colour as 0xRRGGBB.
+    """Read the label of each pixel: a grey value, an index into the palette, or a colour as 0xRRGGBB.
 
     Where alpha varies, what is transparent has the label 0, and what is not has its colour's; its alpha counts alone
     where that is one colour, or too many for labels. ``notes`` counts the images in which it does. Sizes are checked
@@ -79,7 +79,7 @@ def read_labels(path: Path, size: tuple[int, int], notes: Counter[str] | None = 
 
 
 def _opaque(labels: Int[ndarray, "H W"], alpha: Int[ndarray, "H W"], notes: Counter[str]) -> Int[ndarray, "H W"]:
-    """The labels of what is opaque, by half of the largest alpha or more; 0 elsewhere."""
+    """Return the labels of opaque pixels, by half of the largest alpha or more; 0 elsewhere."""
     there = np.unique(labels)
     if alpha.min() == alpha.max():
         hidden = alpha.max() == 0 and (there.size == 1 or there.size > MOST_COLOURS)
@@ -93,7 +93,7 @@ def _opaque(labels: Int[ndarray, "H W"], alpha: Int[ndarray, "H W"], notes: Coun
 
 
 def label_value(text: str, option: str) -> int:
-    """A label from a command line: a whole number, or a colour as #rrggbb. Raises ``UsageError``."""
+    """Parse a label of the command line: a whole number, or a colour as #rrggbb. Raises ``UsageError``."""
     try:
         value = int(text[1:], 16) if text.startswith("#") and len(text) == 7 else int(text)
     except ValueError:

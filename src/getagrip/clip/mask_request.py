@@ -22,7 +22,7 @@ MOST_NAMED = 12
 def without_object(
     visible: Bool[ndarray, "H W"], hidden: Bool[ndarray, "H W"], hand: Bool[ndarray, "H W"] | None
 ) -> FrameMasks:
-    """The masks of a frame: where the object's lies over the others it counts, and the hand is ignored as well."""
+    """Combine the masks of a frame: the object's pixels take precedence, and the hand is ignored as well."""
     if hand is None:
         return FrameMasks(visible, hidden & ~visible)
     return FrameMasks(visible, (hidden | hand) & ~visible, hand & ~visible)
@@ -39,9 +39,9 @@ class MaskReader:
     others: set[str] = field(default_factory=set)
     """Labels that were met so far in frames without the object, for an error about a label that is nowhere."""
     notes: dict[str, int] = field(default_factory=dict)
-    """What was made of unusual content so far, and of how much of it."""
+    """Notes on how unusual content was read, with counts."""
     warnings: tuple[str, ...] = ()
-    """What is probably not as it is meant."""
+    """Warnings about content that is probably not what was meant."""
 
     def __call__(self, n: int) -> FrameMasks | None:
         return self.read(n) if n in self.known else None
@@ -49,7 +49,7 @@ class MaskReader:
 
 @dataclass(frozen=True)
 class MaskRequest:
-    """What to look for."""
+    """A request for the masks of a clip's frames."""
 
     frames: tuple[str, ...]
     """Names, or numbers, of the frames."""
@@ -60,7 +60,7 @@ class MaskRequest:
     ignore: tuple[str, ...] = ()
     """Labels of what hides it."""
     hand: tuple[str, ...] = ()
-    """Of these the hand that holds it, which need not be among them."""
+    """Those of the things that are the grasping hand; it need not be among the others."""
     ask_first: str = ""
     """The option that states the number of the first frame's mask, where it was not used."""
     images: str = ""
@@ -73,7 +73,7 @@ class MaskRequest:
         check_numbers(self.frames, names, source, "mask", self.ask_first)
 
     def places(self, source: Path, names: Sequence[str]) -> dict[int, int]:
-        """Which of the images of these file names is each frame's, for the frames that have one.
+        """Match images to frames by their file names, for the frames that have one.
 
         Raises ``UsageError`` where they seem to be counted from another start, and ``InputError`` for a second one of a
         frame, and where there is none of any.
@@ -105,7 +105,7 @@ class MaskRequest:
         return {n: of_frame[0] for n, of_frame in found.items()}
 
     def nothing(self, source: Path, names: Sequence[str]) -> InputError:
-        """That there is no mask of any frame."""
+        """Make the error that there is no mask of any frame."""
         some = ", ".join(map(files.plain, names[:2])) + (", ..." if len(names) > 2 else "")
         got = f"no mask of any of {len(self.frames)} frames" + (f" among {some}" if names else "")
         return InputError(source, "", got, f"masks named like the frames, as {files.plain(self.frames[0])}")

@@ -39,7 +39,10 @@ LOSSY = {".jpg", ".jpeg", ".webp"}
 
 
 def open_masks(path: Path, request: MaskRequest) -> MaskReader:
-    """A reader of the masks of some frames. Raises ``InputError`` where there are none, ``UsageError`` for labels."""
+    """Open a reader of the masks of some frames.
+
+    Raises ``InputError`` where there are none, ``UsageError`` for labels.
+    """
     if path.is_dir():
         return _folder(path, request)
     if path.suffix in {".pkl", ".pickle", ".npy"} and path.is_file():
@@ -58,7 +61,7 @@ def open_masks(path: Path, request: MaskRequest) -> MaskReader:
 
 
 def _folder(folder: Path, request: MaskRequest) -> MaskReader:
-    """The masks in a folder of things, or of files that are a frame's each."""
+    """Open a folder of things, or of files of one frame each."""
     things = sorted(sub.name for sub in folder.iterdir() if sub.is_dir() and any(sub.glob("*.png")))
     images = {suffix: sorted(folder.glob(f"*{suffix}")) for suffix in (".png", ".npy", ".npz", ".json")}
     if things and ("object" in things or not images[".png"]):
@@ -108,7 +111,7 @@ def _things(folder: Path, request: MaskRequest, things: Sequence[str]) -> MaskRe
 
 
 def _labels(folder: Path, paths: Sequence[Path], request: MaskRequest) -> MaskReader:
-    """A folder of label images."""
+    """Open a folder of label images."""
     choose, notes = LabelChoice(request), Counter[str]()
     frames, load = _images(folder, request, notes, paths)
     sharp = sharpened(load, frames, notes, choose.object, bool(choose.ignore or choose.hand))
@@ -118,7 +121,7 @@ def _labels(folder: Path, paths: Sequence[Path], request: MaskRequest) -> MaskRe
 def _images(
     folder: Path, request: MaskRequest, notes: Counter[str], paths: Sequence[Path] | None = None
 ) -> tuple[list[int], Load]:
-    """The frames that have a PNG, and how it is read. Raises ``InputError`` for two of a frame."""
+    """Return the frames that have a PNG, and a loader. Raises ``InputError`` for two of a frame."""
     paths = sorted(folder.glob("*.png")) if paths is None else paths
     rows = request.places(folder, [path.name for path in paths])
 

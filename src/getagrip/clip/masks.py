@@ -1,19 +1,59 @@
-"""Masks from a clip's folder: those of the frames that are asked for, and no more of them in memory at once."""
+"""Masks in a clip's folder and in a clip: read at the frames that are asked for, no more in memory at once."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 from numpy import ndarray
 
 from getagrip.clip.data import Clip, FrameMasks, Masks
-from getagrip.errors import InputError
+from getagrip.errors import InputError, UsageError
 from getagrip.io import files
-from getagrip.io.images import read_png
+from getagrip.io.array_data import ArrayData
+from getagrip.io.images import read_png, write_mask
+from getagrip.io.packed_masks import PackedMasks
+
+OBJECT, HAND = "object-masks", "hand-masks"
+"""Keys of ``Clip.evidence``: the names of the two modalities that masks are."""
+
+
+@dataclass(frozen=True, eq=False)
+class VisibleHand(ArrayData):
+    """Masks of the hand in every frame.
+
+    Attributes:
+        pixels: (T, H, W) visible pixels of the hand that holds the object, and of no other. A frame without any says
+            nothing about the hand.
+    """
+
+    pixels: Bool[ndarray, "T H W"]
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    def take(self, index: Int[ndarray, "n"]) -> VisibleHand:
+        """Return the masks of some of the frames, in the given order."""
+        return VisibleHand(self.pixels[index])
+
+
+def with_masks(clip: Clip, masks: Masks | None) -> Clip:
+    """Return the clip with masks of its frames in memory; None: without any, whatever its folder has."""
+    hand = None if masks is None or masks.hand is None else VisibleHand(masks.hand)
+    alone = None if masks is None else replace(masks, hand=None)
+    return replace(clip, evidence={**clip.evidence, OBJECT: alone, HAND: hand})
+
+
+def masks_in(clip: Clip) -> Masks | None:
+    """Return the masks that a clip has in memory."""
+    masks, hand = clip.evidence.get(OBJECT), clip.evidence.get(HAND)
+    assert masks is None or isinstance(masks, Masks)
+    assert hand is None or isinstance(hand, VisibleHand)
+    return masks if masks is None or hand is None else replace(masks, hand=hand.pixels)
 
 
 def read_masks(clip: Clip) -> Masks:
@@ -23,26 +63,49 @@ def read_masks(clip: Clip) -> Masks:
     unsuitable image, and where no frame shows the object. The folders ``masks/ignore`` and ``masks/hand`` may be
     absent; where they are there, they have an image for each frame that ``masks/object`` has.
     """
-    folder = _folder(clip)
-    masks = Masks.packed(_each(clip, with_hand=(folder / "masks" / "hand").exists()), clip.size)
+    masks = masks_in(clip)
+    return with_hand_masks(read_object_masks(clip), clip) if masks is None else masks
+
+
+def find_masks(clip: Clip) -> Masks | None:
+    """Read the masks of a clip with ``read_masks``; None where there is no folder of them."""
+    return read_masks(clip) if masks_in(clip) is not None or _are_there(clip) else None
+
+
+def masks_of_some(clip: Clip, with_hand: bool = False) -> Masks | None:
+    """Read masks of some frames, none of which need show the object; those of the hand if wanted."""
+    if not _are_there(clip):
+        return None
+    masks = Masks.packed(_each(clip), clip.size)
+    return with_hand_masks(masks, clip) if with_hand else masks
+
+
+def read_object_masks(clip: Clip) -> Masks:
+    """Read the masks of a clip's frames but those of the hand; raises what ``read_masks`` raises."""
+    _folder(clip)
+    masks = Masks.packed(_each(clip), clip.size)
     _check_some(clip, bool(masks.object.any()))
     return masks
 
 
-def find_masks(clip: Clip) -> Masks | None:
-    """The masks of a clip, as ``read_masks`` reads them; None where there is no folder of them."""
-    return None if clip.folder is None or not (clip.folder / "masks" / "object").exists() else read_masks(clip)
-
-
-def masks_of_some(clip: Clip, with_hand: bool = False) -> Masks | None:
-    """``find_masks`` of some frames of a clip, none of which need show the object; those of the hand if wanted."""
-    if clip.folder is None or not (clip.folder / "masks" / "object").exists():
+def read_hand_masks(clip: Clip) -> VisibleHand | None:
+    """Read the masks of the hand in a clip's frames; None where its folder has none."""
+    folder = _folder(clip)
+    if not (folder / "masks" / "hand").exists():
         return None
-    return Masks.packed(_each(clip, with_hand and (clip.folder / "masks" / "hand").exists()), clip.size)
+    nothing = np.zeros(clip.size[::-1], dtype=bool)
+    each = (_read(folder, "hand", name, clip.size) if has_mask(folder, name) else nothing for name in clip.frames)
+    return VisibleHand(PackedMasks.of(each, clip.size).as_array())
+
+
+def with_hand_masks(masks: Masks, clip: Clip) -> Masks:
+    """Add the masks of the hand, where the clip's folder has them, to masks of its frames."""
+    hand = read_hand_masks(clip)
+    return masks if hand is None else replace(masks, hand=hand.pixels)
 
 
 def read_observed(clip: Clip) -> Bool[ndarray, "T"]:
-    """``read_masks(clip).observed``, with one frame at a time in memory."""
+    """Compute ``read_masks(clip).observed`` with one frame at a time in memory."""
     any_object, observed = False, np.zeros(len(clip), dtype=bool)
     for n, (mask, ignore, _) in enumerate(_each(clip)):
         any_object |= bool(mask.any())
@@ -51,33 +114,53 @@ def read_observed(clip: Clip) -> Bool[ndarray, "T"]:
     return observed
 
 
-def _each(clip: Clip, with_hand: bool = False) -> Iterator[FrameMasks]:
-    """The masks of each frame."""
+def _each(clip: Clip) -> Iterator[FrameMasks]:
+    """Yield the masks of each frame, without those of the hand."""
     folder, (width, height) = _folder(clip), clip.size
     hidden = (folder / "masks" / "ignore").exists()
     for frame in clip.frames:
         if not has_mask(folder, frame):
-            yield FrameMasks.unknown(clip.size, with_hand)
+            yield FrameMasks.unknown(clip.size)
             continue
         mask = _read(folder, "object", frame, clip.size)
         ignore = _read(folder, "ignore", frame, clip.size) if hidden else np.zeros((height, width), dtype=bool)
-        yield FrameMasks(mask, ignore, _read(folder, "hand", frame, clip.size) if with_hand else None)
+        yield FrameMasks(mask, ignore)
 
 
 def has_mask(folder: Path, frame: str) -> bool:
-    """Whether there is a file, or a link, of the object's mask in a frame of the clip in a folder."""
+    """Return whether there is a file, or a link, of the object's mask in a frame of the clip in a folder."""
     return os.path.lexists(folder / "masks" / "object" / f"{frame}.png")
 
 
+def mask_files(folder: Path, kind: str, frames: Iterable[str]) -> list[str]:
+    """Name the masks of a kind (``object``, ``ignore``, ``hand``) in a clip's folder, for frames that have some."""
+    if not (folder / "masks" / kind).exists():
+        return []
+    return [f"masks/{kind}/{frame}.png" for frame in frames if has_mask(folder, frame)]
+
+
+def write_masks(masks: Bool[ndarray, "T H W"], known: Bool[ndarray, "T"], frames: Sequence[str], folder: Path) -> None:
+    """Write one PNG for each frame whose mask is known, 255 where the mask is set, into a new folder."""
+    folder.mkdir(parents=True)
+    for name, mask, there in zip(frames, masks, known, strict=True):
+        if there:
+            write_mask(folder / f"{name}.png", mask)
+
+
+def _are_there(clip: Clip) -> bool:
+    """Return whether the clip's folder has masks."""
+    return clip.folder is not None and (clip.folder / "masks" / "object").exists()
+
+
 def _folder(clip: Clip) -> Path:
-    """The clip's folder. Raises ``InputError`` where it has none."""
+    """Return the clip's folder. Raises ``InputError`` where it has none."""
     if clip.folder is None:
         raise InputError(clip.origin, "masks", "none, for a clip that is in no folder", "the masks beside the clip")
     return clip.folder
 
 
 def _read(folder: Path, kind: str, frame: str, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
-    """The mask of a frame."""
+    """Read the mask of a frame."""
     path = files.inside(folder, f"masks/{kind}/{frame}.png", "", "a mask for each frame of clip.json")
     return read_png(path, size) != 0
 
@@ -89,3 +172,22 @@ def _check_some(clip: Clip, any_object: bool) -> None:
         count = sum(has_mask(clip.origin, frame) for frame in clip.frames)
         got = f"{count} masks without a pixel" if count else "no mask of any frame"
         raise InputError(folder, "", got, "masks that show the object")
+
+
+def check_masks(clip: Clip, masks: Masks) -> None:
+    """Raise ``UsageError`` for masks of another clip: of other frames, or another size."""
+    expected = (len(clip), clip.size[1], clip.size[0])
+    if masks.object.shape != expected:
+        raise UsageError(f"masks must be of the shape {expected}, as the clip {clip.name} (got {masks.object.shape})")
+
+
+def observed_frames(clip: Clip, observed: Bool[ndarray, "T"]) -> Clip:
+    """Return the clip at the frames in which the object is observed (``Masks.observed``).
+
+    Raises ``InputError`` for fewer than two: one silhouette says nothing about a motion.
+    """
+    if observed.sum() < 2:
+        got = f"{observed.sum()} of {len(clip)} frames whose mask has a pixel that is not ignored"
+        raise InputError(clip.origin / "masks" / "object", "", got, "at least 2")
+    unobserved = tuple(name for name, is_observed in zip(clip.frames, observed, strict=True) if not is_observed)
+    return replace(clip.take(np.flatnonzero(observed)), left_out=(*clip.left_out, *unobserved))

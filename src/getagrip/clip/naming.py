@@ -15,7 +15,7 @@ from getagrip.io import files
 
 _NUMBER = re.compile(r"(\d{1,12})$")
 _PERSON = re.compile(r"_\d{1,2}$|_\d{1,2}_3dkeypoints$|_prediction_result$")
-"""What estimators add to an image's name: HaMeR a person's number, FrankMocap two words."""
+"""Suffixes that estimators add to an image's name: HaMeR a person's number, FrankMocap two words."""
 _ROBOFLOW = re.compile(r"_(?:jpe?g|png|webp|bmp|tiff?)\.rf\.[0-9A-Za-z]+$", re.IGNORECASE)
 _UUID = re.compile(r"(?:^|[-_. ])[0-9a-f]{8}(?:-?[0-9a-f]{4}){3}-?[0-9a-f]{12}$", re.IGNORECASE)
 _LAST = re.compile(r"(?:^|[-_. ])([0-9A-Za-z]+)$")
@@ -30,19 +30,19 @@ _LONGEST = 255
 
 
 def stem_of(file_name: str) -> str:
-    """A file's name without folders and suffix."""
+    """Return a file's name without folders and suffix."""
     name = file_name.replace("\\", "/").rsplit("/", maxsplit=1)[-1]
     return name.rpartition(".")[0] or name
 
 
 def number_of(name: str) -> int | None:
-    """The number at the end of a name; None where there is none."""
+    """Return the number at the end of a name; None where there is none."""
     found = _NUMBER.search(name)
     return int(found[1]) if found else None
 
 
 def number_in(name: str) -> int | None:
-    """The number of the image that a name stands for; None where there is none.
+    """Return the number of the image that a name stands for; None where there is none.
 
     Without what is added behind it: a person by estimators, a hash, a size or a date by other programs.
     """
@@ -52,7 +52,7 @@ def number_in(name: str) -> int | None:
 
 
 def without_codes(name: str) -> str:
-    """A name without the hashes, sizes and dates at its end: ``000001_jpg.rf.9f86d081`` is ``000001``."""
+    """Strip the hashes, sizes and dates at a name's end: ``000001_jpg.rf.9f86d081`` is ``000001``."""
     if len(name) > _LONGEST:
         return name
     name = _UUID.sub("", _ROBOFLOW.sub("", name))
@@ -62,7 +62,7 @@ def without_codes(name: str) -> str:
 
 
 def _is_code(part: str, before: str) -> bool:
-    """Whether a part of a name is no word and no number of a frame."""
+    """Return whether a part of a name is no word and no number of a frame."""
     low, behind = part.lower(), _LAST.search(before)
     if len(low) >= _SHORTEST_HASH and {*low} <= _HEXADECIMAL and re.search(r"\d[a-f]", low):
         return True
@@ -72,7 +72,7 @@ def _is_code(part: str, before: str) -> bool:
 
 
 def frame_of(name: str, frames: Sequence[str]) -> int | None:
-    """The index of the frame that a name, without suffix, stands for; None where it stands for none or for several.
+    """Return the index of the frame that a name, without suffix, stands for; None for no frame or several.
 
     Tried in this order: the same name; the same but for what is added at its end (``000743_0``, a hash); the same
     number at the end (``frame_0000000743`` is ``000743``), a date only where frames are numbered by dates.
@@ -81,7 +81,7 @@ def frame_of(name: str, frames: Sequence[str]) -> int | None:
 
 
 def frames_of(names: Iterable[str], frames: Sequence[str]) -> Iterator[int | None]:
-    """``frame_of`` of many names."""
+    """Yield ``frame_of`` for many names."""
     places = _places(tuple(frames))
     return (_frame_at(name, places) for name in names)
 
@@ -101,7 +101,7 @@ def _frame_at(name: str, places: tuple[dict[str, int], dict[int, list[int]]]) ->
 
 @lru_cache(maxsize=8)
 def _places(frames: tuple[str, ...]) -> tuple[dict[str, int], dict[int, list[int]]]:
-    """Where frames are, by their names and by their numbers."""
+    """Index frames by their names and by their numbers."""
     by_number: dict[int, list[int]] = {}
     for n, frame in enumerate(frames):
         number = number_of(without_codes(frame))
@@ -111,7 +111,7 @@ def _places(frames: tuple[str, ...]) -> tuple[dict[str, int], dict[int, list[int
 
 
 def renumbered(frames: Sequence[str], first: int, option: str) -> tuple[str, ...]:
-    """The names of frames where the first one has another number. Raises ``UsageError`` where they have none."""
+    """Return the names of frames where the first one has another number. Raises ``UsageError`` where they have none."""
     numbers = [number_of(name) for name in frames]
     known = [number for number in numbers if number is not None]
     if len(known) < len(frames):
@@ -120,7 +120,7 @@ def renumbered(frames: Sequence[str], first: int, option: str) -> tuple[str, ...
 
 
 def counted_elsewhere(frames: Sequence[str], names: Iterable[str]) -> bool:
-    """Whether files seem to be counted from another start than frames.
+    """Return whether files seem to be counted from another start than frames.
 
     That is where they have a number 0 and frames have not, and where only some of their numbers are frames': where
     about as many numbers as frames, from half of these to all, begin and end earlier, or begin and end later.

@@ -12,7 +12,7 @@ from getagrip.io.packed_masks import PackedMasks
 
 
 def occluded_by_hand(clip: Clip, masks: Masks) -> Masks:
-    """Masks whose ignored pixels are those that the clip's hands cover and the object's mask does not.
+    """Ignore the pixels that the clip's hands cover and the object's mask does not.
 
     Of a frame whose mask is not known, all still are.
     """

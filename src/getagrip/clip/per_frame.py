@@ -1,4 +1,4 @@
-"""What ``clip.json`` says of each frame: its name, its camera, when it was taken and where the camera was."""
+"""The parts of ``clip.json`` about each frame: its name, camera, time and camera pose."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CAMERA = ("K", "T_world_cam", "world_up", "world_support")
 
 
 def frame_names(path: Path, names: object) -> tuple[str, ...]:
-    """The frames' names: at least one, each a plain file name, none twice."""
+    """Check the frames' names: at least one, each a plain file name, none twice."""
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         raise InputError(path, "frames", files.shown(names), "a list of names, one for each frame")
     bad = next((name for name in names if not files.is_plain_name(name)), None)
@@ -32,14 +32,14 @@ def frame_names(path: Path, names: object) -> tuple[str, ...]:
 
 
 def intrinsics(path: Path, camera: dict[str, object], frames: int, size: tuple[int, int]) -> Float[ndarray, "T 3 3"]:
-    """Pinhole intrinsics of each frame [px]."""
+    """Parse the pinhole intrinsics of each frame [px]."""
     K = _matrices(path, "camera.K", camera["K"], 3, frames)
     check_intrinsics(path, K, size)
     return K
 
 
 def world(path: Path, camera: dict[str, object], frames: tuple[str, ...]) -> World | None:
-    """Where the camera was, in a frame that stands still; None where it is not known."""
+    """Parse the camera's path in a frame that stands still; None where it is not known."""
     up = None if "world_up" not in camera else _numbers(camera["world_up"])
     if up is not None and not (up.shape == (3,) and abs(np.linalg.norm(up) - 1.0) < 1e-3):
         raise InputError(path, "camera.world_up", files.shown(camera["world_up"]), "[x, y, z], a direction of length 1")
@@ -59,7 +59,7 @@ def world(path: Path, camera: dict[str, object], frames: tuple[str, ...]) -> Wor
 
 
 def times(path: Path, value: object, frames: tuple[str, ...]) -> Float[ndarray, "T"]:
-    """When each frame was taken [s]."""
+    """Parse the time of each frame [s]."""
     values = _numbers(value)
     if values.ndim != 1:
         raise InputError(path, "times", files.shown(value), "a list of numbers [s], one for each frame")
@@ -70,7 +70,7 @@ def times(path: Path, value: object, frames: tuple[str, ...]) -> Float[ndarray, 
 
 
 def _matrices(path: Path, key: str, value: object, rows: int, frames: int) -> Float[ndarray, "T rows rows"]:
-    """A square matrix of finite numbers for each frame, given once for all or for each."""
+    """Parse a square matrix of finite numbers for each frame, given once for all or for each."""
     values = _numbers(value)
     if values.shape[-2:] != (rows, rows) or values.ndim not in (2, 3):
         raise InputError(path, key, files.shown(value), f"a {rows}x{rows} matrix of numbers, or one for each frame")
@@ -80,6 +80,9 @@ def _matrices(path: Path, key: str, value: object, rows: int, frames: int) -> Fl
 
 
 def _numbers(value: object) -> Float[ndarray, "..."]:
-    """Lists of numbers as an array, which JSON's reader has found to be finite; of no axes where they are none."""
+    """Convert lists of numbers to an array; one without axes where they are none.
+
+    JSON's reader has found the numbers to be finite.
+    """
     values = arrays.from_lists(value)
     return np.array(np.nan) if values is None or values.dtype.kind not in "fi" else values.astype(float)

@@ -1,4 +1,7 @@
-"""What hands and objects before a camera can be. Errors name the mistake that usually leads to what they cannot be."""
+"""Limits of plausible hands and objects before a camera.
+
+Errors name the mistake that usually leads to what they cannot be.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +27,9 @@ SLOWEST, FASTEST = 0.001, 100_000.0
 LONGEST = 86_400.0
 """Time that a clip can take [s]."""
 ROOM = 1000.0
-"""How far a camera may be from where it was in the first frame [m]."""
+"""Farthest position of a camera from its first one [m]."""
 FROM_WORLD = 1e5
-"""How far a camera may be from the world's origin [m]: beyond, single precision does not hold a centimetre."""
+"""Farthest position of a camera from the world's origin [m]: beyond, single precision does not hold a centimetre."""
 OFF_ORIGIN = 0.25
 """Largest distance of a hand's middle from the origin of the hand frame, which lies in the hand [m]."""
 

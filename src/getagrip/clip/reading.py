@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from getagrip.clip.data import Clip
 from getagrip.clip.hand_track import FINGERS, HandTrack, OtherHand
-from getagrip.clip.masks import has_mask
+from getagrip.clip.modality import modalities
 from getagrip.clip.per_frame import CAMERA, frame_names, intrinsics, times, world
 from getagrip.clip.plausible import FASTEST, SLOWEST, check_hand, check_in_view
 from getagrip.clip.reading_truth import read_truth
@@ -25,7 +25,7 @@ from getagrip.io import arrays, files
 from getagrip.provenance import Provenance, parse
 
 VERSION = 4
-"""Of clips that are written; older ones are read, too."""
+"""Version of the clips that are written; older ones are read, too."""
 REQUIRED = ("version", "name", "category", "side", "fps", "frames", "size", "camera", "mesh", "scale")
 OPTIONAL = {1: ("provenance",), 2: ("provenance", "times")} | dict.fromkeys((3, 4), ("provenance", "times", "segments"))
 """Further keys of ``clip.json`` by its version."""
@@ -35,7 +35,7 @@ HANDS = "the hands of a clip, as getagrip import hands writes them"
 OTHER_HAND = "other_hand.npz"
 """The hand of the other side, in a clip's folder."""
 MOST_PALM_REGIONS, REGIONS_PER_VERTEX = 100, 8
-"""Of a hand: areas of the palm, and how often a vertex may be in regions, mean over all."""
+"""Limits of a hand: areas of the palm, and the mean number of regions that a vertex is in."""
 LARGEST_SIDE, LARGEST_IMAGE = 16384, 40_000_000
 """Plausible side [px] and number of pixels of an image; of video, 8K has the most."""
 
@@ -115,12 +115,12 @@ class ClipHeader:
     K: Float[ndarray, "T 3 3"]
 
     def changed(self, new: Mapping[str, object]) -> dict[str, object]:
-        """What to write as the ``clip.json``, in today's version, where some fields are new."""
+        """Return the content of ``clip.json``, in today's version, with some new fields."""
         return {**self.fields, **new, "version": VERSION}
 
 
 def read_header(folder: str | Path) -> ClipHeader:
-    """The header of a clip, which may lack its hands yet. Raises ``InputError``."""
+    """Read the header of a clip, which may lack its hands yet. Raises ``InputError``."""
     folder = _folder(folder)
     fields, path = _fields(folder), folder / "clip.json"
     frames, size = frame_names(path, fields["frames"]), _size(path, fields["size"])
@@ -132,12 +132,12 @@ def read_header(folder: str | Path) -> ClipHeader:
 
 
 def read_name(folder: str | Path) -> str:
-    """The name of a clip, its ``clip.json`` checked and nothing else read. Raises ``InputError``."""
+    """Read the name of a clip, and check its ``clip.json`` and nothing else. Raises ``InputError``."""
     return _fields(_folder(folder))["name"]
 
 
 def input_sha256(folder: str | Path) -> str:
-    """Checksum of what a reconstruction depends on: ``clip.json``, hands, mesh and masks; not images, not truth.
+    """Compute the checksum of a reconstruction's inputs: ``clip.json``, hands, mesh, evidence; not images, not truth.
 
     Raises ``InputError`` where one of them is missing.
     """
@@ -148,27 +148,25 @@ def input_sha256(folder: str | Path) -> str:
     paths = {"clip.json": folder / "clip.json", "hand.npz": hand, fields["mesh"]: _mesh(folder, fields)}
     if (folder / OTHER_HAND).exists():
         paths[OTHER_HAND] = files.inside(folder, OTHER_HAND, "", HANDS)
-    for kind in ("object", "ignore", "hand"):
-        if (folder / "masks" / kind).exists():
-            known = (frames[row] for row in frames_with_hand(hand, frames) if has_mask(folder, frames[row]))
-            names = [f"masks/{kind}/{frame}.png" for frame in known]
-            paths |= {name: files.inside(folder, name, "", "a mask for each frame of clip.json") for name in names}
+    with_hand = [frames[row] for row in frames_with_hand(hand, frames)]
+    for name in (name for modality in modalities() for name in modality.files(folder, with_hand)):
+        paths[name] = files.inside(folder, name, "", "evidence for each frame of clip.json")
     return files.sha256(paths)
 
 
 def _folder(path: str | Path) -> Path:
-    """The clip's folder, which may be given by its ``clip.json``."""
+    """Return the clip's folder, which may be given by its ``clip.json``."""
     path = Path(path)
     return path.parent if path.name == "clip.json" else path
 
 
 def _mesh(folder: Path, fields: ClipFields) -> Path:
-    """The path of the mesh, checked."""
-    return files.inside(folder, fields["mesh"], "mesh", "a triangle mesh", given_in=folder / "clip.json")
+    """Return the path of the mesh, checked."""
+    return files.inside(folder, fields["mesh"], "mesh", "a triangle mesh", source=folder / "clip.json")
 
 
 def _fields(folder: Path) -> ClipFields:
-    """The fields of ``clip.json``, none missing or unknown, those of one text or number checked."""
+    """Read the fields of ``clip.json``: none missing or unknown, those of one text or number checked."""
     if not folder.is_dir():
         raise InputError(folder, "", "no such folder", "the folder of a clip")
     path = files.inside(folder, "clip.json", "", "the description of a clip")
@@ -212,7 +210,7 @@ def _known(path: Path, where: str, stored: dict[str, object], known: tuple[str, 
 
 
 def _is_number(value: object) -> bool:
-    """Whether a JSON value is a number that a float can hold."""
+    """Return whether a JSON value is a number that a float can hold."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return abs(value) < 1e300 and math.isfinite(value)
@@ -230,7 +228,9 @@ def _size(path: Path, size: object) -> tuple[int, int]:
 
 
 def frames_with_hand(path: Path, frames: tuple[str, ...]) -> Int[ndarray, "n"]:
-    """Indices of the clip's frames that its ``hand.npz`` is of: those that it names, else all. Raises ``InputError``.
+    """Return the indices of the frames of a ``hand.npz``: those that it names, else all.
+
+    Raises ``InputError``.
 
     Numbers instead of names are passed over: in a hand file they are those of the footage.
     """
@@ -255,7 +255,10 @@ def frames_with_hand(path: Path, frames: tuple[str, ...]) -> Int[ndarray, "n"]:
 def _other_hand(
     folder: Path, frames: tuple[str, ...], rows: Int[ndarray, "n"], K: Float[ndarray, "n 3 3"], size: tuple[int, int]
 ) -> OtherHand | None:
-    """The hand of the other side in the clip's frames ``rows``, where there is a file of it. Raises ``InputError``."""
+    """Read the hand of the other side in the clip's frames ``rows``, where there is a file of it.
+
+    Raises ``InputError``.
+    """
     path = folder / OTHER_HAND
     if not path.exists() and not path.is_symlink():
         return None
@@ -271,7 +274,7 @@ def _other_hand(
 
 
 def read_hand(path: Path, frames: int) -> HandTrack:
-    """The hands of a ``hand.npz`` of so many frames, checked. Raises ``InputError``."""
+    """Read the hands of a ``hand.npz`` of ``frames`` frames. Raises ``InputError``."""
     named = ("vertices", "faces", "T_cam_hand", "joints", "joints_2d", "joints_2d_confidence")
     stored = arrays.read(path, lambda key: key in named or key.startswith("region_"))
     vertices = arrays.floats(path, stored, "vertices", (frames, -1, 3))

@@ -22,7 +22,7 @@ FARTHEST_JOINT = 2.0
 
 
 def read_truth(folder: Path, hand: HandTrack, scale: str, mesh: Mesh) -> Truth:
-    """The truth of a clip's ``truth.npz``, checked; what it leaves out is the clip's own. Raises ``InputError``."""
+    """Read a clip's ``truth.npz``; what it leaves out is the clip's own. Raises ``InputError``."""
     path = files.inside(folder, "truth.npz", "", "the truth of a clip")
     named = ("T_cam_obj", "scale", "T_cam_hand", "hand_vertices", "articulation", *JOINT)
     stored = arrays.read(path, lambda key: key in named)
@@ -55,7 +55,7 @@ def read_truth(folder: Path, hand: HandTrack, scale: str, mesh: Mesh) -> Truth:
 
 
 def _joint(path: Path, stored: dict[str, ndarray], mesh: Mesh) -> Joint:
-    """The joint of an articulated object; it needs the articulation of each frame, too."""
+    """Parse the joint of an articulated object; it needs the articulation of each frame, too."""
     missing = next((key for key in ("articulation", *JOINT) if key not in stored), None)
     if missing is not None:
         raise InputError(

@@ -29,7 +29,7 @@ class Region:
     """A region of a thing in a frame."""
 
     key: str
-    """Where it is in the file."""
+    """Place in the file."""
     labels: tuple[str, ...]
     """By which it can be chosen; it is called by the first."""
     thing: str
@@ -45,16 +45,19 @@ class Region:
         return f"{self.labels[0]}:{self.thing}" if self.thing else self.labels[0]
 
     def is_of(self, chosen: Sequence[str]) -> bool:
-        """Whether it is named."""
+        """Return whether it is named."""
         return bool({*self.labels} & {*chosen}) or self.is_named_apart(chosen)
 
     def is_named_apart(self, chosen: Sequence[str]) -> bool:
-        """Whether it is named as the thing that it is, or as one of all."""
+        """Return whether it is named as itself, or as one of all."""
         return any({f"{label}:{self.thing}", f"{label}:{ALL}"} & {*chosen} for label in self.labels)
 
 
 def region_masks(path: Path, request: MaskRequest, regions: Mapping[int, Sequence[Region]]) -> MaskReader:
-    """A reader of the regions of some frames. Raises ``InputError`` where it is not clear which are the object's."""
+    """Open a reader of the regions of some frames.
+
+    Raises ``InputError`` where it is not clear which are the object's.
+    """
     frames = {n: _Frame.of(of_frame, request) for n, of_frame in regions.items()}
     labels = {one.labels[0] for frame in frames.values() for one in frame.object}
     if not request.object and len(labels) > 1:
@@ -104,7 +107,7 @@ class _Frame:
 
 
 def _together(option: str, chosen: Sequence[str], frames: Sequence[Sequence[Region]]) -> Iterator[str]:
-    """Of which labels several things are chosen by one word, and how one is."""
+    """Say which labels several things are chosen by, and how to choose one."""
     by_label: dict[str, list[list[Region]]] = {}
     for of_frame in frames:
         here: dict[str, list[Region]] = {}

@@ -8,5 +8,5 @@ from numpy import ndarray
 
 
 def frame_indices(frames: int, wanted: int) -> Int[ndarray, "n"]:
-    """Indices of ``wanted`` frames, linearly spread, the ends included; all of them if there are fewer."""
+    """Return the indices of ``wanted`` frames, linearly spread, the ends included; all of them if there are fewer."""
     return np.unique(np.round(np.linspace(0, frames - 1, min(wanted, frames))).astype(int))

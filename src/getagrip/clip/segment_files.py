@@ -49,17 +49,19 @@ class SegmentList:
 
     @staticmethod
     def of(clip: Clip, segments: Sequence[Segment], source: str, still_camera: str | None = None) -> SegmentList:
-        """Segments of a clip that were found or made here."""
+        """Make a list of segments of a clip that were found or made here."""
         return SegmentList(clip.origin, "segments", segment_fields(segments, clip.frames), source, still_camera)
 
     @property
     def fields(self) -> dict[str, object]:
-        """What a file says of them."""
+        """The segments as a file holds them."""
         about = {"source": self.source, "still_camera": self.still_camera}
         return {"segments": self.rows, **{key: text for key, text in about.items() if text is not None}}
 
     def at(self, frames: Sequence[str], has_world: bool) -> tuple[Segment, ...]:
-        """The segments in a clip with these frames, cut at its ends. Raises ``InputError`` where none is in it.
+        """Return the segments in a clip with these frames, cut at its ends.
+
+        Raises ``InputError`` where none is in it.
 
         Frames whose names are numbers are compared as numbers: ``"86"`` and ``"000086"`` are the same.
         """
@@ -76,7 +78,7 @@ class SegmentList:
 
 
 def read(path: Path, names: Sequence[str]) -> SegmentList:
-    """The list of the first of ``names`` that a file has, or its only one. Raises ``InputError``."""
+    """Read the list of the first of ``names`` that a file has, or its only one. Raises ``InputError``."""
     content = files.read_json(path)
     key = next((name for name in names if name in content), None)
     if key is None and len(content) == 1:
@@ -93,7 +95,7 @@ def read(path: Path, names: Sequence[str]) -> SegmentList:
 
 
 def with_segments(clip: Clip, listed: SegmentList) -> Clip:
-    """A clip with segments, and where it has no camera pose, with that of a camera that is said to stand still.
+    """Add segments to a clip and, where it has no camera pose, that of a camera that is said to stand still.
 
     Raises ``InputError`` for segments that are malformed or not in the clip.
     """
@@ -129,7 +131,7 @@ def into_clip(header: ClipHeader, listed: SegmentList) -> tuple[Segment, ...]:
 
 
 def _provenance(source: str | None, still_camera: str | None) -> dict[str, str]:
-    """Where segments, and the pose of a camera that stands still, come from."""
+    """Return the sources of segments, and of the pose of a camera that stands still."""
     still = None if still_camera is None else f"identity: the camera stands still, {still_camera}"
     return {key: text for key, text in ((SOURCE, source), (CAMERA, still)) if text is not None}
 
@@ -143,7 +145,10 @@ def _text(path: Path, key: str, value: object) -> str | None:
 
 
 def _at(row: Mapping[str, object], frames: Sequence[str]) -> Mapping[str, object] | None:
-    """A segment in the frames of a clip, cut at its ends; None outside. Frames without a number stay as they are."""
+    """Return a segment in the frames of a clip, cut at its ends; None outside.
+
+    Frames without a number stay as they are.
+    """
     ends = [row.get("first"), row.get("last")]
     if not all(_is_number(name) for name in (*ends, *frames)):
         return row

@@ -18,13 +18,15 @@ from getagrip.errors import InputError
 from getagrip.io import arrays, files
 
 MOST_CORNERS = 100_000
-"""Of the polygons of one region."""
+"""Most corners of the polygons of one region."""
 MOST_DRAWN = 2**30
 """Pixels that are gone through for the regions of one kind in a frame, or for the polygons of one region."""
 
 
 def polygons(path: Path, key: str, value: object, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
-    """The pixels in any of some polygons [[x, y, x, y, ...], ...], clipped to the image. Raises ``InputError``.
+    """Fill polygons [[x, y, x, y, ...], ...], clipped to the image.
+
+    Raises ``InputError``.
 
     Corners may leave the image by its own size, no further.
     """
@@ -53,7 +55,7 @@ def polygons(path: Path, key: str, value: object, size: tuple[int, int]) -> Bool
 
 
 def run_lengths(path: Path, key: str, value: object, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
-    """The pixels of ``{"size": [height, width], "counts": [...] or "..."}``. Raises ``InputError``."""
+    """Decode ``{"size": [height, width], "counts": [...] or "..."}``. Raises ``InputError``."""
     width, height = size
     if not isinstance(value, dict) or value.get("size") != [height, width]:
         shape = value.get("size") if isinstance(value, dict) else value
@@ -95,19 +97,19 @@ def _uncompressed(path: Path, key: str, text: str, pixels: int) -> list[int]:
 
 
 def region(path: Path, key: str, value: object, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
-    """The pixels of a COCO ``segmentation``, of either kind. Raises ``InputError``."""
+    """Decode a COCO ``segmentation``, of either kind. Raises ``InputError``."""
     return (run_lengths if isinstance(value, dict) else polygons)(path, key, value, size)
 
 
 def with_area(value: object) -> object:
-    """A ``segmentation`` without its polygons of fewer than three corners or without area; others as they are."""
+    """Drop polygons of fewer than three corners or without area from a ``segmentation``; others stay as they are."""
     if not isinstance(value, list) or sum(len(one) for one in value if isinstance(one, list)) > 2 * MOST_CORNERS:
         return value
     return [one for one in value if not _is_flat(one)]
 
 
 def _is_flat(corners: object) -> bool:
-    """Whether corners, where they are numbers, are on a line."""
+    """Return whether corners, where they are numbers, are on a line."""
     points = arrays.from_lists(corners) if isinstance(corners, list) else None
     if points is None or points.dtype.kind not in "fi" or points.ndim != 1 or len(points) % 2:
         return isinstance(corners, list) and not corners
@@ -127,7 +129,7 @@ def check_count(path: Path, key: str, count: int, size: tuple[int, int]) -> None
 
 
 def union(regions: Iterable[Bool[ndarray, "H W"]], size: tuple[int, int]) -> Bool[ndarray, "H W"]:
-    """The pixels in any of some regions."""
+    """Return the pixels in any of some regions."""
     out = np.zeros(size[::-1], dtype=bool)
     for pixels in regions:
         out |= pixels

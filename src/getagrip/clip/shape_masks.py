@@ -15,7 +15,7 @@ SHAPES = "polygons and rectangles; as COCO or as PNG others can be read, too"
 
 
 def label_me(source: Path, paths: Sequence[Path], request: MaskRequest) -> MaskReader:
-    """LabelMe's shapes, of one thing where they have one ``group_id``. Raises ``InputError``."""
+    """Open LabelMe's shapes, of one thing where they have one ``group_id``. Raises ``InputError``."""
     regions: dict[int, list[Region]] = {}
     for n, k in request.places(source, [path.name for path in paths]).items():
         path = paths[k]
@@ -42,7 +42,7 @@ def _shape(path: Path, key: str, item: Mapping[str, object]) -> Region:
 
 
 def masklets(path: Path, content: Mapping[str, object], request: MaskRequest) -> MaskReader:
-    """SA-V's masklets: for each annotated frame of a video the run lengths of each object, chosen by its number.
+    """Open SA-V's masklets: for each annotated frame of a video the run lengths of each object, chosen by its number.
 
     Frames count from 0; every fourth is annotated, as the number of the video's frames says. Raises ``InputError``.
     """

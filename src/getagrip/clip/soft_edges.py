@@ -17,7 +17,7 @@ from numpy import ndarray
 from getagrip.clip.sampling import frame_indices
 from getagrip.errors import InputError
 
-NOTE = "edges are soft: half of the maximum and more was taken, in images"
+NOTE = "edges are soft: values of half of the maximum and more were used, in images"
 LOOKED_AT = 9
 """Images."""
 LEAST_MAXIMUM = 64
@@ -35,7 +35,7 @@ Load = Callable[[int], tuple[Path, Int[ndarray, "H W"]]]
 def sharpened(
     load: Load, frames: Collection[int], notes: Counter[str], named: Sequence[int] = (), others: bool = False
 ) -> Load:
-    """The same, masks with soft edges as one label, where some of the images show that they are such masks.
+    """Load masks with soft edges as one label, where some of the images show that they are such masks.
 
     ``named`` are the labels of the object, as far as they are; ``others`` whether others are named as well. ``notes``
     counts the images with soft edges.
@@ -55,14 +55,13 @@ def sharpened(
 
 
 def looked_at(frames: Collection[int]) -> list[int]:
-    """Some of the frames, spread over them, by which it is seen what all are like."""
+    """Return some of the frames, spread over them, that stand for all."""
     every = sorted(frames)
     return [every[i] for i in frame_indices(len(every), LOOKED_AT)]
 
 
 def soft_maximum(path: Path, labels: Int[ndarray, "H W"], named: Sequence[int], others: bool) -> int | None:
-    """The largest value of a mask with soft edges; None for an image of labels, and one that is sharp.
-
+    """Return the largest value of a mask with soft edges; None for an image of labels, and for a sharp one.
 
     Raises ``InputError`` for several masks with soft edges in one image, and where a label is named that is an edge's.
     """

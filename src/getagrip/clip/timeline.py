@@ -24,7 +24,7 @@ Side = Literal["left", "right"]
 SIDES: tuple[Side, ...] = get_args(Side)
 STATES: tuple[State, ...] = get_args(State)
 KEYS = ("state", "first", "last", "side")
-"""Of a segment in ``clip.json``."""
+"""Keys of a segment in ``clip.json``."""
 FORM = '{"state": "static", "first": "000001", "last": "000030"}, and "side" of a grasp'
 
 
@@ -65,7 +65,7 @@ class Segment:
 
 
 def side_error(state: State, side: object) -> str | None:
-    """What should stand in place of the side of a segment; None where it is right."""
+    """Return the expected side of a segment; None where its side is right."""
     if state in ("static", "free"):
         return None if side is None else f"none: no hand moves an object that is {state}"
     if side is None and state == "contact":
@@ -86,7 +86,7 @@ def check_segments(segments: Sequence[Segment], frames: int, has_world: bool) ->
 
 
 def at_frames(segments: Sequence[Segment], index: Int[ndarray, "n"]) -> tuple[Segment, ...]:
-    """The segments of a clip in some of its frames; none where these are not in the clip's order."""
+    """Return the segments of a clip in some of its frames; none where these are not in the clip's order."""
     if np.any(np.diff(index) <= 0):
         return ()
     bounds = [np.searchsorted(index, [s.first, s.last + 1]) for s in segments]
@@ -98,7 +98,7 @@ def at_frames(segments: Sequence[Segment], index: Int[ndarray, "n"]) -> tuple[Se
 
 
 def read_segments(path: Path, value: object, frames: Sequence[str], has_world: bool) -> tuple[Segment, ...]:
-    """The ``segments`` of a ``clip.json``, which name their frames. Raises ``InputError``."""
+    """Parse the ``segments`` of a ``clip.json``, which name their frames. Raises ``InputError``."""
     if not isinstance(value, list) or not all(isinstance(row, dict) for row in value):
         raise InputError(path, "segments", files.shown(value), f"a list of {FORM}")
     row_of = {name: row for row, name in enumerate(frames)}
@@ -142,7 +142,7 @@ def _read_segment(path: Path, key: str, fields: files.Json, row_of: dict[str, in
 
 
 def segment_fields(segments: Sequence[Segment], frames: Sequence[str]) -> list[dict[str, str]]:
-    """What ``clip.json`` says of segments."""
+    """Return the segments as ``clip.json`` holds them."""
     return [
         {
             "state": s.state,

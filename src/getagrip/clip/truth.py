@@ -29,7 +29,7 @@ class Joint(ArrayData):
     angle: float = 0.0
 
     def at(self, vertices: Float[ndarray, "V 3"], angles: Float[ndarray, "T"]) -> Float[ndarray, "T V 3"]:
-        """The mesh's vertices with the joint at some angles [rad], in the object frame [m]."""
+        """Return the mesh's vertices with the joint at some angles [rad], in the object frame [m]."""
         out = np.tile(vertices, (len(angles), 1, 1))
         turn = se3.rotation_about_line(self.point, self.direction, angles - self.angle)
         out[:, self.moves] = se3.transform(turn, vertices[self.moves])
@@ -58,7 +58,7 @@ class Truth(ArrayData):
     joint: Joint | None = None
 
     def object_vertices(self, vertices: Float[ndarray, "V 3"], frames: slice) -> Float[ndarray, "n V 3"]:
-        """The true vertices of the mesh in the object frame [m] in some frames: scaled, the joint as it was."""
+        """Return the true vertices in the object frame [m] in some frames: scaled, with the true angle of the joint."""
         if self.joint is None or self.articulation is None:
             return np.tile(self.scale * vertices, (len(self.T_cam_obj[frames]), 1, 1))
         return self.scale * self.joint.at(vertices, self.articulation[frames])

@@ -30,7 +30,7 @@ FORMATS = "mov,mp4,matroska,webm,avi,mpegts"
 
 @dataclass(frozen=True)
 class VideoInfo:
-    """What is known of a video before its frames are decoded.
+    """The properties of a video, known before its frames are decoded.
 
     Attributes:
         path: the video file.
@@ -45,7 +45,7 @@ class VideoInfo:
 
 
 def video_info(path: Path) -> VideoInfo:
-    """Rate and size of a video, from its first frame. Raises ``InputError``."""
+    """Read the rate and size of a video, from its first frame. Raises ``InputError``."""
     first = next(_decoded(path), None)
     if first is None:
         raise InputError(path, "", "no frames", "a video")
@@ -54,7 +54,10 @@ def video_info(path: Path) -> VideoInfo:
 
 
 def video_frames(path: Path, first: int, last: int) -> Iterator[UInt8[ndarray, "H W 3"]]:
-    """The RGB images of the frames ``first`` to ``last``, both included, counted from 1. Raises ``InputError``."""
+    """Decode the RGB images of the frames ``first`` to ``last``, both included, counted from 1.
+
+    Raises ``InputError``.
+    """
     n = 0
     for n, (image, _) in enumerate(_decoded(path), start=1):
         if n >= first:
@@ -65,7 +68,7 @@ def video_frames(path: Path, first: int, last: int) -> Iterator[UInt8[ndarray, "
 
 
 def open_video(path: Path) -> InputContainer:
-    """A video file, opened such that nothing it says can open another. Raises ``InputError``."""
+    """Open a video file such that nothing in it can open another file. Raises ``InputError``."""
     import av
     from av.error import FFmpegError
 
@@ -89,7 +92,9 @@ def open_video(path: Path) -> InputContainer:
 
 
 def frame_times(path: Path) -> Float[ndarray, "N"] | None:
-    """When each frame is shown, from the first one [s]; None where the file does not say. Raises ``InputError``.
+    """Read the time at which each frame is shown, from the first one [s]; None where the file does not say.
+
+    Raises ``InputError``.
 
     The file is read through without decoding.
     """
@@ -109,12 +114,15 @@ def frame_times(path: Path) -> Float[ndarray, "N"] | None:
 
 
 def shown_width(frame: VideoFrame, aspect: Fraction | None) -> int:
-    """The width at which the pixels of a frame are square [px], before it is turned."""
+    """Return the width at which the pixels of a frame are square [px], before it is turned."""
     return max(1, round(frame.width * aspect)) if aspect else frame.width
 
 
 def upright(frame: VideoFrame, aspect: Fraction | None) -> UInt8[ndarray, "H W 3"]:
-    """The RGB image of a frame as it is shown: pixels that are stored ``aspect`` times as wide as high are square."""
+    """Return the RGB image of a frame as shown.
+
+    Pixels that are stored ``aspect`` times as wide as high become square.
+    """
     width = shown_width(frame, aspect)
     wide = frame if width == frame.width else frame.reformat(width=width, height=frame.height)
     return np.rot90(np.asarray(wide.to_ndarray(format="rgb24"), np.uint8), round(frame.rotation / 90.0))

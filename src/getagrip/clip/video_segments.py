@@ -25,7 +25,7 @@ WHAT = "SAM 2's video_segments, {frame: {object: mask}}"
 
 
 def video_segments(path: Path, request: MaskRequest) -> MaskReader:
-    """A reader of the masks of objects by their numbers; in a frame without one, nothing of it is visible.
+    """Open a reader of the masks of numbered objects; in a frame without one, nothing of it is visible.
 
     Raises ``InputError`` for malformed frames and where there is none of the wanted ones, ``UsageError`` for labels.
     """
@@ -76,7 +76,7 @@ def _mask(path: Path, key: str, value: object, request: MaskRequest) -> Bool[nda
 
 
 def holds_objects(path: Path) -> bool:
-    """Whether an ``.npy`` file holds Python's objects, or is damaged; else it is an array of numbers."""
+    """Return whether an ``.npy`` file holds Python's objects, or is damaged; else it is an array of numbers."""
     headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     try:
         with path.open("rb") as stream:
@@ -86,6 +86,6 @@ def holds_objects(path: Path) -> bool:
 
 
 def _some(names: object) -> str:
-    """The first names of a list, in words."""
+    """List the first names, in words."""
     all_names = [files.plain(str(name)) for name in names] if isinstance(names, list | dict) else []
     return ", ".join(all_names[:MOST_NAMED]) + (", ..." if len(all_names) > MOST_NAMED else "")

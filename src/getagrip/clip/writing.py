@@ -6,17 +6,19 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Shaped, UInt8
+from jaxtyping import Float, Shaped, UInt8
 from numpy import ndarray
 
 from getagrip.clip.data import Clip, Masks
 from getagrip.clip.hand_track import HandTrack
+from getagrip.clip.masks import with_masks
+from getagrip.clip.modality import modalities, with_evidence
 from getagrip.clip.reading import OTHER_HAND, VERSION
 from getagrip.clip.timeline import segment_fields
 from getagrip.clip.truth import Truth
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import arrays, files
-from getagrip.io.images import write_image, write_mask
+from getagrip.io.images import write_image
 
 WITHOUT_HAND = "frames_without_hand"
 """Key of a clip's provenance."""
@@ -57,11 +59,9 @@ def fill_folder(
         write_hand_at(clip.other_hand.track.take(rows), clip.frames, rows.tolist(), folder / OTHER_HAND)
     if clip.truth is not None:
         arrays.write(folder / "truth.npz", _truth_arrays(clip, clip.truth))
-    if masks is not None:
-        known = masks.known
-        kinds = {"object": masks.object} | ({"ignore": masks.ignore} if masks.say_what_hides else {})
-        for kind, each in (kinds if masks.hand is None else kinds | {"hand": masks.hand}).items():
-            _write_masks(folder / "masks" / kind, clip.frames, each, known)
+    complete = with_evidence(with_masks(clip, masks))
+    for modality in modalities():
+        modality.write(complete, folder)
     if images is not None:
         _write_images(folder / "frames", clip.frames, images)
 
@@ -85,13 +85,13 @@ def write_hand_at(hand: HandTrack, frames: Sequence[str], rows: Sequence[int], p
 
 
 def without_hand(frames: Sequence[str], rows: Sequence[int]) -> dict[str, str]:
-    """What a clip's provenance says where only the frames ``rows`` have a hand; nothing where all have one."""
+    """Return the provenance of a clip where only the frames ``rows`` have a hand; nothing where all have one."""
     missing = [name for row, name in enumerate(frames) if row not in {*rows}]
     return {WITHOUT_HAND: f"left out until they have one: {', '.join(missing)}"} if missing else {}
 
 
 def _fields(clip: Clip) -> dict[str, object]:
-    """What ``clip.json`` says of a clip."""
+    """Return the fields of a clip's ``clip.json``."""
     camera: dict[str, object] = {"K": _once(clip.K)}
     if clip.world is not None:
         camera["T_world_cam"] = _once(clip.world.T_world_cam)
@@ -120,7 +120,7 @@ def _once(of_frames: Float[ndarray, "T n n"]) -> Float[ndarray, "..."]:
 
 
 def _truth_arrays(clip: Clip, truth: Truth) -> dict[str, Shaped[ndarray, "..."]]:
-    """The ground truth, of the hand only what differs from the clip's."""
+    """Return the arrays of the ground truth, of the hand only those that differ from the clip's."""
     out: dict[str, ndarray] = {"T_cam_obj": truth.T_cam_obj, "scale": np.array(truth.scale)}
     if not np.array_equal(truth.T_cam_hand, clip.hand.T_cam_hand):
         out["T_cam_hand"] = truth.T_cam_hand
@@ -133,16 +133,6 @@ def _truth_arrays(clip: Clip, truth: Truth) -> dict[str, Shaped[ndarray, "..."]]
         axis = {"joint_point": joint.point, "joint_direction": joint.direction, "joint_angle": np.array(joint.angle)}
         out |= {"joint_moves": joint.moves, **axis}
     return out
-
-
-def _write_masks(
-    folder: Path, frames: tuple[str, ...], masks: Bool[ndarray, "T H W"], known: Bool[ndarray, "T"]
-) -> None:
-    """One PNG for each frame whose mask is known, 255 where the mask is set."""
-    folder.mkdir(parents=True)
-    for name, mask, there in zip(frames, masks, known, strict=True):
-        if there:
-            write_mask(folder / f"{name}.png", mask)
 
 
 def _write_images(folder: Path, frames: tuple[str, ...], images: Iterable[UInt8[ndarray, "H W 3"]]) -> None:

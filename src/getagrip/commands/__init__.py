@@ -1,1 +1,1 @@
-"""What each command takes and does, a file for each."""
+"""The commands, one file each: options and body."""

@@ -32,17 +32,18 @@ TOKENS = "tokens"
 
 @dataclass(frozen=True, kw_only=True)
 class Annotate(Command):
-    """Mark stable grasps, or all that an object does, and label frames, on a page that only this machine can open."""
+    """Mark stable grasps or whole interactions, and label frames, on a local page."""
 
     source: Annotated[Positional[Path], arg(metavar="VIDEO|CANDIDATES")]
     """A video, a folder of images, or a list (.csv, .json) of videos with rough start and end, hand and category, as
     epic candidates writes it."""
     out: Folder
-    """Where marks are kept as they are made. Called again with the same folder, it goes on where it stopped."""
+    """Folder of the marks, which are saved as they are made. Called again with the same folder, it goes on where it
+    stopped."""
     videos: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: where the list is)")] = None
     """For a list: where its videos are, or folders of their images."""
     port: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 8765, or the next free one)")] = None
-    """Where the page is served, on 127.0.0.1."""
+    """Port of the page on 127.0.0.1."""
     lens: Annotated[Lens, arg(name="")] = field(default_factory=Lens)
     """The camera, for the hands that are fitted to clicked joints. Without it their depth and size are guesses."""
     export: Flag = False
@@ -98,7 +99,7 @@ class Annotate(Command):
 
 
 def read_labels(path: Path, tasks: list[Task]) -> Labels:
-    """A file of labels. Raises ``InputError`` where it is malformed, or of none of the footage."""
+    """Read a file of labels. Raises ``InputError`` where it is malformed, or of none of the footage."""
     from getagrip.annotate import labels
     from getagrip.annotate.labelled_footage import tasks_of
     from getagrip.annotate.versions import RefusedError

@@ -32,11 +32,11 @@ T = TypeVar("T", bound=Timelines)
 
 @dataclass(frozen=True, kw_only=True)
 class Bench(Command, Generic[C]):
-    """What all benchmarks take, and how they run. Existing results are kept."""
+    """The shared options and the run of all benchmarks. Existing results are kept."""
 
     source: Annotated[C, arg(name="")]
     out: Folder
-    """Where clips, results, tables and plots go. Called again with the same folder, it continues where it stopped."""
+    """Folder of clips, results, tables and plots. Called again with the same folder, it continues where it stopped."""
     count: Annotated[int | None, arg(name="clips", metavar="N", help_behavior_hint="(default: all)")] = None
     """Use N clips, evenly sampled."""
     json: OptionalFile = None
@@ -44,17 +44,17 @@ class Bench(Command, Generic[C]):
     every_frame: Flag = False
     """Evaluate every frame of the clips, not only the 30 that all methods fit together."""
     overwrite: Flag = False
-    """Recompute good results, too. Those of other inputs, options or code, and damaged ones, are in any case."""
+    """Recompute valid results, too. Damaged ones, and those of other inputs, options or code, always are."""
     search: Annotated[SearchOptions, arg(name="")] = field(default_factory=SearchOptions)
     share: Annotated[Share, arg(name="")] = field(default_factory=Share)
 
     @property
     def options(self) -> Options:
-        """What all results have in common."""
+        """Options that all results share."""
         return Options(**vars(self.search), every_frame=self.every_frame)
 
     def benchmark(self) -> Benchmark[Any]:
-        """What is done with every clip. Raises ``UsageError`` where the call is wrong."""
+        """Make the benchmark, which is done with every clip. Raises ``UsageError`` where the call is wrong."""
         raise NotImplementedError
 
     def run(self) -> int:
@@ -93,7 +93,7 @@ class Bench(Command, Generic[C]):
                 scores.append(one)
                 failures += len(failed)
                 if self.share.fail_fast and failures:
-                    report("--fail-fast: no other clip is begun")
+                    report("--fail-fast: the other clips are skipped")
                     break
         page = benchmark.page(sorted(scores, key=lambda one: one.name))
         if page is not None:
@@ -145,7 +145,7 @@ BENCHES: tuple[tuple[Any, type[ClipSource]], ...] = (
 
 
 def _subcommands() -> Any:
-    """A subcommand for each source."""
+    """Make a subcommand for each source."""
     kinds = [Annotated[bench, subcommand(source.dataset, description=source.__doc__)] for bench, source in BENCHES]
     return Union[tuple(kinds)]  # noqa: UP007
 
@@ -153,14 +153,23 @@ def _subcommands() -> Any:
 Benches = _subcommands()
 
 
+NAMING_PATHS = ("--out", "--json", "--ledger", "--priors")
+"""Options whose values are paths, but not those of clips."""
+
+
 def with_source(words: Sequence[str], sources: Collection[str]) -> list[str]:
-    """The words behind ``bench`` with the source first: options may come before it, and a folder of clips need not be
-    called one."""
+    """Return the words behind ``bench`` with the source first: options may come before it."""
     if not words or words[0] in ("-h", "--help"):
         return list(words)
     alone = words[0] == ClipFolder.dataset and (len(words) == 1 or words[1].startswith("-"))  # a folder of that name
     if alone or (words[0] not in sources and not words[0].startswith("-")):
-        is_folder = Path(words[0]).exists() or has_magic(words[0])
-        return [ClipFolder.dataset, *words] if is_folder else list(words)
-    place = next((n for n, word in enumerate(words) if word in sources), None)
-    return list(words) if place is None else [words[place], *words[:place], *words[place + 1 :]]
+        return [ClipFolder.dataset, *words] if _is_folder(words[0]) else list(words)
+    free = [n for n, word in enumerate(words) if n == 0 or words[n - 1] not in NAMING_PATHS]
+    place = next((n for n in free if words[n] in sources), None)
+    if place is not None:
+        return [words[place], *words[:place], *words[place + 1 :]]
+    return [ClipFolder.dataset, *words] if any(_is_folder(words[n]) for n in free) else list(words)
+
+
+def _is_folder(word: str) -> bool:
+    return Path(word).exists() or has_magic(word)

@@ -1,4 +1,4 @@
-"""What all commands share: the ways arguments are written, and checks before any work.
+"""The base of all commands: the forms of arguments, and checks before any work.
 
 A command is a frozen dataclass of options and the body that runs them, in one file. The files of all commands but
 ``import`` and ``figure`` are loaded for ``getagrip --help``: what only the body needs is imported in it.
@@ -30,7 +30,7 @@ Labels = Annotated[tuple[str, ...], arg(metavar="LABEL...", help_behavior_hint="
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """What every command takes."""
+    """The options of every command."""
 
     debug: Flag = False
     """Show where an error arose."""

@@ -6,7 +6,7 @@ load numpy and more. So this one is loaded when the command is called, not for `
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, is_dataclass
 from typing import Annotated, Any, Generic, TypeVar, Union
 
 from tyro.conf import arg, subcommand
@@ -15,7 +15,6 @@ from getagrip.batch.imports import import_clips
 from getagrip.batch.share import Share
 from getagrip.commands.command import Command
 from getagrip.commands.import_epic import ImportEpic
-from getagrip.commands.import_hands import ImportHands
 from getagrip.commands.import_masks import ImportMasks
 from getagrip.commands.import_segments import ImportSegments
 from getagrip.datasets.arctic import Arctic
@@ -26,8 +25,9 @@ from getagrip.datasets.hoi4d import Hoi4d
 from getagrip.datasets.hot3d.reader import Hot3d
 from getagrip.datasets.track_files import Tracks
 from getagrip.io.arguments import Folder
+from getagrip.io.plugins import Table
 
-DATASETS: dict[str, type[Dataset]] = {
+_DATASETS: dict[str, type[Dataset]] = {
     "hot3d": Hot3d,
     "dexycb": DexYcb,
     "arctic": Arctic,
@@ -38,6 +38,16 @@ DATASETS: dict[str, type[Dataset]] = {
 }
 
 
+OTHERS = ("hands", "masks", "segments")
+"""Imports into existing clips."""
+
+
+def _is_dataset(_: str, it: object) -> bool:
+    return isinstance(it, type) and issubclass(it, Dataset) and is_dataclass(it)
+
+
+DATASETS = Table("datasets", _DATASETS, "a dataclass that subclasses Dataset", _is_dataset, OTHERS)
+
 D = TypeVar("D", bound=Dataset)
 
 
@@ -47,21 +57,25 @@ class Import(Command, Generic[D]):
 
     dataset: Annotated[D, arg(name="")]
     out: Folder
-    """Where the clips go, a folder each. Those that are there already are kept, unless they lack hands found now."""
+    """Folder of the clips, one folder each. Existing clips are kept, unless they lack hands found now."""
     share: Annotated[Share, arg(name="")] = field(default_factory=Share)
 
     def run(self) -> int:
         return import_clips(self.dataset, self.out, self.debug, self.share)
 
 
-def _subcommands() -> Any:
-    """The subcommands of ``import``: a dataset each, then hands, masks and segments."""
-    datasets = [
+def subcommands(name: str = "") -> Any:
+    """Return the subcommands of ``import``: a dataset each, then hands, masks and segments.
+
+    Behind a ``name`` that there is, nothing else of other packages is loaded. Raises ``UsageError`` where it cannot be.
+    """
+    datasets = {name: DATASETS[name]} if name in DATASETS else {} if name in OTHERS else DATASETS.working()
+    kinds = [
         Annotated[Import[dataset], subcommand(name, description=dataset.__doc__)]  # type: ignore[valid-type]
-        for name, dataset in DATASETS.items()
+        for name, dataset in datasets.items()
     ]
-    own = [("hands", ImportHands), ("masks", ImportMasks), ("segments", ImportSegments)]
-    return Union[*datasets, *(Annotated[command, subcommand(name)] for name, command in own)]
+    if name == "hands" or name not in (*DATASETS, *OTHERS):
+        from getagrip.commands.import_hands import ImportHands  # the options of all trackers are in it
 
-
-Imports = _subcommands()
+        kinds.append(Annotated[ImportHands, subcommand("hands")])
+    return Union[*kinds, Annotated[ImportMasks, subcommand("masks")], Annotated[ImportSegments, subcommand("segments")]]

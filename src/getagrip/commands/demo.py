@@ -22,23 +22,23 @@ class Demo(Command):
     """Make a clip, reconstruct it, evaluate it, and draw a report."""
 
     out: Folder = Path("out/demo")
-    """Where the clip, the result, report.png and report.html go."""
+    """Folder of the clip, the result, report.png and report.html."""
 
     def run(self) -> int:
-        """The clip goes to ``out/clips/``, the result to ``out/<clip name>/``.
+        """Write the clip to ``out/clips/``, and the result to ``out/<clip name>/``.
 
         What an earlier demo left there is used again (the clip) or replaced (result and report). Raises ``UsageError``
         where something else is in the way.
         """
         from getagrip.clip import input_sha256, read_masks
         from getagrip.evaluation import evaluate, results_table
-        from getagrip.fitting.reconstruct import reconstruct
         from getagrip.io import files
         from getagrip.io.terminal import console, progress_bar
         from getagrip.pages import write_page
         from getagrip.pictures.report import write_report
         from getagrip.pictures.shown import View
         from getagrip.result import read_record, write_result
+        from getagrip.timelines.reconstruct import reconstruct
 
         screen = console()
         with progress_bar() as bar:
@@ -70,7 +70,7 @@ class Demo(Command):
 
 
 def _clip(folder: Path) -> Clip:
-    """The demo's clip, made and written unless it is there from an earlier time."""
+    """Return the demo's clip, made and written unless it is there from an earlier time."""
     from getagrip.clip import read_clip, write_clip
     from getagrip.datasets.synthetic import scene_options
     from getagrip.datasets.synthetic.noise import perturbed

@@ -1,4 +1,4 @@
-"""``getagrip doctor``: is all there that a reconstruction needs, and does it work here?
+"""``getagrip doctor``: check that everything a reconstruction needs is there and works.
 
 Every line begins with ``ok``, ``without`` (something that is not needed), ``MISSING`` or ``BROKEN``; all but the first
 say what to do.
@@ -21,7 +21,7 @@ from typing import Annotated, Literal
 from tyro.conf import arg
 
 from getagrip.commands.command import Command
-from getagrip.errors import GetagripError
+from getagrip.errors import GetagripError, UsageError
 from getagrip.io.arguments import OptionalFolder, one_of
 
 EXTRAS = {
@@ -30,10 +30,10 @@ EXTRAS = {
     "s3": "clips and results at s3:// addresses", "gs": "at gs:// addresses",
     "bench": "the peer of the speed benchmark", "hands": "finds hands in a video",
 }  # fmt: skip
-"""What each extra of the package is for."""
+"""Purpose of each extra of the package."""
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "firefox", "open", "xdg-open")
 LEAST_DISK, LEAST_MEMORY = 1.0, 2.0
-"""Of free disk for results, and of memory [GB]."""
+"""Least free disk for results, and least memory [GB]."""
 _REQUIREMENT = re.compile(r"([\w.-]+)[^;]*?[>=]=([\d.]+)")
 _EXTRA = re.compile(r"extra == ['\"](\w+)['\"]")
 
@@ -66,7 +66,15 @@ class Doctor(Command):
             for path in fetch():
                 print(f"ok       {path}")
         wrong = False
-        checks = (_libraries(), _extras(), _clusters(self.address), _machine(), _mano(self.mano), _hands(self.models))
+        checks = (
+            _libraries(),
+            _extras(),
+            _plugins(),
+            _clusters(self.address),
+            _machine(),
+            _mano(self.mano),
+            _hands(self.models),
+        )
         for check in checks:
             for state, words in check:
                 print(f"{state:<8} {words}", flush=True)
@@ -82,14 +90,14 @@ class Doctor(Command):
 
 
 def _libraries() -> Iterator[Line]:
-    """The libraries that are needed."""
+    """Yield a line for each required library."""
     for name, least, extra in _requirements():
         if not extra:
             yield _library(name, least, "MISSING", f"pip install '{name}>={least}'")
 
 
 def _extras() -> Iterator[Line]:
-    """What not everybody needs."""
+    """Yield a line for each optional library."""
     for name, least, extra in _requirements():
         if extra in EXTRAS:
             yield _library(name, least, "without", f"{EXTRAS[extra]}: pip install 'getagrip[{extra}]'")
@@ -98,8 +106,27 @@ def _extras() -> Iterator[Line]:
     yield ("ok", f"browser {found}") if found else ("without", f"browser; {needed}")
 
 
+def _plugins() -> Iterator[Line]:
+    """Yield a line for each plug-in of another package."""
+    import getagrip.checks
+    import getagrip.commands.datasets
+    import getagrip.evaluation
+    import getagrip.export
+    import getagrip.hands.trackers  # noqa: F401 - all tables
+    from getagrip.io.plugins import TABLES
+
+    for table in TABLES.values():
+        for name, plugin in table.plugins.items():
+            try:
+                table[name]
+            except UsageError as error:
+                yield "BROKEN", str(error)
+            else:
+                yield "ok", str(plugin)
+
+
 def _clusters(address: str | None) -> Iterator[Line]:
-    """Whether Ray and Slurm can be reached from here."""
+    """Yield a line each for Ray and Slurm, and whether they can be reached from here."""
     from getagrip.batch.on_ray import check_answer
 
     address = address or os.environ.get("RAY_ADDRESS")
@@ -169,7 +196,7 @@ def _free_memory() -> float | None:
 
 
 def _mano(folder: Path | None) -> Iterator[Line]:
-    """The user's own MANO files, if they are named."""
+    """Yield a line for the user's own MANO files, if they are named."""
     if folder is None:
         yield "without", "MANO: getagrip doctor --mano DIR tries your files (https://mano.is.tue.mpg.de)"
         return
@@ -197,7 +224,7 @@ def _mano(folder: Path | None) -> Iterator[Line]:
 
 
 def _hands(folder: Path | None) -> Iterator[Line]:
-    """The models that find hands, and whether they are run as they should."""
+    """Yield lines on the models that find hands, and whether they run correctly."""
     from getagrip.landmarks import load
     from getagrip.landmarks.models import cache_folder, missing
 
@@ -215,7 +242,7 @@ def _hands(folder: Path | None) -> Iterator[Line]:
 
 
 def _version(name: str) -> str | None:
-    """The installed version of a library."""
+    """Return the installed version of a library."""
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
@@ -223,7 +250,7 @@ def _version(name: str) -> str | None:
 
 
 def _numbers(version: str) -> list[int]:
-    """The leading numbers of a version, to compare it by."""
+    """Return the leading numbers of a version, for comparisons."""
     return [int(part) for part in re.findall(r"\d+", version)[:3]]
 
 

@@ -35,7 +35,7 @@ def each_clip(
     workers: int | None,
     debug: bool,
 ) -> tuple[list[R], int]:
-    """What becomes of each clip, in their order, and how many failed, which is printed.
+    """Do the work for each clip; return the values in order, and how many failed, which is printed.
 
     A path is a clip, or a folder of clips; ``job`` makes one of a clip's name and folder, or None for clips to be
     passed over. ``work`` takes a job and, where it is done in this process, a function to call with its progress.
@@ -67,7 +67,7 @@ def each_clip(
 def _outcomes(
     work: Callable[..., R | Outcome], jobs: Sequence[J], workers: int | None, bar: Bar
 ) -> Iterator[tuple[J, R | Outcome]]:
-    """What becomes of each job, as they finish, while the bar shows it."""
+    """Yield the outcome of each job, as they finish, while the bar shows it."""
     from getagrip.batch.job import Outcome
     from getagrip.batch.pool import DIED, cores, in_processes
 

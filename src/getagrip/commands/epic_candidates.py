@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 Category = Literal["bottle", "bowl", "can", "cup", "glass", "mug", "pan", "plate", "saucepan"]
 COLUMNS = ("vid", "st_bound", "ed_bound", "contact", "handside", "cat", "hos_name", "mp4_name")
-"""Of the table of candidates: EPIC-Grasps' own, without those that an annotator has still to fill."""
+"""Columns of the table of candidates: EPIC-Grasps' own, without those that an annotator has still to fill."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EpicCandidates(Command):
-    """Find where stable grasps may be in EPIC-KITCHENS: where VISOR says that a hand touches an object."""
+    """List candidates of stable grasps in EPIC-KITCHENS: frames in which, by VISOR, a hand touches an object."""
 
     visor: Folder
     """VISOR's sparse annotations, and its frame_mapping.json, anywhere below."""
@@ -37,9 +37,9 @@ class EpicCandidates(Command):
     categories: Annotated[tuple[Category, ...], arg(help_behavior_hint="(default: all)")] = ()
     """Kinds of objects."""
     out: File
-    """Where the table goes (CSV)."""
+    """Table to write (CSV)."""
     json: OptionalFile = None
-    """Write all that is known of the candidates here."""
+    """Write all data of the candidates here."""
 
     def check(self) -> None:
         files.check_file("--out", self.out)

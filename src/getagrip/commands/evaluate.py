@@ -99,7 +99,7 @@ class Evaluate(Command):
             for table in (results_table(evaluations), *(contact_tables(evaluations) if self.contact else ())):
                 console().print(table)
         for made in evaluations:
-            _print_doubts(made)
+            _print_warnings(made)
         if self.json is not None:
             files.write_json(self.json, summary(evaluations))
         return 1 if problems else 0
@@ -113,8 +113,8 @@ class ResultJob:
     clips: Path | None
 
 
-def _print_doubts(made: Evaluation) -> None:
-    """What speaks against an evaluated result, and what is to be known about its metrics, on stderr."""
+def _print_warnings(made: Evaluation) -> None:
+    """Print the findings of an evaluated result, and notes on its metrics, on stderr."""
     warnings = [*made.findings, *made.notes]
     if missing := int(made.metrics.get("frames_without_mesh", 0)):
         warnings.append(f"no mesh of {missing} of {len(made.frames)} frames: IOU 0, no contact")
@@ -126,7 +126,7 @@ J = TypeVar("J", "ResultJob", "OtherJob")
 
 
 def _in_order(work: Callable[[J], Evaluated], jobs: Sequence[J], advance: Callable[[], None]) -> list[Evaluated]:
-    """What each job gives; many jobs are shared out over processes."""
+    """Return the value of each job, in order; many jobs are shared out over processes."""
     from getagrip.batch.job import Outcome
     from getagrip.batch.pool import DIED
 
@@ -148,7 +148,7 @@ def _done(work: Callable[[J], Evaluated], jobs: Sequence[J]) -> Iterator[tuple[J
 
 
 def evaluate_one(job: ResultJob) -> Evaluated:
-    """The metrics of a result, or why there are none. Raises nothing."""
+    """Evaluate a result; failures are returned, not raised. Raises nothing."""
     from getagrip.batch.job import failure
     from getagrip.evaluation import evaluate_result
 
@@ -159,7 +159,7 @@ def evaluate_one(job: ResultJob) -> Evaluated:
 
 
 def of_batch(path: Path) -> bool:
-    """Whether a path is one of the files that a batch writes beside its results: ``results/*`` names them, too."""
+    """Return whether a path is a file that a batch writes beside its results: ``results/*`` names them, too."""
     from getagrip.batch.entries import FILE as LEDGER
     from getagrip.batch.summary import PAGE, TABLE
 
@@ -167,7 +167,10 @@ def of_batch(path: Path) -> bool:
 
 
 def results_in(path: Path) -> list[Path]:
-    """The result folders that a path stands for, none for a batch's file. Raises ``InputError`` where it holds none."""
+    """List the result folders that a path stands for, none for a batch's file.
+
+    Raises ``InputError`` where it holds none.
+    """
     if of_batch(path):
         return []
     if (path / "result.json").exists():
@@ -181,6 +184,6 @@ def results_in(path: Path) -> list[Path]:
 
 
 def no_result(path: Path) -> InputError:
-    """The error for a folder in which there is no result."""
+    """Make the error for a folder in which there is no result."""
     got = "a clip" if (path / "clip.json").exists() else "no result.json in it or in its folders"
     return InputError(path, "", got, "a result that getagrip reconstruct made, or a folder of results")

@@ -44,7 +44,7 @@ class OtherJob:
 
 
 def mesh_jobs(options: Evaluate, frames: Frames) -> list[OtherJob]:
-    """A job for each clip with meshes: ``<clip>/<frame>.obj``, or those of one clip. Raises ``InputError``."""
+    """Make a job for each clip with meshes: ``<clip>/<frame>.obj``, or those of one clip. Raises ``InputError``."""
     root, where = options.meshes, options.clips
     assert root is not None
     assert where is not None
@@ -63,7 +63,10 @@ def mesh_jobs(options: Evaluate, frames: Frames) -> list[OtherJob]:
 
 
 def pose_jobs(options: Evaluate, frames: Frames) -> list[OtherJob]:
-    """A job for each clip with poses, of one clip or of many by name. Raises ``InputError`` where there are none."""
+    """Make a job for each clip with poses, of one clip or of many by name.
+
+    Raises ``InputError`` where there are none.
+    """
     root, where = options.poses, options.clips
     assert root is not None
     assert where is not None
@@ -88,7 +91,7 @@ def pose_jobs(options: Evaluate, frames: Frames) -> list[OtherJob]:
 
 
 def evaluate_other(job: OtherJob) -> tuple[Evaluation | None, list[Outcome]]:
-    """All metrics of what another system says of a clip, and what could not be read. Raises nothing."""
+    """Evaluate another system's output for a clip; also return what could not be read. Raises nothing."""
     try:
         clip = read_clip(job.clip)
         return _poses(job, clip) if job.mesh_frame is None else _meshes(job, clip, job.mesh_frame)

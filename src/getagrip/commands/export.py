@@ -9,7 +9,14 @@ from tyro.conf import arg
 
 from getagrip.commands.command import ClipsFolder, Command, Results
 from getagrip.errors import InputError, UsageError, unknown
+from getagrip.io import plugins
 from getagrip.io.arguments import Flag, OptionalFolder
+
+
+def _others(_: str) -> str:
+    """Return the formats of other packages, for the help."""
+    others = plugins.names("exports")
+    return f"(required; of other packages: {', '.join(others)})" if others else "(required)"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,13 +25,13 @@ class Export(Command):
 
     results: Results
     """Result folders, or folders of results."""
-    to: Annotated[str, arg(metavar="FORMAT")]
+    to: Annotated[str, arg(metavar="FORMAT", help_behavior_hint=_others)] = ""
     """csv: a table of poses; npz: arrays; obj: posed meshes, one per frame; glb: glTF, animated, for Blender and
     browsers; bop: files of the BOP benchmark; usd: a USD stage, animated; mujoco: an MJCF scene to
     replay and to simulate; lerobot: a dataset; spider: keypoint trajectories; dex-retargeting: joints and object
     poses, z up."""
     out: OptionalFolder = None
-    """Where the exports go, each into a folder named as its result's. Otherwise RESULT/export-FORMAT."""
+    """Folder of the exports, each in a folder named as its result's. Otherwise RESULT/export-FORMAT."""
     clips: ClipsFolder = None
     """A clip, or the folder that holds the clips by name."""
     overwrite: Flag = False
@@ -34,8 +41,11 @@ class Export(Command):
         from getagrip.export import FORMATS
 
         super().check()
+        if not self.to:
+            raise UsageError(f"missing --to; choose from {', '.join(FORMATS)}")
         if self.to not in FORMATS:
             raise unknown("--to", self.to, FORMATS)
+        FORMATS[self.to]  # which raises where it cannot be loaded
         if not self.results:
             raise UsageError("missing RESULT: name at least one result")
 

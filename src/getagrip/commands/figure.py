@@ -76,7 +76,7 @@ class DrawFigure(Command, Generic[K]):
 
 
 def _subcommands() -> Any:
-    """A subcommand for each kind."""
+    """Make a subcommand for each kind."""
     kinds = [
         Annotated[DrawFigure[kind], subcommand(name, description=cleandoc(kind.__doc__ or ""))]  # type: ignore[valid-type]
         for name, kind in FIGURES.items()

@@ -9,25 +9,15 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.clip import HandTrack
 from getagrip.clip.naming import check_numbers, number_of, renumbered
 from getagrip.clip.reading import read_hand
 from getagrip.errors import InputError
 from getagrip.hands.model import Side
+from getagrip.hands.trackers import Hands
 from getagrip.io import arrays
 from getagrip.provenance import Provenance, from_arrays, of_provenance
 
 HAND_FIRST = "--hand-first"
-
-
-@dataclass(frozen=True)
-class HandsInClip:
-    """The hands in some of the clip's frames."""
-
-    track: HandTrack
-    rows: tuple[int, ...]
-    """Which of the frames these are."""
-    provenance: Provenance
 
 
 @dataclass(frozen=True)
@@ -39,25 +29,28 @@ class HandFile:
     K: Float[ndarray, "3 3"] | None
     side: str | None
     provenance: Provenance
-    """Where its hands come from."""
+    """Sources of its hands."""
 
     @staticmethod
     def of(path: Path) -> HandFile:
-        """Raises ``InputError``."""
+        """Read a hand file; raise ``InputError`` for a malformed one."""
         stored = arrays.read(path, lambda key: key in {"frames", "K", "side"} or of_provenance(key))
         side = str(stored["side"]) if "side" in stored and stored["side"].dtype.kind == "U" else None
         K = arrays.floats(path, stored, "K", (3, 3)) if "K" in stored else None
         return HandFile(path, arrays.frame_numbers(path, stored), K, side, from_arrays(path, stored))
 
-    def at(self, frames: tuple[str, ...], side: Side, first: int | None) -> HandsInClip:
-        """The hands in those of the frames that have one; ``first`` is the number of the first frame's, where hands are
-        counted from another start. Raises ``InputError``, and ``UsageError`` where they seem to be."""
+    def at(self, frames: tuple[str, ...], side: Side, first: int | None) -> Hands:
+        """Return the hands in those of the frames that have one.
+
+        ``first`` is the number of the first frame's hand, where hands are counted from another start. Raises
+        ``InputError``, and ``UsageError`` where hands seem to be counted from another start.
+        """
         if self.side not in (None, side):
             raise InputError(self.path, "side", f"a {self.side} hand", f"a {side} hand, as --side says")
         sources = {"hands": f"from {self.path.name}", **self.provenance}
         sources.pop("camera", None)
         if self.numbers is None:
-            return HandsInClip(read_hand(self.path, len(frames)), tuple(range(len(frames))), sources)
+            return Hands(read_hand(self.path, len(frames)), tuple(range(len(frames))), sources)
         track = read_hand(self.path, len(self.numbers))
         names = frames if first is None else renumbered(frames, first, HAND_FIRST)
         check_numbers(names, map(str, self.numbers), self.path, "hand", HAND_FIRST if first is None else "")
@@ -69,4 +62,4 @@ class HandFile:
             expected = f"hands in frames {number_of(names[0])} to {number_of(names[-1])}"
             raise InputError(self.path, "frames", got, expected)
         picked = track.take(np.array([there for there in at if there is not None]))
-        return HandsInClip(picked, rows, sources)
+        return Hands(picked, rows, sources)

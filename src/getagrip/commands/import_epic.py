@@ -21,7 +21,7 @@ class ImportEpic(EpicGrasps):
     """Initial poses of reconstruct --init priors, by category and hand: they are only checked."""
 
     def parts(self, note: Note) -> Sequence[Part]:
-        """The videos; it is reported how the poses will be used, and whether they can be. Raises ``InputError``."""
+        """List the videos, and report how the poses will be used, and whether they can be. Raises ``InputError``."""
         parts = super().parts(note)
         if self.priors is not None:
             self._report(self.priors)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, make_dataclass, replace
+from dataclasses import dataclass, field, fields, make_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
@@ -21,28 +21,21 @@ from getagrip.commands.command import Command, OptionalSide
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.lens import Lens
 from getagrip.hands.model import Side
-from getagrip.hands.trackers import CHOSEN, EXTRAPOLATED, TRACKERS, Hands, Request, Tracker, choose, read
+from getagrip.hands.trackers import CHOSEN, EXTRAPOLATED, Hands, Request, Tracker, choose, read, usable
 from getagrip.io import files
 from getagrip.io.arguments import Flag, OptionalFile
 from getagrip.io.terminal import report, say
 from getagrip.provenance import as_arrays, warn_of
 
 PREFIX = "other_"
-"""Of what a clip's provenance says of the other hand."""
+"""Prefix of the other hand's topics in a clip's provenance."""
 MOST_FRAMES = 20_000
-"""Of a hand file."""
+"""Most frames of a hand file."""
 WARNED = 3
 """Exit status where the hands are written, and something seems to be wrong with them or with the camera."""
-
-
 if TYPE_CHECKING:
     Source: TypeAlias = str
     Trackers: TypeAlias = object
-else:  # the choices of --from, and the options of each tracker, as the table has them
-    TAKES = "; ".join(f"{name}: {tracker.takes}" for name, tracker in TRACKERS.items())
-    Source = Annotated[Literal[tuple(TRACKERS)], arg(name="from", help=f"Whose they are. {TAKES}.")]
-    OPTIONS = [(name, type(tracker), field(default=tracker)) for name, tracker in TRACKERS.items()]
-    Trackers = Annotated[make_dataclass("Trackers", OPTIONS, frozen=True), arg(name="")]
 
 
 @dataclass(frozen=True)
@@ -60,13 +53,13 @@ class NewFrames:
 
     @property
     def stated(self) -> bool:
-        """Whether anything is."""
+        """True if any is given."""
         return bool(self.side or self.frames or self.size or self.lens.is_set)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImportHands(Command):
-    """Hands from an estimator's files: into a clip that lacks them, or into a file for a clip to come."""
+    """Import hands from an estimator's files, into a clip that lacks them or into a file for a later clip."""
 
     paths: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE...", help_behavior_hint="")]
     """.npz, .json, .pkl, .pt, .npy, .obj, or folders of them: a file for each image, named like it, or one for all
@@ -74,7 +67,7 @@ class ImportHands(Command):
     source: Source
     trackers: Trackers
     clip: Annotated[Path | None, arg(metavar="CLIP", help_behavior_hint="")] = None
-    """The clip's folder. Its side, its frames and its camera are taken from it."""
+    """Return the clip's folder. Its side, its frames and its camera are taken from it."""
     out: OptionalFile = None
     """Instead of a clip, a file for clip new --hands. It needs --side, --frames, --size and a camera."""
     mano: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: the generic hand)")] = None
@@ -83,11 +76,11 @@ class ImportHands(Command):
     first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
     """The number of the first frame's hand in the files. Needed where these are counted from another start."""
     hold_ends: Flag = False
-    """For a whole interaction: before the first and after the last frame in which it was found, the hand stands still
-    where it was then, marked as a guess. Else these frames are left out."""
+    """For a whole interaction: extrapolate the hand before the first and after the last frame in which it was found, as
+    an assumption. By default these frames are left out."""
     other_hand: Flag = False
-    """With --clip: the hand of the other side, which holds the object in some of a timeline's grasps. Frames may lack
-    it."""
+    """With --clip: import the hand of the other side, which holds the object in some of a timeline's grasps. Frames may
+    lack it."""
     overwrite: Flag = False
     """Replace hands that are there already."""
 
@@ -144,8 +137,10 @@ class ImportHands(Command):
         return _status(header.K, header.size, _warnings(hands, len(header.frames)))
 
     def _other_into_clip(self, folder: Path) -> int:
-        """Add ``other_hand.npz``, in the frames in which it was found. Raises ``UsageError`` where there is one,
-        and ``InputError`` where none of these frames has the clip's own hand."""
+        """Add ``other_hand.npz``, in the frames in which it was found.
+
+        Raises ``UsageError`` where there is one, and ``InputError`` where none of these frames has the clip's own hand.
+        """
         header = read_header(folder)
         target = header.folder / OTHER_HAND
         if target.exists() and not self.overwrite:
@@ -208,14 +203,23 @@ class ImportHands(Command):
     def _request(
         self, side: Side, frames: tuple[str, ...], K: Float[ndarray, "T 3 3"], size: tuple[int, int]
     ) -> Request:
-        """What is asked for; ``first`` is the number of the first frame's hand, where hands are counted differently."""
+        """Make the request; ``first`` is the number of the first frame's hand, where hands are counted differently."""
         if self.first is None:
             return Request(side, frames, K, size, self.mano)
         return Request(side, renumbered(frames, self.first, "--first"), K, size, self.mano, ask_first="")
 
 
+if not TYPE_CHECKING:  # the choices of --from, and the options of each tracker, as the table has them
+    TAKEN = [field.name for command in (ImportHands, NewFrames, Lens) for field in fields(command)]
+    USABLE = usable(["from", *TAKEN])
+    TAKES = "; ".join(f"{name}: {tracker.takes}" for name, tracker in USABLE.items())
+    Source = Annotated[Literal[tuple(USABLE)], arg(name="from", help=f"Whose they are. {TAKES}.")]
+    OPTIONS = [(name, type(tracker), field(default=tracker)) for name, tracker in USABLE.items()]
+    Trackers = Annotated[make_dataclass("Trackers", OPTIONS, frozen=True), arg(name="")]
+
+
 def _fields(header: ClipHeader, hands: Hands) -> dict[str, object]:
-    """What ``clip.json`` says with the hands: where they come from, and which frames have none."""
+    """Return the fields of ``clip.json`` that change with the hands: their sources, and the frames without a hand."""
     old = (WITHOUT_HAND, EXTRAPOLATED, CHOSEN)
     known = {key: text for key, text in header.fields["provenance"].items() if key not in old}
     return header.changed({"provenance": known | hands.provenance | without_hand(header.frames, hands.found)})
@@ -231,13 +235,13 @@ def _report(hands: Hands, frames: Sequence[str]) -> None:
 
 
 def _warnings(hands: Hands, frames: int) -> tuple[str, ...]:
-    """What may be wrong with hands, in words, that most frames lack included."""
+    """Return warnings about hands; that most frames lack them is one."""
     most = 2 * len(hands.found) < frames
     return (*hands.warnings, f"only {len(hands.found)} of {frames} frames have a hand") if most else hands.warnings
 
 
 def _status(K: Float[ndarray, "T 3 3"], size: tuple[int, int], warnings: tuple[str, ...]) -> int:
-    """0, or ``DOUBTED`` with warnings where the hands seem to be wrong, or the camera to be of other images."""
+    """0, or ``WARNED`` with warnings where the hands seem to be wrong, or the camera to belong to other images."""
     camera = camera_warning(K, size)
     texts = [*(f"hands: {text}" for text in warnings), *([f"camera: {camera}"] if camera else [])]
     for text in texts:
@@ -246,7 +250,7 @@ def _status(K: Float[ndarray, "T 3 3"], size: tuple[int, int], warnings: tuple[s
 
 
 def _hand_masks(header: ClipHeader) -> tuple[Path | None, ...]:
-    """The clip's masks of its hand; None for frames without one."""
+    """Return the clip's masks of its hand; None for frames without one."""
     images = [f"masks/hand/{frame}.png" for frame in header.frames]
     there = [(header.folder / image).is_file() for image in images]
     return tuple(
@@ -256,6 +260,6 @@ def _hand_masks(header: ClipHeader) -> tuple[Path | None, ...]:
 
 
 def _some(names: Iterable[str]) -> str:
-    """The first few of them."""
+    """List the first few of them."""
     stated = list(names)
     return ", ".join(stated[:5]) + (", ..." if len(stated) > 5 else "")

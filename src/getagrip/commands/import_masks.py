@@ -25,29 +25,32 @@ FEWEST = 2
 
 @dataclass(frozen=True, kw_only=True)
 class ImportMasks(Command):
-    """Masks from files into a clip: a folder of PNG (labels, palettes as of SAM 2, colours), of .npy or of LabelMe's
-    .json; .json of COCO, YouTube-VIS or SA-V; .npz and .npy; or SAM 2's video_segments (.pkl, .npy)."""
+    """Add masks from files to a clip.
+
+    Read are a folder of PNG (labels, palettes as of SAM 2, colours), of .npy or of LabelMe's .json; .json of COCO,
+    YouTube-VIS or SA-V; .npz and .npy; and SAM 2's video_segments (.pkl, .npy).
+    """
 
     path: Annotated[Positional[Path], arg(metavar="PATH")]
     """The folder or file; images are named like the clip's frames, or by the same numbers."""
     clip: Annotated[Path, arg(metavar="CLIP")]
-    """The clip's folder."""
+    """Return the clip's folder."""
     object: Labels = ()
-    """The object: values of its labels, #rrggbb, or names of COCO's categories; of several cups, cup:7 by its track_id,
-    or cup:all. Not needed where there is one only."""
+    """Labels of the object: values, #rrggbb, or names of COCO's categories; of several cups, cup:7 by its track_id, or
+    cup:all. Not needed if there is only one label."""
     ignore: Labels = ()
-    """What hides it, likewise: other hands, other things in front."""
+    """Labels of what hides it: other hands, other things in front."""
     hand: Labels = ()
-    """The hand that holds it, likewise. It is ignored as well, and the clip's hands are corrected by its pixels."""
+    """Labels of the hand that holds it. It is ignored as well, and the clip's hands are refined against its pixels."""
     first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
     """The number of the first frame's mask. Needed where masks are counted from 0 and frames are not."""
     images: str = ""
-    """Which images are meant where there are several of a frame: a folder as take1, or a pattern as cam1_*."""
+    """Folder, as take1, or pattern, as cam1_*, that selects the images where there are several of a frame."""
     overwrite: Flag = False
     """Replace masks that are there already."""
 
     def run(self) -> int:
-        """Add ``masks/`` to a clip's folder. Returns 0, or 3 where they are in doubt.
+        """Add ``masks/`` to a clip's folder; return 0, or 3 with a warning about them.
 
         Raises ``InputError``, and ``UsageError`` where there are masks already.
         """
@@ -71,7 +74,7 @@ class ImportMasks(Command):
 
 
 def report_masks(reader: MaskReader, frames: tuple[str, ...], visible: int) -> int:
-    """Say which frames have no masks and what was made of others; returns 3 where these are in doubt, else 0."""
+    """Say which frames have no masks and what was made of others; returns 3 with a warning about them, else 0."""
     for note, count in reader.notes.items():
         report(f"warning: {reader.source}: {note}: {count}")
     if missing := [name for n, name in enumerate(frames) if n not in reader.known]:
@@ -107,7 +110,7 @@ def write_masks(reader: MaskReader, frames: tuple[str, ...], folder: Path) -> in
 def provenance(
     source: Path, objects: tuple[str, ...], ignore: tuple[str, ...], hand: tuple[str, ...], images: str = ""
 ) -> str:
-    """Where masks come from, for a clip's provenance."""
+    """Return the source of masks, for a clip's provenance."""
     named = (("images", (images,) * bool(images)), ("object", objects), ("ignored", ignore), ("hand", hand))
     labels = "".join(f", {what} {', '.join(names)}" for what, names in named if names)
     return f"from {source.name}{labels}" + ("" if ignore or hand else ", nothing ignored")

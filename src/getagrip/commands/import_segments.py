@@ -20,13 +20,12 @@ from getagrip.io.terminal import say
 
 @dataclass(frozen=True, kw_only=True)
 class ImportSegments(Command):
-    """Segments into a clip, which becomes a timeline: what annotate or segment --from-masks has written, corrected or
-    not."""
+    """Add segments to a clip, which becomes a timeline: a file of annotate or of segment --from-masks."""
 
     path: Annotated[Positional[Path], arg(metavar="FILE")]
     """segments.json, or segments-NAME.json (docs/formats.md). The clip's own entry is taken, or the only one."""
     clip: Annotated[Path, arg(metavar="CLIP")]
-    """The clip's folder. Segments are cut at its ends."""
+    """Return the clip's folder. Segments are cut at its ends."""
     still_camera: Flag = False
     """The camera did not move: its frame is the world."""
     overwrite: Flag = False
@@ -49,10 +48,10 @@ class ImportSegments(Command):
 
 
 def stated(listed: SegmentList, still_camera: bool) -> SegmentList:
-    """Segments with what the command line says of the camera."""
+    """Add the command line's statement about the camera to segments."""
     return replace(listed, still_camera=STATED) if still_camera else listed
 
 
 def in_words(segments: tuple[Segment, ...]) -> str:
-    """Which segments there are."""
+    """List the segments, in words."""
     return f"{counted(len(segments), 'segment')}: {', '.join(one.state for one in segments)}"

@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class LearnPoses(Command):
-    """Learn where a search may start, from clips with true poses: rotations of each kind of object in each hand."""
+    """Learn initial poses from clips with true poses: rotations of each category in each hand."""
 
     clips: Clips = ()
     """Clip folders, or folders of clips."""
     out: File
-    """Where the grasps go. A clip of a subject among them starts from what is learnt without that subject."""
+    """File of the grasps. A clip of a subject among them starts from what is learnt without that subject."""
     k: int = 50
     """Rotations of each kind of object in each hand."""
     leave_out: Annotated[tuple[str, ...], arg(metavar="SUBJECT...", help_behavior_hint="")] = ()
-    """Whose hands not to learn from: those on whose clips the poses will be tried."""
+    """Subjects whose hands are left out: those on whose clips the poses will be tested."""
     as_folder: OptionalFolder = None
     """Write the poses learnt from all of the grasps into this folder, too, as --init priors reads them: a clip starts
     from those of its own subject as well, as in the paper."""

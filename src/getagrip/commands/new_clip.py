@@ -29,11 +29,12 @@ if TYPE_CHECKING:
     from getagrip.clip import Clip, HandTrack
     from getagrip.clip.mask_request import MaskReader
     from getagrip.clip.segment_files import SegmentList
-    from getagrip.commands.hand_file import HandFile, HandsInClip
+    from getagrip.commands.hand_file import HandFile
+    from getagrip.hands.trackers import Hands
     from getagrip.provenance import Provenance, Source
 
 MOST_FRAMES = 20_000
-"""Of a clip; a stable grasp of minutes."""
+"""Most frames of a clip; a stable grasp of minutes."""
 INCOMPLETE = 3
 """Exit status where the clip is made, and lacks masks or hands, or most frames lack a hand, or its camera seems to be
 of other images."""
@@ -62,37 +63,37 @@ LATER = {
 
 @dataclass(frozen=True, kw_only=True)
 class NewClip(Command):
-    """Make a clip of your own video, in one go or in steps. What is missing is listed, with how to get it."""
+    """Make a clip of your own video, at once or in steps; missing inputs are listed, with how to get them."""
 
     video: Annotated[Positional[Path], arg(metavar="VIDEO|FOLDER")]
     """The video, undistorted; or a folder of its images, in the order of the numbers in their names."""
     out: Folder
     """The clip's folder; its name is the clip's."""
     interval: Annotated[tuple[int, int] | None, arg(metavar="START END", help_behavior_hint="")] = None
-    """The stable grasp, or all that is to be a timeline: first and last frame, counted from 1."""
+    """First and last frame of the stable grasp or of the timeline, counted from 1."""
     side: OptionalSide = None
-    """Which hand."""
+    """Side of the hand."""
     shape: Annotated[MeshOptions, arg(name="")] = field(default_factory=MeshOptions)
     category: Annotated[str | None, arg(metavar="WORD", help_behavior_hint="(default: KIND, or object)")] = None
-    """What it is, in a word."""
+    """Category of the object, in a word."""
     masks: Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")] = None
-    """As for import masks, which can add them later."""
+    """Masks, as for import masks, which can add them later."""
     mask_first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: START)")] = None
     """The number of the mask of frame START."""
     mask_images: str = ""
-    """Which images of the masks are meant where there are several of a frame: a folder, or a pattern of names."""
+    """Folder, or pattern of names, that selects the images of the masks where there are several of a frame."""
     object: Labels = ()
-    """Of the masks: the object's labels."""
+    """Labels of the object in the masks."""
     ignore: Labels = ()
-    """Of the masks: labels of what hides it."""
+    """Labels in the masks of what hides it."""
     hand: Labels = ()
-    """Of the masks: labels of the hand that holds it. It is ignored as well, and --hands are corrected by it."""
+    """Labels in the masks of the hand that holds it. It is ignored as well, and --hands are refined against it."""
     hands: OptionalFile = None
     """A hand.npz; import hands makes one, and can add it later."""
     hand_first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
     """The number of the first frame's hand. Needed where hands are counted from another start."""
     segments: OptionalFile = None
-    """What the object does from frame to frame, as annotate writes it; import segments can add it later."""
+    """Segments of the clip, as annotate writes them; import segments can add them later."""
     still_camera: Flag = False
     """The camera did not move: its frame is the world."""
     lens: Annotated[Lens, arg(name="")] = field(default_factory=Lens)
@@ -103,11 +104,11 @@ class NewClip(Command):
     """Replace a clip that is there already."""
 
     def run(self) -> int:
-        """Write a clip. Returns 0 when it is complete, 3 when masks or hands are yet to come or its camera is in doubt,
-        2 when the call lacks what a clip cannot be made without.
+        """Write a clip.
 
-        Raises ``InputError`` for what is there and does not fit, ``UsageError`` where the folder exists, unless it is
-        that of a clip to be overwritten.
+        Returns 0 if it is complete, 3 if masks or hands are missing or there is a warning about its camera, 2 if
+        required options are missing. Raises ``InputError`` for files that do not fit, ``UsageError`` where the folder
+        exists, unless it is that of a clip to be overwritten.
         """
         import numpy as np
 
@@ -145,8 +146,8 @@ class NewClip(Command):
         found_hands = None if hands is None else hands.at(names, self.side, self.hand_first)
         of_hands: Provenance = {"hands": "none yet"}
         if hands is not None and found_hands is not None:
-            check_in_view(hands.path, found_hands.track, np.tile(K, (len(found_hands.rows), 1, 1)), size)
-            of_hands = found_hands.provenance | without_hand(names, found_hands.rows)
+            check_in_view(hands.path, found_hands.track, np.tile(K, (len(found_hands.found), 1, 1)), size)
+            of_hands = found_hands.provenance | without_hand(names, found_hands.found)
         clip = Clip(
             folder=self.out,
             name=self.out.name,
@@ -177,7 +178,7 @@ class NewClip(Command):
 
 
 def _segments(new: NewClip, out: Path) -> SegmentList:
-    """What is known of the segments and of the camera's motion; nothing at all of a clip that is one stable grasp."""
+    """Read the segments and the camera's motion; empty for a clip that is one stable grasp."""
     from getagrip.clip.segment_files import SegmentList, read
     from getagrip.commands.import_segments import stated
 
@@ -198,7 +199,7 @@ def _numbers(interval: tuple[int, int]) -> Int[ndarray, "T"]:
 
 
 def _camera(lens: Lens, hands: HandFile | None, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], Source]:
-    """The command's camera or, without one, the hand file's."""
+    """Return the command's camera or, without one, the hand file's."""
     from getagrip.clip.intrinsics import intrinsics
     from getagrip.clip.plausible import check_intrinsics
     from getagrip.provenance import measured
@@ -211,7 +212,7 @@ def _camera(lens: Lens, hands: HandFile | None, size: tuple[int, int]) -> tuple[
 
 
 def _no_hand(frames: int) -> HandTrack:
-    """A hand without vertices, which is not written."""
+    """Make a hand without vertices, which is not written."""
     import numpy as np
 
     from getagrip.clip import HandTrack
@@ -221,7 +222,7 @@ def _no_hand(frames: int) -> HandTrack:
 
 
 def _of_masks(new: NewClip) -> str:
-    """Where masks come from."""
+    """Return the source of masks."""
     from getagrip.commands.import_masks import provenance
 
     if new.masks is None:
@@ -230,7 +231,7 @@ def _of_masks(new: NewClip) -> str:
 
 
 def _masks(new: NewClip, names: tuple[str, ...], size: tuple[int, int]) -> MaskReader:
-    """A reader of the masks of the clip's frames."""
+    """Open a reader of the masks of the clip's frames."""
     from getagrip.clip.mask_request import MaskRequest
     from getagrip.clip.mask_sources import open_masks
     from getagrip.clip.naming import renumbered
@@ -246,7 +247,7 @@ def _masks(new: NewClip, names: tuple[str, ...], size: tuple[int, int]) -> MaskR
 
 def _write(
     clip: Clip,
-    hands: HandsInClip | None,
+    hands: Hands | None,
     images: Iterator[UInt8[ndarray, "H W 3"]],
     masks: MaskReader | None,
     out: Path,
@@ -265,7 +266,7 @@ def _write(
         if masks:
             visible = write_masks(masks, clip.frames, new / "masks")
         if hands:
-            write_hand_at(hands.track, clip.frames, hands.rows, new / "hand.npz")
+            write_hand_at(hands.track, clip.frames, hands.found, new / "hand.npz")
             _check(new, masks is not None, out)
     return visible
 
@@ -283,14 +284,14 @@ def _check(made: Path, masks: bool, out: Path) -> None:
         raise InputError(out / inside, error.key, error.got, error.expected) from error
 
 
-def _summary(clip: Clip, new: NewClip, hands: HandsInClip | None, out: Path) -> int:
+def _summary(clip: Clip, new: NewClip, hands: Hands | None, out: Path) -> int:
     """Print what was made, what is a guess and what is missing; 3 where something is."""
     from getagrip.clip.intrinsics import camera_warning
     from getagrip.provenance import is_assumed, warn_of
 
     print(f"{out}: {len(clip)} frames")
-    if hands and len(hands.rows) < len(clip):
-        bare = len(clip) - len(hands.rows)
+    if hands and len(hands.found) < len(clip):
+        bare = len(clip) - len(hands.found)
         print(
             f"warning: no hand in {bare} of {len(clip)} frames, which are left out until they have one; "
             f"getagrip import hands ... --clip {out} --overwrite",
@@ -304,5 +305,5 @@ def _summary(clip: Clip, new: NewClip, hands: HandsInClip | None, out: Path) -> 
     missing = [key for key, there in (("masks", new.masks), ("hands", new.hands)) if there is None]
     for key in missing:
         print(f"missing: {key}: {LATER[key].format(out=out, video=new.video)}", file=sys.stderr)
-    few_hands = hands is not None and 2 * len(hands.rows) < len(clip)
+    few_hands = hands is not None and 2 * len(hands.found) < len(clip)
     return INCOMPLETE if missing or warning or few_hands else 0

@@ -63,13 +63,13 @@ class OwnMesh:
 
     mesh: Mesh
     sized: bool
-    """Whether it has the object's size; else that is to be found with its pose."""
+    """True if it has the object's size; else the size is to be found with the pose."""
     provenance: dict[str, Source]
-    """Where it and its size come from."""
+    """Sources of the mesh and its size."""
 
 
 def own_mesh(request: MeshOptions) -> OwnMesh:
-    """The mesh at its size.
+    """Read the mesh at its size.
 
     Raises ``InputError`` for a file that is missing or no mesh, ``UsageError`` for sizes that make no sense.
     """

@@ -21,25 +21,25 @@ if TYPE_CHECKING:
     from getagrip.batch.found import DetectedClip, FindJob
 
 CLIPS = "clips"
-"""Where the clips with their segments, or the grasps' own clips, go, in the folder of the results."""
+"""Folder, in that of the results, of the clips with their segments, or of the grasps' own clips."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reconstruct(Command):
-    """Find the pose of the object in the hand, in the frames of each clip."""
+    """Reconstruct the pose of the object in the hand, in the frames of each clip."""
 
     clips: Sources = ()
     """Clip folders, folders of clips, or patterns in quotes; also in object stores: s3://BUCKET/FOLDER, gs://..."""
     out: Annotated[Place, placed("DIR"), arg(metavar="DIR")]
-    """Where the results go: a folder for each clip, of the clip's name. Existing valid results are kept. Several calls
+    """Folder of the results: a folder for each clip, of the clip's name. Existing valid results are kept. Several calls
     may share it at the same time. It may be in an object store, too."""
     options: Annotated[Options, arg(name="")] = field(default_factory=Options)
     find_grasps: Flag = False
-    """Clips are not cut: find first, as segment --from-masks does, when the object lies still and when it is held;
+    """For uncut clips: first find when the object lies still and when a hand holds it, as segment --from-masks does,
     then reconstruct the whole interaction as a timeline. Clips with their segments go to DIR/clips."""
     cut_grasps: Flag = False
-    """Find segments likewise, but reconstruct each stable grasp by itself, as if it had been cut by hand. The grasps'
-    own clips go to DIR/clips, results to DIR/<clip>--1, --2 and so on."""
+    """Find segments as --find-grasps does, but reconstruct each stable grasp as a clip of its own. These clips go to
+    DIR/clips, results to DIR/<clip>--1, --2 and so on."""
     batch: Annotated[Batch, arg(name="")] = field(default_factory=Batch)
 
     def run(self) -> int:
@@ -62,7 +62,7 @@ class Reconstruct(Command):
         from getagrip.batch.found import FindJob
         from getagrip.batch.plan import by_name
         from getagrip.batch.shard import ALL
-        from getagrip.timelines.reconstruct import METHOD
+        from getagrip.timelines.footage import METHOD
 
         if not self.cut_grasps and self.options.method != METHOD:
             allowed = f"only {METHOD}, or any method with --cut-grasps"
@@ -84,7 +84,7 @@ class Reconstruct(Command):
         return max(int(failures > 0), reconstruct_clips(made, out, self.options, found_here, self.debug))
 
     def _find(self, jobs: Sequence[FindJob], out: Path) -> list[DetectedClip]:
-        """What is found in each clip, in their order, without those that fail; all of it is printed."""
+        """Find the segments of each clip, in order, without clips that fail; print all of it."""
         from contextlib import closing
         from functools import partial
 
@@ -118,6 +118,6 @@ class Reconstruct(Command):
                         continue
                     print_outcome(one, self.debug)
                     if share.fail_fast:
-                        report("--fail-fast: no other clip is begun")
+                        report("--fail-fast: the other clips are skipped")
                         break
         return [found[job.name] for job in jobs if job.name in found]

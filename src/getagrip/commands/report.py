@@ -30,14 +30,14 @@ Reported: TypeAlias = "tuple[IndexRow, Outcome | None]"
 
 @dataclass(frozen=True)
 class ReportRequest:
-    """What is written of results."""
+    """A request to write pages and pictures of results."""
 
     clips: ClipsFolder = None
     """A clip, or the folder that holds the clips by name."""
     mp4: Flag = False
     """Write report.mp4, too, a film of the result over its images and from the side."""
     index_only: Flag = False
-    """Of a folder of results only the index, with links to pages that are there already."""
+    """Write only the index of a folder of results, with links to pages that are there already."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,12 +92,15 @@ class ReportJob:
 
     @property
     def name(self) -> str:
-        """Where it is, below the index."""
+        """Path below the index."""
         return "" if self.root is None else self.folder.relative_to(self.root).as_posix()
 
 
 def results_below(path: Path, may_lack: bool = False) -> list[Path]:
-    """The result folders anywhere in a folder, sorted. Raises ``InputError`` where there is none but may not be."""
+    """List the result folders anywhere in a folder, sorted.
+
+    Raises ``InputError`` where there is none but may not be.
+    """
     if not path.is_dir():
         raise InputError(path, "", "no such folder", "a result, or a folder of results")
     found = []
@@ -146,7 +149,7 @@ def _written(job: ReportJob) -> IndexRow:
 
 
 def _unwritten(job: ReportJob, problem: str) -> IndexRow:
-    """The row of a result whose pages could not be written: what its own files say, if they can be read."""
+    """Make the row of a result whose pages could not be written, from its own files, if they can be read."""
     from getagrip.pages import IndexRow, row_without_clip
     from getagrip.result import read_result
 
@@ -195,5 +198,5 @@ def _reported(jobs: Sequence[ReportJob], workers: int | None) -> Iterator[tuple[
 
 
 def _files(request: ReportRequest) -> list[str]:
-    """What is written of a result that was named itself."""
+    """Return the names of the files written for a result that was named itself."""
     return [PAGE, PICTURE, *[FILM] * request.mp4]

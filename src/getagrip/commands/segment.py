@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 COLUMNS = ("sequence", "side", "object", "start", "end", "duration", "first", "last")
-"""Of ``segments.csv``: frames counted from 0, both included; seconds; names of the same frames."""
+"""Columns of ``segments.csv``: frames counted from 0, both included; seconds; names of the same frames."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,25 +40,25 @@ class GraspCommand(Command):
     clips: Clips = ()
     """Clip folders, or folders of clips: whole sequences, not cut to grasps already. No masks are needed."""
     grasps: Annotated[GraspOptions, arg(name="")] = field(default_factory=lambda: GraspOptions(contact_mm=0.0))
-    """What counts as a stable grasp."""
+    """Definition of a stable grasp."""
     json: OptionalFile = None
     """Write every number here, unrounded."""
     workers: Workers = None
     """Processes to share the clips between."""
 
     def cut(self) -> Cut:
-        """How the clips are cut to grasps."""
+        """Return the rule by which the clips are cut to grasps."""
         return self.grasps.cut(report)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Segment(GraspCommand):
-    """Find the stable grasps in clips with true poses; or, in masks, all that the object does."""
+    """Find the stable grasps in clips with true poses; or, from masks, all states of the object."""
 
     grasps: Annotated[GraspOptions, arg(name="")] = field(default_factory=GraspOptions)
-    """What counts as a stable grasp."""
+    """Definition of a stable grasp."""
     from_masks: Flag = False
-    """Read no true pose: find when the object lies still, moves in an unstable contact or is held in a stable grasp, by
+    """Find segments without true poses: when the object lies still, is in unstable contact or in a stable grasp, by
     fits to masks and hand (docs/grasps.md)."""
     out: OptionalFolder = None
     """Write the list of grasps (grasps.json, segments.csv) and a picture of each clip here; with --from-masks all
@@ -121,17 +121,20 @@ class SegmentedClip:
     grasps: tuple[tuple[int, int], ...]
     """First and last frame of each, both included."""
     listed: tuple[ListedGrasp, ...]
-    """The same, as lists have them."""
+    """Grasps as lists have them."""
 
     def rows(self) -> Iterator[Json]:
-        """What ``segments.csv`` has of each grasp, by ``COLUMNS``."""
+        """Yield the row of ``segments.csv`` of each grasp, by ``COLUMNS``."""
         for (start, end), grasp in zip(self.grasps, self.listed, strict=True):
             row = {"start": start, "end": end} | grasp.row()
             yield {column: row[column] for column in COLUMNS}
 
 
 def segment_one(job: SegmentJob, progress: Progress = lambda *_: None) -> SegmentedClip | Outcome:
-    """The grasps of one clip, drawn where a picture is wanted; or how it failed. Raises nothing."""
+    """Find the grasps of one clip, drawn where a picture is wanted; failures are returned, not raised.
+
+    Raises nothing.
+    """
     from getagrip.batch.job import failure
     from getagrip.clip import read_clip
     from getagrip.grasps.cut import as_listed
@@ -157,7 +160,7 @@ def report_missing(cut: Cut, found: int) -> None:
 
 
 def _print(found: Sequence[SegmentedClip], out: Path | None) -> None:
-    """A table of all grasps, and their sum in a line."""
+    """Print a table of all grasps, and their sum in a line."""
     console().print(_table(found))
     grasps = [end + 1 - start for one in found for start, end in one.grasps]
     grasped = sum(1 for one in found if one.grasps)

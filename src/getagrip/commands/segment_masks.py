@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 SEGMENTS = "segments.json"
 COLUMNS = ("sequence", "side", "object", "state", "start", "end", "duration", "first", "last", "margin")
-"""Of ``segments.csv``: frames counted from 0, both included; seconds; names of the same frames; nats."""
+"""Columns of ``segments.csv``: frames counted from 0, both included; seconds; names of the same frames; nats."""
 LEGEND = (
-    "margin: how much worse the best division without the segment explains the masks [nats]; small ones are doubtful"
+    "margin: how much worse the best division without the segment explains the masks [nats]; small ones are uncertain"
 )
 
 
@@ -47,13 +47,13 @@ class SegmentJob:
 
 @dataclass(frozen=True)
 class SegmentedClip:
-    """What was found in a clip."""
+    """The segments found in a clip."""
 
     clip: str
     rows: tuple[Json, ...]
     """One for each segment, by ``COLUMNS``."""
     fields: Json
-    """As ``segments.json`` has it."""
+    """Fields of ``segments.json``."""
     grasps: tuple[ListedGrasp, ...]
 
 
@@ -93,7 +93,7 @@ def find_in_clips(options: Segment) -> int:
 
 
 def find_one(job: SegmentJob, progress: Progress = lambda *_: None) -> SegmentedClip | Outcome:
-    """The segments of one clip, or how it failed. Raises nothing."""
+    """Find the segments of one clip; failures are returned, not raised. Raises nothing."""
     from getagrip.batch.job import failure
     from getagrip.clip import read_clip, segment_files
     from getagrip.clip.reading import read_header
@@ -119,7 +119,7 @@ def find_one(job: SegmentJob, progress: Progress = lambda *_: None) -> Segmented
 
 
 def _rows(clip: Clip, found: DetectedSegments) -> list[Json]:
-    """The segments, by ``COLUMNS``."""
+    """Return the rows of the segments, by ``COLUMNS``."""
     return [
         {
             "sequence": clip.name,
@@ -138,7 +138,7 @@ def _rows(clip: Clip, found: DetectedSegments) -> list[Json]:
 
 
 def _fields(listed: SegmentList, found: DetectedSegments) -> Json:
-    """The segments as ``clip.json`` has them, and beside them the margins and what was assumed."""
+    """Return the segments as ``clip.json`` has them, with the margins and what was assumed."""
     return listed.fields | {"margins": [one.margin for one in found.segments], "notes": list(found.notes)}
 
 

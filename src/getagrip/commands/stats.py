@@ -25,7 +25,7 @@ HEADINGS = ("category", "avg [s]", "std [s]", "max [s]", "clips", "left", "right
 
 @dataclass(frozen=True, kw_only=True)
 class Stats(Command):
-    """Print how long stable grasps last, category by category, and what a dataset has: the paper's dataset tables."""
+    """Print the durations of stable grasps by category, and the counts of a dataset: the paper's dataset tables."""
 
     source: Annotated[Positional[str], arg(metavar="epic-grasps|LIST")]
     """epic-grasps, followed by its CSV; or a list of grasps, or the folder of clips that import wrote it into."""
@@ -87,7 +87,7 @@ class Stats(Command):
 
 
 def _cells(row: CategoryDurations) -> list[str]:
-    """A row as people read it."""
+    """Return a row as text."""
     seconds = [f"{value:.2f}" for value in (row.mean, row.std, row.longest)]
     return [row.category, *seconds, str(row.clips), str(row.left), str(row.right)]
 
@@ -108,7 +108,7 @@ def _print(rows: Sequence[CategoryDurations]) -> None:
 
 
 def _write(rows: Sequence[CategoryDurations], counted: Counts, out: Path) -> None:
-    """The same as Markdown, and unrounded as CSV."""
+    """Write the table as Markdown, and unrounded as CSV."""
     out.mkdir(parents=True, exist_ok=True)
     figures = {name: "-" if number is None else f"{number}" for name, number in asdict(counted).items()}
     grids: list[list[Sequence[str]]] = [[HEADINGS, *map(_cells, rows)], [list(figures), list(figures.values())]]

@@ -19,23 +19,25 @@ if TYPE_CHECKING:
 MOST = 40
 """Lines of the table; all clips are in ``summary.csv``."""
 CALLED = {"failed": "failed", "done": "done", "open": "left"}
-"""What states are called."""
+"""Words for the states."""
 LONGEST = 100
 """Letters of a reason."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Status(Command):
-    """Print what is done, failed and left of a folder that reconstruct is or was at work on, with each clip's IOU and
-    probabilities; write its summary.csv and index.html."""
+    """Print which clips of a reconstruct folder are done, failed and left, and write its summary.csv and index.html.
+
+    Each clip is listed with its IOU and probabilities. The call may still be running.
+    """
 
     folder: Annotated[Positional[Place], placed("DIR"), arg(metavar="DIR", help_behavior_hint="")]
-    """What reconstruct was given as --out."""
+    """Folder that reconstruct was given as --out."""
     ledger: OptionalFolder = None
     """The folder of its ledger, where reconstruct was given one. It is not changed."""
 
     def run(self) -> int:
-        """Raises ``InputError`` where there is neither ledger nor result."""
+        """Print the states; raise ``InputError`` where there is neither ledger nor result."""
         import heapq
         from collections import Counter
 
@@ -66,7 +68,7 @@ class Status(Command):
 
 
 def _print_table(entries: list[Entry]) -> None:
-    """A line for each clip: its state, IOU and probabilities, or why there are none."""
+    """Print a line for each clip: its state, IOU and probabilities, or why there are none."""
     from rich.text import Text
 
     from getagrip.batch.summary import PROBABILITIES, number_of, shown_name

@@ -25,10 +25,10 @@ ALL = "All"
 
 @dataclass(frozen=True, kw_only=True)
 class Study(GraspCommand):
-    """Measure what changes within the stable grasps of clips with true poses, and outside them: the paper's study."""
+    """Measure the changes within and outside the stable grasps of clips with true poses: the paper's study."""
 
     out: Folder
-    """Where study.png, grasps.csv, curves.csv, summary.csv and the list of grasps (grasps.json) go."""
+    """Folder of study.png, grasps.csv, curves.csv, summary.csv and the list of grasps (grasps.json)."""
 
     def run(self) -> int:
         """Study the stable grasps of clips, and write the measurements to a folder; 1 if any clip failed, else 0.
@@ -53,7 +53,7 @@ class Study(GraspCommand):
 
 
 def study_one(job: SegmentJob, progress: Progress = lambda *_: None) -> list[StudiedGrasp] | Outcome:
-    """The grasps of one clip, measured; or how it failed. Raises nothing."""
+    """Measure the grasps of one clip; failures are returned, not raised. Raises nothing."""
     from getagrip.batch.job import failure
     from getagrip.clip import read_clip
     from getagrip.grasps.study import study_grasp
@@ -67,7 +67,7 @@ def study_one(job: SegmentJob, progress: Progress = lambda *_: None) -> list[Stu
 
 
 def by_category(studied: Sequence[StudiedGrasp]) -> Iterator[tuple[str, list[StudiedGrasp]]]:
-    """The grasps of each category in the order of the alphabet, then all of them where there are several categories."""
+    """Yield the grasps of each category in alphabetical order, then all of them where there are several categories."""
     categories = sorted({one.object for one in studied})
     for category in categories:
         yield category, [one for one in studied if one.object == category]
@@ -121,7 +121,7 @@ def _cell(spread: Spread, name: str) -> str:
 
 
 def _write(studied: Sequence[StudiedGrasp], cut: Cut, clips: int, out: Path) -> None:
-    """The files of a study."""
+    """Write the files of a study."""
     from getagrip.grasps import lists
     from getagrip.grasps.study import mean_curves
     from getagrip.pictures.study import write_study
@@ -136,7 +136,7 @@ def _write(studied: Sequence[StudiedGrasp], cut: Cut, clips: int, out: Path) -> 
 
 
 def _grasp(one: StudiedGrasp) -> dict[str, object]:
-    """A grasp on one line, in SI units."""
+    """Return a grasp on one line, in SI units."""
     axis = {f"axis_{name}_{x}": v for name in ("point", "direction") for x, v in zip("xyz", getattr(one.hinge, name))}  # noqa: B905
     return {
         "sequence": one.clip,
@@ -153,7 +153,7 @@ def _grasp(one: StudiedGrasp) -> dict[str, object]:
 
 
 def _curves(studied: Sequence[StudiedGrasp]) -> Iterator[dict[str, object]]:
-    """The mean curves, a line for each normalised time and measure, in SI units."""
+    """Yield the mean curves, a line for each normalised time and measure, in SI units."""
     from getagrip.grasps.study import TIMES, mean_curves
 
     for name, spreads in mean_curves(studied).items():

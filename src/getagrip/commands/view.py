@@ -20,7 +20,7 @@ from getagrip.io.terminal import say
 
 @dataclass(frozen=True, kw_only=True)
 class View(Command):
-    """Look at results and clips in 3D, moving, on a page that only those who have its address can open."""
+    """Play results and clips in 3D, on a page that only those who have its address can open."""
 
     paths: Annotated[Positional[tuple[Path, ...]], arg(metavar="PATH...", help_behavior_hint="")] = ()
     """Results, clips, or folders of them. Results of one clip stand side by side; several clips are listed, the worst
@@ -28,7 +28,7 @@ class View(Command):
     clips: ClipsFolder = None
     """A clip, or the folder that holds the clips by name."""
     port: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 8770, or a free one)")] = None
-    """Where the page is served."""
+    """Port of the page."""
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
     """The address of this machine that the page is served at. By default other machines cannot reach it: forward the
     port with ssh -L (docs/view.md)."""
@@ -70,7 +70,7 @@ class View(Command):
 
 
 def found(paths: Sequence[Path], problems: list[Exception]) -> tuple[list[Path], list[Path]]:
-    """The folders of results anywhere below paths, and of clips where there are no results."""
+    """List the folders of results anywhere below paths, and of clips where there are no results."""
     results: list[Path] = []
     clips: list[Path] = []
     for path in filterfalse(of_batch, paths):

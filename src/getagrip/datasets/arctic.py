@@ -81,7 +81,7 @@ class Arctic(TrackedDataset):
     """ARCTIC's raw sequences: every visible stable grasp."""
 
     grasps: Annotated[GraspOptions, arg(name="")] = PAPER
-    """What counts as a stable grasp."""
+    """Definition of a stable grasp."""
 
     mano: OptionalFolder = None
     """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl."""
@@ -89,7 +89,7 @@ class Arctic(TrackedDataset):
     """The camera: 0 on the head, 1 to 8 fixed."""
 
     def sources(self) -> list[Source]:
-        """The sequences below ``root``, ARCTIC's folder of ``raw_seqs`` and ``meta``, or one that holds it."""
+        """List the sequences below ``root``, ARCTIC's folder of ``raw_seqs`` and ``meta``, or one that holds it."""
         if not 0 <= self.view < VIEWS:
             raise UsageError(f"--view must be 0 (the camera on the head) to {VIEWS - 1} (got {self.view})")
         mano = mano_tracks.mano_folder(self.mano, "ARCTIC")
@@ -106,7 +106,7 @@ def _sequence(file: Path) -> str:
 
 
 def _read(base: Path, file: Path, mano: Path, view: int, note: Note) -> Iterator[Track]:
-    """The object in each hand over a sequence."""
+    """Yield the object in each hand over a sequence."""
     subject, sequence = file.parent.name, _sequence(file)
     name = sequence.partition("_")[0]
     if not (is_plain_name(name) and is_plain_name(subject)):
@@ -179,7 +179,7 @@ def _hands(file: Path, mano: Path, T_cam_world: Float[ndarray, "T 4 4"], T: int)
 
 
 def _view(file: Path, misc: dict[str, object], subject: str, number: int, egocam: Path, T: int) -> View:
-    """The camera of a view, that on the head from its own file."""
+    """Read the camera of a view, that on the head from its own file."""
     of = {key: np.array(misc[key]) for key in ("image_size", "world2cam", "intris_mat") if _is_table(misc.get(key))}
     sizes = numbers(file, of, "image_size", (VIEWS, 2), subject)
     width, height = (round(SCALE * float(side)) for side in sizes[number])
@@ -203,13 +203,13 @@ def _view(file: Path, misc: dict[str, object], subject: str, number: int, egocam
 
 
 def _is_table(value: object) -> bool:
-    """Whether a JSON value is lists of numbers, all of the same length."""
+    """Return whether a JSON value is lists of numbers, all of the same length."""
     table = arrays.from_lists(value)
     return table is not None and table.dtype.kind in "if"
 
 
 def read_template(folder: Path) -> Template:
-    """An object's template. Raises ``InputError``."""
+    """Read an object's template. Raises ``InputError``."""
     file = folder / "mesh.obj"
     vertices, faces = parse_obj(file, read_bytes(file, LARGEST_FILE))
     vertices, faces = MM * vertices, with_area(MM * vertices, faces)
@@ -219,14 +219,14 @@ def read_template(folder: Path) -> Template:
 
 
 def in_neutral_frame(mesh: Mesh, top: Bool[ndarray, "V"]) -> Template:
-    """An object of ARCTIC, given as ARCTIC has it [m], whose ``top`` turns about -z of that frame."""
+    """Make a template of an object in ARCTIC's frame [m], whose ``top`` turns about -z of that frame."""
     T = neutral_frame(mesh)
     joint = Joint(moves=top, point=T[:3, 3], direction=-T[:3, 2])
     return Template(Mesh(se3.transform(T, mesh.vertices), mesh.faces), joint, T)
 
 
 def neutral_frame(mesh: Mesh) -> Float[ndarray, "4 4"]:
-    """``T_neutral_mesh``: z along the principal axis about which a mesh is most nearly round, the origin in its middle.
+    """Return ``T_neutral_mesh``: z along the axis about which a mesh is most nearly round, the origin in its middle.
 
     Principal axes are those of the surface's second moments, by area. z is the one whose moment lies further from the
     middle one; x that of the larger of the others; where z and x point is where the surface reaches further from its

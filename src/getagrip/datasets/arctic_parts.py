@@ -26,7 +26,7 @@ CONTRADICTION = 0.05
 
 
 def is_top(folder: Path, mesh: Mesh) -> Bool[ndarray, "V"]:
-    """Which vertices of the template in ``folder`` turn. Raises ``InputError``."""
+    """Return the vertices of the template in ``folder`` that turn. Raises ``InputError``."""
     numbered = _numbered(folder / "parts.json", len(mesh.vertices)) == TOP
     top, bottom = folder / "top.obj", folder / "bottom.obj"
     if not (top.is_file() and bottom.is_file()):
@@ -41,7 +41,7 @@ def is_top(folder: Path, mesh: Mesh) -> Bool[ndarray, "V"]:
 
 
 def _numbered(file: Path, count: int) -> ndarray:
-    """The numbers in ``parts.json``, (V,)."""
+    """Read the numbers in ``parts.json``, (V,)."""
     try:
         part = arrays.from_lists(json.loads(read_bytes(file, LARGEST_JSON)))
     except (ValueError, RecursionError) as error:

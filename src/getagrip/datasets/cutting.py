@@ -45,29 +45,32 @@ class TrackedDataset(Dataset):
     """A dataset with true tracks of hands and objects."""
 
     root: Annotated[Positional[Path], arg(metavar="ROOT")]
-    """The folder that holds it, as it came."""
+    """Folder of the dataset, as published."""
     grasps: Annotated[GraspOptions, arg(name="")] = field(default_factory=GraspOptions)
-    """What counts as a stable grasp."""
+    """Definition of a stable grasp."""
     whole: Flag = False
-    """Not the grasps but all frames, without masks: for segment and study."""
+    """Import all frames instead of grasps, without masks: for segment and study."""
 
     def sources(self) -> list[Source]:
-        """Its sequences. Raises ``UsageError`` for wrong options, ``InputError`` where there is no sequence."""
+        """List its sequences. Raises ``UsageError`` for wrong options, ``InputError`` where there is no sequence."""
         raise NotImplementedError
 
     def parts(self, note: Note) -> Sequence[Part]:
-        """Its sequences, cut to stable grasps or, if ``whole``, at gaps only."""
+        """List its sequences, cut to stable grasps or, if ``whole``, at gaps only."""
         cut = self.cut(note)
         return [CutSource(s, partial(pieces, cut=cut, whole=self.whole), cut.shortest) for s in self.sources()]
 
     def cut(self, note: Note) -> Cut:
-        """How its sequences are cut. Raises ``UsageError`` for wrong options, ``InputError`` for a broken list."""
+        """Return the rule by which its sequences are cut.
+
+        Raises ``UsageError`` for wrong options, ``InputError`` for a broken list.
+        """
         if self.whole and self.grasps.listed is not None:
             raise UsageError("--list cannot be used with --whole")
         return self.grasps.cut(note)
 
     def cut_record(self) -> dict[str, object] | None:
-        """How its clips are cut; None where they are whole."""
+        """Return the record of how its clips are cut; None where they are whole."""
         return None if self.whole else self.grasps.cut(lambda _: None).record()
 
 
@@ -86,14 +89,14 @@ class CutSource:
         return self.source.name
 
     def drafts(self, missing: Missing, note: Note) -> Iterator[Draft]:
-        """A clip for each piece."""
+        """Yield a clip for each piece."""
         for piece in self.cut(self.source.read(note), note):
             if missing(piece.name):
                 yield Draft(piece.name, partial(clip, piece, self.shortest, note))
 
 
 def pieces(tracks: Iterable[Track], note: Note, cut: Cut, whole: bool = False) -> Iterator[Piece]:
-    """The stable grasps of some tracks, or (``whole``) all of each, as far as nothing is missing.
+    """Yield the stable grasps of some tracks, or (``whole``) all of each, as far as nothing is missing.
 
     Whole pieces have no masks: they are for what looks at true poses only, and are many frames long.
     """
@@ -111,14 +114,14 @@ def pieces(tracks: Iterable[Track], note: Note, cut: Cut, whole: bool = False) -
 
 
 def _whole(track: Track, cut: Cut) -> Iterator[Piece]:
-    """What lies between the gaps of a track."""
+    """Yield the parts of a track between its gaps."""
     for part in without_gaps(track):
         if len(part) >= cut.shortest:
             yield Piece(part, "", WHOLE, masks=False)
 
 
 def _found(track: Track, cut: Cut) -> Iterator[Piece]:
-    """The stable grasps of a track, as ``segment`` finds them in its whole pieces."""
+    """Yield the stable grasps of a track, as ``segment`` finds them in its whole pieces."""
     for part in without_gaps(track):
         known = known_clip(part)
         iou, grasps = cut.of(known)
@@ -132,7 +135,7 @@ def _found(track: Track, cut: Cut) -> Iterator[Piece]:
 
 
 def _listed(track: Track, cut: Cut, note: Note) -> Iterator[Piece]:
-    """The grasps of a list, in the frames in which hand and object are known."""
+    """Yield the grasps of a list, in the frames in which hand and object are known."""
     known = track.take(np.flatnonzero(ahead(track)))
     assert cut.listed is not None
     for grasp in cut.listed.of(track.name, track.side, track.category):
@@ -151,14 +154,14 @@ def _listed(track: Track, cut: Cut, note: Note) -> Iterator[Piece]:
 
 
 def without_gaps(track: Track) -> list[Track]:
-    """The parts of a track whose frames follow each other, hand and object before the camera in all of them."""
+    """Split a track into parts whose frames follow each other, hand and object before the camera in all of them."""
     rows = np.flatnonzero(ahead(track))
     breaks = np.flatnonzero(np.diff(track.numbers[rows]) != 1) + 1
     return [track.take(part) for part in np.split(rows, breaks) if part.size]
 
 
 def ahead(track: Track) -> Bool[ndarray, "T"]:
-    """The frames in which hand and object are before the camera."""
+    """Return the frames in which hand and object are before the camera."""
     seen = np.ones(len(track), dtype=bool)
     hands = [hand for hand in (track.hand, track.input_hand) if hand is not None]
     for centre in (
@@ -172,7 +175,9 @@ def ahead(track: Track) -> Bool[ndarray, "T"]:
 def known_clip(
     track: Track, name: str = "", provenance: dict[str, object] | None = None, segments: tuple[Segment, ...] = ()
 ) -> Clip:
-    """What is known of a track, as a clip without masks. Raises ``InputError`` for an object that none can have.
+    """Make a clip without masks of all that is known of a track.
+
+    Raises ``InputError`` for an object that none can have.
 
     The mesh of an object with a joint is that at the mean angle; the ground truth has the joint as it was.
     """
@@ -199,7 +204,7 @@ def known_clip(
 
 
 def clip(piece: Piece, shortest: int, note: Note) -> tuple[Clip, Masks | None] | None:
-    """The piece as a clip, and its masks; nothing if the object is visible in fewer than ``shortest`` frames.
+    """Make a clip of the piece, and its masks; None if the object is visible in fewer than ``shortest`` frames.
 
     Frames in which fewer than ``VISIBLE`` pixels of the object are visible are dropped. Masks show an object with a
     joint as it was.
@@ -227,7 +232,7 @@ def clip(piece: Piece, shortest: int, note: Note) -> tuple[Clip, Masks | None] |
 
 
 def _other_hand(other: Track, track: Track) -> OtherHand | None:
-    """The other hand in a track's frames; None where it is never in the image."""
+    """Return the other hand in a track's frames; None where it is never in the image."""
     _, rows, source = np.intersect1d(track.numbers, other.numbers, return_indices=True)
     if not len(rows):
         return None
@@ -240,7 +245,7 @@ def _other_hand(other: Track, track: Track) -> OtherHand | None:
 
 
 def _visible(track: Track) -> tuple[Int[ndarray, "n"], Masks]:
-    """The frames in which the object is visible, and their masks.
+    """Return the frames in which the object is visible, and their masks.
 
     Those of a long hold before a large camera are gigabytes: they are in a file, which goes with them.
     """
@@ -262,7 +267,7 @@ def _visible(track: Track) -> tuple[Int[ndarray, "n"], Masks]:
 
 
 def frame_masks(track: Track, row: int) -> FrameMasks:
-    """The dataset's own masks of a frame, or those rendered from the true poses."""
+    """Return the dataset's own masks of a frame, or those rendered from the true poses."""
     if track.read_masks is not None:
         return track.read_masks(int(track.numbers[row]))
     from getagrip.geometry.render import true_masks  # loads numba

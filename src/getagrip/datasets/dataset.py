@@ -1,4 +1,4 @@
-"""What a dataset is to an import: a dataclass of options, and parts that become clips in any process.
+"""The interface of a dataset: a dataclass of options, and parts that become clips in any process.
 
 A reader subclasses ``Dataset``. Its fields are the options of ``getagrip import <name>``, its docstring the command's
 help. ``getagrip.commands.datasets`` lists the readers.
@@ -22,7 +22,7 @@ Note = Callable[[str], None]
 
 
 class Missing(Protocol):
-    """Whether a clip is yet to be made."""
+    """A function that returns whether a clip is yet to be made."""
 
     def __call__(self, name: str, with_hands: bool = False) -> bool:
         """``with_hands``: hands are known now, so that a clip that was made without them is made again."""
@@ -46,10 +46,10 @@ class Part(Protocol):
 
     @property
     def name(self) -> str:
-        """What it is called in messages."""
+        """Name in messages."""
 
     def drafts(self, missing: Missing, note: Note) -> Iterator[Draft]:
-        """The clips of this part that are ``missing``. Raises ``InputError``."""
+        """Yield the clips of this part that are ``missing``. Raises ``InputError``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,26 +57,29 @@ class Dataset:
     """A dataset that is imported with certain options."""
 
     parts_are: ClassVar[str] = "sequences"
-    """What its parts are called, in the plural."""
+    """Name of its parts, in the plural."""
 
     def parts(self, note: Note) -> Sequence[Part]:
-        """Its parts, yet to be read. Raises ``UsageError`` for wrong options, ``InputError`` where no part is found."""
+        """List its parts, yet to be read.
+
+        Raises ``UsageError`` for wrong options, ``InputError`` where no part is found.
+        """
         raise NotImplementedError
 
     def cut_record(self) -> dict[str, object] | None:
-        """How its clips are cut to stable grasps, as the list beside them says; None where they are no cut sequences.
+        """Return the record of how its clips are cut to stable grasps, for the list beside them.
 
-        Raises as ``parts`` does.
+        It is None where clips are not cut. Raises as ``parts`` does.
         """
         return None
 
     def advice(self, made: Sequence[Mapping[str, object]], handless: int) -> Iterator[str]:
-        """What to say at the end, given the provenance of the clips made and the number of clips that lack hands."""
+        """Yield advice for the end, given the provenance of the clips made and the number of clips that lack hands."""
         return iter(())
 
 
 def clips(dataset: Dataset, note: Note = lambda _: None) -> Iterator[tuple[Clip, Masks | None]]:
-    """All clips of a dataset, one at a time in memory; nothing is written.
+    """Yield all clips of a dataset, one at a time in memory; nothing is written.
 
     Raises as ``Dataset.parts`` does, and ``InputError`` for malformed files: the first one when all other parts are
     done, after a note on each of the others.
@@ -97,6 +100,6 @@ def clips(dataset: Dataset, note: Note = lambda _: None) -> Iterator[tuple[Clip,
 
 
 def _with_hand(clip: Clip, masks: Masks | None, hand: HandTrack, rows: Sequence[int]) -> tuple[Clip, Masks | None]:
-    """The clip and its masks in the frames that have a hand."""
+    """Return the clip and its masks in the frames that have a hand."""
     index = np.array(rows, dtype=int)
     return replace(clip.take(index), hand=hand), masks and masks.take(index)

@@ -52,7 +52,7 @@ class Frame(NamedTuple):
 
     number: int
     name: str
-    """Of the object."""
+    """Name of the object."""
     T_cam_obj: Float[ndarray, "4 4"]
     K: Float[ndarray, "3 3"]
     joints: Float[ndarray, "21 3"]
@@ -67,7 +67,7 @@ class Ho3d(TrackedDataset):
     """HO-3D: every visible stable grasp."""
 
     grasps: Annotated[GraspOptions, arg(name="")] = WITHIN_10_MM
-    """What counts as a stable grasp."""
+    """Definition of a stable grasp."""
 
     meshes: ycb.Models = None
     """Folder of the YCB models."""
@@ -75,7 +75,7 @@ class Ho3d(TrackedDataset):
     """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl; without, the generic hand is fitted to the joints."""
 
     def sources(self) -> list[Source]:
-        """The sequences of HO-3D, all splits."""
+        """List the sequences of HO-3D, all splits."""
         models = ycb.folder(self.root, self.meshes)
         mano = None if self.mano is None else mano_tracks.mano_folder(self.mano, "HO-3D")
         found = sorted({file.parent.parent for file in self.root.glob("*/*/meta/*.pkl")})
@@ -85,7 +85,7 @@ class Ho3d(TrackedDataset):
 
 
 def _read(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator[Track]:
-    """The object in the hand over a sequence."""
+    """Yield the object in the hand over a sequence."""
     name = f"{folder.parent.name}/{folder.name}"
     frames, unknown = [], 0
     files = sorted((folder / "meta").glob("*.pkl"))
@@ -135,7 +135,7 @@ def _read(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator
 
 
 def _frame(file: Path, with_mano: bool) -> Frame | None:
-    """The labels of a frame; nothing where the object or the hand is not known."""
+    """Read the labels of a frame; None where the object or the hand is not known."""
     value = pickles.read_file(file, "the labels of a frame of HO-3D")
     if not file.stem.isdigit():
         raise InputError(file, "", f"the name {file.name!r}", "<number>.pkl")
@@ -163,7 +163,7 @@ def _frame(file: Path, with_mano: bool) -> Frame | None:
 
 
 def _fitted(folder: Path, frames: list[Frame]) -> HandTrack:
-    """The generic hand, with one shape for all frames."""
+    """Fit the generic hand, with one shape for all frames."""
     try:
         return fit_joints(generic.load("right"), np.stack([frame.joints for frame in frames]), "ho3d").hand
     except UsageError as error:

@@ -75,13 +75,13 @@ class Hoi4d(TrackedDataset):
     """HOI4D's rigid objects: every visible stable grasp."""
 
     grasps: Annotated[GraspOptions, arg(name="")] = PAPER
-    """What counts as a stable grasp."""
+    """Definition of a stable grasp."""
 
     mano: OptionalFolder = None
     """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl."""
 
     def sources(self) -> list[Source]:
-        """The sequences of HOI4D."""
+        """List the sequences of HOI4D."""
         mano = mano_tracks.mano_folder(self.mano, "HOI4D")
         found = sorted(file.parent for file in self.root.glob("HOI4D_annotations/ZY*/H*/C*/N*/S*/s*/T*/objpose"))
         if not found:
@@ -92,7 +92,7 @@ class Hoi4d(TrackedDataset):
 
 
 def _read(root: Path, folder: Path, mano: Path, note: Note) -> Iterator[Track]:
-    """The object in each hand that HOI4D has a pose of."""
+    """Yield the object in each hand that HOI4D has a pose of."""
     index = folder.parts[-7:]
     camera, person, kind, item = index[:4]
     name = "-".join(index)
@@ -147,7 +147,7 @@ def _read(root: Path, folder: Path, mano: Path, note: Note) -> Iterator[Track]:
 
 
 def _numbered(folder: Path, suffix: str) -> dict[int, Path]:
-    """The files ``<number><suffix>`` in a folder, by number; none where there is no folder."""
+    """List the files ``<number><suffix>`` in a folder, by number; none where there is no folder."""
     return {int(file.stem): file for file in folder.glob(f"*{suffix}") if re.fullmatch(r"\d{1,6}", file.stem)}
 
 
@@ -177,7 +177,7 @@ def _object_pose(file: Path) -> Float[ndarray, "4 4"]:
 
 
 def _hand(files: list[Path], mano: Path, side: Side) -> HandTrack:
-    """The hand in each frame, of the person's shape, by the published MANO, faults included: as HOI4D's code does."""
+    """Read the hand in each frame, of the person's shape, by the published MANO, faults included, as HOI4D does."""
     value = [pickles.read_file(file, "a hand's pose of HOI4D") for file in files]
     pose = np.stack([numbers(file, g, "poseCoeff", (48,)) for file, g in zip(files, value, strict=True)])
     trans = np.stack([numbers(file, g, "trans", (3,)) for file, g in zip(files, value, strict=True)])
@@ -187,7 +187,7 @@ def _hand(files: list[Path], mano: Path, side: Side) -> HandTrack:
 
 
 def _masks(folder: Path, hand: Colour | None, number: int) -> FrameMasks:
-    """The object, what is ignored and the hand, at half the size: a pixel is what two of its four are."""
+    """Read the object, what is ignored and the hand, at half the size: a pixel is what two of its four are."""
     red, green, blue = np.ascontiguousarray(np.moveaxis(read_colour_png(folder / f"{number:05d}.png", IMAGE), 2, 0))
 
     def of(colour: Colour) -> Bool[ndarray, "H W"]:
@@ -200,6 +200,6 @@ def _masks(folder: Path, hand: Colour | None, number: int) -> FrameMasks:
 
 
 def _halved(mask: Bool[ndarray, "H W"], least: int) -> Bool[ndarray, "h w"]:
-    """Half as large: set where at least so many of four pixels are."""
+    """Halve a mask: set where at least ``least`` of four pixels are."""
     set_ = mask.view(np.uint8)
     return np.asarray(set_[::2, ::2] + set_[::2, 1::2] + set_[1::2, ::2] + set_[1::2, 1::2] >= least)

@@ -26,7 +26,7 @@ from getagrip.hands.model import HandModel, Side, hand_track
 from getagrip.provenance import Provenance, Source, assumed, estimated
 
 DISTANCE = 0.7
-"""Of the assumed camera from the object's usual place [m]: about an arm's length."""
+"""Distance of the assumed camera from the object's usual place [m]: about an arm's length."""
 ELEVATION = np.radians(45.0)
 """How steeply it looks down [rad]."""
 SIZE = (840, 600)
@@ -42,7 +42,7 @@ class Motion:
     """Joints of the hands, and the object, in every frame of a sequence."""
 
     file: Path
-    """What it was read from."""
+    """File that it was read from."""
     subject: str
     sequence: str
     category: str
@@ -55,9 +55,9 @@ class Motion:
     mesh: Mesh
     """The object; where it has a joint, at ``joint.angle``."""
     provenance: Provenance
-    """Where it all comes from."""
+    """Sources of all of it."""
     joint: Joint | None = None
-    """Of the object, where it has one."""
+    """Joint of the object, where it has one."""
     articulation: Float[ndarray, "T"] | None = None
     """Angle of the joint [rad]."""
     camera: PosedCamera | None = None
@@ -67,7 +67,7 @@ class Motion:
 
 
 def tracks(motion: Motion) -> Iterator[Track]:
-    """The object in each hand. Raises ``InputError`` where joints are no hand's."""
+    """Yield the object in each hand. Raises ``InputError`` where joints are no hand's."""
     fitted = {side: fit_hand(motion.file, f"{side} joints", side, j) for side, j in motion.joints.items()}
     camera, up = motion.camera, None
     if camera is None:
@@ -114,7 +114,7 @@ def _fit(hand: FittedHand) -> str:
 
 
 def seen(hand: HandTrack, T_cam_world: Float[ndarray, "T 4 4"]) -> HandTrack:
-    """A hand whose poses are in the world frame, in that of a camera."""
+    """Transform a hand from the world frame to a camera's."""
     return replace(hand, T_cam_hand=T_cam_world @ hand.T_cam_hand)
 
 
@@ -126,11 +126,11 @@ class PosedCamera:
     size: tuple[int, int]
     T_cam_world: Float[ndarray, "T 4 4"]
     described: Source
-    """What it is, for the provenance."""
+    """Description for the provenance."""
 
 
 def assumed_camera(places: Float[ndarray, "T 3"], hands: Iterable[Float[ndarray, "T 21 3"]]) -> PosedCamera:
-    """A fixed camera that looks at the median of an object's places from the side from which the forearms come.
+    """Place a fixed camera that looks at the median of an object's places from the side from which the forearms come.
 
     ``hands`` are joints in this package's order. All is in the world frame [m], where z is up.
     """
@@ -147,7 +147,7 @@ def assumed_camera(places: Float[ndarray, "T 3"], hands: Iterable[Float[ndarray,
 
 
 def facing(R_cam_world: Float[ndarray, "3 3"], places: Float[ndarray, "T 3"], described: str) -> PosedCamera:
-    """A fixed camera of some orientation that looks at the median of an object's places [m] from ``DISTANCE``."""
+    """Place a fixed camera of some orientation that looks at the median of an object's places [m] from ``DISTANCE``."""
     T_cam_world = se3.rigid(R_cam_world, [0.0, 0.0, DISTANCE] - R_cam_world @ np.median(places, axis=0))
     K, size = pinhole()
     described += f", {DISTANCE:g} m from the object's median place, focal length {FOCAL:g} px"
@@ -155,7 +155,7 @@ def facing(R_cam_world: Float[ndarray, "3 3"], places: Float[ndarray, "T 3"], de
 
 
 def pinhole() -> tuple[Float[ndarray, "3 3"], tuple[int, int]]:
-    """Its intrinsics, and the size of its images [px]."""
+    """Return its intrinsics, and the size of its images [px]."""
     return np.array([[FOCAL, 0.0, SIZE[0] / 2.0], [0.0, FOCAL, SIZE[1] / 2.0], [0.0, 0.0, 1.0]]), SIZE
 
 
@@ -170,7 +170,7 @@ class FittedHand:
 
 
 def fit_hand(file: Path, key: str, side: Side, joints: Float[ndarray, "T 21 3"]) -> FittedHand:
-    """The generic hand fitted to joints [m] in this package's order, those of ``key`` in a file.
+    """Fit the generic hand to joints [m] in this package's order, those of ``key`` in a file.
 
     Raises ``InputError`` where they are no hand's.
     """
@@ -185,14 +185,17 @@ def fit_hand(file: Path, key: str, side: Side, joints: Float[ndarray, "T 21 3"])
 
 
 def describe_fit(residuals: Float[ndarray, "T 21"]) -> str:
-    """How well a hand fits, in words, by distances of joints [m]."""
+    """Describe how well a hand fits, by distances of joints [m]."""
     off = 1e3 * residuals
     rms = np.sqrt(np.mean(off**2))
     return f"joints {rms:.1f} mm off (root mean square; median {np.median(off):.1f}, worst {off.max():.1f})"
 
 
 def _with_girth(model: HandModel, shape: Float[ndarray, "S"], joints: Float[ndarray, "T 21 3"]) -> Float[ndarray, "S"]:
-    """The shape with fingers as thick as the hand is long: joints say nothing about girth, but enlarge it by chance."""
+    """Return the shape with fingers as thick as the hand is long.
+
+    Joints say nothing about girth, but enlarge it by chance.
+    """
     length = np.median(_length(joints)) / _length(model.with_shape().with_pose().joints)
     shape = shape.copy()
     shape[model.shape_names.index("thickness")] = length - 1.0 - shape[model.shape_names.index("size")]

@@ -22,7 +22,7 @@ FILES: dict[Side, str] = {"left": "MANO_LEFT.pkl", "right": "MANO_RIGHT.pkl"}
 
 
 def mano_folder(folder: Path | None, dataset: str) -> Path:
-    """The folder with the user's MANO files. Raises ``UsageError`` where none is given or it holds none."""
+    """Return the folder with the user's MANO files. Raises ``UsageError`` where none is given or it holds none."""
     if folder is None:
         raise UsageError(
             f"missing --mano: {dataset} holds its hands as parameters of MANO; the folder of "
@@ -34,7 +34,7 @@ def mano_folder(folder: Path | None, dataset: str) -> Path:
 
 
 def load(folder: Path, side: Side, repaired: bool = True) -> mano.Mano:
-    """A MANO hand; with the published left hand's shape space as it is where it is not to be ``repaired``.
+    """Load a MANO hand; unless ``repaired``, with the published left hand's shape space as it is.
 
     Whoever fitted the published left hand found betas that give the right surface only with its fault (``hands.mano``).
     Raises ``InputError``.
@@ -62,7 +62,7 @@ def track(
     flat_hand_mean: bool,
     T_cam: Float[ndarray, "*T 4 4"],
 ) -> HandTrack:
-    """The hand in each frame, from MANO's parameters as rotation vectors [rad] and translations [m].
+    """Return the hand in each frame, from MANO's parameters as rotation vectors [rad] and translations [m].
 
     ``T_cam`` brings the frame in which the parameters are into the camera's.
     """
@@ -74,7 +74,7 @@ def track(
 def numbers(
     path: Path, entry: Mapping[str, object], key: str, shape: tuple[int, ...], of: str = ""
 ) -> Float[ndarray, "..."]:
-    """A finite array of the given shape, -1 standing for any length above 0; axes of length 1 in front are let be.
+    """Check that an array is finite and has the given shape, with -1 for any length above 0 and any axes of 1 in front.
 
     ``of`` names the dictionary that ``given`` is, where it stands in another. Raises ``InputError``.
     """

@@ -61,8 +61,8 @@ TEXTS = ("source", "licence", "assumed_camera")
 JOINTS = tuple(f"{kind}_{side}" for kind in ("joints", "estimated") for side in SIDES)
 KEYS = {*JOINTS, "order", "T_world_obj", "mesh", "fps", "frames", *NAMES, *CAMERA, *JOINT, *TEXTS}
 WITHIN_10_MM = GraspOptions(contact_mm=10.0, shortest=FEWEST)
-"""As of ``arctic``, but for the contact: within 10 mm the fitted hands touch objects in the frames in which the true
-ones do (docs/arctic.md), at 0 mm not."""
+"""Definition of ``arctic`` except for the contact: within 10 mm, fitted hands touch as true ones do (docs/arctic.md),
+at 0 mm not."""
 FASTEST = 1000.0
 """Frames per second."""
 
@@ -74,10 +74,10 @@ class Tracks(TrackedDataset):
     """Any motion capture: files of joints and object poses (docs/formats.md): every visible stable grasp."""
 
     grasps: Annotated[GraspOptions, arg(name="")] = WITHIN_10_MM
-    """What counts as a stable grasp."""
+    """Definition of a stable grasp."""
 
     def sources(self) -> list[Source]:
-        """The file ``root``, or the files in a folder."""
+        """List the file ``root``, or the files in a folder."""
         files = [self.root] if self.root.is_file() else sorted(self.root.glob("*.npz"))
         if not files:
             raise InputError(self.root, "", "no .npz file", "a file of tracks, or a folder of them")
@@ -85,14 +85,14 @@ class Tracks(TrackedDataset):
 
 
 def _read(file: Path, note: Note) -> Iterator[Track]:
-    """The object in each hand, in the frames in which all that the file holds is known."""
+    """Yield the object in each hand, in the frames in which all that the file holds is known."""
     motion = read_motion(file, note)
     if motion is not None:
         yield from tracks(motion)
 
 
 def read_motion(file: Path, note: Note) -> Motion | None:
-    """A file, in the frames in which all that it holds is known; None for fewer than 2. Raises ``InputError``."""
+    """Read a file, in the frames in which all that it holds is known; None for fewer than 2. Raises ``InputError``."""
     stored = arrays.read(file, KEYS.__contains__)
     order = _order(file, stored)
     category, subject, sequence = (_name(file, stored, key) for key in NAMES)
@@ -137,13 +137,13 @@ def read_motion(file: Path, note: Note) -> Motion | None:
 
 
 def _joints(file: Path, arrays: Arrays, kind: str, T: int) -> dict[Side, Float[ndarray, "T 21 3"]]:
-    """The joints of each hand that the file has them of, in its own order."""
+    """Read the joints of each hand that the file has, in its own order."""
     keys = {side: f"{kind}_{side}" for side in SIDES}
     return {side: _maybe_unknown(file, arrays, key, (T, 21, 3)) for side, key in keys.items() if key in arrays}
 
 
 def _object(file: Path, value: Arrays) -> tuple[Mesh, Joint | None]:
-    """The object of its mesh, or of two where it has a joint."""
+    """Read the object from its mesh, or from two where it has a joint."""
     has = [key for key in JOINT if key in value]
     if has and len(has) < len(JOINT):
         raise InputError(file, ", ".join(JOINT), f"only {', '.join(has)}", "all of them, or none")
@@ -165,7 +165,7 @@ def _angles(file: Path, value: Arrays, T: int, rows: Int[ndarray, "n"]) -> Float
 
 
 def _camera(file: Path, value: Arrays, T: int, rows: Int[ndarray, "n"]) -> PosedCamera | None:
-    """The file's camera in some of its frames; none where it has none."""
+    """Return the file's camera in some of its frames; None where it has none."""
     has = [key for key in CAMERA if key in value]
     if not has:
         return None
@@ -202,7 +202,10 @@ def _rate(file: Path, value: Arrays) -> float:
 
 
 def _maybe_unknown(file: Path, value: Arrays, key: str, shape: tuple[int, ...]) -> Float[ndarray, "T ..."]:
-    """An array in which whole frames may be NaN. Raises ``InputError`` also for frames of which only a part is."""
+    """Check an array in which whole frames may be NaN.
+
+    Raises ``InputError`` also for frames of which only a part is.
+    """
     if key in value and value[key].dtype.kind == "f" and value[key].ndim == len(shape):
         values = value[key].astype(float)
         unknown = np.asarray(np.isnan(values).all(axis=tuple(range(1, len(shape)))))
@@ -230,7 +233,7 @@ def _name(file: Path, arrays: Arrays, key: str) -> str:
 
 
 def _order(file: Path, arrays: Arrays) -> list[int]:
-    """Where each of this package's joints stands in the file."""
+    """Return the index of each of this package's joints in the file."""
     order = _text(file, arrays, "order")
     for name, places in ORDERS.items():
         if order == name:

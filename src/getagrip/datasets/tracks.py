@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from getagrip.geometry.render import Surface
 
 MOST_FRAMES = 20_000
-"""Of a sequence: ten times as many as the longest of these datasets has. A hand in all of them takes 0.4 GB."""
+"""Most frames of a sequence: ten times as many as the longest of these datasets has. A hand in all of them takes 0.4
+GB."""
 
 
 def check_length(path: Path, key: str, frames: int) -> None:
@@ -43,7 +44,7 @@ class Track:
     """A hand and an object over some frames of a sequence, where both are, in the camera frame."""
 
     file: Path
-    """What it was read from."""
+    """File that it was read from."""
     subject: str
     """Whose hand it is, as far as the dataset says."""
     sequence: str
@@ -53,7 +54,7 @@ class Track:
     numbers: Int[ndarray, "T"]
     """Numbers of the frames, rising; where some are missing, there is a gap."""
     digits: int
-    """Of a frame's number in the dataset's own file names."""
+    """Number of digits of a frame's number in the dataset's own file names."""
     size: tuple[int, int]
     """Width and height of the images [px]."""
     K: Float[ndarray, "3 3"]
@@ -63,9 +64,9 @@ class Track:
     mesh: Mesh
     """The object; where it has a joint, at ``joint.angle``."""
     provenance: Provenance
-    """Where hands, masks, camera and scale come from."""
+    """Sources of hands, masks, camera and scale."""
     joint: Joint | None = None
-    """Of the object, where it has one."""
+    """Joint of the object, where it has one."""
     articulation: Float[ndarray, "T"] | None = None
     """Angle of the joint [rad]."""
     origin: int = 0
@@ -77,13 +78,13 @@ class Track:
     read_masks: Callable[[int], FrameMasks] | None = None
     """The dataset's own masks of the frame of some number; rendered from the true poses where it has none."""
     world: World | None = None
-    """Where the camera was, if the dataset says so."""
+    """Camera poses, if the dataset has them."""
     stamps: Float[ndarray, "T"] | None = None
     """Times of the frames [s], where the dataset has them."""
 
     @property
     def name(self) -> str:
-        """What its clips are called, without the count."""
+        """Name of its clips, without the count."""
         return BETWEEN.join([self.subject, self.sequence, self.category, self.side])
 
     @property
@@ -100,7 +101,7 @@ class Track:
         return len(self.numbers)
 
     def take(self, index: Int[ndarray, "n"]) -> Self:
-        """The track at some of its frames."""
+        """Return the track at some of its frames."""
 
         def of(hand: HandTrack) -> HandTrack:
             joints = None if hand.joints is None else hand.joints[index]
@@ -119,18 +120,18 @@ class Track:
         )
 
     def object(self, angle: float) -> Mesh:
-        """The object with its joint at an angle [rad]; always the same where it has none."""
+        """Return the object with its joint at an angle [rad]; always the same where it has none."""
         if self.joint is None:
             return self.mesh
         return Mesh(self.joint.at(self.mesh.vertices, np.array([angle]))[0], self.mesh.faces)
 
     def surface(self, row: int) -> Surface:
-        """The object in the camera frame as it was in a frame, its joint included."""
+        """Return the object in the camera frame in one frame, its joint included."""
         mesh = self.object(0.0 if self.articulation is None else float(self.articulation[row]))
         return se3.transform(self.T_cam_obj[row], mesh.vertices), mesh.faces
 
     def describe(self, piece: Piece) -> Json:
-        """The provenance of the clip that a piece becomes; this track has the frames of the piece that were kept."""
+        """Return the provenance of a piece's clip; this track has the frames of the piece that were kept."""
         out = {"subject": self.subject, **self.provenance, "clip": piece.made_of}
         if piece.masks and self.read_masks is None:
             hands = "hand" if self.other_hand is None else "hands"
@@ -152,18 +153,18 @@ class Piece:
 
     track: Track
     name: str
-    """What its clip is called."""
+    """Name of its clip."""
     made_of: str
-    """What it is, in words."""
+    """Description, in words."""
     grasp: ListedGrasp | None = None
-    """As it stands in the list beside the clips; None of what is no grasp."""
+    """Grasp in the list beside the clips; None for other pieces."""
     stable_area: str = ""
-    """Of a grasp that was found: mean contact IOU over all pairs of its frames, and the contact's distance."""
+    """For a grasp that was found: mean contact IOU over all pairs of its frames, and the contact's distance."""
     masks: bool = True
     segments: tuple[Segment, ...] = ()
-    """What the object does, where the piece is a timeline."""
+    """Segments of a timeline."""
     other: Track | None = None
-    """Of a timeline, the object with the hand of the other side, in the frames in which that is known."""
+    """For a timeline, the object with the hand of the other side, in the frames in which that is known."""
 
 
 @dataclass(frozen=True)
@@ -172,11 +173,11 @@ class Source:
 
     name: str
     read: Callable[[Note], Iterable[Track]]
-    """Raises ``InputError``."""
+    """Read a hand file; raise ``InputError`` for a malformed one."""
 
 
 def subject_of(clip_name: str) -> str:
-    """The person whose hand is in a clip. Raises ``UsageError`` for a name that no track has."""
+    """Return the person whose hand is in a clip. Raises ``UsageError`` for a name that no track has."""
     subject, between, rest = clip_name.partition(BETWEEN)
     if not (subject and between and rest):
         raise UsageError(f"clip's name must be <subject>{BETWEEN}<sequence>{BETWEEN}<object>... (got {clip_name!r})")
@@ -184,7 +185,7 @@ def subject_of(clip_name: str) -> str:
 
 
 def in_pixels(K: Float[ndarray, "3 3"], scale: float = 1.0) -> Float[ndarray, "3 3"]:
-    """Intrinsics of an image ``scale`` times as large, from those of OpenCV.
+    """Convert OpenCV's intrinsics to those of an image ``scale`` times as large.
 
     OpenCV counts from the centre of the first pixel, this package from its corner.
     """

@@ -17,7 +17,10 @@ Models = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default:
 
 
 def folder(root: Path, value: Path | None) -> Path:
-    """The folder of the models: the one given, or else ``models`` in ``root``. Raises ``UsageError`` without it."""
+    """Return the folder of the models: the one given, or else ``models`` in ``root``.
+
+    Raises ``UsageError`` without it.
+    """
     models = value or root / "models"
     if not models.is_dir():
         raise UsageError(f"--meshes must be the folder of the YCB models (got {models}, which is no folder)")
@@ -25,7 +28,7 @@ def folder(root: Path, value: Path | None) -> Path:
 
 
 def mesh(models: Path, name: str) -> Mesh:
-    """A model in metres. Raises ``InputError``, also where the folder has none of that name."""
+    """Read a model in metres. Raises ``InputError``, also where the folder has none of that name."""
     found = find_mesh(models, name)
     if found is None:
         raise InputError(models, name, "no mesh of it", f"{name}.obj or {name}/*.obj")
@@ -34,7 +37,7 @@ def mesh(models: Path, name: str) -> Mesh:
 
 @lru_cache
 def find_mesh(models: Path, name: str) -> Mesh | None:
-    """``<name>.obj`` (or another format), or as YCB has it, ``<name>/textured_simple.obj``; else None."""
+    """Find ``<name>.obj`` (or another format), or as YCB has it, ``<name>/textured_simple.obj``; else None."""
     for path in (*(models / f"{name}{suffix}" for suffix in SUFFIXES), models / name / "textured_simple.obj"):
         if path.is_file():
             return read_mesh(path)

@@ -119,25 +119,25 @@ class Comparison:
 
     @cached_property
     def errors(self) -> PoseErrors:
-        """Of the object's pose in the hand."""
+        """Errors of the object's pose in the hand."""
         return pose_errors(self.clip.mesh, self.predicted, self.true)
 
     @cached_property
     def errors_sym(self) -> PoseErrors:
-        """The same up to the object's symmetries."""
+        """Errors of the object's pose in the hand, up to the object's symmetries."""
         symmetry = best_symmetry(self.clip.mesh, self.predicted, self.true, self.symmetries)
         return pose_errors(self.clip.mesh, self.predicted, self.true, symmetry)
 
     @cached_property
     def errors_cam(self) -> PoseErrors:
-        """Of the object's pose in the camera; those in the hand, where that is the true one."""
+        """Errors of the object's pose in the camera; those in the hand, where the hand is the true one."""
         if self._hand_is_true:
             return self.errors
         return pose_errors(self.clip.mesh, self.predicted_in_camera, self.true_in_camera)
 
     @cached_property
     def errors_sym_cam(self) -> PoseErrors:
-        """The same up to the object's symmetries."""
+        """Errors of the object's pose in the camera, up to the object's symmetries."""
         if self._hand_is_true:
             return self.errors_sym
         predicted, true = self.predicted_in_camera, self.true_in_camera
@@ -146,7 +146,7 @@ class Comparison:
 
     @property
     def _hand_is_true(self) -> bool:
-        """Whether the hand is where it truly is, so that frames of hand and camera give the same errors."""
+        """True if the hand is at its true pose, so that frames of hand and camera give the same errors."""
         truth = self.clip.truth
         return truth is not None and np.array_equal(truth.T_cam_hand, self.clip.hand.T_cam_hand)
 
@@ -163,23 +163,23 @@ class Comparison:
         return self.predicted.scale / self.true.scale - 1.0
 
     def contact(self, definition: ContactDefinition) -> StableContact:
-        """How stable contact is in the reconstruction."""
+        """Measure the stable contact of the reconstruction."""
         if definition.side not in self.sides:
             raise MissingPartError
         return self._stable(definition, False)
 
     def true_contact(self, definition: ContactDefinition) -> StableContact:
-        """How stable it truly is."""
+        """Measure the stable contact of the ground truth."""
         return self._stable(definition, True)
 
     def depth(self, side: Side) -> Float[ndarray, "T _"]:
-        """How deep [m] each point of a side lies inside the other body; not a number in frames without object."""
+        """Return the depth [m] of each point of a side inside the other body; NaN in frames without object."""
         if not self.has_object.any():
             raise MissingPartError
         return np.where(self.has_object[:, None], self.distances.depth(side), np.nan)
 
     def true_depth(self, side: Side) -> Float[ndarray, "T _"]:
-        """How deep [m] the points of the ground truth lie inside."""
+        """Return the depth [m] of each point of the ground truth inside the other body."""
         return self.true_distances.depth(side)
 
     def _stable(self, definition: ContactDefinition, true: bool) -> StableContact:
@@ -203,5 +203,5 @@ class Comparison:
 
 @lru_cache(maxsize=32)
 def _symmetries(vertices: bytes, faces: bytes) -> Symmetries:
-    """The symmetries of a mesh, found once for all the clips that hold it."""
+    """Find the symmetries of a mesh, once for all the clips that hold it."""
     return find_symmetries(Mesh(np.frombuffer(vertices).reshape(-1, 3), np.frombuffer(faces, np.int64).reshape(-1, 3)))

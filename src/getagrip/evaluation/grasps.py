@@ -17,7 +17,7 @@ from getagrip.metrics.pose import ObjectTrack
 def contact_in_grasps(
     clip: Clip, found: Mesh, track: ObjectTrack, contacts: Sequence[ContactDefinition], reach: float
 ) -> dict[str, float]:
-    """SCA by the metric's key, mean over the grasps of a timeline; each in its own frames, with the hand of its side.
+    """Compute SCA by the metric's key, mean over the grasps of a timeline; each with the hand of its side.
 
     ``clip`` has the hands that were found, ``track`` poses the mesh that was found in the clip's own one. ``reach`` is
     up to where distances are exact [m]. Empty where no grasp has two frames in which its hand is known.

@@ -31,15 +31,15 @@ from getagrip.metrics.mask import MaskIou, iou_of_meshes
 from getagrip.metrics.meshes import mesh_distances
 
 MeshFrame = Literal["camera", "hand"]
-"""What the vertices are in [m]: the clip's camera frame, or its hand frame."""
+"""Frame of the vertices [m]: the clip's camera frame, or its hand frame."""
 FROM_HAND = 0.5
 """Largest distance of an object's middle from the origin of the hand frame [m]."""
 MOST_FACES = 20_000_000
-"""Of all meshes of a clip."""
+"""Most faces of all meshes of a clip."""
 
 
 def evaluate_meshes(meshes: Sequence[Mesh | None], clip: Clip, masks: Masks | None, method: str) -> Evaluation:
-    """IOU, SCA and penetration of a mesh for each of the clip's frames, in the hand frame.
+    """Compute IOU, SCA and penetration of a mesh for each of the clip's frames, in the hand frame.
 
     Besides, ``frames_without_mesh`` counts these, and ``closed`` is the share of meshes without holes: only of these is
     it certain what is inside.
@@ -49,7 +49,7 @@ def evaluate_meshes(meshes: Sequence[Mesh | None], clip: Clip, masks: Masks | No
 
 @dataclass(frozen=True, eq=False)
 class _MeshComparison(Comparison):
-    """Of a mesh for each frame, in the hand frame [m]."""
+    """A comparison by one mesh for each frame, in the hand frame [m]."""
 
     frame_meshes: tuple[Mesh | None, ...]
 
@@ -83,7 +83,7 @@ class _MeshComparison(Comparison):
 def read_meshes(
     folder: Path, clip: Clip, frame: MeshFrame, first: int | None = None
 ) -> tuple[list[Mesh | None], list[InputError]]:
-    """The mesh of each of the clip's frames, in the hand frame, or nothing; and what was wrong with files.
+    """Read the mesh of each of the clip's frames, in the hand frame; also return the errors of unreadable files.
 
     Files are named like the frames, or by the same numbers; those of other frames are passed over; ``first`` is the
     number of the first frame's, where they are counted from another start. Raises ``InputError`` where no file is named
@@ -118,7 +118,7 @@ def read_meshes(
 
 
 def _read(path: Path, frame: MeshFrame, T_cam_hand: Float[ndarray, "4 4"]) -> Mesh:
-    """A mesh in the hand frame; faces without area, which systems often make, are left out."""
+    """Read a mesh in the hand frame; faces without area, which systems often make, are left out."""
     vertices, faces = parse_mesh(path)
     mesh = checked_mesh(path, vertices, with_area(vertices, faces))
     if frame == "camera":

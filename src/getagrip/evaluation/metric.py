@@ -11,6 +11,8 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.evaluation.comparison import Comparison, MissingPartError
+from getagrip.io import plugins
+from getagrip.io.plugins import Table
 from getagrip.metrics.contact import ContactDefinition
 
 Value = float | Float[ndarray, "T"]
@@ -35,29 +37,29 @@ class Metric:
     label: str = ""
     """Its column in the tables of ``bench``: of means if it is a share, else of medians; empty: none."""
     folded: bool = False
-    """Whether ``bench`` shows it among what its pages fold away."""
+    """True if ``bench`` shows it in the folded part of its pages."""
     decimals: int = 1
     by_contact: bool = False
-    """Whether each definition of contact gives another value."""
+    """True if each definition of contact gives another value."""
     needs_truth: bool = False
-    """Whether it is known only where there is ground truth."""
+    """True if it needs ground truth."""
     ranked: bool = True
-    """Whether more is better; else methods are not compared by it."""
+    """True if more is better; else methods are not compared by it."""
     averaged: bool = True
-    """Whether the mean over frames is given, too."""
+    """True if the mean over frames is given, too."""
 
     def key(self, contact: ContactDefinition) -> str:
-        """Its key in JSON, by a definition of contact."""
+        """Return its key in JSON, by a definition of contact."""
         return f"{self.name}_{contact.key}" if self.by_contact else self.name
 
     def text(self, value: float) -> str:
-        """A value as text."""
+        """Write a value as text."""
         factor = 100 if self.unit == "%" else 1
         return "-" if np.isnan(value) else f"{factor * value:.{self.decimals}f}"
 
 
 def mean_of(values: Float[ndarray, "n"]) -> float:
-    """Mean of the values that are known (not NaN); NaN if none is."""
+    """Compute the mean of the values that are known (not NaN); NaN if none is."""
     known = values[~np.isnan(values)]
     return float(known.mean()) if known.size else float("nan")
 
@@ -150,7 +152,7 @@ TRUE_SCA = Metric(
     by_contact=True, needs_truth=True, ranked=False,
 )  # fmt: skip
 
-METRICS: tuple[Metric, ...] = (
+_METRICS: tuple[Metric, ...] = (
     IOU,
     Metric("iou_soft", lambda it, _: it.iou.soft),
     Metric("iou_full", lambda it, _: it.iou.full, heading="full\nIOU", meaning="full IOU: in the whole image"),
@@ -200,18 +202,30 @@ METRICS: tuple[Metric, ...] = (
     Metric("frames_without_mesh", lambda it, _: float(sum(mesh is None for mesh in it.meshes)), "frames"),
     Metric("closed", lambda it, _: _closed(it)),
 )  # fmt: skip
-"""All of them, in the order in which tables show them."""
+METRICS = Table(
+    "metrics", {metric.name: metric for metric in _METRICS}, "a Metric of the same name",
+    lambda name, it: isinstance(it, Metric) and it.name == name,
+)  # fmt: skip
+"""All of them by name, in the order in which tables show them."""
 
 
-def measure(it: Comparison, wanted: Sequence[Metric] = METRICS) -> tuple[dict[str, float], dict[str, list[float]]]:
-    """The wanted metrics that can be known, one number for the clip each; and those that are numbers for each frame."""
+def measure(it: Comparison, wanted: Sequence[Metric] | None = None) -> tuple[dict[str, float], dict[str, list[float]]]:
+    """Compute the wanted metrics, or all, that can be known: one number for the clip each, and those per frame.
+
+    One of another package that raises is left out, after a warning.
+    """
     metrics: dict[str, float] = {}
     per_frame: dict[str, list[float]] = {}
-    for metric in wanted:
+    for metric in METRICS.working().values() if wanted is None else wanted:
         for contact in it.contacts if metric.by_contact else it.contacts[:1]:
             try:
                 value = metric.of(it, contact)
             except MissingPartError:
+                continue
+            except Exception as error:
+                if (plugin := plugins.origin(metric)) is None:
+                    raise
+                plugins.warn(f"left out: {plugin} failed: {type(error).__name__}: {error}")
                 continue
             key = metric.key(contact)
             if isinstance(value, ndarray):

@@ -37,7 +37,7 @@ class OtherSystem:
     root: Path
 
     def of_clip(self, clip: str) -> Path:
-        """Where the poses of a clip are. Raises ``InputError`` where there are none."""
+        """Return the place of a clip's poses. Raises ``InputError`` where there are none."""
         places = [self.root / clip, *(self.root / f"{clip}{suffix}" for suffix in SUFFIXES)]
         found = next((place for place in places if place.exists()), None)
         if found is None:
@@ -46,21 +46,22 @@ class OtherSystem:
         return found
 
     def inputs(self, clip: str) -> dict[str, Path]:
-        """The files that hold the poses of a clip, by name. Raises ``InputError``."""
+        """Return the files that hold the poses of a clip, by name. Raises ``InputError``."""
         place = self.of_clip(clip)
         inside = sorted(path for path in place.iterdir() if path.is_file()) if place.is_dir() else [place]
         return {path.name: path for path in inside}
 
     def result(self, clip: Clip, masks: Masks | None) -> Reconstruction:
-        """Its poses of a clip, one of many. Raises ``InputError``."""
+        """Read its poses of a clip, one of many. Raises ``InputError``."""
         return poses_of(self.of_clip(clip.name), self.name, clip, masks)
 
 
 def poses_of(place: Path, name: str, clip: Clip, masks: Masks | None, first: int | None = None) -> Reconstruction:
-    """The poses of a file or folder at the clip's frames; ``first`` is the number of the first frame's pose, where
-    poses are counted from another start. Raises ``InputError``, and ``UsageError`` where they seem to be.
+    """Read the poses of a file or folder at the clip's frames.
 
-    A frame without a pose has that of the nearest one that has, still in the hand, and counts as interpolated.
+    ``first`` is the number of the first frame's pose, where poses are counted from another start. A frame without a
+    pose has that of the nearest one that has, still in the hand, and counts as interpolated. Raises ``InputError``, and
+    ``UsageError`` where poses seem to be counted from another start.
     """
     poses = _of_result(place, clip) if place.is_dir() and is_result(place) else read_pose_file(_only_file(place))
     rows = _rows(poses, clip, first)
@@ -92,7 +93,7 @@ def poses_of(place: Path, name: str, clip: Clip, masks: Masks | None, first: int
         axis=None,
         candidates=Candidates(T_hand_obj[None], np.array([scale]), np.zeros(1)),
         energy={"total": float("nan")},
-        status=Status.GIVEN,
+        status=Status.EXTERNAL,
         ambiguous=False,
         seconds={"total": float("nan")},
         notes=tuple(notes),
@@ -100,7 +101,7 @@ def poses_of(place: Path, name: str, clip: Clip, masks: Masks | None, first: int
 
 
 def _only_file(place: Path) -> Path:
-    """A folder's one table of poses, where it has one; else itself."""
+    """Return a folder's one table of poses, where it has one; else the folder itself."""
     if not place.is_dir():
         return place
     tables = sorted(path for path in place.iterdir() if path.suffix.lower() in (".csv", ".npz"))
@@ -110,7 +111,7 @@ def _only_file(place: Path) -> Path:
 
 
 def _of_result(folder: Path, clip: Clip) -> PoseFile:
-    """A result folder of this package, perhaps of another version or made from other hands."""
+    """Read a result folder of this package, perhaps of another version or made from other hands."""
     result, _ = read_result(folder)
     if result.T_cam_hand is None:
         return PoseFile(folder, result.T_hand_obj, result.frames, in_hand=True, scale=result.scale)
@@ -118,7 +119,7 @@ def _of_result(folder: Path, clip: Clip) -> PoseFile:
 
 
 def _rows(poses: PoseFile, clip: Clip, first: int | None) -> dict[int, int]:
-    """The row of each of the clip's frames that has one. Raises ``InputError``."""
+    """Return the row of each of the clip's frames that has one. Raises ``InputError``."""
     if poses.names is None:
         if len(poses.T) != len(clip):
             expected = f"{len(clip)} as the clip has frames, or names of frames beside them"
@@ -140,7 +141,7 @@ def _rows(poses: PoseFile, clip: Clip, first: int | None) -> dict[int, int]:
 def _in_hand(
     poses: PoseFile, T: Float[ndarray, "n 4 4"], scale: float, clip: Clip, index: ndarray
 ) -> Float[ndarray, "n 4 4"]:
-    """The poses in the clip's hand, as it is given. Raises ``InputError`` for what can be no pose there."""
+    """Convert poses to the clip's hand frame. Raises ``InputError`` for what can be no pose there."""
     T_cam_hand = clip.hand.T_cam_hand[index]
     centres = np.tile(scale * clip.mesh.centre, (len(T), 1))
     if not poses.in_hand:

@@ -31,7 +31,7 @@ from getagrip.io.files import Json
 
 SUFFIXES = (".csv", ".npz", ".npy", ".json", ".txt")
 ALONE = (".txt", ".npy", ".json")
-"""Of files that may hold one matrix."""
+"""Suffixes of files that may hold one matrix."""
 LARGEST = 256 * 2**20
 MOST_POSES = 1_000_000
 """In a text file, bounds its memory."""
@@ -41,21 +41,21 @@ LAST_ROW = (0.0, 0.0, 0.0, 1.0)
 
 @dataclass(frozen=True)
 class PoseFile:
-    """What a file holds."""
+    """The content of a file of poses."""
 
     path: Path
     T: Float[ndarray, "n 4 4"]
     names: tuple[str, ...] | None
-    """Of the frames, or their numbers; None where the file does not name them."""
+    """Names of the frames, or their numbers; None where the file does not name them."""
     in_hand: bool = False
-    """Whether the poses are in the clip's hand frame, not in the camera's."""
+    """True if the poses are in the clip's hand frame, not in the camera's."""
     scale: float | None = None
     by_place: bool = False
-    """Whether numbers may stand for the places of frames that have no numbers, as in BOP's files."""
+    """True if numbers may stand for the places of frames that have no numbers, as in BOP's files."""
 
 
 def read_pose_file(path: Path) -> PoseFile:
-    """The poses in a file or folder. Raises ``InputError``."""
+    """Read the poses in a file or folder. Raises ``InputError``."""
     if path.is_dir():
         return _folder(path)
     if not path.exists():
@@ -75,7 +75,7 @@ def read_pose_file(path: Path) -> PoseFile:
 
 
 def _folder(folder: Path) -> PoseFile:
-    """A matrix in each file."""
+    """Read a folder with a matrix in each file."""
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in ALONE)
     if not paths:
         raise InputError(folder, "", "no poses in it", f"files named like the frames ({', '.join(ALONE)})")
@@ -213,7 +213,7 @@ def _matrices(path: Path, key: str, value: object) -> Float[ndarray, "n 4 4"]:
 
 
 def row_of_each(names: Sequence[str], found: Sequence[int | None], path: Path) -> dict[int, int]:
-    """The row of each frame that has one. Raises ``InputError`` for two of one frame."""
+    """Return the row of each frame that has one. Raises ``InputError`` for two of one frame."""
     rows: dict[int, int] = {}
     for row, frame in enumerate(found):
         if frame is not None:

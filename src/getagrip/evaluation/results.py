@@ -30,7 +30,7 @@ OF_TIMELINE = (
     "a timeline: poses are compared in the frame of the clip's own hand, and contact is with that hand, in all frames, "
     "also in those in which it does not hold the object; metrics_of_grasps has the stable contact area of its grasps"
 )
-"""What is to be known about the metrics of one."""
+"""A note about the metrics of a timeline."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +69,7 @@ class Evaluation:
 
     @staticmethod
     def recorded(clip: Clip, method: str, metrics: dict[str, float]) -> Evaluation:
-        """The metrics that a result has in its record."""
+        """Return the metrics that a result has in its record."""
         return Evaluation(
             clip=clip.name, category=clip.category, method=method, frames=list(clip.frames), symmetry=None,
             metrics=metrics, per_frame={},
@@ -81,13 +81,13 @@ class Evaluation:
         return self.metrics | self.metrics_of_grasps
 
     def fields(self) -> dict[str, object]:
-        """As ``evaluate --json`` writes it: what is empty is left out."""
+        """Return the fields as ``evaluate --json`` writes them: empty ones are left out."""
         entry = {key: value for key, value in asdict(self).items() if value or key in ("symmetry", "metrics")}
         return {"result": entry.pop("result"), **entry} if "result" in entry else entry
 
 
 def evaluate_result(folder: str | Path, clips: str | Path | None = None) -> Evaluation:
-    """All metrics of one result folder against its clip.
+    """Compute all metrics of one result folder against its clip.
 
     ``clips`` is the folder of the clip or one that holds it under its name; without it the clip is looked for where
     ``result.json`` says and beside the result. Raises ``InputError`` where there is no such clip, where the clip is no
@@ -98,13 +98,16 @@ def evaluate_result(folder: str | Path, clips: str | Path | None = None) -> Eval
 
 
 def read_evaluated(folder: Path, clips: str | Path | None = None) -> tuple[Reconstruction, Clip, Masks | None]:
-    """A result, and its clip and masks at the result's frames. Raises ``InputError`` as ``evaluate_result`` does."""
+    """Read a result, and its clip and masks at the result's frames.
+
+    Raises ``InputError`` as ``evaluate_result`` does.
+    """
     result, clip = read_with_clip(folder, clips)
     return result, clip, find_masks(clip)
 
 
 def read_with_clip(folder: Path, clips: str | Path | None = None) -> tuple[Reconstruction, Clip]:
-    """A result, and its clip at the result's frames. Raises ``InputError`` as ``evaluate_result`` does."""
+    """Read a result, and its clip at the result's frames. Raises ``InputError`` as ``evaluate_result`` does."""
     result, record = read_result(folder)
     clip = clip_of(folder, result, record, clips)
     return result, clip.take(clip.index_of(result.frames))
@@ -132,7 +135,7 @@ def evaluate(
         UsageError: the masks are another clip's.
     """
     contacts = CONTACT_DEFINITIONS if contacts is None else contacts
-    wanted = METRICS if wanted is None else wanted
+    wanted = tuple(METRICS.working().values()) if wanted is None else wanted
     if masks is not None:
         check_masks(clip, masks)
     index, whole_mesh, clip = clip.index_of(result.frames), clip.mesh, clip.light()
@@ -152,7 +155,7 @@ def evaluate(
     )
 
 
-def evaluation(it: Comparison, method: str, symmetry: str | None, wanted: Sequence[Metric] = METRICS) -> Evaluation:
+def evaluation(it: Comparison, method: str, symmetry: str | None, wanted: Sequence[Metric] | None = None) -> Evaluation:
     """Measure a comparison."""
     metrics, per_frame = measure(it, wanted)
     return Evaluation(
@@ -168,7 +171,7 @@ def evaluation(it: Comparison, method: str, symmetry: str | None, wanted: Sequen
 
 @dataclass(frozen=True, eq=False)
 class _ResultComparison(Comparison):
-    """Of poses of the clip's mesh, or of what was made of it.
+    """A comparison of poses of the clip's mesh, or of the deformed one.
 
     Poses are compared by the clip's mesh, which the ground truth poses; masks and contact are those of the found one.
     """
@@ -177,7 +180,7 @@ class _ResultComparison(Comparison):
     found: Mesh
 
     def take(self, index: Int[ndarray, "n"]) -> _ResultComparison:
-        """The comparison in some of the frames."""
+        """Return the comparison in some of the frames."""
         masks = None if self.masks is None else self.masks.take(index)
         track = ObjectTrack(self.track.T_ref_obj[index], self.track.scale)
         return replace(self, clip=self.clip.take(index), masks=masks, track=track)
@@ -201,7 +204,10 @@ class _ResultComparison(Comparison):
 
     @cached_property
     def _distances(self) -> list[ContactDistances]:
-        """Of the predicted object to the given hand; and of the true one, where hand and mesh are the true ones."""
+        """Distances of the predicted object to the input hand, and of the true one to the true hand.
+
+        The latter are known where hand and mesh are the true ones.
+        """
         clip, value = self.clip, self.clip.hand
         same = clip.truth is not None and np.array_equal(clip.truth.hand_vertices, value.vertices)
         tracks = [self.track, self.true] if same and self.found is clip.mesh else [self.track]
@@ -209,7 +215,7 @@ class _ResultComparison(Comparison):
 
 
 def clip_of(folder: Path, result: Reconstruction, record: Json, clips: str | Path | None) -> Clip:
-    """The clip that a result was made from."""
+    """Find the clip that a result was made from."""
     if clips is not None:
         places = [Path(clips) / result.clip, Path(clips)]
     else:
@@ -231,7 +237,7 @@ def clip_of(folder: Path, result: Reconstruction, record: Json, clips: str | Pat
 
 
 def _recorded(folder: str) -> Path:
-    """The path that a result has recorded (``result.folder``)."""
+    """Return the path that a result has recorded (``result.folder``)."""
     address = folder.removeprefix("file://")
     return Path(folder if address == folder else os.fsdecode(unquote_to_bytes(address)))
 

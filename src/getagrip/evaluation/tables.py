@@ -23,7 +23,10 @@ _OF_OBJECT, _OF_HAND = ContactDefinition("object", 0.010), ContactDefinition("ha
 
 
 def summary(evaluations: Sequence[Evaluation]) -> Json:
-    """The evaluations; for each metric, its mean over the clips that have it and their number; the same by method."""
+    """Summarise evaluations, all together and by method.
+
+    For each metric: its mean over the clips that have it, and their number.
+    """
     return {
         "samples": [evaluation.fields() for evaluation in evaluations],
         **_means(evaluations),
@@ -32,7 +35,7 @@ def summary(evaluations: Sequence[Evaluation]) -> Json:
 
 
 def by_method(evaluations: Sequence[Evaluation]) -> dict[str, list[Evaluation]]:
-    """The evaluations of each method."""
+    """Group the evaluations by method."""
     methods = dict.fromkeys(e.method for e in evaluations)
     return {method: [e for e in evaluations if e.method == method] for method in methods}
 
@@ -47,7 +50,7 @@ def _means(evaluations: Sequence[Evaluation]) -> dict[str, Json]:
 
 
 def results_table(evaluations: Sequence[Evaluation]) -> Table:
-    """One row per result and the mean of each method.
+    """Make a table of one row per result and the mean of each method.
 
     Columns without any value (there is no ground truth, the scale is known) are left out.
     """
@@ -56,7 +59,11 @@ def results_table(evaluations: Sequence[Evaluation]) -> Table:
     groups = by_method(evaluations)
     means = {method: _means(group)["mean"] for method, group in groups.items()}
     there = _means(evaluations)["mean"]
-    columns = [(f"{m.heading}\n{m.unit}", m, m.key(_OF_OBJECT)) for m in METRICS if m.heading and not m.by_contact]
+    columns = [
+        (f"{m.heading}\n{m.unit}", m, m.key(_OF_OBJECT))
+        for m in METRICS.working().values()
+        if m.heading and not m.by_contact
+    ]
     columns += [
         (f"SCA\n{_OF_OBJECT.distance}\n%", SCA, SCA.key(_OF_OBJECT)),
         ("true\nSCA\n%", TRUE_SCA, TRUE_SCA.key(_OF_OBJECT)),
@@ -83,17 +90,17 @@ def results_table(evaluations: Sequence[Evaluation]) -> Table:
 
 
 def contact_tables(evaluations: Sequence[Evaluation]) -> list[Table]:
-    """Method by method, the metrics of stable contact by each definition of contact."""
+    """Make a table for each method: the metrics of stable contact by each definition of contact."""
     groups = by_method(evaluations)
     return [_contact(method if len(groups) > 1 else "", _means(group)["mean"]) for method, group in groups.items()]
 
 
 def _contact(method: str, mean: Mapping[str, float]) -> Table:
-    """The metrics of stable contact by definition."""
+    """Make a table of the metrics of stable contact by definition."""
     known = {key for key, value in mean.items() if not np.isnan(value)}
     shown = [
         metric
-        for metric in METRICS
+        for metric in METRICS.working().values()
         if metric.by_contact and metric.heading and any(metric.key(d) in known for d in CONTACT_DEFINITIONS)
     ]
     table = _table(f"contact\n{method}".strip(), [metric.heading for metric in shown])

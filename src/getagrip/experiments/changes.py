@@ -1,4 +1,4 @@
-"""What is done to clips before a benchmark reconstructs them: nothing, noise, another size, true hands, mistakes.
+"""Changes of clips before a benchmark reconstructs them: none, noise, another size, true hands, mistakes.
 
 ``wrong_inputs`` and ``wrong_masks`` have the mistakes.
 """
@@ -29,18 +29,21 @@ from getagrip.geometry.warp import aligned
 
 
 class Change(Protocol):
-    """What is done to a clip before it is reconstructed. Its ``repr`` and the ``inputs`` identify it."""
+    """A change of a clip before it is reconstructed. Its ``repr`` and the ``inputs`` identify it."""
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
-        """The changed clip and masks, perhaps of some of its frames. Raises ``InputError`` where it cannot be done."""
+        """Return the changed clip and masks, perhaps of some of its frames.
+
+        Raises ``InputError`` where it cannot be done.
+        """
 
     def inputs(self, clip: str) -> Mapping[str, Path]:
-        """Files by name that it reads for a clip. Raises ``InputError`` where one is missing."""
+        """Return the files, by name, that it reads for a clip. Raises ``InputError`` where one is missing."""
         return {}
 
 
 @dataclass(frozen=True)
-class AsGiven(Change):
+class Unchanged(Change):
     """The clip itself."""
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
@@ -94,8 +97,9 @@ class Gapped(Change):
 
 @dataclass(frozen=True)
 class OtherObject(Change):
-    """Another object of the same kind in the masks, of which the clip's mesh has not the shape: deformed and stretched,
-    but where the mesh is and as large. Its symmetries are those of the mesh, nearly.
+    """Masks of another object of the category, whose shape the clip's mesh does not have.
+
+    It is the mesh, deformed and stretched, at the mesh's place and size. Its symmetries are nearly those of the mesh.
 
     Attributes:
         deformed: how far a smooth deformation leaves it from the mesh, root mean square, in diameters.
@@ -129,7 +133,7 @@ class OtherObject(Change):
 
 
 def _drawn(seen: Masks, grasped: Surface, hand: Surface, K: Float[ndarray, "3 3"], size: tuple[int, int]) -> FrameMasks:
-    """The masks of a frame with another object; what other things hid in those that are given, is hidden still."""
+    """Render a frame's masks with another object; pixels that other things hid stay hidden."""
     visible, ignore, holding = true_masks(grasped, [hand], [], K, size)
     others = seen.ignore[0] & ~covered(*hand, K, size)
     return FrameMasks(visible & ~others, ignore | others, None if seen.hand is None else holding & ~others)
@@ -169,7 +173,7 @@ class TrueHands(Change):
 
 
 def _resized(clip: Clip, factor: float) -> Clip:
-    """The clip with a mesh so many times as large; the true object is as it was."""
+    """Scale a clip's mesh by a factor; the true object stays."""
     truth = clip.truth
     if truth is not None:
         joint = truth.joint and replace(truth.joint, point=factor * truth.joint.point)
@@ -205,4 +209,4 @@ class WrongMasks(Change):
         return clip, replace(masks, object=changed)
 
 
-AS_GIVEN = AsGiven()
+UNCHANGED = Unchanged()

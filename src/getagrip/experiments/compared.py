@@ -1,22 +1,23 @@
-"""What a benchmark of grasps compares: options of ``getagrip bench``, light to load."""
+"""The comparison that a benchmark of grasps makes: options of ``getagrip bench``, light to load."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated
 
 from tyro.conf import arg
 
+from getagrip.errors import unknown
 from getagrip.fitting.methods import METHODS
 
-if TYPE_CHECKING:
-    Method = str
-else:
-    Method = Literal[tuple(METHODS)]
+
+def _methods(_: str) -> str:
+    """List the methods that there are when help is shown."""
+    return f"(of {', '.join(METHODS)}; default: all of getagrip's but paper...)"
 
 
 def _ablations(_: str) -> str:
-    """The names that an option takes, loaded only to show its help."""
+    """Return the names that an option takes, loaded only to show its help."""
     from getagrip.experiments.settings import ABLATIONS
 
     return f"(one of {', '.join(ABLATIONS)}; default: none)"
@@ -24,9 +25,9 @@ def _ablations(_: str) -> str:
 
 @dataclass(frozen=True)
 class Compared:
-    """Methods, or settings of methods, hands or other systems."""
+    """Methods, or settings of methods, hands or other systems. Raises ``UsageError``."""
 
-    methods: Annotated[tuple[Method, ...], arg(help_behavior_hint="(default: all but paper...)")] = ()
+    methods: Annotated[tuple[str, ...], arg(metavar="METHOD...", help_behavior_hint=_methods)] = ()
     """Methods to compare. Ablations compare one-dof and soft-hinge by default, departures the paper's. All but the
     paper's, which are slow and run where they are named."""
     ablation: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_ablations)] = None
@@ -43,3 +44,8 @@ class Compared:
     ] = ()
     """Points of the object within MM of the hand's surface are in contact, in SCA, SCA-ADD and SCA-IOU; rows for each
     MM. The paper's is 0 on ARCTIC."""
+
+    def __post_init__(self) -> None:
+        for name in self.methods:
+            if name not in METHODS:
+                raise unknown("--methods", name, METHODS)

@@ -15,12 +15,20 @@ from getagrip.experiments.statistics import Estimate, estimate
 from getagrip.experiments.trials import Score, Scores
 from getagrip.experiments.variants import Variant
 
-COLUMNS = tuple(metric for metric in METRICS if metric.label and metric.unit == "%" and not metric.folded)
-"""Metrics shown as means: the paper's, and up to the object's symmetries."""
-FOLDED = tuple(metric for metric in METRICS if metric.folded)
-"""Means that pages fold away."""
-ERRORS = tuple(metric for metric in METRICS if metric.label and metric.unit != "%")
-"""Metrics shown as medians."""
+
+def columns() -> tuple[Metric, ...]:
+    """Return the metrics shown as means: the paper's, and up to the object's symmetries."""
+    return tuple(m for m in METRICS.working().values() if m.label and m.unit == "%" and not m.folded)
+
+
+def folded_columns() -> tuple[Metric, ...]:
+    """Return the means that pages fold away."""
+    return tuple(metric for metric in METRICS.working().values() if metric.folded)
+
+
+def error_columns() -> tuple[Metric, ...]:
+    """Return the metrics shown as medians."""
+    return tuple(metric for metric in METRICS.working().values() if metric.label and metric.unit != "%")
 
 
 @dataclass(frozen=True)
@@ -33,21 +41,21 @@ class Row:
     differences: dict[str, Estimate]
     """Mean differences in pairs from the variant that it is compared with; empty for that variant itself."""
     medians: dict[str, float]
-    """Of ``ERRORS``, by label; of clips on which the method did not fail."""
+    """Medians of ``error_columns``, by label, over clips on which the method did not fail."""
     ambiguous: int
     """Results marked ambiguous."""
     wrong: int
     """Results whose pose is wrong, up to symmetries."""
     wrong_ambiguous: int
-    """Of these, how many are marked ambiguous."""
+    """Number of these that are marked ambiguous."""
     serious: dict[str, int]
     """On how many clips each check found something serious; the checks that found anything."""
     flagged: int
     """Results with a serious finding."""
     flagged_right: int
-    """Of these, those whose pose is right."""
+    """Number of these whose pose is right."""
     noted: dict[str, int]
-    """As ``serious``, of findings that are not."""
+    """Counts as in ``serious``, of findings that are not."""
     seconds: float
     """Median for a clip."""
     failed: int
@@ -55,7 +63,7 @@ class Row:
 
     @property
     def has_failed(self) -> bool:
-        """Whether there is nothing that the row could be of: the method has failed on every clip."""
+        """True if the method has failed on every clip, so that the row has no values."""
         return self.failed == self.tried > 0
 
 
@@ -68,11 +76,11 @@ class Table:
     columns: tuple[Metric, ...]
     """Those for which there are values."""
     folded: tuple[Metric, ...]
-    """Of ``FOLDED`` those that can be known; of results made before they were measured there are none."""
+    """Metrics of ``folded_columns`` that can be known; none for results made before they were measured."""
     rows: tuple[Row, ...]
 
     def ranks(self, column: Metric) -> list[int]:
-        """For each row 1 if its value, as it is printed, is the best of the column, 2 the second best, else 0.
+        """Rank the printed values of a column: 1 for the best, 2 for the second best, else 0.
 
         Rows are ranked among those with the same definition of contact; where all values are equal, none is best.
         """
@@ -87,7 +95,7 @@ class Table:
 
 
 def compare(scores: Sequence[Scores], variants: Sequence[Variant]) -> list[Table]:
-    """A table over all clips, and one for each category where there are several."""
+    """Make a table over all clips, and one for each category where there are several."""
     scores = [clip for clip in scores if clip.scores]
     if not scores:
         return []
@@ -101,16 +109,19 @@ def compare(scores: Sequence[Scores], variants: Sequence[Variant]) -> list[Table
 
 
 def groups(scores: Sequence[Scores]) -> list[str]:
-    """The groups of clips that are independent: subjects where every clip has one and there are several, else clips."""
+    """Return the groups of clips that are independent.
+
+    Groups are subjects where every clip has one and there are several, else clips.
+    """
     subjects = [clip.subject for clip in scores]
     return subjects if all(subjects) and len(set(subjects)) > 1 else [clip.name for clip in scores]
 
 
 def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], of: Sequence[str]) -> Table:
-    means = (*COLUMNS, *FOLDED)
+    means = (*columns(), *folded_columns())
     cells = {v.label: {column.label: _values(scores, v, column) for column in means} for v in variants}
-    there = tuple(c for c in COLUMNS if any(not np.isnan(values[c.label]).all() for values in cells.values()))
-    folded = tuple(c for c in FOLDED if not c.needs_truth or any(clip.has_truth for clip in scores))
+    there = tuple(c for c in columns() if any(not np.isnan(values[c.label]).all() for values in cells.values()))
+    folded = tuple(c for c in folded_columns() if not c.needs_truth or any(clip.has_truth for clip in scores))
     rows = []
     for variant in variants:
         own, other = cells[variant.label], cells.get(variant.against)
@@ -118,7 +129,9 @@ def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], of
         tried = [score for clip in scores if (score := _score(clip, variant))]
         done = [score for score in tried if not score.failed]
         wrong = [score for score in done if _is_right(score, variant) is False]
-        errors = {e.label: [score.metrics.get(e.key(variant.contact), np.nan) for score in done] for e in ERRORS}
+        errors = {
+            e.label: [score.metrics.get(e.key(variant.contact), np.nan) for score in done] for e in error_columns()
+        }
         rows.append(
             Row(
                 variant,
@@ -147,7 +160,7 @@ def _score(clip: Scores, variant: Variant) -> Score | None:
 
 
 def _is_right(score: Score, variant: Variant) -> bool | None:
-    """Whether the pose is right up to symmetries; None where nobody knows."""
+    """Return whether the pose is right up to symmetries; None where it is not known."""
     success = score.metrics.get(ADD_SYM.key(variant.contact), np.nan)
     return None if np.isnan(success) else bool(success)
 
@@ -158,10 +171,11 @@ def _counts(names: Sequence[tuple[str, ...]]) -> dict[str, int]:
 
 
 def _values(scores: Sequence[Scores], variant: Variant, column: Metric) -> Float[ndarray, "n"]:
-    """A column's value for each clip; zero, the worst, where the method failed, so that failures improve no score.
+    """Return a column's value for each clip.
 
-    Where it failed on all clips none is known: a zero would look as if it had been measured.
-    It is known of none where a result lacks it that was made before it was measured: the others' mean would mislead.
+    It is zero, the worst, where the method failed, so that failures improve no score. Where it failed on all clips none
+    is known: a zero would look as if it had been measured. It is known of none where a result lacks it that was made
+    before it was measured: the others' mean would mislead.
     """
     key, values = column.key(variant.contact), np.full(len(scores), np.nan)
     tried = [(n, clip, score) for n, clip in enumerate(scores) if (score := _score(clip, variant))]
@@ -178,6 +192,6 @@ def _values(scores: Sequence[Scores], variant: Variant, column: Metric) -> Float
 
 
 def _median(values: Sequence[float]) -> float:
-    """The median of the values that are known (not NaN); NaN if none is."""
+    """Return the median of the values that are known (not NaN); NaN if none is."""
     known = [value for value in values if not np.isnan(value)]
     return float(np.median(known)) if known else float("nan")

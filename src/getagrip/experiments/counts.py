@@ -1,4 +1,4 @@
-"""What a dataset of stable grasps has: the figures of the paper's comparison of datasets that can be counted."""
+"""Counts of a dataset of stable grasps: the figures of the paper's comparison of datasets that can be counted."""
 
 from __future__ import annotations
 
@@ -24,12 +24,11 @@ class Counts:
     left: int
     right: int
     masks: int | None
-    """Of hand and object, as EPIC-Grasps' table has them (``n_unfiltered_masks``); of the object, of a folder of
-    clips."""
+    """Masks of hand and object, as in EPIC-Grasps' table (``n_unfiltered_masks``); of a folder, masks of the object."""
 
 
 def of_epic(grasps: Sequence[EpicGrasp]) -> Counts:
-    """Of EPIC-Grasps' table."""
+    """Count EPIC-Grasps' table."""
     masks = [grasp.masks for grasp in grasps if grasp.masks is not None]
     sides = [grasp.side for grasp in grasps]
     return Counts(
@@ -45,7 +44,7 @@ def of_epic(grasps: Sequence[EpicGrasp]) -> Counts:
 
 
 def of_list(grasps: Sequence[ListedGrasp], folder: Path | None) -> Counts:
-    """Of a list, and of the clips beside it where it is in a folder of clips.
+    """Count a list, and the clips beside it where it is in a folder of clips.
 
     Subjects are known where sequences are named as imports name them, ``<subject>--...``.
     """

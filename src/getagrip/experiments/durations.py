@@ -44,7 +44,7 @@ class CategoryDurations:
 
 
 def durations(grasps: Sequence[LastingGrasp]) -> list[CategoryDurations]:
-    """A row for each category in the order of the alphabet, then one for all; none where there are no grasps."""
+    """Return a row for each category in alphabetical order, then one for all; none where there are no grasps."""
     categories = sorted({grasp.category for grasp in grasps})
     groups = {category: [grasp for grasp in grasps if grasp.category == category] for category in categories}
     return [_row(category, group) for category, group in [*groups.items(), (ALL, list(grasps))] if group]
@@ -58,7 +58,7 @@ def _row(category: str, grasps: Sequence[LastingGrasp]) -> CategoryDurations:
 
 
 def of_epic(grasps: Sequence[EpicGrasp], fps: Fps = "paper") -> list[LastingGrasp]:
-    """EPIC-Grasps.
+    """List the durations of EPIC-Grasps.
 
     ``paper``: 50 frames per second in every video. ``true``: as EPIC numbers the frames of each video.
     """
@@ -69,7 +69,7 @@ def of_epic(grasps: Sequence[EpicGrasp], fps: Fps = "paper") -> list[LastingGras
 
 
 def of_list(path: Path, grasps: Sequence[ListedGrasp]) -> list[LastingGrasp]:
-    """A list. Raises ``InputError`` where it does not say how long a grasp lasts."""
+    """Return the durations in a list. Raises ``InputError`` where it does not say how long a grasp lasts."""
     for n, grasp in enumerate(grasps):
         if grasp.duration is None:
             raise InputError(path, f"grasp {n + 1}, duration", "none", "how long it lasts, in seconds")

@@ -36,7 +36,7 @@ class GraspBenchmark(Benchmark[Scores]):
 
     source: ClipSource
     options: Options
-    """What all variants have in common."""
+    """Options that all variants share."""
     compared: Compared
 
     def __post_init__(self) -> None:
@@ -56,14 +56,14 @@ class GraspBenchmark(Benchmark[Scores]):
 
     @cached_property
     def settings(self) -> Ablation | None:
-        """What is compared besides methods."""
+        """Settings that are compared besides methods."""
         if self.compared.hands:
             return comparison([HandSource.of(text) for text in self.compared.hands])
         return None if self.compared.ablation is None else ABLATIONS[self.compared.ablation]
 
     @property
     def name(self) -> str:
-        """What the files of the tables are called."""
+        """Name of the files of the tables."""
         return "hands" if self.compared.hands else self.compared.ablation or "methods"
 
     @cached_property
@@ -84,7 +84,7 @@ class GraspBenchmark(Benchmark[Scores]):
         return [GraspTrial(sample, results, overwrite, distinct, contacts) for sample in samples]
 
     def failures(self, scores: Scores) -> list[Outcome]:
-        """The clip, or each of its variants."""
+        """Return the failed clip, or each of its failed variants."""
         label = {variant.folder: variant.label for variant in self.variants}
         failed = [score for score in scores.scores if score.failed]
         own = [Outcome(f"{scores.name}: {label[score.variant]}", "failed", score.status) for score in failed]
@@ -100,7 +100,7 @@ class GraspBenchmark(Benchmark[Scores]):
         return f"{scores.name}: {done}{f', {failed} failed' if failed else ''}{why}"
 
     def entry(self, scores: Scores) -> Entry:
-        """Failed where it could not be read, or no process could do it."""
+        """Make the ledger's entry; failed where the clip could not be read, or no process could do it."""
         failed = sum(score.failed for score in scores.scores)
         why = scores.failure or (f"{failed} of {len(scores.scores)} rows failed" if failed else "")
         return Entry("", "failed" if scores.failure else "done" if scores.made else "kept", why)
@@ -117,7 +117,7 @@ class GraspBenchmark(Benchmark[Scores]):
 
 
 def _about(bench: GraspBenchmark, scores: Sequence[Scores]) -> list[str]:
-    """What was run, and when."""
+    """Return what was run, and when."""
     good = sum(bool(clip.scores) for clip in scores)
     skipped = f", {len(scores) - good} failed and skipped" if good < len(scores) else ""
     return [f"{bench.source.title}: {counted(good, 'clip')}{skipped}; made {stamp()}"]

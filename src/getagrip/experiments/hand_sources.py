@@ -33,7 +33,7 @@ class HandSource:
 
     @staticmethod
     def of(text: str) -> HandSource:
-        """From ``NAME=FOLDER``. Raises ``UsageError``."""
+        """Parse ``NAME=FOLDER``. Raises ``UsageError``."""
         name, equals, folder = text.partition("=")
         if not (equals and folder and is_plain_name(name)):
             raise UsageError(f"--hands must be NAME=FOLDER (got {text!r})")
@@ -42,7 +42,7 @@ class HandSource:
         return HandSource(name, Path(folder))
 
     def file(self, clip: str) -> Path:
-        """The file with the hands of a clip. Raises ``InputError`` where there is none."""
+        """Return the file with the hands of a clip. Raises ``InputError`` where there is none."""
         places = [self.folder / clip / "hand.npz", self.folder / f"{clip}.npz"]
         found = next((place for place in places if place.is_file()), None)
         if found is None:
@@ -52,7 +52,7 @@ class HandSource:
         return found
 
     def read(self, clip: Clip) -> Hands:
-        """Its hands of a clip. Raises ``InputError`` where there are none, or where they are not of this clip."""
+        """Read its hands of a clip. Raises ``InputError`` where there are none, or where they are not of this clip."""
         path = self.file(clip.name)
         if path.name == "hand.npz":
             other = read_clip(path.parent)
@@ -86,7 +86,7 @@ class Hands:
     """The camera that they are before; None: the clip's."""
 
     def in_clip(self, clip: Clip) -> Clip:
-        """The clip with these hands instead of its own. Raises ``InputError`` where they do not fit."""
+        """Return the clip with these hands instead of its own. Raises ``InputError`` where they do not fit."""
         if clip.truth is not None and not np.array_equal(clip.hand.faces, self.track.faces):
             expected = "the ground truth's hand, whose vertices true contact is measured at"
             raise InputError(self.file, "faces", f"a hand of {self.track.vertices.shape[1]} vertices", expected)
@@ -120,7 +120,7 @@ class WithHands(Change):
 
 
 def comparison(sources: Sequence[HandSource]) -> Ablation:
-    """Hand sources as the settings of an ablation; the first is what the others are compared with.
+    """Make hand sources the settings of an ablation; the first is what the others are compared with.
 
     Raises ``UsageError`` where two have the same name.
     """
@@ -133,6 +133,6 @@ def comparison(sources: Sequence[HandSource]) -> Ablation:
 
 
 def _names(numbers: tuple[int, ...], clip: Clip) -> tuple[str, ...]:
-    """The clip's names of the numbered frames of a hand file; numbers stand for frames that it does not have."""
+    """Return the clip's names of the numbered frames of a hand file; numbers stand for frames that it does not have."""
     name_of = {int(name): name for name in clip.frames if name.isdecimal()}
     return tuple(name_of.get(number, f"{number}") for number in numbers)

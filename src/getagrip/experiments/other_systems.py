@@ -10,7 +10,7 @@ from getagrip.clip import Clip, Masks, observed_frames
 from getagrip.clip.sampling import frame_indices
 from getagrip.errors import InputError, UsageError
 from getagrip.evaluation.other_poses import OtherSystem
-from getagrip.experiments.changes import AS_GIVEN
+from getagrip.experiments.changes import UNCHANGED
 from getagrip.experiments.settings import REFERENCE
 from getagrip.experiments.variants import Variant, by_contact
 from getagrip.fitting.methods import METHODS
@@ -21,7 +21,7 @@ from getagrip.result import Reconstruction
 
 
 def system_of(text: str) -> OtherSystem:
-    """From ``NAME=FOLDER``. Raises ``UsageError``."""
+    """Parse ``NAME=FOLDER``. Raises ``UsageError``."""
     name, equals, folder = text.partition("=")
     if not (equals and folder and is_plain_name(name)):
         raise UsageError(f"--with must be NAME=FOLDER (got {text!r})")
@@ -35,16 +35,19 @@ def system_of(text: str) -> OtherSystem:
 def system_variants(
     systems: Sequence[OtherSystem], base: Options, contacts: Sequence[ContactDefinition]
 ) -> list[Variant]:
-    """A row for each system, by each definition of contact."""
+    """Make a row for each system, by each definition of contact."""
     rows = [
-        Variant(each.name, each.name, base, AS_GIVEN, contacts[0], REFERENCE, each.name, each.name, each)
+        Variant(each.name, each.name, base, UNCHANGED, contacts[0], REFERENCE, each.name, each.name, each)
         for each in systems
     ]
     return by_contact(rows, contacts)
 
 
 def options_of(variant: Variant, clip: str) -> dict[str, object]:
-    """The options of a variant; of another system's results with the checksum of their files, empty where none are."""
+    """Return a variant's options.
+
+    For another system's results, they include the checksum of their files, empty where none are.
+    """
     options = asdict(variant.options)
     if variant.system is None:
         return options
@@ -55,7 +58,7 @@ def options_of(variant: Variant, clip: str) -> dict[str, object]:
 
 
 def result_of(variant: Variant, clip: Clip, masks: Masks) -> Reconstruction:
-    """Another system's poses in the frames in which our methods are evaluated. Raises ``InputError``."""
+    """Return another system's poses in the frames in which our methods are evaluated. Raises ``InputError``."""
     assert variant.system is not None
     result = variant.system.result(clip, masks)
     if variant.options.every_frame:

@@ -14,16 +14,16 @@ from getagrip.io import files
 from getagrip.io.files import Json
 
 KEYS = {"inputs": "another clip", "options": "other options", "software": "other code or other libraries"}
-"""What a record says that it was made of, and how it is called where that differs."""
+"""Keys of a record's inputs, and the words for one that differs."""
 
 
 def made_of(clip: Path, options: Options, *code: str) -> Json:
-    """What a record is made of; ``code`` are parts of the package that a reconstruction does not depend on."""
+    """Return what a record depends on; ``code`` are parts of the package that a reconstruction does not depend on."""
     return {"inputs": input_sha256(clip), "options": asdict(options), "software": made_by(options.method, *code)}
 
 
 def kept_or_made(path: Path, of: Json, overwrite: bool, make: Callable[[], Json]) -> tuple[Json, str]:
-    """The record in a file, if it is good, else one that is made and written; and why one that was there was not good.
+    """Read the record in a file, if it is valid, else make and write it; also return why an existing one was not valid.
 
     The reason is empty where there was none, and with ``overwrite``.
     """

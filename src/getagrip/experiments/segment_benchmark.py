@@ -22,14 +22,14 @@ from getagrip.io.counts import counted
 
 HEADINGS = ("", "sequences", "grasps", "tIoU", "F1@.5", "F1@.7", "start", "end", "missed", "false")
 COLUMNS = ("sequence", "direction", "way", "true", "found", "tiou", "start", "end")
-"""Of the table of sequences."""
+"""Columns of the table of sequences."""
 DRAWS = 400
 """Bootstrap resamples of F1, which is no mean."""
 
 
 @dataclass(frozen=True)
 class SegmentBenchmark(Benchmark[SequenceScores]):
-    """Find the grasps of every sequence."""
+    """A benchmark that finds the grasps of every sequence."""
 
     source: DexYcbSequences
     options: Options
@@ -78,7 +78,7 @@ def _csv_rows(scores: Sequence[SequenceScores]) -> list[Sequence[object]]:
 
 
 def _rows(scores: Sequence[SequenceScores]) -> dict[str, list[Matched]]:
-    """The rows of the table: every way, in each direction and in both."""
+    """Return the rows of the table: every variant, in each direction and in both."""
     out = {}
     for variant, label in VARIANTS.items():
         for directions in (DIRECTIONS[:1], DIRECTIONS[1:], DIRECTIONS):
@@ -88,7 +88,7 @@ def _rows(scores: Sequence[SequenceScores]) -> dict[str, list[Matched]]:
 
 
 def _cells(rows: Sequence[Matched], subjects: Sequence[str]) -> tuple[str, ...]:
-    """A row's numbers as text."""
+    """Return a row's numbers as text."""
     all_ = summary(rows)
     low, high = _interval(rows, subjects, lambda s: s.tiou)
     low1, high1 = _interval(rows, subjects, lambda s: s.f1[0])
@@ -108,7 +108,7 @@ def _cells(rows: Sequence[Matched], subjects: Sequence[str]) -> tuple[str, ...]:
 def _interval(
     rows: Sequence[Matched], subjects: Sequence[str], statistic: Callable[[Summary], float]
 ) -> tuple[float, float]:
-    """Of a statistic, when subjects are drawn anew with all their sequences."""
+    """Return the interval of a statistic when subjects are resampled with all their sequences."""
     values = []
     for weights in resamples(subjects)[:DRAWS]:
         values.append(statistic(summary([row for row, n in zip(rows, weights, strict=True) for _ in range(int(n))])))

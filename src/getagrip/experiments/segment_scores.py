@@ -58,13 +58,13 @@ class Summary:
 
 
 def tiou(a: Span, b: Span) -> float:
-    """Intersection over union of two intervals of frames."""
+    """Compute the intersection over union of two intervals of frames."""
     both = min(a[1], b[1]) - max(a[0], b[0]) + 1
     return max(both, 0) / (max(a[1], b[1]) - min(a[0], b[0]) + 1) if both > 0 else 0.0
 
 
 def matched(true: Sequence[Span], found: Sequence[Span]) -> Matched:
-    """Pairs of true and found intervals, those that overlap most first."""
+    """Match true and found intervals, those that overlap most first."""
     pairs = sorted(((tiou(a, b), i, j) for i, a in enumerate(true) for j, b in enumerate(found)), reverse=True)
     partner: dict[int, int] = {}
     for overlap, i, j in pairs:
@@ -81,7 +81,7 @@ def matched(true: Sequence[Span], found: Sequence[Span]) -> Matched:
 
 
 def summary(sequences: Sequence[Matched]) -> Summary:
-    """What becomes of the intervals of all sequences together."""
+    """Summarise the intervals of all sequences together."""
     matches = [match for one in sequences for match in one.matches]
     overlaps = np.array([match.tiou for match in matches])
     found = sum(one.found for one in sequences)

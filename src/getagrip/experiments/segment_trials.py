@@ -19,7 +19,7 @@ from getagrip.io.files import Json
 
 DIRECTIONS = ("forwards", "in reverse")
 DEFINITION = Definition(contact=0.010)
-"""Of a stable grasp, as that of the truth (``datasets.dexycb.reader``)."""
+"""Definition of a stable grasp, as that of the truth (``datasets.dexycb.reader``)."""
 VARIANTS = {"fits": "fits and Eq. 2", "motion": "first to last motion"}
 """How grasps are found: ours; and what the image motion alone says, with no fit."""
 CODE = ("segmentation", "experiments/segment_trials.py")
@@ -28,12 +28,12 @@ CODE = ("segmentation", "experiments/segment_trials.py")
 
 @dataclass(frozen=True)
 class SequenceScores(ClipScores):
-    """What was found in a sequence."""
+    """The scores of a sequence."""
 
     by: dict[tuple[str, str], Matched] = field(default_factory=dict)
     """By direction and way; empty where it failed."""
     seconds: float = 0.0
-    """Of the process, for one direction; the mean of both."""
+    """Time of the process for one direction [s]; the mean of both."""
     again: str = ""
     """Why it was made again, where what was there is no longer good."""
 
@@ -43,7 +43,7 @@ class SequenceTrial(Trial[SequenceScores]):
     """A sequence to find the grasps of; a file for it goes into ``results``."""
 
     noise: str
-    """Of ``NOISE``: of hands and masks."""
+    """Key of ``NOISE``: the noise of hands and masks."""
     options: Options
 
     def failed(self, why: str, trace: str = "") -> SequenceScores:
@@ -62,19 +62,19 @@ class SequenceTrial(Trial[SequenceScores]):
 
 
 def reversed_in_time(clip: Clip, masks: Masks) -> tuple[Clip, Masks]:
-    """The clip as if it had been filmed backwards; its truth goes with it, its segments do not."""
+    """Reverse a clip in time; its truth goes with it, its segments do not."""
     index = np.arange(len(clip))[::-1]
     back = clip.take(index)
     return replace(back, frames=clip.frames, times=None, segments=(), name=f"{clip.name}--reversed"), masks.take(index)
 
 
 def mirrored(spans: list[Span], frames: int) -> list[Span]:
-    """Intervals of a sequence, in its reverse."""
+    """Return the intervals of a sequence, in its reverse."""
     return [(frames - 1 - last, frames - 1 - first) for first, last in reversed(spans)]
 
 
 def _found(trial: SequenceTrial) -> Json:
-    """What is true and what is found, by direction."""
+    """Return the true and the found segments, by direction."""
     from getagrip.segmentation.found import find_segments, moving_runs
 
     clip = read_clip(trial.sample.folder)

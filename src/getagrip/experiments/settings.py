@@ -8,7 +8,7 @@ from typing import Any
 
 from getagrip.datasets.synthetic.noise import NOISE, Noise
 from getagrip.experiments.changes import (
-    AS_GIVEN,
+    UNCHANGED,
     Change,
     FlippedHands,
     Gapped,
@@ -28,10 +28,10 @@ from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
 
 REFERENCE = "one-dof"
 """Ours after the paper, the plain hinge: what the others are compared with."""
-COMPARED = tuple(name for name, method in METHODS.items() if not method.slow)
-"""Methods that are compared where none is named."""
+COMPARED = tuple(name for name, method in METHODS.own.items() if not method.slow)
+"""Methods that are compared where none is named; those of other packages only where they are."""
 CONTACTS = (ContactDefinition("object", 0.010),)
-"""Of the definitions of contact (docs/metrics.md) those in the tables, unless a run or a setting says otherwise."""
+"""Definitions of contact (docs/metrics.md) in the tables, unless a run or a setting says otherwise."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,9 @@ class Setting:
     label: str
     options: Mapping[str, Any] = field(default_factory=dict)
     """``Options`` that differ from those of the run."""
-    change: Change = AS_GIVEN
+    change: Change = UNCHANGED
     contact: ContactDefinition | None = None
-    """What counts as contact in the metrics; None: what the run says."""
+    """Definition of contact in the metrics; None: the run's."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,10 @@ class Ablation:
 
 
 def _hand_noise(mm: float) -> Setting:
-    """A bias, and jitter of half its size that is correlated over a tenth of a second: 0.8 degrees per millimetre."""
+    """Make a setting with a bias, and jitter of half its size correlated over a tenth of a second.
+
+    Both turn the hand by 0.8 degrees per millimetre.
+    """
     deg = 0.8 * mm
     noise = Noise(
         hand_bias_mm=mm, hand_bias_deg=deg, hand_jitter_mm=mm / 2, hand_jitter_deg=deg / 2, jitter_memory_s=0.1
@@ -68,7 +71,7 @@ def _hand_noise(mm: float) -> Setting:
 
 
 def _noise_level(name: str) -> Setting:
-    """The hands of a level of noise; the masks stay as they are."""
+    """Make a setting with the hands of a level of noise; the masks stay as they are."""
     return Setting(name, change=Noisy(replace(NOISE[name], mask_ragged_px=0.0)))
 
 
@@ -85,13 +88,13 @@ def _wrong_masks(fault: str, share: float) -> Setting:
 
 
 CATEGORY_MESHES = {
-    "of its kind": OtherObject(),
-    "of its kind, size unknown": Several((OtherObject(), ScaleFree())),
-    "of its kind, size unknown, hands moderate": Several(
+    "category mesh": OtherObject(),
+    "category mesh, size unknown": Several((OtherObject(), ScaleFree())),
+    "category mesh, size unknown, hands moderate": Several(
         (OtherObject(), ScaleFree(), Noisy(replace(NOISE["moderate"], mask_ragged_px=0.0)))
     ),
 }
-"""What is known of an object whose own mesh nobody has; the last is the paper's own setting, footage without CADs."""
+"""Knowledge of an object without its own mesh; the last is the paper's own setting, footage without CADs."""
 
 
 INPUTS = (
@@ -104,7 +107,7 @@ INPUTS = (
     Setting("size unknown", change=ScaleFree()),
     *(
         Setting(label, change=CATEGORY_MESHES[label])
-        for label in ("of its kind", "of its kind, size unknown, hands moderate")
+        for label in ("category mesh", "category mesh, size unknown, hands moderate")
     ),
 )
 """The errors that are summed up in README; the first four are run on the test objects, too."""
@@ -125,7 +128,7 @@ where the object is; then how the minimum is found; then the form of the terms.
 
 
 def _departures(count: int) -> Departures:
-    """The first so many of the steps."""
+    """Return the first ``count`` steps."""
     return Departures(**dict.fromkeys(list(STEPS.values())[:count], True))
 
 
@@ -141,7 +144,7 @@ ABLATIONS: dict[str, Ablation] = {
         (Setting("off", {"occlusion": False}), Setting("on", {"occlusion": True})),
     ),
     "axis": Ablation(
-        "Where the axis may lie: through the origin of the hand frame, or anywhere",
+        "Place of the axis: through the origin of the hand frame, or anywhere",
         "free",
         (Setting("hand", {"axis": "hand"}), Setting("free", {"axis": "free"})),
     ),
@@ -171,7 +174,7 @@ ABLATIONS: dict[str, Ablation] = {
         (REFERENCE, "soft-hinge", "contact-consistency"),
     ),
     "estimated-hands": Ablation(
-        "Hands that are off as estimates from images are: as given, or corrected by their own pixels",
+        "Hands with the errors of estimates from images: as given, or refined against their own pixels",
         "none",
         (
             Setting("none"),
@@ -180,7 +183,7 @@ ABLATIONS: dict[str, Ablation] = {
         ),
     ),
     "hand-refinement": Ablation(
-        "Hands corrected by their own pixels, or as they are given",
+        "Hands refined against their own pixels, or as given",
         "none, as given",
         tuple(
             replace(noise, label=f"{noise.label}, {word}", options={"hands": hands})
@@ -190,17 +193,20 @@ ABLATIONS: dict[str, Ablation] = {
         ("soft-hinge",),
     ),
     "hand-flips": Ablation(
-        "Hands that are flipped in some frames: put right, or believed",
+        "Hands that are flipped in some frames: repaired, or used",
         "none, as given",
         tuple(
             Setting(f"{label}, {word}", {"hands": hands}, change)
-            for label, change in (("none", AS_GIVEN), *((f"{100 * p:.0f} %", FlippedHands(p)) for p in (0.1, 0.2, 0.4)))
-            for hands, word in (("as-given", "as given"), ("corrected", "put right"))
+            for label, change in (
+                ("none", UNCHANGED),
+                *((f"{100 * p:.0f} %", FlippedHands(p)) for p in (0.1, 0.2, 0.4)),
+            )
+            for hands, word in (("as-given", "as given"), ("corrected", "repaired"))
         ),
         ("soft-hinge",),
     ),
     "true-hands": Ablation(
-        "Hands: as they are given, corrected by their own pixels, or the true ones",
+        "Hands: as given, refined against their own pixels, or the true ones",
         "as given",
         (
             Setting("as given", {"hands": "as-given"}),
@@ -220,7 +226,7 @@ ABLATIONS: dict[str, Ablation] = {
         (Setting("none"), *(Setting(f"{px} px", change=Gapped(px)) for px in (1, 2, 3, 5))),
     ),
     "wrong-masks": Ablation(
-        "Masks that are wrong in some frames: left out, or believed",
+        "Masks that are wrong in some frames: left out, or used",
         "none, as given",
         tuple(
             replace(fault, label=f"{fault.label}, {word}", options={"masks": masks})
@@ -230,11 +236,11 @@ ABLATIONS: dict[str, Ablation] = {
         ("soft-hinge",),
     ),
     "other-mesh": Ablation(
-        "A mesh that is only of the object's kind: fitted to the masks, or taken as it is",
+        "A mesh of the category: fitted to the masks, or unchanged",
         "own, as given",
         tuple(
             Setting(f"{label}, {word}", {"mesh": mesh}, change)
-            for label, change in ({"own": AS_GIVEN} | CATEGORY_MESHES).items()
+            for label, change in ({"own": UNCHANGED} | CATEGORY_MESHES).items()
             for mesh, word in (("as-given", "as given"), ("fitted", "fitted"))
         ),
         ("soft-hinge",),
@@ -245,13 +251,13 @@ ABLATIONS: dict[str, Ablation] = {
         (Setting("known", change=ScaleKnown()), Setting("free", change=ScaleFree())),
     ),
     "sca": Ablation(
-        "What counts as contact: whose points, and how near",
+        "Definition of contact: whose points, and at which distance",
         None,
         tuple(Setting(f"{d.side}, {d.distance}", contact=d) for d in CONTACT_DEFINITIONS),
         COMPARED,
     ),
     "wrong-input": Ablation(
-        "Mistakes made on purpose: what the checks find",
+        "Deliberate mistakes, and the findings of the checks",
         "none",
         (Setting("none"), *(Setting(mistake, change=Wrong(mistake)) for mistake in MISTAKES)),
         ("soft-hinge",),

@@ -10,7 +10,7 @@ PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def stamp() -> str:
-    """The date and, where the package runs from a git checkout, its commit: "2025-03-01, commit a1b2c3d".
+    """Return the date and, in a git checkout, the package's commit: "2025-03-01, commit a1b2c3d".
 
     The commit is marked where files of the package differ from it.
     """
@@ -20,7 +20,7 @@ def stamp() -> str:
 
 
 def commit(folder: Path) -> str | None:
-    """The commit that a folder is checked out at, with a mark if files in it have changed; None if git has it not."""
+    """Return the commit of a folder, marked if its files have changed; None if git does not have it."""
 
     def git(*words: str) -> str:
         return subprocess.run(["git", *words], cwd=folder, capture_output=True, text=True, check=True).stdout.strip()

@@ -27,7 +27,7 @@ class Estimate:
 
 
 def resamples(groups: Sequence[str], seed: int = 0) -> Float[ndarray, "B n"]:
-    """How often each clip is drawn in each bootstrap resample.
+    """Draw how often each clip is in each bootstrap resample.
 
     Clips of the same group (subject) are drawn together, as many groups as there are: they are no independent
     evidence. With a group for each clip this is the plain bootstrap.
@@ -39,7 +39,7 @@ def resamples(groups: Sequence[str], seed: int = 0) -> Float[ndarray, "B n"]:
 
 
 def estimate(values: Float[ndarray, "n"], groups: Sequence[str]) -> Estimate:
-    """The mean of the values that are there (not NaN), with an interval that holds for few groups.
+    """Estimate the mean of the values that are not NaN, with an interval that holds for few groups.
 
     Clips of a group (subject) are no independent evidence: the interval is Student's t with one degree of freedom less
     than there are groups, and the standard error that of a ratio, from the groups' sums of deviations from the mean.

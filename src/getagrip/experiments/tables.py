@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from getagrip.experiments.comparison import ERRORS, Table
+from getagrip.experiments.comparison import Table, error_columns
 from getagrip.experiments.statistics import LEVEL, Estimate
 from getagrip.experiments.trials import Scores
 from getagrip.experiments.variants import Variant
@@ -30,12 +30,12 @@ class Style:
     """Replacements of letters that the page cannot hold."""
 
     def cell(self, value: str, rank: int, interval: str) -> str:
-        """A value with its mark and its interval."""
+        """Write a value with its mark and its interval."""
         marked = {1: self.best, 2: self.second}.get(rank, "{}").format(self.text(value))
         return marked + (self.interval.format(interval) if interval else "")
 
     def text(self, text: str) -> str:
-        """Plain text on the page."""
+        """Return plain text on the page."""
         return "".join(self.symbols.get(letter, letter) for letter in text)
 
 
@@ -53,7 +53,7 @@ MEDIANS = (
     "Right in the camera (ADD sym.); medians over clips; results marked ambiguous, of all and of those whose pose is "
     "wrong (ADD sym.)"
 )
-FLAGGED = "Results that the checks doubt, how many of them are right, and the checks"
+FLAGGED = "Results with serious findings, the right ones among them, and the checks"
 CATEGORIES = "Each category"
 """Titles of what a page folds away."""
 FAILED = "failed"
@@ -61,17 +61,17 @@ FAILED = "failed"
 
 
 def _number(share: float) -> str:
-    """A share as per cent."""
+    """Write a share in per cent."""
     return "–" if math.isnan(share) else f"{100.0 * share:.1f}"
 
 
 def _interval(value: Estimate) -> str:
-    """The interval of a share, as per cent; nothing where there is none."""
+    """Write the interval of a share in per cent; nothing where there is none."""
     return "" if math.isnan(value.low) else f"[{100.0 * value.low:.0f}, {100.0 * value.high:.0f}]"
 
 
 def _difference(share: float) -> str:
-    """A difference of shares, with its sign."""
+    """Write a difference of shares, with its sign."""
     return "–" if math.isnan(share) else f"{100.0 * share:+.1f}".replace("-", "−")
 
 
@@ -84,7 +84,7 @@ def _seconds(value: float) -> str:
 
 
 def _body(table: Table, style: Style) -> list[list[str]]:
-    """The rows of a table as texts: label, columns, seconds."""
+    """Return the rows of a table as texts: label, columns, seconds."""
     ranks = {column.label: table.ranks(column) for column in table.columns}
     rows = []
     for n, row in enumerate(table.rows):
@@ -117,7 +117,9 @@ def _differences(table: Table, style: Style) -> list[list[str]]:
 
 def _errors(table: Table, style: Style) -> list[list[str]]:
     """Headings and rows of the means that are folded away, of the medians, and of what is marked ambiguous."""
-    labels = [error.label for error in ERRORS if not all(math.isnan(row.medians[error.label]) for row in table.rows)]
+    labels = [
+        error.label for error in error_columns() if not all(math.isnan(row.medians[error.label]) for row in table.rows)
+    ]
     rows = [["", *(f"{column.label}, %" for column in table.folded), *labels, "ambiguous", "of wrong poses"]]
     for row in table.rows:
         means = [row.values[column.label] for column in table.folded]
@@ -132,10 +134,10 @@ def _errors(table: Table, style: Style) -> list[list[str]]:
 
 
 def _findings(table: Table, style: Style) -> list[list[str]]:
-    """Headings and rows of how many results each check doubts (docs/checks.md)."""
-    rows = [["", "doubted", "right ones", "serious findings", "notes"]]
+    """Return headings and rows of the number of results that each check flags (docs/checks.md)."""
+    rows = [["", "flagged", "right ones", "serious findings", "notes"]]
     for row in table.rows:
-        known = any(not math.isnan(row.medians[error.label]) for error in ERRORS)
+        known = any(not math.isnan(row.medians[error.label]) for error in error_columns())
         right = str(row.flagged_right) if known else "–"
         named = [", ".join(f"{name} {count}" for name, count in of.items()) or "–" for of in (row.serious, row.noted)]
         rows.append([style.text(row.variant.label), f"{row.flagged} of {table.clips}", right, *named])
@@ -143,7 +145,7 @@ def _findings(table: Table, style: Style) -> list[list[str]]:
 
 
 def markdown(tables: Sequence[Table], title: str, about: Sequence[str], settings: Sequence[str]) -> str:
-    """A page: what was run, and means over all clips; settings, differences, medians and categories are folded away."""
+    """Write a page: the run, and means over all clips; settings, differences, medians and categories are folded."""
     lines = [f"# {title}", "", *(f"- {line}" for line in about), ""]
     for table in tables[:1]:
         lines += _means(table)
@@ -174,7 +176,7 @@ def _heading(table: Table) -> str:
 
 
 def latex(tables: Sequence[Table], title: str, about: Sequence[str]) -> str:
-    """The same tables for a paper (needs the package booktabs)."""
+    """Write the same tables for a paper (needs the package booktabs)."""
     lines = [f"% {title}", *(f"% {line}" for line in about)]
     for table in tables:
         headings = [LATEX.text(heading) for heading in _headings(table)]
@@ -196,7 +198,7 @@ def latex(tables: Sequence[Table], title: str, about: Sequence[str]) -> str:
 
 
 def csv_rows(tables: Sequence[Table]) -> list[list[object]]:
-    """The headings, and one line for each table, row and column, unrounded, shares from 0 to 1."""
+    """Return the headings, and one line for each table, row and column, unrounded, shares from 0 to 1."""
     numbers = ("mean", "low", "high", "clips")
     lines: list[list[object]] = [
         ["table", "row", "column", *numbers, "rank", "against", *(f"difference_{key}" for key in numbers)]
@@ -218,7 +220,7 @@ def _numbers(estimate: Estimate) -> list[float | int]:
 
 
 def clips_csv_rows(scores: Sequence[Scores], variants: Sequence[Variant]) -> list[list[object]]:
-    """The headings, and one line for each clip and variant: what it is, how it went, and every metric, unrounded."""
+    """Return the headings, and one line for each clip and variant with every metric, unrounded."""
     of = {variant.folder: variant for variant in variants}
     keys = list(dict.fromkeys(key for clip in scores for score in clip.scores for key in score.metrics))
     about = (
@@ -242,7 +244,7 @@ def clips_csv_rows(scores: Sequence[Scores], variants: Sequence[Variant]) -> lis
 
 
 def terminal(table: Table) -> RichTable:
-    """The table over all clips for a screen."""
+    """Make the table over all clips for a screen."""
     out = plain_table(title=_heading(table), title_justify="left")
     out.add_column("")
     for heading in _headings(table)[1:]:
@@ -253,7 +255,7 @@ def terminal(table: Table) -> RichTable:
 
 
 def as_json(tables: Sequence[Table], scores: Sequence[Scores]) -> dict[str, object]:
-    """Every number, unrounded: the tables' and each clip's."""
+    """Return every number, unrounded: the tables' and each clip's."""
     return {
         "level": LEVEL,
         "tables": [
@@ -270,7 +272,7 @@ def as_json(tables: Sequence[Table], scores: Sequence[Scores]) -> dict[str, obje
                         "wrong": row.wrong,
                         "wrong_ambiguous": row.wrong_ambiguous,
                         "serious": row.serious,
-                        "doubtful": row.flagged,
+                        "flagged": row.flagged,
                         "flagged_right": row.flagged_right,
                         "noted": row.noted,
                         "seconds": row.seconds,

@@ -26,7 +26,7 @@ HEADINGS = ("hands", "", "static", "between", "grasp", "grasp, ADD", "mugs, gras
 
 @dataclass(frozen=True)
 class TimelineBenchmark(Benchmark[TimelineScores]):
-    """Reconstruct every timeline every way."""
+    """A benchmark that reconstructs every timeline with every variant."""
 
     source: Timelines
     options: Options
@@ -42,7 +42,7 @@ class TimelineBenchmark(Benchmark[TimelineScores]):
         return f"{scores.name}: done again, since {scores.again}" if scores.again else ""
 
     def page(self, scores: Sequence[TimelineScores]) -> Page | None:
-        """Raises ``UsageError`` where no timeline has both a static segment and a stable grasp."""
+        """Make the page; raise ``UsageError`` where no timeline has both a static segment and a stable grasp."""
         done = [one for one in scores if not one.failure]
         whole = [one for one in done if one.by]
         if done and not whole:
@@ -73,7 +73,7 @@ class TimelineBenchmark(Benchmark[TimelineScores]):
 
 
 def _cells(scores: Sequence[TimelineScores], level: str, variant: str) -> list[str]:
-    """A row's numbers as text."""
+    """Return a row's numbers as text."""
     found: list[tuple[TimelineScores, dict[str, Any]]] = [(one, one.by[level][variant]) for one in scores]
     cells = [_share(found, kind, "right_sym") for kind in ("static", "between", "grasp")]
     cells.append(_share(found, "grasp", "right"))

@@ -17,7 +17,7 @@ from getagrip.metrics.symmetry import Symmetries
 
 CONTACT = ContactDefinition("object", 0.010)
 KINDS = {"static": "static", "contact": "between", "free": "between", "grasp": "grasp"}
-"""What tables call the states of segments."""
+"""Words for the states of segments in tables."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class SegmentScore:
 def segment_scores(
     clip: Clip, symmetries: Symmetries, T_cam_obj: Float[ndarray, "T 4 4"], T_cam_hand: Float[ndarray, "T 4 4"]
 ) -> list[SegmentScore]:
-    """Of each segment; contact is with the hand that was found. The clip's scale is known."""
+    """Score each segment; contact is with the hand of the result. The clip's scale is known."""
     assert clip.truth is not None
     out = []
     for segment in clip.segments:
@@ -61,7 +61,7 @@ def segment_scores(
 
 
 def jumps(clip: Clip, T_cam_obj: Float[ndarray, "T 4 4"]) -> Sequence[float]:
-    """How far the object moves from each segment to the next beyond its true motion [m]: the mean over vertices."""
+    """Measure the object's jump from each segment to the next beyond its true motion [m]: the mean over vertices."""
     assert clip.truth is not None
     out = []
     for one, other in zip(clip.segments, clip.segments[1:], strict=False):

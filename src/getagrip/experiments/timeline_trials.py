@@ -32,7 +32,7 @@ ALL = "all"
 
 @dataclass(frozen=True)
 class TimelineScores(ClipScores):
-    """What was found."""
+    """The scores of a timeline."""
 
     category: str = ""
     by: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -46,7 +46,7 @@ class TimelineTrial(Trial[TimelineScores]):
     """A timeline to reconstruct; a folder for each level, with a file for it, goes into ``results``."""
 
     levels: tuple[str, ...]
-    """Of ``LEVELS``."""
+    """Keys of ``LEVELS``."""
     options: Options
 
     def failed(self, why: str, trace: str = "") -> TimelineScores:
@@ -66,8 +66,8 @@ class TimelineTrial(Trial[TimelineScores]):
 
 
 def _found(trial: TimelineTrial, level: str) -> dict[str, Any]:
-    """The scores of every way at a level; of timelines that hold both a static segment and a grasp."""
-    from getagrip.timelines.variants import VARIANTS, reconstruct_with
+    """Return the scores of every variant at a level, for timelines with both a static segment and a grasp."""
+    from getagrip.timelines.baselines import VARIANTS, reconstruct_with
 
     tracked = read_clip(trial.sample.folder)
     input_masks = read_masks(tracked)

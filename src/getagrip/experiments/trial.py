@@ -1,4 +1,4 @@
-"""What every benchmark shares: a trial of each clip, in any process, and the page that their scores give."""
+"""The base of every benchmark: a trial of each clip, in any process, and the page of their scores."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ClipScores:
-    """What came of a clip; ``failure`` says why there are no scores."""
+    """The scores of a clip; ``failure`` says why there are none."""
 
     name: str
     failure: str = field(default="", kw_only=True)
@@ -51,12 +51,12 @@ class Trial(Generic[S]):
         raise NotImplementedError
 
     def failed(self, why: str, trace: str = "") -> S:
-        """The scores of a clip that could not be done."""
+        """Make the scores of a clip that could not be done."""
         raise NotImplementedError
 
 
 def run(trial: Trial[S]) -> S:
-    """The scores of a clip, which is made where it is not there yet. Raises nothing."""
+    """Score a clip, which is made where it is not there yet; failures are returned, not raised. Raises nothing."""
     sample = trial.sample
     try:
         if sample.make is not None and not sample.folder.exists():
@@ -68,31 +68,34 @@ def run(trial: Trial[S]) -> S:
 
 
 def lost(trial: Trial[S], why: str) -> S:
-    """The scores of a clip that no process could do."""
+    """Make the scores of a clip that no process could do."""
     return trial.failed(why)
 
 
 class Benchmark(Generic[S]):
-    """What is done with every clip, and how the scores are shown. Made before anything is read: calls are checked."""
+    """A benchmark: the trial of every clip, and the page of the scores.
+
+    Made before anything is read: calls are checked.
+    """
 
     def trials(self, samples: Sequence[Sample], results: Path, overwrite: bool) -> list[Trial[S]]:
-        """A trial for each clip."""
+        """Make a trial for each clip."""
         raise NotImplementedError
 
     def page(self, scores: Sequence[S]) -> Page | None:
-        """What is shown of the scores of all clips, by name; nothing where there are none."""
+        """Make the page of all clips' scores; None where there are none."""
         raise NotImplementedError
 
     def failures(self, scores: S) -> list[Outcome]:
-        """What failed of a clip."""
+        """Return the failures of a clip."""
         return [Outcome(scores.name, "failed", scores.failure, scores.trace)] if scores.failure else []
 
     def line(self, scores: S) -> str:
-        """What was done with a clip, in words; nothing where that needs no words."""
+        """Describe the trial of a clip in words; empty where that needs none."""
         return ""
 
     def entry(self, scores: S) -> Entry:
-        """What the ledger is to say of a clip."""
+        """Make the ledger's entry of a clip."""
         return Entry("", "failed" if scores.failure else "done", scores.failure)
 
 
@@ -106,11 +109,11 @@ class Page:
     texts: Mapping[str, str]
     """By the end of a file's name, as ".md"."""
     rows: Mapping[str, Sequence[Sequence[object]]]
-    """Of CSV, the heading first, unrounded; by the end of a file's name."""
+    """Rows of CSV files, the heading first, unrounded; by the end of a file's name."""
     content: Json
     """Every number, for --json."""
     plotted: tuple[ComparisonTable, str] | None = None
-    """What a plot shows, and its title."""
+    """Table of a plot, and its title."""
 
     def write(self, out: Path, json: Path | None) -> list[Path]:
         """Show it, and write its files into a folder, and ``json``; returns them."""

@@ -17,8 +17,8 @@ from getagrip.batch.job import failure
 from getagrip.batch.kept import good_result, made_by
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
 from getagrip.errors import InputError
-from getagrip.evaluation.metric import SCA
-from getagrip.experiments.changes import AS_GIVEN
+from getagrip.evaluation.metric import METRICS, SCA
+from getagrip.experiments.changes import UNCHANGED
 from getagrip.experiments.other_systems import options_of, result_of
 from getagrip.experiments.trial import ClipScores, Trial
 from getagrip.experiments.variants import Variant
@@ -67,7 +67,7 @@ class GraspTrial(Trial["Scores"]):
 
 @dataclass(frozen=True)
 class Score:
-    """What a variant made of a clip."""
+    """The score of a variant on a clip."""
 
     variant: str
     """The variant's folder."""
@@ -91,20 +91,20 @@ class Score:
 
 @dataclass(frozen=True)
 class Scores(ClipScores):
-    """What all variants made of a clip."""
+    """The scores of all variants on a clip."""
 
     category: str = ""
     subject: str = ""
     """Who holds the object; empty where unknown."""
     has_truth: bool = False
-    """Whether the clip has ground truth."""
+    """True if the clip has ground truth."""
     scores: tuple[Score, ...] = ()
     made: int = 0
     """How many results are new."""
 
 
 def _made(trial: GraspTrial, clip: Clip, variants: list[Variant], checksum: str) -> dict[str, Score]:
-    """The scores of variants without a result yet; masks are read once, and each change of the clip is made once."""
+    """Score the variants without a result yet; masks are read once, and each change of the clip is made once."""
     masks, scores = read_masks(clip), dict[str, Score]()
 
     def change(variant: Variant) -> str:
@@ -127,7 +127,7 @@ def _try(trial: GraspTrial, variant: Variant, changed: tuple[Clip, Masks], masks
     raised.
     """
     from getagrip.evaluation import evaluate
-    from getagrip.fitting.reconstruct import reconstruct
+    from getagrip.timelines.reconstruct import reconstruct
 
     clip, place = changed[0], _place(trial, variant)
     try:
@@ -137,7 +137,7 @@ def _try(trial: GraspTrial, variant: Variant, changed: tuple[Clip, Masks], masks
         elif variant.system is not None:
             result = replace(result_of(variant, *changed), options=options_of(variant, clip.name))
         else:
-            result = reconstruct(*changed, variant.options)
+            result = reconstruct(replace(clip, segments=()), changed[1], variant.options)
         metrics = evaluate(result, clip, masks, trial.contacts).metrics
         write_result(result, place, checksum, metrics, clip.folder, overwrite=True, made_by=_made_by(variant))
     except Exception as error:
@@ -148,13 +148,13 @@ def _try(trial: GraspTrial, variant: Variant, changed: tuple[Clip, Masks], masks
 
 
 def _measured(record: Json, contacts: Sequence[ContactDefinition]) -> bool:
-    """Whether a result was evaluated by this code, by all these definitions; else only that is done again."""
-    by_this = record["software"].get("evaluation") == code.fingerprint(EVALUATION)
+    """Return whether a result was evaluated by this code, by all these definitions; else only that is done again."""
+    by_this = record["software"].get("evaluation") == _evaluation()
     return by_this and all(SCA.key(contact) in record["metrics"] for contact in contacts)
 
 
 def _score(variant: Variant, place: Path, record: Json) -> Score:
-    """The score that a result's record holds."""
+    """Read the score in a result's record."""
     metrics = {key: np.nan if value is None else float(value) for key, value in record["metrics"].items()}
     of_all = (record["seconds"]["total"], record["energy"]["total"])
     seconds, energy = (np.nan if value is None else float(value) for value in of_all)
@@ -170,13 +170,13 @@ def _score(variant: Variant, place: Path, record: Json) -> Score:
 
 
 def _place(trial: GraspTrial, variant: Variant) -> Path:
-    """The folder of a variant's result."""
+    """Return the folder of a variant's result."""
     return trial.results / variant.folder / trial.sample.name
 
 
 def _checksum(checksum: str, variant: Variant, clip: str) -> str:
-    """The checksum of the clip as the variant has it: ``evaluate`` must not take a changed one for the folder's."""
-    if variant.change == AS_GIVEN:
+    """Return the checksum of the clip as the variant changes it: ``evaluate`` must not take it for the folder's."""
+    if variant.change == UNCHANGED:
         return checksum
     changed = f"{checksum} {variant.change} {variant.options.seed}"
     if inputs := variant.change.inputs(clip):
@@ -187,15 +187,23 @@ def _checksum(checksum: str, variant: Variant, clip: str) -> str:
 def _good(
     trial: GraspTrial, variant: Variant, clip: str, checksum: str
 ) -> tuple[tuple[Reconstruction, Json] | None, str]:
-    """A variant's result that is there, as ``good_result``; ``checksum`` is that of the clip as the variant has it."""
+    """Return a variant's existing result, as ``good_result``.
+
+    ``checksum`` is that of the clip as the variant has it.
+    """
     options, place = options_of(variant, clip), _place(trial, variant)
     return good_result(place, checksum, variant.method, options, _made_by(variant), trial.overwrite)
 
 
 def _made_by(variant: Variant) -> dict[str, str]:
-    """The software that makes a variant's result, and the code of ``evaluation`` that measures it."""
-    also = () if variant.change == AS_GIVEN else CHANGES
+    """Return the software that makes a variant's result, and the code of ``evaluation`` that measures it."""
+    also = () if variant.change == UNCHANGED else CHANGES
     if variant.system is not None:
         also += SYSTEMS
     made = made_by(variant.method, *also) if variant.system is None else software(*also)
-    return made | {"evaluation": code.fingerprint(EVALUATION)}
+    return made | {"evaluation": _evaluation()}
+
+
+def _evaluation() -> str:
+    """Return the checksum of ``evaluation``, and of other packages' metrics."""
+    return " with ".join([code.fingerprint(EVALUATION), *METRICS.made_of()])

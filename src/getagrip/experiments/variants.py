@@ -1,4 +1,4 @@
-"""What is run on every clip, by which options, and in which folder its results go: each method in each setting."""
+"""The variants that run on every clip, each method in each setting, with their options and folders."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from getagrip.evaluation.other_poses import OtherSystem
-from getagrip.experiments.changes import AS_GIVEN, Change
+from getagrip.experiments.changes import UNCHANGED, Change
 from getagrip.experiments.settings import ABLATIONS, COMPARED, CONTACTS, REFERENCE, Ablation
 from getagrip.fitting.options import Options
 from getagrip.metrics.contact import ContactDefinition
@@ -26,7 +26,7 @@ class Variant:
     against: str
     """Label of the variant that this one is compared with."""
     group: str
-    """What a plot draws as one line: the method."""
+    """Name of the line in a plot: the method."""
     step: str
     """The place on the plot's axis."""
     system: OtherSystem | None = None
@@ -41,9 +41,9 @@ class Variant:
 def method_variants(
     methods: Sequence[str], base: Options, contacts: Sequence[ContactDefinition] = CONTACTS
 ) -> list[Variant]:
-    """Each method as it is, by each definition of contact; all but the slow ones where none is named."""
+    """Make a variant of each method, by each definition of contact; all but the slow ones where none is named."""
     named: Sequence[str] = methods or COMPARED
-    plain = [Variant(m, m, replace(base, method=m), AS_GIVEN, contacts[0], REFERENCE, m, m) for m in named]
+    plain = [Variant(m, m, replace(base, method=m), UNCHANGED, contacts[0], REFERENCE, m, m) for m in named]
     return by_contact(plain, contacts)
 
 
@@ -54,7 +54,7 @@ def ablation_variants(
     contacts: Sequence[ContactDefinition] = CONTACTS,
     ablation: Ablation | None = None,
 ) -> list[Variant]:
-    """Each method in each setting of an ablation, by default that of the name in ``ABLATIONS``.
+    """Make a variant of each method in each setting of an ablation, by default that of the name in ``ABLATIONS``.
 
     They are measured by each definition of contact, unless the ablation is about these. A setting that changes nothing
     shares the method's own results.
@@ -64,7 +64,7 @@ def ablation_variants(
         usual = replace(base, method=method)
         for setting in ablation.settings:
             options = replace(usual, **setting.options)
-            same = options == usual and setting.change == AS_GIVEN
+            same = options == usual and setting.change == UNCHANGED
             folder = method if same else f"{method}+{name}-{_slug(setting.label)}"
             against = f"{REFERENCE}, {setting.label}" if ablation.usual is None else f"{method}, {ablation.usual}"
             label, contact = f"{method}, {setting.label}", setting.contact or contacts[0]
@@ -74,7 +74,7 @@ def ablation_variants(
 
 
 def by_contact(variants: Sequence[Variant], contacts: Sequence[ContactDefinition]) -> list[Variant]:
-    """The same variants by each definition of contact, which their labels name where there are several."""
+    """Return the variants by each definition of contact, which their labels name where there are several."""
     if len(contacts) == 1:
         return [replace(variant, contact=contacts[0]) for variant in variants]
     return [
@@ -91,5 +91,5 @@ def by_contact(variants: Sequence[Variant], contacts: Sequence[ContactDefinition
 
 
 def _slug(label: str) -> str:
-    """A label as part of a folder's name."""
+    """Turn a label into a part of a folder's name."""
     return re.sub(r"[^a-z0-9.]+", "-", label.lower().replace("°", " deg")).strip("-")

@@ -1,4 +1,4 @@
-"""Masks that are wrong in some frames, as those of a video segmenter that loses its object: do they spoil the result?
+"""Masks that are wrong in some frames, as those of a video segmenter that loses its object.
 
 ``changes.WrongMasks`` makes them. Sizes are in that of the mask: the root of its area.
 """
@@ -14,11 +14,11 @@ from numpy import ndarray
 Fault = Callable[[Bool[ndarray, "H W"], Float[ndarray, "2"]], Bool[ndarray, "H W"]]
 """From a mask that is not empty, and a direction (x, y) in the image, to a wrong one."""
 AWAY, BESIDE, RADIUS = 1.2, 0.6, 0.6
-"""How far another object is away; how far from the mask's middle, and how large, the disc is by which one runs over."""
+"""Distance of another object; distance from the mask's middle, and radius, of the disc by which a mask runs over."""
 
 
 def another_object(mask: Bool[ndarray, "H W"], towards: Float[ndarray, "2"]) -> Bool[ndarray, "H W"]:
-    """Something of the same shape beside the object."""
+    """Return a mask of the same shape beside the object."""
     rows, columns = np.nonzero(mask)
     dx, dy = np.rint(AWAY * np.sqrt(len(rows)) * towards).astype(int)
     rows, columns = rows + dy, columns + dx
@@ -29,13 +29,13 @@ def another_object(mask: Bool[ndarray, "H W"], towards: Float[ndarray, "2"]) -> 
 
 
 def half(mask: Bool[ndarray, "H W"], towards: Float[ndarray, "2"]) -> Bool[ndarray, "H W"]:
-    """One side of the object."""
+    """Return one side of the object."""
     dx, dy = _from_middle(mask)
     return mask & (dx * towards[0] + dy * towards[1] < 0.0)
 
 
 def over(mask: Bool[ndarray, "H W"], towards: Float[ndarray, "2"]) -> Bool[ndarray, "H W"]:
-    """The object, and a disc that its mask runs over."""
+    """Return the object with a disc that its mask runs over."""
     dx, dy = _from_middle(mask)
     size = np.sqrt(np.count_nonzero(mask))
     return mask | (np.hypot(dx - BESIDE * size * towards[0], dy - BESIDE * size * towards[1]) < RADIUS * size)

@@ -21,7 +21,7 @@ ENDS = tuple((0 if n % 4 == 1 else n - 1, n) for n in range(1, 21))
 NEAR = 0.25
 """Share of a bone's vertices that are nearer than its radius."""
 THINNEST = 0.003
-"""Of a bone's radius [m], whatever the mesh."""
+"""Least radius of a bone [m], whatever the mesh."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Bones:
 
     @staticmethod
     def of(scene: Scene) -> Bones | None:
-        """Of the scene's hand; None where its joints are not known."""
+        """Return the bones of the scene's hand; None where its joints are not known."""
         if scene.joints is None:
             return None
         begin, end = (scene.joints[:, [pair[k] for pair in ENDS]] for k in (0, 1))
@@ -54,9 +54,9 @@ class Bones:
 
 
 def _radius(scene: Scene, begin: Float[ndarray, "20 3"], end: Float[ndarray, "20 3"]) -> Float[ndarray, "20"]:
-    """How far the surface is from each bone, where it is near, of the vertices that no other bone is nearer to.
+    """Compute each bone's distance to the surface near it, over the vertices that no other bone is nearer to.
 
-    In the first frame; a capsule as thick as the palm would reach into what is held.
+    In the first frame; a capsule as thick as the palm would reach into the object.
     """
     points, along = scene.hand_vertices[0], end - begin
     share = np.sum((points[:, None] - begin) * along, axis=-1) / np.maximum(np.sum(along**2, axis=-1), 1e-12)

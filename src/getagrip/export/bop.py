@@ -4,8 +4,8 @@ As in the BOP toolkit: ``R`` row by row and ``t`` [mm] bring the model into the 
 forward); ``time`` is the same for all poses of an image, -1 where it was not measured per image. File names are
 ``METHOD_DATASET-SPLIT.csv``: the toolkit parts them at underscores and hyphens.
 
-Clips of HOT3D have its names: the dataset ``hot3d``, the split's type the headset (``aria``, ``quest3``), and files of
-the headset's camera in BOP's evaluation, such as ``scene_gt_rgb.json``.
+Clips of BOP's own datasets, such as HOT3D, have its names, which their provenance says: the dataset ``hot3d``, the
+split's type the headset (``aria``, ``quest3``), and files of the camera, such as ``scene_gt_rgb.json``.
 """
 
 from __future__ import annotations
@@ -31,20 +31,12 @@ SCENE, OBJECT = 1, 1
 
 @dataclass(frozen=True)
 class Naming:
-    """What the files are called."""
+    """Names of the files."""
 
     dataset: str
     split: str = "test"
     camera: str = ""
-    """Of the scene's files, with an underscore before it."""
-
-
-CAMERAS = {
-    "Aria, camera-rgb": Naming("hot3d", "test-aria", "_rgb"),
-    "Aria, camera-slam-left": Naming("hot3d", "test-aria", "_gray1"),
-    "Quest 3,": Naming("hot3d", "test-quest3", "_gray1"),
-}
-"""By the beginning of what HOT3D's importer says of the camera."""
+    """Name of the camera in the scene's files, with an underscore before it."""
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
@@ -82,23 +74,21 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
 
 
 def naming_of(scene: Scene) -> Naming:
-    """What the files of a scene are called: as in BOP's own dataset where the clip is of one."""
-    if scene.source.startswith("HOT3D"):
-        found = next((naming for camera, naming in CAMERAS.items() if scene.camera.startswith(camera)), None)
-        if found is not None:
-            return found
+    """Name the files of a scene as BOP's own dataset does, where the clip is of one."""
+    if {"dataset", "split", "camera"} <= scene.bop.keys():
+        return Naming(scene.bop["dataset"], scene.bop["split"], f"_{scene.bop['camera']}")
     return Naming("".join(filter(str.isalnum, word(scene.name))) or "clip")
 
 
 def image_ids(frames: tuple[str, ...]) -> list[int]:
-    """BOP's image ids: the frames' names where all are whole numbers, else their places."""
+    """Return BOP's image ids: the frames' names where all are whole numbers, else their places."""
     if all(name.isascii() and name.isdigit() for name in frames) and len({int(name) for name in frames}) == len(frames):
         return [int(name) for name in frames]
     return list(range(len(frames)))
 
 
 def _camera(scene: Scene, n: int) -> dict[str, object]:
-    """The camera of one image."""
+    """Describe the camera of one image."""
     out: dict[str, object] = {"cam_K": scene.K[n].ravel(), "depth_scale": 1.0}
     if scene.world is not None:
         T_cam_world = se3.inverse(scene.world.T_world_cam[n])
@@ -109,7 +99,7 @@ def _camera(scene: Scene, n: int) -> dict[str, object]:
 def _results(
     images: list[int], R: Float[ndarray, "T 3 3"], t: Float[ndarray, "T 3"], score: Float[ndarray, "T"]
 ) -> str:
-    """The results' text."""
+    """Write the text of the results."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["scene_id", "im_id", "obj_id", "score", "R", "t", "time"])

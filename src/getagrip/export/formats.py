@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from getagrip.errors import UsageError
+from getagrip.errors import unknown
 from getagrip.export import (
     arrays_npz,
     bop,
@@ -20,11 +20,12 @@ from getagrip.export import (
 )
 from getagrip.export.scene import Scene
 from getagrip.io import files
+from getagrip.io.plugins import Table
 
 Write = Callable[[Scene, Path], dict[str, str]]
 """Writes a scene's files into an empty folder; returns what each file holds, with units and axes."""
 
-FORMATS: dict[str, Write] = {
+_FORMATS: dict[str, Write] = {
     "csv": poses_csv.write,
     "npz": arrays_npz.write,
     "obj": obj_sequence.write,
@@ -36,6 +37,7 @@ FORMATS: dict[str, Write] = {
     "spider": spider.write,
     "dex-retargeting": dex_retargeting.write,
 }
+FORMATS = Table("exports", _FORMATS, "a function write(scene, folder)", lambda _, it: callable(it))
 ABOUT = "about.json"
 
 
@@ -45,9 +47,9 @@ def export(scene: Scene, folder: str | Path, to: str, overwrite: bool = False) -
     Raises ``UsageError`` for an unknown format, or where the folder exists and may not be replaced.
     """
     if to not in FORMATS:
-        raise UsageError(f"unknown --to {to!r}; choose from {', '.join(FORMATS)}")
-    folder = Path(folder)
+        raise unknown("--to", to, FORMATS)
+    folder, write = Path(folder), FORMATS[to]
     with files.new_folder(folder, (ABOUT,) if overwrite else ()) as new:
-        about = scene.about(FORMATS[to](scene, new))
+        about = scene.about(write(scene, new))
         files.write_json(new / ABOUT, {"format": to} | about)
     return folder

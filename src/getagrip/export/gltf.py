@@ -67,7 +67,7 @@ def _bending(hand: MovingHand) -> Float[ndarray, "S V 3"]:
 
 
 def _extras(scene: Scene) -> dict[str, object]:
-    """What glTF has no place for: the frames, their times and kinds, the notes."""
+    """Return the fields that glTF has no place for: frames, their times and kinds, notes."""
     return {
         "units": "metres",
         "frames": list(scene.frames),
@@ -90,7 +90,7 @@ def _mesh(
     material: int,
     moved: Float[ndarray, "S V 3"] | None = None,
 ) -> pygltflib.Mesh:
-    """A mesh; ``moved`` are the displacements of its morph targets."""
+    """Make a mesh; ``moved`` are the displacements of its morph targets."""
     from pygltflib import Attributes, Mesh, Primitive
 
     value = Attributes(
@@ -134,7 +134,7 @@ class _Buffers:
         self._size = 0
 
     def add(self, values: Shaped[ndarray, "..."], bounds: bool = False, corners: bool = False) -> int:
-        """The number of the accessor of an array of float32, or of uint32 (``corners``)."""
+        """Add an array of float32, or of uint32 (``corners``), and return the number of its accessor."""
         import pygltflib as gltf
 
         content = np.ascontiguousarray(values).tobytes()

@@ -40,7 +40,7 @@ POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 STATE = [*(f"wrist_{name}" for name in POSE), *(f"{joint}_{axis}" for joint in JOINTS for axis in "xyz")]
 QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
 MOST_PIXELS = 200_000
-"""Of an image that are looked at, as many as a small one has."""
+"""Most pixels of an image that statistics use: as many as a small image has."""
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
@@ -92,7 +92,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
 
 
 def rate(scene: Scene) -> int:
-    """Frames per second as a whole number: of the median step between frames."""
+    """Return the frames per second as a whole number: of the median step between frames."""
     step = float(np.median(np.diff(scene.time))) if len(scene.frames) > 1 else 1.0 / scene.fps
     return int(np.clip(round(1.0 / step), 1, 1000))
 
@@ -106,7 +106,7 @@ class Pictures:
 
     @staticmethod
     def of(scene: Scene) -> Pictures | None:
-        """Of a scene; None where a frame has none."""
+        """Read the pictures of a scene; None where a frame has none."""
         paths = [path for path in scene.image_files if path is not None]
         return Pictures(paths, scene.size) if paths and len(paths) == len(scene.frames) else None
 
@@ -116,7 +116,7 @@ class Pictures:
             yield read_image(path, self.value)[:height, :width]
 
     def feature(self, fps: int) -> dict[str, object]:
-        """How LeRobot describes the video."""
+        """Describe the video as LeRobot does."""
         width, height = self.size
         about = {"height": height, "width": width, "codec": "h264", "pix_fmt": "yuv420p", "is_depth_map": False}
         info = {f"video.{key}": value for key, value in {**about, "fps": fps, "channels": 3}.items()}
@@ -150,7 +150,7 @@ def _columns(scene: Scene, stage: Stage) -> dict[str, Shaped[ndarray, "T ..."]]:
 
 
 def _names(name: str) -> list[str] | None:
-    """What the numbers of a feature are."""
+    """Return the names of a feature's numbers."""
     of = {"observation.state": STATE, "action": STATE, "observation.environment_state": [f"object_{p}" for p in POSE]}
     return of.get(name)
 
@@ -209,7 +209,7 @@ def _plain(value: object) -> object:
 
 
 def statistics(values: Shaped[ndarray, "T ..."]) -> dict[str, Shaped[ndarray, "..."]]:
-    """Of numbers over all frames, a number for each entry."""
+    """Compute statistics of numbers over all frames, a number for each entry."""
     rows = values.reshape(len(values), -1).astype(float)
     low, high, mean, std = rows.min(axis=0), rows.max(axis=0), rows.mean(axis=0), rows.std(axis=0)
     quantiles = {f"q{round(100 * q):02d}": np.quantile(rows, q, axis=0) for q in QUANTILES}
@@ -217,7 +217,7 @@ def statistics(values: Shaped[ndarray, "T ..."]) -> dict[str, Shaped[ndarray, ".
 
 
 def image_stats(images: Iterable[UInt8[ndarray, "H W 3"]]) -> dict[str, Shaped[ndarray, "..."]]:
-    """Of the three channels over all images, from 0 to 1, as arrays (3, 1, 1)."""
+    """Compute statistics of the three channels over all images, from 0 to 1, as arrays (3, 1, 1)."""
     histogram, count = np.zeros((3, 256)), 0
     for image in images:
         step = max(1, int(np.sqrt(image.shape[0] * image.shape[1] / MOST_PIXELS)))

@@ -27,9 +27,9 @@ from getagrip.io import extras, files
 FILE = "scene.xml"
 MOST_PIECES = 32
 VOXELS = 100_000
-"""Of the convex decomposition."""
+"""Number of voxels of the convex decomposition."""
 DENSITY = 1000.0
-"""Of the object [kg/m^3]: a guess, that of water and of most plastics."""
+"""Density of the object [kg/m^3], assumed: that of water and of most plastics."""
 OBJECT_BITS, HAND_BITS = {"contype": "1", "conaffinity": "2"}, {"contype": "2", "conaffinity": "1"}
 """The object touches the hand; bones do not touch each other."""
 FOLLOW = {"solref": "0.01 1", "solimp": "0.98 0.99 0.001"}
@@ -89,7 +89,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
 
 
 def convex_pieces(mesh: Mesh) -> list[Mesh]:
-    """Convex pieces that make up a mesh (V-HACD), by its hull where it has no inside. Raises ``UsageError``."""
+    """Split a mesh into convex pieces (V-HACD), or return its hull where it has no inside. Raises ``UsageError``."""
     faces = np.column_stack([np.full(len(mesh.faces), 3), mesh.faces]).astype(np.uint32).ravel()
     found = extras.load("vhacdx", "mujoco").compute_vhacd(
         mesh.vertices, faces, maxConvexHulls=MOST_PIECES, resolution=VOXELS, asyncACD=False
@@ -134,7 +134,7 @@ def _hand(
 def _keys(
     root: Xml.Element, scene: Scene, T_stage_obj: Float[ndarray, "T 4 4"], moved: dict[str, Float[ndarray, "T 4 4"]]
 ) -> None:
-    """A key per frame: its time since the first frame, the object's position, and where the mocap bodies are."""
+    """Add a key per frame: its time, the object's position, and the positions of the mocap bodies."""
     keyframe = _add(root, "keyframe")
     places = np.stack([T[:, :3, 3] for T in moved.values()], axis=1)
     turns = np.stack([se3.quaternions_in_time(T[:, :3, :3]) for T in moved.values()], axis=1)

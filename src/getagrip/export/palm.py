@@ -18,16 +18,17 @@ TIPS = (4, 8, 12, 16, 20)
 
 
 def joints_on_stage(scene: Scene, stage: Stage, to: str) -> Float[ndarray, "T 21 3"]:
-    """The joints, z up [m]. Raises ``UsageError``, in the name of a format, where they are not known."""
+    """Return the joints, z up [m]. Raises ``UsageError``, in the name of a format, where they are not known."""
     if scene.joints is None:
         raise UsageError(f"missing joints in hand.npz of the clip {scene.name}: --to {to} needs 21")
     return se3.transform(stage.poses(scene)[1], scene.joints)
 
 
 def palm(joints: Float[ndarray, "T 21 3"], side: str, across: int) -> Float[ndarray, "T 3 3"]:
-    """The palm's orientation: z from the wrist to the middle knuckle, y of a right hand to the index finger's side.
+    """Return the palm's orientation.
 
-    ``across`` is the knuckle from which the index knuckle is seen. A left hand's x and y are turned round.
+    z points from the wrist to the middle knuckle, y of a right hand to the index finger's side. ``across`` is the
+    knuckle from which the index knuckle is seen. A left hand's x and y are turned round.
     """
     z = _unit(joints[:, MIDDLE] - joints[:, WRIST])
     x = _unit(np.cross(joints[:, INDEX] - joints[:, across], z))
@@ -37,13 +38,16 @@ def palm(joints: Float[ndarray, "T 21 3"], side: str, across: int) -> Float[ndar
 
 
 def pose7(T: Float[ndarray, "T 4 4"], last: str) -> Float[ndarray, "T 7"]:
-    """Positions [m] and quaternions: first the position, then (w, x, y, z); or (x, y, z, w), then the position."""
+    """Return positions [m] and quaternions: first the position, then (w, x, y, z).
+
+    Or (x, y, z, w), then the position.
+    """
     q, t = se3.quaternions_in_time(T[:, :3, :3]), T[:, :3, 3]
     return np.concatenate([t, q] if last == "wxyz" else [np.roll(q, -1, axis=1), t], axis=1)
 
 
 def besides(scene: Scene) -> dict[str, ndarray]:
-    """Arrays that the programs pass over: all poses, times and how each frame's pose was found."""
+    """Return the arrays that the programs pass over: all poses, times and the kinds of the frames' poses."""
     return {
         **scene.poses,
         "time_s": scene.time,

@@ -45,7 +45,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
 
 
 def _joints(scene: Scene, joints: Float[ndarray, "T 21 3"], known: Bool[ndarray, "T"]) -> str:
-    """The joints' table, of the frames in which they are known."""
+    """Write the joints' table, of the frames in which they are known."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["frame", "time_s", *(f"joint{k:02d}_{axis}_m" for k in range(joints.shape[1]) for axis in "xyz")])

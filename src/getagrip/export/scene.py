@@ -1,10 +1,10 @@
-"""What is exported: a result with its clip, as poses in time."""
+"""The scene to export: a result with its clip, as poses in time."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,7 +26,7 @@ class MovingHand(NamedTuple):
     """A hand in T frames; arrays as in ``Scene``."""
 
     name: str
-    """Of its node, its arrays and its files."""
+    """Name of its node, its arrays and its files."""
     T_cam_hand: Float[ndarray, "T 4 4"]
     vertices: Float[ndarray, "T V 3"]
     faces: Int[ndarray, "F 3"]
@@ -71,8 +71,8 @@ class Scene:
         angle: (T,) angle about the latent axis [rad]; None for methods without one.
         notes: the result's notes: guesses among them.
         world: where the camera was; None where the clip does not say so.
-        source: what the clip was made from, as its provenance says.
-        camera: likewise, what its camera is.
+        bop: what the BOP benchmark calls the clip's ``dataset``, ``split`` and ``camera``, as the clip's provenance
+            says; empty where it is of none of BOP's.
         image_files: (T,) files of the images; None where a frame has none.
         other_hand: of a timeline, the hand of the other side, in the frames in which it is known.
     """
@@ -98,14 +98,16 @@ class Scene:
     angle: Float[ndarray, "T"] | None
     notes: tuple[str, ...]
     world: World | None = None
-    source: str = ""
-    camera: str = ""
+    bop: Mapping[str, str] = field(default_factory=dict)
     image_files: tuple[Path | None, ...] = ()
     other_hand: OtherHand | None = None
 
     @staticmethod
     def of(result: Reconstruction, clip: Clip) -> Scene:
-        """Of a result and the clip that it was made from. Raises ``InputError`` where the frames are not the clip's."""
+        """Make the scene of a result and the clip that it was made from.
+
+        Raises ``InputError`` where the frames are not the clip's.
+        """
         index = clip.index_of(result.frames)
         some = clip.take(index).warped(result.warp).with_hand_at(result.T_cam_hand, result.T_cam_other_hand)
         return Scene(
@@ -130,8 +132,7 @@ class Scene:
             angle=None if result.axis is None else result.axis.angle,
             notes=result.notes,
             world=some.world,
-            source=str(clip.provenance.get("source", "")),
-            camera=str(clip.provenance.get("camera", "")),
+            bop=_names(clip.provenance.get("bop")),
             image_files=tuple(some.image_file(n) for n in range(len(some))),
             other_hand=some.other_hand,
         )
@@ -182,7 +183,7 @@ class Scene:
         return self.hand.in_camera
 
     def about(self, written: dict[str, str]) -> files.Json:
-        """What goes beside the files of any format, as ``about.json``."""
+        """Return the content of ``about.json``, which goes beside the files of any format."""
         return {
             "clip": self.name,
             "method": self.method,
@@ -204,17 +205,23 @@ class Scene:
 
 
 def _about_hand(hand: MovingHand) -> dict[str, object]:
-    """Where a hand is, and in which frames that is known."""
+    """Describe a hand's pose, and the frames in which it is known."""
     return {"known": hand.known, "T_cam_hand": hand.T_cam_hand, "joints_cam": hand.joints_in_camera}
 
 
 def word(text: str) -> str:
-    """A text as a part of a file name or an identifier of any program: letters, digits, points and hyphens."""
+    """Turn a text into a part of a file name or an identifier of any program: letters, digits, points and hyphens."""
     return re.sub(r"[^A-Za-z0-9.-]+", "-", text).strip("-.")[:80] or "clip"
 
 
 def file_names(frames: Sequence[str]) -> list[str]:
-    """The frames' names as those of files: as they are where all can be, else their places."""
+    """Return file names of the frames: their own names where all can be, else their places."""
     if all(map(files.is_plain_name, frames)):
         return list(frames)
     return [f"{n:06d}" for n in range(len(frames))]
+
+
+def _names(entry: object) -> dict[str, str]:
+    """Names of a clip's provenance as they can be in those of files; nothing of what are none."""
+    named = entry.items() if isinstance(entry, dict) else ()
+    return {str(key): word(value) for key, value in named if isinstance(value, str)}

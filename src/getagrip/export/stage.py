@@ -1,4 +1,4 @@
-"""Where simulators and robots want things: in a frame that stands still, in metres, z up."""
+"""The stage: a frame that stands still, in metres, z up, as simulators and robots need."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ class Stage:
 
     @staticmethod
     def of(scene: Scene) -> Stage:
-        """The world frame turned z up. Without a world the camera is taken to stand still, without up to be level."""
+        """Make the stage: the world frame turned z up.
+
+        Without a world the camera is taken to stand still, without up to be level.
+        """
         up = None if scene.world is None else scene.world.up
         if scene.world is None:
             T = np.tile(np.eye(4), (len(scene.frames), 1, 1))
@@ -45,5 +48,5 @@ class Stage:
         return Stage(np.asarray(turn @ T), f"{words}, turned z up; metres")
 
     def poses(self, scene: Scene) -> tuple[Float[ndarray, "T 4 4"], Float[ndarray, "T 4 4"]]:
-        """(T, 4, 4) poses of the object and of the hand on the stage."""
+        """Return the (T, 4, 4) poses of the object and of the hand on the stage."""
         return np.asarray(self.T_stage_cam @ scene.T_cam_obj), np.asarray(self.T_stage_cam @ scene.T_cam_hand)

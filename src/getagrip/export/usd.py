@@ -67,7 +67,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
 
 
 def _describe(root: Usd.Prim, scene: Scene, on_stage: Stage, codes: list[float]) -> None:
-    """What USD has no place for: notes; in time, the frames' names, how their poses were found, and all poses."""
+    """Write what USD has no place for: notes; in time, the frames' names, the kinds of their poses, and all poses."""
     Sdf = extras.load("pxr.Sdf", "usd")
     notes = {"clip": scene.name, "method": scene.method, "frame": on_stage.words, "notes": "\n".join(scene.notes)}
     root.SetCustomData({"getagrip": {key: text.replace("\0", " ") for key, text in notes.items()}})
@@ -85,7 +85,7 @@ def _describe(root: Usd.Prim, scene: Scene, on_stage: Stage, codes: list[float])
 
 
 def _moving(stage: Usd.Stage, path: str, T: Float[ndarray, "T 4 4"], codes: list[float]) -> None:
-    """A node whose transform is sampled in time."""
+    """Add a node whose transform is sampled in time."""
     UsdGeom = extras.load("pxr.UsdGeom", "usd")
     op = UsdGeom.Xform.Define(stage, path).AddTransformOp()
     for code, matrix in zip(codes, T, strict=True):
@@ -93,7 +93,7 @@ def _moving(stage: Usd.Stage, path: str, T: Float[ndarray, "T 4 4"], codes: list
 
 
 def _hand(stage: Usd.Stage, hand: MovingHand, T_stage_hand: Float[ndarray, "T 4 4"], codes: list[float]) -> None:
-    """A hand's transform, mesh and joints; invisible while it is not known."""
+    """Add a hand's transform, mesh and joints; invisible while it is not known."""
     UsdGeom = extras.load("pxr.UsdGeom", "usd")
     path = f"/clip/{hand.name}"
     _moving(stage, path, T_stage_hand, codes)
@@ -118,7 +118,7 @@ def _mesh(
     vertices: Float[ndarray, "T V 3"],
     codes: Sequence[float | Usd.TimeCode],
 ) -> None:
-    """A mesh of triangles, its points at some times."""
+    """Add a mesh of triangles, its points at some times."""
     UsdGeom, Vt = extras.load("pxr.UsdGeom", "usd"), extras.load("pxr.Vt", "usd")
     mesh = UsdGeom.Mesh.Define(stage, path)
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
@@ -131,7 +131,7 @@ def _mesh(
 
 
 def _camera(stage: Usd.Stage, scene: Scene, on_stage: Stage, codes: list[float]) -> None:
-    """The clip's camera: apertures in tenths of a unit for the image's width and height."""
+    """Add the clip's camera: apertures in tenths of a unit for the image's width and height."""
     UsdGeom, Gf = extras.load("pxr.UsdGeom", "usd"), extras.load("pxr.Gf", "usd")
     camera = UsdGeom.Camera.Define(stage, "/clip/camera")
     move = camera.AddTransformOp()

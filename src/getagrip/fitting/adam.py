@@ -29,7 +29,7 @@ M = TypeVar("M", bound=Motion)
 METRES = 0.1
 """Metres worth a radian."""
 DECAY = (0.9, 0.999)
-"""Of the first and the second moment: Adam's defaults."""
+"""Decay rates of the first and the second moment: Adam's defaults."""
 
 
 def descend(
@@ -66,7 +66,7 @@ def descend(
 def gradient(
     motion: Motion, local: Quadratic, T_cam_hand: Float[ndarray, "N 4 4"]
 ) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
-    """The energy's gradient by the shared and by the per-frame parameters, the motion's own prior included."""
+    """Compute the energy's gradient by the shared and by the per-frame parameters, the motion's own prior included."""
     R = T_cam_hand[:, :3, :3]
     in_hand = [(part[..., None, :] @ R)[..., 0, :] for part in (local.g[..., :3], local.g[..., 3:6])]
     g = np.concatenate([*in_hand, local.g[..., 6:]], axis=-1)[..., None, :]

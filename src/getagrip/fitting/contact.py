@@ -1,4 +1,4 @@
-"""What touches: the hand's contact regions, and the object they may touch, as the push and pull terms read them."""
+"""The bodies in contact: the hand's contact regions and the object, as the push and pull terms read them."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from getagrip.kernels.closest import FaceGrid, screen, signed_distance
 from getagrip.kernels.silhouette import OPTIONS
 
 MARGIN = 0.03
-"""How far around the object contact is looked for [m]."""
+"""Margin around the object within which contact is computed [m]."""
 
 
 def solid(mesh: Mesh, centre: Float[ndarray, "3"]) -> FaceGrid:
-    """The object as contact sees it, about its centre."""
+    """Build the object's solid for contact, about its centre."""
     return FaceGrid.of(mesh.vertices[mesh.faces] - centre, margin=MARGIN)
 
 
 @njit(**OPTIONS)
 def distances(points, corners, normals, face, distance, origin, spacing):
-    """Unsigned distance of points (P, 3) in the frame of a ``FaceGrid`` to its mesh [m].
+    """Compute the unsigned distance of points (P, 3) in the frame of a ``FaceGrid`` to its mesh [m].
 
     Beyond the grid, where no face is known to be near, a lower bound: ``MARGIN`` and the distance to the grid.
     """
@@ -52,22 +52,25 @@ class HandContacts:
 
     position: Float[ndarray, "N Q 3"]
     region: Int[ndarray, "6"]
-    """Where each of the five fingertip regions begins, and where the last ends; palm regions follow."""
+    """Start of each of the five fingertip regions, and end of the last; palm regions follow."""
 
     @staticmethod
     def of(hand: HandTrack, per_region: int | None = None) -> HandContacts:
-        """All vertices of the regions, or at most ``per_region`` spread evenly over each."""
+        """Return all vertices of the regions, or at most ``per_region`` spread evenly over each."""
         ids = contact_ids(hand, per_region)
         ends = np.concatenate([[0], np.cumsum([len(i) for i in ids[: len(FINGERS)]])])
         return HandContacts(se3.transform(hand.T_cam_hand, hand.vertices[:, np.concatenate(ids)]), ends)
 
     def take(self, index: Int[ndarray, "n"]) -> HandContacts:
-        """The contacts at some of the frames."""
+        """Return the contacts at some of the frames."""
         return HandContacts(self.position[index], self.region)
 
 
 def contact_ids(hand: HandTrack, per_region: int | None = None) -> list[Int[ndarray, "_"]]:
-    """Vertex ids of the regions, the five fingertips first: all, or at most ``per_region`` spread evenly over each."""
+    """Return vertex ids of the regions, the five fingertips first.
+
+    All, or at most ``per_region`` spread evenly over each.
+    """
     ids = [hand.regions[name] for name in (*FINGERS, *sorted(set(hand.regions) - set(FINGERS)))]
     if per_region is None:
         return ids
@@ -75,7 +78,10 @@ def contact_ids(hand: HandTrack, per_region: int | None = None) -> list[Int[ndar
 
 
 def spread_points(points: Float[ndarray, "P 3"], wanted: int) -> Int[ndarray, "n"]:
-    """Indices of ``wanted`` points spread evenly (farthest point first, starting nearest to the mean)."""
+    """Choose ``wanted`` points spread evenly (farthest point first, starting nearest to the mean).
+
+    Return their indices.
+    """
     if len(points) <= wanted:
         return np.arange(len(points))
     chosen = np.empty(wanted, int)
@@ -113,7 +119,7 @@ def add_height(d, tolerance, m0, m1, m2, x, y, z, R, centre, scale, weight, delt
 
 @njit(**OPTIONS)
 def nearest_points(queries, points, begin, end, squared, nearest):
-    """For each query (3, V) the nearest point (3, Q) from ``begin`` to ``end``: index and squared distance (V,).
+    """Find for each query (3, V) the nearest point (3, Q) from ``begin`` to ``end``: index and squared distance (V,).
 
     In single precision, which vectorises twice as wide, and with the queries inside, so that it vectorises at all:
     faster than trees for some hundred points.

@@ -1,8 +1,8 @@
-"""From the frames that were fitted together to every frame of the clip.
+"""Extend a fit of the sampled frames to every frame of the clip.
 
-What the frames share (axis, base pose, scale) stays as it was found. In the other frames that show the object, what is
-each frame's own (angle, deviations) starts between its neighbours and is fitted to the frame's mask. Where no mask
-shows the object, or it is doubted, or the method has no motion to go on with, poses are interpolated.
+The parameters that frames share (axis, base pose, scale) stay fixed. In the other frames that show the object, the
+parameters of the frame (angle, deviations) start between its neighbours and are fitted to the frame's mask. Where no
+mask shows the object, it is an outlier, or the method has no motion model for other frames, poses are interpolated.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.clip import Clip, Masks, read_masks
+from getagrip.clip import Clip, Masks
 from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.motion import Frozen, Motion, PosesInHand, interpolated, placed
 from getagrip.fitting.predicted_silhouette import NeighbourPrediction
@@ -24,7 +24,7 @@ from getagrip.geometry import se3
 from getagrip.result import FrameKind
 
 CHUNK = 30
-"""So many of the other frames are read and fitted at once."""
+"""Number of other frames that are read and fitted at once."""
 STAGES = ((128, 5), (256, 5))
 """Resolution [px] and iterations of their fit."""
 
@@ -39,9 +39,9 @@ class Track:
         T_cam_hand: (T, 4, 4) poses of the hand, which ``T_hand_obj`` are relative to.
         T_hand_obj: (K, T, 4, 4) poses of the mesh's own frame in the hand frame.
         angle: (T,) angle about the axis of the best [rad], where the method has one.
-        iou: (T,) overlap of the best with the masks (``image_iou``); NaN where no mask shows the object, or one is
-            doubted.
-        doubted: names of the frames whose masks are doubted.
+        iou: (T,) overlap of the best with the masks (``image_iou``); NaN where no mask shows the object, or
+            the mask is an outlier.
+        outliers: names of the frames with outlier masks.
     """
 
     frames: tuple[str, ...]
@@ -54,7 +54,7 @@ class Track:
 
 
 def at_sampled_frames(problem: Problem, found: MethodResult) -> Track:
-    """A method's solutions as they are."""
+    """Return a method's solutions as they are."""
     clip = problem.clip
     T_hand_obj = placed(found.poses, clip.mesh.centre)
     iou = image_iou(clip, problem.masks, T_hand_obj[0], float(found.poses.scale[0]))
@@ -64,10 +64,10 @@ def at_sampled_frames(problem: Problem, found: MethodResult) -> Track:
 
 
 def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: MethodResult, track: Track) -> Track:
-    """A method's solutions in every frame of the clip; in the problem's frames, those of ``track``, as they are.
+    """Extend a method's solutions to every frame of the clip; in the problem's frames, those of ``track`` stay.
 
-    Masks that contradict those of the problem's frames are doubted, too (``Trust.most_differing``). ``masks`` are
-    those of the whole clip; without them, they are read from its folder, a few at a time.
+    Masks beyond the outlier threshold of the problem's frames are outliers, too (``Trust.outlier_threshold``).
+    ``masks`` are those of the whole clip; without them, they are read from its folder, a few at a time.
     """
     sampled = clip.index_of(problem.clip.frames)
     clip = clip.with_hand_at(hand_everywhere(clip, problem, sampled))
@@ -115,7 +115,7 @@ def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: Met
 
 
 def own_fit(problem: Problem, found: MethodResult, sampled: Int[ndarray, "n"], index: Int[ndarray, "m"]) -> Motion:
-    """The motions found at the frames ``sampled`` of a clip, fitted in the problem's frames, which are at ``index``.
+    """Fit the motions found at the frames ``sampled`` of a clip in the problem's frames, which are at ``index``.
 
     Only what is each frame's own is fitted.
     """
@@ -131,7 +131,7 @@ def own_fit(problem: Problem, found: MethodResult, sampled: Int[ndarray, "n"], i
 
 
 def hand_everywhere(clip: Clip, problem: Problem, sampled: Int[ndarray, "n"]) -> Float[ndarray, "T 4 4"] | None:
-    """The hand of every frame: where it was corrected, by corrections between those of the sampled frames."""
+    """Return the hand of every frame: where it was refined, by interpolating the refinement of the sampled frames."""
     if not problem.trust.hand_refined:
         return None
     input_poses, corrected = clip.hand.T_cam_hand, problem.clip.hand.T_cam_hand
@@ -145,7 +145,7 @@ def hand_everywhere(clip: Clip, problem: Problem, sampled: Int[ndarray, "n"]) ->
 def _others(
     clip: Clip, masks: Masks | None, problem: Problem, sampled: Int[ndarray, "n"]
 ) -> Iterator[tuple[Int[ndarray, "m"], Problem]]:
-    """The frames beyond the sampled ones that show the object, a few at a time, each few spread over the clip."""
+    """Yield the frames beyond the sampled ones that show the object, a few at a time, each few spread over the clip."""
     hidden = {*problem.clip.left_out, *problem.trust.outliers}
     shown = np.flatnonzero([name not in hidden for name in clip.frames])
     rest = np.setdiff1d(shown, sampled)
@@ -153,10 +153,10 @@ def _others(
     for k in range(parts):
         index = rest[k::parts]
         part = clip.take(index)
-        yield index, problem.at(part, read_masks(part) if masks is None else masks.take(index))
+        yield index, problem.at(part, None if masks is None else masks.take(index))
 
 
 def _angle(motion: Motion) -> Float[ndarray, "T"] | float:
-    """The angles of the best hypothesis; NaN where the motion has no latent axis."""
+    """Return the angles of the best hypothesis; NaN where the motion has no latent axis."""
     angles = motion.angles()
     return np.nan if angles is None else angles[0]

@@ -20,9 +20,9 @@ from getagrip.geometry import se3
 from getagrip.hands.bending import CHAINS, bent, finger_weights, hinges
 
 TURN, SHIFT, SIZE, BENDS = slice(0, 3), slice(3, 6), 6, slice(7, 22)
-"""Where each error stands among the numbers of a frame: [rad], [m], logarithm, [rad]."""
+"""Position of each error among the numbers of a frame: [rad], [m], logarithm, [rad]."""
 RIGID = 7
-"""So many numbers without the fingers."""
+"""Number of errors without the fingers."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class HandErrors:
 
     @staticmethod
     def of(hand: HandTrack) -> HandErrors:
-        """The rigid errors of a hand."""
+        """Return the rigid errors of a hand."""
         return HandErrors(hand, hand.vertices.mean(axis=(0, 1)), None)
 
     @property
@@ -55,19 +55,19 @@ class HandErrors:
         return RIGID if self.weights is None else BENDS.stop
 
     def take(self, index: Int[ndarray, "n"]) -> HandErrors:
-        """The hand at some of its frames."""
+        """Return the hand at some of its frames."""
         hand = self.tracked
         joints = None if hand.joints is None else hand.joints[index]
         taken = replace(hand, vertices=hand.vertices[index], T_cam_hand=hand.T_cam_hand[index], joints=joints)
         return replace(self, tracked=taken)
 
     def T_cam_hand(self, x: Float[ndarray, "N P"]) -> Float[ndarray, "N 4 4"]:
-        """Poses of the corrected hand."""
+        """Return the poses of the refined hand."""
         R = se3.exp_so3(x[:, TURN])
         return self.tracked.T_cam_hand @ se3.rigid(R, self.middle + x[:, SHIFT] - R @ self.middle)
 
     def surface(self, x: Float[ndarray, "N P"]) -> tuple[Float[ndarray, "N V 3"], Float[ndarray, "N 21 3"] | None]:
-        """Vertices and joints in the corrected hand's frame, in the size and with the bends that explain it best."""
+        """Return vertices and joints in the refined hand's frame, with the size and the bends that fit best."""
         vertices, joints = self.tracked.vertices, self.tracked.joints
         if self.weights is not None and joints is not None:
             vertices, joints = bent(vertices, joints, self.weights, x[:, BENDS].reshape(-1, 5, 3))
@@ -85,7 +85,7 @@ class HandErrors:
         nearest: Int[ndarray, "N M"],
         along: Float[ndarray, "N M 3"],
     ) -> Float[ndarray, "N M P"]:
-        """Derivative, by the errors, of how far points of the ``surface`` move.
+        """Differentiate the motion of points of the ``surface`` by the errors.
 
         ``nearest`` is the vertex that each of M points goes with, ``along`` the direction that counts, in the camera
         frame.

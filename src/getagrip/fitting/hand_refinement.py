@@ -1,4 +1,4 @@
-"""The hand is an unknown too: its poses corrected by its own pixels, under a prior on how trackers err.
+"""Hand refinement: align the hand's poses to its silhouette, under a prior on trackers' errors.
 
 Minimised is, over the errors x_n = b + e_n of each frame (``HandErrors``), b the same in all frames,
 
@@ -10,7 +10,7 @@ finger that is elsewhere weighs by its length and not by its square.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -22,19 +22,19 @@ from getagrip.clip.sampling import frame_indices
 from getagrip.fitting.hand_errors import RIGID
 from getagrip.fitting.hand_silhouette import HandSilhouette
 from getagrip.geometry import se3
-from getagrip.least_squares import arrow_step, damped
+from getagrip.least_squares import Arrow
 
 PIXEL = 0.03
-"""What a pixel counts against the prior: thirty of them, side by side along a contour, are as much as one fact."""
+"""Weight of a pixel against the prior: thirty of them, side by side along a contour, are as much as one fact."""
 BIAS = np.repeat([0.08, 0.008, 0.01, 0.2], [3, 3, 1, 15])
 """Assumed standard deviations of the errors that all frames share: turn about each axis [rad], shift along each [m],
 logarithm of the size, bend of each finger joint [rad]. They are no tracker's in particular."""
 JITTER = np.repeat([0.03, 0.003, 0.003, 0.1], [3, 3, 1, 15])
 """Those of each frame's own errors; neighbouring frames are taken as independent."""
 WORTH = 0.01
-"""Share of the hand's seen pixels that a correction must set right; less is noise of masks."""
+"""Share of the hand's visible pixels that a refinement must correct; less is noise of masks."""
 AGREE = 0.4
-"""Share of them that may still differ afterwards; more is not this hand's mask."""
+"""Share of them that may still differ afterwards; otherwise the mask is another hand's."""
 STEPS = 10, 8, 3
 """Iterations: without bends; with them, at some of the frames; at all of them."""
 FEW = 10
@@ -61,16 +61,16 @@ class HandRefinement:
     grown: float
 
     def __str__(self) -> str:
-        grown = f" (grown by {self.grown:.1f} px: its masks are too small all round)" if self.grown else ""
+        grown = f" (grown by {self.grown:.1f} px: its masks are too small on all sides)" if self.grown else ""
         return (
-            f"the hand was corrected by its own pixels{grown}: "
+            f"the hand was refined against its own pixels{grown}: "
             f"turned by {np.degrees(self.turned):.1f} degrees and moved by {1e3 * self.moved:.1f} mm on average; "
             f"{100 * self.before:.0f} % of its pixels differed, {100 * self.after:.0f} % still do"
         )
 
 
 def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[HandRefinement | None, float]:
-    """The correction of a clip's hand, and the share of its seen pixels that differ from its silhouette then.
+    """Refine a clip's hand against its silhouette; also return the share of its visible pixels that still differ.
 
     There is no correction where its pixels are not known (the share is NaN) or ask for none, and where it cannot be
     made to agree with them: then they are not this hand's, or it is too far off. Pixels of the hand are those of
@@ -100,7 +100,7 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
 
 
 def _fitted(seen: HandSilhouette, unrefined: Float[ndarray, "N P"]) -> _Fit:
-    """The least cost: first by rigid errors alone, since bends, too, could explain a hand that is turned."""
+    """Minimise the cost: first by rigid errors alone, since bends, too, could explain a hand that is turned."""
     rigid, few, all_frames = STEPS
     found = least_squares.minimise(_Fit.of(seen, unrefined), rigid).state
     seen = seen.with_bends
@@ -126,7 +126,7 @@ class _Fit:
 
     @staticmethod
     def of(seen: HandSilhouette, own: Float[ndarray, "N P"], shared: Float[ndarray, "P"] | None = None) -> _Fit:
-        """Evaluated at some errors."""
+        """Evaluate the cost at some errors."""
         shared = np.zeros(own.shape[1]) if shared is None else shared
         return _Fit(seen, shared, own, *seen(shared + own))
 
@@ -147,12 +147,11 @@ class _Fit:
 
     def trial(self, active: Int[ndarray, "n"], damping: Float[ndarray, "n"]) -> _Fit:
         P = len(self.shared)
-        bias, jitter, H = BIAS[:P] ** -2.0, JITTER[:P] ** -2.0, PIXEL * self.H
-        H_ss, H_ll = H.sum(axis=0) + np.diag(bias), H + np.diag(jitter)
-        g_s, g_l = PIXEL * self.g.sum(axis=0) + bias * self.shared, PIXEL * self.g + jitter * self.own
-        shared, own = arrow_step(
-            damped(H_ss[None], damping), H[None], damped(H_ll[None], damping[:, None]), g_s[None], g_l[None]
-        )
+        bias, jitter = BIAS[:P] ** -2.0, JITTER[:P] ** -2.0
+        arrow = Arrow.of(PIXEL * self.H[None], self.g[None], slice(P), slice(P))
+        arrow = replace(arrow, g_s=PIXEL * arrow.g_s, g_l=PIXEL * arrow.g_l)
+        arrow = arrow.plus(np.diag(bias), bias * self.shared, np.diag(jitter), jitter * self.own)
+        shared, own = arrow.step(damping)
         return _Fit.of(self.seen, self.own + own[0], self.shared + shared[0])
 
     def accept(self, trial: _Fit, active: Int[ndarray, "n"], better: Bool[ndarray, "n"]) -> _Fit:

@@ -60,7 +60,7 @@ class HandMask:
 
     @staticmethod
     def of(clip: Clip, masks: Masks) -> HandMask:
-        """The pixels of a clip's hand, no field; where they are not known as such, the ignored ones near it."""
+        """Make the mask of a clip's hand, without field; without hand masks, of the ignored pixels near it."""
         uv = project(clip.K, se3.transform(clip.hand.T_cam_hand, clip.hand.vertices))
         crops = crops_of_boxes(np.concatenate([uv.min(axis=1), uv.max(axis=1)], axis=1), EXPAND, SIZE)
         K = crops.intrinsics(clip.K)
@@ -81,12 +81,12 @@ class HandMask:
 
     @property
     def with_field(self) -> HandMask:
-        """The same with the field."""
+        """Mask with its field."""
         frames = zip(unpack(self.observed, SIZE), unpack(self.valid, SIZE), strict=True)
         return replace(self, field=np.stack([signed_distance(hand, valid) for hand, valid in frames]))
 
     def grown_to(self, silhouettes: UInt64[ndarray, "N _ _"]) -> HandMask:
-        """The same, grown by one distance in all frames until it is as large as these silhouettes.
+        """Grow the masks by one distance in all frames until they are as large as these silhouettes.
 
         Masks that keep away from the object often keep away from everything else, too. A hand that shall meet such a
         mask turns, for its size is known. Masks that are too small by less than the first of ``GROWTH`` stay as they
@@ -101,13 +101,39 @@ class HandMask:
         return replace(self, observed=pack((field < grown) & valid), grown=grown)
 
     def take(self, index: Int[ndarray, "n"]) -> HandMask:
-        """The masks of some of the frames."""
+        """Return the masks of some of the frames."""
         return HandMask(self.K[index], self.observed[index], self.valid[index], self.field[index], self.grown)
 
     @cached_property
     def pixels(self) -> int:
         """How many pixels of the hand are seen, in all frames."""
         return int(unpack(self.observed, SIZE).sum())
+
+
+@dataclass(frozen=True)
+class HandContour:
+    """Points of a hand's contour in N frames, against those of its mask.
+
+    Attributes:
+        value: (N,) pixels in which silhouette and mask differ; infinite for a hand behind the camera.
+        weight: (N, M) length of contour that each point stands for [px]; 0: none.
+        distance: (N, M) signed distance to the mask's contour [px].
+        nearest: (N, M) the vertex that each point goes with.
+        along: (N, M, 3) derivative of how far a point moves outward [px] by that vertex in the camera frame [m].
+    """
+
+    value: Float[ndarray, "N"]
+    weight: Float[ndarray, "N M"]
+    distance: Float[ndarray, "N M"]
+    nearest: Int[ndarray, "N M"]
+    along: Float[ndarray, "N M 3"]
+
+    def quadratic(
+        self, J: Float[ndarray, "N M P"]
+    ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]:
+        """Return value, gradient and Gauss-Newton Hessian, by P numbers that move the points outward by J."""
+        hJ = np.swapaxes(self.weight[..., None] * J, 1, 2)
+        return self.value, (hJ @ self.distance[..., None])[..., 0], hJ @ J
 
 
 @dataclass(frozen=True)
@@ -120,31 +146,31 @@ class HandSilhouette:
 
     @staticmethod
     def of(clip: Clip, masks: Masks) -> HandSilhouette:
-        """Of a clip and its masks as given, without their field and without bends."""
+        """Make the silhouette of a clip and its input masks, without their field and without bends."""
         return HandSilhouette(HandErrors.of(clip.hand), HandMask.of(clip, masks), _edges(clip.hand))
 
     @property
     def with_field(self) -> HandSilhouette:
-        """The same with the masks' field, which the derivatives need."""
+        """Silhouette with the masks' field, which the derivatives need."""
         return replace(self, mask=self.mask.with_field)
 
     def with_masks_grown(self, x: Float[ndarray, "N P"]) -> HandSilhouette:
-        """The same with masks as large as the silhouettes there, if they are much too small."""
+        """Grow the masks to the size of the silhouettes at x, if they are much too small."""
         in_camera = se3.transform(self.errors.T_cam_hand(x), self.errors.surface(x)[0])
         silhouettes = _contours(in_camera, self.errors.tracked, self.edges, self.mask, 0)[3]
         return replace(self, mask=self.mask.grown_to(silhouettes))
 
     @property
     def with_bends(self) -> HandSilhouette:
-        """The same, but fingers may bend."""
+        """Silhouette whose fingers may bend."""
         return replace(self, errors=self.errors.with_bends)
 
     def take(self, index: Int[ndarray, "n"]) -> HandSilhouette:
-        """The same at some of the frames."""
+        """Return some of the frames."""
         return replace(self, errors=self.errors.take(index), mask=self.mask.take(index))
 
     def differing(self, x: Float[ndarray, "N P"]) -> float:
-        """Pixels in which silhouette and mask differ, in all frames."""
+        """Count the pixels in which silhouette and mask differ, in all frames."""
         in_camera = se3.transform(self.errors.T_cam_hand(x), self.errors.surface(x)[0])
         return float(_contours(in_camera, self.errors.tracked, self.edges, self.mask, 0)[0].sum())
 
@@ -153,14 +179,17 @@ class HandSilhouette:
     ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]:
         """Pixels of each frame in which silhouette and mask differ, gradient and Gauss-Newton Hessian by the errors."""
         vertices, joints = self.errors.surface(x)
-        in_camera = se3.transform(self.errors.T_cam_hand(x), vertices)
+        contour = self.contour(se3.transform(self.errors.T_cam_hand(x), vertices))
+        return contour.quadratic(self.errors.jacobian(x, vertices, joints, contour.nearest, contour.along))
+
+    def contour(self, in_camera: Float[ndarray, "N V 3"]) -> HandContour:
+        """Return the contour of the hand's vertices in the camera frame, beside that of its mask."""
         value, points, nearest, _ = _contours(in_camera, self.errors.tracked, self.edges, self.mask)
         z, (fx, fy, cx, cy) = np.maximum(points[:, Z], 1e-6), self.mask.K.T[..., None]
         nx, ny = points[:, NX] / z, points[:, NY] / z
         depth = -(nx * (points[:, U] - cx) + ny * (points[:, V] - cy))
-        J = self.errors.jacobian(x, vertices, joints, nearest, np.stack([nx * fx, ny * fy, depth], axis=-1))
-        hJ = np.swapaxes(points[:, WEIGHT, :, None] * J, 1, 2)
-        return value, (hJ @ points[:, DISTANCE, :, None])[..., 0], hJ @ J
+        along = np.stack([nx * fx, ny * fy, depth], axis=-1)
+        return HandContour(value, points[:, WEIGHT], points[:, DISTANCE], nearest, along)
 
 
 def _contours(
@@ -170,7 +199,7 @@ def _contours(
     mask: HandMask,
     most: int = MOST_POINTS,
 ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N 7 M"], Int[ndarray, "N M"], UInt64[ndarray, "N _ _"]]:
-    """What ``kernels.hand.contours`` fills in: value, at most so many points, nearest, bits."""
+    """Return the output of ``kernels.hand.contours``: value, at most ``most`` points, nearest, bits."""
     N = len(vertices)
     value, points, nearest = np.empty(N), np.empty((N, 7, most)), np.empty((N, most), np.int64)
     bits = np.empty_like(mask.observed)
@@ -186,7 +215,7 @@ def _edges(hand: HandTrack) -> Int[ndarray, "4 E"]:
 
 
 def _mask_bits(hand: HandTrack, K: Float[ndarray, "N 4"]) -> UInt64[ndarray, "N _ _"]:
-    """The given hand's silhouette in the crops."""
+    """Render the input hand's silhouette in the crops."""
     N = len(K)
     nothing = np.zeros((N, SIZE, SIZE // 64), np.uint64)
     unseen = HandMask(K, nothing, nothing, _no_field(N))

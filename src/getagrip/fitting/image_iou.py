@@ -41,7 +41,7 @@ class Overlap(NamedTuple):
 
 
 def overlap(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale: float) -> Overlap:
-    """How the object, posed so, overlaps the masks."""
+    """Compute the overlap of the posed object with the masks."""
     T_cam_obj = clip.hand.T_cam_hand @ T_hand_obj
     K = np.stack([clip.K[:, 0, 0], clip.K[:, 1, 1], clip.K[:, 0, 2], clip.K[:, 1, 2]], axis=1)
     width, height = clip.size
@@ -62,5 +62,5 @@ def overlap(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale
 
 
 def image_iou(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale: float) -> Float[ndarray, "T"]:
-    """IOU of rendered and observed object mask on the full image, outside ignored pixels."""
+    """Compute the IOU of rendered and observed object mask on the full image, outside ignored pixels."""
     return overlap(clip, masks, T_hand_obj, scale).iou

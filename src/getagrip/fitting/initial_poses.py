@@ -17,7 +17,7 @@ from getagrip.geometry import camera, se3
 def initial_poses(
     clip: Clip, masks: Masks, inits: int, seed: int = 0, poses: Float[ndarray, "k 4 4"] | None = None
 ) -> Fixed:
-    """B = ``inits`` poses: the first of ``poses`` (``T_hand_obj``), then rotations spread uniformly over SO(3).
+    """Return B = ``inits`` poses: the first of ``poses`` (``T_hand_obj``), then rotations spread uniformly over SO(3).
 
     The latter place the object's centre at ``grip_point``. A free scale is initialised so that the object at that
     place is as large as its masks.
@@ -38,7 +38,7 @@ def initial_poses(
 
 
 def grip_point(clip: Clip, uv: Float[ndarray, "T 2"]) -> Float[ndarray, "3"]:
-    """The point of the hand frame nearest to the rays through the masks' centres and to the hand's grip [m].
+    """Return the point of the hand frame nearest to the rays through the masks' centres and to the hand's grip [m].
 
     The grip is the mean of the five fingertips' contact regions, with a standard deviation of 5 cm. The rays have 2 cm;
     together they count as four, since occlusion by the hand biases all of them alike.

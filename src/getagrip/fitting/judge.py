@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 
-from getagrip.checks import RESULT_CHECKS, Solved, examine, read_signs
+from getagrip.checks import Solved
 from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.checks.calibration import Where
 from getagrip.clip import Clip
@@ -22,32 +22,19 @@ from getagrip.result import Candidates
 
 CHOICES = ("method", "inits", "init", "priors", "priors_only", "thorough", "seed", "frames", "every_frame")
 """Options that leave a calibration valid; it was made with the usual values of all."""
+TERMS = ("total", "mask", "push", "pull", "consistency", "prior")
+"""Names in the energy that was calibrated."""
 
 
-@dataclass(frozen=True)
-class Judgement:
-    """What is known of a result without ground truth.
+def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: Track, whole: Track) -> Solved:
+    """Make the view of a result for its checks and signs.
 
-    Attributes:
-        checks: what each check of the result has measured, by its name.
-        findings: what is unusual about it.
-        signs: what is known about whether it is right, by name.
-    """
-
-    checks: dict[str, float]
-    findings: tuple[Finding, ...]
-    signs: dict[str, float]
-
-
-def judge(input_clip: Clip, problem: Problem, found: MethodResult, sampled: Track, whole: Track) -> Judgement:
-    """Check a result.
-
-    ``given`` is the clip with its hand and mesh as they came; ``sampled`` and ``whole`` are the poses in the frames
-    that were fitted together and in every frame.
+    ``input_clip`` has the hand and the mesh as they came; ``sampled`` and ``whole`` are the poses in the frames that
+    were fitted together and in every frame.
     """
     scale = float(found.poses.scale[0])
     deformed = 0.0 if found.warp is None else found.warp.displacement(input_clip.mesh)
-    solved = Solved(
+    return Solved(
         problem.clip, problem.input_masks, sampled.T_hand_obj[0], scale, whole.iou,
         outliers=whole.outliers, deformed=deformed / input_clip.mesh.diameter, deformed_mm=1e3 * scale * deformed,
         candidates=Candidates(sampled.T_hand_obj, found.poses.scale, found.energy), axis=found.axis,
@@ -56,40 +43,48 @@ def judge(input_clip: Clip, problem: Problem, found: MethodResult, sampled: Trac
         misfit=misfit(problem.observation, found.terms["mask"] / len(problem.clip)),
         spread=pose_spread(problem, found), scale_check=scale_check(problem, found),
     )  # fmt: skip
-    measured, findings = examine(RESULT_CHECKS, solved)
-    return Judgement(measured, findings, read_signs(solved))
 
 
 def probabilities(
-    clip: Clip, options: Options, signs: Mapping[str, float], findings: Sequence[Finding]
+    clip: Clip, options: Options, signs: Mapping[str, float], findings: Sequence[Finding], terms: Iterable[str]
 ) -> dict[Where, Probability | None]:
-    """How probable it is that a result is right, in the hand and in the camera."""
-    in_hand = probability_right(options, signs, findings)
+    """Compute the probability that a result is right, in the hand and in the camera.
+
+    ``terms`` are those of its energy.
+    """
+    in_hand = probability_right(options, signs, findings, "hand", terms)
+    in_camera = probability_right(options, signs, findings, "camera", terms)
     # No pixel tells a wrong focal length from another distance.
     guessed = is_assumed(clip.provenance.get("camera"))
-    return {"hand": in_hand, "camera": None if guessed else probability_right(options, signs, findings, "camera")}
+    return {"hand": in_hand, "camera": None if guessed else in_camera}
 
 
 def probability_right(
-    options: Options, signs: Mapping[str, float], findings: Sequence[Finding], where: Where = "hand"
+    options: Options,
+    signs: Mapping[str, float],
+    findings: Sequence[Finding],
+    where: Where = "hand",
+    terms: Iterable[str] = (),
 ) -> Probability | None:
-    """How probable it is that a result with such signs is right; ``findings`` are those about its input and itself.
+    """Compute the probability that a result with such signs is right.
+
+    ``findings`` are those about its input and itself.
 
     None where nothing is calibrated (``uncalibrated``).
     """
     calibration = CALIBRATIONS.get((options.method, where))
-    if calibration is None or uncalibrated(options, findings):
+    if calibration is None or uncalibrated(options, findings, terms):
         return None
     if not signs.keys() >= calibration.weights.keys():  # of a motion of one's own
         return None
     return calibration.probability(signs)
 
 
-def uncalibrated(options: Options, findings: Sequence[Finding]) -> str:
-    """Why there is no probability that a result is right, in words; empty where there is one.
+def uncalibrated(options: Options, findings: Sequence[Finding], terms: Iterable[str] = ()) -> str:
+    """Say why there is no probability that a result is right; empty where there is one.
 
-    There is none for methods and energies other than those that were calibrated, for shorter searches, and where a
-    finding is serious: wrong inputs were no part of the calibration.
+    There is none for methods and energies (``terms``: their names) other than those that were calibrated, for shorter
+    searches, and where a finding is serious: wrong inputs were no part of the calibration.
     """
     if not any(method == options.method for method, _ in CALIBRATIONS):
         return f"none is calibrated for {options.method}"
@@ -100,6 +95,6 @@ def uncalibrated(options: Options, findings: Sequence[Finding]) -> str:
     for option in fields(Options):
         if option.name not in CHOICES and (value := getattr(options, option.name)) != option.default:
             return f"none is calibrated with {option.name} {value}"
-    if any(finding.serious for finding in findings):
-        return "a finding is serious"
-    return ""
+    if others := [name for name in terms if name not in TERMS]:
+        return f"none is calibrated with the evidence {', '.join(others)}"
+    return "a finding is serious" if any(finding.serious for finding in findings) else ""

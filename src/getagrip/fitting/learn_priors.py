@@ -23,9 +23,9 @@ from getagrip.io import arrays, files
 
 Way = Literal["geodesic", "axis-angle"]
 """How rotations are clustered."""
-WAYS: tuple[Way, ...] = get_args(Way)
+CLUSTERINGS: tuple[Way, ...] = get_args(Way)
 VERSION = 2
-"""Of the file."""
+"""Version of the file."""
 MOST_CLUSTERS = 1000
 _ROUNDS = 100
 """Rounds of k-means or of a mean, if it does not settle before."""
@@ -52,7 +52,7 @@ class Priors:
     subjects: tuple[str, ...] = ()
 
     def of(self, category: str, side: str) -> Float[ndarray, "k 4 4"]:
-        """The poses of a category in a hand, those of most grasps first."""
+        """Return the poses of a category in a hand, those of most grasps first."""
         here = [n for n, key in enumerate(zip(self.category, self.side, strict=True)) if key == (category, side)]
         return self.T_hand_obj[here]
 
@@ -73,13 +73,13 @@ class Priors:
 
 
 def subject_of(clip: Clip) -> str:
-    """Whose hand is in a clip, as its provenance says; empty where it does not."""
+    """Return the subject whose hand is in a clip, as its provenance says; empty where it does not."""
     return str(clip.provenance.get("subject", ""))
 
 
 @dataclass(frozen=True)
 class Hold:
-    """What is learnt from one clip: where the object truly is in the hand."""
+    """The true pose of the object in the hand of one clip."""
 
     category: str
     side: str
@@ -95,7 +95,7 @@ class Hold:
 
 
 def hold(clip: Clip) -> Hold:
-    """What a clip teaches. Raises ``InputError`` where it has no truth."""
+    """Learn from a clip. Raises ``InputError`` where it has no truth."""
     truth = clip.truth
     if truth is None:
         raise InputError(clip.origin / "truth.npz", "", "no such file", "the true poses, to learn from")
@@ -123,16 +123,16 @@ class LearntGrasps:
     seed: int = 0
 
     def without(self, clip: str, subject: str) -> LearntGrasps:
-        """All but a clip's own grasp and those of its subject, where that is known."""
+        """Return all but a clip's own grasp and those of its subject, where that is known."""
         kept = (h for h in self.holds if h.clip != clip and not (subject and h.subject == subject))
         return replace(self, holds=tuple(kept))
 
     def of(self, category: str, side: str) -> LearntGrasps:
-        """Those of a category in a hand."""
+        """Return those of a category in a hand."""
         return replace(self, holds=tuple(h for h in self.holds if (h.category, h.side) == (category, side)))
 
     def poses(self) -> Priors:
-        """The poses to start from."""
+        """Return the initial poses."""
         return learn(self.holds, self.k, self.way, self.seed) if self.holds else Priors((), (), np.zeros((0, 4, 4)))
 
     def write(self, path: Path) -> None:
@@ -146,7 +146,7 @@ class LearntGrasps:
 
 
 def learn(holds: Sequence[Hold], k: int, way: Way = "geodesic", seed: int = 0) -> Priors:
-    """k rotations and one translation for each category and side of hand.
+    """Learn k rotations and one translation for each category and side of hand.
 
     The translation is the mean place of the object's centre, so that it does not matter where a CAD has its origin:
     ``T_hand_obj = [R_i | centre - R_i mesh_centre]``. Fewer than k different rotations are all taken as they are.
@@ -164,7 +164,7 @@ def learn(holds: Sequence[Hold], k: int, way: Way = "geodesic", seed: int = 0) -
 
 
 def clustered(R: Float[ndarray, "n 3 3"], k: int, way: Way = "geodesic", seed: int = 0) -> Float[ndarray, "m 3 3"]:
-    """At most k rotations that stand for n by k-means, those that stand for most first.
+    """Cluster n rotations into at most k by k-means, those that stand for most first.
 
     ``geodesic``: on SO(3), with the angle between rotations for their distance, and for their mean the rotation of
     least mean squared angle. ``axis-angle``: of rotation vectors, as in the paper; there, half turns about opposite
@@ -182,7 +182,10 @@ def clustered(R: Float[ndarray, "n 3 3"], k: int, way: Way = "geodesic", seed: i
 
 
 def karcher_mean(R: Float[ndarray, "n 3 3"]) -> Float[ndarray, "3 3"]:
-    """The rotation of least mean squared angle to n others: from the mean matrix's nearest rotation, by fixed point."""
+    """Return the rotation of least mean squared angle to n others.
+
+    It is found by fixed point, from the mean matrix's nearest rotation.
+    """
     mean = se3.nearest_rotation(R.mean(axis=0))
     for _ in range(_ROUNDS):
         step = se3.log_so3(R @ mean.T).mean(axis=0)

@@ -33,7 +33,7 @@ _OFFSETS = np.stack([_X, _Y], axis=1)[_NEAREST_FIRST][1:]
 def in_gaps(
     observed: Bool[ndarray, "N s s"], hidden: Bool[ndarray, "N s s"], share: float = GAP_SHARE
 ) -> Bool[ndarray, "N s s"]:
-    """Which pixels of a clip's crops are in gaps between the object's masks and what hides it.
+    """Return the pixels of a clip's crops in gaps between the object's masks and what hides it.
 
     The nearest pixels of both are on opposite sides of these, and a gap is at most ``WIDEST`` pixels wide. There are
     none unless gaps are more than ``share`` of the border of both: no masks have any by 1, all that keep apart by 0.
@@ -53,7 +53,7 @@ def in_gaps(
 
 @njit(**OPTIONS)
 def _keep_gaps(observed, hidden, offsets, found):
-    """Of the pixels in ``found``, keep those in gaps."""
+    """Keep those of the pixels in ``found`` that are in gaps."""
     size = len(found)
     for i in range(size):
         for j in range(size):

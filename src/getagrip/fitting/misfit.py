@@ -1,9 +1,7 @@
-"""How much worse the masks are explained than the object's own mesh would explain them, and how stiff that makes a
-motion.
+"""Misfit: how much worse the masks are explained than by the object's own mesh; it stiffens the motion.
 
-A mesh that is only of the object's kind leaves contours that no pose explains. Deviations that may follow them do: they
-bend the motion to fit a wrong shape. So they cost the more, the worse the masks are explained, unless the shape is
-fitted (``shape``).
+With a mesh of the category instead of the object's own, contours remain that no pose explains, and deviations bend the
+motion to fit them. So deviations cost more the worse the masks are explained, unless the shape is fitted (``shape``).
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ POWER = 3.0
 
 
 def misfit(observation: Observation, mask: float) -> float:
-    """Mean distance of contours from those of the masks, in those that the object's own mesh would leave.
+    """Compute the mean distance of contours from those of the masks, relative to that of the object's own mesh.
 
     ``mask`` is the mean E_mask of a frame [px^2 of the crop], that distance times the visible length.
     """
@@ -31,6 +29,6 @@ def misfit(observation: Observation, mask: float) -> float:
 
 
 def stiffened(ridge: tuple[float, float], times: float) -> tuple[float, float]:
-    """The stiffness of deviations at a misfit of ``times``: as it is up to one."""
+    """Return the stiffness of deviations at a misfit of ``times``: unchanged up to one."""
     factor = float(np.maximum(times, 1.0) ** POWER)
     return ridge[0] * factor, ridge[1] * factor

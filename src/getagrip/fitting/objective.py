@@ -1,21 +1,26 @@
 """The energy of Eq. 5 for a clip, at any of its resolutions and frames: E_mask, E_push and E_pull.
 
-A method adds a term where it builds its energy: ``plus(energy_of(...), mine)``.
+Other evidence of the clip counts beside its masks (``evidence_of``). A method adds a term where it builds its energy:
+``plus(energy_of(...), mine)``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from getagrip.clip import modalities
 from getagrip.fitting.contact import HandContacts, spread_points
-from getagrip.fitting.energy import Energy, Term
+from getagrip.fitting.energy import Energy, HandEnergy, HandTerm, InHand, OnHand, Term
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
+from getagrip.fitting.energy.hand_mask import HandMaskTerm
 from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
 from getagrip.fitting.energy.pull import PullTerm
 from getagrip.fitting.energy.push import PushTerm
+from getagrip.fitting.hand_silhouette import HandSilhouette
 from getagrip.fitting.problem import Problem
 from getagrip.geometry.mesh import decimate
 
@@ -26,7 +31,7 @@ DELTA = {64: 2.0, 128: 1.0, 256: 1.0}
 CONTACTS = {64: 8, 128: None, 256: None}
 """Vertices of each contact region in use at each level; all of them at the finer ones."""
 FINE_FACES = 4000
-"""Objects of more faces are decimated to so many for the finer silhouettes (for the others: ``surface``)."""
+"""Most faces for the finer silhouettes; larger objects are decimated (for the others: ``surface``)."""
 PUSH, PULL = 0.125, 0.015
 """The paper sums E_mask over pixels, which leaves push and pull without effect; the authors' code divides it by the
 area of the mask. Ours multiplies push and pull by these fractions of the mean area of the masks instead. Pull has less:
@@ -37,12 +42,38 @@ PER_REGION, POINTS = 2, 20
 
 
 def energy_of(problem: Problem, push: float, pull: float) -> Energy:
-    """E_mask, E_push and E_pull."""
-    return plus(mask_of(problem), contact_of(problem, push, pull))
+    """Return E_mask, the terms of other evidence, E_push and E_pull."""
+    return plus(evidence_of(problem), contact_of(problem, push, pull))
+
+
+def evidence_of(problem: Problem) -> Energy:
+    """Return the terms of all evidence on the object: E_mask first, since masks are the first modality."""
+    terms = (modality.terms(problem).object for modality in modalities())
+    return plus(*(energy for energy in terms if energy is not None))
+
+
+def evidence_on_hand(problem: Problem) -> Energy:
+    """Return the terms of all evidence on a hand that is unknown as well; nothing where it is fixed."""
+    terms = [modality.terms(problem).hand for modality in modalities()]
+    return lambda level, index: [OnHand(one) for hand in terms if hand is not None for one in hand(level, index)]
+
+
+def hand_mask_of(problem: Problem) -> HandEnergy:
+    """Return E_mask of the hand; a pixel of the image counts as much as one of the object's mask."""
+
+    @cache
+    def seen() -> HandSilhouette:
+        return HandSilhouette.of(problem.clip, problem.input_masks).with_field
+
+    def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[HandTerm]:
+        some = seen().take(index)
+        return [HandMaskTerm(some, (problem.observation.K[index, 0] / some.mask.K[:, 0]) ** 2)]
+
+    return terms
 
 
 def mask_of(problem: Problem) -> Energy:
-    """E_mask."""
+    """Return E_mask."""
     clip, observation, coarse = problem.clip, problem.observation, problem.surface.coarse
     fine, centre = decimate(clip.mesh, FINE_FACES), clip.mesh.centre
     mesh = {64: SilhouetteMesh.of(coarse, centre)}
@@ -57,7 +88,7 @@ def mask_of(problem: Problem) -> Energy:
 
 
 def contact_of(problem: Problem, push: float, pull: float) -> Energy:
-    """E_push and E_pull, with lambda_f, the focal length in pixels of the crop.
+    """Return E_push and E_pull, with lambda_f, the focal length in pixels of the crop.
 
     ``push`` and ``pull`` are the paper's lambda_2 and lambda_3 without the focal length; weight 0 leaves a term out.
     """
@@ -69,30 +100,31 @@ def contact_of(problem: Problem, push: float, pull: float) -> Energy:
 
 
 def contact_weights(problem: Problem, push: float, pull: float) -> tuple[Float[ndarray, "N"], Float[ndarray, "N"]]:
-    """What a metre of mean push and of mean pull weighs in each frame, by the masks' mean area [px^2 / m]."""
+    """Compute the weight of a metre of mean push and of mean pull in each frame, by the masks' mean area [px^2 / m]."""
     unit = problem.observation.area.mean() * problem.observation.K[:, 0]
     return push * PUSH * unit, pull * PULL * unit
 
 
 def push_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
-    """E_push, our way, by its weight in each frame [px^2 / m]."""
+    """Return our E_push, by its weight in each frame [px^2 / m]."""
     hands, solid = _contacts(problem), problem.surface.solid
-    return lambda level, index: [PushTerm(solid, hands[level].take(index), weight[index])]
+    return lambda level, index: [InHand(PushTerm(solid, hands[level].take(index), weight[index]))]
 
 
 def pull_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
-    """E_pull, likewise."""
+    """Return our E_pull, by its weight in each frame [px^2 / m]."""
     hands, solid = _contacts(problem), problem.surface.solid
-    return lambda level, index: [PullTerm(solid, hands[level].take(index), weight[index], problem.trust.reach)]
+    reach = problem.trust.reach
+    return lambda level, index: [InHand(PullTerm(solid, hands[level].take(index), weight[index], reach))]
 
 
 def _contacts(problem: Problem) -> dict[int, HandContacts]:
-    """What the hand touches with, at each level."""
+    """Return the hand's contacts, at each level."""
     return {level: HandContacts.of(problem.clip.hand, count) for level, count in CONTACTS.items()}
 
 
 def consistency_of(problem: Problem, weight: float) -> Energy:
-    """The term by which hand and object keep their distances, at any level.
+    """Make the term by which hand and object keep their distances, at any level.
 
     ``weight`` is that of the mean absolute change of squared distances, before the focal length and the masks' mean
     area: 1 in the authors' later code.
@@ -105,13 +137,13 @@ def consistency_of(problem: Problem, weight: float) -> Energy:
     each = weight * observation.area.mean() * observation.K[:, 0]
 
     def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[Term]:
-        return [ContactConsistencyTerm(points, hand.position[index], each[index])]
+        return [InHand(ContactConsistencyTerm(points, hand.position[index], each[index]))]
 
     return terms
 
 
 def plus(*energies: Energy) -> Energy:
-    """The terms of all energies."""
+    """Join the terms of all energies."""
     return lambda level, index: [term for energy in energies for term in energy(level, index)]
 
 

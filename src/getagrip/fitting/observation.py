@@ -1,4 +1,4 @@
-"""What the masks of a clip say, cropped, at several resolutions, in the form the mask term reads."""
+"""The masks of a clip, cropped, at several resolutions, in the form the mask term reads."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Observation:
     has_gaps: bool
 
     def take(self, index: Int[ndarray, "n"]) -> Observation:
-        """The observation at some of its frames."""
+        """Return the observation at some of its frames."""
         return Observation(
             crops=Crops(self.crops.corner[index], self.crops.side, self.crops.size),
             K=self.K[index],
@@ -98,7 +98,7 @@ def observe(
 
 
 def _dithered(crops: Crops) -> Crops:
-    """The same crops, each moved by another part of a pixel of the image, which depends on its place.
+    """Shift each crop by another part of a pixel of the image, which depends on its place.
 
     A mask's contour runs along its pixels' borders, up to half a pixel from the object's. Crops centred on whole pixels
     would sample the left and right of it alike in every frame, and err in the object's size alike in every frame.
@@ -107,7 +107,7 @@ def _dithered(crops: Crops) -> Crops:
 
 
 def _sampled(masks: Masks, crops: Crops, use_ignore: bool) -> tuple[Bool[ndarray, "N s s"], Bool[ndarray, "N s s"]]:
-    """The object's pixels, and those that count.
+    """Sample the object's pixels, and those that count.
 
     Each level is sampled from the masks themselves, where silhouettes are: at the centres of its pixels. Majorities of
     a finer level's pixels would have ties, and objects half a pixel too large or too small are as much too near or far.
@@ -126,14 +126,20 @@ def _coarser(pixels: Bool[ndarray, "N s s"], size: int) -> Bool[ndarray, "N n n"
 
 
 def signed_distance(observed: Bool[ndarray, "s s"], valid: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:
-    """Distance to the visible contour [px]: to the object outside of it, minus that to visible background inside."""
+    """Compute the distance to the visible contour [px].
+
+    To the object outside of it, minus that to background inside.
+    """
     background = valid & ~observed
     to_object, to_background = distance_to(observed), distance_to(background)
     return np.where(observed, 0.5 - to_background, np.where(background, to_object - 0.5, to_object - to_background))
 
 
 def distance_to(target: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:
-    """Distance of each pixel's centre to the nearest of the target [px], correctly rounded; 2 s where there is none."""
+    """Compute the distance of each pixel's centre to the nearest of the target [px], correctly rounded.
+
+    2 s without one.
+    """
     if not target.any():
         return np.full(target.shape, np.float32(2 * len(target)))
     rounded = cv2.distanceTransform((~target).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)

@@ -1,4 +1,4 @@
-"""What a user may choose about a reconstruction: each option once, for Python and for the command line."""
+"""The options of a reconstruction, once for Python and for the command line."""
 
 from __future__ import annotations
 
@@ -27,20 +27,22 @@ class PriorsFile:
 
     path: Path
     sha256: str = ""
-    """What it held when it was named (``pose_priors.identified``): results say which initial poses they had."""
+    """Checksum of its content when it was named (``pose_priors.identified``), for the record in results."""
 
     @classmethod
     def of(cls, text: str) -> PriorsFile:
-        """From a path, as a user types it."""
+        """Make it from a path, as a user types it."""
         return cls(Path(meant(text)))
 
 
 @dataclass(frozen=True)
 class Departures:
-    """What ``paper`` does our way; nothing, and it is the paper's method to the letter.
+    """Ablation switches: each replaces one part of the paper's method by ours.
 
-    With all of them it is ``one-dof`` with hands as given; but where the scale is free ``one-dof`` has twice as many
-    initial poses, and gaps between the masks (``mask_gaps``) count as background here. Raises ``UsageError`` for a
+    With none, it is the paper's to the letter.
+
+    With all of them it is ``one-dof`` with ``hands="as-given"``; but where the scale is free ``one-dof`` has twice as
+    many initial poses, and gaps between the masks (``mask_gaps``) count as background here. Raises ``UsageError`` for a
     search without its optimiser.
 
     Attributes:
@@ -79,14 +81,14 @@ WITH_FREE_SCALE = 2
 
 
 def _methods(default: str) -> str:
-    """The methods that there are when help is shown."""
+    """List the methods that there are when help is shown."""
     return f"(one of {', '.join(METHODS)}; default: {default})"
 
 
 @explained
 @dataclass(frozen=True)
 class SearchOptions:
-    """What methods that are compared have in common. Raises ``UsageError``."""
+    """The options that methods to be compared share. Raises ``UsageError``."""
 
     inits: Annotated[int, arg(metavar="N")] = 50
     """Number of initial poses, twice as many where the scale is free (but for the paper's method to the letter). More
@@ -105,15 +107,15 @@ class SearchOptions:
     """Search two to three times as long, for the methods that fit all frames at once."""
     hands: Annotated[Hands, switch("as-given"), arg(name="given-hands", help_behavior_hint="")] = "corrected"
     """Do not refine the hands (as-given). By default (corrected) they are aligned to the hand's pixels (masks/hand,
-    else masks/ignore) where they disagree, and interpolated in frames in which they jump."""
+    else masks/ignore) where they disagree, and tracker glitches are interpolated."""
     masks: Annotated[MaskUse, switch("as-given"), arg(name="given-masks", help_behavior_hint="")] = "checked"
-    """Use all masks (as-given). By default (checked) soft-hinge and one-dof leave out those that contradict the masks
-    of other frames."""
+    """Use all masks (as-given). By default (checked) soft-hinge and one-dof leave out outlier masks, which contradict
+    those of other frames."""
     mesh: Annotated[MeshUse, switch("as-given"), arg(name="given-mesh", help_behavior_hint="")] = "fitted"
     """Take the mesh as it is (as-given). By default (fitted) soft-hinge and one-dof deform it where the masks show that
-    it is only of the object's kind."""
+    it is not the object's own."""
     seed: Annotated[int, arg(metavar="S")] = 0
-    """Rotates the set of initial rotations. The same seed gives the same result."""
+    """Seed that rotates the set of initial rotations. The same seed gives the same result."""
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -142,15 +144,15 @@ class Options(SearchOptions):
     exactly; static: not at all; dynamic: freely in each frame. paper is the paper's method to the letter, slow;
     paper-static and paper-dynamic likewise. The others are baselines."""
     axis: Literal["free", "hand"] = "free"
-    """Where the latent axis of one-dof and soft-hinge may lie: anywhere (free), or through the origin of the hand frame
+    """Place of the latent axis of one-dof and soft-hinge: anywhere (free), or through the origin of the hand frame
     (hand), as the paper's Eq. 3 has it."""
     frames: Annotated[int, arg(metavar="N")] = 30
     """Fit N frames together, sampled evenly from the clip. More is slower, and safer where the motion is fast."""
     every_frame: Annotated[bool, FlagConversionOff, switch(False), arg(name="sampled-only", help_behavior_hint="")] = (
         True
     )
-    """Leave it at these frames (every_frame=False). Otherwise the others follow: each is fitted to its own mask, what
-    all frames share held still, or interpolated where no mask shows the object."""
+    """Stop after these frames (every_frame=False). By default the others follow: each is fitted to its own mask, with
+    the shared parameters fixed, or interpolated where no mask shows the object."""
     push: Annotated[float, Suppress, Fixed] = 0.1
     """Weight of E_push, the paper's lambda_2 without the focal length."""
     pull: Annotated[float, Suppress, Fixed] = 0.1
@@ -158,7 +160,12 @@ class Options(SearchOptions):
     occlusion: Annotated[bool, Suppress, Fixed] = True
     """Leave out pixels hidden by the hand (the paper's C_o)."""
     departures: Annotated[Departures, Suppress, Fixed] = TO_THE_LETTER
-    """What ``paper`` does our way; no other method has a choice."""
+    """Parts of ``paper`` that are replaced by ours; no other method has a choice."""
+
+    @property
+    def as_published(self) -> bool:
+        """True if the method is left as its authors state it: nothing is done to its input."""
+        return method_of(self.method).as_published
 
     def __post_init__(self) -> None:
         method_of(self.method)

@@ -1,8 +1,8 @@
-"""Masks that contradict those of other frames: another object's, half of one, or one that runs over.
+"""Outlier masks, which contradict those of other frames: another object's, half of one, or one that runs over.
 
-A mask is doubted that differs by far from the silhouette that the other frames foretell, while most do not. The clip is
-fitted again without the doubted masks and all are looked at again, until the same ones are doubted; poses in their
-frames are interpolated.
+A mask is an outlier if it differs far more from the predicted silhouette than most masks do. The clip is fitted again
+without the outliers and all masks are compared again, until the outliers stay the same; poses in their frames are
+interpolated.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from getagrip.fitting.problem import MethodResult, Problem
 FITS = 4
 """Most fits, the first one with all masks."""
 FEWEST = 4
-"""With fewer frames, nobody can tell which masks contradict the others."""
+"""With fewer frames, outliers cannot be determined."""
 SHARE = 0.3
-"""A doubted mask differs from the silhouette that is foretold by more than this share of the object's silhouette,"""
+"""An outlier differs from the predicted silhouette by more than this share of the object's silhouette,"""
 TIMES = 4.0
-"""and by more than so many times as much as the median mask. Chosen on DexYCB's training subjects."""
+"""and by more than this multiple of the median mask's difference. Chosen on DexYCB's training subjects."""
 
 
 def fit_without_outliers(problem: Problem, fit: Callable[[Problem], MethodResult]) -> tuple[Problem, MethodResult]:
-    """What ``fit`` finds in the frames whose masks are believed, and the problem in these frames.
+    """Fit the problem without outlier masks; return the problem in the remaining frames, and its fit.
 
     Raises what ``fit`` raises.
     """
@@ -39,11 +39,11 @@ def fit_without_outliers(problem: Problem, fit: Callable[[Problem], MethodResult
         predicted = NeighbourPrediction.by(some.warped(found.warp), found.poses, used)
         met = predicted.overlap(problem.warped(found.warp), everywhere)
         limit = outlier_threshold(met)
-        believed = np.flatnonzero(met.differing <= limit)
-        if np.array_equal(believed, used):
+        inliers = np.flatnonzero(met.differing <= limit)
+        if np.array_equal(inliers, used):
             break
-        used = believed
-        some = problem.at(problem.clip.take(used), problem.input_masks.take(used))
+        used = inliers
+        some = problem.at(problem.clip.take(used))
         found = fit(some)
     names = tuple(name for n, name in enumerate(problem.clip.frames) if n not in used)
     some = some.warped(found.warp)
@@ -51,6 +51,6 @@ def fit_without_outliers(problem: Problem, fit: Callable[[Problem], MethodResult
 
 
 def outlier_threshold(met: Overlap) -> float:
-    """Pixels by which a mask may differ from the silhouette that is foretold before it is doubted."""
+    """Return the outlier threshold: the largest difference of a mask from its predicted silhouette [px]."""
     size = float(np.median(met.silhouette))
     return max(SHARE * size, TIMES * float(np.median(met.differing)))

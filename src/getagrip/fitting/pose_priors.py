@@ -1,5 +1,4 @@
-"""Poses in which objects of a category are held, for the search to start from: a file that ``init learn`` has made, or
-a folder that the user brings.
+"""Pose priors: initial poses of a category, from a file of ``init learn`` or from a folder of the user's.
 
 A file of version 2 holds the grasps that poses are learnt from. They are clustered when they are used, without those of
 the clip's own subject. One of version 1 holds poses, and is refused for the clips and subjects they were learnt from.
@@ -18,7 +17,16 @@ from numpy import ndarray
 
 from getagrip.clip import Clip
 from getagrip.errors import InputError
-from getagrip.fitting.learn_priors import MOST_CLUSTERS, VERSION, WAYS, Hold, LearntGrasps, Priors, Way, subject_of
+from getagrip.fitting.learn_priors import (
+    CLUSTERINGS,
+    MOST_CLUSTERS,
+    VERSION,
+    Hold,
+    LearntGrasps,
+    Priors,
+    Way,
+    subject_of,
+)
 from getagrip.fitting.options import Init, Options, PriorsFile
 from getagrip.geometry import se3
 from getagrip.io import arrays, files
@@ -33,12 +41,15 @@ FARTHEST = 2.0
 
 
 def identified(path: Path, init: Init) -> PriorsFile:
-    """The file or folder that a user names for a way of starting, with its checksum. Raises ``InputError``."""
+    """Identify the file or folder that a user names for a kind of initial poses, by its checksum.
+
+    Raises ``InputError``.
+    """
     return PriorsFile(path, files.sha256(_parts(path, init)))
 
 
 def poses_for(clip: Clip, options: Options) -> tuple[Float[ndarray, "k 4 4"], tuple[str, ...]]:
-    """The poses that the search may start from before uniform rotations, or alone, and what to say about them.
+    """Return the poses that the search may start from before uniform rotations, or alone, and notes on them.
 
     Raises ``InputError`` for files that are missing, malformed or not what they were when the options were made, for
     poses of version 1 learnt from this clip or from other grasps of the same subject, and where poses are to stand
@@ -69,7 +80,7 @@ def poses_for(clip: Clip, options: Options) -> tuple[Float[ndarray, "k 4 4"], tu
 
 @lru_cache(maxsize=256)
 def _without_own(file: PriorsFile, category: str, side: str, clip: str, subject: str) -> Priors:
-    """The poses learnt from others' grasps of a category in a hand."""
+    """Return the poses learnt from others' grasps of a category in a hand."""
     learnt = _read(file, "clusters")
     assert isinstance(learnt, LearntGrasps)
     return learnt.without(clip, subject).of(category, side).poses()
@@ -87,14 +98,14 @@ def _refuse_own(path: Path, priors: Priors, clip: Clip) -> None:
 
 @lru_cache(maxsize=4)
 def _read(file: PriorsFile, init: Init) -> Priors | LearntGrasps:
-    """The poses or grasps of a file or folder, checked. Raises ``InputError``."""
+    """Read and check the poses or grasps of a file or folder. Raises ``InputError``."""
     if identified(file.path, init).sha256 != file.sha256:
         raise InputError(file.path, "", "another content than a moment ago", "a file that stays as it is")
     return read_learnt(file.path) if init == "clusters" else read_folder(file.path)
 
 
 def read_learnt(path: Path) -> Priors | LearntGrasps:
-    """What ``init learn`` has written: grasps, or poses by its first version. Raises ``InputError``."""
+    """Read a file of ``init learn``: grasps, or poses by its first version. Raises ``InputError``."""
     content = arrays.read(path, lambda key: key in {*NUMBERS, *NAMES, "way"})
     version = content.get("version", np.array(0))
     if version.shape != () or version.dtype.kind not in "iu" or version not in (1, VERSION):
@@ -112,8 +123,8 @@ def read_learnt(path: Path) -> Priors | LearntGrasps:
         _check_poses(path, key, se3.rigid(t=at))
     _check_counts(path, names, NAMES, len(R))
     way = content.get("way", np.array(""))
-    if way.shape != () or str(way) not in WAYS:
-        raise InputError(path, "way", files.shown(way.tolist()), f"one of {', '.join(WAYS)}")
+    if way.shape != () or str(way) not in CLUSTERINGS:
+        raise InputError(path, "way", files.shown(way.tolist()), f"one of {', '.join(CLUSTERINGS)}")
     k, seed = _whole(path, content, "k", 1, MOST_CLUSTERS), _whole(path, content, "seed", 0, 2**63 - 1)
     rows = zip(
         *(names[key] for key in ("category", "side")),
@@ -141,7 +152,7 @@ def _whole(path: Path, content: dict[str, ndarray], key: str, least: int, most: 
 
 
 def read_folder(folder: Path) -> Priors:
-    """The poses of a folder ``<category>/<left or right>_<anything>.npy``: a 4x4 ``T_hand_obj`` each.
+    """Read the poses of a folder ``<category>/<left or right>_<anything>.npy``: a 4x4 ``T_hand_obj`` each.
 
     So the authors keep theirs. A factor on a rotation is dropped, as their code does. Raises ``InputError``.
     """
@@ -160,7 +171,7 @@ def read_folder(folder: Path) -> Priors:
 
 
 def _parts(path: Path, init: Init) -> dict[str, Path]:
-    """The files that a user's choice is made of, by name. Raises ``InputError`` where there are none."""
+    """List the files that a user's choice is made of, by name. Raises ``InputError`` where there are none."""
     if init == "clusters":
         if not path.is_file():
             raise InputError(path, "", "no such file", "a file that init learn has written")
@@ -184,7 +195,7 @@ def _check_poses(path: Path, key: str, T: Float[ndarray, "N 4 4"]) -> None:
 
 
 def _texts(path: Path, content: dict[str, ndarray], key: str) -> tuple[str, ...]:
-    """An array of names, which may be empty."""
+    """Read an array of names, which may be empty."""
     array = content.get(key)
     if array is None or array.dtype.kind != "U" or array.ndim != 1:
         raise InputError(path, key, "no array of names", "a list of names")

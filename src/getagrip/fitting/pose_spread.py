@@ -1,4 +1,4 @@
-"""How far the object could still be moved: the standard deviation that the energy leaves of its pose.
+"""Pose spread: the standard deviation that the energy leaves of the object's pose.
 
 The Gauss-Newton covariance of what all frames share (base pose, axis, scale), each frame's own at their best:
 
@@ -20,11 +20,12 @@ from getagrip.fitting.solve import hessian
 from getagrip.geometry import se3
 
 LEAST = 1e-6
-"""What the energy tells nothing of, the spin of a bottle, is as certain as this share of the most certain, not less."""
+"""Least certainty of a direction that the energy does not see (the spin of a bottle), as a share of the most
+certain."""
 
 
 def pose_spread(problem: Problem, found: MethodResult) -> float:
-    """Of the best solution: root mean square over the object's surface, in diameters, in the middle frame.
+    """Compute the spread of the best solution: root mean square over the surface, in diameters, in the middle frame.
 
     NaN for a method that has no motion of its own, and for one whose frames share nothing.
     """
@@ -37,7 +38,7 @@ def pose_spread(problem: Problem, found: MethodResult) -> float:
     if S == 0:
         return float("nan")
     H, prior = hessian(motion, found.energy_of(problem)(CROP, frames), T_cam_hand)[0], motion.prior()
-    own = H[:, S:, S:] + np.diag(prior.diagonal) + LEAST * np.eye(H.shape[-1] - S)
+    own = H[:, S:, S:] + prior.H + LEAST * np.eye(H.shape[-1] - S)
     reduced = (H[:, :S, :S] - H[:, :S, S:] @ np.linalg.solve(own, H[:, S:, :S])).sum(axis=0)
     certain, directions = np.linalg.eigh(reduced)
     if not certain[-1] > 0.0:  # no contour and no contact tells anything

@@ -1,10 +1,10 @@
-"""Silhouettes that other frames foretell: where the object is bound to be, whatever a frame's own mask says.
+"""Predict each frame's silhouette from its neighbours, ignoring its own mask.
 
-In a grasp the object moves little in the hand from frame to frame, and smoothly before the camera. So it is foretold
-twice: by the typical pose in the hand, that of a few neighbours which is nearest to the others, and by the pose between
-the nearest other frames, in the camera frame. The first is wrong where the hand is, the second where the motion is fast
-or a neighbour's mask is wrong. A frame's own pose does not count: deviations from a motion, and the angle about a far
-axis, may well follow a wrong mask.
+In a grasp the object moves little in the hand from frame to frame, and smoothly before the camera. So its silhouette is
+predicted twice: from the typical pose in the hand, that of a few neighbours which is nearest to the others, and from
+the pose between the nearest other frames, in the camera frame. The first is wrong where the hand is wrong, the second
+where the motion is fast or a neighbour's mask is wrong. A frame's own pose does not count: deviations from a motion,
+and the angle about a far axis, may well follow a wrong mask.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from getagrip.fitting.problem import Problem
 from getagrip.geometry import se3
 
 NEIGHBOURS = 6
-"""So many frames on either side, and the frame itself, are asked for the typical pose."""
+"""Number of frames on either side, beside the frame itself, that determine the typical pose."""
 
 
 @dataclass(frozen=True)
 class NeighbourPrediction:
-    """What some frames foretell of others, and each of itself by the others.
+    """A prediction of each frame's pose from its neighbours' poses.
 
     Attributes:
         typical: (1, n) the typical pose in the hand of each frame and its neighbours.
@@ -40,12 +40,12 @@ class NeighbourPrediction:
 
     @staticmethod
     def by(problem: Problem, poses: PosesInHand, at: Int[ndarray, "n"]) -> NeighbourPrediction:
-        """By the best of the poses in a problem's frames, which are ``at`` these places."""
+        """Predict from the best of the poses in a problem's frames, which are ``at`` these places."""
         best = poses.take(np.zeros(1, dtype=int))
         return NeighbourPrediction(typical(best, problem.surface.points), moved(best, problem.clip.hand.T_cam_hand), at)
 
     def overlap(self, problem: Problem, at: Int[ndarray, "m"]) -> Overlap:
-        """How the masks of a problem's frames, which are ``at`` these places, overlap what is foretold.
+        """Compare the masks of a problem's frames, which are ``at`` these places, with the predicted silhouettes.
 
         Of the two silhouettes, the one that differs less.
         """
@@ -57,7 +57,7 @@ class NeighbourPrediction:
         return Overlap(*(np.where(first, x, y) for x, y in zip(one, two, strict=True)))
 
     def between(self, at: Int[ndarray, "m"]) -> PosesInHand:
-        """The pose in the camera frame between the nearest other frames; at the ends, going on as they do."""
+        """Interpolate the pose in the camera frame between the nearest other frames; extrapolate it at the ends."""
         R, centre = np.empty((1, len(at), 3, 3)), np.empty((1, len(at), 3))
         for m, place in enumerate(at):
             R[0, m], centre[0, m] = self._from_others(place)
@@ -71,7 +71,7 @@ class NeighbourPrediction:
 
 
 def typical(poses: PosesInHand, points: Float[ndarray, "P 3"]) -> PosesInHand:
-    """Of one hypothesis, in each frame the pose among it and its neighbours that is nearest to all of them."""
+    """Choose in each frame, for one hypothesis, the pose among it and its neighbours that is nearest to all of them."""
     x = float(poses.scale[0]) * points @ np.swapaxes(poses.R[0], -1, -2) + poses.centre[0, :, None]
     apart = np.sqrt(np.mean(np.sum((x[:, None] - x[None]) ** 2, axis=-1), axis=-1))
     frame = np.arange(len(x))

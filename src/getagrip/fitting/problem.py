@@ -1,4 +1,4 @@
-"""What every method is given and gives back: a clip prepared for fitting, and the poses found."""
+"""The input and output of every method: a clip prepared for fitting, and the poses found."""
 
 from __future__ import annotations
 
@@ -10,7 +10,16 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.clip import Clip, Masks, observed_frames, read_masks, read_observed
+from getagrip.clip import (
+    Clip,
+    Masks,
+    masks_in,
+    observed_frames,
+    read_masks,
+    read_observed,
+    with_evidence,
+    with_masks,
+)
 from getagrip.clip.occlusion import occluded_by_hand
 from getagrip.clip.sampling import frame_indices
 from getagrip.fitting import pose_priors
@@ -18,7 +27,6 @@ from getagrip.fitting.contact import MARGIN
 from getagrip.fitting.energy import Energy
 from getagrip.fitting.hand_refinement import refine_hand
 from getagrip.fitting.mask_gaps import GAP_SHARE
-from getagrip.fitting.methods import method_of
 from getagrip.fitting.motion import Motion, PosesInHand
 from getagrip.fitting.observation import Observation, observe
 from getagrip.fitting.options import WITH_FREE_SCALE, Options
@@ -30,7 +38,7 @@ from getagrip.result import Axis, Status
 
 CONTACT_IF_FITTED = 4.0
 """Factor on the weight of contact where the mesh is fitted. The masks then tell size and distance less well, and the
-hand tells them better: the object is where it can be held."""
+hand determines them better."""
 REACH, REACH_IF_FITTED = 0.01, MARGIN
 """Farthest that a finger may be from the object and still be drawn to it [m]; beyond, it is taken to hold nothing. A
 fitted mesh may be that much nearer or farther than the object."""
@@ -38,15 +46,15 @@ fitted mesh may be that much nearer or farther than the object."""
 
 @dataclass(frozen=True)
 class Trust:
-    """What is believed of the inputs of a problem.
+    """The trust in the inputs of a problem.
 
     Attributes:
         hand_corrected: whether the hand was refined by its own pixels.
         hand_differing: share of the hand's visible pixels that differ from its silhouette; NaN where it is not known.
         hand_drawn: whether the drawn hand stands in for missing ignore masks.
         mesh_fitted: whether the mesh was warped to the masks.
-        doubted: names of frames whose masks contradict the others, and are left out (``outlier_masks``).
-        most_differing: pixels by which a mask may differ from the silhouette that the other frames predict.
+        outliers: names of frames with outlier masks, which are left out (``outlier_masks``).
+        outlier_threshold: pixels by which a mask may differ from the predicted silhouette.
     """
 
     hand_refined: bool = False
@@ -72,21 +80,20 @@ class Problem:
     """A clip at the frames that are used.
 
     Attributes:
-        clip: the clip, in the frames that are used, its hand corrected where its pixels ask for it.
-        masks: its masks, in the same frames.
-        given_masks: the same as they were given; ``masks`` may ignore what the drawn hand covers besides.
+        clip: the clip, in the frames that are used, all of its evidence in memory, its hand refined where its pixels
+            ask for it.
+        masks: its masks, in the same frames; they may ignore what the drawn hand covers besides (``input_masks``).
         observation: its masks as crops, with contours.
         surface: surface of the object.
         options: options of the reconstruction, with as many initial poses as there may be.
         prior_poses: (k, 4, 4) initial poses ``T_hand_obj``, tried before those with uniform rotations, or alone.
         notes: dropped frames, guesses, initial poses, what stands in for missing masks.
         threads: number of threads that share the hypotheses of a fit.
-        trust: what is believed of all this.
+        trust: the trust in these inputs.
     """
 
     clip: Clip
     masks: Masks
-    input_masks: Masks
     observation: Observation
     surface: ObjectSurface
     options: Options
@@ -100,18 +107,28 @@ class Problem:
         """How many initial poses the object in the hand has: those given, if they stand alone."""
         return len(self.prior_poses) if self.options.priors_only else self.options.inits
 
-    def at(self, clip: Clip, masks: Masks) -> Problem:
-        """The same problem in other frames of its clip, with the masks that are given for them.
+    @property
+    def input_masks(self) -> Masks:
+        """The masks of the clip, as they were given."""
+        masks = masks_in(self.clip)
+        assert masks is not None
+        return masks
 
-        Whether the masks leave gaps stays as it was found.
+    def at(self, clip: Clip, masks: Masks | None = None) -> Problem:
+        """Return the problem in other frames of its clip, with their masks.
+
+        Without ``masks`` they are those that the clip has in memory or in its folder, as all other evidence is. Whether
+        the masks leave gaps stays as it was found.
         """
+        clip = with_evidence(clip if masks is None else with_masks(clip, masks))
+        masks = read_masks(clip)
         shown = occluded_by_hand(clip, masks) if self.trust.hand_drawn and not masks.say_what_hides else masks
         gap_share = 0.0 if self.observation.has_gaps else 1.0
         observation = observe(shown, clip.K, self.options.occlusion, gap_share)
-        return replace(self, clip=clip, masks=shown, input_masks=masks, observation=observation)
+        return replace(self, clip=clip, masks=shown, observation=observation)
 
     def warped(self, warp: Warp | None) -> Problem:
-        """The same problem with its mesh warped, where there is a warp, and contact of more weight."""
+        """Return the problem with its mesh deformed, where there is a warp, and contact of more weight."""
         if warp is None:
             return self
         clip = self.clip.warped(warp)
@@ -157,31 +174,27 @@ def prepare(clip: Clip, masks: Masks | None, options: Options, threads: int = 1)
     ``WITH_FREE_SCALE`` times as many initial poses. Raises ``InputError`` for fewer than 2 frames, and for initial
     poses as ``pose_priors.poses_for`` does.
     """
-    as_published = method_of(options.method).as_published
-    if clip.scale == "free" and not as_published:
+    if clip.scale == "free" and not options.as_published:
         options = replace(options, inits=WITH_FREE_SCALE * options.inits)
-    clip, masks_input = _sampled(clip, masks, options.frames)
+    clip = _sampled(clip, masks, options.frames)
     with ThreadPoolExecutor(1) as pool:
         surface = pool.submit(ObjectSurface.of, clip.mesh)  # knows nothing of hands and masks
         if threads == 1:
             wait([surface])
-        return _prepared(clip, masks_input, options, surface, threads)
+        return _prepared(clip, options, surface, threads)
 
 
-def _prepared(
-    clip: Clip, masks_input: Masks, options: Options, surface: Future[ObjectSurface], threads: int
-) -> Problem:
+def _prepared(clip: Clip, options: Options, surface: Future[ObjectSurface], threads: int) -> Problem:
     """``prepare`` at the frames that are used."""
-    as_published = method_of(options.method).as_published
-    masks, notes = masks_input, []
+    masks, notes = read_masks(clip), []
     if clip.left_out:
         one, more = "frame without a mask that shows the object was", "frames without masks that show the object were"
         notes.append(f"{counted(len(clip.left_out), one, more)} left out of the fit: {', '.join(clip.left_out)}")
     # For the paper's method gaps between the masks are background.
-    gap_share = 1.0 if as_published else GAP_SHARE
+    gap_share = 1.0 if options.as_published else GAP_SHARE
     observation = observe(masks, clip.K, options.occlusion, gap_share)
     correction, differing = None, float("nan")
-    if options.hands == "corrected" and not as_published:
+    if options.hands == "corrected" and not options.as_published:
         correction, differing = refine_hand(clip, masks, observation.has_gaps)
     if correction is not None:
         clip = clip.with_hand_at(correction.T_cam_hand)
@@ -190,27 +203,28 @@ def _prepared(
     if hand_drawn:
         masks = occluded_by_hand(clip, masks)
         observation = observe(masks, clip.K, options.occlusion, gap_share)
-        notes.append("no ignore masks: what the drawn hand covers outside the object's mask counts as hidden")
+        notes.append("no ignore masks: pixels that the rendered hand covers outside the object's mask count as hidden")
     poses, of_poses = pose_priors.poses_for(clip, options)
     notes += of_poses
     notes += [f"{topic}: {text}" for topic, text in assumptions(clip.provenance).items()]
     if observation.has_gaps:
-        notes.append("masks leave gaps between the object and what hides it: what lies in them does not count")
+        notes.append("masks leave gaps between the object and its occluders: pixels in gaps do not count")
     return Problem(
-        clip=clip, masks=masks, input_masks=masks_input, observation=observation, surface=surface.result(),
+        clip=clip, masks=masks, observation=observation, surface=surface.result(),
         options=options, prior_poses=poses, notes=tuple(notes), threads=threads,
         trust=Trust(hand_refined=correction is not None, hand_differing=differing, hand_drawn=hand_drawn),
     )  # fmt: skip
 
 
-def _sampled(clip: Clip, masks: Masks | None, frames: int) -> tuple[Clip, Masks]:
-    """The frames that are used, and their masks. Masks of other frames are read one by one, and not kept."""
+def _sampled(clip: Clip, masks: Masks | None, frames: int) -> Clip:
+    """Return the frames that are used, with their evidence. That of other frames is read one by one, and not kept."""
+    masks = masks_in(clip) if masks is None else masks
     if masks is None and len(clip) <= frames:
         masks = read_masks(clip)
     observed = read_observed(clip) if masks is None else masks.observed
     visible = observed_frames(clip, observed)
     index = frame_indices(len(visible), frames)
     clip = visible.take(index)
-    if masks is None:
-        return clip, read_masks(clip)
-    return clip, masks if len(clip) == len(observed) else masks.take(np.flatnonzero(observed)[index])
+    if masks is not None:
+        clip = with_masks(clip, masks if len(clip) == len(observed) else masks.take(np.flatnonzero(observed)[index]))
+    return with_evidence(clip)

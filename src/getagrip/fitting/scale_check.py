@@ -1,7 +1,7 @@
-"""Whether the object would rather have another size than the one it is said to have.
+"""Scale check: whether the energy prefers another scale than the known one.
 
-From the solution on, the scale is a parameter for a few iterations, too. If mesh, hand and camera agree in size,
-nothing is gained: contact with the hand tells the depth, and depth and masks tell the size.
+From the solution on, a few iterations are made with a free scale. If mesh, hand and camera agree in size, the energy
+hardly falls: contact with the hand determines the depth, and depth and masks determine the size.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ LEVEL, ITERATIONS = 128, 8
 
 
 def scale_check(problem: Problem, found: MethodResult) -> tuple[float, float]:
-    """How many times as large the object would rather be, and what share of the energy of the best solution that saves.
+    """Check whether the energy prefers another scale, in a few iterations with a free scale.
+
+    Return the factor that the energy prefers, and the share of energy that it saves.
 
     NaN where the scale was free, and for a method that has no motion of its own.
     """

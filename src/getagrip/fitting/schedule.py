@@ -26,7 +26,7 @@ NEAR = Rotations(random=(5.0, 20.0), principal=(8.0, 25.0))
 """Out of a minimum beside the best."""
 
 ALL = 10**9
-"""As many frames as there are."""
+"""Number that stands for all frames."""
 
 
 @dataclass(frozen=True)

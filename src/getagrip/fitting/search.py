@@ -56,10 +56,10 @@ class Search:
     on_stage: Callable[[str], None]
     """Called with the name of each stage when it ends."""
     threads: int = 1
-    """So many share the hypotheses."""
+    """Number of threads."""
 
     def relax(self, initial: Fixed, energy: Energy) -> Soft[Fixed]:
-        """A static fit from each initial pose, then one in which each frame may deviate a little."""
+        """Fit a static pose from each initial one, then let each frame deviate a little."""
         stage = self.schedule.coarse[0]
         index = self.frames(stage)
         terms, T = energy(stage.level, index), self.T_cam_hand[index]
@@ -70,23 +70,23 @@ class Search:
         return found.motion.take(np.sort(np.argsort(found.energy, kind="stable")[: schedule.relaxed]))
 
     def run(self, motion: M, energy: Energy) -> Solution[M]:
-        """All stages, by one motion model and one energy, from a motion at the frames of the first."""
+        """Run all stages, by one motion model and one energy, from a motion at the frames of the first."""
         return self.fine(self.at_all_frames(self.coarse(motion, energy).motion), energy)
 
     def coarse(self, motion: M, energy: Energy) -> Solution[M]:
-        """The stages that see some of the frames, from a motion at those of the first."""
+        """Run the stages that see some of the frames, from a motion at those of the first."""
         return self._stages(motion, self.schedule.coarse, energy)
 
     def at_all_frames(self, motion: M, coarse: int = -1) -> M:
-        """A motion at the frames of a coarse stage, the last one, taken to those of the fine stages."""
+        """Take a motion at the frames of the last coarse stage to those of the fine stages."""
         return motion.resampled(self.frames(self.schedule.coarse[coarse]), self.frames(self.schedule.fine[0]))
 
     def at_first_frames(self, motion: M) -> M:
-        """A motion at all frames, taken to those of the first stage."""
+        """Take a motion at all frames to those of the first stage."""
         return motion.resampled(np.arange(len(self.T_cam_hand)), self.frames(self.schedule.coarse[0]))
 
     def fine(self, motion: M, energy: Energy) -> Solution[M]:
-        """The stages that see all frames; distinct solutions, best first."""
+        """Run the stages that see all frames; return distinct solutions, best first."""
         return self._stages(motion, self.schedule.fine, energy)
 
     @property
@@ -95,7 +95,7 @@ class Search:
         return self.frames(self.schedule.coarse[-1])
 
     def frames(self, stage: Stage) -> Int[ndarray, "n"]:
-        """The frames of the clip that a stage sees."""
+        """Return the frames of the clip that a stage sees."""
         return frame_indices(len(self.T_cam_hand), stage.frames)
 
     def _stages(self, motion: M, stages: Sequence[Stage], energy: Energy) -> Solution[M]:
@@ -128,7 +128,7 @@ def explored(
     stage: Stage,
     threads: int = 1,
 ) -> Solution[M]:
-    """The solutions of a stage, and those found from the best of them rotated, in several rounds."""
+    """Return the solutions of a stage, and those found from the best of them rotated, in several rounds."""
     rng = np.random.default_rng(0)
     for _ in range(stage.rounds):
         parents = suppress_duplicates(solution.motion.poses(), solution.energy, surface, stage.parents)
@@ -141,14 +141,17 @@ def explored(
 
 
 def near(energy: Float[ndarray, "n"], within: float) -> Bool[ndarray, "n"]:
-    """Which energies are at most ``within`` times the first, which is the least; some terms may be below zero."""
+    """Return which energies are at most ``within`` times the first, which is the least.
+
+    Some terms may be below zero.
+    """
     return np.asarray(energy - energy[0] <= (within - 1.0) * max(abs(energy[0]), 1e-9))
 
 
 def drawn_rotations(
     axes: Float[ndarray, "3 3"], by: Rotations, count: int, rng: np.random.Generator
 ) -> Float[ndarray, "n 3 3"]:
-    """``count`` rotations about random axes, then ``count`` about the principal ones, the rows of ``axes``."""
+    """Draw ``count`` rotations about random axes, then ``count`` about the principal ones, the rows of ``axes``."""
     random = rng.normal(size=(count, 3))
     random *= np.radians(rng.uniform(*by.random, (count, 1))) / np.linalg.norm(random, axis=1, keepdims=True)
     angle = np.radians(rng.uniform(*by.principal, (count, 1))) * rng.choice([-1.0, 1.0], (count, 1))
@@ -158,7 +161,7 @@ def drawn_rotations(
 def suppress_duplicates(
     poses: PosesInHand, energy: Float[ndarray, "B"], surface: ObjectSurface, keep: int, half_turns: bool = False
 ) -> Int[ndarray, "n"]:
-    """Indices of the ``keep`` lowest finite energies, near-copies of a better one left out.
+    """Choose the ``keep`` lowest finite energies, near-copies of a better one left out; return their indices.
 
     Two hypotheses are the same if the object's surface moves by less than ``SAME`` of its diameter; with ``half_turns``
     not those that differ by half a turn that can be seen and have nearly the least energy.

@@ -1,4 +1,4 @@
-"""The shape of an object whose mesh is only of its kind, from the silhouettes of all frames.
+"""Mesh fit: the shape of an object that has only a mesh of its category, from the silhouettes of all frames.
 
 A CAD of the category leaves contours that no pose explains, and the search ends at a pose whose wrong contours are a
 little better. So after the coarse stages the mesh may be warped: stretched, sheared, tapered and bent (``Warp``), by
@@ -22,12 +22,12 @@ from getagrip.fitting.objective import DELTA, STEP
 from getagrip.fitting.problem import Problem
 from getagrip.fitting.solve import FLOOR, in_camera, minimise, seen_from_camera
 from getagrip.geometry.warp import Warp, settled
-from getagrip.least_squares import arrow_step, damped
+from getagrip.least_squares import Arrow
 
 MISFIT = 1.2
-"""A mesh is doubted that leaves contours so many times as far off as the object's own would (``misfit``),"""
+"""A mesh is fitted if its misfit (``misfit``) is above this,"""
 GAIN = 0.85
-"""and believed all the same, unless another shape has at most this share of the energy. On 26 training clips of DexYCB,
+"""and stays as it is unless another shape has at most this share of the energy. On 26 training clips of DexYCB,
 under each of four errors of hands, masks and size, at most one own mesh met both conditions."""
 LEAST = 0.008
 """A shape that is nearer to the mesh [diameters] is the mesh's own: what explains the masks better is the pose. Of 111
@@ -97,13 +97,10 @@ class _State:
         J[..., :7, :S], J[..., 7:, S : S + M], J[..., :7, S + M :] = seen[..., :S], np.eye(M), seen[..., S:]
         Jt = np.swapaxes(J, -1, -2)
         A, b = Jt @ self.H[active] @ J, (Jt @ self.g[active][..., None])[..., 0]
-        shared, own = slice(0, S + M), slice(S + M, None)
-        H_ss, g_s = A[..., shared, shared].sum(axis=1), b[..., shared].sum(axis=1)
-        H_ss[:, S:, S:] += self.stiffness
-        g_s[:, S:] += self.pull[active]
-        H_ll, g_l = A[..., own, own] + np.diag(prior.diagonal), b[..., own] + prior.g
-        H_ss, H_ll = damped(H_ss, damping, FLOOR), damped(H_ll, damping[:, None], FLOOR)
-        step, per_frame = arrow_step(H_ss, A[..., shared, own], H_ll, g_s, g_l)
+        arrow = Arrow.of(A, b, slice(S + M), slice(S + M, None)).plus(H_ll=prior.H, g_l=prior.g)
+        arrow.H_ss[:, S:, S:] += self.stiffness
+        arrow.g_s[:, S:] += self.pull[active]
+        step, per_frame = arrow.step(damping, FLOOR)
         return replace(self, motion=motion.retract(step[:, :S], per_frame), weights=weights + step[:, S:])
 
     def accept(self, trial: _State, active: Int[ndarray, "n"], better: Bool[ndarray, "n"]) -> _State:
@@ -119,9 +116,9 @@ class _State:
 
 
 def own_shape(problem: Problem, motion: Soft[Fixed], index: Int[ndarray, "n"], misfit: float) -> Warp | None:
-    """The warp of the mesh that explains the masks best, from hypotheses in some frames of the problem.
+    """Fit the mesh to the masks, from hypotheses in some frames of the problem.
 
-    ``misfit`` is how far off the best of them leaves the contours. None where the mesh is to be believed.
+    ``misfit`` is how far off the best of them leaves the contours. None where the mesh stays as it is.
     """
     if misfit < MISFIT:
         return None
@@ -144,7 +141,7 @@ def own_shape(problem: Problem, motion: Soft[Fixed], index: Int[ndarray, "n"], m
 
 
 def _prior(size_known: bool) -> Float[ndarray, "24 24"]:
-    """The stiffness of the modes in each frame [px^2]."""
+    """Return the stiffness of the modes in each frame [px^2]."""
     deviation = np.full(len(MODES), BEND)
     deviation[STRETCHES] = STRETCH
     stiffness = np.diag(WEIGHT / deviation**2)

@@ -18,9 +18,9 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip import least_squares
-from getagrip.fitting.energy import PosesInCamera, Quadratic, Term
-from getagrip.fitting.motion import Motion, moved
-from getagrip.least_squares import DEFAULT, Ending, Rules, arrow_step, damped
+from getagrip.fitting.energy import HandInCamera, ObjectWithHand, PosesInCamera, Quadratic, Term
+from getagrip.fitting.motion import HandPoses, Motion, PosesInHand, moved
+from getagrip.least_squares import DEFAULT, Arrow, Ending, Rules
 from getagrip.result.status import Status
 
 M = TypeVar("M", bound=Motion)
@@ -58,7 +58,7 @@ class Solution(Generic[M]):
     evaluations: int
 
     def take(self, index: Int[ndarray, "n"]) -> Solution[M]:
-        """Some of the solutions."""
+        """Return some of the solutions."""
         return Solution(
             self.motion.take(index),
             self.energy[index],
@@ -68,7 +68,7 @@ class Solution(Generic[M]):
         )
 
     def concatenate(self, other: Solution[M]) -> Solution[M]:
-        """These solutions, then the other's."""
+        """Return these solutions, then the other's."""
         return Solution(
             self.motion.concatenate(other.motion),
             np.concatenate([self.energy, other.energy]),
@@ -79,12 +79,19 @@ class Solution(Generic[M]):
 
 
 def in_camera(motion: Motion, T_cam_hand: Float[ndarray, "N 4 4"]) -> PosesInCamera:
-    """The motion's poses as the terms read them."""
-    in_camera_poses = moved(motion.poses(), T_cam_hand)
-    # Kernels are compiled for one layout; another would compile each of them again.
-    return PosesInCamera(
-        np.ascontiguousarray(in_camera_poses.R), np.ascontiguousarray(in_camera_poses.centre), in_camera_poses.scale
-    )
+    """Return the motion's poses as the terms read them."""
+    seen = moved(motion.poses(), T_cam_hand)
+    if seen.hand is None:
+        return PosesInCamera(*_body(seen))
+    hand = HandInCamera(*_body(seen.hand), seen.hand.modes, seen.hand.frame.middle)
+    return ObjectWithHand(*_body(seen), hand, PosesInCamera(*_body(seen.hand.held)))
+
+
+def _body(
+    poses: PosesInHand | HandPoses,
+) -> tuple[Float[ndarray, "B N 3 3"], Float[ndarray, "B N 3"], Float[ndarray, "B"]]:
+    """Poses in the one layout that kernels are compiled for; another would compile each of them again."""
+    return np.ascontiguousarray(poses.R), np.ascontiguousarray(poses.centre), poses.scale
 
 
 @dataclass
@@ -124,7 +131,7 @@ class _State(Generic[M]):
 def evaluate(
     motion: M, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"], bound: Float[ndarray, "B"]
 ) -> _State[M]:
-    """Energy and derivatives; derivatives may be missing where the energy exceeds ``bound``."""
+    """Evaluate energy and derivatives; derivatives may be missing where the energy exceeds ``bound``."""
     poses = in_camera(motion, T_cam_hand)
     prior = motion.prior().value
     values = np.empty((len(prior), len(terms) + 1))
@@ -132,7 +139,7 @@ def evaluate(
     total: Quadratic | None = None
     for k, term in enumerate(terms):
         with np.errstate(invalid="ignore"):  # behind the camera: no bound, and nothing of it left
-            local = term(poses, bound - prior - values[:, :k].sum(axis=1))
+            local = term(poses, bound - prior - values[:, :k].sum(axis=1)).within(poses.size)
         values[:, k] = local.value.sum(axis=1)
         total = local if total is None else total + local
     assert total is not None
@@ -176,59 +183,38 @@ def _minimised(
 def _step(
     motion: Motion, local: Quadratic, damping: Float[ndarray, "B"], T_cam_hand: Float[ndarray, "N 4 4"]
 ) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
-    """The damped Gauss-Newton step of the motion's shared and per-frame parameters, not longer than ``LONGEST``."""
+    """Solve for the damped Gauss-Newton step of the shared and per-frame parameters, not longer than ``LONGEST``."""
     J_shared, J_local = motion.jacobian()
-    S = J_shared.shape[-1]
-    prior = motion.prior()
-    J_cam = seen_from_camera(J_shared, J_local, T_cam_hand)
-    Jt = np.swapaxes(J_cam, -1, -2)
-    A = Jt @ (local.H @ J_cam)
-    b = (Jt @ local.g[..., None])[..., 0]
-    H_ss, g_s = A[..., :S, :S].sum(axis=1), b[..., :S].sum(axis=1)
-    H_sl, H_ll, g_l = A[..., :S, S:], A[..., S:, S:], b[..., S:] + prior.g
-    H_ll = H_ll + np.diag(prior.diagonal)
-    cross = None
-    if local.cross is not None:
-        ss, sl, cross = _between_frames(local.cross, J_cam[..., :S], J_cam[..., S:])
-        H_ss, H_sl = H_ss + ss, H_sl + sl
-    H_ss, H_ll = damped(H_ss, damping, FLOOR), damped(H_ll, damping[:, None], FLOOR)
-    shared, per_frame = arrow_step(H_ss, H_sl, H_ll, g_s, g_l, cross)
+    S, prior = J_shared.shape[-1], motion.prior()
+    J = seen_from_camera(J_shared, J_local, T_cam_hand)
+    arrow = Arrow.by(J, S, local.H, local.g, local.cross).plus(H_ll=prior.H, g_l=prior.g, cross=prior.cross)
+    if prior.diagonal_shared is not None:
+        arrow = arrow.plus(H_ss=np.diag(prior.diagonal_shared), g_s=prior.g_shared)
+    shared, per_frame = arrow.step(damping, FLOOR)
     moved = (J_shared @ shared[:, None, :, None] + J_local @ per_frame[..., None])[..., 0]
+    if moved.shape[-1] > 7:
+        moved = np.concatenate([moved[..., :7], moved[..., 7:14]], axis=1)
     turn, shift = np.linalg.norm(moved[..., 3:6], axis=-1), np.linalg.norm(moved[..., :3], axis=-1)
     shrink = np.minimum(1.0, LONGEST / np.maximum(np.maximum(turn, 10.0 * shift).max(axis=1), 1e-12))
     return shared * shrink[:, None], per_frame * shrink[:, None, None]
 
 
 def seen_from_camera(
-    J_shared: Float[ndarray, "B N 7 S"], J_local: Float[ndarray, "B N 7 L"], T_cam_hand: Float[ndarray, "N 4 4"]
-) -> Float[ndarray, "B N 7 P"]:
-    """A motion's Jacobians side by side, of local 7-vectors in the camera's frame."""
+    J_shared: Float[ndarray, "B N P S"], J_local: Float[ndarray, "B N P L"], T_cam_hand: Float[ndarray, "N 4 4"]
+) -> Float[ndarray, "B N P Q"]:
+    """Return a motion's Jacobians side by side, of local vectors in the camera's frame."""
     J, R = np.concatenate([J_shared, J_local], axis=-1), T_cam_hand[:, :3, :3]
-    return np.concatenate([R @ J[..., :3, :], R @ J[..., 3:6, :], J[..., 6:, :]], axis=-2)
+    bodies = (0,) if J.shape[-2] == 7 else (0, 7, -7)
+    for k in (first + 3 * part for first in bodies for part in range(2)):
+        J[..., k : k + 3, :] = R @ J[..., k : k + 3, :]
+    return J
 
 
 def hessian(motion: Motion, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"]) -> Float[ndarray, "B N P P"]:
-    """The Gauss-Newton Hessian of each frame's terms by the shared parameters and those of the frame, in this order.
+    """Compute the Gauss-Newton Hessian of each frame's terms by the shared parameters, then those of the frame.
 
     Without the motion's own prior, and without what ties frames to each other.
     """
     local = evaluate(motion, terms, T_cam_hand, np.full(len(motion.poses().scale), np.inf)).local
     J = seen_from_camera(*motion.jacobian(), T_cam_hand)
     return np.asarray(np.swapaxes(J, -1, -2) @ (local.H @ J))
-
-
-def _between_frames(
-    cross: Float[ndarray, "B N 7 N 7"], J_s: Float[ndarray, "B N 7 S"], J_l: Float[ndarray, "B N 7 L"]
-) -> tuple[Float[ndarray, "B S S"], Float[ndarray, "B N S L"], Float[ndarray, "B N L N L"]]:
-    """The Hessian between frames by the parameters: ``sum_ij Js_i^T A_ij Js_j``, ``sum_i Js_i^T A_ij Jl_j``,
-    ``Jl_i^T A_ij Jl_j``.
-    """
-    B, N, _, S = J_s.shape
-    L = J_l.shape[-1]
-    flat, tall = cross.reshape(B, N * 7, N * 7), J_s.reshape(B, N * 7, S)
-    right = flat @ tall
-    ss = np.swapaxes(tall, -1, -2) @ right
-    sl = np.swapaxes(right.reshape(B, N, 7, S), -1, -2) @ J_l
-    right = np.swapaxes(flat.reshape(B, N * 7, N, 7), 1, 2) @ J_l  # (B, j, i 7, L)
-    right = np.swapaxes(right, 1, 2).reshape(B, N, 7, N * L)
-    return ss, sl, (np.swapaxes(J_l, -1, -2) @ right).reshape(B, N, L, N, L)

@@ -1,4 +1,4 @@
-"""An object's surface about its centre, as the search uses it: how far apart do two poses place it?"""
+"""An object's surface about its centre, by which the search measures how far apart two poses are."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from getagrip.geometry.mesh import Mesh, decimate
 from getagrip.kernels.closest import FaceGrid
 
 COARSE_FACES = 1000
-"""Objects of more faces are decimated to so many for contact and for 64-pixel silhouettes."""
+"""Most faces for contact and for 64-pixel silhouettes; larger objects are decimated."""
 POINTS = 48
 """Points of the surface that are compared."""
 HALF_TURNS = (0.003, 0.06)
@@ -45,7 +45,7 @@ class ObjectSurface:
 
     @staticmethod
     def of(mesh: Mesh) -> ObjectSurface:
-        """The surface of a mesh, about ``mesh.centre``."""
+        """Sample the surface of a mesh, about ``mesh.centre``."""
         coarse = decimate(mesh, COARSE_FACES)
         about = mesh.vertices - mesh.centre
         _, axes = np.linalg.eigh(np.cov(about.T))
@@ -60,7 +60,7 @@ class ObjectSurface:
         return turns[(moved > HALF_TURNS[0]) & (moved < HALF_TURNS[1]), 0]
 
     def half_turned(self, R: Float[ndarray, "N 3 3"], others: Float[ndarray, "C N 3 3"]) -> Bool[ndarray, "C"]:
-        """Which of C other rotations, over N frames, differ by one of the half turns."""
+        """Return which of C other rotations, over N frames, differ by one of the half turns."""
         between = np.swapaxes(R, -1, -2) @ others
         off = [se3.angle_between(between, turn).max(axis=-1) for turn in self.half_turns]
         return np.any(np.array(off).reshape(-1, len(others)) < OFF_HALF_TURN, axis=0)
@@ -74,7 +74,7 @@ class ObjectSurface:
         others_centre: Float[ndarray, "C N 3"],
         others_scale: Float[ndarray, "C"],
     ) -> Float[ndarray, "C"]:
-        """Root mean square distance of the posed surface from C other poses of it, over N frames, in diameters.
+        """Compute the root mean square distance of the posed surface from C other poses of it, in diameters.
 
         A bottle that is rotated about its axis has not moved. Where the two are far apart, this is a lower bound.
         """

@@ -18,7 +18,6 @@ from numpy import ndarray
 from getagrip.checks.evidence import Glitches
 from getagrip.clip import Clip, HandTrack
 from getagrip.clip.sampling import frame_indices
-from getagrip.fitting.methods import method_of
 from getagrip.fitting.motion import PosesInHand, interpolated
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
@@ -28,7 +27,7 @@ LEAST = 0.04
 TIMES = 4.0
 """The price where hands are fast, in the step from frame to frame that two thirds of the steps exceed."""
 AT_ENDS, FEW = 2.0, 3
-"""The price at an end, in the steps that follow; so many of them count, and so many frames are left out at most."""
+"""Price at an end, in the steps that follow; number of these that count, and most frames left out there."""
 LONGEST = 30
 """Most frames from one that is kept to the next."""
 POINTS = 16
@@ -36,15 +35,18 @@ POINTS = 16
 
 
 def repair_hand(clip: Clip, options: Options) -> tuple[Clip, Glitches | None]:
-    """``repair_glitches``, and where the hand jumps; None, and the clip as it is, where hands are taken as given."""
-    if options.hands == "as-given" or method_of(options.method).as_published:
+    """Repair a clip's hand, and return the frames with glitches.
+
+    The clip stays unchanged, without such frames (None), where the options say that hands are as given.
+    """
+    if options.hands == "as-given" or options.as_published:
         return clip, None
     steady, frames = repair_glitches(clip)
     return steady, Glitches(frames, len(clip))
 
 
 def repair_glitches(clip: Clip) -> tuple[Clip, tuple[str, ...]]:
-    """The clip with its hand put between its neighbours where it jumps, and the names of those frames.
+    """Interpolate the hand in frames with tracker glitches; also return the names of those frames.
 
     Rotations are interpolated along the shortest path, the hand's middle along a line; before the first frame that is
     kept and after the last, the hand is as there. Vertices stay as given.
@@ -61,7 +63,7 @@ def repair_glitches(clip: Clip) -> tuple[Clip, tuple[str, ...]]:
 
 
 def frames_without_glitch(hand: HandTrack) -> Int[ndarray, "n"]:
-    """The frames in which the hand does not jump."""
+    """Return the frames without a glitch."""
     steps = steps_of(hand)
     if not steps:
         return np.arange(len(hand.T_cam_hand))
@@ -82,7 +84,7 @@ def frames_without_glitch(hand: HandTrack) -> Int[ndarray, "n"]:
 
 
 def at_the_start(steps: Float[ndarray, "n"], price: float) -> Float[ndarray, "n+1"]:
-    """What it costs to leave out all frames before each one.
+    """Compute the cost of leaving out all frames before each one.
 
     There is no detour at an end, and a hand that comes in fast is to keep the frames in which it does. So few can be
     left out, and each costs at least ``AT_ENDS`` times the steps that follow.
@@ -94,7 +96,7 @@ def at_the_start(steps: Float[ndarray, "n"], price: float) -> Float[ndarray, "n+
 
 
 def steps_of(hand: HandTrack) -> list[Float[ndarray, "_"]]:
-    """How far the hand's surface moves [m] from each frame to the next, to the next but one, and so on."""
+    """Compute how far the hand's surface moves [m] from each frame to the next, to the next but one, and so on."""
     template = hand.vertices.mean(axis=0)
     posed = se3.transform(hand.T_cam_hand, template[frame_indices(len(template), POINTS)][None])
     gaps = range(1, min(LONGEST, len(posed) - 1) + 1)

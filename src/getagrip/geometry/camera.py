@@ -12,7 +12,7 @@ from numpy import ndarray
 def project(
     K: Float[ndarray, "*#batch 3 3"], X_cam: Float[ndarray, "*#batch points 3"]
 ) -> Float[ndarray, "*batch points 2"]:
-    """Pixel coordinates (u, v) of points in the camera frame [m]."""
+    """Project points in the camera frame [m] to pixel coordinates (u, v)."""
     uvw = X_cam @ np.swapaxes(K, -1, -2)
     return uvw[..., :2] / uvw[..., 2:]
 
@@ -20,7 +20,7 @@ def project(
 def backproject(
     K: Float[ndarray, "*#batch 3 3"], uv: Float[ndarray, "*#batch points 2"]
 ) -> Float[ndarray, "*batch points 3"]:
-    """Points at depth 1 on the rays through pixel coordinates; multiply by the depth [m]."""
+    """Return the points at depth 1 on the rays through pixel coordinates; multiply by the depth [m]."""
     uv1 = np.concatenate([uv, np.ones((*uv.shape[:-1], 1))], axis=-1)
     return uv1 @ np.swapaxes(np.linalg.inv(K), -1, -2)
 
@@ -45,7 +45,7 @@ class Crops:
         return self.size / self.side
 
     def intrinsics(self, K: Float[ndarray, "T 3 3"]) -> Float[ndarray, "T 3 3"]:
-        """Intrinsics of the crops, from those of the images."""
+        """Return the intrinsics of the crops, from those of the images."""
         M = np.zeros((len(self.corner), 3, 3))
         M[:, 0, 0] = M[:, 1, 1] = self.zoom
         M[:, :2, 2] = -self.corner * self.zoom
@@ -53,7 +53,7 @@ class Crops:
         return M @ K
 
     def resample(self, images: Shaped[ndarray, "T H W"], outside: int | bool) -> Shaped[ndarray, "T size size"]:
-        """Nearest-neighbour crops of label images; pixels beyond the image become ``outside``."""
+        """Crop label images by nearest neighbours; pixels beyond the image become ``outside``."""
         T, H, W = images.shape
         centres = (np.arange(self.size) + 0.5) / self.zoom
         out = np.full((T, self.size, self.size), outside, dtype=images.dtype)
@@ -66,7 +66,10 @@ class Crops:
 
 
 def bounding_boxes(masks: Shaped[ndarray, "T H W"]) -> Int[ndarray, "T 4"]:
-    """(u0, v0, u1, v1), the end exclusive, of the non-zero pixels of each mask; all zeros where a mask is empty."""
+    """Return (u0, v0, u1, v1), the end exclusive, of the non-zero pixels of each mask.
+
+    All zeros where a mask is empty.
+    """
     boxes = np.zeros((len(masks), 4), dtype=int)
     for n, mask in enumerate(masks):
         rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
@@ -76,7 +79,7 @@ def bounding_boxes(masks: Shaped[ndarray, "T H W"]) -> Int[ndarray, "T 4"]:
 
 
 def crops_around(masks: Shaped[ndarray, "T H W"], expand: float = 1.8, size: int = 256) -> Crops:
-    """Square crops centred on each frame's mask, all ``expand`` times as large as the largest mask.
+    """Make square crops centred on each frame's mask, all ``expand`` times as large as the largest mask.
 
     One side for all frames, so that a pixel of energy means the same in each; one centre per frame, so that an object
     that crosses the image keeps its resolution. Every mask must have a pixel.
@@ -85,7 +88,7 @@ def crops_around(masks: Shaped[ndarray, "T H W"], expand: float = 1.8, size: int
 
 
 def crops_of_boxes(boxes: Float[ndarray, "T 4"], expand: float, size: int) -> Crops:
-    """Square crops centred on each frame's box (u0, v0, u1, v1), all ``expand`` times as large as the largest."""
+    """Make square crops centred on each frame's box (u0, v0, u1, v1), all ``expand`` times as large as the largest."""
     side = expand * float((boxes[:, 2:] - boxes[:, :2]).max())
     centre = (boxes[:, :2] + boxes[:, 2:]) / 2.0
     return Crops(corner=centre - side / 2.0, side=side, size=size)

@@ -21,7 +21,7 @@ NEAR = 0.02
 def depth_and_face(
     vertices_cam: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], K: Float[ndarray, "3 3"], size: tuple[int, int]
 ) -> tuple[Float32[ndarray, "H W"], Int32[ndarray, "H W"]]:
-    """Depth z [m] of the nearest surface (infinity: nothing) and its face (-1: nothing), both sides of faces drawn.
+    """Render the depth z [m] of the nearest surface (infinity: nothing) and its face (-1: nothing), both sides drawn.
 
     ``vertices_cam`` are in the camera frame [m], ``size`` is (width, height) [px]. Pixels are taken at their centres;
     of faces at the same depth the first is kept.
@@ -37,7 +37,7 @@ def depth_and_face(
 def covered(
     vertices_cam: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], K: Float[ndarray, "3 3"], size: tuple[int, int]
 ) -> Bool[ndarray, "H W"]:
-    """Pixels that show a surface: ``depth_and_face(...)[1] >= 0``, without the depths."""
+    """Return the pixels that show a surface: ``depth_and_face(...)[1] >= 0``, without the depths."""
     width, height = size
     mask = np.zeros((height, width), dtype=np.bool_)
     corners = np.ascontiguousarray(vertices_cam @ K.T, dtype=np.float64)
@@ -52,7 +52,7 @@ def interpolated(
     face: Int32[ndarray, "H W"],
     values: Float[ndarray, "V C"],
 ) -> Float[ndarray, "n C"]:
-    """Values of the vertices on the visible face, for every pixel with ``face >= 0`` in row-major order."""
+    """Interpolate values of the vertices on the visible face, for every pixel with ``face >= 0`` in row-major order."""
     corners = np.ascontiguousarray(vertices_cam @ K.T, dtype=np.float64)
     out = np.empty((np.count_nonzero(face >= 0), values.shape[1]))
     _interpolate(corners, np.ascontiguousarray(faces, dtype=np.int64), face, np.ascontiguousarray(values), out)
@@ -107,7 +107,7 @@ def _rasterise(p: ndarray, faces: ndarray, depth: ndarray, face: ndarray) -> Non
 
 @njit(cache=True, nogil=True)
 def _cover(p: ndarray, faces: ndarray, mask: ndarray) -> None:
-    """The pixels that ``_rasterise`` gives a face."""
+    """Mark the pixels that ``_rasterise`` gives a face."""
     height, width = mask.shape
     for f in range(len(faces)):
         p0, p1, p2 = p[faces[f, 0]], p[faces[f, 1]], p[faces[f, 2]]
@@ -152,7 +152,7 @@ def _box(p0: ndarray, p1: ndarray, p2: ndarray, width: int, height: int) -> tupl
 
 @njit(cache=True, nogil=True)
 def _edges(p0: ndarray, p1: ndarray, p2: ndarray) -> tuple:
-    """The rows of the adjugate of [p_0 p_1 p_2], and its determinant, both times the latter's sign.
+    """Return the rows of the adjugate of [p_0 p_1 p_2], and its determinant, both times the latter's sign.
 
     Row i is the edge opposite to corner i. It is negated exactly in the face across the edge, so that no pixel falls
     between two faces.

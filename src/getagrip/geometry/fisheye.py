@@ -48,7 +48,7 @@ class Fisheye624:
 
     @classmethod
     def from_parameters(cls, parameters: Sequence[float], size: tuple[int, int]) -> Fisheye624:
-        """From the 15 numbers f, cx, cy, k0-k5, p0, p1, s0-s3, or 16 with two equal focal lengths first.
+        """Make it from the 15 numbers f, cx, cy, k0-k5, p0, p1, s0-s3, or 16 with two equal focal lengths first.
 
         Raises ``ValueError`` for another count, numbers that are not finite, or a focal length that is not positive.
         """
@@ -60,7 +60,7 @@ class Fisheye624:
         return cls(float(numbers[0]), numbers[1:3] + 0.5, numbers[3:9], numbers[9:11], numbers[11:15], size)
 
     def project(self, X_cam: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 2"]:
-        """Pixel coordinates (u, v) of points in the camera frame [m], z > 0."""
+        """Project points in the camera frame [m], z > 0, to pixel coordinates (u, v)."""
         xy = X_cam[..., :2] / X_cam[..., 2:]
         r = np.linalg.norm(xy, axis=-1, keepdims=True)
         theta = np.arctan(r)
@@ -68,7 +68,7 @@ class Fisheye624:
         return self.f * self._bent(m) + self.c
 
     def unproject(self, uv: Float[ndarray, "*batch 2"]) -> Float[ndarray, "*batch 3"]:
-        """Points at depth 1 on the rays through pixel coordinates, by Newton's method.
+        """Return the points at depth 1 on the rays through pixel coordinates, by Newton's method.
 
         Only where the model can be inverted: pixels of rays within some 75 degrees of the axis.
         """
@@ -92,14 +92,14 @@ class Fisheye624:
         return value, slope
 
     def _bent(self, m: Float[ndarray, "*b 2"]) -> Float[ndarray, "*b 2"]:
-        """d."""
+        """Return the distorted point d(m)."""
         square = np.sum(m * m, axis=-1, keepdims=True)
         dot = (m @ self.p)[..., None]
         prism = self.s.reshape(2, 2)
         return np.asarray(m + 2.0 * dot * m + square * self.p + square * prism[:, 0] + square**2 * prism[:, 1])
 
     def _bend(self, m: Float[ndarray, "*b 2"]) -> Float[ndarray, "*b 2 2"]:
-        """The derivative of d by m."""
+        """Return the derivative of d by m."""
         square = np.sum(m * m, axis=-1, keepdims=True)
         dot = (m @ self.p)[..., None]
         prism = self.s.reshape(2, 2)
@@ -126,18 +126,18 @@ class Pinhole:
     T_fisheye_pinhole: Float[ndarray, "4 4"]
 
     def source(self, camera: Fisheye624) -> Float[ndarray, "h w 2"]:
-        """Where in the fisheye image (u, v) each pixel comes from."""
+        """Return the point (u, v) of the fisheye image that each pixel comes from."""
         width, height = self.size
         uv = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
         return camera.project(se3.transform(self.T_fisheye_pinhole, backproject(self.K, uv)))
 
     def covered(self, camera: Fisheye624) -> Bool[ndarray, "h w"]:
-        """Which pixels the fisheye image has."""
+        """Return a mask of the pixels that the fisheye image covers."""
         uv = self.source(camera)
         return np.all((uv >= 0.0) & (uv < camera.size), axis=-1)
 
     def undistort(self, camera: Fisheye624, image: Shaped[ndarray, "H W *c"]) -> Shaped[ndarray, "h w *c"]:
-        """The fisheye image as this pinhole sees it; black where there is none."""
+        """Resample the fisheye image to this pinhole; pixels outside it are black."""
         import cv2
 
         at = (self.source(camera) - 0.5).astype(np.float32)  # OpenCV's pixel centres are integers
@@ -145,7 +145,7 @@ class Pinhole:
 
 
 def pinhole(camera: Fisheye624, focal: float, size: tuple[int, int], quarter_turns: int = 0) -> Pinhole:
-    """A pinhole of given focal length and size [px] that looks along a fisheye camera's axis.
+    """Make a pinhole of given focal length and size [px] that looks along a fisheye camera's axis.
 
     ``quarter_turns`` turns the picture clockwise by 90 degrees each: one turn makes the pictures of Aria's cameras
     upright, as they are mounted on their side.

@@ -26,7 +26,7 @@ LARGEST_TREE = 16 * 2**20
 MOST_PARTS = 2**16
 """Nodes, and parts of meshes at them."""
 FARTHEST = 1e6
-"""Of the numbers of a node's transform."""
+"""Largest number in a node's transform."""
 NUMBERS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 """The types of numbers by ``componentType``."""
 TRIANGLES, STRIP = 4, 5
@@ -34,7 +34,9 @@ TRIANGLES, STRIP = 4, 5
 
 
 def parse_glb(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
-    """Vertices and faces of the scene, its parts where its nodes put them. ``path`` is only named in errors.
+    """Parse vertices and faces of the scene, its parts where its nodes put them.
+
+    ``path`` is only named in errors.
 
     Materials, normals, textures, skins and animations are passed over. Raises ``InputError``.
     """
@@ -46,20 +48,20 @@ def parse_glb(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[nd
 
 @dataclass(frozen=True)
 class _File:
-    """What a file says in JSON, not checked, and the bytes of its arrays."""
+    """A file's JSON, not checked, and the bytes of its arrays."""
 
     path: Path
     tree: files.Json
     data: memoryview
 
     def item(self, key: str, n: int) -> files.Json:
-        """An item of a list."""
+        """Return an item of a list."""
         if not 0 <= n < len(self.tree[key]):
             raise LookupError(f"no {key}[{n}]")
         return self.tree[key][n]
 
     def array(self, n: int, width: int) -> Shaped[ndarray, "n width"]:
-        """An array as it lies in the file. Its length is as claimed: rows may overlap."""
+        """Return an array as it lies in the file. Its length is as claimed: rows may overlap."""
         accessor = self.item("accessors", n)
         if "bufferView" not in accessor or "sparse" in accessor or accessor.get("normalized"):
             raise InputError(self.path, "mesh", "arrays without plain data", "a .glb exported without compression")
@@ -83,13 +85,13 @@ class _Part(NamedTuple):
 
     points: Shaped[ndarray, "n 3"]
     ids: Shaped[ndarray, "m 1"] | None
-    """Of the vertices, corner by corner; None: each is a corner, in their order."""
+    """Vertex index of each corner; None: each corner is a vertex, in their order."""
     is_strip: bool
-    """Whether each corner from the third on makes a triangle with the two before."""
+    """True if each corner from the third on makes a triangle with the two before."""
 
 
 def _opened(path: Path, content: bytes) -> _File:
-    """A file by its two chunks."""
+    """Split a file into its two chunks."""
     if content[:4] != b"glTF" or content[16:20] != b"JSON":
         raise ValueError("no glTF header")
     end = 20 + int.from_bytes(content[12:16], "little")
@@ -136,7 +138,7 @@ def _scene(file: _File) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
 
 
 def _placed(file: _File) -> Iterator[tuple[int, Float[ndarray, "4 4"]]]:
-    """The meshes of the scene, and the pose of each in it, scale included."""
+    """Yield each mesh of the scene with its pose there, scale included."""
     if not file.tree.get("scenes"):
         return
     scene, seen = file.item("scenes", file.tree.get("scene", 0)), set()
@@ -160,7 +162,7 @@ def _placed(file: _File) -> Iterator[tuple[int, Float[ndarray, "4 4"]]]:
 
 
 def _transform(node: files.Json) -> Float[ndarray, "4 4"]:
-    """The pose of a node in its parent, scale included."""
+    """Return the pose of a node in its parent, scale included."""
     if "matrix" in node:
         return np.array(node["matrix"], dtype=float).reshape(4, 4).T  # it is stored by columns
     T = np.eye(4)
@@ -173,7 +175,7 @@ def _transform(node: files.Json) -> Float[ndarray, "4 4"]:
 
 
 def _parts(file: _File, mesh: int) -> Iterator[_Part]:
-    """The parts of a mesh that have triangles."""
+    """Yield the parts of a mesh that have triangles."""
     for part in file.item("meshes", mesh)["primitives"]:
         mode = part.get("mode", TRIANGLES)
         if mode in (TRIANGLES, STRIP):
@@ -182,7 +184,7 @@ def _parts(file: _File, mesh: int) -> Iterator[_Part]:
 
 
 def _faces(path: Path, ids: Shaped[ndarray, "n"], vertices: int, is_strip: bool) -> Int[ndarray, "F 3"]:
-    """The triangles of a part."""
+    """Return the triangles of a part."""
     if ids.dtype.kind == "f" or (len(ids) and not 0 <= ids.min() <= ids.max() < vertices):
         raise InputError(path, "faces", f"the vertex index {ids.max()}", f"0 to {vertices - 1}, counted from 0")
     if not is_strip:

@@ -12,7 +12,7 @@ from getagrip.io.arguments import Flag, numbers
 
 @dataclass(frozen=True)
 class Lens:
-    """What is known of the camera; at most one of the three."""
+    """Knowledge about the camera: at most one of three fields is set."""
 
     K: Annotated[
         tuple[float, float, float, float] | None, numbers(4, "FX FY CX CY"), arg(name="K", help_behavior_hint="")
@@ -21,9 +21,9 @@ class Lens:
     focal: Annotated[float | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Instead of K, the focal length; the principal point is in the middle."""
     guess_focal: Flag = False
-    """Guess it. Depths and sizes are guesses then, too."""
+    """Assume the focal length; depths and sizes are then assumptions as well."""
 
     @property
     def is_set(self) -> bool:
-        """Whether there is anything."""
+        """True if any field is set."""
         return self.K is not None or self.focal is not None or self.guess_focal

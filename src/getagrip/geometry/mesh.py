@@ -12,14 +12,15 @@ from numpy import ndarray
 from getagrip.io.array_data import ArrayData, check_ids
 
 PAIRS = 50_000
-"""So many distances are computed at once."""
+"""Number of distances that are computed at once."""
 LEFT = 2
 """Times the faces that were asked for: when edge collapse leaves more, it has not worked."""
 HASTE = (3.0, 7.0)
 """How hastily edges collapse. At the library's 7 thin parts are lost: a notebook of 28 cm was 7 mm off on average, and
 0.2 mm at 3. Rough meshes of a million faces need more, though."""
 MOST_FACES = 100_000
-"""Of a mesh as it is fitted, measured and drawn: of a can, faces of a millimetre. More only take time and memory."""
+"""Most faces of a mesh that is fitted, measured and drawn: millimetre-sized ones on a can. More only take time and
+memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +73,7 @@ class Mesh(ArrayData):
 
     @cached_property
     def is_closed(self) -> bool:
-        """Whether every half-edge has its opposite."""
+        """True if every half-edge has its opposite."""
         return bool(np.all(self.edges[:, 3] < len(self.faces)))
 
     @cached_property
@@ -88,7 +89,7 @@ class Mesh(ArrayData):
         return clustered(self, MOST_FACES)
 
     def stands_for(self, whole: Mesh, done: str) -> list[str]:
-        """What to say where this mesh was fitted or measured (``done``) in place of the whole one."""
+        """Return a note that this mesh was fitted or measured (``done``) in place of the whole one."""
         faces = len(whole.faces), len(self.faces)
         return [] if self is whole else [f"the mesh of {faces[0]} faces was {done} with {faces[1]}"]
 
@@ -100,7 +101,7 @@ class Mesh(ArrayData):
 
 
 def vertex_normals(vertices: Float[ndarray, "*batch V 3"], faces: Int[ndarray, "F 3"]) -> Float[ndarray, "*batch V 3"]:
-    """Unit vertex normals, faces weighted by their angle at the vertex; zero for vertices without faces."""
+    """Compute unit vertex normals, faces weighted by their angle at the vertex; zero for vertices without faces."""
     corners = vertices[..., faces, :]
     along = np.roll(corners, -1, axis=-2) - corners
     lengths = np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-300)
@@ -158,7 +159,7 @@ def _paired(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "E 4"]:
 
 
 def diameter(points: Float[ndarray, "V 3"]) -> float:
-    """Largest distance between two points [m], in memory that grows only linearly with their number.
+    """Compute the largest distance between two points [m], in memory that grows only linearly with their number.
 
     Let the direction of q - p be within an angle a of the unit vector u. Then (q - p) . u >= |q - p| cos(a), so p and q
     are near the extreme points along u. Triangles that cover half of all directions are divided until few such points
@@ -188,14 +189,14 @@ def diameter(points: Float[ndarray, "V 3"]) -> float:
 
 
 def merged(vertices: Float[ndarray, "V 3"]) -> Int[ndarray, "V"]:
-    """For each vertex the index of the first vertex at the same place."""
+    """Return for each vertex the index of the first vertex at the same place."""
     place = same_rows(vertices)
     _, first = np.unique(place, return_index=True)
     return np.asarray(first[place], dtype=np.int64)
 
 
 def clustered(mesh: Mesh, faces: int) -> Mesh:
-    """A mesh of about ``faces`` faces with nearly the same shape, or the mesh itself: fast, for very large ones.
+    """Simplify a very large mesh to about ``faces`` faces by vertex clustering, which is fast.
 
     Vertices in the same cell of a grid become their mean, and faces with two corners in one cell vanish: no vertex
     moves farther than a cell, on smooth surfaces much less. A closed mesh stays closed. The mesh itself is returned
@@ -213,7 +214,7 @@ def clustered(mesh: Mesh, faces: int) -> Mesh:
 
 
 def decimate(mesh: Mesh, faces: int) -> Mesh:
-    """A mesh of about ``faces`` faces with nearly the same shape (quadric edge collapse), or the mesh itself.
+    """Simplify a mesh to about ``faces`` faces by quadric edge collapse.
 
     Where faces share no edges that could collapse (triangle soups), vertices are clustered instead.
     """
@@ -233,7 +234,7 @@ def decimate(mesh: Mesh, faces: int) -> Mesh:
 
 
 def same_rows(rows: Shaped[ndarray, "N K"]) -> Int[ndarray, "N"]:
-    """For each row a number, the same for equal rows: 0, 1, ... in the rows' lexicographic order."""
+    """Return a number for each row, the same for equal rows: 0, 1, ... in the rows' lexicographic order."""
     order = np.lexsort(rows.T[::-1])
     in_order = rows[order]
     new = np.any(in_order[1:] != in_order[:-1], axis=1)

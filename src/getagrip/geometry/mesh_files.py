@@ -27,8 +27,7 @@ LARGEST_FILE = 128 * 2**20
 
 
 def read_mesh(path: str | Path) -> Mesh:
-    """Read and check a triangle mesh in metres (.obj, .ply, .stl, .glb), its parts where the file's own transforms put
-    them.
+    """Read and check a triangle mesh in metres (.obj, .ply, .stl, .glb), placed by the file's own transforms.
 
     Closed meshes that are wound inward are turned outward. Raises ``InputError`` for an unreadable file, no faces,
     degenerate faces, non-finite vertices or an absurd size.
@@ -38,7 +37,7 @@ def read_mesh(path: str | Path) -> Mesh:
 
 
 def parse_mesh(path: Path) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."]]:
-    """Vertices and faces of a mesh file, not checked, in the file's own unit. Raises ``InputError``."""
+    """Parse vertices and faces of a mesh file, not checked, in the file's own unit. Raises ``InputError``."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(path, "mesh", f"the suffix {files.shown(path.suffix)}", f"one of {', '.join(SUFFIXES)}")
@@ -73,7 +72,7 @@ def _parse_stl(path: Path, content: bytes) -> tuple[Float[ndarray, "..."], Int[n
 
 
 def checked_mesh(path: Path, vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]) -> Mesh:
-    """The mesh, vertices merged and wound outward, or an ``InputError`` that says what is wrong with it."""
+    """Check a mesh, merge its vertices and wind it outward; raise ``InputError`` for a mesh that cannot be used."""
     if faces.size == 0 or vertices.size == 0:
         raise InputError(path, "faces", "no faces", "a mesh with faces")
     if vertices.ndim != 2 or vertices.shape[1] != 3:
@@ -103,7 +102,7 @@ def checked_mesh(path: Path, vertices: Float[ndarray, "..."], faces: Int[ndarray
 
 
 def with_area(vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]) -> Int[ndarray, "..."]:
-    """The faces that have an area: scans and CADs hold some that have none, which show nothing.
+    """Drop the faces without area, which scans and CAD models may hold.
 
     All are returned where they are no triangles of these vertices: ``checked_mesh`` says what is wrong with them.
     """

@@ -27,7 +27,9 @@ _ANY = {kind: re.compile(rb"^[ \t\v\f]*" + kind + rb"[ \t]", re.MULTILINE) for k
 
 
 def parse_obj(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
-    """Vertices, and faces with polygons cut into triangles. ``path`` is only named in errors: nothing is opened.
+    """Parse vertices, and faces with polygons cut into triangles.
+
+    ``path`` is only named in errors: nothing is opened.
 
     Parts, materials, normals and textures are passed over. Raises ``InputError``, which names the line.
     """
@@ -42,7 +44,7 @@ def parse_obj(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[nd
 
 
 def obj_content(vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]) -> bytes:
-    """A file of plain triangles, to 1e-8 m."""
+    """Write plain triangles as an OBJ file, to 1e-8 m."""
     points = "v %.8f %.8f %.8f\n" * len(vertices) % tuple(vertices.ravel().tolist())
     corners = "f %d %d %d\n" * len(faces) % tuple((faces + 1).ravel().tolist())
     return (points + corners).encode()
@@ -57,7 +59,7 @@ def _check_counts(path: Path, content: bytes) -> None:
 
 
 def _plain(content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]] | None:
-    """The same of a file of plain triangles, as most large ones are, ten times as fast; None for any other file."""
+    """Read a file of plain triangles, as most large ones are, ten times as fast; None for any other file."""
     other_line_ends = content.count(b"\r") != content.count(b"\r\n")
     if other_line_ends or b"\\" in content or max(content.count(b"v "), content.count(b"f ")) > MOST:
         return None
@@ -110,7 +112,10 @@ def _by_line(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[nda
 
 
 def _index(word: str, vertices: int) -> int:
-    """The vertex of a corner ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn``; below zero it counts back from the latest."""
+    """Return the vertex of a corner ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn``.
+
+    Negative ones count back from the latest.
+    """
     index = int(word.partition("/")[0])
     if index == 0 or index < -vertices or index > 2**62:
         raise ValueError

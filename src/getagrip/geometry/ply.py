@@ -50,11 +50,13 @@ class Element:
 
 
 Columns = dict[str, tuple[Int[ndarray, "n"], ndarray]]
-"""Of each property: how many values each row has, and all values one after the other."""
+"""For each property: the number of values in each row, and all values one after the other."""
 
 
 def parse_ply(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
-    """Vertices, and faces with polygons cut into triangles. ``path`` is only named in errors.
+    """Parse vertices, and faces with polygons cut into triangles.
+
+    ``path`` is only named in errors.
 
     Raises ``InputError``.
     """
@@ -93,7 +95,7 @@ def parse_ply(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[nd
 
 
 def _header(path: Path, content: bytes) -> tuple[str, list[Element], int]:
-    """The format, the kinds of rows, and where these begin. Raises ``InputError``."""
+    """Read the header: format, kinds of rows, and the position where the rows begin. Raises ``InputError``."""
     end = content.find(b"end_header", 0, 2**16)
     after = content.find(b"\n", end) + 1
     if not content.startswith(b"ply") or end < 0 or not after:
@@ -131,7 +133,7 @@ class _Text:
         self.at = 0
 
     def table(self, element: Element, counts: list[int]) -> Columns | None:
-        """All rows of an element whose lists have the lengths ``counts``; None where a row's are others."""
+        """Read all rows of an element whose lists have the lengths ``counts``; None where a row's are others."""
         width = sum(count + bool(p.counted) for p, count in zip(element.properties, counts, strict=True))
         values = self.values[self.at : self.at + element.length * width]
         if len(values) < element.length * width:
@@ -148,7 +150,7 @@ class _Text:
         return columns
 
     def take(self, kind: str, count: int) -> ndarray:
-        """The next numbers."""
+        """Read the next numbers."""
         if not 0 <= count <= len(self.values) - self.at:
             raise ValueError
         self.at += count
@@ -162,7 +164,7 @@ class _Binary:
         self.content, self.at, self.order = content, start, order
 
     def table(self, element: Element, counts: list[int]) -> Columns | None:
-        """All rows of an element whose lists have the lengths ``counts``; None where a row's are others."""
+        """Read all rows of an element whose lists have the lengths ``counts``; None where a row's are others."""
         fields: list[tuple[str, str, int]] = []
         for n, (p, count) in enumerate(zip(element.properties, counts, strict=True)):
             fields += [(f"count{n}", self.order + p.counted, 1)] if p.counted else []
@@ -180,7 +182,7 @@ class _Binary:
         return columns
 
     def take(self, kind: str, count: int) -> ndarray:
-        """The next numbers, of a type."""
+        """Read the next numbers, of a type."""
         dtype = np.dtype(self.order + kind)
         if not 0 <= count <= (len(self.content) - self.at) // dtype.itemsize:
             raise ValueError
@@ -189,7 +191,7 @@ class _Binary:
 
 
 def _rows(element: Element, body: _Text | _Binary) -> Columns | None:
-    """The rows of an element: at once where all lists are as long as those of the first, else one by one.
+    """Read the rows of an element: at once where all lists are as long as those of the first, else one by one.
 
     None where these are too many. Raises ``ValueError`` and ``OverflowError`` for what is not there.
     """

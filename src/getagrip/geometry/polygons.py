@@ -18,7 +18,7 @@ STRAIGHT = 1e-14
 FEW = 50
 """Corners that are tested one by one; more are tested at once, each in a fraction of the time."""
 MOST_TESTS = 10_000_000
-"""Of corners against triangles, in the concave polygons of a file; some seconds."""
+"""Most tests of corners against triangles, in the concave polygons of a file: some seconds."""
 AT_ONCE = 2**18
 """Corners of polygons that are looked at at a time."""
 
@@ -33,7 +33,7 @@ class Effort:
 def triangles(
     path: Path, points: Float[ndarray, "V 3"], counts: Int[ndarray, "n"], corners: Int[ndarray, "c"]
 ) -> Int[ndarray, "F 3"]:
-    """Triangles of polygons with ``counts`` corners each (3 or more), which are listed one after the other.
+    """Triangulate polygons with ``counts`` corners each (3 or more), which are listed one after the other.
 
     Those of a polygon that is no plane one of these points are a fan. Raises ``InputError`` for polygons that take too
     long to be cut.
@@ -52,7 +52,7 @@ def triangles(
 def _cut(
     path: Path, points: Float[ndarray, "V 3"], polygons: Int[ndarray, "n N"], effort: Effort
 ) -> Int[ndarray, "n f 3"]:
-    """The triangles of polygons of as many corners each."""
+    """Triangulate polygons that have the same number of corners."""
     count = polygons.shape[1]
     n = np.arange(1, count - 1)
     cut: ndarray = polygons[:, np.stack([np.zeros_like(n), n, n + 1], axis=1)]
@@ -70,7 +70,7 @@ def _cut(
 
 
 def _split_at_first(flat: Float[ndarray, "n 4 2"]) -> Bool[ndarray, "n"]:
-    """Whether the diagonal from a quad's first corner lies in it, where one of the two does."""
+    """Return whether the diagonal from a quad's first corner lies in it; one of the two diagonals does."""
     a, b, c, d = np.moveaxis(flat, 1, 0)
     return (_turns(a, b, c) > 0) & (_turns(a, c, d) > 0)
 
@@ -134,7 +134,7 @@ def _turn(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> float:
 
 
 def _holds(a: Sequence[float], b: Sequence[float], c: Sequence[float], point: Sequence[float]) -> bool:
-    """Whether a point is in a counter-clockwise triangle, edges included and corners not."""
+    """Return whether a point is in a counter-clockwise triangle, edges included and corners not."""
     inside = _turn(a, b, point) >= 0 and _turn(b, c, point) >= 0 and _turn(c, a, point) >= 0
     return inside and point not in (a, b, c)
 
@@ -142,7 +142,7 @@ def _holds(a: Sequence[float], b: Sequence[float], c: Sequence[float], point: Se
 def _holds_any(
     a: Float[ndarray, "2"], b: Float[ndarray, "2"], c: Float[ndarray, "2"], points: Float[ndarray, "n 2"]
 ) -> bool:
-    """``_holds`` for any of many points."""
+    """Return whether any of many points is in a triangle, as ``_holds`` defines it."""
     inside = (_turns(a, b, points) >= 0) & (_turns(b, c, points) >= 0) & (_turns(c, a, points) >= 0)
     corner = np.any([(points == point).all(axis=1) for point in (a, b, c)], axis=0)
     return bool((inside & ~corner).any())

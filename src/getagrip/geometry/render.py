@@ -27,7 +27,7 @@ LIGHT = np.array([-0.35, -0.6, -0.72])
 def nearest_surface(
     surfaces: Sequence[Surface], K: Float[ndarray, "3 3"], size: tuple[int, int]
 ) -> Int[ndarray, "H W"]:
-    """Which of the surfaces is nearest in each pixel; -1 where there is none."""
+    """Return the index of the nearest surface in each pixel; -1 where there is none."""
     vertices, faces, _ = _joined(surfaces)
     owner = np.repeat(np.arange(len(surfaces)), [len(f) for _, f in surfaces])
     return np.append(owner, -1)[depth_and_face(vertices, faces, K, size)[1]]  # no face, -1, is the last entry
@@ -40,8 +40,7 @@ def true_masks(
     K: Float[ndarray, "3 3"],
     size: tuple[int, int],
 ) -> tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"], Bool[ndarray, "H W"]]:
-    """The visible pixels of the held object, those that say nothing about it (1 - C_o of the paper's Eq. 6), and the
-    visible ones of the hand that holds it, the first of ``hands``.
+    """Render the object's visible pixels, those that say nothing about it, and the grasping hand's visible pixels.
 
     Ignored is every pixel whose nearest surface is a hand, or another object that hides part of the held one; objects
     that hide nothing are background, which does say where the held object is not. An object in front is ignored as
@@ -63,7 +62,7 @@ def render_rgb(
     size: tuple[int, int],
     background: UInt8[ndarray, "H W 3"] | Colour | None = None,
 ) -> UInt8[ndarray, "H W 3"]:
-    """A lit picture of meshes in the camera frame, smoothly shaded between vertices, four samples a pixel.
+    """Render meshes in the camera frame, lit and smoothly shaded, four samples a pixel.
 
     A mesh has one colour, or one for each vertex, between which colours are interpolated.
     ``background`` is an image of ``size``, a colour, or nothing: white.

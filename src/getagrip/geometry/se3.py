@@ -17,7 +17,7 @@ _SMALL = 1e-8
 
 
 def hat(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
-    """Cross-product matrix: ``hat(w) @ x == cross(w, x)``."""
+    """Return the cross-product matrix: ``hat(w) @ x == cross(w, x)``."""
     out = np.zeros((*w.shape[:-1], 3, 3))
     out[..., 0, 1], out[..., 0, 2] = -w[..., 2], w[..., 1]
     out[..., 1, 0], out[..., 1, 2] = w[..., 2], -w[..., 0]
@@ -26,7 +26,7 @@ def hat(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
 
 
 def exp_so3(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
-    """Rotation matrix of a rotation vector [rad] (Rodrigues' formula)."""
+    """Return the rotation matrix of a rotation vector [rad] (Rodrigues' formula)."""
     theta = np.sqrt(np.add.reduce(w * w, axis=-1))[..., None, None]
     small = theta < 1e-4
     safe = np.where(small, 1.0, theta)
@@ -39,7 +39,7 @@ def exp_so3(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
 
 
 def log_so3(R: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 3"]:
-    """Rotation vector [rad], of angle in [0, pi], of a rotation matrix; exact at 0 and at pi as well."""
+    """Return the rotation vector [rad], of angle in [0, pi], of a rotation matrix; exact at 0 and at pi as well."""
     q = quaternion(R)
     vec = q[..., 1:]
     norm = np.linalg.norm(vec, axis=-1, keepdims=True)
@@ -49,7 +49,7 @@ def log_so3(R: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 3"]:
 
 
 def left_jacobian(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
-    """Left Jacobian of SO(3): ``exp(w + dw) = exp(left_jacobian(w) @ dw) exp(w)`` to first order."""
+    """Return the left Jacobian of SO(3): ``exp(w + dw) = exp(left_jacobian(w) @ dw) exp(w)`` to first order."""
     theta = np.linalg.norm(w, axis=-1)[..., None, None]
     small = theta < 1e-4
     safe = np.where(small, 1.0, theta)
@@ -60,12 +60,12 @@ def left_jacobian(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]
 
 
 def right_jacobian(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
-    """Right Jacobian of SO(3): ``exp(w + dw) = exp(w) exp(right_jacobian(w) @ dw)`` to first order."""
+    """Return the right Jacobian of SO(3): ``exp(w + dw) = exp(w) exp(right_jacobian(w) @ dw)`` to first order."""
     return left_jacobian(-w)
 
 
 def quaternion(R: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 4"]:
-    """Unit quaternion (w, x, y, z), w >= 0, of a rotation matrix (Shepperd's method)."""
+    """Convert a rotation matrix to a unit quaternion (w, x, y, z), w >= 0 (Shepperd's method)."""
     m = np.moveaxis(R.reshape(*R.shape[:-2], 9), -1, 0)
     xx, xy, xz, yx, yy, yz, zx, zy, zz = m
     candidates = np.stack(
@@ -84,14 +84,14 @@ def quaternion(R: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 4"]:
 
 
 def quaternions_in_time(R: Float[ndarray, "T 3 3"]) -> Float[ndarray, "T 4"]:
-    """Quaternions (w, x, y, z), each on the side of the one before it, so that those between are the short way."""
+    """Return quaternions (w, x, y, z), each on the side of the one before it, so that interpolation is short."""
     q = quaternion(R)
     q[1:] *= np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))[:, None]
     return q
 
 
 def between(a: Float[ndarray, "*#batch 3"], b: Float[ndarray, "*#batch 3"]) -> Float[ndarray, "*batch 3 3"]:
-    """The smallest rotation that takes the unit vector a to the unit vector b."""
+    """Return the smallest rotation that takes the unit vector a to the unit vector b."""
     a, b = np.broadcast_arrays(a, b)
     cosine = np.sum(a * b, axis=-1)
     W = hat(np.cross(a, b))
@@ -105,7 +105,7 @@ def between(a: Float[ndarray, "*#batch 3"], b: Float[ndarray, "*#batch 3"]) -> F
 
 
 def from_quaternion(q: Float[ndarray, "*batch 4"]) -> Float[ndarray, "*batch 3 3"]:
-    """Rotation matrix of a quaternion (w, x, y, z); the quaternion need not have unit length."""
+    """Return the rotation matrix of a quaternion (w, x, y, z); the quaternion need not have unit length."""
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     W = hat(q[..., 1:])
     return np.eye(3) + 2.0 * (q[..., 0, None, None] * W + W @ W)
@@ -114,7 +114,7 @@ def from_quaternion(q: Float[ndarray, "*batch 4"]) -> Float[ndarray, "*batch 3 3
 def rigid(
     R: Float[ndarray, "*#batch 3 3"] | None = None, t: Float[ndarray, "*#batch 3"] | None = None
 ) -> Float[ndarray, "*batch 4 4"]:
-    """4x4 matrix of a rotation (identity when left out) and a translation (zero when left out)."""
+    """Return the 4x4 matrix of a rotation (identity when left out) and a translation (zero when left out)."""
     R = np.eye(3) if R is None else R
     t = np.zeros(3) if t is None else t
     batch = np.broadcast_shapes(R.shape[:-2], t.shape[:-1])
@@ -124,7 +124,7 @@ def rigid(
 
 
 def inverse(T: Float[ndarray, "*batch 4 4"]) -> Float[ndarray, "*batch 4 4"]:
-    """Inverse of rigid motions (of nothing else)."""
+    """Return the inverse of rigid motions (of nothing else)."""
     Rt = np.swapaxes(T[..., :3, :3], -1, -2)
     return rigid(Rt, -(Rt @ T[..., :3, 3, None])[..., 0])
 
@@ -132,7 +132,7 @@ def inverse(T: Float[ndarray, "*batch 4 4"]) -> Float[ndarray, "*batch 4 4"]:
 def transform(
     T: Float[ndarray, "*#batch 4 4"], X: Float[ndarray, "*#batch points 3"]
 ) -> Float[ndarray, "*batch points 3"]:
-    """Points X of frame b in frame a, for ``T = T_a_b``."""
+    """Transform points X of frame b to frame a, for ``T = T_a_b``."""
     return X @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
 
 
@@ -145,7 +145,7 @@ def rotation_about_line(
 
 
 def is_rigid(T: Float[ndarray, "*batch 4 4"], tolerance: float = 1e-3) -> Bool[ndarray, "*batch"]:
-    """Whether each 4x4 matrix is a rotation and a translation (no scale, no mirror), within ``tolerance``."""
+    """Return whether each 4x4 matrix is a rotation and a translation (no scale, no mirror), within ``tolerance``."""
     R = T[..., :3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         orthogonal = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(-1, -2)) < tolerance
@@ -154,7 +154,7 @@ def is_rigid(T: Float[ndarray, "*batch 4 4"], tolerance: float = 1e-3) -> Bool[n
 
 
 def nearest_rotation(M: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 3 3"]:
-    """Rotation matrix nearest to M in the Frobenius norm."""
+    """Return the rotation matrix nearest to M in the Frobenius norm."""
     U, _, Vt = np.linalg.svd(M)
     U = U.copy()
     U[..., :, 2] *= np.sign(np.linalg.det(U @ Vt))[..., None]
@@ -162,12 +162,12 @@ def nearest_rotation(M: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 
 
 
 def angle_between(Ra: Float[ndarray, "*#batch 3 3"], Rb: Float[ndarray, "*#batch 3 3"]) -> Float[ndarray, "*batch"]:
-    """Angle [rad] of the rotation that takes one rotation matrix to the other."""
+    """Return the angle [rad] of the rotation that takes one rotation matrix to the other."""
     return np.asarray(np.linalg.norm(log_so3(np.swapaxes(Ra, -1, -2) @ Rb), axis=-1))
 
 
 def super_fibonacci(n: int) -> Float[ndarray, "n 3 3"]:
-    """n rotations (n, 3, 3), nearly uniform over SO(3) (Alexa, "Super-Fibonacci Spirals", CVPR 2022)."""
+    """Return n rotations (n, 3, 3), nearly uniform over SO(3) (Alexa, "Super-Fibonacci Spirals", CVPR 2022)."""
     phi, psi = np.sqrt(2.0), 1.533751168755204288118041
     s = np.arange(n) + 0.5
     t = s / n

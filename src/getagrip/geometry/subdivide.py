@@ -13,13 +13,13 @@ from getagrip.geometry.mesh import Mesh
 FINE = 4500
 """Vertices, about, of a mesh on which contact is counted by vertices."""
 ROUNDS = 24
-"""Of halving, at most: edges of any size are short after so many."""
+"""Most rounds of halving: edges of any size are short after them."""
 
 
 def fine(parts: Sequence[Mesh], vertices: int = FINE) -> tuple[Mesh, Int[ndarray, "V"]]:
-    """The parts of an object as one mesh, and which part each vertex is of (0, 1, ...); no edge stays long.
+    """Join the parts of an object to one mesh without long edges, and return the part (0, 1, ...) of each vertex.
 
-    There are about so many vertices, or more where the parts have more.
+    It has about ``vertices`` vertices, or more where the parts have more.
     """
     longest = edge_length(sum(float(part.vertex_areas.sum()) for part in parts), vertices)
     made = [subdivided(part.vertices, part.faces, longest) for part in parts]
@@ -30,7 +30,7 @@ def fine(parts: Sequence[Mesh], vertices: int = FINE) -> tuple[Mesh, Int[ndarray
 
 
 def edge_length(area: float, vertices: int) -> float:
-    """The ``longest`` edge [m] with which ``subdivided`` makes about so many vertices of a surface [m^2].
+    """Return the ``longest`` edge [m] with which ``subdivided`` makes about ``vertices`` vertices of a surface [m^2].
 
     A mesh has two triangles for each vertex; one of three edges e covers sqrt(3) / 4 e^2. Halving leaves edges about
     half as long as the longest: some were just too long.
@@ -41,7 +41,7 @@ def edge_length(area: float, vertices: int) -> float:
 def subdivided(
     vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], longest: float
 ) -> tuple[Float[ndarray, "W 3"], Int[ndarray, "G 3"]]:
-    """The same surface with no edge above ``longest`` [m]; the vertices there are stay, new ones follow them.
+    """Subdivide a surface until no edge is above ``longest`` [m]; old vertices stay, new ones follow them.
 
     Each round halves the edges that are too long. A triangle with one of them becomes two, with two three, with three
     four. Neighbours share the new vertices, so a closed mesh stays closed.

@@ -1,4 +1,4 @@
-"""Smooth warps: what makes of a mesh another one of its kind."""
+"""Smooth warps: deformations of a mesh into another shape of its category."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ MONOMIALS = 10
 
 @dataclass(frozen=True, eq=False)
 class Warp(ArrayData):
-    """``X' = centre + radius * M(x) @ coefficients``, with ``x = (X - centre) / radius`` and M the monomials of x up to
-    the second degree: stretches, shears, tapers and bends.
+    """``X' = centre + radius * M(x) @ coefficients``, with ``x = (X - centre) / radius``.
+
+    M are the monomials of x up to the second degree: stretches, shears, tapers and bends.
 
     Attributes:
         centre: (3,) the point about which x is measured [m].
@@ -33,23 +34,23 @@ class Warp(ArrayData):
 
     @staticmethod
     def by(centre: Float[ndarray, "3"], radius: float, displacement: Float[ndarray, "9 3"]) -> Warp:
-        """Points displaced by ``radius`` times so many of each monomial but 1."""
+        """Make the warp that displaces points by ``radius`` times these coefficients of each monomial but 1."""
         coefficients = np.zeros((MONOMIALS, 3))
         coefficients[1:] = displacement
         coefficients[1:4] += np.eye(3)
         return Warp(centre, radius, coefficients)
 
     def __call__(self, mesh: Mesh) -> Mesh:
-        """The mesh of the other shape."""
+        """Deform a mesh."""
         return Mesh(self.moved(mesh.vertices), mesh.faces)
 
     def moved(self, X: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
-        """Where points come to lie [m]."""
+        """Return the deformed points [m]."""
         x = (X - self.centre) / self.radius
         return np.asarray(self.centre + self.radius * (monomials(x) @ self.coefficients))
 
     def expansion(self, X: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
-        """How many times as large the space around points becomes; below zero, it is turned inside out."""
+        """Return the factor by which the space around points grows; negative where it is turned inside out."""
         x = (X - self.centre) / self.radius
         J = np.repeat(self.coefficients[None, 1:4], len(x), axis=0)  # rows: by x, y, z
         for bend, i, j in zip(self.coefficients[4:], *np.triu_indices(3), strict=True):
@@ -58,14 +59,13 @@ class Warp(ArrayData):
         return np.asarray(np.linalg.det(J))
 
     def displacement(self, mesh: Mesh) -> float:
-        """Root mean square distance by which the mesh's surface is displaced [m]."""
+        """Compute the root mean square distance by which the mesh's surface is displaced [m]."""
         squared = np.sum((self.moved(mesh.vertices) - mesh.vertices) ** 2, axis=1)
         return float(np.sqrt(np.average(squared, weights=mesh.vertex_areas)))
 
 
 def settled(warp: Warp, mesh: Mesh, resize: bool) -> tuple[Warp, Float[ndarray, "4 4"], float]:
-    """The same shape, but where the mesh is and, with ``resize``, as large; and the similarity (T, size) that was in
-    the warp.
+    """Split a warp into one that leaves the mesh in place (with ``resize``, also its size) and a similarity (T, size).
 
     No such similarity brings the mesh nearer to what the settled warp makes of it (``aligned``): a pose of the one is a
     pose of the other. ``warp.moved(X) = T (size * settled.moved(X))``.
@@ -78,13 +78,13 @@ def settled(warp: Warp, mesh: Mesh, resize: bool) -> tuple[Warp, Float[ndarray, 
 
 
 def monomials(x: Float[ndarray, "n 3"]) -> Float[ndarray, "n 10"]:
-    """1, x, y, z, xx, xy, xz, yy, yz, zz of each point."""
+    """Return 1, x, y, z, xx, xy, xz, yy, yz, zz of each point."""
     first, second = np.triu_indices(3)
     return np.concatenate([np.ones((len(x), 1)), x, x[:, first] * x[:, second]], axis=1)
 
 
 def aligned(mesh: Mesh, other: Mesh, resize: bool) -> tuple[Float[ndarray, "4 4"], float]:
-    """``T_other_mesh`` and the scale that bring a mesh nearest to another with the same faces, vertex by vertex.
+    """Return ``T_other_mesh`` and the scale that bring a mesh nearest to another with the same faces, vertex by vertex.
 
     Minimised is sum_i a_i |x_i - (R s y_i + t)|^2 over corresponding vertices x of ``other`` and y of ``mesh``, with
     a_i the areas of ``other``; s stays 1 unless ``resize`` (Umeyama, "Least-squares estimation of transformation

@@ -53,7 +53,7 @@ class AxisRotation:
     size: float
 
     def angles(self, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> Float[ndarray, "N"]:
-        """The angle [rad] nearest to each of some poses: E is a sine wave of it."""
+        """Return the angle [rad] nearest to each of some poses: E is a sine wave of it."""
         d = self.direction
         M = self.R @ np.swapaxes(R, -1, -2)
         perpendicular = self.arm - d * (d @ self.arm)
@@ -63,36 +63,36 @@ class AxisRotation:
         return np.arctan2(sine, cosine)
 
     def at(self, angle: Float[ndarray, "N"]) -> tuple[Float[ndarray, "N 3 3"], Float[ndarray, "N 3"]]:
-        """Rotations, and positions of the centre [m], at some angles."""
+        """Return the rotations, and positions of the centre [m], at some angles."""
         rotation = se3.exp_so3(angle[:, None] * self.direction)
         return rotation @ self.R, self.point + rotation @ self.arm
 
     def energy(self, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> float:
-        """E of the nearest poses."""
+        """Return E of the nearest poses."""
         R_found, c_found = self.nearest(R, c)
         return float(np.sum((R_found - R) ** 2) + np.sum((c_found - c) ** 2) / self.size**2)
 
     def nearest(
         self, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]
     ) -> tuple[Float[ndarray, "N 3 3"], Float[ndarray, "N 3"]]:
-        """The hinge's own poses that are nearest to some others."""
+        """Return the hinge's own poses that are nearest to some others."""
         return self.at(self.angles(R, c))
 
 
 def mean_rotation(R: Float[ndarray, "N 3 3"]) -> Float[ndarray, "3 3"]:
-    """The rotation of least ``sum_n ||R - R_n||^2``."""
+    """Return the rotation of least ``sum_n ||R - R_n||^2``."""
     return se3.nearest_rotation(R.sum(axis=0))
 
 
 def rotation_hinge(R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> AxisRotation:
-    """The hinge whose rotations are nearest to R; its line is then the nearest to the centres."""
+    """Fit the hinge whose rotations are nearest to R, then its line to the centres."""
     return next(_circles(R, c, np.inf, None))
 
 
 def pose_hinge(
     R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"], size: float, through: Float[ndarray, "3"] | None = None
 ) -> AxisRotation:
-    """The hinge of least E, anywhere or through a point of the hand frame [m].
+    """Fit the hinge of least E, anywhere or through a point of the hand frame [m].
 
     E is minimised over the hinge, the angles always the best ones, by Levenberg-Marquardt from four initial guesses:
     the two best axes that the eigenvectors of the quaternions span with the mean rotation, each with the best angles
@@ -107,14 +107,14 @@ def pose_hinge(
 
 
 def nearby_hinge(start: AxisRotation, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> AxisRotation:
-    """The hinge to which a few steps lead from a good guess; several times as quick as ``pose_hinge``."""
+    """Refine a good guess of the hinge by a few steps; several times as quick as ``pose_hinge``."""
     with _libraries().limit(limits=1, user_api="blas"):
         return _refined(start, R, c, None, TRIAL)
 
 
 @cache  # to look for them takes longer than a few steps
 def _libraries() -> ThreadpoolController:
-    """What uses several threads."""
+    """Return a controller of the libraries that use several threads."""
     import scipy.optimize  # noqa: F401  (first: it brings a BLAS of its own)
 
     return ThreadpoolController()
@@ -156,7 +156,7 @@ def _line(
 def _still(
     hinge: AxisRotation, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"], through: Float[ndarray, "3"] | None
 ) -> AxisRotation:
-    """The same direction through the mean centre, or through the given point, with the mean pose at angle 0."""
+    """Return the hinge of the same direction through the mean centre (or the given point), the mean pose at angle 0."""
     point = c.mean(axis=0) if through is None else through
     return replace(hinge, R=mean_rotation(R), point=point, arm=c.mean(axis=0) - point)
 
@@ -168,7 +168,7 @@ def _refined(
     through: Float[ndarray, "3"] | None,
     steps: int,
 ) -> AxisRotation:
-    """The hinge to which so many steps at most lead from another; E never rises."""
+    """Refine a hinge by at most ``steps`` steps; E never rises."""
     from scipy.optimize import least_squares
 
     moves = _Moves.of(start, free=through is None)
@@ -213,7 +213,11 @@ class _Moves:
         )
 
     def jacobian(self, x: Float[ndarray, "k"], angle: Float[ndarray, "N"]) -> Float[ndarray, "m k"]:
-        """Derivatives of the poses' 9 + 3 numbers in each frame, without what a change of the frame's angle undoes.
+        """Compute derivatives of the poses' 9 + 3 numbers in each frame.
+
+        What a change of the frame's angle undoes is left out: the angles are always the best ones. That they are to
+        first order is enough (Kaufman, "A variable projection method for solving separable nonlinear least squares
+        problems", 1975): the gradient of E is exact.
 
         The angles are always the best ones. That they are to first order is enough (Kaufman, "A variable projection
         method for solving separable nonlinear least squares problems", 1975): the gradient of E is exact.

@@ -1,4 +1,4 @@
-"""Where sequences are cut: by the definition of a stable grasp, or by a list; in imports, ``segment`` and ``study``."""
+"""Rules for cutting sequences: the definition of a stable grasp, or a list; for imports, ``segment`` and ``study``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Cut:
     """How sequences are cut into stable grasps."""
 
     definition: Definition = field(default_factory=Definition)
-    """What is found; with a list, what counts as contact."""
+    """Definition of a stable grasp; with a list, of contact only."""
     listed: GraspList | None = None
     """The grasps, if they are not to be found."""
 
@@ -34,7 +34,7 @@ class Cut:
         return self.definition.description if self.listed is None else f"the grasps of {self.listed.file}"
 
     def record(self) -> dict[str, object]:
-        """What identifies it, as JSON values; of a list also what counts as contact in the grasps."""
+        """Return what identifies the rule, as JSON values; for a list also the definition of contact in the grasps."""
         if self.listed is None:
             return asdict(self.definition)
         contact: dict[str, object] = {"contact": self.definition.contact, "points": self.definition.points}
@@ -43,7 +43,7 @@ class Cut:
     def of(
         self, clip: Clip, progress: Callable[[float], None] = lambda _: None
     ) -> tuple[PairwiseIou, list[tuple[int, int]]]:
-        """Contact IOU of a clip's frames, and its grasps: first and last frame of each, both included.
+        """Return the contact IOU of a clip's frames, and its grasps: first and last frame of each, both included.
 
         Raises ``InputError`` for a clip without ground truth.
         """
@@ -59,6 +59,6 @@ class Cut:
 
 
 def as_listed(clip: Clip, first: int, last: int) -> ListedGrasp:
-    """A grasp of a clip, from its frame ``first`` to ``last``, as lists have it."""
+    """Return a grasp of a clip, from its frame ``first`` to ``last``, as lists have it."""
     duration = (last + 1 - first) / clip.fps
     return ListedGrasp(clip.name, clip.side, clip.category, clip.frames[first], clip.frames[last], duration)

@@ -1,4 +1,4 @@
-"""What a stable grasp is, as numbers and names. Light: the command line loads it to show its help."""
+"""The definition of a stable grasp, as numbers and names. Light: the command line loads it to show its help."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FEWEST = 2
 
 @dataclass(frozen=True)
 class Definition:
-    """What a stable grasp is.
+    """The definition of a stable grasp.
 
     Attributes:
         tau: every pair of frames has a contact IOU above this.

@@ -60,7 +60,7 @@ class ListedGrasp:
     """In seconds."""
 
     def is_of(self, name: str, side: Side, category: str) -> bool:
-        """Whether it is a grasp of a clip or track: of its hand and object, and of its name up to a ``--``.
+        """Return whether it is a grasp of a clip or track: of its hand and object, and of its name up to a ``--``.
 
         So ``s01--box_use_01`` is the sequence of the clip ``s01--box_use_01--box--left--2``. ``/`` or ``_`` may stand
         between the parts as well, as in ``s01/box_use_01``.
@@ -72,7 +72,7 @@ class ListedGrasp:
         return any(self.sequence == between.join(begin) for begin in begins for between in (BETWEEN, "/", "_"))
 
     def positions(self, frames: Sequence[str], origin: int | None = None) -> Int[ndarray, "n"]:
-        """Which of some frames, named in order, belong to it.
+        """Return the indices of the frames, named in order, that belong to it.
 
         Names that are numbers are compared as numbers. ``origin`` is the number in the name of the sequence's first
         frame; where nobody knows it, counted frames are those that are given here.
@@ -91,7 +91,7 @@ class ListedGrasp:
         return np.flatnonzero((at >= int(low)) & (at <= int(high)))
 
     def row(self) -> files.Json:
-        """It as it is written."""
+        """Return the row of a list file."""
         named = isinstance(self.first, str)
         frames = {"first" if named else "start": self.first, "last" if named else "end": self.last}
         about = {"sequence": self.sequence, "side": self.side, "object": self.object}
@@ -108,10 +108,10 @@ class GraspList:
     lengths: Mapping[str, int] = field(default_factory=dict)
     """How many frames each recording has, where the list says."""
     timelines: tuple[Timeline, ...] = ()
-    """Where the list is one of these."""
+    """Timelines, where the list is one of these."""
 
     def of(self, name: str, side: Side, category: str) -> list[ListedGrasp]:
-        """The grasps of a clip or track."""
+        """Return the grasps of a clip or track."""
         return [grasp for grasp in self.grasps if grasp.is_of(name, side, category)]
 
 
@@ -122,21 +122,24 @@ def write(path: Path, grasps: Sequence[ListedGrasp], cut: Mapping[str, object]) 
 
 
 def read_cut(path: Path) -> object:
-    """How a list that ``write`` has written was made. Raises ``InputError``."""
+    """Read how a list that ``write`` has written was made. Raises ``InputError``."""
     content = files.read_json(path)
     _check_version(path, content)
     return content.get("cut")
 
 
 def metres(path: Path, key: str, value: object) -> float:
-    """A distance within which points are in contact [m]. Raises ``InputError``."""
+    """Parse a distance within which points are in contact [m]. Raises ``InputError``."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 0.05:
         raise InputError(path, key, shown(value), "0 to 0.05 m")
     return float(value)
 
 
 def read(path: Path, note: Callable[[str], None] = lambda _: None) -> GraspList:
-    """A list of grasps, in any of the formats that are read. Raises ``InputError``, which names the row and the key."""
+    """Read a list of grasps, in any of the formats that are known.
+
+    Raises ``InputError``, which names the row and the key.
+    """
     content = files.read_bytes(path, LARGEST)
     checksum = sha256(content).hexdigest()
     if content.lstrip()[:1] not in (b"[", b"{"):
@@ -185,7 +188,7 @@ def _check_heads(path: Path, heads: Sequence[str]) -> None:
 
 
 def grasp_of(path: Path, where: str, row: files.Json) -> ListedGrasp:
-    """A row, checked; ``where`` begins its key. Raises ``InputError``."""
+    """Parse a row; ``where`` begins its key. Raises ``InputError``."""
     sequence = row.get("sequence", row.get("clip"))
     for key, value in (("sequence", sequence), ("object", row.get("object"))):
         if not (isinstance(value, str) and value.strip() and value.isprintable() and len(value) <= 400):

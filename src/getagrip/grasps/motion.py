@@ -37,7 +37,7 @@ MOTION_MEASURES = {
     "pivot": Measure("distance of the axis from the middle of the contact", "mm", 1e3),
     "slip": Measure("way of the contact points in the hand frame, first to last fifth", "mm", 1e3),
 }
-"""By name; shown in these units, held in SI units."""
+"""By name; shown in these units, stored in SI units."""
 
 
 @dataclass(frozen=True)
@@ -58,12 +58,12 @@ class Residual:
 
     @staticmethod
     def of(R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"], size: float) -> Residual:
-        """Of rotations and positions of the centre [m] of an object of some size [m] (``study.object_in_hand``)."""
+        """Compute the residual from rotations and centres [m] of an object of some size [m]."""
         return Residual.beside(pose_hinge(R, c, size), R, c)
 
     @staticmethod
     def beside(hinge: AxisRotation, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> Residual:
-        """Beside a hinge that is known."""
+        """Compute the residual beside a hinge that is known."""
         angle = np.unwrap(hinge.angles(R, c))
         R_hinge, c_hinge = hinge.at(angle)
         axes = hinge_axes(hinge.direction, se3.exp_so3(np.median(angle) * hinge.direction) @ hinge.arm)
@@ -78,7 +78,10 @@ class Residual:
 
 
 def hinge_axes(direction: Float[ndarray, "3"], arm: Float[ndarray, "3"]) -> Float[ndarray, "3 3"]:
-    """Unit vectors, as columns: along an axis, along the arm as far as it is square to the axis, and square to both."""
+    """Return unit vectors, as columns.
+
+    They point along an axis, along the arm as far as it is square to the axis, and square to both.
+    """
     across = arm - direction * (direction @ arm)
     if np.linalg.norm(across) < 1e-9:
         across = np.linalg.svd(direction[None])[2][1]
@@ -93,7 +96,7 @@ def measure(
     touched: Float[ndarray, "P 3"],
     fps: float,
 ) -> tuple[dict[str, float], Residual]:
-    """Every one of ``MOTION_MEASURES`` of one grasp, not a number where it has no value; and what it left of the hinge.
+    """Measure ``MOTION_MEASURES`` of one grasp, NaN where one has no value; also return the residual of the hinge.
 
     Args:
         T_hand_obj: poses of the object, of unit scale.
@@ -130,7 +133,7 @@ def measure(
 
 
 def axis_drift(R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> float:
-    """Angle between the best axes of the rotations of both halves [rad]; not a number where one hardly turns."""
+    """Measure the angle between the best axes of the rotations of both halves [rad]; NaN where one hardly turns."""
     half = len(R) // 2
     hinges = [rotation_hinge(R[part], c[part]) for part in (slice(half), slice(half, None))]
     for hinge, part in zip(hinges, (slice(half), slice(half, None)), strict=True):
@@ -140,7 +143,7 @@ def axis_drift(R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> float:
 
 
 def bend(residual: Residual) -> float:
-    """Share of the residual's rotation square to the axis that a parabola of the angle explains: the axis drifts."""
+    """Measure the share of the residual's rotation square to the axis that a parabola of the angle explains."""
     x = residual.rotation[:, 1:]
     powers = np.vander(residual.angle - residual.angle.mean(), 3)
     unexplained = x - powers @ np.linalg.lstsq(powers, x, rcond=None)[0]
@@ -149,7 +152,10 @@ def bend(residual: Residual) -> float:
 
 
 def correlation_time(x: Float[ndarray, "N 3"], fps: float) -> float:
-    """Lag at which the autocorrelation of a curve first falls to 1/e [s], linear between frames; at most half of it."""
+    """Measure the lag at which a curve's autocorrelation first falls to 1/e [s], linear between frames.
+
+    At most half of it.
+    """
     x = x - x.mean(axis=0)
     lags = np.arange(len(x) // 2)
     product = np.array([np.mean(np.sum(x[: len(x) - lag] * x[lag:], axis=1)) for lag in lags])
@@ -165,7 +171,7 @@ def correlation_time(x: Float[ndarray, "N 3"], fps: float) -> float:
 
 
 def spectrum(x: Float[ndarray, "N k"]) -> Float[ndarray, "M"]:
-    """Share of a curve's energy in each of ``MODES`` cosines over its time, cos(pi m t); the constant is left out."""
+    """Measure the share of a curve's energy in each of ``MODES`` cosines cos(pi m t), without the constant."""
     from scipy.fft import dct
 
     energy = np.sum(dct(x, axis=0, norm="ortho")[1:] ** 2, axis=1)
@@ -183,7 +189,7 @@ JOINT = ("duration", "turn", "rotation", "place", "drift", "pivot", "slip")
 
 @dataclass(frozen=True)
 class MotionStatistics:
-    """What grasps have in common: numbers over all of them, none of a single one.
+    """Statistics over all grasps; nothing of a single one.
 
     Attributes:
         grasps: number of grasps.
@@ -209,7 +215,7 @@ class MotionStatistics:
 
     @staticmethod
     def of(measured: Sequence[tuple[dict[str, float], Residual]]) -> MotionStatistics:
-        """Of several grasps, as ``measure`` gives them."""
+        """Compute the statistics of several grasps, as ``measure`` gives them."""
         values = {name: np.array([one[name] for one, _ in measured]) for name in MOTION_MEASURES}
         logs = np.log([values[name] for name in JOINT])
         known, mean = np.isfinite(logs), np.nanmean(logs, axis=1)

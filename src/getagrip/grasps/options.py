@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 
 
 def _distance(value: str) -> str:
-    """What help says of a distance that was not given."""
+    """Return the text that help shows for a distance that was not given."""
     return f"(default: {'0, or 10 with --from-masks' if value == 'None' else value})"
 
 
 @dataclass(frozen=True, kw_only=True)
 class GraspOptions:
-    """What a stable grasp is; or a list of the grasps."""
+    """The definition of a stable grasp, or a list of the grasps."""
 
     tau: float = 0.5
     """In a stable grasp, the contacts of any two frames have an intersection over union (IOU) above this."""
@@ -36,16 +36,19 @@ class GraspOptions:
     shortest: Annotated[int, arg(metavar="N")] = 20
     """Frames of the shortest grasp."""
     listed: Annotated[OptionalFile, arg(name="list", aliases=("--intervals",))] = None
-    """Take the grasps of this list, whatever tau, rule and shortest are: one that import, segment, study or annotate
-    wrote, or anybody's (docs/formats.md); also the authors' hot3d_hit.json."""
+    """Use the grasps of this list instead of tau, rule and shortest: one by import, segment, study or annotate, your
+    own (docs/formats.md), or the authors' hot3d_hit.json."""
 
     def definition(self, contact_mm: float = 0.0) -> Definition:
-        """What counts as stable, within ``contact_mm`` where nothing is said. Raises ``UsageError``."""
+        """Return the definition of a stable grasp, within ``contact_mm`` where nothing is said.
+
+        Raises ``UsageError``.
+        """
         within = contact_mm if self.contact_mm is None else self.contact_mm
         return Definition(self.tau, within / 1e3, self.points, self.rule, self.shortest)
 
     def cut(self, note: Callable[[str], None]) -> Cut:
-        """How sequences are cut; the list is read. Raises ``UsageError`` and ``InputError``."""
+        """Return the rule for cutting sequences; the list is read. Raises ``UsageError`` and ``InputError``."""
         from getagrip.grasps import lists
         from getagrip.grasps.cut import Cut
 

@@ -44,7 +44,7 @@ OPENED = np.radians(5.0)
 def segment(
     clip: Clip, definition: Definition | None = None, progress: Callable[[float], None] = lambda _: None
 ) -> tuple[PairwiseIou, list[tuple[int, int]]]:
-    """Contact IOU of a clip's frames, and its stable grasps as ``stable_grasps`` gives them, all from the ground truth.
+    """Find the stable grasps of a clip from the ground truth; also return the contact IOU of its frames.
 
     Where an object has a joint, frames between which it has rotated by more than ``OPENED`` have IOU 0: opening or
     closing an object ends a grasp. ``progress`` is called with the share of the frames done. Raises ``InputError`` for
@@ -62,7 +62,7 @@ def contact_sets(
     points: Points = "vertices",
     progress: Callable[[float], None] = lambda _: None,
 ) -> Bool[ndarray, "T P"]:
-    """Which points of the object touch the true hand in each frame: signed distance to it at most ``threshold`` [m].
+    """Find the points of the object that touch the true hand in each frame: signed distance at most ``threshold`` [m].
 
     An object with a joint has it as it truly was (``Truth.joint``). Holes of the hand (MANO's wrist) are closed. Raises
     ``InputError`` for a clip without ground truth, ``UsageError`` for unknown ``points``.
@@ -90,7 +90,7 @@ def contact_sets(
 
 
 def fragments(vertices: Float[ndarray, "V 3"]) -> Int[ndarray, "V"]:
-    """The patch of each vertex: that of the nearest of some vertices spread over the object.
+    """Assign each vertex to the nearest of some vertices spread over the object.
 
     Each is the vertex farthest from those before it and from the mean of all (Hodan et al., "EPOS", CVPR 2020).
     """
@@ -126,7 +126,10 @@ class PairwiseIou:
         weights: Float[ndarray, "P"] | None = None,
         articulation: Float[ndarray, "T"] | None = None,
     ) -> PairwiseIou:
-        """Of contact sets (frame, point); ``weights`` of the points, not negative, equal where left out."""
+        """Compute the IOU of contact sets (frame, point).
+
+        ``weights`` of the points, not negative, equal where left out.
+        """
         angle = np.zeros(len(contact)) if articulation is None else articulation
         touched = contact.any(axis=0)
         if weights is None:
@@ -150,7 +153,7 @@ class PairwiseIou:
 
 
 def contact_iou(contact: Bool[ndarray, "T P"], weights: Float[ndarray, "P"] | None = None) -> Float[ndarray, "T T"]:
-    """IOU of the contact sets of every pair of frames; 0 for two empty sets, and for an empty set with itself.
+    """Compute the IOU of the contact sets of every pair of frames; 0 for empty sets, also of one with itself.
 
     ``weights`` of the points (areas, say) are not negative. Where T is many thousands, ``PairwiseIou`` saves memory.
     """
@@ -160,7 +163,7 @@ def contact_iou(contact: Bool[ndarray, "T P"], weights: Float[ndarray, "P"] | No
 def stable_grasps(
     iou: Float[ndarray, "T T"] | PairwiseIou, tau: float = 0.5, shortest: int = 20, rule: Rule = "all-pairs"
 ) -> list[tuple[int, int]]:
-    """First and last frame (both included) of each stable grasp of at least ``shortest`` frames, by start.
+    """Find the first and last frame (both included) of each stable grasp of at least ``shortest`` frames, by start.
 
     - ``all-pairs``: Eq. 2. Of equally long intervals the earlier is taken.
     - ``first``: every frame is compared with the interval's first only, and IOU = tau will do: as the ARCTIC grasps of
@@ -208,7 +211,7 @@ def _earliest_starts(iou: Float[ndarray, "T T"] | PairwiseIou, tau: float) -> In
 
 
 def _longest_first(starts: Int[ndarray, "T"], shortest: int) -> list[tuple[int, int]]:
-    """The longest interval, then the longest ones before and after it, and so on."""
+    """Return the longest interval, then the longest ones before and after it, and so on."""
     taken = []
     free = [(0, len(starts) - 1)]
     while free:

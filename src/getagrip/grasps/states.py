@@ -1,4 +1,4 @@
-"""What an object does in labelled motion, frame by frame: the segments of a timeline from true poses.
+"""Segments of a timeline from true poses: the state of an object in each frame of labelled motion.
 
 Static is a run of frames in which the object stays where it is in the first of them and no hand touches it. Grasps are
 those of Eq. 2. What lies between is an unstable contact where a hand touches the object in any of its frames, else a
@@ -30,7 +30,7 @@ MARGIN = 30
 
 
 def true_segments(clip: Clip, definition: Definition) -> tuple[Segment, ...]:
-    """The segments of a whole clip, every frame in one of them, its one hand in those with a side.
+    """Segment a whole clip, every frame in one segment; its one hand is that of the segments with a side.
 
     ``definition`` is what contact and a grasp are. Raises ``InputError`` for a clip without ground truth or without
     the camera's poses.
@@ -41,7 +41,9 @@ def true_segments(clip: Clip, definition: Definition) -> tuple[Segment, ...]:
 def segments_of(
     clip: Clip, contact: Mapping[Side, Bool[ndarray, "T P"]], definition: Definition
 ) -> tuple[Segment, ...]:
-    """The same by the contact sets of one hand or both. Where both hold the object, the clip's hand counts.
+    """Segment a whole clip by the contact sets of one hand or both.
+
+    Where both hold the object, the clip's hand counts.
 
     Raises ``InputError`` for a clip without the camera's poses.
     """
@@ -60,8 +62,11 @@ def segments_of(
 
 
 def painted(segments: Sequence[Segment], frames: int, side: Side) -> tuple[Segment, ...]:
-    """Segments that may overlap, made not to: grasps of hand ``side`` cover those of the other, these contacts, these
-    what is static or free, and otherwise later ones earlier ones."""
+    """Resolve overlaps of segments.
+
+    Grasps of hand ``side`` take precedence over those of the other hand, these over contacts, these over static and
+    free segments, and otherwise later segments over earlier ones.
+    """
     order: dict[str, int] = {"static": 0, "free": 0, "contact": 1, "grasp": 2}
     over = sorted(segments, key=lambda s: (order[s.state], s.state == "grasp" and s.side == side, s.first))
     label = np.full(frames, -1)
@@ -73,7 +78,7 @@ def painted(segments: Sequence[Segment], frames: int, side: Side) -> tuple[Segme
 
 
 def interactions(segments: Sequence[Segment]) -> Iterator[Int[ndarray, "n"]]:
-    """The frames of each timeline of a long recording: what hands do between two long static segments.
+    """Yield the frames of each timeline of a long recording: the interactions between two long static segments.
 
     Such a segment is longer than twice ``MARGIN``; its first frames belong to the timeline before it, its last to that
     after it. Where the object is never held or touched in between, there is no timeline.
@@ -95,7 +100,7 @@ def interactions(segments: Sequence[Segment]) -> Iterator[Int[ndarray, "n"]]:
 def static_runs(
     T_world_obj: Float[ndarray, "T 4 4"], vertices: Float[ndarray, "V 3"], touched: Bool[ndarray, "T"]
 ) -> Iterator[tuple[int, int]]:
-    """First and last of the runs of frames in which nothing touches an object and it stays where it is at first."""
+    """Yield first and last of each run of frames in which an untouched object stays where it is at first."""
     first = 0
     while first < len(T_world_obj):
         length = _still(T_world_obj[first:], vertices, touched[first:])
@@ -120,7 +125,7 @@ def _still(T_world_obj: Float[ndarray, "T 4 4"], vertices: Float[ndarray, "V 3"]
 
 
 def _with_rest(found: Sequence[Segment], touched: Mapping[Side, Bool[ndarray, "T"]], frames: int) -> Iterator[Segment]:
-    """The segments, and what lies between them."""
+    """Yield the segments, and what lies between them."""
     at = 0
     for segment in (*found, None):
         end = frames if segment is None else segment.first

@@ -1,4 +1,6 @@
-"""What changes within a stable grasp and outside it (the paper's study of 3D-labelled sequences, Sec. 3.2).
+"""Changes within a stable grasp and outside it (the paper's study of 3D-labelled sequences, Sec.
+
+3.2).
 
 Every measure is one number per frame, of a grasp's own frames and of those before and after it:
 
@@ -122,7 +124,7 @@ class Spread:
 
     @staticmethod
     def of(values: Sequence[float] | Float[ndarray, "n"]) -> Spread:
-        """Of values that may be not a number; all but the count is not a number where none is left."""
+        """Compute the spread of values; NaN values are ignored, and all but the count is NaN where none is left."""
         value = np.asarray(values, dtype=float)
         value = value[np.isfinite(value)]
         if len(value) == 0:
@@ -134,13 +136,13 @@ class Spread:
 def study(
     clip: Clip, definition: Definition | None = None, progress: Callable[[float], None] = lambda _: None
 ) -> list[StudiedGrasp]:
-    """The stable grasps of a clip, measured, by start. Raises ``InputError`` for a clip without ground truth."""
+    """Measure the stable grasps of a clip, ordered by start. Raises ``InputError`` for a clip without ground truth."""
     iou, grasps = segment(clip, definition, progress)
     return [study_grasp(clip, iou, first, last) for first, last in grasps]
 
 
 def study_grasp(clip: Clip, iou: PairwiseIou, first: int, last: int) -> StudiedGrasp:
-    """One grasp, from its first to its last frame. Raises ``InputError`` for a clip without ground truth."""
+    """Measure one grasp, from its first to its last frame. Raises ``InputError`` for a clip without ground truth."""
     margin = int(np.ceil(MARGIN * (last - first)))
     frames = slice(max(0, first - margin), min(len(clip), last + 1 + margin))
     grasp = slice(first - frames.start, last + 1 - frames.start)
@@ -189,7 +191,7 @@ def _errors(
 
 
 def object_in_hand(clip: Clip) -> tuple[Float[ndarray, "T 3 3"], Float[ndarray, "T 3"], float]:
-    """Rotation and position of the centre [m] of the object in the true hand's frame, and its ``size`` [m] (Eq. 3).
+    """Return rotation, position of the centre [m] and ``size`` [m] of the object in the true hand's frame (Eq. 3).
 
     The centre is that of the object's surface, and the size its radius of gyration over the root of 3. Raises
     ``InputError`` for a clip without ground truth.
@@ -209,7 +211,9 @@ def _truth(clip: Clip) -> Truth:
 
 
 def kept_contact(iou: PairwiseIou | Float[ndarray, "T T"], frames: slice, grasp: slice) -> Float[ndarray, "N"]:
-    """Mean contact IOU of each of some frames with all frames of a grasp but itself; not a number where there is none.
+    """Return the mean contact IOU of each of some frames with all frames of a grasp but itself.
+
+    NaN where there is none.
 
     Both slices count the sequence's frames.
     """
@@ -223,10 +227,10 @@ def kept_contact(iou: PairwiseIou | Float[ndarray, "T T"], frames: slice, grasp:
 def fingers(
     vertices: Float[ndarray, "N V 3"], pads: Sequence[Int[ndarray, "_"]], grasp: slice
 ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N"]]:
-    """How far pads of a hand (ids of its vertices) have rotated [rad] and moved [m] in the hand frame, on average.
+    """Compute how far a hand's pads have rotated [rad] and moved [m] in the hand frame, on average.
 
-    They are compared with their mean pose in the frames of the grasp. Rotations are not a number where a pad has too
-    few vertices to show them.
+    ``pads`` are ids of vertices. They are compared with their mean pose in the frames of the grasp. Rotations are NaN
+    where a pad has too few vertices to show them.
     """
     rotated, moved = [], []
     for ids in pads:
@@ -247,7 +251,7 @@ def _rotations(pad: Float[ndarray, "N P 3"], grasp: slice) -> Float[ndarray, "N 
 
 
 def mean_curves(studied: Sequence[StudiedGrasp]) -> dict[str, list[Spread]]:
-    """The spread of each measure over grasps, at each of ``TIMES``."""
+    """Compute the spread of each measure over grasps, at each of ``TIMES``."""
     return {
         name: [Spread.of(values) for values in np.array([one.curves[name] for one in studied]).T] for name in MEASURES
     }

@@ -31,12 +31,12 @@ STATES: dict[str, State] = {"inhand": "grasp", "scene_static": "static", "scene_
 SIDES: dict[object, Side | None] = {"left": "left", "right": "right", None: None}
 LAST_FRAME = 10_000_000
 MOST_SEGMENTS = 100_000
-"""Of a list; HOT3D's has 3288."""
+"""Most segments of a list; HOT3D's has 3288."""
 
 
 @dataclass(frozen=True)
 class Timeline:
-    """What hands do with an object; its segments are as listed, and count frames as the list does."""
+    """An interaction with an object; its segments count frames as the list does."""
 
     sequence: str
     category: str
@@ -51,7 +51,7 @@ class Timeline:
 def read(
     path: Path, content: Sequence[Json], note: Callable[[str], None]
 ) -> tuple[tuple[Timeline, ...], dict[str, int]]:
-    """HOT3D's timelines, and how many frames each recording has.
+    """Read HOT3D's timelines, and the number of frames of each recording.
 
     Segments that end before they start are skipped, and reported. Raises ``InputError`` in the name of the file.
     """
@@ -73,7 +73,7 @@ def read(
 
 
 def segments_of(path: Path, key: str, value: object) -> tuple[Segment, ...]:
-    """The segments of a timeline, but for those that end before they start. Raises ``InputError``."""
+    """Parse the segments of a timeline; those that end before they start are left out. Raises ``InputError``."""
     if not isinstance(value, list) or not all(isinstance(segment, dict) for segment in value):
         raise InputError(path, key, shown(value), "a list of objects")
     if len(value) > MOST_SEGMENTS:
@@ -102,7 +102,7 @@ def report_backwards(path: Path, content: Sequence[Json], note: Callable[[str], 
 
 
 def whole(path: Path, key: str, value: object) -> int:
-    """The number of a frame. Raises ``InputError``."""
+    """Parse the number of a frame. Raises ``InputError``."""
     if type(value) is not int or not 0 <= value <= LAST_FRAME:
         raise InputError(path, key, shown(value), f"a whole number from 0 to {LAST_FRAME}")
     return value

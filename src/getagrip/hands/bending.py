@@ -24,7 +24,7 @@ _SMOOTHINGS = 4
 
 
 def finger_weights(hand: HandTrack) -> Float[ndarray, "V 5 3"]:
-    """How far each vertex goes with each finger's three bones, from the palm to the tip; the rest is the palm's.
+    """Compute how far each vertex goes with each finger's three bones, from palm to tip; the rest is the palm's.
 
     The hand must have joints.
     """
@@ -51,7 +51,7 @@ def bent(
     weights: Float[ndarray, "V 5 3"],
     angles: Float[ndarray, "T 5 3"],
 ) -> tuple[Float[ndarray, "T V 3"], Float[ndarray, "T 21 3"]]:
-    """Vertices and joints with each finger's joints bent further by ``angles`` [rad], thumb first.
+    """Bend each finger's joints further by ``angles`` [rad], thumb first; return vertices and joints.
 
     Fingers bend about an axis across the palm, the thumb towards the knuckle of the index finger or away from it.
     """
@@ -81,7 +81,7 @@ def _skin(vertices: ndarray, weights: ndarray, T: ndarray, moved: ndarray) -> No
 
 
 def hinges(joints: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 5 3"]:
-    """Unit axes about which fingers bend: across the palm; of the thumb, across its plane with the index knuckle."""
+    """Compute the unit axes about which fingers bend: across the palm; the thumb's across its plane with the index."""
     index, pinky = (joints[:, k] - joints[:, _WRIST] for k in (_INDEX, _PINKY))
     palm = np.cross(index, pinky)
     thumb, ahead = joints[:, CHAINS[0, 3]] - joints[:, CHAINS[0, 0]], joints[:, _INDEX] - joints[:, CHAINS[0, 0]]

@@ -46,7 +46,7 @@ LOOSENESS = 0.12
 CURLS = ((0.3, 0.3, 0.3), (0.9, 0.6, 0.4))
 """Bends of the fingers that are tried at first, from knuckle to fingertip [rad]."""
 ROUNDS = 4
-"""Of placing hands and fitting them."""
+"""Rounds of placing hands and fitting them."""
 STEPS = 60
 TOLERANCE = 1e-5
 """Stop when a round lowers the cost by less than this share of it."""
@@ -74,7 +74,7 @@ class ClickedHands:
 def hands_from_clicks(
     clicks: Mapping[int, Float[ndarray, "..."]], K: Float[ndarray, "3 3"], side: Side, first: int, last: int
 ) -> ClickedHands:
-    """The hand in the frames ``first`` to ``last``, both included, from joints clicked on some of them [px].
+    """Fit the hand in the frames ``first`` to ``last``, both included, to joints clicked on some of them [px].
 
     ``clicks`` (21, 2) are wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip, NaN where not
     clicked. Raises ``UsageError`` for no clicked frame, for one with fewer than ``FEWEST`` joints or outside the
@@ -125,21 +125,21 @@ def check_found(keys: Sequence[int], found: Guess) -> None:
 
 
 class Guess(NamedTuple):
-    """What is sought."""
+    """The unknowns of the fit."""
 
     T: Float[ndarray, "n 4 4"]
     """T_cam_hand."""
     q: Float[ndarray, "n 5 3 3"]
     """Rotation vectors of the fingers' joints."""
     grasp: Float[ndarray, "1 5 3 3"]
-    """What all q are near to."""
+    """Prior mean of all q."""
     shape: Float[ndarray, "S"]
 
     wrist: Float[ndarray, "3"]
-    """Of the mean hand, which rotations are about."""
+    """Wrist of the mean hand, which rotations are about."""
 
     def retract(self, frames: Float[ndarray, "n 51"], shared: Float[ndarray, "s"]) -> Guess:
-        """After a step: each hand shifts in its own axes and turns about the wrist, the rest adds up."""
+        """Apply a step: each hand shifts in its own axes and turns about the wrist, the rest adds up."""
         return self._replace(
             T=stepped(self.T, frames[:, :6], self.wrist),
             q=self.q + frames[:, 6:].reshape(self.q.shape),
@@ -149,7 +149,7 @@ class Guess(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """What is fitted, to what, and how far it is believed."""
+    """The fit: unknowns, observations and their weights."""
 
     model: HandModel
     chains: Chains
@@ -161,7 +161,7 @@ class Fit(NamedTuple):
     """Frames whose joints are wrong in the same way: their evidence of what frames share counts as that of one."""
 
     def equations(self, guess: Guess) -> Equations:
-        """The cost, and per frame J^T J and J^T r of (T_cam_hand step, pose, grasp, shape)."""
+        """Compute the cost, and per frame J^T J and J^T r of (T_cam_hand step, pose, grasp, shape)."""
         n, S = len(self.clicks.y), len(guess.shape)
         X, J_hand = joints_and_jacobian(self.chains, guess.q, guess.shape)
         J = np.zeros((n, 21, 3, 51 + SHARED + S))
@@ -183,18 +183,18 @@ class Fit(NamedTuple):
         return float(np.sum(costs) + np.sum(off**2) + self.repeats * (np.sum(p**2) + b @ b)), H, g
 
     def near(self, guess: Guess) -> tuple[Guess, float]:
-        """The best hands near a guess, and their cost."""
+        """Fit the hands near a guess; also return their cost."""
         found, cost, _ = descend(guess, self.equations, STEPS)
         return found, cost
 
 
 def fitted(fit: Fit) -> Guess:
-    """The best hands, from fingers that are bent in several ways."""
+    """Fit the hands, from fingers that are bent in several ways."""
     return min((_from_curl(fit, curl) for curl in CURLS), key=lambda each: each[1])[0]
 
 
 def _from_curl(fit: Fit, curl: Curl) -> tuple[Guess, float]:
-    """The best hands from fingers that are bent by ``curl``, and their cost.
+    """Fit the hands from fingers that are bent by ``curl``; also return their cost.
 
     After a fit the orientation of the hands is known better: they are placed and fitted anew
     as long as that helps.
@@ -217,7 +217,7 @@ def _from_curl(fit: Fit, curl: Curl) -> tuple[Guess, float]:
 def between(
     keys: Sequence[int], T: Float[ndarray, "n 4 4"], q: Float[ndarray, "n 5 3 3"], first: int, last: int
 ) -> tuple[Float[ndarray, "T 4 4"], Float[ndarray, "T 5 3 3"]]:
-    """Hands in all frames: smooth through those of the keys, at rest beyond them.
+    """Interpolate hands in all frames: smooth through those of the keys, at rest beyond them.
 
     Positions go along straight rays' pixels and log depths (so that a hand in view stays in view), fingers along
     monotone cubic splines, rotations along a spline of continuous acceleration.
@@ -238,7 +238,7 @@ def between(
 
 
 def model_pose(q: Float[ndarray, "T 5 3 3"]) -> Float[ndarray, "T 45"]:
-    """The fingers' rotation vectors in the order of the model's joints."""
+    """Return the fingers' rotation vectors in the order of the model's joints."""
     pose = np.zeros((len(q), 45))
     for n, knuckle in enumerate(KNUCKLES):
         pose[:, 3 * knuckle - 3 : 3 * knuckle + 6] = q[:, n].reshape(len(q), 9)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip.least_squares import Ending, Rules, arrow_step, damped, minimise
+from getagrip.least_squares import Arrow, Ending, Rules, minimise
 
 LOCAL = 51
 """Numbers of each frame: the step of T_cam_hand and the pose. What all frames share follows them."""
@@ -23,10 +23,10 @@ Equations = tuple[float, Float[ndarray, "T D D"], Float[ndarray, "T D"]]
 
 
 class Hands(Protocol):
-    """What is sought."""
+    """The unknowns."""
 
     def retract(self, frames: Float[ndarray, "T 51"], shared: Float[ndarray, "S"]) -> Self:
-        """After a step."""
+        """Return the hands after a step."""
         ...
 
 
@@ -48,10 +48,8 @@ class _State(Generic[Sought]):
         return np.array([self.value])
 
     def trial(self, active: Int[ndarray, "1"], damping: Float[ndarray, "1"]) -> _State[Sought]:
-        H, g = self.H[None], self.g[None]
-        H_ss = damped(H[..., LOCAL:, LOCAL:].sum(axis=1), damping)
-        H_ll = damped(H[..., :LOCAL, :LOCAL], damping[:, None])
-        shared, frames = arrow_step(H_ss, H[..., LOCAL:, :LOCAL], H_ll, g[..., LOCAL:].sum(axis=1), g[..., :LOCAL])
+        arrow = Arrow.of(self.H[None], self.g[None], shared=slice(LOCAL, None), own=slice(LOCAL))
+        shared, frames = arrow.step(damping)
         hands = self.hands.retract(frames[0], shared[0])
         return _State(hands, self.equations, *self.equations(hands))
 
@@ -60,6 +58,9 @@ class _State(Generic[Sought]):
 
 
 def descend(hands: Sought, equations: Callable[[Sought], Equations], steps: int) -> tuple[Sought, float, bool]:
-    """The minimum near some hands, its cost, and whether the last step changed next to nothing."""
+    """Descend to the minimum near some hands.
+
+    Return it, its cost, and whether the last step changed next to nothing.
+    """
     found = minimise(_State(hands, equations, *equations(hands)), steps, RULES)
     return found.state.hands, found.state.value, found.endings[0] is not Ending.LIMIT

@@ -32,14 +32,14 @@ ORDERS: dict[JointOrder, list[int]] = {
     "openpose": list(range(21)),
     "ho3d": [0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20],
 }
-"""Where each of this package's 21 joints stands in the given order."""
+"""Index of each of this package's 21 joints in the given order."""
 
 JOINT_NOISE = np.array([0.003, 0.010, *[0.003] * 19])
 """Standard deviation of each joint's position [m]. Models disagree by a centimetre on the thumb's saddle joint."""
 
 STEPS = 40
 FARTHEST = 1e5
-"""Of a joint from the camera [m]; in millimetres, a hundred metres."""
+"""Farthest joint from the camera [m]; in millimetres, a hundred metres."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def fit_joints(model: HandModel, joints_cam: Float[ndarray, "..."], order: Joint
 
 
 class State(NamedTuple):
-    """What is sought."""
+    """The unknowns of the fit."""
 
     T: Float[ndarray, "T 4 4"]
     """T_cam_hand."""
@@ -97,10 +97,10 @@ class State(NamedTuple):
     shape: Float[ndarray, "S"]
 
     wrist: Float[ndarray, "3"]
-    """Of the mean hand, which rotations are about."""
+    """Wrist of the mean hand, which rotations are about."""
 
     def retract(self, frames: Float[ndarray, "T 51"], shared: Float[ndarray, "S"]) -> State:
-        """After a step: the hand shifts in its own axes and turns about the wrist, the rest adds up."""
+        """Apply a step: the hand shifts in its own axes and turns about the wrist, the rest adds up."""
         T = stepped(self.T, frames[:, :6], self.wrist)
         return self._replace(T=T, q=self.q + frames[:, 6:].reshape(self.q.shape), shape=self.shape + shared)
 
@@ -108,7 +108,7 @@ class State(NamedTuple):
 def stepped(
     T: Float[ndarray, "T 4 4"], step: Float[ndarray, "T 6"], wrist: Float[ndarray, "3"]
 ) -> Float[ndarray, "T 4 4"]:
-    """Hands shifted in their own axes and turned about the wrist."""
+    """Shift hands in their own axes and turn them about the wrist."""
     R = se3.exp_so3(step[:, 3:])
     return T @ se3.rigid(R, step[:, :3] + wrist - R @ wrist)
 
@@ -123,7 +123,7 @@ class Chains(NamedTuple):
 
     @staticmethod
     def of(model: HandModel) -> Chains:
-        """The chains of a model, tips being vertices that move with the last joint."""
+        """Build the chains of a model; tips are vertices that move with the last joint."""
 
         each = np.array(KNUCKLES)[:, None] + np.arange(3)
         return Chains(
@@ -137,7 +137,7 @@ class Chains(NamedTuple):
 def joints_and_jacobian(
     chains: Chains, q: Float[ndarray, "T 5 3 3"], shape: Float[ndarray, "S"]
 ) -> tuple[Float[ndarray, "T 21 3"], Float[ndarray, "T 21 3 D"]]:
-    """The 21 joints in the hand frame, and their derivatives by the T_cam_hand step, the pose and the shape.
+    """Compute the 21 joints in the hand frame, and their derivatives by the T_cam_hand step, the pose and the shape.
 
     A joint's rotation vector q turns what follows it on its finger: dX = (G Jr(q) dq) x (X - X_joint), with G the
     joint's orientation and Jr the right Jacobian of SO(3).
@@ -171,7 +171,7 @@ def joints_and_jacobian(
 def _normal_equations(
     model: HandModel, chains: Chains, prior: PosePrior, state: State, Y: Float[ndarray, "T 21 3"]
 ) -> Equations:
-    """The cost, and per frame J^T J and J^T r of (T_cam_hand step, pose, shape)."""
+    """Compute the cost, and per frame J^T J and J^T r of (T_cam_hand step, pose, shape)."""
     X, J = joints_and_jacobian(chains, state.q, state.shape)
     R = state.T[:, :3, :3]
     # Distances are the same in the hand's axes, where the Jacobian stands.

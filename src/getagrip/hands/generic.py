@@ -36,7 +36,7 @@ SHAPES = (
     "ring_length",
     "pinky_length",
 )
-"""What the shape parameters enlarge."""
+"""Names of the shape parameters, each of which enlarges one part."""
 
 SPREAD = 0.1
 """Standard deviation of the shape parameters; those of single bones are 7 to 15 % (Buryanov, Kotiuk, Table I)."""
@@ -44,7 +44,10 @@ SPREAD = 0.1
 
 @lru_cache
 def load(side: Side) -> HandModel:
-    """The generic hand of one side; the left one is the right one mirrored in x. Raises ``UsageError`` for no side."""
+    """Load the generic hand of one side; the left one is the right one mirrored in x.
+
+    Raises ``UsageError`` for no side.
+    """
     check_word("side", side, Side)
     if side == "left":
         return mirrored_model(load("right"))
@@ -72,7 +75,7 @@ def load(side: Side) -> HandModel:
 def skin_weights(
     vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], fingers: Mapping[str, Finger]
 ) -> Float[ndarray, "V 16"]:
-    """Skinning weights: a vertex belongs to the nearest finger, and along it to the bones whose joints it lies between.
+    """Compute skinning weights: a vertex belongs to the nearest finger, and along it to the adjacent bones.
 
     Both memberships are smooth; what lies before the first joint of its finger belongs to the wrist.
     """
@@ -107,7 +110,7 @@ def stretch_directions(
     weights: Float[ndarray, "V 16"],
     fingers: Mapping[str, Finger],
 ) -> tuple[Float[ndarray, "V 3 S"], Float[ndarray, "16 3 S"]]:
-    """Displacements of vertices and joints per unit of each shape parameter.
+    """Compute the displacements of vertices and joints per unit of each shape parameter.
 
     A parameter stretches the space around each bone by a 3x3 matrix M_j: a point x that goes with joint j moves by
     d_j + M_j (x - J_j), where d_j is what the parent's stretch does to J_j; skinning weights blend these.
@@ -144,7 +147,7 @@ def _stretches(fingers: Mapping[str, Finger]) -> Float[ndarray, "S 16 3 3"]:
 def contact_regions(
     vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], fingers: Mapping[str, Finger]
 ) -> dict[str, Int[ndarray, "_"]]:
-    """The pads of the fingertips, then the ball of the thumb, the fingers' roots and the edge of the palm."""
+    """Return the pads of the fingertips, then the ball of the thumb, the fingers' roots and the edge of the palm."""
     normals = vertex_normals(vertices, faces)
     regions = {}
     for name, finger in fingers.items():

@@ -63,7 +63,7 @@ THUMB_BASE = np.array([-20.0, -13.0, 19.0])
 THUMB_AIM = np.array([-0.70, -0.26, 0.66])
 """Direction of the thumb's metacarpal at rest."""
 THUMB_PAD = np.array([-0.55, -0.60, -0.58])
-"""Where the thumb's pad looks at rest."""
+"""Direction of the thumb's pad at rest."""
 THUMB_CURL = (0.0, 9.0, 5.0)
 """How much each joint of the resting thumb bends [degrees]."""
 
@@ -83,19 +83,19 @@ class Finger:
 
 
 def half_depth(breadth: float, circumference: float) -> float:
-    """Half the other axis of an ellipse of given breadth and circumference, C ~ pi sqrt((b^2 + d^2) / 2)."""
+    """Return half the other axis of an ellipse of given breadth and circumference, C ~ pi sqrt((b^2 + d^2) / 2)."""
     return 0.5 * float(np.sqrt(2.0 * (circumference / np.pi) ** 2 - breadth**2))
 
 
 @cache
 def rest_fingers() -> Mapping[str, Finger]:
-    """The five fingers of the flat right hand [m]."""
+    """Return the five fingers of the flat right hand [m]."""
     fingers = {finger: _thumb() if finger == "thumb" else _finger(finger) for finger in FINGERS}
     return MappingProxyType(fingers)
 
 
 def rest_joints() -> Float[ndarray, "16 3"]:
-    """The 16 joints of the flat right hand [m]."""
+    """Return the 16 joints of the flat right hand [m]."""
     joints = np.zeros((len(JOINTS), 3))
     joints[0] = WRIST
     for finger, knuckle in zip(rest_fingers().values(), KNUCKLES, strict=True):
@@ -104,7 +104,7 @@ def rest_joints() -> Float[ndarray, "16 3"]:
 
 
 def metacarpal_base(name: str) -> Float[ndarray, "3"]:
-    """Base of a finger's metacarpal [m]; of the thumb's, its saddle joint."""
+    """Return the base of a finger's metacarpal [m]; of the thumb's, its saddle joint."""
     if name == "thumb":
         return WRIST + THUMB_BASE / 1e3
     beyond, across = CARPUS[name]

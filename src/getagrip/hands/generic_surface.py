@@ -22,7 +22,7 @@ GRID = 0.0016
 VERTICES = 950
 """Number of vertices; a closed surface without holes has twice as many faces, less four."""
 NORMAL_WEIGHT = 0.008
-"""What a unit of normal counts when patches are formed [m]."""
+"""Weight of a unit of normal when patches are formed [m]."""
 FINER = 1.6
 """How much shorter edges are at the fingertips."""
 WRIST_CUT = 0.010
@@ -132,7 +132,7 @@ def _smooth_min(a: Float[ndarray, "N"], b: Float[ndarray, "N"], k: float) -> Flo
 
 
 def triangulate() -> Mesh:
-    """The closed triangle mesh of the surface: marching cubes, then the dual of evenly grown patches of it.
+    """Build the mesh of the surface: marching cubes, then the dual of evenly grown patches of it.
 
     The patches are the cells of Lloyd's algorithm on the points of the fine mesh (Valette, Chassery, "Approximated
     Centroidal Voronoi Diagrams for Uniform Polygonal Mesh Coarsening", 2004), whose density goes with the square root
@@ -160,7 +160,7 @@ def triangulate() -> Mesh:
 
 
 def _patches(features: Float[ndarray, "N 6"], weight: Float[ndarray, "N"], seed: int) -> Int[ndarray, "N"]:
-    """The patch of each point: Lloyd's algorithm from random points."""
+    """Assign each point to a patch: Lloyd's algorithm from random points."""
     from scipy.spatial import cKDTree
 
     share = np.sqrt(weight) / np.sqrt(weight).sum()
@@ -180,7 +180,7 @@ def _means(
 
 
 def _dual(vertices: Float[ndarray, "V 3"], corners: Int[ndarray, "F 3"]) -> Mesh:
-    """A face for every three patches that meet, wound outward."""
+    """Make a face for every three patches that meet, wound outward."""
     faces = corners[np.all(corners != np.roll(corners, 1, axis=1), axis=1)]
     faces = faces[np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1]]
     mesh = Mesh(vertices, faces)
@@ -188,7 +188,7 @@ def _dual(vertices: Float[ndarray, "V 3"], corners: Int[ndarray, "F 3"]) -> Mesh
 
 
 def fineness(X: Float[ndarray, "N 3"]) -> Float[ndarray, "N"]:
-    """How much shorter edges shall be at some points: 1, but ``FINER`` at the last phalanges."""
+    """Return the factor by which edges are shorter at some points: 1, but ``FINER`` at the last phalanges."""
     near = np.zeros(len(X))
     for finger in rest_fingers().values():
         arm = X - (0.4 * finger.points[2] + 0.6 * finger.points[3])
@@ -197,13 +197,13 @@ def fineness(X: Float[ndarray, "N 3"]) -> Float[ndarray, "N"]:
 
 
 def gradient(X: Float[ndarray, "N 3"]) -> Float[ndarray, "N 3"]:
-    """Gradient of ``distance``, by central differences."""
+    """Compute the gradient of ``distance``, by central differences."""
     h = 1e-5 * np.eye(3)
     return np.stack([distance(X + e) - distance(X - e) for e in h], axis=-1) / 2e-5
 
 
 def project(X: Float[ndarray, "N 3"], steps: int = 3) -> Float[ndarray, "N 3"]:
-    """Points moved onto the surface by Newton steps along the gradient."""
+    """Move points onto the surface by Newton steps along the gradient."""
     for _ in range(steps):
         g = gradient(X)
         X = X - (distance(X) / np.sum(g * g, axis=1))[:, None] * g

@@ -1,4 +1,4 @@
-"""From 2D landmarks in every frame to a hand in every frame: the fit to clicks, told how networks err.
+"""Fit a hand in every frame to 2D landmarks: the fit to clicks, with the errors of networks.
 
 A network errs alike in frames that look alike, so a thousand landmarks are no thousand measurements: what they say of
 the hand's shape and grip counts as one frame's. Else they outvote the prior on the hand's size, and the hand shrinks to
@@ -59,8 +59,10 @@ def hands_from_landmarks(
     side: Side,
     world: Float[ndarray, "T 21 3"] | None = None,
 ) -> LiftedHands:
-    """The hand of landmarks [px], in this package's order. ``world`` are the same about the hand's middle, in the
-    camera's axes [m], from networks that give them: only the depths are taken, with caution.
+    """Fit the hand to landmarks [px], in this package's order.
+
+    ``world`` are the same about the hand's middle, in the camera's axes [m], from networks that give them: only the
+    depths are taken, with caution.
 
     Raises ``UsageError`` where no frame has ``FEWEST`` landmarks, or no hand looks like them.
     """
@@ -68,9 +70,9 @@ def hands_from_landmarks(
     rows = np.flatnonzero(seen.sum(axis=1) >= FEWEST)
     if not len(rows):
         raise UsageError(f"landmarks must be {FEWEST} at least in some frame (got {seen.sum(axis=1).max(initial=0)})")
-    given = np.where(seen[..., None], points, np.nan)[rows]
+    points_seen = np.where(seen[..., None], points, np.nan)[rows]
     depth = np.full((len(rows), 21), np.nan) if world is None else world[rows, :, 2]
-    clicks = _clicks(K, given, confidence[rows], depth)
+    clicks = _clicks(K, points_seen, confidence[rows], depth)
     model = generic.load(side)
     chains, prior = Chains.of(model), PosePrior.of(model)
 
@@ -110,7 +112,7 @@ def _clicks(
 
 
 def _keys(rows: Int[ndarray, "n"], confidence: Float[ndarray, "n"]) -> Int[ndarray, "k"]:
-    """The most certain of each of ``KEYS`` equal parts."""
+    """Return the most certain of each of ``KEYS`` equal parts."""
     parts = np.array_split(np.arange(len(rows)), min(KEYS, len(rows)))
     return np.array([part[np.argmax(confidence[part])] for part in parts])
 
@@ -129,8 +131,10 @@ def _bridged(rows: Int[ndarray, "n"], count: int) -> Bool[ndarray, "T"]:
 def _smoothed(
     rows: Int[ndarray, "n"], T: Float[ndarray, "n 4 4"], q: Float[ndarray, "n 5 3 3"]
 ) -> tuple[Float[ndarray, "n 4 4"], Float[ndarray, "n 5 3 3"]]:
-    """Local lines through the frames about each, by weights that fall with time; robust, so that one frame that is off
-    moves no other."""
+    """Smooth by local lines through the frames about each, with weights that fall with time.
+
+    The lines are robust, so that one wrong frame moves no other.
+    """
     t = T[:, :3, 3]
     place = _lines(rows, t[:, :2] / t[:, 2:], SMOOTH["place"])
     z = np.exp(_lines(rows, np.log(t[:, 2:]), SMOOTH["depth"]))
@@ -140,7 +144,7 @@ def _smoothed(
 
 
 def _lines(rows: Int[ndarray, "n"], values: Float[ndarray, "n d"], width: float) -> Float[ndarray, "n d"]:
-    """The value at each row of the line that fits those about it best, twice, off ones counting less."""
+    """Fit a line about each row, twice, with lower weights for outliers; return its values."""
     out = values
     apart = (rows[:, None] - rows).astype(float)
     for _ in range(2):

@@ -41,12 +41,12 @@ ARRAYS = {
     "hands_mean": (45,),
     "kintree_table": (2, 16),
 }
-"""What is read of a MANO file, and its shapes."""
+"""Arrays of a MANO file that are read, and their shapes."""
 TIPS = {"right": (745, 317, 444, 556, 673), "left": (745, 317, 445, 556, 673)}
 """Vertices at the tips of thumb, index, middle, ring and little finger, as in manopth, DexYCB and HO-3D."""
 PALM_FACES = np.array([0.0, -1.0, 0.0])
 THUMB_FACES = np.array([0.0, -1.0, -2.0])
-"""Where palm and fingers, and the thumb, face on the flat hand: the thumb is turned towards the fingers."""
+"""Direction that the thumb's pad faces on the flat hand: palm and fingers face -y, the thumb turns to the fingers."""
 WHAT = "a MANO pickle"
 CLASSES = {
     ("chumpy", "Ch"): "Ch",
@@ -79,7 +79,7 @@ class Mano:
     def pose(
         self, values: Float[ndarray, "*batch P"], encoding: Literal["axis_angle", "pca"], flat_hand_mean: bool
     ) -> Float[ndarray, "*batch 45"]:
-        """The pose that ``with_pose`` takes, from whatever a file holds.
+        """Convert a pose of any encoding to the one that ``with_pose`` takes.
 
         ``axis_angle``: 45 numbers [rad]; ``pca``: up to 45 coefficients. With ``flat_hand_mean`` they are relative to
         the flat hand (full poses of HO-3D, HOI4D, HaMeR), without it to the mean pose (DexYCB, HOT3D, ARCTIC).
@@ -113,7 +113,7 @@ def load(path: str | Path, side: Side) -> Mano:
 
 
 def checked(path: Path, values: dict[str, object]) -> dict[str, ndarray]:
-    """The arrays of a MANO file, of the right shapes and finite, or an ``InputError``."""
+    """Check that the arrays of a MANO file have the right shapes and are finite; raise ``InputError`` otherwise."""
     found = {}
     for key, shape in ARRAYS.items():
         if key not in values:
@@ -169,7 +169,7 @@ def regions(
     joints: Float[ndarray, "16 3"],
     weights: Float[ndarray, "V 16"],
 ) -> dict[str, Int[ndarray, "_"]]:
-    """Contact regions of a flat hand of either side, skinned to MANO's joints; see ``hands.regions``.
+    """Return the contact regions of a flat hand of either side, skinned to MANO's joints; see ``hands.regions``.
 
     A fingertip's pad faces where its finger does, at right angles to the finger.
     """
@@ -213,7 +213,7 @@ def _write_cache(cache: Path, content: dict[str, ndarray]) -> None:
 
 
 def read_pickle(path: Path, content: bytes) -> dict[str, object]:
-    """The dictionary in a MANO pickle, chumpy's and sparse arrays as plain ones.
+    """Read the dictionary in a MANO pickle; chumpy's and sparse arrays become plain ones.
 
     Raises ``InputError`` for pickles that name anything but arrays, are malformed, or hold no dictionary.
     """
@@ -225,7 +225,7 @@ def read_pickle(path: Path, content: bytes) -> dict[str, object]:
 
 
 def _plain(value: Instance) -> Shaped[ndarray, "..."]:
-    """A chumpy or sparse object as an array."""
+    """Convert a chumpy or sparse object to an array."""
     if value.kind == "Ch":
         return _array(value.state["x"])
     if value.kind == "Select":  # chumpy's compute_r: some elements of the flattened array, in a new shape
@@ -244,7 +244,7 @@ def _array(value: object) -> Shaped[ndarray, "..."]:
 
 
 def _dense(kind: str, state: Json) -> Float[ndarray, "R C"]:
-    """A compressed sparse matrix in full."""
+    """Expand a compressed sparse matrix."""
     rows, cols = (int(n) for n in (state["_shape"] if "_shape" in state else state.get("shape", ())))
     starts, inner, data = (_array(state[key]) for key in ("indptr", "indices", "data"))
     outer_size, inner_size = (cols, rows) if kind == "csc" else (rows, cols)

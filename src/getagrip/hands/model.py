@@ -107,7 +107,7 @@ class HandModel:
     pose_directions: Float[ndarray, "V 3 135"] | None = None
 
     def with_shape(self, shape: Float[ndarray, "..."] | None = None) -> ShapedHand:
-        """The flat hand of one person, or of several; the mean hand when no shape is given.
+        """Return the flat hand of one person, or of several; the mean hand when no shape is given.
 
         Raises ``UsageError`` where the last axis is not as long as ``shape_names``.
         """
@@ -137,7 +137,7 @@ class ShapedHand:
     joints: Float[ndarray, "*batch 16 3"]
 
     def with_pose(self, pose: Float[ndarray, "..."] | None = None) -> PosedHand:
-        """The hand with its fingers turned; the flat hand when no pose is given.
+        """Return the hand with its fingers turned; the flat hand when no pose is given.
 
         ``pose`` (..., 45) holds a rotation vector [rad] for each joint but the wrist, in MANO's order, relative to the
         flat hand and in its axes. Raises ``UsageError`` where the last axis is not of length 45.
@@ -158,13 +158,13 @@ class ShapedHand:
 
 
 ORDER_21 = np.array([0] + [i for n, knuckle in enumerate(KNUCKLES) for i in (*range(knuckle, knuckle + 3), 16 + n)])
-"""Where each of the 21 joints stands among the 16 joints followed by the five fingertips."""
+"""Index of each of the 21 joints among the 16 joints followed by the five fingertips."""
 
 
 def joint_transforms(
     R: Float[ndarray, "*#batch 15 3 3"], joints: Float[ndarray, "*#batch 16 3"]
 ) -> Float[ndarray, "*batch 16 4 4"]:
-    """Frames of the joints in the hand frame, ``T_hand_joint``; at rest their axes are the hand's."""
+    """Return the frames of the joints in the hand frame, ``T_hand_joint``; at rest their axes are the hand's."""
     batch = np.broadcast_shapes(R.shape[:-3], joints.shape[:-2])
     T = np.empty((*batch, 16, 4, 4))
     T[..., 0, :, :] = se3.rigid(None, joints[..., 0, :])
@@ -181,7 +181,7 @@ def skin(
     T: Float[ndarray, "*#batch joints 4 4"],
     joints: Float[ndarray, "*#batch joints 3"],
 ) -> Float[ndarray, "*batch V 3"]:
-    """Linear blend skinning: each vertex moves with the mean, by its weights, of the joints' motions since rest.
+    """Apply linear blend skinning: a vertex moves with the weighted mean of the joints' motions since rest.
 
     ``T`` maps joint frames into the hand frame; ``joints`` are their origins at rest, where their axes are the hand's.
     """
@@ -195,22 +195,25 @@ def skin(
 def root_transform(
     R: Float[ndarray, "*#batch 3 3"], t: Float[ndarray, "*#batch 3"], root: Float[ndarray, "*#batch 3"]
 ) -> Float[ndarray, "*batch 4 4"]:
-    """``T_cam_hand`` of MANO's global rotation R and translation t [m], which turn the hand about its root joint J0."""
+    """Return ``T_cam_hand`` of MANO's global rotation R and translation t [m].
+
+    They turn the hand about its root joint J0.
+    """
     return se3.rigid(R, root - (R @ root[..., None])[..., 0] + t)
 
 
 def mirrored(points: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3"]:
-    """Points of a right hand in the frame of the left one, and back."""
+    """Mirror points of a right hand into the frame of the left one, and back."""
     return points * MIRROR
 
 
 def mirrored_pose(pose: Float[ndarray, "*batch 45"]) -> Float[ndarray, "*batch 45"]:
-    """The pose of the other hand that is its mirror image (rotation vectors are axial: y and z change sign)."""
+    """Return the mirror image's pose, of the other hand (rotation vectors are axial: y and z change sign)."""
     return pose * np.tile([1.0, -1.0, -1.0], 15)
 
 
 def mirrored_model(model: HandModel) -> HandModel:
-    """The same hand of the other side."""
+    """Return the same hand of the other side."""
     return HandModel(
         name=model.name,
         side="left" if model.side == "right" else "right",
@@ -229,7 +232,7 @@ def mirrored_model(model: HandModel) -> HandModel:
 
 
 def hand_track(posed: PosedHand, T_cam_hand: Float[ndarray, "T 4 4"]) -> HandTrack:
-    """A hand in every frame, as clips hold it; one posed hand serves all frames where it has no batch axis.
+    """Return a hand in every frame, as clips hold it; one posed hand serves all frames where it has no batch axis.
 
     Raises ``UsageError`` where the hands are neither one nor as many as the frames, or ``T_cam_hand`` is not rigid.
     """

@@ -23,11 +23,11 @@ CLICK_NOISE = 0.005
 DEPTH_NOISE = 0.025
 """Standard deviation of a network's depths of joints about the hand's middle [m]."""
 OUTLIER = 2.5
-"""Clicks beyond so many standard deviations are doubted."""
+"""Clicks beyond this number of standard deviations are outliers."""
 ROTATIONS = 48
 """Rotations that are tried, spread evenly."""
 STEPS = 12
-"""Of each of them."""
+"""Number of steps of each of them."""
 RULES = Rules(success=0.1, failure=10.0, least=0.0, most=np.inf, rejections=np.inf, tolerance=0.0)
 """No hand is done before the others."""
 TURN = 0.7
@@ -44,12 +44,12 @@ class Clicks(NamedTuple):
     noise: Float[ndarray, "n 21"]
     """Standard deviation of each [px]."""
     depth: Float[ndarray, "n 21"]
-    """How far each is beyond the middle of the hand, along the ray to it [m]; of use where ``depth_known``."""
+    """Distance of each beyond the middle of the hand, along the ray to it [m]; used where ``depth_known``."""
     depth_known: Bool[ndarray, "n"]
 
     @staticmethod
     def of(K: Float[ndarray, "3 3"], points: Float[ndarray, "n 21 2"]) -> Clicks:
-        """The noise is known in metres; the extent of the hand in the image converts them to pixels."""
+        """Convert the noise from metres to pixels by the extent of the hand in the image."""
         there = ~np.isnan(points).any(axis=-1)
         flat = generic.load("right").with_shape().with_pose().joints
         per_metre = np.array([_spread(y[seen]) / _spread(flat[seen]) for y, seen in zip(points, there, strict=True)])
@@ -66,7 +66,7 @@ def _spread(points: Float[ndarray, "n d"]) -> float:
 def equations(
     clicks: Clicks, T: Float[ndarray, "n 4 4"], X: Float[ndarray, "n 21 3"], J: Float[ndarray, "n 21 3 D"]
 ) -> tuple[Float[ndarray, "n"], Float[ndarray, "n D D"], Float[ndarray, "n D"]]:
-    """Each frame's cost, J^T J and J^T r, for the derivatives J of the joints X in the hand's axes."""
+    """Compute each frame's cost, J^T J and J^T r, for the derivatives J of the joints X in the hand's axes."""
     X_cam = se3.transform(T, X)
     z = np.maximum(X_cam[..., 2], 0.01)  # behind the camera nothing can be fitted; the cost there is large
     X_cam = np.concatenate([X_cam[..., :2], z[..., None]], axis=-1)
@@ -109,7 +109,7 @@ def _add_depths(
 
 
 def _rays(clicks: Clicks) -> Float[ndarray, "n 3"]:
-    """Unit vectors towards the middles of the hands."""
+    """Return unit vectors towards the middles of the hands."""
     count = np.maximum(clicks.there.sum(axis=1), 1)[:, None]
     ray = backproject(clicks.K, clicks.y.sum(axis=1) / count)
     return np.asarray(ray / np.linalg.norm(ray, axis=1, keepdims=True))
@@ -118,7 +118,7 @@ def _rays(clicks: Clicks) -> Float[ndarray, "n 3"]:
 def place(
     chains: Chains, clicks: Clicks, grasp: Float[ndarray, "5 3 3"], shape: Float[ndarray, "S"]
 ) -> Float[ndarray, "n 4 4"]:
-    """T_cam_hand of stiff hands with given fingers, those of many rotations that fit and turn little between frames."""
+    """Place stiff hands with given fingers: T_cam_hand of rotations that fit and turn little between frames."""
     n, m = len(clicks.y), ROTATIONS
     X, J = joints_and_jacobian(chains, grasp[None], shape)
     R = se3.super_fibonacci(m)
@@ -168,7 +168,7 @@ class _Placed(NamedTuple):
 
 
 def turning(Ra: Float[ndarray, "*#batch 3 3"], Rb: Float[ndarray, "*#batch 3 3"]) -> Float[ndarray, "*batch"]:
-    """The cost of turning from one clicked frame to the next."""
+    """Compute the cost of turning from one clicked frame to the next."""
     return np.asarray((se3.angle_between(Ra, Rb) / TURN) ** 2)
 
 

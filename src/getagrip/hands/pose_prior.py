@@ -46,7 +46,7 @@ class PosePrior(NamedTuple):
 
     @staticmethod
     def of(model: HandModel) -> PosePrior:
-        """The prior of a model, its axes from the rest pose."""
+        """Make the prior of a model, its axes from the rest pose."""
         each = np.array(KNUCKLES)[:, None] + np.arange(3)
         points = np.concatenate([model.joints[each], model.template[model.tips][:, None]], axis=1)
         bone = np.diff(points, axis=1)
@@ -65,7 +65,7 @@ class PosePrior(NamedTuple):
         )
 
     def residuals(self, q: Float[ndarray, "T 5 3 3"]) -> tuple[Float[ndarray, "T 60"], Float[ndarray, "T 60 45"]]:
-        """Residuals of poses and their Jacobian: 45 of the Gaussian, 15 of the limits."""
+        """Compute residuals of poses and their Jacobian: 45 of the Gaussian, 15 of the limits."""
         T = len(q)
         own = np.einsum("fkab,tfkb->tfka", self.axes, q - self.mean) / self.spread
         bend = np.einsum("fkb,tfkb->tfk", self.axes[:, :, 1], q)

@@ -26,7 +26,7 @@ def contact_regions(
     length: Float[ndarray, "V"],
     across: Float[ndarray, "V"],
 ) -> dict[str, Int[ndarray, "_"]]:
-    """Vertex ids of the five ``FINGERS``' pads and of the ``PALM_REGIONS``.
+    """Return vertex ids of the five ``FINGERS``' pads and of the ``PALM_REGIONS``.
 
     ``of_palm`` and ``of_fingers`` are skinning weights, the latter of three bones for each of the ``FINGERS``.
     ``towards_pads`` and ``towards_palm`` are the components of the unit normals in the direction that each last phalanx
@@ -45,9 +45,11 @@ def contact_regions(
 def position_on_palm(
     x: Float[ndarray, "V 3"], wrist: Float[ndarray, "3"], index: Float[ndarray, "3"], pinky: Float[ndarray, "3"]
 ) -> tuple[Float[ndarray, "V"], Float[ndarray, "V"]]:
-    """``length``: 0 at the wrist, 1 at the knuckles, along x; ``across``: 0 below the index, 1 below the little finger.
+    """Return the position on the palm as ``length`` and ``across``.
 
-    ``wrist``, ``index`` and ``pinky`` are the wrist and the first joints of these fingers, in the frame of ``x``.
+    ``length`` is 0 at the wrist and 1 at the knuckles, along x; ``across`` is 0 below the index and 1 below the little
+    finger. ``wrist``, ``index`` and ``pinky`` are the wrist and the first joints of these fingers, in the frame of
+    ``x``.
     """
     length = (x - wrist)[:, 0] / (0.5 * (index + pinky) - wrist)[0]
     return length, (x - index) @ (pinky - index) / np.sum((pinky - index) ** 2)

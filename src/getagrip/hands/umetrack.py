@@ -67,7 +67,7 @@ class UmeTrackHand:
     tips: Float[ndarray, "5 3"]
 
     def with_pose(self, side: Side, angles: Float[ndarray, "*batch 22"]) -> PosedHand:
-        """The posed hand in the package's hand frame (see ``hands.model``); ``angles`` are HOT3D's [rad]."""
+        """Return the posed hand in the package's hand frame (see ``hands.model``); ``angles`` are HOT3D's [rad]."""
         M = self._bones(angles[..., :20])
         rows = M[..., :3, :].reshape(*M.shape[:-3], 17, 12)
         blend = (self.weights @ rows).reshape(*rows.shape[:-2], -1, 3, 4)
@@ -146,7 +146,7 @@ def load(path: Path) -> UmeTrackHand:
 
 
 def T_world_hand(side: Side, T_world_wrist: Float[ndarray, "*batch 4 4"]) -> Float[ndarray, "*batch 4 4"]:
-    """Our hand frame in the world, from HOT3D's ``wrist_xform``."""
+    """Return our hand frame in the world, from HOT3D's ``wrist_xform``."""
     return T_world_wrist @ _t_wrist_hand(side)
 
 
@@ -158,7 +158,7 @@ def _t_wrist_hand(side: Side) -> Float[ndarray, "4 4"]:
 
 
 def closed(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "G 3"]:
-    """The faces and, where the mesh is open along one ring, a fan over it from one of the ring's vertices."""
+    """Close an open mesh along one ring by a fan of faces from one of its vertices."""
     edges = edge_table(faces)
     rim = edges[edges[:, 3] == len(faces), :2]
     if len(rim) == 0:

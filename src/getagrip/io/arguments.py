@@ -30,7 +30,7 @@ PATHS = ConstructorRegistry()
 
 @PATHS.primitive_rule
 def _path(of: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Path | None] | None:
-    """A path on a disk, or nothing, which is not offered as a word."""
+    """Take a path on a disk, or nothing, which is not offered as a word."""
     if of.type not in (Path, Path | None):
         return None
     return PrimitiveConstructorSpec(
@@ -43,7 +43,9 @@ def _path(of: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Path | None] | None
 
 
 def meant(text: str) -> str:
-    """A path as a user means it: shells expand ``~`` at the beginning of a word only, not in ``--out=~/results``.
+    """Expand ``~`` at the beginning of a path.
+
+    Shells do so only at the beginning of a word, not in ``--out=~/results``.
 
     Raises ``ValueError`` for an empty text, as of a variable that is not set: as a path it would be the current folder.
     """
@@ -53,7 +55,7 @@ def meant(text: str) -> str:
 
 
 def placed(metavar: str) -> PrimitiveConstructorSpec[Place]:
-    """A path, or an address in an object store."""
+    """Take a path, or an address in an object store."""
     return PrimitiveConstructorSpec(
         nargs=1,
         metavar=metavar,
@@ -64,7 +66,7 @@ def placed(metavar: str) -> PrimitiveConstructorSpec[Place]:
 
 
 def parsed(metavar: str, parse: Callable[[str], T], kind: type[T]) -> PrimitiveConstructorSpec[T | None]:
-    """A value of a ``kind`` that is made from one word, or nothing. What ``parse`` raises ends the call."""
+    """Take one word that is parsed to a value of a ``kind``, or nothing. What ``parse`` raises ends the call."""
     return PrimitiveConstructorSpec(
         nargs=1,
         metavar=metavar,
@@ -75,7 +77,7 @@ def parsed(metavar: str, parse: Callable[[str], T], kind: type[T]) -> PrimitiveC
 
 
 def switch(value: T) -> PrimitiveConstructorSpec[T]:
-    """A flag that sets an option to a value."""
+    """Make a flag that sets an option to a value."""
     return PrimitiveConstructorSpec(
         nargs=0,
         metavar="",
@@ -86,7 +88,7 @@ def switch(value: T) -> PrimitiveConstructorSpec[T]:
 
 
 def one_of(*choices: str) -> PrimitiveConstructorSpec[str | None]:
-    """One of some words, or nothing, which is not offered as a word."""
+    """Take one of some words, or nothing, which is not offered as a word."""
     return PrimitiveConstructorSpec(
         nargs=1,
         metavar=f"{{{','.join(choices)}}}",
@@ -98,7 +100,7 @@ def one_of(*choices: str) -> PrimitiveConstructorSpec[str | None]:
 
 
 def numbers(count: int, metavar: str) -> PrimitiveConstructorSpec[tuple[float, ...] | None]:
-    """A number of numbers, or nothing."""
+    """Take a fixed number of numbers, or nothing."""
     return PrimitiveConstructorSpec(
         nargs=count,
         metavar=metavar,

@@ -47,7 +47,7 @@ class ArrayData:  # noqa: PLW1641 - not hashable, as arrays are not
 
 
 def same(a: object, b: object) -> bool:
-    """Whether two values are equal, arrays in dictionaries, lists and tuples included; NaN equals NaN."""
+    """Return whether two values are equal, arrays in dictionaries, lists and tuples included; NaN equals NaN."""
     a, b = (np.asarray(each) if isinstance(each, PackedMasks) else each for each in (a, b))
     if isinstance(a, ndarray | float) and isinstance(b, ndarray | float):
         a, b = np.asarray(a), np.asarray(b)
@@ -69,9 +69,10 @@ def check_ids(name: str, ids: Int[ndarray, "..."], count: int) -> None:
 def as_array(
     name: str, value: object, kind: object, axes: tuple[str, ...], lengths: dict[str, int]
 ) -> Shaped[ndarray, "..."]:
-    """A field's array, of one of the ``KINDS`` and with the given axes, whose ``lengths`` are known or become so.
+    """Convert a field's value to an array of one of the ``KINDS`` with the given axes.
 
-    Raises ``UsageError`` in the name of the field.
+    The ``lengths`` of axes are checked where they are known, and set where not. Raises ``UsageError`` in the name of
+    the field.
     """
     numpy_kinds, dtype, called = KINDS[kind]
     known = [int(axis) if axis.isdecimal() else lengths.get(axis) for axis in axes]

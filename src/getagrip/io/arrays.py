@@ -26,7 +26,7 @@ MOST_NAMES = 2**20
 
 
 def read(path: Path, wanted: Callable[[str], bool]) -> dict[str, Shaped[ndarray, "..."]]:
-    """The wanted arrays of an ``.npz`` file, the others left unread.
+    """Read the wanted arrays of an ``.npz`` file; others stay unread.
 
     Raises ``InputError`` for damaged files, for arrays of Python objects, and for files that unpack to more than
     ``LARGEST`` bytes.
@@ -54,7 +54,7 @@ def read(path: Path, wanted: Callable[[str], bool]) -> dict[str, Shaped[ndarray,
 
 
 def parse_npy(path: Path, key: str, content: bytes) -> Shaped[ndarray, "..."]:
-    """An array from the bytes of an ``.npy`` file, whose header may lie about its size. Raises ``InputError``."""
+    """Parse the bytes of an ``.npy`` file, whose header may lie about its size. Raises ``InputError``."""
     stream = io.BytesIO(content)
     headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     try:
@@ -73,7 +73,7 @@ def parse_npy(path: Path, key: str, content: bytes) -> Shaped[ndarray, "..."]:
 
 
 def from_lists(value: object) -> Shaped[ndarray, "..."] | None:
-    """Numbers in nested lists, as JSON and pickles have them, as an array; arrays come as they are.
+    """Convert nested lists of numbers, as JSON and pickles have them, to an array; arrays stay as they are.
 
     None for anything else, rows of different lengths included. Every item is looked at before memory is taken: numpy
     would make a text of each where one is a text, all of them as long as the longest. Arrays in lists count in full.
@@ -98,7 +98,9 @@ def from_lists(value: object) -> Shaped[ndarray, "..."] | None:
 
 
 def names(value: object) -> Shaped[ndarray, "n"] | None:
-    """Names or whole numbers in a list, none of them long, as an array, or in an array. None for anything else.
+    """Convert a list of short names or of whole numbers, or an array, to an array.
+
+    None for anything else.
 
     None also for more than ``MOST_NAMES``.
     """
@@ -120,7 +122,7 @@ def _is_name(value: object) -> bool:
 def floats(
     path: Path, arrays: dict[str, ndarray], key: str, shape: tuple[int, ...], kinds: str = "f"
 ) -> Float[ndarray, "..."]:
-    """A finite array of the given shape, -1 standing for any length above 0."""
+    """Check that an array is finite and has the given shape, with -1 for any length above 0."""
     array = _shaped(path, arrays, key, shape, kinds, "floating-point numbers")
     with np.errstate(over="ignore"):
         array = array.astype(float)
@@ -135,7 +137,7 @@ def floats(
 def indices(
     path: Path, arrays: dict[str, ndarray], key: str, vertices: int, shape: tuple[int, ...]
 ) -> Int[ndarray, "..."]:
-    """An array of vertex ids."""
+    """Check that an array holds vertex indices."""
     array = _shaped(path, arrays, key, shape, "iu", "integers")
     if array.min() < 0 or array.max() >= vertices:
         bad = array.min() if array.min() < 0 else array.max()
@@ -144,7 +146,7 @@ def indices(
 
 
 def frame_numbers(path: Path, arrays: dict[str, ndarray]) -> tuple[int, ...] | None:
-    """The numbers of the frames that a hand file is of, each once; None where it has no ``frames``."""
+    """Read the frame numbers of a hand file, each once; None where it has no ``frames``."""
     if "frames" not in arrays:
         return None
     array = arrays["frames"]
@@ -160,7 +162,7 @@ def frame_numbers(path: Path, arrays: dict[str, ndarray]) -> tuple[int, ...] | N
 def _shaped(
     path: Path, arrays: dict[str, ndarray], key: str, shape: tuple[int, ...], kinds: str, what: str
 ) -> Shaped[ndarray, "..."]:
-    """An array that is there, of the expected kind and shape, and not too large with 8 bytes for each number."""
+    """Check that an array is there, of the expected kind and shape, and not too large at 8 bytes a number."""
     if key not in arrays:
         raise InputError(path, key, "no such array", f"an array of {what}")
     array = arrays[key]

@@ -17,7 +17,7 @@ where ``reconstruct`` is; and ``evaluation``."""
 
 @cache
 def fingerprint(*also: str) -> str:
-    """Checksum of all sources and tables of the package that a reconstruction may depend on, 16 hexadecimal digits.
+    """Compute the checksum of all sources and tables that a reconstruction may depend on, 16 hexadecimal digits.
 
     What is made otherwise depends on more: ``also`` are the folders and files ``ABOVE`` that it depends on, relative to
     the package. It changes with a comment, too: that a change does not matter cannot be seen from outside.

@@ -33,10 +33,10 @@ class CsvTable:
 
 
 def text_cell(text: str) -> str:
-    """A text as it stands in a cell."""
+    """Write a text as a cell holds it."""
     return f"'{text}" if _FORMULA.match(text) else text
 
 
 def cell_text(cell: str) -> str:
-    """The text of a cell that ``text_cell`` wrote; cells of others stay as they are."""
+    """Return the text of a cell that ``text_cell`` wrote; other cells stay as they are."""
     return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell

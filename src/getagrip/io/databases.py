@@ -11,9 +11,9 @@ from getagrip.errors import InputError
 
 MAGIC = b"SQLite format 3\0"
 APPLICATION_ID = slice(68, 72)
-"""Where a file's first bytes say which application made it, as a big-endian number (SQLite's file format, 1.3)."""
+"""Bytes at a file's start that say which application made it, as a big-endian number (SQLite's file format, 1.3)."""
 BESIDE = ("-journal", "-wal", "-shm")
-"""What SQLite writes beside a file."""
+"""Suffixes of the files that SQLite writes beside a database."""
 
 
 def connect(
@@ -50,7 +50,7 @@ def connect(
 
 
 def _to_read(path: Path) -> str:
-    """The address of a file that is only read: SQLite would leave new files beside one that has no log."""
+    """Return an address that opens a file for reading only: SQLite would leave new files beside one without a log."""
     log = path.with_name(f"{path.name}-wal")
     mode = "mode=ro" if log.exists() and log.stat().st_size else "immutable=1"
     return f"file:{quote(os.fsencode(path.absolute()))}?{mode}"

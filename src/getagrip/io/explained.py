@@ -14,7 +14,7 @@ T = TypeVar("T", bound=type)
 
 
 def explained(kind: T) -> T:
-    """A dataclass whose ``help`` lists its fields with their docstrings, and types without what a terminal needs."""
+    """Give a dataclass a ``help`` that lists its fields with their docstrings, and types without terminal markers."""
     lines = [line for one in reversed(kind.__mro__) if is_dataclass(one) for line in _fields(one)]
     kind.__doc__ = "\n".join([cleandoc(kind.__doc__ or ""), "", "Attributes:", *lines])
     plain = get_type_hints(kind)
@@ -25,7 +25,7 @@ def explained(kind: T) -> T:
 
 
 def _fields(kind: type) -> Iterator[str]:
-    """A line for each field of its own."""
+    """Yield a line for each of its own fields."""
     body = ast.parse(dedent(getsource(kind))).body[0]
     assert isinstance(body, ast.ClassDef)
     for field, text in pairwise(body.body):

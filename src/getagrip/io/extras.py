@@ -9,7 +9,9 @@ from getagrip.errors import UsageError
 
 
 def load(module: str, extra: str, option: str = "") -> Any:
-    """A module of an extra of this package. Raises ``UsageError`` that says how to install it.
+    """Import a module of an extra of this package.
+
+    Raises ``UsageError`` that says how to install it.
 
     ``option`` is what asks for it; empty: ``--to`` and the extra's name.
     """

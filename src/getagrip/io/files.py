@@ -36,46 +36,49 @@ FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 
 
 def shown(value: object) -> str:
-    """A value as an error message shows it: on one line, and short."""
+    """Shorten a value for an error message, on one line."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def plain(text: str) -> str:
-    """A name from a file as an error message shows it: without quotes, on one line, and short."""
+    """Shorten a name from a file for an error message, on one line and without quotes."""
     return shown(text)[1:-1]
 
 
 def is_plain_name(name: str) -> bool:
-    """Whether a text can name a file or folder: printable, no separators, not hidden, not ``..``, of 1 to 200 bytes."""
+    """Return whether a text can name a file or folder.
+
+    It must be printable, of 1 to 200 bytes, without separators, not hidden and not ``..``.
+    """
     plain = name.isprintable() and name == name.strip() and not name.startswith((".", "~")) and not {*"/\\"} & {*name}
     return plain and 0 < len(name.encode()) <= 200
 
 
-def inside(folder: Path, relative: str, key: str, what: str, given_in: Path | None = None) -> Path:
-    """The file ``folder/relative``, which must exist and lie in the folder, links followed.
+def inside(folder: Path, relative: str, key: str, what: str, source: Path | None = None) -> Path:
+    """Return the file ``folder/relative``, which must exist and lie in the folder, links followed.
 
-    Raises ``InputError``, in the name of the file ``given_in`` where the path was read from one.
+    Raises ``InputError``, in the name of the file ``source`` where the path was read from one.
     """
-    source = given_in or folder / relative
+    named = source or folder / relative
     parts = PurePosixPath(relative)
     if not relative or "\0" in relative or "\\" in relative or parts.is_absolute() or ".." in parts.parts:
-        raise InputError(source, key, f"the path {shown(relative)}", f"{what} inside the folder")
+        raise InputError(named, key, f"the path {shown(relative)}", f"{what} inside the folder")
     path = folder / relative
     try:
         leaves = not os.path.realpath(path).startswith(os.path.join(os.path.realpath(folder), ""))
         there = path.is_file()
     except OSError as error:  # names that are too long, no permission
-        raise InputError(source, key, f"the path {shown(relative)} ({error.strerror})", what) from error
+        raise InputError(named, key, f"the path {shown(relative)} ({error.strerror})", what) from error
     if leaves:
-        raise InputError(source, key, f"the path {shown(relative)}, which leads out", f"{what} inside the folder")
+        raise InputError(named, key, f"the path {shown(relative)}, which leads out", f"{what} inside the folder")
     if not there:
-        raise InputError(path, "" if given_in is None else key, "no such file", what)
+        raise InputError(path, "" if source is None else key, "no such file", what)
     return path
 
 
 def read_bytes(path: Path, limit: int = LARGEST_FILE) -> bytes:
-    """The bytes of a file of at most ``limit`` bytes. Raises ``InputError``."""
+    """Read a file of at most ``limit`` bytes. Raises ``InputError``."""
     try:
         if not path.is_file():
             raise InputError(path, "", "no such file", "a file")
@@ -88,7 +91,7 @@ def read_bytes(path: Path, limit: int = LARGEST_FILE) -> bytes:
 
 
 def read_json(path: Path) -> Json:
-    """A JSON object. Raises ``InputError`` for anything else, and as ``read_any_json`` does."""
+    """Read a JSON object. Raises ``InputError`` for anything else, and as ``read_any_json`` does."""
     content = read_any_json(path)
     if not isinstance(content, dict):
         raise InputError(path, "", f"a JSON {type(content).__name__}", "a JSON object")
@@ -96,7 +99,7 @@ def read_json(path: Path) -> Json:
 
 
 def read_any_json(path: Path) -> object:
-    """What a JSON file holds. Raises ``InputError``, also for duplicate keys and for NaN or infinite numbers."""
+    """Read a JSON file. Raises ``InputError``, also for duplicate keys and for NaN or infinite numbers."""
 
     def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
         out = dict(pairs)
@@ -129,7 +132,7 @@ def write_csv(path: Path, rows: Iterable[Iterable[object]]) -> None:
 
 
 def csv_rows(path: Path, content: bytes, what: str) -> tuple[list[str], list[tuple[str, dict[str, str]]]]:
-    """The heads of a table, and its rows by head, each with the words that begin its key: "line 7, ".
+    """Read a CSV table: its heads, and its rows by head, each with the words that begin its key: "line 7, ".
 
     ``what`` the file should be, in words. Raises ``InputError`` for what is no CSV in UTF-8, and for ragged rows.
     """
@@ -147,7 +150,7 @@ def csv_rows(path: Path, content: bytes, what: str) -> tuple[list[str], list[tup
 
 
 def sha256(paths: Mapping[str, Path]) -> str:
-    """Checksum of some files by name, their names and lengths included."""
+    """Compute the checksum of some files by name, their names and lengths included."""
     total = hashlib.sha256()
     for name, path in paths.items():
         content = read_bytes(path)
@@ -176,12 +179,12 @@ def write_json(path: Path, content: Mapping[str, object] | Sequence[object]) -> 
 
 
 def to_json(content: Mapping[str, object] | Sequence[object]) -> str:
-    """A JSON object or list as ``write_json`` writes it."""
+    """Write a JSON object or list as ``write_json`` does."""
     return legible(json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False))
 
 
 def _plain(value: object) -> object:
-    """The same content in JSON's own types."""
+    """Convert content to JSON's own types."""
     if hasattr(value, "tolist"):  # numpy's, which need not be loaded here
         value = value.tolist()
     if isinstance(value, Mapping):
@@ -228,7 +231,7 @@ def refuse_link(path: Path) -> None:
 
 
 def folder_inside(folder: Path, *names: str) -> Path:
-    """A folder in another, each of ``names`` in the one before, made where there is none.
+    """Return a folder in another, each of ``names`` in the one before, made where there is none.
 
     ``folder`` itself may be a link: the user names it. Raises ``UsageError`` where a name is that of a link.
     """
@@ -241,11 +244,11 @@ def folder_inside(folder: Path, *names: str) -> Path:
 
 @contextmanager
 def new_folder(target: Path, replace: tuple[str, ...] = ()) -> Iterator[Path]:
-    """An empty folder beside ``target`` that takes its name once the block has ended well, and is removed if not.
+    """Make a folder beside ``target`` that takes its name when the block ends well, and is removed if not.
 
-    An older folder is replaced only where it holds all that ``replace`` names: what is in every folder of its kind, and
-    not in one that was named by mistake. Raises ``UsageError`` for another. An ``OSError`` of the block about a file in
-    the folder names it by the path that it was to have. What a killed process leaves, ``leftovers.sweep`` removes.
+    An older folder is replaced only where it holds all that ``replace`` names: files that every such folder holds, and
+    none that was named by mistake. Raises ``UsageError`` for another. An ``OSError`` of the block about a file in the
+    folder names it by the path that it was to have. What a killed process leaves, ``leftovers.sweep`` removes.
     """
     refuse_link(target)
     missing = [f" without {name!r} in it" for name in replace if not (target / name).exists()]
@@ -268,7 +271,7 @@ def new_folder(target: Path, replace: tuple[str, ...] = ()) -> Iterator[Path]:
 
 @contextmanager
 def new_file(target: Path) -> Iterator[Path]:
-    """A path beside ``target`` of a file that takes its place once the block has ended well, and is removed if not.
+    """Give a path beside ``target`` whose file takes its place when the block ends well, and is removed if not.
 
     The folder is made where there is none. An ``OSError`` of the block about the file names it ``target``. A link of
     that name is replaced, not followed; the new file has a random name, where nobody can have put a link.
@@ -286,7 +289,7 @@ def new_file(target: Path) -> Iterator[Path]:
 
 @contextmanager
 def new_text(target: Path) -> Iterator[TextIO]:
-    """A stream of text in UTF-8, lines ended as they are written, that becomes a file as ``new_file`` does."""
+    """Open a UTF-8 text stream that becomes a file as ``new_file`` does; line ends stay as written."""
     with new_file(target) as part, part.open("w", encoding="utf-8", newline="") as stream:
         yield stream
 

@@ -14,12 +14,12 @@ LONGEST_LISTING = 64 * 2**20
 
 
 def options(url: str) -> dict[str, object]:
-    """What fsspec is to be told of the protocols in an address; nothing where none is of these."""
+    """Return fsspec's options for the protocols in an address; empty where there are none."""
     return {kind: {"client_kwargs": _client()} for kind in KINDS if re.search(rf"(^|::){kind}://", url)}
 
 
 def asked_bytes(headers: Mapping[str, str]) -> int | None:
-    """How many bytes a request asks for; None where it does not say."""
+    """Return the number of bytes a request asks for; None where it does not say."""
     asked = re.fullmatch(r"bytes=(\d+)-(\d+)", headers.get("Range", ""))
     return None if asked is None else int(asked[2]) - int(asked[1]) + 1
 

@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from PIL.PngImagePlugin import PngImageFile
 
 QUALITY = 92
-"""Of JPEG images, of 100."""
+"""Quality of JPEG images, of 100."""
 MOST_SCANS = 100
 """Passes over an image: 1 to 4 of plain ones, about 10 of those that load step by step."""
 _MARKER = re.compile(rb"\xff([^\x00\x01\xd0-\xd7\xff])", re.DOTALL)
-"""What begins a segment, wherever a decoder looks for one: in coded data, FF is followed by 00 or D0 to D7."""
+"""Start of a segment, wherever a decoder looks for one: in coded data, FF is followed by 00 or D0 to D7."""
 SCAN, LAST = 0xDA, 0xD9
 LARGEST = 64 * 2**20
 """Limit of a file in bytes."""
@@ -45,11 +45,13 @@ COLOURS = {
     "RGB": "RGB",
     "RGBA": "RGB and alpha",
 }
-"""What Pillow calls the colours of a PNG, and what errors call them."""
+"""Pillow's names of a PNG's colours, and those in errors."""
 
 
 def read_image(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
-    """Red, green and blue of a PNG or JPEG of the given (width, height). Raises ``InputError``.
+    """Read red, green and blue of a PNG or JPEG of the given (width, height).
+
+    Raises ``InputError``.
 
     The decoder that says how large an image is also decodes it: of a crafted file others may see another size.
     """
@@ -74,7 +76,7 @@ def read_image(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
 
 
 def decoded(path: Path, key: str, content: bytes, largest: int) -> UInt8[ndarray, "H W 3"]:
-    """Red, green and blue of a JPEG or PNG in memory, of at most ``largest`` pixels a side, upright.
+    """Decode red, green and blue of a JPEG or PNG in memory, of at most ``largest`` pixels a side, upright.
 
     ``path`` and ``key`` are named in errors. Raises ``InputError``, for too large ones before memory is taken.
     """
@@ -125,7 +127,9 @@ def _write(path: Path, image: UInt8[ndarray, "H W"] | UInt8[ndarray, "H W 3"], o
 
 
 def open_jpeg(path: Path, key: str, content: bytes) -> JpegImageFile:
-    """A JPEG that is yet to be decoded. ``path`` and ``key`` are named in errors.
+    """Open a JPEG without decoding it.
+
+    ``path`` and ``key`` are named in errors.
 
     Raises ``InputError`` for too many scans, and whatever Pillow meets.
     """
@@ -142,7 +146,7 @@ def open_jpeg(path: Path, key: str, content: bytes) -> JpegImageFile:
 
 
 def read_png(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W"]:
-    """An 8-bit image of one channel and of the given (width, height). Raises ``InputError``."""
+    """Read an 8-bit image of one channel and of the given (width, height). Raises ``InputError``."""
     image, colours, bits = open_png(path, size)
     if (colours, bits) != ("grey", 8):
         raise InputError(path, "channels", f"{bits} bit {colours}", "8 bit, one channel (grey)")
@@ -150,7 +154,10 @@ def read_png(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W"]:
 
 
 def read_colour_png(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
-    """Red, green and blue of a PNG of the given (width, height), also of one with a palette. Raises ``InputError``."""
+    """Read red, green and blue of a PNG of the given (width, height), also of one with a palette.
+
+    Raises ``InputError``.
+    """
     image, colours, bits = open_png(path, size)
     if bits > 8:
         raise InputError(path, "channels", f"{bits} bit {colours}", "8 bit")
@@ -160,7 +167,7 @@ def read_colour_png(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"
 
 
 def open_png(path: Path, size: tuple[int, int]) -> tuple[PngImageFile, str, int]:
-    """A whole PNG of the given (width, height), decoded; its kind of colours and the bits of each channel.
+    """Read a PNG of the given (width, height); also return its kind of colours and the bits of each channel.
 
     Raises ``InputError``.
     """

@@ -1,5 +1,4 @@
-"""JSON files that are too large to hold: one member of the outermost object, or what its lists and objects hold, one by
-one.
+"""JSON files too large for the memory: one member of the outermost object, or its items one by one.
 
 Not ijson: it bounds neither an item nor its depth (20 kB of nested brackets take it 1 GB), and a list that is missing
 looks to it like an empty one.
@@ -30,7 +29,7 @@ _SPACE = re.compile(r"[ \t\n\r]*")
 
 
 def items(path: Path, key: str) -> Iterator[dict[str, object]]:
-    """The objects in the list ``key`` of a JSON object, in order; the other members are left unread.
+    """Yield the objects in the list ``key`` of a JSON object, in order; other members stay unread.
 
     ``path`` is the file, or a ``.zip`` that holds it alone. Raises ``InputError`` for text that is no JSON, a file that
     is cut short, NaN, a list that is missing or holds anything but objects, and an item or a file above the limits.
@@ -51,7 +50,10 @@ def items(path: Path, key: str) -> Iterator[dict[str, object]]:
 
 
 def entries(path: Path, key: str) -> Iterator[tuple[str, object]]:
-    """Names and values in the object ``key`` of a JSON object, in order. Raises ``InputError`` as ``items`` does."""
+    """Yield names and values in the object ``key`` of a JSON object, in order.
+
+    Raises ``InputError`` as ``items`` does.
+    """
     with _opened(path) as stream:
         text = _Text(path, stream)
         text.enter(key)
@@ -69,7 +71,10 @@ def entries(path: Path, key: str) -> Iterator[tuple[str, object]]:
 
 
 def member(path: Path, key: str) -> dict[str, object]:
-    """The object ``key`` of a JSON object; what follows it is left unread. Raises ``InputError`` as ``items`` does."""
+    """Read the object ``key`` of a JSON object; the rest of the file stays unread.
+
+    Raises ``InputError`` as ``items`` does.
+    """
     with _opened(path) as stream:
         text = _Text(path, stream)
         text.enter(key)
@@ -81,7 +86,7 @@ def member(path: Path, key: str) -> dict[str, object]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[IO[bytes]]:
-    """The bytes of a file, unpacked while they are read where it is a ``.zip``."""
+    """Open a file's bytes, unpacked while they are read where it is a ``.zip``."""
     try:
         if not path.is_file():  # a pipe would be waited for
             raise InputError(path, "", "no such file", "a JSON file")
@@ -129,7 +134,7 @@ class _Text:
         raise InputError(self.path, wanted, "no such key", "the key")
 
     def skip(self, mark: str) -> bool:
-        """Whether a mark comes next; if so, it is read."""
+        """Skip a mark if it comes next, and return whether it did."""
         self._pass_space()
         while self.at == len(self.window) and self._more():
             self._pass_space()

@@ -16,12 +16,12 @@ from pathlib import Path
 from getagrip.io import locks
 
 PREFIX = ".getagrip.new."
-"""Of the folders' names."""
+"""Prefix of the folders' names."""
 
 
 @contextmanager
 def workplace(parent: Path) -> Iterator[Path]:
-    """An empty hidden folder, which is removed in the end."""
+    """Make an empty hidden folder, which is removed in the end."""
     while True:
         folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=parent))
         with suppress(FileNotFoundError):  # swept before it was locked

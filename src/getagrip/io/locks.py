@@ -13,12 +13,12 @@ except ImportError:  # no POSIX: nothing is locked
     fcntl = None  # type: ignore[assignment]
 
 KNOWN = fcntl is not None
-"""Whether there are locks here."""
+"""True if this system has locks."""
 
 
 @contextmanager
 def holding(path: Path) -> Iterator[None]:
-    """Within it this process has the lock of a file or folder, for which it waits; or none, where it cannot be had."""
+    """Hold the lock of a file or folder, for which it waits; or none, where it cannot be had."""
     lock = locked(path, wait=True)
     try:
         yield
@@ -27,7 +27,7 @@ def holding(path: Path) -> Iterator[None]:
 
 
 def locked(path: Path, wait: bool) -> int | None:
-    """A descriptor that locks a file or folder until it is closed; None where it cannot be locked.
+    """Lock a file or folder until the descriptor is closed; None where it cannot be locked.
 
     Raises ``OSError`` where it is not there, and where it is locked already and we do not ``wait``.
     """

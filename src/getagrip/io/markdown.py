@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 
 def page(title: str, grid: Sequence[Sequence[str]], about: Sequence[str], words: int = 1) -> str:
-    """One table under a title, and how it was made; the first columns are ``words``, the others numbers."""
+    """Write one table under a title, and how it was made; the first columns are ``words``, the others numbers."""
     lines = [f"# {title}", "", *table(grid, words), "", *(f"- {line}" for line in about)]
     return "\n".join(lines) + "\n"
 
 
 def table(grid: Sequence[Sequence[str]], words: int = 1) -> list[str]:
-    """The lines of a table, its headings first; the first columns are ``words``, the others numbers."""
+    """Return the lines of a table, headings first; the first columns are ``words``, the others numbers."""
     headings, *body = grid
     rule = [*["---"] * words, *["---:"] * (len(headings) - words)]
     escaped = ([cell.replace("|", "\\|") for cell in cells] for cells in (headings, rule, *body))

@@ -34,17 +34,17 @@ PARTS: Mapping[type, Callable[[Any], Iterable[Any]]] = {
     frozenset: lambda of: sorted(of, key=repr),
     ndarray: lambda of: (str(of.dtype), of.shape, of.tolist() if of.dtype.hasobject else of.tobytes()),
 }
-"""What objects of some types hold."""
+"""Functions that list the objects within objects of some types."""
 INSTALLED = ("site-packages", "dist-packages")
 STDLIB = Path(sysconfig.get_path("stdlib")).resolve()
 
 
 class UnknownSourceError(Exception):
-    """Of something it cannot be known what it is made of."""
+    """An object whose source code cannot be determined."""
 
 
 def checksum(value: object) -> str:
-    """Checksum of all that a function or another value is made of besides this package, 16 hexadecimal digits.
+    """Compute the checksum of all that a function or another value is made of besides this package.
 
     That are the source files of functions and classes, those that they import and that belong to no installed library,
     and the values that partials, closures, defaults and objects hold. Raises ``UnknownSourceError`` where a source is
@@ -60,7 +60,7 @@ def checksum(value: object) -> str:
 
 
 def place(error: BaseException) -> str:
-    """Where an error arose in code from outside, "mine.py:14": the last line of a file that is of no installed library.
+    """Return the place of an error in code from outside, "mine.py:14": the last line in no installed library.
 
     Empty where all of its code is of this package, of Python or of libraries.
     """
@@ -70,7 +70,7 @@ def place(error: BaseException) -> str:
 
 
 def _is_own(file: Path) -> bool:
-    """Whether a file, or the prompt that an error's line names, is a user's own."""
+    """Return whether a file, or the prompt that an error's line names, is a user's own."""
     if not file.is_file():
         return file.name == "<stdin>" or (not file.name.startswith("<") and bool(linecache.getlines(str(file))))
     return not _is_known(file.resolve()) and not _is_installed(file.resolve())
@@ -78,7 +78,7 @@ def _is_own(file: Path) -> bool:
 
 @dataclass
 class _Parts:
-    """What is found in a value and in what it holds."""
+    """The parts of a value, found recursively."""
 
     files: set[Path] = field(default_factory=set)
     values: list[str] = field(default_factory=list)
@@ -96,7 +96,7 @@ class _Parts:
                 self.add(part)
 
     def digests(self) -> list[str]:
-        """Those of the files, and of the files that these import."""
+        """Return the checksums of the files, and of the files that these import."""
         found, left = dict[Path, str](), list(self.files)
         while left:
             file = left.pop()
@@ -107,7 +107,7 @@ class _Parts:
         return list(found.values())
 
     def _within(self, value: object) -> Iterator[object]:
-        """What an object holds."""
+        """Yield the parts of an object."""
         if isinstance(value, FunctionType):
             self._note(value.__code__.co_filename)
             yield from (value.__qualname__, value.__defaults__, value.__kwdefaults__)
@@ -133,7 +133,7 @@ class _Parts:
 
 
 def _parts(value: object) -> Iterable[object]:
-    """What a container or another object without code of its own holds."""
+    """Return the parts of a container or of another object without code of its own."""
     for kind, parts in PARTS.items():
         if isinstance(value, kind):
             return parts(value)
@@ -145,7 +145,7 @@ def _parts(value: object) -> Iterable[object]:
 
 
 def _is_known(file: Path) -> bool:
-    """Whether a file is of this package, whose code is known, or of Python's library."""
+    """Return whether a file is of this package, whose code is known, or of Python's library."""
     return file.is_relative_to(PACKAGE) or (file.is_relative_to(STDLIB) and not _is_installed(file))
 
 
@@ -176,7 +176,7 @@ def _source(file: Path) -> _Source:
 
 
 def _files_of(importer: Path, level: int, module: str, names: tuple[str, ...]) -> Iterator[Path]:
-    """The files that an import loads: the module's, those of the packages it is in, and of ``names`` that are modules.
+    """Yield the files that an import loads: the module's, its packages', and those of ``names`` that are modules.
 
     None of a library that is installed, unless the importing file is of the same.
     """
@@ -205,6 +205,6 @@ def _files_of(importer: Path, level: int, module: str, names: tuple[str, ...]) -
 
 
 def _foreign(origin: str | None) -> Iterator[Path]:
-    """The file of a module from outside."""
+    """Yield the file of a module from outside."""
     if origin is not None and (file := Path(origin)).is_file() and not _is_known(file.resolve()):
         yield file.resolve()

@@ -22,7 +22,7 @@ class PackedMask:
     top: int
     left: int
     width: int
-    """Of the box; its height follows from ``bits``."""
+    """Width of the box; its height follows from ``bits``."""
     bits: UInt8[ndarray, "h _"]
 
     @staticmethod
@@ -39,7 +39,7 @@ class PackedMask:
 
 @lru_cache(maxsize=4)
 def _unpacked(frame: PackedMask) -> Bool[ndarray, "H W"]:
-    """The mask, which cannot be written to: it is kept for the next that asks."""
+    """Unpack the mask, read-only, since it is kept for the next call."""
     out = np.zeros(frame.size, dtype=bool)
     if frame.width:
         box = np.unpackbits(frame.bits, axis=1, count=frame.width).view(bool)
@@ -59,16 +59,16 @@ class PackedMasks(NDArrayOperatorsMixin):
     ndim = 3
 
     def __init__(self, frames: Sequence[PackedMask], size: tuple[int, int]) -> None:
-        """Of frames of one size (height, width) [px]."""
+        """Hold frames of one size (height, width) [px]."""
         self._frames, self._size = tuple(frames), size
 
     @staticmethod
     def of(masks: Iterable[Bool[ndarray, "H W"]], size: tuple[int, int]) -> PackedMasks:
-        """Of masks that may be made one by one. ``size``: width and height [px]."""
+        """Pack masks that may be made one by one. ``size``: width and height [px]."""
         return PackedMasks([PackedMask.of(mask) for mask in masks], (size[1], size[0]))
 
     def as_array(self) -> Bool[ndarray, "T H W"]:
-        """Itself, under the type of what it stands for."""
+        """Return itself, under the type of what it stands for."""
         return cast(ndarray, self)
 
     @property
@@ -90,7 +90,7 @@ class PackedMasks(NDArrayOperatorsMixin):
         return np.asarray(self)[index]
 
     def any(self, axis: tuple[int, ...] | int | None = None, keepdims: bool = False) -> Any:
-        """As of an array."""
+        """Reduce by logical or, as an array does."""
         if axis is None and not keepdims:
             return bool(self._shown.any())
         if axis == (1, 2):

@@ -18,7 +18,7 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
 }
 OF_PAGE = {"Content-Security-Policy": "frame-ancestors 'none'; base-uri 'none'"}
-"""Of a page that names in itself which scripts may run, and what they may load."""
+"""Headers of a page that names in itself which scripts may run, and what they may load."""
 
 
 class QuietServer(ThreadingHTTPServer):

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 EXTRAS = {"s3": "s3", "s3a": "s3", "gs": "gs", "gcs": "gs"}
 """The extra of this package that reads a kind of address."""
 MOST_FILES, MOST_BYTES, DEEPEST = 20_000, files.LARGEST_FILE, 8
-"""Of a folder that is copied: files, bytes in all, and levels."""
+"""Limits of a folder that is copied: files, bytes in all, and levels."""
 ARCHIVE = ".zip"
 """A clip may be one object of this kind."""
 TRIAL = ".getagrip.trial"
@@ -54,7 +54,10 @@ class Remote:
         return Remote(self.url.rpartition("/")[0])
 
     def children(self) -> list[tuple[str, bool]]:
-        """The names in the folder, sorted, and whether each is a folder. Raises ``UsageError`` where there is none."""
+        """List the names in the folder, sorted, and whether each is a folder.
+
+        Raises ``UsageError`` where there is none.
+        """
         with self._named():
             fs, path = self._opened()
             try:
@@ -65,13 +68,13 @@ class Remote:
             return sorted((name, is_folder) for name, is_folder in there if name and name != self.name)
 
     def matches(self) -> list[Remote]:
-        """What the address stands for as a pattern, sorted."""
+        """List the addresses that match this one as a pattern, sorted."""
         with self._named():
             fs, path = self._opened()
             return sorted((Remote(fs.unstrip_protocol(found)) for found in fs.glob(path)), key=str)
 
     def read(self, limit: int) -> bytes | None:
-        """The bytes of an object of at most ``limit`` bytes; None where there is none."""
+        """Read an object of at most ``limit`` bytes; None where there is none."""
         with self._named():
             fs, path = self._opened()
             try:
@@ -150,7 +153,7 @@ class Remote:
             raise UsageError(f"{option} must be a folder that can be written (got {self}: {error})") from error
 
     def _listed(self, fs: AbstractFileSystem, root: str, leave_out: Sequence[str]) -> dict[str, files.Json]:
-        """What the store says of each file below it, by name, checked."""
+        """Return the store's checked record of each file below it, by name."""
         found = fs.find(root, detail=True).items()
         there = {name.removeprefix(f"{root}/"): entry for name, entry in found if name.startswith(f"{root}/")}
         is_file = {name: entry["type"] == "file" and not name.endswith("/") for name, entry in there.items()}
@@ -159,7 +162,7 @@ class Remote:
         return wanted
 
     def _members(self, archive: ZipFile, leave_out: Sequence[str]) -> dict[str, ZipInfo]:
-        """The files in an archive by name, without a folder that holds all of them, checked."""
+        """List the files in an archive by name, without a folder that holds all of them, checked."""
         members = [member for member in archive.infolist() if not member.is_dir()]
         if any(stat.S_ISLNK(member.external_attr >> 16) for member in members):
             raise InputError(self.url, "", "a link in it", "files only")
@@ -173,7 +176,7 @@ class Remote:
         return wanted
 
     def _contents(self, fs: AbstractFileSystem, wanted: Mapping[str, tuple[str, int]]) -> dict[str, bytes]:
-        """The bytes of files by name, each of its size, several at once."""
+        """Read files by name, each of its size, several at once."""
         full = {name: place for name, place in wanted.items() if place[1]}  # of nothing no range can be read
         paths, sizes = [path for path, _ in full.values()], [size for _, size in full.values()]
         contents = fs.cat_ranges(paths, [0] * len(paths), [size + 1 for size in sizes], on_error="raise")
@@ -185,7 +188,7 @@ class Remote:
         return dict.fromkeys(wanted, b"") | dict(zip(full, map(bytes, contents), strict=True))
 
     def _opened(self) -> tuple[AbstractFileSystem, str]:
-        """The file system, and the path in it. Raises ``UsageError`` where a library for it is missing."""
+        """Open the file system; also return the path in it. Raises ``UsageError`` where a library for it is missing."""
         kind = self.url.split(":", 1)[0]
         extra = EXTRAS.get(kind, "s3")  # any of them brings fsspec
         core = extras.load("fsspec.core", extra, self.url)
@@ -217,7 +220,7 @@ Place = Path | Remote
 
 
 def place(text: str) -> Place:
-    """What a user means: ``file://`` and plain paths are on a disk."""
+    """Parse a path or an address: ``file://`` and plain paths are on a disk."""
     kind, mark, rest = text.partition("://")
     if not mark:
         return Path(text)
@@ -227,7 +230,7 @@ def place(text: str) -> Place:
 
 
 def wanted_names(source: str, names: Iterable[str], leave_out: Sequence[str]) -> list[str]:
-    """The names of a stranger's folder, but those that are hidden or to be left out. Raises ``InputError``."""
+    """List the names of an untrusted folder, without hidden ones and those to be left out. Raises ``InputError``."""
     wanted = []
     for name in names:
         parts = name.split("/")
@@ -247,7 +250,7 @@ def check_size(source: str, sizes: Sequence[int]) -> None:
 
 
 def on_disk(option: str, value: Place) -> Path:
-    """A path, of an option that takes no other. Raises ``UsageError``."""
+    """Return a path on a disk; an option that takes no address. Raises ``UsageError``."""
     if isinstance(value, Remote):
         raise UsageError(f"{option} cannot be used with {value}, only with folders on a disk")
     return value
@@ -262,7 +265,7 @@ def _write(folder: Path, contents: Mapping[str, bytes]) -> None:
 
 
 def _name(entry: Mapping[str, object]) -> str:
-    """The last part of what a listing names."""
+    """Return the last part of what a listing names."""
     return str(entry["name"]).rstrip("/").rpartition("/")[2]
 
 

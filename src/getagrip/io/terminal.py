@@ -40,7 +40,7 @@ def say(words: str) -> None:
 
 
 def console() -> Console:
-    """Where tables are printed."""
+    """Make the console on which tables are printed."""
     from rich.console import Console
 
     return Console(highlight=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
@@ -49,7 +49,7 @@ def console() -> Console:
 def plain_table(
     title: str | None = None, title_style: str | None = None, title_justify: Literal["left", "center"] = "center"
 ) -> Table:
-    """An empty table, its only line below the headings."""
+    """Make an empty table, its only line below the headings."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
@@ -61,7 +61,7 @@ def plain_table(
 
 @contextmanager
 def progress_bar(counted: bool = False) -> Iterator[Progress]:
-    """A bar on stderr, where that is a terminal; ``counted`` adds how many are done of how many, and the time left."""
+    """Show a bar on stderr, where that is a terminal; ``counted`` adds the counts and the time left."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,

@@ -50,7 +50,10 @@ class FaceGrid:
 
     @staticmethod
     def of(corners: np.ndarray, margin: float, nodes: int = 64) -> FaceGrid:
-        """The grid around faces (F, 3, 3), reaching ``margin`` beyond them, with ``nodes`` along its longest side."""
+        """Build the grid around faces (F, 3, 3).
+
+        It reaches ``margin`` beyond them and has ``nodes`` along its longest side.
+        """
         corners = np.ascontiguousarray(corners)
         low, high = corners.min(axis=(0, 1)) - margin, corners.max(axis=(0, 1)) + margin
         spacing = float((high - low).max() / (nodes - 1))
@@ -67,7 +70,10 @@ class FaceGrid:
 
 
 def pseudonormals(corners: np.ndarray) -> np.ndarray:
-    """Unit normals (F, 7, 3) at the corners, edges and inside of faces (F, 3, 3), those shared weighted by angle."""
+    """Compute unit normals (F, 7, 3) at the corners, edges and inside of faces (F, 3, 3).
+
+    Those that faces share are weighted by angle.
+    """
     F = len(corners)
     vertex = same_rows(corners.reshape(-1, 3)).reshape(F, 3)
     along = np.roll(corners, -1, axis=1) - corners
@@ -87,9 +93,10 @@ def pseudonormals(corners: np.ndarray) -> np.ndarray:
 
 @njit(**OPTIONS)
 def closest_on_face(x, y, z, t, f):
-    """The point of face f of corners t (F, 3, 3) nearest to a point, and its part that holds it (``FaceGrid.normals``).
+    """Find the point of face f of corners t (F, 3, 3) nearest to a point.
 
-    After Ericson, Real-Time Collision Detection, 5.1.5.
+    The last value is the part of the face that holds it (``FaceGrid.normals``). After Ericson, Real-Time Collision
+    Detection, 5.1.5.
     """
     ax, ay, az = t[f, 0, 0], t[f, 0, 1], t[f, 0, 2]
     abx, aby, abz = t[f, 1, 0] - ax, t[f, 1, 1] - ay, t[f, 1, 2] - az
@@ -178,7 +185,7 @@ def _spread(low, spacing, face, part, squared, point):
 
 @njit(**OPTIONS)
 def screen(points, R, centre, scale, distance, origin, spacing, local, rough):
-    """Points (Q, 3) in the frame of an object posed at (R, centre, scale) and the distance of the node next to each.
+    """Move points (Q, 3) into the frame of a posed object, and look up the nearest node's distance.
 
     Fills local (Q, 3) [m, of the unscaled object], rough (Q,) [m, likewise]: infinite beyond the grid. The exact
     distance differs from the rough one by at most ``SLACK * spacing``, so that most points need no more.
@@ -198,7 +205,9 @@ def screen(points, R, centre, scale, distance, origin, spacing, local, rough):
 
 @njit(**OPTIONS)
 def signed_distance(x, y, z, corners, normals, face, origin, spacing):
-    """Signed distance to the mesh and its direction: (d, n0, n1, n2), d < 0 inside, n the unit gradient of d.
+    """Compute the signed distance to the mesh and its direction.
+
+    (d, n0, n1, n2), d < 0 inside, n the unit gradient of d.
 
     Of the faces that the eight nodes around the point remember the nearest counts. The point must lie within the grid.
     """

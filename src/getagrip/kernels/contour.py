@@ -58,7 +58,7 @@ def sample_contour(uvz, edges, n_edges, zoom, step, bits, valid, lines, points):
 
 @njit(**OPTIONS)
 def _is_set(bits, x, y):
-    """Whether (x, y) lies in a pixel of a square mask whose bit is set."""
+    """Return whether (x, y) lies in a pixel of a square mask whose bit is set."""
     size = float(bits.shape[0])
     inside = (x >= 0.0) & (x < size) & (y >= 0.0) & (y < size)
     i, j = np.uint64(min(max(0.0, y), size - 1.0)), np.uint64(min(max(0.0, x), size - 1.0))  # 0 where it is no number

@@ -15,9 +15,10 @@ from getagrip.kernels.silhouette import OPTIONS, PLANES, mismatch, project, rast
 
 @njit(**OPTIONS)
 def contours(vertices, faces, edges, closed, K, observed, valid, field, step, delta, bits, value, points, nearest):
-    """Fill in, per frame, the silhouette's bits (N, n, words), value (N,), its pixels that differ from the mask where
-    valid, points (N, 7, M) (``kernels.contour``; weight 0 where there are no more), and nearest (N, M), the vertex
-    nearest to each point.
+    """Fill in the silhouettes' bits, values, contour points and their nearest vertices, per frame.
+
+    bits are (N, n, words); value (N,) counts the valid pixels that differ from the mask; points are (N, 7, M)
+    (``kernels.contour``; weight 0 where there are no more); nearest (N, M) is the vertex nearest to each point.
 
     vertices (N, 3, V) are in the camera frame, faces (F, 3) and edges (4, E) those of the mesh, field (N, n, n) is the
     signed distance to the mask's contour, all at one resolution. Too near to the camera, a hand has infinite value.

@@ -34,7 +34,7 @@ _ZERO = np.uint64(0)
 
 @intrinsic
 def popcount(typingctx, word):
-    """Number of bits set in a 64-bit word."""
+    """Count the bits set in a 64-bit word."""
 
     def codegen(context, builder, signature, args):
         return builder.ctpop(args[0])
@@ -44,7 +44,7 @@ def popcount(typingctx, word):
 
 @intrinsic
 def fma(typingctx, a, b, c):
-    """``a b + c``, rounded once: sums of these keep their order, however the loop around them is compiled."""
+    """Compute ``a b + c``, rounded once: sums keep their order, however the loop around them is compiled."""
 
     def codegen(context, builder, signature, args):
         return builder.fma(*args)
@@ -105,7 +105,7 @@ def silhouette_edges(planes, edges, R, centre, scale, sign, out):
 
 @njit(**OPTIONS)
 def rasterise(uvz, edges, n_edges, closed, zoom, lines, planes, bits):
-    """Scan-convert the first n silhouette edges (coordinates times zoom) into bits (height, words), 64 pixels a word.
+    """Fill the first n silhouette edges (coordinates times zoom) into bits (height, words), 64 pixels a word.
 
     lines (5, E) and planes (height, words, 4) are scratch. Pixel j of a row is bit j % 64 of word j // 64.
     """
@@ -157,7 +157,7 @@ def rasterise(uvz, edges, n_edges, closed, zoom, lines, planes, bits):
 
 @njit(**OPTIONS)
 def mismatch(bits, observed, valid):
-    """Number of valid pixels in which two bit masks differ: E_mask (Eq. 6), at the resolution of the masks."""
+    """Count the valid pixels in which two bit masks differ: E_mask (Eq. 6), at the resolution of the masks."""
     total = np.uint64(0)
     for row in range(bits.shape[0]):
         for word in range(bits.shape[1]):
@@ -167,7 +167,10 @@ def mismatch(bits, observed, valid):
 
 @njit(**OPTIONS)
 def silhouettes(R, centre, scale, vertices, planes, edges, closed, K, bits):
-    """Masks of one object in many poses: R (P, 3, 3), centre (P, 3), scale (P,), K (P, 4) -> bits (P, height, W)."""
+    """Render masks of one object in many poses.
+
+    R (P, 3, 3), centre (P, 3), scale (P,), K (P, 4) -> bits (P, height, W).
+    """
     uvz = np.empty_like(vertices)
     sign = np.empty(planes.shape[1] + 1, np.int64)
     edge = np.empty((3, edges.shape[1] + 1), np.int64)
@@ -180,12 +183,12 @@ def silhouettes(R, centre, scale, vertices, planes, edges, closed, K, bits):
 
 
 def pack(masks: np.ndarray) -> np.ndarray:
-    """Boolean masks (..., H, W) as bits (..., H, ceil(W / 64)), 64 pixels a word; missing pixels are zero."""
+    """Pack boolean masks (..., H, W) as bits (..., H, ceil(W / 64)), 64 pixels a word; missing pixels are zero."""
     missing = -masks.shape[-1] % 64
     padded = np.pad(masks, [(0, 0)] * (masks.ndim - 1) + [(0, missing)])
     return np.ascontiguousarray(np.packbits(padded, axis=-1, bitorder="little")).view(np.uint64)
 
 
 def unpack(bits: np.ndarray, width: int) -> np.ndarray:
-    """Boolean masks (..., H, width) of bits (..., H, words)."""
+    """Unpack bits (..., H, words) to boolean masks (..., H, width)."""
     return np.unpackbits(bits.view(np.uint8), axis=-1, bitorder="little")[..., :width].astype(bool)

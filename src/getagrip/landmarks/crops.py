@@ -1,4 +1,4 @@
-"""Where a hand is looked for: a turned square of the image in which the fingers point up.
+"""The crop of a hand: a turned square of the image in which the fingers point up.
 
 Sizes and shifts are those that the landmark network was trained with (MediaPipe's published graphs).
 """
@@ -14,11 +14,11 @@ from numpy import ndarray
 from getagrip.landmarks.palms import MIDDLE_KNUCKLE, WRIST, Palm
 
 SIDE = 224
-"""Of the landmark network's input [px]."""
+"""Side of the landmark network's input [px]."""
 PALM = (2.6, 0.5)
 """Side of the square in sides of the palm's box, and its shift towards the fingers in heights of the box."""
 LANDMARKS = (2.0, 0.1)
-"""The same, for the box of those landmarks that hardly bend."""
+"""Size and shift for the box of those landmarks that hardly bend."""
 STIFF = np.array([0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18])
 """Landmarks up to the middle joints of the fingers."""
 
@@ -31,7 +31,7 @@ class Crop(NamedTuple):
     side: float
     """[px]"""
     angle: float
-    """How far it is turned, from x to y [rad]."""
+    """Rotation from x to y [rad]."""
 
     @property
     def axes(self) -> Float[ndarray, "2 2"]:
@@ -40,15 +40,15 @@ class Crop(NamedTuple):
         return np.array([[c, -s], [s, c]])
 
     def to_image(self, points: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
-        """From pixels of the network's input to those of the image."""
+        """Convert pixels of the network's input to those of the image."""
         return np.asarray(self.middle + (points / SIDE - 0.5) @ self.axes.T * self.side)
 
     def from_image(self, points: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
-        """From pixels of the image to those of the network's input."""
+        """Convert pixels of the image to those of the network's input."""
         return np.asarray(((points - self.middle) @ self.axes / self.side + 0.5) * SIDE)
 
     def image(self, image: UInt8[ndarray, "H W 3"]) -> Float32[ndarray, "224 224 3"]:
-        """The network's input: red, green, blue from 0 to 1, black beyond the image."""
+        """Return the network's input: red, green, blue from 0 to 1, black beyond the image."""
         import cv2
 
         M = np.column_stack([self.axes * self.side / SIDE, self.to_image(np.zeros(2))])
@@ -57,14 +57,14 @@ class Crop(NamedTuple):
         return np.asarray(cv2.warpAffine(image, M, (SIDE, SIDE), flags=flags), np.float32) / np.float32(255.0)
 
     def near(self, other: Crop) -> bool:
-        """Whether the network sees much the same in both."""
+        """Return whether the network sees much the same in both."""
         apart = float(np.linalg.norm(self.middle - other.middle)) / min(self.side, other.side)
         turned = abs((self.angle - other.angle + np.pi) % (2.0 * np.pi) - np.pi)
         return apart < 0.25 and turned < 0.6 and 0.75 < self.side / other.side < 1.35
 
 
 def of_palm(palm: Palm) -> Crop:
-    """About the hand of a palm."""
+    """Make the crop about the hand of a palm."""
     angle = _upright(palm.points[WRIST], palm.points[MIDDLE_KNUCKLE])
     low, high = palm.box[:2], palm.box[2:]
     scale, ahead = PALM
@@ -73,7 +73,7 @@ def of_palm(palm: Palm) -> Crop:
 
 
 def of_landmarks(points: Float[ndarray, "21 2"]) -> Crop:
-    """About a hand that was found, for the next frame."""
+    """Make the crop about a detected hand, for the next frame."""
     ahead = 0.25 * (points[6] + points[14]) + 0.5 * points[10]
     crop = Crop(np.zeros(2), 1.0, _upright(points[0], ahead))
     own = points[STIFF] @ crop.axes
@@ -84,6 +84,6 @@ def of_landmarks(points: Float[ndarray, "21 2"]) -> Crop:
 
 
 def _upright(wrist: Float[ndarray, "2"], ahead: Float[ndarray, "2"]) -> float:
-    """The angle of a square in which the second point is above the first [rad]."""
+    """Return the angle of a square in which the second point is above the first [rad]."""
     x, y = ahead - wrist
     return float(np.arctan2(x, -y))

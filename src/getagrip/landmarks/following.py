@@ -22,8 +22,13 @@ LEAST = 0.5
 SURE = 0.75
 """A hand of less confidence, followed from the frame before, is looked for where it is detected and from the frame
 after, too."""
+MEMORY = 10
+"""Frames for which a hand that is lost is looked for where it was."""
+AROUND, LEAST_AROUND = 0.9, 0.33
+"""Half the side of the part in which it is looked for, in sides of its square and, at least, as a share of the image's
+shorter side."""
 SAME = 0.4
-"""Hands whose palms are nearer than so many of their sizes are one."""
+"""Distance, in sizes of the palm, below which two hands are one."""
 PALM = [0, 5, 9, 13, 17]
 """Wrist and knuckles."""
 
@@ -36,14 +41,14 @@ class Sighting(NamedTuple):
     points: Float[ndarray, "21 2"]
     """Wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip [px]."""
     world: Float[ndarray, "21 3"]
-    """The same about the hand's middle, along the camera's axes, of a hand of about mean size [m]."""
+    """Landmarks about the hand's middle, along the camera's axes, of a hand of about mean size [m]."""
     confidence: float
     right: float
     """Probability that it is a right hand."""
 
     @property
     def middle(self) -> Float[ndarray, "2"]:
-        """Of the palm [px]."""
+        """Middle of the palm [px]."""
         return np.asarray(self.points[PALM].mean(axis=0))
 
     @property
@@ -53,38 +58,60 @@ class Sighting(NamedTuple):
         return max(float(np.linalg.norm(self.points[10] - self.points[0])), 2.0 * float(across), 1.0)
 
     def same(self, other: Sighting) -> bool:
-        """Whether both are of one hand."""
+        """Return whether both are of one hand."""
         return bool(np.linalg.norm(self.middle - other.middle) < SAME * max(self.size, other.size))
 
 
 def follow(
     image: Callable[[int], Image], count: int, nets: Nets, on_frame: Callable[[int], None] = lambda n: None
 ) -> list[list[Sighting]]:
-    """The hands in each of ``count`` frames, the most certain first. ``on_frame`` is called before each."""
+    """Follow the hands over ``count`` frames, the most certain first. ``on_frame`` is called before each."""
     seen: list[list[Sighting]] = []
     for n in range(count):
         on_frame(n)
         now = image(n)
-        expected = [crops.of_landmarks(each.points) for each in (seen[-1] if seen else [])]
+        expected = _crops(seen[-1]) if seen else []
         followed = _looked(now, expected, nets)
         known = [crop for crop, hand in zip(expected, followed, strict=True) if hand.confidence >= SURE]
         detected = [crop for crop in map(crops.of_palm, nets.palms(now)) if not any(map(crop.near, known))]
-        seen.append(one_each([*followed, *_looked(now, detected, nets)]))
+        before = next((hands for hands in reversed(seen[-MEMORY:]) if hands), [])
+        lost = [crop for crop in _crops(before) if not any(map(crop.near, [*known, *detected]))]
+        seen.append(one_each([*followed, *_looked(now, [*detected, *_nearby(now, lost, nets)], nets)]))
     for n in range(count - 2, -1, -1):
         again = [each for each in seen[n + 1] if not any(each.same(old) and old.confidence >= SURE for old in seen[n])]
         if again:
-            there = _looked(image(n), [crops.of_landmarks(each.points) for each in again], nets)
-            seen[n] = one_each([*seen[n], *there])
+            now, where = image(n), _crops(again)
+            seen[n] = one_each([*seen[n], *_looked(now, [*where, *_nearby(now, where, nets)], nets)])
     return seen
 
 
+def _crops(hands: Sequence[Sighting]) -> list[Crop]:
+    return [crops.of_landmarks(each.points) for each in hands]
+
+
+def _nearby(image: Image, where: Sequence[Crop], nets: Nets) -> list[Crop]:
+    """Where palms are detected in enlarged parts of an image: the detector sees a whole image at 192 pixels."""
+    out = []
+    for crop in where:
+        half = max(AROUND * crop.side, LEAST_AROUND * min(image.shape[:2]))
+        low = np.maximum(np.floor(crop.middle - half), 0).astype(int)
+        high = np.minimum(np.ceil(crop.middle + half), image.shape[1::-1]).astype(int)
+        if (high - low).min() > crops.SIDE // 4:
+            part = np.ascontiguousarray(image[low[1] : high[1], low[0] : high[0]])
+            found = (
+                palm._replace(box=palm.box + np.tile(low, 2), points=palm.points + low) for palm in nets.palms(part)
+            )
+            out += [crops.of_palm(palm) for palm in found]
+    return out
+
+
 def _looked(image: Image, where: Sequence[Crop], nets: Nets) -> list[Sighting]:
-    """What is in some squares of an image."""
+    """Find the hands in some squares of an image."""
     return [Sighting(*nets.landmarks(image, crop)) for crop in where]
 
 
 def one_each(hands: Sequence[Sighting]) -> list[Sighting]:
-    """Of each hand the most certain sighting, the most certain first."""
+    """Choose the most certain sighting of each hand, the most certain first."""
     out: list[Sighting] = []
     for each in sorted(hands, key=lambda hand: -hand.confidence):
         if each.confidence >= LEAST and not any(each.same(other) for other in out):

@@ -26,7 +26,7 @@ SKIN, NO_SKIN = 3.5, 8.0
 FEWEST = 20
 """Pixels of the palm whose colours are enough."""
 LEAST_SPREAD = 6.0
-"""Of the palm's colours [of 255]."""
+"""Least spread of the palm's colours [of 255]."""
 ROUNDS = 3
 WEB = [0, 1, 2, 3, 5, 6]
 """The skin between thumb and index finger is within these."""
@@ -36,7 +36,10 @@ BONES = [(0, 1), *((a, a + 1) for k in range(5) for a in range(1 + 4 * k, 4 + 4 
 def hand_mask(
     image: UInt8[ndarray, "H W 3"], points: Float[ndarray, "21 2"], other: Bool[ndarray, "H W"] | None = None
 ) -> Bool[ndarray, "H W"]:
-    """Where a hand with these landmarks [px] is visible. ``other``: pixels that are known to be of something else."""
+    """Segment the visible pixels of a hand with these landmarks [px].
+
+    ``other``: pixels that are known to be of something else.
+    """
     import cv2
 
     height, width = image.shape[:2]
@@ -58,7 +61,7 @@ def hand_mask(
         return out
     cv2.setRNGSeed(0)
     background, foreground = np.zeros((1, 65)), np.zeros((1, 65))
-    cv2.grabCut(colours, labels, (0, 0, 1, 1), background, foreground, ROUNDS, cv2.GC_INIT_WITH_MASK)
+    cv2.grabCut(colours, labels, (0, 0, 0, 0), background, foreground, ROUNDS, cv2.GC_INIT_WITH_MASK)
     found = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
     whole = _connected(found)
     large = cv2.resize(whole.astype(np.float32), tuple((high - low).tolist()), interpolation=cv2.INTER_LINEAR)
@@ -67,7 +70,7 @@ def hand_mask(
 
 
 def _size(points: Float[ndarray, "21 2"]) -> float:
-    """Of the hand [px]: the longest way over the palm, which is not short from every side."""
+    """Measure the size of the hand [px]: the longest distance on the palm, which is not short from any side."""
     palm = points[PALM]
     return max(float(np.linalg.norm(palm[:, None] - palm, axis=-1).max()), 4.0)
 
@@ -88,7 +91,7 @@ def _labels(
     size: float,
     not_hand: Bool[ndarray, "h w"],
 ) -> UInt8[ndarray, "h w"]:
-    """What GrabCut is told of each pixel."""
+    """Make GrabCut's label of each pixel."""
     import cv2
 
     maybe = _capsules(colours.shape[:2], points, MAYBE * size)
@@ -131,12 +134,12 @@ def _capsules(shape: Sequence[int], points: Float[ndarray, "21 2"], radius: floa
 
 
 def _whole(points: Float[ndarray, "n 2"]) -> Int32[ndarray, "n 2"]:
-    """The nearest pixels; far ones are brought to where OpenCV still draws."""
+    """Round to the nearest pixels; far ones are brought to where OpenCV still draws."""
     return np.clip(np.round(points - 0.5), -4096, 4096).astype(np.int32)
 
 
 def _connected(found: Bool[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
-    """The parts that are large beside the largest, without specks; holes stay."""
+    """Keep the parts that are large beside the largest, without specks; holes stay."""
     import cv2
 
     count, labels, stats, _ = cv2.connectedComponentsWithStats(found.astype(np.uint8), connectivity=4)

@@ -31,19 +31,19 @@ HOW = "getagrip doctor --fetch hands, or --models FOLDER with these files"
 
 
 def cache_folder() -> Path:
-    """Where the files are kept: ``GETAGRIP_MODELS``, else in the user's cache."""
+    """Return the folder of the files: ``GETAGRIP_MODELS``, else in the user's cache."""
     own = os.environ.get("GETAGRIP_MODELS")
     cache = os.environ.get("XDG_CACHE_HOME")
     return Path(own) if own else (Path(cache) if cache else Path.home() / ".cache") / "getagrip" / "models"
 
 
 def missing(folder: Path | None = None) -> list[str]:
-    """Names of the files that a folder lacks; without one, the cache."""
+    """List the files that a folder lacks; without one, the cache."""
     return [name for name in FILES if not ((folder or cache_folder()) / name).is_file()]
 
 
 def load(folder: Path | None = None) -> Nets:
-    """The networks, from files in a folder or from the cache.
+    """Load the networks, from files in a folder or from the cache.
 
     Raises ``InputError`` for a file that is missing or another one, ``UsageError`` without anything to run them.
     """
@@ -52,7 +52,7 @@ def load(folder: Path | None = None) -> Nets:
 
 
 def _checked(path: Path, expected: str) -> bytes:
-    """The content of a file of the table. Raises ``InputError``."""
+    """Read and check a file of the table. Raises ``InputError``."""
     if not path.is_file():
         raise InputError(path, "", "no such file", f"MediaPipe's hand model; {HOW}")
     content = files.read_bytes(path, LARGEST)

@@ -28,16 +28,16 @@ KNOWN = (
 )
 """Outputs of the landmark network for the image of ``fixed_input``: which one, and its first numbers."""
 CLOSE = 2e-3
-"""Of the size of the known numbers."""
+"""Tolerance, relative to the size of the known numbers."""
 
 
 class Found(NamedTuple):
-    """What the landmark network says of a square."""
+    """The output of the landmark network for a square."""
 
     points: Float[ndarray, "21 2"]
     """Wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip [px of the image]."""
     world: Float[ndarray, "21 3"]
-    """The same, about the hand's middle, in the camera's axes and about a mean hand's size [m]."""
+    """Landmarks about the hand's middle, in the camera's axes and at a mean hand's size [m]."""
     confidence: float
     """Probability of a hand."""
     right: float
@@ -53,18 +53,18 @@ class Nets:
     runtime: str
 
     def palms(self, image: UInt8[ndarray, "H W 3"]) -> list[Palm]:
-        """The palms in an image."""
+        """Detect the palms in an image."""
         frame = Letterbox.of((image.shape[1], image.shape[0]))
         boxes, logits = self.palm(frame.image(image))
         return palms.decoded(boxes.reshape(-1, 18), logits.ravel(), frame)
 
     def landmarks(self, image: UInt8[ndarray, "H W 3"], crop: Crop) -> Found:
-        """The hand in a square of an image, if there is one."""
+        """Detect the hand in a square of an image, if there is one."""
         return found(self.hand(crop.image(image)), crop)
 
 
 def found(outputs: list[Float32[ndarray, "..."]], crop: Crop) -> Found:
-    """The landmark network's outputs, taken to the image."""
+    """Convert the landmark network's outputs to the image."""
     points, confidence, right, world = (each.astype(float).ravel() for each in outputs)
     in_space = world.reshape(21, 3).copy()
     in_space[:, :2] = in_space[:, :2] @ crop.axes.T
@@ -73,13 +73,13 @@ def found(outputs: list[Float32[ndarray, "..."]], crop: Crop) -> Found:
 
 
 def fixed_input(side: int = crops.SIDE) -> Float32[ndarray, "n n 3"]:
-    """A smooth image that every machine makes alike."""
+    """Make a smooth image that is the same on every machine."""
     v, u = np.mgrid[:side, :side] / side
     return np.stack([u, v, 0.5 + 0.5 * np.sin(9.0 * u) * np.cos(7.0 * v)], axis=-1).astype(np.float32)
 
 
 def answers_as_known(net: Net) -> bool:
-    """Whether the landmark network's outputs for the fixed input are the known ones."""
+    """Return whether the landmark network's outputs for the fixed input are the known ones."""
     outputs = net(fixed_input())
     return all(
         np.allclose(outputs[n].ravel()[: len(numbers)], numbers, rtol=CLOSE, atol=CLOSE * max(map(abs, numbers)))
@@ -88,7 +88,7 @@ def answers_as_known(net: Net) -> bool:
 
 
 def open_nets(palm: bytes, hand: bytes) -> Nets:
-    """The networks from the contents of their files. Raises ``UsageError`` where nothing here can run them."""
+    """Open the networks from the contents of their files. Raises ``UsageError`` where nothing here can run them."""
     for runtime, opened in (("LiteRT", _litert), ("OpenCV", _opencv)):
         try:
             nets = Nets(opened(palm, 2), opened(hand, 4), runtime)
@@ -101,17 +101,17 @@ def open_nets(palm: bytes, hand: bytes) -> Nets:
 
 
 def _litert(content: bytes, outputs: int) -> Net:
-    """A network run by LiteRT, on one core."""
+    """Run a network by LiteRT, on one core."""
     from ai_edge_litert.interpreter import Interpreter
 
     interpreter: Any = Interpreter(model_content=content, num_threads=1)
     interpreter.allocate_tensors()
-    given = interpreter.get_input_details()[0]["index"]
+    index = interpreter.get_input_details()[0]["index"]
     named = {each["name"].split(":")[0]: each["index"] for each in interpreter.get_output_details()}
     wanted = [named[name] for name in _names(outputs)]
 
     def run(image: Float32[ndarray, "n n 3"]) -> list[Float32[ndarray, "..."]]:
-        interpreter.set_tensor(given, image[None])
+        interpreter.set_tensor(index, image[None])
         interpreter.invoke()
         return [np.array(interpreter.get_tensor(index)) for index in wanted]
 
@@ -119,7 +119,7 @@ def _litert(content: bytes, outputs: int) -> Net:
 
 
 def _opencv(content: bytes, outputs: int) -> Net:
-    """A network run by OpenCV, which names but one of several outputs: each is asked for."""
+    """Run a network by OpenCV, which names only one of several outputs: each is asked for."""
     import cv2
 
     net = cv2.dnn.readNetFromTFLite(np.frombuffer(content, np.uint8))

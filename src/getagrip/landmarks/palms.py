@@ -15,7 +15,7 @@ from jaxtyping import Float, Float32, UInt8
 from numpy import ndarray
 
 SIDE = 192
-"""Of the network's input [px]."""
+"""Side of the network's input [px]."""
 CELLS = ((24, 2), (12, 6))
 """Cells along a side of each grid of anchors, and anchors in each cell."""
 LEAST = 0.5
@@ -38,7 +38,7 @@ class Palm(NamedTuple):
 
 @cache
 def anchors() -> Float[ndarray, "2016 2"]:
-    """The middle of each anchor, in units of the input's side."""
+    """Return the middle of each anchor, in units of the input's side."""
     grids = []
     for cells, each in CELLS:
         v, u = np.mgrid[:cells, :cells]
@@ -54,12 +54,12 @@ class Letterbox(NamedTuple):
 
     @staticmethod
     def of(size: tuple[int, int]) -> Letterbox:
-        """For images of this width and height [px]."""
+        """Make it for images of this width and height [px]."""
         scale = SIDE / max(size)
         return Letterbox(scale, (SIDE - scale * np.array(size, dtype=float)) / 2.0)
 
     def image(self, image: UInt8[ndarray, "H W 3"]) -> Float32[ndarray, "192 192 3"]:
-        """The network's input: red, green, blue from 0 to 1, black beside the image."""
+        """Return the network's input: red, green, blue from 0 to 1, black beside the image."""
         import cv2
 
         size = max(1, round(image.shape[1] * self.scale)), max(1, round(image.shape[0] * self.scale))
@@ -71,14 +71,14 @@ class Letterbox(NamedTuple):
         return out
 
     def back(self, points: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
-        """From the square to the image [px]."""
+        """Convert points of the square to the image [px]."""
         return np.asarray((points - self.shift) / self.scale)
 
 
 def decoded(
     boxes: Float32[ndarray, "2016 18"], logits: Float32[ndarray, "2016"], frame: Letterbox, least: float = LEAST
 ) -> list[Palm]:
-    """The palms in the network's output, the most certain first; each the mean of overlapping ones by their scores."""
+    """Decode the palms in the network's output, the most certain first; each the mean of overlapping ones by score."""
     scores = 1.0 / (1.0 + np.exp(-np.clip(logits.astype(float), -100.0, 100.0)))
     there = np.flatnonzero(scores >= least)
     there = there[np.argsort(-scores[there], kind="stable")]

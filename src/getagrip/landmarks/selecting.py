@@ -1,4 +1,4 @@
-"""Of all hands that were seen in a clip, the one that holds the object: one side, in each frame one hand or none.
+"""Selection of the hand that holds the object, of all hands in a clip: one side, in each frame one hand or none.
 
 Sightings are linked from frame to frame into tracks. The hand is the track that is nearest to the object where that is
 known in some frame, else the one of most frames; tracks of its side that fill its gaps belong to it. The network says
@@ -23,15 +23,15 @@ Side = Literal["left", "right"]
 GAP = 10
 """Frames over which a hand is linked, and over which it is interpolated later; longer gaps stay gaps."""
 REACH = 1.0
-"""A palm moves by less than so many of its sizes from one frame to the next that has it."""
+"""Largest motion of a palm, in its sizes, from one frame to the next that has it."""
 SHORTEST = 4
-"""Frames of a track that is believed."""
+"""Least frames of a track that counts."""
 JUMP = 0.25
-"""Landmarks that are so many sizes (root mean square) from the median of the frames about them are wrong."""
+"""Largest distance of landmarks, in sizes (root mean square), from the median of the frames about them."""
 ABOUT = 3
 """Frames before and after, of that median."""
 UNSURE = 0.02
-"""Of no frame the side is surer than that."""
+"""Uncertainty of the side below which a frame does not count."""
 OTHERS = 0.2
 """Share of the frames in which another hand of the same side says that there are two people."""
 
@@ -83,7 +83,10 @@ class Track:
         return "right" if self.right >= 0.0 else "left"
 
     def distance(self, boxes: Mapping[int, Float[ndarray, "4"]]) -> float:
-        """Mean distance of the landmarks from the object's boxes, in sizes of the hand; infinite in other frames."""
+        """Measure the mean distance of the landmarks from the object's boxes, in sizes of the hand.
+
+        Infinite in other frames.
+        """
         apart = []
         for n, (x, y, w, h) in boxes.items():
             near = min(self.seen, key=lambda m: abs(m - n))
@@ -95,7 +98,7 @@ class Track:
 
 
 def tracks(seen: Sequence[Sequence[Sighting]]) -> list[Track]:
-    """Sightings linked from frame to frame, the nearest first. Those of a few frames are left out."""
+    """Link sightings from frame to frame, the nearest first. Those of a few frames are left out."""
     out: list[Track] = []
     for n, hands in enumerate(seen):
         open_ones = [track for track in out if n - track.last <= GAP]
@@ -120,8 +123,9 @@ def select(
     side: Side | None = None,
     boxes: Mapping[int, Float[ndarray, "4"]] | None = None,
 ) -> HandLandmarks:
-    """The hand that holds the object. ``side`` overrules the majority; ``boxes`` (left, top, width, height) [px] are
-    where the object is in some frames.
+    """Select the hand that holds the object.
+
+    ``side`` overrules the majority; ``boxes`` (left, top, width, height) [px] are where the object is in some frames.
 
     Raises ``UsageError`` where there is no such hand.
     """
@@ -158,7 +162,7 @@ def _of_side(found: Sequence[Track], side: Side) -> list[Track]:
 
 
 def _completed(first: Track, same_side: Sequence[Track]) -> tuple[dict[int, Sighting], list[Track]]:
-    """A track with those that fill its gaps, the longest first; and those that are beside it."""
+    """Add tracks that fill the gaps of a track, the longest first; also return those beside it."""
     hand, beside = dict(first.seen), []
     for track in sorted(same_side, key=_weight, reverse=True):
         if any(n in hand for n in track.seen):
@@ -169,7 +173,7 @@ def _completed(first: Track, same_side: Sequence[Track]) -> tuple[dict[int, Sigh
 
 
 def _steady(hand: Mapping[int, Sighting]) -> tuple[dict[int, Sighting], list[int]]:
-    """The sightings without those that differ from the ones about them, and the frames of these."""
+    """Drop sightings that differ from the ones about them; also return their frames."""
     kept, out = {}, []
     for n, each in hand.items():
         about = [hand[m].points for m in range(n - ABOUT, n + ABOUT + 1) if m in hand]

@@ -1,4 +1,4 @@
-"""Where hand and object are in contact, how stable contact is (SCA), and how deep they penetrate each other.
+"""Contact of hand and object: where it is, how stable (SCA), and how deep they penetrate each other.
 
 Stable contact area: the mean, over pairs of frames i < j, of IOU(S_i, S_j), S_i the points in contact in frame i
 (paper, Sec. 5.2). A point is in contact where its signed distance to the other surface is at most a threshold; inside
@@ -7,7 +7,7 @@ counts at any depth. Three sets of points are in use:
 - ``object``: the object's vertices, against the hand: the paper's;
 - ``hand``: the hand's vertices, against the object: the authors' later code's;
 - ``area``: points sampled evenly over the object's surface, against the hand: it does not depend on the triangulation
-  (a box has eight vertices, none of them where it is held).
+  (a box has eight vertices, none of them in the grasp).
 
 Two empty sets have IOU 0, as in the authors' code: a hand that never touches is not a stable grasp.
 """
@@ -45,7 +45,7 @@ _POINTS: dict[Side, str] = {"object": "object vertices", "hand": "hand vertices"
 
 @dataclass(frozen=True)
 class ContactDefinition:
-    """What counts as contact: whose points, and how near.
+    """A definition of contact: the points that count, and their distance.
 
     Attributes:
         side: whose points are tested: a field of ``ContactDistances``.
@@ -75,7 +75,10 @@ class ContactDefinition:
 
 
 def at_millimetres(thresholds: Sequence[float]) -> tuple[ContactDefinition, ...]:
-    """The paper's definition, by object vertices, at thresholds of 0 to 50 mm. Raises ``UsageError`` for others."""
+    """Return the paper's definition, by object vertices, at thresholds of 0 to 50 mm.
+
+    Raises ``UsageError`` for others.
+    """
     bad = next((mm for mm in thresholds if not 0.0 <= mm <= LARGEST_MM), None)
     if bad is not None:
         raise UsageError(f"--contact must be 0 to {LARGEST_MM:g} mm (got {bad:g} mm)")
@@ -101,12 +104,12 @@ class ContactDistances:
     area: Float[ndarray, "T P"]
 
     def contact(self, side: Side, threshold: float) -> Bool[ndarray, "T _"]:
-        """The points in contact: signed distance at most ``threshold`` [m]."""
+        """Return the points in contact: signed distance at most ``threshold`` [m]."""
         distance: ndarray = getattr(self, side)
         return distance <= threshold
 
     def depth(self, side: Side) -> Float[ndarray, "T _"]:
-        """How deep [m] each point lies inside the other body; zero outside."""
+        """Return the depth [m] of each point inside the other body; zero outside."""
         distance: ndarray = getattr(self, side)
         return np.maximum(-distance, 0.0)
 
@@ -118,7 +121,7 @@ def contact_distances(
     hand_faces: Int[ndarray, "F 3"],
     max_distance: float = MAX_DISTANCE,
 ) -> list[ContactDistances]:
-    """Distances between an object and a hand (in the hand frame), both ways, for each track of the object.
+    """Compute distances between an object and a hand (in the hand frame), both ways, for each track of the object.
 
     They are exact up to ``max_distance`` [m]. Holes of the hand are closed first. Tracks share the hand's search trees.
     """
@@ -141,7 +144,7 @@ def signed_distance(
     faces: Int[ndarray, "F 3"],
     max_distance: float = np.inf,
 ) -> Float[ndarray, "P"]:
-    """Distance [m] of points to a surface, negative inside; beyond ``max_distance`` it may be infinite.
+    """Compute the distance [m] of points to a surface, negative inside; beyond ``max_distance`` it may be infinite.
 
     Inside is where the winding number exceeds a half (Barill et al., "Fast Winding Numbers for Soups and Clouds",
     2018): right also for bodies of several overlapping closed parts, where the nearest surface's normal misleads.
@@ -155,7 +158,7 @@ def moving_distance(
     faces: Int[ndarray, "F 3"],
     max_distance: float = np.inf,
 ) -> Float[ndarray, "T P"]:
-    """``signed_distance`` of moving points to a moving surface.
+    """Compute ``signed_distance`` of moving points to a moving surface.
 
     From frame to frame a distance changes by no more than the point and the surface have moved, and its sign changes
     only where it passes zero. A distance that is thus known to be beyond ``max_distance``, or a side that is known to
@@ -202,7 +205,7 @@ def moving_distance(
 def close_holes(
     vertices: Float[ndarray, "*batch V 3"], faces: Int[ndarray, "F 3"]
 ) -> tuple[Float[ndarray, "*batch W 3"], Int[ndarray, "G 3"]]:
-    """Each hole (MANO's wrist) closed by a fan of faces about the mean of its border."""
+    """Close each hole (MANO's wrist) by a fan of faces about the mean of its border."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -238,7 +241,7 @@ class StableContact:
 
 
 def stable_contact(distances: ContactDistances, definition: ContactDefinition) -> StableContact:
-    """How stable the contact of a sequence is."""
+    """Measure the stable contact of a sequence."""
     contact = distances.contact(definition.side, definition.threshold)
     overlap = pairwise_iou(contact)
     return StableContact(
@@ -247,7 +250,7 @@ def stable_contact(distances: ContactDistances, definition: ContactDefinition) -
 
 
 def pairwise_iou(contact: Bool[ndarray, "T P"]) -> Float[ndarray, "T T"]:
-    """IOU of the contact sets of every pair of frames; 0 for two empty sets, and for an empty set with itself."""
+    """Compute the IOU of the contact sets of every pair of frames; 0 for empty sets, also of one with itself."""
     bits = np.packbits(contact, axis=1)
     both = np.stack([np.bitwise_count(bits & row).sum(axis=1, dtype=float) for row in bits])
     count = np.diag(both)
@@ -256,7 +259,7 @@ def pairwise_iou(contact: Bool[ndarray, "T P"]) -> Float[ndarray, "T T"]:
 
 
 def stable_contact_area(overlap: Float[ndarray, "T T"], diagonal: bool = False) -> float:
-    """SCA from the pairwise IOU: the mean over pairs i < j (the paper's), or over the full T x T matrix.
+    """Compute SCA from the pairwise IOU: the mean over pairs i < j (the paper's), or over the full T x T matrix.
 
     With the diagonal (the authors' code) each frame also counts with itself: never overlapping contacts then score
     1 / T. NaN where there is no pair.

@@ -46,14 +46,14 @@ def _rendered(mesh: Mesh | None, K: Float[ndarray, "3 3"], size: tuple[int, int]
 
 
 def iou(predicted: Bool[ndarray, "H W"], observed: Bool[ndarray, "H W"], ignore: Bool[ndarray, "H W"]) -> float:
-    """Intersection over union outside ignored pixels; NaN where both masks are empty there."""
+    """Compute the intersection over union outside ignored pixels; NaN where both masks are empty there."""
     both = np.count_nonzero(predicted & observed & ~ignore)
     either = np.count_nonzero((predicted | observed) & ~ignore)
     return both / either if either else float("nan")
 
 
 def soft_iou(fine: Bool[ndarray, "H2 W2"], observed: Bool[ndarray, "H W"], ignore: Bool[ndarray, "H W"]) -> float:
-    """The same with a pixel covered by the share p of its four parts: sum p r / sum min(p + r, 1); NaN for 0 / 0."""
+    """Compute the IOU with pixels covered by a share p of their four parts: sum p r / sum min(p + r, 1)."""
     parts = fine.view(np.uint8)
     quarters = (parts[::2, ::2] + parts[::2, 1::2] + parts[1::2, ::2] + parts[1::2, 1::2]) * ~ignore
     r = observed & ~ignore
@@ -65,13 +65,16 @@ def soft_iou(fine: Bool[ndarray, "H2 W2"], observed: Bool[ndarray, "H W"], ignor
 def iou_of_poses(
     mesh: Mesh, scale: float, T_cam_obj: Float[ndarray, "T 4 4"], K: Float[ndarray, "T 3 3"], masks: Masks
 ) -> MaskIou:
-    """IOU of a posed object with the observed masks, frame by frame."""
+    """Compute the IOU of a posed object with the observed masks, frame by frame."""
     posed = [Mesh(se3.transform(T, scale * mesh.vertices), mesh.faces) for T in T_cam_obj]
     return iou_of_meshes(posed, K, masks)
 
 
 def iou_of_meshes(meshes: Sequence[Mesh | None], K: Float[ndarray, "T 3 3"], masks: Masks) -> MaskIou:
-    """IOU of a mesh for each frame, in the camera frame, with the observed masks; 0 where there is no mesh."""
+    """Compute the IOU of a mesh for each frame, in the camera frame, with the observed masks.
+
+    0 where there is no mesh.
+    """
     T, H, W = masks.object.shape
     out = MaskIou(*np.full((3, T), np.nan))
     frames = np.flatnonzero(masks.observed)

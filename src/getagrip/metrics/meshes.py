@@ -29,7 +29,7 @@ from getagrip.metrics.symmetry import at_places, surface_places
 def mesh_distances(
     meshes: Sequence[Mesh | None], hand_vertices: Float[ndarray, "T V 3"], hand_faces: Int[ndarray, "F 3"]
 ) -> tuple[ContactDistances, tuple[Side, ...]]:
-    """Distances between the mesh of each frame and a hand, both in the hand frame, and the sides that can be compared.
+    """Compute distances between the mesh of each frame and a hand, both in the hand frame, and the comparable sides.
 
     In a frame without a mesh all distances are infinite. Where meshes have different numbers of vertices, ``object`` is
     padded with infinite distances; ``area`` has no points where sides cannot be compared.

@@ -65,7 +65,10 @@ class PoseErrors:
 def pose_errors(
     mesh: Mesh, predicted: ObjectTrack, true: ObjectTrack, symmetry: Float[ndarray, "4 4"] | None = None
 ) -> PoseErrors:
-    """Errors of a prediction; ``symmetry``, a map of the unscaled object onto itself, is applied to the true one."""
+    """Compute the errors of a prediction.
+
+    ``symmetry``, a map of the unscaled object onto itself, applies to the true one.
+    """
     S = np.eye(4) if symmetry is None else symmetry
     A, b = _difference(predicted, true, S)
     add = np.stack([np.linalg.norm(mesh.vertices @ M.T + c, axis=1).mean() for M, c in zip(A, b, strict=True)])
@@ -80,7 +83,7 @@ def pose_errors(
 def best_symmetry(
     mesh: Mesh, predicted: ObjectTrack, true: ObjectTrack, symmetries: Symmetries
 ) -> Float[ndarray, "4 4"]:
-    """The symmetry with the smallest ADD over the whole sequence: one for all frames, as BOP and HOT3D score videos.
+    """Return the symmetry with the smallest ADD over the whole sequence: one for all frames, as in BOP and HOT3D.
 
     Continuous rotations are sampled (36 angles; 500 rotations of a ball) and the best sample is refined by a simplex
     search, so that sampling adds no error.
@@ -114,7 +117,7 @@ def best_symmetry(
 def _difference(
     predicted: ObjectTrack, true: ObjectTrack, S: Float[ndarray, "4 4"]
 ) -> tuple[Float[ndarray, "T 3 3"], Float[ndarray, "T 3"]]:
-    """(A, b) with A x + b the displacement [m], in the frame of reference, of the unscaled object point x."""
+    """Return (A, b) with A x + b the displacement [m], in the frame of reference, of the unscaled object point x."""
     P, Q = predicted.T_ref_obj, true.T_ref_obj
     A = predicted.scale * P[:, :3, :3] - true.scale * Q[:, :3, :3] @ S[:3, :3]
     return A, P[:, :3, 3] - Q[:, :3, 3] - true.scale * Q[:, :3, :3] @ S[:3, 3]

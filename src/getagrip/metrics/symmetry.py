@@ -46,12 +46,12 @@ class Symmetries:
     centre: Float[ndarray, "3"]
 
     def about(self, angles: Float[ndarray, "*batch k"]) -> Float[ndarray, "*batch 4 4"]:
-        """The continuous rotation by the rotation vector ``angles`` [rad] in the axes' span."""
+        """Return the continuous rotation by the rotation vector ``angles`` [rad] in the axes' span."""
         R = se3.exp_so3(angles @ self.axes)
         return se3.rigid(R, self.centre - R @ self.centre)
 
     def describe(self) -> str:
-        """In words, for tables."""
+        """Describe the symmetries in words, for tables."""
         if len(self.axes) == 3:
             return "ball"
         if len(self.axes) == 1:
@@ -61,7 +61,7 @@ class Symmetries:
 
 
 def find_symmetries(mesh: Mesh) -> Symmetries:
-    """The symmetries of a mesh; at least the identity."""
+    """Find the symmetries of a mesh; at least the identity."""
     surface = _Surface(decimate(mesh, FACES))
     centre, second_moment = _moments(mesh)
     moments, axes = np.linalg.eigh(second_moment)
@@ -105,22 +105,22 @@ class _Surface:
         self._refined: dict[bytes, ndarray | None] = {}
 
     def promising(self, rotations: Float[ndarray, "n 4 4"]) -> Float[ndarray, "m 4 4"]:
-        """The rotations that deserve a closer look, by a coarse test of all of them at once."""
+        """Return the rotations that a coarse test of all of them at once does not exclude."""
         distance = self.dense.query(se3.transform(rotations, self.points[::5]))[0]
         return rotations[distance.mean(axis=1) < 3.0 * MEAN * self.mesh.diameter]
 
     def nearest(self, X: Float[ndarray, "P 3"]) -> tuple[ndarray, ndarray, ndarray]:
-        """Distances [m], nearest points and the normals there."""
+        """Return distances [m], nearest points and the normals there."""
         squared, face, nearest = self.tree.squared_distance(self.mesh.vertices, self.mesh.faces, X)
         return np.sqrt(squared), nearest, self.mesh.planes[face, :3]
 
     def fits(self, T: Float[ndarray, "4 4"]) -> bool:
-        """Whether the rotated surface lies on the resting one."""
+        """Return whether the rotated surface lies on the resting one."""
         distance = self.nearest(se3.transform(T, self.points))[0] / self.mesh.diameter
         return bool(distance.mean() < MEAN and distance.max() < WORST)
 
     def refined(self, rotation: Float[ndarray, "4 4"]) -> Float[ndarray, "4 4"] | None:
-        """The rotation at its best fit nearby, or None where that is no symmetry. Half turns are asked for twice."""
+        """Refine a rotation to its best fit nearby; None where that is no symmetry. Half turns are asked for twice."""
         if (key := rotation.tobytes()) not in self._refined:
             self._refined[key] = self._refine(rotation)
         return self._refined[key]
@@ -135,7 +135,7 @@ class _Surface:
         return T if moved < SAME and self.fits(T) else None
 
     def aligned(self, rotation: Float[ndarray, "4 4"], points: Float[ndarray, "P 3"]) -> Float[ndarray, "4 4"]:
-        """The rotation at its best fit of points to the surface (point-to-plane ICP)."""
+        """Refine a rotation to its best fit of points to the surface (point-to-plane ICP)."""
         T, size = rotation, self.mesh.diameter
         for _ in range(6):
             X = se3.transform(T, points)
@@ -150,12 +150,12 @@ class _Surface:
 
 
 def surface_points(mesh: Mesh, count: int) -> Float[ndarray, "count 3"]:
-    """Points spread evenly over a surface by area; the same ones every time."""
+    """Sample points evenly over a surface by area; the same ones every time."""
     return at_places(mesh, *surface_places(mesh, count))
 
 
 def surface_places(mesh: Mesh, count: int) -> tuple[Int[ndarray, "count"], Float[ndarray, "count 2"]]:
-    """Where ``surface_points`` are: the face of each, and how far along its first two edges."""
+    """Return the face of each of the ``surface_points``, and their position along its first two edges."""
     corners = mesh.vertices[mesh.faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     filled = np.cumsum(area)
@@ -166,7 +166,7 @@ def surface_places(mesh: Mesh, count: int) -> tuple[Int[ndarray, "count"], Float
 
 
 def at_places(mesh: Mesh, face: Int[ndarray, "n"], along: Float[ndarray, "n 2"]) -> Float[ndarray, "n 3"]:
-    """The points of a mesh at places of another one with the same faces."""
+    """Return the points of a mesh at places of another one with the same faces."""
     a, b, c = np.moveaxis(mesh.vertices[mesh.faces[face]], 1, 0)
     return np.asarray(a + along[:, :1] * (b - a) + along[:, 1:] * (c - a))
 
@@ -206,7 +206,7 @@ def _rotations(
 def _continuous(
     surface: _Surface, centre: Float[ndarray, "3"], half: Float[ndarray, "4 4"]
 ) -> tuple[Float[ndarray, "3"], Float[ndarray, "3"]] | None:
-    """The line (point, direction) of a half turn, if any rotation about it is a symmetry."""
+    """Return the line (point, direction) of a half turn, if any rotation about it is a symmetry."""
     w = se3.log_so3(half[:3, :3])
     axis = w / np.linalg.norm(w)
     point = (centre + se3.transform(half, centre[None])[0]) / 2.0  # halfway between a point and its image

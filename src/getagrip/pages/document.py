@@ -24,12 +24,15 @@ from getagrip.io import files
 TYPES = {"float32": "f", "uint16": "H", "uint32": "I", "uint8": "B"}
 """Types of the arrays in a page; ``parts/page.js`` reads these."""
 LEAST = 8
-"""Arrays begin at multiples of so many bytes, as JavaScript wants it."""
+"""Alignment of arrays in bytes, as JavaScript requires."""
 ESCAPED = {ord(letter): f"\\u{ord(letter):04x}" for letter in "<>&\u2028\u2029"}
 
 
 def document(title: str, body: str, scripts: Sequence[str], data: Mapping[str, object], asks: bool = False) -> str:
-    """The page: ``body`` and ``scripts`` are files of ``parts/``; if it ``asks``, it may load more from its server."""
+    """Build the page: ``body`` and ``scripts`` are files of ``parts/``.
+
+    If it ``asks``, it may load more from its server.
+    """
     style = _part("page.css")
     codes = [_part(name) for name in scripts]
     asking = "; connect-src 'self'" if asks else ""
@@ -54,13 +57,13 @@ def document(title: str, body: str, scripts: Sequence[str], data: Mapping[str, o
 
 
 def to_script(data: Mapping[str, object]) -> str:
-    """JSON that can stand in a script element: it holds nothing that ends or begins an element."""
+    """Write JSON that can stand in a script element: it holds nothing that ends or begins an element."""
     compact = json.dumps(json.loads(files.to_json(data)), separators=(",", ":"), ensure_ascii=True)
     return compact.translate(ESCAPED)
 
 
 def pack(arrays: Mapping[str, ndarray]) -> tuple[dict[str, dict[str, object]], str]:
-    """Where each array is (type, shape, offset in bytes), and all of them, deflated, as base64."""
+    """Pack arrays: where each is (type, shape, offset in bytes), and all of them, deflated, as base64."""
     where, parts, size = {}, [], 0
     for name, values in arrays.items():
         kind = values.dtype.name
@@ -78,5 +81,5 @@ def _part(name: str) -> str:
 
 
 def _hash(code: str) -> str:
-    """What the policy calls a script or style."""
+    """Return the policy's hash of a script or style."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(code.encode()).digest()).decode()}'"

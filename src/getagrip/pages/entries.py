@@ -12,7 +12,7 @@ import numpy as np
 from getagrip.clip import read_clip
 from getagrip.errors import GetagripError
 from getagrip.evaluation import read_with_clip
-from getagrip.fitting.methods import METHODS
+from getagrip.fitting.methods import label_of
 from getagrip.io.files import Json
 from getagrip.pictures.shown import View
 from getagrip.pictures.stored_results import StoredResult, at_common_frames, distinct, hand_alone, true_view
@@ -47,7 +47,7 @@ class Entry:
     clips: Path | None = None
 
     def read(self) -> list[Column]:
-        """A column for each result, at the frames that all of them have, without masks. Raises ``InputError``."""
+        """Read a column for each result, at the frames that all of them have, without masks. Raises ``InputError``."""
         if self.clip is not None:
             clip = read_clip(self.clip)
             return [
@@ -60,8 +60,8 @@ class Entry:
 
 
 def labels(views: Sequence[View], folders: Sequence[str]) -> list[str]:
-    """The results' methods; where these agree, also the folders that tell the results apart."""
-    named = [METHODS[v.result.method].label if v.result.method in METHODS else v.result.method for v in views]
+    """Return the results' methods; where these agree, also the folders that tell the results apart."""
+    named = [label_of(v.result.method) for v in views]
     return [
         label if named.count(label) == 1 else f"{label} ({folder})"
         for label, folder in zip(named, folders, strict=True)
@@ -71,7 +71,7 @@ def labels(views: Sequence[View], folders: Sequence[str]) -> list[str]:
 def entries(
     results: Sequence[Path], clip_folders: Sequence[Path], clips: Path | None, fail: Callable[[Exception], None]
 ) -> list[Entry]:
-    """Results of the same clip and inputs make one entry: the serious ones first, then by mean IOU; clips follow.
+    """Group results of the same clip and inputs: the serious ones first, then by mean IOU; clips follow.
 
     Those that cannot be read go to ``fail``.
     """
@@ -90,7 +90,7 @@ def entries(
 
 
 def badness(results: Sequence[Reconstruction]) -> tuple[bool, float]:
-    """Sorts the worst first: whether nothing serious is found, then the lowest mean IOU."""
+    """Return a key that sorts the worst first: whether nothing serious is found, then the lowest mean IOU."""
     serious = any(finding.serious for result in results for finding in result.findings)
     return not serious, min(_iou(result) for result in results)
 

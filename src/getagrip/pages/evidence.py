@@ -1,4 +1,4 @@
-"""What speaks for and against each of a result's candidates: its energy, and numbers that the energy did not decide."""
+"""The evidence for and against each of a result's candidates: its energy, and numbers that did not decide."""
 
 from __future__ import annotations
 
@@ -70,7 +70,10 @@ QUESTIONS = (
 
 
 def numbers(view: View) -> list[Numbers]:
-    """The numbers about each candidate of a result, best energy first; ``view`` is at the frames to compare in."""
+    """Compute the numbers about each candidate of a result, best energy first.
+
+    ``view`` is at the frames to compare in.
+    """
     true, candidates = view.true(), view.result.candidates
     lowest = float(candidates.energy.min())
     out = []
@@ -88,7 +91,7 @@ def numbers(view: View) -> list[Numbers]:
         mean, deep, far, stable = (float("nan"),) * 4
         if view.masks is not None and np.isfinite(iou).any():
             grasp = Evidence(view.clip, view.masks, T_hand_obj, track.scale, iou)
-            findings = examine(RESULT_CHECKS, grasp)[1]
+            findings = examine(RESULT_CHECKS.working().values(), grasp)[1]
             mean, deep, far = float(np.nanmean(iou)), penetration(grasp), gap(grasp)
             stable = stable_contact_area(pairwise_iou(grasp.to_object <= TOUCHING))
         excess = float(energy) / lowest - 1.0 if lowest > 0.0 else float("nan")
@@ -97,7 +100,7 @@ def numbers(view: View) -> list[Numbers]:
 
 
 def compared(view: View) -> dict[str, object]:
-    """A table of all candidates, and what speaks for and against each, as the page shows them."""
+    """Make a table of all candidates, and the arguments for and against each, as the page shows them."""
     known = numbers(view)
     rows = [[str(rank + 1), *_cells(it)] for rank, it in enumerate(known)]
     columns = [k for k in range(len(HEAD)) if any(row[k] for row in rows)]
@@ -111,13 +114,13 @@ def compared(view: View) -> dict[str, object]:
 
 
 def _cells(it: Numbers) -> list[str]:
-    """A candidate's line, under all but the first of ``HEAD``; empty where a number is not known."""
+    """Return a candidate's line, under all but the first of ``HEAD``; empty where a number is not known."""
     values = (it.energy, 100 * it.iou, it.gap, it.depth, 100 * it.sca, it.add)
     return ["" if np.isnan(v) else f"{v:.{d}f}" for v, d in zip(values, (0, 1, 1, 1, 0, 1), strict=True)]
 
 
 def arguments(all_of_them: Sequence[Numbers], rank: int) -> tuple[list[str], list[str]]:
-    """What speaks for a candidate, and what against it, in words: compared with the others, and by the checks."""
+    """Return the arguments for a candidate, and those against it: compared with the others, and by the checks."""
     it = all_of_them[rank]
     pro, con = [], [str(finding) for finding in it.findings]
     for question in QUESTIONS:

@@ -21,7 +21,10 @@ PICTURE, QUALITY = 480, 78
 
 
 def drawn(view: View, n: int, crops: Crops, k: int) -> dict[str, object]:
-    """Frame ``n`` in window ``k``: the image, and the contours of the object, the hands, the truth and the mask."""
+    """Draw frame ``n`` in window ``k``.
+
+    The image, and the contours of the object, the hands, the truth and the mask.
+    """
     outlines = {"hand": _contour(view.hands(n), view, n, crops, k)}
     if view.posed:
         outlines["object"] = outline(view, n, crops, k)
@@ -34,7 +37,7 @@ def drawn(view: View, n: int, crops: Crops, k: int) -> dict[str, object]:
 
 
 def outline(view: View, n: int, crops: Crops, k: int) -> str:
-    """The contour of the posed object."""
+    """Return the contour of the posed object."""
     return _contour([(view.object(n), view.clip.mesh.faces)], view, n, crops, k)
 
 
@@ -44,7 +47,7 @@ def _contour(surfaces: Iterable[Surface], view: View, n: int, crops: Crops, k: i
 
 
 def jpeg(picture: UInt8[ndarray, "H W 3"], quality: int) -> str:
-    """An RGB picture as JPEG, in base64."""
+    """Encode an RGB picture as JPEG, in base64."""
     done, content = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not done:
         raise GetagripError(f"a picture of {picture.shape[1]}x{picture.shape[0]} px could not be written as JPEG")
@@ -52,7 +55,7 @@ def jpeg(picture: UInt8[ndarray, "H W 3"], quality: int) -> str:
 
 
 def paths(lines: Iterable[Float[ndarray, "_n 2"]]) -> str:
-    """Closed lines as SVG draws them, without points that hardly change them."""
+    """Write closed lines as SVG paths, without points that hardly change them."""
     out = []
     for line in lines:
         kept = cv2.approxPolyDP(line.astype(np.float32)[:, None], 0.3, closed=True)[:, 0]

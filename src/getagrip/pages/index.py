@@ -1,4 +1,4 @@
-"""The page of many results: as a table or a gallery, worst first by any metric, filtered by what is doubted."""
+"""The page of many results: as a table or a gallery, worst first by any metric, filtered by findings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from getagrip import __version__
 from getagrip.errors import legible
 from getagrip.evaluation.metric import METRICS, Metric
 from getagrip.evaluation.results import Evaluation
-from getagrip.fitting.methods import method_of
+from getagrip.fitting.methods import label_of
 from getagrip.io import files
 from getagrip.pages.document import document
 from getagrip.pages.frames import jpeg
@@ -29,7 +29,7 @@ from getagrip.result import Reconstruction
 
 THUMBNAIL, QUALITY = 220, 72
 """Side of each of the two pictures of a result [px], and their JPEG quality."""
-PENETRATION = next(metric for metric in METRICS if metric.name == "penetration_object_mm")
+PENETRATION = METRICS["penetration_object_mm"]
 COLUMNS: Mapping[str, Metric] = {**MAIN, "penetration": PENETRATION}
 """Metrics of the index beside the IOU, each under a short name."""
 
@@ -39,15 +39,15 @@ class IndexRow:
     """A result in the index; where it could not be read, only where it is and why."""
 
     folder: str
-    """Where it is, below the index."""
+    """Path below the index."""
     problem: str = ""
     page: bool = False
-    """Whether it has a page."""
+    """True if it has a page."""
     clip: str = ""
     method: str = ""
     status: str = ""
     flags: tuple[str, ...] = ()
-    """What speaks against it: failed, left (not done yet), misfit, serious, note, ambiguous, guess."""
+    """Flags against it: failed, left (not done yet), misfit, serious, note, ambiguous, guess."""
     warnings: tuple[str, ...] = ()
     """Its findings, in words."""
     values: dict[str, float] = field(default_factory=dict)
@@ -57,12 +57,12 @@ class IndexRow:
 
     @property
     def kind(self) -> str:
-        """Whether it is a result, or of a clip that has failed or is left to be done."""
+        """Kind of the row: a result, or a clip that has failed or is left to be done."""
         return next((kind for kind in ("failed", "left") if kind in self.flags), "results")
 
 
 def row(folder: str, view: View, evaluation: Evaluation, page: bool) -> IndexRow:
-    """A result's row; its thumbnail shows the frame of the lowest IOU."""
+    """Make a result's row; its thumbnail shows the frame of the lowest IOU."""
     result = view.result
     known = not np.isnan(result.iou).all()
     worst = int(np.nanargmin(result.iou)) if known else 0
@@ -76,7 +76,7 @@ def row(folder: str, view: View, evaluation: Evaluation, page: bool) -> IndexRow
 def row_without_clip(
     folder: str, result: Reconstruction, metrics: Mapping[str, object], problem: str, page: bool = False
 ) -> IndexRow:
-    """The row of a result whose clip is not read: with the metrics of its ``result.json``, and why there are no more.
+    """Make the row of a result whose clip is not read: the metrics of its ``result.json``, and why there are no more.
 
     So it is with results of inputs that a benchmark has changed on purpose, and of batches.
     """
@@ -99,7 +99,7 @@ def _row(folder: str, result: Reconstruction, metrics: Mapping[str, float]) -> I
     return IndexRow(
         folder=folder,
         clip=result.clip,
-        method=method_of(result.method).label,
+        method=label_of(result.method),
         status=result.message,
         flags=tuple(name for name, holds in flags.items() if holds),
         warnings=tuple(str(finding) for finding in result.findings),
@@ -153,7 +153,10 @@ def write_index(
 
 
 def _sets(folders: Sequence[str]) -> list[str]:
-    """The folder that each result shares with others, such as its method's in a benchmark; "" where all share one."""
+    """Return the folder that each result shares with others, such as its method's in a benchmark.
+
+    It is "" where all share one.
+    """
     parents = [PurePosixPath(folder).parent for folder in folders]
     shared = PurePosixPath(commonpath(parents)) if parents else PurePosixPath()
     names = [parent.relative_to(shared).as_posix() for parent in parents]

@@ -22,7 +22,9 @@ FOLLOWED = 0.35
 
 
 def fixed(view: View, surface: Mesh) -> dict[str, ndarray]:
-    """Arrays by their names, as ``parts/viewer.js`` reads them: metres, and poses as 4x4 matrices, of all frames.
+    """Return arrays by their names, as ``parts/viewer.js`` reads them.
+
+    Metres, and poses as 4x4 matrices, of all frames.
 
     ``object_vertices`` are of the mesh as it is, to be scaled by ``scale``, one for each candidate, as ``T_hand_obj``
     and ``axis`` are. ``other_hand_known`` is 1 in the frames of the other hand. ``focus`` is where to look, in the
@@ -49,6 +51,8 @@ def fixed(view: View, surface: Mesh) -> dict[str, ndarray]:
         out["axis"] = np.stack([_axis(one) for one in each])
     if clip.world is not None:
         out["T_world_cam"] = clip.world.T_world_cam
+        if clip.world.up is not None:
+            out["world_up"] = clip.world.up
     if clip.truth is not None and not view.of_truth:
         out |= {"true_T_cam_obj": clip.truth.T_cam_obj, "true_scale": np.array([clip.truth.scale])}
         out["true_T_cam_hand"] = clip.truth.T_cam_hand
@@ -56,7 +60,7 @@ def fixed(view: View, surface: Mesh) -> dict[str, ndarray]:
 
 
 def moving(view: View, surface: Mesh) -> dict[str, ndarray]:
-    """Arrays with one block for each frame: hands in their own frames, and how near the surfaces are to each other.
+    """Return arrays with one block for each frame: hands in their own frames, and the closeness of the surfaces.
 
     ``object_near``, ``hand_near`` and ``other_hand_near`` go from 0, at ``REACH`` or farther, to 1, touching or inside.
     """
@@ -93,12 +97,12 @@ def _near(distance: Float[ndarray, "T V"]) -> Float[ndarray, "T V"]:
 
 
 def _axis(view: View) -> Float[ndarray, "2 3"]:
-    """The ends of the latent axis in the hand frame; NaN where it is not known."""
+    """Return the ends of the latent axis in the hand frame; NaN where it is not known."""
     return np.full((2, 3), np.nan) if view.result.axis is None else axis_points(view)[[0, -1]]
 
 
 def _middle(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "3"]:
-    """Of the bounding box."""
+    """Return the middle of the bounding box."""
     return np.asarray((vertices.min(axis=0) + vertices.max(axis=0)) / 2.0)
 
 

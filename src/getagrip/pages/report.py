@@ -1,4 +1,4 @@
-"""The page of one result: it plays in 3D and over its images, with its metrics, its guesses and what is doubted."""
+"""The page of one result: it plays in 3D and over its images, with metrics, assumptions and findings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_CAM_MM, ADD_SYM_MM, ROTATION_SYM, SCA, Metric
 from getagrip.evaluation.results import Evaluation
-from getagrip.fitting.methods import method_of
+from getagrip.fitting.methods import label_of
 from getagrip.io import files
 from getagrip.io.files import Json
 from getagrip.metrics.contact import ContactDefinition
@@ -33,7 +33,7 @@ FRAMES = 120
 """Frames that a page plays, at most; of longer clips as many, evenly sampled, and the worst."""
 SCRIPTS = ("page.js", "scene.js", "viewer.js", "plots.js", "sources.js", "columns.js", "report.js")
 CONTACT = ContactDefinition("object", 0.010)
-"""Of stable contact among the main metrics."""
+"""Definition of contact of SCA among the main metrics."""
 MAIN: Mapping[str, Metric] = {
     "ADD": ADD_MM, "ADD sym.": ADD_SYM_MM, "in the camera": ADD_SYM_CAM_MM, "rotation sym.": ROTATION_SYM,
     f"SCA {CONTACT.distance}": SCA,
@@ -49,7 +49,7 @@ def write_page(view: View, evaluation: Evaluation, record: Json, path: Path) -> 
     ``evaluation`` is what ``evaluate`` gives for it, ``record`` the content of its ``result.json``. Raises
     ``InputError`` for an image that cannot be read, ``UsageError`` for an unknown method.
     """
-    view, label = coarse(view), method_of(view.result.method).label
+    view, label = coarse(view), label_of(view.result.method)
     shown = _shown(view)
     some = view.at([view.result.frames[n] for n in shown])
     surface, crops = finer(some), steady_windows(some, PICTURE)
@@ -73,7 +73,7 @@ def write_page(view: View, evaluation: Evaluation, record: Json, path: Path) -> 
 
 
 def _shown(view: View) -> Int[ndarray, "n"]:
-    """The frames that are played."""
+    """Return the frames that are played."""
     T, iou = len(view.result.frames), view.result.iou
     chosen = {int(n) for n in np.linspace(0, T - 1, min(T, FRAMES)).round()}
     if not np.isnan(iou).all():
@@ -82,7 +82,7 @@ def _shown(view: View) -> Int[ndarray, "n"]:
 
 
 def over_time(view: View, shown: Int[ndarray, "n"]) -> Json:
-    """What all results of a page share: the times of all frames, which of them are shown, and the segments."""
+    """Return what all results of a page share: the times of all frames, which of them are shown, and the segments."""
     names, kinds = view.result.frames, view.result.frame_kind
     return {
         "clip": view.clip.name,
@@ -99,7 +99,7 @@ def over_time(view: View, shown: Int[ndarray, "n"]) -> Json:
 
 
 def described(view: View, label: str, evaluation: Evaluation, record: Json) -> Json:
-    """What the page says of a result."""
+    """Return the page's fields of a result."""
     return {
         **_summary(view, label, record),
         "main": [
@@ -113,7 +113,7 @@ def described(view: View, label: str, evaluation: Evaluation, record: Json) -> J
 
 
 def _summary(view: View, label: str, record: Json) -> Json:
-    """What the page says in words."""
+    """Return the page's text."""
     result, clip = view.result, view.clip
     hand = f"a {clip.side} hand" if clip.other_hand is None else "both hands"
     return {
@@ -129,12 +129,12 @@ def _summary(view: View, label: str, record: Json) -> Json:
 
 
 def _segments(result: Reconstruction) -> list[str]:
-    """What the object of a timeline does, and how well each segment meets its masks."""
+    """Say what the object of a timeline does, and how well each segment meets its masks."""
     out = []
     for segment in result.segments:
         met = "" if segment.iou is None else f", IOU {segment.iou:.2f}"
         side = f" ({segment.side} hand)" if segment.side else ""
-        how = ", followed by the masks only" if segment.by_masks else ""
+        how = ", tracked by the masks only" if segment.by_masks else ""
         if segment.state == "grasp":
             how += f", probability right {segment.probability_right or 'unknown'}"
         out.append(f"{segment.state}{side}: frames {segment.first} to {segment.last}{met}{how}")
@@ -150,7 +150,7 @@ def _probably(result: Reconstruction) -> list[dict[str, str]]:
 
 
 def _in_short(result: Reconstruction) -> list[str]:
-    """What that means, as a note."""
+    """Explain the meaning, as a note."""
     return [f"probability: {RIGHT}"] * bool(meanings(result))
 
 
@@ -160,7 +160,7 @@ def _met(result: Reconstruction) -> list[dict[str, str]]:
 
 
 def _main(metrics: Mapping[str, float], of_grasps: bool) -> list[dict[str, str]]:
-    """The main metrics that are known."""
+    """Return the main metrics that are known."""
     out = []
     for name, metric in MAIN.items():
         if (value := metrics.get(metric.key(CONTACT))) is not None and not np.isnan(value):
@@ -189,7 +189,7 @@ def _plots(view: View, per_frame: Mapping[str, Sequence[float]]) -> list[dict[st
 
 
 def gap_plot(values: Float[ndarray, "T"]) -> Json:
-    """The curve that takes time, of distances [m]."""
+    """Compute the curve of distances [m], which takes time."""
     line = _line("gap", 1e3 * values, HAND_LINE)
     return {"title": "gap of hand and object", "unit": "mm", "lines": [line], "upTo": (0, 0)}
 

@@ -1,4 +1,4 @@
-"""What a served page asks for: the entries, and of each its results, frame by frame."""
+"""The answers of a served page: the entries, and the results of each, frame by frame."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Shown:
         return Shown(column, view, finer(view))
 
     def about(self) -> Json:
-        """What is the same in all frames."""
+        """Return what is the same in all frames."""
         metrics = {k: float(v) for k, v in self.column.record.get("metrics", {}).items() if isinstance(v, int | float)}
         arrays, packed = pack(motion.fixed(self.view, self.surface))
         known = Evaluation.recorded(self.view.clip, self.view.result.method, metrics)
@@ -61,13 +61,13 @@ class Shown:
         return {**said, **more, "arrays": arrays, "packed": packed}
 
     def frame(self, rank: int, n: int) -> dict[str, object]:
-        """A frame with one of the candidates."""
+        """Return a frame with one of the candidates."""
         view = candidate(self.at(np.array([n])), rank)
         arrays, packed = pack(motion.moving(view, self.surface))
         return {**drawn(view, 0, self.windows, n), "arrays": arrays, "packed": packed}
 
     def at(self, index: Int[ndarray, "n"], with_hand: bool = False) -> View:
-        """Some frames, with the masks of the object, and of the hand if wanted."""
+        """Return some frames, with the masks of the object, and of the hand if wanted."""
         some = self.view.at([self.view.result.frames[n] for n in index])
         return replace(some, masks=masks_of_some(some.clip, with_hand))
 
@@ -111,12 +111,12 @@ class Library:
             return False
 
     def page(self) -> bytes:
-        """The page, which asks for all else."""
+        """Return the page, which asks for all else."""
         data = {"entries": [entry.label for entry in self.entries], "first": self.first}
         return document("getagrip view", "viewer.html", SCRIPTS, data, asks=True).encode()
 
     def entry(self, n: int) -> dict[str, object]:
-        """All that is the same in all frames of an entry."""
+        """Return all that is the same in all frames of an entry."""
 
         def made() -> dict[str, object]:
             columns = self._opened(n)
@@ -126,11 +126,11 @@ class Library:
         return self._frames.submit(made).result()
 
     def frame(self, n: int, column: int, rank: int, frame: int) -> dict[str, object]:
-        """A frame of a column, with one of the candidates in the result's place."""
+        """Return a frame of a column, with one of the candidates in the result's place."""
         return self._frames.submit(lambda: self._opened(n)[column].frame(rank, frame)).result()
 
     def gap(self, n: int, column: int) -> dict[str, object]:
-        """The curve of a column that takes time."""
+        """Return the curve of a column that takes time."""
         view = self._shown(n, column).view
         if not view.posed:
             return {}
@@ -139,7 +139,7 @@ class Library:
         return gap_plot(np.concatenate([self._measured.submit(gap, part).result() for part in parts]))
 
     def candidates(self, n: int, column: int) -> dict[str, object]:
-        """What speaks for and against the candidates of a column."""
+        """Return the evidence for and against the candidates of a column."""
         shown = self._shown(n, column)
         return self._measured.submit(lambda: compared(shown.at(shown.sampled, with_hand=True))).result()
 

@@ -23,14 +23,14 @@ from getagrip.io.serving import LOOPBACK, OF_PAGE, Handler, QuietServer
 from getagrip.pages.served import Library
 
 PORT = 8770
-"""Where the page is served, if that is free."""
+"""Port of the page, if that is free."""
 ASKED: dict[str, tuple[Callable[..., dict[str, Any]], int]] = {
     "entry": (Library.entry, 1),
     "frame": (Library.frame, 4),
     "gap": (Library.gap, 2),
     "candidates": (Library.candidates, 2),
 }
-"""What a path may ask for, and by how many numbers."""
+"""Paths that may be asked for, and the number of numbers in each."""
 
 
 class Server(QuietServer):
@@ -53,11 +53,11 @@ class Server(QuietServer):
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """Address of the page."""
         return f"http://{self.host}:{self.server_port}/{self.secret}/"
 
     def admits(self, host: str) -> bool:
-        """Whether a request names this machine: by an address, or as the user did."""
+        """Return whether a request names this machine: by an address, or as the user did."""
         name = re.sub(r":\d{1,5}$", "", host)
         if name in (self.host, "localhost"):
             return True
@@ -92,7 +92,7 @@ class _Handler(Handler):
             self._refuse(f"{type(error).__name__}: {error}", HTTPStatus.INTERNAL_SERVER_ERROR)
 
     def _below_secret(self) -> str | None:
-        """What follows the secret in the path, without a query."""
+        """Return the part of the path behind the secret, without a query."""
         first, _, rest = self.path.partition("?")[0].removeprefix("/").partition("/")
         return rest if secrets.compare_digest(first.encode(), self.server.secret.encode()) else None
 

@@ -1,4 +1,4 @@
-"""What the page of a result says in tables that are folded at first: everything that is known but not shown above."""
+"""The folded tables on the page of a result: everything that is known but not shown above."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS
+from getagrip.checks import input_checks, result_checks
 from getagrip.checks.of_timeline import JUMP
 from getagrip.evaluation.metric import METRICS, Metric
 from getagrip.evaluation.results import Evaluation
@@ -15,15 +15,14 @@ from getagrip.metrics.contact import CONTACT_DEFINITIONS
 from getagrip.pictures.shown import View
 from getagrip.result import Reconstruction
 
-CHECKS = {check.name: check for check in (*INPUT_CHECKS, *RESULT_CHECKS, JUMP)}
 SAID = {"iou": "iou, in the crop", "iou_soft": "iou_soft, in the crop"}
 """Metrics whose keys could be taken for the IOU at the top of the page."""
 
 
 def tables(view: View, evaluation: Evaluation, record: Json) -> list[dict[str, object]]:
-    """Tables as ``parts/report.js`` reads them: a title, names of columns or none, and rows of texts."""
+    """Return tables as ``parts/report.js`` reads them: a title, names of columns or none, and rows of texts."""
     result = view.result
-    known = {metric.key(contact): metric for metric in METRICS for contact in CONTACT_DEFINITIONS}
+    known = {metric.key(contact): metric for metric in METRICS.working().values() for contact in CONTACT_DEFINITIONS}
     values = [
         [f"{SAID.get(key, key)}{where}", f"{known[key].text(value)}{unit_of(known[key])}"]
         for metrics, where in ((evaluation.metrics, ""), (evaluation.metrics_of_grasps, ", in grasps"))
@@ -45,22 +44,23 @@ def tables(view: View, evaluation: Evaluation, record: Json) -> list[dict[str, o
 
 
 def meanings(result: Reconstruction) -> dict[str, str]:
-    """What its probabilities mean, at length, by where; of a timeline, that of its grasps."""
+    """Explain its probabilities at length, by where; of a timeline, that of its grasps."""
     of_grasps = [segment.probability_right for segment in result.segments if segment.probability_right is not None]
     known = [*result.probabilities.items(), *(("in the hand", right) for right in of_grasps[:1])]
     return {f"right {where}": right.meaning for where, right in known}
 
 
 def unit_of(metric: Metric) -> str:
-    """A metric's unit as it follows a number."""
+    """Return a metric's unit as it follows a number."""
     return "°" if metric.unit == "deg" else f" {metric.unit}"
 
 
 def _checked(checks: Mapping[str, float]) -> list[list[str]]:
-    """What each check has measured, what is usual, and what it says; of an unknown one the value alone."""
+    """Return each check's value, its limits and its verdict; for an unknown one the value alone."""
+    known = {check.name: check for check in (*input_checks(), *result_checks(), JUMP)}
     out = []
     for name, value in checks.items():
-        check = CHECKS.get(name)
+        check = known.get(name)
         if check is None:
             out.append([name, f"{value:.3g}", "", ""])
         else:

@@ -16,7 +16,7 @@ from getagrip.result import Axis
 
 
 def candidate(view: View, rank: int) -> View:
-    """The result for rank 0; else the candidate, with the axis that fits its poses best, and without an IOU."""
+    """Return the result for rank 0; else the candidate, with the axis that fits its poses best, and without an IOU."""
     if rank == 0:
         return view
     found = view.result
@@ -30,7 +30,10 @@ def candidate(view: View, rank: int) -> View:
 
 
 def hinge(T_hand_obj: Float[ndarray, "T 4 4"], vertices: Float[ndarray, "V 3"]) -> Axis | None:
-    """The axis about which poses turn best (Eq. 4), with the angles from the first frame on; None for a single pose."""
+    """Fit the axis about which poses turn best (Eq. 4), with the angles from the first frame on.
+
+    None for a single pose.
+    """
     if len(T_hand_obj) < 2:
         return None
     centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2.0

@@ -1,4 +1,4 @@
-"""What of a result changes over time: the object's angle in the hand, and the times of the frames."""
+"""Curves of a result over time: the object's angle in the hand, and the times of the frames."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ class AngleCurve:
     """An angle of the object in each of T frames [rad], of the result and, where it is known, of the ground truth."""
 
     title: str
-    """What angle it is."""
+    """Name of the angle."""
     found: Float[ndarray, "T"]
     true: Float[ndarray, "T"] | None
 
 
 def seconds(view: View) -> Float[ndarray, "T"]:
-    """Times of the frames since the first."""
+    """Return the times of the frames since the first."""
     times = view.clip.time[view.clip.index_of(view.result.frames)]
     return np.asarray(times - times[0])
 
 
 def angle_curve(view: View) -> AngleCurve:
-    """The angle about the axis, less its mean; or, without an axis, of the rotation since the first frame."""
+    """Return the angle about the axis, less its mean; or, without an axis, of the rotation since the first frame."""
     result, truth = view.result, view.clip.truth
     true = None if truth is None else (se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj)[:, :3, :3]
     if result.axis is None:

@@ -1,4 +1,4 @@
-"""How far hand and object are apart, as reports and ``view`` show it."""
+"""The distance of hand and object, as reports and ``view`` show it."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from getagrip.metrics.contact import close_holes, moving_distance
 from getagrip.pictures.shown import View
 
 FACES = 20_000
-"""Larger meshes are decimated to about so many faces."""
+"""Number of faces to which larger meshes are decimated, about."""
 VERTICES = 6_000
-"""Coarse ones are given about so many vertices, so that an edge inside the hand has some."""
+"""Least number of vertices of a mesh, about, so that an edge inside the hand has some."""
 REACH = 0.03
 """The object's vertices count within this distance of the hand [m]; beyond, the hand's alone are near enough."""
 
 
 def coarse(view: View) -> View:
-    """The same with a mesh of at most about ``FACES`` faces."""
+    """Return the view with a mesh of at most about ``FACES`` faces."""
     return replace(view, clip=replace(view.clip, mesh=decimate(view.clip.mesh, FACES)))
 
 
 def gap(view: View) -> Float[ndarray, "T"]:
-    """The smallest signed distance [m] of either hand and the object in each frame; below 0 they penetrate each other.
+    """Compute the smallest signed distance [m] of either hand and the object in each frame; below 0 they penetrate.
 
     It is the least over the hand's vertices, to the object, and the object's, to the hand. Of a mesh with more than
     ``FACES`` faces it is to be that of ``coarse``.
@@ -41,7 +41,7 @@ def gap(view: View) -> Float[ndarray, "T"]:
 
 
 def _of_own_hand(view: View) -> Float[ndarray, "T"]:
-    """Of the clip's own hand."""
+    """Compute the gap of the clip's own hand."""
     T_hand_obj, hand = view.result.T_hand_obj, view.clip.hand
     grasped = Mesh(view.result.scale * view.clip.mesh.vertices, view.clip.mesh.faces)
     surface, faces = close_holes(grasped.vertices, grasped.faces)

@@ -26,7 +26,7 @@ class Eye:
 
 
 def looking(points: Float[ndarray, "n 3"], side: Float[ndarray, "3"], up: Float[ndarray, "3"], size: int) -> Eye:
-    """A camera that sees all the points from the direction ``side``, with ``up`` upwards; neither need be of length 1.
+    """Place a camera that sees all the points from the direction ``side``, with ``up`` upwards, of any length.
 
     Where ``up`` is along ``side``, or either is zero, another direction takes its place.
     """
@@ -45,11 +45,11 @@ def looking(points: Float[ndarray, "n 3"], side: Float[ndarray, "3"], up: Float[
 
 
 def _across(v: Float[ndarray, "3"], along: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
-    """The part of a vector that is perpendicular to a unit vector."""
+    """Return the part of a vector that is perpendicular to a unit vector."""
     return np.asarray(v - (v @ along) * along)
 
 
 def _unit(v: Float[ndarray, "3"], instead: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
-    """A vector at length 1; that of another where it is almost zero."""
+    """Normalise a vector; that of another where it is almost zero."""
     length = float(np.linalg.norm(v))
     return np.asarray(v / length if length > 1e-9 else instead / np.linalg.norm(instead))

@@ -87,7 +87,7 @@ def _draw(
 
 
 def _square(axes: Axes, begin: int, end: int, frames: int, words: str) -> None:
-    """A square on the diagonal, and how long it lasts: in its corner, or beside it where it is small but not tiny."""
+    """Draw a square on the diagonal, with its duration in its corner, or beside it where it is small but not tiny."""
     x, y = np.array([begin, end, end, begin, begin]), np.array([begin, begin, end, end, begin])
     axes.plot(x, y, color="white", linewidth=3.0, alpha=0.8, solid_joinstyle="miter", clip_on=False)
     axes.plot(x, y, color=FOUND, linewidth=1.5, solid_joinstyle="miter", clip_on=False)

@@ -11,7 +11,7 @@ import numpy as np
 
 from getagrip.clip import Clip, Masks, check_masks
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, ROTATION_SYM
-from getagrip.fitting.methods import method_of
+from getagrip.fitting.methods import label_of
 from getagrip.io import files
 from getagrip.pictures.curves import angle_curve, seconds
 from getagrip.pictures.shown import View
@@ -51,7 +51,7 @@ def write_report(
 def report_figure(
     result: Reconstruction, clip: Clip, masks: Masks | None, metrics: Mapping[str, float] | None = None
 ) -> Figure:
-    """The picture as a matplotlib figure: three rows of tiles, one tile per frame shown, above two plots over time.
+    """Draw the report as a matplotlib figure: three rows of tiles, one tile per frame shown, above two plots over time.
 
     ``clip`` and ``masks`` may have more frames than the result. ``metrics`` are those of ``evaluate``; those in
     ``SHOWN`` are shown if given. Images are read from the clip's folder where it has them; without images the masks are
@@ -109,7 +109,7 @@ def _title(figure: Figure, view: View, metrics: Mapping[str, float], x: float, y
     result, clip = view.result, view.clip
     title = figure.text(x, y, clip.name, fontsize=15, fontweight="bold", va="top")
     facts = [
-        method_of(result.method).label,
+        label_of(result.method),
         view.frames_in_words,
         f"{clip.side} hand" if clip.other_hand is None else "both hands",
         *view.size_in_words,

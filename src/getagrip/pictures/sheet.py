@@ -29,7 +29,7 @@ class Sheet:
 
     @staticmethod
     def of(width: float, height: float, dpi: int) -> Sheet:
-        """An empty one; its size is rounded up to whole pixels."""
+        """Make an empty sheet; its size is rounded up to whole pixels."""
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
@@ -39,24 +39,24 @@ class Sheet:
         return Sheet(figure, width, height, dpi)
 
     def pixels(self, inches: float) -> int:
-        """Pixels of a length."""
+        """Return the pixels of a length."""
         return round(inches * self.dpi)
 
     def axes(self, x: float, top: float, width: float, height: float) -> Axes:
-        """Axes at a place."""
+        """Add axes at a place."""
         return self.figure.add_axes(
             (x / self.width, 1.0 - (top + height) / self.height, width / self.width, height / self.height)
         )
 
     def tile(self, x: float, top: float, side: float, size: int | None = None) -> Axes:
-        """Square axes without ticks, which count pixels of a picture of ``size`` (default: the tile's own)."""
+        """Add square axes without ticks, which count pixels of a picture of ``size`` (default: the tile's own)."""
         size = size or self.pixels(side)
         axes = self.axes(x, top, side, side)
         axes.set(xticks=[], yticks=[], xlim=(0, size), ylim=(size, 0), facecolor=PAPER)
         return axes
 
     def text(self, x: float, top: float, words: str, within: float = np.inf, **style: Any) -> None:
-        """Words at a place, as they are: a dollar sign in a name begins no formula.
+        """Write words at a place, as they are: a dollar sign in a name begins no formula.
 
         Words that are wider than ``within`` [in] are shortened in the middle: names of clips differ at their ends.
         """
@@ -68,12 +68,12 @@ class Sheet:
             text.set_text(f"{words[: (kept + 1) // 2].rstrip()}...{words[len(words) - kept // 2 :].lstrip()}")
 
     def title(self, words: str, under: str) -> None:
-        """What the figure shows, and a line under it; ``HEAD`` is their height."""
+        """Write the title, and a line under it; ``HEAD`` is their height."""
         self.text(0.25, 0.17, words, self.width - 0.4, fontsize=13, fontweight="bold")
         self.text(0.25, 0.47, under, self.width - 0.4, fontsize=9.5, color=FAINT)
 
     def legend(self, x: float, top: float, entries: Sequence[tuple[str, str]], style: str = "line") -> None:
-        """Colours and what each means, side by side: as lines, dots or squares."""
+        """Draw colours and the meaning of each, side by side: as lines, dots or squares."""
         from matplotlib.lines import Line2D
 
         looks: dict[str, dict[str, Any]] = {
@@ -91,6 +91,6 @@ class Sheet:
 
 
 def frame(axes: Axes, colour: str = LINE, width: float = 0.8) -> None:
-    """A border of a colour around axes."""
+    """Draw a border of a colour around axes."""
     for spine in axes.spines.values():
         spine.set(edgecolor=colour, linewidth=width)

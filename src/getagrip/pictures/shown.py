@@ -1,4 +1,4 @@
-"""What pictures show: a result with its clip and its masks, at the same frames."""
+"""The view that pictures show: a result with its clip and its masks, at the same frames."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ from getagrip.result import Reconstruction
 
 @dataclass(frozen=True)
 class View:
-    """A result with its clip and masks at the result's frames; the clip's hand is where the result has it, and its mesh
-    of the shape that the result has found.
+    """A result with its clip and masks at the result's frames.
+
+    The clip's hand has the result's poses, and its mesh the result's shape.
     """
 
     clip: Clip
@@ -30,9 +31,9 @@ class View:
     input_mesh: Mesh | None = None
     """The mesh as it was given, which the ground truth poses; None where it is the clip's."""
     of_truth: bool = False
-    """Whether the result is the clip's ground truth, given its form (``true_view``)."""
+    """True if the result is the clip's ground truth, given its form (``true_view``)."""
     posed: bool = True
-    """Whether the object's poses are known; else there is the hand alone (``hand_alone``)."""
+    """True if the object's poses are known; else there is the hand alone (``hand_alone``)."""
 
     @property
     def frames_in_words(self) -> str:
@@ -43,23 +44,26 @@ class View:
 
     @property
     def size_in_words(self) -> list[str]:
-        """What is known, and what guessed, of the object's size and shape."""
+        """Knowledge and assumptions about the object's size and shape."""
         size = f"scale {self.result.scale:.3f} is a guess" if self.clip.scale == "free" else "scale known"
         return [size, *["shape is a guess"] * (self.result.warp is not None)]
 
     def called(self, segment: Segment) -> tuple[str, ...]:
-        """What a segment is called, and what else where there is less room."""
+        """Return the name of a segment, and a short one."""
         words = segment.state if segment.side is None else f"{segment.state}, {segment.side} hand"
         followed = {segment.first for segment in self.result.segments if segment.by_masks}
         by_masks = self.clip.frames[segment.first] in followed
         return (f"{words}, by masks only",) if by_masks else (words, segment.state)
 
     def hand(self, n: int) -> Float[ndarray, "V 3"]:
-        """The hand in the camera frame [m]."""
+        """Return the hand in the camera frame [m]."""
         return se3.transform(self.clip.hand.T_cam_hand[n], self.clip.hand.vertices[n])
 
     def hands(self, n: int) -> list[Surface]:
-        """The hands in the camera frame: the clip's own, and the other one in the frames in which it is known."""
+        """Return the hands in the camera frame.
+
+        These are the clip's own, and the other one in the frames in which it is known.
+        """
         other = self.clip.other_hand
         shown = [(self.hand(n), self.clip.hand.faces)]
         if other is not None and other.known[n]:
@@ -67,7 +71,10 @@ class View:
         return shown
 
     def by_other_hand(self) -> View | None:
-        """The same with the other hand for the clip's own, in the frames in which it is known; None without any."""
+        """Return the view with the other hand for the clip's own, in the frames in which it is known.
+
+        None without any.
+        """
         seen = self.clip.with_side(self.clip.other_side)
         known = np.flatnonzero(self.clip.hand_known(self.clip.other_side))
         if seen is None or not len(known):
@@ -77,23 +84,23 @@ class View:
         return replace(self, clip=seen, result=result).at([self.result.frames[n] for n in known])
 
     def object(self, n: int) -> Float[ndarray, "V 3"]:
-        """The reconstructed object in the camera frame [m]."""
+        """Return the reconstructed object in the camera frame [m]."""
         T_cam_obj = self.clip.hand.T_cam_hand[n] @ self.result.T_hand_obj[n]
         return se3.transform(T_cam_obj, self.result.scale * self.clip.mesh.vertices)
 
     @staticmethod
     def of(result: Reconstruction, clip: Clip, masks: Masks | None) -> View:
-        """A result with a clip and masks at its frames, its hand and mesh as they are to be drawn."""
+        """Make the view of a result with a clip and masks at its frames, its hand and mesh as they are to be drawn."""
         light = clip.light()
         seen = light.warped(result.warp).with_hand_at(result.T_cam_hand, result.T_cam_other_hand)
         return View(seen, masks, result, light.mesh)
 
     def image_file(self, n: int) -> Path | None:
-        """The frame's image, where the clip has one."""
+        """Return the frame's image, where the clip has one."""
         return self.clip.image_file(n)
 
     def at(self, frames: Sequence[str]) -> View:
-        """The same at some of the result's frames, in the given order."""
+        """Return the view at some of the result's frames, in the given order."""
         place = {name: n for n, name in enumerate(self.result.frames)}
         index = np.array([place[name] for name in frames])
         result, axis = self.result, self.result.axis
@@ -112,7 +119,7 @@ class View:
         return replace(self, clip=self.clip.take(index), masks=masks, result=taken)
 
     def true(self) -> View | None:
-        """The ground truth in place of the result; None where it is not known."""
+        """Return the ground truth in place of the result; None where it is not known."""
         truth = self.clip.truth
         if truth is None:
             return None

@@ -18,13 +18,13 @@ from getagrip.pictures.tiles import image_in, input_windows, intrinsics_of, pose
 STEADY = 0.35
 """Windows move as smoothly as a mean over this time [s]."""
 ROOM = 1.12
-"""They are so many times as large as those of single frames, since they lag behind."""
+"""Factor by which they are larger than those of single frames, since they lag behind."""
 SUBPIXEL = 3
 """Bits after the point of coordinates that OpenCV draws at."""
 
 
 def steady_windows(view: View, size: int) -> Crops:
-    """A square window around hand and masks in each frame, of one size, that moves smoothly."""
+    """Return a square window around hand and masks in each frame, of one size, that moves smoothly."""
     crops = input_windows([view], np.arange(len(view.result.frames)), size)
     middle = crops.corner + crops.side / 2.0
     smooth = smoothed(middle, STEADY * view.clip.fps)
@@ -33,7 +33,7 @@ def steady_windows(view: View, size: int) -> Crops:
 
 
 def smoothed(track: Float[ndarray, "T k"], over: float) -> Float[ndarray, "T k"]:
-    """A track after a Gaussian filter, whose standard deviation is so many frames; its ends are repeated beyond it."""
+    """Smooth a track by a Gaussian of ``over`` frames; its ends are repeated beyond it."""
     reach = int(4.0 * over + 0.5)
     weight = np.exp(-0.5 * (np.arange(-reach, reach + 1) / over) ** 2)
     padded = np.pad(track, ((reach, reach), (0, 0)), mode="edge")
@@ -41,7 +41,7 @@ def smoothed(track: Float[ndarray, "T k"], over: float) -> Float[ndarray, "T k"]
 
 
 def overlay(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size size 3"]:
-    """Frame ``n`` in window ``k``, with the contours of hand and object."""
+    """Draw frame ``n`` in window ``k``, with the contours of hand and object."""
     picture, K = image_in(view, n, crops, k), intrinsics_of(view, n, crops, k)
     for hand in view.hands(n):
         _draw(picture, silhouette_lines(*hand, K, crops.size), HAND_LINE, crops.size / 400.0)
@@ -51,7 +51,7 @@ def overlay(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size si
 
 
 def turned(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size size 3"]:
-    """Hand, object and axis of frame ``n``, from the side."""
+    """Draw hand, object and axis of frame ``n``, from the side."""
     picture, line = posed(view, n, crops, k, from_side=True)
     if line is not None:
         uv, visible = line
@@ -61,7 +61,7 @@ def turned(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size siz
 
 
 def _stretches(uv: Float[ndarray, "n 2"], chosen: Bool[ndarray, "n"]) -> list[Float[ndarray, "_n 2"]]:
-    """The chosen points of a line, where they follow one another."""
+    """Return the chosen points of a line, where they follow one another."""
     ends = np.flatnonzero(np.diff(chosen.astype(int))) + 1
     return [
         part for part, first in zip(np.split(uv, ends), np.split(chosen, ends), strict=True) if len(part) and first[0]

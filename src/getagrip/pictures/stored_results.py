@@ -27,7 +27,7 @@ class StoredResult:
     clips: Path | None = None
 
     def read(self) -> View:
-        """The result with its clip and masks, or the ground truth of a clip. Raises ``InputError``."""
+        """Read the result with its clip and masks, or the ground truth of a clip. Raises ``InputError``."""
         if is_clip(self.folder):
             return true_view(self.folder)
         result, clip, masks = read_evaluated(self.folder, self.clips)
@@ -35,12 +35,14 @@ class StoredResult:
 
 
 def is_clip(folder: Path) -> bool:
-    """Whether a folder is a clip's."""
+    """Return whether a folder is a clip's."""
     return (folder / "clip.json").exists()
 
 
 def true_view(folder: Path) -> View:
-    """All frames of a clip, hand and object where they truly are (the paper's Fig. 2, 3). Raises ``InputError``.
+    """Return all frames of a clip with the true poses of hand and object (the paper's Fig.
+
+    2, 3). Raises ``InputError``.
 
     The axis is that of the hinge of least error, which the study measures too (``pose_hinge``).
     """
@@ -61,7 +63,7 @@ def true_view(folder: Path) -> View:
         axis=Axis(hinge.point, hinge.direction, np.unwrap(hinge.angles(R, centre))),
         candidates=Candidates(T_hand_obj[None], np.array([truth.scale]), np.zeros(1)),
         energy={},
-        status=Status.GIVEN,
+        status=Status.EXTERNAL,
         ambiguous=False,
         seconds={},
     )
@@ -70,7 +72,7 @@ def true_view(folder: Path) -> View:
 
 
 def hand_alone(clip: Clip) -> View:
-    """A clip of which no pose of the object is known."""
+    """Return a clip of which no pose of the object is known."""
     still = np.tile(np.eye(4), (len(clip), 1, 1))
     nothing = Reconstruction(
         clip=clip.name,
@@ -82,7 +84,7 @@ def hand_alone(clip: Clip) -> View:
         axis=None,
         candidates=Candidates(still[None], np.ones(1), np.zeros(1)),
         energy={},
-        status=Status.GIVEN,
+        status=Status.EXTERNAL,
         ambiguous=False,
         seconds={},
     )
@@ -90,7 +92,7 @@ def hand_alone(clip: Clip) -> View:
 
 
 def at_common_frames(results: Sequence[tuple[StoredResult, View]]) -> list[View]:
-    """The results at the frames that all of them have. Raises ``InputError`` where they are not of one clip."""
+    """Return the results at the frames that all of them have. Raises ``InputError`` where they are not of one clip."""
     first, one = results[0]
     for value, view in results[1:]:
         if view.clip.name != one.clip.name:
@@ -108,7 +110,7 @@ def at_common_frames(results: Sequence[tuple[StoredResult, View]]) -> list[View]
 
 
 def distinct(results: Sequence[StoredResult]) -> list[str]:
-    """What tells the folders of results apart: their paths without what all begin and end with."""
+    """Return the distinct parts of the results' paths, without what all begin and end with."""
     paths = [value.folder.resolve().parts for value in results]
     if len(paths) == 1:
         return [paths[0][-1]]

@@ -8,17 +8,17 @@ from typing import Any
 PAPER, INK, FAINT, LINE = "#f4f4f1", "#2b2f33", "#8a9096", "#d9dad6"
 FOUND, AXIS, HIDDEN, TRUE, HAND_LINE = "#c8553d", "#2a9d8f", "#a8e0d5", "#6c757d", "#7b5ea7"
 STATE = {"static": "#6f9a8d", "contact": "#e0a458", "grasp": "#c8553d", "free": "#7b5ea7", "unknown": "#d9dad6"}
-"""Of what an object does, in a timeline's bar."""
+"""Colours of the states in a timeline's bar."""
 HAND, OBJECT = (0.87, 0.72, 0.63), (0.44, 0.58, 0.69)
-"""Of rendered surfaces."""
+"""Colours of rendered surfaces."""
 PAPER_RGB = (0xF4 / 255.0, 0xF4 / 255.0, 0xF1 / 255.0)
 """``PAPER`` as rendered pictures take it."""
 BLANK, OBSERVED, IGNORED = (244, 244, 241), (126, 158, 184), (216, 200, 186)
-"""Of pixels, where masks are drawn for want of an image: without either, of the object, ignored."""
+"""Colours of pixels, where masks are drawn for want of an image: neither, object, ignored."""
 
 
 def letters() -> AbstractContextManager[None]:
-    """Figures drawn within have the project's font and its colours for text and axes."""
+    """Give figures drawn within the project's font and its colours for text and axes."""
     from matplotlib import rc_context
 
     style: dict[Any, Any] = {

@@ -36,13 +36,13 @@ if TYPE_CHECKING:
 SIDE_VIEW = np.radians(80.0)
 """The turned view looks from this far to the left."""
 BEYOND = 1.10
-"""Windows are so many times as large as what they are to show."""
+"""Size of windows, relative to the content."""
 AxisLine = tuple[Float[ndarray, "n 2"], Bool[ndarray, "n"]]
 """The latent axis in a picture: its points [px], and which of them nothing hides."""
 
 
 def windows(views: Sequence[View], frames: Int[ndarray, "n"], size: int) -> Crops:
-    """Square windows of one size around hand and object of all views, which show the same frames of the same clip."""
+    """Return square windows of one size around hand and object of all views, at the same frames of one clip."""
     boxes = []
     for n in frames:
         uv = np.concatenate([project(v.clip.K[n], np.concatenate([v.hand(n), v.object(n)])) for v in views])
@@ -51,7 +51,7 @@ def windows(views: Sequence[View], frames: Int[ndarray, "n"], size: int) -> Crop
 
 
 def input_windows(views: Sequence[View], frames: Int[ndarray, "n"], size: int) -> Crops:
-    """The same around the hands and the observed masks, so that an object far off makes nothing small."""
+    """Return windows around the hands and the observed masks, so that an object far off makes nothing small."""
     boxes = []
     for n in frames:
         uv = [project(view.clip.K[n], view.hand(n)) for view in views]
@@ -69,7 +69,7 @@ def _crops(boxes: Float[ndarray, "n 4"], size: int) -> Crops:
 
 
 def over_image(axes: Axes, view: View, n: int, crops: Crops, k: int, with_hand: bool = False) -> None:
-    """The image or the masks in window ``k``, and the contour of the reconstructed object; of the hand, if wanted."""
+    """Draw the image or the masks in window ``k``, the object's contour and, if wanted, the hand's."""
     show(axes, image_in(view, n, crops, k))
     K = intrinsics_of(view, n, crops, k)
     if with_hand:
@@ -79,7 +79,7 @@ def over_image(axes: Axes, view: View, n: int, crops: Crops, k: int, with_hand: 
 
 
 def image_in(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size size 3"]:
-    """The image or the masks of frame ``n`` in window ``k``."""
+    """Return the image or the masks of frame ``n`` in window ``k``."""
     shift = -crops.corner[k] * crops.zoom
     centre = shift + crops.zoom / 2.0 - 0.5  # cv2 counts from the centre of the first pixel
     warp = np.array([[crops.zoom, 0.0, centre[0]], [0.0, crops.zoom, centre[1]]])
@@ -91,7 +91,7 @@ def image_in(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size s
 
 
 def rendered(axes: Axes, view: View, n: int, crops: Crops, k: int, from_side: bool) -> None:
-    """Hand, object and axis in window ``k``, from the camera; or from the side, at the same scale if it fits."""
+    """Draw hand, object and axis in window ``k``, from the camera; or from the side, at the same scale if it fits."""
     picture, line = posed(view, n, crops, k, from_side)
     show(axes, picture)
     if line is not None:
@@ -101,7 +101,7 @@ def rendered(axes: Axes, view: View, n: int, crops: Crops, k: int, from_side: bo
 def posed(
     view: View, n: int, crops: Crops, k: int, from_side: bool
 ) -> tuple[UInt8[ndarray, "size size 3"], AxisLine | None]:
-    """A picture of hand and object in window ``k``, as ``rendered`` shows it, and the axis in it, if there is one."""
+    """Render hand and object in window ``k``, as ``rendered`` shows it, and return the axis in it, if there is one."""
     K, size = intrinsics_of(view, n, crops, k), crops.size
     hand, grasped = view.hand(n), view.object(n)
     T_view_cam = np.eye(4)
@@ -126,7 +126,7 @@ def posed(
 
 
 def axis_points(view: View) -> Float[ndarray, "n 3"]:
-    """The latent axis as a line through the object, in the hand frame [m]."""
+    """Return the latent axis as a line through the object, in the hand frame [m]."""
     axis, mesh, scale = view.result.axis, view.clip.mesh, view.result.scale
     assert axis is not None
     middle = se3.transform(view.result.T_hand_obj, scale * mesh.centre[None])[:, 0].mean(axis=0)
@@ -137,12 +137,15 @@ def axis_points(view: View) -> Float[ndarray, "n 3"]:
 def axis_line(
     axes: Axes, line: Float[ndarray, "n 3"], surfaces: Sequence[Surface], K: Float[ndarray, "3 3"], size: int
 ) -> None:
-    """A line in the frame of the view: whole where it is visible, dots where one of the surfaces is in front of it."""
+    """Draw a line in the frame of the view.
+
+    Whole where it is visible, dots where one of the surfaces is in front of it.
+    """
     _draw_line(axes, *_visible(line, surfaces, K, size))
 
 
 def _visible(line: Float[ndarray, "n 3"], surfaces: Sequence[Surface], K: Float[ndarray, "3 3"], size: int) -> AxisLine:
-    """Where a line is in a picture, and where none of the surfaces is in front of it."""
+    """Return the places of a line in a picture, and where none of the surfaces is in front of it."""
     line = line[line[:, 2] > 0.05]
     uv = project(K, line)
     depth = np.min([depth_and_face(*surface, K, (size, size))[0] for surface in surfaces], axis=0)
@@ -157,7 +160,7 @@ def _draw_line(axes: Axes, uv: Float[ndarray, "n 2"], visible: Bool[ndarray, "n"
 
 
 def show(axes: Axes, picture: UInt8[ndarray, "H W 3"]) -> None:
-    """A picture that fills a tile."""
+    """Fill a tile with a picture."""
     size = len(picture)
     axes.imshow(picture, extent=(0, size, size, 0), interpolation="antialiased")
 
@@ -171,7 +174,7 @@ def contour(
     colour: str,
     halo: bool = True,
 ) -> None:
-    """The boundary of a surface's silhouette; with a halo it stands out from any image."""
+    """Draw the boundary of a surface's silhouette; with a halo it stands out from any image."""
     for line in silhouette_lines(vertices, faces, K, size):
         if halo:
             axes.plot(*line.T, color="white", linewidth=2.6, alpha=0.8, solid_joinstyle="round")
@@ -181,18 +184,18 @@ def contour(
 def silhouette_lines(
     vertices: Float[ndarray, "_V 3"], faces: Int[ndarray, "_F 3"], K: Float[ndarray, "3 3"], size: int
 ) -> list[Float[ndarray, "_n 2"]]:
-    """The closed lines that bound a surface's silhouette in a picture [px]."""
+    """Return the closed lines that bound a surface's silhouette in a picture [px]."""
     fine = np.diag([2.0, 2.0, 1.0]) @ K  # else the contour shows the picture's pixels
     return [line / 2.0 for line in mask_lines(covered(vertices, faces, fine, (2 * size, 2 * size)))]
 
 
 def intrinsics_of(view: View, n: int, crops: Crops, k: int) -> Float[ndarray, "3 3"]:
-    """Of window ``k``, which shows frame ``n``."""
+    """Return the intrinsics of window ``k``, which shows frame ``n``."""
     return np.asarray(replace(crops, corner=crops.corner[k : k + 1]).intrinsics(view.clip.K[n : n + 1])[0])
 
 
 def _image(view: View, n: int) -> UInt8[ndarray, "H W 3"]:
-    """The frame's image where the clip has one, else its masks in colours."""
+    """Return the frame's image where the clip has one, else its masks in colours."""
     file = view.image_file(n)
     if file is not None:
         return read_image(file, view.clip.size)
@@ -206,7 +209,7 @@ def _image(view: View, n: int) -> UInt8[ndarray, "H W 3"]:
 
 
 def mask_lines(mask: Bool[ndarray, "H W"]) -> list[Float[ndarray, "_n 2"]]:
-    """Closed boundary lines of a mask, in pixel coordinates."""
+    """Return closed boundary lines of a mask, in pixel coordinates."""
     contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     lines = [contour[:, 0].astype(float) + 0.5 for contour in contours if len(contour) > 8]
     return [np.concatenate([line, line[:1]]) for line in lines]

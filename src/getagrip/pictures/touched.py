@@ -47,11 +47,11 @@ class Touched:
     up: Float[ndarray, "3"]
 
     def at_frame(self, n: int, side: int, size: int) -> UInt8[ndarray, "size size 3"]:
-        """A picture of frame ``n`` from a side, in the colours ``ONCE``."""
+        """Render frame ``n`` from a side, in the colours ``ONCE``."""
         return self._picture(n, self.contact[n], ONCE, side, size)
 
     def over_all(self, side: int, size: int) -> UInt8[ndarray, "size size 3"]:
-        """The share of frames on the surface as it is in the middle one, in the colours ``SHARE``."""
+        """Render the share of frames on the surface as it is in the middle one, in the colours ``SHARE``."""
         return self._picture(len(self.vertices) // 2, self.contact.mean(axis=0), SHARE, side, size)
 
     def _picture(
@@ -66,7 +66,10 @@ class Touched:
 
 
 def touched(view: View, threshold: float) -> tuple[Touched, Touched]:
-    """The object in its own frame, scaled, and the hand in the hand frame; in contact within ``threshold`` [m]."""
+    """Return the object in its own frame, scaled, and the hand in the hand frame.
+
+    In contact within ``threshold`` [m].
+    """
     clip, T_hand_obj = view.clip, view.result.T_hand_obj
     surface, T = finer(view), len(T_hand_obj)
     grasped, faces, hand = view.result.scale * surface.vertices, surface.faces, clip.hand.vertices
@@ -89,13 +92,13 @@ def touched(view: View, threshold: float) -> tuple[Touched, Touched]:
 
 
 def finer(view: View) -> Mesh:
-    """The object's mesh with about ``VERTICES`` vertices, whose triangles can follow the border of contact."""
+    """Return the object's mesh with about ``VERTICES`` vertices, whose triangles can follow the border of contact."""
     mesh = view.clip.mesh
     return Mesh(*subdivided(mesh.vertices, mesh.faces, edge_length(float(mesh.vertex_areas.sum()), VERTICES)))
 
 
 def distances(view: View, surface: Mesh, reach: float) -> tuple[Float[ndarray, "T V"], Float[ndarray, "T W"]]:
-    """Of the vertices of ``surface`` to the hand, and of the hand's to the object, exact up to ``reach`` [m]."""
+    """Compute the distances of the vertices of ``surface`` to the hand, and vice versa, exact up to ``reach`` [m]."""
     scale, hand, faces = view.result.scale, view.clip.hand.vertices, view.clip.hand.faces
     coarse, T_hand_obj = scale * view.clip.mesh.vertices, view.result.T_hand_obj
     in_hand = se3.transform(T_hand_obj, scale * surface.vertices)
@@ -110,13 +113,13 @@ def _outwards(
     contact: Float[ndarray, "T V"],
     instead: Float[ndarray, "3"],
 ) -> Float[ndarray, "3"]:
-    """The mean direction in which the surface faces where it is in contact; another where it never is."""
+    """Return the mean outward direction of the surface in contact; another where it never is in contact."""
     mean = contact.mean(axis=0) @ vertex_normals(vertices, faces)
     return np.asarray(mean if np.linalg.norm(mean) > 1e-9 else instead)
 
 
 def _upright(up: Float[ndarray, "3"], side: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
-    """The axis of the object's frame that is nearest to ``up``, of those that are well seen from ``side``."""
+    """Return the axis of the object's frame that is nearest to ``up``, of those that are well visible from ``side``."""
     across = np.abs(side) < 0.8 * np.linalg.norm(side)
     best = int(np.argmax(np.abs(up) * across))
     return np.asarray(np.eye(3)[best] * (1.0 if up[best] >= 0.0 else -1.0))

@@ -54,7 +54,7 @@ class Candidates(ArrayData):
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction(ArrayData):
-    """What a method found for one clip: ``X_cam = T_cam_hand @ T_hand_obj @ (scale * X_obj)``.
+    """The result of a method for one clip: ``X_cam = T_cam_hand @ T_hand_obj @ (scale * X_obj)``.
 
     Attributes:
         clip: name of the clip.
@@ -139,11 +139,11 @@ class Reconstruction(ArrayData):
         return {where: right for where, right in each.items() if right is not None}
 
     def frames_of(self, *kinds: FrameKind) -> Int[ndarray, "n"]:
-        """Where the frames of some kinds are."""
+        """Return the indices of the frames of some kinds."""
         return np.flatnonzero([kind in kinds for kind in self.frame_kind])
 
     def take(self, index: Int[ndarray, "n"]) -> Reconstruction:
-        """The result in some of its frames, in the given order."""
+        """Return the result at some of its frames, in the given order."""
         found = self.candidates
         return replace(
             self,

@@ -12,13 +12,13 @@ from jaxtyping import Shaped
 from numpy import ndarray
 
 from getagrip.errors import legible
-from getagrip.io import arrays, code, files
+from getagrip.io import arrays, code, files, plugins
 from getagrip.result.data import Reconstruction
 
 VERSION = 2
-"""Of results that are written; older ones are read, too."""
+"""Version of the results that are written; older ones are read, too."""
 FILES = ("result.json", "result.npz")
-"""Of a result's folder."""
+"""Files of a result's folder."""
 AXIS = ("axis_point", "axis_direction", "angle")
 WARP = ("warp_centre", "warp_radius", "warp_coefficients")
 """Arrays of ``result.npz`` that are there together or not at all."""
@@ -37,10 +37,10 @@ def write_result(
 
     ``input_sha256`` is the checksum of the clip's files (``clip.input_sha256``), if it has any: ``getagrip evaluate``
     takes no other clip for it. ``clip_folder`` is where that command looks for the clip. With ``overwrite`` an older
-    result in ``folder`` is replaced. ``made_by`` is the software, by default ``software()``.
+    result in ``folder`` is replaced. ``made_by`` is the software, by default this one.
     Raises ``UsageError`` where the folder exists otherwise.
     """
-    folder, made_by = Path(folder), made_by or software()
+    folder, made_by = Path(folder), made_by or software() | plugins.made_with(result.method)
     with files.new_folder(folder, FILES if overwrite else ()) as new:
         arrays.write(new / "result.npz", _arrays(result))
         files.write_json(new / "result.json", _fields(result, input_sha256, metrics, clip_folder, made_by))
@@ -48,12 +48,12 @@ def write_result(
 
 
 def is_result(folder: Path) -> bool:
-    """Whether a folder is a result's, and thus ours to replace."""
+    """Return whether a folder holds a result, and may be replaced."""
     return all((folder / name).is_file() for name in FILES)
 
 
 def _arrays(result: Reconstruction) -> dict[str, Shaped[ndarray, "..."]]:
-    """What ``result.npz`` holds."""
+    """Return the arrays of ``result.npz``."""
     out: dict[str, ndarray] = {
         "T_hand_obj": result.T_hand_obj,
         "scale": np.array(result.scale, dtype=float),
@@ -84,7 +84,7 @@ def _fields(
     clip_folder: str | Path | None,
     made_by: Mapping[str, str],
 ) -> dict[str, object]:
-    """What ``result.json`` says."""
+    """Return the fields of ``result.json``."""
     return {
         "version": VERSION,
         "clip": result.clip,
@@ -112,7 +112,7 @@ def _fields(
 
 
 def _resolved(folder: str) -> str:
-    """An absolute path, as an address where it is no UTF-8; an address in an object store stays as it is."""
+    """Return an absolute path, as an address where it is no UTF-8; addresses in object stores stay as they are."""
     if "://" in folder:
         return folder
     whole = Path(folder).resolve()
@@ -120,7 +120,7 @@ def _resolved(folder: str) -> str:
 
 
 def software(*also: str) -> dict[str, str]:
-    """Versions of the package, of Python, and of the libraries that the numbers depend on; and which code it is.
+    """Return the versions of the package, of Python and of the libraries, and the code's checksum.
 
     ``also`` are parts of the package that a reconstruction does not depend on, but what is made does.
     """

@@ -29,7 +29,7 @@ ARRAYS = (
     "T_hand_obj", "T_cam_hand", "T_cam_other_hand", "scale", "frames", "frame_kind", "iou", *AXIS,
     "candidate_T_hand_obj", "candidate_scale", "candidate_energy", *WARP,
 )  # fmt: skip
-"""What ``result.npz`` holds."""
+"""Arrays of ``result.npz``."""
 OPTIONAL: Json = {
     "ambiguous": False, "message": "", "notes": [], "assumptions": {}, "findings": [], "checks": {}, "signs": {},
     "probability_right": None, "probability_right_in_camera": None, "segments": [],
@@ -117,7 +117,7 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, Json]:
 
 
 def read_record(folder: str | Path) -> Json:
-    """The checked content of a result's ``result.json``. Raises ``InputError``."""
+    """Read and check a result's ``result.json``. Raises ``InputError``."""
     folder = Path(folder)
     if not folder.is_dir():
         raise InputError(folder, "", "no such folder", "the folder of a result")
@@ -153,14 +153,14 @@ def _check_texts(path: Path, stored: dict[str, object]) -> None:
 
 
 def _of_version_1(fields: Json) -> Json:
-    """What version 1 said otherwise: a sentence for a status, and guesses among the notes."""
+    """Convert the fields of version 1, which had a sentence for the status and assumptions among the notes."""
     guesses = {f"note {n}": note for n, note in enumerate(fields["notes"], start=1) if "guess" in note.lower()}
     status = Status.of_sentence(fields["status"])
     return {"status": status.value, "message": fields["status"], "assumptions": guesses}
 
 
 def _texts(path: Path, arrays: dict[str, ndarray], key: str) -> tuple[str, ...]:
-    """An array of names."""
+    """Check an array of names."""
     if key not in arrays or arrays[key].dtype.kind != "U" or arrays[key].ndim != 1 or len(arrays[key]) == 0:
         raise InputError(path, key, "no array of names", "the frames' names")
     try:
@@ -182,7 +182,7 @@ def _frame_kind(path: Path, arrays: dict[str, ndarray], frames: int) -> tuple[Fr
 
 
 def _iou(path: Path, stored: dict[str, ndarray], kind: tuple[FrameKind, ...]) -> Float[ndarray, "T"]:
-    """The IOU of each frame; only interpolated ones may have none."""
+    """Check the IOU of each frame; only interpolated ones may have none."""
     if "iou" in stored and stored["iou"].dtype.kind == "f" and stored["iou"].shape == (len(kind),):
         unknown = np.isnan(stored["iou"]) & (np.array(kind) == "interpolated")
         known = arrays.floats(path, stored | {"iou": np.where(unknown, 0.0, stored["iou"])}, "iou", (len(kind),))
@@ -191,7 +191,7 @@ def _iou(path: Path, stored: dict[str, ndarray], kind: tuple[FrameKind, ...]) ->
 
 
 def _rigid(path: Path, stored: dict[str, ndarray], key: str, shape: tuple[int, ...]) -> Float[ndarray, "*batch 4 4"]:
-    """An array of rigid motions."""
+    """Check an array of rigid motions."""
     T = arrays.floats(path, stored, key, shape)
     if not se3.is_rigid(T).all():
         raise InputError(path, key, "a matrix that is no rigid motion", "rotations and translations [m]")
@@ -200,7 +200,7 @@ def _rigid(path: Path, stored: dict[str, ndarray], key: str, shape: tuple[int, .
 
 
 def _warp(path: Path, stored: dict[str, ndarray]) -> Warp:
-    """What the mesh was made into."""
+    """Read the deformation of the mesh."""
     centre, radius, factors = WARP
     coefficients = arrays.floats(path, stored, factors, (MONOMIALS, 3))
     _within(path, factors, coefficients, -MOST_WARPED, MOST_WARPED)
@@ -209,12 +209,12 @@ def _warp(path: Path, stored: dict[str, ndarray]) -> Warp:
 
 
 def _scales(path: Path, stored: dict[str, ndarray], key: str, shape: tuple[int, ...]) -> Float[ndarray, "..."]:
-    """An array of scales."""
+    """Check an array of scales."""
     return _within(path, key, arrays.floats(path, stored, key, shape, kinds="fiu"), SMALLEST, LARGEST)
 
 
 def _within(path: Path, key: str, values: Float[ndarray, "..."], least: float, most: float) -> Float[ndarray, "..."]:
-    """The values, none of which is below the least or above the most."""
+    """Check that no value is below the least or above the most."""
     for value in (values.min(), values.max()):
         if not least <= value <= most:
             raise InputError(path, key, f"{value:g}", f"{least:g} to {most:g}")

@@ -1,4 +1,4 @@
-"""What a result says of one segment of a timeline."""
+"""The part of a result about one segment of a timeline."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class SegmentResult(ArrayData):
     probability_right: Probability | None = None
 
     def fields(self) -> dict[str, object]:
-        """As ``result.json`` holds it."""
+        """Return the fields as ``result.json`` holds them."""
         known: dict[str, object] = {
             "side": self.side,
             "T_world_obj": self.T_world_obj,
@@ -69,13 +69,13 @@ class SegmentResult(ArrayData):
 
 
 def probabilities_of_grasps(segments: Sequence[SegmentResult]) -> str:
-    """How probable it is that each grasp of a timeline is right, in words; empty where there is no grasp."""
+    """Say how probable it is that each grasp of a timeline is right; empty where there is no grasp."""
     each = [str(segment.probability_right or "unknown") for segment in segments if segment.state == "grasp"]
     return f"probability that its grasps are right: {', '.join(each)}" if each else ""
 
 
 def read_segments(path: Path, value: list[object]) -> tuple[SegmentResult, ...]:
-    """The segments in a ``result.json``. Raises ``InputError``."""
+    """Read the segments in a ``result.json``. Raises ``InputError``."""
     return tuple(_read(path, f"segments[{n}]", segment) for n, segment in enumerate(value))
 
 
@@ -109,7 +109,7 @@ def _numbers(path: Path, key: str, value: object) -> dict[str, float]:
 
 
 def _floats(value: object) -> list[float]:
-    """The numbers in a list; none where it is no list."""
+    """Return the numbers in a list; none where it is no list."""
     values = value if isinstance(value, list) else []
     return [float(x) for x in values if isinstance(x, int | float) and not isinstance(x, bool) and abs(x) <= FARTHEST]
 

@@ -17,30 +17,30 @@ class Status(Enum):
     )
     FINISHED = "finished", "stopped: all iterations of the fixed number were made"
     JOINT = "joint", "all segments were fitted together"
-    GIVEN = "given", "another system's poses, or the ground truth"
-    PARTLY_FAILED = "partly-failed", "failed in part: masks are hardly met (mean IOU) in some segments"
-    MISFIT = "misfit", "failed: the best pose hardly meets the masks; nothing is known of the object"
+    EXTERNAL = "given", "another system's poses, or the ground truth"
+    PARTLY_FAILED = "partly-failed", "partly failed: low mask IOU in some segments"
+    MISFIT = "misfit", "failed: even the best pose has a low mask IOU; the object's pose is unknown"
     INVISIBLE = "invisible", "failed: the object is behind the camera or too near to it in every hypothesis tried"
 
     sentence: str
 
     def __new__(cls, word: str, sentence: str = "") -> Self:
-        """A member by its word; the sentence is the members' own."""
+        """Make a member from its word; each member has its own sentence."""
         member = object.__new__(cls)
         member._value_, member.sentence = word, sentence
         return member
 
     @property
     def failed(self) -> bool:
-        """Whether the result, or a part of it, is not to be used."""
+        """True if the result, or a part of it, is not to be used."""
         return self in (Status.PARTLY_FAILED, Status.MISFIT, Status.INVISIBLE)
 
     @staticmethod
     def of_sentence(sentence: str) -> Status:
-        """The status of a result of version 1, which has the sentence only; ``given`` for one from elsewhere."""
+        """Return the status of a result of version 1, which has the sentence only; ``given`` for one from elsewhere."""
         known = next((status for status in Status if status.sentence == sentence), None)
         if known is not None:
             return known
-        if sentence.startswith("failed in part"):
+        if sentence.startswith(("failed in part", "partly failed")):
             return Status.PARTLY_FAILED
-        return Status.MISFIT if sentence.startswith("failed") else Status.GIVEN
+        return Status.MISFIT if sentence.startswith("failed") else Status.EXTERNAL

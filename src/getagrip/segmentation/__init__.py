@@ -3,8 +3,8 @@
 No label of the object in 3D is read. ``found.find_segments`` takes these steps:
 
 - ``image_motion``: how far the object's contour moves in the image beyond what the camera's motion explains;
-- ``held``: wherever it moves, fits of the object to the hand, each tried in the frames around its own, too;
+- ``hinge_fits``: wherever it moves, fits of the object to the hand, each tried in the frames around its own, too;
 - ``window_costs``: from both, what each state costs in every window of frames;
 - ``semi_markov``: the segmentation that costs least, and how much more the next best would cost;
-- ``found.stable_in``: Eq. 2 on the reconstructed contacts, which says where in a held segment the grasp is stable.
+- ``found.stable_in``: Eq. 2 on the reconstructed contacts, which says where in a grasped segment the grasp is stable.
 """

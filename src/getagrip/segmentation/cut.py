@@ -1,4 +1,4 @@
-"""What was found in an uncut clip, as clips: all of it as one timeline, or each stable grasp by itself."""
+"""Clips from an uncut clip's segments: all of it as one timeline, or each stable grasp by itself."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from getagrip.segmentation.found import STILL, DetectedSegment, DetectedSegments
 
 
 def segment_list(clip: Clip, found: DetectedSegments) -> SegmentList:
-    """The segments, and where they come from."""
+    """Return the segments and their source."""
     least = min(one.margin for one in found.segments)
     source = f"found in masks and hands, each at least {least:.0f} nats before the next best"
     still = STILL if clip.world is None else None
@@ -67,7 +67,7 @@ def _write_grasp(clip: Clip, masks: Masks, found: DetectedSegments, one: Detecte
 
 
 def _write(part: Clip, masks: Masks, clip: Clip, rows: Int[ndarray, "n"], folder: Path) -> Path:
-    """Some frames of a clip, as a clip of their own."""
+    """Write some frames of a clip as a clip of their own."""
     images = [clip.image_file(int(n)) for n in rows]
     with files.new_folder(folder, ("clip.json",) if folder.exists() else ()) as new:
         fill_folder(new, part, masks, None)

@@ -27,15 +27,15 @@ from getagrip.segmentation.semi_markov import Division, cheapest, margins
 from getagrip.segmentation.window_costs import MOTIONS, Motion, chosen, window_costs
 
 OTHERWISE: dict[Motion, State] = {"static": "static", "held": "contact", "free": "free"}
-"""What a segment is called where no grasp is stable."""
+"""State of a segment where no grasp is stable."""
 LAG = 0.13
-"""Masks are compared over so many seconds."""
+"""Longest time between masks that are compared [s]."""
 LONGEST, LEAST = 60, 6
 """Frames of a fit, at most and at least."""
 INTO, AROUND = 30, 150
-"""A fit is tried in the pauses beside it and so many frames beyond them, at most in so many on either side."""
+"""A fit is tried in the pauses beside it and this many frames beyond them, up to the second number on either side."""
 MOST_FRAMES = 3000
-"""Of a clip: every window of frames has a cost."""
+"""Most frames of a clip: every window of frames has a cost."""
 WITHIN_10_MM = Definition(contact=0.010)
 
 
@@ -53,7 +53,7 @@ class DetectedSegment:
     Attributes:
         segment: frames, state and side.
         margin: how much more the next best division costs, in which these frames are in another state; that of a grasp
-            is the held segment's (``semi_markov.margins``) [nats].
+            is the grasp's segment (``semi_markov.margins``) [nats].
     """
 
     segment: Segment
@@ -80,7 +80,7 @@ def find_segments(
     options: Options | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> DetectedSegments:
-    """What the object does from frame to frame; ``masks`` are read from the clip's folder where none are given.
+    """Find the segments of a clip; ``masks`` are read from its folder where none are given.
 
     Without ``clip.world`` the camera is taken to stand still. Frames whose mask is not known are left out; halfway
     between two others one segment ends and the next begins. The clip's own segments and truth are not read. Of
@@ -126,7 +126,7 @@ def _at_all(found: DetectedSegments, rows: Int[ndarray, "n"], frames: int) -> De
 
 
 def moving_runs(clip: Clip, masks: Masks) -> list[tuple[int, int]]:
-    """First and last frame of each run of frames in which the object does not lie still, by its image motion alone."""
+    """Return first and last frame of each run of frames in which the object moves, by image motion alone."""
     return _runs(_moved(clip, masks))
 
 
@@ -135,7 +135,7 @@ def _moved(clip: Clip, masks: Masks) -> ImageMotion:
 
 
 def _runs(moved: ImageMotion) -> list[tuple[int, int]]:
-    """The runs between the static segments of the cheapest division into static and free."""
+    """Return the runs between the static segments of the cheapest division into static and free."""
     division = cheapest(window_costs(moved, []))
     lies = np.zeros(moved.moved.shape[1], dtype=bool)
     for (first, last), state in zip(division.spans, division.states, strict=True):
@@ -151,7 +151,7 @@ def _fits(
     options: Options,
     progress: Callable[[float], None],
 ) -> list[HingeFit]:
-    """A fit to each known hand wherever the object does not lie still; none where nothing can be fitted."""
+    """Fit the object to each known hand wherever it does not lie still; none where nothing can be fitted."""
     hands, parts, fits = _hands(clip, masks), list(pieces(runs, LONGEST, LEAST)), []
     for k, frames in enumerate(parts):
         before = parts[k - 1][-1] + 1 - INTO if k else 0
@@ -165,7 +165,7 @@ def _fits(
 
 
 def _hands(clip: Clip, masks: Masks) -> list[tuple[Clip, Masks, Bool[ndarray, "T"]]]:
-    """The clip with each known hand for its own, and the frames in which that is known."""
+    """Return the clip with each known hand for its own, and the frames in which that is known."""
     hands = [(clip, masks, clip.hand_known(clip.side))]
     for side in SIDES:
         by = clip.with_side(side)
@@ -182,7 +182,7 @@ def _segments(
     jitter: float,
     definition: Definition,
 ) -> Iterator[DetectedSegment]:
-    """The segments of a division, the held ones divided by Eq. 2.
+    """Yield the segments of a division; grasped ones are divided by Eq. 2.
 
     A hand may hold an object steadily before it lifts it, and after it has set it down: then the grasp takes frames
     from the static segments beside it.
@@ -221,7 +221,7 @@ class Reconstructed:
 
     Attributes:
         frames: (n,) the frames.
-        held: (n,) in which of them it is held.
+        grasped: (n,) true in the frames in which a hand grasps it.
         T_cam_obj: (n, 4, 4) poses of the object.
         T_cam_hand: (n, 4, 4) poses of the hand.
         scale: of the object.
@@ -237,7 +237,7 @@ class Reconstructed:
 def reconstructed(
     clip: Clip, fit: HingeFit, first: int, last: int, still_before: int, still_after: int
 ) -> Reconstructed:
-    """A fit in its segment, and the object left lying in the world in so many frames before and after.
+    """Return a fit in its segment, with the object still in the world before and after.
 
     Where the fit was tried in those, too, the hand is where it has it, else where the clip has it.
     """
@@ -254,7 +254,7 @@ def reconstructed(
 
 
 def stable_in(clip: Clip, found: Reconstructed, definition: Definition) -> list[tuple[int, int]]:
-    """First and last frame of each stable grasp (Eq. 2) that has a frame in which the object is held."""
+    """Return first and last frame of each stable grasp (Eq. 2) that contains a grasped frame."""
     part = clip.take(found.frames)
     fingers = gaussian_filter1d(part.hand.vertices, STEADIED * clip.fps, axis=0, mode="nearest")
     posed = Truth(found.T_cam_obj, found.scale, found.T_cam_hand, fingers)

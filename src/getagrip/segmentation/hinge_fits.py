@@ -1,8 +1,8 @@
-"""Fits of the object to the hand: where it moves it may be held, and then one motion in the hand explains its masks.
+"""Fits of the object to the hand: while a hand moves the object, one motion in the hand explains its masks.
 
-Each fit is made in some frames, by the usual search, and then tried in the frames around them, what it shares over
-frames held still. What it leaves of the masks there, and how far it must deviate from its own motion, says whether the
-object was held in the same way before and after.
+Each fit is made in some frames, by the usual search, and then tried in the surrounding frames with its shared
+parameters fixed. Its misfit to the masks there, and its deviations from its own motion, show whether the object was
+grasped in the same way before and after.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from getagrip.fitting.solve import in_camera
 
 METHOD = "soft-hinge"
 CHUNK = 30
-"""So many frames are tried at once."""
+"""Number of frames that are tried at once."""
 
 
 class NothingToFitError(GetagripError):
@@ -61,7 +61,7 @@ class HingeFit:
 def fit_hinge(
     clip: Clip, masks: Masks, frames: Int[ndarray, "n"], around: Int[ndarray, "m"], options: Options
 ) -> HingeFit:
-    """The best fit in some frames, tried in those ``around``, which are to include them.
+    """Fit the object in some frames, and try the best fit in those ``around``, which are to include them.
 
     Raises ``NothingToFitError`` where fewer than two masks show the object, or where it cannot be rendered, and
     ``InputError`` for initial poses as ``prepare`` does.
@@ -110,7 +110,7 @@ def _tried(
 
 
 def pieces(runs: Sequence[tuple[int, int]], longest: int, shortest: int) -> Iterator[Int[ndarray, "n"]]:
-    """The frames of runs, long ones in equal parts of ``longest`` frames at most, short ones left out."""
+    """Yield the frames of runs, long ones in equal parts of ``longest`` frames at most, short ones left out."""
     for first, last in runs:
         n = last + 1 - first
         if n >= shortest:

@@ -1,4 +1,4 @@
-"""How far the object moves in the image beyond what the camera's own motion explains.
+"""The object's motion in the image beyond what the camera's own motion explains.
 
 Masks of two frames are compared where neither is hidden. Pixels that differ, over the length of the visible contour,
 are the mean displacement of the contour. Where the camera moves, the earlier mask is first taken to the later camera as
@@ -44,7 +44,7 @@ class ImageMotion:
 
     @property
     def jitter(self) -> float:
-        """How far contours of two masks are apart that no motion explains [px], from the data themselves.
+        """Distance between contours of two masks that no motion explains [px], from the data themselves.
 
         Motion grows with the time between two frames, jitter of masks does not: ``m_1^2 = j^2 + v^2`` and
         ``m_L^2 = j^2 + (L v)^2`` in the median frame. 0 where it is not known.
@@ -62,7 +62,7 @@ class ImageMotion:
 
 
 def image_motion(clip: Clip, masks: Masks, lags: int) -> ImageMotion:
-    """The object's motion in the image over 1 to ``lags`` frames.
+    """Measure the object's motion in the image over 1 to ``lags`` frames.
 
     Without ``clip.world`` the camera is taken to stand still.
     """
@@ -87,7 +87,7 @@ def image_motion(clip: Clip, masks: Masks, lags: int) -> ImageMotion:
 
 
 def visible_contour(object_: Bool[ndarray, "H W"], ignore: Bool[ndarray, "H W"]) -> float:
-    """Length of a mask's border with visible background [px]."""
+    """Return the length of a mask's border with visible background [px]."""
     rows, cols = np.flatnonzero(object_.any(axis=1)), np.flatnonzero(object_.any(axis=0))
     if not rows.size:
         return 0.0
@@ -100,7 +100,7 @@ def visible_contour(object_: Bool[ndarray, "H W"], ignore: Bool[ndarray, "H W"])
 
 
 def _around(boxes: Int[ndarray, "n 4"], size: tuple[int, int]) -> Window:
-    """A window around boxes, half as large again on each side."""
+    """Return a window around boxes, half as large again on each side."""
     low, high = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
     edge = (high - low) // 2
     (left, top), (right, bottom) = np.maximum(low - edge, 0), np.minimum(high + edge, size)
@@ -121,7 +121,7 @@ def _homographies(clip: Clip, s: int, t: int, depth: float) -> list[Float[ndarra
 
 
 def _displacement(H: Float[ndarray, "3 3"] | None, uv: Float[ndarray, "2"]) -> float:
-    """How far a homography moves a point [px]."""
+    """Return how far a homography moves a point [px]."""
     if H is None:
         return 0.0
     x, y, w = H @ [*uv, 1.0]

@@ -29,7 +29,7 @@ class Division:
 
 
 def cheapest(cost: Float[ndarray, "S T T"]) -> Division:
-    """The cheapest division of T frames; ``cost[s, i, j]`` is that of state s in the frames i to j, both included.
+    """Find the cheapest division of T frames; ``cost[s, i, j]`` is that of state s in the frames i to j, both included.
 
     Costs may be infinite, where a state is impossible; entries with j < i are not read. If no division is finite, the
     cost is infinite and there are no segments.
@@ -52,8 +52,10 @@ def cheapest(cost: Float[ndarray, "S T T"]) -> Division:
 
 
 def margins(cost: Float[ndarray, "S T T"], division: Division) -> Float[ndarray, "n"]:
-    """How much more the next best division costs, for each segment of the cheapest one: the best of those in which
-    none of the middle half of its frames is in its state. Not negative; infinite where no other is possible.
+    """Return how much more the next best division costs, for each segment of the cheapest one.
+
+    The next best is that of the divisions in which none of the middle half of the segment's frames is in its state. Not
+    negative; infinite where no other is possible.
     """
     out = np.empty(len(division.states))
     for k, ((first, last), state) in enumerate(zip(division.spans, division.states, strict=True)):

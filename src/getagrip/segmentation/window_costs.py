@@ -1,4 +1,4 @@
-"""What each state costs in every window of frames, as a code length: misfit of the masks, and the state's parameters.
+"""The cost of each state in every window of frames, as a code length: misfit of the masks, and the state's parameters.
 
 A state's claim is that few parameters explain all masks of a window: one pose in the world, one motion in the hand, or
 a pose per frame. With ``SAMPLES`` independent contour points per frame, whose distances have the standard deviation
@@ -21,7 +21,7 @@ from getagrip.segmentation.image_motion import ImageMotion
 
 Motion = Literal["static", "held", "free"]
 MOTIONS: tuple[Motion, ...] = ("static", "held", "free")
-"""What the object does, before Eq. 2 tells a stable grasp from an unstable contact."""
+"""States of the object, before Eq. 2 separates stable grasps from unstable contacts."""
 
 SAMPLES = 10.0
 """Contour points per frame that are independent."""
@@ -40,7 +40,7 @@ NOT_TRIED = 1e3
 
 
 def window_costs(moved: ImageMotion, fits: Sequence[HingeFit]) -> Float[ndarray, "3 T T"]:
-    """``cost[s, i, j]``: state s (``MOTIONS``) in the frames i to j, both included; infinite where j < i."""
+    """Compute ``cost[s, i, j]``: state s (``MOTIONS``) in the frames i to j, both included; infinite where j < i."""
     T = moved.moved.shape[1]
     frames = np.arange(T)
     length = frames[None] - frames[:, None] + 1.0
@@ -82,13 +82,13 @@ def _misfit(one: HingeFit, jitter: float) -> Float[ndarray, "n"]:
 
 
 def residual(distance: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
-    """Cost of distances in standard deviations, those that are not known for nothing."""
+    """Compute the cost of distances in standard deviations; unknown ones cost nothing."""
     excess = np.maximum(np.nan_to_num(distance, nan=0.0) - 1.0, 0.0)
     return np.asarray(np.minimum(0.5 * SAMPLES * excess**2, MOST))
 
 
 def chosen(fits: Sequence[HingeFit], first: int, last: int, jitter: float) -> HingeFit:
-    """The fit that is best in a window, of those tried in all of it."""
+    """Return the fit that is best in a window, of those tried in all of it."""
     costs = []
     for one in fits:
         inside = (one.frames >= first) & (one.frames <= last)

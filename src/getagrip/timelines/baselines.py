@@ -1,56 +1,63 @@
-"""Ways to reconstruct a timeline without joining its segments, and the authors' propagation, to compare with.
+"""The variants that a benchmark of timelines compares: without joining segments, the authors' propagation, and ours.
 
 Propagation after the authors' later code (objects-along-hit): it starts at the longest static segment, goes back to the
 first, on to the last and back again. Each segment is fitted with one more start, the pose of the segment visited before
 it where the two are nearest in time, and keeps the fit with the highest mean IOU over its visits. Static: one pose,
-E_mask. Held or in contact: a free pose per frame, with contact consistency. So it can only gain IOU by propagating, by
+E_mask. Grasp or contact: a free pose per frame, with contact consistency. So it can only gain IOU by propagating, by
 construction; the weight of its links is 0. Search, optimiser and hand correction are ours.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.clip import Segment
+from getagrip.clip import Clip, Masks, Segment
 from getagrip.errors import InputError
 from getagrip.fitting.every_frame import at_every_frame, at_sampled_frames
 from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.methods import contact_consistency
+from getagrip.fitting.options import Options
+from getagrip.fitting.pipeline import repair
 from getagrip.fitting.problem import prepare
 from getagrip.geometry import se3
 from getagrip.result import FrameKind
-from getagrip.timelines.footage import Footage
-from getagrip.timelines.grasp_segment import prepared, solved
-from getagrip.timelines.joint import fill, put_grasp, runs
-from getagrip.timelines.motion import Motion
-from getagrip.timelines.static_pose import static_hypotheses
+from getagrip.timelines.between import fill_between
+from getagrip.timelines.footage import Footage, Grasp
+from getagrip.timelines.grasp_segment import fit_in_all_frames, solve_grasp
+from getagrip.timelines.joint import choose_hypotheses, fill_all_frames
+from getagrip.timelines.motion import Motion, split_at_gaps
+from getagrip.timelines.static_pose import frames_to_fit, static_hypotheses
 
 
 def grasp_only(footage: Footage) -> Motion:
-    """Each grasp by itself. Static poses are those of the nearest frame of a grasp; elsewhere, the object goes with the
-    hand. Raises ``InputError`` where no grasp shows the object.
+    """Fit each grasp by itself.
+
+    Static poses are those of the nearest frame of a grasp; elsewhere, the object goes with the hand. Raises
+    ``InputError`` where no grasp shows the object.
     """
-    motion, known = Motion.of(footage), list[Segment]()
+    motion, known = Motion.of(footage.clip, footage.shown), list[Segment]()
     for segment in footage.clip.segments:
-        problem = prepared(footage, segment) if segment.state == "grasp" else None
-        if problem is not None:
-            rows = put_grasp(motion, footage, solved(footage, segment, problem, []), 0, [])
-            known += runs(segment, rows)
+        grasp = Grasp.of(footage.clip, footage.masks, segment) if segment.state == "grasp" else None
+        if grasp is not None:
+            problem = prepare(grasp.clip, grasp.masks, footage.source.options)
+            motion.put_grasp(fit_in_all_frames(solve_grasp(grasp, problem, []), 0, []))
+            known += split_at_gaps(segment, grasp.rows)
     _carry(motion, footage, known)
     return motion
 
 
 def static_only(footage: Footage) -> Motion:
-    """Each static segment by itself; elsewhere, the object goes with the hand. Raises ``InputError`` likewise."""
-    motion, known = Motion.of(footage), []
+    """Fit each static segment by itself; elsewhere, the object goes with the hand. Raises ``InputError`` likewise."""
+    motion, known = Motion.of(footage.clip, footage.shown), []
     for segment in footage.clip.segments:
-        found = static_hypotheses(footage, segment, support=False) if segment.state == "static" else None
-        if found is not None:
-            motion.put(footage, segment.rows, found.take(np.zeros(1, int)), "sampled")
+        if segment.state == "static" and len(rows := frames_to_fit(segment, footage.shown)):
+            found = static_hypotheses(footage.problem(rows), len(segment), support=False)
+            motion.put(segment.rows, found.take(np.zeros(1, int)), "sampled")
             known.append(segment)
     _carry(motion, footage, known)
     return motion
@@ -78,29 +85,29 @@ def _carry(motion: Motion, footage: Footage, known: list[Segment]) -> None:
 
 
 def _with_hand(motion: Motion, footage: Footage, source: int, row: int) -> Float[ndarray, "4 4"]:
-    """The pose in the world of an object that goes with the given hand from one frame to another."""
-    value = footage.clip.hand.T_cam_hand
-    T_hand_obj = se3.inverse(value[source]) @ motion.T_cam_obj[source]
-    return np.asarray(footage.T_world_cam[row] @ value[row] @ T_hand_obj)
+    """Return the pose in the world of an object that goes with the given hand from one frame to another."""
+    T_cam_hand = footage.clip.hand.T_cam_hand
+    T_hand_obj = se3.inverse(T_cam_hand[source]) @ motion.T_cam_obj[source]
+    return np.asarray(footage.T_world_cam[row] @ T_cam_hand[row] @ T_hand_obj)
 
 
 def propagate(footage: Footage) -> Motion:
-    """The authors' propagation. Raises ``InputError`` where no segment shows the object."""
-    segments = [s for s in footage.clip.segments if len(footage.observed(s.rows)) > 1]
+    """Run the authors' propagation. Raises ``InputError`` where no segment shows the object."""
+    segments = [s for s in footage.clip.segments if footage.shown[s.rows].sum() > 1]
     if not segments:
         raise InputError(footage.clip.origin, "segments", "none that shows the object in two frames", "one at least")
     static = [n for n, s in enumerate(segments) if s.state == "static"]
     first = max(static or range(len(segments)), key=lambda n: len(segments[n]))
     last = len(segments) - 1
     visits = [*range(first, -1, -1), *range(1, last + 1), *range(last - 1, first - 1, -1)]
-    motion, best = Motion.of(footage), dict[int, float]()
+    motion, best = Motion.of(footage.clip, footage.shown), dict[int, float]()
     before: int | None = None
     for n in visits:
         if before is not None and n == before:
             continue
         _visit(motion, footage, segments, n, before, best)
         before = n
-    fill(motion, footage, segments)
+    fill_between(motion, footage, segments)
     return motion
 
 
@@ -113,15 +120,15 @@ def _visit(
     if before is not None:
         one = segments[before]
         source = one.last if before < n else one.first
-        start = motion.at(footage, source)
+        start = motion.at(source)
     if segment.state == "static":
-        found = static_hypotheses(footage, segment, support=False, start=start)
-        assert found is not None
+        problem = footage.problem(frames_to_fit(segment, footage.shown))
+        found = static_hypotheses(problem, len(segment), support=False, start=start)
         T_cam_obj = footage.T_cam_world[rows] @ found.T_world_obj(footage.clip.mesh.centre)[0]
         T_cam_hand, kind = footage.clip.hand.T_cam_hand[rows], tuple("sampled" for _ in rows)
     else:
         clip, masks = footage.clip.take(rows), footage.masks.take(rows)
-        problem = prepare(clip, masks, replace(footage.options, method="contact-consistency"))
+        problem = prepare(clip, masks, replace(footage.source.options, method="contact-consistency"))
         if start is not None:
             at = 0 if before is not None and before < n else -1
             T_hand_world = se3.inverse(problem.clip.world.T_world_cam[at] @ problem.clip.hand.T_cam_hand[at])  # type: ignore[union-attr]
@@ -130,7 +137,7 @@ def _visit(
         fitted = contact_consistency.fit(problem, lambda _: None)
         track = at_every_frame(clip, masks, problem, fitted, at_sampled_frames(problem, fitted))
         T_cam_obj, T_cam_hand, kind = track.T_cam_hand @ track.T_hand_obj[0], track.T_cam_hand, track.kind
-    seen = footage.observed(rows)
+    seen = rows[footage.shown[rows]]
     at_seen = np.searchsorted(rows, seen)
     posed = footage.clip.take(seen).with_hand_at(T_cam_hand[at_seen])
     T_hand_obj = se3.inverse(T_cam_hand[at_seen]) @ T_cam_obj[at_seen]
@@ -140,3 +147,18 @@ def _visit(
         motion.T_cam_obj[rows], motion.T_cam_hand[rows] = T_cam_obj, T_cam_hand
         for row, how in zip(rows, kind, strict=True):
             motion.kind[row] = how
+
+
+VARIANTS: dict[str, Callable[[Footage], Motion]] = {
+    "grasp only": grasp_only,
+    "static only": static_only,
+    "propagate": propagate,
+    "joint": lambda footage: fill_all_frames(footage, choose_hypotheses(footage, support=False)),
+    "joint + plane": lambda footage: fill_all_frames(footage, choose_hypotheses(footage, support=True)),
+}
+"""The last is what ``getagrip reconstruct`` does."""
+
+
+def reconstruct_with(variant: str, clip: Clip, masks: Masks, options: Options) -> Motion:
+    """Reconstruct an object's motion in a clip of known scale by a variant. Raises as that variant does."""
+    return VARIANTS[variant](Footage.of(repair(clip, masks, options)))

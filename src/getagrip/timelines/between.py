@@ -6,19 +6,25 @@ two that disagree, as where a box was turned over unseen, is no motion.
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import dataclass
+
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 
+from getagrip.clip import Segment
+from getagrip.fitting.energy import PosesInCamera, Quadratic, Term
 from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
 from getagrip.fitting.motion import Free
-from getagrip.fitting.objective import mask_of
+from getagrip.fitting.objective import evidence_of
+from getagrip.fitting.problem import Problem
 from getagrip.fitting.solve import minimise
 from getagrip.geometry import se3
 from getagrip.timelines.following import follow
 from getagrip.timelines.footage import Footage
 from getagrip.timelines.hypotheses import Hypotheses
-from getagrip.timelines.world_term import WorldTerm
+from getagrip.timelines.motion import Motion
 
 SMOOTH = 2e5
 """Energy of a surface that moves from one frame to the next [px^2 / m^2]: 20 for a centimetre."""
@@ -26,20 +32,64 @@ STAGES = ((128, 6), (256, 4))
 """Resolution [px] and iterations."""
 
 
-def between(
-    footage: Footage, rows: Int[ndarray, "n"], before: Hypotheses | None, after: Hypotheses | None
-) -> Hypotheses:
-    """The object in frames that lie between two known poses, or beyond one: each of one hypothesis in one frame."""
-    ahead = None if before is None else follow(footage, rows[0] - 1, rows, before).found
-    behind = None if after is None else follow(footage, rows[-1] + 1, rows[::-1], after).found
-    behind = behind and behind.at(np.arange(len(rows))[::-1])
+@dataclass(frozen=True)
+class WorldTerm:
+    """Another term, at poses in the world. Its derivatives are taken back to the camera's frame."""
+
+    term: Term
+    T_world_cam: Float[ndarray, "N 4 4"]
+
+    @property
+    def name(self) -> str:
+        return self.term.name
+
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
+        R = self.T_world_cam[:, :3, :3]
+        centre = se3.transform(self.T_world_cam, poses.centre[:, :, None])[:, :, 0]
+        found = self.term(PosesInCamera(R @ poses.R, np.asarray(centre), poses.scale), bound)
+        turn = np.zeros((len(R), 7, 7))
+        turn[:, :3, :3] = turn[:, 3:6, 3:6] = R
+        turn[:, 6, 6] = 1.0
+        back = np.swapaxes(turn, -1, -2)
+        cross = found.cross
+        if cross is not None:
+            cross = np.einsum("nji,bnjmk,mkl->bniml", turn, cross, turn, optimize=True)
+        return Quadratic(found.value, (back @ found.g[..., None])[..., 0], back @ found.H @ turn, cross)
+
+
+def smooth_in_world(problem: Problem) -> WorldTerm:
+    """Make the term by which the object's surface moves little in the world from each of the frames to the next."""
+    mesh, world = problem.clip.mesh, problem.clip.world
+    assert world is not None
+    return WorldTerm(SmoothnessTerm(moments(mesh.vertices - mesh.centre), SMOOTH), world.T_world_cam)
+
+
+def fill_between(motion: Motion, footage: Footage, known: list[Segment]) -> None:
+    """Fill the frames between segments that are known, and before and after them."""
+    edges = [(None, known[0]), *itertools.pairwise(known), (known[-1], None)]
+    for one, other in edges:
+        rows = np.arange(0 if one is None else one.last + 1, len(footage) if other is None else other.first)
+        if not len(rows):
+            continue
+        ahead = None if one is None else follow(footage, one.last, rows, motion.at(one.last)).found
+        behind = None if other is None else follow(footage, other.first, rows[::-1], motion.at(other.first)).found
+        behind = behind and behind.at(np.arange(len(rows))[::-1])
+        found, shown = _known_motions(ahead, behind), footage.shown[rows]
+        if shown.sum() > 1:
+            found = _fitted(footage.problem(rows[shown]), np.flatnonzero(shown), found)
+        else:
+            found = found.take(np.array([-1]))
+        motion.put(rows, found, "fitted")
+
+
+def _known_motions(ahead: Hypotheses | None, behind: Hypotheses | None) -> Hypotheses:
+    """Return the motions that are known; of two, the blend of the best as well."""
     if ahead is None or behind is None:
         start = ahead or behind
         assert start is not None
-    else:
-        best = np.zeros(1, int)
-        start = ahead.concatenate(behind).concatenate(_blended(ahead.take(best), behind.take(best)))
-    return _fitted(footage, rows, start)
+        return start
+    best = np.zeros(1, int)
+    return ahead.concatenate(behind).concatenate(_blended(ahead.take(best), behind.take(best)))
 
 
 def _blended(ahead: Hypotheses, behind: Hypotheses) -> Hypotheses:
@@ -51,18 +101,13 @@ def _blended(ahead: Hypotheses, behind: Hypotheses) -> Hypotheses:
     return Hypotheses(R, ahead.centre + share * (behind.centre - ahead.centre), ahead.scale, ahead.energy)
 
 
-def _fitted(footage: Footage, rows: Int[ndarray, "n"], start: Hypotheses) -> Hypotheses:
-    """The best smooth motion near the given ones that meets the masks of the frames that show the object."""
-    seen = footage.observed(rows)
-    if len(seen) < 2:
-        return start.take(np.array([-1]))
-    at = np.searchsorted(rows, seen)
-    problem = footage.problem(seen)
-    about = footage.clip.mesh.vertices - footage.clip.mesh.centre
+def _fitted(problem: Problem, at: Int[ndarray, "m"], start: Hypotheses) -> Hypotheses:
+    """Fit the best smooth motion near these that meets the masks; the problem is at the frames ``at`` of theirs."""
+    world = problem.clip.world
+    assert world is not None
     motion = Free(start.R[:, at], start.centre[:, at], np.log(start.scale))
-    energy = mask_of(problem)
-    smooth = WorldTerm(SmoothnessTerm(moments(about), SMOOTH), footage.T_world_cam[seen])
-    everywhere, T_cam_world = np.arange(len(at)), footage.T_cam_world[seen]
+    energy, smooth = evidence_of(problem), smooth_in_world(problem)
+    everywhere, T_cam_world = np.arange(len(at)), se3.inverse(world.T_world_cam)
     for level, iterations in STAGES:
         found = minimise(motion, [*energy(level, everywhere), smooth], T_cam_world, iterations)
         motion = found.motion

@@ -8,16 +8,19 @@ were proposed: deviations are under a ridge.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from getagrip.clip import Clip
 from getagrip.fitting.energy.smoothness import moments
 from getagrip.fitting.motion import Fixed, Frozen, PosesInHand, Soft
-from getagrip.fitting.objective import NOTHING, mask_of
+from getagrip.fitting.objective import evidence_of
+from getagrip.fitting.problem import Problem
 from getagrip.fitting.solve import minimise
 from getagrip.geometry import se3
 from getagrip.timelines.footage import Footage
@@ -26,7 +29,7 @@ from getagrip.timelines.hypotheses import Hypotheses
 RIDGE = (5e4, 300.0)
 """Stiffness of a frame's motion from where it was proposed [px^2 per m^2, per rad^2]."""
 TURN = np.radians(15.0)
-"""Of proposals that turn about the object's principal axes [rad]."""
+"""Angles of proposals that turn about the object's principal axes [rad]."""
 PATHS = 4
 """Kept of each pose."""
 ROUNDS = ((2, ((64, 2),)), (1, ((64, 4), (128, 5))))
@@ -39,46 +42,75 @@ LOST = 1e9
 
 @dataclass(frozen=True)
 class Paths:
-    """Where poses may have gone, least energy first; a path's energy is its pose's, that of its masks and its steps."""
+    """The paths of poses, least energy first; a path's energy is its pose's, that of its masks and its steps."""
 
     found: Hypotheses
     start: Int[ndarray, "P"]
     """Which pose each path began with."""
 
     def at(self, frames: Int[ndarray, "m"]) -> Paths:
-        """At some of the frames."""
+        """Return the paths at some of the frames."""
         return Paths(self.found.at(frames), self.start)
 
 
 def follow(footage: Footage, begin: int, rows: Int[ndarray, "n"], start: Hypotheses) -> Paths:
-    """Hypotheses of the frame ``begin``, taken through others in the given order, which may lead back in time.
+    """Follow hypotheses of the frame ``begin`` into later frames, or earlier ones, in the order of the frames.
 
-    In frames that do not show the object it stays where it was.
+    Frames between are passed as well. In frames that do not show the object it stays where it was.
     """
-    seen = footage.observed(rows)
-    energy = mask_of(footage.problem(seen)) if len(seen) else NOTHING
-    about = moments(footage.clip.mesh.vertices - footage.clip.mesh.centre)
-    here, before, last, frame = start, start, begin, 0
-    K, N = len(start.R), len(rows)
+    step = 1 if rows[-1] > begin else -1
+    through = np.arange(begin + step, rows[-1] + step, step)
+    shown = footage.shown[through]
+    seen = through[shown]
+    if not len(seen):
+        return Paths(start.at(np.zeros(len(rows), int)), np.arange(len(start.R)))
+    carried = [carried_by_hands(footage.clip, int(last), int(row)) for last, row in itertools.pairwise([begin, *seen])]
+    return _followed(footage.problem(seen), shown, carried, start).at((rows - through[0]) * step)
+
+
+def carried_by_hands(clip: Clip, before: int, after: int) -> list[Float[ndarray, "4 4"]]:
+    """Get how something that goes with a hand moves in the world from one frame to another.
+
+    One motion for the clip's own hand, and one for the other hand if it is known in both frames.
+    """
+    assert clip.world is not None
+    ends, hands, other = [before, after], [clip.hand], clip.other_hand
+    if other is not None and other.known[before] and other.known[after]:
+        hands.append(other.track)
+    T_world_hands = [clip.world.T_world_cam[ends] @ hand.T_cam_hand[ends] for hand in hands]
+    return [end @ se3.inverse(start) for start, end in T_world_hands]
+
+
+def _followed(
+    problem: Problem, shown: Bool[ndarray, "n"], carried: Sequence[Sequence[Float[ndarray, "4 4"]]], start: Hypotheses
+) -> Paths:
+    """Hypotheses from frame to frame; the problem is at those of n frames that show the object.
+
+    ``carried`` is what hands do to an object that goes with them, from each of these frames to the next.
+    """
+    energy, mesh, world = evidence_of(problem), problem.clip.mesh, problem.clip.world
+    assert world is not None
+    T_cam_world, about = se3.inverse(world.T_world_cam), moments(mesh.vertices - mesh.centre)
+    here, before, frame = start, start, 0
+    K, N = len(start.R), len(shown)
     room = np.empty((K, N, 3, 3)), np.empty((K, N, 3))
     paths = Paths(Hypotheses(*room, start.scale, start.energy), np.arange(K))
-    for n, row in enumerate(rows):
-        if frame < len(seen) and row == seen[frame]:
-            carried = footage.carried(last, int(row))
-            motion, parent = _proposals(here, before, carried, footage.some.surface.axes)
+    for n in range(N):
+        if shown[n]:
+            motion, parent = _proposals(here, before, carried[frame], problem.surface.axes)
             for times, steps in ROUNDS:
                 for level, iterations in steps:
                     terms = energy(level, np.array([frame]))
-                    fitted = minimise(motion, terms, footage.T_cam_world[[row]], iterations)
+                    fitted = minimise(motion, terms, T_cam_world[[frame]], iterations)
                     motion = fitted.motion
                 cost = here.energy[parent] + np.nan_to_num(fitted.energy, nan=LOST, posinf=LOST)
                 spots = _spots(about, motion.poses())
-                best = _distinct(spots, cost, paths.start[parent], times * PATHS, SAME * footage.clip.mesh.diameter)
+                best = _distinct(spots, cost, paths.start[parent], times * PATHS, SAME * mesh.diameter)
                 motion, parent, cost = motion.take(best), parent[best], cost[best]
             poses = motion.poses()
             before, here = here.take(parent), Hypotheses(poses.R, poses.centre, poses.scale, cost)
             paths = Paths(replace(paths.found.take(parent), energy=cost), paths.start[parent])
-            last, frame = int(row), frame + 1
+            frame += 1
         paths.found.R[:, n], paths.found.centre[:, n] = here.R[:, 0], here.centre[:, 0]
     return paths
 
@@ -86,7 +118,7 @@ def follow(footage: Footage, begin: int, rows: Int[ndarray, "n"], start: Hypothe
 def _proposals(
     here: Hypotheses, before: Hypotheses, carried: Sequence[Float[ndarray, "4 4"]], axes: Float[ndarray, "3 3"]
 ) -> tuple[Frozen[Soft[Fixed]], Int[ndarray, "M"]]:
-    """Where paths may go on, one frame each, and which path each proposal is of.
+    """Propose how paths may go on, one frame each, and the path that each proposal is of.
 
     Half a step on, a whole one with its turn, with a hand (``carried``), or turned about one of the axes.
     """
@@ -115,7 +147,7 @@ def _spots(about: Float[ndarray, "4 4"], poses: PosesInHand) -> Float[ndarray, "
 def _distinct(
     spots: Float[ndarray, "M 12"], cost: Float[ndarray, "M"], start: Int[ndarray, "M"], keep: int, same: float
 ) -> Int[ndarray, "P"]:
-    """The ``keep`` cheapest of each start, near-copies of a cheaper one left out, cheapest first."""
+    """Return the ``keep`` cheapest of each start, near-copies of a cheaper one left out, cheapest first."""
     chosen: dict[int, list[int]] = {}
     order: list[int] = []
     for m in np.argsort(cost, kind="stable"):

@@ -1,95 +1,112 @@
-"""A clip and its masks, and problems at any of its frames that show the object."""
+"""A timeline's clip and its masks, and problems at any of its frames that show the object."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip.checks.evidence import Glitches
-from getagrip.clip import Clip, Masks, Segment, World
+from getagrip.clip import Clip, Masks, Segment, World, read_masks
+from getagrip.errors import UsageError
+from getagrip.fitting.methods.all_frames import soft_hinges
 from getagrip.fitting.options import Options
+from getagrip.fitting.pipeline import Input
 from getagrip.fitting.problem import Problem, prepare
-from getagrip.fitting.tracker_glitches import repair_hand
 from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
 
-
-def grasp_clip(clip: Clip, masks: Masks, segment: Segment) -> tuple[Clip, Masks, Int[ndarray, "n"]] | None:
-    """A grasp as a clip of the hand that holds the object, its masks, and its frames: those in which the hand is known.
-
-    None where fewer than two of them show the object. The other hand's pixels are not known apart from all ignored.
-    """
-    by, rows = clip.with_side(segment.side), segment.rows[clip.hand_known(segment.side)[segment.rows]]
-    if by is None or not len(rows):
-        return None
-    of_grasp = masks.take(rows)
-    if of_grasp.observed.sum() < 2:
-        return None
-    return by.take(rows), of_grasp if by is clip else replace(of_grasp, hand=None), rows
+METHOD = "soft-hinge"
+"""How objects move in the grasps of a timeline."""
 
 
 @dataclass(frozen=True)
 class Footage:
-    """What a timeline is reconstructed from. The clip's scale is known; its hand is as it was given, where it does not
-    jump."""
+    """The inputs of a timeline's reconstruction.
 
+    Attributes:
+        source: the clip as it came.
+        clip: the clip at its scale, its hand repaired, with a world: without one, the camera's own frame stands for it.
+        masks: those of the clip.
+        scale: of the mesh that was given.
+        some: the problem at a few of the frames, from which others are made.
+        T_world_cam: (T, 4, 4) poses of the camera.
+        T_cam_world: (T, 4, 4) of the world before it.
+        shown: (T,) the frames whose masks show the object.
+    """
+
+    source: Input
     clip: Clip
     masks: Masks
-    options: Options
+    scale: float
     some: Problem
-    """At a few of the frames; others are made from it."""
-    glitches: Glitches | None = None
+    T_world_cam: Float[ndarray, "T 4 4"]
+    T_cam_world: Float[ndarray, "T 4 4"]
+    shown: Bool[ndarray, "T"]
 
     @staticmethod
-    def of(clip: Clip, masks: Masks, options: Options) -> Footage:
-        """Without a world, the camera's own frame stands for one.
+    def of(source: Input) -> Footage:
+        """Read masks that were not given, and find a free scale.
 
-        Raises ``InputError`` where the object is visible in fewer than two frames.
+        Raises ``UsageError`` for another method than the soft hinge, ``InputError`` where the object is visible in
+        fewer than two frames.
         """
-        if clip.world is None:
-            clip = replace(clip, world=World(np.tile(np.eye(4), (len(clip), 1, 1))))
-        clip, glitches = repair_hand(clip, options)
-        return Footage(
-            clip, masks, options, prepare(clip, masks, replace(options, frames=2, hands="as-given")), glitches
-        )
+        clip, options, scale = source.clip, source.options, 1.0
+        if options.method != METHOD:
+            raise UsageError(f"method must be {METHOD!r} for a clip with segments (got {options.method!r})")
+        masks = read_masks(clip) if source.masks is None else source.masks
+        if clip.scale == "free":
+            scale = find_scale(clip, masks, options)
+            clip = replace(clip, mesh=Mesh(scale * clip.mesh.vertices, clip.mesh.faces), scale="known", truth=None)
+        world = clip.world or World(np.tile(np.eye(4), (len(clip), 1, 1)))
+        clip = replace(clip, world=world)
+        some = prepare(clip, masks, replace(options, frames=2, hands="as-given"))
+        T_world_cam = world.T_world_cam
+        return Footage(source, clip, masks, scale, some, T_world_cam, se3.inverse(T_world_cam), masks.observed)
 
     def __len__(self) -> int:
         return len(self.clip)
 
-    @property
-    def T_world_cam(self) -> Float[ndarray, "T 4 4"]:
-        """Where the camera was."""
-        assert self.clip.world is not None
-        return self.clip.world.T_world_cam
-
-    @property
-    def T_cam_world(self) -> Float[ndarray, "T 4 4"]:
-        """The world before the camera."""
-        return se3.inverse(self.T_world_cam)
-
-    @property
-    def T_world_hand(self) -> Float[ndarray, "T 4 4"]:
-        """The given hand in the world."""
-        return self.T_world_cam @ self.clip.hand.T_cam_hand
-
-    def carried(self, before: int, after: int) -> list[Float[ndarray, "4 4"]]:
-        """What moves with a given hand from one frame to another, moves so in the world: by the clip's own hand, and by
-        the other one if it is known in both frames."""
-        T_world_hands, other = [self.T_world_hand], self.clip.other_hand
-        if other is not None and other.known[before] and other.known[after]:
-            T_world_hands.append(self.T_world_cam @ other.track.T_cam_hand)
-        return [T[after] @ se3.inverse(T[before]) for T in T_world_hands]
-
-    def grasp_clip(self, segment: Segment) -> tuple[Clip, Masks, Int[ndarray, "n"]] | None:
-        """A grasp as a clip (``held``)."""
-        return grasp_clip(self.clip, self.masks, segment)
-
-    def observed(self, rows: Int[ndarray, "n"]) -> Int[ndarray, "m"]:
-        """Those of some frames whose masks show the object."""
-        return rows[self.masks.take(rows).observed]
-
     def problem(self, rows: Int[ndarray, "n"]) -> Problem:
-        """At frames that show the object, in the given order, with the hand as it was given."""
+        """Make the problem at frames that show the object, in the given order, with the repaired hand."""
         return self.some.at(self.clip.take(rows), self.masks.take(rows))
+
+
+@dataclass(frozen=True)
+class Grasp:
+    """A grasp as a clip of the hand that holds the object, in the frames in which that hand is known.
+
+    Attributes:
+        rows: these frames, of the timeline.
+    """
+
+    segment: Segment
+    clip: Clip
+    masks: Masks
+    rows: Int[ndarray, "n"]
+
+    @staticmethod
+    def of(clip: Clip, masks: Masks, segment: Segment) -> Grasp | None:
+        """Make the grasp; None where fewer than two of its frames show the object.
+
+        The other hand's pixels are not known apart from all ignored.
+        """
+        by, rows = clip.with_side(segment.side), segment.rows[clip.hand_known(segment.side)[segment.rows]]
+        if by is None or not len(rows):
+            return None
+        of_grasp = masks.take(rows)
+        if of_grasp.observed.sum() < 2:
+            return None
+        return Grasp(segment, by.take(rows), of_grasp if by is clip else replace(of_grasp, hand=None), rows)
+
+
+def find_scale(clip: Clip, masks: Masks, options: Options) -> float:
+    """Return the object's scale: that of the longest grasp, where hand and camera determine it.
+
+    Raises ``InputError``.
+    """
+    grasps = [Grasp.of(clip, masks, segment) for segment in clip.segments if segment.state == "grasp"]
+    longest = max((grasp for grasp in grasps if grasp is not None), key=lambda grasp: len(grasp.rows), default=None)
+    problem = prepare(*((longest.clip, longest.masks) if longest else (clip, masks)), options)
+    return float(soft_hinges(problem, lambda _: None).motion.poses().scale[0])

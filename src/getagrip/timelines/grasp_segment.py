@@ -13,20 +13,19 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.clip import Segment
 from getagrip.fitting.energy import Energy, Term
 from getagrip.fitting.energy.smoothness import moments
-from getagrip.fitting.every_frame import at_every_frame, at_sampled_frames
+from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frames
 from getagrip.fitting.methods.all_frames import result_of, soft_energy, soft_hinges
-from getagrip.fitting.motion import Hinge, Soft
+from getagrip.fitting.motion import Hinge, Soft, moved
 from getagrip.fitting.objective import NOTHING, plus
-from getagrip.fitting.problem import MethodResult, Problem, prepare
+from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.solve import Solution, evaluate, minimise
 from getagrip.geometry import se3
-from getagrip.result import Axis, FrameKind, Status
+from getagrip.result import Axis, Status
 from getagrip.timelines.following import Paths
-from getagrip.timelines.footage import Footage
-from getagrip.timelines.hypotheses import Hypotheses, in_world
+from getagrip.timelines.footage import Grasp
+from getagrip.timelines.hypotheses import Hypotheses
 from getagrip.timelines.link_term import SLIP, WEIGHT, Expected, LinkTerm
 
 FINEST = 256
@@ -39,23 +38,24 @@ POLISH = 6
 
 @dataclass(frozen=True)
 class Neighbour:
-    """Where the hypotheses of a neighbouring segment, followed, have the object in some frames of a grasp's problem."""
+    """The object's pose in some frames of a grasp's problem, by the followed hypotheses of a neighbouring segment."""
 
     paths: Paths
     frames: Int[ndarray, "m"]
-    """Of the problem's frames, rising."""
+    """Rising indices of the problem's frames."""
     earlier: bool
-    """Whether the neighbour comes before the grasp."""
+    """True if the neighbour comes before the grasp."""
 
 
 @dataclass(frozen=True)
 class GraspSolutions:
     """Solutions of a grasp at the frames of its problem."""
 
-    segment: Segment
+    grasp: Grasp
     problem: Problem
-    rows: Int[ndarray, "n"]
-    """The problem's frames in the clip."""
+    """At the frames that are fitted together."""
+    sampled: Int[ndarray, "m"]
+    """These frames, of the timeline."""
     motion: Soft[Hinge]
     energy: Float[ndarray, "K"]
     """Without links."""
@@ -63,18 +63,12 @@ class GraspSolutions:
     @property
     def hypotheses(self) -> Hypotheses:
         """In the world, at the problem's frames."""
-        poses, T = self.motion.poses(), _T_world_hand(self.problem)
-        return in_world(poses.R, poses.centre, poses.scale, self.energy, T)
+        poses = moved(self.motion.poses(), _T_world_hand(self.problem))
+        return Hypotheses(poses.R, poses.centre, poses.scale, self.energy)
 
 
-def prepared(footage: Footage, segment: Segment) -> Problem | None:
-    """The problem of a grasp; None where its hand is not known or fewer than two frames show the object."""
-    grasp = footage.grasp_clip(segment)
-    return None if grasp is None else prepare(grasp[0], grasp[1], footage.options)
-
-
-def solved(footage: Footage, segment: Segment, problem: Problem, neighbours: Sequence[Neighbour]) -> GraspSolutions:
-    """The solutions of a grasp. Raises ``GetagripError`` where nothing can be rendered."""
+def solve_grasp(grasp: Grasp, problem: Problem, neighbours: Sequence[Neighbour]) -> GraspSolutions:
+    """Search for the solutions of a grasp, by its problem. Raises ``GetagripError`` where nothing can be rendered."""
     found = soft_hinges(problem, lambda _: None)
     motion = found.motion
     if neighbours:
@@ -85,41 +79,39 @@ def solved(footage: Footage, segment: Segment, problem: Problem, neighbours: Seq
     terms, N = soft_energy(problem)(FINEST, np.arange(len(problem.clip))), len(motion.deviation)
     cost = evaluate(motion, terms, problem.clip.hand.T_cam_hand, np.full(N, np.inf)).cost
     order = np.argsort(cost, kind="stable")  # all of them: a box turned by half is the same, but for its links
-    rows = footage.clip.index_of(problem.clip.frames)
-    return GraspSolutions(segment, problem, rows, motion.take(order), cost[order])
+    sampled = grasp.rows[grasp.clip.index_of(problem.clip.frames)]
+    return GraspSolutions(grasp, problem, sampled, motion.take(order), cost[order])
 
 
 @dataclass(frozen=True)
 class GraspTrack:
     """A grasp in all of its frames in which its hand is known."""
 
-    grasp: GraspSolutions
+    solutions: GraspSolutions
     chosen: int
     """Which of its solutions."""
     found: MethodResult
     """That, fitted once more with its links, at the problem's frames."""
-    rows: Int[ndarray, "n"]
-    T_cam_hand: Float[ndarray, "n 4 4"]
-    T_hand_obj: Float[ndarray, "n 4 4"]
-    kind: tuple[FrameKind, ...]
-    axis: Axis | None
-    notes: tuple[str, ...]
+    track: Track
+    """That, in all frames."""
+
+    @property
+    def axis(self) -> Axis | None:
+        """Its axis, with the angles in all frames."""
+        axis, angle = self.found.axis, self.track.angle
+        return None if axis is None or angle is None else replace(axis, angle=angle)
 
 
-def in_all_frames(footage: Footage, grasp: GraspSolutions, k: int, neighbours: Sequence[Neighbour]) -> GraspTrack:
-    """Solution k, fitted once more with its links, in every frame."""
-    motion = grasp.motion.take(np.array([k]))
-    energy = {"total": grasp.energy[[k]]}
-    solution = Solution(motion, grasp.energy[[k]], energy, [Status.FINISHED], 0)
-    problem, found = grasp.problem, result_of(solution, motion.core, soft_energy)
+def fit_in_all_frames(solutions: GraspSolutions, k: int, neighbours: Sequence[Neighbour]) -> GraspTrack:
+    """Fit solution k once more with its links, in every frame."""
+    motion = solutions.motion.take(np.array([k]))
+    energy = {"total": solutions.energy[[k]]}
+    solution = Solution(motion, solutions.energy[[k]], energy, [Status.FINISHED], 0)
+    grasp, problem, found = solutions.grasp, solutions.problem, result_of(solution, motion.core, soft_energy)
     if neighbours:
         found = _polished(problem, found, neighbours)
-    value = footage.grasp_clip(grasp.segment)
-    assert value is not None
-    clip, masks, rows = value
-    track = at_every_frame(clip, masks, problem, found, at_sampled_frames(problem, found))
-    axis = None if found.axis is None or track.angle is None else replace(found.axis, angle=track.angle)
-    return GraspTrack(grasp, k, found, rows, track.T_cam_hand, track.T_hand_obj[0], track.kind, axis, problem.notes)
+    sampled = at_sampled_frames(problem, found)
+    return GraspTrack(solutions, k, found, at_every_frame(grasp.clip, grasp.masks, problem, found, sampled))
 
 
 def _polished(problem: Problem, found: MethodResult, neighbours: Sequence[Neighbour]) -> MethodResult:
@@ -132,27 +124,27 @@ def _polished(problem: Problem, found: MethodResult, neighbours: Sequence[Neighb
 
 
 def links_of(problem: Problem, neighbours: Sequence[Neighbour]) -> Energy:
-    """The energy of the links of a grasp."""
+    """Return the energy of the links of a grasp."""
     return plus(*(_link(problem, neighbour) for neighbour in neighbours)) if neighbours else NOTHING
 
 
 def most(problem: Problem) -> float:
-    """The most that a link to a problem can cost [px^2]."""
+    """Return the most that a link to a problem can cost [px^2]."""
     return WEIGHT * float(problem.observation.area.mean()) * len(problem.clip)
 
 
 def _link(problem: Problem, neighbour: Neighbour) -> Energy:
-    """The energy of one link."""
+    """Return the energy of one link."""
     clip, frames, expected = problem.clip, neighbour.frames, neighbour.paths.found
     assert clip.world is not None
-    R, centre = expected.seen_from(se3.inverse(clip.world.T_world_cam[frames]))
+    seen = moved(expected, se3.inverse(clip.world.T_world_cam[frames]))
     of, size = moments(clip.mesh.vertices - clip.mesh.centre), SLIP * clip.mesh.diameter
     cost = expected.energy - expected.energy.min()
 
     def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[Term]:
         share = len(index) / len(clip)
         here = np.flatnonzero(np.isin(frames, index))
-        known = Expected(np.searchsorted(index, frames[here]), R[:, here], centre[:, here], share * cost)
+        known = Expected(np.searchsorted(index, frames[here]), seen.R[:, here], seen.centre[:, here], share * cost)
         return [LinkTerm(of, known, share * most(problem), size)]
 
     return terms

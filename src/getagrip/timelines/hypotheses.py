@@ -1,4 +1,4 @@
-"""What is known of the object in some frames of a timeline: a few distinct solutions, in the world."""
+"""Hypotheses about the object in some frames of a timeline: a few distinct solutions, in the world."""
 
 from __future__ import annotations
 
@@ -8,48 +8,30 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.fitting.motion.base import Batch
+from getagrip.fitting.motion import PosesInHand, placed
 from getagrip.geometry import se3
 
 
 @dataclass(frozen=True)
-class Hypotheses(Batch):
-    """K solutions in n frames of a clip, best first: ``X_world = R @ (scale * (X_obj - c)) + centre``.
+class Hypotheses(PosesInHand):
+    """K solutions in n frames of a clip, best first; the poses are in the world.
 
     Attributes:
-        R, centre: poses about the mesh's centre c, in the world.
-        scale: of the mesh.
         energy: of each [px^2 of the 256-pixel crop].
     """
 
-    R: Float[ndarray, "K n 3 3"]
-    centre: Float[ndarray, "K n 3"]
-    scale: Float[ndarray, "K"]
     energy: Float[ndarray, "K"]
 
     def at(self, frames: Int[ndarray, "m"]) -> Hypotheses:
-        """At some of the frames."""
+        """Return the hypotheses at some of the frames."""
         return Hypotheses(self.R[:, frames], self.centre[:, frames], self.scale, self.energy)
 
     def T_world_obj(self, centre: Float[ndarray, "3"]) -> Float[ndarray, "K n 4 4"]:
-        """Poses of the mesh's own frame, in which its centre is where it is given."""
-        scale = self.scale[:, None, None]
-        return se3.rigid(self.R, self.centre - scale * (self.R @ centre))
+        """Return poses of the mesh's own frame, in which its centre is where it is given."""
+        return placed(self, centre)
 
-    def seen_from(
-        self, T_cam_world: Float[ndarray, "n 4 4"]
-    ) -> tuple[Float[ndarray, "K n 3 3"], Float[ndarray, "K n 3"]]:
-        """Rotations and centres in another frame than the world, as the camera's or the hand's."""
-        return T_cam_world[:, :3, :3] @ self.R, se3.transform(T_cam_world, self.centre[:, :, None])[:, :, 0]
-
-
-def in_world(
-    R: Float[ndarray, "K n 3 3"],
-    centre: Float[ndarray, "K n 3"],
-    scale: Float[ndarray, "K"],
-    energy: Float[ndarray, "K"],
-    T_world_other: Float[ndarray, "n 4 4"],
-) -> Hypotheses:
-    """Hypotheses from poses in another frame than the world."""
-    placed = se3.transform(T_world_other, centre[:, :, None])[:, :, 0]
-    return Hypotheses(T_world_other[:, :3, :3] @ R, np.asarray(placed), scale, energy)
+    @staticmethod
+    def of_pose(T_world_obj: Float[ndarray, "4 4"], centre: Float[ndarray, "3"]) -> Hypotheses:
+        """Make the hypothesis of one known pose in one frame, at the scale of the mesh."""
+        placed_centre = se3.transform(T_world_obj, centre[None])
+        return Hypotheses(T_world_obj[None, None, :3, :3], placed_centre[None], np.ones(1), np.zeros(1))

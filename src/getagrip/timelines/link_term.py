@@ -14,7 +14,7 @@ from getagrip.geometry import se3
 
 @dataclass(frozen=True)
 class Expected:
-    """Where a neighbouring segment's hypotheses have the object in some frames of a segment, in the camera frame.
+    """The object's pose in some frames of a segment, by a neighbouring segment's hypotheses, in the camera frame.
 
     Attributes:
         frames: the frames, of those that the segment's fit sees.
@@ -37,7 +37,7 @@ class LinkTerm:
     """
 
     moments: Float[ndarray, "4 4"]
-    """Of the vertices about the centre (``smoothness.moments``)."""
+    """Second moments of the vertices about the centre (``smoothness.moments``)."""
     expected: Expected
     weight: float
     """Most that a link can cost in all its frames together [px^2]."""

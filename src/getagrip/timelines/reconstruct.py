@@ -3,41 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray
-from threadpoolctl import threadpool_limits
 
-from getagrip.checks import INPUT_CHECKS, LEAST_IOU, Evidence, calibration, examine
-from getagrip.checks.of_timeline import WITH_HAND, examine_timeline, name_of
-from getagrip.clip import Clip, Masks, Segment, check_clip, check_masks, read_masks
-from getagrip.errors import GetagripError, UsageError
-from getagrip.finding import Finding
-from getagrip.fitting import reconstruct as grasp
+from getagrip.checks import INPUT_CHECKS, Evidence, examine
+from getagrip.checks.of_timeline import WITH_HAND
+from getagrip.clip import Clip, Masks
+from getagrip.errors import GetagripError
+from getagrip.fitting.every_frame import Track
+from getagrip.fitting.grasp import GRASP
 from getagrip.fitting.image_iou import image_iou
-from getagrip.fitting.judge import probability_right
-from getagrip.fitting.methods.all_frames import soft_hinges
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import prepare
-from getagrip.fitting.tracker_glitches import repair_hand
+from getagrip.fitting.pipeline import Clock, Steps, run
 from getagrip.geometry import se3
-from getagrip.geometry.mesh import Mesh
-from getagrip.probability import Probability
-from getagrip.provenance import assumptions
-from getagrip.result import Candidates, Reconstruction, SegmentResult, Status
-from getagrip.timelines.footage import Footage, grasp_clip
-from getagrip.timelines.joint import joint
+from getagrip.result import Reconstruction, Status
+from getagrip.timelines.footage import Footage
+from getagrip.timelines.joint import Chain, choose_hypotheses, fill_all_frames
+from getagrip.timelines.judge import TimelineAnswer, judge_timeline
 from getagrip.timelines.motion import Motion
-from getagrip.timelines.signs import signs_of
-
-METHOD = "soft-hinge"
-"""How objects move in the grasps of a timeline."""
-MEANING = f"{calibration.MEANING.format('hand')}; calibrated on grasps by themselves, of timelines a rough guide only"
-"""Of a grasp's probability (docs/checks.md)."""
-UNEXPLAINED = "failed in part: masks are hardly met (mean IOU) in the segments {}"
-"""The message of a result some of whose segments are below ``LEAST_IOU``."""
 
 
 def reconstruct(
@@ -56,7 +40,7 @@ def reconstruct(
         clip: hands, mesh and camera (``read_clip``, ``Clip``); a free scale is found, too.
         masks: masks of all of the clip's frames. Without them, those of the frames that are used are read from the
             clip's folder.
-        options: method, number of initial poses, weights and what of the inputs is believed; None for the usual ones.
+        options: method, number of initial poses, weights and use of the inputs; None for the defaults.
             ``options.frames`` frames, sampled evenly, are fitted together, and the others follow from them.
         progress: called with the name of the stage that has ended and the fraction done, 0 to 1.
         threads: number of threads that share the hypotheses of a search. The result is the same to the last bit
@@ -64,7 +48,7 @@ def reconstruct(
             processes. A timeline is solved on one.
 
     Returns:
-        The object's poses in the hand, what was believed, and how probable it is that they are right.
+        The object's poses in the hand, the assumptions behind them, and the probability that they are right.
 
     Raises:
         UsageError: masks of another clip, or a timeline and another method than the soft hinge.
@@ -73,130 +57,68 @@ def reconstruct(
         GetagripError: nothing can be rendered.
     """
     options = options or Options()
-    if not clip.segments:
-        return grasp.reconstruct(clip, masks, options, progress, threads)
-    if options.method != METHOD:
-        raise UsageError(f"method must be {METHOD!r} for a clip with segments (got {options.method!r})")
-    check_clip(clip)
-    if masks is None:
-        masks = read_masks(clip)
-    check_masks(clip, masks)
-    with threadpool_limits(1, user_api="blas"):
-        clock = grasp.Clock(progress)
-        light, scale = clip.light(), 1.0
-        if clip.scale == "free":
-            scale = scale_of(light, masks, options)
-            light = replace(light, mesh=Mesh(scale * light.mesh.vertices, light.mesh.faces), scale="known", truth=None)
-        footage = Footage.of(light, masks, options)
-        clock("prepare")
-        try:
-            motion = joint(footage, on_stage=clock)
-        except GetagripError as error:
-            of_clip = [check for check in INPUT_CHECKS if check.name not in WITH_HAND]
-            serious = [finding for finding in examine(of_clip, Evidence(light, masks))[1] if finding.serious]
-            if not serious:
-                raise
-            raise GetagripError("; ".join(map(str, (error, *serious)))) from error
-    return result_of(clip, footage, motion, scale, clock.seconds())
+    if clip.segments:
+        return run(TIMELINE, clip, masks, options, progress, threads)
+    return run(GRASP, clip, masks, options, progress, threads)
 
 
-def scale_of(clip: Clip, masks: Masks, options: Options) -> float:
-    """The object's scale: that of the longest grasp, where hand and camera tell it. Raises ``InputError``."""
-    clip, _ = repair_hand(clip, options)
-    grasps = [grasp_clip(clip, masks, s) for s in clip.segments if s.state == "grasp"]
-    longest = max((grasp for grasp in grasps if grasp is not None), key=lambda grasp: len(grasp[2]), default=None)
-    problem = prepare(*(longest[:2] if longest else (clip, masks)), options)
-    return float(soft_hinges(problem, lambda _: None).motion.poses().scale[0])
+def _search(footage: Footage, clock: Clock) -> Chain:
+    """Search for the hypotheses of all segments that are best together.
+
+    Where there are none, the error also says what is unusual about the inputs.
+    """
+    try:
+        return choose_hypotheses(footage, support=True, on_stage=clock)
+    except GetagripError as error:
+        of_clip = [check for check in INPUT_CHECKS.working().values() if check.name not in WITH_HAND]
+        original = footage.source.original
+        clip = replace(footage.clip, hand=original.hand, world=original.world)
+        serious = [finding for finding in examine(of_clip, Evidence(clip, footage.masks))[1] if finding.serious]
+        if not serious:
+            raise
+        raise GetagripError("; ".join(map(str, (error, *serious)))) from error
 
 
-def result_of(clip: Clip, footage: Footage, motion: Motion, scale: float, seconds: dict[str, float]) -> Reconstruction:
-    """The motion as a result; the mesh of ``footage`` is the clip's at its scale."""
-    T_hand_obj = se3.inverse(motion.T_cam_hand) @ motion.T_cam_obj
-    posed, other_hand = footage.clip.with_hand_at(motion.T_cam_hand), motion.T_cam_other_hand
-    iou = np.where(footage.masks.observed, image_iou(posed, footage.masks, T_hand_obj, 1.0), np.nan)
-    moved = not np.array_equal(motion.T_cam_hand, clip.hand.T_cam_hand)
-    energy, other = motion.energy
-    notes = [*motion.notes, *followed(clip, footage), *footage.some.notes]
-    guesses = {"scale": grasp.SCALE_GUESSED.format(scale)} if clip.scale == "free" else {}
-    mean_iou = float(np.nanmean(iou))
-    hands = motion.T_cam_hand, motion.T_cam_obj, scale, iou, other_hand
-    examined = examine_timeline(clip.light(), footage.masks, *hands, footage.glitches)
-    status, message = Status.JOINT, Status.JOINT.sentence
-    if examined.failed:
-        status, message = Status.PARTLY_FAILED, UNEXPLAINED.format(examined.failed)
-    if mean_iou < LEAST_IOU:
-        status, message = Status.MISFIT, grasp.UNEXPLAINED.format(mean_iou)
-    return Reconstruction(
-        clip=clip.name,
-        method=METHOD,
-        frames=clip.frames,
-        frame_kind=tuple(motion.kind),
-        T_hand_obj=T_hand_obj,
-        scale=scale,
-        iou=iou,
+def _fit_all_frames(footage: Footage, chain: Chain, clock: Clock) -> TimelineAnswer:
+    """Fill the motion over all segments and between them."""
+    motion, clip = fill_all_frames(footage, chain, clock), footage.clip
+    T_cam_hand = motion.T_cam_hand
+    T_hand_obj = se3.inverse(T_cam_hand) @ motion.T_cam_obj
+    iou = np.where(footage.shown, image_iou(clip.with_hand_at(T_cam_hand), footage.masks, T_hand_obj, 1.0), np.nan)
+    return TimelineAnswer(
+        track=Track(clip.frames, tuple(motion.kind), T_cam_hand, T_hand_obj[None], None, iou),
+        scale=np.array([footage.scale]),
+        energy=np.array([chain.energy]),
+        next_best=chain.next_best,
+        status=Status.JOINT,
+        terms={},
         axis=None,
-        candidates=Candidates(T_hand_obj[None], np.array([scale]), np.array([energy])),
-        energy={"total": energy},
-        status=status,
-        message=message,
-        ambiguous=other < grasp.AMBIGUOUS * energy,
-        seconds=seconds,
-        options=asdict(footage.options),
-        seed=footage.options.seed,
-        T_cam_hand=motion.T_cam_hand if moved else None,
-        T_cam_other_hand=other_hand,
-        notes=(*notes, *guesses.values()),
-        assumptions=assumptions(clip.provenance) | guesses,
-        findings=examined.findings,
-        checks=examined.checks,
-        segments=tuple(
-            replace(segment_result(clip, segment, motion, iou), checks=checks, signs=signs, probability_right=right)
-            for segment, checks in zip(clip.segments, examined.of_segments, strict=True)
-            for signs, right in [probability_of(clip, segment, motion, footage, examined.findings)]
-        ),
+        warp=None,
+        hand_moved=not np.array_equal(T_cam_hand, footage.source.original.hand.T_cam_hand),
+        T_cam_other_hand=motion.T_cam_other_hand,
+        notes=(*_notes_of_grasps(clip, motion, footage.some.notes), *footage.some.notes),
+        motion=motion,
     )
 
 
-def followed(clip: Clip, footage: Footage) -> list[str]:
-    """What is to be known about grasps that could not be solved as such."""
-    out = []
-    for segment in clip.segments:
-        if segment.state == "grasp" and footage.grasp_clip(segment) is None:
-            name = f"grasp from {clip.frames[segment.first]} ({segment.side} hand)"
-            known = clip.hand_known(segment.side)[segment.rows].any()
-            why = "the object is not seen in two frames" if known else f"the clip has no {segment.side} hand there"
-            out.append(f"{name}: {why}, so it was followed by the masks as in unstable contact, without an axis")
-    return out
+def _notes_of_grasps(clip: Clip, motion: Motion, known: Sequence[str]) -> list[str]:
+    """Say what is to be known about grasps beyond what is ``known``, and which could not be solved as such."""
+    out, masks_only = list[str](), list[str]()
+    for segment in (segment for segment in clip.segments if segment.state == "grasp"):
+        track = motion.grasps.get(segment.first)
+        if track is not None:
+            first = clip.frames[track.solutions.grasp.rows[0]]
+            out += [f"grasp from {first}: {note}" for note in track.solutions.problem.notes if note not in known]
+            continue
+        name = f"grasp from {clip.frames[segment.first]} ({segment.side} hand)"
+        has_hand = clip.hand_known(segment.side)[segment.rows].any()
+        why = (
+            "the object is visible in fewer than two frames"
+            if has_hand
+            else f"the clip has no {segment.side} hand there"
+        )
+        masks_only.append(f"{name}: {why}, so it was tracked by its masks as in unstable contact, without an axis")
+    return [*out, *masks_only]
 
 
-def probability_of(
-    clip: Clip, segment: Segment, motion: Motion, footage: Footage, findings: Sequence[Finding]
-) -> tuple[dict[str, float], Probability | None]:
-    """The signs of a grasp, and how probable it is that it is right; nothing of other segments."""
-    track = motion.grasps.get(segment.first)
-    if segment.state != "grasp" or track is None:
-        return {}, None
-    signs, names = signs_of(footage, track), {check.name for check in INPUT_CHECKS}
-    others = tuple(f"{name_of(clip, one)}: " for one in clip.segments if one is not segment)
-    of_input = [one for one in findings if one.check in names and not one.message.startswith(others)]
-    right = probability_right(footage.options, signs, of_input)
-    return dict(signs), right and replace(right, meaning=MEANING)
-
-
-def segment_result(clip: Clip, segment: Segment, motion: Motion, iou: Float[ndarray, "T"]) -> SegmentResult:
-    """What was found in a segment."""
-    rows, is_grasp = segment.rows, segment.state == "grasp"
-    seen = iou[rows][~np.isnan(iou[rows])]
-    axis = motion.axes.get(segment.first) if is_grasp else None
-    lying = segment.state == "static" and clip.world is not None
-    return SegmentResult(
-        state=segment.state,
-        first=clip.frames[segment.first],
-        last=clip.frames[segment.last],
-        side=segment.side,
-        iou=float(seen.mean()) if len(seen) else None,
-        by_masks=is_grasp and segment.first not in motion.grasps,
-        T_world_obj=clip.world.T_world_cam[rows[0]] @ motion.T_cam_obj[rows[0]] if lying and clip.world else None,
-        axis_point=None if axis is None else axis.point,
-        axis_direction=None if axis is None else axis.direction,
-    )
+TIMELINE = Steps(Footage.of, _search, _fit_all_frames, judge_timeline, stages=7)

@@ -14,18 +14,16 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.clip.timeline import Side
-from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
 from getagrip.fitting.misfit import misfit, stiffened
 from getagrip.fitting.motion import Fixed, Frozen, Soft
-from getagrip.fitting.objective import mask_of
+from getagrip.fitting.objective import evidence_of
+from getagrip.fitting.problem import Problem
 from getagrip.fitting.solve import in_camera, minimise
 from getagrip.geometry import se3
-from getagrip.timelines.between import SMOOTH
-from getagrip.timelines.footage import Footage
+from getagrip.timelines.between import smooth_in_world
 from getagrip.timelines.motion import Motion
-from getagrip.timelines.world_term import WorldTerm
 
-JITTER, LEAST = 0.01, 0.001
+JITTER, LEAST_JITTER = 0.01, 0.001
 """Jitter of depth at which deviations are as stiff as ``RIDGE`` says, and below which nothing moves [m]."""
 ABRUPT = 0.01
 """Motion that changes by more between frames: they are too far apart to tell it from jitter [m]."""
@@ -39,30 +37,25 @@ STAGES = ((128, 6), (256, 4), (256, 4))
 """Resolution [px] and iterations; before the last, it is known how well masks are met."""
 
 
-def settle(motion: Motion, footage: Footage, rows: Int[ndarray, "n"], side: Side) -> None:
-    """Move object and hand in those frames of a grasp, by the hand of ``side``, that show the object; all are known."""
-    seen, centre = footage.observed(rows), footage.clip.mesh.centre
-    if len(seen) < 3:
-        return
-    problem, everywhere = footage.problem(seen), np.arange(len(seen))
-    before = se3.transform(motion.T_cam_obj[seen], centre[None])[:, 0]
-    jitter = depth_jitter(before)
-    if jitter < LEAST:
-        return
+def settle(motion: Motion, problem: Problem, seen: Int[ndarray, "n"], side: Side, jitter: float) -> None:
+    """Move object and hand of ``side`` in the frames of a grasp that show the object, which the problem is at.
+
+    ``jitter`` is that of their depth [m].
+    """
+    before, centre, everywhere = motion.places(seen), motion.centre, np.arange(len(seen))
     times = max(1.0, JITTER / jitter) ** 2
     ridge = RIDGE[0] * times, RIDGE[1] * times
     T_cam = se3.rigid(motion.T_cam_obj[seen, :3, :3], before)
     still = Fixed(np.eye(3)[None], np.zeros((1, 3)), np.zeros(1), len(seen))
-    grasp, misfits = Frozen(Soft(still, np.zeros((1, len(seen), 6)), ridge)), 1.0
-    about = moments(footage.clip.mesh.vertices - centre)
-    energy, smooth = mask_of(problem), WorldTerm(SmoothnessTerm(about, SMOOTH), footage.T_world_cam[seen])
+    frozen, misfits = Frozen(Soft(still, np.zeros((1, len(seen), 6)), ridge)), 1.0
+    energy, smooth = evidence_of(problem), smooth_in_world(problem)
     for level, iterations in STAGES:
-        grasp = Frozen(replace(grasp.core, ridge=stiffened(ridge, misfits)))
-        found = minimise(grasp, [*energy(level, everywhere), smooth], T_cam, iterations)
-        grasp = found.motion
+        frozen = Frozen(replace(frozen.core, ridge=stiffened(ridge, misfits)))
+        found = minimise(frozen, [*energy(level, everywhere), smooth], T_cam, iterations)
+        frozen = found.motion
         if level == STAGES[-1][0]:
             misfits = misfit(problem.observation, float(found.terms["mask"][0]) / len(seen))
-    poses = in_camera(grasp, T_cam)
+    poses = in_camera(frozen, T_cam)
     moved = np.sum((poses.centre[0] - before) * before, axis=1) / np.sum(before**2, axis=1)
     motion.T_cam_obj[seen] = se3.rigid(poses.R[0], poses.centre[0] - poses.R[0] @ centre)
     hand = motion.T_cam_hands[side]
@@ -70,11 +63,15 @@ def settle(motion: Motion, footage: Footage, rows: Int[ndarray, "n"], side: Side
 
 
 def depth_jitter(places: Float[ndarray, "n 3"]) -> float:
-    """Standard deviation of errors of depth that differ from frame to frame [m]; places are in the camera frame.
+    """Estimate the standard deviation of errors of depth that differ between frames [m].
+
+    Places are in the camera frame.
 
     Second differences show errors that remember a tenth of a second nearly in full. Motion has its share in them, which
-    is as large across the ray: what they have along the ray beyond that is jitter.
+    is as large across the ray: what they have along the ray beyond that is jitter. 0 for fewer than 3 frames.
     """
+    if len(places) < 3:
+        return 0.0
     ray = places[1:-1] / np.linalg.norm(places[1:-1], axis=1, keepdims=True)
     second = np.diff(places, 2, axis=0)
     along = np.sum(second * ray, axis=1)

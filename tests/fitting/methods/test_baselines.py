@@ -17,9 +17,9 @@ from getagrip.fitting.methods import all_frames
 from getagrip.fitting.objective import energy_of
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import Problem
-from getagrip.fitting.reconstruct import reconstruct
 from getagrip.geometry import se3
 from getagrip.result import Reconstruction
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.clips import small_clip
 from helpers.scenes import SHORT, SMALL, scene, scores
 

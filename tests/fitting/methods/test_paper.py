@@ -15,9 +15,9 @@ from getagrip.fitting.methods import paper
 from getagrip.fitting.motion import Fixed
 from getagrip.fitting.options import Departures, Options
 from getagrip.fitting.problem import Problem, prepare
-from getagrip.fitting.reconstruct import reconstruct
 from getagrip.geometry.mesh import Mesh
 from getagrip.result import Status
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.clips import small_clip
 
 NAMES = [field.name for field in fields(Departures)]

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
-from jaxtyping import Int
-from numpy import ndarray
 
 from getagrip.errors import UsageError
-from getagrip.fitting.energy import Term
+from getagrip.fitting.energy import Energy
 from getagrip.fitting.energy.interaction import InteractionTerm
 from getagrip.fitting.methods import METHODS, Method, OnStage, paper
 from getagrip.fitting.methods.all_frames import soft_hinge, static
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem
-from getagrip.fitting.reconstruct import reconstruct
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.clips import small_clip
 
 
@@ -55,8 +51,9 @@ def test_a_term_of_ones_own_counts_in_all_stages(monkeypatch: pytest.MonkeyPatch
     place = clip.hand.T_cam_hand[:, :3, 3] + [0.0, 0.03, 0.0]
 
     def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
-        def more(level: int, frames: Int[ndarray, "n"]) -> Sequence[Term]:
-            return [InteractionTerm(place[frames], 1e9)]
+        def more(problem: Problem) -> Energy:
+            places = place[clip.index_of(problem.clip.frames)]
+            return lambda level, frames: [InteractionTerm(places[frames], 1e9)]
 
         return soft_hinge(problem, on_stage, more)
 

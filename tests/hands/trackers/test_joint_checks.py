@@ -63,7 +63,7 @@ def test_mirrored_joints_are_said_to_be_the_other_hands(axis: int) -> None:
     assert "a left hand fits" in in_order(PATH, noisy, "openpose", "right").warning
 
 
-def test_joints_that_fit_no_hand_are_doubted(tmp_path: Path) -> None:
+def test_joints_that_fit_no_hand_are_flagged(tmp_path: Path) -> None:
     known = Known("right", None)
     path = write_npz(tmp_path / "j.npz", {"joints": known.joints})
     assert read([path], Joints("openpose"), request("right")).warnings == ()

@@ -51,7 +51,7 @@ def test_the_command_takes_what_the_table_lists(run: Run) -> None:
 
 
 def test_options_of_another_tracker_are_refused() -> None:
-    given = TRACKERS | {"hawor": HaWoR(estimator_focal=600.0)}
+    given = {**TRACKERS, "hawor": HaWoR(estimator_focal=600.0)}
     assert choose("hawor", given) == HaWoR(600.0)
     with pytest.raises(UsageError, match=r"--estimator-focal cannot be used with .*: it belongs to --from hawor"):
         choose("hamer", given)

@@ -60,10 +60,10 @@ function outlines(own) {
 
 function joints(frame, own) {
   const there = (n) => Array.isArray(own.joints[n]), radius = 5 / view.scale, chosen = joint();
-  const doubtful = draft("hand", frame)?.content.doubtful ?? [];
+  const uncertain = draft("hand", frame)?.content.uncertain ?? [];
   const bones = BONES.filter((bone) => bone.every(there)).map(([a, b]) => svg("path", { d: path([own.joints[a], own.joints[b]], false), class: "bone", stroke: colour(b) }));
   const dots = NAMES.map((name, n) => [name, n]).filter(([, n]) => there(n)).map(([name, n]) => {
-    const [x, y] = own.joints[n], classes = `joint${n === chosen ? " chosen" : ""}${doubtful.includes(n) ? " doubtful" : ""}`;
+    const [x, y] = own.joints[n], classes = `joint${n === chosen ? " chosen" : ""}${uncertain.includes(n) ? " uncertain" : ""}`;
     return svg("circle", { cx: x, cy: y, r: state.tool === "joints" ? radius : radius / 2, fill: colour(n), class: classes }, name);
   });
   return [...bones, ...dots];

@@ -4,7 +4,7 @@ import { $, clock, element, move, player, state } from "./app.js";
 import { stale } from "./labels.js";
 import { STATES } from "./states.js";
 
-const DOUBTFUL = 0.7; // masks less sure than this are to be looked at
+const UNCERTAIN = 0.7; // masks less sure than this are to be looked at
 
 /** First and last frame on the timeline: the rough extent with some of what is around it. */
 function view(extent) {
@@ -54,10 +54,10 @@ function labelled(place, part) {
   const masks = (n) => {
     const draft = drafts.masks.get(n);
     if (!draft) return "";
-    return stale("masks", n) ? "stale" : draft.content.confidence < DOUBTFUL ? "doubtful" : "fresh";
+    return stale("masks", n) ? "stale" : draft.content.confidence < UNCERTAIN ? "uncertain" : "fresh";
   };
   const hand = (n) => (drafts.hand.has(n) ? (stale("hand", n) ? "stale" : "fresh") : "");
-  const titles = { fresh: "filled in", stale: "filled in before the labels were changed", doubtful: "filled in, but not sure: look here" };
+  const titles = { fresh: "filled in", stale: "filled in before the labels were changed", uncertain: "filled in, but not sure: look here" };
   const bands = [["masks", "Masks", masks], ["hand", "Hand", hand]].flatMap(([kind, what, word]) =>
     stretches(word, ...state.labels.extent).map(([now, from, to]) => {
       const band = element("div", { className: `band ${kind} ${now}`, title: `${what}: ${titles[now]}` });

@@ -19,7 +19,7 @@ TAG = "apriltag"
 
 
 def intrinsics(path: Path) -> Float[ndarray, "3 3"]:
-    """Of the colour camera [px]. Raises ``InputError``."""
+    """Read the intrinsics of the colour camera [px]. Raises ``InputError``."""
     colour = read_yaml(path).get("color")
     wanted = [colour.get(key) if isinstance(colour, dict) else None for key in ("fx", "fy", "ppx", "ppy")]
     fx, fy, ppx, ppy = (float(v) if isinstance(v, float | int) else np.nan for v in wanted)
@@ -30,7 +30,7 @@ def intrinsics(path: Path) -> Float[ndarray, "3 3"]:
 
 
 def table_camera(path: Path, serial: str) -> Float[ndarray, "4 4"]:
-    """The pose of a camera in the frame of the tag on the table. Raises ``InputError``."""
+    """Read the pose of a camera in the frame of the tag on the table. Raises ``InputError``."""
     value = read_yaml(path).get("extrinsics")
     T_master = {}
     for key in (serial, TAG):  # both in the frame of one of the cameras
@@ -45,7 +45,7 @@ def table_camera(path: Path, serial: str) -> Float[ndarray, "4 4"]:
 
 
 def read_yaml(path: Path) -> dict[str, object]:
-    """A YAML mapping; of Python's own types only tuples are let in, which DexYCB's calibration holds.
+    """Read a YAML mapping; of Python's own types only tuples are allowed, which DexYCB's calibration holds.
 
     Raises ``InputError``.
     """

@@ -46,18 +46,18 @@ class DexYcb(TrackedDataset):
     """DexYCB, or a packed file of its sequences: every visible stable grasp."""
 
     root: Annotated[Positional[Path], arg(metavar="ROOT")]
-    """The folder that holds it, as it came; or a packed file of its sequences (.npz), or a folder of such files."""
+    """Folder of the dataset, as published; or a packed file of its sequences (.npz), or a folder of such files."""
     grasps: Annotated[GraspOptions, arg(name="")] = WITHIN_10_MM
-    """What counts as a stable grasp."""
+    """Definition of a stable grasp."""
 
     meshes: ycb.Models = None
     """Folder of the YCB models."""
 
     timelines: Flag = False
-    """Not the grasps but whole sequences, with masks and segments (docs/timelines.md)."""
+    """Import whole sequences instead of grasps, with masks and segments (docs/timelines.md)."""
 
     def sources(self) -> list[Source]:
-        """The sequences of DexYCB's own folder, of a packed file, or of a folder of such files."""
+        """List the sequences of DexYCB's own folder, of a packed file, or of a folder of such files."""
         models = ycb.folder(self.root, self.meshes)
         shortest = self.grasps.shortest if self.grasps.listed is None else FEWEST
         found = find(self.root)
@@ -66,7 +66,10 @@ class DexYcb(TrackedDataset):
         return [Source(s.name, partial(_tracks, s, models, self.whole, shortest)) for s in found]
 
     def parts(self, note: Note) -> AnyOf[Part]:
-        """Its sequences, cut to stable grasps, or whole. Raises ``UsageError`` for options that exclude each other."""
+        """List its sequences, cut to stable grasps, or whole.
+
+        Raises ``UsageError`` for options that exclude each other.
+        """
         if not self.timelines:
             return super().parts(note)
         if self.whole or self.grasps.listed is not None:
@@ -76,7 +79,7 @@ class DexYcb(TrackedDataset):
         return [CutSource(source, of, definition.shortest) for source in self.sources()]
 
     def cut_record(self) -> dict[str, object] | None:
-        """How its clips are cut; None where they are whole."""
+        """Return the record of how its clips are cut; None where they are whole."""
         return None if self.timelines else super().cut_record()
 
 
@@ -98,19 +101,19 @@ class FittedTrack(Track):
     residuals: Float[ndarray, "_ 21"]
     """Distances of the hand's joints from the true ones [m]."""
     others: bool
-    """Whether other objects are on the table."""
+    """True if other objects are on the table."""
 
     @property
     def name(self) -> str:
-        """What its clips are called, without the count."""
+        """Name of its clips, without the count."""
         return BETWEEN.join([self.subject, self.sequence, self.category])
 
     def take(self, index: Int[ndarray, "n"]) -> Self:
-        """The track at some of its frames."""
+        """Return the track at some of its frames."""
         return replace(super().take(index), residuals=self.residuals[index])
 
     def describe(self, piece: Piece) -> dict[str, object]:
-        """The provenance of the clip that a piece becomes, with what is to be known before trusting its hand."""
+        """Return the provenance of a piece's clip, with the limits of its hand."""
         first, last = piece.track.numbers[[0, -1]]
         depth = self.hand_depth()
         pads = [np.median(depth[:, self.hand.regions[finger]].min(axis=1)) for finger in FINGERS]
@@ -133,14 +136,14 @@ class FittedTrack(Track):
         }
 
     def hand_depth(self) -> Float[ndarray, "T V"]:
-        """Signed distances of the hand's vertices to the object [m], negative inside."""
+        """Compute the signed distances of the hand's vertices to the object [m], negative inside."""
         mesh = self.mesh
         points = se3.transform(se3.inverse(self.T_cam_obj) @ self.hand.T_cam_hand, self.hand.vertices)
         return signed_distance(points.reshape(-1, 3), mesh.vertices, mesh.faces).reshape(points.shape[:2])
 
 
 def _tracks(sequence: Sequence, models: Path, whole: bool, shortest: int, note: Note) -> list[Track]:
-    """The one track of a sequence; none where the hand is hardly ever known. Raises ``InputError``."""
+    """Return the one track of a sequence; none where the hand is hardly ever known. Raises ``InputError``."""
     recording = sequence.read()
     if np.count_nonzero(recording.hand_known) < shortest:
         note(f"{sequence.name}: the hand is known in fewer than {shortest} frames: skipped")
@@ -177,7 +180,7 @@ def _tracks(sequence: Sequence, models: Path, whole: bool, shortest: int, note: 
 
 
 def _masks(recording: Recording, hand: Hand, models: Path, n: int) -> FrameMasks:
-    """Where the held object is visible in frame n, and what to ignore: the hand, and other objects that have a mesh."""
+    """Render the held object's mask in frame n, and the ignored pixels (the hand, other objects with a mesh)."""
     from getagrip.geometry.render import true_masks  # loads numba
 
     surfaces: dict[str, Surface] = {}
@@ -192,7 +195,10 @@ def _masks(recording: Recording, hand: Hand, models: Path, n: int) -> FrameMasks
 
 
 def fit_hand(recording: Recording) -> Hand:
-    """The generic hand in every frame that has joints, of one shape. Raises ``InputError`` where they are no hand's."""
+    """Fit the generic hand in every frame that has joints, with one shape.
+
+    Raises ``InputError`` where they are no hand's.
+    """
     joints = recording.joints[recording.hand_known]
     fitted = joint_tracks.fit_hand(recording.file, recording.sequence, recording.side, joints)
     return Hand(fitted.track, np.flatnonzero(recording.hand_known), fitted.residuals)

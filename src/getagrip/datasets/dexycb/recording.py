@@ -62,7 +62,7 @@ PACKED_K = np.array([[616.641, 0.0, 308.548], [0.0, 616.258, 248.523], [0.0, 0.0
 """One of DexYCB's cameras [px]; packed files do not say which camera's frame they are in."""
 PACKED_ARRAYS = ("sequence", "object", "offset", "obj_quat_xyzw", "obj_trans", "joints", "hand_valid")
 MOST_FRAMES = 20_000
-"""Of a sequence; DexYCB's have 72."""
+"""Most frames of a sequence; DexYCB's have 72."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Recording:
     """One sequence: a hand takes one of the objects on a table."""
 
     file: Path
-    """What it was read from."""
+    """File that it was read from."""
     subject: str
     sequence: str
     camera: str
@@ -101,11 +101,11 @@ class Sequence:
 
     name: str
     read: Callable[[], Recording]
-    """Raises ``InputError``."""
+    """Read a hand file; raise ``InputError`` for a malformed one."""
 
 
 def find(root: Path) -> list[Sequence]:
-    """The sequences of a packed file, of a folder of packed files, or of DexYCB's own layout.
+    """Find the sequences of a packed file, of a folder of packed files, or of DexYCB's own layout.
 
     Raises ``InputError`` where there is none, and for packed files that are malformed.
     """
@@ -121,7 +121,7 @@ def find(root: Path) -> list[Sequence]:
 
 
 def _packed(path: Path) -> list[Sequence]:
-    """The sequences of a packed file. Which hand it is shows in how the fingers bend."""
+    """Read the sequences of a packed file. Which hand it is shows in how the fingers bend."""
     stored = arrays.read(path, PACKED_ARRAYS.__contains__)
     names, grasped = _texts(path, stored, "sequence"), _texts(path, stored, "object")
     q = arrays.floats(path, stored, "obj_quat_xyzw", (-1, 4))
@@ -169,7 +169,7 @@ def _packed_recording(
 
 
 def bent_side(joints: Float[ndarray, "N 21 3"]) -> Side:
-    """Which hand it is: fingers bend towards the palm, which a right hand has on the other side than a left one."""
+    """Return the side of a hand: fingers bend towards the palm, which left and right hands have on opposite sides."""
     wrist, index, pinky = joints[:, 0], joints[:, 5], joints[:, 17]
     towards = np.cross(index - wrist, pinky - wrist)  # the palm of a right hand, the back of a left one
     bent = (joints[:, [8, 12, 16, 20]] - joints[:, [5, 9, 13, 17]]).sum(axis=1)
@@ -218,7 +218,7 @@ def _read_folder(root: Path, folder: Path) -> Recording:
 
 
 def _best_camera(folder: Path, serials: list[str], grasped: int, frames: int) -> str:
-    """The camera with the most pixels of the held object in the last frame, of those that are there."""
+    """Choose the camera with the most pixels of the held object in the last frame, of those that are there."""
     there = {serial: folder / serial for serial in serials if serial.isalnum() and (folder / serial).is_dir()}
     if not there:
         raise InputError(folder, "serials", f"no folder of any of {', '.join(map(plain, serials))}", "one at least")
@@ -245,7 +245,7 @@ def _label(path: Path, objects: int) -> tuple[Float[ndarray, "O 3 4"], Float[nda
 
 
 def _table_camera(root: Path, path: Path, meta: dict[str, object], serial: str) -> Float[ndarray, "4 4"] | None:
-    """The camera in the frame of the tag on the table; None where the calibration is not there."""
+    """Read the camera in the frame of the tag on the table; None where the calibration is not there."""
     name = meta.get("extrinsics", "")
     if not (isinstance(name, str) and (name == "" or _is_name(name))):
         raise InputError(path, "extrinsics", shown(name), "the name of a calibration")
@@ -278,7 +278,7 @@ def _texts(path: Path, arrays: dict[str, ndarray], key: str) -> list[str]:
 def _array(
     path: Path, arrays: dict[str, ndarray], key: str, shape: tuple[int, ...], kinds: str
 ) -> Shaped[ndarray, "..."]:
-    """An array that is there, of one of the kinds and of the shape, -1 standing for any length above 0."""
+    """Check that an array is there, of one of the kinds and of the shape, with -1 for any length above 0."""
     array = arrays.get(key)
     if array is None:
         raise InputError(path, key, "no such array", f"an array of shape {shape}")
@@ -289,5 +289,5 @@ def _array(
 
 
 def _is_name(text: str) -> bool:
-    """Whether a text can be part of a clip's name."""
+    """Return whether a text can be part of a clip's name."""
     return is_plain_name(text) and re.fullmatch(r"[\w.-]+", text) is not None and "--" not in text

@@ -38,7 +38,7 @@ ROUNDS = 30
 
 
 def with_table(sequences: Sequence[files.Sequence], models: Path) -> list[files.Sequence]:
-    """The sequences, their recordings with the camera in the world, the table at height 0."""
+    """Add to the sequences' recordings the camera in the world, with the table at height 0."""
     of_subject = defaultdict(list)
     for sequence in sequences:
         of_subject[_subject(sequence)].append(sequence)
@@ -55,7 +55,7 @@ def _subject(sequence: files.Sequence) -> str:
 
 
 def _read(sequence: files.Sequence, others: Sequence[files.Sequence], models: Path) -> files.Recording:
-    """A recording with its table; where there is none, its world is the camera's own frame."""
+    """Read a recording with its table; where there is none, its world is the camera's own frame."""
     recording = sequence.read()
     if recording.T_table_cam is not None:
         return recording
@@ -66,13 +66,13 @@ def _read(sequence: files.Sequence, others: Sequence[files.Sequence], models: Pa
 
 
 def _at_first(recording: files.Recording, models: Path) -> np.ndarray:
-    """The held object's vertices as it lies in the first frame in which it is known (V, 3) [m]."""
+    """Return the held object's vertices in the first frame in which it is known (V, 3) [m]."""
     poses = recording.objects[recording.grasped]
     return se3.transform(poses.T_cam_obj[int(np.argmax(poses.known))], ycb.mesh(models, recording.grasped).vertices)
 
 
 def pieces(tracks: Iterable[Track], note: Note, definition: Definition) -> Iterator[Piece]:
-    """Each track whole, with its segments."""
+    """Yield each track whole, with its segments."""
     for track in tracks:
         world = track.world or World(np.tile(np.eye(4), (len(track), 1, 1)))
         on_table = World(world.T_world_cam, world.up, None if world.up is None else 0.0)
@@ -84,7 +84,7 @@ def pieces(tracks: Iterable[Track], note: Note, definition: Definition) -> Itera
 
 
 def support_plane(resting: Sequence[Float[ndarray, "_ 3"]]) -> tuple[Float[ndarray, "3"], float]:
-    """Unit normal, up, and height along it of the plane on which objects rest, from their posed vertices [m].
+    """Fit the plane on which objects rest to their posed vertices [m]: unit normal, up, and height along it.
 
     Least squares over their lowest points, which depend on the plane: a few rounds of it. Each object counts as one,
     and less where it seems to rest on something else (Cauchy's weights).
@@ -104,7 +104,7 @@ def support_plane(resting: Sequence[Float[ndarray, "_ 3"]]) -> tuple[Float[ndarr
 
 
 def world_of_plane(up: Float[ndarray, "3"], height: float) -> Float[ndarray, "4 4"]:
-    """``T_world_cam`` of a world whose z axis is up, the plane at z = 0, the camera above its origin."""
+    """Return ``T_world_cam`` of a world whose z axis is up, the plane at z = 0, the camera above its origin."""
     x = np.cross([0.0, 1.0, 0.0], up)
     x /= np.linalg.norm(x)
     R = np.stack([x, np.cross(up, x), up])

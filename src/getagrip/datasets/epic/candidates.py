@@ -1,4 +1,4 @@
-"""Where stable grasps may be: the first step of how EPIC-Grasps was annotated.
+"""Candidates of stable grasps: the first step of how EPIC-Grasps was annotated.
 
 VISOR says in which frames a hand touches an object of one of the categories. EPIC-100's actions give the extent: it
 begins with the third last action that has begun by the first of these frames, and ends with the third action that ends
@@ -17,7 +17,7 @@ from getagrip.datasets.epic.visor import Frame, Mapping
 from getagrip.hands.model import Side
 
 ACTIONS = 3
-"""So many actions on either side of a contact make the extent."""
+"""Number of actions on either side of a contact that make the extent."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Contact:
     side: Side
     category: str
     entity: str
-    """What VISOR calls the object."""
+    """VISOR's name of the object."""
 
 
 @dataclass(frozen=True)
@@ -54,19 +54,19 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        """As EPIC-Grasps names its clips: extent, first and last contact, hand, category."""
+        """Name as EPIC-Grasps gives its clips: extent, first and last contact, hand, category."""
         frames = (self.start_bound, *dict.fromkeys((self.contacts[0], self.contacts[-1])), self.end_bound)
         return "_".join(map(str, (self.video, *frames, self.side, self.category)))
 
 
 def category_of(entity: str) -> str | None:
-    """The category that the name of a thing ends in ("olive oil bottle": bottle); None for other things."""
+    """Return the category that the name of a thing ends in ("olive oil bottle": bottle); None for other things."""
     last = re.split(r"[^a-z]+", entity.lower().strip())[-1]
     return last if last in CATEGORIES else None
 
 
 def contacts(frames: Iterable[Frame], mapping: Mapping) -> list[list[Contact]]:
-    """The contacts in frames, one list for every frame in which the hands are marked, in order of time.
+    """Return the contacts in frames, one list for every frame in which the hands are marked, in order of time.
 
     A hand in a glove counts as touching what the glove touches.
     """
@@ -86,7 +86,7 @@ def contacts(frames: Iterable[Frame], mapping: Mapping) -> list[list[Contact]]:
 
 
 def candidates(video: str, touching: Sequence[Sequence[Contact]], actions: Sequence[Action]) -> list[Candidate]:
-    """The candidates of a video, in order of time, from ``contacts`` and its actions in order of start.
+    """Find the candidates of a video, in order of time, from ``contacts`` and its actions in order of start.
 
     Contacts without an action before and after them are skipped: nothing bounds them.
     """
@@ -118,6 +118,9 @@ def candidates(video: str, touching: Sequence[Sequence[Contact]], actions: Seque
 
 
 def _names(action: Action, contact: Contact) -> bool:
-    """Whether an action is about the object's category: its noun is, as "bottle:oil", or the narration says so."""
+    """Return whether an action is about the object's category.
+
+    Either its noun is the category, as "bottle:oil", or the narration names it.
+    """
     words = re.split(r"[^a-z]+", f"{action.noun} {action.narration}".lower())
     return not {contact.category, f"{contact.category}s", f"{contact.category}es"}.isdisjoint(words)

@@ -59,14 +59,14 @@ class HandFile:
     K: Float[ndarray, "3 3"] | None
     """The camera that the estimator took, in pixels of 854 x 480, where the file has it (``K``)."""
     camera: Source
-    """Where ``K`` comes from."""
+    """Source of ``K``."""
 
     def has(self, number: int) -> bool:
-        """Whether a frame has a hand."""
+        """Return whether a frame has a hand."""
         return self.frames is None or number in self.frames
 
     def track(self, chosen: Sequence[int]) -> HandTrack:
-        """The hand in some of the frames that it has. Raises ``InputError``."""
+        """Return the hand in some of the frames that it has. Raises ``InputError``."""
         if self.frames is None:
             return read_hand(self.path, len(chosen))
         track = read_hand(self.path, len(self.frames))
@@ -77,28 +77,30 @@ class HandFile:
 
 @dataclass(frozen=True)
 class EpicCamera:
-    """Where images of a video were taken with."""
+    """The camera of a video."""
 
     K: Float[ndarray, "3 3"]
     """In pixels of 854 x 480."""
     source: Source
-    """Where it comes from."""
+    """Source of the camera."""
     T_world_cam: Mapping[int, Float[ndarray, "4 4"]] | None = None
-    """Where it was, by EPIC's frame numbers, in a world in metres whose z points up; None where nobody knows."""
+    """Camera poses by EPIC's frame numbers, in a metric world whose z points up; None where they are not known."""
 
     def sees(self, number: int) -> bool:
-        """Whether a frame can be used: where the camera moves in a known world, only if it is known where it was."""
+        """Return whether a frame can be used: where the camera moves in a known world, only if its pose is known."""
         return self.T_world_cam is None or number in self.T_world_cam
 
     def world(self, numbers: Sequence[int]) -> World | None:
-        """Where it was in some frames."""
+        """Return the camera's path over some frames."""
         if self.T_world_cam is None:
             return None
         return World(np.stack([self.T_world_cam[n] for n in numbers]), UP)
 
 
 def annotated(files: Sequence[Path], mapping: visor.Mapping, grasps: Sequence[EpicGrasp]) -> dict[str, VisorFrames]:
-    """VISOR's frames within each grasp, by the grasp's name, that show its object. Raises ``InputError``.
+    """Collect VISOR's frames within each grasp, by the grasp's name, that show its object.
+
+    Raises ``InputError``.
 
     Where a frame is annotated more than once, people's annotations come before interpolated ones, then the fullest.
     """
@@ -123,11 +125,11 @@ def _rank(frame: visor.Frame) -> tuple[bool, int]:
 
 
 def masks_of(frame: visor.Frame, grasp: EpicGrasp) -> FrameMasks:
-    """The object's pixels, those that say nothing about it (of both hands, gloves and other objects), and those of the
-    hand that holds it, in its glove if it wears one.
+    """Return the masks of a frame: the object, the pixels that say nothing about it, and the grasping hand.
 
-    Where the object's polygons lie over others' they are believed. What stands behind things is not ignored. A pair of
-    gloves in one mask is neither hand's.
+    Ignored are both hands, gloves and other objects; the hand's mask includes the glove that it wears. Where the
+    object's polygons lie over others' they take precedence. What stands behind things is not ignored. A pair of gloves
+    in one mask is neither hand's.
     """
 
     def drawn(chosen: Iterable[visor.Annotation]) -> Bool[ndarray, "H W"]:
@@ -151,11 +153,11 @@ def clip(
     note: Note,
     segments: Sequence[Segment] = (),
 ) -> tuple[Clip, Masks] | None:
-    """The clip of a grasp and its masks, at up to ``FRAMES`` of its valid frames; None, after a note, with too few.
+    """Make the clip of a grasp and its masks, at up to ``FRAMES`` of its valid frames.
 
-    Valid are frames with a mask of the object and, where the hand file says which frames it has, with a hand. Where
-    these are fewer than ``FRAMES``, frames with a mask alone are added: their hands may come later. The clip's hand has
-    no vertices: ``hand_of`` reads it. Of a timeline, whose ``segments`` count EPIC's frames, so many of each segment.
+    With too few there is none, and a note. Valid are frames with a mask of the object and, where the hand file says
+    which frames it has, with a hand. Where these are fewer than ``FRAMES``, frames with a mask alone are added: their
+    hands may come later. The clip's hand has no vertices: ``hand_of`` reads them.
     """
     masks = {number: masks_of(frame, grasp) for number, frame in sorted(frames.items()) if camera.sees(number)}
     valid = [number for number, mask in masks.items() if np.count_nonzero(mask.object) >= VISIBLE]
@@ -193,7 +195,7 @@ def clip(
 
 
 def _chosen(valid: Sequence[int], masked: Sequence[int], span: tuple[int, int]) -> list[int]:
-    """The frames of a span that a clip has."""
+    """Choose the frames of a span that a clip has."""
     first, last = span
     known = [number for number in valid if first <= number <= last]
     others = [number for number in masked if first <= number <= last and number not in known]
@@ -202,12 +204,15 @@ def _chosen(valid: Sequence[int], masked: Sequence[int], span: tuple[int, int]) 
 
 
 def _spread(numbers: Sequence[int], count: int) -> list[int]:
-    """At most so many of the numbers, spread evenly."""
+    """Choose at most ``count`` of the numbers, spread evenly."""
     return [numbers[i] for i in np.round(np.linspace(0, len(numbers) - 1, min(count, len(numbers)))).astype(int)]
 
 
 def hand_of(path: Path, clip: Clip) -> tuple[HandTrack, list[int]]:
-    """The hand of a clip from its hand file, and the rows of the clip's frames that it is of. Raises ``InputError``."""
+    """Read the hand of a clip from its hand file, and the rows of the clip's frames that have it.
+
+    Raises ``InputError``.
+    """
     hands, numbers = hand_file(path), [int(name) for name in clip.frames]
     rows = [row for row, number in enumerate(numbers) if hands.has(number)]
     return hands.track([numbers[row] for row in rows]), rows
@@ -244,7 +249,10 @@ def _provenance(
 
 
 def hand_file(path: Path) -> HandFile:
-    """A hand file: a ``hand.npz`` that may have ``frames`` (N,) and ``K`` (3, 3) as well. Raises ``InputError``."""
+    """Read a hand file: a ``hand.npz`` that may have ``frames`` (N,) and ``K`` (3, 3) as well.
+
+    Raises ``InputError``.
+    """
     stored = arrays.read(path, lambda key: key in {"frames", "K"} or of_provenance(key))
     K = None
     if "K" in stored:
@@ -256,7 +264,7 @@ def hand_file(path: Path) -> HandFile:
 
 
 def pinhole(focal: float | None = None) -> EpicCamera:
-    """A pinhole, its principal point in the middle; the focal length [px of 854 x 480] is guessed for want of one."""
+    """Make a pinhole, its principal point in the middle; without a focal length [px of 854 x 480], one is assumed."""
     f = GUESSED_FOCAL * SIZE[0] if focal is None else focal
     K = np.array([[f, 0.0, SIZE[0] / 2], [0.0, f, SIZE[1] / 2], [0.0, 0.0, 1.0]])
     guess = assumed(f"a guess: the focal length {f:g} px, which HOMan takes for EPIC-KITCHENS")
@@ -264,7 +272,9 @@ def pinhole(focal: float | None = None) -> EpicCamera:
 
 
 def read_camera(path: Path) -> EpicCamera:
-    """The camera of a video from EPIC-Fields (``<video>.json``), without its distortion. Raises ``InputError``.
+    """Read the camera of a video from EPIC-Fields (``<video>.json``), without its distortion.
+
+    Raises ``InputError``.
 
     The principal point is put into the middle, as the authors of EPIC-Grasps do.
     """
@@ -285,7 +295,7 @@ def read_camera(path: Path) -> EpicCamera:
 
 
 def category_mesh(category: str, folder: Path | None) -> tuple[Mesh, str]:
-    """The mesh of a category, and where it comes from: ``<category>.obj`` (.ply, .stl, .glb) of a folder, or our own.
+    """Read the mesh of a category and its source: ``<category>.obj`` (.ply, .stl, .glb) of a folder, or our own.
 
     Metres, z up. Raises ``InputError`` where the folder has none.
     """

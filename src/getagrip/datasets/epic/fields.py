@@ -25,7 +25,7 @@ UP = np.array([0.0, 0.0, 1.0])
 SCALES = 1e-4, 1e4
 """Metres in a unit of EPIC-Fields' world."""
 SKEW = 1e-3
-"""Of a similarity: how far it may be from a rotation, times its scale."""
+"""Largest deviation of a similarity from a rotation, times its scale."""
 FARTHEST = 1e3
 """No camera is farther from the origin [m]."""
 FRAME = re.compile(r"frame_(\d{1,10})\.jpg")
@@ -55,7 +55,7 @@ def metric(path: Path) -> tuple[float, Float[ndarray, "4 4"]]:
 def cameras(
     path: Path, scale: float, T_metric_world: Float[ndarray, "4 4"], wanted: range
 ) -> Mapping[int, Float[ndarray, "4 4"]]:
-    """``T_world_cam`` in the metric world, by EPIC's frame numbers: of those ``wanted`` that EPIC-Fields has.
+    """Read ``T_world_cam`` in the metric world by EPIC's frame numbers: of those ``wanted`` that EPIC-Fields has.
 
     Raises ``InputError``.
     """

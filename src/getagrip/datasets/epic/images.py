@@ -45,7 +45,7 @@ class Archive:
 
     @cached_property
     def places(self) -> dict[int, tuple[int, int]]:
-        """Where the image of each frame begins, and its size in bytes. Raises ``InputError``."""
+        """Position of each frame's image in the archive, and its size in bytes. Raises ``InputError``."""
         try:
             return dict(self._members())
         except (OSError, tarfile.TarError) as error:
@@ -69,7 +69,7 @@ class Archive:
                 at += BLOCK + -(-member.size // BLOCK) * BLOCK
 
     def read(self, number: int, limit: int) -> bytes:
-        """The file of a frame, of at most ``limit`` bytes. Raises ``InputError``."""
+        """Read the file of a frame, of at most ``limit`` bytes. Raises ``InputError``."""
         key = f"frame_{number:010d}.jpg"
         if number not in self.places:
             raise InputError(self.path, key, "no such file in it", "the frame")
@@ -86,14 +86,17 @@ class Archive:
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames in folders, EPIC's own (``P01/rgb_frames/P01_01/frame_0000000001.jpg``) or ``P01_01`` without these; or in
-    the archives that it ships, which lie in the same places (``P01_01.tar``)."""
+    """EPIC-KITCHENS' frames, in its folders or in the published archives.
+
+    Folders are ``P01/rgb_frames/P01_01/frame_0000000001.jpg``, or from ``P01_01`` on; archives (``P01_01.tar``) are in
+    the same places.
+    """
 
     root: Path
     video: str
 
     def __call__(self, numbers: Sequence[int]) -> list[UInt8[ndarray, "H W 3"]]:
-        """The images of some frames."""
+        """Read the images of some frames."""
         if not self.folder.is_dir() and self.archive is not None:
             path, archive = self.archive.path, self.archive
             return [_image(path, f"frame_{n:010d}.jpg", archive.read(n, LARGEST_IMAGE)) for n in numbers]
@@ -102,7 +105,7 @@ class Frames:
 
     @property
     def places(self) -> list[Path]:
-        """Where the video's folder may be."""
+        """Possible places of the video's folder."""
         subject = subject_of(self.video)
         return [
             self.root / subject / "rgb_frames" / self.video,
@@ -112,7 +115,7 @@ class Frames:
 
     @property
     def folder(self) -> Path:
-        """Where it is, or would be."""
+        """Folder of the images, whether it is there or not."""
         return next((place for place in self.places if place.is_dir()), self.places[-1])
 
     @cached_property
@@ -130,7 +133,7 @@ class Video:
     video: str
 
     def __call__(self, numbers: Sequence[int]) -> list[UInt8[ndarray, "H W 3"]]:
-        """The images of some frames; frame n is the one shown at (n - 1) / rate seconds."""
+        """Decode the images of some frames; frame n is the one shown at (n - 1) / rate seconds."""
         subject = subject_of(self.video)
         folders = (self.root / subject / "videos", self.root / subject, self.root)
         paths = [path for folder in folders for s in SUFFIXES if (path := folder / f"{self.video}{s}").is_file()]
@@ -146,7 +149,7 @@ class Video:
 
 
 def _at_times(path: Path, times: dict[int, Fraction]) -> Iterator[tuple[int, UInt8[ndarray, "H W 3"]]]:
-    """The images that are shown at some rising times [s]: one seek to the first, then decoded onwards."""
+    """Decode the images at some rising times [s]: one seek to the first, then decoded onwards."""
     from av.error import FFmpegError
 
     from getagrip.clip.video import open_video
@@ -179,12 +182,12 @@ def _resized(frame: VideoFrame) -> UInt8[ndarray, "H W 3"]:
 
 
 def _image(path: Path, key: str, value: bytes) -> UInt8[ndarray, "H W 3"]:
-    """An image at the size of the masks; path and key are named in errors."""
+    """Decode an image at the size of the masks; path and key are named in errors."""
     return _fitted(decoded(path, key, value, LARGEST_SIDE))
 
 
 def _fitted(image: UInt8[ndarray, "h w 3"]) -> UInt8[ndarray, "H W 3"]:
-    """An image at the size of the masks."""
+    """Resize an image to the size of the masks."""
     import cv2
 
     if image.shape[1::-1] == DENSE_SIZE:

@@ -60,11 +60,11 @@ class EpicGrasps(Dataset):
     """The errata, where they lie elsewhere."""
 
     def grasps(self) -> list[EpicGrasp]:
-        """The stable grasps of the table. Raises ``UsageError`` and ``InputError``."""
+        """Read the stable grasps of the table. Raises ``UsageError`` and ``InputError``."""
         return read_grasps(self.csv, chosen_errata(self.csv, self.errata, self.errata_file))
 
     def parts(self, note: Note) -> Sequence[Part]:
-        """The videos that have grasps and annotations."""
+        """List the videos that have grasps and annotations."""
         images = self._images()
         self._check_camera()
         by_video: dict[str, list[EpicTimeline]] = {}
@@ -84,7 +84,10 @@ class EpicGrasps(Dataset):
         ]
 
     def _timelines(self, note: Note) -> list[EpicTimeline]:
-        """What becomes clips; a grasp of the table has no segments. Raises ``UsageError`` and ``InputError``."""
+        """List the timelines that become clips; a grasp of the table has no segments.
+
+        Raises ``UsageError`` and ``InputError``.
+        """
         if self.timelines is None:
             if self.metric is not None:
                 raise UsageError("--metric cannot be used without --timelines")
@@ -100,7 +103,10 @@ class EpicGrasps(Dataset):
         return metric
 
     def _images(self) -> Callable[[str], Images]:
-        """The images of each video. Raises ``UsageError`` unless either frames or videos are given."""
+        """Return a function that gives the images of each video.
+
+        Raises ``UsageError`` unless either frames or videos are given.
+        """
         if self.frames is not None and self.videos is None:
             return partial(Frames, self.frames)
         if self.videos is not None and self.frames is None:
@@ -116,7 +122,7 @@ class EpicGrasps(Dataset):
             raise UsageError(f"--focal must be in pixels of images {width} wide (got {self.focal:g})")
 
     def advice(self, made: Sequence[Mapping[str, object]], handless: int) -> Iterator[str]:
-        """How to come by what is guessed or missing."""
+        """Yield advice on what is assumed or missing."""
         guessed = [provenance["camera"] for provenance in made if is_assumed(provenance["camera"])]
         if guessed:
             yield f"the camera of {counted(len(guessed), 'clip')} is {guessed[0]}; name --cameras or --focal"
@@ -142,7 +148,7 @@ class VideoGrasps:
     options: EpicGrasps
 
     def drafts(self, missing: Missing, note: Note) -> Iterator[Draft]:
-        """A clip for each grasp, with its images."""
+        """Yield a clip for each grasp, with its images."""
         waiting = [one for one in self.grasps if missing(one.span.name, with_hands=self._hands(one.span) is not None)]
         if not waiting:
             return
@@ -167,12 +173,12 @@ class VideoGrasps:
         return clips.clip(grasp, frames, mesh, source, camera, hands, has_mapping, note, timeline.segments)
 
     def _hands(self, grasp: EpicGrasp) -> Path | None:
-        """The hand file of a grasp, where there is one."""
+        """Return the hand file of a grasp, where there is one."""
         path = None if self.options.hands is None else self.options.hands / f"{grasp.name}.npz"
         return path if path is not None and path.is_file() else None
 
     def _camera(self, wanted: range) -> clips.EpicCamera:
-        """The camera of the video; for timelines, where it was in the frames that are ``wanted``."""
+        """Read the camera of the video; for timelines, its poses in the frames that are ``wanted``."""
         if self.options.cameras is None:
             return clips.pinhole(self.options.focal)
         path = self.options.cameras / f"{self.name}.json"
@@ -187,7 +193,7 @@ class VideoGrasps:
 
 @dataclass(frozen=True)
 class EpicTimeline:
-    """What a hand does with an object."""
+    """An interaction of a hand with an object."""
 
     span: EpicGrasp
     """The object and its main hand, from the first to the last frame."""
@@ -196,7 +202,7 @@ class EpicTimeline:
 
 
 def read_timelines(path: Path, grasps: Sequence[EpicGrasp], note: Note) -> list[EpicTimeline]:
-    """The timelines of the authors' list (``epic_hit.json``), each once. Raises ``InputError``."""
+    """Read the timelines of the authors' list (``epic_hit.json``), each once. Raises ``InputError``."""
     content = read_bytes(path, LARGEST_TABLE)
     try:
         listed = json.loads(content)

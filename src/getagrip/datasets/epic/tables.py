@@ -39,7 +39,7 @@ class EpicGrasp:
     side: Side
     category: str
     entity: str
-    """What VISOR calls the object, as "olive oil bottle"."""
+    """VISOR's name of the object, as "olive oil bottle"."""
     start: int
     end: int
     start_bound: int
@@ -48,15 +48,15 @@ class EpicGrasp:
     contact: int | None
     """A frame in which VISOR says that the hand touches the object."""
     note: str = ""
-    """What was mended, in words."""
+    """Corrections that were made, in words."""
     masks: int | None = None
     """Masks of hand and object in its frames (``n_unfiltered_masks``), where the table says."""
     film: str = ""
-    """What lists of timelines call it (``mp4_name`` without its suffix), where the table says."""
+    """Name in lists of timelines (``mp4_name`` without its suffix), where the table has it."""
 
     @property
     def name(self) -> str:
-        """What its clip is called."""
+        """Name of its clip."""
         return f"{self.video}_{self.side}_{self.category}_{self.start}_{self.end}"
 
     @property
@@ -77,23 +77,23 @@ class Action:
 
 
 def numbering_rate(video: str) -> float:
-    """Frames that EPIC numbers in a second of a video: 50 or 60, whatever the rate of the file."""
+    """Return the number of frames that EPIC counts in a second of a video: 50 or 60, whatever the rate of the file."""
     return 50.0 if len(video.partition("_")[2]) == 3 else 60.0
 
 
 def subject_of(video: str) -> str:
-    """The person who recorded a video."""
+    """Return the person who recorded a video."""
     return video.partition("_")[0]
 
 
 def errata_beside(path: Path) -> Path | None:
-    """The errata that are published beside EPIC-Grasps' table, where they are there."""
+    """Return the errata that are published beside EPIC-Grasps' table, where they are there."""
     errata = path.with_name(f"{path.stem}_errata.csv")
     return errata if errata.is_file() else None
 
 
 def chosen_errata(path: Path, wanted: bool, file: Path | None) -> Path | None:
-    """The errata to apply to a table: a file that is named, or that beside it; None where there is none.
+    """Return the errata to apply to a table: a file that is named, or that beside it; None where there is none.
 
     Raises ``UsageError`` for a file that is named though no errata are ``wanted``.
     """
@@ -103,7 +103,7 @@ def chosen_errata(path: Path, wanted: bool, file: Path | None) -> Path | None:
 
 
 def read_grasps(path: Path, errata: Path | None = None) -> list[EpicGrasp]:
-    """The stable grasps of EPIC-Grasps' CSV, mended by its errata where they are given.
+    """Read the stable grasps of EPIC-Grasps' CSV, corrected by its errata where they are given.
 
     Where ``st`` and ``ed`` of a row disagree with its ``duration`` (one does), those in its ``fmt`` are taken if they
     agree with it. Raises ``InputError``, which names the line and the column.
@@ -127,7 +127,7 @@ def read_grasps(path: Path, errata: Path | None = None) -> list[EpicGrasp]:
 
 
 def _grasp(row: _Row, side: str, column: str) -> EpicGrasp:
-    """The grasp in a row of the table."""
+    """Parse the grasp in a row of the table."""
     start, end, duration = row.frame("st"), row.frame("ed"), row.whole("duration", 1, LAST_FRAME)
     note = ""
     if end - start + 1 != duration:
@@ -167,9 +167,10 @@ def _side(row: _Row, value: str, column: str) -> Side:
 
 
 def read_actions(paths: Sequence[Path]) -> dict[str, list[Action]]:
-    """The actions of EPIC-100's CSVs (``EPIC_100_train.csv``, ``EPIC_100_validation.csv``) by video, in order of start.
+    """Read the actions of EPIC-100's CSVs by video, in order of start.
 
-    Raises ``InputError``, which names the line and the column.
+    The files are ``EPIC_100_train.csv`` and ``EPIC_100_validation.csv``. Raises ``InputError``, which names the line
+    and the column.
     """
     actions: dict[str, list[Action]] = {}
     for path in paths:
@@ -218,7 +219,7 @@ class _Row:
 
 
 def _table(path: Path, columns: Sequence[str], optional: Sequence[str] = ()) -> list[_Row]:
-    """The rows of a CSV that has certain columns, without the others; empty ``optional`` ones where there are none."""
+    """Read the rows of a CSV that has certain columns, without the others; missing ``optional`` ones are empty."""
     try:
         text = read_bytes(path, LARGEST_TABLE).decode("utf-8-sig")
         lines = csv.reader(io.StringIO(text, newline=""), strict=True)

@@ -37,7 +37,7 @@ NOT_TOUCHING = ("hand-not-in-contact", "glove-not-in-contact")
 UNKNOWN = ("none-of-the-above", "inconclusive", "None")
 """Instead of the id of what a hand touches: nothing; something without a mask, or the annotators disagree."""
 MOST_POINTS = 100_000
-"""Of the polygons of one annotation."""
+"""Most points of the polygons of one annotation."""
 LONGEST_NAME = 200
 MAPPING = "frame_mapping.json"
 UNMAPPED = f"no {MAPPING} beside VISOR's files: its frame numbers are taken for EPIC's, a few frames off"
@@ -57,7 +57,7 @@ class Annotation:
     hands: tuple[Side, ...]
     """Which hands it is (or is worn on): one, both for a pair of gloves in one mask, or none for objects."""
     touches: str | None
-    """Of hands: the id of what it touches, "" for nothing, None where that is unknown."""
+    """For hands: the id of the object in contact, "" for none, None where that is unknown."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Frame:
     """Interpolated, in 854 x 480 pixels."""
     annotations: tuple[Annotation, ...]
     ends: tuple[int, int] | None = None
-    """Of dense ones: the frames between which it was interpolated, VISOR's numbers."""
+    """For dense annotations: the frames between which it was interpolated, VISOR's numbers."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -83,10 +83,10 @@ class Mapping:
     """EPIC's frame numbers for VISOR's, of one video."""
 
     epic: dict[int, int]
-    """Of sparse frames; empty where there is no mapping, and then the numbers are taken to be the same."""
+    """EPIC's numbers of sparse frames; empty without a mapping: then the same numbers are assumed."""
 
     def number(self, frame: Frame) -> int:
-        """EPIC's number of a frame: its own or, for a dense frame, moved as the nearer of its two ends is."""
+        """Return EPIC's number of a frame: its own or, for a dense frame, moved as the nearer of its two ends is."""
         known = [n for n in (frame.number, *(frame.ends or ())) if n in self.epic]
         if not known:
             return frame.number
@@ -95,12 +95,15 @@ class Mapping:
 
 
 def find_mapping(folder: Path) -> Path | None:
-    """The ``frame_mapping.json`` in a folder or below, where there is one."""
+    """Find the ``frame_mapping.json`` in a folder or below, where there is one."""
     return next(iter(sorted(folder.rglob(MAPPING))), None)
 
 
 def read_mapping(path: Path | None, video: str) -> Mapping:
-    """The frame numbers of a video; the same numbers without a file. Raises ``InputError``, also without the video."""
+    """Read the frame numbers of a video; the same numbers without a file.
+
+    Raises ``InputError``, also without the video.
+    """
     if path is None:
         return Mapping({})
     value = json_stream.member(path, video)
@@ -108,8 +111,11 @@ def read_mapping(path: Path | None, video: str) -> Mapping:
 
 
 def find(folder: Path) -> dict[str, list[Path]]:
-    """VISOR's files by video: ``<video>.json`` and ``<video>_interpolations.json``, or a ``.zip`` of the latter,
-    anywhere below a folder. Raises ``InputError`` where there is none."""
+    """Find VISOR's files by video, anywhere below a folder.
+
+    They are ``<video>.json`` and ``<video>_interpolations.json``, or a ``.zip`` of the latter. Raises ``InputError``
+    where there is none.
+    """
     found: dict[str, list[Path]] = {}
     for path in sorted(folder.rglob("P*")):
         named = re.fullmatch(r"(P\d{2}_\d{2,3})(_interpolations)?(\.json|\.zip)", path.name)
@@ -123,12 +129,12 @@ def find(folder: Path) -> dict[str, list[Path]]:
 
 
 def is_dense(path: Path) -> bool:
-    """Whether a file of VISOR's holds interpolated annotations."""
+    """Return whether a file of VISOR's holds interpolated annotations."""
     return path.stem.endswith("_interpolations")
 
 
 def read_frames(path: Path) -> Iterator[Frame]:
-    """The frames of one of VISOR's files, one at a time in memory. Raises ``InputError``."""
+    """Yield the frames of one of VISOR's files, one at a time in memory. Raises ``InputError``."""
     dense = is_dense(path)
     for n, item in enumerate(json_stream.items(path, "video_annotations")):
         key = f"video_annotations[{n}]"
@@ -147,7 +153,7 @@ def read_frames(path: Path) -> Iterator[Frame]:
 
 
 def _number(path: Path, key: str, name: object) -> int:
-    """The number in the name of an image, as ``P01_01_frame_0000000140.jpg``."""
+    """Return the number in the name of an image, as ``P01_01_frame_0000000140.jpg``."""
     named = re.fullmatch(r"(?:[\w.-]*/)*(?:P\d{2}_\d{2,3}_)?frame_(\d{1,10})\.(?:jpg|png)", str(name))
     if not isinstance(name, str) or named is None:
         raise InputError(path, key, shown(name), "the name of an image, as P01_01_frame_0000000140.jpg")
@@ -211,7 +217,7 @@ def _polygons(path: Path, key: str, value: object, size: tuple[int, int]) -> tup
 
 
 def mask(annotations: Iterable[Annotation], value: tuple[int, int], size: tuple[int, int]) -> Bool[ndarray, "H W"]:
-    """The pixels of annotations whose polygons are in an image of ``given`` (width, height), in one of ``size``.
+    """Draw annotations whose polygons are in an image of ``given`` (width, height), in one of ``size``.
 
     Drawn as VISOR's own code does: corners cut down to whole pixels, borders included, the polygons of one annotation
     even-odd, and images of another size made by taking the nearest pixel.

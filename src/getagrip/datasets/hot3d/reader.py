@@ -52,15 +52,16 @@ class Hot3d(TrackedDataset):
     """Raw HOT3D recordings: every hold of an object by a hand."""
 
     grasps: Annotated[GraspOptions, arg(name="")] = HOLDS
-    """What counts as a hold."""
+    """Definition of a hold."""
     timelines: Flag = False
-    """Not the holds but whole interactions, with masks and segments (docs/timelines.md); --list: those of a list. Then
-    --rule touch is taken for all-pairs."""
+    """Import whole interactions instead of holds, with masks and segments (docs/timelines.md); with --list, those of a
+    list. --rule touch then means all-pairs."""
     first_frame: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 0)")] = None
-    """The list's number of a recording's first frame; else the recording must be as long as the list has it."""
+    """Number that the list gives to a recording's first frame; without it, the recording must be as long as in the
+    list."""
 
     def parts(self, note: Note) -> Sequence[Part]:
-        """The recordings, cut to holds, to the grasps of a list or, if ``whole``, at gaps only."""
+        """List the recordings, cut to holds, to the grasps of a list or, if ``whole``, at gaps only."""
         cut = self.cut(note)
         listed = cut.listed
         if listed is None and self.first_frame is not None:
@@ -90,11 +91,11 @@ class Hot3d(TrackedDataset):
         )
 
     def cut_record(self) -> dict[str, object] | None:
-        """How its clips are cut; None where they are whole."""
+        """Return the record of how its clips are cut; None where they are whole."""
         return None if self.timelines else super().cut_record()
 
     def sources(self, lengths: Mapping[str, int] | None = None) -> list[Source]:
-        """The recordings below ``root``; ``lengths`` says how many frames some of them must have."""
+        """List the recordings below ``root``; ``lengths`` says how many frames some of them must have."""
         root = self.root.resolve()
         found = find(root)
         objects = Objects.below(root)
@@ -107,7 +108,7 @@ class Hot3d(TrackedDataset):
 
 
 def touching(tracks: Iterable[Track], note: Note, cut: Cut) -> Iterator[Piece]:
-    """All frames of each hand and object that have a hold."""
+    """Yield all frames of each hand and object that have a hold."""
     for track in tracks:
         if next(pieces([track], lambda _: None, cut), None) is not None:
             yield from pieces([track], note, cut, whole=True)
@@ -123,7 +124,10 @@ class Objects:
 
     @staticmethod
     def below(root: Path) -> Objects:
-        """As ``instance.json`` names them; a mesh is called by the uid or the name. Raises ``InputError``."""
+        """Find the meshes of the objects in ``instance.json``; a mesh is called by the uid or the name.
+
+        Raises ``InputError``.
+        """
         instances = next(iter(sorted(root.rglob("instance.json"))), None)
         if instances is None:
             raise InputError(root, "", "no instance.json below it", "HOT3D's list of objects")
@@ -141,7 +145,7 @@ class Objects:
         return Objects(names, {uid: path for uid, path in found.items() if path is not None})
 
     def read(self, recording: Recording, note: Note) -> dict[str, Mesh]:
-        """The meshes of a recording's objects; what lacks one is reported."""
+        """Read the meshes of a recording's objects; missing ones are reported."""
         meshes = {}
         for uid in sorted(recording.objects):
             name = self.names.get(uid, uid)
@@ -174,7 +178,7 @@ def _tracks(
 
 
 def tracks(folder: Path, recording: Recording, objects: Objects, note: Note) -> Iterator[Track]:
-    """Every hand with every object of a recording that has a mesh, object by object. Raises ``InputError``."""
+    """Yield every hand with every object of a recording that has a mesh, object by object. Raises ``InputError``."""
     meshes = objects.read(recording, note)
     covered = recording.camera.pinhole.covered(recording.camera.fisheye)
     for uid, poses in recording.objects.items():  # timelines look at both hands of an object
@@ -195,7 +199,7 @@ def _track(
     frames: Int[ndarray, "T"],
     masks: Callable[[int], FrameMasks],
 ) -> Track:
-    """A hand and an object in some frames of a recording."""
+    """Return a hand and an object in some frames of a recording."""
     hand, camera = recording.hands[side], recording.camera
     T_cam_world = se3.inverse(camera.T_world_cam[frames])
     subject, _, sequence = recording.name.partition("_")
@@ -228,6 +232,7 @@ def _track(
             "hands": "HOT3D's UmeTrack hands (true)",
             "masks": "rendered from the true poses, hidden by both hands and by the other objects that have a mesh",
             "camera": f"{camera.device}, {camera.label}: a pinhole of the fisheye lens's focal length and axis",
+            "bop": camera.bop,
             "scale": "HOT3D's scanned mesh, true size",
             "times": "poses are the nearest in time to the frame, at most 5 ms off",
         },
@@ -237,7 +242,7 @@ def _track(
 def _masks(
     recording: Recording, side: Side, uid: str, meshes: dict[str, Mesh], covered: Bool[ndarray, "H W"], n: int
 ) -> FrameMasks:
-    """The masks of frame n; ``covered`` is what the fisheye image shows."""
+    """Return the masks of frame n; ``covered`` are the pixels that the fisheye image covers."""
     from getagrip.geometry.render import true_masks  # loads numba
 
     T_cam_world = se3.inverse(recording.camera.T_world_cam[n])

@@ -35,11 +35,11 @@ instant are stamped 0.1 ms apart, frames 33 ms."""
 LARGEST_TABLE = 128 * 2**20
 """Limit in bytes of a file of poses; two minutes take some ten million."""
 MOST_FRAMES = 20_000
-"""Of a recording: five times as many as the longest has."""
+"""Most frames of a recording: five times as many as the longest has."""
 LARGEST_IMAGE = 8192
 """Longest side of an image [px]."""
 LARGEST_NUMBER = 1e9
-"""Of a pose, an angle or a calibration; far above all that is meant."""
+"""Largest number of a pose, an angle or a calibration; far above all true ones."""
 SIDES: dict[str, Side] = {"0": "left", "1": "right"}
 ARIA_CAMERAS = {"camera-rgb": (1408, 1408), "camera-slam-left": (640, 480)}
 """Cameras in the order of preference and the sizes of their images [px], which the calibration does not give."""
@@ -75,6 +75,12 @@ class HeadsetCamera:
     T_world_cam: Float[ndarray, "N 4 4"]
     """Pinhole camera to world."""
 
+    @property
+    def bop(self) -> dict[str, str]:
+        """Names in the BOP benchmark of the dataset, the headset's images and the files of the camera."""
+        split = "test-aria" if self.device == "Aria" else "test-quest3"
+        return {"dataset": "hot3d", "split": split, "camera": "rgb" if self.label == "camera-rgb" else "gray1"}
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -92,7 +98,10 @@ CLIPS = ("clip-*.tar", "*.objects.json", "*.cameras.json")
 
 
 def find(root: Path) -> dict[str, dict[str, Path]]:
-    """The files of each recording below a folder, by their names. Raises ``InputError`` where there is no recording."""
+    """Find the files of each recording below a folder, by their names.
+
+    Raises ``InputError`` where there is no recording.
+    """
     if root.is_file() and fnmatch(root.name, CLIPS[0]):
         raise _is_clips(root)
     if not root.is_dir():
@@ -110,7 +119,7 @@ def find(root: Path) -> dict[str, dict[str, Path]]:
 
 
 def _is_clips(root: Path) -> InputError:
-    """The error for HOT3D-Clips, which hold the same recordings in another layout."""
+    """Make the error for HOT3D-Clips, which hold the same recordings in another layout."""
     got = "HOT3D-Clips (clip-*.tar), another layout, which is not read"
     return InputError(root, "", got, "HOT3D's full recordings, as its own downloader saves them")
 
@@ -164,7 +173,7 @@ def _hands(path: Path, model: umetrack.UmeTrackHand, times: Int[ndarray, "N"]) -
 
 
 def _aria(path: Path, times: Int[ndarray, "N"], T_world_device: Float[ndarray, "N 4 4"]) -> HeadsetCamera:
-    """The RGB camera, or else the left SLAM camera, calibrated online.
+    """Read the RGB camera, or else the left SLAM camera, calibrated online.
 
     The calibration is stamped by another clock than the poses. It drifts by little, so the clocks are set equal at the
     first frame. Its lens is taken from the first frame, its place on the headset from every frame.
@@ -190,7 +199,7 @@ def _aria(path: Path, times: Int[ndarray, "N"], T_world_device: Float[ndarray, "
 
 
 def _quest(path: Path, T_world_device: Float[ndarray, "N 4 4"]) -> HeadsetCamera:
-    """The first large camera of a Quest 3, which is stream 1201-1."""
+    """Read the first large camera of a Quest 3, which is stream 1201-1."""
     try:
         cameras = json.loads(read_bytes(path, LARGEST_JSON))
     except (OSError, ValueError, RecursionError) as error:
@@ -207,13 +216,13 @@ def _quest(path: Path, T_world_device: Float[ndarray, "N 4 4"]) -> HeadsetCamera
 
 
 def _upright(fisheye: Fisheye624) -> Pinhole:
-    """A pinhole of the lens's focal length and image size. Both headsets mount their cameras on the side."""
+    """Make a pinhole of the lens's focal length and image size. Both headsets mount their cameras on the side."""
     width, height = fisheye.size
     return pinhole(fisheye, fisheye.f, (height, width), quarter_turns=1)
 
 
 def _at(times: Int[ndarray, "N"], values: dict[int, ndarray]) -> tuple[Float[ndarray, "N ..."], Bool[ndarray, "N"]]:
-    """The values nearest to the times, and whether they are near enough (``SLACK``) to stand for them."""
+    """Return the values nearest to the times, and whether they are near enough (``SLACK``) to stand for them."""
     stamps = np.array(sorted(values))
     after = np.minimum(np.searchsorted(stamps, times), len(stamps) - 1)
     before = np.maximum(after - 1, 0)
@@ -274,7 +283,7 @@ def _numbers(values: Sequence[float], count: int) -> Float[ndarray, "count"]:
 
 @contextmanager
 def _named(path: Path, key: str, expected: str) -> Iterator[None]:
-    """Turns what goes wrong in reading untyped data into an ``InputError`` that names the place."""
+    """Turn errors in reading untyped data into an ``InputError`` that names the place."""
     try:
         yield
     except KeyError as error:

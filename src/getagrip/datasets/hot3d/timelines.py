@@ -30,7 +30,7 @@ DERIVED = "a timeline: static, contact and grasp by the true poses; {}"
 
 
 def pieces(tracks: Iterable[Track], note: Note, cut: Cut) -> Iterator[Piece]:
-    """The timelines of a recording, whose tracks come object by object."""
+    """Yield the timelines of a recording, whose tracks come object by object."""
     for _, of_object in groupby(tracks, key=lambda track: track.category):
         hands = [track.take(np.flatnonzero(ahead(track))) for track in of_object]
         if cut.listed is None:
@@ -45,7 +45,7 @@ def pieces(tracks: Iterable[Track], note: Note, cut: Cut) -> Iterator[Piece]:
 
 
 def _derived(hands: Sequence[Track], cut: Cut) -> Iterator[Piece]:
-    """An object's timelines by the true poses."""
+    """Yield an object's timelines by the true poses."""
     definition = cut.definition
     contact = {
         track.side: contact_sets(known_clip(track), definition.contact, definition.points)
@@ -76,7 +76,7 @@ def _at(value: Int[ndarray, "S"], sets: Bool[ndarray, "S P"], wanted: Int[ndarra
 
 
 def _listed(track: Track, sides: Sequence[Side], timelines: Sequence[Timeline], source: str) -> Iterator[Piece]:
-    """The timelines of a list that are of a track's object, and of its hand more than of the others."""
+    """Yield the timelines of a list that are of a track's object, and of its hand more than of the others."""
     name = f"{track.subject}_{track.sequence}"
     for timeline in timelines:
         if (timeline.sequence, timeline.category) != (name, track.category):
@@ -97,12 +97,12 @@ def _listed(track: Track, sides: Sequence[Side], timelines: Sequence[Timeline], 
 
 
 def _other(track: Track, hands: Sequence[Track]) -> Track | None:
-    """That of the other hand, if it is known."""
+    """Return the track of the other hand, if it is known."""
     return next((other for other in hands if other.side != track.side and len(other)), None)
 
 
 def _main(frames: Mapping[Side, int]) -> Side | None:
-    """The hand with the most frames, the left one if both have as many; None where none has one."""
+    """Return the hand with the most frames, the left one if both have as many; None where none has one."""
     best = max(sorted(frames), key=lambda side: frames[side])
     return best if frames[best] else None
 

@@ -1,4 +1,4 @@
-"""What synthetic clips can hold: for each category the object and the ways to take it.
+"""The contents of synthetic clips: for each category the object and its grips.
 
 Kitchen machines are assembled here, from closed parts that overlap: closed meshes of 500 to 1400 faces in metres, z up,
 the front at +x, origins in the middle.
@@ -21,30 +21,30 @@ from getagrip.geometry.mesh import Mesh
 def _block(
     low: tuple[float, float, float], high: tuple[float, float, float], power: float = 7.0, layers: int = 2
 ) -> Mesh:
-    """A rounded block between two corners."""
+    """Make a rounded block between two corners."""
     size = np.subtract(high, low)
     part = slab((float(size[0]), float(size[1]), float(size[2])), power, 0.004, 18, layers)
     return Mesh(part.vertices + (np.array(low) + high) / 2.0, part.faces)
 
 
 def _bar(points: Sequence[tuple[float, float]], n: int, width: float, height: float) -> Mesh:
-    """A bent bar of elliptical section through (x, z) points, closed at both ends."""
+    """Make a bent bar of elliptical section through (x, z) points, closed at both ends."""
     return loft(handle(points, n, width, height).sections(12))
 
 
 def notebook(size: tuple[float, float, float] = (0.15, 0.21, 0.014)) -> Mesh:
-    """A closed notebook."""
+    """Make a closed notebook."""
     return slab(size, 24.0, 0.001, 48, 2)
 
 
 def waffle_iron(radius: float = 0.095, height: float = 0.08, bar: float = 0.12) -> Mesh:
-    """A round, closed waffle iron with a straight handle; the origin lies on the handle."""
+    """Make a round, closed waffle iron with a straight handle; the origin lies on the handle."""
     low = scaled("0.35 0, 0.7 0, 0.93 0.02, 1 0.14, 1 0.3, 1 0.44, 0.97 0.48", radius, height)
     return with_bar([*low, *((r, height - z) for r, z in low[::-1])], radius, height, bar, 0.006)
 
 
 def mixer(length: float = 0.19, width: float = 0.075, height: float = 0.075) -> Mesh:
-    """A hand mixer: a body along x, a handle above it, two beaters below its front."""
+    """Make a hand mixer: a body along x, a handle above it, two beaters below its front."""
     s = np.linspace(0.0, 1.0, 12)
     full = np.interp(s, [0.0, 0.05, 0.2, 0.8, 0.95, 1.0], [0.35, 0.75, 1.0, 1.0, 0.7, 0.3]) / 2.0
     phi = np.arange(24) * np.pi / 12.0
@@ -63,7 +63,7 @@ def mixer(length: float = 0.19, width: float = 0.075, height: float = 0.075) -> 
 
 
 def espresso_machine(width: float = 0.105, height: float = 0.22) -> Mesh:
-    """A small espresso machine: base, column and head, the filter's handle in front."""
+    """Make a small espresso machine: base, column and head, the filter's handle in front."""
     y, z = width / 2.0, height / 2.0
     base = _block((-0.085, -y, -z), (0.085, y, -z + 0.035))
     column = _block((-0.085, -0.8 * y, -z + 0.02), (-0.025, 0.8 * y, z - 0.03), layers=5)
@@ -73,7 +73,7 @@ def espresso_machine(width: float = 0.105, height: float = 0.22) -> Mesh:
 
 
 def capsule_machine(width: float = 0.085, height: float = 0.20) -> Mesh:
-    """A narrow capsule machine: tray, column and rounded head, a lever above."""
+    """Make a narrow capsule machine: tray, column and rounded head, a lever above."""
     y, z = width / 2.0, height / 2.0
     tray = _block((-0.06, -y, -z), (0.11, y, -z + 0.025))
     column = _block((-0.07, -0.85 * y, -z + 0.01), (0.01, 0.85 * y, z - 0.03), 5.0, 5)
@@ -83,7 +83,7 @@ def capsule_machine(width: float = 0.085, height: float = 0.20) -> Mesh:
 
 
 def microwave(size: tuple[float, float, float] = (0.17, 0.26, 0.15)) -> Mesh:
-    """A small microwave oven with a bow handle at the edge of its door."""
+    """Make a small microwave oven with a bow handle at the edge of its door."""
     depth, width, height = size
     x, z = depth / 2.0, height / 2.0
     body = slab(size, 12.0, 0.005, 40, 5)

@@ -32,12 +32,12 @@ class Deformation:
     amplitude: Float[ndarray, "W 3"]
 
     def __call__(self, X: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
-        """The points where they come to lie [m]."""
+        """Return the deformed points [m]."""
         return X + np.sin(X @ self.waves.T + self.phase) @ self.amplitude
 
 
 def drawn(mesh: Mesh, share: float, rng: np.random.Generator) -> Deformation:
-    """A random deformation that leaves the mesh off by ``share`` of its diameter, root mean square over its surface.
+    """Draw a random deformation that leaves the mesh off by ``share`` of its diameter (root mean square).
 
     Counted is what no similarity undoes.
     """
@@ -49,7 +49,7 @@ def drawn(mesh: Mesh, share: float, rng: np.random.Generator) -> Deformation:
 
 
 def misfit(cad: Mesh, grasped: Mesh) -> float:
-    """Root mean square distance of corresponding points of the surfaces after the best similarity [m]."""
+    """Compute the root mean square distance of corresponding points of the surfaces after the best similarity [m]."""
     T, size = aligned(cad, grasped, resize=True)
     off = np.sum((se3.transform(T, size * cad.vertices) - grasped.vertices) ** 2, axis=1)
     return float(np.sqrt(grasped.vertex_areas @ off / grasped.vertex_areas.sum()))

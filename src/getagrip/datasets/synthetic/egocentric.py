@@ -1,4 +1,4 @@
-"""What a head-worn camera sees of a hand that carries something, and the other hand that comes in front."""
+"""The view of a head-worn camera of a hand that carries something, and of the other hand that comes in front."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def seen_from_head(
     frames: int,
     rng: np.random.Generator,
 ) -> tuple[Float[ndarray, "T 4 4"], Float[ndarray, "T 4 4"]]:
-    """``T_world_cam`` and ``T_world_hand`` of a hand that lifts, carries and tilts, before a head that follows it.
+    """Draw ``T_world_cam`` and ``T_world_hand`` of a hand that lifts, carries and tilts, before a head that follows it.
 
     World: x right, y ahead, z up, the middle of hand and object near the origin. The object starts upright, turned
     such that the forearm comes from the right shoulder.
@@ -45,7 +45,7 @@ def seen_from_head(
 def other_hand(
     grasper: Grasper, T_cam_hand: Float[ndarray, "T 4 4"], middle: Float[ndarray, "3"], rng: np.random.Generator
 ) -> Float[ndarray, "T V 3"]:
-    """A relaxed left hand that drifts over part of the object, in the camera frame [m]."""
+    """Draw a relaxed left hand that drifts over part of the object, in the camera frame [m]."""
     frames = len(T_cam_hand)
     relaxed = np.radians([(0.0, 10.0, 10.0), *((25.0, 30.0, 15.0),) * 4])
     vertices = mirrored(grasper.posed(relaxed).vertices)
@@ -60,7 +60,7 @@ def other_hand(
 
 
 def smooth(rng: np.random.Generator, frames: int, curves: int) -> Float[ndarray, "T curves"]:
-    """Random slow curves with values in [-1, 1]: a few low frequencies over the clip."""
+    """Draw random slow curves with values in [-1, 1]: a few low frequencies over the clip."""
     t = np.linspace(0.0, 1.0, frames)[:, None, None]
     frequency = np.pi * np.array([1.0, 2.0, 3.0])[:, None]
     amplitude = rng.normal(size=(3, curves)) / np.array([1.0, 2.0, 4.0])[:, None]

@@ -1,4 +1,4 @@
-"""How far a tracker's hand is off in each frame of a clip: curves of errors, drawn from ``Noise`` or measured.
+"""Errors of a tracker's hand in each frame of a clip: curves, drawn from ``Noise`` or measured.
 
 The measures are robust: medians over frames and over clips, so that they describe the usual clip. What is far outside a
 clip's own jitter is counted apart, as outliers.
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from getagrip.datasets.synthetic.noise import Noise
 
 OUTSIDE = 4.0
-"""Frames are outliers whose rotation is so many times the usual jitter about one axis from the clip's median."""
+"""Distance of an outlier's rotation from the clip's median, in units of the usual jitter about one axis."""
 ROBUST = 1.4826
 """A normal distribution's standard deviation, in medians of its magnitude."""
 _DEGREES, _MM = float(np.degrees(1.0)), 1e3
@@ -36,14 +36,14 @@ ERROR_MEASURES = {
     "finger_jitter": Measure("bend of each finger joint, frame by frame (rms)", "deg", _DEGREES),
     "memory": Measure("correlation time of the rotation", "s", 1.0),
 }
-"""Of a clip, by name; shown in these units, held in SI units."""
+"""Measures of a clip's errors, by name; shown in these units, stored in SI units."""
 SHARES = {
     "spread": Measure("spread over clips of the logarithm of these errors (standard deviation)", "", 1.0),
     "outlier_share": Measure("frames with outliers", "%", 100.0),
     "outlier_times": Measure("outliers, in jitters", "", 1.0),
     "outlier_s": Measure("duration of a run of outliers, mean", "s", 1.0),
 }
-"""Of all clips together."""
+"""Measures over all clips."""
 
 
 @dataclass(frozen=True)
@@ -79,14 +79,14 @@ class Drawn:
 
     @property
     def curves(self) -> ErrorCurves:
-        """As they are measured: shifts in the hand frame have no direction of their own."""
+        """Curves as they are measured: shifts in the hand frame have no direction of their own."""
         shift = self.shift.copy()
         shift[:, 2:] += self.deeper
         return ErrorCurves(self.turn, shift, self.bends)
 
 
 def draw(noise: Noise, frames: int, fps: float, rng: np.random.Generator) -> Drawn:
-    """Errors of a clip. The same generator draws the same errors, larger or smaller, for every noise."""
+    """Draw the errors of a clip. The same generator draws the same errors, larger or smaller, for every noise."""
     # Generators of their own: hands err alike whatever their depth, fingers and outliers do.
     depth, fingers, levels, bursts = rng.spawn(4)
     a = float(np.exp(-1.0 / (fps * noise.jitter_memory_s))) if noise.jitter_memory_s > 0.0 else 0.0
@@ -110,7 +110,7 @@ def draw(noise: Noise, frames: int, fps: float, rng: np.random.Generator) -> Dra
 
 
 def measure(clips: Sequence[ErrorCurves], fps: float) -> dict[str, float]:
-    """``ERROR_MEASURES``, medians over clips, and ``SHARES``. No clip may be without jitter."""
+    """Compute ``ERROR_MEASURES``, medians over clips, and ``SHARES``. No clip may be without jitter."""
     rows, outside, beyond, runs = [], list[Bool[ndarray, "_"]](), list[Float[ndarray, "_"]](), list[int]()
     for clip in clips:
         bends = clip.bends.reshape(len(clip.bends), -1)
@@ -149,13 +149,13 @@ def measure(clips: Sequence[ErrorCurves], fps: float) -> dict[str, float]:
 
 
 def _parts(x: Float[ndarray, "T k"]) -> tuple[Float[ndarray, "k"], Float[ndarray, "T k"]]:
-    """What all frames share, and the rest."""
+    """Split into what all frames share, and the rest."""
     middle = np.median(x, axis=0)
     return middle, x - middle
 
 
 def _outliers(noise: Noise, frames: int, fps: float, rng: np.random.Generator) -> Int[ndarray, "T"]:
-    """The first frame of the burst of outliers that each frame is in; -1 of those in none.
+    """Draw the first frame of the burst of outliers that each frame is in; -1 of those in none.
 
     Bursts come and go as a chain of two states, with the noise's share of frames and mean duration.
     """

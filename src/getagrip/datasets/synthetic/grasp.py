@@ -28,12 +28,12 @@ NEAR = 0.002
 SOFT = 0.0015
 """How deep flesh gives way [m]."""
 ASIDE = (-10.0, 10.0, -20.0, 20.0, -30.0, 30.0)
-"""How far the thumb's metacarpal may turn aside [deg]."""
+"""Range of the thumb's metacarpal to the side [deg]."""
 
 
 @dataclass(frozen=True)
 class Grip:
-    """Where and how an object is taken, in its own frame; directions need not be of unit length."""
+    """A grip: place and directions in the object's frame; directions need not be of unit length."""
 
     hold: Literal["palm", "pinch"]
     at: tuple[float, float, float]
@@ -45,7 +45,7 @@ class Grip:
 
 
 def varied(grip: Grip, turn_deg: float, shift_mm: float, rng: np.random.Generator) -> Grip:
-    """The grip, turned about a random axis and shifted, by these root mean squares."""
+    """Turn a grip about a random axis and shift it, by these root mean squares."""
     R = se3.exp_so3(np.radians(turn_deg) / np.sqrt(3.0) * rng.normal(size=3))
     at = np.array(grip.at) + 1e-3 * shift_mm / np.sqrt(3.0) * rng.normal(size=3)
     return Grip(grip.hold, _triple(at), _triple(R @ grip.into), _triple(R @ grip.aside))
@@ -67,7 +67,7 @@ class _Hold:
     thumb_aim: tuple[float, float, float] | None
     """Direction of the opposed thumb's metacarpal; nothing: as at rest."""
     thumb_pad: tuple[float, float, float]
-    """Where the opposed thumb's pad looks."""
+    """Direction of the opposed thumb's pad."""
 
 
 _FIST = ((80.0, 95.0, 60.0),) * 4
@@ -111,7 +111,7 @@ class _Obstacles:
         self._points, self._normals = posed.vertices[:, members], posed.normals[:, members]
 
     def gap(self, X: Float[ndarray, "B n 3"], which: Int[ndarray, "B"]) -> Float[ndarray, "B"]:
-        """Smallest signed distance from points of the thumb to the fingers of some of the hands [m]."""
+        """Compute the smallest signed distance from points of the thumb to the fingers of some of the hands [m]."""
         gap = np.empty(len(X))
         for b, hand in enumerate(which):
             distance, nearest = self._trees[hand].query(X[b])
@@ -131,7 +131,10 @@ class Grasper:
     """Turns of the opposed thumb's metacarpal: aside, and about itself [deg]."""
 
     def posed(self, angles: Float[ndarray, "*batch 5 3"]) -> PosedHand:
-        """The hand with its joints bent by ``angles`` [rad], thumb first, each finger from the palm to the tip."""
+        """Return the hand with its joints bent by ``angles`` [rad].
+
+        The thumb comes first; each finger goes from the palm to the tip.
+        """
         return self.hand.with_pose(self._pose(angles).reshape(*angles.shape[:-2], 45))
 
     def _pose(self, angles: Float[ndarray, "*batch 5 3"]) -> Float[ndarray, "*batch 15 3"]:
@@ -153,11 +156,14 @@ class Grasper:
         return pose
 
     def opened(self) -> PosedHand:
-        """The hand before it closes."""
+        """Return the hand before it closes."""
         return self.posed(np.radians(_HOLDS[self.hold].opened))
 
     def approach(self, grip: Grip) -> Float[ndarray, "4 4"]:
-        """``T_hand_obj`` of the object at the open hand; in the palm it touches, in the pinch nothing need touch."""
+        """Return ``T_hand_obj`` of the object at the open hand.
+
+        In the palm it touches; in the pinch nothing need touch.
+        """
         hold = _HOLDS[self.hold]
         T_hand_grip = _frame(np.array(hold.into), np.array(hold.aside), np.array(hold.at))
         T_hand_obj = T_hand_grip @ se3.inverse(_frame(np.array(grip.into), np.array(grip.aside), np.array(grip.at)))
@@ -173,19 +179,19 @@ class Grasper:
         return se3.rigid(None, offset[k]) @ T_hand_obj
 
     def close(self, T_hand_obj: Float[ndarray, "A 4 4"]) -> Float[ndarray, "A 5 3"]:
-        """Joint angles [rad] of the hand closed on the object at each of its poses."""
+        """Close the hand on the object at each of its poses; return its joint angles [rad]."""
         angles = np.broadcast_to(np.radians(_HOLDS[self.hold].opened), (len(T_hand_obj), 5, 3))
         angles = self._sweep(angles, T_hand_obj, range(1, 5))
         return self._close_thumb(angles, T_hand_obj, self._other_fingers(angles))
 
     def _other_fingers(self, angles: Float[ndarray, "A 5 3"]) -> _Obstacles:
-        """The fingers without the thumb."""
+        """Return the fingers without the thumb."""
         return _Obstacles(self.posed(angles), np.any([self._members(f) for f in range(1, 5)], axis=0))
 
     def _close_thumb(
         self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"], others: _Obstacles
     ) -> Float[ndarray, "A 5 3"]:
-        """The thumb closed, from where it is open, on the object and the other fingers."""
+        """Close the thumb, from its open position, on the object and the other fingers."""
         angles = angles.copy()
         angles[:, 0] = np.radians(_HOLDS[self.hold].opened[0])
         return self._sweep(angles, T_hand_obj, range(1), others)
@@ -216,7 +222,10 @@ class Grasper:
     def _reach(
         self, X: Float[ndarray, "S A n 3"], T_obj_hand: Float[ndarray, "A 4 4"], obstacles: _Obstacles | None
     ) -> Float[ndarray, "A"]:
-        """Where, in [0, 1] along the sweep, its points first touch; steps at which they cannot yet are passed over."""
+        """Return the place in [0, 1] along the sweep of the first contact.
+
+        Steps without possible contact are passed over.
+        """
         Y = se3.transform(T_obj_hand, X)
         stride = np.linalg.norm(np.diff(Y, axis=0), axis=-1).max(axis=(0, 2)) + 1e-9
         gap = np.full(X.shape[:2], np.inf)
@@ -234,13 +243,13 @@ class Grasper:
         return _first_below(gap, -TOUCH)
 
     def gaps(self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]) -> Float[ndarray, "A 6"]:
-        """Smallest signed distance of each finger, thumb first, and of the palm to the object [m]."""
+        """Compute the smallest signed distance of each finger, thumb first, and of the palm to the object [m]."""
         parts = [self._members(f) for f in range(5)] + [self._members(0, wrist=True)]
         posed = self.posed(angles)
         return np.stack([self._gap(posed, part, T_hand_obj) for part in parts], axis=-1)
 
     def thumb_miss(self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]) -> float:
-        """How far the thumb stays from the object, or stands in it beyond what flesh gives way [m]."""
+        """Measure how far the thumb stays from the object, or stands in it beyond what flesh yields [m]."""
         gap = self._gap(self.posed(angles), self._members(0), T_hand_obj)
         return float(np.maximum(gap, -gap - SOFT).max())
 
@@ -252,7 +261,7 @@ class Grasper:
         return np.asarray(self.distance(X).min(axis=1))
 
     def steered(self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]) -> Grasper:
-        """The same with the thumb turned as little as lets it touch the object at its first, middle and last pose.
+        """Turn the thumb as little as lets it touch the object at its first, middle and last pose.
 
         ``angles`` are those of the closed hand.
         """
@@ -280,13 +289,16 @@ class Grasper:
 
 
 def looseness(gaps: Float[ndarray, "6"], hold: Literal["palm", "pinch"]) -> float:
-    """How badly a closed hand holds: the gaps of the parts that ought to touch, and tenfold their excess depth [m]."""
+    """Measure how badly a closed hand holds [m].
+
+    Added are the gaps of the parts that ought to touch, and tenfold their excess depth.
+    """
     parts = gaps if hold == "palm" else gaps[:3]
     return float(np.clip(parts, 0.0, 0.02).sum() + 10.0 * np.maximum(-gaps - SOFT, 0.0).sum())
 
 
 def _first_below(gap: Float[ndarray, "S A"], level: float) -> Float[ndarray, "A"]:
-    """Where, in [0, 1] along the first axis, the gap first falls below a level (linear between samples); 1 if never."""
+    """Return the place in [0, 1] along the first axis where the gap first falls below a level (linear); 1 if never."""
     below = gap < level
     k = np.argmax(below, axis=0)
     column = np.arange(gap.shape[1])

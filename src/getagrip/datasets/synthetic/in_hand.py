@@ -45,9 +45,9 @@ KEYS = 7
 UNUSUAL = 2.0
 """No drawn number is further from the mean than this, in standard deviations."""
 ROUNDS, SCALED = 6, 2
-"""Of correcting a drawn motion, and how many of them, the last, correct its sizes only."""
+"""Rounds of correcting a drawn motion, and the number of last ones that correct its sizes only."""
 SHALLOW = 6
-"""So many of the axes are tried: those about which the object turns the least deep into the open hand."""
+"""Number of axes that are tried: those about which the object turns the least deep into the open hand."""
 TRIES, CLOSE = 40, 0.1
 """Motions that are drawn until what is measured of one is as close as this to what is asked for, as logarithms."""
 SIZES = ("turn", "rotation", "place")
@@ -55,7 +55,7 @@ SIZES = ("turn", "rotation", "place")
 CHOSEN = (*SIZES, "drift", "pivot", "slip")
 """Measures by which one of the motions is chosen."""
 UNDEFINED = 1.0
-"""What has no measure, since it hardly turns, is so far off."""
+"""Deviation of a motion without a measure, since it hardly turns."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class InHand:
 
 
 def hinge(grasper: Grasper, T_base: Float[ndarray, "4 4"], options: SceneOptions, rng: np.random.Generator) -> InHand:
-    """Nearly a rotation about one axis."""
+    """Make a motion that is nearly a rotation about one axis."""
     axis = _turning_axis(grasper, T_base, options, rng)
     line = se3.rotation_about_line(axis.point, axis.direction, axis.angle)
     residual = about(
@@ -92,7 +92,7 @@ def hinge(grasper: Grasper, T_base: Float[ndarray, "4 4"], options: SceneOptions
 def measured(
     grasper: Grasper, T_base: Float[ndarray, "4 4"], grasped: Mesh, frames: int, rng: np.random.Generator
 ) -> InHand:
-    """A motion drawn from the statistics of one of the datasets in ``MEASURED``."""
+    """Draw a motion from the statistics of one of the datasets in ``MEASURED``."""
     statistics = list(MEASURED.values())[rng.integers(len(MEASURED))]
     areas = grasped.vertex_areas / grasped.vertex_areas.sum()
     centre = areas @ grasped.vertices
@@ -116,7 +116,7 @@ def measured(
 
 
 def draw(statistics: MotionStatistics, rng: np.random.Generator) -> dict[str, float]:
-    """Numbers of one grasp, in SI units: the measures of ``JOINT``."""
+    """Draw the numbers of one grasp, in SI units: the measures of ``JOINT``."""
     root = np.linalg.cholesky(statistics.log_covariance)
     while np.abs(z := rng.normal(size=len(JOINT))).max() > UNUSUAL:
         pass
@@ -131,7 +131,9 @@ def motion(
     frames: int,
     rng: np.random.Generator,
 ) -> tuple[Float[ndarray, "N 3 3"], Float[ndarray, "N 3"], Residual]:
-    """Rotations and positions of the centre [m] about nearly a hinge, with some spectra; and their residual.
+    """Draw rotations and positions of the centre [m] about nearly a hinge, with some spectra.
+
+    Also return their residual.
 
     Args:
         starts: hinges to begin with; ``grasps.motion`` may find others in what is made of them.
@@ -188,7 +190,7 @@ def _motion(
 def _equalised(
     drawn: Float[ndarray, "T 3"], found: Float[ndarray, "T 3"], wanted: Sequence[float]
 ) -> Float[ndarray, "T 3"]:
-    """A curve whose frequencies are amplified where less of them is found than wanted: the best hinge takes some."""
+    """Amplify a curve's frequencies where less of them is found than wanted: the best hinge takes some."""
     from scipy.fft import dct, idct
 
     gain = np.sqrt(np.array(wanted) / np.maximum(spectrum(found), 1e-6)).clip(0.7, 1.4)
@@ -201,7 +203,7 @@ def _equalised(
 def _bent(
     rotation: Float[ndarray, "T 3"], angle: Float[ndarray, "T"], share: float, towards: Float[ndarray, "3"]
 ) -> Float[ndarray, "T 3"]:
-    """A rotation with a share that goes with the square of the angle, if it is above zero: so the axis drifts."""
+    """Bend a rotation by a share that goes with the square of the angle, if it is above zero: so the axis drifts."""
     powers = np.vander(angle - angle.mean(), 3)
     parabola = powers[:, 0] - powers[:, 1:] @ np.linalg.lstsq(powers[:, 1:], powers[:, 0], rcond=None)[0]
     more = np.sqrt(max(0.0, share) * np.sum(rotation**2) / (np.sum(parabola**2) * np.sum(towards**2)))
@@ -225,7 +227,7 @@ def _curves(wanted: Sequence[float], frames: int, count: int, rng: np.random.Gen
 def _grasped(
     grasper: Grasper, T_keys: Float[ndarray, "K 4 4"], keys: Float[ndarray, "K"], at: Float[ndarray, "T"]
 ) -> PosedHand:
-    """The hand with its fingers closed about the object in some poses, and between them in between."""
+    """Close the hand's fingers about the object in some poses, and interpolate them in between."""
     closed = grasper.close(T_keys)
     if grasper.thumb_miss(closed, T_keys) > NEAR:
         grasper = grasper.steered(closed, T_keys)
@@ -235,7 +237,7 @@ def _grasped(
 
 
 def _touching(grasper: Grasper, T_base: Float[ndarray, "4 4"]) -> Float[ndarray, "P 3"]:
-    """The vertices of the hand that touch the object in its base pose [m]."""
+    """Return the vertices of the hand that touch the object in its base pose [m]."""
     closed = grasper.posed(grasper.close(T_base[None]))
     gap = grasper.distance(se3.transform(se3.inverse(T_base), closed.vertices[0]))
     return np.asarray(closed.vertices[0][gap < 0.003])
@@ -260,7 +262,7 @@ def _depth(
 def _turning_axis(
     grasper: Grasper, T_base: Float[ndarray, "4 4"], options: SceneOptions, rng: np.random.Generator
 ) -> Axis:
-    """A line near the contacts about which the object can turn with the least way into the open hand."""
+    """Find a line near the contacts about which the object can turn with the shortest path into the open hand."""
     directions = rng.normal(size=(AXES, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     points = _touching(grasper, T_base).mean(axis=0) + rng.normal(0.0, 0.008, (AXES, 3))

@@ -33,10 +33,10 @@ class Tube:
     height: Float[ndarray, "P"]
     """Half heights, across ``side`` [m]."""
     capped: bool = False
-    """Whether the tube ends in the air."""
+    """True if the tube ends in the air."""
 
     def sections(self, n: int = _SECTION) -> Float[ndarray, "P n 3"]:
-        """One ring per point of the path, counter-clockwise about the direction of travel."""
+        """Return one ring per point of the path, counter-clockwise about the direction of travel."""
         tangent = np.gradient(self.path, axis=0)
         across = np.cross(tangent, self.side)
         across /= np.linalg.norm(across, axis=1, keepdims=True)
@@ -46,7 +46,7 @@ class Tube:
 
 
 def loft(rings: Float[ndarray, "R N 3"], tubes: Sequence[Tube] = ()) -> Mesh:
-    """Closed mesh through rings of points, each counter-clockwise about the direction to the next, with tubes grown on.
+    """Build a closed mesh from rings, each counter-clockwise about the direction to the next, with tubes on it.
 
     The first and the last ring are capped by a fan about their mean.
     """
@@ -75,7 +75,7 @@ def loft(rings: Float[ndarray, "R N 3"], tubes: Sequence[Tube] = ()) -> Mesh:
 
 
 def torus(path: Float[ndarray, "P 3"], side: Float[ndarray, "3"], radius: float) -> Mesh:
-    """A closed ring of round section about a closed path (counter-clockwise about ``side``)."""
+    """Make a closed ring of round section about a closed path (counter-clockwise about ``side``)."""
     tangent = np.roll(path, -1, axis=0) - np.roll(path, 1, axis=0)
     across = np.cross(tangent, side)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
@@ -87,7 +87,7 @@ def torus(path: Float[ndarray, "P 3"], side: Float[ndarray, "3"], radius: float)
 
 
 def together(meshes: Sequence[Mesh]) -> Mesh:
-    """Several closed parts as one mesh; they may overlap."""
+    """Join several closed parts to one mesh; they may overlap."""
     offsets = np.cumsum([0, *(len(m.vertices) for m in meshes)])
     faces = [m.faces + offset for m, offset in zip(meshes, offsets[:-1], strict=True)]
     return Mesh(np.concatenate([m.vertices for m in meshes]), np.concatenate(faces))
@@ -122,6 +122,6 @@ def _hole(rings: Float[ndarray, "R N 3"], taken: ndarray, at: Float[ndarray, "3"
 def _unrolled(
     vertices: Float[ndarray, "V 3"], loop: Int[ndarray, "8"], ring: Float[ndarray, "8 3"]
 ) -> Int[ndarray, "8"]:
-    """The loop, started where it meets the ring with the least twist."""
+    """Rotate the loop so that it meets the ring with the least twist."""
     rolls = [np.roll(loop, k) for k in range(len(loop))]
     return min(rolls, key=lambda ids: float(np.linalg.norm(vertices[ids] - ring, axis=1).sum()))

@@ -35,7 +35,7 @@ from getagrip.hands.bending import bent, finger_weights
 
 @dataclass(frozen=True)
 class Noise:
-    """How far a clip's hands and masks are off.
+    """The errors of a clip's hands and masks.
 
     Attributes:
         hand_bias_deg: rotation of the hand about a random axis, the same in all frames [degrees].
@@ -73,12 +73,11 @@ class Noise:
 
 
 TABLE = Path(__file__).with_name("estimated_hands.json")
-"""How far hands estimated from images are off; written by ``python -m benchmarks.hand_errors measure``.
+"""File with the errors of hands estimated from images; written by ``python -m benchmarks.hand_errors measure``.
 
 ``noise``: fields of ``Noise``, whose errors, drawn for clips of the same lengths, have these measures (fingers: joints
 as far off). ``measured``: ``error_curves.measure`` of the estimates, and their joints' error after the best similarity;
-SI units. ``lengths``: frames of these grasps; 5, 15, ..., 95 % are shorter.
-"""
+SI units. ``lengths``: frames of these grasps; 5, 15, ..., 95 % are shorter."""
 NOISE: dict[str, Noise] = {
     "none": Noise(),
     "moderate": Noise(
@@ -112,7 +111,7 @@ NOISE: dict[str, Noise] = {
 
 
 def perturbed(clip: Clip, masks: Masks, noise: Noise, seed: int | Sequence[int]) -> tuple[Clip, Masks]:
-    """The clip with its given hand displaced, and its masks with their boundaries moved.
+    """Displace a clip's hand, and move the boundaries of its masks.
 
     The ground truth, where the clip has one, keeps the true hand. The same seed draws the same errors, larger or
     smaller, for every noise. Raises ``InputError`` where fingers are to be bent and the clip has no joints.
@@ -124,7 +123,7 @@ def perturbed(clip: Clip, masks: Masks, noise: Noise, seed: int | Sequence[int])
 
 
 def noisy_hand(clip: Clip, noise: Noise, rng: np.random.Generator) -> HandTrack:
-    """The clip's hands, displaced; see ``perturbed``."""
+    """Displace the clip's hands; see ``perturbed``."""
     errors = draw(noise, len(clip), clip.fps, rng)
     middle = clip.hand.vertices.mean(axis=(0, 1))
     R = se3.exp_so3(errors.turn)
@@ -141,7 +140,7 @@ def noisy_hand(clip: Clip, noise: Noise, rng: np.random.Generator) -> HandTrack:
 
 
 def noisy_masks(masks: Masks, noise: Noise, rng: np.random.Generator) -> Masks:
-    """Masks whose boundaries are off; what is ignored stays ignored rather than the object's."""
+    """Displace the boundaries of masks; what is ignored stays ignored rather than the object's."""
     if noise.mask_ragged_px == 0.0:
         return masks
     objects, ignored, hands = [], [], []
@@ -155,7 +154,7 @@ def noisy_masks(masks: Masks, noise: Noise, rng: np.random.Generator) -> Masks:
 
 
 def ragged(mask: Bool[ndarray, "H W"], px: float, rng: np.random.Generator) -> Bool[ndarray, "H W"]:
-    """The mask with its boundary moved by a random field of ``px`` root mean square, smooth over about 5 px."""
+    """Move a mask's boundary by a random field of ``px`` root mean square, smooth over about 5 px."""
     import cv2
 
     if not mask.any():

@@ -59,7 +59,7 @@ class Scene:
     options: SceneOptions
 
     def surfaces(self, frame: int) -> tuple[Surface, list[Surface]]:
-        """The held object and the hands in the camera frame."""
+        """Return the held object and the hands in the camera frame."""
         clip, truth = self.clip, self.clip.truth
         assert truth is not None
         grasped = se3.transform(truth.T_cam_obj[frame], self.object.vertices)
@@ -70,7 +70,7 @@ class Scene:
 
 
 def synthesise(category: str, seed: int = 0, options: SceneOptions | None = None) -> tuple[Clip, Masks]:
-    """A synthetic clip with ground truth, and its masks, in memory.
+    """Make a synthetic clip with ground truth, and its masks, in memory.
 
     A generic hand grasps an object of the category and turns it about one axis, nearly, before a moving camera. The
     clip holds the noisy hand (``options.hand_*`` and ``finger_*``), the mesh and, in ``clip.truth``, the ground truth.
@@ -88,12 +88,12 @@ def synthesise(category: str, seed: int = 0, options: SceneOptions | None = None
 
 
 def noise_seed(category: str, seed: int) -> list[int]:
-    """The seed of a clip's noise."""
+    """Return the seed of a clip's noise."""
     return [seed, *category.encode(), 1]
 
 
 def make_scene(category: str, seed: int, options: SceneOptions) -> Scene:
-    """The scene, without noise. Raises ``UsageError`` as ``synthesise`` does."""
+    """Make the scene, without noise. Raises ``UsageError`` as ``synthesise`` does."""
     if category not in CATEGORIES:
         raise UsageError(f"unknown category {category!r}; choose from {', '.join(sorted(CATEGORIES))}")
     if seed < 0:
@@ -156,12 +156,12 @@ def make_scene(category: str, seed: int, options: SceneOptions) -> Scene:
 
 
 def _own_stream(category: str, seed: int, number: int) -> np.random.Generator:
-    """A random stream of a clip beside those that all clips draw from, which it leaves as they are."""
+    """Return a random stream of a clip beside those that all clips draw from, which it leaves as they are."""
     return np.random.default_rng([seed, *category.encode(), number])
 
 
 def _shape(mean: Mesh, stretch: Float[ndarray, "3"], category: str, seed: int, options: SceneOptions) -> Shape:
-    """Where points of the category's mean shape are on the object."""
+    """Return a map from points of the category's mean shape to the object."""
     stretched = Mesh(mean.vertices * stretch, mean.faces)
     if options.deform == 0.0:
         return lambda X: X * stretch
@@ -186,12 +186,12 @@ def _drawn_grip(category: str, seed: int, shaped: Shape, options: SceneOptions, 
 
 
 def clip_name(category: str, seed: int, options: SceneOptions) -> str:
-    """What the clip is called."""
+    """Return the clip's name."""
     return f"{category}-{options.side}-{seed:04d}"
 
 
 def _mirror_image(scene: Scene) -> Scene:
-    """The scene seen in a mirror: a left hand, the object's own y axis turned round so that poses stay rigid."""
+    """Mirror the scene: a left hand, the object's own y axis reversed so that poses stay rigid."""
     flip = np.diag([-1.0, 1.0, 1.0, 1.0])
     own = np.diag([1.0, -1.0, 1.0, 1.0])
     clip, truth, axis = scene.clip, scene.clip.truth, scene.axis
@@ -218,12 +218,12 @@ def _mirror_image(scene: Scene) -> Scene:
 
 
 def _flipped(mesh: Mesh) -> Mesh:
-    """The mesh with its own y axis turned round."""
+    """Reverse a mesh's own y axis."""
     return Mesh(mesh.vertices * np.array([1.0, -1.0, 1.0]), mesh.faces[:, ::-1].copy())
 
 
 def ground_truth_masks(scene: Scene) -> Masks:
-    """True masks of the scene."""
+    """Render the true masks of the scene."""
     clip = scene.clip
     surfaces = [scene.surfaces(n) for n in range(len(clip))]
     drawn = zip(surfaces, clip.K, strict=True)
@@ -231,7 +231,7 @@ def ground_truth_masks(scene: Scene) -> Masks:
 
 
 def pictures(scene: Scene) -> list[UInt8[ndarray, "H W 3"]]:
-    """Plain pictures of the scene, one per frame."""
+    """Render plain pictures of the scene, one per frame."""
     width, height = scene.options.size
     shade = np.linspace(0.93, 0.74, height)[:, None, None] * np.array([1.0, 0.98, 0.95])
     background = np.broadcast_to(255.0 * shade, (height, width, 3)).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""What a synthetic clip is like."""
+"""Options of a synthetic clip."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from getagrip.io.choices import check_values
 
 @dataclass(frozen=True)
 class SceneOptions(Noise):
-    """What a synthetic clip is like, besides how far hands and masks are off (``Noise``).
+    """The options of a synthetic clip, besides the errors of hands and masks (``Noise``).
 
     Attributes:
         frames: number of frames, at least 2.
@@ -57,4 +57,4 @@ class SceneOptions(Noise):
 
 
 DEMO = SceneOptions(hand_jitter_deg=0.5, hand_jitter_mm=0.5, mask_ragged_px=0.7)
-"""Of ``getagrip demo``: small noise on hands and masks; 30 frames, 1-DoF motion with a small residual."""
+"""Options of ``getagrip demo``: small noise on hands and masks; 30 frames, 1-DoF motion with a small residual."""

@@ -18,13 +18,13 @@ from getagrip.geometry.mesh import Mesh
 
 
 def scaled(corners: str, across: float, along: float) -> list[tuple[float, float]]:
-    """Corners "a b, a b, ..." in units of two sizes of the object, in metres."""
+    """Parse corners "a b, a b, ..." in units of two sizes of the object, in metres."""
     pairs = [pair.split() for pair in corners.split(",")]
     return [(float(a) * across, float(b) * along) for a, b in pairs]
 
 
 def _resampled(corners: Sequence[tuple[float, float]], spacing: float) -> Float[ndarray, "P 2"]:
-    """A polyline with its corners kept and long pieces divided evenly, at most ``spacing`` apart."""
+    """Divide long pieces of a polyline evenly, at most ``spacing`` apart, and keep its corners."""
     p = np.asarray(corners, dtype=float)
     pieces = []
     for a, b in pairwise(p):
@@ -36,7 +36,7 @@ def _resampled(corners: Sequence[tuple[float, float]], spacing: float) -> Float[
 def revolved(
     corners: Sequence[tuple[float, float]], columns: int, spacing: float, focus: float = 0.0
 ) -> Float[ndarray, "R N 3"]:
-    """Rings of a surface of revolution about z, from a profile of (radius, height) corners.
+    """Make the rings of a surface of revolution about z, from a profile of (radius, height) corners.
 
     ``focus`` in [0, 1) crowds the columns towards +x, where a handle is to leave.
     """
@@ -48,7 +48,7 @@ def revolved(
 
 
 def slab(size: tuple[float, float, float], power: float, bevel: float, columns: int, layers: int) -> Mesh:
-    """A box with rounded upright edges (superellipse of the given power) and bevelled rims, centred at the origin."""
+    """Make a box with rounded upright edges (superellipse) and bevelled rims, centred at the origin."""
     lx, ly, lz = (s / 2.0 for s in size)
     s = (np.arange(columns) + 0.5) * 2.0 * np.pi / columns
     c, sn = np.cos(s), np.sin(s)
@@ -63,7 +63,7 @@ def slab(size: tuple[float, float, float], power: float, bevel: float, columns: 
 
 
 def arc(points: Sequence[tuple[float, float]], n: int) -> Float[ndarray, "n 3"]:
-    """A smooth curve in the plane y = 0 through (x, z) points (a Catmull-Rom spline), sampled at n parameters."""
+    """Sample a smooth curve in the plane y = 0 through (x, z) points (a Catmull-Rom spline) at n parameters."""
     p = np.asarray(points, dtype=float)
     knots = np.concatenate([[0.0], np.cumsum(np.sqrt(np.linalg.norm(np.diff(p, axis=0), axis=1)))])
     slope = np.gradient(p, knots, axis=0)
@@ -95,14 +95,14 @@ def _vessel(base: float, rim: float, height: float, wall: float, belly: float = 
 
 
 def bottle(radius: float = 0.036, height: float = 0.22, neck: float = 0.013) -> Mesh:
-    """A closed bottle with shoulders, a neck and a cap."""
+    """Make a closed bottle with shoulders, a neck and a cap."""
     body = scaled("0.5 0, 0.92 0, 1 0.02, 1 0.56, 0.96 0.62, 0.8 0.7, 0.63 0.77", radius, height)
     top = scaled("1 0.83, 0.95 0.89, 1.15 0.895, 1.15 0.99, 0.5 1", neck, height)
     return loft(revolved([(r, z - height / 2) for r, z in body + top], 24, 0.013))
 
 
 def ketchup(radius: float = 0.038, height: float = 0.19, flatness: float = 0.62) -> Mesh:
-    """A flat squeeze bottle that stands on its wide cap."""
+    """Make a flat squeeze bottle that stands on its wide cap."""
     cap = "0.3 0, 0.62 0, 0.66 0.02, 0.6 0.17, 0.66 0.19"
     body = "0.85 0.27, 0.92 0.36, 0.86 0.52, 0.95 0.68, 1 0.84, 0.92 0.95, 0.6 1, 0.25 1"
     profile = scaled(f"{cap}, {body}", radius, height)
@@ -113,46 +113,46 @@ def ketchup(radius: float = 0.038, height: float = 0.19, flatness: float = 0.62)
 
 
 def can(radius: float = 0.034, height: float = 0.11) -> Mesh:
-    """A closed tin with raised rims."""
+    """Make a closed tin with raised rims."""
     low = scaled("0.35 0.02, 0.7 0.02, 0.9 0.02, 0.93 0, 0.98 0, 1 0.03, 0.965 0.055", radius, height)
     profile = [*low, *((r, height - z) for r, z in low[::-1])]
     return loft(revolved([(r, z - height / 2) for r, z in profile], 26, 0.011))
 
 
 def glass(base: float = 0.029, rim: float = 0.038, height: float = 0.13, wall: float = 0.003) -> Mesh:
-    """A tumbler, wider at the rim."""
+    """Make a tumbler, wider at the rim."""
     corners = [(r, z - height / 2) for r, z in _vessel(base, rim, height, wall)]
     return loft(revolved(corners, 24, 0.018))
 
 
 def bowl(rim: float = 0.078, height: float = 0.07, wall: float = 0.004) -> Mesh:
-    """A round bowl on a small foot."""
+    """Make a round bowl on a small foot."""
     return loft(revolved(_vessel(0.42 * rim, rim, height, wall, belly=0.16 * rim), 28, 0.019))
 
 
 def plate(radius: float = 0.11, height: float = 0.02, wall: float = 0.004) -> Mesh:
-    """A dinner plate with a raised rim."""
+    """Make a dinner plate with a raised rim."""
     under = scaled("0.25 0, 0.6 0, 0.72 0.35, 0.86 0.75, 0.985 0.95, 1 1", radius, height - wall)
     over = [(r, z + wall) for r, z in scaled("0.985 1, 0.85 0.75, 0.7 0.35, 0.58 0, 0.25 0", radius, height - wall)]
     return loft(revolved(under + over, 30, 0.028))
 
 
 def mug(radius: float = 0.041, height: float = 0.095, wall: float = 0.004, reach: float = 0.036) -> Mesh:
-    """A straight mug with a D-shaped handle."""
+    """Make a straight mug with a D-shaped handle."""
     path = [(radius + a, z) for a, z in scaled("0 0.8, 0.75 0.82, 1 0.52, 0.65 0.24, 0 0.26", reach, height)]
     rings = revolved(_vessel(0.95 * radius, radius, height, wall), 24, 0.016, focus=0.25)
     return loft(rings, [handle(path, 11, 0.0065, 0.0045)])
 
 
 def cup(radius: float = 0.044, height: float = 0.066, wall: float = 0.003, reach: float = 0.026) -> Mesh:
-    """A round-bellied tea cup with a small ear."""
+    """Make a round-bellied tea cup with a small ear."""
     path = [(radius + a, z) for a, z in scaled("-0.07 0.76, 0.85 0.78, 0.9 0.48, -0.17 0.36", reach, height)]
     rings = revolved(_vessel(0.58 * radius, radius, height, wall, belly=0.13 * radius), 24, 0.013, focus=0.3)
     return loft(rings, [handle(path, 9, 0.004, 0.0032)])
 
 
 def with_bar(profile: Sequence[tuple[float, float]], rim: float, height: float, bar: float, rise: float) -> Mesh:
-    """A vessel with one straight handle of length ``bar`` along +x; the origin lies on the handle."""
+    """Make a vessel with one straight handle of length ``bar`` along +x; the origin lies on the handle."""
     n, at = 10, 0.62 * height
     points = [(rim + a, at + z) for a, z in scaled("0 0, 0.25 0.45, 0.6 0.9, 1 1", bar, rise)]
     width = np.interp(np.linspace(0, 1, n), [0, 0.2, 0.45, 0.85, 1], [0.010, 0.009, 0.0125, 0.0125, 0.007])
@@ -163,17 +163,17 @@ def with_bar(profile: Sequence[tuple[float, float]], rim: float, height: float, 
 
 
 def pan(rim: float = 0.125, height: float = 0.042, bar: float = 0.17) -> Mesh:
-    """A frying pan."""
+    """Make a frying pan."""
     return with_bar(_vessel(0.78 * rim, rim, height, 0.004), rim, height, bar, 0.03)
 
 
 def saucepan(rim: float = 0.085, height: float = 0.095, bar: float = 0.15) -> Mesh:
-    """A deep pan with a straight handle."""
+    """Make a deep pan with a straight handle."""
     return with_bar(_vessel(0.96 * rim, rim, height, 0.004), rim, height, bar, 0.015)
 
 
 def kettle(radius: float = 0.075, height: float = 0.15, reach: float = 0.052) -> Mesh:
-    """A closed coffee pot: a handle at +x, a spout at -x, a knob on the lid."""
+    """Make a closed coffee pot: a handle at +x, a spout at -x, a knob on the lid."""
     body = "0.35 0, 0.7 0, 0.93 0, 1 0.06, 0.99 0.25, 0.9 0.5, 0.76 0.72, 0.62 0.86"
     lid = "0.6 0.88, 0.3 0.93, 0.12 0.935, 0.16 0.98, 0.09 1"
     rings = revolved(scaled(f"{body}, {lid}", radius, height), 28, 0.021)
@@ -184,22 +184,22 @@ def kettle(radius: float = 0.075, height: float = 0.15, reach: float = 0.052) ->
 
 
 def box(size: tuple[float, float, float] = (0.062, 0.12, 0.17)) -> Mesh:
-    """A carton."""
+    """Make a carton."""
     return slab(size, 14.0, 0.0015, 32, 9)
 
 
 def phone(size: tuple[float, float, float] = (0.074, 0.15, 0.0095)) -> Mesh:
-    """A phone, screen up."""
+    """Make a phone, screen up."""
     return slab(size, 9.0, 0.002, 48, 2)
 
 
 def laptop(size: tuple[float, float, float] = (0.24, 0.30, 0.02)) -> Mesh:
-    """A closed laptop."""
+    """Make a closed laptop."""
     return slab(size, 12.0, 0.004, 48, 2)
 
 
 def spoon(length: float = 0.19, width: float = 0.046) -> Mesh:
-    """A table spoon, its bowl at +x."""
+    """Make a table spoon, its bowl at +x."""
     s = np.linspace(0.0, 1.0, 26)
     x = length * (s - 0.5)
     section = [0.07, 0.13, 0.16, 0.17, 0.13, 0.09, 0.08, 0.10, 0.30, 0.45, 0.5, 0.46, 0.34, 0.12]
@@ -214,7 +214,10 @@ def spoon(length: float = 0.19, width: float = 0.046) -> Mesh:
 
 
 def scissors(length: float = 0.19, spread: float = 0.30) -> Mesh:
-    """Slightly open scissors, blades towards +x: two crossing blades and two finger rings, ``spread`` in radians."""
+    """Make slightly open scissors, blades towards +x.
+
+    Two crossing blades and two finger rings, ``spread`` in radians.
+    """
     halves = []
     n = 14
     s = np.linspace(0.0, 1.0, n)

@@ -43,7 +43,7 @@ class LeastDistance:
         self._at = np.array(np.broadcast_to(X, (*self._known.shape, 3)))
 
     def __call__(self, X: Float[ndarray, "B n 3"], which: Int[ndarray, "B"]) -> Float[ndarray, "B"]:
-        """Of the groups ``which``, whose points are at X by now."""
+        """Return the least distance of each of the groups ``which``, whose points are now at X."""
         way, known = np.linalg.norm(X - self._at[which], axis=-1), self._known[which]
         group, point = np.nonzero((known - way <= (known + way).min(axis=1, keepdims=True)) & (way > 0.0))
         if group.size:

@@ -28,8 +28,8 @@ PRESETS: dict[str, SceneOptions] = {
         **asdict(NOISE["moderate"]), cad="mean", vary=0.15, deform=0.03, scale="free", motion="measured"
     ),
 }
-"""What is known: everything; hands and masks with noise; and in the wild no more than the mean shape, without its size.
-"""
+"""Levels of knowledge: everything; noisy hands and masks; and, as in the wild, only the mean shape, without its
+size."""
 RENAMED = {"hamer": "moderate", "frankmocap": "strong"}
 """Former names of presets."""
 SEEDS: dict[Split, range] = {"train": range(100_000, 100_005), "validation": range(200_000, 200_009)}
@@ -39,7 +39,7 @@ BOTH_HANDS = 0.3
 
 
 def split(name: Split, preset: str = "clean") -> list[tuple[str, int, SceneOptions]]:
-    """Category, seed and options of every clip of a split, as ``synthesise`` takes them.
+    """List category, seed and options of every clip of a split, as ``synthesise`` takes them.
 
     Left and right hands alternate. Grips vary, and the object departs from its axis by up to 4 degrees and 2 mm, except
     in ``measured``.

@@ -1,4 +1,4 @@
-"""Where the clips of a benchmark come from: a file for each dataset, and one for folders of clips."""
+"""Sources of a benchmark's clips: a file for each dataset, and one for folders of clips."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["ClipSource", "Sample", "names_in", "samples"]
 def samples(
     source: ClipSource, clips: Path, count: int | None, debug: bool, share: Share | None = None
 ) -> tuple[list[Sample], list[Outcome]]:
-    """The clips of a source, ``count`` of them evenly sampled, and what became of those that are none.
+    """Return ``count`` evenly sampled clips of a source, and the outcomes of those that are none.
 
     ``clips`` is where a source may make them, shared out as ``share`` says.
     Raises ``UsageError`` for a count below 1, and as the source does.

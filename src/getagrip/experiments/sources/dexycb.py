@@ -32,7 +32,7 @@ class DexYcb(Recorded):
 
 @dataclass(frozen=True, kw_only=True)
 class DexYcbTimelines(Timelines, DexYcb):
-    """DexYCB's sequences, not cut, with their true segments."""
+    """DexYCB's uncut sequences, with their true segments."""
 
     dataset: ClassVar[str] = "dexycb-timelines"
 
@@ -44,7 +44,7 @@ class DexYcbTimelines(Timelines, DexYcb):
 
 @dataclass(frozen=True, kw_only=True)
 class DexYcbSequences(DexYcbTimelines):
-    """DexYCB's sequences, not cut, whose grasps are to be found without 3D labels."""
+    """DexYCB's uncut sequences; grasps are found without 3D labels."""
 
     dataset: ClassVar[str] = "dexycb-segments"
     preset: Preset = "none"

@@ -27,11 +27,14 @@ class Recorded(ClipSource):
     """The dataset's folder, as for import."""
 
     def reader(self, root: Path) -> Dataset:
-        """What imports it."""
+        """Return the reader that imports it."""
         raise NotImplementedError
 
     def training(self, subjects: Collection[str]) -> Collection[str]:
-        """Those of the subjects that are for training: unless a dataset says otherwise, of every three the first."""
+        """Return the subjects that are for training.
+
+        Unless a dataset says otherwise, every third, beginning with the first.
+        """
         return sorted(subjects)[::3]
 
     def samples(self, clips: Path, debug: bool, share: Share | None = None) -> tuple[list[Sample], list[Outcome]]:

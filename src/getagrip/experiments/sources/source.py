@@ -1,4 +1,4 @@
-"""What a source of clips is, and a note of which one made the clips of a folder."""
+"""The interface of a source of clips, and a note of which one made the clips of a folder."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Sample:
 
 
 def names_in(path: Path) -> frozenset[str]:
-    """The names of clips that a text file holds, one a line. Raises ``InputError``."""
+    """Read the names of clips in a text file, one a line. Raises ``InputError``."""
     lines = files.read_bytes(path, files.LARGEST_JSON).decode("utf-8", "replace").splitlines()
     names = frozenset(filter(None, map(str.strip, lines)))
     bad = next((name for name in names if not files.is_plain_name(name)), None)
@@ -47,20 +47,20 @@ def _only(text: str) -> frozenset[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class ClipSource:
-    """Where the clips of a benchmark come from. The fields of a subclass are options of its ``getagrip bench``."""
+    """The source of a benchmark's clips. The fields of a subclass are options of its ``getagrip bench``."""
 
     dataset: ClassVar[str]
-    """What the user calls it."""
+    """Name of the dataset for users."""
     split: Annotated[
         Split | None,
         one_of("train", "validation", "all"),
         arg(help_behavior_hint="(default: validation; all of a folder)"),
     ] = None
-    """Which part of a dataset: train is for tuning, validation for choosing."""
+    """Part of a dataset: train is for tuning, validation for choosing."""
     only: Annotated[
         frozenset[str] | None, parsed("FILE", _only, frozenset), arg(metavar="FILE", help_behavior_hint="")
     ] = None
-    """Use the clips that FILE names, one a line; of a dataset no others are imported."""
+    """Use the clips that FILE names, one per line; only these are imported from a dataset."""
 
     def __post_init__(self) -> None:
         if self.split is not None and self.only is not None:
@@ -88,9 +88,10 @@ class ClipSource:
         return 10.0
 
     def samples(self, clips: Path, debug: bool, share: Share | None = None) -> tuple[list[Sample], list[Outcome]]:
-        """The clips, and what became of folders that are none. Clips that must be made go to the folder ``clips``,
-        all of them, whatever the shard of ``share``, which says who makes those of recordings; by
-        default as that of a call without options.
+        """Return the clips, and the outcomes of folders that are none.
+
+        Clips that must be made go to the folder ``clips``, all of them, whatever the shard of ``share``, which says who
+        makes those of recordings; by default as that of a call without options.
 
         Raises ``UsageError`` where an option is wrong or missing, or where ``clips`` holds those of another source;
         ``InputError`` where there are no clips.

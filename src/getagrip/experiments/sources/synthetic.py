@@ -24,8 +24,8 @@ class Synthetic(ClipSource):
     dataset: ClassVar[str] = "synthetic"
 
     preset: Annotated[str, arg(metavar="NAME")] = "clean"
-    """What is done to the input. clean: nothing; moderate, strong or estimated: noise of hands and masks; wild:
-    moderate noise, and a mean shape of unknown scale; measured: that, and deformed, with motion as measured."""
+    """Changes of the input. clean: nothing; moderate, strong or estimated: noise of hands and masks; wild: moderate
+    noise, and a mean shape of unknown scale; measured: that, and deformed, with motion as measured."""
 
     @property
     def description(self) -> str:

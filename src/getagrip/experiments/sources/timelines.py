@@ -28,7 +28,7 @@ class Timelines(Recorded):
             raise unknown("--preset", self.preset, self.presets())
 
     def presets(self) -> Collection[str]:
-        """What ``preset`` may be: the clips are without noise."""
+        """Return the values of ``preset``: the clips are without noise."""
         from getagrip.experiments.timeline_trials import ALL, LEVELS
 
         return (ALL, *LEVELS)

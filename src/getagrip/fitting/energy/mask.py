@@ -35,7 +35,7 @@ class SilhouetteMesh:
 
     @staticmethod
     def of(mesh: Mesh, centre: Float[ndarray, "3"]) -> SilhouetteMesh:
-        """The tables of a mesh about a given centre."""
+        """Build the tables of a mesh about a given centre."""
         planes = mesh.planes.copy()
         planes[:, 3] += planes[:, :3] @ centre
         return SilhouetteMesh(

@@ -105,7 +105,7 @@ def _evaluate(
 
 @njit(**OPTIONS)
 def _unwarped(x, shape, monomial):
-    """The monomials, but 1, at the place that the shape (9, 3) displaces to x."""
+    """Compute the monomials, but 1, at the place that the shape (9, 3) displaces to x."""
     y0, y1, y2 = x[0], x[1], x[2]
     for step in range(STEPS + 1):
         monomial[0], monomial[1], monomial[2] = y0, y1, y2

@@ -27,7 +27,7 @@ class PaperPullTerm:
     """
 
     vertices: Float[ndarray, "3 V"]
-    """Of the object about its centre, unscaled [m]."""
+    """Vertices of the object about its centre, unscaled [m]."""
     normals: Float[ndarray, "3 V"]
     """Unit normals there."""
     hand: HandContacts

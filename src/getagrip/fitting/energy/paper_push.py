@@ -27,7 +27,7 @@ class TangentPlanes:
 
     @staticmethod
     def of(hand: HandTrack, per_region: int | None = None) -> TangentPlanes:
-        """At all vertices of the regions, or at most ``per_region`` spread evenly over each."""
+        """Make the planes at all vertices of the regions, or at most ``per_region`` spread evenly over each."""
         ids = np.concatenate(contact_ids(hand, per_region))
         R, t = hand.T_cam_hand[:, :3, :3], hand.T_cam_hand[:, :3, 3, None]
         normals = vertex_normals(hand.vertices, hand.faces)[:, ids]
@@ -35,7 +35,7 @@ class TangentPlanes:
         return TangentPlanes(np.ascontiguousarray(point), np.ascontiguousarray(normal))
 
     def take(self, index: ndarray) -> TangentPlanes:
-        """The planes at some of the frames."""
+        """Return the planes at some of the frames."""
         return TangentPlanes(self.point[index], self.normal[index])
 
 
@@ -48,7 +48,7 @@ class PaperPushTerm:
     """
 
     vertices: Float[ndarray, "3 V"]
-    """Of the object about its centre, unscaled [m]."""
+    """Vertices of the object about its centre, unscaled [m]."""
     planes: TangentPlanes
     weight: Float[ndarray, "N"]
     """Energy per metre, per frame [px^2 / m]."""

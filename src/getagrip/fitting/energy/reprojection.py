@@ -21,7 +21,7 @@ class ReprojectionTerm:
     K: Float[ndarray, "N 4"]
     """fx, fy, cx, cy [px of the crop]."""
     target: Float[ndarray, "N P 2"]
-    """Where they were observed [px of the crop]."""
+    """Observed points [px of the crop]."""
     weight: float
     """Energy per squared pixel."""
     name: str = "reprojection"

@@ -13,7 +13,9 @@ from getagrip.geometry import se3
 
 
 def moments(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "4 4"]:
-    """Four weighted points (rows: x, y, z and weight) that move, squared and summed, as the vertices do on average.
+    """Compute four weighted points (rows.
+
+    X, y, z and weight) that move, squared and summed, as the vertices do on average.
 
     The mean over the vertices of ``|A x - B x|^2`` for affine A and B depends on them by the mean of ``x x^T`` alone, x
     homogeneous; these are the rows of a root of it.
@@ -31,7 +33,7 @@ class SmoothnessTerm:
     """
 
     moments: Float[ndarray, "4 4"]
-    """Of the vertices about the centre, unscaled (``moments``)."""
+    """Second moments of the vertices about the centre, unscaled (``moments``)."""
     weight: float
     """Energy per square metre [px^2 / m^2]."""
     name: str = "smoothness"

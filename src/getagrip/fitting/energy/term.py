@@ -1,5 +1,7 @@
-"""What a term of the energy is: called with ``PosesInCamera`` of B hypotheses in N frames, it answers with its value,
-gradient and Hessian per frame, in the frame's local 7-vector (``se3``). The solver only sums and solves.
+"""The interface of a term of the energy.
+
+A term is called with ``PosesInCamera`` of B hypotheses in N frames, and returns its value, gradient and Hessian per
+frame, in the frame's local 7-vector (``se3``). The solver only sums and solves.
 """
 
 from __future__ import annotations
@@ -21,26 +23,34 @@ class PosesInCamera:
     centre: Float[ndarray, "B N 3"]
     scale: Float[ndarray, "B"]
 
+    @property
+    def size(self) -> int:
+        """Length P of a frame's local vector."""
+        return 7
+
 
 @dataclass(frozen=True)
 class Quadratic:
-    """A term's value [px^2 of the 256-pixel crop] and its derivatives by each frame's local 7-vector."""
+    """A term's value [px^2 of the 256-pixel crop] and its derivatives by each frame's local vector.
+
+    That is the object's 7-vector; where the hand moves as well it may be longer (``hand_term``).
+    """
 
     value: Float[ndarray, "B N"]
-    g: Float[ndarray, "B N 7"]
-    H: Float[ndarray, "B N 7 7"]
-    cross: Float[ndarray, "B N 7 N 7"] | None = None
+    g: Float[ndarray, "B N P"]
+    H: Float[ndarray, "B N P P"]
+    cross: Float[ndarray, "B N P N P"] | None = None
     """The cross-frame Hessian, of terms that tie frames to each other; ``[:, n, :, n]`` is zero, see ``H``."""
 
     @staticmethod
-    def zero(poses: PosesInCamera) -> Quadratic:
-        """Zeros, for a term to fill in."""
+    def zero(poses: PosesInCamera, size: int = 7) -> Quadratic:
+        """Return zeros, for a term to fill in."""
         B, N = poses.centre.shape[:2]
-        return Quadratic(np.zeros((B, N)), np.zeros((B, N, 7)), np.zeros((B, N, 7, 7)))
+        return Quadratic(np.zeros((B, N)), np.zeros((B, N, size)), np.zeros((B, N, size, size)))
 
     @staticmethod
-    def of_squares(error: Float[ndarray, "B N m"], J: Float[ndarray, "B N m 7"], weight: float) -> Quadratic:
-        """``weight * |error|^2``, for errors with the Jacobian J by the local 7-vector (Gauss-Newton)."""
+    def of_squares(error: Float[ndarray, "B N m"], J: Float[ndarray, "B N m P"], weight: float) -> Quadratic:
+        """Return ``weight * |error|^2``, for errors with the Jacobian J by the local vector (Gauss-Newton)."""
         Jt = np.swapaxes(J, -1, -2)
         value = weight * np.sum(error**2, axis=-1)
         return Quadratic(value, 2.0 * weight * (Jt @ error[..., None])[..., 0], 2.0 * weight * (Jt @ J))
@@ -50,8 +60,21 @@ class Quadratic:
         total = cross[0] + cross[1] if len(cross) == 2 else cross[0] if cross else None
         return Quadratic(self.value + other.value, self.g + other.g, self.H + other.H, total)
 
+    def within(self, size: int, first: int = 0) -> Quadratic:
+        """Embed it in a longer vector, of which this one's vector is the part from ``first`` on."""
+        B, N, P = self.g.shape
+        if size == P:
+            return self
+        part, cross = slice(first, first + P), None
+        g, H = np.zeros((B, N, size)), np.zeros((B, N, size, size))
+        g[..., part], H[..., part, part] = self.g, self.H
+        if self.cross is not None:
+            cross = np.zeros((B, N, size, N, size))
+            cross[:, :, part, :, part] = self.cross
+        return Quadratic(self.value, g, H, cross)
+
     def take(self, index: ndarray) -> Quadratic:
-        """Some of the hypotheses."""
+        """Return some of the hypotheses."""
         cross = None if self.cross is None else self.cross[index]
         return Quadratic(self.value[index], self.g[index], self.H[index], cross)
 
@@ -69,9 +92,11 @@ class Term(Protocol):
     def name(self) -> str: ...
 
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
-        """Evaluate at the poses. Where the sum of values over frames exceeds ``bound`` the derivatives, and values
-        that follow in other frames, may be left zero: the solver is going to reject that step. Where ``bound`` is below
-        zero it is going to anyway."""
+        """Evaluate at the poses.
+
+        Where the sum of values over frames exceeds ``bound``, the derivatives, and the values of further frames, may be
+        left zero: the solver will reject that step. Where ``bound`` is below zero it will reject it in any case.
+        """
         ...
 
 
@@ -80,5 +105,5 @@ Energy = Callable[[int, Int[ndarray, "n"]], Sequence[Term]]
 
 
 def no_bound(poses: PosesInCamera) -> Float[ndarray, "B"]:
-    """A bound that asks for the derivatives everywhere."""
+    """Return a bound that asks for the derivatives everywhere."""
     return np.full(len(poses.scale), np.inf)

@@ -1,8 +1,8 @@
 """Every method, by its name: ours, those after the paper's, the baselines, and the paper's to the letter.
 
 A method is a function from a ``Problem`` to a ``MethodResult``. A new one needs a file here and a line in ``METHODS``;
-a script adds its own with ``METHODS["name"] = Method(...)``. Loading the table costs nothing: a method's file is
-imported when it is first used.
+a script adds its own with ``METHODS["name"] = Method(...)``, a package with an entry point. Loading the table costs
+nothing: a method's file is imported when it is first used.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from getagrip.errors import UsageError
+from getagrip.errors import UsageError, unknown
+from getagrip.io.plugins import Table
 
 if TYPE_CHECKING:
     from getagrip.fitting.problem import MethodResult, Problem
@@ -27,30 +28,38 @@ class Method:
     """A way to find an object in a hand."""
 
     label: str
-    """What tables and pictures call it."""
+    """Name in tables and pictures."""
     fit: Fit
     """Raises ``GetagripError`` where nothing can be rendered."""
     has_axis: bool = False
-    """Whether its results have a latent axis."""
+    """True if its results have a latent axis."""
     baseline: bool = False
-    """Whether it is another system's method, to compare with."""
+    """True for another system's method, to compare with."""
     slow: bool = False
-    """Whether it takes so long that benchmarks run it only where it is named."""
+    """True if it is so slow that benchmarks run it only where it is named."""
     checks_masks: bool = False
-    """Whether it is fitted again without the masks that contradict the others (``outlier_masks``)."""
+    """True if it is fitted again without outlier masks (``outlier_masks``)."""
     as_published: bool = False
-    """Whether it is left as its authors state it: nothing is done to its input."""
+    """True if it stays as its authors state it: its input is not changed."""
 
 
 def method_of(name: str) -> Method:
-    """The method of a name. Raises ``UsageError`` for one that is not in ``METHODS``."""
+    """Return the method of a name. Raises ``UsageError`` for one that is not in ``METHODS``, or cannot be loaded."""
     if name not in METHODS:
-        raise UsageError(f"unknown method {name!r}; choose from {', '.join(METHODS)}")
+        raise unknown("method", name, METHODS)
     return METHODS[name]
 
 
+def label_of(name: str) -> str:
+    """Return the label of a method: its name where it is not installed here."""
+    try:
+        return method_of(name).label
+    except UsageError:
+        return name
+
+
 def _in(file: str, function: str = "fit") -> Fit:
-    """A function of a file beside this one."""
+    """Return a function of a file beside this one."""
 
     def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
         found: Fit = getattr(import_module(f"{__name__}.{file}"), function)
@@ -60,11 +69,11 @@ def _in(file: str, function: str = "fit") -> Fit:
 
 
 def _published(label: str, function: str, has_axis: bool = False) -> Method:
-    """The paper's method to the letter."""
+    """Make the paper's method to the letter."""
     return Method(label, _in("paper", function), has_axis, baseline=True, slow=True, as_published=True)
 
 
-METHODS: dict[str, Method] = {
+OURS: Mapping[str, Method] = {
     "one-dof": Method("1-DoF, ours", _in("all_frames", "one_dof"), has_axis=True, checks_masks=True),
     "soft-hinge": Method("soft hinge", _in("all_frames", "soft_hinge"), has_axis=True, checks_masks=True),
     "static": Method("Static", _in("all_frames", "static")),
@@ -76,5 +85,5 @@ METHODS: dict[str, Method] = {
     "paper-static": _published("Static, the paper's", "static"),
     "paper-dynamic": _published("Dynamic, the paper's", "dynamic"),
 }
-OURS: Mapping[str, Method] = dict(METHODS)
 """Those of the package, whatever a script adds or puts in their places."""
+METHODS = Table("methods", dict(OURS), "a Method", lambda _, it: isinstance(it, Method))

@@ -36,10 +36,18 @@ ALONE = 4.0
 """Push and pull count so much more where no other term ties the object to the hand."""
 
 
-def soft_hinge(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> MethodResult:
-    """A hinge, and a small deviation from it in each frame; ``more`` terms count in all stages."""
+def soft_hinge(problem: Problem, on_stage: OnStage, more: EnergyOf | None = None) -> MethodResult:
+    """Fit a hinge, and a small deviation from it in each frame.
+
+    ``more`` gives terms of one's own for a problem. They count in all stages and in all frames, so it is called again
+    for problems in the frames that were not sampled.
+    """
+
+    def own(problem: Problem) -> Energy:
+        return NOTHING if more is None else more(problem)
+
     search = search_of(problem, on_stage)
-    rough, warp, ridge = rough_fit(problem, search, more), None, SOFT_RIDGE
+    rough, warp, ridge = rough_fit(problem, search, own(problem)), None, SOFT_RIDGE
     if problem.options.mesh == "fitted":
         warp = shape_of(problem, search, rough)
     else:
@@ -47,23 +55,23 @@ def soft_hinge(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> M
     if warp is not None:
         problem = problem.warped(warp)
         search = replace(search, surface=problem.surface)
-        rough = rough_fit(problem, search, more)
-    found = fine_fit(problem, search, rough, ridge, more)
-    # Terms of one's own are of these frames only.
-    result = result_of(found, found.motion.core, soft_energy if more is NOTHING else None)
+        rough = rough_fit(problem, search, own(problem))
+    found = fine_fit(problem, search, rough, ridge, own(problem))
+    result = result_of(found, found.motion.core, lambda other: plus(soft_energy(other), own(other)))
     return replace(result, warp=warp)
 
 
 def soft_hinges(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> Solution[Soft[Hinge]]:
-    """The distinct soft hinges that the search ends with, best first; the mesh is taken as it is."""
+    """Search for soft hinges; return the distinct ones, best first, with the mesh as it is."""
     search = search_of(problem, on_stage)
     rough = rough_fit(problem, search, more)
     return fine_fit(problem, search, rough, stiffened(SOFT_RIDGE, misfit_of(problem, search, rough)), more)
 
 
 def rough_fit(problem: Problem, search: Search, more: Energy) -> Solution[Soft[Fixed]]:
-    """What the coarse stages find, without an axis: held to one too early, right poses lose whose motion is not quite a
-    hinge.
+    """Run the coarse stages without an axis.
+
+    If hypotheses are constrained to one too early, right poses whose motion is not quite a hinge lose.
     """
     energy = plus(coarse_energy(problem), more)
     relaxed = search.relax(initial_of(problem), energy)
@@ -73,7 +81,7 @@ def rough_fit(problem: Problem, search: Search, more: Energy) -> Solution[Soft[F
 def fine_fit(
     problem: Problem, search: Search, rough: Solution[Soft[Fixed]], ridge: tuple[float, float], more: Energy
 ) -> Solution[Soft[Hinge]]:
-    """What the fine stages make of it, with deviations as stiff as ``ridge``."""
+    """Run the fine stages, with deviations as stiff as ``ridge``."""
     energy = plus(coarse_energy(problem), more)
     motion = search.at_all_frames(rough.motion)
     soft = Soft.around(hinge_of(problem, motion), motion.poses(), ridge)
@@ -81,7 +89,10 @@ def fine_fit(
 
 
 def misfit_of(problem: Problem, search: Search, rough: Solution[Soft[Fixed]]) -> float:
-    """How badly the mesh explains the masks at its best: not for want of a finer fit, nor for the sake of contact."""
+    """Measure how badly the mesh explains the masks at its best.
+
+    The fit is long enough, and without contact, so that nothing else adds to it.
+    """
     frames = search.coarse_frames
     terms, T_cam_hand = mask_of(problem)(LEVEL, frames), problem.clip.hand.T_cam_hand[frames]
     fitted = minimise(rough.motion, terms, T_cam_hand, ITERATIONS, threads=problem.threads)
@@ -89,17 +100,19 @@ def misfit_of(problem: Problem, search: Search, rough: Solution[Soft[Fixed]]) ->
 
 
 def shape_of(problem: Problem, search: Search, rough: Solution[Soft[Fixed]]) -> Warp | None:
-    """The warp of the mesh that the masks ask for after the coarse stages; None where the mesh explains them."""
+    """Fit the mesh to the masks after the coarse stages; None where the mesh explains them."""
     return own_shape(problem, rough.motion, search.coarse_frames, misfit_of(problem, search, rough))
 
 
 def soft_energy(problem: Problem) -> Energy:
-    """The soft hinge's energy at all frames."""
+    """Return the soft hinge's energy at all frames."""
     return steady(problem, coarse_energy(problem))
 
 
 def one_dof(problem: Problem, on_stage: OnStage) -> MethodResult:
-    """A hinge (Eq. 3): ours, after the paper. ``methods.paper`` is the paper's method itself.
+    """Fit a hinge (Eq. 3): ours, after the paper.
+
+    ``methods.paper`` is the paper's method itself.
 
     The mesh is fitted by the same step as the soft hinge's, so that the two differ in the motion alone.
     """
@@ -115,14 +128,14 @@ def one_dof(problem: Problem, on_stage: OnStage) -> MethodResult:
 
 
 def static(problem: Problem, on_stage: OnStage) -> MethodResult:
-    """One pose for all frames (paper, Sec. 5.2)."""
+    """Fit one pose for all frames (paper, Sec. 5.2)."""
     search, energy = search_of(problem, on_stage), energy_alone(problem)
     motion = search.relax(initial_of(problem), energy).core
     return result_of(search.run(motion, energy))
 
 
 def dynamic(problem: Problem, on_stage: OnStage, energy_of: EnergyOf | None = None) -> MethodResult:
-    """A pose per frame (paper, Sec. 5.2), by another energy if given."""
+    """Fit a pose per frame (paper, Sec. 5.2), by another energy if given."""
     energy_of = energy_of or energy_alone
     search, energy = search_of(problem, on_stage), energy_of(problem)
     relaxed = search.relax(initial_of(problem), energy)
@@ -132,23 +145,23 @@ def dynamic(problem: Problem, on_stage: OnStage, energy_of: EnergyOf | None = No
 
 
 def energy_alone(problem: Problem) -> Energy:
-    """Eq. 5 where no other term ties the object to the hand."""
+    """Return Eq. 5 where no other term links the object to the hand."""
     return total_energy(problem, ALONE)
 
 
 def total_energy(problem: Problem, contact: float) -> Energy:
-    """Eq. 5, with so many times the push and pull that the options name."""
+    """Return Eq. 5, with a multiple of the push and pull that the options name."""
     contact *= problem.trust.contact
     return energy_of(problem, contact * problem.options.push, contact * problem.options.pull)
 
 
 def coarse_energy(problem: Problem) -> Energy:
-    """The soft hinge's energy at some of the frames: Eq. 5."""
+    """Return the soft hinge's energy at some of the frames: Eq. 5."""
     return total_energy(problem, 1.0 if problem.options.pull else ALONE)
 
 
 def steady(problem: Problem, energy: Energy) -> Energy:
-    """The soft hinge's energy at all frames: the one given, and contact that stays.
+    """Add contact that stays to an energy: the soft hinge's energy at all frames.
 
     Contact that stays is what makes a grasp stable (Eq. 2). A hinge keeps it by itself; where frames may deviate from
     the hinge, in depth above all, which silhouettes hardly show, a term keeps it.
@@ -158,24 +171,24 @@ def steady(problem: Problem, energy: Energy) -> Energy:
 
 
 def search_of(problem: Problem, on_stage: OnStage) -> Search:
-    """The search on a clip, as long as the options say."""
+    """Make the search on a clip, as long as the options say."""
     schedule = THOROUGH if problem.options.thorough else USUAL
     return Search(problem.clip.hand.T_cam_hand, problem.surface, schedule, on_stage, problem.threads)
 
 
 def initial_of(problem: Problem) -> Fixed:
-    """The initial poses, at all frames."""
+    """Return the initial poses, at all frames."""
     return initial_poses(problem.clip, problem.masks, problem.inits, problem.options.seed, problem.prior_poses)
 
 
 def hinge_of(problem: Problem, relaxed: Soft[Fixed]) -> Hinge:
-    """The hinge nearest to a relaxed fit, its axis where the options allow it."""
+    """Return the hinge nearest to a relaxed fit, its axis where the options allow it."""
     anywhere = problem.options.axis == "free"
     return Hinge.nearest(relaxed.core, relaxed.deviation, free_location=anywhere, anchor=np.zeros(3))
 
 
 def result_of(found: Solution[M], hinge: Hinge | None = None, energy_of: EnergyOf | None = None) -> MethodResult:
-    """The solutions, and the axis of the best: that of ``hinge``, which is the motion or what it deviates from.
+    """Return the solutions, and the axis of the best: that of ``hinge``, which is the motion or its core.
 
     ``energy_of`` is the energy by which the motion can be fitted in other frames; None: it cannot be.
     """

@@ -36,7 +36,7 @@ BOX_POINTS = 64
 
 
 def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
-    """The best track of the object alone, refined together with the hand.
+    """Fit the object alone, and refine the best track together with the hand.
 
     Raises ``GetagripError`` when nothing can be rendered.
     """
@@ -57,7 +57,10 @@ def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
 
 
 def object_tracks(problem: Problem) -> tuple[Free, Float[ndarray, "B"]]:
-    """The object in the camera frame from each starting rotation, by E_mask alone, and the mean of E_mask / area."""
+    """Track the object in the camera frame from each starting rotation, by E_mask alone.
+
+    The second value is the mean of E_mask / area.
+    """
     clip, area = problem.clip, problem.observation.area
     mask_only = mask_of(problem)
     initial = initial_poses(clip, problem.masks, problem.inits, problem.options.seed, problem.prior_poses)
@@ -84,7 +87,7 @@ def in_box(
     box: Float[ndarray, "4"],
     steps: int = 10,
 ) -> Float[ndarray, "B 3"]:
-    """Where rotated points must stand [m] for the box around them to have the centre and diagonal of a given box.
+    """Place rotated points [m] so that the box around them has the centre and diagonal of a given box.
 
     A fixed point, as in the published code: depth times the ratio of diagonals, then along the ray through the box's
     centre by what is left.

@@ -24,7 +24,7 @@ from getagrip.fitting.objective import contact_of, mask_of
 from getagrip.fitting.problem import Problem
 from getagrip.fitting.solve import FLOOR, STATUS
 from getagrip.geometry import camera, se3
-from getagrip.least_squares import arrow_step, damped
+from getagrip.least_squares import Arrow
 from getagrip.result import Status
 
 STAGES = ((128, 15), (256, 15))
@@ -61,12 +61,12 @@ class Bodies:
         return se3.rigid(self.hand_R, self.hand_centre - (self.hand_R @ self.grip[..., None])[..., 0])
 
     def in_hand(self) -> PosesInHand:
-        """The object in the refined hand."""
+        """Return the object in the refined hand."""
         T_hand_obj = se3.inverse(self.T_cam_hand) @ se3.rigid(self.R, self.centre)
         return PosesInHand(T_hand_obj[None, :, :3, :3], T_hand_obj[None, :, :3, 3], np.array([self.scale]))
 
     def retract(self, step: Float[ndarray, "N 12"], stretch: float) -> Bodies:
-        """After local steps of object and hand, and of the log scale."""
+        """Apply local steps of object and hand, and of the log scale."""
         return replace(
             self,
             R=se3.exp_so3(step[:, 3:6]) @ self.R,
@@ -89,7 +89,10 @@ class Refined:
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Of the 13 numbers of each frame: object's step, hand's step, log scale (which all frames share)."""
+    """The normal equations of all frames.
+
+    Each frame has 13 numbers: object's step, hand's step, log scale (which all frames share).
+    """
 
     g: Float[ndarray, "N 13"]
     H: Float[ndarray, "N 13 13"]
@@ -97,14 +100,11 @@ class NormalEquations:
     """Between frames."""
 
     def step(self, damping: Float[ndarray, "1"], free_scale: bool) -> tuple[Float[ndarray, "N 12"], float]:
-        """The damped step of all frames, and of the log scale where it is free."""
+        """Solve for the damped step of all frames, and of the log scale where it is free."""
         S = int(free_scale)
-        H_ss = (self.H[None, :, 12:, 12:].sum(axis=1) + self.cross[None, ..., 12:, 12:].sum(axis=(1, 2)))[:, :S, :S]
-        H_sl = (self.H[None, :, 12:, :12] + self.cross[None, ..., 12:, :12].sum(axis=1))[:, :, :S]
-        H_ll, cross = self.H[None, :, :12, :12], np.swapaxes(self.cross[None, ..., :12, :12], 2, 3)
-        g_s, g_l = self.g[None, :, 12:].sum(axis=1)[:, :S], self.g[None, :, :12]
-        H_ss, H_ll = damped(H_ss, damping, FLOOR), damped(H_ll, damping[:, None], FLOOR)
-        shared, local = arrow_step(H_ss, H_sl, H_ll, g_s, g_l, cross)
+        J = np.broadcast_to(np.eye(13)[:, [*[12] * S, *range(12)]], (1, len(self.g), 13, S + 12))
+        arrow = Arrow.by(J, S, self.H[None], self.g[None], np.swapaxes(self.cross, 1, 2)[None])
+        shared, local = arrow.step(damping, FLOOR)
         return local[0], float(shared.sum())
 
 
@@ -154,7 +154,7 @@ class JointEnergy:
 
 
 def refine(problem: Problem, track: Free) -> Refined:
-    """Object and hand from one track of the object and the given hand."""
+    """Refine object and hand, from one track of the object and the input hand."""
     tracked = problem.clip.hand
     grip = tracked.vertices.mean(axis=1)
     bodies = Bodies(
@@ -172,7 +172,7 @@ def refine(problem: Problem, track: Free) -> Refined:
 
 
 def joint_energy(problem: Problem, level: int, bodies: Bodies) -> JointEnergy:
-    """The terms at one resolution."""
+    """Build the terms at one resolution."""
     clip, options, K = problem.clip, problem.options, problem.observation.K
     everywhere = np.arange(len(clip))
     mask = mask_of(problem)(level, everywhere)
@@ -229,7 +229,7 @@ class _State:
 
 
 def descend(energy: JointEnergy, bodies: Bodies, iterations: int, free_scale: bool) -> Refined:
-    """Levenberg-Marquardt on all numbers of a track at once, by the rules of ``solve.minimise``."""
+    """Run Levenberg-Marquardt on all numbers of a track at once, by the rules of ``solve.minimise``."""
     found = least_squares.minimise(_State.of(energy, bodies, free_scale), iterations)
     values = found.state.values
     return Refined(found.state.bodies, sum(values.values()), values, STATUS[found.endings[0]])

@@ -46,7 +46,7 @@ from getagrip.result import Status
 M = TypeVar("M", bound=Motion)
 
 ITERATIONS = 200
-"""Of Adam; for Levenberg-Marquardt, which stops by itself, the limit."""
+"""Iterations of Adam; for Levenberg-Marquardt, which stops by itself, the limit."""
 RATE = 0.1
 """Adam's, at the start [rad a step]: of 0.01 (the authors'), 0.03, 0.1 and 0.2 the one of least energy on five clips of
 the synthetic training split."""
@@ -57,7 +57,7 @@ PARTS = ("first quarter", "second quarter", "third quarter", "last quarter")
 
 
 def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
-    """A hinge (Eq. 3), with the departures that the options name."""
+    """Fit a hinge (Eq. 3), with the departures that the options name."""
     ours = problem.options.departures
     search, energy, initial = search_of(problem, on_stage), energy_of(problem), initial_of(problem)
     if ours.axis:
@@ -73,12 +73,12 @@ def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
 
 
 def static(problem: Problem, on_stage: OnStage) -> MethodResult:
-    """One pose for all frames (paper, Sec. 5.2)."""
+    """Fit one pose for all frames (paper, Sec. 5.2)."""
     return result_of(chosen(problem, every_start(problem, initial_of(problem), energy_of(problem), on_stage)))
 
 
 def dynamic(problem: Problem, on_stage: OnStage) -> MethodResult:
-    """A pose per frame (paper, Sec. 5.2), the same in all frames to begin with."""
+    """Fit a pose per frame (paper, Sec. 5.2), the same in all frames to begin with."""
     initial = initial_of(problem)
     start = initial.poses()
     motion = Free(start.R.copy(), start.centre.copy(), initial.log_scale, initial.free_scale)
@@ -87,7 +87,7 @@ def dynamic(problem: Problem, on_stage: OnStage) -> MethodResult:
 
 
 def about_z(initial: Fixed, centre: Float[ndarray, "3"], anywhere: bool = True) -> Hinge:
-    """The paper's start: about the CAD's z-axis through its origin, or the hand's, all angles zero.
+    """Make the paper's start: about the CAD's z-axis through its origin, or the hand's, all angles zero.
 
     ``centre`` is the mesh's, in its own frame.
     """
@@ -103,7 +103,7 @@ def about_z(initial: Fixed, centre: Float[ndarray, "3"], anywhere: bool = True) 
 
 
 def energy_of(problem: Problem) -> Energy:
-    """Eq. 5 to the letter, but for the departures that the options name."""
+    """Return Eq. 5 to the letter, but for the departures that the options name."""
     ours, options = problem.options.departures, problem.options
     if ours.scale:
         push, pull = contact_weights(problem, ALONE * options.push, ALONE * options.pull)
@@ -117,28 +117,28 @@ def energy_of(problem: Problem) -> Energy:
 
 
 def paper_push_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
-    """E_push of the appendix, by its weight in each frame [px^2 / m]."""
+    """Return E_push of the appendix, by its weight in each frame [px^2 / m]."""
     vertices, _ = _surface(problem)
     planes = {level: TangentPlanes.of(problem.clip.hand, count) for level, count in CONTACTS.items()}
     return lambda level, index: [PaperPushTerm(vertices, planes[level].take(index), weight[index])]
 
 
 def paper_pull_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
-    """E_pull of the appendix, likewise."""
+    """Return E_pull of the appendix, by its weight in each frame [px^2 / m]."""
     surface = _surface(problem)
     hands = {level: HandContacts.of(problem.clip.hand, count) for level, count in CONTACTS.items()}
     return lambda level, index: [PaperPullTerm(*surface, hands[level].take(index), weight[index])]
 
 
 def _surface(problem: Problem) -> tuple[Float[ndarray, "3 V"], Float[ndarray, "3 V"]]:
-    """The decimated object's vertices about its centre, and its normals there."""
+    """Return the decimated object's vertices about its centre, and its normals there."""
     mesh = problem.surface.coarse
     about = mesh.vertices - problem.clip.mesh.centre
     return np.ascontiguousarray(about.T), np.ascontiguousarray(mesh.normals.T)
 
 
 def every_start(problem: Problem, motion: M, energy: Energy, on_stage: OnStage) -> Solution[M]:
-    """Every hypothesis fitted to its end, on all frames at 256 pixels."""
+    """Fit every hypothesis to its end, on all frames at 256 pixels."""
     T = problem.clip.hand.T_cam_hand
     terms = energy(CROP, np.arange(len(T)))
     parts = []
@@ -154,7 +154,10 @@ def every_start(problem: Problem, motion: M, energy: Energy, on_stage: OnStage) 
 
 
 def chosen(problem: Problem, found: Solution[M]) -> Solution[M]:
-    """Distinct solutions, best first: by IOU, or by energy. Raises ``GetagripError`` where nothing was rendered."""
+    """Choose distinct solutions, best first: by IOU, or by energy.
+
+    Raises ``GetagripError`` where nothing was rendered.
+    """
     score = found.energy
     if not problem.options.departures.choice:
         score = np.where(np.isfinite(score), -crop_iou(problem, found.motion), np.inf)
@@ -165,7 +168,7 @@ def chosen(problem: Problem, found: Solution[M]) -> Solution[M]:
 
 
 def crop_iou(problem: Problem, motion: Motion) -> Float[ndarray, "B"]:
-    """Mean IOU of rendered and observed masks over the frames, in the crops, outside hidden pixels."""
+    """Compute the mean IOU of rendered and observed masks over the frames, in the crops, outside hidden pixels."""
     observation, clip = problem.observation, problem.clip
     poses = in_camera(motion, clip.hand.T_cam_hand)
     tables = SilhouetteMesh.of(clip.mesh, clip.mesh.centre).tables

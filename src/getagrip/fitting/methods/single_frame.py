@@ -40,7 +40,9 @@ WORST = (Status.LIMIT, Status.STUCK, Status.CONVERGED)
 
 
 def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
-    """The best pose of each frame. A free scale is each frame's own first; then all are fitted again at the median.
+    """Fit the best pose of each frame.
+
+    A free scale is each frame's own first; then all are fitted again at the median.
 
     Raises ``GetagripError`` when nothing can be rendered in some frame.
     """
@@ -63,7 +65,7 @@ def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
 
 
 def _best_of_frame(problem: Problem, n: int, energy: Energy) -> Solution[Fixed]:
-    """The best pose of one frame."""
+    """Find the best pose of one frame."""
     clip, here = problem.clip, np.array([n])
 
     def of_frame(level: int, _: Int[ndarray, "1"]) -> Sequence[Term]:
@@ -80,7 +82,7 @@ def _best_of_frame(problem: Problem, n: int, energy: Energy) -> Solution[Fixed]:
 
 
 def _at_one_scale(problem: Problem, best: list[Solution[Fixed]], energy: Energy) -> list[Solution[Fixed]]:
-    """The frames fitted again from where they look the same at the median of their scales.
+    """Fit the frames again from equally large images at the median of their scales.
 
     Raises ``GetagripError`` where one cannot be rendered there.
     """

@@ -1,22 +1,27 @@
 """Motion models: how an object may move in a hand, a file each.
 
 ``Fixed`` (the paper's Static), ``Hinge`` (the paper's 1-DoF, Eq. 3), ``Free`` (the paper's Dynamic), ``Soft``: one of
-the first two, with a small deviation per frame, and ``Frozen``: any of them, what its frames share held still.
+the first two, with a small deviation per frame, ``Frozen``: any of them, what its frames share held still, and
+``MovingHand``: any of them in a hand that is unknown as well.
 """
 
-from getagrip.fitting.motion.base import Motion, PosesInHand, Prior, moved, placed
+from getagrip.fitting.motion.base import HandPoses, Motion, PosesInHand, Prior, moved, placed
 from getagrip.fitting.motion.fixed import Fixed
 from getagrip.fitting.motion.free import Free, interpolated
 from getagrip.fitting.motion.frozen import Frozen
 from getagrip.fitting.motion.hinge import Hinge, tangents
+from getagrip.fitting.motion.moving_hand import HandPrior, MovingHand
 from getagrip.fitting.motion.soft import Soft
 
 __all__ = [
     "Fixed",
     "Free",
     "Frozen",
+    "HandPoses",
+    "HandPrior",
     "Hinge",
     "Motion",
+    "MovingHand",
     "PosesInHand",
     "Prior",
     "Soft",

@@ -1,14 +1,14 @@
-"""What a motion model is: a map from parameters to ``T_hand_obj`` of every frame, with the Jacobian of each frame's
-local 7-vector (``se3``) by the parameters.
+"""The interface of a motion model: a map from parameters to ``T_hand_obj`` of every frame, with its Jacobian.
 
-Parameters are of two kinds: S shared by all frames and L per frame. All arrays have a leading axis of B hypotheses, so
-that all hypotheses of a search are solved at once. The object is centred: ``T`` places the mesh's scaled centre.
+The Jacobian is that of each frame's local 7-vector (``se3``) by the parameters. Parameters are of two kinds: S shared
+by all frames and L per frame. All arrays have a leading axis of B hypotheses, so that all hypotheses of a search are
+solved at once. The object is centred: ``T`` places the mesh's scaled centre.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol, Self
 
 import numpy as np
@@ -47,83 +47,136 @@ class Batch:
 
 @dataclass(frozen=True)
 class PosesInHand(Batch):
-    """The posed object in the hand frame: ``X_hand = R @ (scale * (X_obj - c)) + centre``."""
+    """The posed object in the hand frame: ``X_hand = R @ (scale * (X_obj - c)) + centre``.
+
+    ``hand`` is the moved hand where it moves (``MovingHand``); the object is in the frame of the given one even then.
+    """
 
     R: Float[ndarray, "B N 3 3"]
     centre: Float[ndarray, "B N 3"]
     scale: Float[ndarray, "B"]
+    hand: HandPoses | None = field(default=None, kw_only=True)
+
+
+class HandFrame(Protocol):
+    """What is known of a hand in all hypotheses alike."""
+
+    @property
+    def middle(self) -> Float[ndarray, "3"]:
+        """The point that the hand turns and grows about, in the hand frame [m]."""
+        ...
+
+
+@dataclass(frozen=True)
+class HandPoses(Batch):
+    """The moved hand in the frame of the hand as given: ``X_given = R @ (scale * (X_hand - middle)) + centre``.
+
+    ``modes`` (B, N, F) tells how much of each of F modes the fingers have, ``held`` where the object would be if the
+    hand as given had it as the moved hand has it.
+    """
+
+    R: Float[ndarray, "B N 3 3"]
+    centre: Float[ndarray, "B N 3"]
+    scale: Float[ndarray, "B"]
+    modes: Float[ndarray, "B N F"]
+    held: PosesInHand
+    frame: HandFrame
 
 
 def placed(poses: PosesInHand, centre: Float[ndarray, "3"]) -> Float[ndarray, "B N 4 4"]:
-    """``T_hand_obj`` of poses about the mesh's centre, which lies at ``centre`` in its own frame."""
+    """Return ``T_hand_obj`` of poses about the mesh's centre, which lies at ``centre`` in its own frame."""
     R, scale = poses.R, poses.scale[:, None, None]
     return se3.rigid(R, poses.centre - scale * (R @ centre))
 
 
 def moved(poses: PosesInHand, T: Float[ndarray, "N 4 4"]) -> PosesInHand:
-    """Poses as another frame has them, given the hand's pose in it, and the other way round with the inverse."""
-    R = T[:, :3, :3]
-    return PosesInHand(R @ poses.R, (R @ poses.centre[..., None])[..., 0] + T[:, :3, 3], poses.scale)
+    """Transform poses to another frame, given the hand's pose in it; the inverse leads back."""
+    R, t, hand = T[:, :3, :3], T[:, :3, 3], poses.hand
+    if hand is not None:
+        centre = (R @ hand.centre[..., None])[..., 0] + t
+        hand = replace(hand, R=R @ hand.R, centre=centre, held=moved(hand.held, T))
+    return PosesInHand(R @ poses.R, (R @ poses.centre[..., None])[..., 0] + t, poses.scale, hand=hand)
 
 
 @dataclass(frozen=True)
 class Prior:
-    """A quadratic the model puts on its own per-frame parameters: value (B,), gradient (B, N, L), diagonal (L,)."""
+    """A quadratic the model puts on its own parameters.
+
+    Attributes:
+        value: its value.
+        g: gradient by the per-frame parameters.
+        diagonal: Hessian by these, (L,) the same in all frames or (N, L).
+        g_shared, diagonal_shared: the same by the shared parameters; None: nothing is put on them.
+        cross: Hessian between frames, zero within each; None: frames are independent.
+    """
 
     value: Float[ndarray, "B"]
     g: Float[ndarray, "B N L"]
-    diagonal: Float[ndarray, "L"]
+    diagonal: Float[ndarray, "*N L"]
+    g_shared: Float[ndarray, "B S"] | None = None
+    diagonal_shared: Float[ndarray, "S"] | None = None
+    cross: Float[ndarray, "N L N L"] | None = None
+
+    @property
+    def H(self) -> Float[ndarray, "*N L L"]:
+        """Hessian by the per-frame parameters."""
+        return self.diagonal[..., None] * np.eye(self.diagonal.shape[-1])
 
 
 class Motion(Protocol):
-    """What solver and search need of a motion model."""
+    """The methods of a motion model that solver and search use."""
 
     def poses(self) -> PosesInHand: ...
 
-    def jacobian(self) -> tuple[Float[ndarray, "B N 7 S"], Float[ndarray, "B N 7 L"]]:
-        """Derivatives of the local 7-vectors, as seen in the hand frame, by shared and by per-frame parameters."""
+    def jacobian(self) -> tuple[Float[ndarray, "B N P S"], Float[ndarray, "B N P L"]]:
+        """Differentiate the local vectors, as seen in the hand frame, by shared and by per-frame parameters.
+
+        P is 7, or more where the hand moves (``energy.hand_term``).
+        """
         ...
 
     def lengths(self) -> tuple[Bool[ndarray, "S"], Bool[ndarray, "L"]]:
-        """Which shared and which per-frame parameters are in metres; the others are radians or logarithms."""
+        """Mark the shared and the per-frame parameters in metres; the others are radians or logarithms."""
         ...
 
     def angles(self) -> Float[ndarray, "B N"] | None:
-        """The angles about the latent axis [rad], where the model has one."""
+        """Return the angles about the latent axis [rad], where the model has one."""
         ...
 
     def prior(self) -> Prior: ...
 
     def retract(self, shared: Float[ndarray, "B S"], local: Float[ndarray, "B N L"]) -> Self:
-        """The parameters after a step."""
+        """Return the parameters after a step."""
         ...
 
     def where(self, mask: Bool[ndarray, "B"], other: Self) -> Self:
-        """This model's hypotheses where the mask is set, the other's elsewhere."""
+        """Return this model's hypotheses where the mask is set, the other's elsewhere."""
         ...
 
     def take(self, index: ndarray) -> Self:
-        """Some of the hypotheses."""
+        """Return some of the hypotheses."""
         ...
 
     def concatenate(self, other: Self) -> Self:
-        """This model's hypotheses, then the other's."""
+        """Return this model's hypotheses, then the other's."""
         ...
 
     def rotated(self, R: Float[ndarray, "B 3 3"]) -> Self:
-        """The object rotated about its centre by R (object frame), in all frames alike."""
+        """Rotate the object about its centre by R (object frame), in all frames alike."""
         ...
 
     def with_free_scale(self) -> Self:
-        """The same motion, its scale a parameter."""
+        """Return the motion with its scale a parameter."""
         ...
 
     def resampled(self, old: Int[ndarray, "M"], new: Int[ndarray, "N"]) -> Self:
-        """The motion at other frames (indices into a clip): per-frame parameters interpolated linearly, rotations along
-        the shortest path."""
+        """Interpolate the motion at other frames (indices into a clip).
+
+        Per-frame parameters are interpolated linearly, rotations along the shortest path.
+        """
         ...
 
 
 def no_prior(B: int, N: int, L: int) -> Prior:
-    """The prior of a model that has none."""
+    """Return the prior of a model that has none."""
     return Prior(np.zeros(B), np.zeros((B, N, L)), np.zeros(L))

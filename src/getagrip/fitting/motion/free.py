@@ -63,6 +63,6 @@ class Free(Batch):
 
 
 def interpolated(poses: PosesInHand, old: Int[ndarray, "n"], new: Int[ndarray, "m"]) -> PosesInHand:
-    """Poses between others: rotations along the shortest path, centres on a line; beyond the ends, the last ones."""
+    """Interpolate poses: rotations along the shortest path, centres on a line; beyond the ends, the last ones."""
     free = Free(poses.R, poses.centre, np.log(poses.scale)).resampled(old, np.clip(new, old[0], old[-1]))
     return PosesInHand(free.R, free.centre, poses.scale)

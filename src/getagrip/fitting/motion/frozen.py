@@ -29,7 +29,7 @@ class Frozen(Batch, Generic[Core]):
     def with_free_scale(self) -> Frozen[Core]:
         return replace(self, core=self.core.with_free_scale())
 
-    def jacobian(self) -> tuple[Float[ndarray, "B N 7 S"], Float[ndarray, "B N 7 L"]]:
+    def jacobian(self) -> tuple[Float[ndarray, "B N P S"], Float[ndarray, "B N P L"]]:
         shared, local = self.core.jacobian()
         return shared[..., :0], local
 
@@ -41,7 +41,7 @@ class Frozen(Batch, Generic[Core]):
         return self.core.angles()
 
     def prior(self) -> Prior:
-        return self.core.prior()
+        return replace(self.core.prior(), g_shared=None, diagonal_shared=None)
 
     def retract(self, shared: Float[ndarray, "B S"], local: Float[ndarray, "B N L"]) -> Frozen[Core]:
         still = np.zeros((len(local), len(self.core.lengths()[0])))

@@ -54,7 +54,7 @@ class Hinge(Batch):
     def nearest(
         base: Fixed, deviation: Float[ndarray, "B N 6"], free_location: bool, anchor: Float[ndarray, "3"]
     ) -> Hinge:
-        """The hinge nearest to a relaxed fit: principal direction of its rotation vectors, angles along it.
+        """Fit the hinge nearest to a relaxed fit: principal direction of its rotation vectors, angles along it.
 
         ``deviation`` holds each frame's shift [m] and rotation vector [rad] from ``base`` (``Soft``). With
         ``free_location`` the line passes where the shifts ask for, held near the object's centre by a ridge; otherwise
@@ -145,7 +145,7 @@ class Hinge(Batch):
         )
 
     def zero_mean(self) -> Hinge:
-        """The same motion, its angles of zero mean, its point the one of the line nearest to the object's centre."""
+        """Return the motion with angles of zero mean and the line's point nearest to the object's centre."""
         mean = self.angle.mean(axis=1)
         turn = se3.exp_so3(mean[:, None] * self.direction)
         centre = self.point + (turn @ (self.centre - self.point)[..., None])[..., 0]
@@ -163,7 +163,7 @@ class Hinge(Batch):
 
 
 def tangents(direction: Float[ndarray, "B 3"]) -> Float[ndarray, "B 2 3"]:
-    """Two unit vectors orthogonal to each unit vector, and to each other."""
+    """Return two unit vectors orthogonal to each unit vector, and to each other."""
     helper = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]
     first = np.cross(direction, helper)
     first /= np.linalg.norm(first, axis=-1, keepdims=True)

@@ -35,7 +35,7 @@ class Soft(Batch, Generic[Core]):
 
     @staticmethod
     def around(core: Core, poses: PosesInHand, ridge: tuple[float, float]) -> Soft[Core]:
-        """The given poses, as a core motion and the deviations from it."""
+        """Split poses into a core motion and the deviations from it."""
         inner = core.poses()
         w = se3.log_so3(poses.R @ np.swapaxes(inner.R, -1, -2))
         return Soft(core, np.concatenate([poses.centre - inner.centre, w], axis=-1), ridge)

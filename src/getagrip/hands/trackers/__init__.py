@@ -13,7 +13,7 @@ file of its own, and a line in ``table``. Two things go wrong in this step every
 
 from getagrip.hands.trackers.estimates import Estimates, Request
 from getagrip.hands.trackers.reading import CHOSEN, EXTRAPOLATED, Hands, read
-from getagrip.hands.trackers.table import TRACKERS, choose
+from getagrip.hands.trackers.table import TRACKERS, choose, usable
 from getagrip.hands.trackers.tracker import Tracker
 
-__all__ = ["CHOSEN", "EXTRAPOLATED", "TRACKERS", "Estimates", "Hands", "Request", "Tracker", "choose", "read"]
+__all__ = ["CHOSEN", "EXTRAPOLATED", "TRACKERS", "Estimates", "Hands", "Request", "Tracker", "choose", "read", "usable"]

@@ -28,7 +28,7 @@ COVERED = 0.1
 
 
 def one_each(hands: Sequence[Estimate], request: Request) -> tuple[list[Estimate], Source | None]:
-    """One hand in each frame, in the order of frames; and how it was chosen, None where nothing was."""
+    """Choose one hand in each frame, in the order of frames; also return how, None where there was no choice."""
     found: dict[int, list[Estimate]] = {}
     for hand in hands:
         found.setdefault(hand.frame, []).append(hand)
@@ -67,7 +67,7 @@ def _followed(seen: dict[int, list[Float[ndarray, "N 2"]]], known: dict[int, int
 
 
 def _in_mask(seen: Sequence[Float[ndarray, "N 2"]], frame: int, request: Request) -> int | None:
-    """The hand of which most is in the hand's mask; None where there is no mask, or it does not tell."""
+    """Return the hand with the largest part in the hand's mask; None where there is no mask, or it does not decide."""
     path = request.hand_masks[frame] if request.hand_masks else None
     if path is None:
         return None
@@ -82,7 +82,7 @@ def _in_mask(seen: Sequence[Float[ndarray, "N 2"]], frame: int, request: Request
 
 
 def _seen(hand: Estimate, request: Request) -> Float[ndarray, "N 2"]:
-    """Where points of a hand are in the image [px]: its joints, its surface, or the generic hand's joints."""
+    """Project points of a hand to the image [px]: its joints, its surface, or the generic hand's joints."""
     if hand.joints is not None or hand.vertices is not None:
         points = hand.vertices if hand.joints is None else hand.joints
     else:

@@ -1,4 +1,4 @@
-"""What an estimator says of one hand, in this package's conventions."""
+"""An estimator's output for one hand, in this package's conventions."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Request:
         check_numbers(self.frames, names, source, "hand", self.ask_first)
 
     def camera(self, frame: int) -> Camera:
-        """The camera in a frame, by its index."""
+        """Return the camera in a frame, by its index."""
         return Camera(self.K[frame], self.size)
 
 
@@ -116,7 +116,7 @@ class Estimates:
             only, or the left one's own.
         scale: where the size comes from, in words; empty where it is that of the shape parameters or of the generic
             hand.
-        doubt: what may be wrong with them, in words; empty where nothing seems to be.
+        warning: possible error, in words; empty where there is none.
     """
 
     side: Side
@@ -127,7 +127,7 @@ class Estimates:
 
 
 def rotations(path: Path, key: str, values: Float[ndarray, "... 3"], axes: int) -> Float[ndarray, "... 3 3"]:
-    """Rotation matrices (..., 3, 3) from rotation vectors [rad] (..., 3), or from matrices that a network has rounded.
+    """Convert rotation vectors [rad] (..., 3), or rounded matrices, to rotation matrices (..., 3, 3).
 
     ``axes`` is the number of leading axes: three vectors are no matrix. Raises ``InputError`` for other matrices.
     """
@@ -141,5 +141,5 @@ def rotations(path: Path, key: str, values: Float[ndarray, "... 3"], axes: int) 
 
 
 def mirror_rotation(R: Float[ndarray, "*n 3 3"]) -> Float[ndarray, "*n 3 3"]:
-    """M R M with M = diag(-1, 1, 1): what a rotation is in the mirrored image. (Of a vector, y and z change sign.)"""
+    """Return a rotation in the mirrored image, M R M with M = diag(-1, 1, 1); in vectors, y and z change sign."""
     return np.asarray(MIRROR[:, None] * R * MIRROR)

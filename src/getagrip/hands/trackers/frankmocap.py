@@ -46,7 +46,7 @@ class FrankMocap(Tracker):
     takes = "its prediction results, one for each image"
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """The hand of the side that is asked for, in the results of the clip's frames."""
+        """Read the hand of the requested side in the results of the clip's frames."""
         mean = mean_pose(request.mano, request.side)
         found = []
         for path, frame, record in per_image(paths, request):
@@ -56,7 +56,7 @@ class FrankMocap(Tracker):
 
 
 def of_side(path: Path, record: Record, side: Side) -> list[Record]:
-    """The records of one side's hands, of one person or several. Raises ``InputError``."""
+    """Select the records of one side's hands, of one person or several. Raises ``InputError``."""
     people = record.get("pred_output_list") if isinstance(record, Mapping) else None
     if not isinstance(people, list) or not all(person is None or isinstance(person, Mapping) for person in people):
         got = "no such key" if people is None else shown(people)
@@ -70,7 +70,7 @@ def of_side(path: Path, record: Record, side: Side) -> list[Record]:
 
 
 def mean_pose(folder: Path | None, side: Side) -> Float[ndarray, "45"]:
-    """The pose that FrankMocap's are relative to [rad]; a left hand's is that of a right one in the mirror.
+    """Read the pose that FrankMocap's are relative to [rad]; a left hand's is that of a right one in the mirror.
 
     It stands in the user's MANO file. Raises ``InputError``, and ``UsageError`` without a folder.
     """
@@ -82,7 +82,7 @@ def mean_pose(folder: Path | None, side: Side) -> Float[ndarray, "45"]:
 
 
 def estimate(path: Path, frame: int, record: Record, camera: Camera, mean: Float[ndarray, "45"]) -> Estimate:
-    """The hand of one record; ``mean`` is that of ``mean_pose``. Raises ``InputError``."""
+    """Convert one record to a hand; ``mean`` is that of ``mean_pose``. Raises ``InputError``."""
     if "pred_vertices_smpl" not in record:
         raise InputError(path, "pred_vertices_smpl", "no such key", "the key: run FrankMocap with --save_mesh")
     cam = numbers(path, record, "pred_camera", (3,))

@@ -53,7 +53,7 @@ from getagrip.io.arguments import one_of
 from getagrip.provenance import Basis, Source
 
 MINI = ("wilor_preds", "hamer_preds")
-"""Where the records of WiLoR-mini and hamer-mini have the network's output."""
+"""Keys of the network's output in the records of WiLoR-mini and hamer-mini."""
 LATER_SIZE = (456, 256)
 """Images in which the later code's boxes are [px]."""
 SAME_SHAPE = 0.1
@@ -67,7 +67,7 @@ class Demo(Tracker):
     joints_of: ClassVar[Side | None] = None
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """The hand of the side that is asked for, in the records of the clip's frames or, without any, as saved."""
+        """Read the hand of the requested side in the records of the clip's frames or, without any, as saved."""
         unsaved = [path for path in paths if not hamer_demo.is_saved(path)]
         if not unsaved:
             return Estimates(request.side, tuple(hamer_demo.estimates(paths, request, self.joints_of)))
@@ -86,11 +86,11 @@ class HaMeR(Demo):
     takes = "the demo's out_folder with --save_mesh, or a record for each image, as the demo holds it"
 
     joints_of: Annotated[Side | None, one_of("left", "right"), arg(help_behavior_hint="")] = None  # type: ignore[misc]
-    """Of which hand all joints are that the demo saved with --save_keypoints and without --save_mesh."""
+    """Side of all joints that the demo saved with --save_keypoints and without --save_mesh."""
 
 
 def people(path: Path, content: Record) -> list[Record]:
-    """The records of an image's hands. Raises ``InputError``."""
+    """Return the records of an image's hands. Raises ``InputError``."""
     if isinstance(content, Mapping) and list(content) == [PEOPLE]:
         content = content[PEOPLE]
     each: list[Record] = content if isinstance(content, list) else [content]
@@ -106,7 +106,10 @@ def people(path: Path, content: Record) -> list[Record]:
 
 
 def of_side(path: Path, record: Record, side: Side) -> list[Record]:
-    """The records of one side's hands in a record. Raises ``InputError`` for records that do not state the side."""
+    """Select the records of one side's hands in a record.
+
+    Raises ``InputError`` for records that do not state the side.
+    """
     if not record:  # the later code's, of an image without hands
         return []
     if "left" in record or isinstance(record.get("right", 0), dict | None):
@@ -120,7 +123,7 @@ def of_side(path: Path, record: Record, side: Side) -> list[Record]:
 
 
 def _taken(record: Record, row: int, of: int) -> Iterator[tuple[str, object]]:
-    """A record's items at one of several hands; what is not there for each hand is of all of them."""
+    """Yield a record's items at one of several hands; items that are not per hand belong to all of them."""
     for key, value in record.items():
         if isinstance(value, dict):
             yield key, dict(_taken(value, row, of))
@@ -131,7 +134,7 @@ def _taken(record: Record, row: int, of: int) -> Iterator[tuple[str, object]]:
 
 
 def estimate(path: Path, frame: int, record: Record, request: Request) -> Estimate:
-    """The hand of one record. Raises ``InputError``."""
+    """Convert one record to a hand. Raises ``InputError``."""
     side, camera = request.side, request.camera(frame)
     mini = next((key for key in MINI if key in record), None)
     inner = record if mini is None else {**record, **child(path, record, mini)}
@@ -152,7 +155,7 @@ def estimate(path: Path, frame: int, record: Record, request: Request) -> Estima
 
 
 def _weak_perspective(path: Path, record: Record, camera: Camera) -> tuple[WeakPerspective, Source]:
-    """What the network saw, in the pixels of the clip's images, and where its depth comes from."""
+    """Return the network's weak-perspective camera in the pixels of the clip's images, and the source of its depth."""
     size, swapped = _size(path, record, camera)
     basis: Basis = "assumed" if swapped else "estimated"
     zoom = np.array(camera.size) / size

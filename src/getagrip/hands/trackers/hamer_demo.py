@@ -1,4 +1,4 @@
-"""What the demos of HaMeR and WiLoR save of each hand: a mesh (``--save_mesh``), joints (HaMeR, ``--save_keypoints``).
+"""Files that the demos of HaMeR and WiLoR save: meshes (``--save_mesh``) and joints (HaMeR, ``--save_keypoints``).
 
 ``<image>_<person>.obj`` has MANO's 778 vertices [m] before the camera that the demo assumes (5000 / 256 times the
 larger side of the image, its principal point in the middle), its axes turned to OpenGL's. Faces that close the wrist
@@ -53,12 +53,14 @@ class Saved:
 
 
 def is_saved(path: Path) -> bool:
-    """Whether a file is such a mesh, or such joints."""
+    """Return whether a file is such a mesh, or such joints."""
     return path.suffix.lower() in {*records.MESHES, ".npy"}
 
 
 def estimates(paths: Sequence[Path], request: Request, only: Side | None) -> Iterator[Estimate]:
-    """The hands of the side that is asked for. ``only`` states which hand all joints without a mesh beside are of.
+    """Yield the hands of the requested side.
+
+    ``only`` states which hand all joints without a mesh beside are of.
 
     Raises ``InputError`` for damaged files, ``UsageError`` where there is too little to know the hand by.
     """
@@ -115,7 +117,7 @@ def _hand(saved: Saved, frame: int, person: int, request: Request, only: Side | 
 
 
 def _mesh(path: Path) -> tuple[Float[ndarray, "778 3"], Side]:
-    """The vertices before the demo's camera, and which hand it is. Raises ``InputError``."""
+    """Read the vertices before the demo's camera, and the hand's side. Raises ``InputError``."""
     vertices, faces = parse_obj(path, files.read_bytes(path, MOST_BYTES))
     if vertices.shape != (778, 3):
         raise InputError(path, "", f"{len(vertices)} vertices", "MANO's 778, as the demo saves them")
@@ -131,7 +133,7 @@ def _mesh(path: Path) -> tuple[Float[ndarray, "778 3"], Side]:
 
 
 def _joints(path: Path, person: int) -> Float[ndarray, "21 3"]:
-    """The joints of one person before the demo's camera, as the network sees them. Raises ``InputError``."""
+    """Read the joints of one person before the demo's camera, as the network sees them. Raises ``InputError``."""
     rows = records.numbers(path, records.read(path), "joints", (-1, 21, 3))
     if person % BATCH >= len(rows):
         raise InputError(

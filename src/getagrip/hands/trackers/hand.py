@@ -33,12 +33,12 @@ DISAGREES = 0.03
 
 
 def load_mano(folder: Path | None, side: Side) -> mano.Mano | None:
-    """The user's MANO hand of a side, or nothing without a folder. Raises ``InputError``."""
+    """Load the user's MANO hand of a side; None without a folder. Raises ``InputError``."""
     return None if folder is None else mano.load(folder / FILES[side], side)
 
 
 def track(estimates: Estimates, folder: Path | None) -> tuple[HandTrack, str]:
-    """The hand in every frame, and in words which one it is.
+    """Return the hand in every frame, and a text that says which model it is.
 
     With a ``folder`` of MANO files and MANO's parameters it is MANO's hand. Else it is the generic hand: fitted to the
     joints where the estimator gives them, turned like the estimator's where not. Raises ``InputError``.
@@ -70,7 +70,7 @@ def track(estimates: Estimates, folder: Path | None) -> tuple[HandTrack, str]:
 
 
 def surface(model: HandModel, vertices: Float[ndarray, "T V 3"], joints: Float[ndarray, "T 21 3"]) -> HandTrack:
-    """The hand of MANO's vertices and its joints before the camera [m]."""
+    """Make the hand of MANO's vertices and its joints before the camera [m]."""
     T_cam_hand = mano_motions(model, vertices)[:, 0]
     inside = se3.inverse(T_cam_hand)
     posed = PosedHand(
@@ -80,13 +80,13 @@ def surface(model: HandModel, vertices: Float[ndarray, "T V 3"], joints: Float[n
 
 
 def network_model(side: Side, folder: Path) -> HandModel:
-    """The hand of networks that know right hands only: MANO's right one, or its mirror image."""
+    """Return the hand of networks that know right hands only: MANO's right one, or its mirror image."""
     right = mano.load(folder / FILES["right"], "right").model
     return right if side == "right" else mirrored_model(right)
 
 
 def mano_motions(model: HandModel, vertices: Float[ndarray, "*n V 3"]) -> Float[ndarray, "*n 16 4 4"]:
-    """The rigid motion of each part of a hand from rest to where its vertices are (least squares).
+    """Fit the rigid motion of each part of a hand from rest to its vertices (least squares).
 
     A part's vertices are those that follow its joint by more than half of their weight.
     """
@@ -99,13 +99,13 @@ def mano_motions(model: HandModel, vertices: Float[ndarray, "*n V 3"]) -> Float[
 
 
 def mano_joints(model: HandModel, vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "21 3"]:
-    """The 21 joints of a hand of which only the surface is known: each where its part has carried it."""
+    """Compute the 21 joints of a hand of which only the surface is known, each moved with its part."""
     at = se3.transform(mano_motions(model, vertices), model.joints[:, None])[:, 0]
     return np.concatenate([at, vertices[model.tips]])[ORDER_21]
 
 
 def fitted(path: Path, side: Side, joints: Float[ndarray, "T 21 3"]) -> tuple[HandTrack, str]:
-    """The generic hand fitted to joints before the camera [m], in this package's order. Raises ``InputError``."""
+    """Fit the generic hand to joints before the camera [m], in this package's order. Raises ``InputError``."""
     try:
         fit = fit_joints(generic.load(side), joints, "openpose")
     except JointsError as error:
@@ -115,14 +115,14 @@ def fitted(path: Path, side: Side, joints: Float[ndarray, "T 21 3"]) -> tuple[Ha
 
 
 def generic_joints(side: Side, R: Float[ndarray, "3 3"], pose: Float[ndarray, "45"]) -> Float[ndarray, "21 3"]:
-    """The joints of the generic hand with a global rotation and a pose, in the camera's axes [m]."""
+    """Compute the joints of the generic hand with a global rotation and a pose, in the camera's axes [m]."""
     return generic.load(side).with_shape().with_pose(pose).joints @ R.T
 
 
 def _mirrored_right(
     model: HandModel, betas: Float[ndarray, "T 10"], pose: Float[ndarray, "T 45"]
 ) -> tuple[PosedHand, Float[ndarray, "T 3"]]:
-    """A right hand's mirror image, and its root joint."""
+    """Return a right hand's mirror image, and its root joint."""
     shaped = model.with_shape(betas)
     posed = shaped.with_pose(mirrored_pose(pose))
     left = replace(

@@ -41,7 +41,7 @@ class HaWoR(Tracker):
     """The focal length that it was run with."""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """The hand in those of the files' frames that the clip has."""
+        """Read the hand in those of the files' frames that the clip has."""
         if self.estimator_focal is None:
             raise UsageError("missing --estimator-focal: the focal length that HaWoR was run with [px]")
         found = []
@@ -55,7 +55,7 @@ class HaWoR(Tracker):
         return Estimates(request.side, tuple(found))
 
     def _frames(self, path: Path, record: Record, count: int, request: Request) -> list[int | None]:
-        """The index of the frame that each row is of, by the file's name where it holds no ``frames``."""
+        """Return the index of the frame of each row, by the file's name where it holds no ``frames``."""
         named = re.fullmatch(r"(\d{1,9})_(\d{1,9})", path.stem)
         if "frames" in record or named is None:
             return frames_of_rows(path, record, count, request)
@@ -72,19 +72,19 @@ class HaWoR(Tracker):
 
 
 def length(path: Path, record: Record) -> int:
-    """How many frames a file holds. Raises ``InputError``."""
+    """Return the number of frames in a file. Raises ``InputError``."""
     return len(numbers(path, record, "init_trans", (-1, 3)))
 
 
 def row(path: Path, record: Record, n: int, frames: int) -> Record:
-    """The parameters of one of its frames. Raises ``InputError``."""
+    """Return the parameters of one of its frames. Raises ``InputError``."""
     shapes = {"init_root_orient": ((3, 3), (3,)), "init_hand_pose": ((15, 3, 3), (15, 3), (45,))}
     shapes |= {"init_trans": ((3,),), "init_betas": ((10,),)}
     return {key: numbers(path, record, key, *((frames, *s) for s in shapes[key]))[n] for key in KEYS}
 
 
 def estimate(path: Path, frame: int, record: Record, camera: Camera, focal: float) -> Estimate:
-    """The hand of one frame; ``focal`` [px] is HaWoR's own. Raises ``InputError``."""
+    """Convert one frame to a hand; ``focal`` [px] is HaWoR's own. Raises ``InputError``."""
     t = numbers(path, record, "init_trans", (3,))
     if not t[2] > 0:
         raise InputError(path, "init_trans", f"the depth {t[2]:g}", "a hand before the camera, above 0")

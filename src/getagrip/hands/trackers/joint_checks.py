@@ -20,7 +20,7 @@ MISFIT = 0.010
 """Joints so far from every pose of a hand [m, root mean square] are noise, or no hand's. The right ones of datasets
 leave 2 mm, noise of 10 mm leaves 12 mm, another order 30 mm and more."""
 EXACT = 0.003
-"""Joints so near [m, root mean square] are not doubted."""
+"""Joints within this distance [m, root mean square] give no warning."""
 CLEARLY, PERHAPS = 0.5, 0.85
 """Another order or side whose misfit is less than this part of the stated one's is the right one, or may be."""
 INSIDE = 0.05
@@ -36,7 +36,7 @@ class Ordered(NamedTuple):
     chosen: str
     """How their order was chosen, in words; empty where it was stated."""
     warning: str
-    """What may be wrong with them, in words; empty where nothing seems to be."""
+    """A warning about the joints, in words; empty where there is none."""
 
 
 def check_before_camera(path: Path, joints: Float[ndarray, "T 21 3"]) -> None:
@@ -51,7 +51,7 @@ def check_before_camera(path: Path, joints: Float[ndarray, "T 21 3"]) -> None:
 
 
 def in_order(path: Path, joints: Float[ndarray, "T 21 3"], order: Order, side: Side) -> Ordered:
-    """Joints (T, 21, 3) [m] in an order that is stated, or that is found by the hand that fits.
+    """Return joints (T, 21, 3) [m] in an order that is stated, or that is found by the hand that fits.
 
     Raises ``InputError`` for joints that another order or the other side fits clearly better.
     """
@@ -87,7 +87,10 @@ def _warning(path: Path, some: Float[ndarray, "T 21 3"], order: JointOrder, side
 
 
 def misfit(joints: Float[ndarray, "T 21 3"], order: JointOrder, side: Side) -> float:
-    """How far joints in an order are from the nearest hand [m, root mean square]; infinite where there is none."""
+    """Compute the distance of joints in an order from the nearest hand [m, root mean square].
+
+    Infinite where there is none.
+    """
     try:
         fit = fit_joints(generic.load(side), joints[:, ORDERS[order]], "openpose")
     except UsageError:

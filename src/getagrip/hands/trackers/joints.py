@@ -35,7 +35,7 @@ class Joints(Tracker):
     """Their order (docs/hands.md); auto: the one in which they fit a hand."""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """The joints in those of the file's frames that the clip has."""
+        """Read the joints in those of the file's frames that the clip has."""
         if self.order is None:
             raise UsageError("missing --order (openpose, ho3d or auto): the order of the joints is in no file")
         path = only_file(paths, "joints")

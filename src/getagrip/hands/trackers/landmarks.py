@@ -42,7 +42,7 @@ class Landmarks(Tracker):
     takes = "21 of them in pixels (MediaPipe, OpenPose, ViTPose)"
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """The lifted hand in the clip's frames that have landmarks, or are between such by few frames."""
+        """Read the lifted hand in the clip's frames that have landmarks, or few frames between them."""
         seen, path = np.zeros((len(request.frames), 21, 3)), paths[0]
         if path.stem.endswith(OPENPOSE):
             read = [(path.stem.removesuffix(OPENPOSE), _openpose(path, request.side)) for path in paths]
@@ -86,7 +86,7 @@ def _count(path: Path, rows: records.Record) -> int:
 
 
 def _openpose(path: Path, side: str) -> Float[ndarray, "21 3"]:
-    """The hand of a side in one of OpenPose's files, of the person whose hand is surest; zeros where there is none."""
+    """Read the hand of a side in an OpenPose file, of the person with the surest one; zeros without any."""
     people = records.read(path).get(records.PEOPLE, [])
     best = np.zeros((21, 3))
     for person in people if isinstance(people, list) else []:
@@ -98,7 +98,7 @@ def _openpose(path: Path, side: str) -> Float[ndarray, "21 3"]:
 
 
 def _csv(path: Path) -> records.Record:
-    """A table of landmarks. Raises ``InputError``."""
+    """Read a table of landmarks. Raises ``InputError``."""
     heads, rows = files.csv_rows(path, files.read_bytes(path, records.LARGEST), "a table of landmarks")
     columns = [f"{axis}{joint}" for joint in range(21) for axis in "xy"]
     missing = next((name for name in ("frame", *columns) if name not in heads), None)

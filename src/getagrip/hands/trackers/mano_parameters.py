@@ -41,12 +41,12 @@ class ManoParameters(Tracker):
     takes = "plain parameters"
 
     pose: Annotated[Encoding | None, one_of(*get_args(Encoding)), arg(help_behavior_hint="")] = None
-    """What hand_pose holds."""
+    """Encoding of hand_pose."""
     mean: Annotated[Mean | None, one_of(*get_args(Mean)), arg(help_behavior_hint="")] = None
-    """Whether poses are relative to the flat hand or to MANO's mean pose."""
+    """Zero of the poses: the flat hand, or MANO's mean pose."""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """The hand in those of the file's frames that the clip has."""
+        """Read the hand in those of the file's frames that the clip has."""
         if self.pose is None or self.mean is None:
             missing = "--pose" if self.pose is None else "--mean"
             choices = "axis-angle, pca or matrix" if self.pose is None else "flat or mean"
@@ -62,7 +62,10 @@ class ManoParameters(Tracker):
 
 
 def parameters(path: Path, record: Record, encoding: Encoding, mean: Mean, model: Mano | None) -> list[Parameters]:
-    """The hands of a file of MANO parameters. Raises ``InputError``, and ``UsageError`` where MANO's file is needed."""
+    """Read the hands of a file of MANO parameters.
+
+    Raises ``InputError``, and ``UsageError`` where MANO's file is needed.
+    """
     t = numbers(path, record, "transl", (-1, 3))
     T = len(t)
     R = rotations(path, "global_orient", numbers(path, record, "global_orient", (T, 3), (T, 3, 3)), 1)

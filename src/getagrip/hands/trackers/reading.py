@@ -35,10 +35,10 @@ class Hands:
     """These frames, rising, as indices into those of the ``Request``."""
     provenance: Provenance
     warnings: tuple[str, ...] = ()
-    """What may be wrong with it, in words."""
+    """Warnings about it, in words."""
 
     def extrapolate_to_ends(self, frames: Sequence[str]) -> Hands:
-        """The hand stands still, as a guess, before the first and after the last frame in which it was found.
+        """Keep the hand still, as an assumption, before the first and after the last frame in which it was found.
 
         ``frames`` are the names of those of the ``Request``. Frames between two hands stay without one.
         """
@@ -55,7 +55,7 @@ class Hands:
 
 
 def read(paths: Sequence[Path], tracker: Tracker, request: Request) -> Hands:
-    """The hand of one side in some frames of a clip.
+    """Read the hand of one side in some frames of a clip.
 
     ``paths`` are files, folders of them, or patterns (``out/*.npz``). Raises as ``Tracker.read`` does, and
     ``InputError`` where there is no such file or hand, or none that can be one.

@@ -32,7 +32,7 @@ ABSURD = 1e7
 
 
 def listed(paths: Sequence[Path]) -> list[Path]:
-    """The files that paths stand for: a folder for those in it of a known suffix, a pattern for what it matches.
+    """List the files that paths stand for: those in a folder of a known suffix, or those that match a pattern.
 
     Raises ``InputError`` for a path that stands for none.
     """
@@ -57,8 +57,10 @@ def listed(paths: Sequence[Path]) -> list[Path]:
 
 
 def read(path: Path) -> Record:
-    """The content of a file. A bare ``.npy`` array becomes a record with the one key ``joints``, a list of records,
-    as of the hands in one image, one with the key ``PEOPLE``.
+    """Read the content of a file.
+
+    A bare ``.npy`` array becomes a record with the one key ``joints``, a list of records, as of the hands in one image,
+    one with the key ``PEOPLE``.
 
     Raises ``InputError`` for damaged, hostile and absurdly large files, ``UsageError`` for ``.pt`` without torch.
     """
@@ -91,13 +93,13 @@ def _check_not_joblib(path: Path) -> None:
 
 
 def by_image(record: Record) -> Record:
-    """The content of each image by its path, where that is what a dictionary's keys are; else nothing."""
+    """Return the content of each image by its path, where a dictionary's keys are paths; else nothing."""
     named = all(isinstance(key, str) and Path(key).suffix.lower() in IMAGES for key in record)
     return record if named else {}
 
 
 def _read_torch(path: Path) -> Record:
-    """A file of ``torch.save``, tensors only: torch's own safe reader refuses what could run code."""
+    """Read a file of ``torch.save``, tensors only: torch's own safe reader refuses code."""
     try:
         import torch
     except ModuleNotFoundError as error:
@@ -130,7 +132,7 @@ def _read_torch(path: Path) -> Record:
 
 
 def _record(path: Path, content: object) -> Record:
-    """A file's content as a record. Raises ``InputError``."""
+    """Convert a file's content to a record. Raises ``InputError``."""
     if isinstance(content, list) and all(isinstance(each, Mapping) for each in content):
         return {PEOPLE: content}
     if not isinstance(content, Mapping):
@@ -140,7 +142,7 @@ def _record(path: Path, content: object) -> Record:
 
 
 def numbers(path: Path, record: Record, key: str, *shapes: tuple[int, ...], of: str = "") -> Float[ndarray, "..."]:
-    """A finite array that fits one of the shapes once axes of length 1 are left out; it gets that shape.
+    """Check that an array is finite and fits one of the shapes, axes of length 1 apart, and give it that shape.
 
     A length of -1 stands for any above 0. ``of`` names the record where it stands in another one. Raises
     ``InputError``.
@@ -162,7 +164,7 @@ def numbers(path: Path, record: Record, key: str, *shapes: tuple[int, ...], of: 
 
 
 def _fitted(value: ndarray, shape: tuple[int, ...]) -> ndarray | None:
-    """The array in a shape, or nothing where it has another one, axes of length 1 apart."""
+    """Return the array in a shape; None where it has another one, axes of length 1 apart."""
     if value.size == 0:
         return None
     squeezed = [n for n in value.shape if n != 1]
@@ -174,7 +176,7 @@ def _fitted(value: ndarray, shape: tuple[int, ...]) -> ndarray | None:
 
 
 def child(path: Path, record: Record, key: str) -> Record:
-    """A record within a record. Raises ``InputError``."""
+    """Return a record within a record. Raises ``InputError``."""
     value = record.get(key)
     if not isinstance(value, Mapping):
         got = "no such key" if key not in record else files.shown(value)
@@ -183,10 +185,10 @@ def child(path: Path, record: Record, key: str) -> Record:
 
 
 def seen_joints(path: Path, record: Record, *leading: int) -> Float[ndarray, "*leading 21 3"] | None:
-    """``joints_2d`` of a record [px of the clip's images], (21, 2) or with the confidence (21, 3), in this package's
-    order; ``joints_2d_confidence`` (21) may be apart. Zeros where a joint was not seen. Nothing without the key.
+    """Read ``joints_2d`` of a record [px of the clip's images], in this package's order.
 
-    Raises ``InputError``.
+    They are (21, 2), or (21, 3) with the confidence; ``joints_2d_confidence`` (21) may be apart. Zeros where a joint
+    was not seen. Nothing without the key. Raises ``InputError``.
     """
     if "joints_2d" not in record:
         return None
@@ -206,7 +208,7 @@ def seen_joints(path: Path, record: Record, *leading: int) -> Float[ndarray, "*l
 
 
 def _without_none(value: object) -> object:
-    """Lists with NaN in place of what is not there, as JSON's null."""
+    """Replace missing values, JSON's null, by NaN in lists."""
     if isinstance(value, list):
         return [_without_none(item) for item in value]
     return np.nan if value is None else value

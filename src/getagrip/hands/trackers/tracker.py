@@ -1,4 +1,4 @@
-"""What a hand tracker is to the import of hands: a dataclass of options, and how its files are read.
+"""The interface of a hand tracker: a dataclass of options, and a reader of its files.
 
 A tracker subclasses ``Tracker`` in a file of its own. ``table`` lists them.
 """
@@ -25,12 +25,14 @@ class Tracker:
     """An estimator of hands. Its fields are the options of the command: what the files do not say themselves."""
 
     name: ClassVar[str]
-    """What it is called in a clip's provenance."""
+    """Name in a clip's provenance."""
     takes: ClassVar[str]
     """Its files in a few words, for the command's help."""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """The hand in some of the frames that are asked for. Files of other frames are skipped.
+        """Read the hand in some of the requested frames.
+
+        Files of other frames are skipped.
 
         Raises ``InputError`` for files that are missing, malformed or hostile, ``UsageError`` for options that are
         needed and not given.
@@ -39,7 +41,7 @@ class Tracker:
 
 
 def per_image(paths: Sequence[Path], request: Request) -> Iterator[tuple[Path, int, records.Record]]:
-    """What there is of single images whose names are like those of frames: the file, the frame's index, the content.
+    """Yield the file, the frame's index and the content of single images whose names are like those of frames.
 
     A file is of one image, and named like it, or holds a dictionary with the names of images as keys. Raises
     ``InputError`` where no name is that of a frame of the request.
@@ -67,14 +69,14 @@ def per_image(paths: Sequence[Path], request: Request) -> Iterator[tuple[Path, i
 
 
 def no_name(paths: Sequence[Path], example: str, request: Request) -> InputError:
-    """The error for files of which none is named like a frame."""
+    """Make the error for files of which none is named like a frame."""
     named = " to ".join(files.plain(frame) for frame in (request.frames[0], request.frames[-1]))
     got = f"no name of a frame ({files.plain(example)}, ...) in {len(paths)} file{'s' if len(paths) > 1 else ''}"
     return InputError(paths[0], "", got, f"names like those of the clip's frames, {named}")
 
 
 def frames_of_rows(path: Path, record: records.Record, count: int, request: Request) -> list[int | None]:
-    """The index of the frame that each row of a file is of; None for frames that the clip does not have.
+    """Return the index of the frame of each row of a file; None for frames that the clip does not have.
 
     ``frames`` in the file names them; without it, the rows are the clip's frames. Raises ``InputError``.
     """
@@ -91,7 +93,7 @@ def frames_of_rows(path: Path, record: records.Record, count: int, request: Requ
 
 
 def only_file(paths: Sequence[Path], what: str) -> Path:
-    """The one file that is given. Raises ``UsageError`` for several."""
+    """Return the one file that is given. Raises ``UsageError`` for several."""
     if len(paths) != 1:
         raise UsageError(f"FILE must be one, with the {what} of all frames (got {len(paths)} files)")
     return paths[0]

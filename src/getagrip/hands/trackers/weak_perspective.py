@@ -33,21 +33,21 @@ class WeakPerspective(NamedTuple):
 
     @staticmethod
     def of_crop(centre: Float[ndarray, "2"], side: float, cam: Float[ndarray, "3"]) -> WeakPerspective:
-        """From a crop's middle and side [px], and the camera (s, tx, ty) in it."""
+        """Make it from a crop's middle and side [px], and the camera (s, tx, ty) in it."""
         scale = side * cam[0] / 2.0
         return WeakPerspective(centre + scale * cam[1:], float(scale))
 
     @staticmethod
     def of_translation(t: Float[ndarray, "3"], focal: float, centre: Float[ndarray, "2"]) -> WeakPerspective:
-        """From a translation [m] before a pinhole with a focal length and a principal point [px]."""
+        """Make it from a translation [m] before a pinhole with a focal length and a principal point [px]."""
         return WeakPerspective(centre + focal * t[:2] / t[2], focal / float(t[2]))
 
     def resized(self, zoom: Float[ndarray, "2"]) -> WeakPerspective:
-        """In an image ``zoom`` times as wide and as high."""
+        """Return it in an image ``zoom`` times as wide and as high."""
         return WeakPerspective(self.origin * zoom, self.pixels_per_metre * float(zoom[0]))
 
     def before(self, camera: Camera) -> Float[ndarray, "3"]:
-        """The translation [m] that shows the hand's origin there, and at fx / z pixels to the metre."""
+        """Return the translation [m] that shows the hand's origin there, and at fx / z pixels to the metre."""
         K = camera.K
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a hand that is too far is refused later
             z = K[0, 0] / self.pixels_per_metre
@@ -55,12 +55,12 @@ class WeakPerspective(NamedTuple):
 
 
 def hamer_focal(size: tuple[int, int]) -> float:
-    """The focal length that HaMeR's and WiLoR's demos assume of an image [px]."""
+    """Return the focal length that HaMeR's and WiLoR's demos assume of an image [px]."""
     return HAMER_FOCAL / HAMER_CROP * max(size)
 
 
 def vitdet_side(box: Float[ndarray, "2"], rescale: float) -> float:
-    """Side [px] of the crop that HaMeR takes of a box of some width and height.
+    """Return the side [px] of the crop that HaMeR takes of a box of some width and height.
 
     ``rescale`` times as large, and high enough for 192 : 256 (``expand_to_aspect_ratio``).
     """

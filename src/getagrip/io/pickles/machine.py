@@ -20,24 +20,24 @@ MOST_INSTRUCTIONS = 2**22
 Value = Any
 """On the stack: what an instruction meets there may be anything, and raises where it is not what it needs."""
 PLAIN = str | bytes | int | float | np.generic | None
-"""What may be a key: tuples that share their parts take ages to hash."""
+"""Types that may be a key: tuples that share their parts take ages to hash."""
 
 
 class Objects(Protocol):
-    """What the names in a pickle stand for. Each method raises for what is not allowed."""
+    """The meaning of the names in a pickle. Each method raises for what is not allowed."""
 
     def named(self, module: object, name: object) -> object:
-        """What stands for a name."""
+        """Return the stand-in for a name."""
 
     def make(self, name: object, arguments: object) -> object:
-        """What stands for the result of calling a name."""
+        """Return the stand-in for the result of calling a name."""
 
     def build(self, target: object, state: object) -> None:
         """Set the state of a result of ``make``."""
 
 
 def run(content: bytes, objects: Objects) -> object:
-    """The object in a pickle. A malformed one raises whatever its instructions meet: catch ``Exception``."""
+    """Load the object in a pickle. A malformed one raises whatever its instructions meet: catch ``Exception``."""
     machine = _Machine(objects)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # of texts with escapes that Python does not know
@@ -49,7 +49,7 @@ def run(content: bytes, objects: Objects) -> object:
 
 
 def plain_keys(values: Sequence[object]) -> Sequence[object]:
-    """The same values, or a ``ValueError`` for those that may be no keys."""
+    """Check that values may be keys; raise ``ValueError`` otherwise."""
     for value in values:
         if not isinstance(value, PLAIN):
             raise ValueError(f"a key of type {type(value).__name__}")
@@ -74,7 +74,7 @@ def _instructions(content: bytes) -> Iterator[tuple[str, Value]]:
 
 
 def _python2_text(line: bytes) -> str:
-    """A text of Python 2, in quotes and escaped, its bytes as Latin-1."""
+    """Parse a text of Python 2, in quotes and escaped, its bytes as Latin-1."""
     quoted = line.rstrip(b"\r\n")
     if len(quoted) < 2 or quoted[:1] not in {b"'", b'"'} or quoted[-1:] != quoted[:1]:
         raise ValueError("a text without quotes")
@@ -93,7 +93,7 @@ class _Machine:
         self.stack.append(value)
 
     def pop(self, count: int) -> list[Value]:
-        """The last values, in the order they were pushed in."""
+        """Pop the last values, in the order in which they were pushed."""
         return [self.stack.pop() for _ in range(count)][::-1]
 
     def mark(self) -> None:
@@ -101,7 +101,7 @@ class _Machine:
         self.stack = []
 
     def pop_marked(self) -> list[Value]:
-        """All values above the last mark, which goes too."""
+        """Pop all values above the last mark, and the mark."""
         values, self.stack = self.stack, self.below.pop()
         return values
 

@@ -26,7 +26,7 @@ NO_CLASSES: Mapping[tuple[str, str], str] = MappingProxyType({})
 
 
 def read_file(path: Path, what: str, largest: int = LARGEST) -> dict[str, object]:
-    """The dictionary in a pickle, or in an ``.npy`` file that holds a pickled one (``np.save`` of a dictionary).
+    """Read the dictionary in a pickle, or in an ``.npy`` file that holds a pickled one (``np.save`` of a dictionary).
 
     As ``read`` has it. Raises ``InputError``.
     """
@@ -51,7 +51,7 @@ def read(
     classes: Mapping[tuple[str, str], str] = NO_CLASSES,
     largest: int = LARGEST,
 ) -> dict[str, object]:
-    """The dictionary in a pickle, or in a pickled array of one object, as ``np.save`` writes it.
+    """Read the dictionary in a pickle, or in a pickled array of one object, as ``np.save`` writes it.
 
     It holds arrays of numbers or text, and Python's own values. Objects of ``classes`` (module and name: kind) come as
     an ``Instance`` of that kind; any other name is refused. ``what`` says in errors what is expected; a file of more
@@ -71,7 +71,7 @@ def read_any(
     classes: Mapping[tuple[str, str], str] = NO_CLASSES,
     largest: int = LARGEST,
 ) -> object:
-    """What a pickle holds, as ``read`` reads it, a dictionary or not; keys of a dictionary are text.
+    """Read the content of a pickle, a dictionary or not; keys of a dictionary are text.
 
     Raises ``InputError``.
     """
@@ -98,7 +98,7 @@ def check_bounded(path: Path, value: object, what: str, most: int = MOST_VALUES)
     sizes: dict[int, tuple[int, int]] = {}
 
     def size(value: object, depth: int) -> tuple[int, int]:
-        """How many values there are in one, and how deep they are nested."""
+        """Count the values in one, and how deep they are nested."""
         if isinstance(value, float | int):  # most values, at once
             return 1, 0
         parts = _parts(value)
@@ -118,7 +118,7 @@ def check_bounded(path: Path, value: object, what: str, most: int = MOST_VALUES)
 
 
 def _parts(value: object) -> Collection[object] | None:
-    """The values that a value holds, or nothing for one that is whole."""
+    """Return the values that a value holds, or nothing for one that is whole."""
     match value:
         case dict():
             return value.values()
@@ -132,14 +132,14 @@ def _parts(value: object) -> Collection[object] | None:
 
 
 def _bytes(value: object) -> int:
-    """Of a text or an array, torch's too."""
+    """Return the size of a text or an array, torch's too."""
     if isinstance(value, str | bytes | bytearray):
         return len(value)
     return int(getattr(value.content if isinstance(value, Array) else value, "nbytes", 0))
 
 
 def _finished(value: object, done: dict[int, object]) -> object:
-    """A bounded value with arrays for their stand-ins. What was shared still is, so that nothing grows."""
+    """Replace stand-ins in a bounded value by arrays. What was shared still is, so that nothing grows."""
     if isinstance(value, float | int):
         return value
     match value:

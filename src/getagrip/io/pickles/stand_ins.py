@@ -1,4 +1,4 @@
-"""What the names in a pickle of arrays stand for: numpy's builders, spelt out so that numpy's own are never called.
+"""Stand-ins for the names in a pickle of arrays: numpy's builders, spelt out so that numpy's own are never called.
 
 Numpy's ``dtype``, ``ndarray`` and ``scalar`` trust the state that a pickle gives them: a forged one turns plain bytes
 into pointers. Here a type is one of plain numbers or text, its byte order is all that can be set, and an array has
@@ -21,7 +21,8 @@ from getagrip.io.files import plain, shown
 from getagrip.io.pickles.machine import plain_keys
 
 MOST_BYTES = 2**27
-"""Of all that one pickle makes. Honest ones need twice the file's size: many objects can be made of the same bytes."""
+"""Most bytes of all that one pickle makes. Honest ones need twice the file's size: many objects can be made of the same
+bytes."""
 TYPES = re.compile(r"b1|[iu][1248]|f[248]|[SU][1-9][0-9]{0,8}")
 """Numpy's names for booleans, integers, floats and texts of a fixed length."""
 LARGEST_CHARACTER = 0x10FFFF
@@ -93,7 +94,7 @@ class StandIns:
         return self._names[module, name]
 
     def make(self, name: object, arguments: object) -> object:
-        """With the arguments that numpy writes; all others are refused, as a forbidden name is."""
+        """Return the stand-in for the arguments that numpy writes; all others are refused, as a forbidden name is."""
         match name, arguments:
             case Name("dtype"), (str() as kind, *_):
                 return DType(kind)
@@ -108,7 +109,7 @@ class StandIns:
         return self._make_of_python(name, arguments)
 
     def _make_of_python(self, name: object, arguments: object) -> object:
-        """What pickles of Python 2 and 3 make of Python's own, and of the classes that the reader asked for."""
+        """Build Python's own types, as pickles name them, and the classes that the reader asked for."""
         match name, arguments:
             case Name("encode"), (str() as text, "latin1"):  # bytes in a pickle of protocol 2
                 self._count(len(text))
@@ -149,7 +150,7 @@ class StandIns:
     def _array(
         self, dtype: DType, shape: tuple[int, ...], raw: object, order: Literal["C", "F"] = "C"
     ) -> Shaped[ndarray, "..."]:
-        """An array of its own memory, from as many bytes as it has; from Python 2 they come as text."""
+        """Build an array of its own memory, from exactly as many bytes; from Python 2 they come as text."""
         if not isinstance(raw, str | bytes | bytearray):
             raise ValueError(f"an array made of {type(raw).__name__}")
         if not TYPES.fullmatch(dtype.kind):

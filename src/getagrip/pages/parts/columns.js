@@ -52,10 +52,10 @@ class Column {
     for (const { name, value, meaning } of main) {
       this.part(".main").append(element("div", { title: meaning }, element("dd", {}, value), element("dt", {}, name)));
     }
-    const doubts = findings.map(({ serious, check, message }) => [serious ? "serious" : "note", check, message]);
+    const remarks = findings.map(({ serious, check, message }) => [serious ? "serious" : "note", check, message]);
     const shown = candidates.length > 1 ? "; the candidates below show it" : "";  // of a timeline there is one only
-    if (ambiguous) doubts.unshift(["note", "ambiguous", `another pose explains the masks almost as well${shown}`]);
-    for (const [kind, check, message] of doubts) {
+    if (ambiguous) remarks.unshift(["note", "ambiguous", `another pose explains the masks almost as well${shown}`]);
+    for (const [kind, check, message] of remarks) {
       this.part(".warnings").append(element("li", { class: kind }, element("b", {}, kind), ` ${check}: ${message}`));
     }
   }

@@ -68,6 +68,15 @@ function turn(pitch, yaw) {
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 
+/** The axes of an eye that looks where another does, upright, and how far it has yet to be tilted down for that. */
+function upright(down, forward, up) {
+  const below = [...up].map((value) => -value / Math.hypot(...up)), sine = dot(forward, below);
+  const ahead = Math.abs(sine) < 0.98 ? forward : down.map((value) => -Math.sign(sine) * value);  // straight down, or up
+  const level = ahead.map((value, n) => value - dot(ahead, below) * below[n]);
+  const straight = level.map((value) => value / Math.hypot(...level));
+  return { right: cross(below, straight), down: below, forward: straight, tilt: Math.asin(Math.max(-1, Math.min(1, sine))) };
+}
+
 /** Unit normals of vertices: the sum of their faces', by the angles at the vertex. */
 function normalsOf(vertices, faces) {
   const out = new Float32Array(vertices.length);

@@ -90,13 +90,18 @@ class Viewer {
     return stand === "object" ? product(inverse(this.inHand()), T_hand_cam) : IDENTITY;
   }
 
-  /** Where to look and how the eye is turned before anybody turns it: as the image of the middle frame shows it. */
+  /** Where to look and how the eye is turned before anybody turns it: as the image of the middle frame shows it; in the
+   * world with its up upwards, about which the eye then turns. */
   settle() {
     const middle = Math.floor(this.arrays.focus.shape[0] / 2), { frame } = this;
     this.frame = middle;
     const T = this.T_stand_cam();
     this.frame = frame;
-    this.ahead = inverse([...T.slice(0, 3), 0, ...T.slice(4, 7), 0, ...T.slice(8, 11), 0, 0, 0, 0, 1]);
+    const [right, down, forward] = [0, 1, 2].map((n) => [T[n], T[4 + n], T[8 + n]]);
+    const up = this.eye.stand === "world" && this.arrays.world_up;
+    const level = up ? upright(down, forward, up) : { right, down, forward, tilt: 0 };
+    this.tilt = level.tilt;
+    this.ahead = [...level.right, 0, ...level.down, 0, ...level.forward, 0, 0, 0, 0, 1];
     this.look = applied(T, this.at("focus", middle));
   }
 
@@ -123,7 +128,7 @@ class Viewer {
     const { stand, pitch, yaw, shift, distance } = this.eye;
     const look = stand === "camera" ? [...this.at("focus")] : this.look;
     const back = [1, 0, 0, -look[0], 0, 1, 0, -look[1], 0, 0, 1, -look[2], 0, 0, 0, 1];
-    const out = product(turn(pitch, yaw), product(this.ahead, back));
+    const out = product(turn(this.tilt + pitch, yaw), product(this.ahead, back));
     out[3] += shift[0];
     out[7] += shift[1];
     out[11] += distance;

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 SMALL, LARGE, GAP = 1.72, 2.16, 0.08
 """Sides of the tiles of frames and of the aligned views, and the gap between them [in]."""
 RAMP = ("#2f5f8a", "#8662b5", "#cf5f9e", "#e3a21f", "#b8352a")
-"""Of the frames drawn, by angle."""
+"""Colours of the frames drawn, by angle."""
 PANELS = (
     "hand fixed, across the axis",
     "hand fixed, along the axis",
@@ -41,7 +41,7 @@ WITHOUT_AXIS = (
     "object fixed, from the camera",
     "object fixed, from the side",
 )
-"""The same of a result without an axis."""
+"""Headings for a result without an axis."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +79,10 @@ class Aligned(Kind):
         return sheet.figure
 
     def _frames(self, view: View) -> tuple[Int[ndarray, "n"], list[str]]:
-        """The frames to draw and their colours, in the order of the angle about the axis (without one, of time)."""
+        """Choose the frames to draw and their colours.
+
+        They are in the order of the angle about the axis or, without one, of time.
+        """
         from matplotlib.colors import LinearSegmentedColormap, to_hex
 
         axis, T = view.result.axis, len(view.result.frames)
@@ -93,7 +96,7 @@ class Aligned(Kind):
         return chosen, [to_hex(ramp(t)) for t in np.linspace(0.0, 1.0, len(chosen))]
 
     def _as_seen(self, sheet: Sheet, view: View, chosen: Int[ndarray, "n"], colours: Sequence[str]) -> None:
-        """The frames as the camera has them, each with its angle, framed in its colour."""
+        """Draw the frames from the camera, each with its angle, framed in its colour."""
         axis = view.result.axis
         crops = windows([view], chosen, sheet.pixels(SMALL))
         for k, (n, colour) in enumerate(zip(chosen, colours, strict=True)):
@@ -150,7 +153,7 @@ class Aligned(Kind):
 
 
 def _eye(view: View, middle: int, points: Float[ndarray, "n 3"], along: bool, size: int) -> Eye:
-    """Looks across or along the axis, as near to the camera's direction as that allows; up is the camera's."""
+    """Look across or along the axis, as near to the camera's direction as that allows; up is the camera's."""
     R = view.clip.hand.T_cam_hand[middle, :3, :3].T  # camera to hand
     camera, up = -R[:, 2], -R[:, 1]
     axis = view.result.axis

@@ -1,4 +1,4 @@
-"""Where hand and object are in contact over a grasp, on both surfaces, and how far frames agree (Fig. 2)."""
+"""Contact of hand and object over a grasp, on both surfaces, and the agreement of frames (Fig. 2)."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Contact(Kind):
     frames: Count = 5
     """Frames to draw; shares and IOU are of all."""
     contact: Millimetres = 10.0
-    """What is within MM of the other surface is in contact."""
+    """Largest distance [mm] from the other surface that counts as contact."""
 
     def draw(self, results: Sequence[StoredResult], fail: Fail) -> Figure:
         (definition,) = at_millimetres([self.contact])
@@ -68,7 +68,7 @@ class Contact(Kind):
 
 
 def _frames(sheet: Sheet, top: float, view: View, chosen: Sequence[int], surfaces: tuple[Touched, Touched]) -> None:
-    """Some frames: the result from the camera, and what is in contact."""
+    """Draw some frames: the result from the camera, and the contact."""
     crops = windows([view], np.array(chosen), sheet.pixels(SMALL))
     for k, n in enumerate(chosen):
         x = LEFT + k * (SMALL + GAP)
@@ -90,7 +90,7 @@ def _all_frames(sheet: Sheet, top: float, surfaces: tuple[Touched, Touched]) -> 
 
 
 def _shares_bar(sheet: Sheet, x: float, top: float) -> None:
-    """What the colours of surfaces mean."""
+    """Draw the legend of the surfaces' colours."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap
 
@@ -106,7 +106,7 @@ def _shares_bar(sheet: Sheet, x: float, top: float) -> None:
 
 
 def _matrix(sheet: Sheet, x: float, top: float, view: View, definition: ContactDefinition) -> None:
-    """The contact IOU of all pairs of frames, by the definition of the stable contact area."""
+    """Draw the contact IOU of all pairs of frames, by the definition of the stable contact area."""
     from matplotlib.colors import LinearSegmentedColormap
 
     clip, T = view.clip, len(view.result.frames)
@@ -132,7 +132,7 @@ def _matrix(sheet: Sheet, x: float, top: float, view: View, definition: ContactD
 def _bar(
     sheet: Sheet, drawn: ScalarMappable, axes: Axes, way: str, ticks: Sequence[float], labels: Sequence[str]
 ) -> None:
-    """A bar of what colours mean."""
+    """Draw a bar of colours with its labels."""
     bar = sheet.figure.colorbar(drawn, cax=axes, orientation=way)
     bar.outline.set_edgecolor(LINE)
     bar.set_ticks(ticks, labels=labels)

@@ -11,7 +11,7 @@ import numpy as np
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, IOU, ROTATION_SYM, SCA, Metric
-from getagrip.fitting.methods import method_of
+from getagrip.fitting.methods import label_of
 from getagrip.metrics.contact import ContactDefinition
 from getagrip.pictures.figures.kind import Count, Fail, Kind, guesses, warnings
 from getagrip.pictures.sheet import HEAD, Sheet
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CONTACT = ContactDefinition("object", 0.010)
-"""Of SCA."""
+"""Definition of contact of SCA."""
 METRICS: dict[str, tuple[str, Metric]] = {
     "iou": ("crop IOU", IOU),
     "sca": (f"SCA within {CONTACT.distance}", SCA),
@@ -31,7 +31,8 @@ METRICS: dict[str, tuple[str, Metric]] = {
     "add-sym": ("ADD sym.", ADD_SYM_MM),
     "rotation-sym": ("rotation sym.", ROTATION_SYM),
 }
-"""What results are ordered by, and its name in the figure. Shares are better if larger, errors if smaller."""
+"""Metrics that results are ordered by, and their names in the figure. Shares are better if larger, errors if
+smaller."""
 COLUMNS, SIDE, GAP, HEADING, LINES = 3, 1.5, 0.18, 0.34, 0.42
 """Clips beside one another; a tile, between clips, over a group of clips and over a clip [in]."""
 MOST = 60
@@ -95,7 +96,7 @@ class Gallery(Kind):
         return sheet.figure
 
     def _scored(self, results: Sequence[StoredResult], fail: Fail) -> list[_Scored]:
-        """The results that have a value of the metric; one at a time in memory, since masks are large."""
+        """Score the results that have a value of the metric; one at a time in memory, since masks are large."""
         out, errors = [], []
         for stored in results:
             try:
@@ -109,9 +110,8 @@ class Gallery(Kind):
         return out
 
     def _score(self, stored: StoredResult) -> _Scored:
-        """A result's value of the metric, and its worst frame. Raises ``InputError`` where it has none."""
+        """Return a result's value of the metric, and its worst frame. Raises ``InputError`` where it has none."""
         metric, view = METRICS[self.by][1], stored.read()
-        method_of(view.result.method)
         if metric.needs_truth and view.clip.truth is None:
             raise InputError(view.clip.origin / "truth.npz", "", "no ground truth", f"some, for --by {self.by}")
         if metric is IOU and view.masks is None:
@@ -136,9 +136,9 @@ class Gallery(Kind):
         return [("worst", order[:worst]), ("best", order[::-1][:best])]
 
     def _clip(self, sheet: Sheet, x: float, y: float, one: _Scored, words: str) -> None:
-        """A clip's two tiles, under its name and value."""
+        """Draw a clip's two tiles, under its name and value."""
         view, n = one.stored.read(), one.worst
-        label = method_of(view.result.method).label
+        label = label_of(view.result.method)
         sheet.text(x, y + 0.02, view.clip.name, 2 * SIDE, fontsize=8.5, fontweight="bold")
         facts = [words, label, *guesses(view), *warnings(view), f"frame {view.result.frames[n]}"]
         sheet.text(x, y + 0.20, "  ·  ".join(facts), 2 * SIDE, fontsize=8, color=FAINT)

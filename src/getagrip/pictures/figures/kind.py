@@ -1,4 +1,4 @@
-"""What all kinds of figures share: results in, a matplotlib figure out."""
+"""The base of all kinds of figures: results in, a matplotlib figure out."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from tyro.conf import arg
 
 from getagrip.errors import GetagripError, UsageError
-from getagrip.fitting.methods import method_of
+from getagrip.fitting.methods import label_of
 from getagrip.pictures.shown import View
 from getagrip.pictures.stored_results import StoredResult
 from getagrip.provenance import assumptions
@@ -31,12 +31,12 @@ class Kind:
     """A kind of figure; its fields are the options, its docstring is the help."""
 
     draws_truth: ClassVar[bool] = False
-    """Whether it takes a clip as well, and then draws the ground truth."""
+    """True if it takes a clip as well, and then draws the ground truth."""
     dpi: Annotated[int, arg(metavar="N")] = 130
     """Pixels an inch."""
 
     def draw(self, results: Sequence[StoredResult], fail: Fail) -> Figure:
-        """The figure. Raises ``GetagripError`` where there is nothing that it could show."""
+        """Draw the figure. Raises ``GetagripError`` where there is nothing that it could show."""
         raise NotImplementedError
 
     def check(self) -> None:
@@ -49,7 +49,7 @@ class Kind:
 
 
 def the_one(results: Sequence[StoredResult], kind: str) -> View:
-    """The result of a figure that shows one. Raises ``UsageError`` for more."""
+    """Return the result of a figure that shows one. Raises ``UsageError`` for more."""
     if len(results) != 1:
         first = ", ".join(str(value.folder) for value in results[:2])
         raise UsageError(f"RESULT must be one for the figure {kind!r} (got {len(results)}: {first}, ...)")
@@ -57,7 +57,7 @@ def the_one(results: Sequence[StoredResult], kind: str) -> View:
 
 
 def readable(results: Sequence[StoredResult], fail: Fail) -> list[tuple[StoredResult, View]]:
-    """The results that can be read; the others go to ``fail``. Raises the error where there is only one."""
+    """Read the results that can be read; the others go to ``fail``. Raises the error where there is only one."""
     out: list[tuple[StoredResult, View]] = []
     for value in results:
         try:
@@ -70,31 +70,31 @@ def readable(results: Sequence[StoredResult], fail: Fail) -> list[tuple[StoredRe
 
 
 def evenly(count: int, total: int) -> list[int]:
-    """So many of the numbers 0, 1, ..., total - 1, from the first to the last; all where there are fewer."""
+    """Return ``count`` of the numbers 0, 1, ..., total - 1, from the first to the last; all where there are fewer."""
     return [int(n) for n in np.unique(np.linspace(0, total - 1, count).round())]
 
 
 def summary(view: View) -> str:
-    """Method, object and hand, number of frames, and what is a guess, in a line."""
-    label = "ground truth" if view.of_truth else method_of(view.result.method).label
+    """Summarise method, object and hand, number of frames, and assumptions in a line."""
+    label = "ground truth" if view.of_truth else label_of(view.result.method)
     return "  ·  ".join([label, *about(view)])
 
 
 def about(view: View) -> list[str]:
-    """Object and hand, number of frames, and what is a guess."""
+    """Describe object and hand, number of frames, and assumptions."""
     clip = view.clip
     return [f"{clip.category} in a {clip.side} hand", view.frames_in_words, *guesses(view)]
 
 
 def guesses(view: View) -> list[str]:
-    """What is a guess, in words; nothing where nothing is."""
+    """List the assumptions, in words; empty where there are none."""
     keys = list(assumptions(view.clip.provenance))
     known = ["scale"] * (view.clip.scale == "free") + ["shape"] * (view.result.warp is not None) + keys
     return [f"guessed: {', '.join(known)}"] if known else []
 
 
 def warnings(view: View) -> list[str]:
-    """How many findings a result has (docs/checks.md), in words; nothing where it has none."""
+    """Count the findings of a result (docs/checks.md), in words; empty where there are none."""
     count, serious = len(view.result.findings), sum(finding.serious for finding in view.result.findings)
     words = f"{count} finding{'s' if count > 1 else ''}" + (f", {serious} serious" if serious else "")
     return [words] if count else []

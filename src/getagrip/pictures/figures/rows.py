@@ -20,7 +20,7 @@ from getagrip.clip import input_sha256
 from getagrip.errors import InputError, UsageError
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, IOU, SCA
-from getagrip.fitting.methods import method_of
+from getagrip.fitting.methods import label_of
 from getagrip.metrics.contact import ContactDefinition, at_millimetres
 from getagrip.pictures.figures.kind import Count, Fail, Kind, Millimetres, about, evenly, readable, summary, warnings
 from getagrip.pictures.sheet import HEAD, Sheet
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SIDE, GAP, LABEL = 1.55, 0.06, 1.75
-"""Of a tile, between tiles, and of the words beside a row [in]."""
+"""Sizes of a tile, between tiles, and of the words beside a row [in]."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Methods(Rows):
         read = readable(results, fail)
         views = at_common_frames(read)
         _check_inputs(read)
-        labels = [method_of(view.result.method).label for view in views]
+        labels = [label_of(view.result.method) for view in views]
         folders = distinct([value for value, _ in read])
         names = [f"{a}\n{b}" if Counter(labels)[a] > 1 else a for a, b in zip(labels, folders, strict=True)]
         rows = [Row(name, numbers(view, contact), view) for name, view in zip(names, views, strict=True)]
@@ -119,7 +119,10 @@ def numbers(view: View, contact: ContactDefinition) -> list[str]:
 
 
 def draw_rows(rows: Sequence[Row], title: str, under: str, frames: int, dpi: int, with_hand: bool) -> Figure:
-    """The figure. ``rows`` show the same frames, of which ``frames`` are drawn; the hand's contour where wanted."""
+    """Draw the figure.
+
+    ``rows`` show the same frames, of which ``frames`` are drawn; the hand's contour where wanted.
+    """
     chosen = np.array(evenly(frames, len(rows[0].view.result.frames)))
     width = LABEL + 2 * len(chosen) * (SIDE + GAP) + 0.25 + 0.1
     top = HEAD + 0.45
@@ -145,7 +148,7 @@ def draw_rows(rows: Sequence[Row], title: str, under: str, frames: int, dpi: int
 
 
 def _headings(sheet: Sheet, view: View, chosen: Int[ndarray, "n"], turned: float) -> None:
-    """What the tiles show, and the frames' names."""
+    """Draw the headings of the tiles, and the frames' names."""
     for x, words in (
         (LABEL, "over the masks" if view.image_file(0) is None else "over the image"),
         (turned, "from the side"),

@@ -1,0 +1,252 @@
+"""The pipeline of every reconstruction: repair the hand, prepare, search, fit all frames, judge.
+
+A grasp by itself (``fitting.grasp``) and a timeline (``timelines.reconstruct``) take the same five steps. They differ
+in what is searched, and in what a result is judged by.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Generic, TypeVar
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from threadpoolctl import threadpool_limits
+
+from getagrip.checks import LEAST_IOU
+from getagrip.checks.calibration import Where
+from getagrip.checks.evidence import Glitches
+from getagrip.clip import Clip, Masks, check_clip, check_masks
+from getagrip.errors import UsageError
+from getagrip.finding import Finding
+from getagrip.fitting.every_frame import Track
+from getagrip.fitting.options import Options
+from getagrip.fitting.tracker_glitches import repair_hand
+from getagrip.geometry.warp import Warp
+from getagrip.probability import Probability
+from getagrip.provenance import assumptions
+from getagrip.result import Axis, Candidates, Reconstruction, SegmentResult, Status
+
+AMBIGUOUS = 1.05
+"""A distinct solution within this factor of the best energy makes a result ambiguous."""
+
+SCALE_GUESSED = "the scale {:.3f} is estimated from the masks and the hand's size, not measured"
+SHAPE_GUESSED = "the object's shape is an assumption from the masks: no pose of the mesh explains their contours"
+"""A note where the mesh was not taken as it is given."""
+
+UNEXPLAINED = "failed: even the best pose has a mean mask IOU of only {:.2f}; the object's pose is unknown"
+"""The message of a result whose mean IOU is below ``LEAST_IOU``, however the minimisation ended."""
+PARTLY_UNEXPLAINED = "partly failed: low mask IOU in the segments {}"
+"""The message of a result some of whose segments are below ``LEAST_IOU``."""
+
+P = TypeVar("P")
+F = TypeVar("F")
+A = TypeVar("A", bound="Answer")
+
+
+@dataclass(frozen=True)
+class Input:
+    """A clip to reconstruct, its hand repaired.
+
+    Attributes:
+        original: the clip with the hand as it came; its mesh is not too large to fit (``Clip.light``).
+        clip: the same with its hand between its neighbours where it jumps.
+        masks: those of the whole clip; None: they are read from its folder.
+        glitches: where the hand jumps; None where nobody looked.
+        notes: what is to be known about the mesh.
+    """
+
+    original: Clip
+    clip: Clip
+    masks: Masks | None
+    options: Options
+    threads: int = 1
+    glitches: Glitches | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The answer in every frame that the options ask for.
+
+    Attributes:
+        track: the K best distinct solutions in these frames, the best first.
+        scale: (K,) scale of the mesh in each.
+        energy: (K,) energy of each [px^2 of the 256-pixel crop].
+        next_best: energy of the best distinct solution but one; infinite where there is none.
+        status: how the minimisation ended.
+        terms: energy of the best, per term.
+        axis: axis of the best, where it has one, with its angles in these frames.
+        warp: what was made of the mesh.
+        hand_moved: whether the hand is elsewhere than the clip has it.
+        T_cam_other_hand: (T, 4, 4) poses of a timeline's other hand.
+        notes: what is to be known about it.
+    """
+
+    track: Track
+    scale: Float[ndarray, "K"]
+    energy: Float[ndarray, "K"]
+    next_best: float
+    status: Status
+    terms: Mapping[str, float]
+    axis: Axis | None
+    warp: Warp | None
+    hand_moved: bool
+    T_cam_other_hand: Float[ndarray, "T 4 4"] | None
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The judgement of a result without ground truth.
+
+    Attributes:
+        checks: what each check has measured, by its name.
+        findings: what is unusual, about the inputs first.
+        signs: what is known about whether it is right, by name.
+        right: how probable that is, in the hand and in the camera; None where it is not known.
+        segments: what was found in each segment of a timeline.
+        failed: the segments whose masks are hardly met, in words; empty: none.
+    """
+
+    checks: dict[str, float]
+    findings: tuple[Finding, ...]
+    signs: dict[str, float] = field(default_factory=dict)
+    right: Mapping[Where, Probability | None] = field(default_factory=dict)
+    segments: tuple[SegmentResult, ...] = ()
+    failed: str = ""
+
+
+class Clock:
+    """Seconds per stage, and the caller's progress."""
+
+    def __init__(self, progress: Callable[[str, float], None] | None, stages: int) -> None:
+        self.progress, self.stages = progress, stages
+        self.spent, self.since = dict[str, float](), time.perf_counter()
+
+    def __call__(self, stage: str) -> None:
+        now = time.perf_counter()
+        self.spent[stage], self.since = self.spent.get(stage, 0.0) + now - self.since, now
+        if self.progress:
+            self.progress(stage, len(self.spent) / self.stages)
+
+    def seconds(self) -> dict[str, float]:
+        return {"total": sum(self.spent.values()), **self.spent}
+
+
+@dataclass(frozen=True)
+class Steps(Generic[P, F, A]):
+    """The steps after the hand's repair. Search and fit call the clock with the name of every stage that has ended.
+
+    Attributes:
+        prepare: what the search needs. Raises ``InputError`` for what no clip can be.
+        search: the solutions at some of the frames. Raises ``GetagripError`` where nothing can be rendered.
+        fit_all_frames: the best of them in all frames.
+        judge: whether that is reliable.
+        stages: how many stages there are.
+    """
+
+    prepare: Callable[[Input], P]
+    search: Callable[[P, Clock], F]
+    fit_all_frames: Callable[[P, F, Clock], A]
+    judge: Callable[[P, F, A], Judgement]
+    stages: int
+
+
+def run(
+    steps: Steps[P, F, A],
+    clip: Clip,
+    masks: Masks | None,
+    options: Options,
+    progress: Callable[[str, float], None] | None,
+    threads: int,
+) -> Reconstruction:
+    """Reconstruct a clip by these steps; arguments and errors are those of ``getagrip.reconstruct``.
+
+    BLAS runs on one thread meanwhile, in the whole process: the matrices are small, and with several threads that wait
+    for busy cores a clip takes ten times as long.
+    """
+    if threads < 1:
+        raise UsageError(f"threads must be 1 or more (got {threads})")
+    check_clip(clip)
+    if masks is not None:
+        check_masks(clip, masks)
+    with threadpool_limits(1, user_api="blas"):
+        clock = Clock(progress, steps.stages)
+        source = repair(clip, masks, options, threads)
+        prepared = steps.prepare(source)
+        clock("prepare")
+        found = steps.search(prepared, clock)
+        answer = steps.fit_all_frames(prepared, found, clock)
+        judgement = steps.judge(prepared, found, answer)
+        clock("check of the result")
+    return _result(source.original, source.notes, options, answer, judgement, clock.seconds())
+
+
+def repair(clip: Clip, masks: Masks | None, options: Options, threads: int = 1) -> Input:
+    """Repair the hand's tracker glitches, and simplify a mesh that is too large."""
+    light = clip.light()
+    steady, glitches = repair_hand(light, options)
+    return Input(light, steady, masks, options, threads, glitches, tuple(light.mesh.stands_for(clip.mesh, "fitted")))
+
+
+def _result(
+    clip: Clip,
+    notes: tuple[str, ...],
+    options: Options,
+    answer: Answer,
+    judgement: Judgement,
+    seconds: dict[str, float],
+) -> Reconstruction:
+    """Make the result, with all that is known about how it was found."""
+    track, scale, energy = answer.track, float(answer.scale[0]), float(answer.energy[0])
+    guesses = {}
+    if clip.scale == "free":
+        guesses["scale"] = SCALE_GUESSED.format(scale)
+    if answer.warp is not None:
+        guesses["shape"] = SHAPE_GUESSED
+    status, message = _ending(answer, judgement.failed)
+    return Reconstruction(
+        clip=clip.name,
+        method=options.method,
+        frames=track.frames,
+        frame_kind=track.kind,
+        T_hand_obj=track.T_hand_obj[0],
+        scale=scale,
+        iou=track.iou,
+        axis=answer.axis,
+        candidates=Candidates(track.T_hand_obj, answer.scale, answer.energy),
+        energy={"total": energy, **answer.terms},
+        status=status,
+        message=message,
+        ambiguous=answer.next_best < AMBIGUOUS * energy,
+        seconds=seconds,
+        options=asdict(options),
+        seed=options.seed,
+        T_cam_hand=track.T_cam_hand if answer.hand_moved else None,
+        T_cam_other_hand=answer.T_cam_other_hand,
+        warp=answer.warp,
+        notes=(*answer.notes, *guesses.values(), *notes),
+        assumptions=assumptions(clip.provenance) | guesses,
+        findings=judgement.findings,
+        checks=judgement.checks,
+        signs=judgement.signs,
+        probability_right=judgement.right.get("hand"),
+        probability_right_in_camera=judgement.right.get("camera"),
+        segments=judgement.segments,
+    )
+
+
+def _ending(answer: Answer, failed: str) -> tuple[Status, str]:
+    """How it ended, in a word and a sentence; ``failed`` are segments whose masks are hardly met."""
+    track = answer.track
+    shown = np.count_nonzero(~np.isnan(track.iou)) + len(track.outliers)
+    mean_iou = float(np.nansum(track.iou)) / shown  # an outlier mask is not explained
+    if mean_iou < LEAST_IOU:
+        return Status.MISFIT, UNEXPLAINED.format(mean_iou)
+    if failed:
+        return Status.PARTLY_FAILED, PARTLY_UNEXPLAINED.format(failed)
+    return answer.status, answer.status.sentence

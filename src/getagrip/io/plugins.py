@@ -1,0 +1,207 @@
+"""Tables that other packages add to: each of its entry points names one object, which is loaded when it is used.
+
+A package that declares ``[project.entry-points."getagrip.methods"] mine = "package.module:MINE"`` and is installed adds
+a method ``mine`` (docs/extending.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+from importlib import metadata
+from typing import Any, Generic, TypeVar
+
+from getagrip.errors import UsageError
+from getagrip.io import code
+from getagrip.io.terminal import report
+
+T = TypeVar("T")
+
+PREFIX = "getagrip."
+"""Prefix of the groups of entry points."""
+
+
+@cache
+def _entries() -> tuple[metadata.EntryPoint, ...]:
+    """All entry points for this package, by group and name."""
+    try:
+        every = metadata.entry_points()
+        found = [e for group in every.groups if group.startswith(PREFIX) for e in every.select(group=group)]
+    except Exception as error:  # of any package that is installed
+        warn(f"plug-ins cannot be listed: an entry_points.txt among the installed packages is malformed ({error})")
+        return ()
+    return tuple(sorted(found, key=lambda entry: (entry.group, entry.name, _package(entry))))
+
+
+def _package(entry: metadata.EntryPoint) -> str:
+    """Name and version of the package that an entry point is of."""
+    return f"{entry.dist.name} {entry.dist.version}" if entry.dist else "a package without a name"
+
+
+def names(kind: str) -> list[str]:
+    """List the names that other packages give things of a kind, such as ``exports``."""
+    return list(dict.fromkeys(entry.name for entry in _entries() if entry.group == PREFIX + kind))
+
+
+def installed() -> list[str]:
+    """List names and versions of the packages that add anything."""
+    return sorted({_package(entry) for entry in _entries()})
+
+
+def fingerprint() -> str:
+    """Return ``code.fingerprint``, and the packages that add anything."""
+    return " with ".join(filter(None, [code.fingerprint(), ", ".join(installed())]))
+
+
+@cache
+def warn(words: str) -> None:
+    """Print a warning, once, and not in each process that shares the work."""
+    from multiprocessing import parent_process
+
+    if parent_process() is None:
+        report(f"warning: {words}")
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """An object that other packages name: one of them, if all is right."""
+
+    entries: tuple[metadata.EntryPoint, ...]
+
+    @property
+    def packages(self) -> str:
+        """Names and versions."""
+        return ", ".join(map(_package, self.entries))
+
+    def __str__(self) -> str:
+        return " and ".join(
+            f"{entry.group} {entry.name!r} of {_package(entry)} ({entry.value})" for entry in self.entries
+        )
+
+    def load(self) -> Any:
+        """Load the object. Raises ``UsageError``, whatever goes wrong."""
+        if len(self.entries) > 1:
+            raise UsageError(f"{self} have the same name: rename one, or uninstall its package")
+        try:
+            return self.entries[0].load()
+        except (Exception, SystemExit) as error:
+            raise UsageError(f"{self} cannot be loaded: {type(error).__name__}: {error}") from error
+
+
+@dataclass(eq=False)
+class Table(MutableMapping[str, T], Generic[T]):
+    """Things of a kind by name: this package's, those that a script sets, and those of other packages.
+
+    The names of all are known without loading anything. One of another package that cannot be loaded raises
+    ``UsageError`` where it is asked for by its name; ``working`` leaves it out.
+    """
+
+    kind: str
+    """The group of the entry points, behind ``PREFIX``."""
+    own: dict[str, T]
+    """Those of this package and of scripts."""
+    expected: str
+    """Description of what an entry point must name."""
+    fits: Callable[[str, object], bool]
+    """Test of an entry point's name and object."""
+    taken: tuple[str, ...] = ()
+    """Other names that none may have."""
+    _loaded: dict[str, T] = field(default_factory=dict, init=False)
+    _made_of: dict[str, str] = field(default_factory=dict, init=False)
+    """Checksums of loaded ones, as their files were when first asked for: later changes do not run here."""
+
+    def __post_init__(self) -> None:
+        self._reserved = frozenset((*self.own, *self.taken))
+        TABLES[self.kind] = self
+
+    @cached_property
+    def plugins(self) -> Mapping[str, Plugin]:
+        """Those of other packages, by name; without those whose names are taken or cannot be a folder's."""
+        from getagrip.io.files import is_plain_name
+
+        found: dict[str, Plugin] = {}
+        for name in names(self.kind):
+            plugin = Plugin(tuple(e for e in _entries() if (e.group, e.name) == (PREFIX + self.kind, name)))
+            if name in self._reserved:
+                warn(f"{plugin} is left out: getagrip has {name!r} itself; rename the entry point")
+            elif not is_plain_name(name):
+                warn(f"{plugin} is left out: its name must be one that a folder can have")
+            else:
+                found[name] = plugin
+        return found
+
+    def __getitem__(self, name: str) -> T:
+        if name in self.own:
+            return self.own[name]
+        if name not in self._loaded:
+            plugin = self.plugins[name]
+            value = plugin.load()
+            if not self.fits(name, value):
+                raise UsageError(f"{plugin} must be {self.expected} (got {value!r})")
+            self._loaded[name] = value
+        return self._loaded[name]
+
+    def __setitem__(self, name: str, value: T) -> None:
+        self.own[name] = value
+
+    def __delitem__(self, name: str) -> None:
+        del self.own[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.own or name in self.plugins
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(dict.fromkeys([*self.own, *self.plugins]))
+
+    def __len__(self) -> int:
+        return len({*self.own, *self.plugins})
+
+    def working(self) -> dict[str, T]:
+        """Return all that can be loaded, after a warning about each of the others."""
+        there: dict[str, T] = {}
+        for name in self:
+            try:
+                there[name] = self[name]
+            except UsageError as error:
+                warn(f"left out: {error}")
+        return there
+
+    def made_of(self, *only: str) -> Iterator[str]:
+        """Yield package, version and checksum of each working entry of another package, with names only of these."""
+        for name, value in self.working().items():
+            if name not in self.own and (not only or name in only):
+                if name not in self._made_of:
+                    self._made_of[name] = f"{self.plugins[name].packages} ({self.kind} {name} {_checksum(value)})"
+                yield self._made_of[name]
+
+
+def _checksum(value: object) -> str:
+    """Return the checksum of its sources, if these can be known."""
+    from getagrip.io.own_code import UnknownSourceError, checksum
+
+    try:
+        return checksum(value)
+    except UnknownSourceError:
+        return "of unknown source"
+
+
+TABLES: dict[str, Table[Any]] = {}
+"""The tables that are loaded, by kind."""
+
+
+def made_with(method: str) -> dict[str, str]:
+    """Return the dependencies of a method's result besides this package: an entry of its record, or none."""
+    methods = TABLES["methods"].made_of(method) if "methods" in TABLES else ()
+    kinds = ("modalities", "input_checks", "result_checks")
+    parts = [*methods, *(part for kind in kinds if kind in TABLES for part in TABLES[kind].made_of())]
+    return {"plugins": "; ".join(parts)} if parts else {}
+
+
+def origin(value: object) -> Plugin | None:
+    """Return the origin of an entry of a table; None for one of this package or of a script."""
+    for table in TABLES.values():
+        for name, loaded in table._loaded.items():
+            if loaded is value:
+                return table.plugins[name]
+    return None
