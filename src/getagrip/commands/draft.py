@@ -148,7 +148,7 @@ class Draft(Command):
         return last - first + 1
 
     def _find(self, footage: Footage) -> FoundHands:
-        """The hand that holds the object. Raises as ``run`` does."""
+        """Return the hand that holds the object. Raises as ``run`` does."""
         import numpy as np
 
         from getagrip.annotate.finding_hands import find_hands
