@@ -130,8 +130,9 @@ def is_cut(one: UInt8[ndarray, "n n 3"], other: UInt8[ndarray, "n n 3"]) -> bool
 def write_found(
     out: Path, found: FoundHands, image: Callable[[int], UInt8[ndarray, "H W 3"]], done: Callable[[int], None]
 ) -> Path:
-    """Write the folder ``found`` into ``out``, in place of an older one; returns it. Masks are made of frames with
-    landmarks. ``done`` is called with the number of frames.
+    """Write the folder ``found`` into ``out``, in place of an older one; return it.
+
+    Masks are made of frames with landmarks. ``done`` is called with the number of frames.
     """
     folder = files.folder_inside(out) / FOLDER
     with files.new_folder(folder, ("hand.npz", "masks") if folder.exists() else ()) as new:

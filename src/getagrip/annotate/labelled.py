@@ -101,7 +101,7 @@ def beside_hand(drawn: UInt8[ndarray, "H W"]) -> UInt8[ndarray, "H W"]:
 def with_hand(
     drawn: UInt8[ndarray, "H W"], hands: ClickedHands, row: int, K: Float[ndarray, "3 3"]
 ) -> UInt8[ndarray, "H W"]:
-    """Return a mask in which pixels that the fitted hand may cover, and that nobody drew, are in front of the object."""
+    """Return a mask in which pixels that the fitted hand may cover, and nobody drew, are in front of the object."""
     import cv2
 
     posed = se3.transform(hands.hand.T_cam_hand[row], hands.hand.vertices[row])
