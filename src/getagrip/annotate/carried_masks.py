@@ -133,7 +133,7 @@ def _step(
     hand: Bool[ndarray, "H W"] | None,
     colours: Sequence[Colours],
 ) -> Carried:
-    """A mask in the next frame."""
+    """Return a mask in the next frame."""
     import cv2
 
     if not now.inside.size:  # it is not visible
@@ -216,7 +216,7 @@ def _refined(
 
 
 def _touching(mask: Bool[ndarray, "h w"], before: Bool[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
-    """The parts of a mask that overlap with what it was."""
+    """Return the parts of a mask that overlap with what it was."""
     import cv2
 
     _, parts = cv2.connectedComponents(mask.astype(np.uint8))

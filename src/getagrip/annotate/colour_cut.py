@@ -35,7 +35,7 @@ Mask = Bool[ndarray, "h w"]
 
 
 def bins(image: Image) -> Int[ndarray, "h w"]:
-    """The bin of each pixel's colour."""
+    """Return the bin of each pixel's colour."""
     import cv2
 
     lab = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2LAB).astype(np.int64)
@@ -114,7 +114,7 @@ def likelier(
 
 
 def edges(image: Image) -> Float32[ndarray, "h w"]:
-    """What a border costs by the pixel [1/px]."""
+    """Return what a border costs by the pixel [1/px]."""
     values = image.astype(np.float32)
     change = np.zeros(image.shape[:2], np.float32)
     change[:, :-1] += ((values[:, 1:] - values[:, :-1]) ** 2).sum(axis=-1)

@@ -53,7 +53,7 @@ def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, d
 
 
 def found_hand(labels: Labels, found: FoundHands) -> dict[int, dict[str, object]]:
-    """The same of hands that were found, in all frames; where there is none, it has no joints."""
+    """Return the same of hands that were found, in all frames; where there is none, it has no joints."""
     out: dict[int, dict[str, object]] = {}
     for n in range(labels.first, labels.last + 1):
         mask, joints = found.mask(n), found.joints.get(n)

@@ -73,7 +73,7 @@ def find_hands(
     boxes: Mapping[int, Float[ndarray, "4"]] | None = None,
     on_frame: Callable[[int], None] = lambda n: None,
 ) -> FoundHands:
-    """The hand in the frames of an interval, from 0, both ends included. ``boxes`` as for ``select``, by frame.
+    """Return the hand in the frames of an interval, from 0, both ends included. ``boxes`` as for ``select``, by frame.
 
     Raises ``UsageError`` where there is no hand, or the video is cut within the interval.
     """
@@ -102,7 +102,7 @@ class _Shot:
     before: UInt8[ndarray, "n n 3"] | None = None
 
     def image(self, n: int) -> UInt8[ndarray, "H W 3"]:
-        """A frame of the interval. Raises ``UsageError`` at a cut."""
+        """Return a frame of the interval. Raises ``UsageError`` at a cut."""
         image = self.footage.image(self.first + n)
         if n == self.newest + 1:
             now = _thumbnail(image)
@@ -130,8 +130,9 @@ def is_cut(one: UInt8[ndarray, "n n 3"], other: UInt8[ndarray, "n n 3"]) -> bool
 def write_found(
     out: Path, found: FoundHands, image: Callable[[int], UInt8[ndarray, "H W 3"]], done: Callable[[int], None]
 ) -> Path:
-    """Write the folder ``found`` into ``out``, in place of an older one; returns it. Masks are made of frames with
-    landmarks. ``done`` is called with the number of frames.
+    """Write the folder ``found`` into ``out``, in place of an older one; return it.
+
+    Masks are made of frames with landmarks. ``done`` is called with the number of frames.
     """
     folder = files.folder_inside(out) / FOLDER
     with files.new_folder(folder, ("hand.npz", "masks") if folder.exists() else ()) as new:

@@ -72,7 +72,7 @@ class KeyFrame:
     deleted: bool = False
 
     def polygons(self, kind: str) -> Polygons:
-        """The closed shapes of a kind."""
+        """Return the closed shapes of a kind."""
         shapes = [one["points"] for one in self.outlines.values() if one["of"] == kind and one["closed"]]
         return tuple(np.array(points, dtype=float) for points in shapes)
 

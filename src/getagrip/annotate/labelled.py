@@ -85,11 +85,11 @@ def make(
 
 
 def _unseen(_: int) -> None:
-    """The hand's mask where there is none."""
+    """Return the hand's mask where there is none."""
 
 
 def beside_hand(drawn: UInt8[ndarray, "H W"]) -> UInt8[ndarray, "H W"]:
-    """A mask in which pixels at the hand's border, but the object's own, are in front of it."""
+    """Return a mask in which pixels at the hand's border, but the object's own, are in front of it."""
     import cv2
 
     beside = max(1, round(EDGE * max(drawn.shape)))
@@ -101,7 +101,7 @@ def beside_hand(drawn: UInt8[ndarray, "H W"]) -> UInt8[ndarray, "H W"]:
 def with_hand(
     drawn: UInt8[ndarray, "H W"], hands: ClickedHands, row: int, K: Float[ndarray, "3 3"]
 ) -> UInt8[ndarray, "H W"]:
-    """A mask in which pixels that the fitted hand covers, or may, and that nobody drew, are in front of the object."""
+    """Return a mask in which pixels that the fitted hand may cover, and nobody drew, are in front of the object."""
     import cv2
 
     posed = se3.transform(hands.hand.T_cam_hand[row], hands.hand.vertices[row])

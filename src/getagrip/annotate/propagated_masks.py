@@ -85,7 +85,7 @@ def propagate(
 def _filled(
     image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], stretch: Stretch, hand: Hands
 ) -> Iterator[Propagated]:
-    """The masks of a stretch from its own keys."""
+    """Return the masks of a stretch from its own keys."""
     if any((labels == HAND).any() for labels in keys.values()):
         hand = _unknown
     keys = {n: _with_hand(labels, hand(n)) for n, labels in keys.items()}
@@ -104,11 +104,11 @@ def _filled(
 
 
 def _unknown(_: int) -> None:
-    """The hand where nothing is known of it."""
+    """Return the hand where nothing is known of it."""
 
 
 def _with_hand(labels: UInt8[ndarray, "H W"], hand: Bool[ndarray, "h w"] | None) -> UInt8[ndarray, "H W"]:
-    """A key's mask and the hand, where nothing is drawn."""
+    """Return a key's mask and the hand, where nothing is drawn."""
     import cv2
 
     if hand is None:

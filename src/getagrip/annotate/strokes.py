@@ -47,7 +47,7 @@ def key_masks(labels: Labels, image: Images, hand: Hands = lambda _: None) -> di
 def stroked(
     image: Image, drawn: UInt8[ndarray, "H W"], frame: FrameLabels, hand: Bool[ndarray, "h w"] | None = None
 ) -> UInt8[ndarray, "H W"]:
-    """A frame's label map, ``drawn`` so far by polygons, after its strokes."""
+    """Return a frame's label map, ``drawn`` so far by polygons, after its strokes."""
     import cv2
 
     shape = drawn.shape
@@ -67,7 +67,7 @@ def stroked(
 
 
 def boxed(image: Image, box: Box, hand: Bool[ndarray, "h w"] | None = None) -> UInt8[ndarray, "H W"]:
-    """The label map of a frame on which the object fills a box, ``HAND`` where the hand is seen.
+    """Return the label map of a frame on which the object fills a box, ``HAND`` where the hand is seen.
 
     Raises ``UsageError`` for a box that is not in the image.
     """
@@ -129,7 +129,7 @@ def _cut(
     start: UInt8[ndarray, "H W"] | None,
     part: tuple[slice, slice],
 ) -> Bool[ndarray, "H W"]:
-    """What GrabCut finds in a part of the image, from its labels or, without any, from the colours of the strokes."""
+    """Return what GrabCut finds in a part of the image, from its labels or, without any, from the strokes' colours."""
     import cv2
 
     out = np.zeros(on.shape, bool)
@@ -166,7 +166,7 @@ def _cut(
 
 
 def _touching(mask: Bool[ndarray, "h w"], strokes: Bool[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
-    """The parts of a mask that a stroke touches; without strokes the largest one."""
+    """Return the parts of a mask that a stroke touches; without strokes the largest one."""
     import cv2
 
     count, parts, about, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))

@@ -144,6 +144,7 @@ export function draw() {
   for (const button of $("tools").children) button.ariaChecked = String(button.dataset.tool === state.tool);
   $("joints").hidden = state.tool !== "joints";
   $("outlines").hidden = state.tool === "joints";
+  for (const part of document.querySelectorAll(".polygons")) part.hidden = STROKES.includes(state.tool);
   screen.dataset.tool = state.tool;
   drawHand();
   drawOverlay();

@@ -8,6 +8,7 @@ import { drawing, remove } from "./outlines.js";
 const UNSURE = 0.85; // masks less sure than this are named
 const NAMED = 6; // so many of them
 
+const STROKES = ["on", "off"];
 const FEW = 4; // frames that are drawn on, of which the page asks for the next
 
 const clicked = (one) => Object.values(one.joints).filter(Array.isArray).length;
@@ -70,8 +71,8 @@ function nextStep(joint) {
 
 function drawKeyframes() {
   const rows = [...state.labels.keyframes.values()].sort((a, b) => a.frame - b.frame).map((one) => {
-    const joints = clicked(one), drawn = Object.values(one.outlines).length;
-    const about = [joints && many(joints, "joint"), drawn && many(drawn, "shape"), one.hidden && "object not visible", !within(one.frame) && "outside of the grasp"];
+    const joints = clicked(one), strokes = Object.values(one.outlines).filter(({ of }) => STROKES.includes(of)).length, drawn = Object.keys(one.outlines).length - strokes;
+    const about = [joints && many(joints, "joint"), drawn && many(drawn, "polygon"), strokes && many(strokes, "stroke"), one.hidden && "object not visible", !within(one.frame) && "outside of the grasp"];
     const away = element("button", { textContent: "✕", title: "Delete what is labelled on this frame", onclick: (event) => { event.stopPropagation(); change(one.frame, { deleted: true }); } });
     const text = element("span", { className: "text" }, `${one.number ?? "…"} `, element("small", { textContent: about.filter(Boolean).join(" · ") }));
     return element("li", { className: one.frame === player.wanted ? "chosen" : "", onclick: () => move(one.frame) }, text, away);
