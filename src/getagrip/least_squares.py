@@ -223,7 +223,7 @@ class Arrow:
     def _loose_first(
         self, cross: Float[ndarray, "B N L N L"], tied: Bool[ndarray, "L"]
     ) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
-        """The step where some of each frame's parameters are tied to other frames and some are not."""
+        """Solve where some of each frame's parameters are tied to other frames and some are not."""
         H_st, H_su = self.H_sl[..., tied], self.H_sl[..., ~tied]
         H_tu, H_uu = self.H_ll[..., tied, :][..., ~tied], self.H_ll[..., ~tied, :][..., ~tied]
         columns = [np.swapaxes(H_su, -1, -2), np.swapaxes(H_tu, -1, -2), self.g_l[..., ~tied, None]]
