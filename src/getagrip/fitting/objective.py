@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from getagrip.clip import modalities
 from getagrip.fitting.contact import HandContacts, spread_points
-from getagrip.fitting.energy import Energy, HandEnergy, HandTerm, InHand, OnHand, Term
+from getagrip.fitting.energy import Energy, HandEnergy, HandTerm, InHand, OnHand, Term, Terms
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
 from getagrip.fitting.energy.hand_mask import HandMaskTerm
 from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
