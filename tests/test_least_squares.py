@@ -90,6 +90,22 @@ def test_damping_raises_the_diagonal_alone() -> None:
     np.testing.assert_allclose(raised[1], np.diag(2.0 * (np.diag(H[1]) + 1.0)))
 
 
+@pytest.mark.parametrize("tied", [0, 2])
+def test_parameters_that_are_not_tied_are_eliminated(tied: int) -> None:
+    rng = np.random.default_rng(4)
+    B, N, S, L = 2, 3, 2, 4
+    J, g = rng.normal(size=(B, N, 20, S + L)), rng.normal(size=(B, N, S + L))
+    between = np.zeros((B, N, L, N, L))
+    root = rng.normal(size=(B, 20, N * tied))
+    between[:, :, :tied, :, :tied] = (np.swapaxes(root, -1, -2) @ root).reshape(B, N, tied, N, tied)
+    n = np.arange(N)
+    between[:, n, :, n] = 0.0
+    alone = Arrow.of(np.swapaxes(J, -1, -2) @ J, g, slice(S), slice(S, None)).plus(H_ll=100.0 * np.eye(L))
+    arrow = replace(alone, cross=between)
+    for found, expected in zip(arrow.solved(), arrow._solved_together(between), strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-10)
+
+
 @pytest.mark.parametrize("tied", [False, True])
 def test_a_system_by_parameters_is_that_of_the_stacked_jacobian(tied: bool) -> None:
     rng = np.random.default_rng(2)

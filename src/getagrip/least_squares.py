@@ -167,6 +167,9 @@ class Arrow:
         alone = Arrow.of(Jt @ (H @ J), (Jt @ g[..., None])[..., 0], slice(S), slice(S, None))
         if cross is None:
             return alone
+        tied = cross.any(axis=(0, 1, 3, 4))  # of a long vector, often a part
+        if not tied.all():
+            J, cross = J[..., tied, :], cross[:, :, tied][..., tied]
         ss, sl, ll = _between_frames(cross, J[..., :S], J[..., S:])
         return replace(alone, H_ss=alone.H_ss + ss, H_sl=alone.H_sl + sl, cross=ll)
 
@@ -201,10 +204,11 @@ class Arrow:
         """Solve for the step to where the gradient is zero.
 
         Frames that know of each other only through what is shared are eliminated (Schur complement). Where ``cross``
-        ties them, the system is solved as it is.
+        ties them, parameters that it does not touch are eliminated, and the rest is solved as it is.
         """
         if self.cross is not None:
-            return self._solved_together(self.cross)
+            tied = np.asarray(self.cross.any(axis=(0, 1, 3, 4)))
+            return self._solved_together(self.cross) if tied.all() else self._loose_first(self.cross, tied)
         H_sl, g_s, g_l = self.H_sl, self.g_s, self.g_l
         S, L = g_s.shape[-1], g_l.shape[-1]
         if L == 0:
@@ -215,6 +219,28 @@ class Arrow:
         reduced = g_s - (H_sl @ solved[..., S:]).sum(axis=1)[..., 0]
         shared = -np.linalg.solve(schur, reduced[..., None])[..., 0] if S else np.zeros_like(g_s)
         return shared, -(solved[..., S] + (solved[..., :S] @ shared[:, None, :, None])[..., 0])
+
+    def _loose_first(
+        self, cross: Float[ndarray, "B N L N L"], tied: Bool[ndarray, "L"]
+    ) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
+        """Solve for the step where only some of each frame's parameters are tied to other frames."""
+        H_st, H_su = self.H_sl[..., tied], self.H_sl[..., ~tied]
+        H_tu, H_uu = self.H_ll[..., tied, :][..., ~tied], self.H_ll[..., ~tied, :][..., ~tied]
+        columns = [np.swapaxes(H_su, -1, -2), np.swapaxes(H_tu, -1, -2), self.g_l[..., ~tied, None]]
+        S, solved = len(self.g_s[0]), np.linalg.solve(H_uu, np.concatenate(columns, axis=-1))
+        by_s, by_t, by_u = solved[..., :S], solved[..., S:-1], solved[..., -1:]
+        shared, own = Arrow(
+            self.H_ss - (H_su @ by_s).sum(axis=1),
+            H_st - H_su @ by_t,
+            self.H_ll[..., tied, :][..., tied] - H_tu @ by_t,
+            self.g_s - (H_su @ by_u).sum(axis=1)[..., 0],
+            self.g_l[..., tied] - (H_tu @ by_u)[..., 0],
+            cross[:, :, tied][..., tied],
+        ).solved()
+        step = np.empty_like(self.g_l)
+        step[..., tied] = own
+        step[..., ~tied] = -(by_u + by_s @ shared[:, None, :, None] + by_t @ own[..., None])[..., 0]
+        return shared, step
 
     def _solved_together(
         self, cross: Float[ndarray, "B N L N L"]

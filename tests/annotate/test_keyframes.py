@@ -128,7 +128,7 @@ POINTS: list[Any] = [
 
 
 POLYGONS: list[Any] = [
-    [], "x", 3, {"of": "object", "closed": True}, {"of": "hand", "closed": True, "points": circle(3)},
+    [], "x", 3, {"of": "object", "closed": True}, {"of": "palm", "closed": True, "points": circle(3)},
     {"of": "object", "closed": 1, "points": circle(3)}, {"of": "object", "closed": True, "points": circle(3)[:2]},
     {"of": "object", "closed": False, "points": []}, {"of": "object", "closed": True, "points": "abc"},
     {"of": "object", "closed": True, "points": [[1, 1]] * (MOST_CORNERS + 1)},

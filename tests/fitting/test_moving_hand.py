@@ -65,12 +65,12 @@ def moving(
 
 
 def step_between(here: ObjectWithHand, there: ObjectWithHand) -> ndarray:
-    """The local vectors (B, N, 14 + F) that take one to the other."""
+    """The local vectors (B, N, 21 + F) that take one to the other."""
     parts = []
-    for a, b in ((here, there), (here.hand, there.hand)):
+    for a, b in ((here, there), (here.hand, there.hand), (here.in_hand, there.in_hand)):
         scale = np.broadcast_to(np.log(b.scale / a.scale)[:, None, None], (B, N, 1))
         parts += [b.centre - a.centre, se3.log_so3(b.R @ np.swapaxes(a.R, -1, -2)), scale]
-    return np.concatenate([*parts, there.hand.modes - here.hand.modes], axis=-1)
+    return np.concatenate([*parts[:6], there.hand.modes - here.hand.modes, *parts[6:]], axis=-1)
 
 
 def placed(motion: MovingHand[Soft[Hinge]], T_cam_hand: ndarray) -> ObjectWithHand:
@@ -131,6 +131,24 @@ def test_the_gradient_of_the_whole_energy(memory: float) -> None:
         np.testing.assert_allclose(
             own[:, 1, k], difference(np.zeros((B, S)), one), rtol=1e-4, atol=1e-5 * np.abs(own).max()
         )
+
+
+def test_a_hand_and_its_object_may_move_together() -> None:
+    """Contact sees nothing of it, unless the hand grows: then the object is as good as smaller."""
+    rng = np.random.default_rng(7)
+    motion, T = moving(rng)
+    still = replace(motion, constant=np.zeros_like(motion.constant), own=np.zeros_like(motion.own))
+    alone, size = in_camera(motion.core, T), np.exp(motion.constant[:, -1])
+    for at, grown in ((still, np.ones(B)), (motion, size)):
+        in_hand = placed(at, T).in_hand
+        np.testing.assert_allclose(in_hand.R, alone.R, atol=1e-12)
+        np.testing.assert_allclose(in_hand.scale * grown, alone.scale)
+        middle = se3.transform(T, motion.assumed.middle[None])[:, 0]
+        np.testing.assert_allclose((in_hand.centre - middle) * grown[:, None, None], alone.centre - middle, atol=1e-12)
+    poses = placed(motion, T)
+    apart = se3.inverse(poses.hand.T_cam_hand) @ se3.rigid(poses.R, poses.centre)
+    held = motion.core.poses()
+    np.testing.assert_allclose(apart, se3.rigid(held.R, held.centre), atol=1e-12)
 
 
 def test_own_errors_are_correlated_in_time() -> None:

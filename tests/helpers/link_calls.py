@@ -33,6 +33,7 @@ from helpers.clip_inputs import AHEAD, K, everything, write_inputs
 from helpers.clips import small_clip
 from helpers.labelled_scene import circle, joints, write_scene
 from helpers.scenes import SHORT, scene
+from helpers.seen_hands import SceneNets
 from helpers.true_result import true_result
 from helpers.visor_files import box, hand, sparse, thing, write, write_mapping
 
@@ -46,6 +47,7 @@ EXPORTS = {"usd": "pxr", "mujoco": "mujoco", "lerobot": "pyarrow"}
 CALLS: dict[str, Sequence[str]] = {
     "demo": ["--out out"],
     "doctor": [""],
+    "draft": ["scene.mp4 --object cup --out marks --no-page"],
     "clip new": [f"video.mp4 --out new {CUP} --masks masks {MASKS} --hands six.npz"],
     "annotate": [
         "scene.mp4 --out marks",
@@ -139,6 +141,7 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
         "cli._parsed": lambda words: parsed(tuple(words)),
         "datasets.synthetic.scene_options.DEMO": SHORT,
         "commands.doctor._try_out": lambda: None,
+        "landmarks.load": lambda _: SceneNets(),
         "datasets.synthetic.scene.synthesise": made,
         "experiments.plots.SHOWN": ("iou",),
         "experiments.segment_trials._found": lambda _: dict.fromkeys(DIRECTIONS, spans),

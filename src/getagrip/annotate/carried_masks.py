@@ -4,35 +4,54 @@ Where a pixel of the new frame was in the old one is found by dense inverse sear
 Gool, "Fast Optical Flow using Dense Inverse Search", ECCV 2016). After each step GrabCut (Rother, Kolmogorov, Blake,
 SIGGRAPH 2004) draws the border anew in a narrow band, so that errors do not grow. Lengths are in
 pixels of the size at which masks are carried (``propagated_masks.SIDE``).
+
+What the hand, or something else in front, hides of the object is remembered: it moves on as the visible object does (an
+affine motion). Pixels that come into view and were never seen are unknown, not background: their colour decides.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 from numpy import ndarray
 
-from getagrip.annotate.labels import FRONT, OBJECT
+from getagrip.annotate.colour_cut import Colours, Places, cut, edges, likelier
+from getagrip.annotate.labels import FRONT, HAND, OBJECT
+from getagrip.annotate.object_motion import flow, moved, moves_with, own_motion
 
 Image = UInt8[ndarray, "H W 3"]
 Images = Callable[[int], Image]
 """RGB by frame, from 0; of any one size that has the shape of the masks'."""
+Hands = Callable[[int], Bool[ndarray, "H W"] | None]
+"""The visible hand by frame, of any one size of that shape; None where it is not known."""
 
 MARGIN = 120
 """Largest motion between frames [px]; what moves farther is lost."""
-FAR = 16
+ABOUT = 40.0
+"""Colours of what is not the object are those of pixels nearer to it than this [px]."""
+FAR = 24
 """Signed distances end here [px]."""
-BAND, UNSURE_BAND = 3.0, 10.0
-"""GrabCut moves the border by less than this, the second where flow there and back disagrees [px]."""
-ROUNDS = 2
-"""Rounds of GrabCut."""
+BAND = 2.0
+"""The border of a mask that flow has moved is about so sure [px]."""
+PRIOR, COLOUR, MOST = 4.0, 1.0, 3.0
+"""Costs: one ``BAND`` from the border, a colour that is e times likelier on one side, and the limit e^MOST."""
 BACK = 1.5
 """Flow there and back agrees if it ends so near to where it began [px]."""
 
-KINDS = (OBJECT, FRONT)
+SEEN = 0.2
+"""Certainty of a pixel that came into view after the key: its colour has decided."""
+REMEMBERED = 0.95
+"""Factor on the certainty of something hidden, from frame to frame."""
+INNER = 2.5
+"""The flow of pixels of the object that are farther from its border than this is its own [px]."""
+STIFF = 0.5
+"""How much less a border that is certain moves than colours would have it, so that errors do not add up."""
+
+KINDS = (OBJECT, FRONT, HAND)
+"""Labels that are carried; where several are, the last one is visible."""
 
 
 class Carried(NamedTuple):
@@ -41,34 +60,63 @@ class Carried(NamedTuple):
     frame: int
     corner: tuple[int, int]
     """Left and top of the part of the image that holds all of it [px]."""
-    inside: Float32[ndarray, "2 h w"]
-    """Signed distances from the borders of ``KINDS``, above 0 inside, -FAR to FAR [px]."""
+    inside: Float32[ndarray, "3 h w"]
+    """Signed distances from the borders of ``KINDS``, above 0 inside, -FAR to FAR [px].
+
+    The object's where it is hidden, too."""
     known: Float32[ndarray, "h w"]
-    """1 where that comes from the key, 0 where it was not in the image."""
+    """1 where the key shows whether the object is there, 0 where nothing has shown that, ``SEEN`` in between."""
     trust: float
 
 
 def carry(
-    image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], key: int, to: int, size: tuple[int, int]
+    image: Images,
+    keys: Mapping[int, UInt8[ndarray, "H W"]],
+    key: int,
+    to: int,
+    size: tuple[int, int],
+    hand: Hands = lambda _: None,
 ) -> Iterator[Carried]:
     """Carry the mask of a key to the frames after it until ``to``, or before it."""
     if key == to:
         return
     now, before = _of_key(key, keys[key], size), _resized(image(key), size)
+    colours = _colours(image, keys, size)
     towards = 1 if to > key else -1
     for frame in range(key + towards, to + towards, towards):
         after = _resized(image(frame), size)
-        now = _step(now, before, after, frame)
+        seen = hand(frame)
+        now = _step(now, before, after, frame, None if seen is None else _shrunk(seen, size), colours)
         yield now
         before = after
 
 
+def _colours(image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], size: tuple[int, int]) -> list[Colours]:
+    """Return the colours of each of ``KINDS`` and of its surroundings in the keys."""
+    found: list[list[Colours]] = [[] for _ in KINDS]
+    for n, labels in keys.items():
+        inside = [_signed_distance(_shrunk(labels == kind, size), ABOUT) for kind in KINDS]
+        small = _resized(image(n), size)
+        for kind, each in zip(found, inside, strict=True):
+            kind.append(Colours.of(small, each > 0, (np.abs(each) > 1.0) & (each > -ABOUT)))
+    return [Colours.mean(kind) for kind in found]
+
+
 def _of_key(frame: int, labels: UInt8[ndarray, "H W"], size: tuple[int, int]) -> Carried:
+    inside = np.stack([_signed_distance(_shrunk(labels == kind, size)) for kind in KINDS])
+    known = np.where(_hidden(inside) & (inside[0] < 0.0), 0.0, 1.0)
+    return _cut(frame, (0, 0), inside, known.astype(np.float32), 1.0)
+
+
+def _hidden(inside: Float32[ndarray, "3 h w"]) -> Bool[ndarray, "h w"]:
+    """Return where something is in front, or so near that the border may show it."""
+    return np.asarray(inside[1:].max(axis=0) > -1.5)
+
+
+def _shrunk(mask: Bool[ndarray, "H W"], size: tuple[int, int]) -> Bool[ndarray, "h w"]:
     import cv2
 
-    masks = [cv2.resize((labels == kind).astype(np.float32), size, interpolation=cv2.INTER_AREA) for kind in KINDS]
-    inside = np.stack([_signed_distance(mask > 0.5) for mask in masks])
-    return _cut(frame, (0, 0), inside, np.ones(inside.shape[1:], np.float32), 1.0)
+    return np.asarray(cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5)
 
 
 def _resized(image: Image, size: tuple[int, int]) -> UInt8[ndarray, "h w 3"]:
@@ -77,7 +125,14 @@ def _resized(image: Image, size: tuple[int, int]) -> UInt8[ndarray, "h w 3"]:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _step(now: Carried, before: Image, after: Image, frame: int) -> Carried:
+def _step(
+    now: Carried,
+    before: Image,
+    after: Image,
+    frame: int,
+    hand: Bool[ndarray, "H W"] | None,
+    colours: Sequence[Colours],
+) -> Carried:
     """Carry a mask to the next frame."""
     import cv2
 
@@ -88,76 +143,104 @@ def _step(now: Carried, before: Image, after: Image, frame: int) -> Carried:
     rows = slice(max(0, top - MARGIN), min(height, top + h + MARGIN))
     columns = slice(max(0, left - MARGIN), min(width, left + w + MARGIN))
     a, b = before[rows, columns], after[rows, columns]
-    back, there = _flow(b, a), _flow(a, b)
+    back, there = flow(b, a), flow(a, b)
     x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in b.shape[1::-1]))
     came = x + back[..., 0], y + back[..., 1]
     off = np.linalg.norm(back + cv2.remap(there, *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE), axis=-1)
+
+    def old(u: Float32[ndarray, "h w"], v: Float32[ndarray, "h w"]) -> tuple[ndarray, ndarray]:
+        return (
+            np.clip(u + columns.start, 0, width - 1) - left,
+            np.clip(v + rows.start, 0, height - 1) - top,
+        )
+
+    inside = np.stack([moved(kind, old(*came), -float(FAR)) for kind in now.inside])
+    if hand is not None:
+        inside[-1] = _signed_distance(hand[rows, columns])
+    hidden = _hidden(inside)
+    was_hidden = moved(_hidden(now.inside).astype(np.float32), old(*came), 0.0) > 0.0
+    inner = (inside[0] > INNER) & (off < BACK) & (inside[1:].max(axis=0) < -INNER) & ~was_hidden
+    own = own_motion(x, y, came, inner)
+    moves = np.zeros_like(off)
+    if own is not None:
+        outer = (inside.max(axis=0) < -INNER) & (off < BACK) & ~was_hidden
+        moves = moves_with(came, own, own_motion(x, y, came, outer), off)
+        inside[0] = moved(now.inside[0], old(*own), -float(FAR))
+        covered = hidden | was_hidden
+        came = np.where(covered, own[0], came[0]), np.where(covered, own[1], came[1])
     u, v = came[0] + columns.start, came[1] + rows.start
-    known = ((u >= 0) & (u <= width - 1) & (v >= 0) & (v <= height - 1)).astype(np.float32)
-    old = np.clip(u, 0, width - 1) - left, np.clip(v, 0, height - 1) - top
-    inside = np.stack([_moved(kind, old, -float(FAR)) for kind in now.inside])
-    border = np.abs(inside[0]) < 2.0
+    in_view = (u >= 0) & (u <= width - 1) & (v >= 0) & (v <= height - 1)
+    known = in_view * moved(now.known, old(*came), 1.0)
+    border = (np.abs(inside[0]) < 2.0) & ~hidden
     trust = now.trust * (float(np.mean(off[border] < BACK)) if border.any() else 1.0)
-    refined = np.stack([_refined(b, kind, off < BACK) for kind in inside])
-    return _cut(frame, (columns.start, rows.start), refined, known * _moved(now.known, old, 1.0), trust)
+    certain = (known * np.where(was_hidden, 0.1, np.where(off < BACK, 1.0, 0.3))).astype(np.float32)
+    visible = placed(now, (columns.start, rows.start), b.shape[1::-1])[0]
+    top_most = ~_hidden(visible)
+    for n, kind in enumerate(visible):
+        if (n < 2 or hand is None) and (kind > 0).any():
+            clear = (np.abs(kind) > 1.0) & (top_most if n == 0 else kind > -FAR)
+            likely = likelier(b, colours[n], Places.of(a, kind > 0, clear), came) + (moves if n == 0 else 0.0)
+            inside[n] = _refined(b, inside[n], certain, likely, hidden if n == 0 else np.zeros_like(hidden))
+    known = np.where(hidden, REMEMBERED * known, np.where(off < BACK, np.maximum(known, SEEN), SEEN)).astype(np.float32)
+    return _cut(frame, (columns.start, rows.start), inside, known, trust)
 
 
-def _moved(
-    values: Float32[ndarray, "h w"], old: tuple[Float32[ndarray, "H W"], Float32[ndarray, "H W"]], outside: float
-) -> Float32[ndarray, "H W"]:
-    """Values at where pixels were."""
-    import cv2
+def _refined(
+    image: Image,
+    inside: Float32[ndarray, "h w"],
+    certain: Float32[ndarray, "h w"],
+    colours: Float32[ndarray, "h w"],
+    hidden: Bool[ndarray, "h w"],
+) -> Float32[ndarray, "h w"]:
+    """Signed distances from the border that colours draw near to the given one, and freely where nothing is certain.
 
-    return np.asarray(cv2.remap(values, *old, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, outside), np.float32)
-
-
-def _flow(a: Image, b: Image) -> Float32[ndarray, "H W 2"]:
-    """Return the place in b of each pixel of a, less its place in a [px]."""
-    import cv2
-
-    search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    a, b = (cv2.cvtColor(np.ascontiguousarray(each), cv2.COLOR_RGB2GRAY) for each in (a, b))
-    return np.asarray(search.calc(a, b, np.zeros((*a.shape, 2), np.float32)), np.float32)
-
-
-def _refined(image: Image, inside: Float32[ndarray, "h w"], sure: Bool[ndarray, "h w"]) -> Float32[ndarray, "h w"]:
-    """Signed distances from the border that GrabCut finds near to the given one, and less near where flow is unsure."""
+    What is ``hidden`` stays as it is.
+    """
     import cv2
 
     near = inside > -FAR
-    band = np.where(sure, BAND, UNSURE_BAND)
-    if not (inside > band).any() or near.all():
+    if not near.any() or not (inside > 0).any():
         return inside
-    labels = np.where(inside > 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
-    labels[inside > band], labels[inside < -band] = cv2.GC_FGD, cv2.GC_BGD
-    rows, columns = (slice(int(i.min()), int(i.max()) + 1) for i in np.nonzero(near))
-    part = np.ascontiguousarray(labels[rows, columns])
-    colours = np.zeros((1, 65)), np.zeros((1, 65))
-    cv2.setRNGSeed(0)  # GrabCut begins with k-means from random centres
-    image = np.ascontiguousarray(image[rows, columns])
-    labels[rows, columns] = cv2.grabCut(image, part, (0, 0, 0, 0), *colours, ROUNDS, cv2.GC_INIT_WITH_MASK)[0]
-    found = _signed_distance((labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD))
-    return np.asarray(cv2.GaussianBlur(found, (0, 0), 1.0), np.float32)
+    rows, columns = (slice(max(0, int(i.min()) - 1), int(i.max()) + 2) for i in np.nonzero(near))
+    part = rows, columns
+    prior = PRIOR * certain[part] * np.clip(inside[part] / BAND, -2.0, 2.0)
+    cost = -(prior + COLOUR * np.clip(colours[part], -MOST, MOST))
+    cost[~near[part]] = 10.0
+    cost[hidden[part]] = np.where(inside[part] > 0, -10.0, 10.0)[hidden[part]]
+    start = np.clip(0.5 + inside[part] / (2.0 * BAND), 0.0, 1.0)
+    found = np.zeros(inside.shape, bool)
+    found[part] = cut(cost.astype(np.float32), edges(image[part]), start.astype(np.float32))
+    found = _touching(found, inside > 0)
+    new = cv2.GaussianBlur(_signed_distance(found), (0, 0), 0.7)
+    return np.asarray(inside + (new - inside) * np.where(hidden, 0.0, 1.0 - STIFF * certain), np.float32)
 
 
-def _signed_distance(mask: Bool[ndarray, "h w"]) -> Float32[ndarray, "h w"]:
-    """Distance from the border between pixels, above 0 inside, up to ``FAR`` [px]."""
+def _touching(mask: Bool[ndarray, "h w"], before: Bool[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
+    """Keep the parts of a mask that overlap with the earlier mask."""
+    import cv2
+
+    _, parts = cv2.connectedComponents(mask.astype(np.uint8))
+    return np.asarray(mask & np.isin(parts, np.unique(parts[before])))
+
+
+def _signed_distance(mask: Bool[ndarray, "h w"], far: float = FAR) -> Float32[ndarray, "h w"]:
+    """Distance from the border between pixels, above 0 inside, up to ``far`` [px]."""
     import cv2
 
     distances = []
     for each in (mask, ~mask):
         seen = each.astype(np.uint8)
         if seen.all():
-            distances.append(np.full(mask.shape, float(FAR), np.float32))
+            distances.append(np.full(mask.shape, float(far), np.float32))
         else:
             distances.append(np.maximum(cv2.distanceTransform(seen, cv2.DIST_L2, 5) - 0.5, 0.0))
-    return np.clip(distances[0] - distances[1], -FAR, FAR).astype(np.float32)
+    return np.clip(distances[0] - distances[1], -far, far).astype(np.float32)
 
 
 def _cut(
     frame: int,
     corner: tuple[int, int],
-    inside: Float32[ndarray, "2 h w"],
+    inside: Float32[ndarray, "3 h w"],
     known: Float32[ndarray, "h w"],
     trust: float,
 ) -> Carried:
@@ -181,7 +264,8 @@ def blended(one: Carried, other: Carried, share: float) -> tuple[Carried, float]
     (a, known_a), (b, known_b) = (placed(each, (left, top), (width, height)) for each in (one, other))
     weight_a, weight_b = (1.0 - share) * one.trust * known_a + 1e-6, share * other.trust * known_b + 1e-6
     inside = (weight_a * a + weight_b * b) / (weight_a + weight_b)
-    both = (known_a > 0.5) & (known_b > 0.5)
+    both = (known_a >= SEEN / 2.0) & (known_b >= SEEN / 2.0)
+    both &= (inside[1:] <= 0).all(axis=0)
     union = np.count_nonzero(both & ((a[0] > 0) | (b[0] > 0)))
     agreement = np.count_nonzero(both & (a[0] > 0) & (b[0] > 0)) / union if union else 1.0
     known = np.maximum(known_a, known_b)
@@ -190,9 +274,9 @@ def blended(one: Carried, other: Carried, share: float) -> tuple[Carried, float]
 
 def placed(
     each: Carried, corner: tuple[int, int], size: tuple[int, int]
-) -> tuple[Float32[ndarray, "2 h w"], Float32[ndarray, "h w"]]:
+) -> tuple[Float32[ndarray, "3 h w"], Float32[ndarray, "h w"]]:
     """Place signed distances, and what is known, in another part of the image, which holds theirs."""
-    inside, known = np.full((2, *size[::-1]), -float(FAR), np.float32), np.ones(size[::-1], np.float32)
+    inside, known = np.full((len(KINDS), *size[::-1]), -float(FAR), np.float32), np.ones(size[::-1], np.float32)
     (left, top), (h, w) = np.subtract(each.corner, corner).tolist(), each.inside.shape[1:]
     inside[:, top : top + h, left : left + w] = each.inside
     known[top : top + h, left : left + w] = each.known

@@ -8,10 +8,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip.annotate.carried_masks import Images
-from getagrip.annotate.labels import FRONT, OBJECT, Labels
+from getagrip.annotate.carried_masks import Hands, Images
+from getagrip.annotate.found_hands import FoundHands
+from getagrip.annotate.labels import FRONT, HAND, OBJECT, Labels
 from getagrip.annotate.propagated_masks import propagate
 from getagrip.annotate.steadied_hands import steadied
+from getagrip.annotate.strokes import key_masks
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.depth import covered
@@ -50,18 +52,36 @@ def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, d
     return out
 
 
-def masks(labels: Labels, image: Images, known: Container[int] = ()) -> Iterator[tuple[int, dict[str, object]]]:
-    """Yield each frame with polygons around the object and what is in front of it [px], and their confidence (0 to 1).
+def found_hand(labels: Labels, found: FoundHands) -> dict[int, dict[str, object]]:
+    """Return joints and silhouette of detected hands in all frames; a frame without a hand has no joints."""
+    out: dict[int, dict[str, object]] = {}
+    for n in range(labels.first, labels.last + 1):
+        mask, joints = found.mask(n), found.joints.get(n)
+        shapes = [] if mask is None else _polygons(mask, labels.size[0] / mask.shape[1])
+        out[n] = {"joints": [] if joints is None else _rounded(joints), "outlines": shapes, "doubtful": []}
+    return out
+
+
+def masks(
+    labels: Labels, image: Images, known: Container[int] = (), seen: Hands = lambda _: None
+) -> Iterator[tuple[int, dict[str, object]]]:
+    """Yield each frame with polygons around the object, the hand and what is in front [px], and their confidence (0 to
+    1).
+
+    ``seen`` is where the hand is, as far as that is known.
 
     Stretches between key frames of which all frames are ``known`` are left out. Raises ``UsageError`` as ``propagate``
     does.
     """
-    for frame, drawn, confidence in propagate(image, labels.label_maps(), labels.first, labels.last, known):
+    for frame, drawn, confidence in propagate(
+        image, key_masks(labels, image, seen), labels.first, labels.last, known, seen
+    ):
         yield (
             frame,
             {
                 "object": _polygons(drawn == OBJECT),
                 "front": _polygons(drawn == FRONT),
+                "hand": _polygons(drawn == HAND),
                 "confidence": round(float(confidence), 3),
             },
         )

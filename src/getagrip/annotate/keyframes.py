@@ -6,6 +6,9 @@ A change names the joints and polygons (``outlines``) that it touches; null take
      "outlines": {"<its name>": {"of": "object", "closed": true, "points": [[x, y], ...]}},
      "hidden": false, "deleted": false}
 
+An outline is "of" the object, of what is in "front" or of the "hand"; or it is a stroke "on" the object or "off" it,
+which is always closed, that is done.
+
 Points are in pixels of the footage, the middle of its first pixel at (0.5, 0.5).
 """
 
@@ -20,7 +23,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.annotate.footage import LARGEST_SIDE
-from getagrip.annotate.labels import MOST_CORNERS, MOST_POLYGONS, FrameLabels, Polygons
+from getagrip.annotate.labels import MOST_CORNERS, MOST_POLYGONS, SHAPES, FrameLabels, Polygons
 from getagrip.annotate.versions import TOKEN, Database, RefusedError, Row, Versions
 from getagrip.io.files import Json, shown
 
@@ -69,17 +72,17 @@ class KeyFrame:
     deleted: bool = False
 
     def polygons(self, kind: str) -> Polygons:
-        """Return the closed polygons of "object" or "front"."""
+        """Return the closed shapes of a kind."""
         shapes = [one["points"] for one in self.outlines.values() if one["of"] == kind and one["closed"]]
         return tuple(np.array(points, dtype=float) for points in shapes)
 
     def labels(self) -> FrameLabels:
         """Return its labels, as a file has them."""
-        objects, front = self.polygons("object"), self.polygons("front")
+        shapes = {kind: self.polygons(kind) or None for kind in SHAPES}
+        if self.hidden and shapes["object"] is None:
+            shapes["object"] = ()
         clicked = any(point != UNSEEN for point in self.joints.values())
-        return FrameLabels(
-            self._joints() if clicked else None, objects if objects or self.hidden else None, front or None
-        )
+        return FrameLabels(self._joints() if clicked else None, **shapes)
 
     def _joints(self) -> Float[ndarray, "21 2"]:
         points = [self.joints.get(str(n), UNSEEN) for n in range(JOINTS)]
@@ -105,7 +108,7 @@ def from_labels(frame: FrameLabels) -> Json:
     joints = {} if frame.joints is None else {
         str(n): UNSEEN if np.isnan(point).any() else point.tolist() for n, point in enumerate(frame.joints)
     }  # fmt: skip
-    shapes = [(kind, shape) for kind in ("object", "front") for shape in getattr(frame, kind) or ()]
+    shapes = [(kind, shape) for kind in SHAPES for shape in getattr(frame, kind) or ()]
     outlines = {
         f"outline-{n:04d}": {"of": kind, "closed": True, "points": shape.tolist()}
         for n, (kind, shape) in enumerate(shapes)
@@ -128,7 +131,7 @@ def changed(keyframe: KeyFrame, sets: Json, size: tuple[int, int]) -> KeyFrame:
         hidden=sets.get("hidden", old.hidden),
     )
     new = replace(new, joints=_without_nothing(new.joints), outlines=_without_nothing(new.outlines))
-    for kind in ("object", "front"):
+    for kind in SHAPES:
         if sum(one["of"] == kind for one in new.outlines.values()) > MOST_POLYGONS:
             raise RefusedError(f"outlines must be at most {MOST_POLYGONS} of one kind on a frame")
     return new if new.joints or new.outlines or new.hidden else replace(new, deleted=True)
@@ -156,9 +159,9 @@ def _outline(key: str, value: object, size: tuple[int, int]) -> Json | None:
         return None
     if not isinstance(value, dict) or value.keys() != {"of", "closed", "points"}:
         raise RefusedError(f"outline must be of, closed and points (got {shown(value)})")
-    if value["of"] not in ("object", "front") or not isinstance(value["closed"], bool):
-        raise RefusedError(f"outline must be one of object or front, closed or not (got {shown(value)})")
-    points, least = value["points"], 3 if value["closed"] else 1
+    if value["of"] not in SHAPES or not isinstance(value["closed"], bool):
+        raise RefusedError(f"outline must be one of {', '.join(SHAPES)}, closed or not (got {shown(value)})")
+    points, least = value["points"], SHAPES[value["of"]] if value["closed"] else 1
     if not isinstance(points, list) or not least <= len(points) <= MOST_CORNERS:
         raise RefusedError(f"outline must be {least} to {MOST_CORNERS} points (got {shown(points)})")
     return value | {"points": [_point(point, size) for point in points]}

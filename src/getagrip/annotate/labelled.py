@@ -11,9 +11,11 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from getagrip.annotate.labels import FRONT, OBJECT, Labels
+from getagrip.annotate.found_hands import FoundHands
+from getagrip.annotate.labels import FRONT, HAND, OBJECT, Labels
 from getagrip.annotate.propagated_masks import propagate
 from getagrip.annotate.steadied_hands import steadied
+from getagrip.annotate.strokes import key_masks
 from getagrip.clip.intrinsics import intrinsics
 from getagrip.clip.writing import write_hand
 from getagrip.geometry import se3
@@ -24,18 +26,18 @@ from getagrip.io import files
 from getagrip.io.images import write_image
 from getagrip.provenance import Source, as_arrays, assumed, estimated
 
-OWN_HAND = 3
-"""Value of pixels that show the holding hand itself. There is none: nobody draws it, and what the fitted hand covers is
-no evidence of where it is."""
 BESIDE = 0.004
 """The fitted hand is so far off its true silhouette: pixels beside it say nothing either [m]."""
+EDGE = 1 / 400
+"""Pixels so near to the mask of a hand that was found say nothing, as a share of the image's longer side."""
 
 
 @dataclass(frozen=True)
 class Made:
     """The files made of labels."""
 
-    hands: ClickedHands
+    hands: ClickedHands | None
+    """None where those that were found are taken."""
     confidence: dict[int, float]
     """Confidence of the mask of each frame, 1 where it was drawn; see ``propagated_masks``."""
     command: str
@@ -49,8 +51,11 @@ def make(
     out: Path,
     overwrite: bool = False,
     done: Callable[[int], None] = lambda _: None,
+    found: FoundHands | None = None,
 ) -> Made:
-    """Write ``out/hand.npz`` and ``out/masks/<number>.png``: 0, ``OBJECT``, or ``FRONT`` for what hides it or may.
+    """Write ``out/hand.npz`` and ``out/masks/<number>.png``: ``OBJECT``, ``HAND``, ``FRONT`` for what hides it or may.
+
+    The hand is fitted to the joints that were clicked; where none were, that which was ``found`` is taken.
 
     ``image`` gives the footage's frames, from 0. Files number frames from 1, as ``clip new`` does. Where the lens is a
     guess, or nothing is known of it, the files say that depth and size are guesses, too. ``done`` is called with the
@@ -58,31 +63,52 @@ def make(
     is not to be replaced, or is not what this made before.
     """
     K, camera = intrinsics(lens if lens.is_set else Lens(guess_focal=True), labels.size)
-    clicked = hands_from_clicks(labels.clicks, K, labels.side, labels.first, labels.last)
-    hands = steadied(clicked, labels.first, K, labels.size, image)
+    seen = _unseen if found is None else found.mask
+    hands = None
+    if labels.clicks or found is None or not found.path.is_file():
+        clicked = hands_from_clicks(labels.clicks, K, labels.side, labels.first, labels.last)
+        hands = steadied(clicked, labels.first, K, labels.size, image)
     confidence = {}
     with files.new_folder(out, ("hand.npz", "masks") if overwrite else ()) as new:
         (new / "masks").mkdir()
-        for n, drawn, sure in propagate(image, labels.label_maps(), labels.first, labels.last):
-            mask = with_hand(drawn, hands, n - labels.first, K)
-            write_image(new / "masks" / f"{n + 1:06d}.png", mask)
+        drawn = key_masks(labels, image, seen)
+        for n, mask, sure in propagate(image, drawn, labels.first, labels.last, hand=seen):
+            whole = beside_hand(mask) if hands is None else with_hand(mask, hands, n - labels.first, K)
+            write_image(new / "masks" / f"{n + 1:06d}.png", whole)
             confidence[n] = sure
             done(len(confidence))
-        write_hand(hands.hand, new / "hand.npz", _extra(labels, hands, K, camera))
+        if hands is not None:
+            write_hand(hands.hand, new / "hand.npz", _extra(labels, hands, K, camera))
+        elif found is not None:
+            files.write_bytes(new / "hand.npz", files.read_bytes(found.path))
     return Made(hands, confidence, command(labels, out))
+
+
+def _unseen(_: int) -> None:
+    """Return the hand's mask where there is none."""
+
+
+def beside_hand(drawn: UInt8[ndarray, "H W"]) -> UInt8[ndarray, "H W"]:
+    """Mark pixels at the hand's border, except the object's own, as in front of it."""
+    import cv2
+
+    beside = max(1, round(EDGE * max(drawn.shape)))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * beside + 1, 2 * beside + 1))
+    near = cv2.dilate((drawn == HAND).astype(np.uint8), disc) > 0
+    return np.where(near & (drawn == 0), FRONT, drawn).astype(np.uint8)
 
 
 def with_hand(
     drawn: UInt8[ndarray, "H W"], hands: ClickedHands, row: int, K: Float[ndarray, "3 3"]
 ) -> UInt8[ndarray, "H W"]:
-    """Return a mask in which pixels that the hand may cover and that do not show the object are in front of it."""
+    """Mark undrawn pixels that the fitted hand covers, or may cover, as in front of the object."""
     import cv2
 
     posed = se3.transform(hands.hand.T_cam_hand[row], hands.hand.vertices[row])
     hand = covered(posed, hands.hand.faces, K, (drawn.shape[1], drawn.shape[0])).astype(np.uint8)
     beside = max(1, round(BESIDE * K[0, 0] / float(posed[:, 2].mean())))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * beside + 1, 2 * beside + 1))
-    return np.where((cv2.dilate(hand, disc) > 0) & (drawn != OBJECT), FRONT, drawn).astype(np.uint8)
+    return np.where((cv2.dilate(hand, disc) > 0) & (drawn == 0), FRONT, drawn).astype(np.uint8)
 
 
 def command(labels: Labels, out: Path, segments: Path | None = None) -> str:
@@ -96,7 +122,7 @@ def clip_words(labels: Labels, out: Path, video: str, segments: Path | None = No
     return [
         *("clip", "new", video, "--interval", str(labels.first + 1), str(labels.last + 1), "--side", labels.side),
         *("--hands", str(out / "hand.npz"), "--masks", str(out / "masks")),
-        *("--object", str(OBJECT), "--ignore", str(FRONT), "--hand", str(OWN_HAND)),
+        *("--object", str(OBJECT), "--ignore", str(FRONT), "--hand", str(HAND)),
         *(() if segments is None else ("--segments", str(segments))),
     ]
 

@@ -19,10 +19,11 @@ from numpy import ndarray
 from getagrip.annotate import keyframes, labels, reconstruction, versions
 from getagrip.annotate.background import Background, BackgroundJob, Work
 from getagrip.annotate.footage import Footage
+from getagrip.annotate.found_hands import FOLDER, FoundHands
 from getagrip.annotate.interaction import Interaction
 from getagrip.annotate.keyframes import KeyFrame
 from getagrip.annotate.labelled_footage import checksum
-from getagrip.annotate.labels import Labels
+from getagrip.annotate.labels import SHAPES, Labels
 from getagrip.annotate.marks import Mark
 from getagrip.annotate.propagated_masks import stretches
 from getagrip.annotate.store import Store
@@ -83,6 +84,7 @@ class Labelling:
         """Write the files of grasps into ``out``; without a lens the focal length is assumed."""
         self.store, self.out = store, out
         self.lens = lens if lens.is_set else Lens(guess_focal=True)
+        self.found = FoundHands(out / FOLDER)
         self.background = Background()
 
     def state(self, grasp: Grasp) -> dict[str, object]:
@@ -157,9 +159,7 @@ class Labelling:
     def make(self, grasp: Grasp) -> None:
         """Begin to write the files that a clip is made of. Raises ``RefusedError`` where something is missing."""
         value = self.labels(grasp)
-        self._check_joints(grasp, value)
-        if not value.clicks or not value.label_maps():
-            raise RefusedError("a clip needs joints on one frame at least, and a polygon around the object on one")
+        self._check_enough(grasp, value)
         self._start(grasp, "files", lambda job: self.write(grasp, value, job))
 
     def reconstruct(self, grasp: Grasp, content: Json) -> None:
@@ -167,9 +167,7 @@ class Labelling:
         from getagrip.annotate.labelled import clip_words
 
         shape, value = reconstruction.shape_of(content), self.labels(grasp)
-        self._check_joints(grasp, value)
-        if not value.clicks or not value.label_maps():
-            raise RefusedError("a clip needs joints on one frame at least, and a polygon around the object on one")
+        self._check_enough(grasp, value)
 
         def work(job: BackgroundJob) -> str:
             job.message = "writing the files"
@@ -206,7 +204,15 @@ class Labelling:
                 return footage.image(n)
 
             out = self.out / grasp.name
-            make(value, image, self.lens, out, overwrite=True, done=lambda masks: job.report(masks, frames))
+            make(
+                value,
+                image,
+                self.lens,
+                out,
+                overwrite=True,
+                done=lambda masks: job.report(masks, frames),
+                found=self.found,
+            )
         return command(replace(value, video=str(_path(grasp))), out, self._segments(grasp))
 
     def _segments(self, grasp: Grasp) -> Path | None:
@@ -240,16 +246,27 @@ class Labelling:
         first, last = grasp.extent
         frames = [(one, one.labels()) for one in own if first <= one.frame <= last]
         masks = {
-            one.frame: [[shape.tolist() for shape in shapes or ()] for shapes in (labelled.object, labelled.front)]
+            one.frame: [[shape.tolist() for shape in getattr(labelled, kind) or ()] for kind in SHAPES]
             for one, labelled in frames
-            if labelled.object is not None
+            if labelled.object is not None or labelled.on
         }
         hand = {one.frame: one.joints for one, labelled in frames if labelled.joints is not None}
         between = stretches(masks, first, last) if masks else ()
+        hands = [(first, last, _word(first, last, hand, grasp.side, asdict(self.lens)))] if hand else []
+        if not hand and self.found.joints:
+            hands = [(first, last, self.found.word)]
         return {
-            "masks": [(one.first, one.last, _word({n: masks[n] for n in one.keys})) for one in between],
-            "hand": [(first, last, _word(first, last, hand, grasp.side, asdict(self.lens)))] if hand else [],
+            "masks": [
+                (one.first, one.last, _word({n: masks[n] for n in one.keys}, self.found.word)) for one in between
+            ],
+            "hand": hands,
         }
+
+    def _check_enough(self, grasp: Grasp, value: Labels) -> None:
+        """Raise ``RefusedError`` where no clip can be made."""
+        self._check_joints(grasp, value)
+        if not (value.clicks or self.found.path.is_file()) or not value.label_maps():
+            raise RefusedError("a clip needs a hand, found or clicked on one frame, and the object drawn on one")
 
     def _check_joints(self, grasp: Grasp, labels: Labels) -> None:
         """Raise ``RefusedError`` for a frame with too few joints, by the number that the page shows."""
@@ -272,11 +289,16 @@ class Labelling:
             if len(known["hand"]) < len(words["hand"]):
                 K, _ = intrinsics(self.lens, labels.size)
                 try:
-                    drafts.put(key, "hand", words["hand"][labels.first], drafting.hand(labels, K, footage.image))
+                    hands = (
+                        drafting.hand(labels, K, footage.image)
+                        if labels.clicks
+                        else drafting.found_hand(labels, self.found)
+                    )
+                    drafts.put(key, "hand", words["hand"][labels.first], hands)
                 except UsageError as error:  # masks can be filled in nevertheless
                     wrong = error
             if len(known["masks"]) < len(words["masks"]):
-                for n, content in drafting.masks(labels, footage.image, known["masks"]):
+                for n, content in drafting.masks(labels, footage.image, known["masks"], self.found.mask):
                     drafts.put(key, "masks", words["masks"][n], {n: content | {"number": footage.number(n)}})
                     job.report(n - labels.first + 1, frames)
         if wrong is not None:

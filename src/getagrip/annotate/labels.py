@@ -9,9 +9,10 @@ As JSON, one file for one grasp:
 Frames are counted from 0, first and last included; points are in pixels of the footage, the middle of its first pixel
 at (0.5, 0.5). ``joints`` are 21, wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip, null
 where not clicked. ``object`` are polygons around the visible parts of the object, ``front`` around whatever hides it
-besides the hand that holds it; where both overlap, ``front`` counts. A frame may have joints, or polygons, or both. A
-missing key means that there is no label, an empty list of polygons that nothing of it is visible. ``sha256``, the
-footage's checksum (``labelled_footage``), is optional.
+besides the hand that holds it, ``hand`` around the visible hand; where they overlap, the last of these counts. ``on``
+and ``off`` are strokes, lines or single points that lie on the object or beside it (``strokes``). A frame may have any
+of these. A missing key means that there is no label, an empty list of polygons that nothing of it is visible.
+``sha256``, the footage's checksum (``labelled_footage``), is optional.
 """
 
 from __future__ import annotations
@@ -34,9 +35,11 @@ from getagrip.errors import InputError
 from getagrip.hands.model import Side
 from getagrip.io import files
 
-OBJECT, FRONT = 1, 2
+OBJECT, FRONT, HAND = 1, 2, 3
 """Values of a label map; 0 is everything else."""
 LAST_FRAME = 10**7
+SHAPES = {"object": 3, "front": 3, "hand": 3, "on": 1, "off": 1}
+"""Kinds of polygons, then of strokes, and how many points such a shape has at least."""
 MOST_POLYGONS, MOST_CORNERS = 100, 5000
 """Most polygons of one frame and kind; most corners of one polygon."""
 
@@ -51,6 +54,11 @@ class FrameLabels:
     """NaN where not clicked [px]."""
     object: Polygons | None = None
     front: Polygons | None = None
+    hand: Polygons | None = None
+    on: Polygons | None = None
+    """Strokes on the object."""
+    off: Polygons | None = None
+    """Strokes beside it."""
 
 
 @dataclass(frozen=True)
@@ -75,16 +83,19 @@ class Labels:
         return {n: frame.joints for n, frame in sorted(self.frames.items()) if frame.joints is not None}
 
     def label_maps(self) -> dict[int, UInt8[ndarray, "H W"]]:
-        """Make a label map of each frame with the object's polygons or marked as not visible.
+        """Make label maps with 0, ``OBJECT``, ``FRONT`` or ``HAND`` from polygons.
 
-        0, ``OBJECT`` or ``FRONT``.
+        ``strokes.key_masks`` uses strokes, too.
+
+        Of each frame on which the object has polygons or strokes, or is marked as not visible.
         """
-        return {n: _label_map(frame, self.size) for n, frame in sorted(self.frames.items()) if frame.object is not None}
+        drawn = {n: frame for n, frame in sorted(self.frames.items()) if frame.object is not None or frame.on}
+        return {n: _label_map(frame, self.size) for n, frame in drawn.items()}
 
 
 def _label_map(frame: FrameLabels, size: tuple[int, int]) -> UInt8[ndarray, "H W"]:
     out = np.zeros(size[::-1], np.uint8)
-    for value, shapes in ((OBJECT, frame.object), (FRONT, frame.front)):
+    for value, shapes in ((OBJECT, frame.object), (FRONT, frame.front), (HAND, frame.hand)):
         corners = [shape.ravel().tolist() for shape in shapes or ()]
         out[polygons(Path(), "", corners, size)] = value
     return out
@@ -114,7 +125,7 @@ def _frame_json(frame: FrameLabels) -> dict[str, object]:
     out: dict[str, object] = {}
     if frame.joints is not None:
         out["joints"] = [None if np.isnan(point).any() else _rounded(point) for point in frame.joints]
-    for key in ("object", "front"):
+    for key in SHAPES:
         shapes = getattr(frame, key)
         if shapes is not None:
             out[key] = [[_rounded(point) for point in shape] for shape in shapes]
@@ -206,11 +217,13 @@ class _Checked:
                 raise InputError(self.path, where, "a key that is no frame of the grasp", f"{first} to {last}")
             if not isinstance(frame, Mapping):
                 raise InputError(self.path, where, files.shown(frame), "an object")
-            _only(self.path, where, frame, {"joints", "object", "front"}, set())
+            _only(self.path, where, frame, {"joints", *SHAPES}, set())
             out[int(text)] = FrameLabels(
                 _joints(self.path, f"{where}.joints", frame.get("joints"), size),
-                _polygons(self.path, f"{where}.object", frame.get("object"), size),
-                _polygons(self.path, f"{where}.front", frame.get("front"), size),
+                **{
+                    kind: _polygons(self.path, f"{where}.{kind}", frame.get(kind), size, least)
+                    for kind, least in SHAPES.items()
+                },
             )
         return dict(sorted(out.items()))
 
@@ -236,15 +249,15 @@ def _joints(path: Path, key: str, value: object, size: tuple[int, int]) -> Float
     return np.array(rows)
 
 
-def _polygons(path: Path, key: str, value: object, size: tuple[int, int]) -> Polygons | None:
+def _polygons(path: Path, key: str, value: object, size: tuple[int, int], least: int) -> Polygons | None:
     if value is None:
         return None
     if not isinstance(value, list | tuple) or len(value) > MOST_POLYGONS:
-        raise InputError(path, key, files.shown(value), f"at most {MOST_POLYGONS} polygons [[x, y], ...]")
+        raise InputError(path, key, files.shown(value), f"at most {MOST_POLYGONS} shapes [[x, y], ...]")
     out = []
     for n, corners in enumerate(value):
-        if not isinstance(corners, list | tuple) or not 3 <= len(corners) <= MOST_CORNERS:
-            raise InputError(path, f"{key}[{n}]", files.shown(corners), f"3 to {MOST_CORNERS} corners [x, y]")
+        if not isinstance(corners, list | tuple) or not least <= len(corners) <= MOST_CORNERS:
+            raise InputError(path, f"{key}[{n}]", files.shown(corners), f"{least} to {MOST_CORNERS} corners [x, y]")
         out.append(np.array([_point(path, f"{key}[{n}][{k}]", corner, size) for k, corner in enumerate(corners)]))
     return tuple(out)
 

@@ -189,6 +189,13 @@ class Project:
                 count += 1
         return count
 
+    def mark_grasp(self, task: Task, annotator: str, extent: tuple[int, int], side: str) -> None:
+        """Mark a grasp, both frames included, unless the annotator has it already. Raises ``RefusedError``."""
+        name = versions.annotator(annotator)
+        own = self.store.marks.standing(task.key, name)
+        if not any(mark.interval == extent and mark.side == side for mark in own):
+            self._mark(task, name, str(uuid4()), {"start": extent[0], "end": extent[1], "side": side})
+
     def _mark(self, task: Task, name: str, tab: str, sets: Json) -> Mark:
         """Make a new mark, of the object that the task is about."""
         footage = self.footage(task)

@@ -16,11 +16,11 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Bool, UInt8
 from numpy import ndarray
 
-from getagrip.annotate.carried_masks import KINDS, Carried, Images, blended, carry, placed
-from getagrip.annotate.labels import FRONT, OBJECT
+from getagrip.annotate.carried_masks import KINDS, Carried, Hands, Images, blended, carry, placed
+from getagrip.annotate.labels import FRONT, HAND, OBJECT
 from getagrip.errors import UsageError
 
 SIDE = 200.0
@@ -34,7 +34,7 @@ class Propagated(NamedTuple):
 
     frame: int
     labels: UInt8[ndarray, "H W"]
-    """0, ``OBJECT`` or ``FRONT``."""
+    """0, ``OBJECT``, ``FRONT`` or ``HAND``."""
     confidence: float
     """From 0, lost, to 1, as drawn."""
 
@@ -59,11 +59,19 @@ def stretches(keys: Iterable[int], first: int, last: int) -> Iterator[Stretch]:
 
 
 def propagate(
-    image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], first: int, last: int, known: Container[int] = ()
+    image: Images,
+    keys: Mapping[int, UInt8[ndarray, "H W"]],
+    first: int,
+    last: int,
+    known: Container[int] = (),
+    hand: Hands = lambda _: None,
 ) -> Iterator[Propagated]:
     """Yield the masks of the frames ``first`` to ``last``, both included, in order.
 
     Those of keys are as they are given.
+
+    ``hand`` is where the hand is visible, if that is known; a key on which the hand is drawn replaces it up to the next
+    keys. Pixels of a key that show the hand say nothing of what is behind.
 
     Stretches of which all frames are ``known`` are left out. Images are asked for from one key to the next and back
     again. Raises ``UsageError`` where no key shows the object, keys are outside the interval or of different sizes.
@@ -71,23 +79,42 @@ def propagate(
     _check(keys, first, last)
     for stretch in stretches(keys, first, last):
         if not all(n in known for n in range(stretch.first, stretch.last + 1)):
-            yield from _filled(image, {n: keys[n] for n in stretch.keys}, stretch)
+            yield from _filled(image, {n: keys[n] for n in stretch.keys}, stretch, hand)
 
 
-def _filled(image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], stretch: Stretch) -> Iterator[Propagated]:
+def _filled(
+    image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], stretch: Stretch, hand: Hands
+) -> Iterator[Propagated]:
     """Yield the masks of a stretch from its own keys."""
+    if any((labels == HAND).any() for labels in keys.values()):
+        hand = _unknown
+    keys = {n: _with_hand(labels, hand(n)) for n, labels in keys.items()}
     first, last, (before, after) = stretch.first, stretch.last, (min(keys), max(keys))
     if first in keys:
         yield Propagated(first, keys[first], 1.0)
         return
     size = _working_size(keys)
-    there = carry(image, keys, before, last, size) if before < first else None
-    back = list(carry(image, keys, after, first, size))[::-1] if after > last else None
+    there = carry(image, keys, before, last, size, hand) if before < first else None
+    back = list(carry(image, keys, after, first, size, hand))[::-1] if after > last else None
     if there is None or back is None:
         yield from (_propagated(each, each.trust, keys, size) for each in there or back or ())
         return
     for one, other in zip(there, back, strict=True):
         yield _propagated(*blended(one, other, (one.frame - before) / (after - before)), keys, size)
+
+
+def _unknown(_: int) -> None:
+    """Return the hand where nothing is known of it."""
+
+
+def _with_hand(labels: UInt8[ndarray, "H W"], hand: Bool[ndarray, "h w"] | None) -> UInt8[ndarray, "H W"]:
+    """Add the hand to a key's mask, where nothing is drawn."""
+    import cv2
+
+    if hand is None:
+        return labels
+    seen = cv2.resize(hand.astype(np.float32), labels.shape[::-1], interpolation=cv2.INTER_LINEAR) > 0.5
+    return np.where(seen & (labels == 0), np.uint8(HAND), labels)
 
 
 def _check(keys: Mapping[int, UInt8[ndarray, "H W"]], first: int, last: int) -> None:

@@ -41,7 +41,7 @@ MOST_PASSED_OVER = 64 * 2**20
 STYLES = ("page", "labels")
 SCRIPTS = (
     "app", "grasps", "joints", "labelling", "labels", "outlines", "overlay", "page", "panel", "player", "saving",
-    "segments", "states", "tasks", "timeline", "view",
+    "segments", "states", "strokes", "tasks", "timeline", "view",
 )  # fmt: skip
 PAGE = {
     "/": ("index.html", "text/html"),

@@ -22,6 +22,7 @@ from getagrip.commands.bench import Benches, with_source
 from getagrip.commands.command import Command
 from getagrip.commands.demo import Demo
 from getagrip.commands.doctor import Doctor
+from getagrip.commands.draft import Draft
 from getagrip.commands.epic_candidates import EpicCandidates
 from getagrip.commands.evaluate import Evaluate
 from getagrip.commands.export import Export
@@ -54,6 +55,7 @@ def commands(imports: Any, figures: Any) -> Any:
     return (
         Annotated[Demo, subcommand("demo")]
         | Annotated[Doctor, subcommand("doctor")]
+        | Annotated[Draft, subcommand("draft")]
         | Annotated[NewClip, subcommand("clip new")]
         | Annotated[Annotate, subcommand("annotate")]
         | Annotated[imports, subcommand("import", description="Import datasets, hands or masks.")]

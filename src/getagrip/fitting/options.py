@@ -164,7 +164,7 @@ class Options(SearchOptions):
 
     @property
     def as_published(self) -> bool:
-        """True if the method stays as its authors state it: its input is not changed."""
+        """True if the method is left as its authors state it: nothing is done to its input."""
         return method_of(self.method).as_published
 
     def __post_init__(self) -> None:

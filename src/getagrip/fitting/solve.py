@@ -19,7 +19,7 @@ from numpy import ndarray
 
 from getagrip import least_squares
 from getagrip.fitting.energy import HandInCamera, ObjectWithHand, PosesInCamera, Quadratic, Term
-from getagrip.fitting.motion import Motion, moved
+from getagrip.fitting.motion import HandPoses, Motion, PosesInHand, moved
 from getagrip.least_squares import DEFAULT, Arrow, Ending, Rules
 from getagrip.result.status import Status
 
@@ -81,13 +81,17 @@ class Solution(Generic[M]):
 def in_camera(motion: Motion, T_cam_hand: Float[ndarray, "N 4 4"]) -> PosesInCamera:
     """Return the motion's poses as the terms read them."""
     seen = moved(motion.poses(), T_cam_hand)
-    # Kernels are compiled for one layout; another would compile each of them again.
-    poses = np.ascontiguousarray(seen.R), np.ascontiguousarray(seen.centre), seen.scale
     if seen.hand is None:
-        return PosesInCamera(*poses)
-    R, centre = np.ascontiguousarray(seen.hand.R), np.ascontiguousarray(seen.hand.centre)
-    middle = seen.hand.frame.middle
-    return ObjectWithHand(*poses, HandInCamera(R, centre, seen.hand.scale, seen.hand.modes, middle, T_cam_hand))
+        return PosesInCamera(*_body(seen))
+    hand = HandInCamera(*_body(seen.hand), seen.hand.modes, seen.hand.frame.middle)
+    return ObjectWithHand(*_body(seen), hand, PosesInCamera(*_body(seen.hand.held)))
+
+
+def _body(
+    poses: PosesInHand | HandPoses,
+) -> tuple[Float[ndarray, "B N 3 3"], Float[ndarray, "B N 3"], Float[ndarray, "B"]]:
+    """Poses in the one layout that kernels are compiled for; another would compile each of them again."""
+    return np.ascontiguousarray(poses.R), np.ascontiguousarray(poses.centre), poses.scale
 
 
 @dataclass
@@ -200,8 +204,10 @@ def seen_from_camera(
 ) -> Float[ndarray, "B N P Q"]:
     """Return a motion's Jacobians side by side, of local vectors in the camera's frame."""
     J, R = np.concatenate([J_shared, J_local], axis=-1), T_cam_hand[:, :3, :3]
-    hand = [] if J.shape[-2] == 7 else [R @ J[..., 7:10, :], R @ J[..., 10:13, :], J[..., 13:, :]]
-    return np.concatenate([R @ J[..., :3, :], R @ J[..., 3:6, :], J[..., 6:7, :], *hand], axis=-2)
+    bodies = (0,) if J.shape[-2] == 7 else (0, 7, -7)
+    for k in (first + 3 * part for first in bodies for part in range(2)):
+        J[..., k : k + 3, :] = R @ J[..., k : k + 3, :]
+    return J
 
 
 def hessian(motion: Motion, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"]) -> Float[ndarray, "B N P P"]:

@@ -69,9 +69,9 @@ def follow(footage: Footage, begin: int, rows: Int[ndarray, "n"], start: Hypothe
 
 
 def carried_by_hands(clip: Clip, before: int, after: int) -> list[Float[ndarray, "4 4"]]:
-    """Return the motion in the world of a point that moves with a hand of the clip from one frame to another.
+    """Return how something that goes with a hand moves in the world from one frame to another.
 
-    One is by the clip's own hand, and one by the other hand if it is known in both frames.
+    One motion for the clip's own hand, and one for the other hand if it is known in both frames.
     """
     assert clip.world is not None
     ends, hands, other = [before, after], [clip.hand], clip.other_hand

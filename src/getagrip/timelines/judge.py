@@ -54,7 +54,7 @@ def judge_timeline(footage: Footage, chain: Chain, answer: TimelineAnswer) -> Ju
         track = motion.grasps.get(segment.first) if segment.state == "grasp" else None
         if track is not None:
             signs = read_grasp_signs(track)
-            evidence = other_evidence(track.solutions.grasp.problem.clip)
+            evidence = other_evidence(track.solutions.problem.clip)
             right = _probability(source.original, segment, source.options, signs, examined.findings, evidence)
             found = replace(found, signs=signs, probability_right=right)
         segments.append(found)
@@ -62,7 +62,7 @@ def judge_timeline(footage: Footage, chain: Chain, answer: TimelineAnswer) -> Ju
 
 
 def _segment_result(clip: Clip, segment: Segment, motion: Motion, iou: Float[ndarray, "T"]) -> SegmentResult:
-    """Return the result of a segment."""
+    """Describe what was found in a segment."""
     rows, is_grasp = segment.rows, segment.state == "grasp"
     seen = iou[rows][~np.isnan(iou[rows])]
     grasp = motion.grasps.get(segment.first) if is_grasp else None

@@ -102,7 +102,7 @@ def _fit_all_frames(footage: Footage, chain: Chain, clock: Clock) -> TimelineAns
 
 
 def _notes_of_grasps(clip: Clip, motion: Motion, known: Sequence[str]) -> list[str]:
-    """Return notes on grasps beyond what is ``known``, and on those that could not be solved as such."""
+    """Say what is to be known about grasps beyond what is ``known``, and which could not be solved as such."""
     out, masks_only = list[str](), list[str]()
     for segment in (segment for segment in clip.segments if segment.state == "grasp"):
         track = motion.grasps.get(segment.first)

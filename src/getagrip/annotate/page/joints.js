@@ -80,7 +80,7 @@ export const tool = {
   /** The joints of the fitted hand, to be corrected. */
   take() {
     const hand = draft("hand", player.wanted);
-    if (!hand) return "Nothing is filled in on this frame yet.";
+    if (!hand?.content.joints.length) return "Nothing is filled in on this frame yet.";
     const [width, height] = state.labels.size;
     const seen = ([x, y]) => x >= 0 && y >= 0 && x <= width && y <= height;
     change(player.wanted, { joints: Object.fromEntries(hand.content.joints.map((point, n) => [n, seen(point) ? point : "unseen"])) });

@@ -4,14 +4,16 @@ import { $, move, on, player, problem, state, emit } from "./app.js";
 import { drawHand, next, tool as joints, unseen } from "./joints.js";
 import * as labels from "./labels.js";
 import { tool as outlines } from "./outlines.js";
+import { tool as strokes } from "./strokes.js";
 import { drawOverlay, toggle } from "./overlay.js";
-import { drawPanel, say } from "./panel.js";
+import { drawPanel, reconstruct, say } from "./panel.js";
 import { pan, pointAt, view } from "./view.js";
 
 const REACH = 8; // screen pixels within which a point is meant
 const STILL = 4; // screen pixels that a click may move
 
-const TOOLS = { joints, object: outlines("object"), front: outlines("front") };
+const TOOLS = { joints, on: strokes("on"), off: strokes("off"), object: outlines("object"), front: outlines("front"), hand: outlines("hand") };
+const STROKES = ["on", "off"];
 const tool = () => TOOLS[state.tool];
 
 function choose(name) {
@@ -32,7 +34,7 @@ export async function begin(mark) {
     problem(error.message);
     return;
   }
-  Object.assign(state, { mode: "labels", tool: "joints" });
+  Object.assign(state, { mode: "labels", tool: state.labels.found ? "on" : "joints" });
   view.fitted = true;
   player.look(true);
   $("mesh").value ||= mark.category ?? "";
@@ -41,6 +43,7 @@ export async function begin(mark) {
   draw();
   const here = Math.min(Math.max(player.wanted, mark.start), mark.end);
   await player.show(state.labels.keyframes.size ? here : mark.start);
+  if (state.labels?.found && labels.missing(mark.start)) labels.work("propagate"); // the hands that were found
 }
 
 export function end() {
@@ -82,6 +85,9 @@ export const KEYS = {
   "j": () => choose("joints"),
   "o": () => choose("object"),
   "i": () => choose("front"),
+  "q": () => choose("on"),
+  "z": () => choose("off"),
+  "y": () => choose("hand"),
   "m": () => state.tool === "joints" && unseen(),
   "w": nudge(0, -1),
   "a": nudge(-1, 0),
@@ -124,7 +130,10 @@ screen.onpointerdown = (event) => {
       draw();
     } else if (state.mode === "labels" && !inExtent()) say("This frame is not part of the grasp.");
   };
-  screen.onpointerup = screen.onpointercancel = over;
+  screen.onpointerup = screen.onpointercancel = (now) => {
+    over(now);
+    if (grabbed !== null && STROKES.includes(state.tool)) labels.work("propagate");
+  };
 };
 const within = (point) => point.every((value, axis) => value >= 0 && value <= view.size[axis]);
 
@@ -141,9 +150,19 @@ export function draw() {
   drawPanel(next());
 }
 
+/** A reconstruction as soon as all is filled in, where that is wished. */
+let worked = null;
+function follow() {
+  const job = state.labels?.job, now = job && `${job.what} ${job.state}`;
+  const filled = now === "propagate done" && worked?.startsWith("propagate") && worked !== now;
+  worked = now;
+  if (filled && $("live").checked && !$("reconstruct").disabled && $("mesh").value.trim()) reconstruct();
+}
+
 joints.changed = draw;
 view.changed = () => state.mode === "labels" && drawOverlay();
 on("labels", draw);
+on("labels", follow);
 on("shown", draw);
 on("undone", (undone, frame) => {
   if (!undone) say("Nothing left to undo in this tab.");

@@ -7,7 +7,7 @@ const SETTLE = 600; // ms after the last of several small moves until they are s
 const KEY = "getagrip-labelled"; // the grasp that this tab labels, for reloads
 
 const who = () => state.labels.about;
-const outlined = (one) => one.hidden || Object.values(one.outlines).some((outline) => outline.closed && outline.of === "object");
+const outlined = (one) => one.hidden || Object.values(one.outlines).some((outline) => outline.closed && ["object", "on"].includes(outline.of));
 const blank = (frame) => ({ frame, joints: {}, outlines: {}, hidden: false, outlined: false });
 
 let moved = null; // {frame, set}: moved here, not sent yet
@@ -50,8 +50,8 @@ function take(answer) {
   labels.job = answer.job;
   const old = answer.newest < labels.newest; // it was asked before a change that is answered already
   if (!old && !saving.waiting.length && !moved) { // else its answer comes after what is still on its way
-    const { newest, extent, side, size, fewest, basis } = answer;
-    Object.assign(labels, { newest, extent, side, size, fewest, basis });
+    const { newest, extent, side, size, fewest, basis, found } = answer;
+    Object.assign(labels, { newest, extent, side, size, fewest, basis, found });
     labels.keyframes = new Map(answer.keyframes.map((one) => [one.frame, { ...one, outlined: outlined(one) }]));
   }
   if (answer.drafts > labels.seen) fetchDrafts(labels);

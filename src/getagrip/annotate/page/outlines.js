@@ -1,4 +1,4 @@
-// Polygons around the visible parts of the object, and around what is in front of it, drawn point by point.
+// Polygons around the visible parts of the object, what is in front of it and the hand, drawn point by point.
 
 import { player } from "./app.js";
 import { adjust, change, draft, here } from "./labels.js";
@@ -66,7 +66,7 @@ export const tool = (of) => ({
       put(edge.id, { ...one, points: one.points.toSpliced(edge.n + 1, 0, point) });
       chosen = { id: edge.id, n: edge.n + 1 };
     } else if (selected()) chosen = null;
-    else change(player.wanted, { outlines: { [fresh()]: { of, closed: false, points: [point] } }, hidden: false });
+    else change(player.wanted, { outlines: { [fresh()]: { of, closed: false, points: [point] } }, ...(of === "hand" ? {} : { hidden: false }) });
   },
   nudge(dx, dy, inside) {
     const point = selected();
@@ -93,14 +93,15 @@ export const tool = (of) => ({
   take() {
     const masks = draft("masks", player.wanted);
     if (!masks) return "Nothing is filled in on this frame yet.";
-    const { object, front } = masks.content;
-    const taken = [...object.map((points) => ["object", points]), ...front.map((points) => ["front", points])];
+    const kinds = of === "hand" ? ["hand"] : ["object", "front"]; // a hand that was found stays what it is
+    const taken = kinds.flatMap((kind) => (masks.content[kind] ?? []).map((points) => [kind, points]));
+    const replaced = Object.keys(here().outlines).filter((id) => (here().outlines[id].of === "hand") === (of === "hand"));
     const outlines = Object.fromEntries([
-      ...Object.keys(here().outlines).map((id) => [id, null]),
+      ...replaced.map((id) => [id, null]),
       ...taken.map(([kind, points]) => [fresh(), { of: kind, closed: true, points }]),
     ]);
     chosen = null;
-    change(player.wanted, { outlines, hidden: !object.length });
+    change(player.wanted, { outlines, ...(of === "hand" ? {} : { hidden: !masks.content.object.length }) });
     return null;
   },
 });

@@ -20,20 +20,24 @@ const svg = (name, attributes, title) => {
 };
 const path = (points, closed = true) => `M${points.map((point) => point.join(" ")).join("L")}${closed ? "Z" : ""}`;
 
+/** Whether a frame has strokes: what they make of it is filled in. */
+const strokes = (own) => Object.values(own.outlines).some(({ of }) => of === "on" || of === "off");
+
 /** Masks and hand as the server has drafted them; a key frame's own polygons stand instead of its masks. */
 function drafts(frame, own) {
   const made = [], masks = draft("masks", frame), hand = draft("hand", frame);
   const old = (kind) => (stale(kind, frame) ? " stale" : "");
-  if (masks && !own.outlined) {
-    for (const kind of ["object", "front"]) {
-      const d = masks.content[kind].map((points) => path(points)).join("");
-      if (d) made.push(svg("path", { d, class: `draft ${kind}${old("masks")}`, "fill-rule": "evenodd" }));
+  if (masks) {
+    const drawn = own.outlined && !strokes(own) ? ["hand"] : ["object", "front", "hand"];
+    for (const kind of drawn) {
+      const d = (masks.content[kind] ?? []).map((points) => path(points)).join("");
+      if (d) made.push(svg("path", { d, class: `draft ${kind === "hand" ? "own" : kind}${old("masks")}`, "fill-rule": "evenodd" }));
     }
   }
   if (hand) {
     const { joints, outlines } = hand.content;
     made.push(svg("path", { d: outlines.map((points) => path(points)).join(""), class: `draft hand${old("hand")}` }));
-    if (state.tool === "joints") {
+    if (joints.length && (state.tool === "joints" || state.labels.found)) {
       made.push(svg("path", { d: BONES.map((bone) => path(bone.map((n) => joints[n]), false)).join(""), class: `draft bones${old("hand")}` }));
     }
   }
@@ -43,6 +47,7 @@ function drafts(frame, own) {
 function outlines(own) {
   const radius = 4.5 / view.scale, chosen = corner();
   return Object.entries(own.outlines).flatMap(([id, one]) => {
+    if (one.of === "on" || one.of === "off") return [svg("path", { d: `${path(one.points, false)}${one.points.length > 1 ? "" : "h0.01"}`, class: `stroke ${one.of}` })];
     const made = [svg("path", { d: path(one.points, one.closed), class: `outline ${one.of}${one.closed ? "" : " open"}`, "fill-rule": "evenodd" })];
     if (state.tool !== one.of) return made;
     const corners = one.points.map(([x, y], n) => {

@@ -8,6 +8,8 @@ import { drawing, remove } from "./outlines.js";
 const UNSURE = 0.85; // masks less sure than this are named
 const NAMED = 6; // so many of them
 
+const FEW = 4; // frames that are drawn on, of which the page asks for the next
+
 const clicked = (one) => Object.values(one.joints).filter(Array.isArray).length;
 const within = (frame) => frame >= state.labels.extent[0] && frame <= state.labels.extent[1];
 
@@ -25,18 +27,38 @@ function unfilled() {
 
 const busy = () => ["waiting", "running"].includes(state.labels.job?.state);
 
+/** The frame that it helps most to draw on: the first, the last, then the least sure; undefined where all are sure. */
+function wanted() {
+  const [first, last] = state.labels.extent, { keyframes, drafts } = state.labels;
+  const drawn = [...keyframes.values()].filter((one) => one.outlined && within(one.frame)).map((one) => one.frame);
+  if (!drawn.length) return first;
+  if (drawn.length === 1) return 2 * drawn[0] < first + last ? last : first;
+  const unsure = [...drafts.masks.values()].filter((one) => within(one.frame) && !stale("masks", one.frame) && one.content.confidence < UNSURE);
+  return drawn.length < FEW && !unfilled() ? unsure.sort((a, b) => a.content.confidence - b.content.confidence)[0]?.frame : undefined;
+}
+
+/** The next step where hands were found: the object is painted on the frames that are asked for. */
+function nextStroke(outlined) {
+  const at = wanted(), there = at === player.wanted;
+  if (!outlined) return there ? "The hands were found; they are drawn in every frame. Paint strokes over the object: along it, and over each of its colours. The hand does not belong to it." : "Go to the first frame (Home), and paint a stroke over the object there.";
+  if (busy() || at === undefined) return null;
+  return there ? "Paint over the object here, too; z, then a stroke, for what does not belong to it." : "Most is gained by a stroke on the frame that is named below.";
+}
+
 function nextStep(joint) {
-  const { keyframes, job, fewest } = state.labels, own = here(), keys = [...keyframes.values()].filter((one) => within(one.frame));
+  const { keyframes, job, fewest, found } = state.labels, own = here(), keys = [...keyframes.values()].filter((one) => within(one.frame));
   const withJoints = keys.filter(clicked), outlined = keys.filter((one) => one.outlined);
   if (!within(player.wanted)) return "This frame is not part of the grasp. Home goes to its start.";
   if (state.tool !== "joints" && drawing(state.tool)) return "Click point after point along the border. To close it, click its first point again, or press Enter.";
   if (state.tool === "joints" && Object.keys(own.joints).length && joint !== null) return `Click the ${NAMES[joint].toLowerCase()}; x where it cannot be located.`;
+  const painted = found ? nextStroke(outlined.length) : null;
+  if (painted) return painted;
   if (busy()) return { files: "Writing the files …", reconstruct: "Reconstructing: this takes a minute or two …" }[job.what] ?? "Filling in …";
-  if (!withJoints.length) return "Go to the first frame, or one near it that shows the hand well, and click the joints in the order of the picture below. The mouse wheel brings it closer.";
+  if (!withJoints.length && !found) return "Go to the first frame, or one near it that shows the hand well, and click the joints in the order of the picture below. The mouse wheel brings it closer.";
   const few = withJoints.find((one) => clicked(one) < fewest);
   if (few) return `A frame needs ${fewest} joints at least: click some more on frame ${few.number}, or delete them.`;
   if (!outlined.length) return "Draw a polygon around the visible part of the object (o): the hand does not belong to it. Then draw polygons around whatever else hides it (i), if anything does.";
-  if (withJoints.length < 2 || outlined.length < 2) {
+  if (!found && (withJoints.length < 2 || outlined.length < 2)) {
     const what = withJoints.length < 2 ? (outlined.length < 2 ? "both" : "joints") : "a polygon";
     return `Now ${what} on the last frame or near it, and in the middle where the grasp is long or turns. The frames between are filled in (b).`;
   }
@@ -59,7 +81,7 @@ function drawKeyframes() {
 }
 
 function drawOutlines() {
-  const own = here(), names = { object: "Object", front: "In front" };
+  const own = here(), names = { object: "Object", front: "In front", hand: "Hand", on: "On the object", off: "Not the object" };
   const rows = Object.entries(own.outlines).map(([id, one]) => {
     const away = element("button", { textContent: "✕", title: "Delete this polygon", onclick: () => remove(id) });
     return element("li", { className: one.of }, element("span", { className: "text" }, names[one.of], element("small", { textContent: one.closed ? many(one.points.length, "point") : "not closed yet" })), away);
@@ -77,7 +99,7 @@ function drawFrames(id, frames) {
 
 function drawWork() {
   const { job, basis, drafts, keyframes, extent: [first, last] } = state.labels, running = busy();
-  const own = [...keyframes.values()].filter((one) => within(one.frame)), hand = own.some(clicked), masks = own.some((one) => one.outlined);
+  const own = [...keyframes.values()].filter((one) => within(one.frame)), hand = state.labels.found || own.some(clicked), masks = own.some((one) => one.outlined);
   $("fill").disabled = running || !(masks || hand);
   $("write").disabled = $("reconstruct").disabled = running || !(masks && hand);
   $("cancel").hidden = $("progress-bar").hidden = !running;
@@ -91,8 +113,10 @@ function drawWork() {
   const unsure = [...drafts.masks.values()].filter((one) => within(one.frame) && !stale("masks", one.frame) && one.content.confidence < UNSURE)
     .sort((a, b) => a.content.confidence - b.content.confidence).slice(0, NAMED).sort((a, b) => a.frame - b.frame);
   drawFrames("unsure", unsure.map((one) => [one.frame, one.content.number, `${Math.round(100 * one.content.confidence)} % sure`]));
-  const uncertain = own.map((one) => [one, (drafts.hand.get(one.frame)?.content.uncertain ?? []).filter((n) => Array.isArray(one.joints[n]))]);
-  drawFrames("uncertain", uncertain.filter(([, joints]) => joints.length).map(([one, joints]) => [one.frame, one.number, joints.map((n) => NAMES[n]).join(", ")]));
+  const at = wanted();
+  drawFrames("wanted", at === undefined ? [] : [[at, (drafts.masks.get(at) ?? drafts.hand.get(at))?.content.number ?? `${at + 1}`, "Go there"]]);
+  const doubted = own.map((one) => [one, (drafts.hand.get(one.frame)?.content.doubtful ?? []).filter((n) => Array.isArray(one.joints[n]))]);
+  drawFrames("doubtful", doubted.filter(([, joints]) => joints.length).map(([one, joints]) => [one.frame, one.number, joints.map((n) => NAMES[n]).join(", ")]));
   const command = job?.what === "files" && job.state === "done" ? job.message : "";
   $("command-box").hidden = !command;
   $("command").textContent = command;
@@ -113,11 +137,11 @@ export function drawPanel(joint) {
 
 $("fill").onclick = () => { work("propagate"); $("fill").blur(); };
 $("write").onclick = () => { work("files"); $("write").blur(); };
-$("reconstruct").onclick = () => {
+export function reconstruct() {
   const size = $("size-mm").value.trim();
   work("reconstruct", { mesh: $("mesh").value, size_mm: size ? Number(size) : null });
-  $("reconstruct").blur();
-};
+}
+$("reconstruct").onclick = () => { reconstruct(); $("reconstruct").blur(); };
 $("cancel").onclick = () => work("cancel");
 $("copy").onclick = () => { navigator.clipboard.writeText($("command").textContent); $("copy").blur(); };
 $("hidden").onchange = () => { change(player.wanted, { hidden: $("hidden").checked }); $("hidden").blur(); };

@@ -1,14 +1,15 @@
 """Terms on the hand, and what terms on the object say of a hand that is unknown as well.
 
 Unknown are the object in the hand, ``T_hand_obj``, and the hand in the camera, ``T_cam_hand``. A term sees both in the
-camera (``ObjectWithHand``) and answers by the local vector of each frame, of P = 14 + F numbers:
+camera (``ObjectWithHand``) and answers by the local vector of each frame, or by a part of it:
 
-    0:3  v_o   the object's centre shifts [m]             7:10  v_h   the hand's middle shifts [m]
-    3:6  w_o   the object turns about its centre [rad]   10:13  w_h   the hand turns about its middle [rad]
-    6    l_o   logarithm of the object's scale           13     l_h   logarithm of the hand's size
-                                                         14:    fingers: F modes, for whoever built the term
+    0:7       the object in the camera: v_o, w_o, l_o (``se3``)
+    7:14      the hand in the camera: v_h its middle shifts [m], w_h it turns about its middle [rad], l_h logarithm of
+              its size
+    14:14+F   fingers: F modes, for whoever built the term
+    the last  the object in the hand, by a 7-vector in the camera frame, as the hand as given would see it
 
-all in the camera frame, both 7-vectors as ``se3`` has them. Four kinds of terms follow.
+Four kinds of terms follow.
 
 - **On the object in the camera** (masks, smoothness, depth of the object): an ordinary ``Term``, of 7 numbers. It knows
   nothing of the hand. It moves the hand all the same, since ``T_cam_obj = T_cam_hand @ T_hand_obj``: an object held
@@ -18,10 +19,11 @@ all in the camera frame, both 7-vectors as ``se3`` has them. Four kinds of terms
 - **On the hand in the camera** (2D joints, hand masks, depth of the hand): a ``HandTerm``, of 7 + F numbers, wrapped in
   ``OnHand``. Any term on a rigid body serves as one, too: to it the hand is a body with a middle.
 - **On the object in the hand** (push, pull, contact): a ``Term`` made for the hand as given, wrapped in ``InHand``. It
-  is evaluated at the object as the given hand would see it, so that a hand and an object that move together change
-  nothing.
+  sees the object as the given hand would, so that a hand and an object that move together change nothing. If the hand
+  grows by s, that object shrinks by s about the hand's middle: distances count in the hand's own measure. Fingers are
+  those given.
 - **On both** (depth up to an unknown scale, which hides which): a ``Term`` that reads ``poses.hand`` itself and answers
-  by all P numbers.
+  by the first 14 numbers, or 14 + F.
 
 Terms that tie frames to each other have a ``Quadratic.cross``, on the hand as on the object. Where the hand is held
 (poses without one) ``InHand`` is the term within, and ``OnHand`` is a constant, taken as zero.
@@ -32,7 +34,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
@@ -47,12 +48,10 @@ class HandInCamera(PosesInCamera):
     Attributes:
         modes: (B, N, F) how much of each of F modes the fingers have; F = 0 where they keep their bends.
         middle: (3,) the point that the hand turns and grows about, in the hand frame [m].
-        T_input: (N, 4, 4) ``T_cam_hand`` of the input hand.
     """
 
     modes: Float[ndarray, "B N F"]
     middle: Float[ndarray, "3"]
-    T_input: Float[ndarray, "N 4 4"]
 
     @property
     def size(self) -> int:
@@ -66,13 +65,17 @@ class HandInCamera(PosesInCamera):
 
 @dataclass(frozen=True)
 class ObjectWithHand(PosesInCamera):
-    """The object in the camera frame, and the hand that moves with it."""
+    """The object in the camera frame, and the hand that moves with it.
+
+    ``in_hand`` is the object as the hand as given would see it, in the camera frame.
+    """
 
     hand: HandInCamera
+    in_hand: PosesInCamera
 
     @property
     def size(self) -> int:
-        return 7 + self.hand.size
+        return 7 + self.hand.size + 7
 
 
 class HandTerm(Protocol):
@@ -105,12 +108,7 @@ class OnHand:
 
 @dataclass(frozen=True)
 class InHand:
-    """A term made for the given hand, on the object as the moved hand has it.
-
-    With M the turn from the moved hand back to the given one, and s its size, the term sees the object turned by M, its
-    centre at ``M (c_o - c_h) / s`` from the given hand's middle, and its scale divided by s: distances count in the
-    hand's own measure. Fingers are those given.
-    """
+    """A term made for the hand as given, on the object as the moved hand has it."""
 
     term: Term
 
@@ -121,16 +119,4 @@ class InHand:
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
         if not isinstance(poses, ObjectWithHand):
             return self.term(poses, bound)
-        hand = poses.hand
-        R_input = hand.T_input[:, :3, :3]
-        M, offset = R_input @ np.swapaxes(hand.R, -1, -2), poses.centre - hand.centre
-        shrink = M / hand.scale[:, None, None, None]
-        arm = (shrink @ offset[..., None])[..., 0]
-        home = R_input @ hand.middle + hand.T_input[:, :3, 3]
-        J = np.zeros((*offset.shape[:2], 7, poses.size))
-        J[..., :3, :3], J[..., 3:6, 3:6], J[..., 6, 6] = shrink, M, 1.0
-        # Moving the hand moves the object in the hand the other way.
-        J[..., :3, 7:10], J[..., :3, 10:13], J[..., :3, 13] = -shrink, shrink @ se3.hat(offset), -arm
-        J[..., 3:6, 10:13], J[..., 6, 13] = -M, -1.0
-        seen = PosesInCamera(np.ascontiguousarray(M @ poses.R), arm + home, poses.scale / hand.scale)
-        return self.term(seen, bound).by(J)
+        return self.term(poses.in_hand, bound).within(poses.size, first=poses.size - 7)

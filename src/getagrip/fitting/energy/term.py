@@ -60,13 +60,6 @@ class Quadratic:
         total = cross[0] + cross[1] if len(cross) == 2 else cross[0] if cross else None
         return Quadratic(self.value + other.value, self.g + other.g, self.H + other.H, total)
 
-    def by(self, J: Float[ndarray, "B N P Q"]) -> Quadratic:
-        """Transform it to another vector, given the Jacobian of this one's vector by it (chain rule)."""
-        Jt, cross = np.swapaxes(J, -1, -2), None
-        if self.cross is not None:
-            cross = np.swapaxes(Jt[:, :, None] @ np.swapaxes(self.cross, 2, 3) @ J[:, None], 2, 3)
-        return Quadratic(self.value, (Jt @ self.g[..., None])[..., 0], Jt @ self.H @ J, cross)
-
     def within(self, size: int, first: int = 0) -> Quadratic:
         """Embed it in a longer vector, of which this one's vector is the part from ``first`` on."""
         B, N, P = self.g.shape

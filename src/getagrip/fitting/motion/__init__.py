@@ -5,7 +5,7 @@ the first two, with a small deviation per frame, ``Frozen``: any of them, what i
 ``MovingHand``: any of them in a hand that is unknown as well.
 """
 
-from getagrip.fitting.motion.base import Motion, PosesInHand, Prior, moved, placed
+from getagrip.fitting.motion.base import HandPoses, Motion, PosesInHand, Prior, moved, placed
 from getagrip.fitting.motion.fixed import Fixed
 from getagrip.fitting.motion.free import Free, interpolated
 from getagrip.fitting.motion.frozen import Frozen
@@ -17,6 +17,7 @@ __all__ = [
     "Fixed",
     "Free",
     "Frozen",
+    "HandPoses",
     "HandPrior",
     "Hinge",
     "Motion",

@@ -45,29 +45,6 @@ class Batch:
         return replace(self, **changed)
 
 
-class HandFrame(Protocol):
-    """The properties of a hand that all hypotheses share."""
-
-    @property
-    def middle(self) -> Float[ndarray, "3"]:
-        """The point that the hand turns and grows about, in the hand frame [m]."""
-        ...
-
-
-@dataclass(frozen=True)
-class HandPoses(Batch):
-    """The moved hand in the frame of the given one: ``X_given = R @ (scale * (X_hand - middle)) + centre``.
-
-    ``modes`` (B, N, F) tells how much of each of F modes the fingers have.
-    """
-
-    R: Float[ndarray, "B N 3 3"]
-    centre: Float[ndarray, "B N 3"]
-    scale: Float[ndarray, "B"]
-    modes: Float[ndarray, "B N F"]
-    frame: HandFrame
-
-
 @dataclass(frozen=True)
 class PosesInHand(Batch):
     """The posed object in the hand frame: ``X_hand = R @ (scale * (X_obj - c)) + centre``.
@@ -81,6 +58,31 @@ class PosesInHand(Batch):
     hand: HandPoses | None = field(default=None, kw_only=True)
 
 
+class HandFrame(Protocol):
+    """The properties of a hand that all hypotheses share."""
+
+    @property
+    def middle(self) -> Float[ndarray, "3"]:
+        """The point that the hand turns and grows about, in the hand frame [m]."""
+        ...
+
+
+@dataclass(frozen=True)
+class HandPoses(Batch):
+    """The moved hand in the frame of the hand as given: ``X_given = R @ (scale * (X_hand - middle)) + centre``.
+
+    ``modes`` (B, N, F) tells how much of each of F modes the fingers have, ``held`` where the object would be if the
+    hand as given had it as the moved hand has it.
+    """
+
+    R: Float[ndarray, "B N 3 3"]
+    centre: Float[ndarray, "B N 3"]
+    scale: Float[ndarray, "B"]
+    modes: Float[ndarray, "B N F"]
+    held: PosesInHand
+    frame: HandFrame
+
+
 def placed(poses: PosesInHand, centre: Float[ndarray, "3"]) -> Float[ndarray, "B N 4 4"]:
     """Return ``T_hand_obj`` of poses about the mesh's centre, which lies at ``centre`` in its own frame."""
     R, scale = poses.R, poses.scale[:, None, None]
@@ -91,7 +93,8 @@ def moved(poses: PosesInHand, T: Float[ndarray, "N 4 4"]) -> PosesInHand:
     """Transform poses to another frame, given the hand's pose in it; the inverse leads back."""
     R, t, hand = T[:, :3, :3], T[:, :3, 3], poses.hand
     if hand is not None:
-        hand = replace(hand, R=R @ hand.R, centre=(R @ hand.centre[..., None])[..., 0] + t)
+        centre = (R @ hand.centre[..., None])[..., 0] + t
+        hand = replace(hand, R=R @ hand.R, centre=centre, held=moved(hand.held, T))
     return PosesInHand(R @ poses.R, (R @ poses.centre[..., None])[..., 0] + t, poses.scale, hand=hand)
 
 

@@ -111,7 +111,10 @@ class MovingHand(Batch, Generic[Core]):
         x, assumed = self.constant[:, None, :-1] + self.own, self.assumed
         shift = x[..., SHIFT] + x[..., DEPTH, None] * assumed.rays[assumed.frames]
         size = np.exp(self.constant[:, -1])
-        return HandPoses(se3.exp_so3(x[..., TURN]), assumed.middle + shift, size, x[..., MODES:], assumed)
+        held = self.core.poses()
+        arm = (held.centre - assumed.middle) / size[:, None, None]
+        held = PosesInHand(held.R, assumed.middle + arm, held.scale / size)
+        return HandPoses(se3.exp_so3(x[..., TURN]), assumed.middle + shift, size, x[..., MODES:], held, assumed)
 
     def poses(self) -> PosesInHand:
         held, hand = self.core.poses(), self._hand()
@@ -128,19 +131,19 @@ class MovingHand(Batch, Generic[Core]):
         shared, local = self.core.jacobian()
         hand, object_ = self._hand(), self.poses()
         B, N, F = hand.modes.shape
-        size = np.zeros((B, N, 14 + F, 1))
-        size[..., 13, 0] = 1.0
-        J = np.zeros((B, N, 14 + F, 7 + F))
+        size = np.zeros((B, N, 21 + F, 1))
+        size[..., -7:-4, 0], size[..., [13, -1], 0] = self.assumed.middle - hand.held.centre, [1.0, -1.0]
+        J = np.zeros((B, N, 21 + F, 7 + F))
         J[..., 7:10, SHIFT], J[..., 7:10, DEPTH] = np.eye(3), self.assumed.rays[self.assumed.frames]
         J[..., 10:13, TURN] = se3.left_jacobian((self.constant[:, None, :-1] + self.own)[..., TURN])
-        J[..., 14:, MODES:] = np.eye(F)
+        J[..., 14 : 14 + F, MODES:] = np.eye(F)
         # An object that is still in the hand goes with it.
         J[..., :3, :] = J[..., 7:10, :] - se3.hat(object_.centre - hand.centre) @ J[..., 10:13, :]
         J[..., 3:6, :] = J[..., 10:13, :]
         constant, own = self._free()
         return (
-            np.concatenate([_carried(hand.R, shared, F), np.concatenate([J, size], axis=-1)[..., constant]], axis=-1),
-            np.concatenate([_carried(hand.R, local, F), J[..., own]], axis=-1),
+            np.concatenate([_carried(hand, shared), np.concatenate([J, size], axis=-1)[..., constant]], axis=-1),
+            np.concatenate([_carried(hand, local), J[..., own]], axis=-1),
         )
 
     def lengths(self) -> tuple[Bool[ndarray, "S"], Bool[ndarray, "L"]]:
@@ -195,7 +198,8 @@ class MovingHand(Batch, Generic[Core]):
         return self.assumed.constant > 0.0, self.assumed.own > 0.0
 
 
-def _carried(R: Float[ndarray, "B N 3 3"], J: Float[ndarray, "B N 7 k"], modes: int) -> Float[ndarray, "B N P k"]:
-    """Local vectors of the object in the moved hand, as the given hand has them; the hand's own are zero."""
-    zero = np.zeros((*J.shape[:2], 7 + modes, J.shape[-1]))
-    return np.concatenate([R @ J[..., :3, :], R @ J[..., 3:6, :], J[..., 6:, :], zero], axis=-2)
+def _carried(hand: HandPoses, J: Float[ndarray, "B N 7 k"]) -> Float[ndarray, "B N P k"]:
+    """Local vectors by a motion of the object in the hand, the hand itself being still."""
+    v, w, scale = J[..., :3, :], J[..., 3:6, :], J[..., 6:, :]
+    zero = np.zeros((*J.shape[:2], 7 + hand.modes.shape[-1], J.shape[-1]))
+    return np.concatenate([hand.R @ v, hand.R @ w, scale, zero, v / hand.scale[:, None, None, None], w, scale], axis=-2)

@@ -1,0 +1,141 @@
+"""The border between an object and the rest where colours, and what is known before, put it.
+
+Minimised is, over 0 <= u <= 1, the sum of ``cost`` u + ``edge`` |grad u|: a minimal cut in continuous form (Chan,
+Esedoglu, Nikolova, SIAM J. Appl. Math. 2006), by the primal-dual steps of Chambolle and Pock (JMIV 2011). The colours
+of both sides are histograms: of the keys, wherever the colour was, and of the frame before, near to where it was.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int, UInt8
+from numpy import ndarray
+
+BINS = 12
+"""Number of bins of lightness and of each of Lab's colours."""
+COLOURED = 100
+"""Lab's two colours are in a range of so many steps, around grey, or count as its ends."""
+CELLS = 8
+"""In each direction of the image: where a colour was."""
+BLUR = 0.7
+"""Blur of histograms [bins, cells]."""
+SHARED = 8.0
+"""The keys' colours count as much as so many pixels of a cell."""
+RARE = 0.05
+"""Pixels of any colour that each side may have without its being seen there."""
+SMOOTH = 3.0
+"""Cost of a border of one pixel where the image is smooth; ``SHARP`` of it where it has a strong edge."""
+SHARP = 0.15
+ROUNDS = 50
+
+Image = UInt8[ndarray, "h w 3"]
+Mask = Bool[ndarray, "h w"]
+
+
+def bins(image: Image) -> Int[ndarray, "h w"]:
+    """Return the bin of each pixel's colour."""
+    import cv2
+
+    lab = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2LAB).astype(np.int64)
+    grey = np.clip((lab[..., 1:] - 128 + COLOURED // 2) * BINS // COLOURED, 0, BINS - 1)
+    return np.asarray((lab[..., 0] * BINS // 256 * BINS + grey[..., 0]) * BINS + grey[..., 1])
+
+
+class Colours(NamedTuple):
+    """How many pixels of each side have a colour: inside and outside."""
+
+    counts: Float32[ndarray, "2 bins"]
+
+    @staticmethod
+    def of(image: Image, inside: Mask, counted: Mask) -> Colours:
+        """Count the colours of one image; shares of its pixels."""
+        at, sides = bins(image), []
+        for side in (inside & counted, ~inside & counted):
+            cube = np.bincount(at[side], minlength=BINS**3).astype(np.float32).reshape(BINS, BINS, BINS)
+            sides.append(_blurred(cube).ravel() / max(1, np.count_nonzero(side)))
+        return Colours(np.stack(sides))
+
+    @staticmethod
+    def mean(some: list[Colours]) -> Colours:
+        """Average those of several images."""
+        return Colours(np.mean([each.counts for each in some], axis=0).astype(np.float32))
+
+
+class Places(NamedTuple):
+    """The colours by place: an image in cells."""
+
+    size: tuple[int, int]
+    counts: Float32[ndarray, "2 cells"]
+
+    @staticmethod
+    def of(image: Image, inside: Mask, counted: Mask) -> Places:
+        """Count the colours of one image by place."""
+        height, width = inside.shape
+        y, x = np.mgrid[:height, :width].astype(np.float32)
+        at = _cells((width, height), x, y) * BINS**3 + bins(image)
+        shape = CELLS, CELLS, BINS, BINS, BINS
+        sides = [
+            _blurred(np.bincount(at[side], minlength=int(np.prod(shape))).astype(np.float32).reshape(shape)).ravel()
+            for side in (inside & counted, ~inside & counted)
+        ]
+        return Places((width, height), np.stack(sides))
+
+
+def _cells(size: tuple[int, int], x: Float32[ndarray, "h w"], y: Float32[ndarray, "h w"]) -> Int[ndarray, "h w"]:
+    column, row = (
+        np.clip(each * CELLS / length, 0, CELLS - 1).astype(np.int64) for each, length in zip((x, y), size, strict=True)
+    )
+    return np.asarray(row * CELLS + column)
+
+
+def _blurred(counts: Float32[ndarray, "..."]) -> Float32[ndarray, "..."]:
+    from scipy.ndimage import gaussian_filter
+
+    return np.asarray(gaussian_filter(counts, BLUR, mode="constant", truncate=2.0), np.float32)
+
+
+def likelier(
+    image: Image,
+    keys: Colours,
+    before: Places | None = None,
+    came: tuple[Float32[ndarray, "h w"], Float32[ndarray, "h w"]] | None = None,
+) -> Float32[ndarray, "h w"]:
+    """Compute the logarithm of how much likelier each pixel's colour is inside than outside.
+
+    ``came`` is where pixels were in the frame ``before``, whose colours there count, too.
+    """
+    at = bins(image)
+    sides = SHARED * keys.counts[:, at] + RARE * SHARED / BINS
+    if before is not None and came is not None:
+        sides = sides + before.counts[:, _cells(before.size, *came) * BINS**3 + at]
+    return np.asarray(np.log(sides[0] / sides[1]), np.float32)
+
+
+def edges(image: Image) -> Float32[ndarray, "h w"]:
+    """Compute the cost of a border at each pixel [1/px]."""
+    values = image.astype(np.float32)
+    change = np.zeros(image.shape[:2], np.float32)
+    change[:, :-1] += ((values[:, 1:] - values[:, :-1]) ** 2).sum(axis=-1)
+    change[:-1] += ((values[1:] - values[:-1]) ** 2).sum(axis=-1)
+    return np.asarray(SMOOTH * (SHARP + (1.0 - SHARP) * np.exp(-change / (2.0 * change.mean() + 1e-6))), np.float32)
+
+
+def cut(cost: Float32[ndarray, "h w"], edge: Float32[ndarray, "h w"], start: Float32[ndarray, "h w"]) -> Mask:
+    """Cut where u is above one half, from a ``start`` near to it."""
+    u, bar = start, start.copy()
+    px, py = np.zeros_like(u), np.zeros_like(u)
+    step = np.float32(1.0 / np.sqrt(8.0))
+    for _ in range(ROUNDS):
+        px[:, :-1] += step * (bar[:, 1:] - bar[:, :-1])
+        py[:-1] += step * (bar[1:] - bar[:-1])
+        length = np.maximum(np.float32(1.0), np.sqrt(px * px + py * py) / edge)
+        px /= length
+        py /= length
+        spread = px + py
+        spread[:, 1:] -= px[:, :-1]
+        spread[1:] -= py[:-1]
+        new = np.clip(u + step * (spread - cost), 0.0, 1.0)
+        bar, u = 2.0 * new - u, new
+    return np.asarray(u > 0.5)

@@ -1,0 +1,149 @@
+"""Hands of a video without a click: found, lifted and masked, as the page and ``clip new`` take them.
+
+The folder ``found`` beside the marks gets ``hand.npz``, a hand file whose frames are places from 1 and which keeps the
+landmarks as ``joints_2d``, and ``masks/<place>.png``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+
+from getagrip.annotate.footage import Footage
+from getagrip.annotate.found_hands import FOLDER
+from getagrip.clip import HandTrack
+from getagrip.clip.writing import write_hand
+from getagrip.errors import UsageError
+from getagrip.geometry import se3
+from getagrip.geometry.camera import project
+from getagrip.hands.clicked_hands import SCALE
+from getagrip.hands.lifted_hands import hands_from_landmarks
+from getagrip.io import files
+from getagrip.io.images import write_mask
+from getagrip.landmarks import HandLandmarks, follow, hand_mask, select
+from getagrip.landmarks.nets import Nets
+from getagrip.landmarks.selecting import Side
+from getagrip.provenance import Provenance, Source, as_arrays, assumed, estimated
+
+THUMBNAIL = 24
+"""Side of the images in which cuts are looked for [px]."""
+CUT = (25.0, 0.4)
+"""Mean difference of two frames [of 255], and share of their pixels with another colour: both more at a cut."""
+BEYOND = 0.25
+"""Confidence of landmarks beside the image, as a share of that of others."""
+
+
+@dataclass(frozen=True)
+class FoundHands:
+    """The hand that holds the object, in those frames of a video that show it."""
+
+    hand: HandTrack
+    frames: tuple[int, ...]
+    """From 0."""
+    landmarks: HandLandmarks
+    """Landmarks of the frames from ``first`` on."""
+    first: int
+    K: Float[ndarray, "3 3"]
+    camera: Source
+
+    @property
+    def provenance(self) -> Provenance:
+        """Provenance for a clip."""
+        words = "; ".join(self.landmarks.notes)
+        return {
+            "hands": estimated(f"MediaPipe's landmarks, lifted to the generic hand; {words}"),
+            "hands_focal": assumed("from the size of the generic hand and the focal length"),
+            "hands_scale": assumed(SCALE),
+            "camera": self.camera,
+        }
+
+
+def find_hands(
+    footage: Footage,
+    interval: tuple[int, int],
+    nets: Nets,
+    K: Float[ndarray, "3 3"],
+    camera: Source,
+    side: Side | None = None,
+    boxes: Mapping[int, Float[ndarray, "4"]] | None = None,
+    on_frame: Callable[[int], None] = lambda n: None,
+) -> FoundHands:
+    """Find the hand in the frames of an interval, from 0, both ends included.
+
+    ``boxes`` as for ``select``, by frame.
+
+    Raises ``UsageError`` where there is no hand, or the video is cut within the interval.
+    """
+    first, last = interval
+    shot = _Shot(footage, first)
+    seen = follow(shot.image, last - first + 1, nets, on_frame)
+    landmarks = select(seen, side, None if boxes is None else {n - first: box for n, box in boxes.items()})
+    beside = (landmarks.points < 0.0) | (landmarks.points > np.array(footage.size))
+    weights = landmarks.confidence * np.where(beside.any(axis=-1), BEYOND, 1.0)
+    lifted = hands_from_landmarks(landmarks.points, weights, K, landmarks.side, landmarks.world)
+    rows = np.array(lifted.rows)
+    assert lifted.hand.joints is not None
+    fitted = project(K, se3.transform(lifted.hand.T_cam_hand, lifted.hand.joints))
+    points = np.where(weights[rows][..., None] > 0.0, landmarks.points[rows], fitted)  # none between two with landmarks
+    hand = replace(lifted.hand, joints_2d=points, joints_2d_confidence=weights[rows])
+    return FoundHands(hand, tuple((rows + first).tolist()), landmarks, first, K, camera)
+
+
+@dataclass
+class _Shot:
+    """Frames in order, with an eye on cuts."""
+
+    footage: Footage
+    first: int
+    newest: int = -1
+    before: UInt8[ndarray, "n n 3"] | None = None
+
+    def image(self, n: int) -> UInt8[ndarray, "H W 3"]:
+        """Return a frame of the interval. Raises ``UsageError`` at a cut."""
+        image = self.footage.image(self.first + n)
+        if n == self.newest + 1:
+            now = _thumbnail(image)
+            if self.before is not None and is_cut(self.before, now):
+                at = self.first + n + 1
+                parts = f"--interval {self.first + 1} {at - 1} or --interval {at} LAST"
+                raise UsageError(f"{self.footage.name(at - 1)}: the video is cut before this frame: choose {parts}")
+            self.newest, self.before = n, now
+        return image
+
+
+def _thumbnail(image: UInt8[ndarray, "H W 3"]) -> UInt8[ndarray, "n n 3"]:
+    import cv2
+
+    return np.asarray(cv2.resize(image, (THUMBNAIL, THUMBNAIL), interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def is_cut(one: UInt8[ndarray, "n n 3"], other: UInt8[ndarray, "n n 3"]) -> bool:
+    """Return whether two small images are of different shots: other colours, at other places."""
+    counts = [np.bincount((each // 32).reshape(-1, 3) @ np.array([64, 8, 1]), minlength=512) for each in (one, other)]
+    share = 0.5 * float(np.abs(counts[0] - counts[1]).sum()) / counts[0].sum()
+    return float(np.abs(one.astype(float) - other).mean()) > CUT[0] and share > CUT[1]
+
+
+def write_found(
+    out: Path, found: FoundHands, image: Callable[[int], UInt8[ndarray, "H W 3"]], done: Callable[[int], None]
+) -> Path:
+    """Write the folder ``found`` into ``out``, in place of an older one, and return it.
+
+    Masks are made of frames with landmarks. ``done`` is called with the number of frames.
+    """
+    folder = files.folder_inside(out) / FOLDER
+    with files.new_folder(folder, ("hand.npz", "masks") if folder.exists() else ()) as new:
+        places = np.array(found.frames) + 1
+        extra = {"frames": places, "K": found.K, "side": np.array(found.landmarks.side)}
+        write_hand(found.hand, new / "hand.npz", extra | as_arrays(found.provenance))
+        (new / "masks").mkdir()
+        for count, row in enumerate(found.landmarks.rows, start=1):
+            n = found.first + row
+            write_mask(new / "masks" / f"{n + 1:06d}.png", hand_mask(image(n), found.landmarks.points[row]))
+            done(count)
+    return folder

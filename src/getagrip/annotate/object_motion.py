@@ -1,0 +1,85 @@
+"""Origin of a frame's pixels in the one before: by dense inverse search (Kroeger et al., ECCV 2016), or as an object.
+
+Lengths are in pixels of the size at which masks are carried.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float32, UInt8
+from numpy import ndarray
+
+Image = UInt8[ndarray, "H W 3"]
+Origins = tuple[Float32[ndarray, "h w"], Float32[ndarray, "h w"]]
+"""x and y of where each pixel was."""
+
+SAMPLES = 2000
+"""Pixels of the object that its own motion is fitted to, at most; it needs a hundredth of them."""
+SPREAD = 10.0
+"""Standard deviation of what the flow of the object's pixels is averaged over [px]."""
+FLOW = 1.5
+"""Standard deviation of flow [px]."""
+MOST = 3.0
+"""Logarithm of how much likelier one motion is, at most."""
+
+
+def own_motion(
+    x: Float32[ndarray, "h w"],
+    y: Float32[ndarray, "h w"],
+    came: Origins,
+    inner: Bool[ndarray, "h w"],
+) -> Origins | None:
+    """Return the origins of all pixels if they move as the ``inner`` ones of the object near to them.
+
+    At a border flow is part that of what is beside it; so masks would lag behind. None where too few pixels are left.
+    """
+    import cv2
+
+    some = np.flatnonzero(inner)[:: max(1, np.count_nonzero(inner) // SAMPLES)]
+    if len(some) < SAMPLES // 100:
+        return None
+    here, there = (np.stack([each.ravel()[some] for each in pair], axis=1) for pair in ((x, y), came))
+    A = cv2.estimateAffine2D(here, there, method=cv2.RANSAC, ransacReprojThreshold=1.0)[0]
+    if A is None:
+        return None
+    weight = inner.astype(np.float32)
+    total = cv2.GaussianBlur(weight, (0, 0), SPREAD) + 0.01
+    shifted = []
+    for row, each in zip(A, came, strict=True):
+        affine = (row[0] * x + row[1] * y + row[2]).astype(np.float32)
+        shifted.append(affine + cv2.GaussianBlur(weight * np.clip(each - affine, -3.0, 3.0), (0, 0), SPREAD) / total)
+    return shifted[0], shifted[1]
+
+
+def moves_with(
+    came: Origins,
+    own: Origins,
+    ground: Origins | None,
+    off: Float32[ndarray, "h w"],
+) -> Float32[ndarray, "h w"]:
+    """Compute the logarithm of how much likelier a pixel moves with the object than with its surroundings."""
+    import cv2
+
+    if ground is None:
+        return np.zeros_like(off)
+    apart = [(came[0] - each[0]) ** 2 + (came[1] - each[1]) ** 2 for each in (ground, own)]
+    noise = 2.0 * (FLOW**2 + off**2)
+    return np.asarray(cv2.GaussianBlur(np.clip((apart[0] - apart[1]) / noise, -MOST, MOST), (0, 0), 2.0), np.float32)
+
+
+def moved(
+    values: Float32[ndarray, "h w"], old: tuple[Float32[ndarray, "H W"], Float32[ndarray, "H W"]], outside: float
+) -> Float32[ndarray, "H W"]:
+    """Move values to the places that pixels came from."""
+    import cv2
+
+    return np.asarray(cv2.remap(values, *old, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, outside), np.float32)
+
+
+def flow(a: Image, b: Image) -> Float32[ndarray, "H W 2"]:
+    """Return the place in b of each pixel of a, less its place in a [px]."""
+    import cv2
+
+    search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    a, b = (cv2.cvtColor(np.ascontiguousarray(each), cv2.COLOR_RGB2GRAY) for each in (a, b))
+    return np.asarray(search.calc(a, b, np.zeros((*a.shape, 2), np.float32)), np.float32)

@@ -1,0 +1,178 @@
+"""From strokes, clicks or a box on one frame to the object's mask: GrabCut, which keeps to every stroke.
+
+Rother, Kolmogorov, Blake, SIGGRAPH 2004. A stroke lies on the object ("on") or on what is not the object ("off"). Where
+polygons are drawn on the frame, too, they hold but near the strokes, which correct them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray
+
+from getagrip.annotate.carried_masks import Hands, Image, Images
+from getagrip.annotate.colour_cut import Colours, likelier
+from getagrip.annotate.labels import HAND, OBJECT, FrameLabels, Labels
+from getagrip.errors import UsageError
+
+Box = tuple[float, float, float, float]
+"""Left, top, width and height [px]."""
+SIDE = 480
+"""The part of the image that is looked at has so long a side at most [px]."""
+WIDTH = 0.008
+"""Width of a stroke, as a share of the image's shorter side."""
+LEAST, MOST = 0.25, 0.45
+"""Nothing farther from the strokes than their extent is the object: than these shares of the image's shorter side at
+least and at most; the latter from a single click."""
+CLICK = 0.05
+"""Strokes of an extent less than this share are a click."""
+NEAR = 0.12
+"""Polygons are corrected within this share of the image's shorter side from a stroke."""
+ROUNDS = 5
+"""Rounds of GrabCut."""
+
+
+def key_masks(labels: Labels, image: Images, hand: Hands = lambda _: None) -> dict[int, UInt8[ndarray, "H W"]]:
+    """Complete ``labels.label_maps`` by strokes and the image."""
+    maps = labels.label_maps()
+    for n in maps:
+        frame = labels.frames[n]
+        if frame.on or frame.off:
+            maps[n] = stroked(image(n), maps[n], frame, hand(n))
+    return maps
+
+
+def stroked(
+    image: Image, drawn: UInt8[ndarray, "H W"], frame: FrameLabels, hand: Bool[ndarray, "h w"] | None = None
+) -> UInt8[ndarray, "H W"]:
+    """Apply the strokes of a frame to its label map, ``drawn`` so far by polygons."""
+    import cv2
+
+    shape = drawn.shape
+    on, off = (_painted(strokes, shape) for strokes in (frame.on or (), frame.off or ()))
+    seen = np.zeros(shape, bool) if hand is None else _resized(hand, shape)
+    no_object = off | ((drawn != 0) & (drawn != OBJECT)) | (seen & (drawn != OBJECT))
+    start = None
+    if (drawn == OBJECT).any():
+        near = cv2.distanceTransform((~(on | off)).astype(np.uint8), cv2.DIST_L2, 3) < NEAR * min(shape)
+        start = np.where(drawn == OBJECT, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
+        start[~near & (drawn == OBJECT)], start[~near & (drawn != OBJECT)] = cv2.GC_FGD, cv2.GC_BGD
+    found = _cut(image, on, no_object & ~on, start, _around(on | (drawn == OBJECT), shape))
+    out = np.where(drawn == OBJECT, 0, drawn).astype(np.uint8)
+    out[found] = OBJECT
+    out[off & (out == OBJECT)], out[on] = 0, OBJECT
+    return out
+
+
+def boxed(image: Image, box: Box, hand: Bool[ndarray, "h w"] | None = None) -> UInt8[ndarray, "H W"]:
+    """Make the label map of a frame on which the object fills a box, ``HAND`` where the hand is visible.
+
+    Raises ``UsageError`` for a box that is not in the image.
+    """
+    import cv2
+
+    height, width = shape = image.shape[:2]
+    x, y, w, h = box
+    columns, rows = slice(max(0, round(x)), round(x + w)), slice(max(0, round(y)), round(y + h))
+    if w <= 0 or h <= 0 or not (x < width and y < height and columns.stop > 0 and rows.stop > 0):
+        raise UsageError(f"box must be X,Y,W,H within the {width} x {height} image (got {','.join(map(str, box))})")
+    seen = np.zeros(shape, bool) if hand is None else _resized(hand, shape)
+    inside = np.zeros(shape, bool)
+    inside[rows, columns] = True
+    start = np.where(inside & ~seen, cv2.GC_PR_FGD, cv2.GC_BGD).astype(np.uint8)
+    around = _around(inside, shape, 0.15 * max(w, h))
+    found = _cut(image, np.zeros(shape, bool), seen | ~inside, start, around)
+    out = np.where(seen, HAND, 0).astype(np.uint8)
+    out[found] = OBJECT
+    return out
+
+
+def _painted(strokes: Sequence[Float[ndarray, "_ 2"]], shape: tuple[int, ...]) -> Bool[ndarray, "H W"]:
+    import cv2
+
+    out = np.zeros(shape[:2], np.uint8)
+    width = max(2, round(WIDTH * min(shape[:2])))
+    for points in strokes:
+        corners = np.floor(points).astype(np.int32)
+        cv2.polylines(out, [corners], False, 1, width)
+        cv2.circle(out, corners[0].tolist(), width // 2, 1, -1)
+    return np.asarray(out > 0)
+
+
+def _resized(mask: Bool[ndarray, "h w"], shape: tuple[int, ...]) -> Bool[ndarray, "H W"]:
+    import cv2
+
+    return np.asarray(cv2.resize(mask.astype(np.float32), shape[1::-1], interpolation=cv2.INTER_LINEAR) > 0.5)
+
+
+def _around(mask: Bool[ndarray, "H W"], shape: tuple[int, ...], margin: float | None = None) -> tuple[slice, slice]:
+    """Rows and columns about what is marked; all where nothing is."""
+    if not mask.any():
+        return slice(0, shape[0]), slice(0, shape[1])
+    short, marked = min(shape[:2]), np.nonzero(mask)
+    if margin is None:
+        extent = max(float(np.ptp(i)) for i in marked)
+        margin = MOST * short if extent < CLICK * short else min(max(extent, LEAST * short), MOST * short)
+    rows, columns = (
+        slice(max(0, int(i.min() - margin)), min(length, int(i.max() + margin) + 1))
+        for i, length in zip(marked, shape, strict=False)
+    )
+    return rows, columns
+
+
+def _cut(
+    image: Image,
+    on: Bool[ndarray, "H W"],
+    off: Bool[ndarray, "H W"],
+    start: UInt8[ndarray, "H W"] | None,
+    part: tuple[slice, slice],
+) -> Bool[ndarray, "H W"]:
+    """Run GrabCut in a part of the image, from its labels or, without any, from the colours of the strokes."""
+    import cv2
+
+    out = np.zeros(on.shape, bool)
+    if start is None and not on.any():
+        return out
+    image = cv2.resize(image, on.shape[::-1], interpolation=cv2.INTER_AREA)[part]
+    height, width = image.shape[:2]
+    zoom = min(1.0, SIDE / max(height, width))
+    size = max(8, round(zoom * width)), max(8, round(zoom * height))
+    small = np.ascontiguousarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    sure, never = (
+        cv2.resize(each[part].astype(np.uint8), size, interpolation=cv2.INTER_AREA) > 0 for each in (on, off)
+    )
+    if start is None:
+        labels = np.full(size[::-1], cv2.GC_PR_BGD, np.uint8)
+        labels[[0, -1]] = labels[:, [0, -1]] = cv2.GC_BGD
+        labels[never], labels[sure] = cv2.GC_BGD, cv2.GC_FGD
+        unknown = labels == cv2.GC_PR_BGD
+        likely = likelier(small, Colours.of(small, sure, ~unknown)) > 1.0
+        labels[likely & unknown] = cv2.GC_PR_FGD
+    else:
+        labels = cv2.resize(start[part], size, interpolation=cv2.INTER_NEAREST)
+        labels[never], labels[sure] = cv2.GC_BGD, cv2.GC_FGD
+    front, back = (np.isin(labels, sides) for sides in ((cv2.GC_FGD, cv2.GC_PR_FGD), (cv2.GC_BGD, cv2.GC_PR_BGD)))
+    if not front.any() or not back.any():
+        return out
+    colours = np.zeros((1, 65)), np.zeros((1, 65))
+    cv2.setRNGSeed(0)  # GrabCut begins with k-means from random centres
+    labels = cv2.grabCut(small, labels, (0, 0, 0, 0), *colours, ROUNDS, cv2.GC_INIT_WITH_MASK)[0]
+    found = _touching(np.isin(labels, (cv2.GC_FGD, cv2.GC_PR_FGD)), sure)
+    soft = cv2.GaussianBlur(found.astype(np.float32), (0, 0), 1.0)
+    out[part] = cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
+    return out & ~off
+
+
+def _touching(mask: Bool[ndarray, "h w"], strokes: Bool[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
+    """Keep the parts of a mask that a stroke touches; without strokes the largest one."""
+    import cv2
+
+    count, parts, about, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    if count == 1:
+        return mask
+    kept: Int[ndarray, "k"] = np.unique(parts[strokes & mask])
+    if not kept.size:
+        kept = np.array([1 + int(about[1:, cv2.CC_STAT_AREA].argmax())])
+    return np.asarray(mask & np.isin(parts, kept))

@@ -1,0 +1,90 @@
+"""Strokes, clicks and boxes on a synthetic image whose true mask is known."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy import ndarray
+
+from getagrip.annotate.labels import FRONT, HAND, OBJECT, FrameLabels
+from getagrip.annotate.strokes import boxed, stroked
+from getagrip.errors import UsageError
+
+SIZE = (160, 120)
+CENTRE, RADIUS = (80, 60), 30
+
+
+def scene() -> tuple[ndarray, ndarray]:
+    """A red disc on a grey ground, and its mask."""
+    mask = np.zeros(SIZE[::-1], np.uint8)
+    cv2.circle(mask, CENTRE, RADIUS, 1, -1)
+    noise = np.random.default_rng(0).normal(0.0, 6.0, (*mask.shape, 3))
+    image = np.where(mask[..., None] > 0, np.array([190, 60, 50]), np.array([90, 110, 120])) + noise
+    return np.clip(image, 0, 255).astype(np.uint8), mask > 0
+
+
+def iou(a: ndarray, b: ndarray) -> float:
+    return float((a & b).sum() / max((a | b).sum(), 1))
+
+
+NOTHING = np.zeros(SIZE[::-1], np.uint8)
+
+
+def strokes(*lines: list[tuple[float, float]]) -> tuple[ndarray, ...]:
+    return tuple(np.array(line, float) for line in lines)
+
+
+@pytest.mark.parametrize("line", [[(80.0, 60.0)], [(65.0, 60.0), (95.0, 62.0)]])
+def test_a_click_or_a_stroke_finds_an_object_of_one_colour(line: list[tuple[float, float]]) -> None:
+    image, mask = scene()
+    assert iou(stroked(image, NOTHING, FrameLabels(on=strokes(line))) == OBJECT, mask) > 0.95
+
+
+def test_a_box_finds_it_and_the_hand_is_not_the_object() -> None:
+    image, mask = scene()
+    hand = np.zeros(SIZE[::-1], bool)
+    hand[55:65, :80] = True
+    image[hand] = (220, 190, 160)
+    found = boxed(image, (46, 26, 68, 68), hand)
+    assert iou(found == OBJECT, mask & ~hand) > 0.93
+    assert ((found == HAND) == hand).all()
+    for box in ((200, 0, 10, 10), (0, 0, 0, 5)):
+        with pytest.raises(UsageError, match="160 x 120"):
+            boxed(image, box)
+
+
+@given(
+    on=st.lists(st.tuples(st.integers(5, 154), st.integers(5, 114)), min_size=1, max_size=3),
+    off=st.tuples(st.integers(5, 154), st.integers(5, 114)),
+    drawn=st.booleans(),
+)
+@settings(max_examples=15, deadline=None)
+def test_strokes_are_obeyed_exactly(on: list[tuple[int, int]], off: tuple[int, int], drawn: bool) -> None:
+    image, mask = scene()
+    start = np.where(mask, OBJECT, 0).astype(np.uint8) if drawn else NOTHING
+    found = stroked(image, start, FrameLabels(on=strokes([(x + 0.5, y + 0.5) for x, y in on]), off=strokes([off])))
+    assert all(found[y, x] == OBJECT for x, y in on)
+    if min(abs(x - off[0]) + abs(y - off[1]) for x, y in on) > 8 and len(on) == 1:
+        assert found[off[1], off[0]] != OBJECT
+
+
+def test_a_polygon_holds_far_from_strokes_and_is_corrected_near_to_them() -> None:
+    image, mask = scene()
+    start = np.where(mask, OBJECT, 0).astype(np.uint8)
+    start[:, :60] = 0  # too small at the left, and too large far away at the right
+    start[58:62, 80:140] = OBJECT
+    found = stroked(image, start, FrameLabels(on=strokes([(58.0, 60.0)]))) == OBJECT
+    assert found[60, 54]
+    assert found[60, 135]
+
+
+def test_what_is_in_front_stays_in_front() -> None:
+    image, _ = scene()
+    start = NOTHING.copy()
+    start[:, 90:] = FRONT
+    found = stroked(image, start, FrameLabels(on=strokes([(70.0, 60.0)])))
+    assert (found[:, 92:] == FRONT).all()
+    assert (found == OBJECT).any()

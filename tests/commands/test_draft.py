@@ -1,0 +1,127 @@
+"""A draft finds the hand, or says why not; what it writes is what the page and ``clip new`` take."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from getagrip.annotate.finding_hands import is_cut
+from getagrip.annotate.store import Store
+from getagrip.clip.reading import read_hand
+from getagrip.commands.annotate import DATABASE
+from getagrip.commands.hand_file import HandFile
+from getagrip.io.images import read_png
+from helpers.command_line import Run
+from helpers.labelled_scene import HEIGHT, RADIUS, WIDTH, middle, write_scene
+from helpers.seen_hands import POINTS, SceneNets
+
+DRAFT = ("draft", "scene.mp4", "--object", "cup", "--out", "out", "--no-page")
+
+
+@pytest.fixture
+def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("getagrip.landmarks.load", lambda _: SceneNets())
+    return write_scene(tmp_path / "scene.mp4", 8)
+
+
+@pytest.mark.slow
+def test_hands_masks_and_marks_are_there(scene: Path, run: Run) -> None:
+    status, out, err = run(*DRAFT)
+    assert status == 0, err
+    assert "the left hand in 8 of 8 frames" in out
+    for words in ("left hand: in 8 of 8 frames", "the generic hand has the size", "a guess: the focal length"):
+        assert words in err
+    found = HandFile.of(scene.parent / "out" / "found" / "hand.npz")
+    assert found.numbers == tuple(range(1, 9))
+    assert found.side == "left"
+    assert "MediaPipe" in str(found.provenance["hands"])
+    hand = read_hand(found.path, 8)
+    assert hand.joints_2d is not None
+    np.testing.assert_allclose(hand.joints_2d, np.tile(POINTS, (8, 1, 1)))
+    names = sorted(path.name for path in (found.path.parent / "masks").iterdir())
+    assert names == [f"{n:06d}.png" for n in range(1, 9)]
+    store = Store(scene.parent / "out" / DATABASE)
+    (mark,) = store.marks.standing()
+    store.close()
+    assert (mark.interval, mark.side) == ((0, 7), "left")
+    assert run(*DRAFT, "--interval", "1", "4")[0] == 0  # again, over it
+    assert len(HandFile.of(found.path).numbers or ()) == 4
+
+
+@pytest.mark.slow
+def test_a_box_on_the_object_is_enough_for_masks_of_all_frames(
+    scene: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    no_hand = np.zeros((HEIGHT, WIDTH), bool)  # the scene shows none
+    monkeypatch.setattr("getagrip.annotate.finding_hands.hand_mask", lambda *_: no_hand)
+    x, y = (middle(0) - RADIUS - 3.0).tolist()
+    status, out, err = run(*DRAFT, "--object-box", f"{x},{y},{2 * RADIUS + 6},{2 * RADIUS + 6}")
+    assert status == 0, err
+    assert "getagrip clip new" in out
+    (masks,) = (scene.parent / "out").glob("draft-*/masks")
+    for n in range(8):
+        mask = read_png(masks / f"{n + 1:06d}.png", (WIDTH, HEIGHT))
+        x, y = middle(n).astype(int)
+        assert mask[y, x] == 1
+        assert mask[5, 5] == 0
+    status, _, err = run(*DRAFT, "--object-box", "2000,2000,5,5")
+    assert status == 2
+    assert "320 x 240" in err
+
+
+def test_no_hand_and_no_models_are_said(scene: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("getagrip.landmarks.load", lambda _: SceneNets(hands=False))
+    status, _, err = run(*DRAFT)
+    assert status == 2
+    assert "no hand: palms were looked for in 8 frames" in err
+    monkeypatch.undo()
+    monkeypatch.chdir(scene.parent)
+    status, _, err = run(*DRAFT, "--models", "nowhere")
+    assert status == 1
+    assert "getagrip doctor --fetch hands" in err
+
+
+@pytest.mark.parametrize("box", ["1,2,3", "a,b,c,d", "1,2,3,-4"])
+def test_a_box_is_four_numbers(scene: Path, run: Run, box: str) -> None:
+    assert scene.is_file()
+    assert run(*DRAFT, "--object-box", box)[0] == 2
+
+
+def test_intervals_are_checked(scene: Path, run: Run) -> None:
+    assert scene.is_file()
+    status, _, err = run(*DRAFT, "--interval", "3", "90")
+    assert status == 2
+    assert "--interval must be two frames from 1 to 8" in err
+
+
+def shots(path: Path) -> Path:
+    """A video of two shots, four frames each."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+        stream.codec_context.time_base = Fraction(1, 30)
+        for n in range(8):
+            image = np.full((HEIGHT, WIDTH, 3), 40 if n < 4 else 200, np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        container.mux(stream.encode())
+    return path
+
+
+def test_a_cut_is_said(scene: Path, run: Run) -> None:
+    shots(scene)
+    status, _, err = run(*DRAFT)
+    assert status == 2
+    assert "000005: the video is cut before this frame: choose --interval 1 4 or --interval 5 LAST" in err
+
+
+def test_motion_is_no_cut() -> None:
+    rng = np.random.default_rng(0)
+    image = rng.integers(0, 255, (24, 24, 3)).astype(np.uint8)
+    assert not is_cut(image, np.roll(image, 5, axis=1))
+    assert not is_cut(image, np.clip(image.astype(int) + 20, 0, 255).astype(np.uint8))
+    assert is_cut(np.full_like(image, 30), image)

@@ -1,0 +1,49 @@
+"""The mask of a hand is where its colour is, near its landmarks."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from getagrip.landmarks import hand_mask
+from getagrip.landmarks.masks import BONES
+from helpers.seen_hands import POINTS
+
+SHAPE = (480, 640)
+HAND = 2.0 * POINTS
+RNG = np.random.default_rng(0)
+
+
+def drawn() -> tuple[np.ndarray, np.ndarray]:
+    """An image of a hand before a table, and where the hand is."""
+    mask = np.zeros(SHAPE, np.uint8)
+    at = np.round(HAND).astype(int)
+    for a, b in BONES:
+        cv2.line(mask, tuple(at[a].tolist()), tuple(at[b].tolist()), 1, 18)
+    cv2.fillConvexPoly(mask, cv2.convexHull(at[[0, 1, 5, 9, 13, 17]].astype(np.int32)), 1)
+    image = np.where(mask[..., None] > 0, [205, 150, 120], [70, 90, 110]) + RNG.normal(0.0, 6.0, (*SHAPE, 3))
+    return image.clip(0, 255).astype(np.uint8), mask > 0
+
+
+def iou(a: np.ndarray, b: np.ndarray) -> float:
+    return float((a & b).sum() / (a | b).sum())
+
+
+def test_the_hand_is_found_where_it_is() -> None:
+    image, truth = drawn()
+    assert iou(hand_mask(image, HAND), truth) > 0.9
+
+
+def test_what_hides_a_finger_is_not_the_hand() -> None:
+    image, truth = drawn()
+    tip = HAND[12]
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]] + 0.5
+    cup = np.hypot(u - tip[0], v - tip[1]) < 30.0
+    image[cup] = np.array([30, 120, 40], np.uint8)
+    assert iou(hand_mask(image, HAND), truth & ~cup) > 0.85
+    assert not (hand_mask(image, HAND, cup) & cup).any()
+
+
+def test_a_hand_beside_the_image_has_no_mask() -> None:
+    image, _ = drawn()
+    assert not hand_mask(image, HAND + 5000.0).any()
