@@ -16,13 +16,13 @@ from numpy import ndarray
 BINS = 12
 """Number of bins of lightness and of each of Lab's colours."""
 COLOURED = 100
-"""Lab's two colours are in a range of so many steps, around grey, or count as its ends."""
+"""Lab's two colours are in a range of this many steps, around grey, or count as its ends."""
 CELLS = 8
 """In each direction of the image: where a colour was."""
 BLUR = 0.7
 """Blur of histograms [bins, cells]."""
 SHARED = 8.0
-"""The keys' colours count as much as so many pixels of a cell."""
+"""The keys' colours count as much as this many pixels of a cell."""
 RARE = 0.05
 """Pixels of any colour that each side may have without its being seen there."""
 SMOOTH = 3.0

@@ -65,8 +65,7 @@ def found_hand(labels: Labels, found: FoundHands) -> dict[int, dict[str, object]
 def masks(
     labels: Labels, image: Images, known: Container[int] = (), seen: Hands = lambda _: None
 ) -> Iterator[tuple[int, dict[str, object]]]:
-    """Yield each frame with polygons around the object, the hand and what is in front [px], and their confidence (0 to
-    1).
+    """Yield each frame with polygons of object, hand and what is in front [px], and their confidence (0 to 1).
 
     ``seen`` is where the hand is, as far as that is known.
 
