@@ -58,7 +58,7 @@ def found_hand(labels: Labels, found: FoundHands) -> dict[int, dict[str, object]
     for n in range(labels.first, labels.last + 1):
         mask, joints = found.mask(n), found.joints.get(n)
         shapes = [] if mask is None else _polygons(mask, labels.size[0] / mask.shape[1])
-        out[n] = {"joints": [] if joints is None else _rounded(joints), "outlines": shapes, "doubtful": []}
+        out[n] = {"joints": [] if joints is None else _rounded(joints), "outlines": shapes, "uncertain": []}
     return out
 
 
