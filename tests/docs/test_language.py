@@ -28,16 +28,16 @@ LOCAL = {"given", "held"}
 VERBS = re.findall(
     r"\w+",
     """
-    Add Answer Apply Approximate Assign Begin Bend Blend Build Call Cancel Carry Check Choose Claim Clip Close
-    Cluster Collect Combine Compare Compute Convert Copy Correlate Count Crop Decode Delay Descend Describe Detect
-    Differentiate Displace Do Draw Drop Embed Encode End Enlarge Enter Escape Estimate Evaluate Expand Explain
-    Export Extend Fill Find Fit Flatten Flip Follow Give Group Grow Have Hold Identify Ignore Import Interpolate
-    Join Judge Keep Learn Leave Let Limit Link List Listen Load Lock Make Mark Match Measure Minimise Mirror Move
-    Name Note Open Overwrite Pack Pair Parse Place Pop Predict Print Project Pull Put Raise Rank Read Reconstruct
-    Reduce Refine Refuse Remove Render Repair Replace Report Resample Resolve Return Reverse Rotate Run Sample Say
-    Scale Score Search Segment Select Send Serve Set Shift Shorten Show Shrink Simplify Skip Smooth Solve Split
-    Stack Start Strike Strip Study Subdivide Sum Summarise Take Trace Track Transform Triangulate Turn Unpack Wait Write
-    Yield
+    Add Answer Apply Approximate Assign Average Begin Bend Blend Build Call Cancel Carry Check Choose Claim Clip
+    Close Cluster Collect Combine Compare Complete Compute Convert Copy Correlate Count Crop Cut Decode Delay
+    Descend Describe Detect Differentiate Displace Do Draw Drop Embed Encode End Enlarge Enter Escape Estimate
+    Evaluate Expand Explain Export Extend Fill Find Fit Flatten Flip Follow Give Group Grow Have Hold Identify
+    Ignore Import Interpolate Join Judge Keep Learn Leave Let Limit Link List Listen Load Lock Make Mark Match
+    Measure Minimise Mirror Move Name Note Open Overwrite Pack Pair Parse Place Pop Predict Print Project Pull Put
+    Raise Rank Read Reconstruct Reduce Refine Refuse Remove Render Repair Replace Report Resample Resolve Return
+    Reverse Rotate Run Sample Say Scale Score Search Segment Select Send Serve Set Shift Shorten Show Shrink
+    Simplify Skip Smooth Solve Split Stack Start Strike Strip Study Subdivide Sum Summarise Take Trace Track
+    Transform Triangulate Turn Unpack Wait Write Yield
     """,
 )
 """The words with which public functions begin. A new one is added here, if it is an imperative."""

@@ -58,14 +58,14 @@ def found_hand(labels: Labels, found: FoundHands) -> dict[int, dict[str, object]
     for n in range(labels.first, labels.last + 1):
         mask, joints = found.mask(n), found.joints.get(n)
         shapes = [] if mask is None else _polygons(mask, labels.size[0] / mask.shape[1])
-        out[n] = {"joints": [] if joints is None else _rounded(joints), "outlines": shapes, "doubtful": []}
+        out[n] = {"joints": [] if joints is None else _rounded(joints), "outlines": shapes, "uncertain": []}
     return out
 
 
 def masks(
     labels: Labels, image: Images, known: Container[int] = (), seen: Hands = lambda _: None
 ) -> Iterator[tuple[int, dict[str, object]]]:
-    """Each frame with polygons around the object, the hand and what is in front [px], and how sure they are (0 to 1).
+    """Yield each frame with polygons of object, hand and what is in front [px], and their confidence (0 to 1).
 
     ``seen`` is where the hand is, as far as that is known.
 

@@ -46,14 +46,14 @@ class FoundHands:
     frames: tuple[int, ...]
     """From 0."""
     landmarks: HandLandmarks
-    """Of the frames from ``first`` on."""
+    """Landmarks of the frames from ``first`` on."""
     first: int
     K: Float[ndarray, "3 3"]
     camera: Source
 
     @property
     def provenance(self) -> Provenance:
-        """What a clip says of it."""
+        """Provenance for a clip."""
         words = "; ".join(self.landmarks.notes)
         return {
             "hands": estimated(f"MediaPipe's landmarks, lifted to the generic hand; {words}"),
@@ -121,7 +121,7 @@ def _thumbnail(image: UInt8[ndarray, "H W 3"]) -> UInt8[ndarray, "n n 3"]:
 
 
 def is_cut(one: UInt8[ndarray, "n n 3"], other: UInt8[ndarray, "n n 3"]) -> bool:
-    """Whether two small images are of different shots: other colours, at other places."""
+    """Return whether two small images are of different shots: other colours, at other places."""
     counts = [np.bincount((each // 32).reshape(-1, 3) @ np.array([64, 8, 1]), minlength=512) for each in (one, other)]
     share = 0.5 * float(np.abs(counts[0] - counts[1]).sum()) / counts[0].sum()
     return float(np.abs(one.astype(float) - other).mean()) > CUT[0] and share > CUT[1]

@@ -77,7 +77,7 @@ class KeyFrame:
         return tuple(np.array(points, dtype=float) for points in shapes)
 
     def labels(self) -> FrameLabels:
-        """Its labels, as a file has them."""
+        """Return its labels, as a file has them."""
         shapes = {kind: self.polygons(kind) or None for kind in SHAPES}
         if self.hidden and shapes["object"] is None:
             shapes["object"] = ()

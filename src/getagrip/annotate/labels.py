@@ -83,7 +83,9 @@ class Labels:
         return {n: frame.joints for n, frame in sorted(self.frames.items()) if frame.joints is not None}
 
     def label_maps(self) -> dict[int, UInt8[ndarray, "H W"]]:
-        """0, ``OBJECT``, ``FRONT`` or ``HAND`` as polygons have it (``strokes.key_masks`` takes strokes, too).
+        """Make label maps with 0, ``OBJECT``, ``FRONT`` or ``HAND`` from polygons.
+
+        ``strokes.key_masks`` uses strokes, too.
 
         Of each frame on which the object has polygons or strokes, or is marked as not visible.
         """

@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from getagrip.annotate.tasks import Task
 
 MOST_FRAMES = 3000
-"""Of a draft: each is looked at by two networks."""
+"""Most frames of a draft: each is looked at by two networks."""
 DRAFTER = "draft"
 """Whose the marks are that a draft begins with."""
 
 
 def box_of(words: list[str]) -> tuple[float, ...]:
-    """Left, top, width and height in one word. Raises ``ValueError``."""
+    """Parse left, top, width and height in one word. Raises ``ValueError``."""
     box = tuple(float(number) for number in words[0].split(","))
     if len(box) != 4 or min(box[2:]) <= 0.0:
         raise ValueError("a box is X,Y,W,H, its width and height above 0")
@@ -51,9 +51,9 @@ class Draft(Command):
     video: Annotated[Positional[Path], arg(metavar="VIDEO|FOLDER")]
     """The video of one shot, undistorted; or a folder of its images."""
     object: Annotated[str, arg(metavar="MESH|KIND")]
-    """What is held: its mesh, a file, or a kind such as mug."""
+    """Object in the hand: its mesh, a file, or a kind such as mug."""
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: VIDEO-draft)")] = None
-    """Where all of it is kept, as annotate does."""
+    """Folder of all files, as of annotate."""
     size_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: to be found)")] = None
     """The largest side of the object's bounding box."""
     interval: Annotated[tuple[int, int] | None, arg(metavar="FIRST LAST", help_behavior_hint="(default: all)")] = None
@@ -61,7 +61,7 @@ class Draft(Command):
     side: OptionalSide = None
     """Which hand (default: as most frames say)."""
     object_box: Annotated[tuple[float, float, float, float] | None, BOX, arg(help_behavior_hint="")] = None
-    """Where the object is in the first frame [px]: the hand nearest to it is taken, and what stands out in the box is
+    """Box of the object in the first frame [px]: the hand nearest to it is used, and what stands out in the box is
     drawn as the object."""
     no_page: Flag = False
     """Open no page: make files only; with object-box masks of all frames, too, and the command that makes a clip."""
@@ -70,11 +70,11 @@ class Draft(Command):
     lens: Annotated[Lens, arg(name="")] = field(default_factory=Lens)
     """The camera. Without it the focal length is a guess."""
     port: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 8765, or the next free one)")] = None
-    """Where the page is served, on 127.0.0.1."""
+    """Port of the page on 127.0.0.1."""
 
     @property
     def folder(self) -> Path:
-        """Where all of it is kept."""
+        """Folder of all files."""
         return self.out or self.video.with_name(f"{self.video.stem}-draft")
 
     def run(self) -> int:
@@ -141,7 +141,7 @@ class Draft(Command):
         return self.lens if self.lens.is_set else Lens(guess_focal=True)
 
     def _interval(self, footage: Footage) -> tuple[int, int]:
-        """First and last frame, from 0. Raises ``UsageError``."""
+        """Return the first and last frame, from 0. Raises ``UsageError``."""
         first, last = self.interval or (1, footage.frames)
         if not 1 <= first < last <= footage.frames or last - first >= MOST_FRAMES:
             allowed = f"two frames from 1 to {footage.frames}, the later one last, at most {MOST_FRAMES} apart"

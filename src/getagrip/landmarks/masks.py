@@ -22,7 +22,7 @@ SURE, MAYBE = 0.055, 0.17
 ARM = (1.6, 0.34)
 """Length and half width of the forearm, in sizes of the hand."""
 SKIN, NO_SKIN = 3.5, 8.0
-"""A colour so many robust standard deviations from the palm's is not surely the hand's, is surely not."""
+"""A colour this many robust standard deviations from the palm's is not surely the hand's, is surely not."""
 FEWEST = 20
 """Pixels of the palm whose colours are enough."""
 LEAST_SPREAD = 6.0

@@ -116,8 +116,8 @@ function drawWork() {
   drawFrames("unsure", unsure.map((one) => [one.frame, one.content.number, `${Math.round(100 * one.content.confidence)} % sure`]));
   const at = wanted();
   drawFrames("wanted", at === undefined ? [] : [[at, (drafts.masks.get(at) ?? drafts.hand.get(at))?.content.number ?? `${at + 1}`, "Go there"]]);
-  const doubted = own.map((one) => [one, (drafts.hand.get(one.frame)?.content.doubtful ?? []).filter((n) => Array.isArray(one.joints[n]))]);
-  drawFrames("doubtful", doubted.filter(([, joints]) => joints.length).map(([one, joints]) => [one.frame, one.number, joints.map((n) => NAMES[n]).join(", ")]));
+  const uncertain = own.map((one) => [one, (drafts.hand.get(one.frame)?.content.uncertain ?? []).filter((n) => Array.isArray(one.joints[n]))]);
+  drawFrames("uncertain", uncertain.filter(([, joints]) => joints.length).map(([one, joints]) => [one.frame, one.number, joints.map((n) => NAMES[n]).join(", ")]));
   const command = job?.what === "files" && job.state === "done" ? job.message : "";
   $("command-box").hidden = !command;
   $("command").textContent = command;

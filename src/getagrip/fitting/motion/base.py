@@ -59,7 +59,7 @@ class PosesInHand(Batch):
 
 
 class HandFrame(Protocol):
-    """What is known of a hand in all hypotheses alike."""
+    """The properties of a hand that all hypotheses share."""
 
     @property
     def middle(self) -> Float[ndarray, "3"]:
