@@ -22,7 +22,7 @@ Box = tuple[float, float, float, float]
 SIDE = 480
 """The part of the image that is looked at has so long a side at most [px]."""
 WIDTH = 0.008
-"""Of a stroke, as a share of the image's shorter side."""
+"""Width of a stroke, as a share of the image's shorter side."""
 LEAST, MOST = 0.25, 0.45
 """Nothing farther from the strokes than their extent is the object: than these shares of the image's shorter side at
 least and at most; the latter from a single click."""
@@ -31,11 +31,11 @@ CLICK = 0.05
 NEAR = 0.12
 """Polygons are corrected within this share of the image's shorter side from a stroke."""
 ROUNDS = 5
-"""Of GrabCut."""
+"""Rounds of GrabCut."""
 
 
 def key_masks(labels: Labels, image: Images, hand: Hands = lambda _: None) -> dict[int, UInt8[ndarray, "H W"]]:
-    """``labels.label_maps``, those with strokes completed by what the image shows."""
+    """Return ``labels.label_maps``, those with strokes completed by what the image shows."""
     maps = labels.label_maps()
     for n in maps:
         frame = labels.frames[n]
