@@ -29,7 +29,7 @@ Hands = Callable[[int], Bool[ndarray, "H W"] | None]
 """The visible hand by frame, of any one size of that shape; None where it is not known."""
 
 MARGIN = 120
-"""Largest motion between frames [px]; what moves farther is lost."""
+"""Things that move farther than this from one frame to the next are lost [px]."""
 ABOUT = 40.0
 """Colours of what is not the object are those of pixels nearer to it than this [px]."""
 FAR = 24
@@ -37,21 +37,21 @@ FAR = 24
 BAND = 2.0
 """The border of a mask that flow has moved is about so sure [px]."""
 PRIOR, COLOUR, MOST = 4.0, 1.0, 3.0
-"""Costs: one ``BAND`` from the border, a colour that is e times likelier on one side, and the limit e^MOST."""
+"""Weights of being one ``BAND`` from the border, and of a colour that is e times likelier on one side, up to e^MOST."""
 BACK = 1.5
 """Flow there and back agrees if it ends so near to where it began [px]."""
 
 SEEN = 0.2
-"""Certainty of a pixel that came into view after the key: its colour has decided."""
+"""Knowledge of a pixel that came into view after the key: its colour has decided."""
 REMEMBERED = 0.95
-"""Factor on the certainty of something hidden, from frame to frame."""
+"""Share of its knowledge that something hidden keeps from frame to frame."""
 INNER = 2.5
 """The flow of pixels of the object that are farther from its border than this is its own [px]."""
 STIFF = 0.5
-"""How much less a border that is certain moves than colours would have it, so that errors do not add up."""
+"""Share by which a border that is certain moves less than colours would have it, so that errors do not add up."""
 
 KINDS = (OBJECT, FRONT, HAND)
-"""Labels that are carried; where several are, the last one is visible."""
+"""Kinds that are carried; where several are, the last one is visible."""
 
 
 class Carried(NamedTuple):
@@ -92,7 +92,7 @@ def carry(
 
 
 def _colours(image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], size: tuple[int, int]) -> list[Colours]:
-    """Return the colours of each of ``KINDS`` and of its surroundings in the keys."""
+    """Return colours of each of ``KINDS`` and what is about it in the keys."""
     found: list[list[Colours]] = [[] for _ in KINDS]
     for n, labels in keys.items():
         inside = [_signed_distance(_shrunk(labels == kind, size), ABOUT) for kind in KINDS]

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float32, Int, UInt8
 from numpy import ndarray
 
 BINS = 12
-"""Number of bins of lightness and of each of Lab's colours."""
+"""Bins of lightness and of each of Lab's colours."""
 COLOURED = 100
 """Lab's two colours are in a range of this many steps, around grey, or count as its ends."""
 CELLS = 8
@@ -44,13 +44,13 @@ def bins(image: Image) -> Int[ndarray, "h w"]:
 
 
 class Colours(NamedTuple):
-    """How many pixels of each side have a colour: inside and outside."""
+    """Shares of pixels that have a colour, inside and outside."""
 
     counts: Float32[ndarray, "2 bins"]
 
     @staticmethod
     def of(image: Image, inside: Mask, counted: Mask) -> Colours:
-        """Count the colours of one image; shares of its pixels."""
+        """Count one image; shares of its pixels."""
         at, sides = bins(image), []
         for side in (inside & counted, ~inside & counted):
             cube = np.bincount(at[side], minlength=BINS**3).astype(np.float32).reshape(BINS, BINS, BINS)
@@ -59,19 +59,19 @@ class Colours(NamedTuple):
 
     @staticmethod
     def mean(some: list[Colours]) -> Colours:
-        """Average those of several images."""
+        """Return the mean of several images."""
         return Colours(np.mean([each.counts for each in some], axis=0).astype(np.float32))
 
 
 class Places(NamedTuple):
-    """The colours by place: an image in cells."""
+    """Counts by where the pixels are: an image in cells."""
 
     size: tuple[int, int]
     counts: Float32[ndarray, "2 cells"]
 
     @staticmethod
     def of(image: Image, inside: Mask, counted: Mask) -> Places:
-        """Count the colours of one image by place."""
+        """Count one image."""
         height, width = inside.shape
         y, x = np.mgrid[:height, :width].astype(np.float32)
         at = _cells((width, height), x, y) * BINS**3 + bins(image)
@@ -102,7 +102,7 @@ def likelier(
     before: Places | None = None,
     came: tuple[Float32[ndarray, "h w"], Float32[ndarray, "h w"]] | None = None,
 ) -> Float32[ndarray, "h w"]:
-    """Compute the logarithm of how much likelier each pixel's colour is inside than outside.
+    """Return the logarithm of how much likelier each pixel's colour is inside than outside.
 
     ``came`` is where pixels were in the frame ``before``, whose colours there count, too.
     """
@@ -123,7 +123,7 @@ def edges(image: Image) -> Float32[ndarray, "h w"]:
 
 
 def cut(cost: Float32[ndarray, "h w"], edge: Float32[ndarray, "h w"], start: Float32[ndarray, "h w"]) -> Mask:
-    """Cut where u is above one half, from a ``start`` near to it."""
+    """Return where u is above one half, from a ``start`` near to it."""
     u, bar = start, start.copy()
     px, py = np.zeros_like(u), np.zeros_like(u)
     step = np.float32(1.0 / np.sqrt(8.0))

@@ -26,7 +26,7 @@ FOLDER = "found"
 
 @dataclass(frozen=True)
 class FoundHands:
-    """The content of the folder."""
+    """The contents of the folder."""
 
     folder: Path
 
@@ -51,7 +51,7 @@ class FoundHands:
         return {n - 1: each for n, each, there in zip(frames, points.astype(float), seen, strict=True) if there}
 
     def mask(self, frame: int) -> Bool[ndarray, "H W"] | None:
-        """Return the hand's visible pixels in a frame from 0; None where no file has them. Raises ``InputError``."""
+        """Return where the hand is visible in a frame from 0; None where no file says that. Raises ``InputError``."""
         path = self.folder / "masks" / f"{frame + 1:06d}.png"
         if not path.is_file():
             return None

@@ -159,7 +159,7 @@ def _outline(key: str, value: object, size: tuple[int, int]) -> Json | None:
         return None
     if not isinstance(value, dict) or value.keys() != {"of", "closed", "points"}:
         raise RefusedError(f"outline must be of, closed and points (got {shown(value)})")
-    if value["of"] not in SHAPES or not isinstance(value["closed"], bool):
+    if value["of"] not in tuple(SHAPES) or not isinstance(value["closed"], bool):
         raise RefusedError(f"outline must be one of {', '.join(SHAPES)}, closed or not (got {shown(value)})")
     points, least = value["points"], SHAPES[value["of"]] if value["closed"] else 1
     if not isinstance(points, list) or not least <= len(points) <= MOST_CORNERS:

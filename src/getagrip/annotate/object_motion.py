@@ -1,4 +1,4 @@
-"""Origin of a frame's pixels in the one before: by dense inverse search (Kroeger et al., ECCV 2016), or as an object.
+"""Origins of pixels in the frame before: by dense inverse search (Kroeger et al., ECCV 2016), or as an object.
 
 Lengths are in pixels of the size at which masks are carried.
 """
@@ -29,7 +29,7 @@ def own_motion(
     came: Origins,
     inner: Bool[ndarray, "h w"],
 ) -> Origins | None:
-    """Return the origins of all pixels if they move as the ``inner`` ones of the object near to them.
+    """Return where all pixels came from if they move as the ``inner`` ones of the object near to them.
 
     At a border flow is part that of what is beside it; so masks would lag behind. None where too few pixels are left.
     """
@@ -57,7 +57,7 @@ def moves_with(
     ground: Origins | None,
     off: Float32[ndarray, "h w"],
 ) -> Float32[ndarray, "h w"]:
-    """Compute the logarithm of how much likelier a pixel moves with the object than with its surroundings."""
+    """Return the logarithm of how much likelier a pixel moves as the object does than as what is about it."""
     import cv2
 
     if ground is None:
@@ -70,14 +70,14 @@ def moves_with(
 def moved(
     values: Float32[ndarray, "h w"], old: tuple[Float32[ndarray, "H W"], Float32[ndarray, "H W"]], outside: float
 ) -> Float32[ndarray, "H W"]:
-    """Move values to the places that pixels came from."""
+    """Return values at where pixels were."""
     import cv2
 
     return np.asarray(cv2.remap(values, *old, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, outside), np.float32)
 
 
 def flow(a: Image, b: Image) -> Float32[ndarray, "H W 2"]:
-    """Return the place in b of each pixel of a, less its place in a [px]."""
+    """Return where each pixel of a is in b, less where it is in a [px]."""
     import cv2
 
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)

@@ -35,7 +35,7 @@ ROUNDS = 5
 
 
 def key_masks(labels: Labels, image: Images, hand: Hands = lambda _: None) -> dict[int, UInt8[ndarray, "H W"]]:
-    """Complete ``labels.label_maps`` by strokes and the image."""
+    """Return ``labels.label_maps``, those with strokes completed by what the image shows."""
     maps = labels.label_maps()
     for n in maps:
         frame = labels.frames[n]
