@@ -69,7 +69,7 @@ def follow(footage: Footage, begin: int, rows: Int[ndarray, "n"], start: Hypothe
 
 
 def carried_by_hands(clip: Clip, before: int, after: int) -> list[Float[ndarray, "4 4"]]:
-    """Get how something that goes with a hand moves in the world from one frame to another.
+    """Return how something that goes with a hand moves in the world from one frame to another.
 
     One motion for the clip's own hand, and one for the other hand if it is known in both frames.
     """

@@ -78,7 +78,7 @@ class Motion:
         self.grasps[grasp.segment.first] = found
 
     def places(self, rows: Int[ndarray, "n"]) -> Float[ndarray, "n 3"]:
-        """Get where the mesh's centre is before the camera, in some frames [m]."""
+        """Return the positions of the mesh's centre before the camera, in some frames [m]."""
         return np.asarray(se3.transform(self.T_cam_obj[rows], self.centre[None])[:, 0])
 
     def at(self, row: int) -> Hypotheses:
