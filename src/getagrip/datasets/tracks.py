@@ -102,21 +102,16 @@ class Track:
 
     def take(self, index: Int[ndarray, "n"]) -> Self:
         """Return the track at some of its frames."""
-
-        def of(hand: HandTrack) -> HandTrack:
-            joints = None if hand.joints is None else hand.joints[index]
-            return replace(hand, vertices=hand.vertices[index], T_cam_hand=hand.T_cam_hand[index], joints=joints)
-
         return replace(
             self,
             numbers=self.numbers[index],
-            hand=of(self.hand),
+            hand=self.hand.take(index),
             T_cam_obj=self.T_cam_obj[index],
             articulation=None if self.articulation is None else self.articulation[index],
-            other_hand=None if self.other_hand is None else of(self.other_hand),
+            other_hand=self.other_hand and self.other_hand.take(index),
             world=self.world and self.world.take(index),
             stamps=None if self.stamps is None else self.stamps[index],
-            input_hand=None if self.input_hand is None else of(self.input_hand),
+            input_hand=self.input_hand and self.input_hand.take(index),
         )
 
     def object(self, angle: float) -> Mesh:

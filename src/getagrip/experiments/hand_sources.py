@@ -91,9 +91,7 @@ class Hands:
             expected = "the ground truth's hand, whose vertices true contact is measured at"
             raise InputError(self.file, "faces", f"a hand of {self.track.vertices.shape[1]} vertices", expected)
         rows = np.array([self.frames.index(name) for name in clip.frames])
-        joints = None if self.track.joints is None else self.track.joints[rows]
-        T, vertices = self.track.T_cam_hand[rows], self.track.vertices[rows]
-        hand = replace(self.track, vertices=vertices, T_cam_hand=T, joints=joints)
+        hand = self.track.take(rows)
         K = clip.K if self.K is None else self.K[rows]
         check_in_view(self.file, hand, K, clip.size)
         return replace(clip, hand=hand, K=K)

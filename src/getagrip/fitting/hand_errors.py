@@ -56,10 +56,7 @@ class HandErrors:
 
     def take(self, index: Int[ndarray, "n"]) -> HandErrors:
         """Return the hand at some of its frames."""
-        hand = self.tracked
-        joints = None if hand.joints is None else hand.joints[index]
-        taken = replace(hand, vertices=hand.vertices[index], T_cam_hand=hand.T_cam_hand[index], joints=joints)
-        return replace(self, tracked=taken)
+        return replace(self, tracked=self.tracked.take(index))
 
     def T_cam_hand(self, x: Float[ndarray, "N P"]) -> Float[ndarray, "N 4 4"]:
         """Return the poses of the refined hand."""

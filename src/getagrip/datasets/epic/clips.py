@@ -70,9 +70,7 @@ class HandFile:
         if self.frames is None:
             return read_hand(self.path, len(chosen))
         track = read_hand(self.path, len(self.frames))
-        rows = [self.frames.index(number) for number in chosen]
-        joints = None if track.joints is None else track.joints[rows]
-        return replace(track, vertices=track.vertices[rows], T_cam_hand=track.T_cam_hand[rows], joints=joints)
+        return track.take(np.array([self.frames.index(number) for number in chosen]))
 
 
 @dataclass(frozen=True)
