@@ -52,14 +52,14 @@ class HandPrior:
         weight: float,
         memory: float = 0.0,
     ) -> HandPrior:
-        """The prior of a clip's hand, at all of its frames."""
+        """Make the prior of a clip's hand, at all of its frames."""
         middle = hand.vertices.mean(axis=(0, 1))
         ray = se3.transform(hand.T_cam_hand, middle[None])[:, 0]
         rays = ((ray / np.linalg.norm(ray, axis=1, keepdims=True))[:, None] @ hand.T_cam_hand[:, :3, :3])[:, 0]
         return HandPrior(middle, rays, np.arange(len(rays)), constant, own, weight, memory)
 
     def at(self, frames: Int[ndarray, "N"]) -> HandPrior:
-        """The same at some frames of the clip."""
+        """Take some frames of the clip."""
         return replace(self, frames=frames)
 
     @cached_property
@@ -103,7 +103,7 @@ class MovingHand(Batch, Generic[Core]):
 
     @staticmethod
     def around(core: Core, assumed: HandPrior) -> MovingHand[Core]:
-        """A motion in the hand as it was given."""
+        """Put a motion in the hand as it was given."""
         B, N = len(core.poses().scale), len(assumed.frames)
         return MovingHand(core, np.zeros((B, len(assumed.constant))), np.zeros((B, N, len(assumed.own))), assumed)
 
