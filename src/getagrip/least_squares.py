@@ -162,7 +162,7 @@ class Arrow:
         g: Float[ndarray, "B N P"],
         cross: Float[ndarray, "B N P N P"] | None,
     ) -> Arrow:
-        """Transform to Q parameters, S shared ones first, on which the P numbers of each frame depend by J."""
+        """Sum them by Q parameters, S shared ones first, on which the P numbers of each frame depend by J."""
         Jt = np.swapaxes(J, -1, -2)
         alone = Arrow.of(Jt @ (H @ J), (Jt @ g[..., None])[..., 0], slice(S), slice(S, None))
         if cross is None:
@@ -196,12 +196,12 @@ class Arrow:
     def step(
         self, damping: Float[ndarray, "B"], floor: float = 0.0
     ) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
-        """Solve for the damped step of the shared parameters and of each frame's own (``damped``)."""
+        """Return the damped step of the shared parameters and of each frame's own (``damped``)."""
         H_ss, H_ll = damped(self.H_ss, damping, floor), damped(self.H_ll, damping[:, None], floor)
         return replace(self, H_ss=H_ss, H_ll=H_ll).solved()
 
     def solved(self) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
-        """Solve for the step to where the gradient is zero.
+        """Return the step to where the gradient is zero.
 
         Frames that know of each other only through what is shared are eliminated (Schur complement). Where ``cross``
         ties them, parameters that it does not touch are eliminated, and the rest is solved as it is.
@@ -223,7 +223,7 @@ class Arrow:
     def _loose_first(
         self, cross: Float[ndarray, "B N L N L"], tied: Bool[ndarray, "L"]
     ) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
-        """Solve where some of each frame's parameters are tied to other frames and some are not."""
+        """Take the step where some of each frame's parameters are tied to other frames and some are not."""
         H_st, H_su = self.H_sl[..., tied], self.H_sl[..., ~tied]
         H_tu, H_uu = self.H_ll[..., tied, :][..., ~tied], self.H_ll[..., ~tied, :][..., ~tied]
         columns = [np.swapaxes(H_su, -1, -2), np.swapaxes(H_tu, -1, -2), self.g_l[..., ~tied, None]]
@@ -245,7 +245,7 @@ class Arrow:
     def _solved_together(
         self, cross: Float[ndarray, "B N L N L"]
     ) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
-        """Solve for the step where frames are tied to each other: nothing can be eliminated."""
+        """Take the step where frames are tied to each other: nothing can be eliminated."""
         B, N, L = self.g_l.shape
         S = self.g_s.shape[1]
         n = np.arange(N)
@@ -264,7 +264,7 @@ class Arrow:
 def _between_frames(
     cross: Float[ndarray, "B N P N P"], J_s: Float[ndarray, "B N P S"], J_l: Float[ndarray, "B N P L"]
 ) -> tuple[Float[ndarray, "B S S"], Float[ndarray, "B N S L"], Float[ndarray, "B N L N L"]]:
-    """Compute the Hessian between frames.
+    """Take the Hessian between frames to the parameters.
 
     ``sum_ij Js_i^T A_ij Js_j``, ``sum_i Js_i^T A_ij Jl_j``, ``Jl_i^T A_ij Jl_j``.
     """

@@ -202,12 +202,13 @@ def _step(
 def seen_from_camera(
     J_shared: Float[ndarray, "B N P S"], J_local: Float[ndarray, "B N P L"], T_cam_hand: Float[ndarray, "N 4 4"]
 ) -> Float[ndarray, "B N P Q"]:
-    """Return a motion's Jacobians side by side, of local vectors in the camera's frame."""
+    """Put a motion's Jacobians side by side, of local vectors in the camera's frame."""
     J, R = np.concatenate([J_shared, J_local], axis=-1), T_cam_hand[:, :3, :3]
-    bodies = (0,) if J.shape[-2] == 7 else (0, 7, -7)
-    for k in (first + 3 * part for first in bodies for part in range(2)):
-        J[..., k : k + 3, :] = R @ J[..., k : k + 3, :]
-    return J
+    parts = [R @ J[..., :3, :], R @ J[..., 3:6, :], J[..., 6:7, :]]
+    if J.shape[-2] > 7:  # the hand, its fingers, and the object in the hand
+        parts += [R @ J[..., 7:10, :], R @ J[..., 10:13, :], J[..., 13:-7, :]]
+        parts += [R @ J[..., -7:-4, :], R @ J[..., -4:-1, :], J[..., -1:, :]]
+    return np.concatenate(parts, axis=-2)
 
 
 def hessian(motion: Motion, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"]) -> Float[ndarray, "B N P P"]:

@@ -129,7 +129,7 @@ class Motion(Protocol):
     def poses(self) -> PosesInHand: ...
 
     def jacobian(self) -> tuple[Float[ndarray, "B N P S"], Float[ndarray, "B N P L"]]:
-        """Differentiate the local vectors, as seen in the hand frame, by shared and by per-frame parameters.
+        """Return derivatives of the local vectors, as seen in the hand frame, by shared and by per-frame parameters.
 
         P is 7, or more where the hand moves (``energy.hand_term``).
         """

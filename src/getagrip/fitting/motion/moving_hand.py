@@ -59,7 +59,7 @@ class HandPrior:
         return HandPrior(middle, rays, np.arange(len(rays)), constant, own, weight, memory)
 
     def at(self, frames: Int[ndarray, "N"]) -> HandPrior:
-        """Return the prior at some frames of the clip."""
+        """Take some frames of the clip."""
         return replace(self, frames=frames)
 
     @cached_property
@@ -103,7 +103,7 @@ class MovingHand(Batch, Generic[Core]):
 
     @staticmethod
     def around(core: Core, assumed: HandPrior) -> MovingHand[Core]:
-        """Make a motion in the input hand."""
+        """Put a motion in the hand as it was given."""
         B, N = len(core.poses().scale), len(assumed.frames)
         return MovingHand(core, np.zeros((B, len(assumed.constant))), np.zeros((B, N, len(assumed.own))), assumed)
 
