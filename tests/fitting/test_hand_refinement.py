@@ -218,3 +218,11 @@ def test_frames_in_which_nobody_labelled_the_hand_say_nothing(made: tuple[Clip, 
     for values in (*seen(x), *everywhere(x)):
         assert not values[[1, 3]].any()
         assert values[[0, 2]].any()
+
+
+def test_landmarks_of_the_images_stay_with_their_frames(made: tuple[Clip, Masks]) -> None:
+    points = np.random.default_rng(0).uniform(0.0, 200.0, (6, 21, 2))
+    hand = replace(made[0].hand, joints_2d=points, joints_2d_confidence=np.ones((6, 21)))
+    taken = HandErrors.of(hand).take(np.array([4, 1])).tracked
+    assert taken.joints_2d is not None
+    np.testing.assert_array_equal(taken.joints_2d, points[[4, 1]])
