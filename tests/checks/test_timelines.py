@@ -79,7 +79,7 @@ def test_an_object_where_no_hand_could_be_is_serious(metres: float) -> None:
     T = poses(clip)
     T[:LIES, :3, 3] *= metres / np.linalg.norm(T[:LIES, :3, 3], axis=1, keepdims=True)
     found = serious(clip, masks, T, np.full(len(clip), 0.95))
-    assert found["object-distance"].startswith("static from 000000: the object was found ")
+    assert found["object-distance"].startswith("static from 000000: the object is ")
 
 
 @pytest.mark.parametrize("side", [1, 2, 5])

@@ -62,7 +62,8 @@ class GraspTrial(Trial["Scores"]):
         if missing:
             scores |= _made(self, clip, missing, checksum)
         subject = str(clip.provenance.get("subject", ""))
-        return Scores(clip.name, clip.category, subject, clip.truth is not None, tuple(scores.values()), len(missing))
+        ordered = tuple(scores[variant.folder] for variant in self.variants if variant.folder in scores)
+        return Scores(clip.name, clip.category, subject, clip.truth is not None, ordered, len(missing))
 
 
 @dataclass(frozen=True)

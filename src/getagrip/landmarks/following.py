@@ -90,7 +90,7 @@ def _crops(hands: Sequence[Sighting]) -> list[Crop]:
 
 
 def _nearby(image: Image, where: Sequence[Crop], nets: Nets) -> list[Crop]:
-    """Where palms are detected in enlarged parts of an image: the detector sees a whole image at 192 pixels."""
+    """Detect palms in enlarged parts of an image: the detector sees a whole image at 192 pixels."""
     out = []
     for crop in where:
         half = max(AROUND * crop.side, LEAST_AROUND * min(image.shape[:2]))

@@ -151,13 +151,14 @@ export function draw() {
   drawPanel(next());
 }
 
-/** A reconstruction as soon as all is filled in, where that is wished. */
-let worked = null;
+/** Reconstruct again as soon as all is filled in, where that is wished and the mesh has served once. */
+let worked = null, served = false;
 function follow() {
   const job = state.labels?.job, now = job && `${job.what} ${job.state}`;
   const filled = now === "propagate done" && worked?.startsWith("propagate") && worked !== now;
   worked = now;
-  if (filled && $("live").checked && !$("reconstruct").disabled && $("mesh").value.trim()) reconstruct();
+  served ||= now === "reconstruct done";
+  if (filled && served && $("live").checked && !$("reconstruct").disabled && $("mesh").value.trim()) reconstruct();
 }
 
 joints.changed = draw;
