@@ -1,4 +1,4 @@
-"""A mask carried from its key frame through the images, and two such masks blended.
+"""A mask carried from its key frame through the images.
 
 Where a pixel of the new frame was in the old one is found by dense inverse search (DIS; Kroeger, Timofte, Dai, Van
 Gool, "Fast Optical Flow using Dense Inverse Search", ECCV 2016). After each step GrabCut (Rother, Kolmogorov, Blake,
@@ -71,44 +71,44 @@ class Carried(NamedTuple):
 
 def carry(
     image: Images,
-    keys: Mapping[int, UInt8[ndarray, "H W"]],
     key: int,
+    labels: UInt8[ndarray, "H W"],
     to: int,
     size: tuple[int, int],
+    colours: Sequence[Colours],
     hand: Hands = lambda _: None,
 ) -> Iterator[Carried]:
-    """Carry the mask of a key to the frames after it until ``to``, or before it."""
+    """Carry the mask of a key to the frames after it until ``to``, or before it; ``colours`` as of ``key_colours``."""
     if key == to:
         return
-    now, before = _of_key(key, keys[key], size), _resized(image(key), size)
-    colours = _colours(image, keys, size)
+    now, before = _of_key(key, labels, size), resized(image(key), size)
     towards = 1 if to > key else -1
     for frame in range(key + towards, to + towards, towards):
-        after = _resized(image(frame), size)
+        after = resized(image(frame), size)
         seen = hand(frame)
         now = _step(now, before, after, frame, None if seen is None else _shrunk(seen, size), colours)
         yield now
         before = after
 
 
-def _colours(image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], size: tuple[int, int]) -> list[Colours]:
+def key_colours(image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], size: tuple[int, int]) -> list[Colours]:
     """Return colours of each of ``KINDS`` and what is about it in the keys."""
     found: list[list[Colours]] = [[] for _ in KINDS]
     for n, labels in keys.items():
-        inside = [_signed_distance(_shrunk(labels == kind, size), ABOUT) for kind in KINDS]
-        small = _resized(image(n), size)
+        inside = [signed_distance(_shrunk(labels == kind, size), ABOUT) for kind in KINDS]
+        small = resized(image(n), size)
         for kind, each in zip(found, inside, strict=True):
             kind.append(Colours.of(small, each > 0, (np.abs(each) > 1.0) & (each > -ABOUT)))
     return [Colours.mean(kind) for kind in found]
 
 
 def _of_key(frame: int, labels: UInt8[ndarray, "H W"], size: tuple[int, int]) -> Carried:
-    inside = np.stack([_signed_distance(_shrunk(labels == kind, size)) for kind in KINDS])
-    known = np.where(_hidden(inside) & (inside[0] < 0.0), 0.0, 1.0)
+    inside = np.stack([signed_distance(_shrunk(labels == kind, size)) for kind in KINDS])
+    known = np.where(is_hidden(inside) & (inside[0] < 0.0), 0.0, 1.0)
     return _cut(frame, (0, 0), inside, known.astype(np.float32), 1.0)
 
 
-def _hidden(inside: Float32[ndarray, "3 h w"]) -> Bool[ndarray, "h w"]:
+def is_hidden(inside: Float32[ndarray, "3 h w"]) -> Bool[ndarray, "h w"]:
     """Return where something is in front, or so near that the border may show it."""
     return np.asarray(inside[1:].max(axis=0) > -1.5)
 
@@ -119,7 +119,7 @@ def _shrunk(mask: Bool[ndarray, "H W"], size: tuple[int, int]) -> Bool[ndarray, 
     return np.asarray(cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5)
 
 
-def _resized(image: Image, size: tuple[int, int]) -> UInt8[ndarray, "h w 3"]:
+def resized(image: Image, size: tuple[int, int]) -> UInt8[ndarray, "h w 3"]:
     import cv2
 
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
@@ -156,9 +156,9 @@ def _step(
 
     inside = np.stack([moved(kind, old(*came), -float(FAR)) for kind in now.inside])
     if hand is not None:
-        inside[-1] = _signed_distance(hand[rows, columns])
-    hidden = _hidden(inside)
-    was_hidden = moved(_hidden(now.inside).astype(np.float32), old(*came), 0.0) > 0.0
+        inside[-1] = signed_distance(hand[rows, columns])
+    hidden = is_hidden(inside)
+    was_hidden = moved(is_hidden(now.inside).astype(np.float32), old(*came), 0.0) > 0.0
     inner = (inside[0] > INNER) & (off < BACK) & (inside[1:].max(axis=0) < -INNER) & ~was_hidden
     own = own_motion(x, y, came, inner)
     moves = np.zeros_like(off)
@@ -175,17 +175,17 @@ def _step(
     trust = now.trust * (float(np.mean(off[border] < BACK)) if border.any() else 1.0)
     certain = (known * np.where(was_hidden, 0.1, np.where(off < BACK, 1.0, 0.3))).astype(np.float32)
     visible = placed(now, (columns.start, rows.start), b.shape[1::-1])[0]
-    top_most = ~_hidden(visible)
+    top_most = ~is_hidden(visible)
     for n, kind in enumerate(visible):
         if (n < 2 or hand is None) and (kind > 0).any():
             clear = (np.abs(kind) > 1.0) & (top_most if n == 0 else kind > -FAR)
             likely = likelier(b, colours[n], Places.of(a, kind > 0, clear), came) + (moves if n == 0 else 0.0)
-            inside[n] = _refined(b, inside[n], certain, likely, hidden if n == 0 else np.zeros_like(hidden))
+            inside[n] = refined(b, inside[n], certain, likely, hidden if n == 0 else np.zeros_like(hidden))
     known = np.where(hidden, REMEMBERED * known, np.where(off < BACK, np.maximum(known, SEEN), SEEN)).astype(np.float32)
     return _cut(frame, (columns.start, rows.start), inside, known, trust)
 
 
-def _refined(
+def refined(
     image: Image,
     inside: Float32[ndarray, "h w"],
     certain: Float32[ndarray, "h w"],
@@ -211,7 +211,7 @@ def _refined(
     found = np.zeros(inside.shape, bool)
     found[part] = cut(cost.astype(np.float32), edges(image[part]), start.astype(np.float32))
     found = _touching(found, inside > 0)
-    new = cv2.GaussianBlur(_signed_distance(found), (0, 0), 0.7)
+    new = cv2.GaussianBlur(signed_distance(found), (0, 0), 0.7)
     return np.asarray(inside + (new - inside) * np.where(hidden, 0.0, 1.0 - STIFF * certain), np.float32)
 
 
@@ -223,7 +223,7 @@ def _touching(mask: Bool[ndarray, "h w"], before: Bool[ndarray, "h w"]) -> Bool[
     return np.asarray(mask & np.isin(parts, np.unique(parts[before])))
 
 
-def _signed_distance(mask: Bool[ndarray, "h w"], far: float = FAR) -> Float32[ndarray, "h w"]:
+def signed_distance(mask: Bool[ndarray, "h w"], far: float = FAR) -> Float32[ndarray, "h w"]:
     """Distance from the border between pixels, above 0 inside, up to ``far`` [px]."""
     import cv2
 
@@ -251,25 +251,6 @@ def _cut(
     rows, columns = (slice(int(i.min()), int(i.max()) + 1) for i in np.nonzero(near))
     corner = corner[0] + columns.start, corner[1] + rows.start
     return Carried(frame, corner, inside[:, rows, columns].copy(), known[rows, columns].copy(), trust)
-
-
-def blended(one: Carried, other: Carried, share: float) -> tuple[Carried, float]:
-    """Blend two masks of a frame by the other's ``share``, 0 to 1; also return their agreement.
-
-    They agree or not where both are known.
-    """
-    left, top = np.minimum(one.corner, other.corner).tolist()
-    ends = [np.add(each.corner, each.inside.shape[:0:-1]) for each in (one, other)]
-    width, height = (np.maximum(*ends) - (left, top)).tolist()
-    (a, known_a), (b, known_b) = (placed(each, (left, top), (width, height)) for each in (one, other))
-    weight_a, weight_b = (1.0 - share) * one.trust * known_a + 1e-6, share * other.trust * known_b + 1e-6
-    inside = (weight_a * a + weight_b * b) / (weight_a + weight_b)
-    both = (known_a >= SEEN / 2.0) & (known_b >= SEEN / 2.0)
-    both &= (inside[1:] <= 0).all(axis=0)
-    union = np.count_nonzero(both & ((a[0] > 0) | (b[0] > 0)))
-    agreement = np.count_nonzero(both & (a[0] > 0) & (b[0] > 0)) / union if union else 1.0
-    known = np.maximum(known_a, known_b)
-    return one._replace(corner=(left, top), inside=inside.astype(np.float32), known=known), float(agreement)
 
 
 def placed(

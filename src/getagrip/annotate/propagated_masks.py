@@ -1,8 +1,9 @@
 """From polygons on a few frames to masks of every frame: dense optical flow, GrabCut along the border.
 
 Each mask is carried as a signed distance from its border, frame by frame: from the key before forwards, from the key
-after backwards (``carried_masks``); it depends on these two keys alone. The two are blended, each the more the nearer
-its key is; what has come into the image since one key is known from the other only.
+after backwards (``carried_masks``); it depends on these two keys alone. The two are merged (``merged_masks``): where
+they differ the keys' colours decide, and the nearer key; what has come into the image since one key is known from the
+other only.
 
 The confidence of a frame is how far the two agree (intersection over union), 1 on keys. Where there is one only, before
 the first key and after the last, it is its trust: the share of the border for which flow there and back agrees, all
@@ -19,8 +20,9 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 from numpy import ndarray
 
-from getagrip.annotate.carried_masks import KINDS, Carried, Hands, Images, blended, carry, placed
+from getagrip.annotate.carried_masks import KINDS, Carried, Hands, Images, carry, key_colours, placed, resized
 from getagrip.annotate.labels import FRONT, HAND, OBJECT
+from getagrip.annotate.merged_masks import merged
 from getagrip.errors import UsageError
 
 SIDE = 200.0
@@ -94,13 +96,15 @@ def _filled(
         yield Propagated(first, keys[first], 1.0)
         return
     size = _working_size(keys)
-    there = carry(image, keys, before, last, size, hand) if before < first else None
-    back = list(carry(image, keys, after, first, size, hand))[::-1] if after > last else None
+    colours = key_colours(image, keys, size)
+    there = carry(image, before, keys[before], last, size, colours, hand) if before < first else None
+    back = list(carry(image, after, keys[after], first, size, colours, hand))[::-1] if after > last else None
     if there is None or back is None:
         yield from (_propagated(each, each.trust, keys, size) for each in there or back or ())
         return
     for one, other in zip(there, back, strict=True):
-        yield _propagated(*blended(one, other, (one.frame - before) / (after - before)), keys, size)
+        share = (one.frame - before) / (after - before)
+        yield _propagated(*merged(one, other, share, resized(image(one.frame), size), colours), keys, size)
 
 
 def _unknown(_: int) -> None:

@@ -1,0 +1,100 @@
+"""Two masks of a frame, carried from the key before and the key after, merged into one.
+
+Where they differ the object has come into view since one of the keys, or was lost on the way from it. Which of the two
+it is shows in the colours: each connected part is the object's or not as a whole, by its mean colour in the keys and by
+how near and how sure its keys are. Then the border is drawn anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float32
+from numpy import ndarray
+
+from getagrip.annotate.carried_masks import (
+    BAND,
+    FAR,
+    MOST,
+    SEEN,
+    Carried,
+    Image,
+    is_hidden,
+    placed,
+    refined,
+    signed_distance,
+)
+from getagrip.annotate.colour_cut import Colours, Places, likelier
+
+SIDE_WEIGHT = 0.5
+"""Weight of the sides beside the colours' mean, in multiples of one ``BAND``."""
+CERTAIN = 0.1
+"""How certain the merged border is, when it is drawn anew: from 0, colours alone, to 1."""
+
+
+def merged(
+    one: Carried, other: Carried, share: float, image: Image, colours: Sequence[Colours]
+) -> tuple[Carried, float]:
+    """Merge two masks of a frame, whose ``image`` is of the size at which they were carried.
+
+    ``share`` is how far the frame is from the key of ``one`` to the other's, 0 to 1; ``colours`` are the keys'. Also
+    returned is the agreement of the two (intersection over union) where both are known.
+    """
+    left, top = np.minimum(one.corner, other.corner).tolist()
+    ends = [np.add(each.corner, each.inside.shape[:0:-1]) for each in (one, other)]
+    width, height = (np.maximum(*ends) - (left, top)).tolist()
+    (a, known_a), (b, known_b) = (placed(each, (left, top), (width, height)) for each in (one, other))
+    weight_a, weight_b = (1.0 - share) * one.trust * known_a + 1e-6, share * other.trust * known_b + 1e-6
+    share_b = weight_b / (weight_a + weight_b)
+    inside = (a + (b - a) * share_b).astype(np.float32)
+    hidden = is_hidden(inside)
+    shown_a, shown_b = known_a >= SEEN / 2.0, known_b >= SEEN / 2.0
+    both = shown_a & shown_b & (inside[1:] <= 0).all(axis=0)
+    in_a, in_b = a[0] > 0, b[0] > 0
+    union = np.count_nonzero(both & (in_a | in_b))
+    agreement = np.count_nonzero(both & in_a & in_b) / union if union else 1.0
+    part = image[top : top + height, left : left + width]
+    if (inside[0] > -FAR).any() and part.size:
+        side_a, side_b = (np.clip(each[0] / BAND, -2.0, 2.0) for each in (a, b))
+        likely = np.clip(likelier(part, colours[0]), -MOST, MOST)
+        in_a, in_b = np.where(shown_b & ~shown_a, in_b, in_a), np.where(shown_a & ~shown_b, in_a, in_b)
+        found = _decided(in_a, in_b, side_a + (side_b - side_a) * share_b, likely, hidden)
+        inside[0] = _redrawn(part, found, likely, colours[0], hidden)
+    known = np.maximum(known_a, known_b)
+    return one._replace(corner=(left, top), inside=inside, known=known), float(agreement)
+
+
+def _decided(
+    one: Bool[ndarray, "h w"],
+    other: Bool[ndarray, "h w"],
+    sides: Float32[ndarray, "h w"],
+    likely: Float32[ndarray, "h w"],
+    hidden: Bool[ndarray, "h w"],
+) -> Bool[ndarray, "h w"]:
+    """Return what is in both masks, and the connected parts of one of them that ``sides`` and colours speak for."""
+    import cv2
+
+    found = one & other
+    for only in (one & ~other, other & ~one):
+        count, parts, about, _ = cv2.connectedComponentsWithStats(only.astype(np.uint8), connectivity=4)
+        sums = [np.bincount(parts.ravel(), each.ravel(), count) for each in (likely * ~hidden, ~hidden, sides)]
+        score = sums[0] / np.maximum(sums[1], 1.0) + SIDE_WEIGHT * sums[2] / np.maximum(about[:, cv2.CC_STAT_AREA], 1)
+        score[0] = -1.0  # what is not in such a part
+        found |= (score > 0.0)[parts]
+    return np.asarray(found)
+
+
+def _redrawn(
+    image: Image,
+    found: Bool[ndarray, "h w"],
+    likely: Float32[ndarray, "h w"],
+    colours: Colours,
+    hidden: Bool[ndarray, "h w"],
+) -> Float32[ndarray, "h w"]:
+    """Return signed distances from the border that colours draw: the keys' and those near to it in this image."""
+    inside = signed_distance(found)
+    x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in found.shape[::-1]))
+    here = likelier(image, colours, Places.of(image, found, ~hidden & (np.abs(inside) > 1.0)), (x, y))
+    certain = np.full(found.shape, CERTAIN, np.float32)
+    return refined(image, inside, certain, np.clip(here, -MOST, MOST) + likely, hidden)
