@@ -136,7 +136,7 @@ class Reconstruction(ArrayData):
     def external(
         clip: str, method: str, frames: tuple[str, ...], T_hand_obj: Float[ndarray, "T 4 4"], scale: float = 1.0
     ) -> Reconstruction:
-        """Poses that no fit has found: another system's, or the true ones."""
+        """Make a result of poses from elsewhere: another system's, or the ground truth."""
         return Reconstruction(
             clip, method, frames, T_hand_obj, scale, iou=np.full(len(frames), np.nan), axis=None,
             candidates=Candidates(T_hand_obj[None], np.array([scale]), np.zeros(1)), energy={}, status=Status.EXTERNAL,
