@@ -37,6 +37,7 @@ from getagrip.commands.study import Study
 from getagrip.commands.view import View
 from getagrip.errors import GetagripError, UsageError, cleaned, unknown
 from getagrip.io.arguments import PATHS
+from getagrip.io.choices import explain_all
 from getagrip.io.terminal import Silence
 
 DESCRIPTION = (
@@ -137,6 +138,8 @@ def _parsed(args: Sequence[str]) -> Command:
             break
         known, args, program = parts[args[0]], args[1:], f"{program} {args[0]}"
         description = known.__metadata__[0].description
+    if {"-h", "--help"} & {*args}:
+        explain_all(known)
     with PATHS:
         command: Command = tyro.cli(known, prog=program, description=description, args=args, config=(OmitArgPrefixes,))
     return command

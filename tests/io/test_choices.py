@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import pytest
+from tyro._docstrings import get_field_docstring
 
 from getagrip import Options, SceneOptions, UsageError
 from getagrip.grasps.definition import Definition
 from getagrip.grasps.stable import contact_sets
 from getagrip.hands import generic
+from getagrip.io.choices import explain_all
 from getagrip.metrics.contact import ContactDefinition
 
 WRONG: dict[str, Callable[[], object]] = {
@@ -43,3 +47,25 @@ def test_what_no_option_can_be_is_named(message: str) -> None:
 @pytest.mark.usefixtures("users_hints")
 def test_numbers_of_numpy_are_numbers() -> None:
     assert Options(seed=np.int64(3), push=np.float32(0.5), pull=1).seed == 3
+
+
+@dataclass(frozen=True)
+class Inner:
+    """A group of options."""
+
+    size: int = 0
+    """A sentence that begins on one line
+    and ends on the next."""
+
+
+@dataclass(frozen=True)
+class Outer:
+    """A command."""
+
+    inner: Inner | None = None
+
+
+def test_help_breaks_no_line_inside_a_sentence() -> None:
+    explain_all(Annotated[Outer, "as of a subcommand"])
+    assert get_field_docstring(Inner, "size", ()) == "A sentence that begins on one line and ends on the next."
+    assert str(Inner.__doc__).startswith("A group of options.\n")

@@ -1,8 +1,8 @@
-"""The border between an object and the rest where colours, and what is known before, put it.
+"""The border between object and background, from colours and a prior.
 
-Minimised is, over 0 <= u <= 1, the sum of ``cost`` u + ``edge`` |grad u|: a minimal cut in continuous form (Chan,
-Esedoglu, Nikolova, SIAM J. Appl. Math. 2006), by the primal-dual steps of Chambolle and Pock (JMIV 2011). The colours
-of both sides are histograms: of the keys, wherever the colour was, and of the frame before, near to where it was.
+It minimises the sum of ``cost`` u + ``edge`` |grad u| over 0 <= u <= 1, a continuous minimal cut (Chan, Esedoglu,
+Nikolova, SIAM J. Appl. Math. 2006), by the primal-dual steps of Chambolle and Pock (JMIV 2011). The colours of both
+sides are histograms: of the key frames, over the whole image, and of the frame before, near the same place.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from numpy import ndarray
 BINS = 12
 """Bins of lightness and of each of Lab's colours."""
 COLOURED = 100
-"""Lab's two colours are in a range of this many steps, around grey, or count as its ends."""
+"""Range of Lab's two colours around grey; values outside count as its ends."""
 CELLS = 8
-"""In each direction of the image: where a colour was."""
+"""Cells in each direction of the image, by which the places of colours are counted."""
 BLUR = 0.7
 """Blur of histograms [bins, cells]."""
 SHARED = 8.0
-"""The keys' colours count as much as this many pixels of a cell."""
+"""Weight of the key frames' colours, in pixels of a cell."""
 RARE = 0.05
-"""Pixels of any colour that each side may have without its being seen there."""
+"""Pixels of each colour that are added to both sides, since a colour may be there without having been seen."""
 SMOOTH = 3.0
 """Cost of a border of one pixel where the image is smooth; ``SHARP`` of it where it has a strong edge."""
 SHARP = 0.15
@@ -102,9 +102,9 @@ def likelier(
     before: Places | None = None,
     came: tuple[Float32[ndarray, "h w"], Float32[ndarray, "h w"]] | None = None,
 ) -> Float32[ndarray, "h w"]:
-    """Return the logarithm of how much likelier each pixel's colour is inside than outside.
+    """Return the logarithm of the ratio of each pixel's colour probability inside to that outside.
 
-    ``came`` is where pixels were in the frame ``before``, whose colours there count, too.
+    ``came`` has the pixels' places in the frame ``before``, whose colours there count as well.
     """
     at = bins(image)
     sides = SHARED * keys.counts[:, at] + RARE * SHARED / BINS

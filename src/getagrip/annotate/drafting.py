@@ -20,7 +20,7 @@ from getagrip.geometry.depth import covered
 from getagrip.hands.clicked_hands import hands_from_clicks
 
 HAND_SIDE = 640
-"""The hand's silhouette is drawn in an image whose longer side is so long [px]."""
+"""Longer side of the image in which the hand's silhouette is drawn [px]."""
 COARSE = 1 / 1280
 """Largest distance of a polygon from the mask's border, as a share of the image's longer side."""
 SPECK = 0.002
@@ -53,7 +53,7 @@ def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, d
 
 
 def found_hand(labels: Labels, found: FoundHands) -> dict[int, dict[str, object]]:
-    """Return the same of hands that were found, in all frames; where there is none, it has no joints."""
+    """Return, by frame, joints and silhouette of hands that were found [px]; no joints in frames without a hand."""
     out: dict[int, dict[str, object]] = {}
     for n in range(labels.first, labels.last + 1):
         mask, joints = found.mask(n), found.joints.get(n)

@@ -1,7 +1,7 @@
-"""Hands of a video without a click: found, lifted and masked, as the page and ``clip new`` take them.
+"""Find the hands of a video without clicks: landmarks, 3D hands and masks, for the page and for ``clip new``.
 
-The folder ``found`` beside the marks gets ``hand.npz``, a hand file whose frames are places from 1 and which keeps the
-landmarks as ``joints_2d``, and ``masks/<place>.png``.
+The folder ``found`` beside the marks gets ``hand.npz``, a hand file whose frames are numbered from 1 and which keeps
+the landmarks as ``joints_2d``, and ``masks/<number>.png``.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from getagrip.landmarks.selecting import Side
 from getagrip.provenance import Provenance, Source, as_arrays, assumed, estimated
 
 THUMBNAIL = 24
-"""Side of the images in which cuts are looked for [px]."""
+"""Side of the reduced images in which cuts are detected [px]."""
 CUT = (25.0, 0.4)
-"""Mean difference of two frames [of 255], and share of their pixels with another colour: both more at a cut."""
+"""Mean difference of two frames [of 255] and share of pixels whose colour changes; at a cut both are larger."""
 BEYOND = 0.25
-"""Confidence of landmarks beside the image, as a share of that of others."""
+"""Factor on the confidence of landmarks outside the image."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def find_hands(
 
 @dataclass
 class _Shot:
-    """Frames in order, with an eye on cuts."""
+    """Frames in order, checked for cuts."""
 
     footage: Footage
     first: int
@@ -132,7 +132,7 @@ def write_found(
 ) -> Path:
     """Write the folder ``found`` into ``out``, in place of an older one; return it.
 
-    Masks are made of frames with landmarks. ``done`` is called with the number of frames.
+    Masks are made for frames with landmarks. ``done`` is called with the number of frames that are done.
     """
     folder = files.folder_inside(out) / FOLDER
     with files.new_folder(folder, ("hand.npz", "masks") if folder.exists() else ()) as new:

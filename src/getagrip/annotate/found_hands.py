@@ -1,7 +1,8 @@
 """Hands that were found in a video before anybody clicked: joints in every frame, and the hand's masks.
 
-A folder ``found`` beside the marks holds ``hand.npz``, whose ``frames`` are places from 1 as in a clip and whose
-``joints_2d`` (T, 21, 2) [px] are drawn, and ``masks/<place>.png``, not 0 where the hand is visible. Both are optional.
+A folder ``found`` beside the marks holds ``hand.npz``, whose ``frames`` are numbers from 1 as in a clip and whose
+``joints_2d`` (T, 21, 2) [px] are drawn, and ``masks/<number>.png``, non-zero where the hand is visible. Both are
+optional.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ class FoundHands:
         return {n - 1: each for n, each, there in zip(frames, points.astype(float), seen, strict=True) if there}
 
     def mask(self, frame: int) -> Bool[ndarray, "H W"] | None:
-        """Return where the hand is visible in a frame from 0; None where no file says that. Raises ``InputError``."""
+        """Return the visible pixels of the hand in a frame, from 0; None without a mask file. Raises ``InputError``."""
         path = self.folder / "masks" / f"{frame + 1:06d}.png"
         if not path.is_file():
             return None

@@ -1,6 +1,6 @@
 """Origins of pixels in the frame before: by dense inverse search (Kroeger et al., ECCV 2016), or as an object.
 
-Lengths are in pixels of the size at which masks are carried.
+Lengths are in pixels of the size at which masks are propagated.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ Origins = tuple[Float32[ndarray, "h w"], Float32[ndarray, "h w"]]
 """x and y of where each pixel was."""
 
 SAMPLES = 2000
-"""Pixels of the object that its own motion is fitted to, at most; it needs a hundredth of them."""
+"""Largest number of the object's pixels that its motion is fitted to; a hundredth of it is the least."""
 SPREAD = 10.0
-"""Standard deviation of what the flow of the object's pixels is averaged over [px]."""
+"""Standard deviation of the Gaussian that averages the flow of the object's pixels [px]."""
 FLOW = 1.5
 """Standard deviation of flow [px]."""
 MOST = 3.0
-"""Logarithm of how much likelier one motion is, at most."""
+"""Largest logarithm of the ratio of the probabilities of two motions."""
 
 
 def own_motion(
@@ -29,9 +29,9 @@ def own_motion(
     came: Origins,
     inner: Bool[ndarray, "h w"],
 ) -> Origins | None:
-    """Return where all pixels came from if they move as the ``inner`` ones of the object near to them.
+    """Return the origins of all pixels if they move like the nearby ``inner`` pixels of the object.
 
-    At a border flow is part that of what is beside it; so masks would lag behind. None where too few pixels are left.
+    At a border, flow mixes both sides, so masks would lag behind. None if too few pixels are left.
     """
     import cv2
 
@@ -57,7 +57,7 @@ def moves_with(
     ground: Origins | None,
     off: Float32[ndarray, "h w"],
 ) -> Float32[ndarray, "h w"]:
-    """Return the logarithm of how much likelier a pixel moves as the object does than as what is about it."""
+    """Return the log ratio of the probabilities that a pixel moves with the object or with its surroundings."""
     import cv2
 
     if ground is None:
@@ -70,14 +70,14 @@ def moves_with(
 def moved(
     values: Float32[ndarray, "h w"], old: tuple[Float32[ndarray, "H W"], Float32[ndarray, "H W"]], outside: float
 ) -> Float32[ndarray, "H W"]:
-    """Return values at where pixels were."""
+    """Return values at the origins of pixels."""
     import cv2
 
     return np.asarray(cv2.remap(values, *old, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, outside), np.float32)
 
 
 def flow(a: Image, b: Image) -> Float32[ndarray, "H W 2"]:
-    """Return where each pixel of a is in b, less where it is in a [px]."""
+    """Return the flow from a to b: each pixel's place in b minus its place in a [px]."""
     import cv2
 
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)

@@ -1,7 +1,7 @@
-"""From strokes, clicks or a box on one frame to the object's mask: GrabCut, which keeps to every stroke.
+"""Segment the object from strokes, clicks or a box on one frame, by GrabCut; every stroke is obeyed.
 
-Rother, Kolmogorov, Blake, SIGGRAPH 2004. A stroke lies on the object ("on") or on what is not the object ("off"). Where
-polygons are drawn on the frame, too, they hold but near the strokes, which correct them.
+Rother, Kolmogorov, Blake, SIGGRAPH 2004. A stroke lies on the object ("on") or on what is not the object ("off"). If
+polygons are drawn on the frame as well, strokes correct them nearby, and they are kept elsewhere.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from getagrip.errors import UsageError
 Box = tuple[float, float, float, float]
 """Left, top, width and height [px]."""
 SIDE = 480
-"""The part of the image that is looked at has so long a side at most [px]."""
+"""Largest side of the image part that GrabCut runs on [px]."""
 WIDTH = 0.008
 """Width of a stroke, as a share of the image's shorter side."""
 LEAST, MOST = 0.25, 0.45
-"""Nothing farther from the strokes than their extent is the object: than these shares of the image's shorter side at
-least and at most; the latter from a single click."""
+"""The object reaches no farther from the strokes than their extent, limited to these shares of the image's shorter
+side; from a single click, no farther than the larger one."""
 CLICK = 0.05
 """Strokes of an extent less than this share are a click."""
 NEAR = 0.12
@@ -108,7 +108,7 @@ def _resized(mask: Bool[ndarray, "h w"], shape: tuple[int, ...]) -> Bool[ndarray
 
 
 def _around(mask: Bool[ndarray, "H W"], shape: tuple[int, ...], margin: float | None = None) -> tuple[slice, slice]:
-    """Rows and columns about what is marked; all where nothing is."""
+    """Rows and columns around the marked pixels; all if none is marked."""
     if not mask.any():
         return slice(0, shape[0]), slice(0, shape[1])
     short, marked = min(shape[:2]), np.nonzero(mask)

@@ -62,8 +62,8 @@ class Share:
     """
 
     workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core)")] = None
-    """Number of processes; up to three clips, or parts of a dataset, are done in this one. Default on a Ray cluster:
-    its CPUs; on Slurm: 64 tasks of an array."""
+    """Number of processes. Up to three clips, or parts of a dataset, are processed without starting others. Default on
+    a Ray cluster: its CPUs; on Slurm: 64 array tasks."""
     engine: Literal["local", "ray", "slurm"] = "local"
     """Executor of the jobs: this machine, a Ray cluster, or Slurm's array jobs. All machines must see inputs and
     outputs under the same paths."""
@@ -73,13 +73,13 @@ class Share:
     """Address of a running Ray cluster: HOST:PORT, or auto."""
     limits: Annotated[Limits, arg(name="")] = field(default_factory=Limits)
     fail_fast: Flag = False
-    """Stop after the first failure; work in progress is finished."""
+    """Start no further work after the first failure; work in progress is finished."""
     shard: Annotated[Shard, parsed("I/N", Shard.of, Shard), arg(metavar="I/N", help_behavior_hint="(default: all)")] = (
         ALL
     )
     """Do part I of N equal parts of the work, for N machines."""
     ledger: OptionalFolder = None
-    """Local folder for the ledger, where --out is on a network file system."""
+    """Local folder for the ledger, needed if --out is on a network file system."""
 
     def __post_init__(self) -> None:
         if self.workers is not None and self.workers < 1:

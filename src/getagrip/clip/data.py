@@ -53,12 +53,12 @@ class Masks(ArrayData):
     """Masks of the object in every frame, at the size of the images.
 
     Attributes:
-        object: (T, H, W) pixels where the object is visible. A frame whose mask is not known has none, and all of its
-            pixels are ignored.
-        ignore: (T, H, W) other pixels that say nothing about the object: those of the hand and of whatever else is in
-            front of it. Where none is set, the hand of the clip is drawn to find them.
-        hand: (T, H, W) visible pixels of the hand that holds the object, and of no other; None where they are not
-            known apart from the ignored ones. A frame without any says nothing about the hand.
+        object: (T, H, W) True where the object is visible. A frame with an unknown mask has no such pixel, and all of
+            its pixels are ignored.
+        ignore: (T, H, W) True where a pixel says nothing about the object: where the hand or another occluder is in
+            front of it. If no pixel of any frame is set, the clip's hand is rendered as the occluder.
+        hand: (T, H, W) True where the hand that holds the object is visible; None if unknown. A frame without such
+            pixels says nothing about the hand.
     """
 
     object: Bool[ndarray, "T H W"]
@@ -136,7 +136,7 @@ class World(ArrayData):
 class Clip(ArrayData):
     """One stable grasp, or a timeline of segments: a hand in every frame, the object's mesh and the camera.
 
-    Its masks and other evidence are read apart from it (``read_masks``, ``with_evidence``).
+    Masks and other evidence are read separately (``read_masks``, ``with_evidence``).
 
     Attributes:
         hand: the hand in each of the T frames.
@@ -145,21 +145,21 @@ class Clip(ArrayData):
             (u, v) = (j + 0.5, i + 0.5).
         size: width and height of the images [px].
         side: ``left`` or ``right`` hand.
-        scale: ``known`` where the mesh has the object's size, ``free`` where its size is to be found, too.
-        frames: names of the T frames, as of the mask and image files; by default their numbers, from 000000.
-        name: name of the clip, fit to name a folder.
-        category: what the object is, such as "mug".
+        scale: ``known`` if the mesh has the object's true size, ``free`` if the size is to be estimated.
+        frames: names of the T frames, the same as those of mask and image files; by default numbers from 000000 on.
+        name: name of the clip; results are written to a folder of this name.
+        category: category of the object, such as "mug".
         fps: frames per second of the footage, for durations.
-        times: (T,) when each frame was taken [s], rising; None where it follows from ``fps`` (``time``).
-        world: where the camera was; None where it is not known.
-        segments: what the object does from frame to frame, in order; empty: one stable grasp.
-        other_hand: of a timeline, the hand of the other side, which may hold the object, too; None: not known.
-        truth: the ground truth; None where it is not known.
+        times: (T,) time of each frame [s], rising; None if the frames follow each other at ``fps`` (``time``).
+        world: poses of the camera in the world; None if they are unknown.
+        segments: the states of a timeline (lying still, grasped, ...), in order; empty for one stable grasp.
+        other_hand: for a timeline, the hand of the other side, which may hold the object as well; None if unknown.
+        truth: the ground truth; None if there is none.
         folder: folder of the clip, with its masks and images; None for a clip that is only in memory.
-        provenance: where the data comes from, by topic; guesses among the sources are kept in the result's notes.
-        evidence: what pixels say of the frames, by the name of the ``Modality``, where it is in memory; None: nothing,
-            whatever the folder has. What is not named here is read from the folder when it is needed.
-        left_out: names of frames that are gone because the object is not visible in them, or their mask is not known
+        provenance: where the data comes from, by topic. Results repeat what is assumed.
+        evidence: data of modalities that is in memory, by the modality's name. A modality that is not named is read
+            from the folder when it is needed; one that is None is not used, even if the folder has its files.
+        left_out: names of frames that were removed because the object is not visible in them or their mask is unknown
             (``observed_frames``).
     """
 

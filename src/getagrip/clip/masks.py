@@ -57,11 +57,20 @@ def masks_in(clip: Clip) -> Masks | None:
 
 
 def read_masks(clip: Clip) -> Masks:
-    """Read and check the masks of a clip's frames.
+    """Read and check the masks of a clip, from its folder.
 
-    The mask of a frame without a file in ``masks/object`` is not known (``Masks.known``). Raises ``InputError`` for an
-    unsuitable image, and where no frame shows the object. The folders ``masks/ignore`` and ``masks/hand`` may be
-    absent; where they are there, they have an image for each frame that ``masks/object`` has.
+    The mask of a frame without a file in ``masks/object`` is unknown (``Masks.known``). The folders ``masks/ignore``
+    and ``masks/hand`` may be absent; if present, they have an image for each frame that ``masks/object`` has.
+
+    Args:
+        clip: the clip, as ``read_clip`` returns it.
+
+    Returns:
+        The masks of the clip's frames, in their order.
+
+    Raises:
+        InputError: an image is missing, damaged or of another size, no mask shows the object, or the clip has no
+            folder.
     """
     masks = masks_in(clip)
     return with_hand_masks(read_object_masks(clip), clip) if masks is None else masks

@@ -59,10 +59,17 @@ class ClipFields(TypedDict, total=False):
 
 
 def read_clip(folder: str | Path) -> Clip:
-    """Read and check everything of a clip but its masks and images, in the frames that have a hand.
+    """Read and check a clip, except its masks and images.
 
-    ``folder`` is the clip's folder or its ``clip.json``. Raises ``InputError``, which names the file, the key, what
-    was given and what is expected.
+    Args:
+        folder: the clip's folder, or the ``clip.json`` in it (docs/formats.md).
+
+    Returns:
+        The clip, in the frames that have a hand.
+
+    Raises:
+        InputError: a file is missing, damaged or impossible. The message names the file and the key, and says what was
+            expected.
     """
     folder = _folder(folder)
     path = folder / "clip.json"

@@ -46,14 +46,14 @@ class Annotate(Command):
     lens: Annotated[Lens, arg(name="")] = field(default_factory=Lens)
     """The camera, for the hands that are fitted to clicked joints. Without it their depth and size are guesses."""
     export: Flag = False
-    """Serve nothing: write the grasps marked so far, each person's as a table and as JSON, and how far people agree;
-    the segments of whole interactions; of what is labelled the labels, hand.npz and masks, too."""
+    """Write files instead of serving the page: each annotator's grasps as a table and as JSON, the agreement of the
+    annotators, the segments of whole interactions, and for labelled grasps the labels, hand.npz and masks."""
     import_labels: OptionalFile = None
-    """Import a labels file in the place of the labels of its frames, and exit."""
+    """Import a labels file, which replaces existing labels of its frames, and exit."""
     import_segments: OptionalFile = None
-    """Import segments that segment --from-masks has found, or anybody has marked, as a first draft, and exit."""
+    """Import segments, found by segment --from-masks or marked by somebody, as a first draft, and exit."""
     annotator: Annotated[str, arg(metavar="NAME")] = "imported"
-    """import-labels, import-segments: whose they are from now on."""
+    """With --import-labels and --import-segments: the annotator to whom they are attributed."""
 
     def run(self) -> int:
         """Serve the page for a source; or take labels, or write what is marked and labelled as files into ``out``.

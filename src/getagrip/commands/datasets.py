@@ -94,6 +94,11 @@ class Import(Command, Generic[D]):
         return import_clips(self.dataset, self.out, self.debug, self.share)
 
 
+def _summary(dataset: type[Dataset]) -> str:
+    """Return the docstring of a dataset without its fields (``explain_all``)."""
+    return (dataset.__doc__ or "").partition("\n\nAttributes:")[0]
+
+
 def subcommands(name: str = "") -> Any:
     """Return the subcommands of ``import``: a dataset each, then hands, masks and segments.
 
@@ -101,7 +106,7 @@ def subcommands(name: str = "") -> Any:
     """
     datasets = {name: DATASETS[name]} if name in DATASETS else {} if name in OTHERS else DATASETS.working()
     kinds = [
-        Annotated[Import[dataset], subcommand(name, description=dataset.__doc__)]  # type: ignore[valid-type]
+        Annotated[Import[dataset], subcommand(name, description=_summary(dataset))]  # type: ignore[valid-type]
         for name, dataset in datasets.items()
     ]
     if name == "hands" or name not in (*DATASETS, *OTHERS):

@@ -1,4 +1,4 @@
-"""``getagrip draft``: a video to hands and a page on which only the object is left to be drawn."""
+"""``getagrip draft``: find the hands in a video, and serve the page on which the object is marked."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from getagrip.annotate.tasks import Task
 
 MOST_FRAMES = 3000
-"""Most frames of a draft: each is looked at by two networks."""
+"""Largest number of frames of a draft: two networks are run on each."""
 DRAFTER = "draft"
-"""Whose the marks are that a draft begins with."""
+"""Name of the annotator whose marks a draft starts with."""
 
 
 def box_of(words: list[str]) -> tuple[float, ...]:
@@ -46,29 +46,30 @@ BOX: PrimitiveConstructorSpec[tuple[float, ...] | None] = PrimitiveConstructorSp
 
 @dataclass(frozen=True, kw_only=True)
 class Draft(Command):
-    """Find the hand in a video, and open the page on which a few strokes show the object. It is a draft: look at it."""
+    """Find the hand in a video, and open the page on which you mark the object. It is a draft: check the hands."""
 
     video: Annotated[Positional[Path], arg(metavar="VIDEO|FOLDER")]
     """The video of one shot, undistorted; or a folder of its images."""
     object: Annotated[str, arg(metavar="MESH|KIND")]
-    """Object in the hand: its mesh, a file, or a kind such as mug."""
+    """The object in the hand: a mesh file, or the kind of a built-in shape, such as mug."""
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: VIDEO-draft)")] = None
-    """Folder of all files, as of annotate."""
-    size_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: to be found)")] = None
+    """Folder of all files that are made; annotate can go on in it."""
+    size_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: unknown)")] = None
     """The largest side of the object's bounding box."""
     interval: Annotated[tuple[int, int] | None, arg(metavar="FIRST LAST", help_behavior_hint="(default: all)")] = None
     """The frames in which the object is held, counted from 1."""
     side: OptionalSide = None
-    """Which hand (default: as most frames say)."""
+    """The hand that holds the object (default: the side that is detected in most frames)."""
     object_box: Annotated[tuple[float, float, float, float] | None, BOX, arg(help_behavior_hint="")] = None
-    """Box of the object in the first frame [px]: the hand nearest to it is used, and what stands out in the box is
-    drawn as the object."""
+    """Box around the object in the first frame [px]. The hand nearest to it is used, and what stands out from the
+    background in it is marked as the object."""
     no_page: Flag = False
-    """Open no page: make files only; with object-box masks of all frames, too, and the command that makes a clip."""
+    """Write files only, without opening the page. With --object-box, also write masks of all frames and print the
+    command that makes a clip."""
     models: OptionalFolder = None
     """Folder of the hand models (default: the cache; getagrip doctor --fetch hands)."""
     lens: Annotated[Lens, arg(name="")] = field(default_factory=Lens)
-    """The camera. Without it the focal length is a guess."""
+    """The camera. Without it the focal length is assumed."""
     port: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 8765, or the next free one)")] = None
     """Port of the page on 127.0.0.1."""
 
@@ -110,17 +111,17 @@ class Draft(Command):
                 self._draw(project, task, found)
             if self.no_page:
                 status = 0 if self.object_box is None else write_labels(project)
-                print(f"of clip new, the object's mesh is {mesh}")
+                print(f"options of clip new for the object's mesh: {mesh}")
                 return status
-            name = f"give the page the name {DRAFTER}"
-            print(f"the grasp is marked; {name}, press l to show it the object, and reconstruct with {mesh}")
+            name = f"on the page, enter the name {DRAFTER}"
+            print(f"the grasp is marked; {name}, press l to mark the object, and reconstruct with {mesh}")
             serve(project, self.port)
             return 0
         finally:
             project.close()
 
     def _draw(self, project: Project, task: Task, found: FoundHands) -> None:
-        """Draw what stands out in the box as the object on the first frame with a hand. Raises ``UsageError``."""
+        """Mark what stands out in the box as the object, on the first frame with a hand. Raises ``UsageError``."""
         from getagrip.annotate import found_hands
         from getagrip.annotate.drafting import traced
         from getagrip.annotate.labels import OBJECT, FrameLabels, Labels
@@ -131,7 +132,8 @@ class Draft(Command):
         hand = found_hands.FoundHands(self.folder / found_hands.FOLDER).mask(n)
         shapes = traced(boxed(footage.image(n), self.object_box, hand) == OBJECT)
         if not shapes:
-            raise UsageError(f"--object-box: no object stands out in it in {footage.name(n)}: draw it on the page")
+            nothing = f"nothing in the box stands out from the background in {footage.name(n)}"
+            raise UsageError(f"--object-box: {nothing}; mark the object on the page")
         drawn = {n: FrameLabels(object=tuple(shapes))}
         extent = found.frames[0], found.frames[-1]
         project.import_labels(Labels(self.video.name, footage.size, side, footage.fps, *extent, drawn), DRAFTER)

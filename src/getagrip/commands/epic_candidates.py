@@ -27,10 +27,10 @@ COLUMNS = ("vid", "st_bound", "ed_bound", "contact", "handside", "cat", "hos_nam
 
 @dataclass(frozen=True, kw_only=True)
 class EpicCandidates(Command):
-    """List candidates of stable grasps in EPIC-KITCHENS: frames in which, by VISOR, a hand touches an object."""
+    """List candidates of stable grasps in EPIC-KITCHENS: intervals in which, by VISOR, a hand touches an object."""
 
     visor: Folder
-    """VISOR's sparse annotations, and its frame_mapping.json, anywhere below."""
+    """Folder with VISOR's sparse annotations and its frame_mapping.json, at any depth."""
     actions: Annotated[tuple[Path, ...], arg(metavar="CSV...")]
     """EPIC-100's action labels: EPIC_100_train.csv, EPIC_100_validation.csv."""
     categories: Annotated[tuple[Category, ...], arg(help_behavior_hint="(default: all)")] = ()

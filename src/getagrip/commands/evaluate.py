@@ -33,18 +33,18 @@ class Evaluate(Command):
     """A clip, or the folder that holds the clips by name."""
     poses: Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")] = None
     """Another system's poses of the clip's mesh: one 4x4 for each frame (.npz, .npy, .json, .txt, or a file for each
-    frame in a folder), or BOP's results (.csv). Of many clips: a folder of such files or folders, named like the clips.
-    They need --clips, and appear under the name of PATH."""
+    frame in a folder), or BOP's results (.csv). For many clips: a folder of such files or folders, named like the
+    clips. Needs --clips. The rows appear under the name of PATH."""
     meshes: OptionalFolder = None
-    """Another system's meshes, one for each frame, in metres: DIR/<clip>/<frame>.obj (.ply, .stl, .glb). They need
-    --clips and --mesh-frame, and appear under the name of DIR."""
+    """Another system's meshes, one for each frame, in metres: DIR/<clip>/<frame>.obj (.ply, .stl, .glb). Needs --clips
+    and --mesh-frame. The rows appear under the name of DIR."""
     mesh_frame: Annotated[Literal["camera", "hand"] | None, one_of("camera", "hand"), arg(help_behavior_hint="")] = None
-    """The frame of their vertices: the clip's camera frame, or its hand frame."""
+    """The frame that the vertices of --meshes are in: the clip's camera frame, or its hand frame."""
     first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
-    """The number of the first frame's pose or mesh in these files. Needed where they are counted from another start."""
+    """The number that these files give to the clip's first frame, if they count from another start."""
     contact: Flag = False
-    """Print stable contact by nine definitions of contact, too: within 0, 5 and 10 mm, of the object's vertices, the
-    hand's, and points of the object's surface."""
+    """Also print stable contact by nine definitions: within 0, 5 and 10 mm, each for the object's vertices, the hand's
+    vertices, and points of the object's surface."""
     json: OptionalFile = None
     """Write every number here, unrounded."""
 

@@ -43,11 +43,11 @@ class NewFrames:
     """The frames of a clip that is yet to be made; nothing of what is not given."""
 
     side: OptionalSide = None
-    """With --out: which hand."""
+    """With --out: side of the hand."""
     frames: Annotated[tuple[int, int] | None, arg(metavar="FIRST LAST", help_behavior_hint="")] = None
-    """With --out: numbers of the frames, the last included."""
+    """With --out: numbers of the first and the last frame."""
     size: Annotated[tuple[int, int] | None, arg(metavar="WIDTH HEIGHT", help_behavior_hint="")] = None
-    """With --out: of the images."""
+    """With --out: width and height of the images [px]."""
     lens: Annotated[Lens, arg(name="")] = field(default_factory=Lens)
     """With --out: the camera."""
 
@@ -62,22 +62,22 @@ class ImportHands(Command):
     """Import hands from an estimator's files, into a clip that lacks them or into a file for a later clip."""
 
     paths: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE...", help_behavior_hint="")]
-    """.npz, .json, .pkl, .pt, .npy, .obj, or folders of them: a file for each image, named like it, or one for all
-    (docs/estimators.md)."""
+    """.npz, .json, .pkl, .pt, .npy, .obj, or folders of them: one file per image, named like it, or one file for all
+    images (docs/estimators.md)."""
     source: Source
     trackers: Trackers
     clip: Annotated[Path | None, arg(metavar="CLIP", help_behavior_hint="")] = None
-    """Return the clip's folder. Its side, its frames and its camera are taken from it."""
+    """The clip's folder. Side, frames and camera are taken from the clip."""
     out: OptionalFile = None
-    """Instead of a clip, a file for clip new --hands. It needs --side, --frames, --size and a camera."""
+    """Write a file for clip new --hands instead. This needs --side, --frames, --size and a camera."""
     mano: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: the generic hand)")] = None
     """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl."""
     new: Annotated[NewFrames, arg(name="")] = field(default_factory=NewFrames)
     first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
-    """The number of the first frame's hand in the files. Needed where these are counted from another start."""
+    """The number that the files give to the first frame, if they count from another start."""
     hold_ends: Flag = False
-    """For a whole interaction: extrapolate the hand before the first and after the last frame in which it was found, as
-    an assumption. By default these frames are left out."""
+    """For a whole interaction: extrapolate the hand before the first and after the last frame in which it was found; it
+    is assumed to stand still. By default these frames are left out."""
     other_hand: Flag = False
     """With --clip: import the hand of the other side, which holds the object in some of a timeline's grasps. Frames may
     lack it."""
@@ -213,7 +213,7 @@ if not TYPE_CHECKING:  # the choices of --from, and the options of each tracker,
     TAKEN = [field.name for command in (ImportHands, NewFrames, Lens) for field in fields(command)]
     USABLE = usable(["from", *TAKEN])
     TAKES = "; ".join(f"{name}: {tracker.takes}" for name, tracker in USABLE.items())
-    Source = Annotated[Literal[tuple(USABLE)], arg(name="from", help=f"Whose they are. {TAKES}.")]
+    Source = Annotated[Literal[tuple(USABLE)], arg(name="from", help=f"Program or format of the files. {TAKES}.")]
     OPTIONS = [(name, type(tracker), field(default=tracker)) for name, tracker in USABLE.items()]
     Trackers = Annotated[make_dataclass("Trackers", OPTIONS, frozen=True), arg(name="")]
 

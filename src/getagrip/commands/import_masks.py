@@ -27,25 +27,26 @@ FEWEST = 2
 class ImportMasks(Command):
     """Add masks from files to a clip.
 
-    Read are a folder of PNG (labels, palettes as of SAM 2, colours), of .npy or of LabelMe's .json; .json of COCO,
+    Formats: a folder of PNG (labels, palettes as of SAM 2, colours), of .npy or of LabelMe's .json; .json of COCO,
     YouTube-VIS or SA-V; .npz and .npy; and SAM 2's video_segments (.pkl, .npy).
     """
 
     path: Annotated[Positional[Path], arg(metavar="PATH")]
     """The folder or file; images are named like the clip's frames, or by the same numbers."""
     clip: Annotated[Path, arg(metavar="CLIP")]
-    """Return the clip's folder."""
+    """The clip's folder."""
     object: Labels = ()
-    """Labels of the object: values, #rrggbb, or names of COCO's categories; of several cups, cup:7 by its track_id, or
-    cup:all. Not needed if there is only one label."""
+    """Labels of the object: values, #rrggbb, or names of COCO's categories. If there are several cups, cup:7 selects
+    one by its track_id and cup:all takes all. Not needed if there is only one label."""
     ignore: Labels = ()
-    """Labels of what hides it: other hands, other things in front."""
+    """Labels of whatever hides the object: other hands, other things in front."""
     hand: Labels = ()
-    """Labels of the hand that holds it. It is ignored as well, and the clip's hands are refined against its pixels."""
+    """Labels of the hand that holds the object. Its pixels are ignored as well, and the clip's hands are refined
+    against them."""
     first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
-    """The number of the first frame's mask. Needed where masks are counted from 0 and frames are not."""
+    """The number that the masks give to the first frame, if they count from another start."""
     images: str = ""
-    """Folder, as take1, or pattern, as cam1_*, that selects the images where there are several of a frame."""
+    """Folder (take1) or pattern of names (cam1_*) of the images to use, if there are several for a frame."""
     overwrite: Flag = False
     """Replace masks that are there already."""
 

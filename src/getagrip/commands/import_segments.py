@@ -24,7 +24,7 @@ class ImportSegments(Command):
     path: Annotated[Positional[Path], arg(metavar="FILE")]
     """segments.json, or segments-NAME.json (docs/formats.md). The clip's own entry is taken, or the only one."""
     clip: Annotated[Path, arg(metavar="CLIP")]
-    """Return the clip's folder. Segments are cut at its ends."""
+    """The clip's folder. Segments are cut at the clip's ends."""
     still_camera: Flag = False
     """The camera did not move: its frame is the world."""
     overwrite: Flag = False

@@ -27,18 +27,19 @@ class LearnPoses(Command):
     clips: Clips = ()
     """Clip folders, or folders of clips."""
     out: File
-    """File of the grasps. A clip of a subject among them starts from what is learnt without that subject."""
+    """File to write, for reconstruct --init clusters. A clip of one of its subjects then starts from the grasps of the
+    others only."""
     k: int = 50
-    """Rotations of each kind of object in each hand."""
+    """Number of rotations for each category and side."""
     leave_out: Annotated[tuple[str, ...], arg(metavar="SUBJECT...", help_behavior_hint="")] = ()
-    """Subjects whose hands are left out: those on whose clips the poses will be tested."""
+    """Subjects to leave out, on whose clips the poses will be tested."""
     as_folder: OptionalFolder = None
-    """Write the poses learnt from all of the grasps into this folder, too, as --init priors reads them: a clip starts
-    from those of its own subject as well, as in the paper."""
+    """Also write poses learnt from all grasps into this folder, for reconstruct --init priors. As in the paper, a clip
+    then starts from the grasps of its own subject as well."""
     way: Annotated[Literal["geodesic", "axis-angle"], arg(name="clusters")] = "geodesic"
-    """k-means by the angles between rotations; or, as in the paper, of rotation vectors."""
+    """k-means by the angles between rotations (geodesic) or, as in the paper, of rotation vectors (axis-angle)."""
     seed: Annotated[int, arg(metavar="S")] = 0
-    """Seed of all that is random."""
+    """Seed of the random choices."""
 
     def check(self) -> None:
         from getagrip.io import files

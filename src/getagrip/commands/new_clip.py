@@ -63,7 +63,7 @@ LATER = {
 
 @dataclass(frozen=True, kw_only=True)
 class NewClip(Command):
-    """Make a clip of your own video, at once or in steps; missing inputs are listed, with how to get them."""
+    """Make a clip of your own video, at once or in steps. What is still missing is listed, with how to get it."""
 
     video: Annotated[Positional[Path], arg(metavar="VIDEO|FOLDER")]
     """The video, undistorted; or a folder of its images, in the order of the numbers in their names."""
@@ -79,25 +79,26 @@ class NewClip(Command):
     masks: Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")] = None
     """Masks, as for import masks, which can add them later."""
     mask_first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: START)")] = None
-    """The number of the mask of frame START."""
+    """The number that the masks give to frame START."""
     mask_images: str = ""
-    """Folder, or pattern of names, that selects the images of the masks where there are several of a frame."""
+    """Folder, or pattern of names, of the mask images to use, if there are several for a frame."""
     object: Labels = ()
     """Labels of the object in the masks."""
     ignore: Labels = ()
-    """Labels in the masks of what hides it."""
+    """Labels of whatever hides the object, in the masks."""
     hand: Labels = ()
-    """Labels in the masks of the hand that holds it. It is ignored as well, and --hands are refined against it."""
+    """Labels of the hand that holds the object, in the masks. Its pixels are ignored as well, and --hands are refined
+    against them."""
     hands: OptionalFile = None
-    """A hand.npz; import hands makes one, and can add it later."""
+    """A hand.npz, as import hands --out writes it; import hands can also add hands later."""
     hand_first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
-    """The number of the first frame's hand. Needed where hands are counted from another start."""
+    """The number that --hands gives to the first frame, if it counts from another start."""
     segments: OptionalFile = None
     """Segments of the clip, as annotate writes them; import segments can add them later."""
     still_camera: Flag = False
-    """The camera did not move: its frame is the world."""
+    """State that the camera did not move: the camera frame is then the world."""
     lens: Annotated[Lens, arg(name="")] = field(default_factory=Lens)
-    """The camera. Not needed where the hand file has it."""
+    """The camera. Not needed if the hand file has it."""
     fps: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="(default: 30)")] = None
     """Frames per second of a folder of images; a video has its frames' own times."""
     overwrite: Flag = False

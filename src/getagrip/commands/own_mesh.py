@@ -30,8 +30,8 @@ class MeshOptions:
     """The mesh of a user's own clip, and its size."""
 
     mesh: Annotated[Path | None, arg(metavar="FILE|KIND", help_behavior_hint="")] = None
-    """The object's shape: .obj, .ply, .stl or .glb. Or, where there is no such file, the kind of a shape that this
-    package has: bottle, bowl, can, cup, glass, mug, pan, plate, saucepan, box, ..."""
+    """The object's shape: a file (.obj, .ply, .stl or .glb) or, if there is no such file, the kind of a built-in shape:
+    bottle, bowl, can, cup, glass, mug, pan, plate, saucepan, box, ..."""
     size_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: as it is)")] = None
     """Rescale the mesh to this largest side of its bounding box."""
     diameter_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: as it is)")] = None
@@ -39,7 +39,7 @@ class MeshOptions:
     unit: Annotated[Unit | None, one_of("mm", "cm", "m", "in"), arg(help_behavior_hint="(default: m)")] = None
     """The unit of the mesh file."""
     known_scale: Flag = False
-    """The mesh, in its unit, has the object's size. Else, unless it is rescaled, its size is found with its pose."""
+    """The mesh, in its unit, has the object's true size. Without this and without rescaling, the size is estimated."""
 
     @property
     def path(self) -> Path:

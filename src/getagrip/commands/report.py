@@ -33,20 +33,20 @@ class ReportRequest:
     clips: ClipsFolder = None
     """A clip, or the folder that holds the clips by name."""
     mp4: Flag = False
-    """Write report.mp4, too, a film of the result over its images and from the side."""
+    """Also write report.mp4, a film of the result over its images and from the side."""
     index_only: Flag = False
     """Write only the index of a folder of results, with links to pages that are there already."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Report(Command):
-    """Write pages of results, report.html, that play in 3D without a network; for a folder of them index.html, too."""
+    """Write a page of each result that plays in 3D without a network, report.html; for a folder also index.html."""
 
     paths: Annotated[Positional[tuple[Path, ...]], arg(metavar="PATH...", help_behavior_hint="")] = ()
     """Result folders, which get report.png as well, or folders that hold results."""
     request: Annotated[ReportRequest, arg(name="")] = field(default_factory=ReportRequest)
     workers: Workers = None
-    """Processes to share the results between."""
+    """Number of processes."""
 
     def check(self) -> None:
         super().check()

@@ -28,17 +28,18 @@ class Stats(Command):
     """Print the durations of stable grasps by category, and the counts of a dataset: the paper's dataset tables."""
 
     source: Annotated[Positional[str], arg(metavar="epic-grasps|LIST")]
-    """epic-grasps, followed by its CSV; or a list of grasps, or the folder of clips that import wrote it into."""
+    """The word epic-grasps, followed by its CSV; or a list of grasps; or a folder of clips that import made."""
     csv: Annotated[Positional[Path | None], arg(metavar="[CSV]", help_behavior_hint="")] = None
     """With epic-grasps: its table, as published."""
     errata: bool = False
-    """epic-grasps: apply the errata that lie beside the table (<CSV>_errata.csv). The paper's table is without."""
+    """With epic-grasps: apply the errata beside the table (<CSV>_errata.csv). The paper's table does not apply them."""
     errata_file: OptionalFile = None
-    """epic-grasps: the errata, where they lie elsewhere."""
+    """With epic-grasps: the file of the errata, if it is not beside the table."""
     fps: Annotated[
         Literal["paper", "true"] | None, one_of("paper", "true"), arg(help_behavior_hint="(default: paper)")
     ] = None
-    """epic-grasps: 50 frames per second in every video, as in the paper; or the rate at which EPIC numbers frames."""
+    """With epic-grasps: durations at 50 frames per second in every video, as in the paper, or at the rate at which EPIC
+    numbers frames (true)."""
     out: OptionalFolder = None
     """Write stats.md, stats.csv and counts.csv here."""
     json: OptionalFile = None

@@ -28,13 +28,13 @@ LONGEST = 100
 class Status(Command):
     """Print which clips of a reconstruct folder are done, failed and left, and write its summary.csv and index.html.
 
-    Each clip is listed with its IOU and probabilities. The call may still be running.
+    Each clip is listed with its IOU and probabilities. Reconstruct may still be running.
     """
 
     folder: Annotated[Positional[Place], placed("DIR"), arg(metavar="DIR", help_behavior_hint="")]
-    """Folder that reconstruct was given as --out."""
+    """The --out of reconstruct."""
     ledger: OptionalFolder = None
-    """The folder of its ledger, where reconstruct was given one. It is not changed."""
+    """The --ledger of reconstruct, if it had one. It is not changed."""
 
     def run(self) -> int:
         """Print the states; raise ``InputError`` where there is neither ledger nor result."""

@@ -23,15 +23,15 @@ class View(Command):
     """Play results and clips in 3D, on a page that only those who have its address can open."""
 
     paths: Annotated[Positional[tuple[Path, ...]], arg(metavar="PATH...", help_behavior_hint="")] = ()
-    """Results, clips, or folders of them. Results of one clip stand side by side; several clips are listed, the worst
-    results first."""
+    """Results, clips, or folders of them. Results of one clip are shown side by side; several clips are listed, the
+    worst results first."""
     clips: ClipsFolder = None
     """A clip, or the folder that holds the clips by name."""
     port: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 8770, or a free one)")] = None
     """Port of the page."""
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
-    """The address of this machine that the page is served at. By default other machines cannot reach it: forward the
-    port with ssh -L (docs/view.md)."""
+    """Address on which the page is served. By default other machines cannot reach it: from them, forward the port with
+    ssh -L (docs/view.md)."""
 
     def check(self) -> None:
         super().check()

@@ -41,22 +41,22 @@ OF_TIMELINE = (
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluation:
-    """Every number about a reconstruction (docs/metrics.md). Names of metrics end in their units.
+    """The metrics of a reconstruction (docs/metrics.md). The names of metrics end in their units.
 
     Attributes:
         clip: name of the clip.
-        category: what the object is.
+        category: category of the object, such as "mug".
         method: name of the method.
         frames: names of the T frames.
         symmetry: the object's symmetries, in words; None without ground truth.
-        metrics: a number for each metric.
-        per_frame: T numbers for each metric that has one in each frame.
-        metrics_of_fitted: the metrics without the frames whose pose is interpolated; empty where none is.
-        metrics_of_grasps: of a timeline, the stable contact area in its grasps alone; else empty.
-        frame_kind: how the pose of each frame was found; empty for meshes.
-        findings: what is unusual about the inputs and the result, in words.
-        notes: what is to be known about the metrics, in words.
-        result: the folder of the result; None for one that is only in memory.
+        metrics: one number for each metric.
+        per_frame: T numbers for each metric that is measured in each frame.
+        metrics_of_fitted: the same metrics over the frames that are not interpolated; empty if none is interpolated.
+        metrics_of_grasps: for a timeline, the stable contact area within its grasps; otherwise empty.
+        frame_kind: how the pose of each frame was found: ``sampled``, ``fitted`` or ``interpolated``; empty for meshes.
+        findings: what the checks found unusual about the inputs and the result, as sentences.
+        notes: remarks on how the metrics were measured, as sentences.
+        result: the folder of the result; None if it is only in memory.
     """
 
     clip: str
@@ -126,19 +126,23 @@ def evaluate(
     contacts: Sequence[ContactDefinition] | None = None,
     wanted: Sequence[Metric] | None = None,
 ) -> Evaluation:
-    """Measure a reconstruction (docs/metrics.md) at the result's frames of its clip.
+    """Compute the metrics of a reconstruction (docs/metrics.md).
 
     Args:
-        result: the reconstruction, as ``reconstruct`` or ``read_result`` gives it.
-        clip: its clip. Without ground truth (``clip.truth``) only IOU, contact and penetration are measured.
-        masks: the masks of all of the clip's frames; without them there is no IOU.
-        contacts: definitions of contact by which stable contact is measured; None for all nine.
-        wanted: the metrics to compute; None for all. Of a very large mesh ``notes`` say with how many faces it was
-            measured (``Mesh.light``).
+        result: the reconstruction, from ``reconstruct`` or ``read_result``. Only its frames are measured.
+        clip: the clip that was reconstructed. Without ground truth (``clip.truth``) only IOU, contact and penetration
+            are measured; with it also the errors of the poses, such as ADD.
+        masks: masks of all frames of the clip. If None, IOU is not measured.
+        contacts: definitions of contact (distance and points) for the metrics of stable contact; None for all nine.
+        wanted: the metrics to compute; None for all.
+
+    Returns:
+        Numbers for the whole clip (``metrics``) and for each frame (``per_frame``), under names that end in their
+        units. A very large mesh is measured with fewer faces; ``notes`` then gives their number.
 
     Raises:
-        InputError: a frame of the result is none of the clip's.
-        UsageError: the masks are another clip's.
+        InputError: the clip lacks a frame of the result.
+        UsageError: the masks have another number or size of frames than the clip.
     """
     contacts = CONTACT_DEFINITIONS if contacts is None else contacts
     wanted = tuple(METRICS.working().values()) if wanted is None else wanted

@@ -28,22 +28,22 @@ class Compared:
     """Methods, or settings of methods, hands or other systems. Raises ``UsageError``."""
 
     methods: Annotated[tuple[str, ...], arg(metavar="METHOD...", help_behavior_hint=_methods)] = ()
-    """Methods to compare. Ablations compare one-dof and soft-hinge by default, departures the paper's. All but the
-    paper's, which are slow and run where they are named."""
+    """Methods to compare. By default, ablations compare one-dof and soft-hinge, and the ablation departures compares
+    the paper's. Methods of other packages, and the paper's, which are slow, run only if they are named."""
     ablation: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_ablations)] = None
     """Compare settings of each method, instead of the methods as they are."""
     hands: Annotated[tuple[str, ...], arg(metavar="NAME=DIR...", help_behavior_hint="")] = ()
     """Compare hands of several estimators for the same clips, on the frames that all have: DIR holds clips of the same
     names, or a hand file <clip>.npz for each (import hands --out)."""
     others: Annotated[tuple[str, ...], arg(name="with", metavar="NAME=DIR...", help_behavior_hint="")] = ()
-    """Other systems' results as further rows: DIR holds poses of each clip by its name, as for evaluate --poses, or
-    result folders."""
+    """Add rows with other systems' results: DIR holds the poses of each clip under its name, as for evaluate --poses,
+    or result folders."""
     contact: Annotated[
         tuple[float, ...],
-        arg(metavar="MM...", help_behavior_hint="(default: 10; of a folder that import made, as its clips were cut)"),
+        arg(metavar="MM...", help_behavior_hint="(default: 10; for clips that import made, the value that cut them)"),
     ] = ()
-    """Points of the object within MM of the hand's surface are in contact, in SCA, SCA-ADD and SCA-IOU; rows for each
-    MM. The paper's is 0 on ARCTIC."""
+    """In SCA, SCA-ADD and SCA-IOU, points of the object within MM of the hand's surface are in contact; with several
+    values, rows for each. The paper uses 0 on ARCTIC."""
 
     def __post_init__(self) -> None:
         for name in self.methods:

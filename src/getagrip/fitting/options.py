@@ -87,34 +87,35 @@ def _methods(default: str) -> str:
 @explained
 @dataclass(frozen=True)
 class SearchOptions:
-    """The options that methods to be compared share. Raises ``UsageError``."""
+    """Options that all methods of a comparison share. Raises ``UsageError`` for a value that is not allowed."""
 
     inits: Annotated[int, arg(metavar="N")] = 50
-    """Number of initial poses, twice as many where the scale is free (but for the paper's method to the letter). More
-    is slower and safer, fewer than 50 is unsafe."""
+    """Number of initial poses; doubled if the scale is free (except by the paper's own method). More initial poses are
+    slower and find the right pose more often; fewer than 50 may miss it."""
     init: Init = "uniform"
-    """Rotations spread evenly (uniform); or first those that init learn has found (clusters) or that a folder holds by
-    category and side, as the authors of the paper keep theirs (priors), and even ones for the rest."""
+    """Source of the initial rotations. uniform: spread evenly; clusters: from a file that init learn has written;
+    priors: from a folder with a file per category and side, as the paper's authors publish theirs. clusters and priors
+    come first and are filled up with evenly spread ones."""
     priors: Annotated[
         PriorsFile | None, parsed("PATH", PriorsFile.of, PriorsFile), arg(metavar="PATH", help_behavior_hint="")
     ] = None
-    """For clusters, the file that init learn has written; for priors, the folder."""
+    """The file of --init clusters, or the folder of --init priors."""
     priors_only: Flag = False
-    """Start from these poses alone, at most --inits, with no even rotations for the rest, as the paper does. A clip of
-    an object that has none fails."""
+    """Use only the poses of --priors, at most --inits of them, without evenly spread ones. The paper does so. A clip
+    fails if --priors has no pose for its category and side."""
     thorough: Flag = False
-    """Search two to three times as long, for the methods that fit all frames at once."""
+    """Search two to three times as long. It has an effect on methods that fit all frames together."""
     hands: Annotated[Hands, switch("as-given"), arg(name="given-hands", help_behavior_hint="")] = "corrected"
     """Do not refine the hands (as-given). By default (corrected) they are aligned to the hand's pixels (masks/hand,
     else masks/ignore) where they disagree, and tracker glitches are interpolated."""
     masks: Annotated[MaskUse, switch("as-given"), arg(name="given-masks", help_behavior_hint="")] = "checked"
-    """Use all masks (as-given). By default (checked) soft-hinge and one-dof leave out outlier masks, which contradict
-    those of other frames."""
+    """Use all masks (as-given). By default (checked) soft-hinge and one-dof leave out outlier masks, those that
+    contradict the masks of other frames."""
     mesh: Annotated[MeshUse, switch("as-given"), arg(name="given-mesh", help_behavior_hint="")] = "fitted"
-    """Take the mesh as it is (as-given). By default (fitted) soft-hinge and one-dof deform it where the masks show that
-    it is not the object's own."""
+    """Do not deform the mesh (as-given). By default (fitted) soft-hinge and one-dof deform it if the masks show that it
+    is not the object's own."""
     seed: Annotated[int, arg(metavar="S")] = 0
-    """Seed that rotates the set of initial rotations. The same seed gives the same result."""
+    """Seed of the initial rotations. The same seed gives the same result."""
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -136,22 +137,22 @@ class SearchOptions:
 @explained
 @dataclass(frozen=True)
 class Options(SearchOptions):
-    """How to reconstruct a clip. Raises ``UsageError``."""
+    """Options of a reconstruction. Raises ``UsageError`` for a value that is not allowed."""
 
     method: Annotated[str, arg(metavar="METHOD", help_behavior_hint=_methods)] = "soft-hinge"
     """How the object may move in the hand. soft-hinge: about one axis, with small deviations; one-dof: about one axis
-    exactly; static: not at all; dynamic: freely in each frame. paper is the paper's method to the letter, slow;
-    paper-static and paper-dynamic likewise. The others are baselines."""
+    exactly; static: not at all; dynamic: freely in each frame. paper, paper-static and paper-dynamic are the paper's
+    own methods, reproduced exactly; they are slow. The others are baselines."""
     axis: Literal["free", "hand"] = "free"
-    """Place of the latent axis of one-dof and soft-hinge: anywhere (free), or through the origin of the hand frame
-    (hand), as the paper's Eq. 3 has it."""
+    """Position of the latent axis of one-dof and soft-hinge: anywhere (free), or through the origin of the hand frame,
+    as in the paper's Eq. 3 (hand)."""
     frames: Annotated[int, arg(metavar="N")] = 30
-    """Fit N frames together, sampled evenly from the clip. More is slower, and safer where the motion is fast."""
+    """Fit N frames together, sampled evenly from the clip. More frames are slower, and safer if the motion is fast."""
     every_frame: Annotated[bool, FlagConversionOff, switch(False), arg(name="sampled-only", help_behavior_hint="")] = (
         True
     )
-    """Stop after these frames (every_frame=False). By default the others follow: each is fitted to its own mask, with
-    the shared parameters fixed, or interpolated where no mask shows the object."""
+    """Return poses for these N frames only (every_frame=False). By default each other frame is then fitted to its own
+    mask with the shared parameters fixed, or interpolated if its mask does not show the object."""
     push: Annotated[float, Suppress, Fixed] = 0.1
     """Weight of E_push, the paper's lambda_2 without the focal length."""
     pull: Annotated[float, Suppress, Fixed] = 0.1
@@ -159,7 +160,7 @@ class Options(SearchOptions):
     occlusion: Annotated[bool, Suppress, Fixed] = True
     """Leave out pixels hidden by the hand (the paper's C_o)."""
     departures: Annotated[Departures, Suppress, Fixed] = TO_THE_LETTER
-    """Parts of ``paper`` that are replaced by ours; no other method has a choice."""
+    """Parts of the method ``paper`` that are replaced by ours; for ablations. Other methods do not use it."""
 
     @property
     def as_published(self) -> bool:

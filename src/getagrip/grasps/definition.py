@@ -71,15 +71,16 @@ class GraspOptions:
     contact_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint=_distance)] = None
     """Points of the object at most this far from the hand's surface, or inside it, are in contact."""
     points: Points = "vertices"
-    """Contact is a set of vertices, of points sampled evenly over the object's surface, or of patches."""
+    """Points of the object that are tested for contact: its vertices, points sampled evenly over its surface (area), or
+    patches of it (fragments)."""
     rule: Rule = "all-pairs"
-    """Frames that are compared: all (the paper's definition), all with the first, or neighbours (two weaker tests);
-    touch: none, a grasp is an uninterrupted contact."""
+    """Pairs of frames whose contacts are compared. all-pairs: the paper's definition; first (each frame with the first)
+    and consecutive (neighbours) are weaker; touch compares none: a grasp is an uninterrupted contact."""
     shortest: Annotated[int, arg(metavar="N")] = 20
-    """Frames of the shortest grasp."""
+    """Number of frames of the shortest grasp."""
     listed: Annotated[OptionalFile, arg(name="list", aliases=("--intervals",))] = None
-    """Use the grasps of this list instead of tau, rule and shortest: one by import, segment, study or annotate, your
-    own (docs/formats.md), or the authors' hot3d_hit.json."""
+    """Use the grasps of this list instead of --tau, --rule and --shortest: a list written by import, segment, study or
+    annotate, your own (docs/formats.md), or the authors' hot3d_hit.json."""
 
     def definition(self, contact_mm: float = 0.0) -> Definition:
         """Return the definition of a stable grasp, within ``contact_mm`` where nothing is said.

@@ -1,9 +1,9 @@
 """Fit a hand in every frame to 2D landmarks: the fit to clicks, with the errors of networks.
 
-A network errs alike in frames that look alike, so a thousand landmarks are no thousand measurements: what they say of
-the hand's shape and grip counts as one frame's. Else they outvote the prior on the hand's size, and the hand shrinks to
-a few centimetres before the camera. Fingers may move further from their mean pose than those of clicked frames, within
-the prior on poses, and the whole is smoothed over time.
+A network makes similar errors in similar frames, so its landmarks are not independent: for the hand's shape and grip,
+all frames together count as one. Otherwise they would outweigh the prior on the hand's size, and the hand would shrink
+to a few centimetres in front of the camera. Fingers may move further from their mean pose than in clicked frames,
+within the prior on poses, and the result is smoothed over time.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ NOISE = 0.009
 LOOSENESS = 0.3
 """Standard deviation of each number of the fingers' pose from the mean one [rad]."""
 KEYS = 24
-"""Frames that are fitted from scratch at most; the others begin between them."""
+"""Largest number of frames that are fitted from scratch; the others start from interpolated poses."""
 LEAST = 0.05
-"""A landmark of less confidence is none."""
+"""Landmarks of less confidence are ignored."""
 GAP = 10
-"""Frames without landmarks that are interpolated at most."""
+"""Longest gap without landmarks that is interpolated [frames]."""
 SMOOTH = {"place": 2.0, "turn": 3.0, "depth": 4.0}
-"""Standard deviations in time of what is averaged [frames]."""
+"""Standard deviations of the smoothing in time [frames]."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,8 @@ def hands_from_landmarks(
 ) -> LiftedHands:
     """Fit the hand to landmarks [px], in this package's order.
 
-    ``world`` are the same about the hand's middle, in the camera's axes [m], from networks that give them: only the
-    depths are taken, with caution.
+    ``world`` are the landmarks relative to the hand's middle, in the camera's axes [m], if the network estimates them;
+    only their depths are used, with a low weight.
 
     Raises ``UsageError`` where no frame has ``FEWEST`` landmarks, or no hand looks like them.
     """

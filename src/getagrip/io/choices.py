@@ -47,8 +47,7 @@ def _hints(data: type) -> dict[str, object]:
 
 def explained(kind: T) -> T:
     """Give a dataclass a ``help`` that lists its fields with their docstrings, and types without terminal markers."""
-    lines = [line for one in reversed(kind.__mro__) if is_dataclass(one) for line in _fields(one)]
-    kind.__doc__ = "\n".join([cleandoc(kind.__doc__ or ""), "", "Attributes:", *lines])
+    _list_fields(kind)
     plain = get_type_hints(kind)
     _, *value = signature(kind.__init__).parameters.values()  # type: ignore[misc]
     shown = [one.replace(annotation=plain[one.name]) for one in value]
@@ -56,9 +55,33 @@ def explained(kind: T) -> T:
     return kind
 
 
+def explain_all(hint: object) -> None:
+    """List the fields of all dataclasses that a type names or nests, so that ``--help`` breaks no line in a sentence.
+
+    tyro starts a new line where the docstring of a field is continued with an indent.
+    """
+    for inner in get_args(hint):
+        explain_all(inner)
+    kind = get_origin(hint) or hint
+    if isinstance(kind, type) and is_dataclass(kind):
+        if "Attributes:" not in (kind.__doc__ or ""):
+            _list_fields(kind)
+        for field in get_type_hints(kind).values():
+            explain_all(field)
+
+
+def _list_fields(kind: type) -> None:
+    """Append the fields of a dataclass and of its bases to its docstring."""
+    lines = [line for one in reversed(kind.__mro__) if is_dataclass(one) for line in _fields(one)]
+    kind.__doc__ = "\n".join([cleandoc(kind.__doc__ or ""), "", "Attributes:", *lines])
+
+
 def _fields(kind: type) -> Iterator[str]:
-    """Yield a line for each of its own fields."""
-    body = ast.parse(dedent(getsource(kind))).body[0]
+    """Yield a line for each of its own fields; none for a class that was made without source."""
+    try:
+        body = ast.parse(dedent(getsource(kind))).body[0]
+    except OSError:
+        return
     assert isinstance(body, ast.ClassDef)
     for field, text in pairwise(body.body):
         if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):

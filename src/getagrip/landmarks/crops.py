@@ -18,7 +18,7 @@ SIDE = 224
 PALM = (2.6, 0.5)
 """Side of the square in sides of the palm's box, and its shift towards the fingers in heights of the box."""
 LANDMARKS = (2.0, 0.1)
-"""Size and shift for the box of those landmarks that hardly bend."""
+"""Size and shift for the box of the landmarks that finger bends hardly move."""
 STIFF = np.array([0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18])
 """Landmarks up to the middle joints of the fingers."""
 
@@ -57,7 +57,7 @@ class Crop(NamedTuple):
         return np.asarray(cv2.warpAffine(image, M, (SIDE, SIDE), flags=flags), np.float32) / np.float32(255.0)
 
     def near(self, other: Crop) -> bool:
-        """Return whether the network sees much the same in both."""
+        """Return whether both crops show the network nearly the same pixels."""
         apart = float(np.linalg.norm(self.middle - other.middle)) / min(self.side, other.side)
         turned = abs((self.angle - other.angle + np.pi) % (2.0 * np.pi) - np.pi)
         return apart < 0.25 and turned < 0.6 and 0.75 < self.side / other.side < 1.35

@@ -1,7 +1,7 @@
 """Hands in every frame of a clip: detected in each, and followed from the frames before and after.
 
-A detector misses hands that hold something, and a follower lags where a hand moves fast or is lost in blur; of what
-both say of a hand the network's own confidence chooses.
+A detector misses hands that hold something; a tracker lags behind fast hands and loses blurred ones. If both find a
+hand, the sighting of higher network confidence is kept.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from getagrip.landmarks.nets import Nets
 LEAST = 0.5
 """Confidence of a hand."""
 SURE = 0.75
-"""A hand of less confidence, followed from the frame before, is looked for where it is detected and from the frame
-after, too."""
+"""Confidence of a hand tracked from the frame before, below which it is also searched for at detections and from the
+frame after."""
 MEMORY = 10
-"""Frames for which a hand that is lost is looked for where it was."""
+"""Number of frames for which a lost hand is searched for where it was last seen."""
 AROUND, LEAST_AROUND = 0.9, 0.33
-"""Half the side of the part in which it is looked for, in sides of its square and, at least, as a share of the image's
+"""Half the side of that search region, in sides of the hand's square, and its least value as a share of the image's
 shorter side."""
 SAME = 0.4
-"""Distance, in sizes of the palm, below which two hands are one."""
+"""Distance, in palm sizes, below which two sightings are the same hand."""
 PALM = [0, 5, 9, 13, 17]
 """Wrist and knuckles."""
 
@@ -65,7 +65,10 @@ class Sighting(NamedTuple):
 def follow(
     image: Callable[[int], Image], count: int, nets: Nets, on_frame: Callable[[int], None] = lambda n: None
 ) -> list[list[Sighting]]:
-    """Follow the hands over ``count`` frames, the most certain first. ``on_frame`` is called before each."""
+    """Follow the hands over ``count`` frames; return each frame's, the most certain first.
+
+    ``on_frame`` is called before each frame.
+    """
     seen: list[list[Sighting]] = []
     for n in range(count):
         on_frame(n)
@@ -90,7 +93,7 @@ def _crops(hands: Sequence[Sighting]) -> list[Crop]:
 
 
 def _nearby(image: Image, where: Sequence[Crop], nets: Nets) -> list[Crop]:
-    """Detect palms in enlarged parts of an image: the detector sees a whole image at 192 pixels."""
+    """Detect palms in enlarged parts of an image: the detector sees a whole image at only 192 pixels."""
     out = []
     for crop in where:
         half = max(AROUND * crop.side, LEAST_AROUND * min(image.shape[:2]))

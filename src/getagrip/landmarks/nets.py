@@ -1,6 +1,6 @@
-"""The two networks, run by LiteRT; by OpenCV only where its answer to a fixed input is the known one.
+"""The two networks, run by LiteRT, or by OpenCV if its outputs for a fixed input are the known ones.
 
-OpenCV 4.11 computes the landmark network's 3D points wrongly and says nothing, so nothing is taken on trust.
+OpenCV 4.11 computes wrong 3D points with the landmark network, without an error; hence this test.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from getagrip.landmarks.crops import Crop
 from getagrip.landmarks.palms import Letterbox, Palm
 
 Net = Callable[[Float32[ndarray, "n n 3"]], list[Float32[ndarray, "..."]]]
-"""An image to the network's outputs, flat, in the order of their names."""
+"""A function from an image to the network's outputs, flat, in the order of their names."""
 ADVICE = "pip install 'getagrip[hands]' (LiteRT)"
 KNOWN = (
     (0, (111.95727, 178.81602, 0.00016, 113.31991, 156.71335, 1.38071)),
     (2, (0.28077,)),
     (3, (0.00152, 0.09113, 0.03884, 0.00879, 0.07205, 0.0477)),
 )
-"""Outputs of the landmark network for the image of ``fixed_input``: which one, and its first numbers."""
+"""Outputs of the landmark network for ``fixed_input``: index of the output, and its first numbers."""
 CLOSE = 2e-3
 """Tolerance, relative to the size of the known numbers."""
 
@@ -119,7 +119,7 @@ def _litert(content: bytes, outputs: int) -> Net:
 
 
 def _opencv(content: bytes, outputs: int) -> Net:
-    """Run a network by OpenCV, which names only one of several outputs: each is asked for."""
+    """Run a network by OpenCV, and ask for each output by name, since it returns only one by default."""
     import cv2
 
     net = cv2.dnn.readNetFromTFLite(np.frombuffer(content, np.uint8))

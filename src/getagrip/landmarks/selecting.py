@@ -1,8 +1,8 @@
 """Selection of the hand that holds the object, of all hands in a clip: one side, in each frame one hand or none.
 
-Sightings are linked from frame to frame into tracks. The hand is the track that is nearest to the object where that is
-known in some frame, else the one of most frames; tracks of its side that fill its gaps belong to it. The network says
-of each frame which side a hand is of, and is wrong in one of twenty: the side is the majority's.
+Sightings are linked from frame to frame into tracks. The hand is the track nearest to the object, if the object's place
+is known in some frame, otherwise the track with the most frames; tracks of its side that fill its gaps are added. The
+network classifies the side in each frame, wrongly in one of twenty, so the majority decides.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from getagrip.landmarks.following import Sighting
 
 Side = Literal["left", "right"]
 GAP = 10
-"""Frames over which a hand is linked, and over which it is interpolated later; longer gaps stay gaps."""
+"""Longest gap [frames] over which a hand is linked and later interpolated; longer gaps remain."""
 REACH = 1.0
-"""Largest motion of a palm, in its sizes, from one frame to the next that has it."""
+"""Largest motion of a palm between successive frames that have it, in palm sizes."""
 SHORTEST = 4
-"""Least frames of a track that counts."""
+"""Least number of frames of a track."""
 JUMP = 0.25
-"""Largest distance of landmarks, in sizes (root mean square), from the median of the frames about them."""
+"""Largest distance of landmarks from the median of neighbouring frames, in hand sizes (root mean square)."""
 ABOUT = 3
-"""Frames before and after, of that median."""
+"""Number of frames before and after for that median."""
 UNSURE = 0.02
-"""Uncertainty of the side below which a frame does not count."""
+"""Least probability of either side in a frame, so that no single frame decides."""
 OTHERS = 0.2
-"""Share of the frames in which another hand of the same side says that there are two people."""
+"""Share of frames with another hand of the same side from which on two people are assumed."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ def _of_side(found: Sequence[Track], side: Side) -> list[Track]:
 
 
 def _completed(first: Track, same_side: Sequence[Track]) -> tuple[dict[int, Sighting], list[Track]]:
-    """Add tracks that fill the gaps of a track, the longest first; also return those beside it."""
+    """Add tracks that fill the gaps of a track, the longest first; also return the tracks that overlap it."""
     hand, beside = dict(first.seen), []
     for track in sorted(same_side, key=_weight, reverse=True):
         if any(n in hand for n in track.seen):
@@ -173,7 +173,7 @@ def _completed(first: Track, same_side: Sequence[Track]) -> tuple[dict[int, Sigh
 
 
 def _steady(hand: Mapping[int, Sighting]) -> tuple[dict[int, Sighting], list[int]]:
-    """Drop sightings that differ from the ones about them; also return their frames."""
+    """Drop sightings that differ from their neighbours; also return the frames of the dropped ones."""
     kept, out = {}, []
     for n, each in hand.items():
         about = [hand[m].points for m in range(n - ABOUT, n + ABOUT + 1) if m in hand]

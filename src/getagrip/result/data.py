@@ -18,8 +18,8 @@ from getagrip.probability import Probability
 from getagrip.result.segments import SegmentResult
 
 FrameKind = Literal["sampled", "fitted", "interpolated"]
-"""How the pose of a frame was found: together with the other sampled ones; by its own mask, what frames share held
-still; or from its neighbours alone."""
+"""How the pose of a frame was found: together with the other sampled ones; from its own mask, with the parameters that
+frames share kept fixed; or from its neighbours alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Axis(ArrayData):
 
 @dataclass(frozen=True, eq=False)
 class Candidates(ArrayData):
-    """The best distinct solutions, best first; the first is the result.
+    """The best distinct solutions, least energy first; the first is the result.
 
     Attributes:
         T_hand_obj: (K, T, 4, 4) poses, object frame to hand frame [m].
@@ -61,34 +61,34 @@ class Reconstruction(ArrayData):
         method: name of the method.
         frames: names of the T frames, in the clip's order.
         T_hand_obj: (T, 4, 4) pose of the object in each frame, object frame to hand frame [m].
-        scale: factor by which the mesh is scaled before it is posed; 1 where the clip's scale is known.
+        scale: factor by which the mesh is scaled before it is posed; 1 if the clip's scale is known.
         iou: (T,) intersection over union of rendered and observed mask on the full image, outside ignored pixels;
-            NaN where no mask shows the object.
-        axis: the axis in the hand that the object turns about; None for methods without one.
+            NaN in frames whose mask does not show the object.
+        axis: the latent axis in the hand that the object rotates about; None for methods without one.
         candidates: the best distinct solutions.
         energy: ``total`` and one entry per term, weighted [pixels squared of the 256-pixel crop].
-        status: how the minimisation ended.
-        ambiguous: whether another, distinct candidate explains the masks almost as well.
+        status: how the fit ended.
+        ambiguous: True if another, distinct candidate explains the masks almost as well.
         seconds: time spent [s], ``total`` and one entry per stage.
-        message: the status in a sentence, with what is known of this result.
+        message: the status as a sentence, with details of this result.
         options: the options of the method.
         seed: seed of the initial poses.
-        notes: frames left out and values that are guesses, in words.
-        assumptions: what is a guess (scale, shape, or a topic of the clip's provenance), and where it comes from.
-        findings: what is unusual about the inputs and the result, the inputs first.
-        checks: what each check has measured, by its name; NaN where it could not.
-        signs: what is known about whether it is right, by name (``checks.signs``).
-        probability_right: how probable it is that the poses are right in the hand (ADD, up to symmetries, below 10 % of
-            the diameter); None where nothing is calibrated for such a fit.
-        probability_right_in_camera: the same of the poses in the camera.
-        T_cam_hand: (T, 4, 4) pose of the corrected hand, hand frame to camera frame [m], which ``T_hand_obj`` and the
-            axis are relative to; None where the hand is as the clip gives it.
-        T_cam_other_hand: (T, 4, 4) of a timeline, pose of the other hand, corrected where it holds the object; None
-            where the clip has no such hand.
-        warp: what the clip's mesh was made into, where it is not the object's own, before it is scaled and posed; None
-            where it is as the clip gives it.
+        notes: frames that were left out and values that are assumed, as sentences.
+        assumptions: the source of each assumed input (scale, shape, or a topic of the clip's provenance).
+        findings: what the checks found unusual, first about the inputs, then about the result.
+        checks: the value that each check measured, by its name; NaN if it could not be measured.
+        signs: the measures from which the probabilities are computed, by name (``checks.signs``).
+        probability_right: probability that the poses are right relative to the hand (ADD, up to symmetries, below 10 %
+            of the diameter); None if it is not calibrated for this kind of fit.
+        probability_right_in_camera: probability that the poses are right relative to the camera.
+        T_cam_hand: (T, 4, 4) pose of the repaired and refined hand, hand frame to camera frame [m]. ``T_hand_obj`` and
+            the axis are relative to it. None if the clip's hand is unchanged.
+        T_cam_other_hand: (T, 4, 4) for a timeline, pose of the other hand, refined where it holds the object; None if
+            the clip has no such hand.
+        warp: deformation of the clip's mesh, before it is scaled and posed, if it was fitted to the masks; None if the
+            mesh is unchanged.
         frame_kind: how the pose of each frame was found; by default, all frames were sampled.
-        segments: of a timeline, what the object does and what was found; else none.
+        segments: the result for each segment of a timeline; empty for a stable grasp.
     """
 
     clip: str
@@ -136,7 +136,7 @@ class Reconstruction(ArrayData):
     def external(
         clip: str, method: str, frames: tuple[str, ...], T_hand_obj: Float[ndarray, "T 4 4"], scale: float = 1.0
     ) -> Reconstruction:
-        """Make a result of poses that no fit has found: another system's, or the true ones."""
+        """Make a result of poses from elsewhere: another system's, or the ground truth."""
         return Reconstruction(
             clip, method, frames, T_hand_obj, scale, iou=np.full(len(frames), np.nan), axis=None,
             candidates=Candidates(T_hand_obj[None], np.array([scale]), np.zeros(1)), energy={}, status=Status.EXTERNAL,

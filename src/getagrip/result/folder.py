@@ -33,12 +33,23 @@ def write_result(
     overwrite: bool = False,
     made_by: Mapping[str, str] | None = None,
 ) -> Path:
-    """Write a result folder, complete or not at all, and return it.
+    """Write a result as a folder (docs/formats.md), completely or not at all.
 
-    ``input_sha256`` is the checksum of the clip's files (``clip.input_sha256``), if it has any: ``getagrip evaluate``
-    takes no other clip for it. ``clip_folder`` is where that command looks for the clip. With ``overwrite`` an older
-    result in ``folder`` is replaced. ``made_by`` is the software, by default this one.
-    Raises ``UsageError`` where the folder exists otherwise.
+    Args:
+        result: the reconstruction.
+        folder: the folder to make.
+        input_sha256: checksum of the clip's files (``clip.input_sha256``); ``getagrip evaluate`` refuses a clip with
+            another one. Empty for a clip that is only in memory.
+        metrics: metrics to record in ``result.json``.
+        clip_folder: the clip's folder, where ``getagrip evaluate`` looks for it.
+        overwrite: replace a result that is in ``folder`` already.
+        made_by: names and versions of the software; None for this package.
+
+    Returns:
+        The folder.
+
+    Raises:
+        UsageError: the folder exists, and ``overwrite`` is False or it holds something other than a result.
     """
     folder, made_by = Path(folder), made_by or software() | plugins.made_with(result.method)
     with files.new_folder(folder, FILES if overwrite else ()) as new:

@@ -33,28 +33,32 @@ def reconstruct(
 ) -> Reconstruction:
     """Find the object's pose in the hand in every frame by comparing rendered and observed masks (paper, Eq. 5).
 
-    A clip without segments is one stable grasp. Of a timeline all segments are solved together, by one scale, and every
-    frame has an answer.
+    A clip without ``segments`` is treated as one stable grasp. The segments of a timeline are solved together, with one
+    scale. Either way, every frame gets a pose, unless ``options.every_frame`` is False.
 
     Args:
-        clip: hands, mesh and camera (``read_clip``, ``Clip``); a free scale is found, too.
-        masks: masks of all of the clip's frames. Without them, those of the frames that are used are read from the
-            clip's folder.
-        options: method, number of initial poses, weights and use of the inputs; None for the defaults.
-            ``options.frames`` frames, sampled evenly, are fitted together, and the others follow from them.
-        progress: called with the name of the stage that has ended and the fraction done, 0 to 1.
-        threads: number of threads that share the hypotheses of a search. The result is the same to the last bit
-            whatever their number. Two are worth it where one clip is waited for; many clips are done sooner by as many
-            processes. A timeline is solved on one.
+        clip: the hand in each frame, the object's mesh and the camera, from ``read_clip`` or made as a ``Clip``. If
+            ``clip.scale`` is ``free``, the object's size is estimated, too.
+        masks: masks of the object in all frames of the clip, from ``read_masks`` or made as ``Masks``. If None, they
+            are read from the clip's folder, for the frames that are used.
+        options: the method, the number of initial poses, whether inputs are repaired, and more (``Options``); None for
+            the defaults. ``options.frames`` frames, sampled evenly, are fitted together. Each other frame is then
+            fitted to its own mask.
+        progress: a function that is called after each stage with its name and the fraction of the work that is done, 0
+            to 1.
+        threads: number of threads for one clip. The result is the same to the last bit for any number. For many clips,
+            run several processes with one thread each: that is faster. Timelines use one thread.
 
     Returns:
-        The object's poses in the hand, the assumptions behind them, and the probability that they are right.
+        The object's pose in the hand in each frame, its scale, how the fit ended, what the checks found, the
+        assumptions behind the result and the probability that it is right.
 
     Raises:
-        UsageError: masks of another clip, or a timeline and another method than the soft hinge.
-        InputError: what no clip can be (as of ``read_clip``), an object that is visible in fewer than two frames, or a
-            timeline of which no segment can be solved.
-        GetagripError: nothing can be rendered.
+        UsageError: the masks have another number or size of frames than the clip, or the clip is a timeline and
+            ``options.method`` is not ``soft-hinge``.
+        InputError: the clip's data is impossible (``read_clip`` lists the rules), the object is visible in fewer than
+            two frames, or no segment of a timeline can be solved.
+        GetagripError: the object is out of view in every hypothesis, so there is nothing to compare with the masks.
     """
     options = options or Options()
     if clip.segments:

@@ -40,24 +40,24 @@ class EpicGrasps(Dataset):
     frames: OptionalFolder = None
     """EPIC-KITCHENS' images: P01/rgb_frames/P01_01/frame_0000000001.jpg or P01_01.tar, or P01_01/..."""
     videos: OptionalFolder = None
-    """Instead of images, EPIC-KITCHENS' videos: P01/videos/P01_01.MP4, or P01_01.MP4."""
+    """EPIC-KITCHENS' videos, instead of --frames: P01/videos/P01_01.MP4, or P01_01.MP4."""
     hands: OptionalFolder = None
-    """Hand files, <clip name>.npz each: as a clip's hand.npz, if need be with frames and K."""
+    """Hand files, one <clip name>.npz per clip: a hand.npz, optionally with frames and K (docs/datasets.md)."""
     cad: OptionalFolder = None
-    """Meshes of the categories, <category>.obj each, in metres, z up; without, this package's own."""
+    """Meshes of the categories, <category>.obj, in metres, z up; by default the built-in shapes."""
     cameras: OptionalFolder = None
     """EPIC-Fields' cameras, <video>.json each."""
     timelines: OptionalFile = None
-    """Instead of the table's grasps, the timelines of EPIC-HIT's list, with segments (docs/timelines.md); with cameras
-    and metric."""
+    """Import the timelines of EPIC-HIT's list instead of the table's grasps (docs/timelines.md); needs --cameras
+    and --metric."""
     metric: OptionalFolder = None
-    """For timelines, similarities that make EPIC-Fields' worlds metric, their z up, <video>.json each."""
+    """With --timelines: similarities that make EPIC-Fields' worlds metric, with z up, one <video>.json per video."""
     focal: Annotated[float | None, arg(metavar="PX", help_behavior_hint="(default: a guess)")] = None
-    """Instead of cameras, the focal length in pixels of images 854 wide."""
+    """The focal length, instead of --cameras, in pixels of images 854 wide."""
     errata: bool = True
-    """Apply the errata that lie beside the table (<CSV>_errata.csv), if they do. The paper's are not applied."""
+    """Apply the errata beside the table (<CSV>_errata.csv), if there are any. The paper's table does not apply them."""
     errata_file: Annotated[Path | None, arg(metavar="CSV", help_behavior_hint="(default: beside the table)")] = None
-    """The errata, where they lie elsewhere."""
+    """The file of the errata, if it is not beside the table."""
 
     def grasps(self) -> list[EpicGrasp]:
         """Read the stable grasps of the table. Raises ``UsageError`` and ``InputError``."""

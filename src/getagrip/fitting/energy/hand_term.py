@@ -1,4 +1,4 @@
-"""Terms on the hand, and what terms on the object say of a hand that is unknown as well.
+"""Terms on the hand, and the effect of terms on the object on a hand that is unknown as well.
 
 Unknown are the object in the hand, ``T_hand_obj``, and the hand in the camera, ``T_cam_hand``. A term sees both in the
 camera (``ObjectWithHand``) and answers by the local vector of each frame, or by a part of it:
@@ -7,7 +7,7 @@ camera (``ObjectWithHand``) and answers by the local vector of each frame, or by
     7:14      the hand in the camera: v_h its middle shifts [m], w_h it turns about its middle [rad], l_h logarithm of
               its size
     14:14+F   fingers: F modes, for whoever built the term
-    the last  the object in the hand, by a 7-vector in the camera frame, as the hand as given would see it
+    the last  the object in the input hand, by a 7-vector in the camera frame
 
 Four kinds of terms follow.
 
@@ -18,14 +18,14 @@ Four kinds of terms follow.
   free of each other.
 - **On the hand in the camera** (2D joints, hand masks, depth of the hand): a ``HandTerm``, of 7 + F numbers, wrapped in
   ``OnHand``. Any term on a rigid body serves as one, too: to it the hand is a body with a middle.
-- **On the object in the hand** (push, pull, contact): a ``Term`` made for the hand as given, wrapped in ``InHand``. It
-  sees the object as the given hand would, so that a hand and an object that move together change nothing. If the hand
-  grows by s, that object shrinks by s about the hand's middle: distances count in the hand's own measure. Fingers are
-  those given.
+- **On the object in the hand** (push, pull, contact): a ``Term`` made for the input hand, wrapped in ``InHand``. It
+  sees the object relative to the input hand, so that a hand and an object that move together change nothing. If the
+  hand grows by s, that object shrinks by s about the hand's middle: distances count in the hand's own measure. Fingers
+  are the input's.
 - **On both** (depth up to an unknown scale, which hides which): a ``Term`` that reads ``poses.hand`` itself and answers
   by the first 14 numbers, or 14 + F.
 
-Terms that tie frames to each other have a ``Quadratic.cross``, on the hand as on the object. Where the hand is held
+Terms that tie frames to each other have a ``Quadratic.cross``, on the hand as on the object. Where the hand is fixed
 (poses without one) ``InHand`` is the term within, and ``OnHand`` is a constant, taken as zero.
 """
 
@@ -67,7 +67,7 @@ class HandInCamera(PosesInCamera):
 class ObjectWithHand(PosesInCamera):
     """The object in the camera frame, and the hand that moves with it.
 
-    ``in_hand`` is the object as the hand as given would see it, in the camera frame.
+    ``in_hand`` is the object relative to the input hand, in the camera frame.
     """
 
     hand: HandInCamera
@@ -108,7 +108,7 @@ class OnHand:
 
 @dataclass(frozen=True)
 class InHand:
-    """A term made for the hand as given, on the object as the moved hand has it."""
+    """A term made for the input hand, applied to the object in the moved hand."""
 
     term: Term
 

@@ -1,4 +1,4 @@
-"""Moving hand: another motion, in a hand whose own pose is to be found as well, under a prior on how it is off."""
+"""Moving hand: a motion of the object in a hand whose pose is estimated as well, under a prior on its errors."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class HandPrior:
         middle: (3,) the point that the hand turns and grows about, in the hand frame [m].
         rays: (T, 3) unit vectors from the camera to the middle, in the hand frame, in all frames of a clip.
         frames: (N,) the frames that the motion has (indices into ``rays``).
-        constant: (8 + F,) standard deviations of the constant errors; zero holds one still.
+        constant: (8 + F,) standard deviations of the constant errors; zero keeps one fixed.
         own: (7 + F,) those of each frame's own, without the size.
         weight: twice the energy of one standard deviation [px^2].
         memory: frames of the clip after which the correlation of own errors has fallen to 1/e; zero: independent.
@@ -85,9 +85,9 @@ class HandPrior:
 class MovingHand(Batch, Generic[Core]):
     """A motion in the hand, and errors x_n of the hand: ``T_hand = shift(d_n r_n) . turn_and_shift(w_n, s_n)``.
 
-    Poses are those in the hand as it was given, as everywhere, and the moved hand's beside them: with ``T_cam_hand`` as
-    given they are where the camera has both. ``core`` is the motion in the moved hand. S grows by the constant errors
-    that are not held, L by the frames' own: x_n = constant + own_n.
+    Poses are relative to the input hand, as everywhere, with the moved hand's poses beside them; with the input
+    ``T_cam_hand`` they give both in the camera. ``core`` is the motion in the moved hand. S grows by the constant
+    errors that are not fixed, L by the frames' own: x_n = constant + own_n.
 
     Attributes:
         core: the motion in the moved hand.
@@ -103,7 +103,7 @@ class MovingHand(Batch, Generic[Core]):
 
     @staticmethod
     def around(core: Core, assumed: HandPrior) -> MovingHand[Core]:
-        """Put a motion in the hand as it was given."""
+        """Put a motion in the input hand."""
         B, N = len(core.poses().scale), len(assumed.frames)
         return MovingHand(core, np.zeros((B, len(assumed.constant))), np.zeros((B, N, len(assumed.own))), assumed)
 
@@ -199,7 +199,7 @@ class MovingHand(Batch, Generic[Core]):
 
 
 def _carried(hand: HandPoses, J: Float[ndarray, "B N 7 k"]) -> Float[ndarray, "B N P k"]:
-    """Local vectors by a motion of the object in the hand, the hand itself being still."""
+    """Local vectors of a motion of the object in the hand, with the hand fixed."""
     v, w, scale = J[..., :3, :], J[..., 3:6, :], J[..., 6:, :]
     zero = np.zeros((*J.shape[:2], 7 + hand.modes.shape[-1], J.shape[-1]))
     return np.concatenate([hand.R @ v, hand.R @ w, scale, zero, v / hand.scale[:, None, None, None], w, scale], axis=-2)

@@ -79,10 +79,10 @@ class Methods(Rows):
 
 @dataclass(frozen=True, kw_only=True)
 class Hands(Rows):
-    """Results for one clip with the hands of several estimators: the given hand and the object that was found with it.
+    """Results for one clip with the hands of several estimators: the input hand and the object that was found with it.
 
-    Each result is of its own clip folder; these have the same clip's name and frames, and hands of their own. Rows are
-    called after what tells the results' folders apart.
+    Each result has its own clip folder, with the same clip's name and frames but other hands. Rows are named after the
+    part in which the paths of the results differ.
     """
 
     def draw(self, results: Sequence[StoredResult], fail: Fail) -> Figure:
