@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.clip import Clip, Masks
+from getagrip.clip import Clip
 from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.motion import Frozen, Motion, PosesInHand, interpolated, placed
 from getagrip.fitting.predicted_silhouette import NeighbourPrediction
@@ -63,11 +63,11 @@ def at_sampled_frames(problem: Problem, found: MethodResult) -> Track:
     return Track(clip.frames, kind, clip.hand.T_cam_hand, T_hand_obj, angle, iou)
 
 
-def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: MethodResult, track: Track) -> Track:
+def at_every_frame(clip: Clip, problem: Problem, found: MethodResult, track: Track) -> Track:
     """Extend a method's solutions to every frame of the clip; in the problem's frames, those of ``track`` stay.
 
     Masks beyond the outlier threshold of the problem's frames are outliers, too (``Trust.outlier_threshold``).
-    ``masks`` are those of the whole clip; without them, they are read from its folder, a few at a time.
+    Masks that the clip does not have in memory are read from its folder, a few at a time.
     """
     sampled = clip.index_of(problem.clip.frames)
     clip = clip.with_hand_at(hand_everywhere(clip, problem, sampled))
@@ -82,7 +82,7 @@ def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: Met
     predicted = (
         NeighbourPrediction.by(problem, found.poses, sampled) if np.isfinite(problem.trust.outlier_threshold) else None
     )
-    for index, part in _others(clip, masks, problem, sampled):
+    for index, part in _others(clip, problem, sampled):
         if found.motion is not None and found.energy_of is not None:
             fitted = own_fit(part, found, sampled, index)
             poses = fitted.poses()
@@ -142,9 +142,7 @@ def hand_everywhere(clip: Clip, problem: Problem, sampled: Int[ndarray, "n"]) ->
     return np.asarray(T_cam_hand)
 
 
-def _others(
-    clip: Clip, masks: Masks | None, problem: Problem, sampled: Int[ndarray, "n"]
-) -> Iterator[tuple[Int[ndarray, "m"], Problem]]:
+def _others(clip: Clip, problem: Problem, sampled: Int[ndarray, "n"]) -> Iterator[tuple[Int[ndarray, "m"], Problem]]:
     """Yield the frames beyond the sampled ones that show the object, a few at a time, each few spread over the clip."""
     hidden = {*problem.clip.left_out, *problem.trust.outliers}
     shown = np.flatnonzero([name not in hidden for name in clip.frames])
@@ -152,8 +150,7 @@ def _others(
     parts = -(-len(rest) // CHUNK)
     for k in range(parts):
         index = rest[k::parts]
-        part = clip.take(index)
-        yield index, problem.at(part, None if masks is None else masks.take(index))
+        yield index, problem.at(clip.take(index))
 
 
 def _angle(motion: Motion) -> Float[ndarray, "T"] | float:
