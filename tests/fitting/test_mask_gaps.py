@@ -81,7 +81,9 @@ def test_other_frames_of_a_clip_have_gaps_where_the_fitted_ones_have() -> None:
     for fitted, others in ((masks, gapped), (gapped, masks)):
         first = prepare(with_masks(clip, fitted), Options())
         assert first.at(with_masks(clip, others)).observation.has_gaps == first.observation.has_gaps
-    np.testing.assert_array_equal(first.at(with_masks(clip, gapped)).observation.valid[CROP], first.observation.valid[CROP])
+    np.testing.assert_array_equal(
+        first.at(with_masks(clip, gapped)).observation.valid[CROP], first.observation.valid[CROP]
+    )
 
 
 @pytest.mark.slow

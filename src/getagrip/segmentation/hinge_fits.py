@@ -79,7 +79,7 @@ def fit_hinge(
     found = replace(found, motion=found.motion.take(np.zeros(1, int)))
     part = clip.take(around)
     sampled = part.index_of(problem.clip.frames)
-    part = part.with_hand_at(hand_everywhere(part, problem, sampled))
+    part = part.with_hand_at(hand_everywhere(part.hand.T_cam_hand, problem, sampled))
     n = len(around)
     T_hand_obj, misfit, expected = np.tile(np.eye(4), (n, 1, 1)), np.full(n, np.nan), np.full(n, PIXEL)
     seen = np.flatnonzero(observed[around])
