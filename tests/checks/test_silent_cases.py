@@ -180,9 +180,10 @@ def test_every_mistake_has_its_case() -> None:
 
 def test_a_mirrored_hand_bends_the_other_way() -> None:
     right, left = mug("right")[0], mug("left")[0]
-    assert bend(right) == pytest.approx(bend(left), abs=1e-6)
-    assert bend(replace(right, side="left")) == pytest.approx(-bend(right))
-    assert np.isnan(bend(replace(right, hand=replace(right.hand, joints=None))))
+    towards_palm = bend(right.hand, "right")
+    assert towards_palm == pytest.approx(bend(left.hand, "left"), abs=1e-6)
+    assert bend(right.hand, "left") == pytest.approx(-towards_palm)
+    assert np.isnan(bend(replace(right.hand, joints=None), "right"))
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.clip import Clip, HandTrack, Masks
+from getagrip.clip import Clip, HandTrack, Masks, with_masks
 from getagrip.datasets.synthetic.noise import Noise, noisy_hand
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
@@ -81,7 +81,7 @@ def test_at_the_truth_hardly_a_pixel_differs(
 @pytest.mark.slow
 def test_a_true_hand_is_left_alone(made: tuple[Clip, Masks]) -> None:
     assert refine_hand(*made)[0] is None
-    problem = prepare(*made, Options())
+    problem = prepare(with_masks(*made), Options())
     assert not problem.trust.hand_refined
     np.testing.assert_array_equal(problem.clip.hand.T_cam_hand, made[0].hand.T_cam_hand)
 
@@ -188,9 +188,9 @@ def test_the_arm_says_nothing(made: tuple[Clip, Masks]) -> None:
 @pytest.mark.slow
 def test_as_given_leaves_everything_as_it_is(made: tuple[Clip, Masks]) -> None:
     clip = off(made[0], CONSTANT)
-    assert prepare(clip, made[1], Options()).trust.hand_refined
+    assert prepare(with_masks(clip, made[1]), Options()).trust.hand_refined
     for options in (Options(hands="as-given"), Options(method="paper")):
-        problem = prepare(clip, made[1], options)
+        problem = prepare(with_masks(clip, made[1]), options)
         assert not problem.trust.hand_refined
         np.testing.assert_array_equal(problem.clip.hand.T_cam_hand, clip.hand.T_cam_hand)
 

@@ -34,14 +34,14 @@ def projected(clip: Clip, point: np.ndarray) -> np.ndarray:
 @pytest.mark.slow
 def test_rays_through_the_grip_itself_give_the_grip(made: tuple[Clip, Masks]) -> None:
     clip = made[0]
-    np.testing.assert_allclose(grip_point(clip, projected(clip, grip(clip))), grip(clip), atol=1e-9)
+    np.testing.assert_allclose(grip_point(clip.hand, clip.K, projected(clip, grip(clip))), grip(clip), atol=1e-9)
 
 
 def test_rays_pull_the_point_off_the_grip_but_not_all_the_way(made: tuple[Clip, Masks]) -> None:
     clip = made[0]
     target = grip(clip) + np.array([0.0, -0.05, 0.02])
     uv = projected(clip, target)
-    start, found, end = (projected(clip, x) for x in (grip(clip), grip_point(clip, uv), target))
+    start, found, end = (projected(clip, x) for x in (grip(clip), grip_point(clip.hand, clip.K, uv), target))
     assert np.all(np.linalg.norm(found - end, axis=1) < 0.25 * np.linalg.norm(start - end, axis=1))
     assert np.all(np.linalg.norm(found - end, axis=1) > 0.0)
 
@@ -53,7 +53,9 @@ def test_the_camera_frame_does_not_matter(made: tuple[Clip, Masks]) -> None:
     R = about_the_eye[:2, :2]
     turned = replace(clip, hand=replace(clip.hand, T_cam_hand=about_the_eye @ clip.hand.T_cam_hand))
     centre = clip.K[:, :2, 2]
-    np.testing.assert_allclose(grip_point(turned, (uv - centre) @ R.T + centre), grip_point(clip, uv), atol=1e-9)
+    np.testing.assert_allclose(
+        grip_point(turned.hand, turned.K, (uv - centre) @ R.T + centre), grip_point(clip.hand, clip.K, uv), atol=1e-9
+    )
 
 
 def test_a_free_scale_gives_the_same_size_for_any_unit_of_the_mesh(made: tuple[Clip, Masks]) -> None:

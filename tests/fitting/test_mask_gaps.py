@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.clip import Clip, Masks
+from getagrip.clip import Clip, Masks, with_masks
 from getagrip.experiments.changes import Gapped
 from getagrip.fitting import hand_silhouette, problem
 from getagrip.fitting.energy import PosesInCamera
@@ -79,18 +79,20 @@ def test_other_frames_of_a_clip_have_gaps_where_the_fitted_ones_have() -> None:
     clip, masks = scene("can", 0, SHORT)
     gapped = Gapped(2.0)(clip, masks, 0)[1]
     for fitted, others in ((masks, gapped), (gapped, masks)):
-        first = prepare(clip, fitted, Options())
-        assert first.at(clip, others).observation.has_gaps == first.observation.has_gaps
-    np.testing.assert_array_equal(first.at(clip, gapped).observation.valid[CROP], first.observation.valid[CROP])
+        first = prepare(with_masks(clip, fitted), Options())
+        assert first.at(with_masks(clip, others)).observation.has_gaps == first.observation.has_gaps
+    np.testing.assert_array_equal(
+        first.at(with_masks(clip, gapped)).observation.valid[CROP], first.observation.valid[CROP]
+    )
 
 
 @pytest.mark.slow
 def test_exact_hands_stay_where_their_masks_are_too_small_all_round(monkeypatch: pytest.MonkeyPatch) -> None:
     clip, masks = scene("can", 0, SHORT)
     gapped = Gapped(3.0)(clip, masks, 0)[1]
-    grown = turned(prepare(clip, gapped, Options()).clip)
+    grown = turned(prepare(with_masks(clip, gapped), Options()).clip)
     monkeypatch.setattr(hand_silhouette, "GROWTH", (np.inf, 0.0))
-    as_given = turned(prepare(clip, gapped, Options()).clip)
+    as_given = turned(prepare(with_masks(clip, gapped), Options()).clip)
     assert grown < 1.0
     assert grown < 0.3 * as_given
 
@@ -108,8 +110,9 @@ def test_gaps_speak_against_the_truth_unless_they_are_found(monkeypatch: pytest.
     clip, masks = scene("can", 0, SHORT)
     gapped = Gapped(2.0)(clip, masks, 0)[1]
     exact, found = energy_at_truth(clip, masks), energy_at_truth(clip, gapped)
-    assert [any("gaps" in note for note in prepare(clip, m, Options()).notes) for m in (masks, gapped)] == [False, True]
-    assert not prepare(clip, gapped, Options(method="paper")).observation.has_gaps
+    notes = [prepare(with_masks(clip, some), Options()).notes for some in (masks, gapped)]
+    assert [any("gaps" in note for note in of_some) for of_some in notes] == [False, True]
+    assert not prepare(with_masks(clip, gapped), Options(method="paper")).observation.has_gaps
     monkeypatch.setattr(problem, "GAP_SHARE", 1.0)
     believed = energy_at_truth(clip, gapped)
     assert believed > 3.0 * exact
@@ -118,7 +121,7 @@ def test_gaps_speak_against_the_truth_unless_they_are_found(monkeypatch: pytest.
 
 def energy_at_truth(clip: Clip, masks: Masks) -> float:
     """E_mask at the true poses, all frames together."""
-    prepared = prepare(clip, masks, replace(Options(), hands="as-given"))
+    prepared = prepare(with_masks(clip, masks), replace(Options(), hands="as-given"))
     assert prepared.clip.truth is not None
     T = prepared.clip.truth.T_cam_obj
     centre = se3.transform(T, np.tile(clip.mesh.centre, (len(T), 1, 1)))[:, 0]

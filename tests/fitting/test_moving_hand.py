@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.clip import HandTrack
+from getagrip.clip import HandTrack, with_masks
 from getagrip.datasets.synthetic.noise import Noise, noisy_hand
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
@@ -212,7 +212,7 @@ def test_hand_and_object_are_found_together(jitter: bool) -> None:
     assert true.truth is not None
     noise = Noise(hand_bias_deg=10.0, hand_bias_mm=15.0, hand_jitter_deg=2.0 * jitter, hand_jitter_mm=3.0 * jitter)
     clip = replace(true, hand=noisy_hand(true, noise, np.random.default_rng(6)))
-    problem = prepare(clip, masks, Options(frames=6, hands="as-given"))
+    problem = prepare(with_masks(clip, masks), Options(frames=6, hands="as-given"))
     given, T_true, frames = clip.hand, true.truth.T_cam_hand, np.arange(6)
     assert given.joints is not None
     start = se3.inverse(given.T_cam_hand)[0] @ true.truth.T_cam_obj[0]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.clip import Clip
+from getagrip.clip import Clip, with_masks
 from getagrip.errors import InputError, UsageError
 from getagrip.fitting import pose_priors as priors
 from getagrip.fitting.initial_poses import initial_poses
@@ -80,7 +80,7 @@ def test_a_file_of_the_first_version_is_refused_for_own_grasps(tmp_path: Path, r
 def test_an_object_without_poses_starts_from_even_rotations_and_the_result_says_so(tmp_path: Path) -> None:
     options = poses_file(tmp_path / "poses.npz", held("a", "Ann"))
     clip, masks = replace(held("b", "Bob"), side="left"), small_clip()[1]
-    problem = prepare(clip, masks, options)
+    problem = prepare(with_masks(clip, masks), options)
     assert "poses.npz has no poses of box in a left hand: 12 uniform rotations" in problem.notes
     starts = initial_poses(clip, masks, 12, 0, problem.prior_poses)
     assert np.array_equal(starts.R, initial_poses(clip, masks, 12).R)
@@ -105,13 +105,13 @@ def test_given_poses_may_stand_alone(tmp_path: Path, refused: Callable[..., str]
     filled = poses_file(tmp_path / "poses.npz", held("a", "Ann"), held("b", "Bob", 1))
     assert filled.priors is not None
     alone = replace(filled, priors_only=True, method="static")
-    problem = prepare(held("c"), small_clip()[1], alone)
+    problem = prepare(with_masks(held("c"), small_clip()[1]), alone)
     assert "started from 2 poses of poses.npz, and no others" in problem.notes
     assert problem.inits == 2
     for start in (initial_of(problem), object_tracks(problem)[0]):
         assert start.log_scale.shape == (2,)
     assert np.array_equal(initial_of(problem).R, poses_for(held("c"), filled)[0][:, :3, :3])
-    assert prepare(held("c"), small_clip()[1], replace(alone, inits=1)).inits == 1
+    assert prepare(with_masks(held("c"), small_clip()[1]), replace(alone, inits=1)).inits == 1
     refused(lambda: poses_for(replace(held("c"), side="left"), alone), "no poses of box in a left hand", "some")
     apart = replace(alone, priors=poses_file(tmp_path / "own.npz", held("a", "Ann")).priors, method="one-dof")
     refused(lambda: poses_for(held("d", "Ann"), apart), "own.npz", "without 1 grasp of its own subject")

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from getagrip.clip import with_masks
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.fitting.pose_spread import pose_spread
@@ -17,7 +18,7 @@ from helpers.scenes import scene
 
 @cache
 def solved() -> tuple[Problem, MethodResult]:
-    problem = prepare(*scene("mug", 2), Options(inits=5))
+    problem = prepare(with_masks(*scene("mug", 2)), Options(inits=5))
     return problem, METHODS["soft-hinge"].fit(problem, lambda _: None)
 
 
@@ -29,7 +30,7 @@ def of_frames(index: list[int]) -> float:
     motion = found.motion.resampled(np.arange(len(problem.clip)), some)
     terms = found.terms | {"mask": found.terms["mask"] * share}
     poses = replace(found.poses, R=found.poses.R[:, some], centre=found.poses.centre[:, some])
-    part = problem.at(problem.clip.take(some), problem.masks.take(some))
+    part = problem.at(problem.clip.take(some))
     return pose_spread(part, replace(found, motion=motion, terms=terms, poses=poses))
 
 

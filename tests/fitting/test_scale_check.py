@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from getagrip.clip import Clip, Masks
+from getagrip.clip import Clip, Masks, with_masks
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare
@@ -17,7 +17,7 @@ from helpers.scenes import SHORT, scene
 
 
 def rather(clip: Clip, masks: Masks, method: str = "soft-hinge") -> tuple[float, float]:
-    problem = prepare(clip, masks, Options(method=method, inits=10))
+    problem = prepare(with_masks(clip, masks), Options(method=method, inits=10))
     return scale_check(problem, METHODS[method].fit(problem, lambda _: None))
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from getagrip.clip import Clip, Masks
+from getagrip.clip import Clip, Masks, with_masks
 from getagrip.datasets.synthetic.deform import misfit as unlike
 from getagrip.fitting.methods.all_frames import coarse_energy, misfit_of, search_of
 from getagrip.fitting.misfit import misfit
@@ -46,7 +46,7 @@ def at_truth(problem: Problem) -> Soft[Fixed]:
 
 
 def shape_at_truth(clip: Clip, masks: Masks, misfit: float = 10.0) -> Warp | None:
-    problem = prepare(clip, masks, Options())
+    problem = prepare(with_masks(clip, masks), Options())
     return own_shape(problem, at_truth(problem), np.arange(len(clip)), misfit)
 
 
@@ -66,7 +66,7 @@ def test_the_objects_own_mesh_is_believed() -> None:
 
 def test_a_motion_that_is_not_fitted_yet_is_no_reason_to_doubt_the_mesh() -> None:
     clip, masks = scene("mug", 0)
-    problem, frames = prepare(clip, masks, Options()), np.arange(len(clip))
+    problem, frames = prepare(with_masks(clip, masks), Options()), np.arange(len(clip))
     true = at_truth(problem)
     astray = replace(
         true, deviation=true.deviation + np.random.default_rng(0).normal(scale=0.002, size=(1, len(clip), 6))
@@ -88,7 +88,7 @@ def test_a_shape_that_is_nearly_the_meshs_own_is_believed_to_be(monkeypatch: pyt
 
 def test_contact_reaches_farther_and_counts_more_where_the_mesh_is_fitted() -> None:
     clip, masks = scene("mug", 0)
-    given = prepare(clip, masks, Options())
+    given = prepare(with_masks(clip, masks), Options())
     fitted = given.warped(Warp.by(clip.mesh.centre, 1.0, np.zeros((9, 3))))
     motion = at_truth(given)
     shifts = 0.02 * np.concatenate([np.eye(3), -np.eye(3)])

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
+from getagrip.checks.evidence import Glitches
 from getagrip.clip import Clip
 from getagrip.fitting.options import Options
-from getagrip.fitting.tracker_glitches import frames_without_glitch, repair_glitches, repair_hand
+from getagrip.fitting.tracker_glitches import frames_without_glitch, repair_hand
 from getagrip.geometry import se3
 from getagrip.timelines.reconstruct import reconstruct
 from helpers.scenes import SHORT, scene
@@ -40,21 +41,27 @@ def flipped(clip: Clip, frames: list[int]) -> Clip:
     return clip.with_hand_at(T)
 
 
+def glitches_of(clip: Clip) -> tuple[str, ...]:
+    glitches = repair_hand(clip, Options())[1]
+    assert glitches is not None
+    return glitches.frames
+
+
 def test_a_hand_that_moves_is_left_as_it_is() -> None:
     clip = smooth()
-    assert repair_glitches(clip) == (clip, ())
+    assert repair_hand(clip, Options()) == (clip, Glitches((), FRAMES))
 
 
 def test_a_hand_that_is_shaken_is_left_as_it_is() -> None:
     """By 10 cm, 3 times a second, at 30 frames a second."""
     t = np.arange(FRAMES)[:, None] / 30.0
     clip = along(0.05 * np.sin(2.0 * np.pi * 3.0 * t) * [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert repair_glitches(clip)[1] == ()
+    assert glitches_of(clip) == ()
 
 
 def test_a_hand_that_goes_elsewhere_and_stays_does_not_jump() -> None:
     clip = along(np.where(np.arange(FRAMES)[:, None] < 20, 0.0, 0.3) * [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert repair_glitches(clip)[1] == ()
+    assert glitches_of(clip) == ()
 
 
 def test_a_hand_that_comes_in_fast_and_slows_down_keeps_its_frames() -> None:
@@ -62,14 +69,15 @@ def test_a_hand_that_comes_in_fast_and_slows_down_keeps_its_frames() -> None:
     steps = [69, 115, 63, 61, 52, 52, 29, 28, 12, 12, 4, 5, 2, 5, 3, 1, 2, 2, 4, 4, 4, 4, 5, 7, 8, 16, 7, 5, 6, 7]
     way = 1e-3 * np.cumsum([0, *steps])[:, None] * [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     for motion in (way, way[::-1]):
-        assert repair_glitches(along(motion))[1] == ()
+        assert glitches_of(along(motion)) == ()
 
 
 @pytest.mark.parametrize("frames", [[7], [7, 20], [10, 11, 12], [0], [39], [3, 9, 15, 16, 22, 30, 36]])
 def test_flips_are_found_and_put_right(frames: list[int]) -> None:
     clip = smooth()
-    steady, names = repair_glitches(flipped(clip, frames))
-    assert names == tuple(clip.frames[n] for n in frames)
+    steady, glitches = repair_hand(flipped(clip, frames), Options())
+    assert glitches is not None
+    assert glitches.frames == tuple(clip.frames[n] for n in frames)
     assert steady.hand.vertices is clip.hand.vertices
     kept = np.setdiff1d(np.arange(FRAMES), frames)
     assert np.array_equal(steady.hand.T_cam_hand[kept], clip.hand.T_cam_hand[kept])
@@ -92,7 +100,7 @@ def test_jumps_are_the_same_from_any_camera_and_in_reverse() -> None:
 @pytest.mark.parametrize("frames", [1, 2, 3])
 def test_few_frames_have_no_jumps_that_could_be_told(frames: int) -> None:
     clip = smooth().take(np.arange(frames))
-    assert repair_glitches(clip)[1] == ()
+    assert glitches_of(clip) == ()
 
 
 def test_hands_are_believed_where_asked_to_and_by_the_method_to_the_letter() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from getagrip.clip import with_masks
 from getagrip.fitting.options import Options
 from getagrip.fitting.pipeline import repair
 from getagrip.geometry import se3
@@ -33,7 +34,7 @@ def test_the_cheapest_distinct_paths_of_each_start_are_kept() -> None:
 @pytest.mark.parametrize("back", [False, True])
 def test_the_best_path_is_the_true_one(back: bool) -> None:
     clip, masks = timeline()
-    footage = Footage.of(repair(clip, masks, Options(inits=20)))
+    footage = Footage.of(repair(with_masks(clip, masks), Options(inits=20)))
     assert clip.truth is not None
     T = footage.T_world_cam @ clip.truth.T_cam_obj
     begin, rows = (7, np.arange(6, 2, -1)) if back else (4, np.arange(5, 10))

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.clip import Segment
+from getagrip.clip import Segment, read_masks, with_masks
 from getagrip.fitting.energy.smoothness import moments
 from getagrip.fitting.motion import PosesInHand, moved
 from getagrip.fitting.options import Options
@@ -38,7 +38,7 @@ def random_hypotheses(rng: np.random.Generator, frames: int = N) -> Hypotheses:
 
 @pytest.fixture(scope="module")
 def footage() -> Footage:
-    return Footage.of(repair(*timeline(), Options(inits=4)))
+    return Footage.of(repair(with_masks(*timeline()), Options(inits=4)))
 
 
 @given(st.integers(0, 99))
@@ -131,9 +131,9 @@ def test_a_grasp_is_a_clip_of_the_frames_in_which_its_hand_is_known() -> None:
     clip, masks = by_other_hand()
     assert clip.other_hand is not None
     grasp = clip.segments[2]
-    found = Grasp.of(clip, masks, grasp)
+    found = Grasp.of(with_masks(clip, masks), grasp)
     assert found is not None
-    of_hand, seen, rows = found.clip, found.masks, found.rows
+    of_hand, seen, rows = found.clip, read_masks(found.clip), found.rows
     assert rows.tolist() == [n for n in grasp.rows if clip.other_hand.known[n]]
     assert (of_hand.side, of_hand.frames) == (grasp.side, tuple(clip.frames[n] for n in rows))
     np.testing.assert_array_equal(of_hand.hand.T_cam_hand, clip.other_hand.track.T_cam_hand[rows])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.clip import Clip, HandTrack, Masks, Segment, World
+from getagrip.clip import Clip, HandTrack, Masks, Segment, World, with_masks
 from getagrip.fitting.options import Options
 from getagrip.fitting.pipeline import repair
 from getagrip.fitting.problem import prepare
@@ -49,10 +49,10 @@ def test_a_grasp_of_a_timeline_is_solved_as_a_grasp_by_itself() -> None:
     segment = Segment("grasp", 0, 7, clip.side)
     rows = clip.segments[2].rows
     alone, seen = replace(clip, segments=()).take(rows), masks.take(rows)
-    footage = Footage.of(repair(replace(alone, segments=(segment,)), seen, FEW))
-    grasp = Grasp.of(footage.clip, footage.masks, segment)
+    footage = Footage.of(repair(with_masks(replace(alone, segments=(segment,)), seen), FEW))
+    grasp = Grasp.of(footage.clip, segment)
     assert grasp is not None
-    found = fit_in_all_frames(solve_grasp(grasp, prepare(grasp.clip, grasp.masks, FEW), []), 0, [])
+    found = fit_in_all_frames(solve_grasp(grasp, prepare(grasp.clip, FEW), []), 0, [])
     expected = reconstruct(alone, seen, replace(FEW, mesh="as-given", masks="as-given"))
     np.testing.assert_array_equal(found.track.T_hand_obj[0], expected.T_hand_obj)
     assert found.axis is not None
@@ -121,7 +121,7 @@ def test_a_grasp_may_be_cut_in_two() -> None:
 def test_poses_are_followed_independently() -> None:
     """Each start goes where it goes alone, and where the hand is does not matter to frames that it does not change."""
     clip, masks = timeline()
-    footage = Footage.of(repair(clip, masks, FEW))
+    footage = Footage.of(repair(with_masks(clip, masks), FEW))
     assert clip.truth is not None
     T = footage.T_world_cam[4] @ clip.truth.T_cam_obj[4]
     true = Hypotheses.of_pose(T, clip.mesh.centre)

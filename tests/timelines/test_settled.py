@@ -6,6 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from getagrip.clip import with_masks
 from getagrip.fitting.options import Options
 from getagrip.fitting.pipeline import repair
 from getagrip.geometry import se3
@@ -18,7 +19,7 @@ from helpers.timelines import timeline
 def test_depth_is_mended_and_contact_stays() -> None:
     clip, masks = timeline()
     assert clip.truth is not None
-    footage = Footage.of(repair(clip, masks, Options(inits=20)))
+    footage = Footage.of(repair(with_masks(clip, masks), Options(inits=20)))
     rows = np.arange(7)  # the object lies still
     true = clip.truth.T_cam_obj[rows]
     middle = se3.transform(true, clip.mesh.centre[None])[:, 0]

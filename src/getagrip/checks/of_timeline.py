@@ -44,12 +44,14 @@ class Examined:
     Attributes:
         checks: what was measured of the clip as a whole.
         of_segments: what was measured of each segment.
-        findings: what is unusual; those of segments begin with the segment's state and first frame.
+        names: of the segments in findings: their state and first frame.
+        findings: what is unusual; those of segments begin with the segment's name.
         failed: the segments whose masks are hardly met, in words; empty: none.
     """
 
     checks: dict[str, float]
     of_segments: tuple[dict[str, float], ...]
+    names: tuple[str, ...]
     findings: tuple[Finding, ...]
     failed: str
 
@@ -71,19 +73,14 @@ def examine_timeline(
     of_clip = [c for c in every if c.name not in (*WITH_HAND, *OF_MASKS)]
     checks, findings = examine(of_clip, whole)
     of_segments, failed = [], []
-    for segment in clip.segments:
+    names = tuple(f"{segment.state} from {clip.frames[segment.first]}" for segment in clip.segments)
+    for segment, name in zip(clip.segments, names, strict=True):
         measured, found = _examine(segment, clip, whole)
         of_segments.append(measured)
-        name = name_of(clip, segment)
         findings += tuple(replace(one, message=f"{name}: {one.message}") for one in found)
         if measured.get("mask-fit", 1.0) < LEAST_IOU:
             failed.append(f"{name} ({measured['mask-fit']:.2f})")
-    return Examined(checks, tuple(of_segments), findings, ", ".join(failed))
-
-
-def name_of(clip: Clip, segment: Segment) -> str:
-    """Return the name of a segment in findings."""
-    return f"{segment.state} from {clip.frames[segment.first]}"
+    return Examined(checks, tuple(of_segments), names, findings, ", ".join(failed))
 
 
 def _examine(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:

@@ -129,7 +129,7 @@ _INPUT: tuple[Check, ...] = (
         advice="give one camera for all frames, unless the lens zooms",
     ),
     Check(
-        "hand-side", lambda it: bend(it.clip), low=-5.0, shown="{:.3g} degrees".format,
+        "hand-side", lambda it: bend(it.clip.hand, it.clip.side), low=-5.0, shown="{:.3g} degrees".format,
         fault="the fingers bend by {value} towards the palm that such a hand would have",
         advice="it is the other hand, or a mirrored one: correct \"side\" in clip.json, or the hand",
     ),

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Int
 from numpy import ndarray
 
 from getagrip.clip.data import Clip, FrameMasks, Masks
+from getagrip.clip.sampling import frame_indices
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.array_data import ArrayData
@@ -190,8 +191,8 @@ def check_masks(clip: Clip, masks: Masks) -> None:
         raise UsageError(f"masks must be of the shape {expected}, as the clip {clip.name} (got {masks.object.shape})")
 
 
-def observed_frames(clip: Clip, observed: Bool[ndarray, "T"]) -> Clip:
-    """Return the clip at the frames in which the object is observed (``Masks.observed``).
+def observed_frames(clip: Clip, observed: Bool[ndarray, "T"], most: int | None = None) -> Clip:
+    """Return the clip at the frames in which the object is observed (``Masks.observed``), at ``most`` as many of them.
 
     Raises ``InputError`` for fewer than two: one silhouette says nothing about a motion.
     """
@@ -199,4 +200,7 @@ def observed_frames(clip: Clip, observed: Bool[ndarray, "T"]) -> Clip:
         got = f"{observed.sum()} of {len(clip)} frames whose mask has a pixel that is not ignored"
         raise InputError(clip.origin / "masks" / "object", "", got, "at least 2")
     unobserved = tuple(name for name, is_observed in zip(clip.frames, observed, strict=True) if not is_observed)
-    return replace(clip.take(np.flatnonzero(observed)), left_out=(*clip.left_out, *unobserved))
+    index = np.flatnonzero(observed)
+    if most is not None:
+        index = index[frame_indices(len(index), most)]
+    return replace(clip.take(index), left_out=(*clip.left_out, *unobserved))

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.clip import Clip, Masks
+from getagrip.clip import Clip
 from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.motion import Frozen, Motion, PosesInHand, interpolated, placed
 from getagrip.fitting.predicted_silhouette import NeighbourPrediction
@@ -63,14 +63,14 @@ def at_sampled_frames(problem: Problem, found: MethodResult) -> Track:
     return Track(clip.frames, kind, clip.hand.T_cam_hand, T_hand_obj, angle, iou)
 
 
-def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: MethodResult, track: Track) -> Track:
+def at_every_frame(clip: Clip, problem: Problem, found: MethodResult, track: Track) -> Track:
     """Extend a method's solutions to every frame of the clip; in the problem's frames, those of ``track`` stay.
 
     Masks beyond the outlier threshold of the problem's frames are outliers, too (``Trust.outlier_threshold``).
-    ``masks`` are those of the whole clip; without them, they are read from its folder, a few at a time.
+    Masks that the clip does not have in memory are read from its folder, a few at a time.
     """
     sampled = clip.index_of(problem.clip.frames)
-    clip = clip.with_hand_at(hand_everywhere(clip, problem, sampled))
+    clip = clip.with_hand_at(hand_everywhere(clip.hand.T_cam_hand, problem, sampled))
     T, K, scale = len(clip), len(track.T_hand_obj), float(found.poses.scale[0])
     kind: list[FrameKind] = ["interpolated"] * T
     outliers = list(problem.trust.outliers)
@@ -82,7 +82,7 @@ def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: Met
     predicted = (
         NeighbourPrediction.by(problem, found.poses, sampled) if np.isfinite(problem.trust.outlier_threshold) else None
     )
-    for index, part in _others(clip, masks, problem, sampled):
+    for index, part in _others(clip, problem, sampled):
         if found.motion is not None and found.energy_of is not None:
             fitted = own_fit(part, found, sampled, index)
             poses = fitted.poses()
@@ -130,21 +130,21 @@ def own_fit(problem: Problem, found: MethodResult, sampled: Int[ndarray, "n"], i
     return motion.core
 
 
-def hand_everywhere(clip: Clip, problem: Problem, sampled: Int[ndarray, "n"]) -> Float[ndarray, "T 4 4"] | None:
+def hand_everywhere(
+    T_input: Float[ndarray, "T 4 4"], problem: Problem, sampled: Int[ndarray, "n"]
+) -> Float[ndarray, "T 4 4"] | None:
     """Return the hand of every frame: where it was refined, by interpolating the refinement of the sampled frames."""
     if not problem.trust.hand_refined:
         return None
-    input_poses, corrected = clip.hand.T_cam_hand, problem.clip.hand.T_cam_hand
-    C = (se3.inverse(input_poses[sampled]) @ corrected)[None]
-    between = interpolated(PosesInHand(C[..., :3, :3], C[..., :3, 3], np.ones(1)), sampled, np.arange(len(clip)))
-    T_cam_hand = input_poses @ se3.rigid(between.R[0], between.centre[0])
+    corrected = problem.clip.hand.T_cam_hand
+    C = (se3.inverse(T_input[sampled]) @ corrected)[None]
+    between = interpolated(PosesInHand(C[..., :3, :3], C[..., :3, 3], np.ones(1)), sampled, np.arange(len(T_input)))
+    T_cam_hand = T_input @ se3.rigid(between.R[0], between.centre[0])
     T_cam_hand[sampled] = corrected
     return np.asarray(T_cam_hand)
 
 
-def _others(
-    clip: Clip, masks: Masks | None, problem: Problem, sampled: Int[ndarray, "n"]
-) -> Iterator[tuple[Int[ndarray, "m"], Problem]]:
+def _others(clip: Clip, problem: Problem, sampled: Int[ndarray, "n"]) -> Iterator[tuple[Int[ndarray, "m"], Problem]]:
     """Yield the frames beyond the sampled ones that show the object, a few at a time, each few spread over the clip."""
     hidden = {*problem.clip.left_out, *problem.trust.outliers}
     shown = np.flatnonzero([name not in hidden for name in clip.frames])
@@ -152,8 +152,7 @@ def _others(
     parts = -(-len(rest) // CHUNK)
     for k in range(parts):
         index = rest[k::parts]
-        part = clip.take(index)
-        yield index, problem.at(part, None if masks is None else masks.take(index))
+        yield index, problem.at(clip.take(index))
 
 
 def _angle(motion: Motion) -> Float[ndarray, "T"] | float:

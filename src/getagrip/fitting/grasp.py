@@ -51,9 +51,9 @@ class Found:
 
 def _prepare(source: Input) -> Prepared:
     """Choose frames, correct the hand, crop the masks; check the input."""
-    problem = prepare(source.clip, source.masks, source.options, source.threads)
-    clip = source.clip.take(source.clip.index_of(problem.clip.frames))
-    clip = replace(clip, evidence=problem.clip.evidence)
+    problem = prepare(source.clip, source.options, source.threads)
+    index = source.clip.index_of(problem.clip.frames)
+    clip = problem.clip.with_hand_at(source.clip.hand.T_cam_hand[index])
     checks, findings = examine(input_checks(), Evidence(clip, problem.input_masks, glitches=source.glitches))
     return Prepared(source, problem, clip, checks, findings)
 
@@ -83,10 +83,8 @@ def _search(prepared: Prepared, clock: Clock) -> Found:
 def _fit_all_frames(prepared: Prepared, found: Found, clock: Clock) -> Answer:
     """Extend the solutions to all frames that the options ask for."""
     source, result, problem = prepared.source, found.result, found.problem
-    clip, masks = source.clip, source.masks
-    if not problem.options.every_frame:
-        clip, masks = prepared.clip, prepared.problem.input_masks
-    track = at_every_frame(clip.warped(result.warp), masks, problem, result, found.sampled)
+    clip = source.clip if problem.options.every_frame else prepared.clip
+    track = at_every_frame(clip.warped(result.warp), problem, result, found.sampled)
     clock("every frame")
     return Answer(
         track=track,

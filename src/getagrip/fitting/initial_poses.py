@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.clip import FINGERS, Clip, Masks
+from getagrip.clip import FINGERS, Clip, HandTrack, Masks
 from getagrip.fitting.motion import Fixed
 from getagrip.geometry import camera, se3
 
@@ -26,7 +26,7 @@ def initial_poses(
     offset = se3.exp_so3(np.random.default_rng(seed).uniform(-1.0, 1.0, 3)) if seed else np.eye(3)
     R = offset @ se3.super_fibonacci(inits - len(poses))
     boxes = camera.bounding_boxes(masks.object).astype(float)
-    point = grip_point(clip, (boxes[:, :2] + boxes[:, 2:]) / 2.0)
+    point = grip_point(clip.hand, clip.K, (boxes[:, :2] + boxes[:, 2:]) / 2.0)
     scale = 1.0
     if clip.scale == "free":
         depth = se3.transform(clip.hand.T_cam_hand, point[None, None])[:, 0, 2]
@@ -37,17 +37,16 @@ def initial_poses(
     return Fixed(R, centre, np.full(inits, np.log(scale)), len(clip), clip.scale == "free")
 
 
-def grip_point(clip: Clip, uv: Float[ndarray, "T 2"]) -> Float[ndarray, "3"]:
+def grip_point(hand: HandTrack, K: Float[ndarray, "T 3 3"], uv: Float[ndarray, "T 2"]) -> Float[ndarray, "3"]:
     """Return the point of the hand frame nearest to the rays through the masks' centres and to the hand's grip [m].
 
     The grip is the mean of the five fingertips' contact regions, with a standard deviation of 5 cm. The rays have 2 cm;
     together they count as four, since occlusion by the hand biases all of them alike.
     """
-    hand = clip.hand
     grip = np.mean([hand.vertices[:, hand.regions[name]].mean(axis=(0, 1)) for name in FINGERS], axis=0)
     R_hand_cam = np.swapaxes(hand.T_cam_hand[:, :3, :3], 1, 2)
     eye = -(R_hand_cam @ hand.T_cam_hand[:, :3, 3, None])[..., 0]
-    ray = (R_hand_cam @ camera.backproject(clip.K, uv[:, None])[:, 0, :, None])[..., 0]
+    ray = (R_hand_cam @ camera.backproject(K, uv[:, None])[:, 0, :, None])[..., 0]
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     orthogonal = np.eye(3) - ray[:, :, None] * ray[:, None, :]
     ray_weight, grip_weight = 4.0 / (len(ray) * 0.02**2), 1.0 / 0.05**2

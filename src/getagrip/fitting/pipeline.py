@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 from getagrip.checks import LEAST_IOU
 from getagrip.checks.calibration import Where
 from getagrip.checks.evidence import Glitches
-from getagrip.clip import Clip, Masks, check_clip, check_masks
+from getagrip.clip import Clip, Masks, check_clip, check_masks, with_masks
 from getagrip.errors import UsageError
 from getagrip.finding import Finding
 from getagrip.fitting.every_frame import Track
@@ -54,14 +54,12 @@ class Input:
     Attributes:
         original: the clip with the hand as it came; its mesh is not too large to fit (``Clip.light``).
         clip: the same with its hand between its neighbours where it jumps.
-        masks: those of the whole clip; None: they are read from its folder.
         glitches: where the hand jumps; None where nobody looked.
         notes: what is to be known about the mesh.
     """
 
     original: Clip
     clip: Clip
-    masks: Masks | None
     options: Options
     threads: int = 1
     glitches: Glitches | None = None
@@ -174,9 +172,10 @@ def run(
     check_clip(clip)
     if masks is not None:
         check_masks(clip, masks)
+        clip = with_masks(clip, masks)
     with threadpool_limits(1, user_api="blas"):
         clock = Clock(progress, steps.stages)
-        source = repair(clip, masks, options, threads)
+        source = repair(clip, options, threads)
         prepared = steps.prepare(source)
         clock("prepare")
         found = steps.search(prepared, clock)
@@ -186,11 +185,11 @@ def run(
     return _result(source.original, source.notes, options, answer, judgement, clock.seconds())
 
 
-def repair(clip: Clip, masks: Masks | None, options: Options, threads: int = 1) -> Input:
+def repair(clip: Clip, options: Options, threads: int = 1) -> Input:
     """Repair the hand's tracker glitches, and simplify a mesh that is too large."""
     light = clip.light()
     steady, glitches = repair_hand(light, options)
-    return Input(light, steady, masks, options, threads, glitches, tuple(light.mesh.stands_for(clip.mesh, "fitted")))
+    return Input(light, steady, options, threads, glitches, tuple(light.mesh.stands_for(clip.mesh, "fitted")))
 
 
 def _result(

@@ -21,7 +21,6 @@ from getagrip.clip import (
     with_masks,
 )
 from getagrip.clip.occlusion import occluded_by_hand
-from getagrip.clip.sampling import frame_indices
 from getagrip.fitting import pose_priors
 from getagrip.fitting.contact import MARGIN
 from getagrip.fitting.energy import Energy
@@ -114,13 +113,12 @@ class Problem:
         assert masks is not None
         return masks
 
-    def at(self, clip: Clip, masks: Masks | None = None) -> Problem:
-        """Return the problem in other frames of its clip, with their masks.
+    def at(self, clip: Clip) -> Problem:
+        """Return the problem in other frames of its clip, with the evidence that these have in memory or in its folder.
 
-        Without ``masks`` they are those that the clip has in memory or in its folder, as all other evidence is. Whether
-        the masks leave gaps stays as it was found.
+        Whether the masks leave gaps stays as it was found.
         """
-        clip = with_evidence(clip if masks is None else with_masks(clip, masks))
+        clip = with_evidence(clip)
         masks = read_masks(clip)
         shown = occluded_by_hand(clip, masks) if self.trust.hand_drawn and not masks.say_what_hides else masks
         gap_share = 0.0 if self.observation.has_gaps else 1.0
@@ -167,16 +165,16 @@ class MethodResult:
     warp: Warp | None = None
 
 
-def prepare(clip: Clip, masks: Masks | None, options: Options, threads: int = 1) -> Problem:
+def prepare(clip: Clip, options: Options, threads: int = 1) -> Problem:
     """Leave out frames without an object, sample the rest linearly, crop.
 
-    Without ``masks``, those of the frames that are used are read from the clip's folder. With a free scale there are
-    ``WITH_FREE_SCALE`` times as many initial poses. Raises ``InputError`` for fewer than 2 frames, and for initial
-    poses as ``pose_priors.poses_for`` does.
+    Masks that the clip does not have in memory are read from its folder, in the frames that are used. With a free scale
+    there are ``WITH_FREE_SCALE`` times as many initial poses. Raises ``InputError`` for fewer than 2 frames, and for
+    initial poses as ``pose_priors.poses_for`` does.
     """
     if clip.scale == "free" and not options.as_published:
         options = replace(options, inits=WITH_FREE_SCALE * options.inits)
-    clip = _sampled(clip, masks, options.frames)
+    clip = _sampled(clip, options.frames)
     with ThreadPoolExecutor(1) as pool:
         surface = pool.submit(ObjectSurface.of, clip.mesh)  # knows nothing of hands and masks
         if threads == 1:
@@ -216,15 +214,10 @@ def _prepared(clip: Clip, options: Options, surface: Future[ObjectSurface], thre
     )  # fmt: skip
 
 
-def _sampled(clip: Clip, masks: Masks | None, frames: int) -> Clip:
+def _sampled(clip: Clip, frames: int) -> Clip:
     """Return the frames that are used, with their evidence. That of other frames is read one by one, and not kept."""
-    masks = masks_in(clip) if masks is None else masks
-    if masks is None and len(clip) <= frames:
-        masks = read_masks(clip)
+    if masks_in(clip) is None and len(clip) <= frames:
+        clip = with_masks(clip, read_masks(clip))
+    masks = masks_in(clip)
     observed = read_observed(clip) if masks is None else masks.observed
-    visible = observed_frames(clip, observed)
-    index = frame_indices(len(visible), frames)
-    clip = visible.take(index)
-    if masks is not None:
-        clip = with_masks(clip, masks if len(clip) == len(observed) else masks.take(np.flatnonzero(observed)[index]))
-    return with_evidence(clip)
+    return with_evidence(observed_frames(clip, observed, frames))

@@ -35,31 +35,23 @@ POINTS = 16
 
 
 def repair_hand(clip: Clip, options: Options) -> tuple[Clip, Glitches | None]:
-    """Repair a clip's hand, and return the frames with glitches.
+    """Interpolate the hand in frames with tracker glitches; also return those frames.
 
     The clip stays unchanged, without such frames (None), where the options say that hands are as given.
-    """
-    if options.hands == "as-given" or options.as_published:
-        return clip, None
-    steady, frames = repair_glitches(clip)
-    return steady, Glitches(frames, len(clip))
-
-
-def repair_glitches(clip: Clip) -> tuple[Clip, tuple[str, ...]]:
-    """Interpolate the hand in frames with tracker glitches; also return the names of those frames.
-
     Rotations are interpolated along the shortest path, the hand's middle along a line; before the first frame that is
     kept and after the last, the hand is as there. Vertices stay as given.
     """
+    if options.hands == "as-given" or options.as_published:
+        return clip, None
     kept = frames_without_glitch(clip.hand)
     moved = np.setdiff1d(np.arange(len(clip)), kept)
     if not len(moved) or len(kept) < 2:
-        return clip, ()
+        return clip, Glitches((), len(clip))
     T, middle = clip.hand.T_cam_hand.copy(), clip.hand.vertices.mean(axis=(0, 1))
     known = PosesInHand(T[None, kept, :3, :3], se3.transform(T[kept], middle[None])[None, :, 0], np.ones(1))
     between = interpolated(known, kept, moved)
     T[moved] = se3.rigid(between.R[0], between.centre[0] - between.R[0] @ middle)
-    return clip.with_hand_at(T), tuple(clip.frames[n] for n in moved)
+    return clip.with_hand_at(T), Glitches(tuple(clip.frames[n] for n in moved), len(clip))
 
 
 def frames_without_glitch(hand: HandTrack) -> Int[ndarray, "n"]:

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.clip import Clip, Masks
+from getagrip.clip import Clip, Masks, with_masks
 from getagrip.clip.timeline import Side
 from getagrip.errors import GetagripError
 from getagrip.fitting.every_frame import hand_everywhere, own_fit
@@ -66,23 +66,25 @@ def fit_hinge(
     Raises ``NothingToFitError`` where fewer than two masks show the object, or where it cannot be rendered, and
     ``InputError`` for initial poses as ``prepare`` does.
     """
-    if masks.observed[frames].sum() < 2:
+    observed = masks.observed
+    if observed[frames].sum() < 2:
         raise NothingToFitError("fewer than two masks show the object")
-    problem = prepare(clip.take(frames), masks.take(frames), options)
+    clip = with_masks(clip, masks)
+    problem = prepare(clip.take(frames), options)
     try:
         found = METHODS[METHOD].fit(problem, lambda _: None)
     except GetagripError as error:
         raise NothingToFitError(str(error)) from error
     assert found.motion is not None
     found = replace(found, motion=found.motion.take(np.zeros(1, int)))
-    part, part_masks = clip.take(around), masks.take(around)
+    part = clip.take(around)
     sampled = part.index_of(problem.clip.frames)
-    part = part.with_hand_at(hand_everywhere(part, problem, sampled))
+    part = part.with_hand_at(hand_everywhere(part.hand.T_cam_hand, problem, sampled))
     n = len(around)
     T_hand_obj, misfit, expected = np.tile(np.eye(4), (n, 1, 1)), np.full(n, np.nan), np.full(n, PIXEL)
-    seen = np.flatnonzero(part_masks.observed)
+    seen = np.flatnonzero(observed[around])
     for index in np.array_split(seen, -(-len(seen) // CHUNK)):
-        at = problem.at(part.take(index), part_masks.take(index))
+        at = problem.at(part.take(index))
         T_hand_obj[index], misfit[index] = _tried(at, found, sampled, index)
         expected[index] = PIXEL + CROP_PIXEL / at.observation.crops.zoom
     for t in np.setdiff1d(np.arange(n), seen):

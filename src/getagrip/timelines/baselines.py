@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.clip import Clip, Masks, Segment
+from getagrip.clip import Clip, Masks, Segment, with_masks
 from getagrip.errors import InputError
 from getagrip.fitting.every_frame import at_every_frame, at_sampled_frames
 from getagrip.fitting.image_iou import image_iou
@@ -42,9 +42,9 @@ def grasp_only(footage: Footage) -> Motion:
     """
     motion, known = Motion.of(footage.clip, footage.shown), list[Segment]()
     for segment in footage.clip.segments:
-        grasp = Grasp.of(footage.clip, footage.masks, segment) if segment.state == "grasp" else None
+        grasp = Grasp.of(footage.clip, segment) if segment.state == "grasp" else None
         if grasp is not None:
-            problem = prepare(grasp.clip, grasp.masks, footage.source.options)
+            problem = prepare(grasp.clip, footage.source.options)
             motion.put_grasp(fit_in_all_frames(solve_grasp(grasp, problem, []), 0, []))
             known += split_at_gaps(segment, grasp.rows)
     _carry(motion, footage, known)
@@ -127,15 +127,15 @@ def _visit(
         T_cam_obj = footage.T_cam_world[rows] @ found.T_world_obj(footage.clip.mesh.centre)[0]
         T_cam_hand, kind = footage.clip.hand.T_cam_hand[rows], tuple("sampled" for _ in rows)
     else:
-        clip, masks = footage.clip.take(rows), footage.masks.take(rows)
-        problem = prepare(clip, masks, replace(footage.source.options, method="contact-consistency"))
+        clip = footage.clip.take(rows)
+        problem = prepare(clip, replace(footage.source.options, method="contact-consistency"))
         if start is not None:
             at = 0 if before is not None and before < n else -1
             T_hand_world = se3.inverse(problem.clip.world.T_world_cam[at] @ problem.clip.hand.T_cam_hand[at])  # type: ignore[union-attr]
             more = T_hand_world @ start.T_world_obj(clip.mesh.centre)[:, 0]
             problem = replace(problem, prior_poses=np.concatenate([more, problem.prior_poses]))
         fitted = contact_consistency.fit(problem, lambda _: None)
-        track = at_every_frame(clip, masks, problem, fitted, at_sampled_frames(problem, fitted))
+        track = at_every_frame(clip, problem, fitted, at_sampled_frames(problem, fitted))
         T_cam_obj, T_cam_hand, kind = track.T_cam_hand @ track.T_hand_obj[0], track.T_cam_hand, track.kind
     seen = rows[footage.shown[rows]]
     at_seen = np.searchsorted(rows, seen)
@@ -161,4 +161,4 @@ VARIANTS: dict[str, Callable[[Footage], Motion]] = {
 
 def reconstruct_with(variant: str, clip: Clip, masks: Masks, options: Options) -> Motion:
     """Reconstruct an object's motion in a clip of known scale by a variant. Raises as that variant does."""
-    return VARIANTS[variant](Footage.of(repair(clip, masks, options)))
+    return VARIANTS[variant](Footage.of(repair(with_masks(clip, masks), options)))

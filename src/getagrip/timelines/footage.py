@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip.clip import Clip, Masks, Segment, World, read_masks
+from getagrip.clip import Clip, Masks, Segment, World, read_masks, with_masks
 from getagrip.errors import UsageError
 from getagrip.fitting.methods.all_frames import soft_hinges
 from getagrip.fitting.options import Options
@@ -55,13 +55,14 @@ class Footage:
         clip, options, scale = source.clip, source.options, 1.0
         if options.method != METHOD:
             raise UsageError(f"method must be {METHOD!r} for a clip with segments (got {options.method!r})")
-        masks = read_masks(clip) if source.masks is None else source.masks
+        masks = read_masks(clip)
+        clip = with_masks(clip, masks)
         if clip.scale == "free":
-            scale = find_scale(clip, masks, options)
+            scale = find_scale(clip, options)
             clip = replace(clip, mesh=Mesh(scale * clip.mesh.vertices, clip.mesh.faces), scale="known", truth=None)
         world = clip.world or World(np.tile(np.eye(4), (len(clip), 1, 1)))
         clip = replace(clip, world=world)
-        some = prepare(clip, masks, replace(options, frames=2, hands="as-given"))
+        some = prepare(clip, replace(options, frames=2, hands="as-given"))
         T_world_cam = world.T_world_cam
         return Footage(source, clip, masks, scale, some, T_world_cam, se3.inverse(T_world_cam), masks.observed)
 
@@ -70,7 +71,7 @@ class Footage:
 
     def problem(self, rows: Int[ndarray, "n"]) -> Problem:
         """Make the problem at frames that show the object, in the given order, with the repaired hand."""
-        return self.some.at(self.clip.take(rows), self.masks.take(rows))
+        return self.some.at(self.clip.take(rows))
 
 
 @dataclass(frozen=True)
@@ -83,30 +84,30 @@ class Grasp:
 
     segment: Segment
     clip: Clip
-    masks: Masks
     rows: Int[ndarray, "n"]
 
     @staticmethod
-    def of(clip: Clip, masks: Masks, segment: Segment) -> Grasp | None:
-        """Make the grasp; None where fewer than two of its frames show the object.
+    def of(clip: Clip, segment: Segment) -> Grasp | None:
+        """Make the grasp of a clip with its masks; None where fewer than two of its frames show the object.
 
         The other hand's pixels are not known apart from all ignored.
         """
         by, rows = clip.with_side(segment.side), segment.rows[clip.hand_known(segment.side)[segment.rows]]
         if by is None or not len(rows):
             return None
-        of_grasp = masks.take(rows)
-        if of_grasp.observed.sum() < 2:
+        of_grasp = by.take(rows)
+        masks = read_masks(of_grasp)
+        if masks.observed.sum() < 2:
             return None
-        return Grasp(segment, by.take(rows), of_grasp if by is clip else replace(of_grasp, hand=None), rows)
+        return Grasp(segment, of_grasp if by is clip else with_masks(of_grasp, replace(masks, hand=None)), rows)
 
 
-def find_scale(clip: Clip, masks: Masks, options: Options) -> float:
+def find_scale(clip: Clip, options: Options) -> float:
     """Return the object's scale: that of the longest grasp, where hand and camera determine it.
 
     Raises ``InputError``.
     """
-    grasps = [Grasp.of(clip, masks, segment) for segment in clip.segments if segment.state == "grasp"]
+    grasps = [Grasp.of(clip, segment) for segment in clip.segments if segment.state == "grasp"]
     longest = max((grasp for grasp in grasps if grasp is not None), key=lambda grasp: len(grasp.rows), default=None)
-    problem = prepare(*((longest.clip, longest.masks) if longest else (clip, masks)), options)
+    problem = prepare(longest.clip if longest else clip, options)
     return float(soft_hinges(problem, lambda _: None).motion.poses().scale[0])

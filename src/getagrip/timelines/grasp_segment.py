@@ -111,7 +111,7 @@ def fit_in_all_frames(solutions: GraspSolutions, k: int, neighbours: Sequence[Ne
     if neighbours:
         found = _polished(problem, found, neighbours)
     sampled = at_sampled_frames(problem, found)
-    return GraspTrack(solutions, k, found, at_every_frame(grasp.clip, grasp.masks, problem, found, sampled))
+    return GraspTrack(solutions, k, found, at_every_frame(grasp.clip, problem, found, sampled))
 
 
 def _polished(problem: Problem, found: MethodResult, neighbours: Sequence[Neighbour]) -> MethodResult:

@@ -116,7 +116,7 @@ def fill_all_frames(footage: Footage, chain: Chain, on_stage: Callable[[str], No
 
 def _with_grasps(footage: Footage, static: dict[Segment, Hypotheses]) -> list[Anchor]:
     """Return static segments and grasps in their order."""
-    grasps = {s: Grasp.of(footage.clip, footage.masks, s) for s in footage.clip.segments if s.state == "grasp"}
+    grasps = {s: Grasp.of(footage.clip, s) for s in footage.clip.segments if s.state == "grasp"}
     order = [s for s in footage.clip.segments if s in static or grasps.get(s) is not None]
     anchors = []
     for before, segment, after in zip([None, *order], order, [*order[1:], None], strict=False):
@@ -124,7 +124,7 @@ def _with_grasps(footage: Footage, static: dict[Segment, Hypotheses]) -> list[An
         if grasp is None:
             anchors.append(Anchor(segment, static[segment]))
             continue
-        problem = prepare(grasp.clip, grasp.masks, footage.source.options)
+        problem = prepare(grasp.clip, footage.source.options)
         rows = grasp.rows[grasp.clip.index_of(problem.clip.frames)]
         m = min(REACH, len(rows))
         near, frames = list[Neighbour](), np.arange(m)

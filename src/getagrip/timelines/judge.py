@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from getagrip.checks import INPUT_CHECKS
 from getagrip.checks.calibration import MEANING as MEANING_ALONE
-from getagrip.checks.of_timeline import examine_timeline, name_of
+from getagrip.checks.of_timeline import examine_timeline
 from getagrip.checks.signs import read_signs
 from getagrip.clip import Clip, Segment, other_evidence
 from getagrip.finding import Finding
@@ -49,13 +49,14 @@ def judge_timeline(footage: Footage, chain: Chain, answer: TimelineAnswer) -> Ju
     hands = motion.T_cam_hand, motion.T_cam_obj, footage.scale, iou, motion.T_cam_other_hand
     examined = examine_timeline(source.original, footage.masks, *hands, source.glitches)
     segments = []
-    for segment, checks in zip(source.original.segments, examined.of_segments, strict=True):
+    for n, (segment, checks) in enumerate(zip(source.original.segments, examined.of_segments, strict=True)):
         found = replace(_segment_result(source.original, segment, motion, iou), checks=checks)
         track = motion.grasps.get(segment.first) if segment.state == "grasp" else None
         if track is not None:
             signs = read_grasp_signs(track)
             evidence = other_evidence(track.solutions.problem.clip)
-            right = _probability(source.original, segment, source.options, signs, examined.findings, evidence)
+            others = examined.names[:n] + examined.names[n + 1 :]
+            right = _probability(source.options, signs, examined.findings, others, evidence)
             found = replace(found, signs=signs, probability_right=right)
         segments.append(found)
     return Judgement(examined.checks, examined.findings, segments=tuple(segments), failed=examined.failed)
@@ -82,17 +83,15 @@ def _segment_result(clip: Clip, segment: Segment, motion: Motion, iou: Float[nda
 
 
 def _probability(
-    clip: Clip,
-    segment: Segment,
     options: Options,
     signs: dict[str, float],
     findings: Sequence[Finding],
+    others: Sequence[str],
     evidence: Sequence[str],
 ) -> Probability | None:
-    """How probable it is that a grasp is right; findings about other segments say nothing of it."""
-    names = {*INPUT_CHECKS}
-    others = tuple(f"{name_of(clip, one)}: " for one in clip.segments if one is not segment)
-    of_input = [one for one in findings if one.check in names and not one.message.startswith(others)]
+    """How probable it is that a grasp is right; findings about the ``others``, segments by name, say nothing of it."""
+    names, elsewhere = {*INPUT_CHECKS}, tuple(f"{name}: " for name in others)
+    of_input = [one for one in findings if one.check in names and not one.message.startswith(elsewhere)]
     right = probability_right(options, signs, of_input, terms=evidence)
     return right and replace(right, meaning=MEANING)
 

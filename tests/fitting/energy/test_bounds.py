@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from getagrip.clip import with_masks
 from getagrip.fitting.energy import no_bound
 from getagrip.fitting.methods.all_frames import coarse_energy, initial_of, steady
 from getagrip.fitting.options import Options
@@ -18,7 +19,7 @@ from helpers.scenes import SHORT, scene
 @pytest.mark.parametrize("k", range(4))
 @pytest.mark.slow
 def test_a_bound_changes_nothing_within_it(k: int) -> None:
-    problem = prepare(*scene("mug", 1, SHORT), Options(inits=4))
+    problem = prepare(with_masks(*scene("mug", 1, SHORT)), Options(inits=4))
     poses = in_camera(initial_of(problem), problem.clip.hand.T_cam_hand)
     poses = replace(poses, scale=2.0 * poses.scale)  # so large that the hand is in it
     term = steady(problem, coarse_energy(problem))(64, np.arange(len(problem.clip)))[k]

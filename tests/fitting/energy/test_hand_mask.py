@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from getagrip.clip import with_masks
 from getagrip.fitting.energy import HandInCamera, ObjectWithHand, PosesInCamera, no_bound
 from getagrip.fitting.hand_silhouette import HandSilhouette
 from getagrip.fitting.objective import evidence_on_hand
@@ -19,7 +20,7 @@ from helpers.scenes import SHORT, scene
 @pytest.fixture(scope="module")
 def problem() -> Problem:
     clip, masks = scene("mug", 2, SHORT)
-    return prepare(clip, masks, Options(hands="as-given", frames=4))
+    return prepare(with_masks(clip, masks), Options(hands="as-given", frames=4))
 
 
 def hands(problem: Problem, shift: np.ndarray, scale: float = 1.0) -> HandInCamera:

@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from getagrip.clip import with_masks
 from getagrip.errors import UsageError
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import IOU
@@ -28,7 +29,7 @@ def small_problem(options: Options | None = None) -> Problem:
     """A clip whose object's origin is not its centre."""
     clip, masks = small_clip()
     mesh = Mesh(clip.mesh.vertices + np.array([0.01, 0.02, 0.03]), clip.mesh.faces)
-    return prepare(replace(clip, mesh=mesh), masks, options or Options(method="paper", inits=3))
+    return prepare(with_masks(replace(clip, mesh=mesh), masks), options or Options(method="paper", inits=3))
 
 
 @pytest.mark.slow
@@ -92,7 +93,7 @@ def test_the_iou_by_which_is_chosen_is_the_metrics(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(paper, "ITERATIONS", 5)
     clip, masks = small_clip()
     result = reconstruct(clip, masks, Options(method="paper", inits=2))
-    problem = prepare(clip, masks, Options(method="paper", inits=2))
+    problem = prepare(with_masks(clip, masks), Options(method="paper", inits=2))
     T = result.T_hand_obj[0]
     motion = Fixed(T[None, :3, :3], (T[:3, :3] @ clip.mesh.centre + T[:3, 3])[None], np.zeros(1), len(clip))
     still = replace(result, T_hand_obj=np.tile(T, (len(clip), 1, 1)))
