@@ -26,7 +26,7 @@ def legible(text: str) -> str:
 
 
 class GetagripError(Exception):
-    """Root of all errors a user can cause. The message names the culprit, what was given and what is allowed."""
+    """Base class of all errors that a user can cause. The message names the culprit, its value and what is allowed."""
 
 
 class UsageError(GetagripError):

@@ -14,18 +14,18 @@ from getagrip.errors import InputError
 from getagrip.io import files
 
 Basis = Literal["measured", "estimated", "assumed"]
-"""Taken from a sensor or the ground truth, or stated by the user; found by an algorithm; a guess for want of either."""
+"""From a sensor, the ground truth or the user; found by an algorithm; neither of these."""
 TYPED = 4
 """The version of ``clip.json`` from which on sources have a basis; before, a guess said so in its text."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """The source of a value, in words, and its basis.
+    """The source of an input, and its basis.
 
     Attributes:
-        text: the words.
-        basis: how far it can be relied on.
+        text: a description of the source.
+        basis: ``measured``, ``estimated`` (by an algorithm) or ``assumed``.
     """
 
     text: str

@@ -29,9 +29,9 @@ class HandTrack(ArrayData):
             any ``palm_*``.
         joints: (T, 21, 3) joints in the hand frame [m]: wrist, then thumb, index, middle, ring and pinky, each from the
             palm to the tip; None where they are not known.
-        joints_2d: (T, 21, 2) the same as seen in the images [px]; None where nobody has looked. Evidence: it stays when
-            the hand is moved.
-        joints_2d_confidence: (T, 21) how far each is to be believed, from 0, where it was not seen, to 1.
+        joints_2d: (T, 21, 2) the joints as detected or clicked in the images [px]; None if unknown. They are evidence:
+            they stay when the hand is moved.
+        joints_2d_confidence: (T, 21) confidence of each of them, from 0 (not detected) to 1.
     """
 
     vertices: Float[ndarray, "T V 3"]

@@ -59,17 +59,13 @@ class ClipFields(TypedDict, total=False):
 
 
 def read_clip(folder: str | Path) -> Clip:
-    """Read and check a clip, except its masks and images.
+    """Read and check a clip, except its masks and images, in the frames that have a hand.
 
     Args:
         folder: the clip's folder, or the ``clip.json`` in it (docs/formats.md).
 
-    Returns:
-        The clip, in the frames that have a hand.
-
     Raises:
-        InputError: a file is missing, damaged or impossible. The message names the file and the key, and says what was
-            expected.
+        InputError: a file is missing, damaged or impossible. The message names the file and the key.
     """
     folder = _folder(folder)
     path = folder / "clip.json"
@@ -112,11 +108,10 @@ def read_clip(folder: str | Path) -> Clip:
 
 @dataclass(frozen=True)
 class ClipHeader:
-    """The content of ``clip.json``, frames without a hand included; hands, mesh and masks are not read."""
+    """The checked content of ``clip.json``, with frames that lack a hand; hands, mesh and masks are not read."""
 
     folder: Path
     fields: ClipFields
-    """All of it, checked."""
     frames: tuple[str, ...]
     size: tuple[int, int]
     K: Float[ndarray, "T 3 3"]

@@ -36,8 +36,8 @@ class Segment:
         state: what the object does.
         first: its first frame, counted from 0 in the clip.
         last: its last frame, included.
-        side: whose hand touches the object, ``left`` or ``right``: known of a grasp, perhaps of an unstable contact,
-            None in the other states.
+        side: the hand that touches the object, ``left`` or ``right``: required for a grasp, optional for an unstable
+            contact, None in the other states.
     """
 
     state: State

@@ -43,9 +43,10 @@ class Truth(ArrayData):
     Attributes:
         T_cam_obj: (T, 4, 4) true pose of the object, object frame to camera frame [m].
         scale: true factor by which the mesh is scaled before it is posed.
-        T_cam_hand: (T, 4, 4) true pose of the hand, hand frame to camera frame [m]; the clip's own where no other is
+        T_cam_hand: (T, 4, 4) true pose of the hand, hand frame to camera frame [m]; that of the clip if no other is
             known.
-        hand_vertices: (T, V, 3) true vertices of the hand in the hand frame [m]; likewise.
+        hand_vertices: (T, V, 3) true vertices of the hand in the hand frame [m]; those of the clip if no others are
+            known.
         articulation: (T,) angle of the object's joint [rad]; None for objects without one.
         joint: the joint; None where there is none, or where only the angle is known.
     """

@@ -32,11 +32,21 @@ def write_clip(
     replace: bool = False,
     hand: tuple[HandTrack, Sequence[int]] | None = None,
 ) -> Path:
-    """Write a clip (mesh as ``object.obj``) into a new folder, complete or not at all, and return the folder.
+    """Write a clip as a new folder (docs/formats.md), completely or not at all.
 
-    ``images`` are RGB, one for each frame, and are written as JPEG. A hand without vertices is left out: somebody will
-    add ``hand.npz``, or ``hand`` has it, in some frames, with the rows of these. With ``replace`` an older clip
-    in ``folder`` is replaced. Raises ``UsageError`` where the folder exists otherwise.
+    Args:
+        clip: the clip. A hand without vertices is not written; ``hand.npz`` can be added later.
+        masks: masks of all frames; None to write none.
+        folder: the folder to make.
+        images: RGB images, one for each frame, written as JPEG; None to write none.
+        replace: replace a clip that is in ``folder`` already.
+        hand: a hand that is known in some frames only, and the indices of these frames, instead of ``clip.hand``.
+
+    Returns:
+        The folder.
+
+    Raises:
+        UsageError: the folder exists, and ``replace`` is False or it holds something other than a clip.
     """
     folder = Path(folder)
     with files.new_folder(folder, ("clip.json",) if replace else ()) as new:

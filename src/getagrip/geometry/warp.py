@@ -18,13 +18,13 @@ MONOMIALS = 10
 
 @dataclass(frozen=True, eq=False)
 class Warp(ArrayData):
-    """``X' = centre + radius * M(x) @ coefficients``, with ``x = (X - centre) / radius``.
+    """A smooth deformation of a mesh: ``X' = centre + radius * M(x) @ coefficients``, ``x = (X - centre) / radius``.
 
-    M are the monomials of x up to the second degree: stretches, shears, tapers and bends.
+    M(x) are the monomials of x up to the second degree, which stretch, shear, taper and bend the mesh.
 
     Attributes:
         centre: (3,) the point about which x is measured [m].
-        radius: the length in which it is measured [m].
+        radius: the unit of length of x [m].
         coefficients: (10, 3) of 1, x, y, z, xx, xy, xz, yy, yz, zz.
     """
 

@@ -40,7 +40,20 @@ def write_report(
     path: str | Path,
     metrics: Mapping[str, float] | None = None,
 ) -> Path:
-    """Write ``report_figure`` as a PNG and return its path. Raises as it does."""
+    """Write a picture of a result as a PNG file: silhouettes, the axis in two views, angle and IOU over time.
+
+    Args:
+        result: the reconstruction.
+        clip: the clip that was reconstructed. Its images are drawn if its folder has them.
+        masks: masks of all frames of the clip; None to leave them out.
+        path: the file to write.
+        metrics: metrics to print in the picture (``Evaluation.metrics``).
+
+    Returns:
+        The path of the file.
+
+    Raises the errors of ``report_figure``.
+    """
     figure = report_figure(result, clip, masks, metrics)
     with files.new_file(Path(path)) as part:
         figure.savefig(part, format="png", facecolor="white")

@@ -58,7 +58,17 @@ FIELDS: dict[str, tuple[type, str]] = {
 
 
 def read_result(folder: str | Path) -> tuple[Reconstruction, Json]:
-    """Read and check a result folder: the reconstruction, and ``result.json`` as it stands. Raises ``InputError``."""
+    """Read and check a result folder.
+
+    Args:
+        folder: the folder, as ``write_result`` or ``getagrip reconstruct`` made it.
+
+    Returns:
+        The reconstruction, and the content of its ``result.json``.
+
+    Raises:
+        InputError: a file is missing, damaged or impossible.
+    """
     folder = Path(folder)
     fields = read_record(folder)
     path = files.inside(folder, "result.npz", "", "the poses of a result")

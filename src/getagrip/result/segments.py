@@ -31,13 +31,13 @@ class SegmentResult(ArrayData):
         last: name of its last frame.
         side: the hand that holds or touches the object; None where none does.
         iou: mean IOU of its frames whose mask shows the object; None where there is none.
-        by_masks: whether it is a grasp that could not be solved as one, and follows the masks without an axis.
-        T_world_obj: (4, 4) the object's pose in the world frame, of a static segment [m].
+        by_masks: True for a grasp that was tracked by its masks only, without an axis.
+        T_world_obj: (4, 4) for a static segment, the object's pose in the world frame [m].
         axis_point: (3,) a point on the latent axis of a grasp, in the hand frame [m].
         axis_direction: (3,) the axis' direction in the hand frame, of length 1.
-        signs: what is known about whether a grasp is right, by name (``checks.signs``).
-        checks: what each check has measured, by name; NaN where it could not.
-        probability_right: how probable it is that a grasp is right in the hand; None where that is not known.
+        signs: the measures from which the probability of a grasp is computed, by name (``checks.signs``).
+        checks: the value that each check measured, by name; NaN if it could not be measured.
+        probability_right: probability that a grasp is right relative to the hand; None if unknown.
     """
 
     state: str

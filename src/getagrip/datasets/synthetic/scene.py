@@ -72,12 +72,12 @@ class Scene:
 def synthesise(category: str, seed: int = 0, options: SceneOptions | None = None) -> tuple[Clip, Masks]:
     """Make a synthetic clip with ground truth, and its masks, in memory.
 
-    A generic hand grasps an object of the category and turns it about one axis, nearly, before a moving camera. The
-    clip holds the noisy hand (``options.hand_*`` and ``finger_*``), the mesh and, in ``clip.truth``, the ground truth.
+    A generic hand grasps an object of the category and rotates it nearly about one axis in front of a moving camera.
+    The clip contains the noisy hand, the mesh and, in ``clip.truth``, the ground truth.
 
     Args:
         category: kind of object, such as "mug": a key of ``getagrip.datasets.synthetic.categories.CATEGORIES``.
-        seed: seed of all that is random, 0 or more. The same seed and options give the same clip.
+        seed: seed of the random choices, 0 or more. The same seed and options give the same clip.
         options: length, camera, motion and noise of the clip; by default 30 frames of 640 x 480 pixels without noise.
 
     Raises:

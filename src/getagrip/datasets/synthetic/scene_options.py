@@ -28,12 +28,12 @@ class SceneOptions(Noise):
             category.
         grip_deg: root mean square rotation of the object in the hand away from a usual grip [degrees]; above zero,
             rarer grips occur as well.
-        motion: of the object in the hand. ``hinge``: about one axis, nearly, as the next three say. ``measured``: drawn
-            from the statistics of real grasps.
+        motion: motion of the object in the hand. ``hinge``: nearly about one axis, within the next three limits.
+            ``measured``: drawn from the statistics of real grasps.
         turn_deg: smallest and largest range of the angle about the axis over the clip [degrees].
         residual_deg: largest rotation of the object in the hand besides the one about the axis [degrees].
         residual_mm: largest translation of the object in the hand besides that of the axis [mm].
-        other_hand: whether the other hand comes in front.
+        other_hand: True if the other hand comes in front of the object.
     """
 
     frames: int = 30
