@@ -192,7 +192,7 @@ def refined(
     colours: Float32[ndarray, "h w"],
     hidden: Bool[ndarray, "h w"],
 ) -> Float32[ndarray, "h w"]:
-    """Signed distances from the border that colours draw near to the given one, and freely where nothing is certain.
+    """Draw a border by colours: near to the expected one, freely where nothing is certain; its signed distances.
 
     What is ``hidden`` stays as it is.
     """
@@ -224,7 +224,7 @@ def _touching(mask: Bool[ndarray, "h w"], before: Bool[ndarray, "h w"]) -> Bool[
 
 
 def signed_distance(mask: Bool[ndarray, "h w"], far: float = FAR) -> Float32[ndarray, "h w"]:
-    """Distance from the border between pixels, above 0 inside, up to ``far`` [px]."""
+    """Measure the distance from the border between pixels, above 0 inside, up to ``far`` [px]."""
     import cv2
 
     distances = []

@@ -36,7 +36,7 @@ CERTAIN = 0.1
 def merged(
     one: Carried, other: Carried, share: float, image: Image, colours: Sequence[Colours]
 ) -> tuple[Carried, float]:
-    """Merge two masks of a frame, whose ``image`` is of the size at which they were carried.
+    """Make one mask of two of a frame, whose ``image`` is of the size at which they were carried.
 
     ``share`` is how far the frame is from the key of ``one`` to the other's, 0 to 1; ``colours`` are the keys'. Also
     returned is the agreement of the two (intersection over union) where both are known.
