@@ -6,7 +6,7 @@ import { change, here, missing, settle, stale, work } from "./labels.js";
 import { drawing, remove } from "./outlines.js";
 
 const UNSURE = 0.85; // masks less sure than this are named
-const NAMED = 6; // so many of them
+const NAMED = 6; // frames named in a list, at most
 
 const STROKES = ["on", "off"];
 const FEW = 4; // frames that are drawn on, of which the page asks for the next

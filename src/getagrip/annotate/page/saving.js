@@ -24,7 +24,7 @@ export class Saving {
 
   /** Send what follows all that was given before. */
   add(path, content) {
-    // Keys sort by time, so that what an earlier page left behind goes first.
+    // Keys sort by time, so that entries of an earlier page go first.
     const order = `${String(Date.now()).padStart(15, "0")}-${String(this.count = (this.count ?? 0) + 1).padStart(6, "0")}`;
     const sent = { path, content: { ...content, project: this.project } };
     localStorage.setItem(`${KEY}:${this.project}:${order}-${content.change}`, JSON.stringify(sent));
