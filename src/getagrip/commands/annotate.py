@@ -131,15 +131,19 @@ def take_segments(project: Project, path: Path, annotator: str) -> int:
         raise UsageError(str(error)) from error
 
 
-def serve(project: Project, port: int | None) -> None:
-    """Serve the page until it is interrupted. Raises ``UsageError`` for a port that is taken."""
+def serve(project: Project, port: int | None, annotator: str = "") -> None:
+    """Serve the page until it is interrupted. Raises ``UsageError`` for a port that is taken.
+
+    With an ``annotator`` the page opens on the first grasp that they have marked, to be labelled.
+    """
     from getagrip.annotate.server import Server, first_free, kept_token
     from getagrip.batch.ledger import state_folder
 
     marks = sha256(os.fsencode(project.store.path.resolve())).hexdigest()[:16]
     token = kept_token(state_folder() / TOKENS / marks)  # not beside the marks: a folder may be a stranger's
     with first_free(project, token) if port is None else Server(project, port, token) as server:
-        print(f"open {server.url} in a browser; marks are kept in {project.store.path}; Ctrl-C ends", flush=True)
+        address = f"{server.url}#annotator={annotator}" if annotator else server.url
+        print(f"open {address} in a browser; marks are kept in {project.store.path}; Ctrl-C ends", flush=True)
         try:
             server.serve_forever()
         except KeyboardInterrupt:

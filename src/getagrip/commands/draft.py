@@ -113,9 +113,8 @@ class Draft(Command):
                 status = 0 if self.object_box is None else write_labels(project)
                 print(f"options of clip new for the object's mesh: {mesh}")
                 return status
-            name = f"on the page, enter the name {DRAFTER}"
-            print(f"the grasp is marked; {name}, press l to mark the object, and reconstruct with {mesh}")
-            serve(project, self.port)
+            print(f"the grasp is marked: mark the object on the page, and reconstruct with {mesh}")
+            serve(project, self.port, DRAFTER)
             return 0
         finally:
             project.close()

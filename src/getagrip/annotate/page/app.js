@@ -5,8 +5,11 @@ import { Saving } from "./saving.js";
 
 export const $ = (id) => document.getElementById(id);
 
+/** Whose grasp the address asks to label, as in "#annotator=draft". */
+export const invited = new URLSearchParams(location.hash.slice(1)).get("annotator");
+
 export const state = {
-  annotator: localStorage.getItem("getagrip-annotator"),
+  annotator: invited ?? localStorage.getItem("getagrip-annotator"),
   tasks: [], categories: [], reasons: [],
   task: null, // the one that is open
   info: null, // its frames

@@ -1,6 +1,6 @@
 // The page: who is at it, which clip is open, and what keys and buttons do in its two modes.
 
-import { $, clock, move, on, player, problem, saving, state } from "./app.js";
+import { $, clock, invited, move, on, player, problem, saving, state } from "./app.js";
 import * as grasps from "./grasps.js";
 import { unseen } from "./joints.js";
 import * as labelling from "./labelling.js";
@@ -132,7 +132,8 @@ async function begin(name) {
     const next = state.tasks.find((task) => task.key === before) ?? state.tasks.find((task) => !task.state && task.found) ?? state.tasks.find((task) => task.found);
     await openTask(next);
     const known = [...state.marks, ...(state.interaction ? [state.interaction] : [])];
-    const labelled = known.find((mark) => mark.mark && mark.mark === labels.before() && mark.end !== null);
+    const whole = known.filter((mark) => mark.mark && mark.end !== null);
+    const labelled = whole.find((mark) => mark.mark === labels.before()) ?? (name === invited ? whole[0] : undefined);
     if (labelled) await labelling.begin(labelled);
   } catch (error) {
     problem(error.message);
