@@ -75,6 +75,13 @@ def test_clicks_made_while_the_server_is_away_are_kept(context: Any, served: Ser
     assert near(kept(served)[FIRST].joints["0"], [100, 100])
 
 
+def test_an_address_opens_the_grasp_to_be_labelled(context: Any, served: Served) -> None:
+    page = context.new_page()
+    page.goto(f"{served.server.url}#annotator=ann")
+    expect(page.locator("#annotator")).to_have_text("ann")
+    expect(page.locator("#back")).to_be_visible()
+
+
 def test_from_clicks_to_files(context: Any, served: Served, tmp_path: Path) -> None:
     page = opened(context, served)
     for frame in (FIRST, LAST):

@@ -129,7 +129,7 @@ async function begin(name) {
     localStorage.setItem("getagrip-annotator", name);
     $("annotator").textContent = name;
     await saving.flush(); // what an earlier page could not send
-    const next = state.tasks.find((task) => task.key === before) ?? state.tasks.find((task) => !task.state && task.found) ?? state.tasks.find((task) => task.found);
+    const next = state.tasks.find((task) => task.key === before) ?? (name === invited ? state.tasks.find((task) => task.state && task.found) : null) ?? state.tasks.find((task) => !task.state && task.found) ?? state.tasks.find((task) => task.found);
     await openTask(next);
     const known = [...state.marks, ...(state.interaction ? [state.interaction] : [])];
     const whole = known.filter((mark) => mark.mark && mark.end !== null);
