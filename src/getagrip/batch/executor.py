@@ -60,7 +60,7 @@ class Executor(Protocol[J, R]):
         ...
 
     def submit(self, job: J, attempt: int) -> None:
-        """Begin a job, for the so-manieth time; only where there is room."""
+        """Start attempt ``attempt`` of a job; requires free capacity."""
         ...
 
     def wait(self, nap: float | None) -> list[Ended[J, R]]:

@@ -143,7 +143,7 @@ class Evidence:
 
     @cached_property
     def drawn_hands(self) -> Bool[ndarray, "T h w"]:
-        """The given hand in small images."""
+        """The input hand in small images."""
         K, size = np.diag([self._zoom, self._zoom, 1.0]) @ self.clip.K, self._small
         posed = se3.transform(self.clip.hand.T_cam_hand, self.clip.hand.vertices)
         return np.stack([covered(v, self.clip.hand.faces, k, size) for v, k in zip(posed, K, strict=True)])
@@ -155,7 +155,7 @@ class Evidence:
 
     @cached_property
     def small_hand_pixels(self) -> Bool[ndarray, "T h w"]:
-        """The hand's own pixels, as small; the ignored ones where these are not given."""
+        """The visible pixels of the hand, in small images; the ignored pixels where these are unknown."""
         hand = self.masks.hand
         return (
             self.small_ignore if hand is None else np.stack([_shrunk(mask, self._zoom, self._small) for mask in hand])
