@@ -73,6 +73,10 @@ class Depth(ArrayData):
         """Return the depth of some of the frames, in the given order."""
         return replace(self, z=self.z[index], corner=self.corner[index], stride=self.stride[index])
 
+    def thinned(self, every: int) -> Depth:
+        """Return every so manieth sample of a row, and of a column."""
+        return replace(self, z=self.z[:, ::every, ::every], stride=every * self.stride)
+
     def intrinsics(self, clip: Clip) -> Float[ndarray, "T 3 3"]:
         """Return the intrinsics of the samples, taken for pixels with their centres at (j + 0.5, i + 0.5)."""
         zoom = np.array(self.size) / np.array(clip.size)

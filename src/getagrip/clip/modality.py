@@ -60,6 +60,7 @@ class Modality(ABC, Generic[D]):
 OURS: Mapping[str, Modality[Any] | str] = {
     "object-masks": "getagrip.evidence.object_masks:ObjectMasks",
     "hand-masks": "getagrip.evidence.hand_masks:HandMasks",
+    "depth": "getagrip.evidence.depth:DepthImages",
 }
 MODALITIES = Table(
     "modalities",
