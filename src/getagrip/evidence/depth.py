@@ -14,6 +14,7 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, Masks, Modality
 from getagrip.clip.depth import DEPTH, Depth, DepthSource
+from getagrip.clip.depth_files import depth_file, read_depth, write_depth
 from getagrip.clip.sampling import frame_indices
 from getagrip.fitting.energy import Term, Terms
 from getagrip.geometry import se3
@@ -46,13 +47,15 @@ class DepthImages(Modality[Depth]):
     name = DEPTH
 
     def files(self, folder: Path, frames: Sequence[str]) -> list[str]:
-        return []
+        return [name for frame in frames if (name := depth_file(folder, frame)) is not None]
 
     def read(self, clip: Clip) -> Depth | None:
-        return None
+        return read_depth(clip)
 
     def write(self, clip: Clip, folder: Path) -> None:
-        pass
+        depth = self.of(clip)
+        if depth is not None:
+            write_depth(clip, depth, folder)
 
     def terms(self, problem: Problem) -> Terms | None:
         depth = self.of(problem.clip)
@@ -97,7 +100,9 @@ def samples_of(clip: Clip, masks: Masks, depth: Depth, most: int) -> DepthSample
 
     given = np.full(depth.z.shape, np.inf)
     side = depth.z.shape[1]
-    for n, (K, vertices) in enumerate(zip(depth.intrinsics(clip), se3.transform(clip.hand.T_cam_hand, clip.hand.vertices), strict=True)):
+    for n, (K, vertices) in enumerate(
+        zip(depth.intrinsics(clip), se3.transform(clip.hand.T_cam_hand, clip.hand.vertices), strict=True)
+    ):
         given[n] = depth_and_face(vertices, clip.hand.faces, K, (side, side))[0]
     bodies = [body[:, ::EVERY, ::EVERY] for body in bodies_of(clip, masks, depth, np.isfinite(given))]
     depth, given = depth.thinned(EVERY), given[:, ::EVERY, ::EVERY]

@@ -13,7 +13,9 @@ LEAST_COSINE = 0.1
 
 
 @njit(**OPTIONS)
-def distances(vertices, planes, faces, closed, R, centre, scale, K, place, first, end, size, uvz, nearest, face, log_z, J):
+def distances(
+    vertices, planes, faces, closed, R, centre, scale, K, place, first, end, size, uvz, nearest, face, log_z, J
+):
     """Fill in log_z (M,) and its derivatives J (M, 7) by the local 7-vector, at the samples from ``first`` to ``end``.
 
     ``vertices`` (3, V) and the faces' ``planes`` (4, F), outward normal and distance, are about the centre, posed as
@@ -82,7 +84,9 @@ def _render(faces, closed, uvz, size, nearest, face):
             v = i + 0.5 - va
             first, last = left, right
             if wide:  # where all three shares are positive: long thin faces are common
-                low, high = _cut(1.0 + av * v, au, ra, _cut(bv * v, bu, rb, _cut(cv * v, cu, rc, (left - ua, right - ua))))
+                low, high = _cut(
+                    1.0 + av * v, au, ra, _cut(bv * v, bu, rb, _cut(cv * v, cu, rc, (left - ua, right - ua)))
+                )
                 if not low < high:
                     continue
                 first, last = _between(low + ua, high + ua, size)

@@ -217,9 +217,7 @@ def _evaluate(
         if not there:
             value[b] = np.inf
             continue
-        profile(
-            r, w, relief, on_hand, priors, sigma, TAIL, rounds, exact, u, left[b], sums, A, of_clip[b], of_frame[b]
-        )
+        profile(r, w, relief, on_hand, priors, sigma, TAIL, rounds, exact, u, left[b], sums, A, of_clip[b], of_frame[b])
         shared = (priors[0] * of_clip[b, 0] ** 2 + priors[1] * of_clip[b, 1] ** 2 + priors[2] * of_clip[b, 2] ** 2) / N
         total = 0.0
         for n in range(N):
