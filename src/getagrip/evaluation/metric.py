@@ -237,14 +237,20 @@ METRICS = Table(
 """All of them by name, in the order in which tables show them."""
 
 
-def measure(it: Comparison, wanted: Sequence[Metric] | None = None) -> tuple[dict[str, float], dict[str, list[float]]]:
+def measure(
+    it: Comparison, wanted: Sequence[Metric] | None = None, on_metric: Callable[[str, float], None] | None = None
+) -> tuple[dict[str, float], dict[str, list[float]]]:
     """Compute the wanted metrics, or all, that can be known: one number for the clip each, and those per frame.
 
-    One of another package that raises is left out, after a warning.
+    One of another package that raises is left out, after a warning. ``on_metric`` is called before each with its name
+    and the share of metrics that are done.
     """
     metrics: dict[str, float] = {}
     per_frame: dict[str, list[float]] = {}
-    for metric in METRICS.working().values() if wanted is None else wanted:
+    wanted = tuple(METRICS.working().values()) if wanted is None else wanted
+    for done, metric in enumerate(wanted):
+        if on_metric:
+            on_metric(metric.name, done / len(wanted))
         for contact in it.contacts if metric.by_contact else it.contacts[:1]:
             try:
                 value = metric.of(it, contact)
