@@ -17,7 +17,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip.depth import DEPTH, DepthSource
-from getagrip.clip.depth_files import READERS, SUFFIXES, cleaned, png_size, read_pixels, read_png16
+from getagrip.clip.depth_files import SUFFIXES, cleaned, png_size, read_pixels, read_png16
 from getagrip.clip.naming import check_numbers, frames_of, number_of
 from getagrip.errors import InputError, UsageError, unknown
 from getagrip.io import arrays, files

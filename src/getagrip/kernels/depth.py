@@ -121,7 +121,8 @@ def profile(r, weight, relief, on_hand, priors, sigma, tail, rounds, exact, u, l
     """Fit the errors of depth images to r (N, M) by iteratively reweighted least squares.
 
     Minimises ``sum of weight tail^2 log(1 + (left / (tail sigma))^2)`` and of ``prior error^2``, where ``left`` (N, M)
-    is r without the errors: of_clip (3,) times relief, on_hand and 1, and of_frame (N,). ``priors`` are theirs (4,).
+    is r without the errors: of_clip (3,) times relief, on_hand and 1, and of_frame (N,). ``priors`` are theirs (4,), sigma is that
+    of each sample (N, M).
     Ends after so many ``rounds``, or when of_frame changes by less than ``exact``. Fills in ``left``, the weights ``u``
     (N, M) of least squares, their ``sums`` (N, 8), and the normal matrix A (3, 3) of of_clip, below its diagonal.
     """
@@ -130,7 +131,7 @@ def profile(r, weight, relief, on_hand, priors, sigma, tail, rounds, exact, u, l
     of_clip[:], of_frame[:] = 0.0, 0.0
     for n in range(N):
         for m in range(M):
-            u[n, m] = weight[n, m] / sigma**2
+            u[n, m] = weight[n, m] / sigma[n, m] ** 2
     for _ in range(rounds):
         _normal(r, u, relief, on_hand, priors, sums, A, y)
         _solve(A, y, of_clip)
@@ -142,7 +143,7 @@ def profile(r, weight, relief, on_hand, priors, sigma, tail, rounds, exact, u, l
             for m in range(M):
                 left[n, m] = r[n, m] - g * relief[n, m] - h * on_hand[n, m] - a - b
             for m in range(M):
-                u[n, m] = weight[n, m] / (sigma**2 + (left[n, m] / tail) ** 2)
+                u[n, m] = weight[n, m] / (sigma[n, m] ** 2 + (left[n, m] / tail) ** 2)
         if change < exact:
             break
     _normal(r, u, relief, on_hand, priors, sums, A, y)

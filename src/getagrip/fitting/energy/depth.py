@@ -1,6 +1,6 @@
 """E_depth: how far the visible surfaces of object and hand are from where depth images say, up to what those may err.
 
-At a sample, r = log z - log z' compares the distance z of the posed surface with the depth image's z'. The image errs by
+At a sample, r = log z - log z' compares the distance z of the posed surface with the z' of the image, which errs by
 
     r = a + b_n + g d + h + noise
 
@@ -16,7 +16,7 @@ At the minimum the derivatives of Q by a, b_n, g and h vanish, so the gradient o
 is less, and ties all frames to each other (Schur complement). The outer logarithm lets depth count the less the worse
 it fits at its best: that of another scene, or a warped one.
 
-Without a moving hand the hand's samples say what a is, as well as the given hand is known.
+Without a moving hand the hand's samples say what a is, as well as the given hand is known: sigma is larger there.
 """
 
 from __future__ import annotations
@@ -36,12 +36,13 @@ from getagrip.kernels.silhouette import OPTIONS
 
 TAIL = 2.5
 """c: errors beyond so many deviations count less and less."""
-KAPPA = 8.0
+KAPPA = 20.0
 """Misfit of a frame at which depth counts half [squared deviations]."""
 MISSED = 0.1
 """Error that a sample has whose ray misses the surface [share of the distance]."""
-GIVEN_HAND = 0.02
-"""Error of the given hand's distance, the same in all frames [share of the distance]: 13 to 18 mm at arm's length."""
+GIVEN_HAND, GIVEN_SURFACE = 0.02, 0.015
+"""Error of the given hand's distance, the same in all frames, and of its surface [shares of the distance]: 13 to 18 mm,
+and what 0.28 rad do to a surface 5 cm from the middle, at arm's length."""
 ROUNDS = 12
 """Most iterations by which the image's errors are found (iteratively reweighted least squares)."""
 EXACT = 1e-3
@@ -155,6 +156,11 @@ class DepthTerm:
         """Return what the images err by."""
         return self._evaluate(poses, no_bound(poses))[1]
 
+    def squared_deviations(self, poses: PosesInCamera) -> Float[ndarray, "B"]:
+        """Return Q per frame."""
+        total = self._evaluate(poses, no_bound(poses))[0].value.mean(axis=1) / self.weight
+        return np.asarray(KAPPA * np.expm1(total / KAPPA))
+
     def _evaluate(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> tuple[Quadratic, ImageErrors]:
         (B, N), s = poses.centre.shape[:2], self.samples
         moves = isinstance(poses, ObjectWithHand)
@@ -163,12 +169,14 @@ class DepthTerm:
         q = replace(Quadratic.zero(poses, P), cross=np.zeros((B, N, P, N, P)))
         image = ImageErrors(np.zeros((B, 3)), np.zeros((B, N)), np.zeros((B, *s.log_z.shape)))
         apart = self.errors.apart if moves else np.hypot(self.errors.apart, GIVEN_HAND)
+        surface = 0.0 if moves else GIVEN_SURFACE
+        sigma = np.array([self.errors.noise, np.hypot(self.errors.noise, surface)])
         priors = np.array([self.errors.relief, apart, self.errors.clip, self.errors.frame]) ** -2.0
         _evaluate(
             poses.R, poses.centre, poses.scale, self.object.vertices, self.object.planes, self.object.faces, self.object.closed,
             hand.R, hand.centre, hand.scale, self.hand.vertices, self.hand.planes, self.hand.faces, self.hand.closed, moves,
             s.K, s.size, s.place, s.on_object, s.used, s.log_z, s.relief, s.weight, s.given,
-            priors, self.errors.noise, self.weight, EXACT * self.errors.noise, ROUNDS, bound,
+            priors, sigma, self.weight, EXACT * self.errors.noise, ROUNDS, bound,
             q.value, q.g, q.H, q.cross, image.of_clip, image.of_frame, image.left,
         )  # fmt: skip
         return q, image
@@ -189,10 +197,10 @@ def _evaluate(
     nearest, face = np.empty((size, size)), np.empty((size, size), np.int64)
     r, u, w, on_hand, J = np.empty((N, M)), np.empty((N, M)), np.empty((N, M)), np.zeros((N, M)), np.empty((N, M, 7))
     sums, A, tied = np.empty((N, 8)), np.empty((3, 3)), np.empty((N, 3, P))
-    missed = TAIL**2 * np.log1p((MISSED / (TAIL * sigma)) ** 2)
+    missed, sigmas = TAIL**2 * np.log1p((MISSED / (TAIL * sigma[0])) ** 2), np.full((N, M), sigma[0])
     most = KAPPA * N
     for n in range(N):
-        on_hand[n, on_object[n] :] = 1.0
+        on_hand[n, on_object[n] :], sigmas[n, on_object[n] :] = 1.0, sigma[1]
     for b in range(B):
         if not bound[b] >= 0.0:  # the step is rejected, whatever depth says
             continue
@@ -217,14 +225,14 @@ def _evaluate(
         if not there:
             value[b] = np.inf
             continue
-        profile(r, w, relief, on_hand, priors, sigma, TAIL, rounds, exact, u, left[b], sums, A, of_clip[b], of_frame[b])
+        profile(r, w, relief, on_hand, priors, sigmas, TAIL, rounds, exact, u, left[b], sums, A, of_clip[b], of_frame[b])
         shared = (priors[0] * of_clip[b, 0] ** 2 + priors[1] * of_clip[b, 1] ** 2 + priors[2] * of_clip[b, 2] ** 2) / N
         total = 0.0
         for n in range(N):
             cost = shared + priors[3] * of_frame[b, n] ** 2
             for m in range(used[n]):
-                cost += w[n, m] * TAIL**2 * np.log1p((left[b, n, m] / (TAIL * sigma)) ** 2)
-                cost += (weight[n, m] - w[n, m]) * missed
+                cost += w[n, m] * TAIL**2 * np.log1p((left[b, n, m] / (TAIL * sigmas[n, m])) ** 2)
+                cost += (weight[n, m] - w[n, m]) * missed * (moves or m < on_object[n])
             value[b, n] = cost
             total += cost
         value[b] *= unit * most * np.log1p(total / most) / total
