@@ -230,6 +230,9 @@ def _evaluate(
         total = 0.0
         for n in range(N):
             cost = shared + priors[3] * of_frame[b, n] ** 2
+            for m in range(M):
+                if w[n, m] == 0.0:
+                    left[b, n, m] = 0.0
             for m in range(used[n]):
                 cost += w[n, m] * TAIL**2 * np.log1p((left[b, n, m] / (TAIL * sigmas[n, m])) ** 2)
                 cost += (weight[n, m] - w[n, m]) * missed * (moves or m < on_object[n])
