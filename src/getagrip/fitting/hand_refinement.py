@@ -10,19 +10,19 @@ finger that is elsewhere weighs by its length and not by its square.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip import least_squares
 from getagrip.clip import Clip, Masks
 from getagrip.clip.sampling import frame_indices
 from getagrip.fitting.hand_errors import RIGID
+from getagrip.fitting.hand_fit import AssumedErrors, HandFit
 from getagrip.fitting.hand_silhouette import HandSilhouette
 from getagrip.geometry import se3
-from getagrip.least_squares import Arrow
 
 PIXEL = 0.03
 """Weight of a pixel against the prior: thirty of them, side by side along a contour, are as much as one fact."""
@@ -31,6 +31,7 @@ BIAS = np.repeat([0.08, 0.008, 0.01, 0.2], [3, 3, 1, 15])
 logarithm of the size, bend of each finger joint [rad]. They are no tracker's in particular."""
 JITTER = np.repeat([0.03, 0.003, 0.003, 0.1], [3, 3, 1, 15])
 """Those of each frame's own errors; neighbouring frames are taken as independent."""
+ASSUMED = AssumedErrors(BIAS, JITTER, PIXEL)
 WORTH = 0.01
 """Share of the hand's visible pixels that a refinement must correct; less is noise of masks."""
 AGREE = 0.4
@@ -90,69 +91,24 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
     if before < WORTH:
         return None, before
     found = _fitted(seen.with_field, unrefined)
-    after = found.pixels / seen.mask.pixels
+    after = float(found.value.sum()) / seen.mask.pixels
     if after > AGREE or before - after < WORTH:
         return None, before
-    T, T_input, middle = found.T_cam_hand, clip.hand.T_cam_hand, seen.errors.middle[None]
+    T, T_input, middle = seen.errors.T_cam_hand(found.errors), clip.hand.T_cam_hand, seen.errors.middle[None]
     turned = se3.angle_between(T[:, :3, :3], T_input[:, :3, :3])
     moved = np.linalg.norm(se3.transform(T, middle) - se3.transform(T_input, middle), axis=-1)
     return HandRefinement(T, float(turned.mean()), float(moved.mean()), before, after, seen.mask.grown), after
 
 
-def _fitted(seen: HandSilhouette, unrefined: Float[ndarray, "N P"]) -> _Fit:
+def _fitted(seen: HandSilhouette, unrefined: Float[ndarray, "N P"]) -> HandFit:
     """Minimise the cost: first by rigid errors alone, since bends, too, could explain a hand that is turned."""
     rigid, few, all_frames = STEPS
-    found = least_squares.minimise(_Fit.of(seen, unrefined), rigid).state
+    found = least_squares.minimise(HandFit.of(seen, ASSUMED, unrefined), rigid).state
     seen = seen.with_bends
     if seen.errors.weights is None:
         return found
     spare = seen.errors.size - RIGID
     shared, own = np.pad(found.shared, (0, spare)), np.pad(found.own, ((0, 0), (0, spare)))
     index = frame_indices(len(own), FEW)
-    some = least_squares.minimise(_Fit.of(seen.take(index), own[index], shared), few).state
-    return least_squares.minimise(_Fit.of(seen, own, some.shared), all_frames).state
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """Errors, and all that is known about them (``least_squares.State``, of one problem)."""
-
-    seen: HandSilhouette
-    shared: Float[ndarray, "P"]
-    own: Float[ndarray, "N P"]
-    value: Float[ndarray, "N"] = field(repr=False)
-    g: Float[ndarray, "N P"] = field(repr=False)
-    H: Float[ndarray, "N P P"] = field(repr=False)
-
-    @staticmethod
-    def of(seen: HandSilhouette, own: Float[ndarray, "N P"], shared: Float[ndarray, "P"] | None = None) -> _Fit:
-        """Evaluate the cost at some errors."""
-        shared = np.zeros(own.shape[1]) if shared is None else shared
-        return _Fit(seen, shared, own, *seen(shared + own))
-
-    @property
-    def pixels(self) -> float:
-        """How many differ, in all frames."""
-        return float(self.value.sum())
-
-    @property
-    def T_cam_hand(self) -> Float[ndarray, "N 4 4"]:
-        return self.seen.errors.T_cam_hand(self.shared + self.own)
-
-    @property
-    def cost(self) -> Float[ndarray, "1"]:
-        P = len(self.shared)
-        prior = np.sum((self.shared / BIAS[:P]) ** 2) + np.sum((self.own / JITTER[:P]) ** 2)
-        return np.array([PIXEL * self.pixels + 0.5 * prior])
-
-    def trial(self, active: Int[ndarray, "n"], damping: Float[ndarray, "n"]) -> _Fit:
-        P = len(self.shared)
-        bias, jitter = BIAS[:P] ** -2.0, JITTER[:P] ** -2.0
-        arrow = Arrow.of(PIXEL * self.H[None], self.g[None], slice(P), slice(P))
-        arrow = replace(arrow, g_s=PIXEL * arrow.g_s, g_l=PIXEL * arrow.g_l)
-        arrow = arrow.plus(np.diag(bias), bias * self.shared, np.diag(jitter), jitter * self.own)
-        shared, own = arrow.step(damping)
-        return _Fit.of(self.seen, self.own + own[0], self.shared + shared[0])
-
-    def accept(self, trial: _Fit, active: Int[ndarray, "n"], better: Bool[ndarray, "n"]) -> _Fit:
-        return trial if better.all() else self
+    some = least_squares.minimise(HandFit.of(seen.take(index), ASSUMED, own[index], shared), few).state
+    return least_squares.minimise(HandFit.of(seen, ASSUMED, own, some.shared), all_frames).state
