@@ -126,8 +126,8 @@ def main(checkout: Path) -> None:
     rows += [line(name, errors, detected, joints) for name, joints in ({"all": [*range(21)]} | GROUPS).items()]
     notes = (
         "error: standard deviation along each axis, by the median, without gross hands (median error above "
-        f"{100 * GROSS:.0f} %); shift: of a hand's median error; rest: without it; beyond 3: share of joints whose rest "
-        "is beyond three deviations; by the palm: hands that were detected without the annotation.",
+        f"{100 * GROSS:.0f} %); shift: of a hand's median error; rest: without it; beyond 3: share of joints whose "
+        "rest is beyond three deviations; by the palm: hands that were detected without the annotation.",
     )
     table = store.of_cells("Errors of hand landmarks on real images, in % of the hand's box", HEADER, rows, notes)
     made = circumstances("python -m benchmarks.landmark_errors MMPOSE")
