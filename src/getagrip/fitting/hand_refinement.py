@@ -17,13 +17,15 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip import least_squares
+from getagrip.checks.keeping import kind_of
 from getagrip.clip import Clip, Masks
 from getagrip.clip.sampling import frame_indices
-from getagrip.fitting.hand_errors import RIGID
+from getagrip.fitting.hand_errors import RIGID, SHIFT, TURN
 from getagrip.fitting.hand_fit import AssumedErrors, HandFit
 from getagrip.fitting.hand_silhouette import HandSilhouette
 from getagrip.fitting.seen_joints import SeenJoints
 from getagrip.geometry import se3
+from getagrip.provenance import Provenance
 
 PIXEL = 0.03
 """Weight of a pixel against the prior: thirty of them, side by side along a contour, are as much as one fact."""
@@ -39,6 +41,8 @@ AGREE = 0.4
 """Share of them that may still differ afterwards; otherwise the mask is another hand's."""
 STEPS = 10, 8, 3
 """Iterations: without bends; with them, at some of the frames; at all of them."""
+ARM = 0.09
+"""Distance of an object from the hand's middle [m]."""
 FEW = 10
 """Frames of the second of these."""
 
@@ -53,6 +57,7 @@ class HandRefinement:
         moved: mean distance of the hand's middle from where it was given [m].
         before, after: share of the hand's seen pixels that differed from its silhouette, and that still do.
         grown: by how much its masks were grown before, since they are too small all round [px of a crop of 128].
+        covariance: (P, P) what pixels, joints and prior leave of the errors that all frames share.
     """
 
     T_cam_hand: Float[ndarray, "N 4 4"]
@@ -61,6 +66,7 @@ class HandRefinement:
     before: float
     after: float
     grown: float
+    covariance: Float[ndarray, "P P"]
 
     def __str__(self) -> str:
         grown = f" (grown by {self.grown:.1f} px: its masks are too small on all sides)" if self.grown else ""
@@ -98,7 +104,21 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
     T, T_input, middle = seen.errors.T_cam_hand(found.errors), clip.hand.T_cam_hand, seen.errors.middle[None]
     turned = se3.angle_between(T[:, :3, :3], T_input[:, :3, :3])
     moved = np.linalg.norm(se3.transform(T, middle) - se3.transform(T_input, middle), axis=-1)
-    return HandRefinement(T, float(turned.mean()), float(moved.mean()), before, after, seen.mask.grown), after
+    return HandRefinement(
+        T, float(turned.mean()), float(moved.mean()), before, after, seen.mask.grown, found.covariance
+    ), after
+
+
+def spread_of(provenance: Provenance, refined: HandRefinement | None) -> float:
+    """Return the standard deviation of an object in the hand that the hand's errors leave [m].
+
+    After a refinement it is that of the shared errors; before it, of estimated hands, that of their prior, else zero.
+    """
+    covariance = np.diag(BIAS**2.0) if refined is None else refined.covariance
+    if refined is None and kind_of(provenance) == "measured":
+        return 0.0
+    turn, shift = (float(np.trace(covariance[part, part])) for part in (TURN, SHIFT))
+    return float(np.sqrt(ARM**2 * turn + shift))
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from getagrip.clip.occlusion import occluded_by_hand
 from getagrip.fitting import pose_priors
 from getagrip.fitting.contact import MARGIN
 from getagrip.fitting.energy import Energy
-from getagrip.fitting.hand_refinement import refine_hand
+from getagrip.fitting.hand_refinement import refine_hand, spread_of
 from getagrip.fitting.mask_gaps import GAP_SHARE
 from getagrip.fitting.motion import Motion, PosesInHand
 from getagrip.fitting.observation import Observation, observe
@@ -50,6 +50,7 @@ class Trust:
     Attributes:
         hand_corrected: whether the hand was refined by its own pixels.
         hand_differing: share of the hand's visible pixels that differ from its silhouette; NaN where it is not known.
+        hand_spread: standard deviation of an object in the hand that the evidence on the hand leaves [m].
         hand_drawn: whether the drawn hand stands in for missing ignore masks.
         mesh_fitted: whether the mesh was warped to the masks.
         outliers: names of frames with outlier masks, which are left out (``outlier_masks``).
@@ -58,6 +59,7 @@ class Trust:
 
     hand_refined: bool = False
     hand_differing: float = np.nan
+    hand_spread: float = 0.0
     hand_drawn: bool = False
     mesh_fitted: bool = False
     outliers: tuple[str, ...] = ()
@@ -210,7 +212,10 @@ def _prepared(clip: Clip, options: Options, surface: Future[ObjectSurface], thre
     return Problem(
         clip=clip, masks=masks, observation=observation, surface=surface.result(),
         options=options, prior_poses=poses, notes=tuple(notes), threads=threads,
-        trust=Trust(hand_refined=correction is not None, hand_differing=differing, hand_drawn=hand_drawn),
+        trust=Trust(
+            hand_refined=correction is not None, hand_differing=differing, hand_drawn=hand_drawn,
+            hand_spread=spread_of(clip.provenance, correction),
+        ),
     )  # fmt: skip
 
 
