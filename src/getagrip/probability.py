@@ -35,9 +35,12 @@ class Probability:
     keep: float = 0.0
     candidates: int = 0
 
-    def kept(self, share: float) -> bool:
-        """Return whether the result is kept, so that at least this share of the kept ones is right."""
-        return self.keep >= share
+    @property
+    def keeping(self) -> str:
+        """Say for which share of right results it is kept, and how many candidates hold the right one, if known."""
+        kept = f"; kept where {100.0 * self.keep:.3g} % are to be right" if self.keep else ""
+        held = f"; {self.candidates} candidates hold the right one" if self.candidates > 1 else ""
+        return kept + held
 
     def __str__(self) -> str:
         return f"{percent(self.value)}{' (extrapolated)' if self.beyond else ''}"
