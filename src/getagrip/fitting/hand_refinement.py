@@ -10,10 +10,10 @@ finger that is elsewhere weighs by its length and not by its square.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip import least_squares
@@ -26,11 +26,12 @@ from getagrip.geometry import se3
 
 PIXEL = 0.03
 """Weight of a pixel against the prior: thirty of them, side by side along a contour, are as much as one fact."""
-BIAS = np.repeat([0.08, 0.008, 0.01, 0.2], [3, 3, 1, 15])
+BIAS = np.repeat([0.16, 0.010, 0.01, 0.2], [3, 3, 1, 15])
 """Assumed standard deviations of the errors that all frames share: turn about each axis [rad], shift along each [m],
-logarithm of the size, bend of each finger joint [rad]. They are no tracker's in particular."""
-JITTER = np.repeat([0.03, 0.003, 0.003, 0.1], [3, 3, 1, 15])
-"""Those of each frame's own errors; neighbouring frames are taken as independent."""
+logarithm of the size, bend of each finger joint [rad]. They are those of estimates from images (docs/datasets.md),
+but for the size, without which nothing tells the distance."""
+JITTER = np.repeat([0.08, 0.006, 0.003, 0.1], [3, 3, 1, 15])
+"""Those of each frame's own errors, likewise, outliers among them; neighbouring frames are taken as independent."""
 ASSUMED = AssumedErrors(BIAS, JITTER, PIXEL)
 WORTH = 0.01
 """Share of the hand's visible pixels that a refinement must correct; less is noise of masks."""
@@ -52,6 +53,9 @@ class HandRefinement:
         moved: mean distance of the hand's middle from where it was given [m].
         before, after: share of the hand's seen pixels that differed from its silhouette, and that still do.
         grown: by how much its masks were grown before, since they are too small all round [px of a crop of 128].
+        seen: the hand as it was given, its pixels, and how errors move it.
+        shared: (P,) the errors that all frames share (``HandErrors``).
+        own: (N, P) those of each frame.
     """
 
     T_cam_hand: Float[ndarray, "N 4 4"]
@@ -60,6 +64,21 @@ class HandRefinement:
     before: float
     after: float
     grown: float
+    seen: HandSilhouette = field(repr=False)
+    shared: Float[ndarray, "P"] = field(repr=False)
+    own: Float[ndarray, "N P"] = field(repr=False)
+
+    def take(self, index: Int[ndarray, "n"]) -> HandRefinement:
+        """Return the refinement at some of its frames."""
+        return replace(self, T_cam_hand=self.T_cam_hand[index], seen=self.seen.take(index), own=self.own[index])
+
+    @property
+    def bent(self) -> HandSilhouette:
+        """The hand as it was given, its fingers bent as its pixels say."""
+        errors, x = self.seen.errors, self.shared + self.own
+        x[:, :RIGID] = 0.0
+        vertices, joints = errors.surface(x)
+        return replace(self.seen, errors=replace(errors, tracked=replace(errors.tracked, vertices=vertices, joints=joints)))
 
     def __str__(self) -> str:
         grown = f" (grown by {self.grown:.1f} px: its masks are too small on all sides)" if self.grown else ""
@@ -90,14 +109,17 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
         before = seen.differing(unrefined) / seen.mask.pixels
     if before < WORTH:
         return None, before
-    found = _fitted(seen.with_field, unrefined)
+    seen = seen.with_field
+    found = _fitted(seen, unrefined)
     after = float(found.value.sum()) / seen.mask.pixels
     if after > AGREE or before - after < WORTH:
         return None, before
     T, T_input, middle = seen.errors.T_cam_hand(found.errors), clip.hand.T_cam_hand, seen.errors.middle[None]
     turned = se3.angle_between(T[:, :3, :3], T_input[:, :3, :3])
     moved = np.linalg.norm(se3.transform(T, middle) - se3.transform(T_input, middle), axis=-1)
-    return HandRefinement(T, float(turned.mean()), float(moved.mean()), before, after, seen.mask.grown), after
+    seen = seen if found.own.shape[1] == RIGID else seen.with_bends
+    how = float(turned.mean()), float(moved.mean()), before, after, seen.mask.grown
+    return HandRefinement(T, *how, seen, found.shared, found.own), after
 
 
 def _fitted(seen: HandSilhouette, unrefined: Float[ndarray, "N P"]) -> HandFit:

@@ -75,6 +75,8 @@ def hand_mask_of(problem: Problem) -> HandEnergy:
 
     @cache
     def seen() -> HandSilhouette:
+        if problem.refinement is not None:
+            return problem.refinement.bent
         return HandSilhouette.of(problem.clip, problem.input_masks).with_field
 
     def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[HandTerm]:
