@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Literal, Self, get_args
+from typing import TYPE_CHECKING, Literal, Self, get_args
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -14,8 +14,15 @@ from getagrip.errors import UsageError
 from getagrip.finding import Finding
 from getagrip.geometry.warp import Warp
 from getagrip.io.array_data import ArrayData
+from getagrip.io.brief import view
 from getagrip.probability import Probability
 from getagrip.result.segments import SegmentResult
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from getagrip.clip import Clip, Masks
+    from getagrip.notebook import Page
 
 FrameKind = Literal["sampled", "fitted", "interpolated"]
 """How the pose of a frame was found: together with the other sampled ones; from its own mask, with the parameters that
@@ -142,6 +149,34 @@ class Reconstruction(ArrayData):
             candidates=Candidates(T_hand_obj[None], np.array([scale]), np.zeros(1)), energy={}, status=Status.EXTERNAL,
             ambiguous=False, seconds={},
         )  # fmt: skip
+
+    def made_of(self, clip: Clip, masks: Masks | None) -> Self:
+        """Return this result, which from here on knows its inputs, for ``plot`` and ``show``; no copy or file does."""
+        self.__dict__["_inputs"] = clip, masks
+        return self
+
+    def __getstate__(self) -> dict[str, object]:
+        return {name: value for name, value in self.__dict__.items() if name != "_inputs"}
+
+    @property
+    def inputs(self) -> tuple[Clip, Masks | None] | None:
+        """The clip and masks that ``reconstruct`` made it of; None for one that was read, or changed since."""
+        return self.__dict__.get("_inputs")
+
+    def plot(self, clip: Clip | None = None, masks: Masks | None = None) -> Figure:
+        """Draw the result: silhouettes, the axis in two views, angle and IOU over time; a notebook shows the figure.
+
+        Without arguments it is drawn with the clip and the masks that ``reconstruct`` made it of. Raises ``UsageError``
+        where a clip is needed: for a result that was read from a folder.
+        """
+        return view("plotted")(self, clip, masks)
+
+    def show(self, clip: Clip | None = None, masks: Masks | None = None, height: int = 820) -> Page:
+        """Make the page of the result, which plays in 3D; a notebook shows it, ``height`` pixels high.
+
+        Takes and raises what ``plot`` does.
+        """
+        return view("page")(self, clip, masks, height)
 
     @property
     def probabilities(self) -> dict[str, Probability]:

@@ -13,6 +13,7 @@ from numpy import ndarray
 
 from getagrip.errors import legible
 from getagrip.io import arrays, code, files, plugins
+from getagrip.io.named import named
 from getagrip.result.data import Reconstruction
 
 VERSION = 2
@@ -24,6 +25,7 @@ WARP = ("warp_centre", "warp_radius", "warp_coefficients")
 """Arrays of ``result.npz`` that are there together or not at all."""
 
 
+@named
 def write_result(
     result: Reconstruction,
     folder: str | Path,

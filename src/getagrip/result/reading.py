@@ -15,6 +15,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.warp import MONOMIALS, Warp
 from getagrip.io import arrays, files
 from getagrip.io.files import Json
+from getagrip.io.named import named
 from getagrip.probability import read_probability
 from getagrip.result.data import Axis, Candidates, FrameKind, Reconstruction, Status
 from getagrip.result.folder import AXIS, VERSION, WARP
@@ -57,6 +58,7 @@ FIELDS: dict[str, tuple[type, str]] = {
 """Keys of ``result.json``, each with its type."""
 
 
+@named
 def read_result(folder: str | Path) -> tuple[Reconstruction, Json]:
     """Read and check a result folder.
 

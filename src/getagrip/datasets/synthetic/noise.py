@@ -31,10 +31,11 @@ from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import bounding_boxes
 from getagrip.hands.bending import bent, finger_weights
+from getagrip.io.named import NamedFields
 
 
 @dataclass(frozen=True)
-class Noise:
+class Noise(NamedFields):
     """The errors of a clip's hands and masks.
 
     Attributes:
