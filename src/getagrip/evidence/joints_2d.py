@@ -10,8 +10,11 @@ from typing import TYPE_CHECKING
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from getagrip.checks import Check
+from getagrip.checks.check import percent
 from getagrip.clip import Clip, Modality
 from getagrip.fitting.energy import Terms
+from getagrip.fitting.seen_joints import ELSEWHERE, share_elsewhere
 from getagrip.io.array_data import ArrayData
 
 if TYPE_CHECKING:  # files of clips are asked for by commands that fit nothing
@@ -39,9 +42,16 @@ class Joints2D(ArrayData):
 
 
 class HandJoints2D(Modality[Joints2D]):
-    """Where the hand's joints are seen. They are the hand's (``HandTrack.joints_2d``), and stay with it."""
+    """Places of the hand's joints in the images. They are the hand's (``HandTrack.joints_2d``), and stay with it."""
 
     name = "joints-2d"
+    input_checks = (
+        Check(
+            "joints-elsewhere", lambda it: share_elsewhere(it.clip, it.masks), high=ELSEWHERE, serious=False,
+            shown=percent, fault="{value} of the hand's 2D joints are neither on the hand nor on the object",
+            advice="they were left out: are they of the other hand, or of images of another size?",
+        ),
+    )  # fmt: skip
 
     def files(self, folder: Path, frames: Sequence[str]) -> list[str]:
         return []  # hand.npz is a file of every clip

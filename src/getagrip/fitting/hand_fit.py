@@ -22,7 +22,7 @@ OnErrors = Callable[[Float[ndarray, "N P"]], tuple[Float[ndarray, "N"], Float[nd
 
 @dataclass(frozen=True)
 class AssumedErrors:
-    """What is assumed of a hand's errors: standard deviations of b and of e_n, and what a unit of evidence weighs."""
+    """Standard deviations that are assumed of b and of e_n, and the weight of a unit of evidence."""
 
     bias: Float[ndarray, "Q"]
     jitter: Float[ndarray, "Q"]

@@ -22,6 +22,7 @@ from getagrip.clip.sampling import frame_indices
 from getagrip.fitting.hand_errors import RIGID
 from getagrip.fitting.hand_fit import AssumedErrors, HandFit
 from getagrip.fitting.hand_silhouette import HandSilhouette
+from getagrip.fitting.seen_joints import SeenJoints
 from getagrip.geometry import se3
 
 PIXEL = 0.03
@@ -97,7 +98,7 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
     ``masks.hand``, else the ignored ones near the given hand. Where masks leave gaps (``mask_gaps``) the hand's may be
     too small all round, and are grown first.
     """
-    seen = HandSilhouette.of(clip, masks)
+    seen, joints = HandSilhouette.of(clip, masks), SeenJoints.of(clip, masks)
     if seen.mask.pixels == 0:
         return None, float("nan")
     unrefined = np.zeros((len(clip), RIGID))
@@ -107,12 +108,12 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
     if have_gaps:
         seen = seen.with_masks_grown(unrefined)
         before = seen.differing(unrefined) / seen.mask.pixels
-    if before < WORTH:
+    if before < WORTH and joints is None:
         return None, before
     seen = seen.with_field
-    found = _fitted(seen, unrefined)
-    after = float(found.value.sum()) / seen.mask.pixels
-    if after > AGREE or before - after < WORTH:
+    found = _fitted(_SeenHand(seen, joints), unrefined)
+    after = (float(found.value.sum()) if joints is None else seen.with_bends.differing(found.errors)) / seen.mask.pixels
+    if after > AGREE or (before - after < WORTH and joints is None):
         return None, before
     T, T_input, middle = seen.errors.T_cam_hand(found.errors), clip.hand.T_cam_hand, seen.errors.middle[None]
     turned = se3.angle_between(T[:, :3, :3], T_input[:, :3, :3])
@@ -122,14 +123,40 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
     return HandRefinement(T, *how, seen, found.shared, found.own), after
 
 
-def _fitted(seen: HandSilhouette, unrefined: Float[ndarray, "N P"]) -> HandFit:
+@dataclass(frozen=True)
+class _SeenHand:
+    """The hand's silhouette and, where they are known, its joints."""
+
+    silhouette: HandSilhouette
+    joints: SeenJoints | None
+
+    @property
+    def with_bends(self) -> _SeenHand:
+        return replace(self, silhouette=self.silhouette.with_bends)
+
+    def take(self, index: Int[ndarray, "n"]) -> _SeenHand:
+        return _SeenHand(self.silhouette.take(index), self.joints and self.joints.take(index))
+
+    def __call__(
+        self, x: Float[ndarray, "N P"]
+    ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]:
+        """Differing pixels of each frame, and what its joints cost in pixels; with derivatives."""
+        found = self.silhouette(x)
+        if self.joints is None:
+            return found
+        joints = self.joints.rigid if x.shape[1] == RIGID else self.joints
+        value, g, H = (a + b / PIXEL for a, b in zip(found, joints(x), strict=True))
+        return value, g, H
+
+
+def _fitted(seen: _SeenHand, unrefined: Float[ndarray, "N P"]) -> HandFit:
     """Minimise the cost: first by rigid errors alone, since bends, too, could explain a hand that is turned."""
     rigid, few, all_frames = STEPS
     found = least_squares.minimise(HandFit.of(seen, ASSUMED, unrefined), rigid).state
     seen = seen.with_bends
-    if seen.errors.weights is None:
+    if seen.silhouette.errors.weights is None:
         return found
-    spare = seen.errors.size - RIGID
+    spare = seen.silhouette.errors.size - RIGID
     shared, own = np.pad(found.shared, (0, spare)), np.pad(found.own, ((0, 0), (0, spare)))
     index = frame_indices(len(own), FEW)
     some = least_squares.minimise(HandFit.of(seen.take(index), ASSUMED, own[index], shared), few).state

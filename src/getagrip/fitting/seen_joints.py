@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
@@ -31,10 +32,16 @@ TAIL = 4.0
 """Degrees of freedom of Student's t."""
 HIDDEN = 2.5
 """How many times as far a joint is off that the object hides."""
-TOGETHER = 0.6
-"""Shift of all joints of a frame, in ``own``."""
+TOGETHER = 0.85
+"""Shift of all joints of a frame, in ``own``: as measured, if half of the rest is a frame's own
+(``results/landmark-errors.json``)."""
 FIRST, LEAST = 0.03, 0.004
 """Error before it is estimated, and the least that is believed [shares of the hand's box]."""
+BESIDE, ELSEWHERE = 0.08, 0.3
+"""A joint farther from the masks than this share of the joints' box is elsewhere; joints more of which are elsewhere
+are not this hand's."""
+WORST = 0.1
+"""Joints whose lasting errors are larger are another hand's, too."""
 ROUNDS, STEPS = 2, 12
 SHIFTS, CLOSE = 40, 1e-4
 """Most iterations for d, and the step that ends them [deviations]."""
@@ -67,7 +74,7 @@ class SeenJoints:
 
     @staticmethod
     def of(clip: Clip, masks: Masks | None) -> SeenJoints | None:
-        """Return the joints of a clip, their errors estimated; None where it has none, or where none of them count.
+        """Return the joints of a clip, their errors estimated; None where it has none, or they are not its hand's.
 
         ``masks``: in the same frames; None: no joint is taken to be hidden.
         """
@@ -78,12 +85,17 @@ class SeenJoints:
         points = np.nan_to_num(hand.joints_2d)
         if np.count_nonzero(confidence.any(axis=1)) < 2:
             return None
+        if masks is not None and share_elsewhere(clip, masks) > ELSEWHERE:
+            return None
         box = np.ptp(_projected(clip.K, hand), axis=1).max(axis=-1)
         hidden = np.zeros(confidence.shape, dtype=bool) if masks is None else _within(masks, points)
         seen = SeenJoints(
             HandErrors.of(hand).with_bends, clip.K, points, confidence, box[:, None] * np.where(hidden, HIDDEN, 1.0)
         )
-        return seen.with_sizes_estimated() if np.isfinite(seen.cost_and_pull(_in_camera(hand))[0]).all() else None
+        if not np.isfinite(seen.cost_and_pull(_in_camera(hand))[0]).all():
+            return None
+        seen = seen.with_sizes_estimated()
+        return seen if seen.lasting < WORST else None
 
     def take(self, index: Int[ndarray, "n"]) -> SeenJoints:
         """Return the joints at some of the frames."""
@@ -174,6 +186,28 @@ class SeenJoints:
         value = 0.5 * np.sum(d**2, axis=1) / t**2
         value = value + 0.5 * (TAIL + 2.0) * np.sum(self.confidence * np.log1p(q / TAIL), axis=1)
         return np.where((X[..., 2] > 0.0).all(axis=1), value, np.inf), off - d[:, None], w, t
+
+
+def share_elsewhere(clip: Clip, masks: Masks) -> float:
+    """Measure the share of joints seen in the image that are neither on the hand nor on the object, by the masks.
+
+    NaN where there are no joints, or no masks that show the hand.
+    """
+    hand, hands = clip.hand, masks.ignore if masks.hand is None else masks.hand
+    if hand.joints_2d is None or hand.joints_2d_confidence is None:
+        return float("nan")
+    elsewhere, height, width = [], *masks.object.shape[1:]
+    for seen, confidence, shown, held in zip(
+        hand.joints_2d, hand.joints_2d_confidence, hands, masks.object, strict=True
+    ):
+        inside = np.all((seen >= 0.0) & (seen < [width, height]), axis=1)  # not of NaN
+        points = seen[(confidence > 0.0) & inside]
+        if not shown.any() or not len(points):
+            continue
+        far = cv2.distanceTransform((~(shown | held)).astype(np.uint8), cv2.DIST_L2, 3)
+        u, v = points.astype(int).T
+        elsewhere += list(far[v, u] > BESIDE * np.ptp(points, axis=0).max())
+    return float(np.mean(elsewhere)) if elsewhere else float("nan")
 
 
 def image_derivatives(K: Float[ndarray, "N 3 3"], X: Float[ndarray, "N 21 3"]) -> Float[ndarray, "N 21 2 3"]:

@@ -21,11 +21,11 @@ _WRIST, _INDEX, _PINKY = 0, 5, 17
 CHAINS = np.arange(1, 21).reshape(5, 4)
 """Joints of each finger, from the palm to the tip."""
 BONE_OF_JOINT = np.zeros((21, 5, 3))
-"""How far each joint goes with each finger's three bones, as ``finger_weights`` says it of vertices."""
+"""Share by which each joint goes with each of the five fingers' three bones; of vertices: ``finger_weights``."""
 for _k in range(3):
     BONE_OF_JOINT[CHAINS[:, _k + 1], np.arange(5), _k] = 1.0
 CURLS = np.repeat(np.eye(5)[:, :, None], 3, axis=2)
-"""(5, 5, 3) modes of the fingers: each finger's three joints bend alike, by 1 rad."""
+"""(5, 5, 3) modes of the fingers: the three joints of one finger bend alike, by 1 rad."""
 _SMOOTHINGS = 4
 
 
