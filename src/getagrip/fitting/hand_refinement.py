@@ -19,7 +19,7 @@ from numpy import ndarray
 from getagrip import least_squares
 from getagrip.clip import Clip, Masks
 from getagrip.clip.sampling import frame_indices
-from getagrip.fitting.hand_errors import RIGID
+from getagrip.fitting.hand_errors import RIGID, HandErrors
 from getagrip.fitting.hand_fit import AssumedErrors, HandFit
 from getagrip.fitting.hand_silhouette import HandSilhouette
 from getagrip.fitting.seen_joints import SeenJoints
@@ -57,6 +57,7 @@ class HandRefinement:
         seen: the hand as it was given, its pixels, and how errors move it.
         shared: (P,) the errors that all frames share (``HandErrors``).
         own: (N, P) those of each frame.
+        joints: its joints as they were seen; None where they are not known.
     """
 
     T_cam_hand: Float[ndarray, "N 4 4"]
@@ -68,18 +69,22 @@ class HandRefinement:
     seen: HandSilhouette = field(repr=False)
     shared: Float[ndarray, "P"] = field(repr=False)
     own: Float[ndarray, "N P"] = field(repr=False)
+    joints: SeenJoints | None = field(repr=False)
 
     def take(self, index: Int[ndarray, "n"]) -> HandRefinement:
         """Return the refinement at some of its frames."""
-        return replace(self, T_cam_hand=self.T_cam_hand[index], seen=self.seen.take(index), own=self.own[index])
+        return replace(
+            self, T_cam_hand=self.T_cam_hand[index], seen=self.seen.take(index), own=self.own[index],
+            joints=self.joints and self.joints.take(index),
+        )  # fmt: skip
 
     @property
-    def bent(self) -> HandSilhouette:
-        """The hand as it was given, its fingers bent as its pixels say."""
+    def bent(self) -> HandErrors:
+        """The hand where it was given, its fingers bent as its evidence says, and its rigid errors."""
         errors, x = self.seen.errors, self.shared + self.own
         x[:, :RIGID] = 0.0
         vertices, joints = errors.surface(x)
-        return replace(self.seen, errors=replace(errors, tracked=replace(errors.tracked, vertices=vertices, joints=joints)))
+        return replace(errors, tracked=replace(errors.tracked, vertices=vertices, joints=joints), weights=None)
 
     def __str__(self) -> str:
         grown = f" (grown by {self.grown:.1f} px: its masks are too small on all sides)" if self.grown else ""
@@ -120,7 +125,7 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
     moved = np.linalg.norm(se3.transform(T, middle) - se3.transform(T_input, middle), axis=-1)
     seen = seen if found.own.shape[1] == RIGID else seen.with_bends
     how = float(turned.mean()), float(moved.mean()), before, after, seen.mask.grown
-    return HandRefinement(T, *how, seen, found.shared, found.own), after
+    return HandRefinement(T, *how, seen, found.shared, found.own, joints), after
 
 
 @dataclass(frozen=True)

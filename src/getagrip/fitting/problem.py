@@ -29,6 +29,7 @@ from getagrip.fitting.mask_gaps import GAP_SHARE
 from getagrip.fitting.motion import Motion, PosesInHand
 from getagrip.fitting.observation import Observation, observe
 from getagrip.fitting.options import WITH_FREE_SCALE, Options
+from getagrip.fitting.solved_hand import SolvedHand
 from getagrip.fitting.surface import ObjectSurface
 from getagrip.geometry.warp import Warp
 from getagrip.io.terminal import counted
@@ -133,7 +134,7 @@ class Problem:
             return None
         return self.refinement.take(self.clip.index_of(clip.frames))
 
-    def at_given_hand(self) -> Problem:
+    def with_given_hand(self) -> Problem:
         """Return the problem with the hand where it was given."""
         if self.refinement is None:
             return self
@@ -147,6 +148,18 @@ class Problem:
         return replace(
             self, clip=clip, surface=ObjectSurface.of(clip.mesh), trust=replace(self.trust, mesh_fitted=True)
         )
+
+
+    def with_hand(self, hand: SolvedHand) -> Problem:
+        """Return the problem with its hand where it was solved."""
+        trust = replace(self.trust, hand_refined=True, hand_differing=hand.differing)
+        clip = self.clip.with_hand_at(hand.T_cam_hand)
+        return replace(self, clip=clip, notes=(*self.notes, str(hand)), trust=trust)
+
+    def as_found(self, found: MethodResult) -> Problem:
+        """Return the problem with the mesh and the hand that a method has found."""
+        problem = self.warped(found.warp)
+        return problem if found.hand is None else problem.with_hand(found.hand)
 
 
 EnergyOf = Callable[[Problem], Energy]
@@ -167,6 +180,7 @@ class MethodResult:
             where poses are interpolated there.
         energy_of: the energy of that fit.
         warp: what was made of the mesh, where it is not the object's (``shape``); poses and energies are of that.
+        hand: the hand that was solved together with the object; poses are relative to it. None: it is the problem's.
     """
 
     poses: PosesInHand
@@ -177,6 +191,7 @@ class MethodResult:
     motion: Motion | None = None
     energy_of: EnergyOf | None = None
     warp: Warp | None = None
+    hand: SolvedHand | None = None
 
 
 def prepare(clip: Clip, options: Options, threads: int = 1) -> Problem:
