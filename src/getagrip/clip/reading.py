@@ -22,6 +22,7 @@ from getagrip.clip.timeline import Side, at_frames, read_segments
 from getagrip.errors import InputError
 from getagrip.geometry.mesh_files import read_mesh
 from getagrip.io import arrays, files
+from getagrip.io.named import named
 from getagrip.provenance import Provenance, parse
 
 VERSION = 4
@@ -58,6 +59,7 @@ class ClipFields(TypedDict, total=False):
     segments: object
 
 
+@named
 def read_clip(folder: str | Path) -> Clip:
     """Read and check a clip, except its masks and images, in the frames that have a hand.
 

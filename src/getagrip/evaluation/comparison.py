@@ -26,6 +26,7 @@ from getagrip.metrics.contact import (
     stable_contact,
 )
 from getagrip.metrics.mask import MaskIou
+from getagrip.metrics.motion import ContactPairs
 from getagrip.metrics.pose import ObjectTrack, PoseErrors, best_symmetry, pose_errors
 from getagrip.metrics.symmetry import Symmetries, find_symmetries
 
@@ -161,6 +162,27 @@ class Comparison:
         if self.clip.scale == "known":
             raise MissingPartError
         return self.predicted.scale / self.true.scale - 1.0
+
+    @cached_property
+    def in_camera(self) -> tuple[Float[ndarray, "T Vh 3"], Float[ndarray, "T Vo 3"]]:
+        """Vertices of the predicted hand and of the object in the camera frame [m]."""
+        clip, track = self.clip, self.predicted_in_camera
+        hand = se3.transform(clip.hand.T_cam_hand, clip.hand.vertices)
+        return hand, se3.transform(track.T_ref_obj, track.scale * clip.mesh.vertices)
+
+    @cached_property
+    def truly_in_camera(self) -> tuple[Float[ndarray, "T Vh 3"], Float[ndarray, "T Vo 3"]]:
+        """Vertices of the true hand and of the true object; there are none where the hands do not share theirs."""
+        clip, truth = self.clip, self.clip.truth
+        if truth is None or truth.hand_vertices.shape != clip.hand.vertices.shape:
+            raise MissingPartError
+        hand = se3.transform(truth.T_cam_hand, truth.hand_vertices)
+        return hand, se3.transform(truth.T_cam_obj, truth.scale * clip.mesh.vertices)
+
+    @cached_property
+    def contact_pairs(self) -> ContactPairs:
+        """Vertices of the true hand and the nearest of the true object."""
+        return ContactPairs.of(*self.truly_in_camera)
 
     def contact(self, definition: ContactDefinition) -> StableContact:
         """Measure the stable contact of the reconstruction."""

@@ -70,7 +70,7 @@ def _search(prepared: Prepared, clock: Clock) -> Found:
             problem, found = fit_without_outliers(problem, lambda some: method.fit(some, clock))
         else:
             found = method.fit(problem, clock)
-            problem = problem.warped(found.warp)
+            problem = problem.as_found(found)
     except InputError:
         raise
     except GetagripError as error:
@@ -98,6 +98,7 @@ def _fit_all_frames(prepared: Prepared, found: Found, clock: Clock) -> Answer:
         hand_moved=problem.trust.hand_refined or bool(source.glitches and source.glitches.frames),
         T_cam_other_hand=None,
         notes=problem.notes,
+        hand=result.hand,
     )
 
 

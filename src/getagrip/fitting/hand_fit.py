@@ -60,14 +60,6 @@ class HandFit:
         prior = np.sum((self.shared / self.assumed.bias[:P]) ** 2) + np.sum((self.own / self.assumed.jitter[:P]) ** 2)
         return np.array([self.assumed.unit * float(self.value.sum()) + 0.5 * prior])
 
-    @property
-    def covariance(self) -> Float[ndarray, "P P"]:
-        """Covariance that evidence and prior leave of the shared errors, each frame's own at their best."""
-        P, H = len(self.shared), self.assumed.unit * self.H
-        jitter = np.diag(self.assumed.jitter[:P] ** -2.0)
-        alone = jitter - jitter @ np.linalg.solve(H + jitter, jitter + np.zeros_like(H))
-        return np.asarray(np.linalg.inv(alone.sum(axis=0) + np.diag(self.assumed.bias[:P] ** -2.0)))
-
     def trial(self, active: Int[ndarray, "n"], damping: Float[ndarray, "n"]) -> HandFit:
         P, unit = len(self.shared), self.assumed.unit
         bias, jitter = self.assumed.bias[:P] ** -2.0, self.assumed.jitter[:P] ** -2.0

@@ -10,30 +10,29 @@ finger that is elsewhere weighs by its length and not by its square.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip import least_squares
-from getagrip.checks.keeping import kind_of
 from getagrip.clip import Clip, Masks
 from getagrip.clip.sampling import frame_indices
-from getagrip.fitting.hand_errors import RIGID, SHIFT, TURN
+from getagrip.fitting.hand_errors import RIGID, HandErrors
 from getagrip.fitting.hand_fit import AssumedErrors, HandFit
 from getagrip.fitting.hand_silhouette import HandSilhouette
 from getagrip.fitting.seen_joints import SeenJoints
 from getagrip.geometry import se3
-from getagrip.provenance import Provenance
 
 PIXEL = 0.03
 """Weight of a pixel against the prior: thirty of them, side by side along a contour, are as much as one fact."""
-BIAS = np.repeat([0.08, 0.008, 0.01, 0.2], [3, 3, 1, 15])
+BIAS = np.repeat([0.16, 0.010, 0.01, 0.2], [3, 3, 1, 15])
 """Assumed standard deviations of the errors that all frames share: turn about each axis [rad], shift along each [m],
-logarithm of the size, bend of each finger joint [rad]. They are no tracker's in particular."""
-JITTER = np.repeat([0.03, 0.003, 0.003, 0.1], [3, 3, 1, 15])
-"""Those of each frame's own errors; neighbouring frames are taken as independent."""
+logarithm of the size, bend of each finger joint [rad]. They are those of estimates from images (docs/datasets.md),
+but for the size, without which nothing tells the distance."""
+JITTER = np.repeat([0.08, 0.006, 0.003, 0.1], [3, 3, 1, 15])
+"""Those of each frame's own errors, likewise, outliers among them; neighbouring frames are taken as independent."""
 ASSUMED = AssumedErrors(BIAS, JITTER, PIXEL)
 WORTH = 0.01
 """Share of the hand's visible pixels that a refinement must correct; less is noise of masks."""
@@ -41,8 +40,6 @@ AGREE = 0.4
 """Share of them that may still differ afterwards; otherwise the mask is another hand's."""
 STEPS = 10, 8, 3
 """Iterations: without bends; with them, at some of the frames; at all of them."""
-ARM = 0.09
-"""Distance of an object from the hand's middle [m]."""
 FEW = 10
 """Frames of the second of these."""
 
@@ -57,7 +54,10 @@ class HandRefinement:
         moved: mean distance of the hand's middle from where it was given [m].
         before, after: share of the hand's seen pixels that differed from its silhouette, and that still do.
         grown: by how much its masks were grown before, since they are too small all round [px of a crop of 128].
-        covariance: (P, P) what pixels, joints and prior leave of the errors that all frames share.
+        seen: the hand as it was given, its pixels, and how errors move it.
+        shared: (P,) the errors that all frames share (``HandErrors``).
+        own: (N, P) those of each frame.
+        joints: its joints as they were seen; None where they are not known.
     """
 
     T_cam_hand: Float[ndarray, "N 4 4"]
@@ -66,7 +66,25 @@ class HandRefinement:
     before: float
     after: float
     grown: float
-    covariance: Float[ndarray, "P P"]
+    seen: HandSilhouette = field(repr=False)
+    shared: Float[ndarray, "P"] = field(repr=False)
+    own: Float[ndarray, "N P"] = field(repr=False)
+    joints: SeenJoints | None = field(repr=False)
+
+    def take(self, index: Int[ndarray, "n"]) -> HandRefinement:
+        """Return the refinement at some of its frames."""
+        return replace(
+            self, T_cam_hand=self.T_cam_hand[index], seen=self.seen.take(index), own=self.own[index],
+            joints=self.joints and self.joints.take(index),
+        )  # fmt: skip
+
+    @property
+    def bent(self) -> HandErrors:
+        """The hand where it was given, its fingers bent as its evidence says, and its rigid errors."""
+        errors, x = self.seen.errors, self.shared + self.own
+        x[:, :RIGID] = 0.0
+        vertices, joints = errors.surface(x)
+        return replace(errors, tracked=replace(errors.tracked, vertices=vertices, joints=joints), weights=None)
 
     def __str__(self) -> str:
         grown = f" (grown by {self.grown:.1f} px: its masks are too small on all sides)" if self.grown else ""
@@ -97,28 +115,17 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
         before = seen.differing(unrefined) / seen.mask.pixels
     if before < WORTH and joints is None:
         return None, before
-    found = _fitted(_SeenHand(seen.with_field, joints), unrefined)
+    seen = seen.with_field
+    found = _fitted(_SeenHand(seen, joints), unrefined)
     after = (float(found.value.sum()) if joints is None else seen.with_bends.differing(found.errors)) / seen.mask.pixels
     if after > AGREE or (before - after < WORTH and joints is None):
         return None, before
     T, T_input, middle = seen.errors.T_cam_hand(found.errors), clip.hand.T_cam_hand, seen.errors.middle[None]
     turned = se3.angle_between(T[:, :3, :3], T_input[:, :3, :3])
     moved = np.linalg.norm(se3.transform(T, middle) - se3.transform(T_input, middle), axis=-1)
-    return HandRefinement(
-        T, float(turned.mean()), float(moved.mean()), before, after, seen.mask.grown, found.covariance
-    ), after
-
-
-def spread_of(provenance: Provenance, refined: HandRefinement | None) -> float:
-    """Return the standard deviation of an object in the hand that the hand's errors leave [m].
-
-    After a refinement it is that of the shared errors; before it, of estimated hands, that of their prior, else zero.
-    """
-    covariance = np.diag(BIAS**2.0) if refined is None else refined.covariance
-    if refined is None and kind_of(provenance) == "measured":
-        return 0.0
-    turn, shift = (float(np.trace(covariance[part, part])) for part in (TURN, SHIFT))
-    return float(np.sqrt(ARM**2 * turn + shift))
+    seen = seen if found.own.shape[1] == RIGID else seen.with_bends
+    how = float(turned.mean()), float(moved.mean()), before, after, seen.mask.grown
+    return HandRefinement(T, *how, seen, found.shared, found.own, joints), after
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,8 @@ CHOICES = ("method", "inits", "init", "priors", "priors_only", "thorough", "seed
 """Options that leave a calibration valid; it was made with the usual values of all."""
 TERMS = ("total", "mask", "push", "pull", "consistency", "prior", "hand-mask", "joints-2d")
 """Names in the energy that was calibrated."""
+UNSOLVED = 0.03
+"""Spread of an object in an estimated hand that was not solved with it [m]: the measured errors (docs/datasets.md)."""
 
 
 def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: Track, whole: Track) -> Solved:
@@ -47,9 +49,18 @@ def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: 
         hand_differing=problem.trust.hand_differing,
         T_cam_hand_input=input_clip.hand.T_cam_hand[input_clip.index_of(problem.clip.frames)],
         misfit=misfit(problem.observation, found.terms["mask"] / len(problem.clip)),
-        spread=pose_spread(problem, found), hand_spread=problem.trust.hand_spread,
+        spread=pose_spread(problem, found), hand_spread=_hand_spread(input_clip, problem, found),
         scale_check=scale_check(problem, found),
     )  # fmt: skip
+
+
+def _hand_spread(clip: Clip, problem: Problem, found: MethodResult) -> float:
+    """Compute the standard deviation of the object in the hand that the hand's errors leave [m]."""
+    if found.hand is None:
+        return 0.0 if kind_of(clip.provenance) == "measured" else UNSOLVED
+    n, scale = len(problem.clip) // 2, float(found.poses.scale[0])
+    points = scale * problem.surface.points @ found.poses.R[0, n].T + found.poses.centre[0, n]
+    return found.hand.spread(points - problem.clip.hand.vertices.mean(axis=(0, 1)))
 
 
 def probabilities(

@@ -7,6 +7,7 @@ Other evidence of the clip counts beside its masks (``evidence_of``). A method a
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -75,6 +76,8 @@ def hand_mask_of(problem: Problem) -> HandEnergy:
 
     @cache
     def seen() -> HandSilhouette:
+        if problem.refinement is not None:
+            return replace(problem.refinement.seen, errors=problem.refinement.bent)
         return HandSilhouette.of(problem.clip, problem.input_masks).with_field
 
     def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[HandTerm]:
@@ -89,7 +92,10 @@ def joints_of(problem: Problem) -> HandEnergy:
 
     @cache
     def seen() -> tuple[SeenJoints | None, float]:
-        return SeenJoints.of(problem.clip, problem.input_masks), energy_of_nat(problem)
+        refinement = problem.refinement
+        if refinement is None:
+            return SeenJoints.of(problem.clip, problem.input_masks), energy_of_nat(problem)
+        return refinement.joints and replace(refinement.joints, errors=refinement.bent), energy_of_nat(problem)
 
     def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[HandTerm]:
         joints, weight = seen()

@@ -13,6 +13,7 @@ from getagrip.errors import UsageError
 from getagrip.fitting.methods import METHODS, method_of
 from getagrip.io.arguments import Flag, meant, parsed, switch
 from getagrip.io.choices import check_values, explained
+from getagrip.io.named import NamedFields
 
 Hands = Literal["corrected", "as-given"]
 MaskUse = Literal["checked", "as-given"]
@@ -86,7 +87,7 @@ def _methods(default: str) -> str:
 
 @explained
 @dataclass(frozen=True)
-class SearchOptions:
+class SearchOptions(NamedFields):
     """Options that all methods of a comparison share. Raises ``UsageError`` for a value that is not allowed."""
 
     inits: Annotated[int, arg(metavar="N")] = 50

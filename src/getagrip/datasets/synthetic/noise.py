@@ -31,11 +31,12 @@ from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import bounding_boxes
 from getagrip.hands.bending import bent, finger_weights
+from getagrip.io.named import NamedFields
 from getagrip.provenance import estimated
 
 
 @dataclass(frozen=True)
-class Noise:
+class Noise(NamedFields):
     """The errors of a clip's hands and masks.
 
     Attributes:

@@ -1,9 +1,10 @@
 """HaWoR's hands before the camera: ``cam_space/<0 left, 1 right>/<first>_<last>.json``, or an ``.npz`` of that layout.
 
 ``init_root_orient`` (T, 3, 3), ``init_hand_pose`` (T, 15, 3, 3), ``init_betas`` (T, 10) and ``init_trans`` (T, 3) of
-the images ``first`` to ``last``, counted from 0 among those that it was run on; rotations of left hands turned back
-already, for a camera with the focal length that HaWoR was run with (``img_focal``) and its principal point in the
-middle. That focal length is not in the file, so it is asked for: another one would put the hand at another depth.
+the images ``first`` to ``last``, counted from 0 among those that it was run on, and optionally ``joints_2d``; rotations
+of left hands turned back already, for a camera with the focal length that HaWoR was run with (``img_focal``) and its
+principal point in the middle. That focal length is not in the file, so it is asked for: another one would put the hand
+at another depth.
 """
 
 from __future__ import annotations
@@ -55,10 +56,12 @@ class HaWoR(Tracker):
         for path in paths:
             record = records.read(path)
             T = length(path, record)
+            seen = records.seen_joints(path, record, T)
             for n, frame in enumerate(self._frames(path, record, T, request)):
                 if frame is not None:
                     parameters = row(path, record, n, T)
-                    found.append(estimate(path, frame, parameters, request.camera(frame), self.estimator_focal))
+                    hand = estimate(path, frame, parameters, request.camera(frame), self.estimator_focal)
+                    found.append(hand._replace(seen=None if seen is None else seen[n]))
         return Estimates(request.side, tuple(found))
 
     def _frames(self, path: Path, record: Record, count: int, request: Request) -> list[int | None]:
