@@ -14,6 +14,8 @@ from helpers.clips import box
 SIDE = 32
 K = np.array([[40.0, 0.0, 16.2], [0.0, 41.0, 15.7], [0.0, 0.0, 1.0]])
 N = 3
+MIDDLE = np.array([0.01, -0.02, 0.03])
+"""Of the hand, in its frame [m]."""
 OBJECT, HAND = shapes.mug(), box(0.09, 0.05, 0.08)
 METRIC = DepthErrors(noise=0.004, clip=0.004, frame=0.002, relief=0.05, apart=0.005)
 FREE = DepthErrors(noise=0.004, clip=1.0, frame=0.02, relief=0.15, apart=0.008)
@@ -52,6 +54,6 @@ def seen(
 
 def term(samples: DepthSamples, errors: DepthErrors) -> DepthTerm:
     """The term of mug and box."""
-    vertices = np.broadcast_to(HAND.vertices - HAND.centre, (N, *HAND.vertices.shape))
+    vertices = np.broadcast_to(HAND.vertices - HAND.centre + MIDDLE, (N, *HAND.vertices.shape))
     mug = Solid.of((OBJECT.vertices - OBJECT.centre)[None], OBJECT.faces)
     return DepthTerm(mug, Solid.of(vertices, HAND.faces), samples, errors, weight=30.0)

@@ -2,6 +2,9 @@
 
 Depth has an unknown scale, smooth errors over hand and object most of which stay the same in all frames, a relief that
 is too flat or too deep, a hand that is off against the object, white noise and holes. How large each is, is assumed.
+
+2D joints have an error that lasts through the clip and one of each frame, in shares of the hand's box, both larger
+where the object hides the joint, and outliers.
 """
 
 from __future__ import annotations
@@ -11,7 +14,7 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
@@ -19,6 +22,7 @@ from getagrip.clip.depth import DEPTH, SIDE, Depth, DepthSource, windows
 from getagrip.errors import InputError
 from getagrip.experiments.changes import Change
 from getagrip.geometry import se3
+from getagrip.geometry.camera import project
 from getagrip.geometry.depth import depth_and_face
 
 STAYS = 0.7
@@ -121,3 +125,96 @@ def _ramp(angle: float) -> Float[ndarray, "n n"]:
     """Return a field that goes from -1 to 1 across a window in one direction."""
     x = np.linspace(-1.0, 1.0, SIDE)
     return np.cos(angle) * x + np.sin(angle) * x[:, None]
+
+
+@dataclass(frozen=True)
+class JointErrors:
+    """Errors of 2D joints, as standard deviations along each axis in shares of the hand's box.
+
+    Attributes:
+        own: error of a joint in a frame.
+        lasting: error of a joint in all frames of the clip.
+        together: shift of all joints of a frame.
+        hidden: how many times as far a joint is off that the object hides.
+        palm: how many times as far wrist and knuckles are off.
+        outliers: share of joints that are up to half a box elsewhere.
+        mistake: what the joints are of instead.
+    """
+
+    own: float
+    lasting: float
+    together: float = 0.0
+    hidden: float = 2.5
+    palm: float = 1.0
+    outliers: float = 0.0
+    mistake: Literal["", "other hand", "shifted camera"] = ""
+
+
+JOINTS = {
+    "lab": JointErrors(0.02, 0.02),
+    "wild": JointErrors(0.035, 0.035, outliers=0.05),
+    "landmarks": JointErrors(0.032, 0.032, together=0.028, palm=1.8, outliers=0.1),
+    "other hand": JointErrors(0.02, 0.02, mistake="other hand"),
+    "shifted camera": JointErrors(0.02, 0.02, mistake="shifted camera"),
+}
+"""Levels of errors, by name. ``landmarks`` is that of our detector on real images (``results/landmark-errors.json``),
+half of which is taken to last; ``lab`` and ``wild`` are assumed."""
+PALM = [0, 1, 5, 9, 13, 17]
+"""Joints: wrist and knuckles."""
+CARRY = 40
+"""Vertices nearest to a joint, with which it goes."""
+
+
+@dataclass(frozen=True)
+class SimulatedJoints(Change):
+    """2D joints of the true hand, with the errors of a level of ``JOINTS``."""
+
+    level: str
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        if clip.truth is None or clip.hand.joints is None:
+            raise InputError(clip.origin / "truth.npz", "", "no ground truth", "a true hand, whose joints are seen")
+        rng = np.random.default_rng([seed, *b"joints", *clip.name.encode()])
+        points = seen_joints(clip, masks, JOINTS[self.level], rng)
+        hand = replace(clip.hand, joints_2d=points, joints_2d_confidence=np.ones(points.shape[:2]))
+        return replace(clip, hand=hand), masks
+
+
+def seen_joints(clip: Clip, masks: Masks, errors: JointErrors, rng: np.random.Generator) -> Float[ndarray, "T 21 2"]:
+    """Simulate where the joints of the true hand are seen [px]."""
+    points = project(clip.K, true_joints(clip))
+    hidden, size = _hidden(masks, points), np.ptp(points, axis=1).max(axis=-1)[:, None, None]
+    off = errors.own * rng.normal(size=points.shape) + errors.lasting * rng.normal(size=points.shape[1:])
+    off[hidden] *= errors.hidden
+    off[:, PALM] *= errors.palm
+    far = rng.random(hidden.shape) < errors.outliers
+    off[far] += rng.uniform(-0.5, 0.5, (np.count_nonzero(far), 2))
+    off += errors.together * rng.normal(size=(len(points), 1, 2))
+    if errors.mistake == "other hand":
+        middle, angle = points.mean(axis=1, keepdims=True), rng.uniform(0.0, 2.0 * np.pi)
+        points = middle + [-1.0, 1.0] * (points - middle) + size * [np.cos(angle), np.sin(angle)]
+    if errors.mistake == "shifted camera":
+        points = points + 0.1 * np.array(clip.size)
+    return np.asarray(points + size * off)
+
+
+def true_joints(clip: Clip) -> Float[ndarray, "T 21 3"]:
+    """Return the joints of the true hand in the camera frame [m]: each goes with the vertices nearest to it."""
+    truth, joints = clip.truth, clip.hand.joints
+    assert truth is not None
+    assert joints is not None
+    found = np.empty_like(joints)
+    for j in range(joints.shape[1]):
+        near = np.argsort(np.linalg.norm(clip.hand.vertices - joints[:, j, None], axis=-1).mean(axis=0))[:CARRY]
+        given, true = clip.hand.vertices[:, near], truth.hand_vertices[:, near]
+        a, b = given.mean(axis=1, keepdims=True), true.mean(axis=1, keepdims=True)
+        R = se3.nearest_rotation(np.swapaxes(true - b, 1, 2) @ (given - a))
+        found[:, j] = b[:, 0] + (R @ (joints[:, j] - a[:, 0])[..., None])[..., 0]
+    return np.asarray(se3.transform(truth.T_cam_hand, found))
+
+
+def _hidden(masks: Masks, points: Float[ndarray, "T 21 2"]) -> Bool[ndarray, "T 21"]:
+    """Tell which points lie in the object's masks."""
+    height, width = masks.object.shape[1:]
+    places = np.clip(points, 0.0, [width - 1, height - 1]).astype(int)
+    return np.stack([mask[at[:, 1], at[:, 0]] for mask, at in zip(masks.object, places, strict=True)])

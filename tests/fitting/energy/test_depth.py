@@ -12,7 +12,7 @@ from getagrip.fitting.energy import HandInCamera, ObjectWithHand, PosesInCamera,
 from getagrip.fitting.energy import depth as depth_term
 from getagrip.fitting.energy.depth import DepthErrors, DepthSamples, DepthTerm
 from getagrip.geometry import se3
-from helpers.depth_terms import FREE, METRIC, N, poses, seen, term
+from helpers.depth_terms import FREE, METRIC, MIDDLE, N, poses, seen, term
 from helpers.terms import is_trustworthy
 
 ONE = np.ones(1)
@@ -32,7 +32,7 @@ def scene(seed: int, noise: float = 0.004) -> tuple[DepthSamples, PosesInCamera,
 
 
 def with_hand(of_object: PosesInCamera, hand: PosesInCamera) -> ObjectWithHand:
-    there = HandInCamera(*vars(hand).values(), np.zeros((1, N, 0)), np.zeros(3))
+    there = HandInCamera(*vars(hand).values(), np.zeros((1, N, 0)), MIDDLE)
     return ObjectWithHand(*vars(of_object).values(), there, of_object)
 
 
