@@ -101,7 +101,7 @@ def shares_of(clip: Clip, masks: Masks, depth: Depth) -> tuple[float, float]:
         for mask, z in zip(body, depth.z, strict=True):
             there = z[mask & (z > 0.0)]
             off = np.abs(np.log(there / np.median(there))) >= FAR if len(there) else there
-            seen += np.count_nonzero(mask), len(there), np.count_nonzero(off)
+            seen += np.array([np.count_nonzero(mask), len(there), np.count_nonzero(off)])
     with np.errstate(invalid="ignore"):
         return float(1.0 - seen[1] / seen[0]), float(seen[2] / seen[1])
 
