@@ -53,7 +53,7 @@ class ImportDepth(Command):
     )
     """Measure of the numbers: metres; metres times a factor of the clip, or of each frame."""
     unit: Annotated[float | None, arg(metavar="M", help_behavior_hint="(default: as its program)")] = None
-    """What 1 in the files stands for, in metres."""
+    """Metres that 1 in the files stands for."""
     error: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="(default: by its kind)")] = None
     """Error of distances, the factor apart, as a share of the distance."""
     first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
