@@ -61,6 +61,7 @@ CALLS: dict[str, Sequence[str]] = {
         "joints.npz --from joints --order openpose --clip cup --overwrite",
         f"joints.npz --from joints --order openpose --out hands/new.npz {NEW_FRAMES}",
     ],
+    "import depth": ["depths.npy --from unidepth --clip cup --overwrite"],
     "import masks": [f"masks {MASKS} --clip cup --overwrite"],
     "import segments": ["segments.json --clip cup --still-camera --overwrite"],
     "epic candidates": ["--visor visor --actions actions.csv --out tables/out.csv --json out.json"],
@@ -186,6 +187,7 @@ def _write_cup(folder: Path) -> None:
     assert cli.main([*map(str, cup), "--hands", str(folder / "six.npz")]) == 0
     joints_of = generic.load("right").with_shape().with_pose().joints + AHEAD
     arrays.write(folder / "joints.npz", {"joints": np.tile(joints_of, (6, 1, 1)), "frames": np.arange(3, 9)})
+    np.save(folder / "depths.npy", np.full((6, 48, 64), 0.5, np.float32))
     row = {"state": "static", "first": "000003", "last": "000005"}
     (folder / "segments.json").write_text(json.dumps({"scene": {"segments": [row]}}))
 
