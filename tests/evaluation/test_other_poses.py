@@ -18,11 +18,11 @@ from getagrip.commands.evaluate_others import pose_jobs
 from getagrip.errors import UsageError
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.other_poses import poses_of
-from getagrip.evaluation.pose_files import read_pose_file
 from getagrip.export import bop
 from getagrip.export.scene import Scene
 from getagrip.geometry import se3
 from getagrip.io import arrays
+from getagrip.object_poses.files import read_pose_file
 from getagrip.result import Reconstruction, write_result
 from helpers.clips import small_clip
 from helpers.command_line import Run
