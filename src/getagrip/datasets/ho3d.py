@@ -166,7 +166,9 @@ def _frame(file: Path, with_mano: bool, listed: Float[ndarray, "21 3"] | None) -
     if listed is not None and isinstance(joints, ndarray) and joints.size == 3:
         apart = float(np.linalg.norm(joints.reshape(3) - listed[0]))
         if not apart <= SAME_WRIST:
-            raise InputError(file, "handJoints3D", f"a wrist {apart:.3g} m from the one in {EVALUATION}_xyz.json", "the same")
+            raise InputError(
+                file, "handJoints3D", f"a wrist {apart:.3g} m from the one in {EVALUATION}_xyz.json", "the same"
+            )
         value = {**value, "handJoints3D": listed}
         joints = listed
     if rotation is None or joints is None or (isinstance(joints, ndarray) and joints.size == 3):
