@@ -6,12 +6,16 @@ import json
 import shlex
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
+from getagrip.annotate.store import Store
+from getagrip.clip import Clip
 from getagrip.clip.reading import read_hand
+from getagrip.commands.annotate import DATABASE
 from getagrip.commands.hand_file import HandFile
 from getagrip.io.images import read_png, write_mask
 from helpers.command_line import Run
@@ -166,3 +170,33 @@ def test_what_does_not_fit_is_said_before_any_work(scene: Path, run: Run) -> Non
         assert status == 2
         assert said in err
         assert not (scene / "a").exists()
+
+
+@pytest.mark.slow
+def test_grasps_are_found_and_marked(scene: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The clip of the whole interval is searched as by ``segment``; frames of its grasps are those of the video."""
+    assert run(*DRAFT, "a")[0] == 0
+    (scene / "masks").mkdir()
+    for n in range(FRAMES):
+        write_mask(scene / "masks" / f"{n + 1:06d}.png", disc(n))
+
+    def found(grasps: list[tuple[int, int]]) -> None:
+        def find(clip: Clip) -> SimpleNamespace:
+            assert clip.category == "cup"
+            assert len(clip) == FRAMES - 1
+            return SimpleNamespace(grasps=grasps, notes=("a note",))
+
+        monkeypatch.setattr("getagrip.annotate.drafted_grasps.find_segments", find)
+
+    for grasps, said, marked in (
+        ([(1, 3), (4, 6)], "2 stable grasps found: frames 3 to 5, frames 6 to 8;", [(2, 4), (5, 7)]),
+        ([], "warning: no stable grasp found; the whole interval is marked", [(1, 7)]),
+    ):
+        found(grasps)
+        words = ("--interval", "2", "8", "--masks", "masks", "--hands", "a/found/hand.npz", "--find-grasps")
+        status, _, err = run(*DRAFT, said[:2], *words)
+        assert status == 0, err
+        assert said in err
+        store = Store(scene / said[:2] / DATABASE)
+        assert [mark.interval for mark in store.marks.standing()] == marked
+        store.close()

@@ -20,9 +20,10 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 from numpy import ndarray
 
-from getagrip.annotate.carried_masks import KINDS, Carried, Hands, Images, carry, key_colours, placed, resized
+from getagrip.annotate.carried_masks import KINDS, Carried, Hands, Images, carry, key_colours, placed
 from getagrip.annotate.labels import FRONT, HAND, OBJECT
 from getagrip.annotate.merged_masks import merged
+from getagrip.annotate.shared_flow import SmallFrames
 from getagrip.errors import UsageError
 
 SIDE = 200.0
@@ -96,15 +97,16 @@ def _filled(
         yield Propagated(first, keys[first], 1.0)
         return
     size = _working_size(keys)
-    colours = key_colours(image, keys, size)
-    there = carry(image, before, keys[before], last, size, colours, hand) if before < first else None
-    back = list(carry(image, after, keys[after], first, size, colours, hand))[::-1] if after > last else None
+    frames = SmallFrames(image, size)
+    colours = key_colours(frames, keys)
+    there = carry(frames, before, keys[before], last, colours, hand) if before < first else None
+    back = list(carry(frames, after, keys[after], first, colours, hand))[::-1] if after > last else None
     if there is None or back is None:
         yield from (_propagated(each, each.trust, keys, size) for each in there or back or ())
         return
     for one, other in zip(there, back, strict=True):
         share = (one.frame - before) / (after - before)
-        yield _propagated(*merged(one, other, share, resized(image(one.frame), size), colours), keys, size)
+        yield _propagated(*merged(one, other, share, frames[one.frame], colours), keys, size)
 
 
 def _unknown(_: int) -> None:
