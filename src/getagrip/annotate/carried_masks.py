@@ -156,7 +156,7 @@ def _step(
     width, height = frames.size
     left, top = now.corner
     part = rows, columns = _around(now, frames.size)
-    a, b, at = frames[before].image[part], frames[frame].image[part], frames[frame].bins[part]
+    b, at = frames[frame].image[part], frames[frame].bins[part]
     back, there = frames.flows(frame, before, part)
     x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in b.shape[1::-1]))
     came = x + back[..., 0], y + back[..., 1]

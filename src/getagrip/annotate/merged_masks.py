@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, Int32, UInt8
 from numpy import ndarray
 
 from getagrip.annotate.carried_masks import (
@@ -54,14 +54,15 @@ def merged(
     in_a, in_b = a[0] > 0, b[0] > 0
     union = np.count_nonzero(both & (in_a | in_b))
     agreement = np.count_nonzero(both & in_a & in_b) / union if union else 1.0
-    part = SmallFrame(*(each[top : top + height, left : left + width] for each in frame))
-    if (inside[0] > -FAR).any() and part.bins.size:
+    part = slice(top, top + height), slice(left, left + width)
+    image, at = frame.image[part], frame.bins[part]
+    if (inside[0] > -FAR).any() and at.size:
         side_a, side_b = (np.clip(each[0] / BAND, -2.0, 2.0) for each in (a, b))
-        likely = likelier(part.bins, colours[0]) + _unlike((one, other), (left, top), (width, height))
+        likely = likelier(at, colours[0]) + _unlike((one, other), (left, top), (width, height))
         likely = np.clip(likely, -MOST, MOST)
         in_a, in_b = np.where(shown_b & ~shown_a, in_b, in_a), np.where(shown_a & ~shown_b, in_a, in_b)
         found = _decided(in_a, in_b, side_a + (side_b - side_a) * share_b, likely, hidden)
-        inside[0] = _redrawn(part, found, likely, colours[0], hidden)
+        inside[0] = _redrawn(image, at, found, likely, colours[0], hidden)
     known = np.maximum(known_a, known_b)
     return one._replace(corner=(left, top), inside=inside, known=known), float(agreement)
 
@@ -97,7 +98,8 @@ def _unlike(some: Sequence[Carried], corner: tuple[int, int], size: tuple[int, i
 
 
 def _redrawn(
-    frame: SmallFrame,
+    image: UInt8[ndarray, "h w 3"],
+    at: Int32[ndarray, "h w"],
     found: Bool[ndarray, "h w"],
     likely: Float32[ndarray, "h w"],
     colours: Colours,
@@ -106,6 +108,6 @@ def _redrawn(
     """Return signed distances from the border that colours draw: the keys' and those near to it in this image."""
     inside = signed_distance(found)
     x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in found.shape[::-1]))
-    here = likelier(frame.bins, colours, Places.of(frame.bins, found, ~hidden & (np.abs(inside) > 1.0)), (x, y))
+    here = likelier(at, colours, Places.of(at, found, ~hidden & (np.abs(inside) > 1.0)), (x, y))
     certain = np.full(found.shape, CERTAIN, np.float32)
-    return refined(frame.image, inside, certain, np.clip(here, -MOST, MOST) + likely, hidden)
+    return refined(image, inside, certain, np.clip(here, -MOST, MOST) + likely, hidden)
