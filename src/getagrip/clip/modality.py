@@ -60,6 +60,7 @@ class Modality(ABC, Generic[D]):
 OURS: Mapping[str, Modality[Any] | str] = {
     "object-masks": "getagrip.evidence.object_masks:ObjectMasks",
     "hand-masks": "getagrip.evidence.hand_masks:HandMasks",
+    "joints-2d": "getagrip.evidence.joints_2d:HandJoints2D",
 }
 MODALITIES = Table(
     "modalities",
