@@ -1,8 +1,7 @@
-"""Refine simulated trackers' poses: ``python -m benchmarks.refine CLIPS [N]``, on N clips with ground truth, evenly taken.
+"""Refine simulated trackers' poses: ``python -m benchmarks.refine CLIPS [N]``, on N clips with ground truth.
 
-Errors are those that trackers of rigid objects have; each is on all clips, and starts from the true poses in the camera.
-A pose is right where its ADD is below 10 % of the diameter, in the camera, up to symmetries. A row of frames counts
-their share, one of clips those that are right as a whole.
+Errors are those that trackers of rigid objects have; each is on all clips, and starts from the true poses in the
+camera. A clip is right where its ADD in the camera, up to symmetries, is below 10 % of the diameter.
 """
 
 from __future__ import annotations
@@ -91,11 +90,13 @@ def main(clips: Path, count: int) -> None:
                 np.savez(file, T_cam_obj=T, frames=np.array(clip.frames))
                 before = evaluate(poses_of(file, "before", clip, masks), clip, masks)
                 after = evaluate(reconstruct(clip, masks, Options(init="poses", priors=PriorsFile(file))), clip, masks)
-            found.append([(one.metrics["add_sym_cam_success"], one.metrics["add_sym_cam_mm"]) for one in (before, after)])
+            keys = "add_sym_cam_success", "add_sym_cam_mm"
+            found.append([[one.metrics[key] for key in keys] for one in (before, after)])
         success, mm = np.moveaxis(np.array(found), -1, 0)
         rows.append(
             {
-                "label": name, "clips": len(found), "before": 100 * success[:, 0].mean(), "after": 100 * success[:, 1].mean(),
+                "label": name, "clips": len(found),
+                "before": float(100 * success[:, 0].mean()), "after": float(100 * success[:, 1].mean()),
                 "before_mm": float(np.median(mm[:, 0])), "after_mm": float(np.median(mm[:, 1])),
                 "lost": int(np.count_nonzero(success[:, 0] > success[:, 1])),
             }
