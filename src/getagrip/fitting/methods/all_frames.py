@@ -84,6 +84,7 @@ def fine_fit(
     """Run the fine stages, with deviations as stiff as ``ridge``."""
     energy = plus(coarse_energy(problem), more)
     motion = search.at_all_frames(rough.motion)
+    ridge = (problem.trust.firmness * ridge[0], problem.trust.firmness * ridge[1])
     soft = Soft.around(hinge_of(problem, motion), motion.poses(), ridge)
     return search.fine(soft, steady(problem, energy))
 
@@ -166,7 +167,7 @@ def steady(problem: Problem, energy: Energy) -> Energy:
     Contact that stays is what makes a grasp stable (Eq. 2). A hinge keeps it by itself; where frames may deviate from
     the hinge, in depth above all, which silhouettes hardly show, a term keeps it.
     """
-    pull = problem.trust.contact * problem.options.pull
+    pull = problem.trust.contact * problem.trust.firmness * problem.options.pull
     return plus(energy, consistency_of(problem, STEADY * pull)) if pull else energy
 
 
