@@ -12,12 +12,13 @@ from getagrip.fitting.initial_poses import initial_poses
 from getagrip.fitting.methods import OnStage
 from getagrip.fitting.misfit import misfit, stiffened
 from getagrip.fitting.motion import Fixed, Free, Hinge, Motion, Soft
-from getagrip.fitting.objective import NOTHING, consistency_of, energy_of, mask_of, plus
+from getagrip.fitting.objective import NOTHING, consistency_of, energy_of, mask_of, order_of, plus
 from getagrip.fitting.problem import EnergyOf, MethodResult, Problem
 from getagrip.fitting.schedule import THOROUGH, USUAL
 from getagrip.fitting.search import Search
 from getagrip.fitting.shape import own_shape
 from getagrip.fitting.solve import Solution, minimise
+from getagrip.fitting.usual import size_of, usual_rotations
 from getagrip.geometry.warp import Warp
 from getagrip.result import Axis
 
@@ -153,7 +154,8 @@ def energy_alone(problem: Problem) -> Energy:
 def total_energy(problem: Problem, contact: float) -> Energy:
     """Return Eq. 5, with a multiple of the push and pull that the options name."""
     contact *= problem.trust.contact
-    return energy_of(problem, contact * problem.options.push, contact * problem.options.pull)
+    contacts = energy_of(problem, contact * problem.options.push, contact * problem.options.pull)
+    return plus(contacts, order_of(problem), size_of(problem.clip))
 
 
 def coarse_energy(problem: Problem) -> Energy:
@@ -179,7 +181,8 @@ def search_of(problem: Problem, on_stage: OnStage) -> Search:
 
 def initial_of(problem: Problem) -> Fixed:
     """Return the initial poses, at all frames."""
-    return initial_poses(problem.clip, problem.masks, problem.inits, problem.options.seed, problem.prior_poses)
+    usual = usual_rotations(problem.clip) if problem.options.init == "uniform" else None
+    return initial_poses(problem.clip, problem.masks, problem.inits, problem.options.seed, problem.prior_poses, usual)
 
 
 def hinge_of(problem: Problem, relaxed: Soft[Fixed]) -> Hinge:
