@@ -22,8 +22,9 @@ from getagrip.result import Candidates
 
 CHOICES = ("method", "inits", "init", "priors", "priors_only", "thorough", "seed", "frames", "every_frame")
 """Options that leave a calibration valid; it was made with the usual values of all."""
-TERMS = ("total", "mask", "push", "pull", "consistency", "prior")
-"""Names in the energy that was calibrated."""
+TERMS = ("total", "mask", "push", "pull", "consistency", "prior", "order", "size", "upright")
+"""Names in the energy that was calibrated; the last three count only for inputs that are assumed, as which kind of
+object it is, of which there were none, so that its probability is carried over to them."""
 
 
 def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: Track, whole: Track) -> Solved:

@@ -18,7 +18,7 @@ from getagrip.fitting.schedule import THOROUGH, USUAL
 from getagrip.fitting.search import Search
 from getagrip.fitting.shape import own_shape
 from getagrip.fitting.solve import Solution, minimise
-from getagrip.fitting.usual import size_of, usual_rotations
+from getagrip.fitting.usual import usual_of, usual_rotations
 from getagrip.geometry.warp import Warp
 from getagrip.result import Axis
 
@@ -155,7 +155,7 @@ def total_energy(problem: Problem, contact: float) -> Energy:
     """Return Eq. 5, with a multiple of the push and pull that the options name."""
     contact *= problem.trust.contact
     contacts = energy_of(problem, contact * problem.options.push, contact * problem.options.pull)
-    return plus(contacts, order_of(problem), size_of(problem.clip))
+    return plus(contacts, order_of(problem), usual_of(problem.clip))
 
 
 def coarse_energy(problem: Problem) -> Energy:
