@@ -1,4 +1,4 @@
-"""Found hands, lifted again once the masks of a grasp are known: fingers hardly move, and none is before the background.
+"""Found hands, lifted again once a grasp's masks are known: fingers hardly move, and none is before the background.
 
 At first nothing is known but landmarks, and those of fingers that the object hides are guesses: often the hand is open
 beside the object. With the masks, landmarks on the background are left out, those on the object count less, and joints

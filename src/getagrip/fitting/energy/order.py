@@ -1,7 +1,7 @@
 """Order in depth: where the image shows the hand, the object is not in front of it; where it shows the object, it is.
 
 A silhouette says nothing about pixels that the hand hides. But a thumb that is seen lies before the object, and a
-fingertip that is not seen behind it: on the ray through a point of the hand, the object's surface is farther, or nearer.
+fingertip that is not seen behind it: on the ray through a point of the hand, the object's surface is farther or nearer.
 """
 
 from __future__ import annotations
@@ -30,6 +30,9 @@ SELF = 0.006
 """A point no farther behind the hand's nearest surface is on it [m]."""
 MARGIN = 0.006
 """Points so near to the border of a mask say nothing, since the hand is not known exactly [m]."""
+
+GRAZING = 0.1
+"""Least cosine between a ray and the surface's normal, in the derivatives."""
 
 
 @dataclass(frozen=True)
@@ -62,9 +65,7 @@ class HandOrder:
             u, v = np.floor(np.nan_to_num(project(K[n], X), posinf=-1.0, neginf=-1.0)).astype(int).T
             there = (X[:, 2] > 0.0) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
             u, v = np.where(there, u, 0), np.where(there, v, 0)
-            seen, hidden = (
-                cv2.erode(mask[n].astype(np.uint8), disc)[v, u] > 0 for mask in (masks.hand, masks.object)
-            )
+            seen, hidden = (cv2.erode(mask[n].astype(np.uint8), disc)[v, u] > 0 for mask in (masks.hand, masks.object))
             side[n, there & seen & (X[:, 2] < depth[v, u] + SELF)] = 1
             side[n, there & hidden] = -1
         return HandOrder(position, side)
@@ -136,60 +137,80 @@ def _first_hit(origin, ray, corners):
 
 
 @njit(**OPTIONS)
+def _add(sign, ray, t, face, R, centre, unit, delta, error, g, H):
+    """Add ``unit error`` to the normal equations, for a hit at ``t ray`` on a face.
+
+    Moving the object by the local 7-vector (v, w, l) changes t by ``n . (v + w x r + l r) / (n . ray)``, r the point
+    from the object's centre, n the face's normal. Only the upper half of H is filled.
+    """
+    e, f = face[1] - face[0], face[2] - face[0]
+    m0, m1, m2 = e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2], e[0] * f[1] - e[1] * f[0]
+    n0 = R[0, 0] * m0 + R[0, 1] * m1 + R[0, 2] * m2
+    n1 = R[1, 0] * m0 + R[1, 1] * m1 + R[1, 2] * m2
+    n2 = R[2, 0] * m0 + R[2, 1] * m1 + R[2, 2] * m2
+    into = n0 * ray[0] + n1 * ray[1] + n2 * ray[2]
+    least = GRAZING * np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+    if abs(into) < least:
+        into = least if into > 0.0 else -least
+    k = -sign / into
+    r0, r1, r2 = t * ray[0] - centre[0], t * ray[1] - centre[1], t * ray[2] - centre[2]
+    a = (
+        k * n0, k * n1, k * n2, k * (r1 * n2 - r2 * n1), k * (r2 * n0 - r0 * n2), k * (r0 * n1 - r1 * n0),
+        k * (r0 * n0 + r1 * n1 + r2 * n2),
+    )  # fmt: skip
+    h = unit / max(error, delta)
+    for i in range(7):
+        g[i] += unit * a[i]
+        for j in range(i, 7):
+            H[i, j] += h * a[i] * a[j]
+
+
+@njit(**OPTIONS)
+def _error(sign, point, R, centre, scale, corners, reach, origin, local, ray):
+    """How far a point is on the wrong side of the surface [m], the distance of that, and its face, -1: no surface.
+
+    Fills in the ray to the point.
+    """
+    length = np.sqrt(point[0] ** 2 + point[1] ** 2 + point[2] ** 2)
+    along = 0.0
+    for i in range(3):
+        ray[i] = point[i] / length
+        along += ray[i] * centre[i]
+    off = centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2 - along * along
+    if off > (scale * reach) ** 2:  # the ray misses the ball around the object
+        return 0.0, 0.0, -1
+    for i in range(3):
+        local[i] = R[0, i] * ray[0] + R[1, i] * ray[1] + R[2, i] * ray[2]
+        origin[i] = -(R[0, i] * centre[0] + R[1, i] * centre[1] + R[2, i] * centre[2]) / scale
+    t, face = _first_hit(origin, local, corners)
+    return sign * (length - scale * t), scale * t, face
+
+
+@njit(**OPTIONS)
 def _evaluate(
     R, centre, scale, corners, reach, hand, side, weight, tolerance, cap, delta, bound, value, g, H
 ):  # fmt: skip
     """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7)."""
     B, N = value.shape
     Q = hand.shape[1]
-    origin, ray, a = np.empty(3), np.empty(3), np.empty(7)
+    origin, local, ray = np.empty(3), np.empty(3), np.empty(3)
     for b in range(B):
         if not bound[b] >= 0.0:  # the step is rejected already, or no number
             continue
         for n in range(N):
-            unit, C = weight[n] / Q, centre[b, n]
-            for i in range(3):
-                origin[i] = -(R[b, n, 0, i] * C[0] + R[b, n, 1, i] * C[1] + R[b, n, 2, i] * C[2]) / scale[b]
+            unit = weight[n] / Q
             for q in range(Q):
-                if side[n, q] == 0:
+                sign = side[n, q]
+                if sign == 0:
                     continue
-                x, y, z = hand[n, q, 0], hand[n, q, 1], hand[n, q, 2]
-                length = np.sqrt(x * x + y * y + z * z)
-                x, y, z = x / length, y / length, z / length
-                along = x * C[0] + y * C[1] + z * C[2]
-                off = C[0] * C[0] + C[1] * C[1] + C[2] * C[2] - along * along
-                if off > (scale[b] * reach) ** 2:  # the ray misses the ball around the object
-                    continue
-                for i in range(3):
-                    ray[i] = R[b, n, 0, i] * x + R[b, n, 1, i] * y + R[b, n, 2, i] * z
-                t, f = _first_hit(origin, ray, corners)
-                if f < 0:
-                    continue
-                t *= scale[b]
-                error = side[n, q] * (length - t) - tolerance
-                if error <= 0.0:
-                    continue
-                value[b, n] += unit * min(error, cap)
-                if error >= cap:
-                    continue
-                e0, e1, e2 = corners[f, 1, 0] - corners[f, 0, 0], corners[f, 1, 1] - corners[f, 0, 1], corners[f, 1, 2] - corners[f, 0, 2]
-                f0, f1, f2 = corners[f, 2, 0] - corners[f, 0, 0], corners[f, 2, 1] - corners[f, 0, 1], corners[f, 2, 2] - corners[f, 0, 2]
-                m0, m1, m2 = e1 * f2 - e2 * f1, e2 * f0 - e0 * f2, e0 * f1 - e1 * f0
-                n0 = R[b, n, 0, 0] * m0 + R[b, n, 0, 1] * m1 + R[b, n, 0, 2] * m2
-                n1 = R[b, n, 1, 0] * m0 + R[b, n, 1, 1] * m1 + R[b, n, 1, 2] * m2
-                n2 = R[b, n, 2, 0] * m0 + R[b, n, 2, 1] * m1 + R[b, n, 2, 2] * m2
-                into = n0 * x + n1 * y + n2 * z
-                size = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
-                if abs(into) < 0.1 * size:  # grazing
-                    into = 0.1 * size if into > 0.0 else -0.1 * size
-                k = -side[n, q] / into
-                r0, r1, r2 = t * x - C[0], t * y - C[1], t * z - C[2]
-                a[0], a[1], a[2] = k * n0, k * n1, k * n2
-                a[3], a[4], a[5] = k * (r1 * n2 - r2 * n1), k * (r2 * n0 - r0 * n2), k * (r0 * n1 - r1 * n0)
-                a[6] = k * (r0 * n0 + r1 * n1 + r2 * n2)
-                h = unit / max(error, delta)
-                for i in range(7):
-                    g[b, n, i] += unit * a[i]
-                    for j in range(i, 7):
-                        H[b, n, i, j] += h * a[i] * a[j]
+                error, t, face = _error(
+                    sign, hand[n, q], R[b, n], centre[b, n], scale[b], corners, reach, origin, local, ray
+                )  # fmt: skip
+                error -= tolerance
+                if face >= 0 and error > 0.0:
+                    value[b, n] += unit * min(error, cap)
+                    if error < cap:
+                        _add(
+                            sign, ray, t, corners[face], R[b, n], centre[b, n], unit, delta, error, g[b, n], H[b, n]
+                        )  # fmt: skip
             mirror_upper(H[b, n])
