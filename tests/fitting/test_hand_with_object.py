@@ -1,4 +1,4 @@
-"""Laws of hand and object solved together: a known error found, depth above all, mirrors, and evidence that is absent."""
+"""Laws of hand and object solved together: errors found, depth above all, mirrors, and evidence that is absent."""
 
 from __future__ import annotations
 
@@ -58,7 +58,9 @@ def errors(clip: Clip, T_cam_hand: ndarray) -> tuple[float, float]:
 def test_a_constant_error_is_found_and_its_depth_by_the_object() -> None:
     clip = made()
     problem, hand, T_hand_obj = solved(clip)
-    given, refined, found = (errors(clip, T) for T in (clip.hand.T_cam_hand, problem.clip.hand.T_cam_hand, hand.T_cam_hand))
+    given, refined, found = (
+        errors(clip, T) for T in (clip.hand.T_cam_hand, problem.clip.hand.T_cam_hand, hand.T_cam_hand)
+    )
     assert given[0] > 10.0
     assert found[0] < 0.4 * given[0]
     assert refined[1] > 0.012  # a silhouette does not tell it

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.fitting.energy import OnHand, Term
+from getagrip.fitting.energy import OnHand
 from getagrip.fitting.hand_errors import SHIFT, SIZE, TURN
 from getagrip.fitting.hand_refinement import ASSUMED, HandRefinement
 from getagrip.fitting.motion import HandPrior, Motion, MovingHand, moving_hand

@@ -149,7 +149,6 @@ class Problem:
             self, clip=clip, surface=ObjectSurface.of(clip.mesh), trust=replace(self.trust, mesh_fitted=True)
         )
 
-
     def with_hand(self, hand: SolvedHand) -> Problem:
         """Return the problem with its hand where it was solved."""
         trust = replace(self.trust, hand_refined=True, hand_differing=hand.differing)

@@ -23,8 +23,8 @@ from getagrip.fitting.misfit import CROP_PIXEL, PIXEL
 from getagrip.fitting.motion import placed
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem, prepare
-from getagrip.fitting.solved_hand import hand_between
 from getagrip.fitting.solve import in_camera
+from getagrip.fitting.solved_hand import hand_between
 
 METHOD = "soft-hinge"
 CHUNK = 30
