@@ -25,7 +25,7 @@ from getagrip.hands.clicked_hands import SCALE
 from getagrip.hands.lifted_hands import hands_from_landmarks
 from getagrip.io import files
 from getagrip.io.images import write_mask
-from getagrip.landmarks import HandLandmarks, follow, hand_mask, select
+from getagrip.landmarks import HandLandmarks, follow, hand_mask, look_again, select
 from getagrip.landmarks.nets import Nets
 from getagrip.landmarks.selecting import Side
 from getagrip.provenance import Provenance, Source, as_arrays, assumed, estimated
@@ -94,8 +94,12 @@ def find_landmarks(
     frame that does not decode.
     """
     first, last = interval
-    seen = follow(_Shot(footage, first).image, last - first + 1, nets, on_frame)
-    return select(seen, side, None if boxes is None else {n - first: box for n, box in boxes.items()})
+    count = last - first + 1
+    seen = follow(_Shot(footage, first).image, count, nets, on_frame)
+    of_row = None if boxes is None else {n - first: box for n, box in boxes.items()}
+    return select(
+        seen, side, of_row, first + 1, lambda hand: look_again(lambda n: footage.image(first + n), hand, count, nets)
+    )
 
 
 @dataclass

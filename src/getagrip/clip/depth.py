@@ -73,6 +73,21 @@ class Depth(ArrayData):
         """Return the depth of some of the frames, in the given order."""
         return replace(self, z=self.z[index], corner=self.corner[index], stride=self.stride[index])
 
+    def thinned(self, every: int) -> Depth:
+        """Return every so manieth sample of a row, and of a column."""
+        return replace(self, z=self.z[:, ::every, ::every], stride=every * self.stride)
+
+    def image(self, n: int) -> Float[ndarray, "h w"]:
+        """Return the depth image of a frame, with the samples alone."""
+        out, side = np.zeros(self.size[::-1]), self.z.shape[1]
+        columns, rows = self.corner[n][:, None] + self.stride[n] * np.arange(side)
+        (left, right), (top, bottom) = (
+            np.searchsorted(columns, [0, self.size[0]]),
+            np.searchsorted(rows, [0, self.size[1]]),
+        )
+        out[rows[top:bottom, None], columns[left:right]] = self.z[n, top:bottom, left:right]
+        return out
+
     def intrinsics(self, clip: Clip) -> Float[ndarray, "T 3 3"]:
         """Return the intrinsics of the samples, taken for pixels with their centres at (j + 0.5, i + 0.5)."""
         zoom = np.array(self.size) / np.array(clip.size)

@@ -16,6 +16,7 @@ from tyro.conf import arg, subcommand
 from getagrip.batch.imports import import_clips
 from getagrip.batch.share import Share
 from getagrip.commands.command import Command
+from getagrip.commands.import_depth import ImportDepth
 from getagrip.commands.import_masks import ImportMasks
 from getagrip.commands.import_segments import ImportSegments
 from getagrip.datasets.arctic import Arctic
@@ -68,7 +69,7 @@ _DATASETS: dict[str, type[Dataset]] = {
 }
 
 
-OTHERS = ("hands", "masks", "segments")
+OTHERS = ("depth", "hands", "masks", "segments")
 """Imports into existing clips."""
 
 
@@ -113,4 +114,5 @@ def subcommands(name: str = "") -> Any:
         from getagrip.commands.import_hands import ImportHands  # the options of all trackers are in it
 
         kinds.append(Annotated[ImportHands, subcommand("hands")])
+    kinds.append(Annotated[ImportDepth, subcommand("depth")])
     return Union[*kinds, Annotated[ImportMasks, subcommand("masks")], Annotated[ImportSegments, subcommand("segments")]]

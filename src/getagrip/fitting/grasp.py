@@ -108,7 +108,8 @@ def _judge(prepared: Prepared, found: Found, answer: Answer) -> Judgement:
     solved = solved_of(source.clip, found.problem, found.result, found.sampled, answer.track)
     checks, after = examine(result_checks(), solved)
     findings, signs = (*prepared.findings, *after), read_signs(solved)
-    right = probabilities(source.clip, source.options, signs, findings, found.result.terms)
+    of_energy = found.result.terms, found.result.energy
+    right = probabilities(source.clip, source.options, signs, findings, *of_energy)
     return Judgement(prepared.checks | checks, findings, signs, right)
 
 

@@ -202,15 +202,22 @@ def prepare(clip: Clip, options: Options, threads: int = 1) -> Problem:
     """
     if clip.scale == "free" and not options.as_published:
         options = replace(options, inits=WITH_FREE_SCALE * options.inits)
+    initial = pose_priors.poses_for(clip, options)
     clip = _sampled(clip, options.frames)
     with ThreadPoolExecutor(1) as pool:
         surface = pool.submit(ObjectSurface.of, clip.mesh)  # knows nothing of hands and masks
         if threads == 1:
             wait([surface])
-        return _prepared(clip, options, surface, threads)
+        return _prepared(clip, options, surface, threads, initial)
 
 
-def _prepared(clip: Clip, options: Options, surface: Future[ObjectSurface], threads: int) -> Problem:
+def _prepared(
+    clip: Clip,
+    options: Options,
+    surface: Future[ObjectSurface],
+    threads: int,
+    initial: tuple[Float[ndarray, "k 4 4"], tuple[str, ...]],
+) -> Problem:
     """``prepare`` at the frames that are used."""
     masks, notes = read_masks(clip), []
     if clip.left_out:
@@ -230,14 +237,13 @@ def _prepared(clip: Clip, options: Options, surface: Future[ObjectSurface], thre
         masks = occluded_by_hand(clip, masks)
         observation = observe(masks, clip.K, options.occlusion, gap_share)
         notes.append("no ignore masks: pixels that the rendered hand covers outside the object's mask count as hidden")
-    poses, of_poses = pose_priors.poses_for(clip, options)
-    notes += of_poses
+    notes += initial[1]
     notes += [f"{topic}: {text}" for topic, text in assumptions(clip.provenance).items()]
     if observation.has_gaps:
         notes.append("masks leave gaps between the object and its occluders: pixels in gaps do not count")
     return Problem(
         clip=clip, masks=masks, observation=observation, surface=surface.result(),
-        options=options, prior_poses=poses, notes=tuple(notes), threads=threads,
+        options=options, prior_poses=initial[0], notes=tuple(notes), threads=threads,
         trust=Trust(hand_refined=correction is not None, hand_differing=differing, hand_drawn=hand_drawn),
         refinement=correction,
     )  # fmt: skip

@@ -30,6 +30,11 @@ class SolvedHand:
     energy: Mapping[str, tuple[float, float]]
     differing: float
 
+    def spread(self, points: Float[ndarray, "P 3"]) -> float:
+        """Compute the standard deviation of points in the hand, from its middle, that its shared error leaves [m]."""
+        moved = np.concatenate([np.broadcast_to(np.eye(3), (len(points), 3, 3)), -se3.hat(points)], axis=-1)
+        return float(np.sqrt(np.einsum("pij,jk,pik->p", moved, self.covariance, moved).mean()))
+
     def __str__(self) -> str:
         place, turn = (np.sqrt(np.trace(part)) for part in (self.covariance[:3, :3], self.covariance[3:, 3:]))
         told = ", ".join(f"{name} {before:.0f} to {after:.0f}" for name, (before, after) in self.energy.items())
