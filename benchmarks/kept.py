@@ -27,7 +27,7 @@ from benchmarks.timing import circumstances
 from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.checks.calibration import Calibration, Where
 from getagrip.checks.keeping import SHARES, Keeping, Kind, kind_of, least_kept, least_times
-from getagrip.checks.signs import SIGNS
+from getagrip.checks.signs import HAND_SIGNS, SIGNS
 from getagrip.clip import read_clip, read_masks
 from getagrip.datasets.synthetic.noise import NOISE
 from getagrip.evaluation import evaluate
@@ -50,8 +50,8 @@ CONDITIONS: Mapping[str, Change] = {
     "exact": UNCHANGED,
     "moderate": Noisy(NOISE["moderate"]),
 }
-SIGNS_USED = [sign for sign in SIGNS if sign.name != "mesh-deformation"]
-"""Signs of estimated hands; with DexYCB's own meshes none is deformed."""
+SIGNS_USED = [sign for sign in (*SIGNS, *HAND_SIGNS) if sign.name != "mesh-deformation"]
+"""Signs for estimated hands; DexYCB's own meshes are not deformed."""
 FOLDS = 10
 Row = dict[str, Any]
 
@@ -59,12 +59,13 @@ Row = dict[str, Any]
 def collect(file: Path, clips: Path, root: Path, meshes: Path, most: int) -> list[Row]:
     """Return the rows of both parts, and add those that are missing to the file."""
     rows = [json.loads(line) for line in file.read_text("utf-8").splitlines()] if file.exists() else []
+    made = stamp()
     done = {(row["clip"], row["condition"]) for row in rows}
     for condition, part in product(CONDITIONS, ("train", "validation") if most else ()):
         found, _ = samples(DexYcb(split=part, root=root, meshes=meshes), clips, most, False)
         for sample in found:
             if (sample.name, condition) not in done:
-                rows.append({"part": part} | row(sample.folder, condition))
+                rows.append({"part": part, "made": made} | row(sample.folder, condition))
                 with file.open("a", encoding="utf-8") as stream:
                     stream.write(json.dumps(rows[-1]) + "\n")
                 print(part, sample.name, condition, flush=True)
@@ -85,7 +86,7 @@ def row(folder: Path, condition: str) -> Row:
     serious = any(finding.serious for finding in result.findings)
     return {
         "clip": clip.name, "category": clip.category, "condition": condition, "kind": kind_of(clip.provenance),
-        "serious": serious, "signs": result.signs, "energy": found.energy.tolist(), "right": right, "made": stamp(),
+        "serious": serious, "signs": result.signs, "energy": found.energy.tolist(), "right": right,
     }  # fmt: skip
 
 
