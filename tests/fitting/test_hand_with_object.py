@@ -1,4 +1,4 @@
-"""Laws of hand and object solved together: a known error found, depth above all, mirrors, and evidence that is absent."""
+"""Laws of hand and object solved together: errors found, depth above all, mirrors, and evidence that is absent."""
 
 from __future__ import annotations
 

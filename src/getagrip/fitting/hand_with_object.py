@@ -49,7 +49,7 @@ def solve_with_hand(problem: Problem, motion: M, energy_of: EnergyOf) -> tuple[S
     names = [term.name for term in terms if isinstance(term, OnHand)]
     before = dict(zip((term.name for term in terms), begun, strict=False))
     energy = {name: (float(before[name]), float(found.terms[name][0])) for name in names}
-    covariance = nat * _covariance(found.motion, inverse_of_shared(found.motion, terms, T_given))
+    covariance = nat * _covariance(found.motion, inverse_of_shared(found.motion, terms, T_given, last=8))
     rest = np.arange(1, len(motion.poses().scale))
     seen = refinement.seen
     hand = SolvedHand(seen.errors.T_cam_hand(x), covariance, energy, seen.differing(x) / seen.mask.pixels)
@@ -77,8 +77,8 @@ def _errors(motion: MovingHand[M], refinement: HandRefinement) -> Float[ndarray,
     return x
 
 
-def _covariance(motion: MovingHand[M], inverse: Float[ndarray, "S S"]) -> Float[ndarray, "6 6"]:
+def _covariance(motion: MovingHand[M], inverse: Float[ndarray, "8 8"]) -> Float[ndarray, "6 6"]:
     """Return the part of shift and turn that all frames share, the mean ray's among them."""
     J = np.eye(6, 8)
     J[:3, moving_hand.DEPTH] = motion.assumed.rays.mean(axis=0)
-    return np.asarray(J @ inverse[-8:, -8:] @ J.T)
+    return np.asarray(J @ inverse @ J.T)

@@ -95,7 +95,7 @@ def fine_fit(
 def fine_fit_with_hand(
     problem: Problem, search: Search, motion: M, energy: EnergyOf
 ) -> tuple[Solution[M], SolvedHand | None]:
-    """Run the fine stages; before the last, hand and object are solved together, where there is evidence on the hand."""
+    """Run the fine stages; before the last, a refined hand is solved together with the object."""
     if problem.refinement is None:
         return search.fine(motion, energy(problem)), None
     before = search.fine(motion, energy(problem), slice(-1)).motion
@@ -147,9 +147,9 @@ def one_dof(problem: Problem, on_stage: OnStage) -> MethodResult:
         warp = shape_of(problem, quiet, rough_fit(problem, quiet, NOTHING))
     problem = problem.warped(warp)
     search, energy = replace(search, surface=problem.surface), energy_alone(problem)
-    motion = hinge_of(problem, search.relax(initial_of(problem), energy))
-    found = search.run(motion, energy)
-    return replace(result_of(found, found.motion, energy_alone), warp=warp)
+    motion = search.coarse(hinge_of(problem, search.relax(initial_of(problem), energy)), energy).motion
+    found, hand = fine_fit_with_hand(problem, search, search.at_all_frames(motion), energy_alone)
+    return replace(result_of(found, found.motion, energy_alone), warp=warp, hand=hand)
 
 
 def static(problem: Problem, on_stage: OnStage) -> MethodResult:
