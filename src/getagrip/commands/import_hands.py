@@ -236,7 +236,7 @@ if not TYPE_CHECKING:  # the choices of --from, and the options of each tracker,
     TAKEN = [field.name for command in (ImportHands, NewFrames, Lens) for field in fields(command)]
     USABLE = usable(["from", *TAKEN])
     TAKES = "; ".join(f"{name}: {tracker.takes}" for name, tracker in USABLE.items())
-    HELP = f"Program or format of the files; without it, told by their names and keys. {TAKES}."
+    HELP = f"Program or format of the files; by default by their names and keys. {TAKES}."
     Source = Annotated[str | None, one_of(*USABLE), arg(name="from", help=HELP, help_behavior_hint="")]
     OPTIONS = [(name, type(tracker), field(default=tracker)) for name, tracker in USABLE.items()]
     Trackers = Annotated[make_dataclass("Trackers", OPTIONS, frozen=True), arg(name="")]

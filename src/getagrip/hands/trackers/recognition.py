@@ -1,4 +1,4 @@
-"""Whose hands some files are, told by their names and keys: every tracker says what it knows, nothing is tried out."""
+"""Recognition of whose hands files are, by their names and keys: every tracker says what it knows."""
 
 from __future__ import annotations
 
