@@ -56,7 +56,7 @@ def read(path: Path) -> CameraPath | None:
             images, pinholes = list(_images_bin(content)), dict(_cameras_bin(cameras))
         else:
             images, pinholes = list(_images_txt(content.decode())), dict(_cameras_txt(cameras.decode()))
-    except (ValueError, IndexError, KeyError, struct.error) as error:
+    except (ValueError, IndexError, KeyError, OverflowError, struct.error) as error:
         raise InputError(source, "", f"a damaged file ({error})", "a model as COLMAP writes it") from error
     return _path(f"COLMAP's model ({suffix})", source, images, pinholes)
 

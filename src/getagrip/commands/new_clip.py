@@ -67,7 +67,7 @@ class NewClip(Command):
     """Make a clip of your own video, at once or in steps. What is still missing is listed, with how to get it."""
 
     video: Annotated[Positional[Path], arg(metavar="VIDEO|FOLDER")]
-    """The video, undistorted (or --distortion); or a folder of its images, in the order of the numbers in their names."""
+    """The video, undistorted or with --distortion; or a folder of its images, in the order of their numbers."""
     out: Folder
     """The clip's folder; its name is the clip's."""
     interval: Annotated[tuple[int, int] | None, arg(metavar="START END", help_behavior_hint="")] = None
