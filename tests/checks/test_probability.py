@@ -62,6 +62,7 @@ def mug() -> Solved:
         axis=None,
         T_cam_hand_input=given,
         misfit=1.0,
+        hand_spread=0.0,
         spread=0.05,
         deformed=0.0,
     )

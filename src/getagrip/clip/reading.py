@@ -28,7 +28,8 @@ from getagrip.provenance import Provenance, parse
 VERSION = 4
 """Version of the clips that are written; older ones are read, too."""
 REQUIRED = ("version", "name", "category", "side", "fps", "frames", "size", "camera", "mesh", "scale")
-OPTIONAL = {1: ("provenance",), 2: ("provenance", "times")} | dict.fromkeys((3, 4), ("provenance", "times", "segments"))
+OPTIONAL = {1: ("provenance",), 2: ("provenance", "times"), 3: ("provenance", "times", "segments")}
+OPTIONAL[4] = (*OPTIONAL[3], "depth")
 """Further keys of ``clip.json`` by its version."""
 CAMERA_KEYS = {1: CAMERA[:1], 2: CAMERA[:3], 3: CAMERA, 4: CAMERA}
 """Keys of ``camera`` by the version; only the first must be there."""
@@ -57,6 +58,7 @@ class ClipFields(TypedDict, total=False):
     provenance: Provenance
     times: object
     segments: object
+    depth: object
 
 
 @named

@@ -17,6 +17,7 @@ from getagrip.batch.imports import import_clips
 from getagrip.batch.share import Share
 from getagrip.commands.command import Command
 from getagrip.commands.import_cameras import ImportCameras
+from getagrip.commands.import_depth import ImportDepth
 from getagrip.commands.import_masks import ImportMasks
 from getagrip.commands.import_segments import ImportSegments
 from getagrip.datasets.arctic import Arctic
@@ -69,7 +70,7 @@ _DATASETS: dict[str, type[Dataset]] = {
 }
 
 
-OTHERS = ("hands", "masks", "cameras", "segments")
+OTHERS = ("hands", "masks", "depth", "cameras", "segments")
 """Imports into existing clips."""
 
 
@@ -114,5 +115,5 @@ def subcommands(name: str = "") -> Any:
         from getagrip.commands.import_hands import ImportHands  # the options of all trackers are in it
 
         kinds.append(Annotated[ImportHands, subcommand("hands")])
-    into_clips = {"masks": ImportMasks, "cameras": ImportCameras, "segments": ImportSegments}
+    into_clips = {"masks": ImportMasks, "depth": ImportDepth, "cameras": ImportCameras, "segments": ImportSegments}
     return Union[*kinds, *(Annotated[command, subcommand(name)] for name, command in into_clips.items())]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,15 +24,14 @@ from getagrip.io.arguments import Flag, Folder, OptionalFile
 from getagrip.io.terminal import report
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int, UInt8
+    from jaxtyping import Int, UInt8
     from numpy import ndarray
 
     from getagrip.clip import Clip, HandTrack
     from getagrip.clip.mask_request import MaskReader
     from getagrip.clip.segment_files import SegmentList
-    from getagrip.commands.hand_file import HandFile
     from getagrip.hands.trackers import Hands
-    from getagrip.provenance import Provenance, Source
+    from getagrip.provenance import Provenance
 
 MOST_FRAMES = 20_000
 """Most frames of a clip; a stable grasp of minutes."""
@@ -120,7 +119,7 @@ class NewClip(Command):
         from getagrip.clip.plausible import check_in_view
         from getagrip.clip.segment_files import with_segments
         from getagrip.clip.writing import without_hand
-        from getagrip.commands.hand_file import HandFile
+        from getagrip.commands.hand_file import HandFile, camera_of
         from getagrip.commands.import_masks import report_masks
 
         if self.out.exists() and not self.overwrite:
@@ -144,7 +143,7 @@ class NewClip(Command):
         numbers = _numbers(self.interval)
         footage = stretch(self.video, numbers, size, fps, self.fps is not None)
         names = footage.names
-        K, camera = _camera(self.lens, hands, size)
+        K, camera = camera_of(self.lens, hands, size)
         images, camera = footage.images(), replace(camera, text=camera.text + self.distorted.words)
         if self.distorted.words:
             images = map(self.distorted.removal(K, size), images)
@@ -202,19 +201,6 @@ def _numbers(interval: tuple[int, int]) -> Int[ndarray, "T"]:
         expected = f"two frames' numbers from 1, the later one last, at most {MOST_FRAMES} apart"
         raise UsageError(f"--interval must be {expected} (got {first} {last})")
     return np.arange(first, last + 1)
-
-
-def _camera(lens: Lens, hands: HandFile | None, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], Source]:
-    """Return the command's camera or, without one, the hand file's."""
-    from getagrip.clip.intrinsics import intrinsics
-    from getagrip.clip.plausible import check_intrinsics
-    from getagrip.provenance import measured
-
-    if lens.is_set or hands is None or hands.K is None:
-        return intrinsics(lens, size)
-    check_intrinsics(hands.path, hands.K[None], size)
-    known = hands.provenance.get("camera", measured("it does not say from where"))
-    return hands.K, replace(known, text=f"the hand file's: {known}")
 
 
 def _no_hand(frames: int) -> HandTrack:

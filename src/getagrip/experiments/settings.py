@@ -21,6 +21,7 @@ from getagrip.experiments.changes import (
     Wrong,
     WrongMasks,
 )
+from getagrip.experiments.simulated_evidence import JOINTS, SimulatedJoints
 from getagrip.experiments.wrong_inputs import MISTAKES
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Departures
@@ -73,6 +74,11 @@ def _hand_noise(mm: float) -> Setting:
 def _noise_level(name: str) -> Setting:
     """Make a setting with the hands of a level of noise; the masks stay as they are."""
     return Setting(name, change=Noisy(replace(NOISE[name], mask_ragged_px=0.0)))
+
+
+def _estimated(*evidence: Change) -> Change:
+    """Make the change to hands at the level ``estimated``; evidence is of the true ones."""
+    return Several((*evidence, Noisy(replace(NOISE["estimated"], mask_ragged_px=0.0))))
 
 
 def _mask_noise(px: float) -> Setting:
@@ -189,6 +195,15 @@ ABLATIONS: dict[str, Ablation] = {
             replace(noise, label=f"{noise.label}, {word}", options={"hands": hands})
             for noise in (Setting("none"), _hand_noise(10.0), _noise_level("moderate"), _noise_level("strong"))
             for hands, word in (("as-given", "as given"), ("corrected", "corrected"))
+        ),
+        ("soft-hinge",),
+    ),
+    "evidence": Ablation(
+        "Hands at the level `estimated`, with other evidence simulated at levels of errors (docs/datasets.md)",
+        "nothing new",
+        (
+            Setting("nothing new", change=_estimated()),
+            *(Setting(f"2D joints, {level}", change=_estimated(SimulatedJoints(level))) for level in JOINTS),
         ),
         ("soft-hinge",),
     ),

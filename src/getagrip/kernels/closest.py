@@ -141,7 +141,8 @@ def _seed(corners, low, spacing, face, part, squared, point):
     begin, end = np.empty(3, np.int64), np.empty(3, np.int64)
     for f in range(len(corners)):
         for k in range(3):
-            least, most = corners[f, :, k].min(), corners[f, :, k].max()
+            a, b, c = corners[f, 0, k], corners[f, 1, k], corners[f, 2, k]
+            least, most = min(min(a, b), c), max(max(a, b), c)
             begin[k] = max(0, int(np.floor((least - low[k]) / spacing)))
             end[k] = min(face.shape[k], int(np.ceil((most - low[k]) / spacing)) + 1)
         for i in range(begin[0], end[0]):
@@ -217,7 +218,7 @@ def signed_distance(x, y, z, corners, normals, face, origin, spacing):
     least, nearest, part, seen, seen_before = np.inf, -1, 0, -1, -1
     dx, dy, dz = 0.0, 0.0, 0.0
     for node in range(8):
-        f = face[i + (node & 1), j + (node >> 1 & 1), k + (node >> 2)]
+        f = np.int64(face[i + (node & 1), j + (node >> 1 & 1), k + (node >> 2)])
         if f in (nearest, seen, seen_before):
             continue
         seen, seen_before = f, seen

@@ -91,8 +91,12 @@ def match_boundary(points, n, targets, gate, strength, delta, matched):
     """
     Q = len(targets)
     lanes = (Q + 7) // 8 * 8
-    aims, least, at = np.zeros((4, lanes)), np.full(lanes, gate), np.full(lanes, -1)
-    aims[:, :Q] = targets[:, :4].T
+    aims, least, at = np.zeros((4, lanes)), np.empty(lanes), np.empty(lanes, np.int64)
+    for q in range(lanes):
+        least[q], at[q] = gate, -1
+    for q in range(Q):
+        for row in range(4):
+            aims[row, q] = targets[q, row]
     for k in range(n):  # targets inside: they go side by side, eight at once
         u, v, mx, my = points[U, k], points[V, k], points[NX, k], points[NY, k]
         for q in range(lanes):

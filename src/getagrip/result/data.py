@@ -90,6 +90,10 @@ class Reconstruction(ArrayData):
         probability_right_in_camera: probability that the poses are right relative to the camera.
         T_cam_hand: (T, 4, 4) pose of the repaired and refined hand, hand frame to camera frame [m]. ``T_hand_obj`` and
             the axis are relative to it. None if the clip's hand is unchanged.
+        hand_covariance: (6, 6) of the error that all frames of ``T_cam_hand`` share, in the hand frame: shift of the
+            hand's middle [m], turn about it [rad]; None if hand and object were not solved together.
+        hand_energy: energy of each kind of evidence on the hand, before and after it was solved with the object
+            [pixels squared of the 256-pixel crop]: what moved it.
         T_cam_other_hand: (T, 4, 4) for a timeline, pose of the other hand, refined where it holds the object; None if
             the clip has no such hand.
         warp: deformation of the clip's mesh, before it is scaled and posed, if it was fitted to the masks; None if the
@@ -121,6 +125,8 @@ class Reconstruction(ArrayData):
     probability_right: Probability | None = None
     probability_right_in_camera: Probability | None = None
     T_cam_hand: Float[ndarray, "T 4 4"] | None = None
+    hand_covariance: Float[ndarray, "6 6"] | None = None
+    hand_energy: dict[str, tuple[float, float]] = field(default_factory=dict)
     T_cam_other_hand: Float[ndarray, "T 4 4"] | None = None
     warp: Warp | None = None
     frame_kind: tuple[FrameKind, ...] = ()

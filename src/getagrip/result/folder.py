@@ -79,6 +79,8 @@ def _arrays(result: Reconstruction) -> dict[str, Shaped[ndarray, "..."]]:
     }
     if result.T_cam_hand is not None:
         out["T_cam_hand"] = result.T_cam_hand
+    if result.hand_covariance is not None:
+        out["hand_covariance"] = result.hand_covariance
     if result.T_cam_other_hand is not None:
         out["T_cam_other_hand"] = result.T_cam_other_hand
     if result.warp is not None:
@@ -116,6 +118,7 @@ def _fields(
         "probability_right": result.probability_right,
         "probability_right_in_camera": result.probability_right_in_camera,
         "energy": result.energy,
+        **({"hand_energy": result.hand_energy} if result.hand_energy else {}),
         "metrics": metrics or {},
         "seconds": result.seconds,
         **({"segments": [segment.fields() for segment in result.segments]} if result.segments else {}),

@@ -37,7 +37,7 @@ from getagrip.hands.trackers.estimates import (
 )
 from getagrip.hands.trackers.hand import load_mano
 from getagrip.hands.trackers.recognition import Sample
-from getagrip.hands.trackers.records import Record, numbers
+from getagrip.hands.trackers.records import Record, numbers, seen_joints
 from getagrip.hands.trackers.tracker import Tracker, per_image
 from getagrip.io.files import shown
 from getagrip.provenance import estimated
@@ -111,4 +111,5 @@ def estimate(path: Path, frame: int, record: Record, camera: Camera, mean: Float
     t = weak.before(camera)
     parameters = Parameters(se3.exp_so3(pose[:3]), pose[3:] + mean, np.zeros(10), t)
     depth = "weak perspective (pred_camera, bbox_top_left, bbox_scale_ratio) and the clip's focal length"
-    return Estimate(path, frame, estimated(depth), parameters, vertices=vertices + t)
+    seen = seen_joints(path, record)
+    return Estimate(path, frame, estimated(depth), parameters, vertices=vertices + t, seen=seen)

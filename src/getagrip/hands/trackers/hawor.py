@@ -1,10 +1,10 @@
 """HaWoR's hands before the camera: ``cam_space/<0 left, 1 right>/<first>_<last>.json``, or an ``.npz`` of that layout.
 
 ``init_root_orient`` (T, 3, 3), ``init_hand_pose`` (T, 15, 3, 3), ``init_betas`` (T, 10) and ``init_trans`` (T, 3) of
-the images ``first`` to ``last``, counted from 0 among those that it was run on; rotations of left hands turned back
-already, for a camera with the focal length that HaWoR was run with (``img_focal``) and its principal point in the
-middle. That focal length is not in the file: it is ``est_focal.txt`` in HaWoR's folder, or asked for. Another one would
-put the hand at another depth.
+the images ``first`` to ``last``, counted from 0 among those that it was run on, and optionally ``joints_2d``; rotations
+of left hands turned back already, for a camera with the focal length that HaWoR was run with (``img_focal``) and its
+principal point in the middle. That focal length is not in the file: it is ``est_focal.txt`` in HaWoR's folder, or asked
+for. Another one would put the hand at another depth.
 
 ``world_space_res.pth`` is a file of joblib, which can run code; where it was made, a line of Python makes an ``.npz``
 of it (the error about it shows the line): ``pred_trans`` (2, T, 3), ``pred_rot`` (2, T, 3), ``pred_hand_pose`` (2, T,
@@ -45,6 +45,7 @@ from getagrip.hands.trackers.tracker import Tracker, frames_of_images, frames_of
 from getagrip.io import files
 from getagrip.provenance import estimated
 
+FOCAL = "est_focal.txt"
 SIDES = ("0", "1")
 """Folders in ``cam_space`` of the left and the right hand."""
 WORLD = ("pred_trans", "pred_rot", "pred_hand_pose", "pred_betas")
@@ -80,10 +81,12 @@ class HaWoR(Tracker):
                 found += _in_world(path, record, focal, request)
                 continue
             T = length(path, record)
+            seen = records.seen_joints(path, record, T)
             for n, frame in enumerate(self._frames(path, record, T, request)):
                 if frame is not None:
                     parameters = row(path, record, n, T)
-                    found.append(estimate(path, frame, parameters, request.camera(frame), focal))
+                    hand = estimate(path, frame, parameters, request.camera(frame), focal)
+                    found.append(hand._replace(seen=None if seen is None else seen[n]))
         return Estimates(request.side, tuple(found))
 
     def _focal(self, path: Path) -> float:
@@ -93,11 +96,10 @@ class HaWoR(Tracker):
         """
         if self.estimator_focal is not None:
             return self.estimator_focal
-        noted = next(
-            (folder / "est_focal.txt" for folder in path.parents[:3] if (folder / "est_focal.txt").is_file()), None
-        )
+        noted = next((folder / FOCAL for folder in path.parents[:3] if (folder / FOCAL).is_file()), None)
         if noted is None:
             raise UsageError("missing --estimator-focal: the focal length that HaWoR was run with [px]")
+        noted = files.inside(noted.parent, FOCAL, "", "a focal length")
         text = files.read_bytes(noted, 100).decode(errors="replace").strip()
         try:
             focal = float(text)
@@ -133,9 +135,10 @@ def _in_world(path: Path, record: Record, focal: float, request: Request) -> Ite
     T = given[1] if len(given) == 3 and given[1] > 0 else 1
     t = numbers(path, record, "pred_trans", (2, T, 3))
     valid = numbers(path, record, "pred_valid", (2, T))[row] if "pred_valid" in record else np.ones(T)
-    T_cam_world = se3.inverse(slam_poses(found[-1]))
+    slam = files.inside(path.parent, f"SLAM/{found[-1].name}", "", "HaWoR's SLAM")
+    T_cam_world = se3.inverse(slam_poses(slam))
     if len(T_cam_world) != T:
-        raise InputError(found[-1], "traj", f"{len(T_cam_world)} poses", f"{T}, one for each frame of {path.name}")
+        raise InputError(slam, "traj", f"{len(T_cam_world)} poses", f"{T}, one for each frame of {path.name}")
     R, pose = (
         numbers(path, record, "pred_rot", (2, T, 3))[row],
         numbers(path, record, "pred_hand_pose", (2, T, 45))[row],

@@ -61,8 +61,11 @@ class ManoParameters(Tracker):
         record = records.read(path)
         hands = parameters(path, record, self.pose, self.mean, load_mano(request.mano, request.side))
         frames = frames_of_rows(path, record, len(hands), request)
+        seen = records.seen_joints(path, record, len(hands))
         found = [
-            Estimate(path, frame, DEPTH, hand) for frame, hand in zip(frames, hands, strict=True) if frame is not None
+            Estimate(path, frame, DEPTH, hand, seen=None if seen is None else seen[n])
+            for n, (frame, hand) in enumerate(zip(frames, hands, strict=True))
+            if frame is not None
         ]
         return Estimates(request.side, tuple(found), left_model="own")
 
