@@ -21,6 +21,7 @@ from getagrip.hands.trackers import TRACKERS, Hands, Tracker, read, recognise
 from getagrip.hands.trackers.egodex import FINGERS, PARTS
 from getagrip.hands.trackers.joints import Joints
 from getagrip.hands.trackers.landmarks import Landmarks
+from getagrip.hands.trackers.lerobot import LeRobot
 from getagrip.hands.trackers.records import CONVERTS_HAWOR
 from getagrip.io import arrays
 from helpers import other_estimators as forged
@@ -156,6 +157,32 @@ def test_egodex(tmp_path: Path, side: Side) -> None:
         episode["transforms/camera"] = h5py.ExternalLink("/etc/other.hdf5", "camera")
     with pytest.raises(InputError, match="transforms/camera"):
         read([tmp_path / "0.hdf5"], TRACKERS["egodex"], request(side))
+
+
+@pytest.mark.slow
+def test_columns_of_lerobot(tmp_path: Path) -> None:
+    pa = pytest.importorskip("pyarrow", reason="the extra lerobot is not installed")
+    from pyarrow import parquet
+
+    known = Known("right", None)
+    both = np.concatenate([np.zeros((3, 63)), known.joints.reshape(3, 63)], axis=1)
+    columns = {
+        "observation.hands": both.tolist(), "observation.landmarks": forged.landmarks(known).reshape(3, 42).tolist(),
+        "episode_index": [4, 4, 4], "frame_index": [0, 1, 2],
+    }  # fmt: skip
+    (tmp_path / "data" / "chunk-000").mkdir(parents=True)
+    parquet.write_table(pa.table(columns), tmp_path / "data" / "chunk-000" / "file-000.parquet")
+    assert recognise([tmp_path], dict(TRACKERS.items()))[0] == "lerobot"
+    hands = read([tmp_path], LeRobot("observation.hands", 4), request("right"))
+    np.testing.assert_allclose(joints_of(hands), as_plain_joints(tmp_path, known), atol=1e-9)
+    seen = read([tmp_path], LeRobot("observation.landmarks", 4), request("right")).track.joints_2d
+    np.testing.assert_allclose(seen, forged.landmarks(known), atol=1e-9)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match=r"missing --column: .*observation\.hands, observation\.landmarks"):
+        read([tmp_path], LeRobot(), request("right"))
+    with pytest.raises(InputError, match="no row of episode 5"):
+        read([tmp_path], LeRobot("observation.hands", 5), request("right"))
+    with pytest.raises(InputError, match="42, 63, 84 or 126"):
+        read([tmp_path], LeRobot("frame_index", 4), request("right"))
 
 
 def test_what_nobody_knows_is_refused_with_what_was_looked_for(tmp_path: Path) -> None:

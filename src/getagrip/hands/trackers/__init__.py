@@ -26,6 +26,7 @@ from getagrip.hands.trackers.hamer import HaMeR, WiLoR
 from getagrip.hands.trackers.hawor import HaWoR
 from getagrip.hands.trackers.joints import Joints, Soma
 from getagrip.hands.trackers.landmarks import Landmarks
+from getagrip.hands.trackers.lerobot import LeRobot
 from getagrip.hands.trackers.mano_parameters import ManoParameters
 from getagrip.hands.trackers.reading import CHOSEN, EXTRAPOLATED, Hands, read
 from getagrip.hands.trackers.recognition import recognise
@@ -55,6 +56,7 @@ _TRACKERS: dict[str, Tracker] = {
     "mano": ManoParameters(),
     "dynhamr": DynHaMR(),
     "egodex": EgoDex(),
+    "lerobot": LeRobot(),
     "soma": Soma(),
     "joints": Joints(),
     "landmarks": Landmarks(),

@@ -79,24 +79,32 @@ class Landmarks(Tracker):
         for row, frame in enumerate(frames_of_rows(path, rows, len(points), request)):
             if frame is not None:
                 seen[frame] = points[row]
-        there = seen[..., 2] > 0.0
-        shares = there.any() and np.abs(seen[there][:, :2]).max() <= LARGEST_SHARE
-        if shares:
-            seen[..., :2] *= request.size
-        if not there.any():
-            return Estimates(request.side, ())
-        K = request.K[0]
-        as_seen = project(K, backproject(request.K, seen[..., :2]))
-        lifted = hands_from_landmarks(as_seen, seen[..., 2], K, request.side)
-        assert lifted.hand.joints is not None
-        joints = se3.transform(lifted.hand.T_cam_hand, lifted.hand.joints)
-        hands = (
-            Estimate(path, frame, DEPTH, None, hand, seen=seen[frame])
-            for frame, hand in zip(lifted.rows, joints, strict=True)
-        )
-        scale = SCALE + (f"; that it is the {request.side} hand is a guess" if side_assumed else "")
-        scale += "; coordinates up to 1 taken as shares of the image" if shares else ""
-        return Estimates(request.side, tuple(hands), scale=scale)
+        return lifted(path, seen, request, side_assumed)
+
+
+def lifted(path: Path, seen: Float[ndarray, "T 21 3"], request: Request, side_assumed: bool = False) -> Estimates:
+    """Lift landmarks in the clip's images, with their confidence, to hands; zeros where there is none.
+
+    Coordinates that are all small are shares of the image's sides.
+    """
+    there = seen[..., 2] > 0.0
+    if not there.any():
+        return Estimates(request.side, ())
+    shares = np.abs(seen[there][:, :2]).max() <= LARGEST_SHARE
+    if shares:
+        seen = seen * [*request.size, 1.0]
+    K = request.K[0]
+    as_seen = project(K, backproject(request.K, seen[..., :2]))
+    found = hands_from_landmarks(as_seen, seen[..., 2], K, request.side)
+    assert found.hand.joints is not None
+    joints = se3.transform(found.hand.T_cam_hand, found.hand.joints)
+    hands = (
+        Estimate(path, frame, DEPTH, None, hand, seen=seen[frame])
+        for frame, hand in zip(found.rows, joints, strict=True)
+    )
+    scale = SCALE + (f"; that it is the {request.side} hand is a guess" if side_assumed else "")
+    scale += "; coordinates up to 1 taken as shares of the image" if shares else ""
+    return Estimates(request.side, tuple(hands), scale=scale)
 
 
 def _count(path: Path, rows: records.Record) -> int:
