@@ -79,6 +79,7 @@ CALLS: dict[str, Sequence[str]] = {
         *("results --to csv --overwrite", "results --to obj", "results --to glb --out out"),
         *(f"results --to {to} --out out" for to in ("npz", "bop", "spider", "dex-retargeting")),
         *(f"results --to {to} --out out" for to, library in EXPORTS.items() if find_spec(library)),
+        *["results --to lerobot --out out --one-dataset"] * (find_spec("pyarrow") is not None),
     ],
     "bench clips": [f"clips {BENCH} --json out.json", f"clips {BENCH} --ablation mask-noise"],
     "bench synthetic": [f"{BENCH} --clips 1"],
