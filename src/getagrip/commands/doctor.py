@@ -256,7 +256,6 @@ def _numbers(version: str) -> list[int]:
 
 def _try_out() -> None:
     """Make a small clip and take it through every step, twice; only the first time is anything compiled."""
-    from getagrip.batch.compiled import compile_once
     from getagrip.batch.job import Job, reconstruct_one
     from getagrip.clip import read_clip, read_masks, write_clip
     from getagrip.datasets.synthetic.scene import synthesise
@@ -276,4 +275,3 @@ def _try_out() -> None:
                 raise RuntimeError(outcome.message)
             add = evaluate_result(out, clip).metrics["add_sym_mm"]
             print(f"ok       a can in 6 frames, {add:.1f} mm off, {perf_counter() - began:.1f} s, {words}")
-    compile_once()
