@@ -139,7 +139,7 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
     parsed = cache(cli._parsed)
     places = {
         "annotate.server.Server.serve_forever": ended,
-        "batch.compiled.compile_once": lambda: None,
+        "compiling.compile_once": lambda: None,
         "cli._parsed": lambda words: parsed(tuple(words)),
         "datasets.synthetic.scene_options.DEMO": SHORT,
         "commands.doctor._try_out": lambda: None,

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.errors import InputError, UsageError
-from getagrip.io import arrays, files, pickles
+from getagrip.io import arrays, extras, files, pickles
 
 Record = Mapping[str, Any]
 """Arrays, numbers, texts, lists and further records by name."""
@@ -122,7 +122,7 @@ def _read_torch(path: Path) -> Record:
         import torch
     except ModuleNotFoundError as error:
         raise UsageError(
-            f"{path}: reading {path.suffix} files needs torch: pip install 'getagrip[torch]', or save the same "
+            f"{path}: reading {path.suffix} files needs torch: {extras.install('torch')}, or save the same "
             "dictionary as .npz where the file was made"
         ) from error
     content = files.read_bytes(path, LARGEST)
