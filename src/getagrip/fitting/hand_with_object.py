@@ -28,6 +28,9 @@ M = TypeVar("M", bound=Motion)
 DEPTH = 0.018, 0.007
 """Standard deviations of the error along the camera's ray beside that in any direction: that all frames share, and of
 each frame's own [m]; those of estimates from images (docs/datasets.md)."""
+PRIOR = 0.5
+"""Weight of the prior against what it has in the hand's refinement: clips differ in how far their hands are off, so
+that its tails are heavier than a square's. Chosen on training clips."""
 LEVEL, ITERATIONS = 128, 8
 """Resolution [px] and most iterations."""
 
@@ -63,7 +66,7 @@ def _moving(refinement: HandRefinement, motion: M, nat: float) -> MovingHand[M]:
     own = np.concatenate([jitter[SHIFT], jitter[TURN], [DEPTH[1]]])
     a, b = refinement.shared, refinement.own
     return replace(
-        MovingHand.around(motion, HandPrior.of(hand, constant, own, nat)),
+        MovingHand.around(motion, HandPrior.of(hand, constant, own, PRIOR * nat)),
         constant=np.concatenate([a[SHIFT], a[TURN], [0.0, a[SIZE] + b[:, SIZE].mean()]])[None],
         own=np.concatenate([b[:, SHIFT], b[:, TURN], np.zeros((len(b), 1))], axis=1)[None],
     )
