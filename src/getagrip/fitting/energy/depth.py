@@ -110,6 +110,12 @@ class Solid:
         planes = np.stack([mesh.planes.T for mesh in meshes])
         return Solid(np.ascontiguousarray(np.swapaxes(vertices, 1, 2)), np.ascontiguousarray(planes), faces, closed)
 
+    def about(self, middle: Float[ndarray, "3"]) -> Solid:
+        """Return it about another centre."""
+        planes = self.planes.copy()
+        planes[:, 3] += np.einsum("nkf,k->nf", planes[:, :3], middle)
+        return replace(self, vertices=self.vertices - middle[:, None], planes=planes)
+
     def take(self, index: Int[ndarray, "n"]) -> Solid:
         """Return it at some of its frames."""
         return replace(self, vertices=self.vertices[index], planes=self.planes[index])
@@ -136,7 +142,7 @@ class DepthTerm:
 
     Attributes:
         object: the object's mesh.
-        hand: the hand's mesh, about its middle, in each frame.
+        hand: the hand's mesh in its own frame, in each frame.
         samples: the depth images.
         errors: what these may err by.
         weight: energy per squared deviation of an independent sample [px^2].
@@ -162,9 +168,11 @@ class DepthTerm:
         return np.asarray(KAPPA * np.expm1(total / KAPPA))
 
     def _evaluate(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> tuple[Quadratic, ImageErrors]:
-        (B, N), s = poses.centre.shape[:2], self.samples
+        (B, N), s, o = poses.centre.shape[:2], self.samples, self.object
         moves = isinstance(poses, ObjectWithHand)
-        hand = poses.hand if isinstance(poses, ObjectWithHand) else poses
+        hand, solid = poses, self.hand
+        if isinstance(poses, ObjectWithHand):
+            hand, solid = poses.hand, self.hand.about(poses.hand.middle)
         P = 14 if moves else 7
         q = replace(Quadratic.zero(poses, P), cross=np.zeros((B, N, P, N, P)))
         image = ImageErrors(np.zeros((B, 3)), np.zeros((B, N)), np.zeros((B, *s.log_z.shape)))
@@ -173,8 +181,8 @@ class DepthTerm:
         sigma = np.array([self.errors.noise, np.hypot(self.errors.noise, surface)])
         priors = np.array([self.errors.relief, apart, self.errors.clip, self.errors.frame]) ** -2.0
         _evaluate(
-            poses.R, poses.centre, poses.scale, self.object.vertices, self.object.planes, self.object.faces, self.object.closed,
-            hand.R, hand.centre, hand.scale, self.hand.vertices, self.hand.planes, self.hand.faces, self.hand.closed, moves,
+            poses.R, poses.centre, poses.scale, o.vertices, o.planes, o.faces, o.closed,
+            hand.R, hand.centre, hand.scale, solid.vertices, solid.planes, solid.faces, solid.closed, moves,
             s.K, s.size, s.place, s.on_object, s.used, s.log_z, s.relief, s.weight, s.given,
             priors, sigma, self.weight, EXACT * self.errors.noise, ROUNDS, bound,
             q.value, q.g, q.H, q.cross, image.of_clip, image.of_frame, image.left,
@@ -232,6 +240,9 @@ def _evaluate(
         total = 0.0
         for n in range(N):
             cost = shared + priors[3] * of_frame[b, n] ** 2
+            for m in range(M):
+                if w[n, m] == 0.0:
+                    left[b, n, m] = 0.0
             for m in range(used[n]):
                 cost += w[n, m] * TAIL**2 * np.log1p((left[b, n, m] / (TAIL * sigmas[n, m])) ** 2)
                 cost += (weight[n, m] - w[n, m]) * missed * (moves or m < on_object[n])
