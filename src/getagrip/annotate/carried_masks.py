@@ -45,6 +45,9 @@ PRIOR, COLOUR, MOST = 4.0, 1.0, 3.0
 BACK = 1.5
 """Flow there and back agrees if it ends so near to where it began [px]."""
 
+CUT = 0.35
+"""Where less of the border than this share agrees, the video is cut, or all is lost."""
+
 SEEN = 0.2
 """Knowledge of a pixel that came into view after the key: its colour has decided."""
 REMEMBERED = 0.95
@@ -56,7 +59,7 @@ STIFF = 0.5
 
 CLEAR = 3.0
 """Pixels farther than this from all that is carried show the ground [px]."""
-NO_HAND = 1.0
+NO_HAND = 0.3
 """Pixels of the hand that was found are not the hand's where colours of the object are likelier by e to this."""
 
 KINDS = (OBJECT, FRONT, HAND)
@@ -188,7 +191,8 @@ def _step(
     in_view = (u >= 0) & (u <= width - 1) & (v >= 0) & (v <= height - 1)
     known = in_view * moved(now.known, old(*came), 1.0)
     border = (np.abs(inside[0]) < 2.0) & ~hidden
-    trust = now.trust * (float(np.mean(off[border] < BACK)) if border.any() else 1.0)
+    agreeing = float(np.mean(off[border] < BACK)) if border.any() else 1.0
+    trust = now.trust * agreeing if agreeing > CUT else 0.0
     certain = (known * np.where(was_hidden, 0.1, np.where(off < BACK, 1.0, 0.3))).astype(np.float32)
     visible = placed(now, (columns.start, rows.start), b.shape[1::-1])[0]
     top_most = ~is_hidden(visible)
