@@ -192,7 +192,7 @@ def test_a_cut_lowers_the_confidence() -> None:
         image, labels = drawn(n)
         return (image, labels) if n < 5 else (image[:, ::-1].copy(), labels[:, ::-1].copy())
 
-    assert worst(carried((0, LAST), cut))[1] < 0.75
+    assert worst(carried((0, LAST), cut))[1] < 0.5
 
 
 @pytest.mark.slow
