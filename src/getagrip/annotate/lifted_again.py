@@ -74,8 +74,9 @@ def lifted_again(
     found = hands_from_landmarks(points, confidence, K, side, world, hiding, LOOSENESS)
     kept = np.isin(found.rows, at)
     rows = np.searchsorted(at, np.array(found.rows)[kept])
-    seen = {"joints_2d": hand.joints_2d[rows], "joints_2d_confidence": hand.joints_2d_confidence[rows]}
-    return replace(found.hand.take(np.flatnonzero(kept)), **seen), rows
+    lifted = found.hand.take(np.flatnonzero(kept))
+    seen, sure = hand.joints_2d[rows], hand.joints_2d_confidence[rows]
+    return replace(lifted, joints_2d=seen, joints_2d_confidence=sure), rows
 
 
 def write_lifted_again(found: Path, out: Path, side: Side, first: int, last: int, maps: LabelMaps) -> None:
