@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 
-from benchmarks import against_deodr, batch, reconstruct_speed, scaling, segment_speed, store, two_threads
+from benchmarks import against_deodr, batch, drafts, reconstruct_speed, scaling, segment_speed, store, two_threads
 from benchmarks.timing import circumstances
 
 SECTIONS = {
@@ -15,6 +15,7 @@ SECTIONS = {
     "scaling": scaling.tables,
     "segment-speed": segment_speed.tables,
     "batch": batch.tables,
+    "drafts": drafts.tables,
 }
 
 

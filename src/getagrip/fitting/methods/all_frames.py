@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from getagrip.fitting.energy import Energy
+from getagrip.fitting.hand_with_object import solve_with_hand
 from getagrip.fitting.initial_poses import initial_poses
 from getagrip.fitting.methods import OnStage
 from getagrip.fitting.misfit import misfit, stiffened
@@ -18,6 +19,7 @@ from getagrip.fitting.schedule import THOROUGH, USUAL
 from getagrip.fitting.search import Search
 from getagrip.fitting.shape import own_shape
 from getagrip.fitting.solve import Solution, minimise
+from getagrip.fitting.solved_hand import SolvedHand
 from getagrip.fitting.usual import usual_of, usual_rotations
 from getagrip.geometry.warp import Warp
 from getagrip.result import Axis
@@ -57,9 +59,12 @@ def soft_hinge(problem: Problem, on_stage: OnStage, more: EnergyOf | None = None
         problem = problem.warped(warp)
         search = replace(search, surface=problem.surface)
         rough = rough_fit(problem, search, own(problem))
-    found = fine_fit(problem, search, rough, ridge, own(problem))
-    result = result_of(found, found.motion.core, lambda other: plus(soft_energy(other), own(other)))
-    return replace(result, warp=warp)
+
+    def energy(problem: Problem) -> Energy:
+        return plus(soft_energy(problem), own(problem))
+
+    found, hand = fine_fit_with_hand(problem, search, soft_hinge_of(problem, search, rough, ridge), energy)
+    return replace(result_of(found, found.motion.core, energy), warp=warp, hand=hand)
 
 
 def soft_hinges(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> Solution[Soft[Hinge]]:
@@ -84,10 +89,28 @@ def fine_fit(
 ) -> Solution[Soft[Hinge]]:
     """Run the fine stages, with deviations as stiff as ``ridge``."""
     energy = plus(coarse_energy(problem), more)
+    return search.fine(soft_hinge_of(problem, search, rough, ridge), steady(problem, energy))
+
+
+def fine_fit_with_hand(
+    problem: Problem, search: Search, motion: M, energy: EnergyOf
+) -> tuple[Solution[M], SolvedHand | None]:
+    """Run the fine stages; before the last, a refined hand is solved together with the object."""
+    if problem.refinement is None:
+        return search.fine(motion, energy(problem)), None
+    before = search.fine(motion, energy(problem), slice(-1)).motion
+    hand, motion = solve_with_hand(problem, before, energy)
+    search = replace(search, T_cam_hand=hand.T_cam_hand)
+    return search.fine(motion, energy(problem.with_hand(hand)), slice(-1, None)), hand
+
+
+def soft_hinge_of(
+    problem: Problem, search: Search, rough: Solution[Soft[Fixed]], ridge: tuple[float, float]
+) -> Soft[Hinge]:
+    """Return the soft hinges nearest to what the coarse stages found, at all frames."""
     motion = search.at_all_frames(rough.motion)
     ridge = (problem.trust.firmness * ridge[0], problem.trust.firmness * ridge[1])
-    soft = Soft.around(hinge_of(problem, motion), motion.poses(), ridge)
-    return search.fine(soft, steady(problem, energy))
+    return Soft.around(hinge_of(problem, motion), motion.poses(), ridge)
 
 
 def misfit_of(problem: Problem, search: Search, rough: Solution[Soft[Fixed]]) -> float:
@@ -124,9 +147,9 @@ def one_dof(problem: Problem, on_stage: OnStage) -> MethodResult:
         warp = shape_of(problem, quiet, rough_fit(problem, quiet, NOTHING))
     problem = problem.warped(warp)
     search, energy = replace(search, surface=problem.surface), energy_alone(problem)
-    motion = hinge_of(problem, search.relax(initial_of(problem), energy))
-    found = search.run(motion, energy)
-    return replace(result_of(found, found.motion, energy_alone), warp=warp)
+    motion = search.coarse(hinge_of(problem, search.relax(initial_of(problem), energy)), energy).motion
+    found, hand = fine_fit_with_hand(problem, search, search.at_all_frames(motion), energy_alone)
+    return replace(result_of(found, found.motion, energy_alone), warp=warp, hand=hand)
 
 
 def static(problem: Problem, on_stage: OnStage) -> MethodResult:
