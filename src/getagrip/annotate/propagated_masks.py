@@ -21,6 +21,7 @@ from jaxtyping import Bool, UInt8
 from numpy import ndarray
 
 from getagrip.annotate.carried_masks import KINDS, Carried, Hands, Images, carry, key_colours, placed
+from getagrip.annotate.fine_border import fine
 from getagrip.annotate.labels import FRONT, HAND, OBJECT
 from getagrip.annotate.merged_masks import merged
 from getagrip.annotate.shared_flow import SmallFrames
@@ -102,11 +103,11 @@ def _filled(
     there = carry(frames, before, keys[before], last, colours, hand) if before < first else None
     back = list(carry(frames, after, keys[after], first, colours, hand))[::-1] if after > last else None
     if there is None or back is None:
-        yield from (_propagated(each, each.trust, keys, size) for each in there or back or ())
+        yield from (_propagated(each, each.trust, keys, frames) for each in there or back or ())
         return
     for one, other in zip(there, back, strict=True):
         share = (one.frame - before) / (after - before)
-        yield _propagated(*merged(one, other, share, frames[one.frame], colours), keys, size)
+        yield _propagated(*merged(one, other, share, frames[one.frame], colours), keys, frames)
 
 
 def _unknown(_: int) -> None:
@@ -150,14 +151,18 @@ def _working_size(keys: Mapping[int, UInt8[ndarray, "H W"]]) -> tuple[int, int]:
 
 
 def _propagated(
-    each: Carried, confidence: float, keys: Mapping[int, UInt8[ndarray, "H W"]], size: tuple[int, int]
+    each: Carried, confidence: float, keys: Mapping[int, UInt8[ndarray, "H W"]], frames: SmallFrames
 ) -> Propagated:
     """At the size of the keys' masks."""
     import cv2
 
     height, width = next(iter(keys.values())).shape
-    whole, _ = placed(each, (0, 0), size)
+    inside, _ = placed(each, (0, 0), frames.size)
     labels = np.zeros((height, width), np.uint8)
-    for kind, inside in zip(KINDS, whole, strict=True):  # what is in front wins
-        labels[cv2.resize(inside, (width, height), interpolation=cv2.INTER_LINEAR) > 0] = kind
+    for kind, distances in zip(KINDS[1:], inside[1:], strict=True):  # what is in front wins
+        labels[cv2.resize(distances, (width, height), interpolation=cv2.INTER_LINEAR) > 0] = kind
+    whole = frames[each.frame].whole
+    visible = cv2.resize(np.minimum(inside[0], -inside[1:].max(axis=0)), whole.shape[1::-1])
+    found = fine(whole, visible, whole.shape[1] / frames.size[0]).astype(np.float32)
+    labels[cv2.resize(found, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5] = OBJECT
     return Propagated(each.frame, labels, confidence)

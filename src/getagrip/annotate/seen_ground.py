@@ -46,7 +46,7 @@ class Ground:
         return Ground(np.asarray(image, np.uint8), np.asarray(seen, np.float32))
 
     def renew(self, image: UInt8[ndarray, "h w 3"], part: Part, moved: Ground, visible: Bool[ndarray, "h w"]) -> None:
-        """Become the next frame's: outside a part its ``image``; in it what ``moved``, as it looks now if ``visible``."""
+        """Become the next frame's: outside a part its ``image``; in it ``moved``, as it looks now if ``visible``."""
         same = visible & (np.abs(image[part].astype(np.int16) - moved.image).max(axis=-1) < 2.0 * NOISE)
         self.image = image.copy()
         self.image[part] = np.where(same[..., None], image[part], moved.image)

@@ -28,6 +28,8 @@ class SmallFrame(NamedTuple):
     image: UInt8[ndarray, "h w 3"]
     bins: Int32[ndarray, "h w"]
     """Of its colours."""
+    whole: UInt8[ndarray, "H W 3"]
+    """As it was."""
 
 
 class SmallFrames:
@@ -44,8 +46,9 @@ class SmallFrames:
         import cv2
 
         if n not in self._frames:
-            image = np.asarray(cv2.resize(self._image(n), self.size, interpolation=cv2.INTER_AREA), np.uint8)
-            self._frames[n] = SmallFrame(image, bins(image))
+            whole = self._image(n)
+            image = np.asarray(cv2.resize(whole, self.size, interpolation=cv2.INTER_AREA), np.uint8)
+            self._frames[n] = SmallFrame(image, bins(image), whole)
             if len(self._frames) > 3:
                 self._frames.popitem(last=False)
         return self._frames[n]
