@@ -48,7 +48,6 @@ CONDITIONS: Mapping[str, Change] = {
     "estimated": ESTIMATED,
     "estimated, 2D joints": Several((SimulatedJoints("landmarks"), ESTIMATED)),
     "exact": UNCHANGED,
-    "moderate": Noisy(NOISE["moderate"]),
 }
 SIGNS_USED = [sign for sign in (*SIGNS, *HAND_SIGNS) if sign.name != "mesh-deformation"]
 """Signs for estimated hands; DexYCB's own meshes are not deformed."""
@@ -61,9 +60,9 @@ def collect(file: Path, clips: Path, root: Path, meshes: Path, most: int) -> lis
     rows = [json.loads(line) for line in file.read_text("utf-8").splitlines()] if file.exists() else []
     made = stamp()
     done = {(row["clip"], row["condition"]) for row in rows}
-    for condition, part in product(CONDITIONS, ("train", "validation") if most else ()):
+    for part in ("train", "validation") if most else ():
         found, _ = samples(DexYcb(split=part, root=root, meshes=meshes), clips, most, False)
-        for sample in found:
+        for condition, sample in product(CONDITIONS, found):
             if (sample.name, condition) not in done:
                 rows.append({"part": part, "made": made} | row(sample.folder, condition))
                 with file.open("a", encoding="utf-8") as stream:

@@ -38,6 +38,9 @@ WORTH = 0.01
 """Share of the hand's visible pixels that a refinement must correct; less is noise of masks."""
 AGREE = 0.4
 """Share of them that may still differ afterwards; otherwise the mask is another hand's."""
+SUSPICIOUS, CONTRADICTED = 0.12, 0.05
+"""Joints with which more than the first share of the pixels differ are left out, if without them fewer do, by the
+second: they are another hand's, or another camera's."""
 STEPS = 10, 8, 3
 """Iterations: without bends; with them, at some of the frames; at all of them."""
 FEW = 10
@@ -117,8 +120,11 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
     if before < WORTH:
         return None, before
     seen = seen.with_field
-    found = _fitted(_SeenHand(seen, joints), unrefined)
-    after = (seen if found.own.shape[1] == RIGID else seen.with_bends).share(found.errors)
+    found, after = _fitted(_SeenHand(seen, joints), unrefined)
+    if joints is not None and after > SUSPICIOUS:
+        by_pixels, alone = _fitted(_SeenHand(seen, None), unrefined)
+        if after - alone > CONTRADICTED:
+            joints, found, after = None, by_pixels, alone
     if after > AGREE or (before - after < WORTH and joints is None):
         return None, before
     T, T_input, middle = seen.errors.T_cam_hand(found.errors), clip.hand.T_cam_hand, seen.errors.middle[None]
@@ -155,7 +161,13 @@ class _SeenHand:
         return value, g, H
 
 
-def _fitted(seen: _SeenHand, unrefined: Float[ndarray, "N P"]) -> HandFit:
+def _fitted(seen: _SeenHand, unrefined: Float[ndarray, "N P"]) -> tuple[HandFit, float]:
+    """Return the fit, and the share of the hand's pixels that still differ."""
+    found, silhouette = _minimised(seen, unrefined), seen.silhouette
+    return found, (silhouette if found.own.shape[1] == RIGID else silhouette.with_bends).share(found.errors)
+
+
+def _minimised(seen: _SeenHand, unrefined: Float[ndarray, "N P"]) -> HandFit:
     """Minimise the cost: first by rigid errors alone, since bends, too, could explain a hand that is turned."""
     rigid, few, all_frames = STEPS
     found = least_squares.minimise(HandFit.of(seen, ASSUMED, unrefined), rigid).state
