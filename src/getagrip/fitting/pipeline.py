@@ -229,7 +229,7 @@ def _result(
         options=asdict(options),
         seed=options.seed,
         T_cam_hand=track.T_cam_hand if answer.hand_moved else None,
-        hand_covariance=answer.hand and answer.hand.covariance,
+        hand_covariance=None if answer.hand is None else answer.hand.covariance,
         hand_energy={} if answer.hand is None else dict(answer.hand.energy),
         T_cam_other_hand=answer.T_cam_other_hand,
         warp=answer.warp,
