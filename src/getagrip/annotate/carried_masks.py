@@ -20,7 +20,7 @@ from numpy import ndarray
 
 from getagrip.annotate.colour_cut import Colours, Places, cut, edges, likelier
 from getagrip.annotate.labels import FRONT, HAND, OBJECT
-from getagrip.annotate.object_motion import moved, moves_with, own_motion
+from getagrip.annotate.object_motion import Origins, moved, moves_with, own_motion
 from getagrip.annotate.seen_ground import RARE, Ground
 from getagrip.annotate.shared_flow import Part, SmallFrame, SmallFrames
 
@@ -45,6 +45,9 @@ PRIOR, COLOUR, MOST = 4.0, 1.0, 3.0
 BACK = 1.5
 """Flow there and back agrees if it ends so near to where it began [px]."""
 
+CUT = 10.0
+"""Where most pixels differ more than this from where flow says that they were, the video is cut [of 255]."""
+
 SEEN = 0.2
 """Knowledge of a pixel that came into view after the key: its colour has decided."""
 REMEMBERED = 0.95
@@ -56,7 +59,7 @@ STIFF = 0.5
 
 CLEAR = 3.0
 """Pixels farther than this from all that is carried show the ground [px]."""
-NO_HAND = 1.0
+NO_HAND = 0.3
 """Pixels of the hand that was found are not the hand's where colours of the object are likelier by e to this."""
 
 KINDS = (OBJECT, FRONT, HAND)
@@ -189,6 +192,8 @@ def _step(
     known = in_view * moved(now.known, old(*came), 1.0)
     border = (np.abs(inside[0]) < 2.0) & ~hidden
     trust = now.trust * (float(np.mean(off[border] < BACK)) if border.any() else 1.0)
+    if _is_cut(frames[before].image[part], b, came):
+        trust = 0.0
     certain = (known * np.where(was_hidden, 0.1, np.where(off < BACK, 1.0, 0.3))).astype(np.float32)
     visible = placed(now, (columns.start, rows.start), b.shape[1::-1])[0]
     top_most = ~is_hidden(visible)
@@ -202,6 +207,14 @@ def _step(
     known = np.where(hidden, REMEMBERED * known, np.where(off < BACK, np.maximum(known, SEEN), SEEN)).astype(np.float32)
     ground.renew(frames[frame].image, part, behind, inside.max(axis=0) < -CLEAR)
     return _cut(Carried(frame, (columns.start, rows.start), inside, known, trust, unlike))
+
+
+def _is_cut(before: Image, after: Image, came: Origins) -> bool:
+    """Return whether most of an image shows something else than the one before, wherever that was."""
+    import cv2
+
+    expected = cv2.remap(before, *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+    return bool(np.median(cv2.absdiff(expected, after)[::2, ::2].mean(axis=-1)) > CUT)
 
 
 def _around(now: Carried, size: tuple[int, int]) -> Part:

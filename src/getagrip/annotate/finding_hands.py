@@ -66,7 +66,7 @@ def of_landmarks(landmarks: HandLandmarks) -> Provenance:
 def lifted(
     landmarks: HandLandmarks, first: int, size: tuple[int, int], K: Float[ndarray, "3 3"], camera: Source
 ) -> FoundHands:
-    """Lift landmarks of the frames from ``first`` on to 3D hands. Raises as ``hands_from_landmarks`` does."""
+    """Fit 3D hands to landmarks of the frames from ``first`` on. Raises as ``hands_from_landmarks`` does."""
     beside = (landmarks.points < 0.0) | (landmarks.points > np.array(size))
     weights = landmarks.confidence * np.where(beside.any(axis=-1), BEYOND, 1.0)
     fit = hands_from_landmarks(landmarks.points, weights, K, landmarks.side, landmarks.world)

@@ -29,8 +29,9 @@ from getagrip.annotate.shared_flow import SmallFrame
 
 SIDE_WEIGHT = 0.5
 """Weight of the sides beside the colours' mean, in multiples of one ``BAND``."""
-CERTAIN = 0.1
-"""How certain the merged border is, when it is drawn anew: from 0, colours alone, to 1."""
+CERTAIN, ALIKE = 0.1, 0.2
+"""How certain the merged border is, when it is drawn anew, where the two differ, and where they are alike: from 0,
+colours alone, to 1. Near to a key it is that key's."""
 
 
 def merged(
@@ -39,7 +40,7 @@ def merged(
     """Make one mask of two of a frame, whose ``frame`` is of the size at which they were carried.
 
     ``share`` is how far the frame is from the key of ``one`` to the other's, 0 to 1; ``colours`` are the keys'. Also
-    returned is the agreement of the two (intersection over union) where both are known.
+    returned is its confidence, from the agreement of the two (intersection over union) where both are known.
     """
     left, top = np.minimum(one.corner, other.corner).tolist()
     ends = [np.add(each.corner, each.inside.shape[:0:-1]) for each in (one, other)]
@@ -61,10 +62,25 @@ def merged(
         likely = likelier(at, colours[0]) + _unlike((one, other), (left, top), (width, height))
         likely = np.clip(likely, -MOST, MOST)
         in_a, in_b = np.where(shown_b & ~shown_a, in_b, in_a), np.where(shown_a & ~shown_b, in_a, in_b)
+        alike = ALIKE * np.exp(-np.square((a[0] - b[0]) / BAND)) * (shown_a & shown_b)
+        nearest = np.square(np.maximum(weight_a, weight_b))
+        certain = np.maximum(CERTAIN, np.maximum(alike, nearest)).astype(np.float32)
         found = _decided(in_a, in_b, side_a + (side_b - side_a) * share_b, likely, hidden)
-        inside[0] = _redrawn(image, at, found, likely, colours[0], hidden)
+        inside[0] = _redrawn(image, at, found, certain, likely, colours[0], hidden)
     known = np.maximum(known_a, known_b)
-    return one._replace(corner=(left, top), inside=inside, known=known), float(agreement)
+    confidence = _confidence(agreement, share, one.trust, other.trust)
+    return one._replace(corner=(left, top), inside=inside, known=known), confidence
+
+
+def _confidence(agreement: float, share: float, trust: float, other_trust: float) -> float:
+    """Return how much of the merged mask is expected to be right.
+
+    A pixel is lost where both sides are wrong, and hardly near to a key. What lies beyond a cut does not count: the
+    other side's trust does.
+    """
+    if trust > 0.0 and other_trust > 0.0:
+        return float(1.0 - 4.0 * share * (1.0 - share) * (1.0 - agreement) ** 2)
+    return float(min(agreement, max(trust, other_trust)))
 
 
 def _decided(
@@ -101,6 +117,7 @@ def _redrawn(
     image: UInt8[ndarray, "h w 3"],
     at: Int32[ndarray, "h w"],
     found: Bool[ndarray, "h w"],
+    certain: Float32[ndarray, "h w"],
     likely: Float32[ndarray, "h w"],
     colours: Colours,
     hidden: Bool[ndarray, "h w"],
@@ -109,5 +126,4 @@ def _redrawn(
     inside = signed_distance(found)
     x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in found.shape[::-1]))
     here = likelier(at, colours, Places.of(at, found, ~hidden & (np.abs(inside) > 1.0)), (x, y))
-    certain = np.full(found.shape, CERTAIN, np.float32)
     return refined(image, inside, certain, np.clip(here, -MOST, MOST) + likely, hidden)

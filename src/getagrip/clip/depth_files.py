@@ -103,7 +103,7 @@ def source_fields(source: DepthSource) -> Json:
 
 
 def check_shape(path: Path, image: Float[ndarray, "h w"], size: tuple[int, int]) -> tuple[int, int]:
-    """Return width and height of a depth image. Raises ``InputError`` for one of another shape than the clip's images."""
+    """Return width and height of a depth image. Raises ``InputError`` for another shape than the clip's images have."""
     height, width = image.shape
     if abs(np.log(width / height * size[1] / size[0])) > STRETCH:
         expected = f"the shape of the clip's images, {size[0]} x {size[1]}: neither cropped nor turned"

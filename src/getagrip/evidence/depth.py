@@ -23,8 +23,6 @@ if TYPE_CHECKING:  # files of clips are asked for by commands that fit nothing
     from getagrip.fitting.energy.depth import DepthSamples
     from getagrip.fitting.problem import Problem
 
-WEIGHT = 0.004
-"""Energy per squared deviation of an independent sample [area of the masks]."""
 FACES = {64: 200, 128: 500, 256: 500}
 """Most faces of the object at each resolution."""
 MOST = {64: 40, 128: 60, 256: 100}
@@ -123,6 +121,7 @@ class DepthImages(Modality[Depth]):
             return None
         from getagrip.fitting.depth_samples import errors_of, hand_ratio_of, samples_of
         from getagrip.fitting.energy.depth import DepthTerm, Solid
+        from getagrip.fitting.objective import energy_of_nat
 
         clip, centre = problem.clip, problem.clip.mesh.centre
 
@@ -134,8 +133,8 @@ class DepthImages(Modality[Depth]):
             return None
         meshes = {level: decimate(clip.mesh, faces) for level, faces in FACES.items()}
         solids = {level: Solid.of(mesh.vertices[None] - centre, mesh.faces) for level, mesh in meshes.items()}
-        hand = Solid.of(clip.hand.vertices - clip.hand.vertices.mean(axis=(0, 1)), clip.hand.faces)
-        errors, weight = errors_of(depth.source), WEIGHT * float(problem.observation.area.mean())
+        hand = Solid.of(clip.hand.vertices, clip.hand.faces)
+        errors, weight = errors_of(depth.source), 0.5 * energy_of_nat(problem)
 
         def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[Term]:
             some = samples(MOST[level]).take(index)

@@ -21,7 +21,7 @@ from getagrip.experiments.changes import (
     Wrong,
     WrongMasks,
 )
-from getagrip.experiments.simulated_evidence import JOINTS, SimulatedJoints
+from getagrip.experiments.simulated_evidence import DEPTHS, JOINTS, SimulatedDepth, SimulatedJoints
 from getagrip.experiments.wrong_inputs import MISTAKES
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Departures
@@ -204,6 +204,14 @@ ABLATIONS: dict[str, Ablation] = {
         (
             Setting("nothing new", change=_estimated()),
             *(Setting(f"2D joints, {level}", change=_estimated(SimulatedJoints(level))) for level in JOINTS),
+            *(Setting(f"depth, {level}", change=_estimated(SimulatedDepth(level))) for level in DEPTHS),
+            *(
+                Setting(
+                    f"2D joints, wild; depth, {level}",
+                    change=_estimated(SimulatedJoints("wild"), SimulatedDepth(level)),
+                )
+                for level in ("mono", "realsense")
+            ),
         ),
         ("soft-hinge",),
     ),
@@ -263,7 +271,14 @@ ABLATIONS: dict[str, Ablation] = {
     "scale": Ablation(
         "Scale of the object",
         "known",
-        (Setting("known", change=ScaleKnown()), Setting("free", change=ScaleFree())),
+        (
+            Setting("known", change=ScaleKnown()),
+            Setting("free", change=ScaleFree()),
+            *(
+                Setting(f"free, depth {level}", change=Several((SimulatedDepth(level), ScaleFree())))
+                for level in ("mono", "realsense")
+            ),
+        ),
     ),
     "sca": Ablation(
         "Definition of contact: whose points, and at which distance",

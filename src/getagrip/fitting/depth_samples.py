@@ -122,6 +122,6 @@ def deviation_at(
     centre = se3.transform(T, scale * clip.mesh.centre[None, None])[:, 0]
     poses = PosesInCamera(np.ascontiguousarray(T[None, :, :3, :3]), centre[None], np.array([scale]))
     samples, errors = samples_of(clip, masks, depth, most), errors_of(depth.source)
-    hand = Solid.of(clip.hand.vertices - clip.hand.vertices.mean(axis=(0, 1)), clip.hand.faces)
+    hand = Solid.of(clip.hand.vertices, clip.hand.faces)
     term = DepthTerm(Solid.of(mesh.vertices[None] - clip.mesh.centre, mesh.faces), hand, samples, errors, 1.0)
     return float(np.sqrt(term.squared_deviations(poses)[0] / (2.0 * INDEPENDENT)))

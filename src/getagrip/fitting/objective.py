@@ -20,6 +20,7 @@ from getagrip.fitting.energy import Energy, HandEnergy, HandTerm, InHand, OnHand
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
 from getagrip.fitting.energy.hand_mask import HandMaskTerm
 from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
+from getagrip.fitting.energy.order import HandOrder, OrderTerm, corners_of
 from getagrip.fitting.energy.pull import PullTerm
 from getagrip.fitting.energy.push import PushTerm
 from getagrip.fitting.energy.seen_joints import SeenJointsTerm
@@ -42,6 +43,8 @@ PUSH, PULL = 0.125, 0.015
 area of the mask. Ours multiplies push and pull by these fractions of the mean area of the masks instead. Pull has less:
 a hand may well go without touching with all five fingertips, but not into the object.
 """
+ORDER = 4.0
+"""Times as much as push weighs order in depth."""
 PER_REGION, POINTS = 2, 20
 """Points of each contact region of the hand, and of the object, that stand for all where distances are to stay."""
 
@@ -154,6 +157,19 @@ def pull_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
     hands, solid = _contacts(problem), problem.surface.solid
     reach = problem.trust.reach
     return lambda level, index: [InHand(PullTerm(solid, hands[level].take(index), weight[index], reach))]
+
+
+def order_of(problem: Problem) -> Energy:
+    """Return the term of order in depth, by the weight of push, for hands that were lifted and whose pixels are known.
+
+    Other hands are placed by what their estimators know of depth; what push lets through there is small.
+    """
+    masks, weight = problem.input_masks, problem.trust.contact * problem.options.push
+    if not (problem.trust.hand_lifted and weight) or masks.hand is None:
+        return NOTHING
+    corners, (each, _) = corners_of(problem.clip.mesh), contact_weights(problem, ORDER * weight, 0.0)
+    hand = HandOrder.of(problem.clip.hand, problem.clip.K, masks)
+    return lambda level, index: [InHand(OrderTerm(corners, hand.take(index), each[index]))]
 
 
 def _contacts(problem: Problem) -> dict[int, HandContacts]:

@@ -8,7 +8,7 @@ that show the hand as it was expected.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -21,13 +21,13 @@ from getagrip.landmarks.nets import Nets
 
 LONG = 6
 """Fewest frames of a run that is sure."""
-SIZES, ANGLES = (1.0, 1.4, 1.9), (-0.25, 0.0, 0.25)
+SIZES, ANGLES = (1.0, 1.4), (-0.5, -0.25, 0.0, 0.25, 0.5)
 """Squares to be looked at: factors of the expected side, and differences from the expected angle [rad]."""
 TURNED, APART, RATIO = 0.6, 0.5, 1.5
 """Largest differences from what is expected: angle [rad], distance in sides of the square, and factor of its side."""
 ALIKE = 0.06
 """Standard deviation of landmarks from those that are expected, in sides of the square (root mean square)."""
-GAIN = 0.3
+GAIN = 0.2
 """Share of a difference in angle and size that is believed."""
 DECAY = 0.5
 """Share of the motion from frame to frame that is expected to go on."""
@@ -92,7 +92,8 @@ def _extended(
     crop, lost, out, n = path[-1], 0, dict[int, Sighting](), end + step
     while 0 <= n < count and n not in known and lost < MEMORY:
         crop = crop._replace(middle=crop.middle + motion)
-        seen = _seen(image(n), crop, shape, [hand[n]] if n in hand else [], nets)
+        as_expected = n in hand and _expected(crop, hand[n])
+        seen = hand[n] if as_expected else _seen(image(n), crop, shape, nets)
         if seen is None:
             motion, lost = np.zeros(2), lost + 1
         else:
@@ -107,12 +108,10 @@ def _extended(
     return out
 
 
-def _seen(
-    image: Image, crop: Crop, shape: Float[ndarray, "21 2"], before: Sequence[Sighting], nets: Nets
-) -> Sighting | None:
+def _seen(image: Image, crop: Crop, shape: Float[ndarray, "21 2"], nets: Nets) -> Sighting | None:
     """Look where a hand is expected, in a ``shape`` [px of the square]; average what is alike, None without any."""
     squares = [crop._replace(side=size * crop.side, angle=crop.angle + turn) for size in SIZES for turn in ANGLES]
-    looks = [*before, *(Sighting(*nets.landmarks(image, square)) for square in squares)]
+    looks = [Sighting(*nets.landmarks(image, square)) for square in squares]
     looks = [each for each in looks if each.confidence >= LEAST and _expected(crop, each)]
     if not looks:
         return None

@@ -25,14 +25,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit
 from numpy import ndarray
 
+from getagrip.compiling import kernel
 from getagrip.fitting.energy.hand_term import ObjectWithHand
 from getagrip.fitting.energy.term import PosesInCamera, Quadratic, no_bound
 from getagrip.geometry.mesh import Mesh
 from getagrip.kernels.depth import cholesky, distances, forward, profile
-from getagrip.kernels.silhouette import OPTIONS
 
 TAIL = 2.5
 """c: errors beyond so many deviations count less and less."""
@@ -110,6 +109,12 @@ class Solid:
         planes = np.stack([mesh.planes.T for mesh in meshes])
         return Solid(np.ascontiguousarray(np.swapaxes(vertices, 1, 2)), np.ascontiguousarray(planes), faces, closed)
 
+    def about(self, middle: Float[ndarray, "3"]) -> Solid:
+        """Return it about another centre."""
+        planes = self.planes.copy()
+        planes[:, 3] += np.einsum("nkf,k->nf", planes[:, :3], middle)
+        return replace(self, vertices=self.vertices - middle[:, None], planes=planes)
+
     def take(self, index: Int[ndarray, "n"]) -> Solid:
         """Return it at some of its frames."""
         return replace(self, vertices=self.vertices[index], planes=self.planes[index])
@@ -136,7 +141,7 @@ class DepthTerm:
 
     Attributes:
         object: the object's mesh.
-        hand: the hand's mesh, about its middle, in each frame.
+        hand: the hand's mesh in its own frame, in each frame.
         samples: the depth images.
         errors: what these may err by.
         weight: energy per squared deviation of an independent sample [px^2].
@@ -162,9 +167,11 @@ class DepthTerm:
         return np.asarray(KAPPA * np.expm1(total / KAPPA))
 
     def _evaluate(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> tuple[Quadratic, ImageErrors]:
-        (B, N), s = poses.centre.shape[:2], self.samples
+        (B, N), s, o = poses.centre.shape[:2], self.samples, self.object
         moves = isinstance(poses, ObjectWithHand)
-        hand = poses.hand if isinstance(poses, ObjectWithHand) else poses
+        hand, solid = poses, self.hand
+        if isinstance(poses, ObjectWithHand):
+            hand, solid = poses.hand, self.hand.about(poses.hand.middle)
         P = 14 if moves else 7
         q = replace(Quadratic.zero(poses, P), cross=np.zeros((B, N, P, N, P)))
         image = ImageErrors(np.zeros((B, 3)), np.zeros((B, N)), np.zeros((B, *s.log_z.shape)))
@@ -173,8 +180,8 @@ class DepthTerm:
         sigma = np.array([self.errors.noise, np.hypot(self.errors.noise, surface)])
         priors = np.array([self.errors.relief, apart, self.errors.clip, self.errors.frame]) ** -2.0
         _evaluate(
-            poses.R, poses.centre, poses.scale, self.object.vertices, self.object.planes, self.object.faces, self.object.closed,
-            hand.R, hand.centre, hand.scale, self.hand.vertices, self.hand.planes, self.hand.faces, self.hand.closed, moves,
+            poses.R, poses.centre, poses.scale, o.vertices, o.planes, o.faces, o.closed,
+            hand.R, hand.centre, hand.scale, solid.vertices, solid.planes, solid.faces, solid.closed, moves,
             s.K, s.size, s.place, s.on_object, s.used, s.log_z, s.relief, s.weight, s.given,
             priors, sigma, self.weight, EXACT * self.errors.noise, ROUNDS, bound,
             q.value, q.g, q.H, q.cross, image.of_clip, image.of_frame, image.left,
@@ -182,7 +189,7 @@ class DepthTerm:
         return q, image
 
 
-@njit(**OPTIONS)
+@kernel("f4 f3 f1 f3 f3 i2 b f4 f3 f1 f3 f3 i2 b b f2 i i3 i1 i1 f2 f2 f2 f2 f1 f1 f f i f1 f2 f3 f4 f5 f2 f2 f3")
 def _evaluate(
     R, centre, scale, vertices, planes, faces, closed,
     hand_R, hand_centre, hand_scale, hand_vertices, hand_planes, hand_faces, hand_closed, moves,
@@ -232,6 +239,9 @@ def _evaluate(
         total = 0.0
         for n in range(N):
             cost = shared + priors[3] * of_frame[b, n] ** 2
+            for m in range(M):
+                if w[n, m] == 0.0:
+                    left[b, n, m] = 0.0
             for m in range(used[n]):
                 cost += w[n, m] * TAIL**2 * np.log1p((left[b, n, m] / (TAIL * sigmas[n, m])) ** 2)
                 cost += (weight[n, m] - w[n, m]) * missed * (moves or m < on_object[n])
@@ -242,7 +252,7 @@ def _evaluate(
         _derive(slope, J, u, left[b], relief, on_object, used, moves, priors[3], sums, A, tied, g[b], H[b], cross[b])
 
 
-@njit(**OPTIONS)
+@kernel()
 def _derive(slope, J, u, left, relief, on_object, used, moves, prior, sums, A, tied, g, H, cross):
     """Fill in g (N, P), H (N, P, P) and cross (N, P, N, P) of a hypothesis. Work space: tied (N, 3, P).
 
@@ -283,7 +293,7 @@ def _derive(slope, J, u, left, relief, on_object, used, moves, prior, sums, A, t
                     cross[n, p, o, q] = cross[o, q, n, p] = -slope * _dot(tied[n], p, tied[o], q)
 
 
-@njit(**OPTIONS)
+@kernel()
 def _dot(a, p, b, q):
     """Product of column p of a (3, P) with column q of b."""
     return a[0, p] * b[0, q] + a[1, p] * b[1, q] + a[2, p] * b[2, q]
