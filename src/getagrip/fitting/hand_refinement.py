@@ -120,16 +120,11 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
     if before < WORTH:
         return None, before
     seen = seen.with_field
-<<<<<<< HEAD
     found, after = _fitted(_SeenHand(seen, joints), unrefined)
     if joints is not None and after > SUSPICIOUS:
         by_pixels, alone = _fitted(_SeenHand(seen, None), unrefined)
         if after - alone > CONTRADICTED:
             joints, found, after = None, by_pixels, alone
-=======
-    found = _fitted(_SeenHand(seen, joints), unrefined)
-    after = (seen if found.own.shape[1] == RIGID else seen.with_bends).share(found.errors)
->>>>>>> joint
     if after > AGREE or (before - after < WORTH and joints is None):
         return None, before
     T, T_input, middle = seen.errors.T_cam_hand(found.errors), clip.hand.T_cam_hand, seen.errors.middle[None]
@@ -167,10 +162,11 @@ class _SeenHand:
 
 
 def _fitted(seen: _SeenHand, unrefined: Float[ndarray, "N P"]) -> tuple[HandFit, float]:
-    """Return the fit, and the share of the hand's pixels that still differ."""
+    """Return the fit, and the share of the hand's pixels that still differ; NaN where none is seen."""
     found, silhouette = _minimised(seen, unrefined), seen.silhouette
-    pixels = float(found.value.sum()) if seen.joints is None else silhouette.with_bends.differing(found.errors)
-    return found, pixels / silhouette.mask.pixels
+    if found.own.shape[1] > RIGID:
+        silhouette = silhouette.with_bends
+    return found, silhouette.share(found.errors)
 
 
 def _minimised(seen: _SeenHand, unrefined: Float[ndarray, "N P"]) -> HandFit:
