@@ -5,7 +5,17 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 
-from benchmarks import against_deodr, batch, cold_start, reconstruct_speed, scaling, segment_speed, store, two_threads
+from benchmarks import (
+    against_deodr,
+    batch,
+    cold_start,
+    drafts,
+    reconstruct_speed,
+    scaling,
+    segment_speed,
+    store,
+    two_threads,
+)
 from benchmarks.timing import circumstances
 
 SECTIONS = {
@@ -16,6 +26,7 @@ SECTIONS = {
     "scaling": scaling.tables,
     "segment-speed": segment_speed.tables,
     "batch": batch.tables,
+    "drafts": drafts.tables,
 }
 
 

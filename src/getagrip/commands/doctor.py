@@ -76,6 +76,7 @@ class Doctor(Command):
             _machine(),
             _mano(self.mano),
             _hands(self.models),
+            _estimators(),
         )
         for check in checks:
             for state, words in check:
@@ -243,6 +244,20 @@ def _hands(folder: Path | None) -> Iterator[Line]:
         return
     slow = "" if nets.runtime == "LiteRT" else f"; six times as fast: {install('hands')}"
     yield "ok", f"hand models in {where}, run by {nets.runtime}{slow}"
+
+
+def _estimators() -> Iterator[Line]:
+    """Yield a line for each estimator that ``draft`` can run."""
+    from getagrip.annotate.estimators import ESTIMATORS, advice, command
+
+    for name, one in ESTIMATORS.items():
+        try:
+            words = command(name)
+        except UsageError as error:
+            yield "BROKEN", str(error)
+        else:
+            what = f"draft --{one.makes} {name}"
+            yield ("ok", f"{what}: {' '.join(words)}") if words else ("without", f"{what}; {advice(name)}")
 
 
 def _version(name: str) -> str | None:

@@ -25,6 +25,7 @@ from getagrip.errors import UsageError
 from getagrip.finding import Finding
 from getagrip.fitting.every_frame import Track
 from getagrip.fitting.options import Options
+from getagrip.fitting.solved_hand import SolvedHand
 from getagrip.fitting.tracker_glitches import repair_hand
 from getagrip.geometry.warp import Warp
 from getagrip.probability import Probability
@@ -83,6 +84,7 @@ class Answer:
         hand_moved: whether the hand is elsewhere than the clip has it.
         T_cam_other_hand: (T, 4, 4) poses of a timeline's other hand.
         notes: what is to be known about it.
+        hand: the hand as it was solved with the object; None where it was not.
     """
 
     track: Track
@@ -96,6 +98,7 @@ class Answer:
     hand_moved: bool
     T_cam_other_hand: Float[ndarray, "T 4 4"] | None
     notes: tuple[str, ...]
+    hand: SolvedHand | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -228,6 +231,8 @@ def _result(
         options=asdict(options),
         seed=options.seed,
         T_cam_hand=track.T_cam_hand if answer.hand_moved else None,
+        hand_covariance=None if answer.hand is None else answer.hand.covariance,
+        hand_energy={} if answer.hand is None else dict(answer.hand.energy),
         T_cam_other_hand=answer.T_cam_other_hand,
         warp=answer.warp,
         notes=(*answer.notes, *guesses.values(), *notes),
