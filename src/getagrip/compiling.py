@@ -42,8 +42,8 @@ GROUPS = (
 )
 """Modules whose kernels share parts are compiled by one process; those that take longest first."""
 RARE = (
-    "fitting.energy.mask_by_shape", "fitting.energy.paper_push", "fitting.energy.paper_pull", "fitting.energy.order",
-    "fitting.energy.depth", "kernels.depth", "kernels.cut",
+    "fitting.energy.mask_by_shape", "fitting.energy.paper_push", "fitting.energy.paper_pull", "fitting.energy.depth",
+    "kernels.depth", "fitting.energy.order", "kernels.cut",
 )  # fmt: skip
 """Modules of kernels that few reconstructions need; each is compiled when it is."""
 LETTERS = {

@@ -8,7 +8,7 @@ from numpy import ndarray
 from getagrip.compiling import kernel
 
 
-@kernel()
+@kernel("s2 s2 s2 i")
 def cut_steps(cost: ndarray, edge: ndarray, u: ndarray, rounds: int) -> None:
     """Minimise the sum of cost u + edge |grad u| over 0 <= u <= 1, from ``u`` (h, w) and into it."""
     height, width = u.shape
