@@ -104,7 +104,8 @@ def main(clips: Path, count: int) -> None:
         print(rows[-1], flush=True)
     columns = [
         Column("clips", "clips"), Column("before", "right before", "%", 0), Column("after", "after", "%", 0),
-        Column("before_mm", "ADD sym. before", "mm", 1), Column("after_mm", "after", "mm", 1), Column("lost", "clips lost"),
+        Column("before_mm", "ADD sym. before", "mm", 1), Column("after_mm", "after", "mm", 1),
+        Column("lost", "clips lost"),
     ]  # fmt: skip
     command = f"python -m benchmarks.refine CLIPS {count}"
     print(store.write("refine", Table("Poses of simulated trackers, refined", circumstances(command), columns, rows)))

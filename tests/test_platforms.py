@@ -44,9 +44,7 @@ def test_every_module_can_be_imported_without_posix_and_doctor_says_what_is_miss
 
 
 @pytest.mark.parametrize("platform", ["darwin", "win32"])
-def test_a_limit_of_memory_is_refused_where_the_system_has_none(
-    monkeypatch: pytest.MonkeyPatch, platform: str
-) -> None:
+def test_a_limit_of_memory_is_refused_where_the_system_has_none(monkeypatch: pytest.MonkeyPatch, platform: str) -> None:
     monkeypatch.setattr(sys, "platform", platform)
     Limits(seconds=1.0)
     with pytest.raises(UsageError, match=f"--limit-gb cannot be used with {platform}"):

@@ -41,7 +41,10 @@ GROUPS = (
     ("fitting.observation", "fitting.mask_gaps", "hands.bending"),
 )
 """Modules whose kernels share parts are compiled by one process; those that take longest first."""
-RARE = ("fitting.energy.mask_by_shape", "fitting.energy.paper_push", "fitting.energy.paper_pull")
+RARE = (
+    "fitting.energy.mask_by_shape", "fitting.energy.paper_push", "fitting.energy.paper_pull", "fitting.energy.depth",
+    "kernels.depth", "fitting.energy.order", "kernels.cut",
+)  # fmt: skip
 """Modules of kernels that few reconstructions need; each is compiled when it is."""
 LETTERS = {
     "f": types.float64, "s": types.float32, "i": types.int64, "n": types.int32, "t": types.int8, "u": types.uint64,

@@ -13,6 +13,7 @@ from urllib.request import url2pathname
 
 from getagrip.errors import UsageError
 
+
 def load(module: str, extra: str, option: str = "") -> Any:
     """Import a module of an extra of this package.
 

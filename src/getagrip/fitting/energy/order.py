@@ -10,17 +10,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int, Int8
-from numba import njit
 from numpy import ndarray
 
 from getagrip.clip import HandTrack, Masks
+from getagrip.compiling import kernel
 from getagrip.fitting.contact import mirror_upper, spread_points
 from getagrip.fitting.energy.term import PosesInCamera, Quadratic
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.depth import depth_and_face
 from getagrip.geometry.mesh import Mesh, decimate
-from getagrip.kernels.silhouette import OPTIONS
 
 FACES = 400
 """Most faces of the mesh that rays are cast at."""
@@ -110,7 +109,7 @@ class OrderTerm:
         return found
 
 
-@njit(**OPTIONS)
+@kernel()
 def _first_hit(origin, ray, corners):
     """Return the distance along a ray to the first face, and the face; infinity and -1 without a hit."""
     nearest, face = np.inf, -1
@@ -136,7 +135,7 @@ def _first_hit(origin, ray, corners):
     return nearest, face
 
 
-@njit(**OPTIONS)
+@kernel()
 def _add(sign, ray, t, face, R, centre, unit, delta, error, g, H):
     """Add ``unit error`` to the normal equations, for a hit at ``t ray`` on a face.
 
@@ -165,7 +164,7 @@ def _add(sign, ray, t, face, R, centre, unit, delta, error, g, H):
             H[i, j] += h * a[i] * a[j]
 
 
-@njit(**OPTIONS)
+@kernel()
 def _error(sign, point, R, centre, scale, corners, reach, origin, local, ray):
     """How far a point is on the wrong side of the surface [m], the distance of that, and its face, -1: no surface.
 
@@ -186,7 +185,7 @@ def _error(sign, point, R, centre, scale, corners, reach, origin, local, ray):
     return sign * (length - scale * t), scale * t, face
 
 
-@njit(**OPTIONS)
+@kernel("f4 f3 f1 f3 f f3 t2 f1 f f f f1 f2 f3 f4")
 def _evaluate(
     R, centre, scale, corners, reach, hand, side, weight, tolerance, cap, delta, bound, value, g, H
 ):  # fmt: skip
