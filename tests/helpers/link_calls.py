@@ -63,6 +63,7 @@ CALLS: dict[str, Sequence[str]] = {
     ],
     "import depth": ["depths.npy --from unidepth --clip cup --overwrite"],
     "import masks": [f"masks {MASKS} --clip cup --overwrite"],
+    "import cameras": ["cameras.txt --clip cup"],
     "import segments": ["segments.json --clip cup --still-camera --overwrite"],
     "epic candidates": ["--visor visor --actions actions.csv --out tables/out.csv --json out.json"],
     "reconstruct": [
@@ -79,6 +80,7 @@ CALLS: dict[str, Sequence[str]] = {
         *("results --to csv --overwrite", "results --to obj", "results --to glb --out out"),
         *(f"results --to {to} --out out" for to in ("npz", "bop", "spider", "dex-retargeting")),
         *(f"results --to {to} --out out" for to, library in EXPORTS.items() if find_spec(library)),
+        *["results --to lerobot --out out --one-dataset"] * (find_spec("pyarrow") is not None),
     ],
     "bench clips": [f"clips {BENCH} --json out.json", f"clips {BENCH} --ablation mask-noise"],
     "bench synthetic": [f"{BENCH} --clips 1"],
@@ -138,7 +140,7 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
     parsed = cache(cli._parsed)
     places = {
         "annotate.server.Server.serve_forever": ended,
-        "batch.compiled.compile_once": lambda: None,
+        "compiling.compile_once": lambda: None,
         "cli._parsed": lambda words: parsed(tuple(words)),
         "datasets.synthetic.scene_options.DEMO": SHORT,
         "commands.doctor._try_out": lambda: None,
@@ -188,6 +190,7 @@ def _write_cup(folder: Path) -> None:
     joints_of = generic.load("right").with_shape().with_pose().joints + AHEAD
     arrays.write(folder / "joints.npz", {"joints": np.tile(joints_of, (6, 1, 1)), "frames": np.arange(3, 9)})
     np.save(folder / "depths.npy", np.full((6, 48, 64), 0.5, np.float32))
+    np.savetxt(folder / "cameras.txt", np.tile(np.eye(4)[:3].reshape(1, 12), (6, 1)))
     row = {"state": "static", "first": "000003", "last": "000005"}
     (folder / "segments.json").write_text(json.dumps({"scene": {"segments": [row]}}))
 

@@ -20,7 +20,9 @@ from numpy import ndarray
 
 from getagrip.annotate.colour_cut import Colours, Places, cut, edges, likelier
 from getagrip.annotate.labels import FRONT, HAND, OBJECT
-from getagrip.annotate.object_motion import flow, moved, moves_with, own_motion
+from getagrip.annotate.object_motion import Origins, moved, moves_with, own_motion
+from getagrip.annotate.seen_ground import RARE, Ground
+from getagrip.annotate.shared_flow import Part, SmallFrame, SmallFrames
 
 Image = UInt8[ndarray, "H W 3"]
 Images = Callable[[int], Image]
@@ -28,8 +30,10 @@ Images = Callable[[int], Image]
 Hands = Callable[[int], Bool[ndarray, "H W"] | None]
 """The visible hand by frame, of any one size of that shape; None where it is not known."""
 
-MARGIN = 120
+MARGIN = 90
 """Things that move farther than this from one frame to the next are lost [px]."""
+GRID = 60
+"""Parts of images in which flow is computed end at multiples of this, so that both directions share it [px]."""
 ABOUT = 40.0
 """Colours of what is not the object are those of pixels nearer to it than this [px]."""
 FAR = 24
@@ -41,6 +45,9 @@ PRIOR, COLOUR, MOST = 4.0, 1.0, 3.0
 BACK = 1.5
 """Flow there and back agrees if it ends so near to where it began [px]."""
 
+CUT = 10.0
+"""Where most pixels differ more than this from where flow says that they were, the video is cut [of 255]."""
+
 SEEN = 0.2
 """Knowledge of a pixel that came into view after the key: its colour has decided."""
 REMEMBERED = 0.95
@@ -49,6 +56,11 @@ INNER = 2.5
 """The flow of pixels of the object that are farther from its border than this is its own [px]."""
 STIFF = 0.5
 """Share by which a border that is certain moves less than colours would have it, so that errors do not add up."""
+
+CLEAR = 3.0
+"""Pixels farther than this from all that is carried show the ground [px]."""
+NO_HAND = 0.5
+"""Pixels of the hand that was found are not the hand's where colours of the object are likelier by e to this."""
 
 KINDS = (OBJECT, FRONT, HAND)
 """Kinds that are carried; where several are, the last one is visible."""
@@ -67,45 +79,56 @@ class Carried(NamedTuple):
     known: Float32[ndarray, "h w"]
     """1 where the key shows whether the object is there, 0 where nothing has shown that, ``SEEN`` in between."""
     trust: float
+    unlike: Float32[ndarray, "h w"]
+    """How much likelier a pixel is than on the ground behind, as far as that was seen (``Ground.unlike``)."""
 
 
 def carry(
-    image: Images,
+    frames: SmallFrames,
     key: int,
     labels: UInt8[ndarray, "H W"],
     to: int,
-    size: tuple[int, int],
     colours: Sequence[Colours],
     hand: Hands = lambda _: None,
 ) -> Iterator[Carried]:
     """Carry the mask of a key to the frames after it until ``to``, or before it; ``colours`` as of ``key_colours``."""
     if key == to:
         return
-    now, before = _of_key(key, labels, size), resized(image(key), size)
+    now = _of_key(key, labels, frames)
+    ground = Ground.of_key(frames[key].image, placed(now, (0, 0), frames.size)[0].max(axis=0) < -CLEAR)
     towards = 1 if to > key else -1
     for frame in range(key + towards, to + towards, towards):
-        after = resized(image(frame), size)
         seen = hand(frame)
-        now = _step(now, before, after, frame, None if seen is None else _shrunk(seen, size), colours)
+        shown = None if seen is None else _coloured_hand(_shrunk(seen, frames.size), frames[frame], colours)
+        now = _step(now, ground, frames, frame - towards, frame, shown, colours)
         yield now
-        before = after
 
 
-def key_colours(image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], size: tuple[int, int]) -> list[Colours]:
+def _coloured_hand(hand: Bool[ndarray, "h w"], frame: SmallFrame, colours: Sequence[Colours]) -> Bool[ndarray, "h w"]:
+    """Return a hand that was found without those pixels that have the object's colours."""
+    import cv2
+
+    if not hand.any():
+        return hand
+    own, skin = (each.counts[0][frame.bins] + RARE / 10.0 for each in (colours[0], colours[-1]))
+    return np.asarray(hand & (cv2.GaussianBlur(np.log(own / skin), (0, 0), 2.0) < NO_HAND))
+
+
+def key_colours(frames: SmallFrames, keys: Mapping[int, UInt8[ndarray, "H W"]]) -> list[Colours]:
     """Return colours of each of ``KINDS`` and what is about it in the keys."""
     found: list[list[Colours]] = [[] for _ in KINDS]
     for n, labels in keys.items():
-        inside = [signed_distance(_shrunk(labels == kind, size), ABOUT) for kind in KINDS]
-        small = resized(image(n), size)
+        inside = [signed_distance(_shrunk(labels == kind, frames.size), ABOUT) for kind in KINDS]
+        small = frames[n].image
         for kind, each in zip(found, inside, strict=True):
             kind.append(Colours.of(small, each > 0, (np.abs(each) > 1.0) & (each > -ABOUT)))
     return [Colours.mean(kind) for kind in found]
 
 
-def _of_key(frame: int, labels: UInt8[ndarray, "H W"], size: tuple[int, int]) -> Carried:
-    inside = np.stack([signed_distance(_shrunk(labels == kind, size)) for kind in KINDS])
-    known = np.where(is_hidden(inside) & (inside[0] < 0.0), 0.0, 1.0)
-    return _cut(frame, (0, 0), inside, known.astype(np.float32), 1.0)
+def _of_key(frame: int, labels: UInt8[ndarray, "H W"], frames: SmallFrames) -> Carried:
+    inside = np.stack([signed_distance(_shrunk(labels == kind, frames.size)) for kind in KINDS])
+    known = np.where(is_hidden(inside) & (inside[0] < 0.0), 0.0, 1.0).astype(np.float32)
+    return _cut(Carried(frame, (0, 0), inside, known, 1.0, np.zeros_like(known)))
 
 
 def is_hidden(inside: Float32[ndarray, "3 h w"]) -> Bool[ndarray, "h w"]:
@@ -119,16 +142,11 @@ def _shrunk(mask: Bool[ndarray, "H W"], size: tuple[int, int]) -> Bool[ndarray, 
     return np.asarray(cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5)
 
 
-def resized(image: Image, size: tuple[int, int]) -> UInt8[ndarray, "h w 3"]:
-    import cv2
-
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-
-
 def _step(
     now: Carried,
-    before: Image,
-    after: Image,
+    ground: Ground,
+    frames: SmallFrames,
+    before: int,
     frame: int,
     hand: Bool[ndarray, "H W"] | None,
     colours: Sequence[Colours],
@@ -138,12 +156,11 @@ def _step(
 
     if not now.inside.size:  # it is not visible
         return now._replace(frame=frame)
-    height, width = before.shape[:2]
-    (left, top), (h, w) = now.corner, now.inside.shape[1:]
-    rows = slice(max(0, top - MARGIN), min(height, top + h + MARGIN))
-    columns = slice(max(0, left - MARGIN), min(width, left + w + MARGIN))
-    a, b = before[rows, columns], after[rows, columns]
-    back, there = flow(b, a), flow(a, b)
+    width, height = frames.size
+    left, top = now.corner
+    part = rows, columns = _around(now, frames.size)
+    b, at = frames[frame].image[part], frames[frame].bins[part]
+    back, there = frames.flows(frame, before, part)
     x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in b.shape[1::-1]))
     came = x + back[..., 0], y + back[..., 1]
     off = np.linalg.norm(back + cv2.remap(there, *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE), axis=-1)
@@ -162,9 +179,11 @@ def _step(
     inner = (inside[0] > INNER) & (off < BACK) & (inside[1:].max(axis=0) < -INNER) & ~was_hidden
     own = own_motion(x, y, came, inner)
     moves = np.zeros_like(off)
+    with_ground = own_motion(x, y, came, (inside.max(axis=0) < -INNER) & (off < BACK) & ~was_hidden)
+    behind = ground.moved(part, came if with_ground is None else with_ground)
+    unlike = behind.unlike(b, colours[0].counts[0][at])
     if own is not None:
-        outer = (inside.max(axis=0) < -INNER) & (off < BACK) & ~was_hidden
-        moves = moves_with(came, own, own_motion(x, y, came, outer), off)
+        moves = moves_with(came, own, with_ground, off)
         inside[0] = moved(now.inside[0], old(*own), -float(FAR))
         covered = hidden | was_hidden
         came = np.where(covered, own[0], came[0]), np.where(covered, own[1], came[1])
@@ -173,16 +192,38 @@ def _step(
     known = in_view * moved(now.known, old(*came), 1.0)
     border = (np.abs(inside[0]) < 2.0) & ~hidden
     trust = now.trust * (float(np.mean(off[border] < BACK)) if border.any() else 1.0)
+    if _is_cut(frames[before].image[part], b, came):
+        trust = 0.0
     certain = (known * np.where(was_hidden, 0.1, np.where(off < BACK, 1.0, 0.3))).astype(np.float32)
     visible = placed(now, (columns.start, rows.start), b.shape[1::-1])[0]
     top_most = ~is_hidden(visible)
     for n, kind in enumerate(visible):
         if (n < 2 or hand is None) and (kind > 0).any():
             clear = (np.abs(kind) > 1.0) & (top_most if n == 0 else kind > -FAR)
-            likely = likelier(b, colours[n], Places.of(a, kind > 0, clear), came) + (moves if n == 0 else 0.0)
+            likely = likelier(at, colours[n], Places.of(frames[before].bins[part], kind > 0, clear), came)
+            if n == 0:
+                likely += moves + unlike
             inside[n] = refined(b, inside[n], certain, likely, hidden if n == 0 else np.zeros_like(hidden))
     known = np.where(hidden, REMEMBERED * known, np.where(off < BACK, np.maximum(known, SEEN), SEEN)).astype(np.float32)
-    return _cut(frame, (columns.start, rows.start), inside, known, trust)
+    ground.renew(frames[frame].image, part, behind, inside.max(axis=0) < -CLEAR)
+    return _cut(Carried(frame, (columns.start, rows.start), inside, known, trust, unlike))
+
+
+def _is_cut(before: Image, after: Image, came: Origins) -> bool:
+    """Return whether most of an image shows something else than the one before, wherever that was."""
+    import cv2
+
+    expected = cv2.remap(before, *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+    return bool(np.median(cv2.absdiff(expected, after)[::2, ::2].mean(axis=-1)) > CUT)
+
+
+def _around(now: Carried, size: tuple[int, int]) -> Part:
+    """Return the part of the next image that is looked at."""
+    ends = []
+    for begin, length, limit in zip(now.corner, now.inside.shape[:0:-1], size, strict=True):
+        first, last = (begin - MARGIN) // GRID * GRID, -(-(begin + length + MARGIN) // GRID) * GRID
+        ends.append(slice(max(0, first), min(limit, last)))
+    return ends[1], ends[0]
 
 
 def refined(
@@ -237,20 +278,15 @@ def signed_distance(mask: Bool[ndarray, "h w"], far: float = FAR) -> Float32[nda
     return np.clip(distances[0] - distances[1], -far, far).astype(np.float32)
 
 
-def _cut(
-    frame: int,
-    corner: tuple[int, int],
-    inside: Float32[ndarray, "3 h w"],
-    known: Float32[ndarray, "h w"],
-    trust: float,
-) -> Carried:
+def _cut(whole: Carried) -> Carried:
     """Only the part that holds what is inside, and what is near to it."""
-    near = (inside > -FAR).any(axis=0)
-    if not near.any():
-        return Carried(frame, corner, inside[:, :0, :0], known[:0, :0], trust)
-    rows, columns = (slice(int(i.min()), int(i.max()) + 1) for i in np.nonzero(near))
-    corner = corner[0] + columns.start, corner[1] + rows.start
-    return Carried(frame, corner, inside[:, rows, columns].copy(), known[rows, columns].copy(), trust)
+    near = (whole.inside > -FAR).any(axis=0)
+    rows, columns = (
+        (slice(int(i.min()), int(i.max()) + 1) for i in np.nonzero(near)) if near.any() else (slice(0, 0), slice(0, 0))
+    )
+    corner = whole.corner[0] + columns.start, whole.corner[1] + rows.start
+    known, unlike = (each[rows, columns].copy() for each in (whole.known, whole.unlike))
+    return whole._replace(corner=corner, inside=whole.inside[:, rows, columns].copy(), known=known, unlike=unlike)
 
 
 def placed(

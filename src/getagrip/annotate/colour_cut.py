@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int, UInt8
+from jaxtyping import Bool, Float32, Int, Int32, UInt8
 from numpy import ndarray
 
 BINS = 12
@@ -34,13 +34,15 @@ Image = UInt8[ndarray, "h w 3"]
 Mask = Bool[ndarray, "h w"]
 
 
-def bins(image: Image) -> Int[ndarray, "h w"]:
+def bins(image: Image) -> Int32[ndarray, "h w"]:
     """Return the bin of each pixel's colour."""
     import cv2
 
-    lab = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2LAB).astype(np.int64)
-    grey = np.clip((lab[..., 1:] - 128 + COLOURED // 2) * BINS // COLOURED, 0, BINS - 1)
-    return np.asarray((lab[..., 0] * BINS // 256 * BINS + grey[..., 0]) * BINS + grey[..., 1])
+    levels = np.arange(256)
+    grey = np.clip((levels - 128 + COLOURED // 2) * BINS // COLOURED, 0, BINS - 1)
+    table = np.stack([levels * BINS // 256, grey, grey], axis=-1).astype(np.uint8)[:, None]
+    lab = cv2.LUT(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2LAB), table).astype(np.int32)
+    return np.asarray((lab[..., 0] * BINS + lab[..., 1]) * BINS + lab[..., 2])
 
 
 class Colours(NamedTuple):
@@ -55,7 +57,7 @@ class Colours(NamedTuple):
         for side in (inside & counted, ~inside & counted):
             cube = np.bincount(at[side], minlength=BINS**3).astype(np.float32).reshape(BINS, BINS, BINS)
             sides.append(_blurred(cube).ravel() / max(1, np.count_nonzero(side)))
-        return Colours(np.stack(sides))
+        return Colours(np.stack(sides).astype(np.float32))
 
     @staticmethod
     def mean(some: list[Colours]) -> Colours:
@@ -70,11 +72,11 @@ class Places(NamedTuple):
     counts: Float32[ndarray, "2 cells"]
 
     @staticmethod
-    def of(image: Image, inside: Mask, counted: Mask) -> Places:
-        """Count one image."""
+    def of(at: Int32[ndarray, "h w"], inside: Mask, counted: Mask) -> Places:
+        """Count one image, given by the bins of its pixels."""
         height, width = inside.shape
         y, x = np.mgrid[:height, :width].astype(np.float32)
-        at = _cells((width, height), x, y) * BINS**3 + bins(image)
+        at = _cells((width, height), x, y) * BINS**3 + at
         shape = CELLS, CELLS, BINS, BINS, BINS
         sides = [
             _blurred(np.bincount(at[side], minlength=int(np.prod(shape))).astype(np.float32).reshape(shape)).ravel()
@@ -97,16 +99,15 @@ def _blurred(counts: Float32[ndarray, "..."]) -> Float32[ndarray, "..."]:
 
 
 def likelier(
-    image: Image,
+    at: Int32[ndarray, "h w"],
     keys: Colours,
     before: Places | None = None,
     came: tuple[Float32[ndarray, "h w"], Float32[ndarray, "h w"]] | None = None,
 ) -> Float32[ndarray, "h w"]:
-    """Return the logarithm of the ratio of each pixel's colour probability inside to that outside.
+    """Return the logarithm of the ratio of each pixel's colour probability inside to that outside, from its bin.
 
     ``came`` has the pixels' places in the frame ``before``, whose colours there count as well.
     """
-    at = bins(image)
     sides = SHARED * keys.counts[:, at] + RARE * SHARED / BINS
     if before is not None and came is not None:
         sides = sides + before.counts[:, _cells(before.size, *came) * BINS**3 + at]
@@ -124,18 +125,8 @@ def edges(image: Image) -> Float32[ndarray, "h w"]:
 
 def cut(cost: Float32[ndarray, "h w"], edge: Float32[ndarray, "h w"], start: Float32[ndarray, "h w"]) -> Mask:
     """Return where u is above one half, from a ``start`` near to it."""
-    u, bar = start, start.copy()
-    px, py = np.zeros_like(u), np.zeros_like(u)
-    step = np.float32(1.0 / np.sqrt(8.0))
-    for _ in range(ROUNDS):
-        px[:, :-1] += step * (bar[:, 1:] - bar[:, :-1])
-        py[:-1] += step * (bar[1:] - bar[:-1])
-        length = np.maximum(np.float32(1.0), np.sqrt(px * px + py * py) / edge)
-        px /= length
-        py /= length
-        spread = px + py
-        spread[:, 1:] -= px[:, :-1]
-        spread[1:] -= py[:-1]
-        new = np.clip(u + step * (spread - cost), 0.0, 1.0)
-        bar, u = 2.0 * new - u, new
+    from getagrip.kernels.cut import cut_steps
+
+    u = start.copy()
+    cut_steps(cost, edge, u, ROUNDS)
     return np.asarray(u > 0.5)

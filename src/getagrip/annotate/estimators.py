@@ -27,7 +27,7 @@ class Estimator:
     script: str
     """Its script, for the advice on how to set it up."""
     words: str
-    """What the script is called with; a name in braces stands for values of the video, or where to write."""
+    """Arguments of the script; a name in braces stands for values of the video, or a place to write to."""
     reader: str = ""
     """Tracker that reads its files (``import hands --from``); without one, they are masks or a hand file."""
 

@@ -22,10 +22,10 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands.clicked_hands import SCALE
-from getagrip.hands.lifted_hands import hands_from_landmarks
+from getagrip.hands.lifted_hands import LIFTED, hands_from_landmarks
 from getagrip.io import files
 from getagrip.io.images import write_mask
-from getagrip.landmarks import HandLandmarks, follow, hand_mask, select
+from getagrip.landmarks import HandLandmarks, follow, hand_mask, look_again, select
 from getagrip.landmarks.nets import Nets
 from getagrip.landmarks.selecting import Side
 from getagrip.provenance import Provenance, Source, as_arrays, assumed, estimated
@@ -57,7 +57,7 @@ def of_landmarks(landmarks: HandLandmarks) -> Provenance:
     """Return the provenance of hands that are lifted from landmarks."""
     words = "; ".join(landmarks.notes)
     return {
-        "hands": estimated(f"MediaPipe's landmarks, lifted to the generic hand; {words}"),
+        "hands": estimated(f"MediaPipe's landmarks, {LIFTED}; {words}"),
         "hands_focal": assumed("from the size of the generic hand and the focal length"),
         "hands_scale": assumed(SCALE),
     }
@@ -66,7 +66,7 @@ def of_landmarks(landmarks: HandLandmarks) -> Provenance:
 def lifted(
     landmarks: HandLandmarks, first: int, size: tuple[int, int], K: Float[ndarray, "3 3"], camera: Source
 ) -> FoundHands:
-    """Lift landmarks of the frames from ``first`` on to 3D hands. Raises as ``hands_from_landmarks`` does."""
+    """Fit 3D hands to landmarks of the frames from ``first`` on. Raises as ``hands_from_landmarks`` does."""
     beside = (landmarks.points < 0.0) | (landmarks.points > np.array(size))
     weights = landmarks.confidence * np.where(beside.any(axis=-1), BEYOND, 1.0)
     fit = hands_from_landmarks(landmarks.points, weights, K, landmarks.side, landmarks.world)
@@ -94,8 +94,12 @@ def find_landmarks(
     frame that does not decode.
     """
     first, last = interval
-    seen = follow(_Shot(footage, first).image, last - first + 1, nets, on_frame)
-    return select(seen, side, None if boxes is None else {n - first: box for n, box in boxes.items()})
+    count = last - first + 1
+    seen = follow(_Shot(footage, first).image, count, nets, on_frame)
+    of_row = None if boxes is None else {n - first: box for n, box in boxes.items()}
+    return select(
+        seen, side, of_row, first + 1, lambda hand: look_again(lambda n: footage.image(first + n), hand, count, nets)
+    )
 
 
 @dataclass

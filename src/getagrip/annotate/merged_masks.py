@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, Int32, UInt8
 from numpy import ndarray
 
 from getagrip.annotate.carried_masks import (
@@ -19,27 +19,28 @@ from getagrip.annotate.carried_masks import (
     MOST,
     SEEN,
     Carried,
-    Image,
     is_hidden,
     placed,
     refined,
     signed_distance,
 )
 from getagrip.annotate.colour_cut import Colours, Places, likelier
+from getagrip.annotate.shared_flow import SmallFrame
 
 SIDE_WEIGHT = 0.5
 """Weight of the sides beside the colours' mean, in multiples of one ``BAND``."""
-CERTAIN = 0.1
-"""How certain the merged border is, when it is drawn anew: from 0, colours alone, to 1."""
+CERTAIN, ALIKE = 0.1, 0.2
+"""How certain the merged border is, when it is drawn anew, where the two differ, and where they are alike: from 0,
+colours alone, to 1. Near to a key it is that key's."""
 
 
 def merged(
-    one: Carried, other: Carried, share: float, image: Image, colours: Sequence[Colours]
+    one: Carried, other: Carried, share: float, frame: SmallFrame, colours: Sequence[Colours]
 ) -> tuple[Carried, float]:
-    """Make one mask of two of a frame, whose ``image`` is of the size at which they were carried.
+    """Make one mask of two of a frame, whose ``frame`` is of the size at which they were carried.
 
     ``share`` is how far the frame is from the key of ``one`` to the other's, 0 to 1; ``colours`` are the keys'. Also
-    returned is the agreement of the two (intersection over union) where both are known.
+    returned is its confidence, from the agreement of the two (intersection over union) where both are known.
     """
     left, top = np.minimum(one.corner, other.corner).tolist()
     ends = [np.add(each.corner, each.inside.shape[:0:-1]) for each in (one, other)]
@@ -54,15 +55,32 @@ def merged(
     in_a, in_b = a[0] > 0, b[0] > 0
     union = np.count_nonzero(both & (in_a | in_b))
     agreement = np.count_nonzero(both & in_a & in_b) / union if union else 1.0
-    part = image[top : top + height, left : left + width]
-    if (inside[0] > -FAR).any() and part.size:
+    part = slice(top, top + height), slice(left, left + width)
+    image, at = frame.image[part], frame.bins[part]
+    if (inside[0] > -FAR).any() and at.size:
         side_a, side_b = (np.clip(each[0] / BAND, -2.0, 2.0) for each in (a, b))
-        likely = np.clip(likelier(part, colours[0]), -MOST, MOST)
+        likely = likelier(at, colours[0]) + _unlike((one, other), (left, top), (width, height))
+        likely = np.clip(likely, -MOST, MOST)
         in_a, in_b = np.where(shown_b & ~shown_a, in_b, in_a), np.where(shown_a & ~shown_b, in_a, in_b)
+        alike = ALIKE * np.exp(-np.square((a[0] - b[0]) / BAND)) * (shown_a & shown_b)
+        nearest = np.square(np.maximum(weight_a, weight_b))
+        certain = np.maximum(CERTAIN, np.maximum(alike, nearest)).astype(np.float32)
         found = _decided(in_a, in_b, side_a + (side_b - side_a) * share_b, likely, hidden)
-        inside[0] = _redrawn(part, found, likely, colours[0], hidden)
+        inside[0] = _redrawn(image, at, found, certain, likely, colours[0], hidden)
     known = np.maximum(known_a, known_b)
-    return one._replace(corner=(left, top), inside=inside, known=known), float(agreement)
+    confidence = _confidence(agreement, share, one.trust, other.trust)
+    return one._replace(corner=(left, top), inside=inside, known=known), confidence
+
+
+def _confidence(agreement: float, share: float, trust: float, other_trust: float) -> float:
+    """Return how much of the merged mask is expected to be right.
+
+    A pixel is lost where both sides are wrong, and hardly near to a key. What lies beyond a cut does not count: the
+    other side's trust does.
+    """
+    if trust > 0.0 and other_trust > 0.0:
+        return float(1.0 - 4.0 * share * (1.0 - share) * (1.0 - agreement) ** 2)
+    return float(min(agreement, max(trust, other_trust)))
 
 
 def _decided(
@@ -85,9 +103,21 @@ def _decided(
     return np.asarray(found)
 
 
+def _unlike(some: Sequence[Carried], corner: tuple[int, int], size: tuple[int, int]) -> Float32[ndarray, "h w"]:
+    """Return how unlike the ground pixels are: that ground which fits best, where one does."""
+    found = np.zeros((len(some), *size[::-1]), np.float32)
+    for out, each in zip(found, some, strict=True):
+        (left, top), (h, w) = np.subtract(each.corner, corner).tolist(), each.unlike.shape
+        out[top : top + h, left : left + w] = each.unlike
+    least = found.min(axis=0)
+    return np.where(least < 0.0, least, found.max(axis=0))
+
+
 def _redrawn(
-    image: Image,
+    image: UInt8[ndarray, "h w 3"],
+    at: Int32[ndarray, "h w"],
     found: Bool[ndarray, "h w"],
+    certain: Float32[ndarray, "h w"],
     likely: Float32[ndarray, "h w"],
     colours: Colours,
     hidden: Bool[ndarray, "h w"],
@@ -95,6 +125,5 @@ def _redrawn(
     """Return signed distances from the border that colours draw: the keys' and those near to it in this image."""
     inside = signed_distance(found)
     x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in found.shape[::-1]))
-    here = likelier(image, colours, Places.of(image, found, ~hidden & (np.abs(inside) > 1.0)), (x, y))
-    certain = np.full(found.shape, CERTAIN, np.float32)
+    here = likelier(at, colours, Places.of(at, found, ~hidden & (np.abs(inside) > 1.0)), (x, y))
     return refined(image, inside, certain, np.clip(here, -MOST, MOST) + likely, hidden)

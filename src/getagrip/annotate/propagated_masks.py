@@ -2,12 +2,12 @@
 
 Each mask is carried as a signed distance from its border, frame by frame: from the key before forwards, from the key
 after backwards (``carried_masks``); it depends on these two keys alone. The two are merged (``merged_masks``): where
-they differ the keys' colours decide, and the nearer key; what has come into the image since one key is known from the
-other only.
+they differ the keys' colours decide, the ground that keys show, and the nearer key; what has come into the image since
+one key is known from the other only. At last the border is drawn at the image's own size (``fine_border``).
 
-The confidence of a frame is how far the two agree (intersection over union), 1 on keys. Where there is one only, before
-the first key and after the last, it is its trust: the share of the border for which flow there and back agrees, all
-steps since the key multiplied.
+The confidence of a frame is the share that is expected to be right: where there are two, a pixel is lost if both are
+wrong, and hardly near to a key; it is 1 on keys. Where there is one only, before the first key, after the last and up to
+a cut, it is its trust: the share of the border for which flow there and back agrees, all steps since the key multiplied.
 """
 
 from __future__ import annotations
@@ -20,9 +20,11 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 from numpy import ndarray
 
-from getagrip.annotate.carried_masks import KINDS, Carried, Hands, Images, carry, key_colours, placed, resized
+from getagrip.annotate.carried_masks import KINDS, Carried, Hands, Images, carry, key_colours, placed
+from getagrip.annotate.fine_border import fine
 from getagrip.annotate.labels import FRONT, HAND, OBJECT
 from getagrip.annotate.merged_masks import merged
+from getagrip.annotate.shared_flow import SmallFrames
 from getagrip.errors import UsageError
 
 SIDE = 200.0
@@ -96,15 +98,16 @@ def _filled(
         yield Propagated(first, keys[first], 1.0)
         return
     size = _working_size(keys)
-    colours = key_colours(image, keys, size)
-    there = carry(image, before, keys[before], last, size, colours, hand) if before < first else None
-    back = list(carry(image, after, keys[after], first, size, colours, hand))[::-1] if after > last else None
+    frames = SmallFrames(image, size)
+    colours = key_colours(frames, keys)
+    there = carry(frames, before, keys[before], last, colours, hand) if before < first else None
+    back = list(carry(frames, after, keys[after], first, colours, hand))[::-1] if after > last else None
     if there is None or back is None:
-        yield from (_propagated(each, each.trust, keys, size) for each in there or back or ())
+        yield from (_propagated(each, each.trust, keys, frames) for each in there or back or ())
         return
     for one, other in zip(there, back, strict=True):
         share = (one.frame - before) / (after - before)
-        yield _propagated(*merged(one, other, share, resized(image(one.frame), size), colours), keys, size)
+        yield _propagated(*merged(one, other, share, frames[one.frame], colours), keys, frames)
 
 
 def _unknown(_: int) -> None:
@@ -148,14 +151,18 @@ def _working_size(keys: Mapping[int, UInt8[ndarray, "H W"]]) -> tuple[int, int]:
 
 
 def _propagated(
-    each: Carried, confidence: float, keys: Mapping[int, UInt8[ndarray, "H W"]], size: tuple[int, int]
+    each: Carried, confidence: float, keys: Mapping[int, UInt8[ndarray, "H W"]], frames: SmallFrames
 ) -> Propagated:
     """At the size of the keys' masks."""
     import cv2
 
     height, width = next(iter(keys.values())).shape
-    whole, _ = placed(each, (0, 0), size)
+    inside, _ = placed(each, (0, 0), frames.size)
     labels = np.zeros((height, width), np.uint8)
-    for kind, inside in zip(KINDS, whole, strict=True):  # what is in front wins
-        labels[cv2.resize(inside, (width, height), interpolation=cv2.INTER_LINEAR) > 0] = kind
+    for kind, distances in zip(KINDS[1:], inside[1:], strict=True):  # what is in front wins
+        labels[cv2.resize(distances, (width, height), interpolation=cv2.INTER_LINEAR) > 0] = kind
+    whole = frames[each.frame].whole
+    visible = cv2.resize(np.minimum(inside[0], -inside[1:].max(axis=0)), whole.shape[1::-1])
+    found = fine(whole, visible, whole.shape[1] / frames.size[0]).astype(np.float32)
+    labels[cv2.resize(found, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5] = OBJECT
     return Propagated(each.frame, labels, confidence)

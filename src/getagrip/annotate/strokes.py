@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from getagrip.annotate.carried_masks import Hands, Image, Images
-from getagrip.annotate.colour_cut import Colours, likelier
+from getagrip.annotate.colour_cut import Colours, bins, likelier
 from getagrip.annotate.labels import HAND, OBJECT, FrameLabels, Labels
 from getagrip.errors import UsageError
 
@@ -148,7 +148,7 @@ def _cut(
         labels[[0, -1]] = labels[:, [0, -1]] = cv2.GC_BGD
         labels[never], labels[sure] = cv2.GC_BGD, cv2.GC_FGD
         unknown = labels == cv2.GC_PR_BGD
-        likely = likelier(small, Colours.of(small, sure, ~unknown)) > 1.0
+        likely = likelier(bins(small), Colours.of(small, sure, ~unknown)) > 1.0
         labels[likely & unknown] = cv2.GC_PR_FGD
     else:
         labels = cv2.resize(start[part], size, interpolation=cv2.INTER_NEAREST)

@@ -144,12 +144,15 @@ SIGNS: tuple[Sign, ...] = (
     Sign("off-axis-turn", off_axis_turn, -1),
     Sign("hand-shift", hand_shift, -1),
     Sign("hand-turn", hand_turn, -1),
+)
+HAND_SIGNS: tuple[Sign, ...] = (
     Sign("hand-spread", hand_spread, -1),
     Sign("hand-misfit", hand_misfit, -1),
 )
+"""Signs of the hand, which count where hands are estimated (``checks.kept``)."""
 
 
 def read_signs(it: Solved) -> dict[str, float]:
     """Compute every sign of a result, by its name; unknown ones are left out."""
-    measured = {sign.name: float(sign.measure(it)) for sign in SIGNS}
+    measured = {sign.name: float(sign.measure(it)) for sign in (*SIGNS, *HAND_SIGNS)}
     return {name: value for name, value in measured.items() if not np.isnan(value)}

@@ -47,7 +47,7 @@ class Stretch:
         return tuple(self.footage.name(n) for n in range(self.first, self.last + 1))
 
     def request(self, side: Side, names: tuple[str, ...] | None = None) -> Request:
-        """Ask for the hand in all frames, under other names if these are given."""
+        """Make the request for the hand in all frames, under other names if these are given."""
         many = np.tile(self.K, (self.last - self.first + 1, 1, 1))
         return Request(side, names or self.names, many, self.footage.size, ask_first="" if names else "--interval")
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +17,7 @@ from tyro.conf import Positional, arg
 from getagrip.commands.command import Command, Labels, OptionalSide
 from getagrip.commands.own_mesh import MeshOptions, own_mesh
 from getagrip.errors import InputError, UsageError
+from getagrip.geometry.distortion import Distortion
 from getagrip.geometry.lens import Lens
 from getagrip.io import files
 from getagrip.io.arguments import Flag, Folder, OptionalFile
@@ -65,7 +66,7 @@ class NewClip(Command):
     """Make a clip of your own video, at once or in steps. What is still missing is listed, with how to get it."""
 
     video: Annotated[Positional[Path], arg(metavar="VIDEO|FOLDER")]
-    """The video, undistorted; or a folder of its images, in the order of the numbers in their names."""
+    """The video, undistorted or with --distortion; or a folder of its images, in the order of their numbers."""
     out: Folder
     """The clip's folder; its name is the clip's."""
     interval: Annotated[tuple[int, int] | None, arg(metavar="START END", help_behavior_hint="")] = None
@@ -98,6 +99,7 @@ class NewClip(Command):
     """State that the camera did not move: the camera frame is then the world."""
     lens: Annotated[Lens, arg(name="")] = field(default_factory=Lens)
     """The camera. Not needed if the hand file has it."""
+    distorted: Annotated[Distortion, arg(name="")] = field(default_factory=Distortion)
     fps: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="(default: 30)")] = None
     """Frames per second of a folder of images; a video has its frames' own times."""
     overwrite: Flag = False
@@ -142,6 +144,9 @@ class NewClip(Command):
         footage = stretch(self.video, numbers, size, fps, self.fps is not None)
         names = footage.names
         K, camera = camera_of(self.lens, hands, size)
+        images, camera = footage.images(), replace(camera, text=camera.text + self.distorted.words)
+        if self.distorted.words:
+            images = map(self.distorted.removal(K, size), images)
         found = own_mesh(self.shape)
         found_hands = None if hands is None else hands.at(names, self.side, self.hand_first)
         of_hands: Provenance = {"hands": "none yet"}
@@ -172,7 +177,7 @@ class NewClip(Command):
         )
         clip = with_segments(clip, _segments(self, self.out))
         reader = None if self.masks is None else _masks(self, names, size)
-        visible = _write(clip, found_hands, footage.images(), reader, self.out, self.overwrite)
+        visible = _write(clip, found_hands, images, reader, self.out, self.overwrite)
         unsure = report_masks(reader, clip.frames, visible) if reader else 0
         return _summary(clip, self, found_hands, self.out) or unsure
 

@@ -13,7 +13,7 @@ from numpy import ndarray
 from getagrip.evaluation.comparison import Comparison, MissingPartError
 from getagrip.io import plugins
 from getagrip.io.plugins import Table
-from getagrip.metrics import motion
+from getagrip.metrics import motion, recall
 from getagrip.metrics.contact import ContactDefinition
 
 Value = float | Float[ndarray, "T"]
@@ -114,7 +114,13 @@ def _closed(it: Comparison) -> float:
 
 def _motion_deviation(it: Comparison) -> float:
     """Motion deviation of hand and object in stable contact."""
-    return motion.motion_deviation(it.contact_pairs, it.true.scale * it.clip.mesh.vertices, *it.in_camera, it.clip.time)
+    return motion.motion_deviation(
+        it.contact_pairs,
+        it.true.scale * it.clip.mesh.vertices,
+        it.hand_in_camera[0],
+        it.object_in_camera[0],
+        it.clip.time,
+    )
 
 
 IOU = Metric(
@@ -206,26 +212,45 @@ _METRICS: tuple[Metric, ...] = (
         averaged=False,
     ),
     Metric(
-        "cdev_mm", lambda it, _: 1e3 * motion.contact_deviation(it.contact_pairs, *it.in_camera), "mm",
-        needs_truth=True, ranked=False,
+        "cdev_mm",
+        lambda it, _: 1e3 * motion.contact_deviation(it.contact_pairs, it.hand_in_camera[0], it.object_in_camera[0]),
+        "mm", needs_truth=True, ranked=False,
     ),
     Metric("mdev_mm", lambda it, _: 1e3 * _motion_deviation(it), "mm", needs_truth=True, ranked=False),
     Metric(
-        "acc_hand", lambda it, _: motion.acceleration_error(it.in_camera[0], it.truly_in_camera[0], it.clip.time),
+        "acc_hand", lambda it, _: motion.acceleration_error(*it.hand_in_camera, it.clip.time),
         "m/s^2", needs_truth=True, ranked=False,
     ),
     Metric(
-        "acc_object", lambda it, _: motion.acceleration_error(it.in_camera[1], it.truly_in_camera[1], it.clip.time),
+        "acc_object", lambda it, _: motion.acceleration_error(*it.object_in_camera, it.clip.time),
         "m/s^2", needs_truth=True, ranked=False,
     ),
     Metric(
-        "mrrpe_mm", lambda it, _: 1e3 * motion.root_error(it.in_camera, it.truly_in_camera), "mm", needs_truth=True,
-        ranked=False,
+        "mrrpe_mm",
+        lambda it, _: 1e3 * motion.root_error(*zip(it.hand_in_camera, it.object_in_camera, strict=True)),
+        "mm", needs_truth=True, ranked=False,
     ),
     Metric(
         "vertex_success_5", lambda it, _: motion.vertex_success(
-            it.in_camera[1], it.truly_in_camera[1], it.clip.mesh.diameter * it.true.scale
+            *it.object_in_camera, it.clip.mesh.diameter * it.true.scale
         ), needs_truth=True,
+    ),
+    Metric(
+        "add_cam_auc", lambda it, _: recall.area_under_curve(it.errors_cam.add), needs_truth=True,
+    ),
+    Metric(
+        "adds_cam_auc", lambda it, _: recall.area_under_curve(recall.nearest_add(*it.object_in_camera)),
+        needs_truth=True,
+    ),
+    Metric(
+        "mssd_cam_recall",
+        lambda it, _: recall.recall(it.symmetric_errors.mssd(), recall.SHARES * it.errors_cam.diameter),
+        needs_truth=True,
+    ),
+    Metric(
+        "mspd_cam_recall",
+        lambda it, _: recall.recall(it.symmetric_errors.mspd(it.clip.K), recall.PIXELS * it.clip.size[0] / 640),
+        needs_truth=True,
     ),
     Metric("frames_without_mesh", lambda it, _: float(sum(mesh is None for mesh in it.meshes)), "frames"),
     Metric("closed", lambda it, _: _closed(it)),

@@ -28,6 +28,9 @@ M = TypeVar("M", bound=Motion)
 DEPTH = 0.018, 0.007
 """Standard deviations of the error along the camera's ray beside that in any direction: that all frames share, and of
 each frame's own [m]; those of estimates from images (docs/datasets.md)."""
+PRIOR = 0.5
+"""Weight of the prior against what it has in the hand's refinement: clips differ in how far their hands are off, so
+that its tails are heavier than a square's. Chosen on training clips."""
 LEVEL, ITERATIONS = 128, 8
 """Resolution [px] and most iterations."""
 
@@ -49,10 +52,10 @@ def solve_with_hand(problem: Problem, motion: M, energy_of: EnergyOf) -> tuple[S
     names = [term.name for term in terms if isinstance(term, OnHand)]
     before = dict(zip((term.name for term in terms), begun, strict=False))
     energy = {name: (float(before[name]), float(found.terms[name][0])) for name in names}
-    covariance = nat * _covariance(found.motion, inverse_of_shared(found.motion, terms, T_given))
+    covariance = nat * _covariance(found.motion, inverse_of_shared(found.motion, terms, T_given, last=8))
     rest = np.arange(1, len(motion.poses().scale))
     seen = refinement.seen
-    hand = SolvedHand(seen.errors.T_cam_hand(x), covariance, energy, seen.differing(x) / seen.mask.pixels)
+    hand = SolvedHand(seen.errors.T_cam_hand(x), covariance, energy, seen.share(x))
     return hand, found.motion.core.concatenate(motion.take(rest))
 
 
@@ -63,7 +66,7 @@ def _moving(refinement: HandRefinement, motion: M, nat: float) -> MovingHand[M]:
     own = np.concatenate([jitter[SHIFT], jitter[TURN], [DEPTH[1]]])
     a, b = refinement.shared, refinement.own
     return replace(
-        MovingHand.around(motion, HandPrior.of(hand, constant, own, nat)),
+        MovingHand.around(motion, HandPrior.of(hand, constant, own, PRIOR * nat)),
         constant=np.concatenate([a[SHIFT], a[TURN], [0.0, a[SIZE] + b[:, SIZE].mean()]])[None],
         own=np.concatenate([b[:, SHIFT], b[:, TURN], np.zeros((len(b), 1))], axis=1)[None],
     )
@@ -77,8 +80,8 @@ def _errors(motion: MovingHand[M], refinement: HandRefinement) -> Float[ndarray,
     return x
 
 
-def _covariance(motion: MovingHand[M], inverse: Float[ndarray, "S S"]) -> Float[ndarray, "6 6"]:
+def _covariance(motion: MovingHand[M], inverse: Float[ndarray, "8 8"]) -> Float[ndarray, "6 6"]:
     """Return the part of shift and turn that all frames share, the mean ray's among them."""
     J = np.eye(6, 8)
     J[:3, moving_hand.DEPTH] = motion.assumed.rays.mean(axis=0)
-    return np.asarray(J @ inverse[-8:, -8:] @ J.T)
+    return np.asarray(J @ inverse @ J.T)

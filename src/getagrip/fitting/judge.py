@@ -28,8 +28,9 @@ from getagrip.result import Candidates
 
 CHOICES = ("method", "inits", "init", "priors", "priors_only", "thorough", "seed", "frames", "every_frame")
 """Options that leave a calibration valid; it was made with the usual values of all."""
-TERMS = ("total", "mask", "push", "pull", "consistency", "prior", "hand-mask", "joints-2d")
-"""Names in the energy that was calibrated."""
+TERMS = ("total", "mask", "push", "pull", "consistency", "prior", "hand-mask", "joints-2d", "order", "size", "upright")
+"""Names in the energy that was calibrated; the last three count only for inputs that are assumed, as which kind of
+object it is, of which there were none, so that its probability is carried over to them."""
 UNSOLVED = 0.03
 """Spread of an object in an estimated hand that was not solved with it [m]: the measured errors (docs/datasets.md)."""
 

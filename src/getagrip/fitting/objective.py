@@ -20,6 +20,7 @@ from getagrip.fitting.energy import Energy, HandEnergy, HandTerm, InHand, OnHand
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
 from getagrip.fitting.energy.hand_mask import HandMaskTerm
 from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
+from getagrip.fitting.energy.order import HandOrder, OrderTerm, corners_of
 from getagrip.fitting.energy.pull import PullTerm
 from getagrip.fitting.energy.push import PushTerm
 from getagrip.fitting.energy.seen_joints import SeenJointsTerm
@@ -154,6 +155,19 @@ def pull_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
     hands, solid = _contacts(problem), problem.surface.solid
     reach = problem.trust.reach
     return lambda level, index: [InHand(PullTerm(solid, hands[level].take(index), weight[index], reach))]
+
+
+def order_of(problem: Problem) -> Energy:
+    """Return the term of order in depth, by the weight of push, for hands that were lifted and whose pixels are known.
+
+    Other hands are placed by what their estimators know of depth; what push lets through there is small.
+    """
+    masks, weight = problem.input_masks, problem.trust.contact * problem.options.push
+    if not (problem.trust.hand_lifted and weight) or masks.hand is None:
+        return NOTHING
+    corners, (each, _) = corners_of(problem.clip.mesh), contact_weights(problem, weight, 0.0)
+    hand = HandOrder.of(problem.clip.hand, problem.clip.K, masks)
+    return lambda level, index: [InHand(OrderTerm(corners, hand.take(index), each[index]))]
 
 
 def _contacts(problem: Problem) -> dict[int, HandContacts]:

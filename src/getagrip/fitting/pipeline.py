@@ -20,6 +20,7 @@ from getagrip.checks import LEAST_IOU
 from getagrip.checks.calibration import Where
 from getagrip.checks.evidence import Glitches
 from getagrip.clip import Clip, Masks, check_clip, check_masks, with_masks
+from getagrip.compiling import WORDS, compile_once
 from getagrip.errors import UsageError
 from getagrip.finding import Finding
 from getagrip.fitting.every_frame import Track
@@ -176,6 +177,7 @@ def run(
     if masks is not None:
         check_masks(clip, masks)
         clip = with_masks(clip, masks)
+    compile_once(lambda: progress and progress(WORDS, 0.0))
     with threadpool_limits(1, user_api="blas"):
         clock = Clock(progress, steps.stages)
         source = repair(clip, options, threads)
@@ -229,7 +231,7 @@ def _result(
         options=asdict(options),
         seed=options.seed,
         T_cam_hand=track.T_cam_hand if answer.hand_moved else None,
-        hand_covariance=answer.hand and answer.hand.covariance,
+        hand_covariance=None if answer.hand is None else answer.hand.covariance,
         hand_energy={} if answer.hand is None else dict(answer.hand.energy),
         T_cam_other_hand=answer.T_cam_other_hand,
         warp=answer.warp,

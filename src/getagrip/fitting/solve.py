@@ -211,19 +211,19 @@ def _equations(
 
 
 def inverse_of_shared(
-    motion: Motion, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"]
-) -> Float[ndarray, "S S"]:
-    """Invert the Hessian of the energy by all parameters of the first hypothesis; return the part of the shared ones.
+    motion: Motion, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"], last: int
+) -> Float[ndarray, "n n"]:
+    """Invert the Hessian of the energy by all parameters of the first hypothesis; return the part of the last shared.
 
-    Divided by twice the energy of one standard deviation it is their covariance.
+    Times twice the energy of one standard deviation it is their covariance.
     """
     motion = motion.take(np.zeros(1, int))
     local = evaluate(motion, terms, T_cam_hand, np.full(1, np.inf)).local
     arrow = _equations(motion, *motion.jacobian(), local, T_cam_hand)
     S, L = arrow.g_s.shape[-1], arrow.g_l.shape[-1]
     arrow = replace(arrow, H_ss=arrow.H_ss + FLOOR * np.eye(S), H_ll=arrow.H_ll + FLOOR * np.eye(L))
-    unit = np.eye(S)[:, None]
-    return -np.stack([replace(arrow, g_s=one, g_l=np.zeros_like(arrow.g_l)).solved()[0][0] for one in unit])
+    unit = np.eye(S)[-last:, None]
+    return -np.stack([replace(arrow, g_s=one, g_l=np.zeros_like(arrow.g_l)).solved()[0][0, -last:] for one in unit])
 
 
 def seen_from_camera(

@@ -10,10 +10,10 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit
 from numpy import ndarray
 
 from getagrip.clip import HandTrack
+from getagrip.compiling import kernel
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import edge_table
 
@@ -78,7 +78,7 @@ def bend_derivatives(joints: Float[ndarray, "T 21 3"], axes: Float[ndarray, "T 5
     return np.asarray(np.moveaxis(moved, -1, 2))
 
 
-@njit(cache=True, nogil=True)
+@kernel("f3 f2 f4 f3", fastmath=False)
 def _skin(vertices: ndarray, weights: ndarray, T: ndarray, moved: ndarray) -> None:
     """Vertices (T, V, 3) moved by as much as their weights (V, 15) say of what each bone's pose (T, 15, 4, 4) does."""
     for v in range(vertices.shape[1]):

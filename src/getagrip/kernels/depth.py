@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from getagrip.kernels.silhouette import OPTIONS, project
+from getagrip.compiling import kernel
+from getagrip.kernels.silhouette import project
 
 LEAST_COSINE = 0.1
 """Samples whose ray meets the surface at a smaller cosine with its normal count as missed: they say where, not how far.
 """
 
 
-@njit(**OPTIONS)
+@kernel()
 def distances(
     vertices, planes, faces, closed, R, centre, scale, K, place, first, end, size, uvz, nearest, face, log_z, J
 ):
@@ -54,7 +54,7 @@ def distances(
     return True
 
 
-@njit(**OPTIONS)
+@kernel()
 def _render(faces, closed, uvz, size, nearest, face):
     """Fill in the inverse distance of the nearest face at each pixel's centre, and which it is; -1: none.
 
@@ -98,7 +98,7 @@ def _render(faces, closed, uvz, size, nearest, face):
                     nearest[i, j], face[i, j] = inverse, f
 
 
-@njit(**OPTIONS)
+@kernel()
 def _cut(at_zero, slope, inverse, span):
     """Cut a span down to where ``at_zero + slope u`` is positive."""
     low, high = span
@@ -109,14 +109,14 @@ def _cut(at_zero, slope, inverse, span):
     return (low, high) if at_zero >= 0.0 else (low, low)
 
 
-@njit(**OPTIONS)
+@kernel()
 def _between(low, high, size):
     """First and last, exclusive, of the pixels whose centres are between two places."""
     first, last = int(max(low + 0.5, 0.0)), int(min(max(high + 0.5, 0.0), 1.0 * size))
     return first + (first + 0.5 < low), last
 
 
-@njit(**OPTIONS)
+@kernel()
 def profile(r, weight, relief, on_hand, priors, sigma, tail, rounds, exact, u, left, sums, A, of_clip, of_frame):
     """Fit the errors of depth images to r (N, M) by iteratively reweighted least squares.
 
@@ -149,7 +149,7 @@ def profile(r, weight, relief, on_hand, priors, sigma, tail, rounds, exact, u, l
     _normal(r, u, relief, on_hand, priors, sums, A, y)
 
 
-@njit(**OPTIONS)
+@kernel()
 def _normal(r, u, relief, on_hand, priors, sums, A, y):
     """Fill in the normal equations of of_clip, those of each of_frame eliminated: A (3, 3) below its diagonal, y (3,).
 
@@ -185,7 +185,7 @@ def _normal(r, u, relief, on_hand, priors, sums, A, y):
         y[2] += sr - s * sr / w
 
 
-@njit(**OPTIONS)
+@kernel()
 def _solve(A, y, x):
     """Solve ``A x = y`` for a positive definite A (3, 3), of which the lower half is given."""
     a, b, c, d, e, f = cholesky(A)
@@ -195,7 +195,7 @@ def _solve(A, y, x):
     x[0] = (t0 - b * x[1] - c * x[2]) / a
 
 
-@njit(**OPTIONS)
+@kernel()
 def cholesky(A):
     """Return the lower triangle L of ``A = L L^T`` (3, 3), row by row within columns: L00, L10, L20, L11, L21, L22."""
     a = np.sqrt(A[0, 0])
@@ -205,7 +205,7 @@ def cholesky(A):
     return a, b, c, d, e, np.sqrt(A[2, 2] - c * c - e * e)
 
 
-@njit(**OPTIONS)
+@kernel()
 def forward(a, b, c, d, e, f, y0, y1, y2):
     """Solve ``L t = y``, L as ``cholesky`` returns it."""
     t0 = y0 / a

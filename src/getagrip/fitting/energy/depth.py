@@ -25,14 +25,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit
 from numpy import ndarray
 
+from getagrip.compiling import kernel
 from getagrip.fitting.energy.hand_term import ObjectWithHand
 from getagrip.fitting.energy.term import PosesInCamera, Quadratic, no_bound
 from getagrip.geometry.mesh import Mesh
 from getagrip.kernels.depth import cholesky, distances, forward, profile
-from getagrip.kernels.silhouette import OPTIONS
 
 TAIL = 2.5
 """c: errors count less and less beyond this many deviations."""
@@ -190,7 +189,7 @@ class DepthTerm:
         return q, image
 
 
-@njit(**OPTIONS)
+@kernel("f4 f3 f1 f3 f3 i2 b f4 f3 f1 f3 f3 i2 b b f2 i i3 i1 i1 f2 f2 f2 f2 f1 f1 f f i f1 f2 f3 f4 f5 f2 f2 f3")
 def _evaluate(
     R, centre, scale, vertices, planes, faces, closed,
     hand_R, hand_centre, hand_scale, hand_vertices, hand_planes, hand_faces, hand_closed, moves,
@@ -253,7 +252,7 @@ def _evaluate(
         _derive(slope, J, u, left[b], relief, on_object, used, moves, priors[3], sums, A, tied, g[b], H[b], cross[b])
 
 
-@njit(**OPTIONS)
+@kernel()
 def _derive(slope, J, u, left, relief, on_object, used, moves, prior, sums, A, tied, g, H, cross):
     """Fill in g (N, P), H (N, P, P) and cross (N, P, N, P) of a hypothesis. Work space: tied (N, 3, P).
 
@@ -294,7 +293,7 @@ def _derive(slope, J, u, left, relief, on_object, used, moves, prior, sums, A, t
                     cross[n, p, o, q] = cross[o, q, n, p] = -slope * _dot(tied[n], p, tied[o], q)
 
 
-@njit(**OPTIONS)
+@kernel()
 def _dot(a, p, b, q):
     """Product of column p of a (3, P) with column q of b."""
     return a[0, p] * b[0, q] + a[1, p] * b[1, q] + a[2, p] * b[2, q]

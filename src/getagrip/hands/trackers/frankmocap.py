@@ -36,6 +36,7 @@ from getagrip.hands.trackers.estimates import (
     WeakPerspective,
 )
 from getagrip.hands.trackers.hand import load_mano
+from getagrip.hands.trackers.recognition import Sample
 from getagrip.hands.trackers.records import Record, numbers, seen_joints
 from getagrip.hands.trackers.tracker import Tracker, per_image
 from getagrip.io.files import shown
@@ -51,6 +52,11 @@ class FrankMocap(Tracker):
 
     name = "FrankMocap"
     takes = "its prediction results, one for each image"
+
+    looks_for = "pred_output_list, in *_prediction_result.pkl"
+
+    def recognises(self, sample: Sample) -> str:
+        return "FrankMocap's prediction results" if "pred_output_list" in sample.keys else ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
         """Read the hand of the requested side in the results of the clip's frames."""

@@ -23,6 +23,7 @@ from getagrip.hands.mano import Mano
 from getagrip.hands.trackers import records
 from getagrip.hands.trackers.estimates import Estimate, Estimates, Parameters, Request, rotations
 from getagrip.hands.trackers.hand import load_mano
+from getagrip.hands.trackers.recognition import Sample
 from getagrip.hands.trackers.records import Record, numbers
 from getagrip.hands.trackers.tracker import Tracker, frames_of_rows, only_file
 from getagrip.io.arguments import one_of
@@ -39,6 +40,11 @@ class ManoParameters(Tracker):
 
     name = "MANO parameters"
     takes = "plain parameters"
+
+    looks_for = "global_orient, hand_pose, betas and transl"
+
+    def recognises(self, sample: Sample) -> str:
+        return "plain MANO parameters" if sample.has("global_orient", "hand_pose", "betas", "transl") else ""
 
     pose: Annotated[Encoding | None, one_of(*get_args(Encoding)), arg(help_behavior_hint="")] = None
     """Encoding of hand_pose."""

@@ -1,0 +1,65 @@
+"""What was seen of the ground behind the object: a pixel that shows it again is not the object's.
+
+It moves as the visible surroundings do, and is completed wherever the ground is visible.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32, UInt8
+from numpy import ndarray
+
+from getagrip.annotate.object_motion import Origins
+from getagrip.annotate.shared_flow import Part
+
+NOISE = 9.0
+"""Standard deviation of each channel of a pixel that shows the same again [of 255]."""
+SAME = 0.15
+"""Share of such pixels that are in the most frequent bin of their colours."""
+RARE = 0.01
+"""Probability of a colour of which nothing is known."""
+
+
+@dataclass
+class Ground:
+    """An image of the ground, and how far each pixel of it was seen: 0 to 1.
+
+    Only what a key shows counts as seen: what comes into view later may be the object's.
+    """
+
+    image: UInt8[ndarray, "h w 3"]
+    seen: Float32[ndarray, "h w"]
+
+    @staticmethod
+    def of_key(image: UInt8[ndarray, "h w 3"], visible: Bool[ndarray, "h w"]) -> Ground:
+        """Begin with what a key shows."""
+        return Ground(image.copy(), visible.astype(np.float32))
+
+    def moved(self, part: Part, origins: Origins) -> Ground:
+        """Return a part of it in the next frame, where its pixels come from ``origins`` in that part."""
+        import cv2
+
+        image = cv2.remap(self.image[part], *origins, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+        seen = cv2.remap(self.seen[part], *origins, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, 0.0)
+        return Ground(np.asarray(image, np.uint8), np.asarray(seen, np.float32))
+
+    def renew(self, image: UInt8[ndarray, "h w 3"], part: Part, moved: Ground, visible: Bool[ndarray, "h w"]) -> None:
+        """Become the next frame's: outside a part its ``image``; in it ``moved``, as it looks now if ``visible``."""
+        same = visible & (np.abs(image[part].astype(np.int16) - moved.image).max(axis=-1) < 2.0 * NOISE)
+        self.image = image.copy()
+        self.image[part] = np.where(same[..., None], image[part], moved.image)
+        self.seen[part] = moved.seen
+
+    def unlike(self, image: UInt8[ndarray, "h w 3"], share: Float32[ndarray, "h w"]) -> Float32[ndarray, "h w"]:
+        """Return the log ratio of a pixel's probabilities on the object and on this ground, 0 where it was not seen.
+
+        ``share`` is the share of the object's pixels that have its colour.
+        """
+        import cv2
+
+        now, before = (cv2.GaussianBlur(each.astype(np.float32), (0, 0), 1.0) for each in (image, self.image))
+        apart = np.subtract(now, before)
+        same = SAME * np.exp(-np.einsum("hwc,hwc->hw", apart, apart) / (2.0 * NOISE**2))
+        return np.asarray(self.seen * np.log((share + RARE) / (same + RARE)), np.float32)
