@@ -72,6 +72,7 @@ CALLS: dict[str, Sequence[str]] = {
         "clips --cut-grasps --out out --workers 1 --method static",
     ],
     "evaluate": ["results --json new/out.json"],
+    "refine": ["theirs.npy --clips clips --out out --workers 1 --overwrite"],
     "report": ["results/small --mp4", "results --workers 1"],
     "status": ["results"],
     "view": ["results"],
@@ -140,7 +141,7 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
     parsed = cache(cli._parsed)
     places = {
         "annotate.server.Server.serve_forever": ended,
-        "compiling.compile_once": lambda: None,
+        "compiling.compile_once": lambda *_: None,
         "cli._parsed": lambda words: parsed(tuple(words)),
         "datasets.synthetic.scene_options.DEMO": SHORT,
         "commands.doctor._try_out": lambda: None,
@@ -179,7 +180,9 @@ def _write_results(folder: Path) -> None:
     """A clip, its true poses as a result, and the list of its grasp."""
     there = write_clip(*small("small"), folder / "clips" / "small")
     clip = read_clip(there)
-    write_result(true_result(clip, None), folder / "results" / "small", input_sha256(there), {}, there)
+    true = true_result(clip, None)
+    write_result(true, folder / "results" / "small", input_sha256(there), {}, there)
+    np.save(folder / "theirs.npy", clip.hand.T_cam_hand @ true.T_hand_obj)
     (folder / "grasps.json").write_text(json.dumps({"version": 1, "grasps": [as_listed(clip, 0, 3).row()]}))
 
 
