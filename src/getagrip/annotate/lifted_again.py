@@ -18,7 +18,7 @@ from getagrip.annotate.labels import OBJECT
 from getagrip.clip import HandTrack
 from getagrip.clip.reading import read_hand
 from getagrip.clip.writing import write_hand
-from getagrip.errors import UsageError
+from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands.hidden_joints import SIDE, Hiding
 from getagrip.hands.lifted_hands import LIFTED, hands_from_landmarks
@@ -74,8 +74,9 @@ def lifted_again(
     found = hands_from_landmarks(points, confidence, K, side, world, hiding, LOOSENESS)
     kept = np.isin(found.rows, at)
     rows = np.searchsorted(at, np.array(found.rows)[kept])
-    seen = {"joints_2d": hand.joints_2d[rows], "joints_2d_confidence": hand.joints_2d_confidence[rows]}
-    return replace(found.hand.take(np.flatnonzero(kept)), **seen), rows
+    lifted = found.hand.take(np.flatnonzero(kept))
+    seen, sure = hand.joints_2d[rows], hand.joints_2d_confidence[rows]
+    return replace(lifted, joints_2d=seen, joints_2d_confidence=sure), rows
 
 
 def write_lifted_again(found: Path, out: Path, side: Side, first: int, last: int, maps: LabelMaps) -> None:
@@ -86,7 +87,8 @@ def write_lifted_again(found: Path, out: Path, side: Side, first: int, last: int
     """
     content = arrays.read(found, lambda key: key in {"frames", "K", "side"} or of_provenance(key))
     numbers = arrays.frame_numbers(found, content)
-    assert numbers is not None
+    if numbers is None:
+        raise InputError(found, "frames", "no such key", "the numbers of its frames")
     frames = np.array(numbers) - 1
     rows = np.flatnonzero((first <= frames) & (frames <= last))
     hand, frames = read_hand(found, len(numbers)).take(rows), frames[rows]
