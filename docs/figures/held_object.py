@@ -1,7 +1,7 @@
-"""The pictures of docs/tape.md and docs/kitchen.md: python docs/figures/held_object.py CLIP RESULT tape
+"""The picture of docs/tape.md: python docs/figures/held_object.py CLIP RESULT tape
 
-A clip and its result: masks, hand and mesh, but no pixel of the footage. The commands of these pages make both, for the
-kitchen (kitchen-plate) with a focal length of 1000 px.
+A clip and its result: masks, hand and mesh, but no pixel of the footage. The commands of that page make both; that of
+docs/kitchen.md (kitchen-plate) was made likewise, without the view from the side.
 """
 
 from __future__ import annotations
