@@ -162,9 +162,11 @@ class _SeenHand:
 
 
 def _fitted(seen: _SeenHand, unrefined: Float[ndarray, "N P"]) -> tuple[HandFit, float]:
-    """Return the fit, and the share of the hand's pixels that still differ."""
+    """Return the fit, and the share of the hand's pixels that still differ; NaN where none is seen."""
     found, silhouette = _minimised(seen, unrefined), seen.silhouette
-    return found, (silhouette if found.own.shape[1] == RIGID else silhouette.with_bends).share(found.errors)
+    if found.own.shape[1] > RIGID:
+        silhouette = silhouette.with_bends
+    return found, silhouette.share(found.errors)
 
 
 def _minimised(seen: _SeenHand, unrefined: Float[ndarray, "N P"]) -> HandFit:
