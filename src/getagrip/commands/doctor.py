@@ -277,6 +277,7 @@ def _try_out() -> None:
     """Make a small clip and take it through every step, twice; only the first time is anything compiled."""
     from getagrip.batch.job import Job, reconstruct_one
     from getagrip.clip import read_clip, read_masks, write_clip
+    from getagrip.compiling import WORDS, compile_once
     from getagrip.datasets.synthetic.scene import synthesise
     from getagrip.datasets.synthetic.scene_options import SceneOptions
     from getagrip.evaluation import evaluate_result
@@ -288,6 +289,7 @@ def _try_out() -> None:
         read_masks(read_clip(clip))
         for n, words in enumerate(("compiling included", "compiled")):
             began = perf_counter()
+            compile_once(lambda: print(f"ok       {WORDS}", flush=True))
             out = Path(folder) / f"result-{n}"
             outcome = reconstruct_one(Job("can", clip, out, Options(), overwrite=False))
             if outcome.state != "done":
