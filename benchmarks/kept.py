@@ -236,9 +236,10 @@ def main(out: Path, clips: Path, root: Path, meshes: Path, most: int = 1000) -> 
         keeping["measured", where] = exact.keeping(exact.probability(CALIBRATIONS[METHOD, where]))
     SOURCE.write_text(source(estimated, keeping), encoding="utf-8")
     subprocess.run([sys.executable, "-m", "ruff", "format", "-q", SOURCE], check=True)
+    makers = ", ".join(sorted({row["made"] for row in rows}))
     notes = (
         f"{len(of_kind(rows, 'train', 'estimated', 'hand').rows)} training results with estimated hands and "
-        f"{len(of_kind(rows, 'train', 'measured', 'hand').rows)} with measured ones, by {rows[0]['made']}; "
+        f"{len(of_kind(rows, 'train', 'measured', 'hand').rows)} with measured ones, by {makers}; "
         "results with serious findings are left out",
     )
     made = circumstances("python -m benchmarks.kept OUT CLIPS DEXYCB YCB MOST")

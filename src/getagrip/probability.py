@@ -26,7 +26,7 @@ class Probability:
         meaning: what "right" is, and on what the value was calibrated.
         beyond: names of signs (``checks.signs``) that are worse than nearly all of them were there: an extrapolation.
         keep: of results that are at least as probable, at least this share is right (``checks.keeping``); 0: unknown.
-        candidates: the first so many candidates hold the right one with ``HOLDS``; 0: all of them may not.
+        candidates: number of first candidates that hold the right one with ``HOLDS``; 0: all of them may not.
     """
 
     value: float

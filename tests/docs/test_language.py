@@ -36,7 +36,7 @@ VERBS = re.findall(
     Measure Minimise Mirror Move Name Note Open Overwrite Pack Pair Parse Place Pop Predict Print Project Pull Put
     Raise Rank Read Reconstruct Reduce Refine Refuse Remove Render Repair Replace Report Resample Resolve Return
     Reverse Rotate Run Sample Say Scale Score Search Segment Select Send Serve Set Shift Shorten Show Shrink
-    Simplify Skip Smooth Solve Split Stack Start Strike Strip Study Subdivide Sum Summarise Take Trace Track
+    Simplify Simulate Skip Smooth Solve Split Stack Start Strike Strip Study Subdivide Sum Summarise Take Trace Track
     Transform Triangulate Turn Unpack Wait Write Yield
     """,
 )

@@ -77,7 +77,7 @@ def test_a_constant_error_is_found_and_its_depth_by_the_object() -> None:
     assert off(T_hand_obj) < 0.6 * off(before)
 
 
-def test_what_told_it_and_how_well_it_is_known() -> None:
+def test_what_moved_it_and_how_well_it_is_known() -> None:
     hand = solved(made())[1]
     assert hand.energy.keys() == {"hand-mask"}
     np.testing.assert_allclose(hand.covariance, hand.covariance.T, atol=1e-9)

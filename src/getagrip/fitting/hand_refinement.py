@@ -90,12 +90,12 @@ class HandRefinement:
         return replace(errors, tracked=replace(errors.tracked, vertices=vertices, joints=joints), weights=None)
 
     def __str__(self) -> str:
-        told = f"{100 * self.before:.0f} % of its pixels differed, {100 * self.after:.0f} % still do"
+        pixels = f"{100 * self.before:.0f} % of its pixels differed, {100 * self.after:.0f} % still do"
         grown = f" (grown by {self.grown:.1f} px: its masks are too small on all sides)" if self.grown else ""
         by = " and ".join(["pixels"] * (not np.isnan(self.before)) + ["joints"] * (self.joints is not None))
         return (
             f"the hand was refined against its own {by}{grown}: turned by {np.degrees(self.turned):.1f} degrees and "
-            f"moved by {1e3 * self.moved:.1f} mm on average" + ("" if np.isnan(self.before) else f"; {told}")
+            f"moved by {1e3 * self.moved:.1f} mm on average" + ("" if np.isnan(self.before) else f"; {pixels}")
         )
 
 

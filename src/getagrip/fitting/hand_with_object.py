@@ -42,17 +42,17 @@ def solve_with_hand(problem: Problem, motion: M, energy_of: EnergyOf) -> tuple[S
     """
     refinement = problem.refinement
     assert refinement is not None
-    given, nat = problem.with_given_hand(), energy_of_nat(problem)
-    frames, T_given = np.arange(len(given.clip)), given.clip.hand.T_cam_hand
+    given, nat = problem.with_input_hand(), energy_of_nat(problem)
+    frames, T_input = np.arange(len(given.clip)), given.clip.hand.T_cam_hand
     terms = plus(energy_of(given), evidence_on_hand(given))(LEVEL, frames)
     start = _moving(refinement, motion.take(np.zeros(1, int)), nat)
-    found = minimise(start, terms, T_given, ITERATIONS)
+    found = minimise(start, terms, T_input, ITERATIONS)
     x = _errors(found.motion, refinement)
-    begun = evaluate(start, terms, T_given, np.full(1, np.inf)).values[0]
+    begun = evaluate(start, terms, T_input, np.full(1, np.inf)).values[0]
     names = [term.name for term in terms if isinstance(term, OnHand)]
     before = dict(zip((term.name for term in terms), begun, strict=False))
     energy = {name: (float(before[name]), float(found.terms[name][0])) for name in names}
-    covariance = nat * _covariance(found.motion, inverse_of_shared(found.motion, terms, T_given, last=8))
+    covariance = nat * _covariance(found.motion, inverse_of_shared(found.motion, terms, T_input, last=8))
     rest = np.arange(1, len(motion.poses().scale))
     seen = refinement.seen
     hand = SolvedHand(seen.errors.T_cam_hand(x), covariance, energy, seen.share(x))

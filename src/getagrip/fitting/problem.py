@@ -146,7 +146,7 @@ class Problem:
             return None
         return self.refinement.take(self.clip.index_of(clip.frames))
 
-    def with_given_hand(self) -> Problem:
+    def with_input_hand(self) -> Problem:
         """Return the problem with the hand where it was given."""
         if self.refinement is None:
             return self

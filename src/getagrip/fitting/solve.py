@@ -213,7 +213,7 @@ def _equations(
 def inverse_of_shared(
     motion: Motion, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"], last: int
 ) -> Float[ndarray, "n n"]:
-    """Invert the Hessian of the energy by all parameters of the first hypothesis; return the part of the last shared.
+    """Compute the inverse Hessian by all parameters of the first hypothesis; return the part of the last shared ones.
 
     Times twice the energy of one standard deviation it is their covariance.
     """

@@ -1,4 +1,4 @@
-"""Solved hand: where the hand is by all evidence on it and on its object, how well that is known, and what told it."""
+"""Solved hand: where the hand is by all evidence on it and on its object, how well that is known, and what moved it."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ class SolvedHand:
 
     def __str__(self) -> str:
         place, turn = (np.sqrt(np.trace(part)) for part in (self.covariance[:3, :3], self.covariance[3:, 3:]))
-        told = ", ".join(f"{name} {before:.0f} to {after:.0f}" for name, (before, after) in self.energy.items())
+        evidence = ", ".join(f"{name} {before:.0f} to {after:.0f}" for name, (before, after) in self.energy.items())
         return (
             "hand and object were solved together: the hand is known to about "
-            f"{1e3 * place:.0f} mm and {np.degrees(turn):.0f} degrees; energies: {told}"
+            f"{1e3 * place:.0f} mm and {np.degrees(turn):.0f} degrees; energies: {evidence}"
         )
 
 
 def hand_between(
-    T_given: Float[ndarray, "T 4 4"], T_found: Float[ndarray, "n 4 4"], at: ndarray
+    T_input: Float[ndarray, "T 4 4"], T_found: Float[ndarray, "n 4 4"], at: ndarray
 ) -> Float[ndarray, "T 4 4"]:
     """Return the hand of every frame, by interpolating what was found of it in the frames ``at``."""
-    C = (se3.inverse(T_given[at]) @ T_found)[None]
-    between = interpolated(PosesInHand(C[..., :3, :3], C[..., :3, 3], np.ones(1)), at, np.arange(len(T_given)))
-    T_cam_hand = T_given @ se3.rigid(between.R[0], between.centre[0])
+    C = (se3.inverse(T_input[at]) @ T_found)[None]
+    between = interpolated(PosesInHand(C[..., :3, :3], C[..., :3, 3], np.ones(1)), at, np.arange(len(T_input)))
+    T_cam_hand = T_input @ se3.rigid(between.R[0], between.centre[0])
     T_cam_hand[at] = T_found
     return np.asarray(T_cam_hand)
