@@ -5,14 +5,13 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
-KERNELS := $(shell grep -rl --include='*.py' '^@njit' src)
 CORES = $$($(BIN)/python -c 'import os; print(os.cpu_count())')
 # Bytecode is kept, whatever the environment says: dozens of processes would compile the same libraries and tests.
 unexport PYTHONDONTWRITEBYTECODE
 # One thread of BLAS in each process.
 PYTEST = OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --dist worksteal --numprocesses
 
-.PHONY: help demo test quick ready check lint imports types fuzz docs results bench lock clean
+.PHONY: help demo test quick ready check lint imports types fuzz docs wheel results bench lock clean
 
 help:
 	@echo "make demo    install, then reconstruct and evaluate a synthetic clip into out/demo"
@@ -21,6 +20,7 @@ help:
 	@echo "make check   lint, layering and types"
 	@echo "make fuzz    change valid inputs of every reader for MINUTES=5, and keep what goes wrong as a test"
 	@echo "make docs    build the documentation as a site: site/index.html"
+	@echo "make wheel   build dist/, install the wheel into a fresh environment without the clone, and use it there"
 	@echo "make results DEXYCB=DIR YCB=DIR OTHER=DIR   measure the tables of a release, in an hour at most on two cores"
 	@echo "make bench   measure speed, also against a peer, which it installs, into results/"
 	@echo "make lock    recompile requirements.lock from pyproject.toml"
@@ -60,10 +60,16 @@ docs: $(VENV)/installed
 	rm -rf site
 	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going -b html -d $(VENV)/doctrees --fresh-env docs site
 
+# By the locked back end; pages of an index show README's links where GETAGRIP_REPOSITORY or the CI names the repository.
+wheel: $(VENV)/installed
+	rm -rf dist
+	$(BIN)/python -m hatchling build -d dist
+	$(BIN)/python scripts/try_wheel.py dist/*.whl
+
 results: $(VENV)/warm
 	$(BIN)/python -m benchmarks.release $(DEXYCB) $(YCB) $(OTHER)
 
-bench: $(VENV)/kernels
+bench: $(VENV)/installed
 	$(PIP) install --no-build-isolation --editable '.[bench]'
 	$(BIN)/python -m benchmarks
 
@@ -80,18 +86,13 @@ $(BIN)/python:
 		|| { echo "getagrip needs Python 3.11 or later; name one: make PYTHON=python3.12 ..." >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
-# numba does not see that a kernel called from another file changed: drop what it compiled whenever a kernel's file is newer.
-$(VENV)/kernels: $(VENV)/installed $(KERNELS)
-	@find src -name '*.nb[ci]' -delete
-	@touch $@
-
-# Compiled once here, not by every worker. A failure is told but stops nothing: kernels are also compiled when first used.
-$(VENV)/warm: $(VENV)/kernels
+# Compiled once here, not by every worker, into the user's cache. A failure is told but stops nothing: kernels are also compiled when first used.
+$(VENV)/warm: $(VENV)/installed
 	$(BIN)/getagrip doctor || echo "getagrip doctor found something wrong; see above" >&2
 	@touch $@
 
 # The tests' bytecode, with the checks of shapes in the package, and the kernels that doctor's clip does not need.
-$(VENV)/collected: $(VENV)/kernels
+$(VENV)/collected: $(VENV)/installed
 	@$(BIN)/python -m pytest -m compiles -qq > /dev/null || echo "tests cannot be collected, or kernels not compiled" >&2
 	@touch $@
 

@@ -5,11 +5,22 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 
-from benchmarks import against_deodr, batch, drafts, reconstruct_speed, scaling, segment_speed, store, two_threads
+from benchmarks import (
+    against_deodr,
+    batch,
+    cold_start,
+    drafts,
+    reconstruct_speed,
+    scaling,
+    segment_speed,
+    store,
+    two_threads,
+)
 from benchmarks.timing import circumstances
 
 SECTIONS = {
     "reconstruct-speed": reconstruct_speed.tables,
+    "cold-start": cold_start.tables,
     "two-threads": two_threads.tables,
     "against-deodr": against_deodr.tables,
     "scaling": scaling.tables,

@@ -1,12 +1,20 @@
-"""Drafts of videos against what a person drew: masks by polygons of frames that the propagation does not see.
+"""Drafts of videos against what a person drew: masks by polygons of frames that the propagation does not see, hands.
 
-The polygons are here; the videos are not, and their rows are left out where ``shared/data`` is absent.
+Polygons and clicked joints are here; the videos are not, and their rows are left out where ``shared/data`` is absent.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from resource import RUSAGE_CHILDREN, getrusage
+from tempfile import TemporaryDirectory
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 from jaxtyping import UInt8
@@ -16,6 +24,7 @@ from benchmarks.store import ROOT, Table, of_cells
 from benchmarks.timing import timed
 from getagrip.annotate import labels
 from getagrip.annotate.carried_masks import Hands, Images
+from getagrip.annotate.footage import Footage
 from getagrip.annotate.labels import OBJECT, Labels
 from getagrip.annotate.propagated_masks import propagate
 from getagrip.annotate.video import Video
@@ -27,23 +36,102 @@ KEYS = {"mug": (0, 44, 89), "bottle": (53, 93, 133), "tape": (25, 64, 103), "kit
 """Frames whose polygons are given, from 0; those of all others are held back."""
 
 
+HELD_BY_LEFT = ("bottle", "mug", "tape", "umbrella", "kitchen_plate")
+"""Videos, in all of which the left hand holds the object, and is in view in every frame."""
+RING = (0.0415, 0.049, 0.048)
+"""Radii and height of the roll of tape [m]."""
+KEEP = "GETAGRIP_KEEP"
+"""Environment variable: folder that keeps what the example makes, for its picture."""
+Rows = list[list[str]]
+"""Of a table, from one video."""
+CLOSE = 20.0
+"""Largest error of the landmarks of a clicked frame that counts as close [px]."""
+
+
 def tables() -> dict[str, Table]:
     """Measure what the videos that are there allow."""
-    missing, rows = [], []
-    for name, keys in KEYS.items():
-        path = DATA / ("egocentric" if name == "kitchen_plate" else "videos") / f"{name}.mp4"
-        if not path.is_file():
-            missing.append(f"{name}: missing {path.relative_to(ROOT)}")
-            continue
-        given = labels.read(KITCHEN if name == "kitchen_plate" else POLYGONS / f"{name}.json")
-        rows.append([name, *_masks(given, path, keys)])
     header = ["video", "frames", "drawn", "held back", "mean IOU", "least IOU", "CPU s/frame"]
-    return {"draft-masks": of_cells("The object's masks from polygons on a few frames", header, rows, missing)}
+    masks = _rows(KEYS, _masks)
+    hands = ["video", "frames", "with a hand, %", "right side", "clicked", "within 20 px", "median, px", "CPU ms/frame"]
+    return {
+        "draft-masks": of_cells("The object's masks from polygons on a few frames", header, *masks),
+        "draft-landmarks": of_cells("The hand's landmarks", hands, *_rows(HELD_BY_LEFT, _landmarks)),
+        "draft-example": of_cells("The steps of docs/tape.md", ["step", "CPU, s", "IOU"], *_rows(["tape"], _example)),
+    }
 
 
-def _masks(given: Labels, path: Path, keys: tuple[int, ...]) -> list[str]:
+def _example(_: str, video: Path) -> Rows:
+    """Run the commands of docs/tape.md; return a row for each step."""
+    from trimesh.creation import annulus
+
+    rows = []
+    with TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        annulus(*RING, sections=80).export(folder / "tape.obj")
+        made = folder / "draft" / "draft-tape-1-92-left"
+        shown = ("--side", "left", "--mesh", "tape.obj", "--hands", made / "hand.npz", "--masks", made / "masks")
+        labels_of = ("--import-labels", POLYGONS / "tape-shown.json", "--annotator", "draft")
+        for step, words in {
+            "the hand": ("draft", video, "--object", "tape.obj", "--interval", 1, 92, "--out", "draft", "--no-page"),
+            "the outlines": ("annotate", video, "--out", "draft", *labels_of),
+            "all masks": ("annotate", video, "--out", "draft", "--export"),
+            "the clip": (
+                *("clip", "new", video, "--interval", 1, 92, *shown),
+                *("--object", 1, "--ignore", 2, "--hand", 3, "--out", "clips/tape"),
+            ),
+            "the reconstruction": ("reconstruct", "clips/tape", "--out", "results"),
+            "the report": ("report", "results/tape"),
+        }.items():
+            before = getrusage(RUSAGE_CHILDREN).ru_utime
+            call = [sys.executable, "-m", "getagrip", *map(str, words)]
+            subprocess.run(call, cwd=folder, check=True, stdout=subprocess.DEVNULL)
+            rows.append([step, f"{getrusage(RUSAGE_CHILDREN).ru_utime - before:.0f}", ""])
+        with np.load(folder / "results" / "tape" / "result.npz") as result:
+            rows[-2][2] = f"{np.nanmean(result['iou']):.3f}"
+        if KEEP in os.environ:
+            shutil.copytree(folder, os.environ[KEEP])
+    return rows
+
+
+def _rows(names: Iterable[str], measure: Callable[[str, Path], Rows]) -> tuple[list[list[str]], list[str]]:
+    """Measure some videos; return their rows, and which videos are missing."""
+    rows: list[list[str]] = []
+    missing = []
+    for name in names:
+        path = DATA / ("egocentric" if name == "kitchen_plate" else "videos") / f"{name}.mp4"
+        if path.is_file():
+            rows += measure(name, path)
+        else:
+            missing.append(f"{name}: missing {path.relative_to(ROOT)}")
+    return rows, missing
+
+
+def _labels(name: str) -> Labels:
+    return labels.read(KITCHEN if name == "kitchen_plate" else POLYGONS / f"{name}.json")
+
+
+def _landmarks(name: str, path: Path) -> Rows:
+    """Return the cells of a video's row: how often the left hand is found, and how far from clicked joints."""
+    from getagrip.annotate.finding_hands import find_landmarks
+    from getagrip.landmarks import load
+
+    nets, video = load(None), Video(path)
+    images = [video.image(n) for n in range(video.frames)]  # decoding is not measured
+    video.close()
+    footage = cast(Footage, SimpleNamespace(image=images.__getitem__, name=str))
+    timing, (found,) = timed(lambda: find_landmarks(footage, (0, len(images) - 1), nets))
+    clicks = _labels(name).clicks if name == "kitchen_plate" else {}
+    off = [float(np.nanmedian(np.linalg.norm(found.points[n] - at, axis=-1))) for n, at in clicks.items()]
+    close = sum(each <= CLOSE for each in off)
+    errors = [str(len(off)), str(close), f"{np.nanmedian(off):.0f}"] if off else ["", "", ""]
+    rate, speed = 100.0 * len(found.rows) / len(images), 1e3 * timing.cpu[0] / len(images)
+    right_side = "yes" if found.side == "left" else "no"
+    return [[name, str(len(images)), f"{rate:.1f}", right_side, *errors, f"{speed:.0f}"]]
+
+
+def _masks(name: str, path: Path) -> Rows:
     """Return the cells of a video's row."""
-    video = Video(path)
+    given, keys, video = _labels(name), KEYS[name], Video(path)
     try:
         hand = found_hand(video, given)
         timing, (scores,) = timed(lambda: held_back(given, keys, video.image, hand))
@@ -51,7 +139,7 @@ def _masks(given: Labels, path: Path, keys: tuple[int, ...]) -> list[str]:
         video.close()
     frames, ious = given.last - given.first + 1, list(scores.values())
     counts = [str(frames), str(len(keys)), str(len(ious))]
-    return [*counts, f"{np.mean(ious):.3f}", f"{min(ious):.3f}", f"{timing.cpu[0] / frames:.2f}"]
+    return [[name, *counts, f"{np.mean(ious):.3f}", f"{min(ious):.3f}", f"{timing.cpu[0] / frames:.2f}"]]
 
 
 def held_back(given: Labels, keys: tuple[int, ...], image: Images, hand: Hands) -> dict[int, float]:
@@ -68,17 +156,13 @@ def iou(one: ndarray, other: ndarray) -> float:
 
 def found_hand(video: Video, given: Labels) -> Hands:
     """Find the hand in the labels' frames, as ``getagrip draft`` does; nothing is known where there is none."""
-    from getagrip.annotate.finding_hands import find_hands
-    from getagrip.clip.intrinsics import intrinsics
+    from getagrip.annotate.finding_hands import find_landmarks
     from getagrip.errors import GetagripError
-    from getagrip.geometry.lens import Lens
     from getagrip.landmarks import hand_mask, load
 
     try:
-        K, camera = intrinsics(Lens(guess_focal=True), video.size)
-        found = find_hands(video, (given.first, given.last), load(None), K, camera, given.side)
+        found = find_landmarks(video, (given.first, given.last), load(None), given.side)
     except GetagripError:
         return lambda _: None
-    points = {found.first + row: found.landmarks.points[row] for row in found.landmarks.rows}
-    masks = {n: hand_mask(video.image(n), each) for n, each in points.items()}
+    masks = {given.first + row: hand_mask(video.image(given.first + row), found.points[row]) for row in found.rows}
     return masks.get

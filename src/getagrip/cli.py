@@ -29,6 +29,7 @@ from getagrip.commands.export import Export
 from getagrip.commands.learn_poses import LearnPoses
 from getagrip.commands.new_clip import NewClip
 from getagrip.commands.reconstruct import Reconstruct
+from getagrip.commands.refine import Refine
 from getagrip.commands.report import Report
 from getagrip.commands.segment import Segment
 from getagrip.commands.stats import Stats
@@ -62,6 +63,7 @@ def commands(imports: Any, figures: Any) -> Any:
         | Annotated[imports, subcommand("import", description="Import datasets, hands or masks.")]
         | Annotated[EpicCandidates, subcommand("epic candidates")]
         | Annotated[Reconstruct, subcommand("reconstruct")]
+        | Annotated[Refine, subcommand("refine")]
         | Annotated[Status, subcommand("status")]
         | Annotated[Evaluate, subcommand("evaluate")]
         | Annotated[Report, subcommand("report")]

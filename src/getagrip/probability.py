@@ -11,6 +11,8 @@ from getagrip.io.files import shown
 RIGHT = "right if the mean vertex distance is below 10 % of the diameter"
 """The meaning, in short, where a probability is shown; ``Probability.meaning`` says it at length."""
 
+HOLDS = 0.9
+"""Probability with which a result's set of candidates holds the right one."""
 LEAST = 0.01
 """Nearer to 0 or 1 than this, no number is shown: the calibration does not tell them apart."""
 
@@ -23,11 +25,22 @@ class Probability:
         value: of the results with such a value, this share is right.
         meaning: what "right" is, and on what the value was calibrated.
         beyond: names of signs (``checks.signs``) that are worse than nearly all of them were there: an extrapolation.
+        keep: of results that are at least as probable, at least this share is right (``checks.keeping``); 0: unknown.
+        candidates: the first so many candidates hold the right one with ``HOLDS``; 0: all of them may not.
     """
 
     value: float
     meaning: str
     beyond: tuple[str, ...] = ()
+    keep: float = 0.0
+    candidates: int = 0
+
+    @property
+    def keeping(self) -> str:
+        """Say for which share of right results it is kept, and how many candidates hold the right one, if known."""
+        kept = f"; kept where {100.0 * self.keep:.3g} % are to be right" if self.keep else ""
+        held = f"; {self.candidates} candidates hold the right one" if self.candidates > 1 else ""
+        return kept + held
 
     def __str__(self) -> str:
         return f"{percent(self.value)}{' (extrapolated)' if self.beyond else ''}"
@@ -56,4 +69,7 @@ def read_probability(path: Path, value: object, key: str = "probability_right") 
         raise InputError(path, key, shown(value), f"an object with {', '.join(KINDS)}, or null")
     if not 0.0 <= value["value"] <= 1.0:
         raise InputError(path, f"{key}.value", shown(value["value"]), "0 to 1")
-    return Probability(float(value["value"]), value["meaning"], tuple(value["beyond"]))
+    more = value.get("keep", 0.0), value.get("candidates", 0)  # absent in older results
+    if not all(isinstance(one, int | float) and not isinstance(one, bool) for one in more) or not 0.0 <= more[0] <= 1.0:
+        raise InputError(path, f"{key}.keep", shown(more), "0 to 1, and a number of candidates")
+    return Probability(float(value["value"]), value["meaning"], tuple(value["beyond"]), float(more[0]), int(more[1]))

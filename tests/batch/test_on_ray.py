@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from getagrip.clip import write_clip
+from getagrip.io.extras import install
 from helpers.command_line import Run
 from helpers.folders import results_in
 from helpers.paths import import_path
@@ -23,7 +24,7 @@ from helpers.scenes import SHORT, scene
 from helpers.table_scene import from_table
 
 COUNT = 18
-needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs Ray: pip install 'getagrip[ray]'")
+needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs Ray: pip install -e '.[ray]'")
 
 
 def start(out: Path, address: str) -> subprocess.Popen[str]:
@@ -115,7 +116,7 @@ def test_without_ray_the_call_says_how_to_get_it(
     status, _, err = run("reconstruct", clip_folder, "--out", tmp_path / "out", "--engine", "ray")
     assert status == 2
     assert err.startswith("getagrip: missing module 'ray' (")
-    assert err.endswith("--engine ray needs it; pip install 'getagrip[ray]'\n")
+    assert err.endswith(f"--engine ray needs it; {install('ray')}\n")
 
 
 @needs_ray

@@ -28,9 +28,7 @@ from helpers.paths import import_path
 from helpers.slurm import write_slurm
 from helpers.table_scene import from_table
 
-needs_submitit = pytest.mark.skipif(
-    find_spec("submitit") is None, reason="needs submitit: pip install 'getagrip[slurm]'"
-)
+needs_submitit = pytest.mark.skipif(find_spec("submitit") is None, reason="needs submitit: pip install -e '.[slurm]'")
 
 
 @pytest.fixture
@@ -130,7 +128,7 @@ def test_what_is_missing_is_named(
     if missing == "submitit":
         monkeypatch.setitem(sys.modules, "submitit", None)
     else:
-        pytest.importorskip("submitit", reason="needs submitit: pip install 'getagrip[slurm]'")
+        pytest.importorskip("submitit", reason="needs submitit: pip install -e '.[slurm]'")
         monkeypatch.setattr(shutil, "which", lambda _: None)
     status, _, err = run("reconstruct", clip_folder, "--out", tmp_path / "out", "--engine", "slurm")
     assert status == 2

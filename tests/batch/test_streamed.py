@@ -15,6 +15,7 @@ import pytest
 
 from getagrip.clip import Clip, write_clip
 from getagrip.errors import GetagripError
+from getagrip.io.extras import install
 from getagrip.io.files import to_json
 from getagrip.io.storage import Remote
 from getagrip.result import Reconstruction, read_result
@@ -33,7 +34,7 @@ needs_s3 = pytest.mark.skipif(
 @pytest.fixture
 def store(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[str]:
     """The address of an empty store in this process."""
-    memory = pytest.importorskip("fsspec", reason="needs fsspec: pip install 'getagrip[s3]'").filesystem("memory")
+    memory = pytest.importorskip("fsspec", reason="needs fsspec: pip install -e '.[s3]'").filesystem("memory")
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     memory.store.clear()
     memory.pseudo_dirs[:] = [""]
@@ -195,7 +196,7 @@ def test_a_missing_library_is_named(clip_folder: Path, run: Run, monkeypatch: py
     monkeypatch.setitem(__import__("sys").modules, missing, None)
     status, _, err = run("reconstruct", clip_folder, "--out", "s3a://bucket/out")
     assert status == 2
-    assert err.endswith("pip install 'getagrip[s3]'\n")
+    assert err.endswith(f"{install('s3')}\n")
     assert err.count("\n") == 1
 
 

@@ -18,6 +18,7 @@ from benchmarks.probability import RIGHT, Results, calibrated, source
 from getagrip.checks import Solved
 from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.checks.signs import (
+    HAND_SIGNS,
     SIGNS,
     contact_gap,
     energy_gap,
@@ -62,6 +63,7 @@ def mug() -> Solved:
         axis=None,
         T_cam_hand_input=given,
         misfit=1.0,
+        hand_spread=0.0,
         spread=0.05,
         deformed=0.0,
     )
@@ -140,7 +142,7 @@ def test_a_rotation_about_the_axis_is_no_turn_besides_it() -> None:
 
 def test_signs_are_the_same_each_time() -> None:
     assert read_signs(mug()) == read_signs(replace(mug()))
-    assert read_signs(mug()).keys() == DIRECTION.keys()
+    assert read_signs(mug()).keys() == DIRECTION.keys() | {sign.name for sign in HAND_SIGNS}
 
 
 def test_signs_do_not_depend_on_where_the_camera_is() -> None:

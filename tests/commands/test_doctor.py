@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from getagrip.commands import doctor
+from getagrip.io.extras import install
 from helpers.command_line import Run
 from helpers.mano_files import fake_mano, python2
 
@@ -32,7 +33,7 @@ def test_every_line_says_how_it_is_and_what_to_do(run: Run, monkeypatch: pytest.
     assert status == 0
     lines = out.splitlines()[1:]
     assert {line.split()[0] for line in lines} == {"ok", "without"}
-    for words in ("pip install 'getagrip[usd]'", "pip install 'getagrip[torch]'", "without  browser; ", "--mano DIR"):
+    for words in (install("usd"), install("torch"), "without  browser; ", "--mano DIR"):
         assert words in out
     for words in ("BLAS openblas", "cores to use", "GB free for this folder", "ok       mujoco 99.0"):
         assert words in out
@@ -60,7 +61,7 @@ def test_what_is_needed_and_missing_is_wrong(run: Run, monkeypatch: pytest.Monke
     monkeypatch.setattr(doctor, "LEAST_DISK", 1e9)
     status, out, _ = run("doctor")
     assert status == 1
-    assert "MISSING  numpy 2.0 or later, here is 1.0; pip install 'numpy>=2.0'" in out
+    assert 'MISSING  numpy 2.0 or later, here is 1.0; pip install "numpy>=2.0"' in out
     assert "; make room" in out
 
 

@@ -219,6 +219,19 @@ def test_times_are_the_frames_own(made: Path) -> None:
     assert clip.fps == pytest.approx(30.0)
 
 
+def test_lens_distortion_is_removed_and_said(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(new(made, *everything(made), "--hands", str(made / "six.npz"))) == 0
+    before = (made / "cup" / "frames" / "000003.jpg").read_bytes()
+    lens = ["--distortion", "-0.2", "0.05", "0", "0", "--overwrite"]
+    assert main(new(made, *everything(made), "--hands", str(made / "six.npz"), *lens)) == 0
+    assert (made / "cup" / "frames" / "000003.jpg").read_bytes() != before
+    assert "lens distortion removed from the images (OpenCV's model, -0.2 0.05 0 0)" in str(
+        read_clip(made / "cup").provenance["camera"]
+    )
+    assert main(new(made, *everything(made), "--distortion", "0.1", "--overwrite")) == 2
+    assert "--distortion must be 4 or 5" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("prefix", ["", "frame_", "2026-rgb-"])
 def test_a_folder_of_images_is_a_clip_of_its_names(made: Path, prefix: str) -> None:
     folder = made / "rgb"

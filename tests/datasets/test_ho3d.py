@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 from pathlib import Path
 from typing import Any
@@ -79,6 +80,37 @@ def test_hands_of_the_evaluation_split_are_not_known(root: Path) -> None:
         f"evaluation/SM1: {FRAMES} frames without the pose of the hand or of the object: skipped",
         "train/ABF12: 1 frame without the pose of the hand or of the object: skipped",
     ]
+
+
+def list_joints(root: Path) -> np.ndarray:
+    """The list that was published later, of the joints that the other split has; in the gap those of its neighbour."""
+    names, joints = [f"SM1/{n:04d}" for n in range(FRAMES)], []
+    for n in range(FRAMES):
+        content = pickle.loads((root / "train/ABF12/meta" / f"{n - (n == LOST):04d}.pkl").read_bytes())
+        joints.append(content["handJoints3D"])
+    (root / "evaluation.txt").write_text("\n".join(names) + "\n")
+    (root / "evaluation_xyz.json").write_text(json.dumps(np.array(joints).tolist()))
+    return np.array(joints)
+
+
+def test_joints_that_were_published_later_make_hands(root: Path, mano: Path) -> None:
+    list_joints(root)
+    evaluation, train = read(root, None)
+    assert evaluation.sequence == "SM1"
+    np.testing.assert_array_equal(evaluation.numbers, train.numbers)
+    np.testing.assert_allclose(evaluation.hand.T_cam_hand, train.hand.T_cam_hand, atol=1e-9)
+    np.testing.assert_allclose(evaluation.T_cam_obj, train.T_cam_obj)
+    assert "generic hand" in read(root, mano)[0].provenance["hands"]
+
+
+@pytest.mark.parametrize(
+    ("shift", "count", "named"), [(0.02, FRAMES, "handJoints3D"), (0.0, FRAMES - 1, "evaluation_xyz")]
+)
+def test_joints_of_other_frames_are_refused(root: Path, shift: float, count: int, named: str) -> None:
+    joints = list_joints(root) + shift
+    (root / "evaluation_xyz.json").write_text(json.dumps(joints[:count].tolist()))
+    with pytest.raises(InputError, match=named):
+        read(root, None)
 
 
 @pytest.mark.slow

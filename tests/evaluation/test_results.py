@@ -97,6 +97,8 @@ def test_nothing_but_masks_depends_on_where_the_camera_stands(scene: tuple[Clip,
     truth = replace(clip.truth, T_cam_hand=G @ clip.truth.T_cam_hand, T_cam_obj=G @ clip.truth.T_cam_obj)
     off = replace(perfect(clip), T_hand_obj=perfect(clip).T_hand_obj @ se3.rigid(t=np.array([0.0, 0.01, 0.0])))
     here, there = ev.evaluate(off, clip, None), ev.evaluate(off, replace(clip, hand=hand, truth=truth), None)
+    assert here.metrics.pop("mspd_cam_recall") < 1.0  # of pixels, as masks
+    del there.metrics["mspd_cam_recall"]
     same(here.metrics, there.metrics)
     assert "iou" not in here.metrics
 

@@ -32,7 +32,7 @@ LIBRARIES = {"usd": "pxr", "mujoco": "mujoco", "lerobot": "pyarrow"}
 def need(to: str) -> None:
     """Skip where the library of a format is absent."""
     if to in LIBRARIES:
-        pytest.importorskip(LIBRARIES[to], reason=f"{LIBRARIES[to]} is not installed: pip install 'getagrip[{to}]'")
+        pytest.importorskip(LIBRARIES[to], reason=f"{LIBRARIES[to]} is not installed: pip install -e '.[{to}]'")
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:

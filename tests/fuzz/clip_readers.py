@@ -21,11 +21,11 @@ from getagrip.clip.masks import read_observed
 from getagrip.clip.reading import read_header
 from getagrip.commands import own_mesh
 from getagrip.evaluation.meshes import read_meshes
-from getagrip.evaluation.pose_files import read_pose_file
 from getagrip.fitting.pose_priors import read_folder, read_learnt
 from getagrip.geometry.mesh_files import parse_mesh, read_mesh
 from getagrip.grasps import lists
 from getagrip.io import arrays
+from getagrip.object_poses.files import read_pose_file
 from getagrip.result import read_result, write_result
 from helpers.clips import box, small_clip
 from helpers.true_result import true_result

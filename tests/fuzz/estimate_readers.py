@@ -12,18 +12,21 @@ import numpy as np
 import pytest
 
 from fuzz.reader import Reader, mano_folder
+from getagrip.cameras import read_path
 from getagrip.clip.mask_request import MaskRequest
 from getagrip.clip.mask_sources import open_masks
 from getagrip.hands import mano
 from getagrip.hands.trackers import Request, Tracker
 from getagrip.hands.trackers import read as read_hands
+from getagrip.hands.trackers.dynhamr import DynHaMR
 from getagrip.hands.trackers.frankmocap import FrankMocap
 from getagrip.hands.trackers.hamer import HaMeR, WiLoR
 from getagrip.hands.trackers.hawor import HaWoR
-from getagrip.hands.trackers.joints import Joints
+from getagrip.hands.trackers.joints import Joints, Soma
+from getagrip.hands.trackers.landmarks import Landmarks
 from getagrip.hands.trackers.mano_parameters import ManoParameters
 from getagrip.io import arrays
-from helpers import estimator_files, mask_files
+from helpers import camera_files, estimator_files, mask_files, other_estimators
 from helpers.estimator_files import Known, hamer_record, write_npz
 
 REQUEST = MaskRequest(mask_files.FRAMES, mask_files.SIZE, ("1",), ("2", "3"))
@@ -123,7 +126,29 @@ def mano_files(folder: Path) -> None:
         estimator_files.write_mano_files(folder / "mano", patch)
 
 
+def cameras(write: Callable[[Path, np.ndarray], Path]) -> Reader:
+    """A camera's path by another program, in one file or a folder."""
+
+    def read(folder: Path) -> None:
+        inside = sorted(folder.iterdir())
+        read_path(inside[0] if len(inside) == 1 and inside[0].is_file() else folder)
+
+    return Reader(lambda folder: write(folder, camera_files.known()), read)
+
+
+def soma(folder: Path, known: Known) -> None:
+    write_npz(folder / "j.npz", {"joints": other_estimators.soma_joints(known.joints)})
+
+
 READERS: dict[str, Reader] = {
+    **{f"cameras {name}": cameras(write) for name, (write, _, _) in camera_files.WRITERS.items()},
+    "hands hawor world": hands(HaWoR(), lambda folder, known: other_estimators.hawor_folder(folder, known, None)),
+    "hands dynhamr": hands(DynHaMR(), lambda folder, known: other_estimators.dynhamr_file(folder, known, None)),
+    "hands fasthamer": hands(HaMeR(), other_estimators.fasthamer_files),
+    "hands v2d": hands(HaMeR(), other_estimators.v2d_tracks),
+    "hands soma": hands(Soma(), soma),
+    "hands mediapipe": hands(Landmarks(), other_estimators.mediapipe_files),
+    "hands mmpose": hands(Landmarks(), other_estimators.mmpose_file),
     "masks labels": masks("labels", mask_files.label_folder),
     "masks things": masks("things", thing_folders, replace(REQUEST, object=(), ignore=())),
     "masks coco": masks("a.json", mask_files.coco, replace(REQUEST, object=("cup",), ignore=("hand", "3"))),

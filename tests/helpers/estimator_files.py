@@ -20,6 +20,8 @@ from helpers.mano_files import fake_mano, python2
 SIZE = (640, 480)
 K = np.array([[612.0, 0.0, 311.0], [0.0, 612.0, 247.0], [0.0, 0.0, 1.0]])
 FRAMES = ("000007", "000008", "000009")
+PIXELS = np.random.default_rng(7).uniform(0.0, 480.0, (3, 21, 2))
+"""Joints as another network saw them: kept as they are."""
 
 
 def write_mano_files(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:

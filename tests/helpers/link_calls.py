@@ -62,6 +62,7 @@ CALLS: dict[str, Sequence[str]] = {
         f"joints.npz --from joints --order openpose --out hands/new.npz {NEW_FRAMES}",
     ],
     "import masks": [f"masks {MASKS} --clip cup --overwrite"],
+    "import cameras": ["cameras.txt --clip cup"],
     "import segments": ["segments.json --clip cup --still-camera --overwrite"],
     "epic candidates": ["--visor visor --actions actions.csv --out tables/out.csv --json out.json"],
     "reconstruct": [
@@ -78,6 +79,7 @@ CALLS: dict[str, Sequence[str]] = {
         *("results --to csv --overwrite", "results --to obj", "results --to glb --out out"),
         *(f"results --to {to} --out out" for to in ("npz", "bop", "spider", "dex-retargeting")),
         *(f"results --to {to} --out out" for to, library in EXPORTS.items() if find_spec(library)),
+        *["results --to lerobot --out out --one-dataset"] * (find_spec("pyarrow") is not None),
     ],
     "bench clips": [f"clips {BENCH} --json out.json", f"clips {BENCH} --ablation mask-noise"],
     "bench synthetic": [f"{BENCH} --clips 1"],
@@ -137,7 +139,7 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
     parsed = cache(cli._parsed)
     places = {
         "annotate.server.Server.serve_forever": ended,
-        "batch.compiled.compile_once": lambda: None,
+        "compiling.compile_once": lambda: None,
         "cli._parsed": lambda words: parsed(tuple(words)),
         "datasets.synthetic.scene_options.DEMO": SHORT,
         "commands.doctor._try_out": lambda: None,
@@ -186,6 +188,7 @@ def _write_cup(folder: Path) -> None:
     assert cli.main([*map(str, cup), "--hands", str(folder / "six.npz")]) == 0
     joints_of = generic.load("right").with_shape().with_pose().joints + AHEAD
     arrays.write(folder / "joints.npz", {"joints": np.tile(joints_of, (6, 1, 1)), "frames": np.arange(3, 9)})
+    np.savetxt(folder / "cameras.txt", np.tile(np.eye(4)[:3].reshape(1, 12), (6, 1)))
     row = {"state": "static", "first": "000003", "last": "000005"}
     (folder / "segments.json").write_text(json.dumps({"scene": {"segments": [row]}}))
 

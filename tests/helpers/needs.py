@@ -9,5 +9,5 @@ import pytest
 
 def needs(library: str, extra: str | None = None) -> pytest.MarkDecorator:
     """Skip where a library is absent, which an extra of the package brings."""
-    advice = f": pip install 'getagrip[{extra}]'" if extra else ""
+    advice = f": pip install -e '.[{extra}]'" if extra else ""
     return pytest.mark.skipif(find_spec(library) is None, reason=f"{library} is not installed{advice}")

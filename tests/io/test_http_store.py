@@ -13,8 +13,8 @@ from getagrip.errors import GetagripError, InputError
 from getagrip.io import http_store
 from getagrip.io.storage import Remote
 
-pytest.importorskip("fsspec", reason="needs fsspec: pip install 'getagrip[s3]'")
-pytest.importorskip("aiohttp", reason="needs aiohttp: pip install 'getagrip[s3]'")
+pytest.importorskip("fsspec", reason="needs fsspec: pip install -e '.[s3]'")
+pytest.importorskip("aiohttp", reason="needs aiohttp: pip install -e '.[s3]'")
 SMALL = b"a small file"
 
 

@@ -22,7 +22,7 @@ FOLDER = Remote("memory://bucket/folder")
 @pytest.fixture
 def memory() -> Iterator[Any]:
     """A store in this process."""
-    fs = pytest.importorskip("fsspec", reason="needs fsspec: pip install 'getagrip[s3]'").filesystem("memory")
+    fs = pytest.importorskip("fsspec", reason="needs fsspec: pip install -e '.[s3]'").filesystem("memory")
     fs.store.clear()
     yield fs
     fs.store.clear()

@@ -104,8 +104,12 @@ def test_long_gaps_stay_gaps_and_two_people_are_said() -> None:
     found = select(seen)
     assert found.rows == (*range(10), *range(31, 40))
     assert any("11 to 31" in note for note in found.notes)
-    both = [[hand(300.0), hand(900.0)] for n in range(20)]
-    assert any("two people?" in note for note in select(both).notes)
+    assert any("111 to 131" in note for note in select(seen, counted_from=101).notes)
+    for right, overrules in ((0.1, "--object-box overrules"), (0.9, "--object-box or --side overrules")):
+        note = select([[hand(300.0), hand(900.0, right=right)] for n in range(20)]).notes[-1]
+        assert "two hands in 20 frames: chosen is the one at (299, 401)" in note, note
+        assert "in frame 1, not that at (899, 401)" in note
+        assert overrules in note
 
 
 def test_no_hand_says_what_was_tried() -> None:

@@ -46,6 +46,8 @@ def small_result(frames: int = 3, candidates: int = 2, hinged: bool = True, seed
         options={"inits": 50},
         seed=7,
         notes=("a note",),
+        hand_covariance=np.cov(rng.standard_normal((6, 20))),
+        hand_energy={"hand-mask": (40.0, 30.5)},
         signs={"contact-gap": -2.5},
         probability_right=Probability(0.75, "of being right", ("contact-gap",)),
         probability_right_in_camera=Probability(0.875, "of being right"),
@@ -72,12 +74,14 @@ def test_what_is_written_is_read(tmp_path_factory: Any, frames: int, candidates:
         "options",
         "seed",
         "notes",
+        "hand_energy",
         "signs",
         "probability_right",
         "probability_right_in_camera",
     ):
         assert getattr(back, name) == getattr(result, name)
     np.testing.assert_array_equal(back.T_hand_obj, result.T_hand_obj)
+    np.testing.assert_array_equal(back.hand_covariance, result.hand_covariance)
     np.testing.assert_array_equal(back.iou, result.iou)
     for name in ("T_hand_obj", "scale", "energy"):
         np.testing.assert_array_equal(getattr(back.candidates, name), getattr(result.candidates, name))
@@ -171,6 +175,9 @@ BROKEN: dict[str, tuple[dict[str, object], dict[str, object], str]] = {
     "frames objects": ({"frames": np.array(["a", None, "b"])}, {}, "result.npz: frames"),
     "no frames": ({"frames": None}, {}, "result.npz: frames"),
     "iou long": ({"iou": np.ones(4)}, {}, "result.npz: iou"),
+    "covariance short": ({"hand_covariance": np.eye(3)}, {}, "result.npz: hand_covariance"),
+    "hand's energy single": ({}, {"hand_energy": {"hand-mask": 3.0}}, "result.json: hand_energy."),
+    "hand's energy texts": ({}, {"hand_energy": {"hand-mask": ["a", 1]}}, "result.json: hand_energy."),
     "no axis": ({"axis_point": None}, {}, "result.npz: missing axis_point"),
     "axis long": ({"axis_direction": np.ones(3)}, {}, "result.npz: axis_direction"),
     "no angle": ({"angle": None}, {}, "result.npz: missing angle"),

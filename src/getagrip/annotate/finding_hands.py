@@ -18,14 +18,14 @@ from getagrip.annotate.footage import Footage
 from getagrip.annotate.found_hands import FOLDER
 from getagrip.clip import HandTrack
 from getagrip.clip.writing import write_hand
-from getagrip.errors import UsageError
+from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands.clicked_hands import SCALE
-from getagrip.hands.lifted_hands import hands_from_landmarks
+from getagrip.hands.lifted_hands import LIFTED, hands_from_landmarks
 from getagrip.io import files
 from getagrip.io.images import write_mask
-from getagrip.landmarks import HandLandmarks, follow, hand_mask, select
+from getagrip.landmarks import HandLandmarks, follow, hand_mask, look_again, select
 from getagrip.landmarks.nets import Nets
 from getagrip.landmarks.selecting import Side
 from getagrip.provenance import Provenance, Source, as_arrays, assumed, estimated
@@ -43,53 +43,63 @@ class FoundHands:
     """The hand that holds the object, in those frames of a video that show it."""
 
     hand: HandTrack
+    side: Side
     frames: tuple[int, ...]
     """From 0."""
-    landmarks: HandLandmarks
-    """Landmarks of the frames from ``first`` on."""
-    first: int
+    landmarks: dict[int, Float[ndarray, "21 2"]]
+    """Joints of the frames in which the hand's mask can be made of them [px]."""
     K: Float[ndarray, "3 3"]
-    camera: Source
-
-    @property
-    def provenance(self) -> Provenance:
-        """Provenance for a clip."""
-        words = "; ".join(self.landmarks.notes)
-        return {
-            "hands": estimated(f"MediaPipe's landmarks, lifted to the generic hand; {words}"),
-            "hands_focal": assumed("from the size of the generic hand and the focal length"),
-            "hands_scale": assumed(SCALE),
-            "camera": self.camera,
-        }
+    provenance: Provenance
+    """Provenance for a clip."""
 
 
-def find_hands(
+def of_landmarks(landmarks: HandLandmarks) -> Provenance:
+    """Return the provenance of hands that are lifted from landmarks."""
+    words = "; ".join(landmarks.notes)
+    return {
+        "hands": estimated(f"MediaPipe's landmarks, {LIFTED}; {words}"),
+        "hands_focal": assumed("from the size of the generic hand and the focal length"),
+        "hands_scale": assumed(SCALE),
+    }
+
+
+def lifted(
+    landmarks: HandLandmarks, first: int, size: tuple[int, int], K: Float[ndarray, "3 3"], camera: Source
+) -> FoundHands:
+    """Fit 3D hands to landmarks of the frames from ``first`` on. Raises as ``hands_from_landmarks`` does."""
+    beside = (landmarks.points < 0.0) | (landmarks.points > np.array(size))
+    weights = landmarks.confidence * np.where(beside.any(axis=-1), BEYOND, 1.0)
+    fit = hands_from_landmarks(landmarks.points, weights, K, landmarks.side, landmarks.world)
+    rows = np.array(fit.rows)
+    assert fit.hand.joints is not None
+    fitted = project(K, se3.transform(fit.hand.T_cam_hand, fit.hand.joints))
+    points = np.where(weights[rows][..., None] > 0.0, landmarks.points[rows], fitted)  # none between two with landmarks
+    hand = replace(fit.hand, joints_2d=points, joints_2d_confidence=weights[rows])
+    seen = {row + first: landmarks.points[row] for row in landmarks.rows}
+    known = of_landmarks(landmarks) | {"camera": camera}
+    return FoundHands(hand, landmarks.side, tuple((rows + first).tolist()), seen, K, known)
+
+
+def find_landmarks(
     footage: Footage,
     interval: tuple[int, int],
     nets: Nets,
-    K: Float[ndarray, "3 3"],
-    camera: Source,
     side: Side | None = None,
     boxes: Mapping[int, Float[ndarray, "4"]] | None = None,
     on_frame: Callable[[int], None] = lambda n: None,
-) -> FoundHands:
-    """Return the hand in the frames of an interval, from 0, both ends included. ``boxes`` as for ``select``, by frame.
+) -> HandLandmarks:
+    """Find the hand in the frames of an interval, from 0, both ends included. ``boxes`` as for ``select``, by frame.
 
-    Raises ``UsageError`` where there is no hand, or the video is cut within the interval.
+    Raises ``UsageError`` where there is no hand, or the video is cut within the interval, and ``InputError`` for a
+    frame that does not decode.
     """
     first, last = interval
-    shot = _Shot(footage, first)
-    seen = follow(shot.image, last - first + 1, nets, on_frame)
-    landmarks = select(seen, side, None if boxes is None else {n - first: box for n, box in boxes.items()})
-    beside = (landmarks.points < 0.0) | (landmarks.points > np.array(footage.size))
-    weights = landmarks.confidence * np.where(beside.any(axis=-1), BEYOND, 1.0)
-    lifted = hands_from_landmarks(landmarks.points, weights, K, landmarks.side, landmarks.world)
-    rows = np.array(lifted.rows)
-    assert lifted.hand.joints is not None
-    fitted = project(K, se3.transform(lifted.hand.T_cam_hand, lifted.hand.joints))
-    points = np.where(weights[rows][..., None] > 0.0, landmarks.points[rows], fitted)  # none between two with landmarks
-    hand = replace(lifted.hand, joints_2d=points, joints_2d_confidence=weights[rows])
-    return FoundHands(hand, tuple((rows + first).tolist()), landmarks, first, K, camera)
+    count = last - first + 1
+    seen = follow(_Shot(footage, first).image, count, nets, on_frame)
+    of_row = None if boxes is None else {n - first: box for n, box in boxes.items()}
+    return select(
+        seen, side, of_row, first + 1, lambda hand: look_again(lambda n: footage.image(first + n), hand, count, nets)
+    )
 
 
 @dataclass
@@ -103,11 +113,15 @@ class _Shot:
 
     def image(self, n: int) -> UInt8[ndarray, "H W 3"]:
         """Return a frame of the interval. Raises ``UsageError`` at a cut."""
-        image = self.footage.image(self.first + n)
+        at = self.first + n + 1
+        try:
+            image = self.footage.image(at - 1)
+        except InputError as error:
+            rest = f"{error.expected}; --interval {self.first + 1} {at - 1} takes the frames before"
+            raise InputError(error.path, f"frame {at}", error.got, rest if n > 1 else error.expected) from error
         if n == self.newest + 1:
             now = _thumbnail(image)
             if self.before is not None and is_cut(self.before, now):
-                at = self.first + n + 1
                 parts = f"--interval {self.first + 1} {at - 1} or --interval {at} LAST"
                 raise UsageError(f"{self.footage.name(at - 1)}: the video is cut before this frame: choose {parts}")
             self.newest, self.before = n, now
@@ -137,11 +151,10 @@ def write_found(
     folder = files.folder_inside(out) / FOLDER
     with files.new_folder(folder, ("hand.npz", "masks") if folder.exists() else ()) as new:
         places = np.array(found.frames) + 1
-        extra = {"frames": places, "K": found.K, "side": np.array(found.landmarks.side)}
+        extra = {"frames": places, "K": found.K, "side": np.array(found.side)}
         write_hand(found.hand, new / "hand.npz", extra | as_arrays(found.provenance))
         (new / "masks").mkdir()
-        for count, row in enumerate(found.landmarks.rows, start=1):
-            n = found.first + row
-            write_mask(new / "masks" / f"{n + 1:06d}.png", hand_mask(image(n), found.landmarks.points[row]))
+        for count, (n, points) in enumerate(found.landmarks.items(), start=1):
+            write_mask(new / "masks" / f"{n + 1:06d}.png", hand_mask(image(n), points))
             done(count)
     return folder

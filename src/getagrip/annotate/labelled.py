@@ -13,6 +13,7 @@ from numpy import ndarray
 
 from getagrip.annotate.found_hands import FoundHands
 from getagrip.annotate.labels import FRONT, HAND, OBJECT, Labels
+from getagrip.annotate.lifted_again import LabelMaps, write_lifted_again
 from getagrip.annotate.propagated_masks import propagate
 from getagrip.annotate.steadied_hands import steadied
 from getagrip.annotate.strokes import key_masks
@@ -37,7 +38,7 @@ class Made:
     """The files made of labels."""
 
     hands: ClickedHands | None
-    """None where those that were found are taken."""
+    """None where those that were found are lifted again."""
     confidence: dict[int, float]
     """Confidence of the mask of each frame, 1 where it was drawn; see ``propagated_masks``."""
     command: str
@@ -55,7 +56,7 @@ def make(
 ) -> Made:
     """Write ``out/hand.npz`` and ``out/masks/<number>.png``: ``OBJECT``, ``HAND``, ``FRONT`` for what hides it or may.
 
-    The hand is fitted to the joints that were clicked; where none were, that which was ``found`` is taken.
+    The hand is fitted to the joints that were clicked; where none were, that which was ``found`` is lifted again.
 
     ``image`` gives the footage's frames, from 0. Files number frames from 1, as ``clip new`` does. Where the lens is a
     guess, or nothing is known of it, the files say that depth and size are guesses, too. ``done`` is called with the
@@ -71,16 +72,17 @@ def make(
     confidence = {}
     with files.new_folder(out, ("hand.npz", "masks") if overwrite else ()) as new:
         (new / "masks").mkdir()
-        drawn = key_masks(labels, image, seen)
+        drawn, maps = key_masks(labels, image, seen), LabelMaps(labels.size)
         for n, mask, sure in propagate(image, drawn, labels.first, labels.last, hand=seen):
             whole = beside_hand(mask) if hands is None else with_hand(mask, hands, n - labels.first, K)
             write_image(new / "masks" / f"{n + 1:06d}.png", whole)
+            maps.add(n, whole)
             confidence[n] = sure
             done(len(confidence))
         if hands is not None:
             write_hand(hands.hand, new / "hand.npz", _extra(labels, hands, K, camera))
         elif found is not None:
-            files.write_bytes(new / "hand.npz", files.read_bytes(found.path))
+            write_lifted_again(found.path, new / "hand.npz", labels.side, labels.first, labels.last, maps)
     return Made(hands, confidence, command(labels, out))
 
 

@@ -73,11 +73,11 @@ def reconstruct(new_clip: Sequence[str], shape: Shape, out: Path, name: str, job
     for n, (what, words) in enumerate(steps):
         job.message = what
         job.report(n, len(steps))
-        said.append(_run(words, job))
+        said.append(run_command(words, job))
     return said[1]
 
 
-def _run(words: Sequence[str], job: BackgroundJob) -> str:
+def run_command(words: Sequence[str], job: BackgroundJob) -> str:
     """Run a command; returns what it printed."""
     process = subprocess.Popen(
         [sys.executable, "-m", "getagrip", *words],

@@ -24,6 +24,7 @@ from getagrip.io.storage import Place, Remote
 from getagrip.io.terminal import report, say
 
 if TYPE_CHECKING:
+    from getagrip.batch.keep import Keep
     from getagrip.batch.share import Batch
     from getagrip.fitting.options import Options
 
@@ -55,25 +56,27 @@ def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batc
                 tally = _work_off(plan, ledger, out, options, batch, debug)
             except KeyboardInterrupt:
                 if many:
-                    _summarise(ledger, out)
+                    _summarise(ledger, out, batch.keep)
                 where = (
                     f"{shlex.quote(str(out))}{f' --ledger {shlex.quote(str(share.ledger))}' if share.ledger else ''}"
                 )
                 report(f"progress: getagrip status {where}")
                 raise
             if many:
-                _summarise(ledger, out)
+                _summarise(ledger, out, batch.keep)
     tally.counts["failed"] += len(plan.failed)
     if len(tally) > 1:
         tally.print()
+    if tally.verdicts and batch.keep.keep is not None:
+        print(batch.keep.summary(tally.verdicts))
     if sys.stdout.isatty() and tally.counts["done"] + tally.counts["kept"]:
         print(f"look at it with: getagrip view {shlex.quote(str(out))}, or getagrip report")
     return 1 if tally.counts["failed"] or (batch.strict and not tally.passes(batch.min_probability)) else 0
 
 
-def _summarise(ledger: Ledger, out: Place) -> None:
+def _summarise(ledger: Ledger, out: Place, keep: Keep) -> None:
     """Write the summary, and say where."""
-    for path in write_summary(ledger, out):
+    for path in write_summary(ledger, out, keep):
         say(str(path))
 
 
@@ -87,8 +90,12 @@ class _Tally:
         self.right: dict[str, float] = {}
         self.right_in_camera: dict[str, float] = {}
         """The probability of each that it is right."""
+        self.verdicts: dict[str, str] = {}
+        """Whether each is kept or dropped."""
 
-    def add(self, outcome: Outcome) -> None:
+    def add(self, outcome: Outcome, keep: Keep) -> None:
+        if outcome.state != "failed":
+            self.verdicts[outcome.name] = keep.verdict(outcome.probability_right, outcome.probability_right_in_camera)
         self.counts[outcome.state] += 1
         self.flagged += [outcome.name] * any(finding.serious for finding in outcome.findings)
         if outcome.probability_right is not None:
@@ -128,7 +135,7 @@ def _work_off(plan: Plan, ledger: Ledger, out: Place, options: Options, batch: B
     with closing(batch.share.ended(engine, jobs, len(plan), ledger, "clips", stages=True)) as outcomes:
         for outcome in outcomes:
             print_outcome(outcome, debug)
-            tally.add(outcome)
+            tally.add(outcome, batch.keep)
             if batch.share.fail_fast and outcome.state == "failed":
                 report("--fail-fast: the other clips are skipped")
                 break

@@ -84,9 +84,10 @@ def failure(name: str, error: Exception) -> Outcome:
 
 def load() -> None:
     """Load what every reconstruction needs, and have it compiled, before its time counts."""
-    from getagrip.batch.compiled import compile_once
+    from getagrip.compiling import WORDS, compile_once
+    from getagrip.io.terminal import report
 
-    compile_once()
+    compile_once(lambda: report(WORDS))
     import getagrip.timelines.reconstruct  # noqa: F401
 
 

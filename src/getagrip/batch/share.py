@@ -14,6 +14,7 @@ from zlib import crc32
 
 from tyro.conf import arg
 
+from getagrip.batch.keep import Keep
 from getagrip.batch.limits import Limits
 from getagrip.errors import UsageError
 from getagrip.io.arguments import Flag, OptionalFolder, parsed
@@ -144,6 +145,7 @@ class Batch:
     min_probability: Annotated[float, arg(metavar="P")] = 0.5
     """With --strict, the least probability that poses are right in the hand, 0 to 1. Results without a probability
     pass, if no finding is serious."""
+    keep: Annotated[Keep, arg(name="")] = field(default_factory=Keep)
     share: Annotated[Share, arg(name="")] = field(default_factory=Share)
 
     def __post_init__(self) -> None:

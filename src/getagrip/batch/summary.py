@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING
 from getagrip import __version__
 from getagrip.batch.entries import Entries, Entry
 from getagrip.batch.job import Outcome
+from getagrip.batch.keep import ALL, Keep
 from getagrip.batch.streamed import readable
 from getagrip.errors import InputError, cleaned, legible
 from getagrip.finding import read_findings
 from getagrip.io import files
 from getagrip.io.storage import Place, Remote
 from getagrip.io.tables import CsvTable
-from getagrip.probability import read_probability
+from getagrip.probability import Probability, read_probability
 from getagrip.result import is_result, read_record, read_result
 
 if TYPE_CHECKING:
@@ -28,8 +29,10 @@ if TYPE_CHECKING:
 TABLE, PAGE = "summary.csv", "index.html"
 PROBABILITIES = ("probability_right", "probability_right_in_camera")
 """That the poses are right in the hand, and in the camera."""
+KEPT = ("keep", "keep_in_camera")
+"""The largest share of right results for which each is kept, likewise."""
 MADE = ("ambiguous", "method", "seed", "version")
-HEAD = ("clip", "status", "why", "seconds", "IOU", *PROBABILITIES, *MADE, "findings")
+HEAD = ("clip", "status", "why", "seconds", "IOU", *PROBABILITIES, *KEPT, "kept", *MADE, "findings")
 LARGEST = 1e9
 """No number of a result is so large: ledgers may come from anybody."""
 WORST = 1000
@@ -49,7 +52,7 @@ def entry_of(outcome: Outcome, method: str, seed: int) -> Entry:
         seconds=outcome.seconds,
         about={
             "iou": outcome.iou,
-            **{key: None if one is None else one.value for key, one in zip(PROBABILITIES, right, strict=True)},
+            **_of_probabilities(right),
             "ambiguous": outcome.ambiguous,
             "method": method,
             "seed": seed,
@@ -57,6 +60,12 @@ def entry_of(outcome: Outcome, method: str, seed: int) -> Entry:
             "findings": [str(finding) for finding in outcome.findings],
         },
     )
+
+
+def _of_probabilities(right: Sequence[Probability | None]) -> dict[str, float | None]:
+    """Return what an entry holds of both probabilities."""
+    values = {key: None if one is None else one.value for key, one in zip(PROBABILITIES, right, strict=True)}
+    return values | {key: None if one is None else one.keep for key, one in zip(KEPT, right, strict=True)}
 
 
 def entry_of_path(outcome: Outcome) -> Entry:
@@ -95,17 +104,17 @@ def badness(entry: Entry) -> tuple[int, float, str]:
     return [*KINDS].index(entry.state), number_of(entry, "iou") or 0.0, entry.name
 
 
-def write_summary(ledger: Entries | None, out: Place) -> list[Place]:
+def write_summary(ledger: Entries | None, out: Place, keep: Keep = ALL) -> list[Place]:
     """Write table and index page of a folder of results and of its ledger, and return where they are."""
     if isinstance(out, Path):
-        return [*_write_here(ledger, out, out)]
+        return [*_write_here(ledger, out, out, keep)]
     with tempfile.TemporaryDirectory(prefix="getagrip.") as folder:
-        for path in _write_here(ledger, out, Path(folder)):
+        for path in _write_here(ledger, out, Path(folder), keep):
             (out / path.name).write(path.read_bytes())
     return [out / TABLE, out / PAGE]
 
 
-def write_table(ledger: Entries | None, results: Place, path: Path) -> Counter[str]:
+def write_table(ledger: Entries | None, results: Place, path: Path, keep: Keep = ALL) -> Counter[str]:
     """Write the table of all clips; how many are in each state."""
     states = Counter[str]()
     with files.new_text(path) as file:
@@ -113,8 +122,9 @@ def write_table(ledger: Entries | None, results: Place, path: Path) -> Counter[s
         table.write_row(HEAD)
         for entry in known_entries(ledger, results):
             states[entry.state] += 1
-            about, known = entry.about, (number_of(entry, key) for key in ("iou", *PROBABILITIES))
+            about, known = entry.about, [number_of(entry, key) for key in ("iou", *PROBABILITIES, *KEPT)]
             cells = ["" if value is None else f"{value:.4f}" for value in known]
+            cells.append(keep.mark(*known[-2:]) if entry.state == "done" else "")
             made = ["" if (value := about.get(key)) is None else str(value) for key in MADE]
             row = [shown_name(entry), entry.state, entry.why, f"{entry.seconds:.2f}", *cells, *made]
             found = about.get("findings")
@@ -129,13 +139,13 @@ def row_without_result(entry: Entry) -> IndexRow:
     return IndexRow(shown_name(entry), entry.why, flags=(KINDS[entry.state],))
 
 
-def _write_here(ledger: Entries | None, results: Place, out: Path) -> list[Path]:
+def _write_here(ledger: Entries | None, results: Place, out: Path, keep: Keep) -> list[Path]:
     """Write them into a folder on this machine."""
-    states = write_table(ledger, results, out / TABLE)
-    return [out / TABLE, _write_index(ledger, results, out, states)]
+    states = write_table(ledger, results, out / TABLE, keep)
+    return [out / TABLE, _write_index(ledger, results, out, states, keep)]
 
 
-def _write_index(ledger: Entries | None, results: Place, out: Path, states: Counter[str]) -> Path:
+def _write_index(ledger: Entries | None, results: Place, out: Path, states: Counter[str], keep: Keep) -> Path:
     """Write the index page of the worst clips; pictures are ``getagrip report``'s, which takes as long as the clips."""
     from getagrip.pages import IndexRow, row_without_clip, write_index
 
@@ -150,7 +160,7 @@ def _write_index(ledger: Entries | None, results: Place, out: Path, states: Coun
                     continue
                 result, record = read_result(folder)
                 page = (folder / "report.html").is_file()
-                rows.append(row_without_clip(entry.name, result, record["metrics"], "", page))
+                rows.append(keep.marked(row_without_clip(entry.name, result, record["metrics"], "", page), result))
             except InputError as error:
                 rows.append(IndexRow(entry.name, problem=str(error), flags=("failed",)))
     title = results.name if isinstance(results, Remote) else results.resolve().name
@@ -181,7 +191,7 @@ def _of_result(entry: Entry, folder: Path) -> Entry:
         return replace(entry, why=f"its result cannot be read ({error})")
     about = {
         "iou": record["metrics"].get("iou_full"),
-        **{key: None if one is None else one.value for key, one in right.items()},
+        **_of_probabilities([*right.values()]),
         **{key: record[key] for key in MADE[:-1]},
         "version": record["software"].get("getagrip"),
         "findings": found,

@@ -24,6 +24,8 @@ FARTHEST_SOLUTION = 0.5
 """A solution counts as at most so far [diameters]."""
 LEAST_PROBABLE = 1e-2
 """Solutions less probable than this do not count, each by the most probable one."""
+UNSEEN = 0.4
+"""Differing pixels of a hand of which none is seen."""
 FARTHEST = 0.03
 """A region that does not touch counts as at most so far [m]."""
 
@@ -115,6 +117,16 @@ def hand_turn(it: Solved) -> float:
     return it.hand_turn**2
 
 
+def hand_spread(it: Solved) -> float:
+    """Return the shift of the object in the hand that the evidence on the hand leaves open, in its diameters."""
+    return _logarithm(it.hand_spread / it.diameter, 0.01)
+
+
+def hand_misfit(it: Solved) -> float:
+    """Return the share of the hand's pixels that differ from its silhouette; where it is unknown, what is too much."""
+    return _logarithm(float(np.nan_to_num(it.hand_differing, nan=UNSEEN)), 0.01)
+
+
 def _logarithm(value: float | Float[ndarray, ""], least: float) -> float:
     """Return the logarithm of a number that is never below zero, and hardly counts below ``least``."""
     return float(np.log(max(float(value), 0.0) + least))
@@ -133,9 +145,14 @@ SIGNS: tuple[Sign, ...] = (
     Sign("hand-shift", hand_shift, -1),
     Sign("hand-turn", hand_turn, -1),
 )
+HAND_SIGNS: tuple[Sign, ...] = (
+    Sign("hand-spread", hand_spread, -1),
+    Sign("hand-misfit", hand_misfit, -1),
+)
+"""Signs of the hand, which count where hands are estimated (``checks.kept``)."""
 
 
 def read_signs(it: Solved) -> dict[str, float]:
     """Compute every sign of a result, by its name; unknown ones are left out."""
-    measured = {sign.name: float(sign.measure(it)) for sign in SIGNS}
+    measured = {sign.name: float(sign.measure(it)) for sign in (*SIGNS, *HAND_SIGNS)}
     return {name: value for name, value in measured.items() if not np.isnan(value)}

@@ -31,12 +31,14 @@ class Solved(Evidence):
         axis: the axis that was found, where the method has one.
         T_cam_hand_given: (T, 4, 4) poses of the hand as it was given.
         spread: standard deviation of the pose that the energy leaves, in diameters; NaN where it is not known.
+        hand_spread: standard deviation of an object in the hand that the evidence on the hand leaves [m].
     """
 
     candidates: Candidates
     axis: Axis | None
     T_cam_hand_input: Float[ndarray, "T 4 4"]
     spread: float
+    hand_spread: float
 
     @property
     def poses(self) -> Float[ndarray, "T 4 4"]:

@@ -17,6 +17,7 @@ from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.array_data import ArrayData
 from getagrip.io.images import read_png, write_mask
+from getagrip.io.named import named
 from getagrip.io.packed_masks import PackedMasks
 
 OBJECT, HAND = "object-masks", "hand-masks"
@@ -57,6 +58,7 @@ def masks_in(clip: Clip) -> Masks | None:
     return masks if masks is None or hand is None else replace(masks, hand=hand.pixels)
 
 
+@named
 def read_masks(clip: Clip) -> Masks:
     """Read and check the masks of a clip, from its folder.
 

@@ -60,6 +60,8 @@ class Modality(ABC, Generic[D]):
 OURS: Mapping[str, Modality[Any] | str] = {
     "object-masks": "getagrip.evidence.object_masks:ObjectMasks",
     "hand-masks": "getagrip.evidence.hand_masks:HandMasks",
+    "joints-2d": "getagrip.evidence.joints_2d:HandJoints2D",
+    "depth": "getagrip.evidence.depth:DepthImages",
 }
 MODALITIES = Table(
     "modalities",
@@ -89,7 +91,9 @@ def with_evidence(clip: Clip) -> Clip:
     missing = [modality for modality in modalities() if modality.name not in clip.evidence]
     if clip.folder is None or not missing:
         return clip
-    return replace(clip, evidence={**clip.evidence, **{modality.name: modality.read(clip) for modality in missing}})
+    for modality in missing:  # each may look at those before it: depth is read about the object's masks
+        clip = replace(clip, evidence={**clip.evidence, modality.name: modality.read(clip)})
+    return clip
 
 
 def other_evidence(clip: Clip) -> list[str]:

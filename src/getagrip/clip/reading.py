@@ -22,12 +22,14 @@ from getagrip.clip.timeline import Side, at_frames, read_segments
 from getagrip.errors import InputError
 from getagrip.geometry.mesh_files import read_mesh
 from getagrip.io import arrays, files
+from getagrip.io.named import named
 from getagrip.provenance import Provenance, parse
 
 VERSION = 4
 """Version of the clips that are written; older ones are read, too."""
 REQUIRED = ("version", "name", "category", "side", "fps", "frames", "size", "camera", "mesh", "scale")
-OPTIONAL = {1: ("provenance",), 2: ("provenance", "times")} | dict.fromkeys((3, 4), ("provenance", "times", "segments"))
+OPTIONAL = {1: ("provenance",), 2: ("provenance", "times"), 3: ("provenance", "times", "segments")}
+OPTIONAL[4] = (*OPTIONAL[3], "depth")
 """Further keys of ``clip.json`` by its version."""
 CAMERA_KEYS = {1: CAMERA[:1], 2: CAMERA[:3], 3: CAMERA, 4: CAMERA}
 """Keys of ``camera`` by the version; only the first must be there."""
@@ -56,8 +58,10 @@ class ClipFields(TypedDict, total=False):
     provenance: Provenance
     times: object
     segments: object
+    depth: object
 
 
+@named
 def read_clip(folder: str | Path) -> Clip:
     """Read and check a clip, except its masks and images, in the frames that have a hand.
 

@@ -19,11 +19,13 @@ from getagrip.clip.truth import Truth
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import arrays, files
 from getagrip.io.images import write_image
+from getagrip.io.named import named
 
 WITHOUT_HAND = "frames_without_hand"
 """Key of a clip's provenance."""
 
 
+@named
 def write_clip(
     clip: Clip,
     masks: Masks | None,

@@ -16,6 +16,8 @@ from tyro.conf import arg, subcommand
 from getagrip.batch.imports import import_clips
 from getagrip.batch.share import Share
 from getagrip.commands.command import Command
+from getagrip.commands.import_cameras import ImportCameras
+from getagrip.commands.import_depth import ImportDepth
 from getagrip.commands.import_masks import ImportMasks
 from getagrip.commands.import_segments import ImportSegments
 from getagrip.datasets.arctic import Arctic
@@ -68,7 +70,7 @@ _DATASETS: dict[str, type[Dataset]] = {
 }
 
 
-OTHERS = ("hands", "masks", "segments")
+OTHERS = ("hands", "masks", "depth", "cameras", "segments")
 """Imports into existing clips."""
 
 
@@ -100,7 +102,7 @@ def _summary(dataset: type[Dataset]) -> str:
 
 
 def subcommands(name: str = "") -> Any:
-    """Return the subcommands of ``import``: a dataset each, then hands, masks and segments.
+    """Return the subcommands of ``import``: a dataset each, then what goes into clips.
 
     Behind a ``name`` that there is, nothing else of other packages is loaded. Raises ``UsageError`` where it cannot be.
     """
@@ -113,4 +115,5 @@ def subcommands(name: str = "") -> Any:
         from getagrip.commands.import_hands import ImportHands  # the options of all trackers are in it
 
         kinds.append(Annotated[ImportHands, subcommand("hands")])
-    return Union[*kinds, Annotated[ImportMasks, subcommand("masks")], Annotated[ImportSegments, subcommand("segments")]]
+    into_clips = {"masks": ImportMasks, "depth": ImportDepth, "cameras": ImportCameras, "segments": ImportSegments}
+    return Union[*kinds, *(Annotated[command, subcommand(name)] for name, command in into_clips.items())]

@@ -31,6 +31,7 @@ class Demo(Command):
         where something else is in the way.
         """
         from getagrip.clip import input_sha256, read_masks
+        from getagrip.compiling import WORDS, compile_once
         from getagrip.evaluation import evaluate, results_table
         from getagrip.io import files
         from getagrip.io.terminal import console, progress_bar
@@ -41,6 +42,7 @@ class Demo(Command):
         from getagrip.timelines.reconstruct import reconstruct
 
         screen = console()
+        compile_once(lambda: screen.print(WORDS))
         with progress_bar() as bar:
             steps = bar.add_task("make a clip", total=4.0)
             clip = _clip(files.folder_inside(self.out, "clips"))

@@ -22,7 +22,9 @@ from tyro.conf import arg
 
 from getagrip.commands.command import Command
 from getagrip.errors import GetagripError, UsageError
+from getagrip.io import locks
 from getagrip.io.arguments import OptionalFolder, one_of
+from getagrip.io.extras import install
 
 EXTRAS = {
     "torch": "reads estimators' .pt files", "lerobot": "exports to LeRobot", "mujoco": "exports to MuJoCo",
@@ -74,6 +76,7 @@ class Doctor(Command):
             _machine(),
             _mano(self.mano),
             _hands(self.models),
+            _estimators(),
         )
         for check in checks:
             for state, words in check:
@@ -93,14 +96,14 @@ def _libraries() -> Iterator[Line]:
     """Yield a line for each required library."""
     for name, least, extra in _requirements():
         if not extra:
-            yield _library(name, least, "MISSING", f"pip install '{name}>={least}'")
+            yield _library(name, least, "MISSING", f'pip install "{name}>={least}"')
 
 
 def _extras() -> Iterator[Line]:
     """Yield a line for each optional library."""
     for name, least, extra in _requirements():
         if extra in EXTRAS:
-            yield _library(name, least, "without", f"{EXTRAS[extra]}: pip install 'getagrip[{extra}]'")
+            yield _library(name, least, "without", f"{EXTRAS[extra]}: {install(extra)}")
     found = next(filter(None, map(shutil.which, BROWSERS)), None)
     needed = "pages of `report`, `view` and `annotate` open in one: install Chromium or Firefox, or open them elsewhere"
     yield ("ok", f"browser {found}") if found else ("without", f"browser; {needed}")
@@ -173,6 +176,8 @@ def _machine() -> Iterator[Line]:
     from getagrip.batch.executor import cores
 
     yield "ok", f"{cores()} cores to use, a clip on each: --workers"
+    if not locks.KNOWN:
+        yield "without", "locks on files, which this system has none of: one call at a time into a folder"
     for blas in {str(one["filepath"]): one for one in threadpool_info() if one["user_api"] == "blas"}.values():
         name = f"{blas['internal_api']} {blas['version']} ({Path(blas['filepath']).name})"
         yield "ok", f"BLAS {name}, threads: {blas['num_threads']}; a reconstruction uses one, whatever is set"
@@ -237,8 +242,22 @@ def _hands(folder: Path | None) -> Iterator[Line]:
     except GetagripError as error:
         yield "BROKEN", f"hand models: {error}"
         return
-    slow = "" if nets.runtime == "LiteRT" else "; six times as fast: pip install 'getagrip[hands]'"
+    slow = "" if nets.runtime == "LiteRT" else f"; six times as fast: {install('hands')}"
     yield "ok", f"hand models in {where}, run by {nets.runtime}{slow}"
+
+
+def _estimators() -> Iterator[Line]:
+    """Yield a line for each estimator that ``draft`` can run."""
+    from getagrip.annotate.estimators import ESTIMATORS, advice, command
+
+    for name, one in ESTIMATORS.items():
+        try:
+            words = command(name)
+        except UsageError as error:
+            yield "BROKEN", str(error)
+        else:
+            what = f"draft --{one.makes} {name}"
+            yield ("ok", f"{what}: {' '.join(words)}") if words else ("without", f"{what}; {advice(name)}")
 
 
 def _version(name: str) -> str | None:
@@ -256,9 +275,9 @@ def _numbers(version: str) -> list[int]:
 
 def _try_out() -> None:
     """Make a small clip and take it through every step, twice; only the first time is anything compiled."""
-    from getagrip.batch.compiled import compile_once
     from getagrip.batch.job import Job, reconstruct_one
     from getagrip.clip import read_clip, read_masks, write_clip
+    from getagrip.compiling import WORDS, compile_once
     from getagrip.datasets.synthetic.scene import synthesise
     from getagrip.datasets.synthetic.scene_options import SceneOptions
     from getagrip.evaluation import evaluate_result
@@ -270,10 +289,10 @@ def _try_out() -> None:
         read_masks(read_clip(clip))
         for n, words in enumerate(("compiling included", "compiled")):
             began = perf_counter()
+            compile_once(lambda: print(f"ok       {WORDS}", flush=True))
             out = Path(folder) / f"result-{n}"
             outcome = reconstruct_one(Job("can", clip, out, Options(), overwrite=False))
             if outcome.state != "done":
                 raise RuntimeError(outcome.message)
             add = evaluate_result(out, clip).metrics["add_sym_mm"]
             print(f"ok       a can in 6 frames, {add:.1f} mm off, {perf_counter() - began:.1f} s, {words}")
-    compile_once()

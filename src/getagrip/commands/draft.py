@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
-from getagrip.commands.command import Command, OptionalSide
+from getagrip.commands.command import Command, Labels, OptionalSide
 from getagrip.errors import UsageError
 from getagrip.geometry.lens import Lens
 from getagrip.io.arguments import Flag, OptionalFolder
@@ -18,8 +19,8 @@ from getagrip.io.terminal import report
 if TYPE_CHECKING:
     from getagrip.annotate.finding_hands import FoundHands
     from getagrip.annotate.footage import Footage
-    from getagrip.annotate.project import Project
-    from getagrip.annotate.tasks import Task
+    from getagrip.annotate.labels import FrameLabels
+    from getagrip.commands.draft_inputs import Stretch
 
 MOST_FRAMES = 3000
 """Largest number of frames of a draft: two networks are run on each."""
@@ -63,9 +64,28 @@ class Draft(Command):
     object_box: Annotated[tuple[float, float, float, float] | None, BOX, arg(help_behavior_hint="")] = None
     """Box around the object in the first frame [px]. The hand nearest to it is used, and what stands out from the
     background in it is marked as the object."""
+    masks: Annotated[str | None, arg(metavar="sam2|sam3|FILE", help_behavior_hint="(default: marked on the page)")] = (
+        None
+    )
+    """The object's masks: a file or folder, as for import masks; or the estimator that is run to make them
+    (docs/estimators.md)."""
+    mask_object: Labels = ()
+    """With --masks FILE: labels of the object. Not needed if there is only one."""
+    mask_hand: Labels = ()
+    """With --masks FILE: labels of the hand that holds it."""
+    hands: Annotated[str | None, arg(metavar="hamer|wilor|hawor|FILE", help_behavior_hint="(default: found here)")] = (
+        None
+    )
+    """The hands: a hand file, as import hands --out writes it; other files, with --hands-from; or the estimator that is
+    run to make them."""
+    hands_from: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")] = None
+    """With --hands FILE: the program that wrote it, as for import hands --from."""
+    find_grasps: Flag = False
+    """Mark the stable grasps that are found in the interval by fits to masks and hand, as segment --from-masks does.
+    This needs --masks or --object-box."""
     no_page: Flag = False
-    """Write files only, without opening the page. With --object-box, also write masks of all frames and print the
-    command that makes a clip."""
+    """Write files only, without opening the page. With --object-box or --masks, also write masks of all frames and
+    print the command that makes a clip."""
     models: OptionalFolder = None
     """Folder of the hand models (default: the cache; getagrip doctor --fetch hands)."""
     lens: Annotated[Lens, arg(name="")] = field(default_factory=Lens)
@@ -78,64 +98,105 @@ class Draft(Command):
         """Folder of all files."""
         return self.out or self.video.with_name(f"{self.video.stem}-draft")
 
+    def check(self) -> None:
+        super().check()
+        for name, (given, needed) in {
+            "hands-from": (self.hands_from, self.hands),
+            "mask-object": (self.mask_object, self.masks),
+            "mask-hand": (self.mask_hand, self.masks),
+            "find-grasps": (self.find_grasps, self.masks or self.object_box),
+        }.items():
+            if given and not needed:
+                missing = {"hands-from": "--hands FILE", "find-grasps": "--masks or --object-box"}
+                raise UsageError(f"missing {missing.get(name, '--masks FILE')}: --{name} needs it")
+        if self.masks == "sam2" and self.object_box is None:
+            raise UsageError("missing --object-box: sam2 starts from a box about the object in the first frame")
+
     def run(self) -> int:
         """Find hands, write them, and serve the page.
 
         Raises ``InputError`` for a video or models that cannot be read, ``UsageError`` where there is no hand or the
         video is cut.
         """
+        from getagrip.annotate.drafted_grasps import Extent, find_grasps
         from getagrip.annotate.finding_hands import write_found
+        from getagrip.annotate.labels import Labels as Drawn
         from getagrip.annotate.project import Project
         from getagrip.annotate.reconstruction import Shape
         from getagrip.annotate.store import Store
         from getagrip.annotate.tasks import read_tasks
         from getagrip.annotate.written_files import write_labels
         from getagrip.commands.annotate import DATABASE, serve
+        from getagrip.commands.draft_inputs import check_source
         from getagrip.io.terminal import progress_bar
 
-        mesh = " ".join(Shape(self.object, self.size_mm).options)
+        check_source("masks", self.masks)
+        check_source("hands", self.hands)
+        shape = Shape(self.object, self.size_mm)
         task = read_tasks(self.video, None)[0]
         self.folder.mkdir(parents=True, exist_ok=True)
         project = Project([task], Store(self.folder / DATABASE), self._lens)
         try:
             footage = project.footage(task)
-            found = self._find(footage)
+            stretch = self._stretch(footage)
+            found = self._find(stretch)
             for key, source in found.provenance.items():
                 report(f"{key}: {source}")
             with progress_bar() as bar:
-                job = bar.add_task("the hand's masks", total=len(found.landmarks.rows))
+                job = bar.add_task("the hand's masks", total=len(found.landmarks))
                 made = write_found(self.folder, found, footage.image, lambda n: bar.update(job, completed=n))
-            print(f"{made}: the {found.landmarks.side} hand in {len(found.frames)} of {self._count(footage)} frames")
-            project.mark_grasp(task, DRAFTER, (found.frames[0], found.frames[-1]), found.landmarks.side)
-            if self.object_box is not None:
-                self._draw(project, task, found)
+            print(f"{made}: the {found.side} hand in {len(found.frames)} of {len(stretch.names)} frames")
+            drawn = self._drawn(stretch, found)
+            whole: Extent = (found.frames[0], found.frames[-1])
+            labels = Drawn(self.video.name, footage.size, found.side, footage.fps, *whole, _within(drawn, whole))
+            extents = [whole]
+            if self.find_grasps:
+                grasps = find_grasps(labels, self.video, footage, self.folder, shape)
+                labels, extents = grasps.labels, grasps.extents or [whole]
+                report(grasps.said)
+            for extent in extents:
+                project.mark_grasp(task, DRAFTER, extent, found.side)
+                if frames := _within(labels.frames, extent):
+                    project.import_labels(replace(labels, first=extent[0], last=extent[1], frames=frames), DRAFTER)
             if self.no_page:
-                status = 0 if self.object_box is None else write_labels(project)
-                print(f"options of clip new for the object's mesh: {mesh}")
+                status = write_labels(project) if drawn else 0
+                print(f"options of clip new for the object's mesh: {' '.join(shape.options)}")
                 return status
-            print(f"the grasp is marked: mark the object on the page, and reconstruct with {mesh}")
-            serve(project, self.port, DRAFTER)
+            print("the grasp is marked: mark the object on the page; it is reconstructed there")
+            size = {} if self.size_mm is None else {"size-mm": f"{self.size_mm:g}"}
+            serve(project, self.port, DRAFTER, {"mesh": self.object, **size})
             return 0
         finally:
             project.close()
 
-    def _draw(self, project: Project, task: Task, found: FoundHands) -> None:
-        """Mark what stands out in the box as the object, on the first frame with a hand. Raises ``UsageError``."""
+    def _drawn(self, stretch: Stretch, found: FoundHands) -> dict[int, FrameLabels]:
+        """Return what is known of the object: masks that are given, or what stands out in the box. Raises as run."""
         from getagrip.annotate import found_hands
         from getagrip.annotate.drafting import traced
-        from getagrip.annotate.labels import OBJECT, FrameLabels, Labels
+        from getagrip.annotate.estimators import named
+        from getagrip.annotate.labels import OBJECT, FrameLabels
         from getagrip.annotate.strokes import boxed
+        from getagrip.commands.draft_inputs import estimated, masks_of
+        from getagrip.io.terminal import progress_bar
 
-        footage, n, side = project.footage(task), found.frames[0], found.landmarks.side
-        assert self.object_box is not None
+        if self.masks is not None:
+            path, size = Path(self.masks), stretch.footage.size
+            if self.masks in named("masks"):
+                values = {"box": self.object_box or (0.0, 0.0, *size), "object": [Path(self.object).stem]}
+                path = estimated(self.masks, stretch, self.folder, values)
+            with progress_bar() as bar:
+                job = bar.add_task("the object's masks", total=len(stretch.names))
+                update = lambda n: bar.update(job, completed=n)  # noqa: E731
+                return masks_of(path, stretch, self.mask_object, self.mask_hand, update)
+        if self.object_box is None:
+            return {}
+        n = found.frames[0]
         hand = found_hands.FoundHands(self.folder / found_hands.FOLDER).mask(n)
-        shapes = traced(boxed(footage.image(n), self.object_box, hand) == OBJECT)
+        shapes = traced(boxed(stretch.footage.image(n), self.object_box, hand) == OBJECT)
         if not shapes:
-            nothing = f"nothing in the box stands out from the background in {footage.name(n)}"
+            nothing = f"nothing in the box stands out from the background in {stretch.footage.name(n)}"
             raise UsageError(f"--object-box: {nothing}; mark the object on the page")
-        drawn = {n: FrameLabels(object=tuple(shapes))}
-        extent = found.frames[0], found.frames[-1]
-        project.import_labels(Labels(self.video.name, footage.size, side, footage.fps, *extent, drawn), DRAFTER)
+        return {n: FrameLabels(object=tuple(shapes))}
 
     @property
     def _lens(self) -> Lens:
@@ -149,24 +210,45 @@ class Draft(Command):
             raise UsageError(f"--interval must be {allowed} (got {first} {last})")
         return first - 1, last - 1
 
-    def _count(self, footage: Footage) -> int:
-        first, last = self._interval(footage)
-        return last - first + 1
+    def _stretch(self, footage: Footage) -> Stretch:
+        """Return the interval and its camera. Raises ``UsageError``."""
+        from getagrip.commands.draft_inputs import Stretch
+        from getagrip.commands.hand_file import HandFile, camera_of
 
-    def _find(self, footage: Footage) -> FoundHands:
-        """Find the hand that holds the object. Raises as ``run`` does."""
+        of_file = self.hands is not None and self.hands_from is None and Path(self.hands).suffix == ".npz"
+        own = HandFile.of(Path(self.hands)) if of_file and self.hands is not None else None
+        lens = self.lens if own is not None and own.K is not None else self._lens
+        return Stretch(footage, *self._interval(footage), *camera_of(lens, own, footage.size))
+
+    def _find(self, stretch: Stretch) -> FoundHands:
+        """Find the hand that holds the object, or read it. Raises as ``run`` does."""
         import numpy as np
 
-        from getagrip.annotate.finding_hands import find_hands
-        from getagrip.clip.intrinsics import intrinsics
+        from getagrip.annotate.estimators import ESTIMATORS, named
+        from getagrip.annotate.finding_hands import find_landmarks, lifted
+        from getagrip.commands.draft_inputs import boxes_file, estimated, hands_by, hands_of
         from getagrip.io.terminal import progress_bar
         from getagrip.landmarks import load
 
-        nets, interval = load(self.models), self._interval(footage)
-        K, camera = intrinsics(self._lens, footage.size)
-        boxes = None if self.object_box is None else {interval[0]: np.array(self.object_box)}
-        with progress_bar() as bar:
-            job = bar.add_task("looking for hands", total=self._count(footage))
-            return find_hands(
-                footage, interval, nets, K, camera, self.side, boxes, lambda n: bar.update(job, completed=n)
-            )
+        name = self.hands if self.hands in named("hands") else None
+        if self.hands is not None and name is None:
+            return hands_of(Path(self.hands), self.hands_from, self.side, stretch)
+        landmarks = None
+        if name is None or self.side is None or "{boxes}" in ESTIMATORS[name].words:
+            nets, interval = load(self.models), (stretch.first, stretch.last)
+            boxes = None if self.object_box is None else {stretch.first: np.array(self.object_box)}
+            with progress_bar() as bar:
+                job = bar.add_task("looking for hands", total=len(stretch.names))
+                update = lambda n: bar.update(job, completed=n)  # noqa: E731
+                landmarks = find_landmarks(stretch.footage, interval, nets, self.side, boxes, update)
+            if name is None:
+                return lifted(landmarks, stretch.first, stretch.footage.size, stretch.K, stretch.camera)
+        side = self.side or (landmarks.side if landmarks is not None else "right")
+        values: dict[str, Sequence[object]] = {"side": [side]}
+        if landmarks is not None:
+            values["boxes"] = [boxes_file(landmarks, stretch, self.folder / "boxes.json").absolute()]
+        return hands_by(name, estimated(name, stretch, self.folder, values), side, stretch)
+
+
+def _within(drawn: Mapping[int, FrameLabels], extent: tuple[int, int]) -> dict[int, FrameLabels]:
+    return {n: frame for n, frame in drawn.items() if extent[0] <= n <= extent[1]}

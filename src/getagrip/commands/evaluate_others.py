@@ -16,10 +16,11 @@ from getagrip.clip.reading import read_name
 from getagrip.errors import InputError
 from getagrip.evaluation import evaluate, evaluate_meshes
 from getagrip.evaluation.meshes import MeshFrame, read_meshes
-from getagrip.evaluation.other_poses import OtherSystem, poses_of
-from getagrip.evaluation.pose_files import SUFFIXES
+from getagrip.evaluation.other_poses import poses_of
 from getagrip.evaluation.results import Evaluation
 from getagrip.geometry import mesh_files
+from getagrip.object_poses.at_frames import place_of
+from getagrip.object_poses.files import SUFFIXES
 
 if TYPE_CHECKING:
     from getagrip.commands.evaluate import Evaluate
@@ -77,7 +78,7 @@ def pose_jobs(options: Evaluate, frames: Frames) -> list[OtherJob]:
     if (where / "clip.json").is_file():
         name, one = read_name(where), root
         if root.is_dir() and any((root / f"{name}{suffix}").exists() for suffix in ("", *SUFFIXES)):
-            one = OtherSystem(method, root).of_clip(name)
+            one = place_of(root, name)
         return [OtherJob(one, where, *how)]
     if root.is_file():
         return [OtherJob(root, where / root.stem, *how)]

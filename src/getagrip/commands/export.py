@@ -32,6 +32,8 @@ class Export(Command):
     poses, z up."""
     out: OptionalFolder = None
     """Folder of the exports, each in a folder named as its result's. Otherwise RESULT/export-FORMAT."""
+    one_dataset: Flag = False
+    """With --to lerobot: --out is a dataset, made or continued, and each result an episode; clips in it are kept."""
     clips: ClipsFolder = None
     """A clip, or the folder that holds the clips by name."""
     overwrite: Flag = False
@@ -45,6 +47,8 @@ class Export(Command):
             raise UsageError(f"missing --to; choose from {', '.join(FORMATS)}")
         if self.to not in FORMATS:
             raise unknown("--to", self.to, FORMATS)
+        if self.one_dataset and (self.to != "lerobot" or self.out is None):
+            raise UsageError("--one-dataset cannot be used without --to lerobot and --out")
         FORMATS[self.to]  # which raises where it cannot be loaded
         if not self.results:
             raise UsageError("missing RESULT: name at least one result")
@@ -56,11 +60,12 @@ class Export(Command):
         from getagrip.commands.evaluate import results_in
         from getagrip.evaluation.results import clip_of
         from getagrip.export import Scene, export
+        from getagrip.export.lerobot_dataset import Dataset
         from getagrip.io import files
         from getagrip.io.terminal import say
         from getagrip.result import read_result
 
-        failed = False
+        failed, dataset = False, Dataset.of(self.out) if self.one_dataset and self.out is not None else None
         for path in self.results:
             try:
                 for folder in results_in(path):
@@ -68,6 +73,10 @@ class Export(Command):
                         files.refuse_link(folder)
                     result, record = read_result(folder)
                     scene = Scene.of(result, clip_of(folder, result, record, self.clips))
+                    if dataset is not None:
+                        there = scene.name in dataset.clips
+                        say(f"{scene.name}: {'there already' if there else f'episode {dataset.add(scene)}'}")
+                        continue
                     target = folder / f"export-{self.to}" if self.out is None else self.out / folder.resolve().name
                     say(str(export(scene, target, self.to, self.overwrite)))
             except Exception as error:  # one result's trouble must not end the others

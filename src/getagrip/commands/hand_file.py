@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from getagrip.clip.intrinsics import intrinsics
 from getagrip.clip.naming import check_numbers, number_of, renumbered
+from getagrip.clip.plausible import check_intrinsics
 from getagrip.clip.reading import read_hand
 from getagrip.errors import InputError
+from getagrip.geometry.lens import Lens
 from getagrip.hands.model import Side
 from getagrip.hands.trackers import Hands
 from getagrip.io import arrays
-from getagrip.provenance import Provenance, from_arrays, of_provenance
+from getagrip.provenance import Provenance, Source, from_arrays, measured, of_provenance
 
 HAND_FIRST = "--hand-first"
 
@@ -63,3 +66,12 @@ class HandFile:
             raise InputError(self.path, "frames", got, expected)
         picked = track.take(np.array([there for there in at if there is not None]))
         return Hands(picked, rows, sources)
+
+
+def camera_of(lens: Lens, hands: HandFile | None, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], Source]:
+    """Return the command's camera or, without one, the hand file's. Raises ``UsageError`` and ``InputError``."""
+    if lens.is_set or hands is None or hands.K is None:
+        return intrinsics(lens, size)
+    check_intrinsics(hands.path, hands.K[None], size)
+    known = hands.provenance.get("camera", measured("it does not say from where"))
+    return hands.K, replace(known, text=f"the hand file's: {known}")

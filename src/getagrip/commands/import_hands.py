@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields, make_dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -18,12 +19,13 @@ from getagrip.clip.plausible import check_in_view
 from getagrip.clip.reading import OTHER_HAND, ClipHeader, frames_with_hand, read_header
 from getagrip.clip.writing import WITHOUT_HAND, without_hand, write_hand, write_hand_at
 from getagrip.commands.command import Command, OptionalSide
+from getagrip.commands.import_many import import_many
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.lens import Lens
 from getagrip.hands.model import Side
-from getagrip.hands.trackers import CHOSEN, EXTRAPOLATED, Hands, Request, Tracker, choose, read, usable
+from getagrip.hands.trackers import CHOSEN, EXTRAPOLATED, Hands, Request, Tracker, choose, read, recognise, usable
 from getagrip.io import files
-from getagrip.io.arguments import Flag, OptionalFile
+from getagrip.io.arguments import Flag, OptionalFile, one_of
 from getagrip.io.terminal import report, say
 from getagrip.provenance import as_arrays, warn_of
 
@@ -34,7 +36,7 @@ MOST_FRAMES = 20_000
 WARNED = 3
 """Exit status where the hands are written, and something seems to be wrong with them or with the camera."""
 if TYPE_CHECKING:
-    Source: TypeAlias = str
+    Source: TypeAlias = str | None
     Trackers: TypeAlias = object
 
 
@@ -64,10 +66,12 @@ class ImportHands(Command):
     paths: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE...", help_behavior_hint="")]
     """.npz, .json, .pkl, .pt, .npy, .obj, or folders of them: one file per image, named like it, or one file for all
     images (docs/estimators.md)."""
-    source: Source
+    source: Source = None
     trackers: Trackers
     clip: Annotated[Path | None, arg(metavar="CLIP", help_behavior_hint="")] = None
     """The clip's folder. Side, frames and camera are taken from the clip."""
+    clips: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    """A folder of clips: into each what FILE, a folder, has under the clip's name. Clips with hands are done."""
     out: OptionalFile = None
     """Write a file for clip new --hands instead. This needs --side, --frames, --size and a camera."""
     mano: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: the generic hand)")] = None
@@ -88,21 +92,29 @@ class ImportHands(Command):
         if self.out is not None:
             files.check_file("--out", self.out)
 
-    @property
+    @cached_property
     def tracker(self) -> Tracker:
-        """Whose hands they are, with its options."""
-        return choose(self.source, vars(self.trackers))
+        """The tracker whose hands they are, with its options; without --from as the files are recognised."""
+        trackers = vars(self.trackers)
+        if self.source is not None:
+            return choose(self.source, trackers)
+        name, words = recognise(self.paths, trackers)
+        report(f"{self.paths[0]}: taken for {words}, as by --from {name}")
+        return choose(name, trackers)
 
     def run(self) -> int:
         """Add hands to a clip, or write a file of them. Raises ``UsageError`` for options that do not fit."""
         if self.other_hand and self.hold_ends:
             raise UsageError("--other-hand cannot be used with --hold-ends: that hand is in the frames that have it")
-        if self.other_hand and self.clip is None:
+        if self.other_hand and self.clip is None and self.clips is None:
             raise UsageError("missing --clip: --other-hand is the hand of the other side than the clip's")
         if not self.paths:
             raise UsageError("missing FILE: name the estimator's files")
-        if self.clip is not None and self.out is not None:
-            raise UsageError("--clip cannot be used with --out")
+        given = [f"--{name}" for name in ("clip", "clips", "out") if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise UsageError(f"{given[0]} cannot be used with {given[1]}")
+        if self.clips is not None:
+            return self._into_clips(self.clips)
         if self.out is not None:
             return self._into_file(self.new, self.out)
         if self.clip is None:
@@ -110,6 +122,17 @@ class ImportHands(Command):
         if self.new.stated:
             raise UsageError("--side, --frames, --size, --K cannot be used with --clip, which has them")
         return self._other_into_clip(self.clip) if self.other_hand else self._into_clip(self.clip)
+
+    def _into_clips(self, clips: Path) -> int:
+        """Add hands to all clips in a folder, by their names."""
+        if len(self.paths) != 1 or self.new.stated:
+            raise UsageError("--clips takes one FILE, a folder, and no --side, --frames, --size or --K")
+        target = OTHER_HAND if self.other_hand else "hand.npz"
+
+        def of_clip(source: Path, clip: Path) -> ImportHands:
+            return replace(self, paths=(source,), clip=clip, clips=None)
+
+        return import_many(self.paths[0], clips, target, self.overwrite, of_clip, self.debug)
 
     def _into_clip(self, folder: Path) -> int:
         """Add ``hand.npz`` to a clip's folder. Where frames lack a hand it names those that have one.
@@ -213,7 +236,8 @@ if not TYPE_CHECKING:  # the choices of --from, and the options of each tracker,
     TAKEN = [field.name for command in (ImportHands, NewFrames, Lens) for field in fields(command)]
     USABLE = usable(["from", *TAKEN])
     TAKES = "; ".join(f"{name}: {tracker.takes}" for name, tracker in USABLE.items())
-    Source = Annotated[Literal[tuple(USABLE)], arg(name="from", help=f"Program or format of the files. {TAKES}.")]
+    HELP = f"Program or format of the files; by default by their names and keys. {TAKES}."
+    Source = Annotated[str | None, one_of(*USABLE), arg(name="from", help=HELP, help_behavior_hint="")]
     OPTIONS = [(name, type(tracker), field(default=tracker)) for name, tracker in USABLE.items()]
     Trackers = Annotated[make_dataclass("Trackers", OPTIONS, frozen=True), arg(name="")]
 

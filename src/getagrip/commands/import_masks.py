@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +13,7 @@ from getagrip.clip.mask_sources import open_masks
 from getagrip.clip.naming import renumbered
 from getagrip.clip.reading import read_header
 from getagrip.commands.command import Command, Labels
+from getagrip.commands.import_many import import_many
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.arguments import Flag
@@ -33,8 +34,10 @@ class ImportMasks(Command):
 
     path: Annotated[Positional[Path], arg(metavar="PATH")]
     """The folder or file; images are named like the clip's frames, or by the same numbers."""
-    clip: Annotated[Path, arg(metavar="CLIP")]
+    clip: Annotated[Path | None, arg(metavar="CLIP", help_behavior_hint="")] = None
     """The clip's folder."""
+    clips: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    """A folder of clips: into each what PATH, a folder, has under the clip's name. Clips with masks are done."""
     object: Labels = ()
     """Labels of the object: values, #rrggbb, or names of COCO's categories. If there are several cups, cup:7 selects
     one by its track_id and cup:all takes all. Not needed if there is only one label."""
@@ -55,6 +58,17 @@ class ImportMasks(Command):
 
         Raises ``InputError``, and ``UsageError`` where there are masks already.
         """
+        if self.clip is None and self.clips is None:
+            raise UsageError("missing --clip or --clips")
+        if self.clips is not None:
+            if self.clip is not None:
+                raise UsageError("--clip cannot be used with --clips")
+
+            def of_clip(source: Path, clip: Path) -> ImportMasks:
+                return replace(self, path=source, clip=clip, clips=None)
+
+            return import_many(self.path, self.clips, "masks", self.overwrite, of_clip, self.debug)
+        assert self.clip is not None
         header = read_header(self.clip)
         target = header.folder / "masks"
         if target.exists() and not self.overwrite:

@@ -17,21 +17,21 @@ from tyro.conf import Positional, arg
 from getagrip.commands.command import Command, Labels, OptionalSide
 from getagrip.commands.own_mesh import MeshOptions, own_mesh
 from getagrip.errors import InputError, UsageError
+from getagrip.geometry.distortion import Distortion
 from getagrip.geometry.lens import Lens
 from getagrip.io import files
 from getagrip.io.arguments import Flag, Folder, OptionalFile
 from getagrip.io.terminal import report
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int, UInt8
+    from jaxtyping import Int, UInt8
     from numpy import ndarray
 
     from getagrip.clip import Clip, HandTrack
     from getagrip.clip.mask_request import MaskReader
     from getagrip.clip.segment_files import SegmentList
-    from getagrip.commands.hand_file import HandFile
     from getagrip.hands.trackers import Hands
-    from getagrip.provenance import Provenance, Source
+    from getagrip.provenance import Provenance
 
 MOST_FRAMES = 20_000
 """Most frames of a clip; a stable grasp of minutes."""
@@ -66,7 +66,7 @@ class NewClip(Command):
     """Make a clip of your own video, at once or in steps. What is still missing is listed, with how to get it."""
 
     video: Annotated[Positional[Path], arg(metavar="VIDEO|FOLDER")]
-    """The video, undistorted; or a folder of its images, in the order of the numbers in their names."""
+    """The video, undistorted or with --distortion; or a folder of its images, in the order of their numbers."""
     out: Folder
     """The clip's folder; its name is the clip's."""
     interval: Annotated[tuple[int, int] | None, arg(metavar="START END", help_behavior_hint="")] = None
@@ -99,6 +99,7 @@ class NewClip(Command):
     """State that the camera did not move: the camera frame is then the world."""
     lens: Annotated[Lens, arg(name="")] = field(default_factory=Lens)
     """The camera. Not needed if the hand file has it."""
+    distorted: Annotated[Distortion, arg(name="")] = field(default_factory=Distortion)
     fps: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="(default: 30)")] = None
     """Frames per second of a folder of images; a video has its frames' own times."""
     overwrite: Flag = False
@@ -118,7 +119,7 @@ class NewClip(Command):
         from getagrip.clip.plausible import check_in_view
         from getagrip.clip.segment_files import with_segments
         from getagrip.clip.writing import without_hand
-        from getagrip.commands.hand_file import HandFile
+        from getagrip.commands.hand_file import HandFile, camera_of
         from getagrip.commands.import_masks import report_masks
 
         if self.out.exists() and not self.overwrite:
@@ -142,7 +143,10 @@ class NewClip(Command):
         numbers = _numbers(self.interval)
         footage = stretch(self.video, numbers, size, fps, self.fps is not None)
         names = footage.names
-        K, camera = _camera(self.lens, hands, size)
+        K, camera = camera_of(self.lens, hands, size)
+        images, camera = footage.images(), replace(camera, text=camera.text + self.distorted.words)
+        if self.distorted.words:
+            images = map(self.distorted.removal(K, size), images)
         found = own_mesh(self.shape)
         found_hands = None if hands is None else hands.at(names, self.side, self.hand_first)
         of_hands: Provenance = {"hands": "none yet"}
@@ -173,7 +177,7 @@ class NewClip(Command):
         )
         clip = with_segments(clip, _segments(self, self.out))
         reader = None if self.masks is None else _masks(self, names, size)
-        visible = _write(clip, found_hands, footage.images(), reader, self.out, self.overwrite)
+        visible = _write(clip, found_hands, images, reader, self.out, self.overwrite)
         unsure = report_masks(reader, clip.frames, visible) if reader else 0
         return _summary(clip, self, found_hands, self.out) or unsure
 
@@ -197,19 +201,6 @@ def _numbers(interval: tuple[int, int]) -> Int[ndarray, "T"]:
         expected = f"two frames' numbers from 1, the later one last, at most {MOST_FRAMES} apart"
         raise UsageError(f"--interval must be {expected} (got {first} {last})")
     return np.arange(first, last + 1)
-
-
-def _camera(lens: Lens, hands: HandFile | None, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], Source]:
-    """Return the command's camera or, without one, the hand file's."""
-    from getagrip.clip.intrinsics import intrinsics
-    from getagrip.clip.plausible import check_intrinsics
-    from getagrip.provenance import measured
-
-    if lens.is_set or hands is None or hands.K is None:
-        return intrinsics(lens, size)
-    check_intrinsics(hands.path, hands.K[None], size)
-    known = hands.provenance.get("camera", measured("it does not say from where"))
-    return hands.K, replace(known, text=f"the hand file's: {known}")
 
 
 def _no_hand(frames: int) -> HandTrack:

@@ -51,10 +51,10 @@ class MeshOptions:
     @property
     def kind(self) -> str | None:
         """The kind of object whose own shape is wanted; None for a file."""
-        from getagrip.datasets.synthetic.categories import CATEGORIES
+        from getagrip.datasets.synthetic.categories import SHAPES
 
         name = str(self.mesh)
-        return name if name in CATEGORIES and not Path(name).is_file() else None
+        return name if name in SHAPES and not Path(name).is_file() else None
 
 
 @dataclass(frozen=True)
@@ -95,15 +95,15 @@ def own_mesh(request: MeshOptions) -> OwnMesh:
 
 def _shape(request: MeshOptions) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."], Source]:
     """Vertices, faces, and where they come from."""
-    from getagrip.datasets.synthetic.categories import CATEGORIES
+    from getagrip.datasets.synthetic.categories import SHAPES
     from getagrip.geometry.mesh_files import SUFFIXES, parse_mesh
     from getagrip.provenance import Source, assumed
 
     if request.kind is not None:
-        made = CATEGORIES[request.kind].make()
+        made = SHAPES[request.kind]()
         return made.vertices, made.faces, assumed(f"this package's own {request.kind}: a guess of the object's shape")
     if not request.path.is_file():
-        kinds = ", ".join(sorted(CATEGORIES))
+        kinds = ", ".join(sorted(SHAPES))
         expected = f"a triangle mesh ({', '.join(SUFFIXES)}), or the name of one of this package's shapes: {kinds}"
         raise InputError(request.path, "mesh", "no such file", expected)
     return *parse_mesh(request.path), Source(request.path.name)

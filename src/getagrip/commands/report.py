@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from tyro.conf import Positional, arg
 
+from getagrip.batch.keep import Keep
 from getagrip.commands.command import ClipsFolder, Command, Workers
 from getagrip.commands.evaluate import no_result, of_batch
 from getagrip.errors import InputError, UsageError
@@ -36,6 +37,7 @@ class ReportRequest:
     """Also write report.mp4, a film of the result over its images and from the side."""
     index_only: Flag = False
     """Write only the index of a folder of results, with links to pages that are there already."""
+    keep: Annotated[Keep, arg(name="")] = field(default_factory=Keep)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,7 +145,7 @@ def _written(job: ReportJob) -> IndexRow:
         write_report(result, clip, masks, folder / PICTURE, evaluation.metrics)
     if request.mp4:
         write_film(view, folder / FILM)
-    return row(job.name, view, evaluation, (folder / PAGE).is_file())
+    return request.keep.marked(row(job.name, view, evaluation, (folder / PAGE).is_file()), result)
 
 
 def _unwritten(job: ReportJob, problem: str) -> IndexRow:
@@ -153,7 +155,7 @@ def _unwritten(job: ReportJob, problem: str) -> IndexRow:
 
     try:
         result, record = read_result(job.folder)
-        return row_without_clip(job.name, result, record["metrics"], problem)
+        return job.request.keep.marked(row_without_clip(job.name, result, record["metrics"], problem), result)
     except Exception:  # its files may hold anything
         return IndexRow(job.name, problem=problem, flags=("failed",))
 
@@ -169,7 +171,7 @@ def _folder(path: Path, request: ReportRequest, workers: int | None) -> list[Out
     with ledger_there(path) as ledger:
         without = [] if ledger is None else [one for one in known_entries(ledger, path) if one.state != "done"]
         if ledger is not None:
-            write_table(ledger, path, path / TABLE)
+            write_table(ledger, path, path / TABLE, request.keep)
     jobs = [ReportJob(folder, path, request) for folder in results_below(path, may_lack=bool(without))]
 
     def died(job: ReportJob) -> Reported:

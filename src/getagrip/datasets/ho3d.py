@@ -6,7 +6,10 @@ towards the eye) turned into this package's,
     <split>/<sequence>/meta/<frame>.pkl     objName, objRot (rotation vector), objTrans [m], camMat, handJoints3D [m],
                                             and with MANO handPose (48,), handTrans [m], handBeta (10,)
 
-Frames without labels hold None. In the evaluation split the hand's joints are not public, but for the wrist.
+    evaluation.txt, evaluation_xyz.json     <sequence>/<frame> in each line, and their joints (N, 21, 3) [m]
+
+Frames without labels hold None. In the evaluation split ``handJoints3D`` is the wrist; the joints were published later,
+in a list of their own, which is read where it lies beside the splits.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -36,7 +39,8 @@ from getagrip.hands import generic
 from getagrip.hands.fit import fit_joints
 from getagrip.io import pickles
 from getagrip.io.arguments import OptionalFolder
-from getagrip.io.files import is_plain_name, shown
+from getagrip.io.arrays import from_lists
+from getagrip.io.files import is_plain_name, read_any_json, read_bytes, shown
 from getagrip.io.terminal import counted
 
 WITHIN_10_MM = GraspOptions(contact_mm=10.0)
@@ -45,6 +49,9 @@ SIZE = (640, 480)
 FPS = 30.0
 OPENGL = np.diag([1.0, -1.0, -1.0])
 """From OpenGL's camera axes to this package's."""
+EVALUATION = "evaluation"
+SAME_WRIST = 0.005
+"""Largest distance of the two wrists of a frame of the evaluation split [m]."""
 
 
 class Frame(NamedTuple):
@@ -87,11 +94,13 @@ class Ho3d(TrackedDataset):
 def _read(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator[Track]:
     """Yield the object in the hand over a sequence."""
     name = f"{folder.parent.name}/{folder.name}"
-    frames, unknown = [], 0
+    frames, unknown, joints = [], 0, {}
+    if folder.parent.name == EVALUATION and (listed := folder.parent.parent / f"{EVALUATION}_xyz.json").is_file():
+        joints, mano = _evaluation_joints(listed), None  # MANO's parameters are not public
     files = sorted((folder / "meta").glob("*.pkl"))
     check_length(folder, "meta", len(files))
     for file in files:
-        frame = _frame(file, with_mano=mano is not None)
+        frame = _frame(file, mano is not None, joints.get(f"{folder.name}/{file.stem}"))
         if frame is None:
             unknown += 1
         else:
@@ -134,12 +143,34 @@ def _read(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator
     )
 
 
-def _frame(file: Path, with_mano: bool) -> Frame | None:
-    """Read the labels of a frame; None where the object or the hand is not known."""
+@cache
+def _evaluation_joints(listed: Path) -> dict[str, Float[ndarray, "21 3"]]:
+    """Read the joints of the evaluation split, by ``<sequence>/<frame>``."""
+    names = read_bytes(listed.with_name(f"{EVALUATION}.txt")).decode("utf-8", "replace").split()
+    joints = from_lists(read_any_json(listed))
+    if joints is None or joints.shape != (len(names), 21, 3) or joints.dtype.kind != "f":
+        got = "no array of numbers" if joints is None else f"an array of shape {joints.shape}"
+        raise InputError(listed, "", got, f"21 joints for each of the {len(names)} lines of {EVALUATION}.txt")
+    return dict(zip(names, joints, strict=True))
+
+
+def _frame(file: Path, with_mano: bool, listed: Float[ndarray, "21 3"] | None) -> Frame | None:
+    """Read the labels of a frame; None where the object or the hand is not known.
+
+    ``listed`` are its joints in the list of the evaluation split. Raises ``InputError`` where their wrist is another.
+    """
     value = pickles.read_file(file, "the labels of a frame of HO-3D")
     if not file.stem.isdigit():
         raise InputError(file, "", f"the name {file.name!r}", "<number>.pkl")
     rotation, joints = value.get("objRot", 0), value.get("handJoints3D", 0)
+    if listed is not None and isinstance(joints, ndarray) and joints.size == 3:
+        apart = float(np.linalg.norm(joints.reshape(3) - listed[0]))
+        if not apart <= SAME_WRIST:
+            raise InputError(
+                file, "handJoints3D", f"a wrist {apart:.3g} m from the one in {EVALUATION}_xyz.json", "the same"
+            )
+        value = {**value, "handJoints3D": listed}
+        joints = listed
     if rotation is None or joints is None or (isinstance(joints, ndarray) and joints.size == 3):
         return None
     name = value.get("objName")

@@ -26,7 +26,9 @@ from getagrip.metrics.contact import (
     stable_contact,
 )
 from getagrip.metrics.mask import MaskIou
+from getagrip.metrics.motion import ContactPairs
 from getagrip.metrics.pose import ObjectTrack, PoseErrors, best_symmetry, pose_errors
+from getagrip.metrics.recall import SymmetricErrors
 from getagrip.metrics.symmetry import Symmetries, find_symmetries
 
 
@@ -161,6 +163,30 @@ class Comparison:
         if self.clip.scale == "known":
             raise MissingPartError
         return self.predicted.scale / self.true.scale - 1.0
+
+    @cached_property
+    def object_in_camera(self) -> tuple[Float[ndarray, "T V 3"], Float[ndarray, "T V 3"]]:
+        """Vertices of the predicted and of the true object in the camera frame [m]."""
+        vertices = self.clip.mesh.vertices
+        return self.predicted_in_camera.placed(vertices), self.true_in_camera.placed(vertices)
+
+    @cached_property
+    def symmetric_errors(self) -> SymmetricErrors:
+        """Errors of the object in the camera, the least over its symmetries."""
+        return SymmetricErrors.of(self.clip.mesh, self.predicted_in_camera, self.true_in_camera, self.symmetries)
+
+    @cached_property
+    def hand_in_camera(self) -> tuple[Float[ndarray, "T V 3"], Float[ndarray, "T V 3"]]:
+        """Vertices of the predicted and of the true hand in the camera frame [m]; none where these are not the same."""
+        hand, truth = self.clip.hand, self.clip.truth
+        if truth is None or truth.hand_vertices.shape != hand.vertices.shape:
+            raise MissingPartError
+        return se3.transform(hand.T_cam_hand, hand.vertices), se3.transform(truth.T_cam_hand, truth.hand_vertices)
+
+    @cached_property
+    def contact_pairs(self) -> ContactPairs:
+        """Vertices of the true hand and the nearest of the true object."""
+        return ContactPairs.of(self.hand_in_camera[1], self.object_in_camera[1])
 
     def contact(self, definition: ContactDefinition) -> StableContact:
         """Measure the stable contact of the reconstruction."""

@@ -13,6 +13,7 @@ from numpy import ndarray
 from getagrip.evaluation.comparison import Comparison, MissingPartError
 from getagrip.io import plugins
 from getagrip.io.plugins import Table
+from getagrip.metrics import motion, recall
 from getagrip.metrics.contact import ContactDefinition
 
 Value = float | Float[ndarray, "T"]
@@ -28,7 +29,7 @@ class Metric:
     """Its key in JSON; that of the definition of contact follows, where there is one."""
     of: Callable[[Comparison, ContactDefinition], Value]
     """One number for the clip; or one for each frame (NaN: unknown), of which the clip's is the mean."""
-    unit: Literal["%", "mm", "deg", "frames"] = "%"
+    unit: Literal["%", "mm", "deg", "frames", "m/s^2"] = "%"
     heading: str = ""
     """Its column in the tables of ``evaluate``; empty: none."""
     _: KW_ONLY
@@ -109,6 +110,17 @@ def _closed(it: Comparison) -> float:
     if not closed:
         raise MissingPartError
     return float(np.mean(closed))
+
+
+def _motion_deviation(it: Comparison) -> float:
+    """Motion deviation of hand and object in stable contact."""
+    return motion.motion_deviation(
+        it.contact_pairs,
+        it.true.scale * it.clip.mesh.vertices,
+        it.hand_in_camera[0],
+        it.object_in_camera[0],
+        it.clip.time,
+    )
 
 
 IOU = Metric(
@@ -199,6 +211,47 @@ _METRICS: tuple[Metric, ...] = (
         "truth_contact_share", lambda it, contact: it.true_contact(contact).share, by_contact=True, needs_truth=True,
         averaged=False,
     ),
+    Metric(
+        "cdev_mm",
+        lambda it, _: 1e3 * motion.contact_deviation(it.contact_pairs, it.hand_in_camera[0], it.object_in_camera[0]),
+        "mm", needs_truth=True, ranked=False,
+    ),
+    Metric("mdev_mm", lambda it, _: 1e3 * _motion_deviation(it), "mm", needs_truth=True, ranked=False),
+    Metric(
+        "acc_hand", lambda it, _: motion.acceleration_error(*it.hand_in_camera, it.clip.time),
+        "m/s^2", needs_truth=True, ranked=False,
+    ),
+    Metric(
+        "acc_object", lambda it, _: motion.acceleration_error(*it.object_in_camera, it.clip.time),
+        "m/s^2", needs_truth=True, ranked=False,
+    ),
+    Metric(
+        "mrrpe_mm",
+        lambda it, _: 1e3 * motion.root_error(*zip(it.hand_in_camera, it.object_in_camera, strict=True)),
+        "mm", needs_truth=True, ranked=False,
+    ),
+    Metric(
+        "vertex_success_5", lambda it, _: motion.vertex_success(
+            *it.object_in_camera, it.clip.mesh.diameter * it.true.scale
+        ), needs_truth=True,
+    ),
+    Metric(
+        "add_cam_auc", lambda it, _: recall.area_under_curve(it.errors_cam.add), needs_truth=True,
+    ),
+    Metric(
+        "adds_cam_auc", lambda it, _: recall.area_under_curve(recall.nearest_add(*it.object_in_camera)),
+        needs_truth=True,
+    ),
+    Metric(
+        "mssd_cam_recall",
+        lambda it, _: recall.recall(it.symmetric_errors.mssd(), recall.SHARES * it.errors_cam.diameter),
+        needs_truth=True,
+    ),
+    Metric(
+        "mspd_cam_recall",
+        lambda it, _: recall.recall(it.symmetric_errors.mspd(it.clip.K), recall.PIXELS * it.clip.size[0] / 640),
+        needs_truth=True,
+    ),
     Metric("frames_without_mesh", lambda it, _: float(sum(mesh is None for mesh in it.meshes)), "frames"),
     Metric("closed", lambda it, _: _closed(it)),
 )  # fmt: skip
@@ -209,14 +262,20 @@ METRICS = Table(
 """All of them by name, in the order in which tables show them."""
 
 
-def measure(it: Comparison, wanted: Sequence[Metric] | None = None) -> tuple[dict[str, float], dict[str, list[float]]]:
+def measure(
+    it: Comparison, wanted: Sequence[Metric] | None = None, on_metric: Callable[[str, float], None] | None = None
+) -> tuple[dict[str, float], dict[str, list[float]]]:
     """Compute the wanted metrics, or all, that can be known: one number for the clip each, and those per frame.
 
-    One of another package that raises is left out, after a warning.
+    One of another package that raises is left out, after a warning. ``on_metric`` is called before each with its name
+    and the share of metrics that are done.
     """
     metrics: dict[str, float] = {}
     per_frame: dict[str, list[float]] = {}
-    for metric in METRICS.working().values() if wanted is None else wanted:
+    wanted = tuple(METRICS.working().values()) if wanted is None else wanted
+    for done, metric in enumerate(wanted):
+        if on_metric:
+            on_metric(metric.name, done / len(wanted))
         for contact in it.contacts if metric.by_contact else it.contacts[:1]:
             try:
                 value = metric.of(it, contact)

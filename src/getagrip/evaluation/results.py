@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,7 +20,10 @@ from getagrip.evaluation.metric import METRICS, SCA, Metric, measure
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.io import files
+from getagrip.io.brief import Brief
 from getagrip.io.files import Json
+from getagrip.io.named import NamedFields, named
+from getagrip.io.terminal import Progressed, shown_progress
 from getagrip.metrics.contact import (
     CONTACT_DEFINITIONS,
     ContactDefinition,
@@ -40,7 +43,7 @@ OF_TIMELINE = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluation:
+class Evaluation(NamedFields, Brief):
     """The metrics of a reconstruction (docs/metrics.md). The names of metrics end in their units.
 
     Attributes:
@@ -119,12 +122,14 @@ def read_with_clip(folder: Path, clips: str | Path | None = None) -> tuple[Recon
     return result, clip.take(clip.index_of(result.frames))
 
 
+@named
 def evaluate(
     result: Reconstruction,
     clip: Clip,
     masks: Masks | None = None,
     contacts: Sequence[ContactDefinition] | None = None,
     wanted: Sequence[Metric] | None = None,
+    progress: Progressed = None,
 ) -> Evaluation:
     """Compute the metrics of a reconstruction (docs/metrics.md).
 
@@ -135,6 +140,8 @@ def evaluate(
         masks: masks of all frames of the clip. If None, IOU is not measured.
         contacts: definitions of contact (distance and points) for the metrics of stable contact; None for all nine.
         wanted: the metrics to compute; None for all.
+        progress: True for a bar on a terminal or in a notebook; or a function of a metric's name and of the fraction
+            of the work that is done, 0 to 1.
 
     Returns:
         Numbers for the whole clip (``metrics``) and for each frame (``per_frame``), under names that end in their
@@ -153,7 +160,8 @@ def evaluate(
     found, track = clip.warped(result.warp).mesh, ObjectTrack(result.T_hand_obj, result.scale)
     it = _ResultComparison(clip, masks, track, found, contacts=tuple(contacts))
     symmetry = None if clip.truth is None else it.symmetries.describe()
-    made = evaluation(it, result.method, symmetry, wanted)
+    with shown_progress(progress, clip.name) as on_metric:
+        made = evaluation(it, result.method, symmetry, wanted, on_metric)
     hands, fitted = clip.with_hand_at(None, result.T_cam_other_hand), result.frames_of("sampled", "fitted")
     return replace(
         made,
@@ -165,9 +173,15 @@ def evaluate(
     )
 
 
-def evaluation(it: Comparison, method: str, symmetry: str | None, wanted: Sequence[Metric] | None = None) -> Evaluation:
+def evaluation(
+    it: Comparison,
+    method: str,
+    symmetry: str | None,
+    wanted: Sequence[Metric] | None = None,
+    on_metric: Callable[[str, float], None] | None = None,
+) -> Evaluation:
     """Measure a comparison."""
-    metrics, per_frame = measure(it, wanted)
+    metrics, per_frame = measure(it, wanted, on_metric)
     return Evaluation(
         clip=it.clip.name,
         category=it.clip.category,

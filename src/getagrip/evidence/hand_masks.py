@@ -33,4 +33,5 @@ class HandMasks(Modality[VisibleHand]):
     def terms(self, problem: Problem) -> Terms | None:
         from getagrip.fitting.objective import hand_mask_of
 
-        return None if self.of(problem.clip) is None else Terms(hand=hand_mask_of(problem))
+        known = self.of(problem.clip) is not None or problem.refinement is not None
+        return Terms(hand=hand_mask_of(problem)) if known else None

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 from tyro.conf import arg
 
+from getagrip.batch.keep import Keep
 from getagrip.errors import unknown
 from getagrip.fitting.methods import METHODS
 
@@ -44,6 +45,8 @@ class Compared:
     ] = ()
     """In SCA, SCA-ADD and SCA-IOU, points of the object within MM of the hand's surface are in contact; with several
     values, rows for each. The paper uses 0 on ARCTIC."""
+
+    keep: Annotated[Keep, arg(name="")] = field(default_factory=Keep)
 
     def __post_init__(self) -> None:
         for name in self.methods:

@@ -11,6 +11,7 @@ from pathlib import Path
 from getagrip.batch.entries import Entry
 from getagrip.batch.job import Outcome
 from getagrip.errors import UsageError, unknown
+from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_CAM
 from getagrip.experiments.compared import Compared
 from getagrip.experiments.comparison import compare, groups
 from getagrip.experiments.hand_sources import HandSource, comparison
@@ -120,7 +121,22 @@ def _about(bench: GraspBenchmark, scores: Sequence[Scores]) -> list[str]:
     """Return what was run, and when."""
     good = sum(bool(clip.scores) for clip in scores)
     skipped = f", {len(scores) - good} failed and skipped" if good < len(scores) else ""
-    return [f"{bench.source.title}: {counted(good, 'clip')}{skipped}; made {stamp()}"]
+    return [f"{bench.source.title}: {counted(good, 'clip')}{skipped}; made {stamp()}", *_kept(bench, scores)]
+
+
+def _kept(bench: GraspBenchmark, scores: Sequence[Scores]) -> list[str]:
+    """Say of each variant which share is kept, and how many of the kept are right, if that is asked for."""
+    keep, out = bench.compared.keep, list[str]()
+    if keep.keep is None:
+        return out
+    metric = ADD_SYM if keep.keep_in == "hand" else ADD_SYM_CAM
+    for variant in bench.variants:
+        found = [one for clip in scores for one in clip.scores if one.variant == variant.folder]
+        kept = [one for one in found if keep.mark(one.keep, one.keep_in_camera) == "kept"]
+        right = sum(one.metrics.get(metric.name, 0.0) > 0.5 for one in kept)
+        share = f"{len(kept)} of {len(found)} kept for {100.0 * keep.keep:.3g} % right in the {keep.keep_in}"
+        out.append(f"{variant.label}: {share}, {right} of them right")
+    return out
 
 
 def _settings(bench: GraspBenchmark, scores: Sequence[Scores]) -> list[str]:

@@ -21,6 +21,7 @@ from getagrip.experiments.changes import (
     Wrong,
     WrongMasks,
 )
+from getagrip.experiments.simulated_evidence import DEPTHS, JOINTS, SimulatedDepth, SimulatedJoints
 from getagrip.experiments.wrong_inputs import MISTAKES
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Departures
@@ -73,6 +74,11 @@ def _hand_noise(mm: float) -> Setting:
 def _noise_level(name: str) -> Setting:
     """Make a setting with the hands of a level of noise; the masks stay as they are."""
     return Setting(name, change=Noisy(replace(NOISE[name], mask_ragged_px=0.0)))
+
+
+def _estimated(*evidence: Change) -> Change:
+    """Make the change to hands at the level ``estimated``; evidence is of the true ones."""
+    return Several((*evidence, Noisy(replace(NOISE["estimated"], mask_ragged_px=0.0))))
 
 
 def _mask_noise(px: float) -> Setting:
@@ -192,6 +198,23 @@ ABLATIONS: dict[str, Ablation] = {
         ),
         ("soft-hinge",),
     ),
+    "evidence": Ablation(
+        "Hands at the level `estimated`, with other evidence simulated at levels of errors (docs/datasets.md)",
+        "nothing new",
+        (
+            Setting("nothing new", change=_estimated()),
+            *(Setting(f"2D joints, {level}", change=_estimated(SimulatedJoints(level))) for level in JOINTS),
+            *(Setting(f"depth, {level}", change=_estimated(SimulatedDepth(level))) for level in DEPTHS),
+            *(
+                Setting(
+                    f"2D joints, wild; depth, {level}",
+                    change=_estimated(SimulatedJoints("wild"), SimulatedDepth(level)),
+                )
+                for level in ("mono", "realsense")
+            ),
+        ),
+        ("soft-hinge",),
+    ),
     "hand-flips": Ablation(
         "Hands that are flipped in some frames: repaired, or used",
         "none, as given",
@@ -248,7 +271,14 @@ ABLATIONS: dict[str, Ablation] = {
     "scale": Ablation(
         "Scale of the object",
         "known",
-        (Setting("known", change=ScaleKnown()), Setting("free", change=ScaleFree())),
+        (
+            Setting("known", change=ScaleKnown()),
+            Setting("free", change=ScaleFree()),
+            *(
+                Setting(f"free, depth {level}", change=Several((SimulatedDepth(level), ScaleFree())))
+                for level in ("mono", "realsense")
+            ),
+        ),
     ),
     "sca": Ablation(
         "Definition of contact: whose points, and at which distance",

@@ -223,7 +223,7 @@ def clips_csv_rows(scores: Sequence[Scores], variants: Sequence[Variant]) -> lis
     keys = list(dict.fromkeys(key for clip in scores for score in clip.scores for key in score.metrics))
     about = (
         "clip", "category", "subject", "method", "setting", "seconds", "energy", "ambiguous", "probability_right",
-        "probability_right_in_camera", "findings", "status",
+        "probability_right_in_camera", "keep", "keep_in_camera", "findings", "status",
     )  # fmt: skip
     lines: list[list[object]] = [[*about, *keys]]
     for clip in scores:
@@ -233,7 +233,7 @@ def clips_csv_rows(scores: Sequence[Scores], variants: Sequence[Variant]) -> lis
             variant = of[score.variant]
             status = f"failed: {score.status}" if score.failed else score.status
             found = " ".join((*score.serious, *score.noted))
-            probable = [score.probability_right, score.probability_right_in_camera]
+            probable = [score.probability_right, score.probability_right_in_camera, score.keep, score.keep_in_camera]
             how = [score.seconds, score.energy, score.ambiguous, *probable, found, status]
             metrics = [score.metrics.get(key, "") for key in keys]
             what = [clip.name, clip.category, clip.subject, variant.method, variant.step]

@@ -88,6 +88,9 @@ class Score:
     probability_right: float | None = None
     """By its own signs; None where that is not calibrated."""
     probability_right_in_camera: float | None = None
+    keep: float | None = None
+    """Largest share of right results for which it is kept, in the hand."""
+    keep_in_camera: float | None = None
 
 
 @dataclass(frozen=True)
@@ -164,9 +167,10 @@ def _score(variant: Variant, place: Path, record: Json) -> Score:
     keys = ("probability_right", "probability_right_in_camera")
     known = [read_probability(place / "result.json", record[key], key) for key in keys]
     right, in_camera = (None if one is None else one.value for one in known)
+    keep, keep_in_camera = (None if one is None else one.keep for one in known)
     return Score(
         variant.folder, metrics, seconds, energy, record["ambiguous"], record["message"], serious=serious, noted=noted,
-        probability_right=right, probability_right_in_camera=in_camera,
+        probability_right=right, probability_right_in_camera=in_camera, keep=keep, keep_in_camera=keep_in_camera,
     )  # fmt: skip
 
 

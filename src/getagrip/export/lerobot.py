@@ -1,4 +1,4 @@
-"""LeRobot: a dataset, version 3.0, of one episode (https://github.com/huggingface/lerobot).
+"""LeRobot: a dataset, version 3.0, of one episode (https://github.com/huggingface/lerobot); many: ``lerobot_dataset``.
 
 Each frame has the wrist's pose and the 21 joints (``observation.state``) and the object's pose
 (``observation.environment_state``) in a frame that stands still, z up; quaternions are (w, x, y, z). A person gives no
@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Shaped, UInt8
@@ -29,7 +29,6 @@ from getagrip.io.videos import write_video
 
 if TYPE_CHECKING:
     import pyarrow
-from collections.abc import Iterable
 
 VERSION = "v3.0"
 CHUNK, FILE = {"chunk_index": 0, "file_index": 0}, "chunk-{chunk_index:03d}/file-{file_index:03d}"
@@ -38,56 +37,104 @@ VIDEO, CAMERA = "videos/{video_key}/" + f"{FILE}.mp4", "observation.images.camer
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 STATE = [*(f"wrist_{name}" for name in POSE), *(f"{joint}_{axis}" for joint in JOINTS for axis in "xyz")]
 QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
+CHUNK_SIZE = 1000
+"""Files in a folder, one of each episode."""
 MOST_PIXELS = 200_000
 """Most pixels of an image that statistics use: as many as a small image has."""
 
 
+class Episode(NamedTuple):
+    """A scene as LeRobot has it: rows, features and statistics by name, its task in words, and its images."""
+
+    columns: dict[str, Shaped[ndarray, "T ..."]]
+    features: dict[str, object]
+    stats: dict[str, dict[str, Shaped[ndarray, "..."]]]
+    task: str
+    pictures: Pictures | None
+    fps: int
+    stage: Stage
+
+    @staticmethod
+    def of(scene: Scene) -> Episode:
+        """Make it. Raises ``UsageError`` without pyarrow or joints, ``InputError`` for unreadable images."""
+        extras.load("pyarrow", "lerobot")
+        stage, pictures, fps = Stage.of(scene), Pictures.of(scene), rate(scene)
+        columns = _columns(scene, stage)
+        features: dict[str, object] = {
+            name: {"dtype": _dtype(values), "shape": list(values.shape[1:]) or [1], "names": _names(name)}
+            for name, values in columns.items()
+        }
+        stats = {name: statistics(values) for name, values in columns.items() if values.dtype.kind != "U"}
+        if pictures is not None:
+            features[CAMERA], stats[CAMERA] = pictures.feature(fps), image_stats(iter(pictures))
+        task = f"hold the {scene.category} with the {scene.side} hand"
+        return Episode(columns, features, stats, task, pictures, fps, stage)
+
+    def write(self, folder: Path, number: int = 0, begin: int = 0, task: int = 0, clip: str = "") -> dict[str, object]:
+        """Write its files into a dataset, and return its record; ``begin`` is the number of frames before it.
+
+        ``task`` is the number of its task, ``clip`` a name to keep in the record.
+        """
+        place = {"chunk_index": number // CHUNK_SIZE, "file_index": number % CHUNK_SIZE}
+        count = len(self.columns["index"])
+        offsets = {"episode_index": number, "index": begin, "task_index": task}
+        moved = {name: self.columns[name] + offset for name, offset in offsets.items()}
+        columns = self.columns | moved
+        record: dict[str, object] = {
+            "episode_index": number,
+            "tasks": [self.task],
+            "length": count,
+            "dataset_from_index": begin,
+            "dataset_to_index": begin + count,
+            **{f"data/{key}": value for key, value in place.items()},
+            **{f"meta/episodes/{key}": value for key, value in place.items()},
+        }
+        if self.pictures is not None:
+            path = _inside(folder, VIDEO.format(video_key=CAMERA, **place))
+            write_video(path, iter(self.pictures), Fraction(self.fps), self.pictures.size, seek=True)
+            record |= {f"videos/{CAMERA}/{key}": value for key, value in place.items()}
+            record |= {f"videos/{CAMERA}/from_timestamp": 0.0, f"videos/{CAMERA}/to_timestamp": count / self.fps}
+        stats = self.stats | {name: statistics(values) for name, values in moved.items()}
+        record |= {f"stats/{name}/{key}": value for name, of in stats.items() for key, value in of.items()}
+        record |= {"clip": clip} if clip else {}
+        _write_table(_inside(folder, DATA.format(**place)), columns)
+        _write_table(_inside(folder, EPISODES.format(**place)), {key: [_plain(value)] for key, value in record.items()})
+        return record
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """Return the path of a file in a dataset; its folder is made, and is no link."""
+    *folders, last = name.split("/")
+    return files.folder_inside(folder, *folders) / last
+
+
 def write(scene: Scene, folder: Path) -> dict[str, str]:
-    """Write the dataset. Raises ``UsageError`` without pyarrow or joints, ``InputError`` for unreadable images."""
-    extras.load("pyarrow", "lerobot")
-    stage = Stage.of(scene)
-    fps, columns = rate(scene), _columns(scene, stage)
-    features: dict[str, object] = {
-        name: {"dtype": _dtype(values), "shape": list(values.shape[1:]) or [1], "names": _names(name)}
-        for name, values in columns.items()
-    }
-    stats = {name: statistics(values) for name, values in columns.items() if values.dtype.kind != "U"}
-    task = f"hold the {scene.category} with the {scene.side} hand"
-    count = len(scene.frames)
-    episode: dict[str, object] = {
-        "episode_index": 0,
-        "tasks": [task],
-        "length": count,
-        "dataset_from_index": 0,
-        "dataset_to_index": count,
-        **{f"data/{key}": value for key, value in CHUNK.items()},
-        **{f"meta/episodes/{key}": value for key, value in CHUNK.items()},
-    }
-    pictures = Pictures.of(scene)
-    if pictures is not None:
-        path = folder / VIDEO.format(video_key=CAMERA, **CHUNK)
-        path.parent.mkdir(parents=True)
-        write_video(path, iter(pictures), Fraction(fps), pictures.size, seek=True)
-        features[CAMERA] = pictures.feature(fps)
-        stats[CAMERA] = image_stats(iter(pictures))
-        episode |= {f"videos/{CAMERA}/{key}": value for key, value in CHUNK.items()}
-        episode |= {f"videos/{CAMERA}/from_timestamp": 0.0, f"videos/{CAMERA}/to_timestamp": count / fps}
-    episode |= {f"stats/{name}/{key}": value for name, of in stats.items() for key, value in of.items()}
-    _write_table(folder / DATA.format(**CHUNK), columns)
-    _write_table(folder / EPISODES.format(**CHUNK), {key: [_plain(value)] for key, value in episode.items()})
-    _write_tasks(folder / "meta" / "tasks.parquet", task)
-    files.write_json(folder / "meta" / "stats.json", stats)
-    files.write_json(folder / "meta" / "info.json", _info(fps, count, features, pictures is not None))
-    video = {} if pictures is None else {VIDEO.format(video_key=CAMERA, **CHUNK): "the images, H.264, at the same fps"}
+    """Write a dataset of one episode. Raises as ``Episode.of`` does."""
+    made = Episode.of(scene)
+    made.write(folder)
+    write_meta(folder, made, [made.task], made.stats, 1, len(scene.frames))
+    video = {VIDEO.format(video_key=CAMERA, **CHUNK): "the images, H.264, at the same fps"} if made.pictures else {}
     return {
-        DATA.format(**CHUNK): f"a row per frame; {stage.words}; quaternions (w, x, y, z); T_a_b row by row; action is "
-        "the next frame's state (a guess: people give no commands)",
+        DATA.format(
+            **CHUNK
+        ): f"a row per frame; {made.stage.words}; quaternions (w, x, y, z); T_a_b row by row; action "
+        "is the next frame's state (a guess: people give no commands)",
         EPISODES.format(**CHUNK): "the one episode, with its statistics; the same units",
         "meta/tasks.parquet": "the task in words, in the same order as task_index",
         "meta/stats.json": "statistics of each feature, in the same units; images from 0 to 1",
         "meta/info.json": "the dataset's features; the same units",
         **video,
     }
+
+
+def write_meta(
+    folder: Path, made: Episode, tasks: Sequence[str], stats: Mapping[str, object], episodes: int, frames: int
+) -> None:
+    """Write what says that all episodes are there: tasks and statistics, then ``info.json``."""
+    _write_tasks(folder / "meta" / "tasks.parquet", tasks)
+    files.write_json(folder / "meta" / "stats.json", stats)
+    info = _info(made.fps, episodes, frames, len(tasks), made.features, made.pictures is not None)
+    files.write_json(folder / "meta" / "info.json", info)
 
 
 def rate(scene: Scene) -> int:
@@ -158,18 +205,20 @@ def _dtype(values: Shaped[ndarray, "T ..."]) -> str:
     return "string" if values.dtype.kind == "U" else str(values.dtype)
 
 
-def _info(fps: int, count: int, features: dict[str, object], has_video: bool) -> dict[str, object]:
+def _info(
+    fps: int, episodes: int, frames: int, tasks: int, features: dict[str, object], has_video: bool
+) -> dict[str, object]:
     return {
         "codebase_version": VERSION,
         "robot_type": "human_hand",
-        "total_episodes": 1,
-        "total_frames": count,
-        "total_tasks": 1,
-        "chunks_size": 1000,
+        "total_episodes": episodes,
+        "total_frames": frames,
+        "total_tasks": tasks,
+        "chunks_size": CHUNK_SIZE,
         "data_files_size_in_mb": 100,
         "video_files_size_in_mb": 200,
         "fps": fps,
-        "splits": {"train": "0:1"},
+        "splits": {"train": f"0:{episodes}"},
         "data_path": DATA,
         "video_path": VIDEO if has_video else None,
         "features": features,
@@ -192,7 +241,7 @@ def _write_table(path: Path, columns: Mapping[str, object], metadata: dict[bytes
     files.write_bytes(path, content.getvalue())
 
 
-def _write_tasks(path: Path, task: str) -> None:
+def _write_tasks(path: Path, tasks: Sequence[str]) -> None:
     """LeRobot reads tasks with pandas, as a table whose index is the task: pandas finds that in the metadata."""
 
     def about(name: str, kind: str, numpy_type: str) -> dict[str, object]:
@@ -200,7 +249,9 @@ def _write_tasks(path: Path, task: str) -> None:
 
     columns = [about("task_index", "int64", "int64"), about("task", "unicode", "object")]
     pandas = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.0.0"}
-    _write_table(path, {"task_index": [0], "task": [task]}, {b"pandas": json.dumps(pandas).encode()})
+    _write_table(
+        path, {"task_index": list(range(len(tasks))), "task": list(tasks)}, {b"pandas": json.dumps(pandas).encode()}
+    )
 
 
 def _plain(value: object) -> object:

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit
 from numpy import ndarray
 
 from getagrip.clip import FINGERS, HandTrack
+from getagrip.compiling import kernel
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.kernels.closest import FaceGrid, screen, signed_distance
-from getagrip.kernels.silhouette import OPTIONS
 
 MARGIN = 0.03
 """Margin around the object within which contact is computed [m]."""
@@ -24,7 +23,7 @@ def solid(mesh: Mesh, centre: Float[ndarray, "3"]) -> FaceGrid:
     return FaceGrid.of(mesh.vertices[mesh.faces] - centre, margin=MARGIN)
 
 
-@njit(**OPTIONS)
+@kernel("f2 f3 f3 n3 f3 f1 f")
 def distances(points, corners, normals, face, distance, origin, spacing):
     """Compute the unsigned distance of points (P, 3) in the frame of a ``FaceGrid`` to its mesh [m].
 
@@ -41,7 +40,7 @@ def distances(points, corners, normals, face, distance, origin, spacing):
         else:
             squared = 0.0
             for k in range(3):
-                squared += max(origin[k] - local[p, k], local[p, k] - last[k], 0.0) ** 2
+                squared += max(max(origin[k] - local[p, k], local[p, k] - last[k]), 0.0) ** 2
             out[p] = MARGIN + np.sqrt(squared)
     return out
 
@@ -93,7 +92,7 @@ def spread_points(points: Float[ndarray, "P 3"], wanted: int) -> Int[ndarray, "n
     return np.sort(chosen)
 
 
-@njit(**OPTIONS)
+@kernel()
 def add_height(d, tolerance, m0, m1, m2, x, y, z, R, centre, scale, weight, delta, g, H):
     """Add ``weight |scale d + tolerance|`` to the normal equations, d the height of a hand point over the object.
 
@@ -117,7 +116,7 @@ def add_height(d, tolerance, m0, m1, m2, x, y, z, R, centre, scale, weight, delt
             H[i, j] += h * a[i] * a[j]
 
 
-@njit(**OPTIONS)
+@kernel()
 def nearest_points(queries, points, begin, end, squared, nearest):
     """Find for each query (3, V) the nearest point (3, Q) from ``begin`` to ``end``: index and squared distance (V,).
 
@@ -136,7 +135,7 @@ def nearest_points(queries, points, begin, end, squared, nearest):
             squared[v] = d if nearer else squared[v]
 
 
-@njit(**OPTIONS)
+@kernel()
 def add_plane(slope, curvature, a, g, H):
     """Add ``slope a`` to g (7,) and ``curvature a a^T`` to the upper half of H (7, 7)."""
     for i in range(7):
@@ -145,7 +144,7 @@ def add_plane(slope, curvature, a, g, H):
             H[i, j] += curvature * a[i] * a[j]
 
 
-@njit(**OPTIONS)
+@kernel()
 def mirror_upper(H):
     """Copy the upper half of a square matrix to its lower half."""
     for i in range(1, H.shape[0]):

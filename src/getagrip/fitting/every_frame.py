@@ -20,7 +20,7 @@ from getagrip.fitting.motion import Frozen, Motion, PosesInHand, interpolated, p
 from getagrip.fitting.predicted_silhouette import NeighbourPrediction
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.solve import minimise
-from getagrip.geometry import se3
+from getagrip.fitting.solved_hand import hand_between
 from getagrip.result import FrameKind
 
 CHUNK = 30
@@ -70,7 +70,8 @@ def at_every_frame(clip: Clip, problem: Problem, found: MethodResult, track: Tra
     Masks that the clip does not have in memory are read from its folder, a few at a time.
     """
     sampled = clip.index_of(problem.clip.frames)
-    clip = clip.with_hand_at(hand_everywhere(clip.hand.T_cam_hand, problem, sampled))
+    if problem.trust.hand_refined:
+        clip = clip.with_hand_at(hand_between(clip.hand.T_cam_hand, problem.clip.hand.T_cam_hand, sampled))
     T, K, scale = len(clip), len(track.T_hand_obj), float(found.poses.scale[0])
     kind: list[FrameKind] = ["interpolated"] * T
     outliers = list(problem.trust.outliers)
@@ -128,20 +129,6 @@ def own_fit(problem: Problem, found: MethodResult, sampled: Int[ndarray, "n"], i
             terms = energy(level, everywhere)
             motion = minimise(motion, terms, problem.clip.hand.T_cam_hand, iterations).motion
     return motion.core
-
-
-def hand_everywhere(
-    T_input: Float[ndarray, "T 4 4"], problem: Problem, sampled: Int[ndarray, "n"]
-) -> Float[ndarray, "T 4 4"] | None:
-    """Return the hand of every frame: where it was refined, by interpolating the refinement of the sampled frames."""
-    if not problem.trust.hand_refined:
-        return None
-    corrected = problem.clip.hand.T_cam_hand
-    C = (se3.inverse(T_input[sampled]) @ corrected)[None]
-    between = interpolated(PosesInHand(C[..., :3, :3], C[..., :3, 3], np.ones(1)), sampled, np.arange(len(T_input)))
-    T_cam_hand = T_input @ se3.rigid(between.R[0], between.centre[0])
-    T_cam_hand[sampled] = corrected
-    return np.asarray(T_cam_hand)
 
 
 def _others(clip: Clip, problem: Problem, sampled: Int[ndarray, "n"]) -> Iterator[tuple[Int[ndarray, "m"], Problem]]:

@@ -70,7 +70,7 @@ def _search(prepared: Prepared, clock: Clock) -> Found:
             problem, found = fit_without_outliers(problem, lambda some: method.fit(some, clock))
         else:
             found = method.fit(problem, clock)
-            problem = problem.warped(found.warp)
+            problem = problem.as_found(found)
     except InputError:
         raise
     except GetagripError as error:
@@ -98,6 +98,7 @@ def _fit_all_frames(prepared: Prepared, found: Found, clock: Clock) -> Answer:
         hand_moved=problem.trust.hand_refined or bool(source.glitches and source.glitches.frames),
         T_cam_other_hand=None,
         notes=problem.notes,
+        hand=result.hand,
     )
 
 
@@ -107,7 +108,8 @@ def _judge(prepared: Prepared, found: Found, answer: Answer) -> Judgement:
     solved = solved_of(source.clip, found.problem, found.result, found.sampled, answer.track)
     checks, after = examine(result_checks(), solved)
     findings, signs = (*prepared.findings, *after), read_signs(solved)
-    right = probabilities(source.clip, source.options, signs, findings, found.result.terms)
+    of_energy = found.result.terms, found.result.energy
+    right = probabilities(source.clip, source.options, signs, findings, *of_energy)
     return Judgement(prepared.checks | checks, findings, signs, right)
 
 

@@ -13,28 +13,34 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip import least_squares
 from getagrip.clip import Clip, Masks
 from getagrip.clip.sampling import frame_indices
-from getagrip.fitting.hand_errors import RIGID
+from getagrip.fitting.hand_errors import RIGID, HandErrors
+from getagrip.fitting.hand_fit import AssumedErrors, HandFit
 from getagrip.fitting.hand_silhouette import HandSilhouette
+from getagrip.fitting.seen_joints import SeenJoints
 from getagrip.geometry import se3
-from getagrip.least_squares import Arrow
 
 PIXEL = 0.03
 """Weight of a pixel against the prior: thirty of them, side by side along a contour, are as much as one fact."""
-BIAS = np.repeat([0.08, 0.008, 0.01, 0.2], [3, 3, 1, 15])
+BIAS = np.repeat([0.14, 0.008, 0.01, 0.2], [3, 3, 1, 15])
 """Assumed standard deviations of the errors that all frames share: turn about each axis [rad], shift along each [m],
-logarithm of the size, bend of each finger joint [rad]. They are no tracker's in particular."""
-JITTER = np.repeat([0.03, 0.003, 0.003, 0.1], [3, 3, 1, 15])
-"""Those of each frame's own errors; neighbouring frames are taken as independent."""
+logarithm of the size, bend of each finger joint [rad]. They are those of estimates from images (docs/datasets.md),
+but for the size, without which nothing tells the distance."""
+JITTER = np.repeat([0.08, 0.006, 0.003, 0.1], [3, 3, 1, 15])
+"""Those of each frame's own errors, likewise, outliers among them; neighbouring frames are taken as independent."""
+ASSUMED = AssumedErrors(BIAS, JITTER, PIXEL)
 WORTH = 0.01
 """Share of the hand's visible pixels that a refinement must correct; less is noise of masks."""
 AGREE = 0.4
 """Share of them that may still differ afterwards; otherwise the mask is another hand's."""
+SUSPICIOUS, CONTRADICTED = 0.12, 0.05
+"""Joints with which more than the first share of the pixels differ are left out, if without them fewer do, by the
+second: they are another hand's, or another camera's."""
 STEPS = 10, 8, 3
 """Iterations: without bends; with them, at some of the frames; at all of them."""
 FEW = 10
@@ -51,6 +57,10 @@ class HandRefinement:
         moved: mean distance of the hand's middle from where it was given [m].
         before, after: share of the hand's seen pixels that differed from its silhouette, and that still do.
         grown: by how much its masks were grown before, since they are too small all round [px of a crop of 128].
+        seen: the hand as it was given, its pixels, and how errors move it.
+        shared: (P,) the errors that all frames share (``HandErrors``).
+        own: (N, P) those of each frame.
+        joints: its joints as they were seen; None where they are not known.
     """
 
     T_cam_hand: Float[ndarray, "N 4 4"]
@@ -59,100 +69,115 @@ class HandRefinement:
     before: float
     after: float
     grown: float
+    seen: HandSilhouette = field(repr=False)
+    shared: Float[ndarray, "P"] = field(repr=False)
+    own: Float[ndarray, "N P"] = field(repr=False)
+    joints: SeenJoints | None = field(repr=False)
+
+    def take(self, index: Int[ndarray, "n"]) -> HandRefinement:
+        """Return the refinement at some of its frames."""
+        return replace(
+            self, T_cam_hand=self.T_cam_hand[index], seen=self.seen.take(index), own=self.own[index],
+            joints=self.joints and self.joints.take(index),
+        )  # fmt: skip
+
+    @property
+    def bent(self) -> HandErrors:
+        """The hand where it was given, its fingers bent as its evidence says, and its rigid errors."""
+        errors, x = self.seen.errors, self.shared + self.own
+        x[:, :RIGID] = 0.0
+        vertices, joints = errors.surface(x)
+        return replace(errors, tracked=replace(errors.tracked, vertices=vertices, joints=joints), weights=None)
 
     def __str__(self) -> str:
+        told = f"{100 * self.before:.0f} % of its pixels differed, {100 * self.after:.0f} % still do"
         grown = f" (grown by {self.grown:.1f} px: its masks are too small on all sides)" if self.grown else ""
+        by = " and ".join(["pixels"] * (not np.isnan(self.before)) + ["joints"] * (self.joints is not None))
         return (
-            f"the hand was refined against its own pixels{grown}: "
-            f"turned by {np.degrees(self.turned):.1f} degrees and moved by {1e3 * self.moved:.1f} mm on average; "
-            f"{100 * self.before:.0f} % of its pixels differed, {100 * self.after:.0f} % still do"
+            f"the hand was refined against its own {by}{grown}: turned by {np.degrees(self.turned):.1f} degrees and "
+            f"moved by {1e3 * self.moved:.1f} mm on average" + ("" if np.isnan(self.before) else f"; {told}")
         )
 
 
 def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[HandRefinement | None, float]:
-    """Refine a clip's hand against its silhouette; also return the share of its visible pixels that still differ.
+    """Refine a clip's hand by silhouette and 2D joints; also return the share of its visible pixels that still differ.
 
-    There is no correction where its pixels are not known (the share is NaN) or ask for none, and where it cannot be
-    made to agree with them: then they are not this hand's, or it is too far off. Pixels of the hand are those of
-    ``masks.hand``, else the ignored ones near the given hand. Where masks leave gaps (``mask_gaps``) the hand's may be
-    too small all round, and are grown first.
+    There is no correction where neither is known (without pixels the share is NaN), where its pixels ask for none, and
+    where it cannot be made to agree with them: then they are not this hand's, or it is too far off. Pixels of the hand
+    are those of ``masks.hand``, else the ignored ones near the given hand. Where masks leave gaps (``mask_gaps``) the
+    hand's may be too small all round, and are grown first.
     """
-    seen = HandSilhouette.of(clip, masks)
-    if seen.mask.pixels == 0:
+    seen, joints = HandSilhouette.of(clip, masks), SeenJoints.of(clip, masks)
+    if seen.mask.pixels == 0 and joints is None:
         return None, float("nan")
     unrefined = np.zeros((len(clip), RIGID))
-    before = seen.differing(unrefined) / seen.mask.pixels
-    if not np.isfinite(before):  # it goes behind the camera, and has no silhouette
+    before = seen.share(unrefined)
+    if np.isinf(before):  # it goes behind the camera, and has no silhouette
         return None, 1.0
-    if have_gaps:
+    if have_gaps and seen.mask.pixels:
         seen = seen.with_masks_grown(unrefined)
-        before = seen.differing(unrefined) / seen.mask.pixels
+        before = seen.share(unrefined)
     if before < WORTH:
         return None, before
-    found = _fitted(seen.with_field, unrefined)
-    after = found.pixels / seen.mask.pixels
-    if after > AGREE or before - after < WORTH:
+    seen = seen.with_field
+    found, after = _fitted(_SeenHand(seen, joints), unrefined)
+    if joints is not None and after > SUSPICIOUS:
+        by_pixels, alone = _fitted(_SeenHand(seen, None), unrefined)
+        if after - alone > CONTRADICTED:
+            joints, found, after = None, by_pixels, alone
+    if after > AGREE or (before - after < WORTH and joints is None):
         return None, before
-    T, T_input, middle = found.T_cam_hand, clip.hand.T_cam_hand, seen.errors.middle[None]
+    T, T_input, middle = seen.errors.T_cam_hand(found.errors), clip.hand.T_cam_hand, seen.errors.middle[None]
     turned = se3.angle_between(T[:, :3, :3], T_input[:, :3, :3])
     moved = np.linalg.norm(se3.transform(T, middle) - se3.transform(T_input, middle), axis=-1)
-    return HandRefinement(T, float(turned.mean()), float(moved.mean()), before, after, seen.mask.grown), after
-
-
-def _fitted(seen: HandSilhouette, unrefined: Float[ndarray, "N P"]) -> _Fit:
-    """Minimise the cost: first by rigid errors alone, since bends, too, could explain a hand that is turned."""
-    rigid, few, all_frames = STEPS
-    found = least_squares.minimise(_Fit.of(seen, unrefined), rigid).state
-    seen = seen.with_bends
-    if seen.errors.weights is None:
-        return found
-    spare = seen.errors.size - RIGID
-    shared, own = np.pad(found.shared, (0, spare)), np.pad(found.own, ((0, 0), (0, spare)))
-    index = frame_indices(len(own), FEW)
-    some = least_squares.minimise(_Fit.of(seen.take(index), own[index], shared), few).state
-    return least_squares.minimise(_Fit.of(seen, own, some.shared), all_frames).state
+    seen = seen if found.own.shape[1] == RIGID else seen.with_bends
+    how = float(turned.mean()), float(moved.mean()), before, after, seen.mask.grown
+    return HandRefinement(T, *how, seen, found.shared, found.own, joints), after
 
 
 @dataclass(frozen=True)
-class _Fit:
-    """Errors, and all that is known about them (``least_squares.State``, of one problem)."""
+class _SeenHand:
+    """The hand's silhouette and, where they are known, its joints."""
 
-    seen: HandSilhouette
-    shared: Float[ndarray, "P"]
-    own: Float[ndarray, "N P"]
-    value: Float[ndarray, "N"] = field(repr=False)
-    g: Float[ndarray, "N P"] = field(repr=False)
-    H: Float[ndarray, "N P P"] = field(repr=False)
-
-    @staticmethod
-    def of(seen: HandSilhouette, own: Float[ndarray, "N P"], shared: Float[ndarray, "P"] | None = None) -> _Fit:
-        """Evaluate the cost at some errors."""
-        shared = np.zeros(own.shape[1]) if shared is None else shared
-        return _Fit(seen, shared, own, *seen(shared + own))
+    silhouette: HandSilhouette
+    joints: SeenJoints | None
 
     @property
-    def pixels(self) -> float:
-        """How many differ, in all frames."""
-        return float(self.value.sum())
+    def with_bends(self) -> _SeenHand:
+        return replace(self, silhouette=self.silhouette.with_bends)
 
-    @property
-    def T_cam_hand(self) -> Float[ndarray, "N 4 4"]:
-        return self.seen.errors.T_cam_hand(self.shared + self.own)
+    def take(self, index: Int[ndarray, "n"]) -> _SeenHand:
+        return _SeenHand(self.silhouette.take(index), self.joints and self.joints.take(index))
 
-    @property
-    def cost(self) -> Float[ndarray, "1"]:
-        P = len(self.shared)
-        prior = np.sum((self.shared / BIAS[:P]) ** 2) + np.sum((self.own / JITTER[:P]) ** 2)
-        return np.array([PIXEL * self.pixels + 0.5 * prior])
+    def __call__(
+        self, x: Float[ndarray, "N P"]
+    ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]:
+        """Differing pixels of each frame, and what its joints cost in pixels; with derivatives."""
+        found = self.silhouette(x)
+        if self.joints is None:
+            return found
+        joints = self.joints.rigid if x.shape[1] == RIGID else self.joints
+        value, g, H = (a + b / PIXEL for a, b in zip(found, joints(x), strict=True))
+        return value, g, H
 
-    def trial(self, active: Int[ndarray, "n"], damping: Float[ndarray, "n"]) -> _Fit:
-        P = len(self.shared)
-        bias, jitter = BIAS[:P] ** -2.0, JITTER[:P] ** -2.0
-        arrow = Arrow.of(PIXEL * self.H[None], self.g[None], slice(P), slice(P))
-        arrow = replace(arrow, g_s=PIXEL * arrow.g_s, g_l=PIXEL * arrow.g_l)
-        arrow = arrow.plus(np.diag(bias), bias * self.shared, np.diag(jitter), jitter * self.own)
-        shared, own = arrow.step(damping)
-        return _Fit.of(self.seen, self.own + own[0], self.shared + shared[0])
 
-    def accept(self, trial: _Fit, active: Int[ndarray, "n"], better: Bool[ndarray, "n"]) -> _Fit:
-        return trial if better.all() else self
+def _fitted(seen: _SeenHand, unrefined: Float[ndarray, "N P"]) -> tuple[HandFit, float]:
+    """Return the fit, and the share of the hand's pixels that still differ; NaN where none is seen."""
+    found, silhouette = _minimised(seen, unrefined), seen.silhouette
+    if found.own.shape[1] > RIGID:
+        silhouette = silhouette.with_bends
+    return found, silhouette.share(found.errors)
+
+
+def _minimised(seen: _SeenHand, unrefined: Float[ndarray, "N P"]) -> HandFit:
+    """Minimise the cost: first by rigid errors alone, since bends, too, could explain a hand that is turned."""
+    rigid, few, all_frames = STEPS
+    found = least_squares.minimise(HandFit.of(seen, ASSUMED, unrefined), rigid).state
+    seen = seen.with_bends
+    if seen.silhouette.errors.weights is None:
+        return found
+    spare = seen.silhouette.errors.size - RIGID
+    shared, own = np.pad(found.shared, (0, spare)), np.pad(found.own, ((0, 0), (0, spare)))
+    index = frame_indices(len(own), FEW)
+    some = least_squares.minimise(HandFit.of(seen.take(index), ASSUMED, own[index], shared), few).state
+    return least_squares.minimise(HandFit.of(seen, ASSUMED, own, some.shared), all_frames).state

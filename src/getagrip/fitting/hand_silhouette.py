@@ -14,7 +14,7 @@ from getagrip.clip import Clip, HandTrack, Masks
 from getagrip.fitting.hand_errors import HandErrors
 from getagrip.fitting.observation import signed_distance
 from getagrip.geometry import se3
-from getagrip.geometry.camera import crops_of_boxes, project
+from getagrip.geometry.camera import Crops, crops_of_boxes, project
 from getagrip.geometry.mesh import edge_table
 from getagrip.io.packed_masks import PackedMasks
 from getagrip.kernels.contour import DISTANCE, NX, NY, WEIGHT, U, V, Z
@@ -61,8 +61,7 @@ class HandMask:
     @staticmethod
     def of(clip: Clip, masks: Masks) -> HandMask:
         """Make the mask of a clip's hand, without field; without hand masks, of the ignored pixels near it."""
-        uv = project(clip.K, se3.transform(clip.hand.T_cam_hand, clip.hand.vertices))
-        crops = crops_of_boxes(np.concatenate([uv.min(axis=1), uv.max(axis=1)], axis=1), EXPAND, SIZE)
+        crops = hand_crops(clip)
         K = crops.intrinsics(clip.K)
         # The border of the object's mask is the object's or the hand's: nobody knows to a pixel.
         grown = (cv2.dilate(m.view(np.uint8), np.ones((3, 3), np.uint8)).view(bool) for m in masks.object)
@@ -174,6 +173,10 @@ class HandSilhouette:
         in_camera = se3.transform(self.errors.T_cam_hand(x), self.errors.surface(x)[0])
         return float(_contours(in_camera, self.errors.tracked, self.edges, self.mask, 0)[0].sum())
 
+    def share(self, x: Float[ndarray, "N P"]) -> float:
+        """Return which share of the hand's seen pixels differ from its silhouette; NaN where none is seen."""
+        return self.differing(x) / self.mask.pixels if self.mask.pixels else float("nan")
+
     def __call__(
         self, x: Float[ndarray, "N P"]
     ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]:
@@ -190,6 +193,12 @@ class HandSilhouette:
         depth = -(nx * (points[:, U] - cx) + ny * (points[:, V] - cy))
         along = np.stack([nx * fx, ny * fy, depth], axis=-1)
         return HandContour(value, points[:, WEIGHT], points[:, DISTANCE], nearest, along)
+
+
+def hand_crops(clip: Clip) -> Crops:
+    """Return the crops about a clip's hand."""
+    uv = project(clip.K, se3.transform(clip.hand.T_cam_hand, clip.hand.vertices))
+    return crops_of_boxes(np.concatenate([uv.min(axis=1), uv.max(axis=1)], axis=1), EXPAND, SIZE)
 
 
 def _contours(

@@ -15,16 +15,24 @@ from getagrip.geometry import camera, se3
 
 
 def initial_poses(
-    clip: Clip, masks: Masks, inits: int, seed: int = 0, poses: Float[ndarray, "k 4 4"] | None = None
+    clip: Clip,
+    masks: Masks,
+    inits: int,
+    seed: int = 0,
+    poses: Float[ndarray, "k 4 4"] | None = None,
+    usual: Float[ndarray, "u 3 3"] | None = None,
 ) -> Fixed:
     """Return B = ``inits`` poses: the first of ``poses`` (``T_hand_obj``), then rotations spread uniformly over SO(3).
+
+    ``usual`` rotations come first among the latter, half of them at most.
 
     The latter place the object's centre at ``grip_point``. A free scale is initialised so that the object at that
     place is as large as its masks.
     """
     poses = np.zeros((0, 4, 4)) if poses is None else poses[:inits]
     offset = se3.exp_so3(np.random.default_rng(seed).uniform(-1.0, 1.0, 3)) if seed else np.eye(3)
-    R = offset @ se3.super_fibonacci(inits - len(poses))
+    usual = np.zeros((0, 3, 3)) if usual is None else usual[: (inits - len(poses)) // 2]
+    R = np.concatenate([usual, offset @ se3.super_fibonacci(inits - len(poses) - len(usual))])
     boxes = camera.bounding_boxes(masks.object).astype(float)
     point = grip_point(clip.hand, clip.K, (boxes[:, :2] + boxes[:, 2:]) / 2.0)
     scale = 1.0

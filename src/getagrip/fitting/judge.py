@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
+from typing import get_args
+
+from jaxtyping import Float
+from numpy import ndarray
 
 from getagrip.checks import Solved
 from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.checks.calibration import Where
+from getagrip.checks.keeping import Kind, kind_of
+from getagrip.checks.kept import ESTIMATED, KEEPING
 from getagrip.clip import Clip
 from getagrip.finding import Finding
 from getagrip.fitting.every_frame import Track
@@ -22,8 +28,11 @@ from getagrip.result import Candidates
 
 CHOICES = ("method", "inits", "init", "priors", "priors_only", "thorough", "seed", "frames", "every_frame")
 """Options that leave a calibration valid; it was made with the usual values of all."""
-TERMS = ("total", "mask", "push", "pull", "consistency", "prior")
-"""Names in the energy that was calibrated."""
+TERMS = ("total", "mask", "push", "pull", "consistency", "prior", "hand-mask", "joints-2d", "order", "size", "upright")
+"""Names in the energy that was calibrated; the last three count only for inputs that are assumed, as which kind of
+object it is, of which there were none, so that its probability is carried over to them."""
+UNSOLVED = 0.03
+"""Spread of an object in an estimated hand that was not solved with it [m]: the measured errors (docs/datasets.md)."""
 
 
 def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: Track, whole: Track) -> Solved:
@@ -41,19 +50,36 @@ def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: 
         hand_differing=problem.trust.hand_differing,
         T_cam_hand_input=input_clip.hand.T_cam_hand[input_clip.index_of(problem.clip.frames)],
         misfit=misfit(problem.observation, found.terms["mask"] / len(problem.clip)),
-        spread=pose_spread(problem, found), scale_check=scale_check(problem, found),
+        spread=pose_spread(problem, found), hand_spread=_hand_spread(input_clip, problem, found),
+        scale_check=scale_check(problem, found),
     )  # fmt: skip
 
 
+def _hand_spread(clip: Clip, problem: Problem, found: MethodResult) -> float:
+    """Compute the standard deviation of the object in the hand that the hand's errors leave [m]."""
+    if found.hand is None:
+        return 0.0 if kind_of(clip.provenance) == "measured" else UNSOLVED
+    n, scale = len(problem.clip) // 2, float(found.poses.scale[0])
+    points = scale * problem.surface.points @ found.poses.R[0, n].T + found.poses.centre[0, n]
+    return found.hand.spread(points - problem.clip.hand.vertices.mean(axis=(0, 1)))
+
+
 def probabilities(
-    clip: Clip, options: Options, signs: Mapping[str, float], findings: Sequence[Finding], terms: Iterable[str]
+    clip: Clip,
+    options: Options,
+    signs: Mapping[str, float],
+    findings: Sequence[Finding],
+    terms: Iterable[str],
+    energy: Float[ndarray, "K"],
 ) -> dict[Where, Probability | None]:
     """Compute the probability that a result is right, in the hand and in the camera.
 
-    ``terms`` are those of its energy.
+    ``terms`` are those of its energy, ``energy`` the candidates'.
     """
-    in_hand = probability_right(options, signs, findings, "hand", terms)
-    in_camera = probability_right(options, signs, findings, "camera", terms)
+    kind = kind_of(clip.provenance)
+    in_hand, in_camera = (
+        probability_right(options, signs, findings, where, terms, kind, energy) for where in get_args(Where)
+    )
     # No pixel tells a wrong focal length from another distance.
     guessed = is_assumed(clip.provenance.get("camera"))
     return {"hand": in_hand, "camera": None if guessed else in_camera}
@@ -65,19 +91,24 @@ def probability_right(
     findings: Sequence[Finding],
     where: Where = "hand",
     terms: Iterable[str] = (),
+    kind: Kind = "measured",
+    energy: Float[ndarray, "K"] | None = None,
 ) -> Probability | None:
-    """Compute the probability that a result with such signs is right.
+    """Compute the probability that a result with such signs is right; ``kind`` says how its hands are known.
 
+    With the ``energy`` of its candidates it says for which share of right results it is kept.
     ``findings`` are those about its input and itself.
 
     None where nothing is calibrated (``uncalibrated``).
     """
-    calibration = CALIBRATIONS.get((options.method, where))
+    of_kind = {**CALIBRATIONS, **ESTIMATED} if kind == "estimated" else CALIBRATIONS
+    calibration = of_kind.get((options.method, where))
     if calibration is None or uncalibrated(options, findings, terms):
         return None
     if not signs.keys() >= calibration.weights.keys():  # of a motion of one's own
         return None
-    return calibration.probability(signs)
+    right, keeping = calibration.probability(signs), KEEPING.get((kind, where))
+    return right if keeping is None or energy is None else keeping.applied(right, energy)
 
 
 def uncalibrated(options: Options, findings: Sequence[Finding], terms: Iterable[str] = ()) -> str:

@@ -11,10 +11,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from jaxtyping import Bool
-from numba import njit
 from numpy import ndarray
 
-from getagrip.kernels.silhouette import OPTIONS
+from getagrip.compiling import kernel
 
 WIDEST = 12
 """Widest gap [px of the crop]."""
@@ -51,7 +50,7 @@ def in_gaps(
     return found if area > share * (area + touching) else np.zeros_like(found)
 
 
-@njit(**OPTIONS)
+@kernel("b2 b2 i2 b2")
 def _keep_gaps(observed, hidden, offsets, found):
     """Keep those of the pixels in ``found`` that are in gaps."""
     size = len(found)

@@ -7,8 +7,10 @@ Other evidence of the clip counts beside its masks (``evidence_of``). A method a
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import cache
 
+import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
@@ -18,10 +20,14 @@ from getagrip.fitting.energy import Energy, HandEnergy, HandTerm, InHand, OnHand
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
 from getagrip.fitting.energy.hand_mask import HandMaskTerm
 from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
+from getagrip.fitting.energy.order import HandOrder, OrderTerm, corners_of
 from getagrip.fitting.energy.pull import PullTerm
 from getagrip.fitting.energy.push import PushTerm
-from getagrip.fitting.hand_silhouette import HandSilhouette
+from getagrip.fitting.energy.seen_joints import SeenJointsTerm
+from getagrip.fitting.hand_refinement import PIXEL
+from getagrip.fitting.hand_silhouette import HandSilhouette, hand_crops
 from getagrip.fitting.problem import Problem
+from getagrip.fitting.seen_joints import SeenJoints
 from getagrip.geometry.mesh import decimate
 
 STEP = {64: 1.0, 128: 2.0, 256: 3.0}
@@ -71,6 +77,8 @@ def hand_mask_of(problem: Problem) -> HandEnergy:
 
     @cache
     def seen() -> HandSilhouette:
+        if problem.refinement is not None:
+            return replace(problem.refinement.seen, errors=problem.refinement.bent)
         return HandSilhouette.of(problem.clip, problem.input_masks).with_field
 
     def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[HandTerm]:
@@ -78,6 +86,29 @@ def hand_mask_of(problem: Problem) -> HandEnergy:
         return [HandMaskTerm(some, (problem.observation.K[index, 0] / some.mask.K[:, 0]) ** 2)]
 
     return terms
+
+
+def joints_of(problem: Problem) -> HandEnergy:
+    """Return the reprojection of the hand's joints."""
+
+    @cache
+    def seen() -> tuple[SeenJoints | None, float]:
+        refinement = problem.refinement
+        if refinement is None:
+            return SeenJoints.of(problem.clip, problem.input_masks), energy_of_nat(problem)
+        return refinement.joints and replace(refinement.joints, errors=refinement.bent), energy_of_nat(problem)
+
+    def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[HandTerm]:
+        joints, weight = seen()
+        return [] if joints is None else [SeenJointsTerm(joints.take(index), weight)]
+
+    return terms
+
+
+def energy_of_nat(problem: Problem) -> float:
+    """Compute the energy that weighs as much as a nat of likelihood [px^2 of the object's crop]."""
+    crop = hand_crops(problem.clip).intrinsics(problem.clip.K)[:, 0, 0]
+    return float(np.mean((problem.observation.K[:, 0] / crop) ** 2)) / PIXEL
 
 
 def mask_of(problem: Problem) -> Energy:
@@ -124,6 +155,19 @@ def pull_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
     hands, solid = _contacts(problem), problem.surface.solid
     reach = problem.trust.reach
     return lambda level, index: [InHand(PullTerm(solid, hands[level].take(index), weight[index], reach))]
+
+
+def order_of(problem: Problem) -> Energy:
+    """Return the term of order in depth, by the weight of push, for hands that were lifted and whose pixels are known.
+
+    Other hands are placed by what their estimators know of depth; what push lets through there is small.
+    """
+    masks, weight = problem.input_masks, problem.trust.contact * problem.options.push
+    if not (problem.trust.hand_lifted and weight) or masks.hand is None:
+        return NOTHING
+    corners, (each, _) = corners_of(problem.clip.mesh), contact_weights(problem, weight, 0.0)
+    hand = HandOrder.of(problem.clip.hand, problem.clip.K, masks)
+    return lambda level, index: [InHand(OrderTerm(corners, hand.take(index), each[index]))]
 
 
 def _contacts(problem: Problem) -> dict[int, HandContacts]:

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt64
-from numba import njit
 from numpy import ndarray
 
 from getagrip.clip import Masks
+from getagrip.compiling import kernel
 from getagrip.fitting.mask_gaps import GAP_SHARE, in_gaps
 from getagrip.geometry.camera import Crops, crops_around
-from getagrip.kernels.silhouette import OPTIONS, pack
+from getagrip.kernels.silhouette import pack
 
 CROP = 256
 """Side of the crops [px]: the paper's render_size."""
@@ -146,7 +146,7 @@ def distance_to(target: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:
     return np.sqrt(np.rint(rounded * rounded))  # OpenCV's last bits differ from process to process
 
 
-@njit(**OPTIONS)
+@kernel("b2 b2 s2 f f2")
 def _boundary(observed, valid, field, zoom, targets):
     """Spread the targets over the pixels of the object that touch visible background; unused ones get length 0."""
     size = len(observed)

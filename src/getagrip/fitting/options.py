@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,11 +13,12 @@ from getagrip.errors import UsageError
 from getagrip.fitting.methods import METHODS, method_of
 from getagrip.io.arguments import Flag, meant, parsed, switch
 from getagrip.io.choices import check_values, explained
+from getagrip.io.named import NamedFields
 
 Hands = Literal["corrected", "as-given"]
 MaskUse = Literal["checked", "as-given"]
 MeshUse = Literal["fitted", "as-given"]
-Init = Literal["uniform", "clusters", "priors"]
+Init = Literal["uniform", "clusters", "priors", "poses"]
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,8 @@ class PriorsFile:
     path: Path
     sha256: str = ""
     """Checksum of its content when it was named (``pose_priors.identified``), for the record in results."""
+    first: int | None = None
+    """The number of the first frame's pose, of poses that are counted from another start than the clip's frames."""
 
     @classmethod
     def of(cls, text: str) -> PriorsFile:
@@ -86,7 +89,7 @@ def _methods(default: str) -> str:
 
 @explained
 @dataclass(frozen=True)
-class SearchOptions:
+class SearchOptions(NamedFields):
     """Options that all methods of a comparison share. Raises ``UsageError`` for a value that is not allowed."""
 
     inits: Annotated[int, arg(metavar="N")] = 50
@@ -94,12 +97,13 @@ class SearchOptions:
     slower and find the right pose more often; fewer than 50 may miss it."""
     init: Init = "uniform"
     """Source of the initial rotations. uniform: spread evenly; clusters: from a file that init learn has written;
-    priors: from a folder with a file per category and side, as the paper's authors publish theirs. clusters and priors
-    come first and are filled up with evenly spread ones."""
+    priors: from a folder with a file per category and side, as the paper's authors publish theirs; poses: another
+    system's poses of the clip in each frame, as for evaluate --poses. These come first and are filled up with evenly
+    spread ones."""
     priors: Annotated[
         PriorsFile | None, parsed("PATH", PriorsFile.of, PriorsFile), arg(metavar="PATH", help_behavior_hint="")
     ] = None
-    """The file of --init clusters, or the folder of --init priors."""
+    """The file of --init clusters, the folder of --init priors, or the file or folder of --init poses."""
     priors_only: Flag = False
     """Use only the poses of --priors, at most --inits of them, without evenly spread ones. The paper does so. A clip
     fails if --priors has no pose for its category and side."""
@@ -125,13 +129,13 @@ class SearchOptions:
             raise UsageError(f"seed must be 0 or more (got {self.seed})")
         if self.init == "uniform" and (self.priors is not None or self.priors_only):
             which = "--priors" if self.priors is not None else "--priors-only"
-            raise UsageError(f"{which} cannot be used with --init uniform, only with --init clusters or priors")
+            raise UsageError(f"{which} cannot be used with --init uniform, only with --init clusters, priors or poses")
         if self.init != "uniform" and self.priors is None:
             raise UsageError(f"missing --priors: --init {self.init} needs a file or folder")
         if self.priors is not None and not self.priors.sha256:
             from getagrip.fitting.pose_priors import identified
 
-            object.__setattr__(self, "priors", identified(self.priors.path, self.init))
+            object.__setattr__(self, "priors", replace(self.priors, sha256=identified(self.priors.path, self.init)))
 
 
 @explained

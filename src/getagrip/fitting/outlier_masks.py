@@ -15,6 +15,7 @@ import numpy as np
 from getagrip.fitting.image_iou import Overlap
 from getagrip.fitting.predicted_silhouette import NeighbourPrediction
 from getagrip.fitting.problem import MethodResult, Problem
+from getagrip.fitting.solved_hand import hand_between
 
 FITS = 4
 """Most fits, the first one with all masks."""
@@ -36,8 +37,11 @@ def fit_without_outliers(problem: Problem, fit: Callable[[Problem], MethodResult
     for _ in range(FITS - 1):
         if len(used) < FEWEST:
             break
-        predicted = NeighbourPrediction.by(some.warped(found.warp), found.poses, used)
-        met = predicted.overlap(problem.warped(found.warp), everywhere)
+        solved = some.as_found(found)
+        predicted = NeighbourPrediction.by(solved, found.poses, used)
+        T = hand_between(problem.clip.hand.T_cam_hand, solved.clip.hand.T_cam_hand, used)
+        whole = replace(problem, clip=problem.clip.with_hand_at(T)) if found.hand else problem
+        met = predicted.overlap(whole.warped(found.warp), everywhere)
         limit = outlier_threshold(met)
         inliers = np.flatnonzero(met.differing <= limit)
         if np.array_equal(inliers, used):
@@ -46,7 +50,7 @@ def fit_without_outliers(problem: Problem, fit: Callable[[Problem], MethodResult
         some = problem.at(problem.clip.take(used))
         found = fit(some)
     names = tuple(name for n, name in enumerate(problem.clip.frames) if n not in used)
-    some = some.warped(found.warp)
+    some = some.as_found(found)
     return replace(some, trust=replace(some.trust, outliers=names, outlier_threshold=limit)), found
 
 

@@ -20,10 +20,12 @@ from getagrip.checks import LEAST_IOU
 from getagrip.checks.calibration import Where
 from getagrip.checks.evidence import Glitches
 from getagrip.clip import Clip, Masks, check_clip, check_masks, with_masks
+from getagrip.compiling import WORDS, compile_once
 from getagrip.errors import UsageError
 from getagrip.finding import Finding
 from getagrip.fitting.every_frame import Track
 from getagrip.fitting.options import Options
+from getagrip.fitting.solved_hand import SolvedHand
 from getagrip.fitting.tracker_glitches import repair_hand
 from getagrip.geometry.warp import Warp
 from getagrip.probability import Probability
@@ -82,6 +84,7 @@ class Answer:
         hand_moved: whether the hand is elsewhere than the clip has it.
         T_cam_other_hand: (T, 4, 4) poses of a timeline's other hand.
         notes: what is to be known about it.
+        hand: the hand as it was solved with the object; None where it was not.
     """
 
     track: Track
@@ -95,6 +98,7 @@ class Answer:
     hand_moved: bool
     T_cam_other_hand: Float[ndarray, "T 4 4"] | None
     notes: tuple[str, ...]
+    hand: SolvedHand | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -173,6 +177,7 @@ def run(
     if masks is not None:
         check_masks(clip, masks)
         clip = with_masks(clip, masks)
+    compile_once(lambda: progress and progress(WORDS, 0.0))
     with threadpool_limits(1, user_api="blas"):
         clock = Clock(progress, steps.stages)
         source = repair(clip, options, threads)
@@ -226,6 +231,8 @@ def _result(
         options=asdict(options),
         seed=options.seed,
         T_cam_hand=track.T_cam_hand if answer.hand_moved else None,
+        hand_covariance=None if answer.hand is None else answer.hand.covariance,
+        hand_energy={} if answer.hand is None else dict(answer.hand.energy),
         T_cam_other_hand=answer.T_cam_other_hand,
         warp=answer.warp,
         notes=(*answer.notes, *guesses.values(), *notes),

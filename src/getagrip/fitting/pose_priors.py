@@ -1,7 +1,8 @@
-"""Pose priors: initial poses of a category, from a file of ``init learn`` or from a folder of the user's.
+"""Initial poses that a user names: of a category (learnt, or a folder), or another system's poses of the clip itself.
 
-A file of version 2 holds the grasps that poses are learnt from. They are clustered when they are used, without those of
-the clip's own subject. One of version 1 holds poses, and is refused for the clips and subjects they were learnt from.
+A file of ``init learn`` of version 2 holds the grasps that poses are learnt from. They are clustered when they are
+used, without those of the clip's own subject. One of version 1 holds poses, and is refused for the clips and subjects
+they were learnt from.
 """
 
 from __future__ import annotations
@@ -29,23 +30,25 @@ from getagrip.fitting.learn_priors import (
 )
 from getagrip.fitting.options import Init, Options, PriorsFile
 from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
 from getagrip.io import arrays, files
 from getagrip.io.terminal import counted
+from getagrip.object_poses.at_frames import place_in, read_poses
+from getagrip.object_poses.files import SUFFIXES
 
 NAMES = ("category", "side", "clips", "subjects")
 """Arrays of names in a file: of version 1 for each pose, each clip and each subject, of version 2 for each grasp."""
 NUMBERS = ("version", "k", "seed", "R", "centre", "mesh_centre", "T_hand_obj")
 SIDES = ("left", "right")
+APART = 0.15
+"""Poses of a track whose surfaces are nearer than this, in diameters, are represented by one."""
 FARTHEST = 2.0
 """Largest plausible distance of an object's origin from that of the hand frame [m]."""
 
 
-def identified(path: Path, init: Init) -> PriorsFile:
-    """Identify the file or folder that a user names for a kind of initial poses, by its checksum.
-
-    Raises ``InputError``.
-    """
-    return PriorsFile(path, files.sha256(_parts(path, init)))
+def identified(path: Path, init: Init) -> str:
+    """Return the checksum of what a user names for a kind of initial poses. Raises ``InputError``."""
+    return files.sha256(_parts(path, init))
 
 
 def poses_for(clip: Clip, options: Options) -> tuple[Float[ndarray, "k 4 4"], tuple[str, ...]]:
@@ -57,6 +60,8 @@ def poses_for(clip: Clip, options: Options) -> tuple[Float[ndarray, "k 4 4"], tu
     """
     if options.priors is None:
         return np.zeros((0, 4, 4)), ()
+    if options.init == "poses":
+        return _of_clip(options.priors, clip, options)
     path, learnt = options.priors.path, _read(options.priors, options.init)
     without = ""
     if isinstance(learnt, LearntGrasps):
@@ -76,6 +81,39 @@ def poses_for(clip: Clip, options: Options) -> tuple[Float[ndarray, "k 4 4"], tu
         return poses, (f"{path.name}{without} has {none}: {more}",)
     whence = "" if priors.clips else ", which does not say what they were learnt from"
     return poses, (f"started from {len(poses)} poses of {path.name}{without}{whence}, and {more}",)
+
+
+def _of_clip(file: PriorsFile, clip: Clip, options: Options) -> tuple[Float[ndarray, "k 4 4"], tuple[str, ...]]:
+    """Return another system's poses of the clip, those alike represented by one. Raises ``InputError``."""
+    _check_unchanged(file, "poses")
+    poses = read_poses(place_in(file.path, clip.name), clip, file.first)
+    T = _representatives(poses.T_hand_obj[poses.found], clip.mesh, options.inits)
+    more = "no others" if options.priors_only else f"{options.inits - len(T)} uniform rotations"
+    count = counted(int(poses.found.sum()), "pose")
+    return T, (f"started from {len(T)} of {count} of {file.path.name}, which represent the others, and {more}",)
+
+
+def _representatives(T: Float[ndarray, "n 4 4"], mesh: Mesh, most: int) -> Float[ndarray, "k 4 4"]:
+    """Choose poses, the most central first, then each time the farthest, until none is ``APART`` from all of them."""
+    points = se3.transform(T, mesh.vertices[:: max(1, len(mesh.vertices) // 50)]) / mesh.diameter
+
+    def distance(n: int) -> Float[ndarray, "n"]:
+        return np.asarray(np.sqrt(np.mean(np.sum((points - points[n]) ** 2, axis=-1), axis=-1)))
+
+    middle = np.median(points, axis=0)
+    chosen = [int(np.argmin(np.sum((points - middle) ** 2, axis=(1, 2))))]
+    nearest = distance(chosen[0])
+    while len(chosen) < most and nearest.max() > APART:
+        chosen.append(int(nearest.argmax()))
+        nearest = np.minimum(nearest, distance(chosen[-1]))
+    return T[chosen]
+
+
+@lru_cache(maxsize=4)
+def _check_unchanged(file: PriorsFile, init: Init) -> None:
+    """Raise ``InputError`` where the content is not what it was when the options were made."""
+    if identified(file.path, init) != file.sha256:
+        raise InputError(file.path, "", "another content than a moment ago", "a file that stays as it is")
 
 
 @lru_cache(maxsize=256)
@@ -99,8 +137,7 @@ def _refuse_own(path: Path, priors: Priors, clip: Clip) -> None:
 @lru_cache(maxsize=4)
 def _read(file: PriorsFile, init: Init) -> Priors | LearntGrasps:
     """Read and check the poses or grasps of a file or folder. Raises ``InputError``."""
-    if identified(file.path, init).sha256 != file.sha256:
-        raise InputError(file.path, "", "another content than a moment ago", "a file that stays as it is")
+    _check_unchanged(file, init)
     return read_learnt(file.path) if init == "clusters" else read_folder(file.path)
 
 
@@ -172,6 +209,12 @@ def read_folder(folder: Path) -> Priors:
 
 def _parts(path: Path, init: Init) -> dict[str, Path]:
     """List the files that a user's choice is made of, by name. Raises ``InputError`` where there are none."""
+    if init == "poses":
+        inside = [path, *sorted(path.glob("*")), *sorted(path.glob("*/*"))]
+        tracks = {str(p.relative_to(path)): p for p in inside if p.is_file() and p.suffix.lower() in SUFFIXES}
+        if not tracks:
+            raise InputError(path, "", "no poses", f"files of poses ({', '.join(SUFFIXES)})")
+        return tracks
     if init == "clusters":
         if not path.is_file():
             raise InputError(path, "", "no such file", "a file that init learn has written")

@@ -24,15 +24,16 @@ from getagrip.clip.occlusion import occluded_by_hand
 from getagrip.fitting import pose_priors
 from getagrip.fitting.contact import MARGIN
 from getagrip.fitting.energy import Energy
-from getagrip.fitting.hand_refinement import refine_hand
+from getagrip.fitting.hand_refinement import HandRefinement, refine_hand
 from getagrip.fitting.mask_gaps import GAP_SHARE
 from getagrip.fitting.motion import Motion, PosesInHand
 from getagrip.fitting.observation import Observation, observe
 from getagrip.fitting.options import WITH_FREE_SCALE, Options
+from getagrip.fitting.solved_hand import SolvedHand
 from getagrip.fitting.surface import ObjectSurface
 from getagrip.geometry.warp import Warp
 from getagrip.io.terminal import counted
-from getagrip.provenance import assumptions
+from getagrip.provenance import assumptions, is_assumed
 from getagrip.result import Axis, Status
 
 CONTACT_IF_FITTED = 4.0
@@ -43,6 +44,11 @@ REACH, REACH_IF_FITTED = 0.01, MARGIN
 fitted mesh may be that much nearer or farther than the object."""
 
 
+LOOSE = 0.2
+"""Factor on what holds the object to the hand's motion where the hand's size is assumed: hands that were lifted from 2D
+turn and move by ten degrees and a centimetre where the true ones rest. Chosen on the phone videos of docs/draft.md."""
+
+
 @dataclass(frozen=True)
 class Trust:
     """The trust in the inputs of a problem.
@@ -51,6 +57,7 @@ class Trust:
         hand_corrected: whether the hand was refined by its own pixels.
         hand_differing: share of the hand's visible pixels that differ from its silhouette; NaN where it is not known.
         hand_drawn: whether the drawn hand stands in for missing ignore masks.
+        hand_lifted: whether the hand was lifted from 2D points, at an assumed size.
         mesh_fitted: whether the mesh was warped to the masks.
         outliers: names of frames with outlier masks, which are left out (``outlier_masks``).
         outlier_threshold: pixels by which a mask may differ from the predicted silhouette.
@@ -59,6 +66,7 @@ class Trust:
     hand_refined: bool = False
     hand_differing: float = np.nan
     hand_drawn: bool = False
+    hand_lifted: bool = False
     mesh_fitted: bool = False
     outliers: tuple[str, ...] = ()
     outlier_threshold: float = np.inf
@@ -67,6 +75,11 @@ class Trust:
     def contact(self) -> float:
         """Factor on the weight of contact."""
         return CONTACT_IF_FITTED if self.mesh_fitted else 1.0
+
+    @property
+    def firmness(self) -> float:
+        """Factor on the stiffness of deviations, and on the weight of contact that stays."""
+        return LOOSE if self.hand_lifted else 1.0
 
     @property
     def reach(self) -> float:
@@ -89,6 +102,7 @@ class Problem:
         notes: dropped frames, guesses, initial poses, what stands in for missing masks.
         threads: number of threads that share the hypotheses of a fit.
         trust: the trust in these inputs.
+        refinement: how the hand was refined by its own pixels, in the problem's frames; None: it was not.
     """
 
     clip: Clip
@@ -100,6 +114,7 @@ class Problem:
     notes: tuple[str, ...]
     threads: int = 1
     trust: Trust = Trust()
+    refinement: HandRefinement | None = None
 
     @property
     def inits(self) -> int:
@@ -123,7 +138,19 @@ class Problem:
         shown = occluded_by_hand(clip, masks) if self.trust.hand_drawn and not masks.say_what_hides else masks
         gap_share = 0.0 if self.observation.has_gaps else 1.0
         observation = observe(shown, clip.K, self.options.occlusion, gap_share)
-        return replace(self, clip=clip, masks=shown, observation=observation)
+        return replace(self, clip=clip, masks=shown, observation=observation, refinement=self._refinement_at(clip))
+
+    def _refinement_at(self, clip: Clip) -> HandRefinement | None:
+        """Return the hand's refinement in the frames of a clip; None in others than the problem's."""
+        if self.refinement is None or not {*clip.frames} <= {*self.clip.frames}:
+            return None
+        return self.refinement.take(self.clip.index_of(clip.frames))
+
+    def with_given_hand(self) -> Problem:
+        """Return the problem with the hand where it was given."""
+        if self.refinement is None:
+            return self
+        return replace(self, clip=self.clip.with_hand_at(self.refinement.seen.errors.tracked.T_cam_hand))
 
     def warped(self, warp: Warp | None) -> Problem:
         """Return the problem with its mesh deformed, where there is a warp, and contact of more weight."""
@@ -133,6 +160,17 @@ class Problem:
         return replace(
             self, clip=clip, surface=ObjectSurface.of(clip.mesh), trust=replace(self.trust, mesh_fitted=True)
         )
+
+    def with_hand(self, hand: SolvedHand) -> Problem:
+        """Return the problem with its hand where it was solved."""
+        trust = replace(self.trust, hand_refined=True, hand_differing=hand.differing)
+        clip = self.clip.with_hand_at(hand.T_cam_hand)
+        return replace(self, clip=clip, notes=(*self.notes, str(hand)), trust=trust)
+
+    def as_found(self, found: MethodResult) -> Problem:
+        """Return the problem with the mesh and the hand that a method has found."""
+        problem = self.warped(found.warp)
+        return problem if found.hand is None else problem.with_hand(found.hand)
 
 
 EnergyOf = Callable[[Problem], Energy]
@@ -153,6 +191,7 @@ class MethodResult:
             where poses are interpolated there.
         energy_of: the energy of that fit.
         warp: what was made of the mesh, where it is not the object's (``shape``); poses and energies are of that.
+        hand: the hand that was solved together with the object; poses are relative to it. None: it is the problem's.
     """
 
     poses: PosesInHand
@@ -163,6 +202,7 @@ class MethodResult:
     motion: Motion | None = None
     energy_of: EnergyOf | None = None
     warp: Warp | None = None
+    hand: SolvedHand | None = None
 
 
 def prepare(clip: Clip, options: Options, threads: int = 1) -> Problem:
@@ -174,15 +214,22 @@ def prepare(clip: Clip, options: Options, threads: int = 1) -> Problem:
     """
     if clip.scale == "free" and not options.as_published:
         options = replace(options, inits=WITH_FREE_SCALE * options.inits)
+    initial = pose_priors.poses_for(clip, options)
     clip = _sampled(clip, options.frames)
     with ThreadPoolExecutor(1) as pool:
         surface = pool.submit(ObjectSurface.of, clip.mesh)  # knows nothing of hands and masks
         if threads == 1:
             wait([surface])
-        return _prepared(clip, options, surface, threads)
+        return _prepared(clip, options, surface, threads, initial)
 
 
-def _prepared(clip: Clip, options: Options, surface: Future[ObjectSurface], threads: int) -> Problem:
+def _prepared(
+    clip: Clip,
+    options: Options,
+    surface: Future[ObjectSurface],
+    threads: int,
+    initial: tuple[Float[ndarray, "k 4 4"], tuple[str, ...]],
+) -> Problem:
     """``prepare`` at the frames that are used."""
     masks, notes = read_masks(clip), []
     if clip.left_out:
@@ -197,20 +244,22 @@ def _prepared(clip: Clip, options: Options, surface: Future[ObjectSurface], thre
     if correction is not None:
         clip = clip.with_hand_at(correction.T_cam_hand)
         notes.append(str(correction))
+        if correction.joints is None and clip.hand.joints_2d is not None and clip.hand.joints is not None:
+            notes.append("2D joints of the hand contradict its pixels, and were left out")
     hand_drawn = options.occlusion and not masks.say_what_hides
     if hand_drawn:
         masks = occluded_by_hand(clip, masks)
         observation = observe(masks, clip.K, options.occlusion, gap_share)
         notes.append("no ignore masks: pixels that the rendered hand covers outside the object's mask count as hidden")
-    poses, of_poses = pose_priors.poses_for(clip, options)
-    notes += of_poses
+    notes += initial[1]
     notes += [f"{topic}: {text}" for topic, text in assumptions(clip.provenance).items()]
     if observation.has_gaps:
         notes.append("masks leave gaps between the object and its occluders: pixels in gaps do not count")
+    lifted = is_assumed(clip.provenance.get("hands_scale"))
     return Problem(
         clip=clip, masks=masks, observation=observation, surface=surface.result(),
-        options=options, prior_poses=poses, notes=tuple(notes), threads=threads,
-        trust=Trust(hand_refined=correction is not None, hand_differing=differing, hand_drawn=hand_drawn),
+        options=options, prior_poses=initial[0], notes=tuple(notes), threads=threads,
+        trust=Trust(correction is not None, differing, hand_drawn, hand_lifted=lifted), refinement=correction,
     )  # fmt: skip
 
 

@@ -85,9 +85,9 @@ class Search:
         """Take a motion at all frames to those of the first stage."""
         return motion.resampled(np.arange(len(self.T_cam_hand)), self.frames(self.schedule.coarse[0]))
 
-    def fine(self, motion: M, energy: Energy) -> Solution[M]:
-        """Run the stages that see all frames; return distinct solutions, best first."""
-        return self._stages(motion, self.schedule.fine, energy)
+    def fine(self, motion: M, energy: Energy, stages: slice = slice(None)) -> Solution[M]:
+        """Run the stages that see all frames, or some of these; return distinct solutions, best first."""
+        return self._stages(motion, self.schedule.fine[stages], energy)
 
     @property
     def coarse_frames(self) -> Int[ndarray, "n"]:

@@ -185,18 +185,45 @@ def _step(
 ) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
     """Solve for the damped Gauss-Newton step of the shared and per-frame parameters, not longer than ``LONGEST``."""
     J_shared, J_local = motion.jacobian()
-    S, prior = J_shared.shape[-1], motion.prior()
-    J = seen_from_camera(J_shared, J_local, T_cam_hand)
-    arrow = Arrow.by(J, S, local.H, local.g, local.cross).plus(H_ll=prior.H, g_l=prior.g, cross=prior.cross)
-    if prior.diagonal_shared is not None:
-        arrow = arrow.plus(H_ss=np.diag(prior.diagonal_shared), g_s=prior.g_shared)
-    shared, per_frame = arrow.step(damping, FLOOR)
+    shared, per_frame = _equations(motion, J_shared, J_local, local, T_cam_hand).step(damping, FLOOR)
     moved = (J_shared @ shared[:, None, :, None] + J_local @ per_frame[..., None])[..., 0]
     if moved.shape[-1] > 7:
         moved = np.concatenate([moved[..., :7], moved[..., 7:14]], axis=1)
     turn, shift = np.linalg.norm(moved[..., 3:6], axis=-1), np.linalg.norm(moved[..., :3], axis=-1)
     shrink = np.minimum(1.0, LONGEST / np.maximum(np.maximum(turn, 10.0 * shift).max(axis=1), 1e-12))
     return shared * shrink[:, None], per_frame * shrink[:, None, None]
+
+
+def _equations(
+    motion: Motion,
+    J_shared: Float[ndarray, "B N P S"],
+    J_local: Float[ndarray, "B N P L"],
+    local: Quadratic,
+    T_cam_hand: Float[ndarray, "N 4 4"],
+) -> Arrow:
+    """Sum the normal equations of the motion's parameters, its own prior among them."""
+    prior, J = motion.prior(), seen_from_camera(J_shared, J_local, T_cam_hand)
+    arrow = Arrow.by(J, J_shared.shape[-1], local.H, local.g, local.cross)
+    arrow = arrow.plus(H_ll=prior.H, g_l=prior.g, cross=prior.cross)
+    if prior.diagonal_shared is None:
+        return arrow
+    return arrow.plus(H_ss=np.diag(prior.diagonal_shared), g_s=prior.g_shared)
+
+
+def inverse_of_shared(
+    motion: Motion, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"], last: int
+) -> Float[ndarray, "n n"]:
+    """Invert the Hessian of the energy by all parameters of the first hypothesis; return the part of the last shared.
+
+    Times twice the energy of one standard deviation it is their covariance.
+    """
+    motion = motion.take(np.zeros(1, int))
+    local = evaluate(motion, terms, T_cam_hand, np.full(1, np.inf)).local
+    arrow = _equations(motion, *motion.jacobian(), local, T_cam_hand)
+    S, L = arrow.g_s.shape[-1], arrow.g_l.shape[-1]
+    arrow = replace(arrow, H_ss=arrow.H_ss + FLOOR * np.eye(S), H_ll=arrow.H_ll + FLOOR * np.eye(L))
+    unit = np.eye(S)[-last:, None]
+    return -np.stack([replace(arrow, g_s=one, g_l=np.zeros_like(arrow.g_l)).solved()[0][0, -last:] for one in unit])
 
 
 def seen_from_camera(

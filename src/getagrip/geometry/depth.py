@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, Int32
-from numba import njit
 from numpy import ndarray
+
+from getagrip.compiling import kernel
 
 NEAR = 0.02
 """Nothing nearer than this is drawn [m]."""
@@ -59,7 +60,7 @@ def interpolated(
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel("f2 i2 n2 f2 f2", fastmath=False)
 def _interpolate(p: ndarray, faces: ndarray, face: ndarray, values: ndarray, out: ndarray) -> None:
     n = 0
     for i in range(face.shape[0]):
@@ -77,7 +78,7 @@ def _interpolate(p: ndarray, faces: ndarray, face: ndarray, values: ndarray, out
             n += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel("f2 i2 s2 n2", fastmath=False)
 def _rasterise(p: ndarray, faces: ndarray, depth: ndarray, face: ndarray) -> None:
     height, width = depth.shape
     for f in range(len(faces)):
@@ -105,7 +106,7 @@ def _rasterise(p: ndarray, faces: ndarray, depth: ndarray, face: ndarray) -> Non
                     face[i, j] = f
 
 
-@njit(cache=True, nogil=True)
+@kernel("f2 i2 b2", fastmath=False)
 def _cover(p: ndarray, faces: ndarray, mask: ndarray) -> None:
     """Mark the pixels that ``_rasterise`` gives a face."""
     height, width = mask.shape
@@ -132,10 +133,10 @@ def _cover(p: ndarray, faces: ndarray, mask: ndarray) -> None:
                     mask[i, j] = True
 
 
-@njit(cache=True, nogil=True)
+@kernel(fastmath=False)
 def _box(p0: ndarray, p1: ndarray, p2: ndarray, width: int, height: int) -> tuple[int, int, int, int]:
     """(left, right, top, bottom) of the pixels a face may cover; the whole image if it comes nearer than ``NEAR``."""
-    nearest, farthest = min(p0[2], p1[2], p2[2]), max(p0[2], p1[2], p2[2])
+    nearest, farthest = min(min(p0[2], p1[2]), p2[2]), max(max(p0[2], p1[2]), p2[2])
     if farthest < NEAR:
         return 0, 0, 0, 0
     if nearest < NEAR:
@@ -143,14 +144,14 @@ def _box(p0: ndarray, p1: ndarray, p2: ndarray, width: int, height: int) -> tupl
     u0, u1, u2 = p0[0] / p0[2], p1[0] / p1[2], p2[0] / p2[2]
     v0, v1, v2 = p0[1] / p0[2], p1[1] / p1[2], p2[1] / p2[2]
     # Clamped before the conversion: far outside the image a float may not fit an integer.
-    left = int(np.floor(min(max(min(u0, u1, u2) - 0.5, 0.0), float(width))))
-    right = int(np.ceil(min(max(max(u0, u1, u2) + 0.5, 0.0), float(width))))
-    top = int(np.floor(min(max(min(v0, v1, v2) - 0.5, 0.0), float(height))))
-    bottom = int(np.ceil(min(max(max(v0, v1, v2) + 0.5, 0.0), float(height))))
+    left = int(np.floor(min(max(min(min(u0, u1), u2) - 0.5, 0.0), float(width))))
+    right = int(np.ceil(min(max(max(max(u0, u1), u2) + 0.5, 0.0), float(width))))
+    top = int(np.floor(min(max(min(min(v0, v1), v2) - 0.5, 0.0), float(height))))
+    bottom = int(np.ceil(min(max(max(max(v0, v1), v2) + 0.5, 0.0), float(height))))
     return left, right, top, bottom
 
 
-@njit(cache=True, nogil=True)
+@kernel(fastmath=False)
 def _edges(p0: ndarray, p1: ndarray, p2: ndarray) -> tuple:
     """Return the rows of the adjugate of [p_0 p_1 p_2], and its determinant, both times the latter's sign.
 

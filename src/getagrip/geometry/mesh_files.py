@@ -15,6 +15,7 @@ from getagrip.geometry.mesh import Mesh, merged
 from getagrip.geometry.obj import obj_content, parse_obj
 from getagrip.geometry.ply import parse_ply
 from getagrip.io import files
+from getagrip.io.named import named
 
 SUFFIXES = (".obj", ".ply", ".stl", ".glb")
 LARGEST, SMALLEST = 2.0, 0.005
@@ -26,6 +27,7 @@ LARGEST_FILE = 128 * 2**20
 """Limit in bytes: parsing takes several times as much memory."""
 
 
+@named
 def read_mesh(path: str | Path) -> Mesh:
     """Read and check a triangle mesh in metres (.obj, .ply, .stl, .glb), placed by the file's own transforms.
 
@@ -127,6 +129,7 @@ def check_size(path: Path, key: str, extent: float, what: str, units: str = "") 
         raise InputError(path, key, got, f"at least {SMALLEST:g} m; is the unit the metre?{units}")
 
 
+@named
 def write_mesh(mesh: Mesh, path: str | Path) -> Path:
     """Write a mesh as .obj, .ply, .stl or .glb, and return its path. Raises ``UsageError`` for other suffixes."""
     path = Path(path)

@@ -10,16 +10,22 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit
 from numpy import ndarray
 
 from getagrip.clip import HandTrack
+from getagrip.compiling import kernel
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import edge_table
 
 _WRIST, _INDEX, _PINKY = 0, 5, 17
 CHAINS = np.arange(1, 21).reshape(5, 4)
 """Joints of each finger, from the palm to the tip."""
+BONE_OF_JOINT = np.zeros((21, 5, 3))
+"""Share by which each joint goes with each of the five fingers' three bones; of vertices: ``finger_weights``."""
+for _k in range(3):
+    BONE_OF_JOINT[CHAINS[:, _k + 1], np.arange(5), _k] = 1.0
+CURLS = np.repeat(np.eye(5)[:, :, None], 3, axis=2)
+"""(5, 5, 3) modes of the fingers: the three joints of one finger bend alike, by 1 rad."""
 _SMOOTHINGS = 4
 
 
@@ -64,7 +70,15 @@ def bent(
     return moved, skeleton
 
 
-@njit(cache=True, nogil=True)
+def bend_derivatives(joints: Float[ndarray, "T 21 3"], axes: Float[ndarray, "T 5 3"]) -> Float[ndarray, "T 21 3 5 3"]:
+    """Differentiate bent joints by the angles of ``bent`` [m/rad]; ``axes``: the ``hinges`` of the joints unbent."""
+    beyond = np.cumsum(BONE_OF_JOINT[..., ::-1], axis=-1)[..., ::-1]
+    arm = joints[:, :, None, None] - joints[:, CHAINS[:, :3]][:, None]
+    moved = np.cross(axes[:, None, :, None], arm) * beyond[..., None]
+    return np.asarray(np.moveaxis(moved, -1, 2))
+
+
+@kernel("f3 f2 f4 f3", fastmath=False)
 def _skin(vertices: ndarray, weights: ndarray, T: ndarray, moved: ndarray) -> None:
     """Vertices (T, V, 3) moved by as much as their weights (V, 15) say of what each bone's pose (T, 15, 4, 4) does."""
     for v in range(vertices.shape[1]):

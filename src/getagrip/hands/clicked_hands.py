@@ -31,6 +31,7 @@ from getagrip.geometry.camera import project
 from getagrip.hands import generic
 from getagrip.hands.descent import Equations, descend
 from getagrip.hands.fit import Chains, joints_and_jacobian, stepped
+from getagrip.hands.hidden_joints import Hiding
 from getagrip.hands.model import KNUCKLES, HandModel, Side, hand_track
 from getagrip.hands.placed_hands import OUTLIER, Clicks, equations, place, turning
 from getagrip.hands.pose_prior import PosePrior
@@ -159,6 +160,8 @@ class Fit(NamedTuple):
     """Standard deviation of each number of the fingers' pose from that of the grasp [rad]."""
     repeats: float = 1.0
     """Frames whose joints are wrong in the same way: their evidence of what frames share counts as that of one."""
+    hiding: Hiding | None = None
+    """Where joints can be that are not seen; None: anywhere."""
 
     def equations(self, guess: Guess) -> Equations:
         """Compute the cost, and per frame J^T J and J^T r of (T_cam_hand step, pose, grasp, shape)."""
@@ -167,6 +170,9 @@ class Fit(NamedTuple):
         J = np.zeros((n, 21, 3, 51 + SHARED + S))
         J[..., :51], J[..., 51 + SHARED :] = J_hand[..., :51], J_hand[..., 51:]
         costs, H, g = equations(self.clicks, guess.T, X, J)
+        if self.hiding is not None:
+            hidden = self.hiding.equations(self.clicks.K, self.clicks.noise, guess.T, X, J)
+            costs, H, g = costs + hidden[0], H + hidden[1], g + hidden[2]
         i = np.arange(45)
         off = (guess.q - guess.grasp).reshape(n, 45) / self.looseness
         for at, sign in ((6, 1.0), (51, -1.0)):

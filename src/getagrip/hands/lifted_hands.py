@@ -4,6 +4,9 @@ A network makes similar errors in similar frames, so its landmarks are not indep
 all frames together count as one. Otherwise they would outweigh the prior on the hand's size, and the hand would shrink
 to a few centimetres in front of the camera. Fingers may move further from their mean pose than in clicked frames,
 within the prior on poses, and the result is smoothed over time.
+
+Where masks are known, landmarks on pixels that show something else than the hand or the object are not used, and the
+joints are kept off these pixels (``hidden_joints``).
 """
 
 from __future__ import annotations
@@ -22,10 +25,13 @@ from getagrip.geometry.camera import project
 from getagrip.hands import generic
 from getagrip.hands.clicked_hands import FEWEST, Fit, Guess, between, check_found, fitted, model_pose
 from getagrip.hands.fit import Chains, joints_and_jacobian
+from getagrip.hands.hidden_joints import Hiding
 from getagrip.hands.model import Side, hand_track
 from getagrip.hands.placed_hands import CLICK_NOISE, Clicks
 from getagrip.hands.pose_prior import PosePrior
 
+LIFTED = "lifted to the generic hand"
+"""Words in the provenance of hands that are made of landmarks alone, and can be made of them again."""
 NOISE = 0.009
 """Standard deviation of a landmark, at the hand [m]."""
 LOOSENESS = 0.3
@@ -58,11 +64,13 @@ def hands_from_landmarks(
     K: Float[ndarray, "3 3"],
     side: Side,
     world: Float[ndarray, "T 21 3"] | None = None,
+    hiding: Hiding | None = None,
+    looseness: float = LOOSENESS,
 ) -> LiftedHands:
     """Fit the hand to landmarks [px], in this package's order.
 
     ``world`` are the landmarks relative to the hand's middle, in the camera's axes [m], if the network estimates them;
-    only their depths are used, with a low weight.
+    only their depths are used, with a low weight. ``hiding`` says, for the T frames, where joints may be.
 
     Raises ``UsageError`` where no frame has ``FEWEST`` landmarks, or no hand looks like them.
     """
@@ -73,12 +81,16 @@ def hands_from_landmarks(
     points_seen = np.where(seen[..., None], points, np.nan)[rows]
     depth = np.full((len(rows), 21), np.nan) if world is None else world[rows, :, 2]
     clicks = _clicks(K, points_seen, confidence[rows], depth)
+    if hiding is not None:
+        hiding = hiding.take(rows)
+        clicks = _without_beside(clicks, hiding)
     model = generic.load(side)
     chains, prior = Chains.of(model), PosePrior.of(model)
 
     def fit(some: Int[ndarray, "k"]) -> Fit:
         part = Clicks(K, *(each[some] for each in clicks[1:]))
-        return Fit(model, chains, prior, part, LOOSENESS, float(len(some)))
+        beside = None if hiding is None else hiding.take(some)
+        return Fit(model, chains, prior, part, looseness, float(len(some)), beside)
 
     keys = _keys(rows, confidence[rows].mean(axis=1))
     found = fitted(fit(keys))
@@ -109,6 +121,13 @@ def _clicks(
     noisy = Clicks.of(K, points)
     noise = noisy.noise * (NOISE / CLICK_NOISE) / np.sqrt(np.clip(confidence, LEAST, 1.0))
     return noisy._replace(noise=noise, depth=depth, depth_known=known)
+
+
+def _without_beside(clicks: Clicks, hiding: Hiding) -> Clicks:
+    """Leave out landmarks beside all pixels that could hide them, except in frames that would have too few."""
+    there = clicks.there & (hiding.at(clicks.y)[0] <= clicks.noise)
+    enough = there.sum(axis=1) >= FEWEST
+    return clicks._replace(there=np.where(enough[:, None], there, clicks.there))
 
 
 def _keys(rows: Int[ndarray, "n"], confidence: Float[ndarray, "n"]) -> Int[ndarray, "k"]:

@@ -67,16 +67,10 @@ def equations(
     clicks: Clicks, T: Float[ndarray, "n 4 4"], X: Float[ndarray, "n 21 3"], J: Float[ndarray, "n 21 3 D"]
 ) -> tuple[Float[ndarray, "n"], Float[ndarray, "n D D"], Float[ndarray, "n D"]]:
     """Compute each frame's cost, J^T J and J^T r, for the derivatives J of the joints X in the hand's axes."""
-    X_cam = se3.transform(T, X)
-    z = np.maximum(X_cam[..., 2], 0.01)  # behind the camera nothing can be fitted; the cost there is large
-    X_cam = np.concatenate([X_cam[..., :2], z[..., None]], axis=-1)
-    r = (project(clicks.K, X_cam) - clicks.y) / clicks.noise[..., None]
+    uv, by_joint = projected(clicks.K, T, X, J)
+    r = (uv - clicks.y) / clicks.noise[..., None]
     weight = clicks.there / (1.0 + np.sum(r * r, axis=-1) / OUTLIER**2)  # of Cauchy's rho, for J^T J
-    fx, fy = clicks.K[0, 0], clicks.K[1, 1]
-    D = np.zeros((*z.shape, 2, 3))
-    D[..., 0, 0], D[..., 0, 2] = fx / z, -fx * X_cam[..., 0] / z**2
-    D[..., 1, 1], D[..., 1, 2] = fy / z, -fy * X_cam[..., 1] / z**2
-    A = (D @ T[:, None, :3, :3] @ J) / clicks.noise[..., None, None]
+    A = by_joint / clicks.noise[..., None, None]
     n, size = len(X), J.shape[-1]
     weighted = (A * weight[..., None, None]).reshape(n, 42, size)
     H = np.swapaxes(weighted, 1, 2) @ A.reshape(n, 42, size)
@@ -85,6 +79,19 @@ def equations(
     if clicks.depth_known.any():
         _add_depths(clicks, T, X, J, costs, H, g)
     return costs, H, g
+
+
+def projected(
+    K: Float[ndarray, "3 3"], T: Float[ndarray, "n 4 4"], X: Float[ndarray, "n 21 3"], J: Float[ndarray, "n 21 3 D"]
+) -> tuple[Float[ndarray, "n 21 2"], Float[ndarray, "n 21 2 D"]]:
+    """Project joints [px], with the derivatives that follow from those of the joints in the hand's axes."""
+    X_cam = se3.transform(T, X)
+    z = np.maximum(X_cam[..., 2], 0.01)  # behind the camera nothing can be fitted; the cost there is large
+    X_cam = np.concatenate([X_cam[..., :2], z[..., None]], axis=-1)
+    D = np.zeros((*z.shape, 2, 3))
+    D[..., 0, 0], D[..., 0, 2] = K[0, 0] / z, -K[0, 0] * X_cam[..., 0] / z**2
+    D[..., 1, 1], D[..., 1, 2] = K[1, 1] / z, -K[1, 1] * X_cam[..., 1] / z**2
+    return project(K, X_cam), D @ T[:, None, :3, :3] @ J
 
 
 def _add_depths(

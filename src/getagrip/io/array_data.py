@@ -14,6 +14,8 @@ from numpy import ndarray
 
 from getagrip.errors import UsageError
 from getagrip.io import files
+from getagrip.io.brief import Brief
+from getagrip.io.named import NamedFields
 from getagrip.io.packed_masks import PackedMasks
 
 KINDS: dict[object, tuple[str, type, str]] = {
@@ -24,7 +26,7 @@ KINDS: dict[object, tuple[str, type, str]] = {
 """Which of numpy's kinds each of jaxtyping's takes, what they are held as, and what errors call them."""
 
 
-class ArrayData:  # noqa: PLW1641 - not hashable, as arrays are not
+class ArrayData(NamedFields, Brief):  # noqa: PLW1641 - not hashable, as arrays are not
     """Base of frozen dataclasses, made with ``eq=False``, whose arrays have jaxtyping's shapes for annotations.
 
     When one is made, numbers of another width are converted (float32 to float64). Any other type or shape raises

@@ -13,6 +13,7 @@ import io
 import json
 import math
 import os
+import re
 import secrets
 import tempfile
 from collections import Counter
@@ -31,6 +32,10 @@ Json = dict[str, Any]
 LARGEST_JSON = 64 * 2**20
 LARGEST_FILE = 2**30
 """Limits in bytes."""
+FORBIDDEN = {*"/\\"} | ({*'<>:"|?*'} if os.name == "nt" else set())
+"""Letters of no name here."""
+DEVICE = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])(\..*)?$", re.IGNORECASE)
+"""Names that Windows opens as devices, in every folder and with any suffix."""
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 """Errors of writing that come without a file's name."""
 
@@ -49,10 +54,11 @@ def plain(text: str) -> str:
 def is_plain_name(name: str) -> bool:
     """Return whether a text can name a file or folder.
 
-    It must be printable, of 1 to 200 bytes, without separators, not hidden and not ``..``.
+    It must be printable, of 1 to 200 bytes, without separators, not hidden and not ``..``. So that a folder can be
+    moved to Windows, it is none of the names of devices there and ends in no dot.
     """
-    plain = name.isprintable() and name == name.strip() and not name.startswith((".", "~")) and not {*"/\\"} & {*name}
-    return plain and 0 < len(name.encode()) <= 200
+    plain = name.isprintable() and name == name.strip() and not name.startswith((".", "~")) and not FORBIDDEN & {*name}
+    return plain and not name.endswith(".") and not DEVICE.match(name) and 0 < len(name.encode()) <= 200
 
 
 def inside(folder: Path, relative: str, key: str, what: str, source: Path | None = None) -> Path:

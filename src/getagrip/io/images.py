@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, UInt8, UInt16
 from numpy import ndarray
 
 from getagrip.errors import InputError
@@ -116,7 +116,14 @@ def write_mask(path: Path, mask: Bool[ndarray, "H W"]) -> None:
     _write(path, mask.astype(np.uint8) * 255, [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE])
 
 
-def _write(path: Path, image: UInt8[ndarray, "H W"] | UInt8[ndarray, "H W 3"], options: list[int]) -> None:
+def write_depth(path: Path, depth: UInt16[ndarray, "H W"]) -> None:
+    """Write a depth image as a 16-bit PNG. Raises ``OSError``."""
+    _write(path, depth, [])
+
+
+def _write(
+    path: Path, image: UInt8[ndarray, "H W"] | UInt8[ndarray, "H W 3"] | UInt16[ndarray, "H W"], options: list[int]
+) -> None:
     import cv2
 
     bgr = image if image.ndim == 2 else np.ascontiguousarray(image[..., ::-1])

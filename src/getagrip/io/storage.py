@@ -195,7 +195,7 @@ class Remote:
         try:
             fs, path = core.url_to_fs(self.url, use_listings_cache=False, **http_store.options(self.url))
         except ImportError as error:
-            advice = f"pip install 'getagrip[{extra}]'" if kind in EXTRAS else "install fsspec's library for it"
+            advice = extras.install(extra) if kind in EXTRAS else "install fsspec's library for it"
             raise UsageError(f"missing library for {kind}:// ({error}), which {self} needs: {advice}") from error
         except ValueError as error:
             known = "those that fsspec knows, such as s3:// and gs://"

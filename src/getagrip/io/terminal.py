@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import io
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Literal
+from functools import partial
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from getagrip.errors import cleaned
 
@@ -15,8 +17,14 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
     from rich.table import Table
 
+Progressed: TypeAlias = Callable[[str, float], None] | bool | None
+"""Progress as public functions take it (``shown_progress``)."""
 PIPE_WIDTH = 200
 """Columns of a pipe, which has no width of its own: enough for every table."""
+
+
+PLAIN_WIDTH = 70
+"""Letters of a line that the next one overwrites."""
 
 
 class Silence(io.TextIOBase):
@@ -59,6 +67,13 @@ def plain_table(
     )  # fmt: skip
 
 
+def _in_notebook() -> bool:
+    """Return whether this runs in a notebook."""
+    from rich.console import Console
+
+    return Console().is_jupyter
+
+
 @contextmanager
 def progress_bar(counted: bool = False) -> Iterator[Progress]:
     """Show a bar on stderr, where that is a terminal; ``counted`` adds the counts and the time left."""
@@ -77,10 +92,11 @@ def progress_bar(counted: bool = False) -> Iterator[Progress]:
     if counted:
         columns += [MofNCompleteColumn(), TextColumn("left"), TimeRemainingColumn()]
     stderr = Console(stderr=True)
+    in_notebook = _in_notebook() and find_spec("ipywidgets") is not None  # rich draws by it there
     with Progress(
         *columns,
         console=stderr,
-        disable=not stderr.is_terminal or isinstance(sys.stdout, Silence),
+        disable=not (stderr.is_terminal or in_notebook) or isinstance(sys.stdout, Silence),
         transient=True,
         redirect_stdout=sys.stdout.isatty(),  # else what is printed would leave a pipe for the terminal
         speed_estimate_period=600.0,  # a clip takes seconds: the default of half a minute holds only a few
@@ -91,6 +107,22 @@ def progress_bar(counted: bool = False) -> Iterator[Progress]:
 def show_stage(bar: Progress, task: TaskID, name: str, stage: str, part: float) -> None:
     """Show how far the clip at work is: its stage in words, and how much of that is done, 0 to 1."""
     bar.update(task, description=cleaned(f"{name}: {stage}"), completed=part)
+
+
+@contextmanager
+def shown_progress(progress: Progressed, name: str) -> Iterator[Callable[[str, float], None] | None]:
+    """Give the function that is called with a stage in words and how much is done, 0 to 1.
+
+    True shows a bar on a terminal or in a notebook; False and None show nothing.
+    """
+    if progress is True and _in_notebook() and find_spec("ipywidgets") is None:
+        yield lambda stage, part: print(f"\r{part:4.0%} {name}: {stage}".ljust(PLAIN_WIDTH), end="", flush=True)
+        print()
+    elif progress is True:
+        with progress_bar() as bar:
+            yield partial(show_stage, bar, bar.add_task(name, total=1.0), name)
+    else:
+        yield progress or None
 
 
 def counted(number: int, thing: str, things: str = "") -> str:

@@ -13,10 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from getagrip.compiling import kernel
 from getagrip.geometry.mesh import same_rows
-from getagrip.kernels.silhouette import OPTIONS
 
 SLACK = 0.867
 """No point of a grid is farther from its nearest node than this many spacings."""
@@ -91,7 +90,7 @@ def pseudonormals(corners: np.ndarray) -> np.ndarray:
     return out
 
 
-@njit(**OPTIONS)
+@kernel()
 def closest_on_face(x, y, z, t, f):
     """Find the point of face f of corners t (F, 3, 3) nearest to a point.
 
@@ -135,13 +134,14 @@ def closest_on_face(x, y, z, t, f):
     return ax + v * abx + w * acx, ay + v * aby + w * acy, az + v * abz + w * acz, 6
 
 
-@njit(**OPTIONS)
+@kernel("f3 f1 f n3 t3 f3 f4")
 def _seed(corners, low, spacing, face, part, squared, point):
     """Give the nodes next to each face their exact nearest point."""
     begin, end = np.empty(3, np.int64), np.empty(3, np.int64)
     for f in range(len(corners)):
         for k in range(3):
-            least, most = corners[f, :, k].min(), corners[f, :, k].max()
+            a, b, c = corners[f, 0, k], corners[f, 1, k], corners[f, 2, k]
+            least, most = min(min(a, b), c), max(max(a, b), c)
             begin[k] = max(0, int(np.floor((least - low[k]) / spacing)))
             end[k] = min(face.shape[k], int(np.ceil((most - low[k]) / spacing)) + 1)
         for i in range(begin[0], end[0]):
@@ -157,7 +157,7 @@ def _seed(corners, low, spacing, face, part, squared, point):
                         point[i, j, k, 0], point[i, j, k, 1], point[i, j, k, 2] = px, py, pz
 
 
-@njit(**OPTIONS)
+@kernel("f1 f n3 t3 f3 f4")
 def _spread(low, spacing, face, part, squared, point):
     """Hand nearest points on from node to node, in eight sweeps."""
     nx, ny, nz = face.shape
@@ -183,7 +183,7 @@ def _spread(low, spacing, face, part, squared, point):
                                 point[i, j, k, m] = point[a, b, c, m]
 
 
-@njit(**OPTIONS)
+@kernel()
 def screen(points, R, centre, scale, distance, origin, spacing, local, rough):
     """Move points (Q, 3) into the frame of a posed object, and look up the nearest node's distance.
 
@@ -203,7 +203,7 @@ def screen(points, R, centre, scale, distance, origin, spacing, local, rough):
         rough[q] = distance[int(i), int(j), int(k)] if inside else np.inf
 
 
-@njit(**OPTIONS)
+@kernel()
 def signed_distance(x, y, z, corners, normals, face, origin, spacing):
     """Compute the signed distance to the mesh and its direction.
 
@@ -217,7 +217,7 @@ def signed_distance(x, y, z, corners, normals, face, origin, spacing):
     least, nearest, part, seen, seen_before = np.inf, -1, 0, -1, -1
     dx, dy, dz = 0.0, 0.0, 0.0
     for node in range(8):
-        f = face[i + (node & 1), j + (node >> 1 & 1), k + (node >> 2)]
+        f = np.int64(face[i + (node & 1), j + (node >> 1 & 1), k + (node >> 2)])
         if f in (nearest, seen, seen_before):
             continue
         seen, seen_before = f, seen

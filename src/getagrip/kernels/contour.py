@@ -11,9 +11,9 @@ of E_mask, and one step is a majorise-minimise step on it. ``reference.sample_co
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from getagrip.kernels.silhouette import OPTIONS, fma
+from getagrip.compiling import kernel
+from getagrip.kernels.silhouette import fma
 
 U, V, Z, NX, NY, DISTANCE, WEIGHT = range(7)
 """Rows of a table of contour points: position [px of the full crop], depth [m], outward normal, distance, weight."""
@@ -21,7 +21,7 @@ U, V, Z, NX, NY, DISTANCE, WEIGHT = range(7)
 _ONE = np.uint64(1)
 
 
-@njit(**OPTIONS)
+@kernel()
 def sample_contour(uvz, edges, n_edges, zoom, step, bits, valid, lines, points):
     """Sample the visible contour every ``step`` pixels of the level into points (7, M); return how many.
 
@@ -56,7 +56,7 @@ def sample_contour(uvz, edges, n_edges, zoom, step, bits, valid, lines, points):
     return n
 
 
-@njit(**OPTIONS)
+@kernel()
 def _is_set(bits, x, y):
     """Return whether (x, y) lies in a pixel of a square mask whose bit is set."""
     size = float(bits.shape[0])
@@ -65,7 +65,7 @@ def _is_set(bits, x, y):
     return inside & ((bits[i, j >> np.uint64(6)] >> (j & np.uint64(63))) & _ONE == _ONE)
 
 
-@njit(**OPTIONS)
+@kernel()
 def sample_field(points, n, field, zoom, spacing, delta):
     """Fill in distance (bilinear in the signed distance field, ``zoom`` field pixels a pixel) and weight."""
     last = field.shape[0] - 1.000001
@@ -81,7 +81,7 @@ def sample_field(points, n, field, zoom, spacing, delta):
         points[WEIGHT, k] = spacing / max(abs(d), delta)
 
 
-@njit(**OPTIONS)
+@kernel()
 def match_boundary(points, n, targets, gate, strength, delta, matched):
     """Pull the nearest contour point with a similar normal to each observed boundary point (the coverage term).
 
@@ -91,8 +91,12 @@ def match_boundary(points, n, targets, gate, strength, delta, matched):
     """
     Q = len(targets)
     lanes = (Q + 7) // 8 * 8
-    aims, least, at = np.zeros((4, lanes)), np.full(lanes, gate), np.full(lanes, -1)
-    aims[:, :Q] = targets[:, :4].T
+    aims, least, at = np.zeros((4, lanes)), np.empty(lanes), np.empty(lanes, np.int64)
+    for q in range(lanes):
+        least[q], at[q] = gate, -1
+    for q in range(Q):
+        for row in range(4):
+            aims[row, q] = targets[q, row]
     for k in range(n):  # targets inside: they go side by side, eight at once
         u, v, mx, my = points[U, k], points[V, k], points[NX, k], points[NY, k]
         for q in range(lanes):
@@ -118,7 +122,7 @@ def match_boundary(points, n, targets, gate, strength, delta, matched):
     return value
 
 
-@njit(**OPTIONS)
+@kernel()
 def accumulate(points, n, centre, K, g, H):
     """Add n points to the normal equations: g (7,) += sum h d a, upper half of H (7, 7) += sum h a a^T."""
     fx, fy, cx, cy = K[0], K[1], K[2], K[3]

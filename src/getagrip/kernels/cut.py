@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy import ndarray
 
-from getagrip.kernels.silhouette import OPTIONS
+from getagrip.compiling import kernel
 
 
-@njit(**OPTIONS)
+@kernel("s2 s2 s2 i")
 def cut_steps(cost: ndarray, edge: ndarray, u: ndarray, rounds: int) -> None:
     """Minimise the sum of cost u + edge |grad u| over 0 <= u <= 1, from ``u`` (h, w) and into it."""
     height, width = u.shape

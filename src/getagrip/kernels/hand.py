@@ -7,13 +7,13 @@ contour point says which vertex it goes with.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from getagrip.compiling import kernel
 from getagrip.kernels.contour import WEIGHT, U, V, Z, sample_contour, sample_field
-from getagrip.kernels.silhouette import OPTIONS, PLANES, mismatch, project, rasterise, silhouette_edges
+from getagrip.kernels.silhouette import PLANES, mismatch, project, rasterise, silhouette_edges
 
 
-@njit(**OPTIONS)
+@kernel("f3 i2 i2 b f2 u3 u3 s3 f f u3 f1 f3 i2")
 def contours(vertices, faces, edges, closed, K, observed, valid, field, step, delta, bits, value, points, nearest):
     """Fill in the silhouettes' bits, values, contour points and their nearest vertices, per frame.
 

@@ -11,18 +11,10 @@ meshes count whole layers, open ones single faces). ``reference.silhouette`` is 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 
-OPTIONS = {
-    "cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"},
-    "forceinline": True,
-}  # fmt: skip
-"""How all kernels are compiled; NaN and infinity keep their meaning.
-
-Kernels that others call become parts of these. Else each caller has a copy, optimised in its own way; of several copies
-in a process the first to be loaded counts, and that is another one where kernels come from the cache: other last bits.
-"""
+from getagrip.compiling import kernel
 
 NEAR = 0.02
 """Objects nearer than this to the camera plane are not rendered [m]."""
@@ -52,7 +44,7 @@ def fma(typingctx, a, b, c):
     return types.float64(types.float64, types.float64, types.float64), codegen
 
 
-@njit(**OPTIONS)
+@kernel()
 def project(vertices, R, centre, scale, K, uvz):
     """Project centred vertices (3, V), posed as ``scale R x + centre``, into uvz (3, V).
 
@@ -78,7 +70,7 @@ def project(vertices, R, centre, scale, K, uvz):
     return too_near == 0
 
 
-@njit(**OPTIONS)
+@kernel()
 def silhouette_edges(planes, edges, R, centre, scale, sign, out):
     """Collect the silhouette edges into out (3, E) as (v0, v1, weight); return how many.
 
@@ -103,7 +95,7 @@ def silhouette_edges(planes, edges, R, centre, scale, sign, out):
     return n
 
 
-@njit(**OPTIONS)
+@kernel()
 def rasterise(uvz, edges, n_edges, closed, zoom, lines, planes, bits):
     """Fill the first n silhouette edges (coordinates times zoom) into bits (height, words), 64 pixels a word.
 
@@ -155,7 +147,7 @@ def rasterise(uvz, edges, n_edges, closed, zoom, lines, planes, bits):
             bits[row, word] = planes[row, word, 0] | planes[row, word, 1] | planes[row, word, 2] | planes[row, word, 3]
 
 
-@njit(**OPTIONS)
+@kernel()
 def mismatch(bits, observed, valid):
     """Count the valid pixels in which two bit masks differ: E_mask (Eq. 6), at the resolution of the masks."""
     total = np.uint64(0)
@@ -165,7 +157,7 @@ def mismatch(bits, observed, valid):
     return float(total)
 
 
-@njit(**OPTIONS)
+@kernel("f3 f2 f1 f2 f2 i2 b f2 u3")
 def silhouettes(R, centre, scale, vertices, planes, edges, closed, K, bits):
     """Render masks of one object in many poses.
 

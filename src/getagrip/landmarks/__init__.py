@@ -3,6 +3,7 @@
 from getagrip.landmarks.following import Sighting, follow
 from getagrip.landmarks.masks import hand_mask
 from getagrip.landmarks.models import fetch, load
+from getagrip.landmarks.second_look import look_again
 from getagrip.landmarks.selecting import HandLandmarks, select
 
-__all__ = ["HandLandmarks", "Sighting", "fetch", "follow", "hand_mask", "load", "select"]
+__all__ = ["HandLandmarks", "Sighting", "fetch", "follow", "hand_mask", "load", "look_again", "select"]

@@ -14,13 +14,13 @@ from jaxtyping import Float, Float32, UInt8
 from numpy import ndarray
 
 from getagrip.errors import UsageError
+from getagrip.io.extras import install
 from getagrip.landmarks import crops, palms
 from getagrip.landmarks.crops import Crop
 from getagrip.landmarks.palms import Letterbox, Palm
 
 Net = Callable[[Float32[ndarray, "n n 3"]], list[Float32[ndarray, "..."]]]
 """A function from an image to the network's outputs, flat, in the order of their names."""
-ADVICE = "pip install 'getagrip[hands]' (LiteRT)"
 KNOWN = (
     (0, (111.95727, 178.81602, 0.00016, 113.31991, 156.71335, 1.38071)),
     (2, (0.28077,)),
@@ -97,7 +97,7 @@ def open_nets(palm: bytes, hand: bytes) -> Nets:
             continue
         if right:
             return nets
-    raise UsageError(f"nothing here runs the hand models as they should: {ADVICE}")
+    raise UsageError(f"nothing here runs the hand models as they should: {install('hands')}")
 
 
 def _litert(content: bytes, outputs: int) -> Net:

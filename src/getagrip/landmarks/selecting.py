@@ -7,7 +7,7 @@ network classifies the side in each frame, wrongly in one of twenty, so the majo
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -122,10 +122,13 @@ def select(
     seen: Sequence[Sequence[Sighting]],
     side: Side | None = None,
     boxes: Mapping[int, Float[ndarray, "4"]] | None = None,
+    counted_from: int = 1,
+    again: Callable[[Mapping[int, Sighting]], dict[int, Sighting]] = dict,
 ) -> HandLandmarks:
-    """Select the hand that holds the object.
+    """Select the hand that holds the object. ``again`` looks for it once more where it is not sure (``second_look``).
 
     ``side`` overrules the majority; ``boxes`` (left, top, width, height) [px] are where the object is in some frames.
+    Notes give the first frame the number ``counted_from``.
 
     Raises ``UsageError`` where there is no such hand.
     """
@@ -137,20 +140,30 @@ def select(
     first = min(found, key=lambda track: (track.distance(boxes or {}), -_weight(track)))
     majority = side or first.side
     hand, others = _completed(first, _of_side([track for track in found if track is not first], majority))
-    hand, flickering = _steady(hand)
+    hand, flickering = _steady(again(hand))
     shares = [each.right if majority == "right" else 1.0 - each.right for each in hand.values()]
     wrong = sum(share < 0.5 for share in shares)
     notes = [f"{majority} hand: {'as stated' if side else f'in {len(shares) - wrong} of {len(shares)} frames'}"]
     notes += [] if boxes is None else ["of the hands that were seen, the one nearest to the object"]
     if flickering:
-        notes.append(f"left out, since they differ from the frames about them: {_ranges(flickering)}")
-    if gaps := _ranges(sorted({*range(len(seen))} - {*hand})):
+        left_out = _ranges(flickering, counted_from)
+        notes.append(f"left out, since they differ from the frames about them: {left_out}")
+    if gaps := _ranges(sorted({*range(len(seen))} - {*hand}), counted_from):
         notes.append(f"no hand in the frames {gaps} (counted from 1)")
-    twice = sum(1 for n in hand if any(n in track.seen for track in others))
-    if twice > OTHERS * len(hand):
-        advice = "two people? --object-box or --side says which is meant"
-        notes.append(f"another {majority} hand in {counted(twice, 'frame')}: {advice}")
+    opposite = [track for track in found if track.side != majority]
+    for beside, overrules in ((others, "--object-box"), (opposite, "--object-box or --side")):
+        twice = [n for n in hand if any(n in track.seen for track in beside)]
+        if len(twice) > OTHERS * len(hand):
+            n = twice[0]
+            (it,) = [track.seen[n] for track in beside if n in track.seen][:1]
+            which = f"chosen is the one {_place(hand[n])} in frame {n + counted_from}, not that {_place(it)}"
+            notes.append(f"two hands in {counted(len(twice), 'frame')}: {which}; {overrules} overrules this")
     return _as_arrays(majority, hand, len(seen), tuple(notes))
+
+
+def _place(hand: Sighting) -> str:
+    """Say where a hand is."""
+    return "at ({:.0f}, {:.0f})".format(*hand.middle)
 
 
 def _weight(track: Track) -> float:
@@ -191,19 +204,20 @@ def _none(seen: Sequence[Sequence[Sighting]], side: Side | None) -> str:
     tried = f"palms were looked for in {counted(len(seen), 'frame')}, and hands followed in both directions"
     if side is not None and some:
         return f"no {side} hand: {tried}; there are hands in {some}, of the other side (leave out --side {side})"
-    advice = "a glove, blur, or a hand half out of view? Click joints in getagrip annotate, or use an estimator"
-    return f"no hand: {tried}; found in {some}. {advice} (--hands FILE)"
+    advice = "Click joints in getagrip annotate, or use an estimator: --hands FILE"
+    return f"no hand: {tried}; found in {some}. Is there a glove, blur, or a hand half out of view? {advice}"
 
 
-def _ranges(frames: Sequence[int]) -> str:
-    """Frames in words, counted from 1, as 3 to 7, 12."""
+def _ranges(frames: Sequence[int], counted_from: int) -> str:
+    """Frames in words, as 3 to 7, 12."""
     runs: list[list[int]] = []
     for n in frames:
         if runs and n == runs[-1][1] + 1:
             runs[-1][1] = n
         else:
             runs.append([n, n])
-    return ", ".join(f"{a + 1}" if a == b else f"{a + 1} to {b + 1}" for a, b in runs)
+    numbers = ((a + counted_from, b + counted_from) for a, b in runs)
+    return ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in numbers)
 
 
 def _as_arrays(side: Side, hand: Mapping[int, Sighting], count: int, notes: tuple[str, ...]) -> HandLandmarks:

@@ -34,6 +34,10 @@ class ObjectTrack:
     T_ref_obj: Float[ndarray, "T 4 4"]
     scale: float
 
+    def placed(self, points: Float[ndarray, "P 3"]) -> Float[ndarray, "T P 3"]:
+        """Return points of the object's own frame in the frame of reference [m]."""
+        return np.asarray(se3.transform(self.T_ref_obj, self.scale * points))
+
 
 @dataclass(frozen=True)
 class PoseErrors:

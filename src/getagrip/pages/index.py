@@ -47,7 +47,7 @@ class IndexRow:
     method: str = ""
     status: str = ""
     flags: tuple[str, ...] = ()
-    """Flags against it: failed, left (not done yet), misfit, serious, note, ambiguous, guess."""
+    """Flags against it: failed, left (not done yet), misfit, serious, note, ambiguous, guess, dropped."""
     warnings: tuple[str, ...] = ()
     """Its findings, in words."""
     values: dict[str, float] = field(default_factory=dict)

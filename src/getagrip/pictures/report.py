@@ -13,6 +13,7 @@ from getagrip.clip import Clip, Masks, check_masks
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, ROTATION_SYM
 from getagrip.fitting.methods import label_of
 from getagrip.io import files
+from getagrip.io.named import named
 from getagrip.pictures.shown import View, angle_curve, seconds
 from getagrip.pictures.style import AXIS, FAINT, FOUND, INK, LINE, PAPER, TRUE, letters
 from getagrip.pictures.tiles import over_image, rendered, windows
@@ -33,6 +34,7 @@ SHOWN = {"ADD": ADD_MM, "ADD sym.": ADD_SYM_MM, "rotation": ROTATION_SYM}
 """Metrics in the title, each under a short name."""
 
 
+@named
 def write_report(
     result: Reconstruction,
     clip: Clip,

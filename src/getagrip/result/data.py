@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Literal, Self, get_args
+from typing import TYPE_CHECKING, Literal, Self, get_args
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -14,8 +14,15 @@ from getagrip.errors import UsageError
 from getagrip.finding import Finding
 from getagrip.geometry.warp import Warp
 from getagrip.io.array_data import ArrayData
+from getagrip.io.brief import view
 from getagrip.probability import Probability
 from getagrip.result.segments import SegmentResult
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from getagrip.clip import Clip, Masks
+    from getagrip.notebook import Page
 
 FrameKind = Literal["sampled", "fitted", "interpolated"]
 """How the pose of a frame was found: together with the other sampled ones; from its own mask, with the parameters that
@@ -83,6 +90,10 @@ class Reconstruction(ArrayData):
         probability_right_in_camera: probability that the poses are right relative to the camera.
         T_cam_hand: (T, 4, 4) pose of the repaired and refined hand, hand frame to camera frame [m]. ``T_hand_obj`` and
             the axis are relative to it. None if the clip's hand is unchanged.
+        hand_covariance: (6, 6) of the error that all frames of ``T_cam_hand`` share, in the hand frame: shift of the
+            hand's middle [m], turn about it [rad]; None if hand and object were not solved together.
+        hand_energy: energy of each kind of evidence on the hand, before and after it was solved with the object
+            [pixels squared of the 256-pixel crop]: what moved it.
         T_cam_other_hand: (T, 4, 4) for a timeline, pose of the other hand, refined where it holds the object; None if
             the clip has no such hand.
         warp: deformation of the clip's mesh, before it is scaled and posed, if it was fitted to the masks; None if the
@@ -114,6 +125,8 @@ class Reconstruction(ArrayData):
     probability_right: Probability | None = None
     probability_right_in_camera: Probability | None = None
     T_cam_hand: Float[ndarray, "T 4 4"] | None = None
+    hand_covariance: Float[ndarray, "6 6"] | None = None
+    hand_energy: dict[str, tuple[float, float]] = field(default_factory=dict)
     T_cam_other_hand: Float[ndarray, "T 4 4"] | None = None
     warp: Warp | None = None
     frame_kind: tuple[FrameKind, ...] = ()
@@ -142,6 +155,34 @@ class Reconstruction(ArrayData):
             candidates=Candidates(T_hand_obj[None], np.array([scale]), np.zeros(1)), energy={}, status=Status.EXTERNAL,
             ambiguous=False, seconds={},
         )  # fmt: skip
+
+    def made_of(self, clip: Clip, masks: Masks | None) -> Self:
+        """Return this result, which from here on knows its inputs, for ``plot`` and ``show``; no copy or file does."""
+        self.__dict__["_inputs"] = clip, masks
+        return self
+
+    def __getstate__(self) -> dict[str, object]:
+        return {name: value for name, value in self.__dict__.items() if name != "_inputs"}
+
+    @property
+    def inputs(self) -> tuple[Clip, Masks | None] | None:
+        """The clip and masks that ``reconstruct`` made it of; None for one that was read, or changed since."""
+        return self.__dict__.get("_inputs")
+
+    def plot(self, clip: Clip | None = None, masks: Masks | None = None) -> Figure:
+        """Draw the result: silhouettes, the axis in two views, angle and IOU over time; a notebook shows the figure.
+
+        Without arguments it is drawn with the clip and the masks that ``reconstruct`` made it of. Raises ``UsageError``
+        where a clip is needed: for a result that was read from a folder.
+        """
+        return view("plotted")(self, clip, masks)
+
+    def show(self, clip: Clip | None = None, masks: Masks | None = None, height: int = 820) -> Page:
+        """Make the page of the result, which plays in 3D; a notebook shows it, ``height`` pixels high.
+
+        Takes and raises what ``plot`` does.
+        """
+        return view("page")(self, clip, masks, height)
 
     @property
     def probabilities(self) -> dict[str, Probability]:

@@ -13,6 +13,7 @@ from numpy import ndarray
 
 from getagrip.errors import legible
 from getagrip.io import arrays, code, files, plugins
+from getagrip.io.named import named
 from getagrip.result.data import Reconstruction
 
 VERSION = 2
@@ -24,6 +25,7 @@ WARP = ("warp_centre", "warp_radius", "warp_coefficients")
 """Arrays of ``result.npz`` that are there together or not at all."""
 
 
+@named
 def write_result(
     result: Reconstruction,
     folder: str | Path,
@@ -77,6 +79,8 @@ def _arrays(result: Reconstruction) -> dict[str, Shaped[ndarray, "..."]]:
     }
     if result.T_cam_hand is not None:
         out["T_cam_hand"] = result.T_cam_hand
+    if result.hand_covariance is not None:
+        out["hand_covariance"] = result.hand_covariance
     if result.T_cam_other_hand is not None:
         out["T_cam_other_hand"] = result.T_cam_other_hand
     if result.warp is not None:
@@ -114,6 +118,7 @@ def _fields(
         "probability_right": result.probability_right,
         "probability_right_in_camera": result.probability_right_in_camera,
         "energy": result.energy,
+        **({"hand_energy": result.hand_energy} if result.hand_energy else {}),
         "metrics": metrics or {},
         "seconds": result.seconds,
         **({"segments": [segment.fields() for segment in result.segments]} if result.segments else {}),

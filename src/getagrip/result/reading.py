@@ -15,6 +15,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.warp import MONOMIALS, Warp
 from getagrip.io import arrays, files
 from getagrip.io.files import Json
+from getagrip.io.named import named
 from getagrip.probability import read_probability
 from getagrip.result.data import Axis, Candidates, FrameKind, Reconstruction, Status
 from getagrip.result.folder import AXIS, VERSION, WARP
@@ -26,12 +27,12 @@ MOST_WARPED = 10.0
 """Coefficients of a warp are about 1 or 0; far more would be no shape of a mesh."""
 ARRAYS = (
     "T_hand_obj", "T_cam_hand", "T_cam_other_hand", "scale", "frames", "frame_kind", "iou", *AXIS,
-    "candidate_T_hand_obj", "candidate_scale", "candidate_energy", *WARP,
+    "candidate_T_hand_obj", "candidate_scale", "candidate_energy", "hand_covariance", *WARP,
 )  # fmt: skip
 """Arrays of ``result.npz``."""
 OPTIONAL: Json = {
     "ambiguous": False, "message": "", "notes": [], "assumptions": {}, "findings": [], "checks": {}, "signs": {},
-    "probability_right": None, "probability_right_in_camera": None, "segments": [],
+    "probability_right": None, "probability_right_in_camera": None, "segments": [], "hand_energy": {},
 }  # fmt: skip
 """Keys that ``result.json`` may lack, and what stands for them."""
 FIELDS: dict[str, tuple[type, str]] = {
@@ -48,6 +49,7 @@ FIELDS: dict[str, tuple[type, str]] = {
     "checks": (dict, "numbers by name"),
     "signs": (dict, "numbers by name"),
     "energy": (dict, "numbers by name"),
+    "hand_energy": (dict, "pairs of numbers by name"),
     "metrics": (dict, "numbers by name"),
     "seconds": (dict, "numbers by name"),
     "segments": (list, "a list of segments"),
@@ -57,6 +59,7 @@ FIELDS: dict[str, tuple[type, str]] = {
 """Keys of ``result.json``, each with its type."""
 
 
+@named
 def read_result(folder: str | Path) -> tuple[Reconstruction, Json]:
     """Read and check a result folder.
 
@@ -118,6 +121,8 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, Json]:
             folder / "result.json", fields["probability_right_in_camera"], "probability_right_in_camera"
         ),
         T_cam_hand=_rigid(path, stored, "T_cam_hand", (T, 4, 4)) if "T_cam_hand" in stored else None,
+        hand_covariance=arrays.floats(path, stored, "hand_covariance", (6, 6)) if "hand_covariance" in stored else None,
+        hand_energy=_hand_energy(folder / "result.json", fields["hand_energy"]),
         T_cam_other_hand=_rigid(path, stored, "T_cam_other_hand", (T, 4, 4)) if "T_cam_other_hand" in stored else None,
         warp=_warp(path, stored) if any(key in stored for key in WARP) else None,
         segments=read_segments(folder / "result.json", fields["segments"]),
@@ -152,6 +157,18 @@ def read_record(folder: str | Path) -> Json:
     if not files.is_plain_name(fields["clip"]):
         raise InputError(path, "clip", files.shown(fields["clip"]), "a text fit to name a folder")
     return fields
+
+
+def _hand_energy(path: Path, entry: Json) -> dict[str, tuple[float, float]]:
+    """Read the energy of each kind of evidence on the hand, before and after."""
+    pairs: dict[str, tuple[float, float]] = {}
+    for name, pair in entry.items():
+        key = f"hand_energy.{files.plain(name)}"
+        if not isinstance(pair, list) or len(pair) != 2:
+            raise InputError(path, key, files.shown(pair), "two numbers, before and after")
+        before, after = read_checks(path, dict(zip(("before", "after"), pair, strict=True)), key).values()
+        pairs[name] = before, after
+    return pairs
 
 
 def _check_texts(path: Path, stored: dict[str, object]) -> None:

@@ -17,13 +17,14 @@ from numpy import ndarray
 from getagrip.clip import Clip, Masks, with_masks
 from getagrip.clip.timeline import Side
 from getagrip.errors import GetagripError
-from getagrip.fitting.every_frame import hand_everywhere, own_fit
+from getagrip.fitting.every_frame import own_fit
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.misfit import CROP_PIXEL, PIXEL
 from getagrip.fitting.motion import placed
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem, prepare
 from getagrip.fitting.solve import in_camera
+from getagrip.fitting.solved_hand import hand_between
 
 METHOD = "soft-hinge"
 CHUNK = 30
@@ -77,9 +78,10 @@ def fit_hinge(
         raise NothingToFitError(str(error)) from error
     assert found.motion is not None
     found = replace(found, motion=found.motion.take(np.zeros(1, int)))
-    part = clip.take(around)
+    problem, part = problem.as_found(found), clip.take(around)
     sampled = part.index_of(problem.clip.frames)
-    part = part.with_hand_at(hand_everywhere(part.hand.T_cam_hand, problem, sampled))
+    if problem.trust.hand_refined:
+        part = part.with_hand_at(hand_between(part.hand.T_cam_hand, problem.clip.hand.T_cam_hand, sampled))
     n = len(around)
     T_hand_obj, misfit, expected = np.tile(np.eye(4), (n, 1, 1)), np.full(n, np.nan), np.full(n, PIXEL)
     seen = np.flatnonzero(observed[around])

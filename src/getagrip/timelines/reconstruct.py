@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +17,8 @@ from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.options import Options
 from getagrip.fitting.pipeline import Clock, Steps, run
 from getagrip.geometry import se3
+from getagrip.io.named import named
+from getagrip.io.terminal import Progressed, shown_progress
 from getagrip.result import Reconstruction, Status
 from getagrip.timelines.footage import Footage
 from getagrip.timelines.joint import Chain, choose_hypotheses, fill_all_frames
@@ -24,11 +26,12 @@ from getagrip.timelines.judge import TimelineAnswer, judge_timeline
 from getagrip.timelines.motion import Motion
 
 
+@named
 def reconstruct(
     clip: Clip,
     masks: Masks | None = None,
     options: Options | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progressed = None,
     threads: int = 1,
 ) -> Reconstruction:
     """Find the object's pose in the hand in every frame by comparing rendered and observed masks (paper, Eq. 5).
@@ -44,8 +47,8 @@ def reconstruct(
         options: the method, the number of initial poses, whether inputs are repaired, and more (``Options``); None for
             the defaults. ``options.frames`` frames, sampled evenly, are fitted together. Each other frame is then
             fitted to its own mask.
-        progress: a function that is called after each stage with its name and the fraction of the work that is done, 0
-            to 1.
+        progress: True for a bar on a terminal or in a notebook; or a function that is called after each stage with its
+            name and the fraction of the work that is done, 0 to 1.
         threads: number of threads for one clip. The result is the same to the last bit for any number. For many clips,
             run several processes with one thread each: that is faster. Timelines use one thread.
 
@@ -61,9 +64,10 @@ def reconstruct(
         GetagripError: the object is out of view in every hypothesis, so there is nothing to compare with the masks.
     """
     options = options or Options()
-    if clip.segments:
-        return run(TIMELINE, clip, masks, options, progress, threads)
-    return run(GRASP, clip, masks, options, progress, threads)
+    with shown_progress(progress, clip.name) as on_stage:
+        if clip.segments:
+            return run(TIMELINE, clip, masks, options, on_stage, threads).made_of(clip, masks)
+        return run(GRASP, clip, masks, options, on_stage, threads).made_of(clip, masks)
 
 
 def _search(footage: Footage, clock: Clock) -> Chain:

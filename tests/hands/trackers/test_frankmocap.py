@@ -16,6 +16,7 @@ from getagrip.hands.trackers import read
 from getagrip.hands.trackers.frankmocap import FrankMocap
 from helpers.estimator_files import (
     FRAMES,
+    PIXELS,
     Known,
     frankmocap_record,
 )
@@ -38,9 +39,13 @@ def test_frankmocap(tmp_path: Path, mano_folder: Path, side: Side) -> None:
     paths = []
     for n, name in enumerate(FRAMES):
         paths.append(tmp_path / f"{name}_prediction_result.pkl")
-        paths[-1].write_bytes(pickle.dumps(frankmocap_record(flat, n, mean)))
+        record = frankmocap_record(flat, n, mean)
+        record["pred_output_list"][0][f"{side}_hand"]["joints_2d"] = PIXELS[n]
+        paths[-1].write_bytes(pickle.dumps(record))
     hands = read(paths, FrankMocap(), request(side, mano_folder))
     np.testing.assert_allclose(joints_of(hands), flat.joints, atol=1e-6)
+    assert hands.track.joints_2d is not None
+    np.testing.assert_allclose(hands.track.joints_2d, PIXELS)
     with pytest.raises(UsageError, match="--mano"):
         read(paths, FrankMocap(), request(side))
     with pytest.raises(InputError, match=f"no {'left' if side == 'right' else 'right'} hand"):

@@ -16,6 +16,7 @@ from getagrip.hands.model import Side
 from getagrip.hands.trackers import Request, read
 from getagrip.hands.trackers.hawor import HaWoR
 from helpers.estimator_files import (
+    PIXELS,
     SIZE,
     K,
     Known,
@@ -42,12 +43,15 @@ def test_hawor(tmp_path: Path, mano_folder: Path, side: Side) -> None:
         "init_hand_pose": se3.exp_so3(known.pose.reshape(3, 15, 3))[None],
         "init_betas": known.betas[None],
         "init_trans": np.column_stack([z[:, None] * (u - centre) / focal, z])[None],
+        "joints_2d": PIXELS,
     }
     for name, asked in (("6_8.json", request(side, mano_folder)), ("0_2.json", from_0(side, mano_folder))):
         path = tmp_path / name
         path.write_text(json.dumps({key: value.tolist() for key, value in record.items()}))
         hands = read([path], HaWoR(focal), asked)
         np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
+        assert hands.track.joints_2d is not None
+        np.testing.assert_allclose(hands.track.joints_2d, PIXELS)
     with pytest.raises(UsageError, match="--first 0 if the clip's images were its input"):
         read([path], HaWoR(focal), replace(request(side, mano_folder), frames=("000003", "000004", "000005")))
     with pytest.raises(UsageError, match="--estimator-focal"):

@@ -38,7 +38,8 @@ def test_trackers_are_chosen_by_name() -> None:
 
 
 @pytest.mark.slow
-def test_the_command_takes_what_the_table_lists(run: Run) -> None:
+def test_the_command_takes_what_the_table_lists(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "300")
     status, out, _ = run("import", "hands", "--help")
     assert status == 0
     assert f"--from {{{','.join(TRACKERS)}}}" in out

@@ -96,7 +96,7 @@ function drawWork() {
   $("progress-bar").max = job?.total || 1;
   $("progress-bar").value = job?.done ?? 0;
   const away = unfilled(), frames = last - first + 1;
-  const texts = { waiting: "waiting …", running: job?.message ? `${job.message} …` : job?.total ? `${job.done} of ${job.total} frames` : "fitting the hand …", failed: `It did not work: ${job?.message}`, cancelled: "Stopped." };
+  const texts = { waiting: "waiting …", running: job?.message ? `${job.message} …` : job?.total ? `${job.done} of ${job.total} frames` : state.labels.found ? "drawing the hand …" : "fitting the hand …", failed: `It did not work: ${job?.message}`, cancelled: "Stopped." };
   const now = !basis.masks.length && !basis.hand.length ? "" : away ? `${away} of ${many(frames, "frame")} to be filled in${drafts.masks.size || drafts.hand.size ? " again" : ""}.` : `All ${many(frames, "frame")} filled in.`;
   $("fill-state").textContent = texts[job?.state] ?? now;
   $("fill-state").className = job?.state === "failed" ? "failed" : "";

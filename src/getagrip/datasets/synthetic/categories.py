@@ -100,6 +100,10 @@ class Kind:
     grips: tuple[Grip, ...]
     rarer: tuple[Grip, ...] = ()
     """Further ways, for clips whose grasps are to vary."""
+    spread: float = 0.25
+    """Standard deviation of the logarithm of its size, from one such object in a kitchen to another: a coarse guess."""
+    opens_up: bool = False
+    """Whether it is a vessel, which is hardly ever held with its opening on the little finger's side."""
 
 
 _ROUND = Grip("palm", (0, 0, 0), (1, 0, 0), (0, 0, 1))
@@ -118,15 +122,18 @@ CATEGORIES: dict[str, Kind] = {
         shapes.bottle,
         (Grip("palm", (0, 0, -0.02), (1, 0, 0), (0, 0, 1)),),
         (Grip("palm", (0, 0, 0.06), (1, 0, 0), (0, 0, 1)), Grip("palm", (0, 0, 0.03), (1, 0, 0), (0, 0, -1))),
+        spread=0.5,
     ),
-    "bowl": Kind(shapes.bowl, (Grip("pinch", (0.072, 0, 0.055), (-0.25, 0, -1), (1, 0, 0)),)),
+    "bowl": Kind(shapes.bowl, (Grip("pinch", (0.072, 0, 0.055), (-0.25, 0, -1), (1, 0, 0)),), opens_up=True),
     "can": Kind(shapes.can, (_ROUND,), (_ROUND_THUMB_DOWN,)),
     "cup": Kind(
         shapes.cup,
         (Grip("pinch", (0.058, 0, 0.042), (-1, 0, 0), (0, -1, 0)),),
         (Grip("pinch", (0, -0.042, 0.055), (0, 0.25, -1), (0, -1, 0)),),  # by the rim
+        spread=0.15,
+        opens_up=True,
     ),
-    "glass": Kind(shapes.glass, (_ROUND,), (_ROUND_THUMB_DOWN, _rim(0.036, 0.055))),
+    "glass": Kind(shapes.glass, (_ROUND,), (_ROUND_THUMB_DOWN, _rim(0.036, 0.055)), opens_up=True),
     "mug": Kind(
         shapes.mug,
         (
@@ -134,14 +141,17 @@ CATEGORIES: dict[str, Kind] = {
             Grip("palm", (0, 0, 0.05), (0.3, 1, 0), (0, 0, 1)),  # round the body, the handle beyond the fingers
         ),
         (Grip("pinch", (0, -0.039, 0.085), (0, 0.25, -1), (0, -1, 0)),),  # by the rim
+        spread=0.15,
+        opens_up=True,
     ),
-    "pan": Kind(shapes.pan, (_BAR,), (_BAR_FROM_BELOW,)),
-    "plate": Kind(shapes.plate, (Grip("pinch", (0.09, 0, 0.016), (-1, 0, 0), (0, 0, -1)),)),
-    "saucepan": Kind(shapes.saucepan, (_BAR,), (_BAR_FROM_BELOW,)),
+    "pan": Kind(shapes.pan, (_BAR,), (_BAR_FROM_BELOW,), opens_up=True),
+    "plate": Kind(shapes.plate, (Grip("pinch", (0.09, 0, 0.016), (-1, 0, 0), (0, 0, -1)),), spread=0.2),
+    "saucepan": Kind(shapes.saucepan, (_BAR,), (_BAR_FROM_BELOW,), opens_up=True),
     "box": Kind(
         shapes.box,
         (Grip("palm", (0, -0.06, 0), (0, 1, 0), (0, 0, 1)),),
         (Grip("palm", (0, 0, 0.085), (0, 0, -1), (0, 1, 0)),),  # from above
+        spread=0.5,
     ),
     "capsule_machine": Kind(capsule_machine, (Grip("palm", (-0.03, 0, 0), (1, 0, 0), (0, 0, 1)),)),
     "espresso_machine": Kind(
@@ -151,15 +161,22 @@ CATEGORIES: dict[str, Kind] = {
             Grip("palm", (-0.055, 0, -0.01), (1, 0, 0), (0, 0, 1)),  # by the column
         ),
     ),
-    "kettle": Kind(shapes.kettle, (Grip("palm", (0.127, 0, 0.085), (-1, 0, 0), (0, 0, 1)),)),
+    "kettle": Kind(shapes.kettle, (Grip("palm", (0.127, 0, 0.085), (-1, 0, 0), (0, 0, 1)),), opens_up=True),
     "ketchup": Kind(shapes.ketchup, (Grip("palm", (0, 0, 0.02), (1, 0, 0), (0, 0, 1)),)),
-    "laptop": Kind(shapes.laptop, (Grip("pinch", (0.1, 0, 0), (-1, 0, 0), (0, 0, -1)),)),
+    "laptop": Kind(shapes.laptop, (Grip("pinch", (0.1, 0, 0), (-1, 0, 0), (0, 0, -1)),), spread=0.15),
     "microwave": Kind(microwave, (Grip("palm", (0.151, 0.078, 0), (-1, -0.35, 0), (0, 0, 1)),)),
     "mixer": Kind(mixer, (Grip("palm", (0, 0, 0.084), (0, 0.5, -1), (1, 0, 0)),)),
     "notebook": Kind(notebook, (Grip("pinch", (0.055, 0, 0), (-1, 0, 0), (0, 0, -1)),)),
-    "phone": Kind(shapes.phone, (Grip("palm", (0, -0.01, 0), (0, 0, 1), (0, 1, 0)),)),
+    "phone": Kind(shapes.phone, (Grip("palm", (0, -0.01, 0), (0, 0, 1), (0, 1, 0)),), spread=0.12),
     "scissors": Kind(shapes.scissors, (Grip("pinch", (-0.095, 0, 0), (1, 0, 0), (0, 0, -1)),)),
     "spoon": Kind(shapes.spoon, (Grip("pinch", (-0.06, 0, 0.009), (1, 0, 0), (0, 0, -1)),)),
     "waffle_iron": Kind(waffle_iron, (_BAR,), (_BAR_FROM_BELOW,)),
 }
 """The nine categories of EPIC-Grasps, then those of ARCTIC and others."""
+
+SHAPES: dict[str, Callable[[], Mesh]] = {
+    **{name: kind.make for name, kind in CATEGORIES.items()},
+    "tape": shapes.tape,
+    "umbrella": shapes.umbrella,
+}
+"""All shapes that a clip can have by name: those of the categories, and others."""

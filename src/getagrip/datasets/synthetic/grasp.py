@@ -43,6 +43,13 @@ class Grip:
     aside: tuple[float, float, float]
     """Palm: the direction that comes to lie on the thumb's side. Pinch: from the thumb to the fingers."""
 
+    @property
+    def R_hand_obj(self) -> Float[ndarray, "3 3"]:
+        """The object's rotation in the frame of a right hand."""
+        hold = _HOLDS[self.hold]
+        T_hand_grip = _frame(np.array(hold.into), np.array(hold.aside), np.array(hold.at))
+        return T_hand_grip[:3, :3] @ _frame(np.array(self.into), np.array(self.aside), np.array(self.at))[:3, :3].T
+
 
 def varied(grip: Grip, turn_deg: float, shift_mm: float, rng: np.random.Generator) -> Grip:
     """Turn a grip about a random axis and shift it, by these root mean squares."""

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.geometry.mesh import Mesh
@@ -67,8 +67,8 @@ def loft(rings: Float[ndarray, "R N 3"], tubes: Sequence[Tube] = ()) -> Mesh:
             faces.append(_fan(offset + inner.size // 3, ids[-1]))
         else:  # seen along the tube, the hole where it ends runs the other way round
             ids = np.concatenate([ids, _unrolled(rings.reshape(-1, 3), ends[1][::-1], inner[-1])[None]])
-        faces.append(_walls(ids, np.zeros(ids.shape, dtype=bool)))
-    faces.append(_walls(grid, taken))
+        faces.append(walls(ids, np.zeros(ids.shape, dtype=bool)))
+    faces.append(walls(grid, taken))
     vertices, triangles = np.concatenate(parts), np.concatenate(faces)
     used, triangles = np.unique(triangles, return_inverse=True)
     return Mesh(vertices[used], triangles.reshape(-1, 3).astype(np.int64))
@@ -82,7 +82,7 @@ def torus(path: Float[ndarray, "P 3"], side: Float[ndarray, "3"], radius: float)
     phi = (np.arange(_SECTION) * 2.0 * np.pi / _SECTION)[:, None]
     rings = path[:, None] + radius * (np.cos(phi) * side + np.sin(phi) * across[:, None])
     ids = np.arange(rings.size // 3).reshape(-1, _SECTION)
-    faces = _walls(np.concatenate([ids, ids[:1]]), np.zeros((len(ids) + 1, _SECTION), dtype=bool))
+    faces = walls(np.concatenate([ids, ids[:1]]))
     return Mesh(rings.reshape(-1, 3), faces)
 
 
@@ -93,8 +93,9 @@ def together(meshes: Sequence[Mesh]) -> Mesh:
     return Mesh(np.concatenate([m.vertices for m in meshes]), np.concatenate(faces))
 
 
-def _walls(ids: Int[ndarray, "R N"], taken: ndarray) -> Int[ndarray, "F 3"]:
-    """Two triangles per quad between successive rings of vertex ids, but for the quads taken out."""
+def walls(ids: Int[ndarray, "R N"], taken: Bool[ndarray, "R N"] | None = None) -> Int[ndarray, "F 3"]:
+    """Make two triangles per quad between successive rings of vertex ids, but for the quads taken out."""
+    taken = np.zeros(ids.shape, dtype=bool) if taken is None else taken
     a, b = ids[:-1], np.roll(ids, -1, axis=1)[:-1]
     c, d = np.roll(ids, -1, axis=1)[1:], ids[1:]
     keep = ~taken[:-1].ravel()

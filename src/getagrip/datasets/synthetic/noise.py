@@ -31,10 +31,12 @@ from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import bounding_boxes
 from getagrip.hands.bending import bent, finger_weights
+from getagrip.io.named import NamedFields
+from getagrip.provenance import estimated
 
 
 @dataclass(frozen=True)
-class Noise:
+class Noise(NamedFields):
     """The errors of a clip's hands and masks.
 
     Attributes:
@@ -119,6 +121,8 @@ def perturbed(clip: Clip, masks: Masks, noise: Noise, seed: int | Sequence[int])
     rng = np.random.default_rng(seed)
     hand = noisy_hand(clip, noise, rng)
     provenance = clip.provenance | {"noise": {"seed": seed} | {f.name: getattr(noise, f.name) for f in fields(Noise)}}
+    if replace(noise, mask_ragged_px=0.0) == replace(NOISE["estimated"], mask_ragged_px=0.0):
+        provenance |= {"hands": estimated("true hands with the errors of hands estimated from images")}
     return replace(clip, hand=hand, provenance=provenance), noisy_masks(masks, noise, rng)
 
 

@@ -33,6 +33,7 @@ from getagrip.geometry.render import Surface, render_rgb, true_masks
 from getagrip.geometry.warp import aligned
 from getagrip.hands import generic
 from getagrip.hands.model import hand_track, mirrored
+from getagrip.io.named import named
 from getagrip.result import Axis
 
 Shape = Callable[[Float[ndarray, "n 3"]], Float[ndarray, "n 3"]]
@@ -69,6 +70,7 @@ class Scene:
         return (grasped, self.object.faces), hands
 
 
+@named
 def synthesise(category: str, seed: int = 0, options: SceneOptions | None = None) -> tuple[Clip, Masks]:
     """Make a synthetic clip with ground truth, and its masks, in memory.
 

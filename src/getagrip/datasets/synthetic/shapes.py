@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.datasets.synthetic.loft import Tube, loft, together, torus
+from getagrip.datasets.synthetic.loft import Tube, loft, together, torus, walls
 from getagrip.geometry.mesh import Mesh
 
 
@@ -233,3 +233,19 @@ def scissors(length: float = 0.19, spread: float = 0.30) -> Mesh:
         ring = centre + length * np.stack([0.125 * np.cos(phi), 0.085 * np.sin(phi), np.zeros(20)], axis=-1)
         halves.append(torus(ring, np.array([0.0, 0.0, 1.0]), 0.0048))
     return together(halves)
+
+
+def tape(radius: float = 0.049, core: float = 0.0415, width: float = 0.048) -> Mesh:
+    """Make a roll of packing tape."""
+    z = width / 2.0
+    corners = [(core, -z), (radius, -z), (radius, z), (core, z), (core, -z)]
+    rings = revolved(corners, 32, 0.012)[:-1]
+    ids = np.arange(rings.size // 3).reshape(rings.shape[:2])
+    return Mesh(rings.reshape(-1, 3), walls(np.concatenate([ids, ids[:1]])))
+
+
+def umbrella(radius: float = 0.031, length: float = 0.27) -> Mesh:
+    """Make a folded umbrella, its handle up."""
+    cloth = "0.3 0, 0.65 0, 0.84 0.06, 0.94 0.2, 0.87 0.5, 0.9 0.69, 1 0.82"
+    corners = scaled(f"{cloth}, 0.62 0.835, 0.62 0.98, 0.55 1, 0.2 1", radius, length)
+    return loft(revolved([(r, z - length / 2) for r, z in corners], 24, 0.016))

@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit
 from numpy import ndarray
 
+from getagrip.compiling import kernel, part
 from getagrip.fitting.energy.term import PosesInCamera, Quadratic
-from getagrip.kernels.silhouette import OPTIONS
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,7 @@ class ContactConsistencyTerm:
         return found
 
 
-@njit(**OPTIONS)
+@kernel("f4 f3 f1 f2 f3 f1 f f1 f2 f3 f4 f5")
 def _evaluate(R, centre, scale, points, hand, weight, delta, bound, value, g, H, cross):
     """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7), cross (B, N, 7, N, 7)."""
     B, N = value.shape
@@ -59,7 +58,7 @@ def _evaluate(R, centre, scale, points, hand, weight, delta, bound, value, g, H,
         _tie(distance, a, weight, delta, g[b], H[b], cross[b])
 
 
-@njit(**OPTIONS)
+@part
 def _compare(distance, weight, delta, value):
     """Share the cost of each pair of frames between the two, in value (N,), and return the sum."""
     N, D = distance.shape
@@ -77,7 +76,7 @@ def _compare(distance, weight, delta, value):
     return total
 
 
-@njit(**OPTIONS)
+@part
 def _tie(distance, a, weight, delta, g, H, cross):
     """Fill in g (N, 7), H (N, 7, 7), cross (N, 7, N, 7) from distances (N, D) and their derivatives (N, 7, D)."""
     N, D = distance.shape
@@ -106,7 +105,7 @@ def _tie(distance, a, weight, delta, g, H, cross):
                 H[n, p, q] = H[n, q, p] = _dot(weighted[p], a[n, q])
 
 
-@njit(**OPTIONS)
+@part
 def _distances(R, centre, scale, points, hand, distance, a):
     """Squared distances (D,) of all pairs of a frame, and their derivatives (7, D) by the local 7-vector.
 
@@ -129,7 +128,7 @@ def _distances(R, centre, scale, points, hand, distance, a):
             k += 1
 
 
-@njit(**OPTIONS)
+@part
 def _times(h, a, out):
     """Rows of a (7, D) times h (D,)."""
     for p in range(7):
@@ -137,7 +136,7 @@ def _times(h, a, out):
             out[p, k] = h[k] * a[p, k]
 
 
-@njit(**OPTIONS)
+@part
 def _dot(a, b):
     total = 0.0
     for k in range(len(a)):

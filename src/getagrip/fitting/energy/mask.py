@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit
 from numpy import ndarray
 
+from getagrip.compiling import kernel
 from getagrip.fitting.energy.term import PosesInCamera, Quadratic
 from getagrip.fitting.observation import CROP, FIELD, Observation
 from getagrip.geometry.mesh import Mesh
 from getagrip.kernels.contour import accumulate, match_boundary, sample_contour, sample_field
-from getagrip.kernels.silhouette import OPTIONS, PLANES, mismatch, project, rasterise, silhouette_edges
+from getagrip.kernels.silhouette import PLANES, mismatch, project, rasterise, silhouette_edges
 
 MOST_POINTS = 1500
 """Contour points kept per image; far more than any 256-pixel contour gives at the steps in use."""
@@ -71,7 +71,7 @@ class MaskTerm:
         return found
 
 
-@njit(**OPTIONS)
+@kernel("f4 f3 f1 f2 f2 i2 b f2 u3 u3 s3 f3 f f f f1 f2 f3 f4")
 def _evaluate(
     R, centre, scale, vertices, planes, edges, closed, K, observed, valid, field, targets, step, delta, coverage, bound,
     value, g, H,

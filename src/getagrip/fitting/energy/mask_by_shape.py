@@ -6,16 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit
 from numpy import ndarray
 
+from getagrip.compiling import kernel
 from getagrip.fitting.energy.mask import MOST_POINTS, SilhouetteMesh
 from getagrip.fitting.energy.term import PosesInCamera
 from getagrip.fitting.observation import CROP, FIELD, Observation
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.warp import Warp
 from getagrip.kernels.contour import DISTANCE, NX, NY, WEIGHT, U, V, Z, sample_contour, sample_field
-from getagrip.kernels.silhouette import OPTIONS, PLANES, mismatch, project, rasterise, silhouette_edges
+from getagrip.kernels.silhouette import PLANES, mismatch, project, rasterise, silhouette_edges
 
 SHAPE = 27
 """Numbers of a shape: the displacement along each axis by each of 9 monomials (``Warp.by``)."""
@@ -56,7 +56,7 @@ class MaskByShape:
         return value, g, H
 
 
-@njit(**OPTIONS)
+@kernel("f3 f2 f f2 f2 i2 b f2 f f2 u3 u3 s3 f f f1 f2 f3")
 def _evaluate(
     R, centre, scale, vertices, planes, edges, closed, shape, radius, K, observed, valid, field, step, delta,
     value, g, H,
@@ -103,7 +103,7 @@ def _evaluate(
                     H[n, i, j] += h * a[i] * a[j]
 
 
-@njit(**OPTIONS)
+@kernel()
 def _unwarped(x, shape, monomial):
     """Compute the monomials, but 1, at the place that the shape (9, 3) displaces to x."""
     y0, y1, y2 = x[0], x[1], x[2]

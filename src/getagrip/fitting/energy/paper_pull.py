@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit
 from numpy import ndarray
 
+from getagrip.compiling import kernel
 from getagrip.fitting.contact import HandContacts, add_plane, mirror_upper, nearest_points
 from getagrip.fitting.energy.term import PosesInCamera, Quadratic
-from getagrip.kernels.silhouette import OPTIONS
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ class PaperPullTerm:
         return found
 
 
-@njit(**OPTIONS)
+@kernel("f4 f3 f1 f2 f2 f3 i1 f1 f f2 f3 f4")
 def _evaluate(R, centre, scale, vertices, normals, hand, region, weight, delta, value, g, H):
     """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7)."""
     B, N = value.shape
@@ -87,7 +86,7 @@ def _evaluate(R, centre, scale, vertices, normals, hand, region, weight, delta, 
             mirror_upper(H[b, n])
 
 
-@njit(**OPTIONS)
+@kernel()
 def _arm(point, centre):
     """From the centre to the point."""
     return point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]

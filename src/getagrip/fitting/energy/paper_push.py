@@ -6,14 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit
 from numpy import ndarray
 
 from getagrip.clip import HandTrack
+from getagrip.compiling import kernel
 from getagrip.fitting.contact import add_plane, contact_ids, mirror_upper, nearest_points
 from getagrip.fitting.energy.term import PosesInCamera, Quadratic
 from getagrip.geometry.mesh import vertex_normals
-from getagrip.kernels.silhouette import OPTIONS
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,7 @@ class PaperPushTerm:
         return found
 
 
-@njit(**OPTIONS)
+@kernel("f4 f3 f1 f2 f3 f3 f1 f f2 f3 f4")
 def _evaluate(R, centre, scale, vertices, point, normal, weight, delta, value, g, H):
     """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7)."""
     B, N = value.shape

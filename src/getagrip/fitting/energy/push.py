@@ -6,13 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit
 from numpy import ndarray
 
+from getagrip.compiling import kernel
 from getagrip.fitting.contact import HandContacts, add_height, mirror_upper
 from getagrip.fitting.energy.term import PosesInCamera, Quadratic
 from getagrip.kernels.closest import SLACK, FaceGrid, screen, signed_distance
-from getagrip.kernels.silhouette import OPTIONS
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ class PushTerm:
         return found
 
 
-@njit(**OPTIONS)
+@kernel("f4 f3 f1 f3 f3 n3 f3 f1 f f3 f1 f f f1 f2 f3 f4")
 def _evaluate(
     R, centre, scale, corners, normals, face, distance, origin, spacing, hand, weight, tolerance, delta, bound,
     value, g, H,

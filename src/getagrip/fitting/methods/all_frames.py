@@ -8,16 +8,19 @@ from typing import TypeVar
 import numpy as np
 
 from getagrip.fitting.energy import Energy
+from getagrip.fitting.hand_with_object import solve_with_hand
 from getagrip.fitting.initial_poses import initial_poses
 from getagrip.fitting.methods import OnStage
 from getagrip.fitting.misfit import misfit, stiffened
 from getagrip.fitting.motion import Fixed, Free, Hinge, Motion, Soft
-from getagrip.fitting.objective import NOTHING, consistency_of, energy_of, mask_of, plus
+from getagrip.fitting.objective import NOTHING, consistency_of, energy_of, mask_of, order_of, plus
 from getagrip.fitting.problem import EnergyOf, MethodResult, Problem
 from getagrip.fitting.schedule import THOROUGH, USUAL
 from getagrip.fitting.search import Search
 from getagrip.fitting.shape import own_shape
 from getagrip.fitting.solve import Solution, minimise
+from getagrip.fitting.solved_hand import SolvedHand
+from getagrip.fitting.usual import usual_of, usual_rotations
 from getagrip.geometry.warp import Warp
 from getagrip.result import Axis
 
@@ -56,9 +59,12 @@ def soft_hinge(problem: Problem, on_stage: OnStage, more: EnergyOf | None = None
         problem = problem.warped(warp)
         search = replace(search, surface=problem.surface)
         rough = rough_fit(problem, search, own(problem))
-    found = fine_fit(problem, search, rough, ridge, own(problem))
-    result = result_of(found, found.motion.core, lambda other: plus(soft_energy(other), own(other)))
-    return replace(result, warp=warp)
+
+    def energy(problem: Problem) -> Energy:
+        return plus(soft_energy(problem), own(problem))
+
+    found, hand = fine_fit_with_hand(problem, search, soft_hinge_of(problem, search, rough, ridge), energy)
+    return replace(result_of(found, found.motion.core, energy), warp=warp, hand=hand)
 
 
 def soft_hinges(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> Solution[Soft[Hinge]]:
@@ -83,9 +89,28 @@ def fine_fit(
 ) -> Solution[Soft[Hinge]]:
     """Run the fine stages, with deviations as stiff as ``ridge``."""
     energy = plus(coarse_energy(problem), more)
+    return search.fine(soft_hinge_of(problem, search, rough, ridge), steady(problem, energy))
+
+
+def fine_fit_with_hand(
+    problem: Problem, search: Search, motion: M, energy: EnergyOf
+) -> tuple[Solution[M], SolvedHand | None]:
+    """Run the fine stages; before the last, a refined hand is solved together with the object."""
+    if problem.refinement is None:
+        return search.fine(motion, energy(problem)), None
+    before = search.fine(motion, energy(problem), slice(-1)).motion
+    hand, motion = solve_with_hand(problem, before, energy)
+    search = replace(search, T_cam_hand=hand.T_cam_hand)
+    return search.fine(motion, energy(problem.with_hand(hand)), slice(-1, None)), hand
+
+
+def soft_hinge_of(
+    problem: Problem, search: Search, rough: Solution[Soft[Fixed]], ridge: tuple[float, float]
+) -> Soft[Hinge]:
+    """Return the soft hinges nearest to what the coarse stages found, at all frames."""
     motion = search.at_all_frames(rough.motion)
-    soft = Soft.around(hinge_of(problem, motion), motion.poses(), ridge)
-    return search.fine(soft, steady(problem, energy))
+    ridge = (problem.trust.firmness * ridge[0], problem.trust.firmness * ridge[1])
+    return Soft.around(hinge_of(problem, motion), motion.poses(), ridge)
 
 
 def misfit_of(problem: Problem, search: Search, rough: Solution[Soft[Fixed]]) -> float:
@@ -122,9 +147,9 @@ def one_dof(problem: Problem, on_stage: OnStage) -> MethodResult:
         warp = shape_of(problem, quiet, rough_fit(problem, quiet, NOTHING))
     problem = problem.warped(warp)
     search, energy = replace(search, surface=problem.surface), energy_alone(problem)
-    motion = hinge_of(problem, search.relax(initial_of(problem), energy))
-    found = search.run(motion, energy)
-    return replace(result_of(found, found.motion, energy_alone), warp=warp)
+    motion = search.coarse(hinge_of(problem, search.relax(initial_of(problem), energy)), energy).motion
+    found, hand = fine_fit_with_hand(problem, search, search.at_all_frames(motion), energy_alone)
+    return replace(result_of(found, found.motion, energy_alone), warp=warp, hand=hand)
 
 
 def static(problem: Problem, on_stage: OnStage) -> MethodResult:
@@ -152,7 +177,8 @@ def energy_alone(problem: Problem) -> Energy:
 def total_energy(problem: Problem, contact: float) -> Energy:
     """Return Eq. 5, with a multiple of the push and pull that the options name."""
     contact *= problem.trust.contact
-    return energy_of(problem, contact * problem.options.push, contact * problem.options.pull)
+    contacts = energy_of(problem, contact * problem.options.push, contact * problem.options.pull)
+    return plus(contacts, order_of(problem), usual_of(problem.clip))
 
 
 def coarse_energy(problem: Problem) -> Energy:
@@ -166,7 +192,7 @@ def steady(problem: Problem, energy: Energy) -> Energy:
     Contact that stays is what makes a grasp stable (Eq. 2). A hinge keeps it by itself; where frames may deviate from
     the hinge, in depth above all, which silhouettes hardly show, a term keeps it.
     """
-    pull = problem.trust.contact * problem.options.pull
+    pull = problem.trust.contact * problem.trust.firmness * problem.options.pull
     return plus(energy, consistency_of(problem, STEADY * pull)) if pull else energy
 
 
@@ -178,7 +204,8 @@ def search_of(problem: Problem, on_stage: OnStage) -> Search:
 
 def initial_of(problem: Problem) -> Fixed:
     """Return the initial poses, at all frames."""
-    return initial_poses(problem.clip, problem.masks, problem.inits, problem.options.seed, problem.prior_poses)
+    usual = usual_rotations(problem.clip) if problem.options.init == "uniform" else None
+    return initial_poses(problem.clip, problem.masks, problem.inits, problem.options.seed, problem.prior_poses, usual)
 
 
 def hinge_of(problem: Problem, relaxed: Soft[Fixed]) -> Hinge:

@@ -18,19 +18,35 @@ from collections.abc import Iterable, Mapping
 from keyword import iskeyword
 
 from getagrip.errors import UsageError, unknown
+from getagrip.hands.trackers.dynhamr import DynHaMR
+from getagrip.hands.trackers.egodex import EgoDex
 from getagrip.hands.trackers.estimates import Estimates, Request
 from getagrip.hands.trackers.frankmocap import FrankMocap
 from getagrip.hands.trackers.hamer import HaMeR, WiLoR
 from getagrip.hands.trackers.hawor import HaWoR
-from getagrip.hands.trackers.joints import Joints
+from getagrip.hands.trackers.joints import Joints, Soma
 from getagrip.hands.trackers.landmarks import Landmarks
+from getagrip.hands.trackers.lerobot import LeRobot
 from getagrip.hands.trackers.mano_parameters import ManoParameters
 from getagrip.hands.trackers.reading import CHOSEN, EXTRAPOLATED, Hands, read
+from getagrip.hands.trackers.recognition import recognise
 from getagrip.hands.trackers.tracker import Tracker
 from getagrip.io import plugins
 from getagrip.io.plugins import Table
 
-__all__ = ["CHOSEN", "EXTRAPOLATED", "TRACKERS", "Estimates", "Hands", "Request", "Tracker", "choose", "read", "usable"]
+__all__ = [
+    "CHOSEN",
+    "EXTRAPOLATED",
+    "TRACKERS",
+    "Estimates",
+    "Hands",
+    "Request",
+    "Tracker",
+    "choose",
+    "read",
+    "recognise",
+    "usable",
+]
 
 _TRACKERS: dict[str, Tracker] = {
     "hamer": HaMeR(),
@@ -38,6 +54,10 @@ _TRACKERS: dict[str, Tracker] = {
     "hawor": HaWoR(),
     "frankmocap": FrankMocap(),
     "mano": ManoParameters(),
+    "dynhamr": DynHaMR(),
+    "egodex": EgoDex(),
+    "lerobot": LeRobot(),
+    "soma": Soma(),
     "joints": Joints(),
     "landmarks": Landmarks(),
 }

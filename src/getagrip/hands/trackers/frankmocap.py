@@ -36,7 +36,8 @@ from getagrip.hands.trackers.estimates import (
     WeakPerspective,
 )
 from getagrip.hands.trackers.hand import load_mano
-from getagrip.hands.trackers.records import Record, numbers
+from getagrip.hands.trackers.recognition import Sample
+from getagrip.hands.trackers.records import Record, numbers, seen_joints
 from getagrip.hands.trackers.tracker import Tracker, per_image
 from getagrip.io.files import shown
 from getagrip.provenance import estimated
@@ -51,6 +52,11 @@ class FrankMocap(Tracker):
 
     name = "FrankMocap"
     takes = "its prediction results, one for each image"
+
+    looks_for = "pred_output_list, in *_prediction_result.pkl"
+
+    def recognises(self, sample: Sample) -> str:
+        return "FrankMocap's prediction results" if "pred_output_list" in sample.keys else ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
         """Read the hand of the requested side in the results of the clip's frames."""
@@ -105,4 +111,5 @@ def estimate(path: Path, frame: int, record: Record, camera: Camera, mean: Float
     t = weak.before(camera)
     parameters = Parameters(se3.exp_so3(pose[:3]), pose[3:] + mean, np.zeros(10), t)
     depth = "weak perspective (pred_camera, bbox_top_left, bbox_scale_ratio) and the clip's focal length"
-    return Estimate(path, frame, estimated(depth), parameters, vertices=vertices + t)
+    seen = seen_joints(path, record)
+    return Estimate(path, frame, estimated(depth), parameters, vertices=vertices + t, seen=seen)

@@ -15,6 +15,9 @@ right one in the mirrored crop, and are mirrored here; ``pred_cam[1]`` is as bot
 already. ``wilor_preds`` (WiLoR-mini) and ``hamer_preds`` (hamer-mini) hold left hands' rotations, vectors, turned back
 already.
 
+fasthamer's results (``hands``, ``focal``, ``image_size``) and V2D's hand tracks (``mano``, ``camera``) are the same
+under other names.
+
 One file may hold many images, by their paths: a record each, a list of records, or lists ``mano`` of such parameters
 (with ``is_right``) and ``cam_trans`` (3), which is ``pred_cam_t_full``. What the demos themselves save is read by
 ``hamer_demo``.
@@ -22,10 +25,11 @@ One file may hold many images, by their paths: a record each, a list of records,
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -48,6 +52,7 @@ from getagrip.hands.trackers.estimates import (
     rotations,
     vitdet_side,
 )
+from getagrip.hands.trackers.recognition import Sample
 from getagrip.hands.trackers.records import PEOPLE, Record, child, numbers, seen_joints
 from getagrip.hands.trackers.tracker import Tracker, per_image
 from getagrip.io import files
@@ -87,24 +92,54 @@ class HaMeR(Demo):
     name = "HaMeR"
     takes = "the demo's out_folder with --save_mesh, or a record for each image, as the demo holds it"
 
+    layouts = ("[0-9]/*.json",)
+    looks_for = "global_orient and hand_pose with pred_cam, pred_cam_t_full or cam_t; meshes <image>_<person>.obj"
+
+    def recognises(self, sample: Sample) -> str:
+        stem, suffix = sample.path.stem, sample.path.suffix.lower()
+        if suffix == ".obj":
+            return "meshes of HaMeR's or WiLoR's demo" if re.search(r"_\d{1,2}$", stem) else ""
+        if suffix == ".npy":
+            return "joints of HaMeR's demo" if stem.endswith(hamer_demo.JOINTS) else ""
+        placed = sample.keys & {"pred_cam", "pred_cam_t_full", "cam_trans", "cam_t"}
+        if not placed or not sample.has("global_orient", "hand_pose") or "wilor_preds" in sample.keys:
+            return ""
+        kinds = {"hamer_preds": "hamer-mini's", "cam_t": "fasthamer's", "track_id": "V2D's hand tracks, HaMeR's"}
+        return next((kinds[key] for key in kinds if key in sample.keys), "HaMeR's (or WiLoR's)") + " records"
+
     joints_of: Annotated[Side | None, one_of("left", "right"), arg(help_behavior_hint="")] = None  # type: ignore[misc]
     """Side of all joints that the demo saved with --save_keypoints and without --save_mesh."""
 
 
 def people(path: Path, content: Record) -> list[Record]:
     """Return the records of an image's hands. Raises ``InputError``."""
+    listed: object = content
     if isinstance(content, Mapping) and list(content) == [PEOPLE]:
-        content = content[PEOPLE]
-    each: list[Record] = content if isinstance(content, list) else [content]
-    if isinstance(content, Mapping) and isinstance(content.get("mano"), list) and "cam_trans" in content:
-        each = [
+        listed = content[PEOPLE]
+    elif isinstance(content, Mapping) and isinstance(content.get("hands"), list):  # fasthamer's result of an image
+        camera = {key: content[key] for key in ("focal", "image_size") if key in content}
+        listed = [{**hand, **camera} if isinstance(hand, Mapping) else hand for hand in content["hands"]]
+    elif isinstance(content, Mapping) and isinstance(content.get("mano"), list) and "cam_trans" in content:
+        listed = [
             {**hand, "pred_cam_t_full": t} if isinstance(hand, Mapping) else hand
             for hand, t in zip(content["mano"], content["cam_trans"], strict=False)
         ]
+    each = [_in_hamers_words(hand) for hand in (listed if isinstance(listed, list) else [listed])]
     wrong = next((hand for hand in each if not isinstance(hand, Mapping)), None)
     if wrong is not None:
         raise InputError(path, "", files.shown(wrong), "a dictionary for each hand")
     return each
+
+
+def _in_hamers_words(hand: Any) -> Any:
+    """Rename the keys of fasthamer's hands and of V2D's tracks, whose values are HaMeR's, to HaMeR's."""
+    if not isinstance(hand, Mapping):
+        return hand
+    if isinstance(hand.get("mano"), Mapping) and isinstance(hand.get("camera"), Mapping):
+        hand = {**hand, **hand["mano"], **hand["camera"]}
+    names = {"cam_t": "pred_cam_t_full", "focal": "scaled_focal_length", "image_size": "img_size"}
+    names["keypoints_3d"] = "pred_keypoints_3d"
+    return {names.get(key, key): value for key, value in hand.items()}
 
 
 def of_side(path: Path, record: Record, side: Side) -> list[Record]:
@@ -142,7 +177,7 @@ def estimate(path: Path, frame: int, record: Record, request: Request) -> Estima
     inner = record if mini is None else {**record, **child(path, record, mini)}
     of = {**inner, **child(path, inner, "pred_mano_params")} if "pred_mano_params" in inner else inner
     R = rotations(path, "global_orient", numbers(path, of, "global_orient", (3, 3), (3,)), 0)
-    fingers = rotations(path, "hand_pose", numbers(path, of, "hand_pose", (15, 3, 3), (15, 3)), 1)
+    fingers = rotations(path, "hand_pose", _fingers(path, of), 1)
     betas = numbers(path, of, "betas", (10,))
     if side == "left" and mini is None:
         R, fingers = mirror_rotation(R), mirror_rotation(fingers)
@@ -154,6 +189,12 @@ def estimate(path: Path, frame: int, record: Record, request: Request) -> Estima
     joints = _joints(path, inner, side, R, pose, betas) if "pred_keypoints_3d" in inner else None
     parameters, seen = Parameters(R, pose, betas, t), seen_joints(path, inner)
     return Estimate(path, frame, depth, parameters, None if joints is None else joints + t, seen=seen)
+
+
+def _fingers(path: Path, record: Record) -> ndarray:
+    """Read ``hand_pose`` as 15 matrices or vectors, also where these are in one row of 45."""
+    pose = numbers(path, record, "hand_pose", (15, 3, 3), (15, 3), (45,))
+    return pose.reshape(15, 3) if pose.ndim == 1 else pose
 
 
 def _weak_perspective(path: Path, record: Record, camera: Camera) -> tuple[WeakPerspective, Source]:
@@ -236,3 +277,7 @@ class WiLoR(Demo):
 
     name = "WiLoR"
     takes = "the demo's out_folder with --save_mesh, or a record for each image, of its demo or of WiLoR-mini"
+    looks_for = "wilor_preds, as WiLoR-mini has them"
+
+    def recognises(self, sample: Sample) -> str:
+        return "WiLoR-mini's records" if "wilor_preds" in sample.keys else ""

@@ -1,26 +1,35 @@
 """HaWoR's hands before the camera: ``cam_space/<0 left, 1 right>/<first>_<last>.json``, or an ``.npz`` of that layout.
 
 ``init_root_orient`` (T, 3, 3), ``init_hand_pose`` (T, 15, 3, 3), ``init_betas`` (T, 10) and ``init_trans`` (T, 3) of
-the images ``first`` to ``last``, counted from 0 among those that it was run on; rotations of left hands turned back
-already, for a camera with the focal length that HaWoR was run with (``img_focal``) and its principal point in the
-middle. That focal length is not in the file, so it is asked for: another one would put the hand at another depth.
+the images ``first`` to ``last``, counted from 0 among those that it was run on, and optionally ``joints_2d``; rotations
+of left hands turned back already, for a camera with the focal length that HaWoR was run with (``img_focal``) and its
+principal point in the middle. That focal length is not in the file: it is ``est_focal.txt`` in HaWoR's folder, or asked
+for. Another one would put the hand at another depth.
+
+``world_space_res.pth`` is a file of joblib, which can run code; where it was made, a line of Python makes an ``.npz``
+of it (the error about it shows the line): ``pred_trans`` (2, T, 3), ``pred_rot`` (2, T, 3), ``pred_hand_pose`` (2, T,
+45), ``pred_betas`` (2, T, 10), ``pred_valid`` (2, T), the left hand first, in the world of
+``SLAM/hawor_slam_w_scale_*.npz``.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
 from tyro.conf import arg
 
 from getagrip.clip.naming import counted_elsewhere, frame_of
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands.trackers import records
+from getagrip.hands.trackers.dynhamr import before_camera, root_joint
 from getagrip.hands.trackers.estimates import (
     Camera,
     Estimate,
@@ -30,10 +39,17 @@ from getagrip.hands.trackers.estimates import (
     WeakPerspective,
     rotations,
 )
+from getagrip.hands.trackers.recognition import Sample
 from getagrip.hands.trackers.records import Record, numbers
-from getagrip.hands.trackers.tracker import Tracker, frames_of_rows
+from getagrip.hands.trackers.tracker import Tracker, frames_of_images, frames_of_rows
+from getagrip.io import files
 from getagrip.provenance import estimated
 
+FOCAL = "est_focal.txt"
+SIDES = ("0", "1")
+"""Folders in ``cam_space`` of the left and the right hand."""
+WORLD = ("pred_trans", "pred_rot", "pred_hand_pose", "pred_betas")
+"""Names for the list that ``world_space_res.pth`` is, in its order; ``pred_valid`` is the last."""
 KEYS = ("init_root_orient", "init_hand_pose", "init_trans", "init_betas")
 
 
@@ -42,24 +58,56 @@ class HaWoR(Tracker):
     """HaWoR's hands before the camera. Its focal length is needed."""
 
     name = "HaWoR"
-    takes = "its cam_space files"
+    takes = "its folder, or its cam_space files"
+    looks_for = "cam_space/<0 or 1>/*.json with init_trans; pred_trans, pred_rot and pred_hand_pose in an .npz"
+    layouts = ("world_space_res.npz", "cam_space/[01]/*.json", "[01]/*.json")
+
+    def recognises(self, sample: Sample) -> str:
+        if sample.has(*KEYS):
+            return "HaWoR's hands before the camera (cam_space)"
+        return "HaWoR's hands in the world" if sample.has(*WORLD) else ""
 
     estimator_focal: Annotated[float | None, arg(metavar="PX", help_behavior_hint="")] = None
     """The focal length that it was run with."""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
         """Read the hand in those of the files' frames that the clip has."""
-        if self.estimator_focal is None:
-            raise UsageError("missing --estimator-focal: the focal length that HaWoR was run with [px]")
-        found = []
+        found = list[Estimate]()
         for path in paths:
-            record = records.read(path)
+            if path.parent.name in SIDES and path.parent.name != SIDES[request.side == "right"]:
+                continue
+            record, focal = records.read(path), self._focal(path)
+            if WORLD[0] in record:
+                found += _in_world(path, record, focal, request)
+                continue
             T = length(path, record)
+            seen = records.seen_joints(path, record, T)
             for n, frame in enumerate(self._frames(path, record, T, request)):
                 if frame is not None:
                     parameters = row(path, record, n, T)
-                    found.append(estimate(path, frame, parameters, request.camera(frame), self.estimator_focal))
+                    hand = estimate(path, frame, parameters, request.camera(frame), focal)
+                    found.append(hand._replace(seen=None if seen is None else seen[n]))
         return Estimates(request.side, tuple(found))
+
+    def _focal(self, path: Path) -> float:
+        """Return the focal length that HaWoR was run with [px]: as stated, or as ``est_focal.txt`` has it.
+
+        Raises ``UsageError`` where it is not known.
+        """
+        if self.estimator_focal is not None:
+            return self.estimator_focal
+        noted = next((folder / FOCAL for folder in path.parents[:3] if (folder / FOCAL).is_file()), None)
+        if noted is None:
+            raise UsageError("missing --estimator-focal: the focal length that HaWoR was run with [px]")
+        noted = files.inside(noted.parent, FOCAL, "", "a focal length")
+        text = files.read_bytes(noted, 100).decode(errors="replace").strip()
+        try:
+            focal = float(text)
+        except ValueError:
+            focal = 0.0
+        if not 0.0 < focal < records.ABSURD:
+            raise InputError(noted, "", files.shown(text), "a focal length [px]")
+        return focal
 
     def _frames(self, path: Path, record: Record, count: int, request: Request) -> list[int | None]:
         """Return the index of the frame of each row, by the file's name where it holds no ``frames``."""
@@ -76,6 +124,43 @@ class HaWoR(Tracker):
                 request.check_numbers(path, names)
             names = of_video
         return [frame_of(name, request.frames) for name in names]
+
+
+def _in_world(path: Path, record: Record, focal: float, request: Request) -> Iterator[Estimate]:
+    """Yield the hands of one side of ``world_space_res``, before the camera of the SLAM beside it."""
+    found = sorted((path.parent / "SLAM").glob("hawor_slam_w_scale_*.npz"))
+    if not found:
+        raise InputError(path.parent / "SLAM", "", "no hawor_slam_w_scale_*.npz", "the camera's path, in a world")
+    row, given = int(request.side == "right"), np.shape(record["pred_trans"])
+    T = given[1] if len(given) == 3 and given[1] > 0 else 1
+    t = numbers(path, record, "pred_trans", (2, T, 3))
+    valid = numbers(path, record, "pred_valid", (2, T))[row] if "pred_valid" in record else np.ones(T)
+    slam = files.inside(path.parent, f"SLAM/{found[-1].name}", "", "HaWoR's SLAM")
+    T_cam_world = se3.inverse(slam_poses(slam))
+    if len(T_cam_world) != T:
+        raise InputError(slam, "traj", f"{len(T_cam_world)} poses", f"{T}, one for each frame of {path.name}")
+    R, pose = (
+        numbers(path, record, "pred_rot", (2, T, 3))[row],
+        numbers(path, record, "pred_hand_pose", (2, T, 45))[row],
+    )
+    betas = numbers(path, record, "pred_betas", (2, T, 10))[row]
+    for n, frame in enumerate(frames_of_images(path, record, T, request)):
+        if frame is not None and valid[n] > 0.5:
+            root = root_joint(request.mano, request.side, betas[n])
+            turned, moved = before_camera(T_cam_world[n], se3.exp_so3(R[n]), t[row, n], root)
+            seen = {"init_root_orient": turned, "init_hand_pose": pose[n], "init_trans": moved, "init_betas": betas[n]}
+            yield estimate(path, frame, seen, request.camera(frame), focal)
+
+
+def slam_poses(path: Path) -> Float[ndarray, "T 4 4"]:
+    """Read ``T_world_cam`` of HaWoR's SLAM [m]: ``traj`` (T, 7), a place and a quaternion (x, y, z, w); ``scale``.
+
+    Raises ``InputError``.
+    """
+    record = records.read(path)
+    traj = numbers(path, record, "traj", (-1, 7))
+    scale = float(numbers(path, record, "scale", ())) if "scale" in record else 1.0
+    return se3.rigid(se3.from_quaternion(traj[:, [6, 3, 4, 5]]), scale * traj[:, :3])
 
 
 def length(path: Path, record: Record) -> int:

@@ -11,20 +11,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
+from tyro.conf import arg
 
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import backproject, project
 from getagrip.hands.clicked_hands import SCALE
 from getagrip.hands.lifted_hands import hands_from_landmarks
-from getagrip.hands.trackers import records
+from getagrip.hands.trackers import landmark_files, records
 from getagrip.hands.trackers.estimates import Estimate, Estimates, Request
+from getagrip.hands.trackers.recognition import Sample
 from getagrip.hands.trackers.tracker import Tracker, frames_of_rows, only_file
 from getagrip.io import files
+from getagrip.io.arguments import one_of
 from getagrip.provenance import assumed
 
 DEPTH = assumed("from the size of the generic hand and the clip's focal length")
@@ -41,10 +45,27 @@ class Landmarks(Tracker):
     name = "2D landmarks"
     takes = "21 of them in pixels (MediaPipe, OpenPose, ViTPose)"
 
+    looks_for = "joints_2d; *_keypoints.json of OpenPose; hand_landmarks of MediaPipe; keypoints of MMPose"
+
+    sides: Annotated[Literal["named", "swapped"] | None, one_of("named", "swapped"), arg(help_behavior_hint="")] = None
+    """Sides in MediaPipe's files: as it names them, or swapped, if its images were not flipped."""
+
+    def recognises(self, sample: Sample) -> str:
+        if sample.path.suffix.lower() == ".csv" or sample.path.stem.endswith(OPENPOSE):
+            return "a table of landmarks" if sample.path.suffix.lower() == ".csv" else "OpenPose's keypoints"
+        if landmark_files.is_mediapipe(sample.keys) or landmark_files.is_mmpose(sample.keys):
+            return "MediaPipe's results" if landmark_files.is_mediapipe(sample.keys) else "MMPose's (ViTPose's)"
+        return "2D landmarks" if "joints_2d" in sample.keys and "hand_pose" not in sample.keys else ""
+
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
         """Read the lifted hand in the clip's frames that have landmarks, or few frames between them."""
-        seen, path = np.zeros((len(request.frames), 21, 3)), paths[0]
-        if path.stem.endswith(OPENPOSE):
+        seen, path, side_assumed = np.zeros((len(request.frames), 21, 3)), paths[0], False
+        keys = frozenset[str]() if path.suffix.lower() == ".csv" else Sample(path).keys
+        if landmark_files.is_mediapipe(keys) or landmark_files.is_mmpose(keys):
+            swapped = None if self.sides is None else self.sides == "swapped"
+            names, points, side_assumed = landmark_files.read(paths, request.side, swapped)
+            rows = {"frames": names} if names else {}
+        elif path.stem.endswith(OPENPOSE):
             read = [(path.stem.removesuffix(OPENPOSE), _openpose(path, request.side)) for path in paths]
             rows = {"frames": [name for name, _ in read]}
             points = np.array([found for _, found in read])
@@ -58,23 +79,32 @@ class Landmarks(Tracker):
         for row, frame in enumerate(frames_of_rows(path, rows, len(points), request)):
             if frame is not None:
                 seen[frame] = points[row]
-        there = seen[..., 2] > 0.0
-        shares = there.any() and np.abs(seen[there][:, :2]).max() <= LARGEST_SHARE
-        if shares:
-            seen[..., :2] *= request.size
-        if not there.any():
-            return Estimates(request.side, ())
-        K = request.K[0]
-        as_seen = project(K, backproject(request.K, seen[..., :2]))
-        lifted = hands_from_landmarks(as_seen, seen[..., 2], K, request.side)
-        assert lifted.hand.joints is not None
-        joints = se3.transform(lifted.hand.T_cam_hand, lifted.hand.joints)
-        hands = (
-            Estimate(path, frame, DEPTH, None, hand, seen=seen[frame])
-            for frame, hand in zip(lifted.rows, joints, strict=True)
-        )
-        scale = SCALE + ("; coordinates up to 1 taken as shares of the image" if shares else "")
-        return Estimates(request.side, tuple(hands), scale=scale)
+        return lifted(path, seen, request, side_assumed)
+
+
+def lifted(path: Path, seen: Float[ndarray, "T 21 3"], request: Request, side_assumed: bool = False) -> Estimates:
+    """Lift landmarks in the clip's images, with their confidence, to hands; zeros where there is none.
+
+    Coordinates that are all small are shares of the image's sides.
+    """
+    there = seen[..., 2] > 0.0
+    if not there.any():
+        return Estimates(request.side, ())
+    shares = np.abs(seen[there][:, :2]).max() <= LARGEST_SHARE
+    if shares:
+        seen = seen * [*request.size, 1.0]
+    K = request.K[0]
+    as_seen = project(K, backproject(request.K, seen[..., :2]))
+    found = hands_from_landmarks(as_seen, seen[..., 2], K, request.side)
+    assert found.hand.joints is not None
+    joints = se3.transform(found.hand.T_cam_hand, found.hand.joints)
+    hands = (
+        Estimate(path, frame, DEPTH, None, hand, seen=seen[frame])
+        for frame, hand in zip(found.rows, joints, strict=True)
+    )
+    scale = SCALE + (f"; that it is the {request.side} hand is a guess" if side_assumed else "")
+    scale += "; coordinates up to 1 taken as shares of the image" if shares else ""
+    return Estimates(request.side, tuple(hands), scale=scale)
 
 
 def _count(path: Path, rows: records.Record) -> int:

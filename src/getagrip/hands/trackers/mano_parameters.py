@@ -23,6 +23,7 @@ from getagrip.hands.mano import Mano
 from getagrip.hands.trackers import records
 from getagrip.hands.trackers.estimates import Estimate, Estimates, Parameters, Request, rotations
 from getagrip.hands.trackers.hand import load_mano
+from getagrip.hands.trackers.recognition import Sample
 from getagrip.hands.trackers.records import Record, numbers
 from getagrip.hands.trackers.tracker import Tracker, frames_of_rows, only_file
 from getagrip.io.arguments import one_of
@@ -40,6 +41,11 @@ class ManoParameters(Tracker):
     name = "MANO parameters"
     takes = "plain parameters"
 
+    looks_for = "global_orient, hand_pose, betas and transl"
+
+    def recognises(self, sample: Sample) -> str:
+        return "plain MANO parameters" if sample.has("global_orient", "hand_pose", "betas", "transl") else ""
+
     pose: Annotated[Encoding | None, one_of(*get_args(Encoding)), arg(help_behavior_hint="")] = None
     """Encoding of hand_pose."""
     mean: Annotated[Mean | None, one_of(*get_args(Mean)), arg(help_behavior_hint="")] = None
@@ -55,8 +61,11 @@ class ManoParameters(Tracker):
         record = records.read(path)
         hands = parameters(path, record, self.pose, self.mean, load_mano(request.mano, request.side))
         frames = frames_of_rows(path, record, len(hands), request)
+        seen = records.seen_joints(path, record, len(hands))
         found = [
-            Estimate(path, frame, DEPTH, hand) for frame, hand in zip(frames, hands, strict=True) if frame is not None
+            Estimate(path, frame, DEPTH, hand, seen=None if seen is None else seen[n])
+            for n, (frame, hand) in enumerate(zip(frames, hands, strict=True))
+            if frame is not None
         ]
         return Estimates(request.side, tuple(found), left_model="own")
 

@@ -68,7 +68,7 @@ def read(paths: Sequence[Path], tracker: Tracker, request: Request) -> Hands:
     ``paths`` are files, folders of them, or patterns (``out/*.npz``). Raises as ``Tracker.read`` does, and
     ``InputError`` where there is no such file or hand, or none that can be one.
     """
-    paths = listed(paths)
+    paths = listed(paths, tracker.layouts)
     estimates = tracker.read(paths, request)
     if not estimates.hands:
         other = "left" if request.side == "right" else "right"

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.errors import InputError, UsageError
-from getagrip.io import arrays, files, pickles
+from getagrip.io import arrays, extras, files, pickles
 
 Record = Mapping[str, Any]
 """Arrays, numbers, texts, lists and further records by name."""
@@ -23,6 +23,11 @@ MESHES = (".obj",)
 IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
 COMPRESSED = (b"x\x01", b"x^", b"x\x9c", b"x\xda", b"\x1f\x8b", b"BZh", b"\xfd7zXZ")
 """How files begin that joblib has compressed."""
+CONVERTS_HAWOR = (
+    "import joblib, numpy as np; keys = 'pred_trans pred_rot pred_hand_pose pred_betas pred_valid'.split(); "
+    "np.savez('world_space_res.npz', **{k: np.asarray(v) for k, v in zip(keys, joblib.load('world_space_res.pth'))})"
+)
+"""Makes an ``.npz`` of HaWoR's hands in the world."""
 PEOPLE = "people"
 """Key of the records of several hands, where a file holds nothing but a list of these."""
 LARGEST = 256 * 2**20
@@ -31,16 +36,19 @@ ABSURD = 1e7
 """No pixel, metre or radian is as large."""
 
 
-def listed(paths: Sequence[Path]) -> list[Path]:
+def listed(paths: Sequence[Path], layouts: Sequence[str] = ()) -> list[Path]:
     """List the files that paths stand for: those in a folder of a known suffix, or those that match a pattern.
 
-    Raises ``InputError`` for a path that stands for none.
+    ``layouts`` are patterns below a folder by which a program lays its files out; they come first. Raises
+    ``InputError`` for a path that stands for none.
     """
     known = (*SUFFIXES, *MESHES)
     found: list[Path] = []
     for path in paths:
         if path.is_dir():
-            files_of = sorted(each for each in path.iterdir() if each.suffix.lower() in known and each.is_file())
+            files_of = _laid_out(path, layouts) or sorted(
+                each for each in path.iterdir() if each.suffix.lower() in known and each.is_file()
+            )
             if not files_of:
                 raise InputError(
                     path, "", "a folder without such a file", f"files of an estimator ({', '.join(known)})"
@@ -54,6 +62,16 @@ def listed(paths: Sequence[Path]) -> list[Path]:
                 raise InputError(path, "", got, "an estimator's files")
         found += files_of
     return found
+
+
+def _laid_out(folder: Path, layouts: Sequence[str]) -> list[Path]:
+    """List the files of the first pattern that matches any below a folder; links out of it are passed over."""
+    root = folder.resolve()
+    for pattern in layouts:
+        found = (one for one in folder.glob(pattern) if one.is_file() and one.resolve().is_relative_to(root))
+        if files_of := sorted(found):
+            return files_of
+    return []
 
 
 def read(path: Path) -> Record:
@@ -85,11 +103,11 @@ def _check_not_joblib(path: Path) -> None:
     """Raise ``InputError`` for a file of ``joblib.dump``, which names its own classes and is no file of torch."""
     content = files.read_bytes(path, LARGEST)
     if b"joblib.numpy_pickle" in content or content.startswith(COMPRESSED):
-        line = (
-            f"import joblib, pickle; pickle.dump(joblib.load({path.name!r}), open({path.stem + '_plain.pkl'!r}, 'wb'))"
-        )
+        plain = f"{path.stem}_plain.pkl"
+        line = f"import joblib, pickle; pickle.dump(joblib.load({path.name!r}), open({plain!r}, 'wb'))"
+        line = CONVERTS_HAWOR if path.name == "world_space_res.pth" else line
         got = "a file of joblib.dump, which could run code when loaded"
-        raise InputError(path, "", got, f"a plain pickle; where it was made, Python converts it: {line}")
+        raise InputError(path, "", got, f"a plain file; where it was made, Python converts it: {line}")
 
 
 def by_image(record: Record) -> Record:
@@ -104,7 +122,7 @@ def _read_torch(path: Path) -> Record:
         import torch
     except ModuleNotFoundError as error:
         raise UsageError(
-            f"{path}: reading {path.suffix} files needs torch: pip install 'getagrip[torch]', or save the same "
+            f"{path}: reading {path.suffix} files needs torch: {extras.install('torch')}, or save the same "
             "dictionary as .npz where the file was made"
         ) from error
     content = files.read_bytes(path, LARGEST)

@@ -14,6 +14,7 @@ from getagrip.clip.naming import frame_of, number_of
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.trackers import records
 from getagrip.hands.trackers.estimates import Estimates, Request
+from getagrip.hands.trackers.recognition import Sample
 from getagrip.io import arrays, files
 
 KEYED = (".pkl", ".pickle", ".json", ".pt", ".pth")
@@ -28,6 +29,15 @@ class Tracker:
     """Name in a clip's provenance."""
     takes: ClassVar[str]
     """Its files in a few words, for the command's help."""
+
+    looks_for: ClassVar[str] = ""
+    """By what its files are recognised, in a few words; empty: they are not."""
+    layouts: ClassVar[tuple[str, ...]] = ()
+    """Patterns of its files below the folder that it writes."""
+
+    def recognises(self, sample: Sample) -> str:
+        """Return what a file is, in words, where it is this program's; else nothing."""
+        return ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
         """Read the hand in some of the requested frames.
@@ -90,6 +100,17 @@ def frames_of_rows(path: Path, record: records.Record, count: int, request: Requ
         expected = f"{len(request.frames)} as the clip has, or an array frames with their names"
         raise InputError(path, "frames", f"{count} hands and no names of frames", expected)
     return list(range(count))
+
+
+def frames_of_images(path: Path, record: records.Record, count: int, request: Request) -> list[int | None]:
+    """Return the index of the frame of each row, as ``frames_of_rows``; rows may also be all images of a video.
+
+    These are counted from 0, and the video's frames from 1 where the request does not state the first one's number.
+    """
+    if "frames" in record or count == len(request.frames):
+        return frames_of_rows(path, record, count, request)
+    names = [str(n + 1 if request.ask_first else n) for n in range(count)]
+    return [frame_of(name, request.frames) for name in names]
 
 
 def only_file(paths: Sequence[Path], what: str) -> Path:

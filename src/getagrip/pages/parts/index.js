@@ -2,7 +2,7 @@
 // The page of many results.
 
 const FLAGS = {
-  any: "all", failed: "failed", left: "not done", misfit: "poor fit", serious: "serious finding", note: "note", ambiguous: "ambiguous", guess: "guesses",
+  any: "all", failed: "failed", left: "not done", misfit: "poor fit", serious: "serious finding", note: "note", ambiguous: "ambiguous", dropped: "dropped", guess: "guesses",
   unread: "could not be read", none: "none of these",
 };
 const BAD_FLAGS = new Set(["serious", "misfit"]);

@@ -18,11 +18,13 @@ from getagrip.commands.evaluate_others import pose_jobs
 from getagrip.errors import UsageError
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.other_poses import poses_of
-from getagrip.evaluation.pose_files import read_pose_file
 from getagrip.export import bop
 from getagrip.export.scene import Scene
 from getagrip.geometry import se3
 from getagrip.io import arrays
+from getagrip.object_poses.at_frames import read_poses
+from getagrip.object_poses.files import read_pose_file
+from getagrip.object_poses.writing import Track, write_like
 from getagrip.result import Reconstruction, write_result
 from helpers.clips import small_clip
 from helpers.command_line import Run
@@ -94,6 +96,21 @@ def test_every_file_gives_the_same_metrics(tmp_path: Path, moved: Any, kind: str
     assert theirs.keys() == ours.keys()
     for key, value in ours.items():
         assert theirs[key] == pytest.approx(value, abs=1e-3, nan_ok=True), key
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "result"])
+def test_what_is_written_like_a_file_is_read_as_it_was(tmp_path: Path, moved: Any, kind: str) -> None:
+    clip, _, result = moved
+    place = of_file(kind, tmp_path, clip, result)
+    poses = read_poses(place, clip)
+    turned = poses.T_hand_obj @ se3.rigid(se3.exp_so3(np.array([0.1, 0.2, 0.3])), np.array([0.01, 0.0, 0.02]))
+    track = Track(poses.names, clip.hand.T_cam_hand @ turned, turned, 1.0, np.ones(4))
+    folder = tmp_path / "out"
+    folder.mkdir()
+    again = read_poses(write_like(place, track, folder), clip)
+    np.testing.assert_allclose(again.T_hand_obj, turned, atol=1e-7)
+    assert again.names == poses.names
+    assert again.found.all()
 
 
 def test_frames_without_a_pose_are_held_still_in_the_hand_and_said(tmp_path: Path, moved: Any) -> None:

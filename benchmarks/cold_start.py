@@ -1,0 +1,62 @@
+"""What a first start costs: seconds of processor time per kernel that is compiled, with an empty cache.
+
+``python -m benchmarks cold-start``. Each group of kernels is compiled in a process of its own, as ``compile_once`` has
+it done; what a kernel calls is counted with the first one that does.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+
+from benchmarks.store import Table, of_cells
+from getagrip.compiling import GROUPS
+
+CHILD = """
+import json, sys, time
+import numba.core.event as events
+from getagrip import compiling
+
+open_, spent = [], {}
+
+
+class Clock(events.Listener):
+    def on_start(self, event):
+        open_.append([time.process_time(), 0.0])
+
+    def on_end(self, event):
+        since, inner = open_.pop()
+        took = time.process_time() - since
+        if open_:
+            open_[-1][1] += took
+        function = event.data["dispatcher"].py_func
+        ours = function.__module__.startswith("getagrip.")
+        name = f"{function.__module__.removeprefix('getagrip.')}.{function.__name__}" if ours else "numba's own parts"
+        spent[name] = spent.get(name, 0.0) + took - inner
+
+
+events.register("numba:compile", Clock())
+compiling.compile_modules(sys.argv[1:])
+print(json.dumps({"all": time.process_time(), "kernels": spent}))
+"""
+
+
+def tables() -> dict[str, Table]:
+    """Measure."""
+    rows, total = [], 0.0
+    for group in GROUPS:
+        with tempfile.TemporaryDirectory() as empty:
+            command = [sys.executable, "-c", CHILD, *group]
+            environment = os.environ | {"NUMBA_CACHE_DIR": empty}
+            done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        measured = json.loads(done.stdout)
+        total += measured["all"]
+        spent = dict(sorted(measured["kernels"].items(), key=lambda one: -one[1]))
+        spent["imports and the start of numba"] = measured["all"] - sum(spent.values())
+        rows += [[group[0], name, f"{seconds:.2f}"] for name, seconds in spent.items()]
+    rows.append(["all", "all", f"{total:.2f}"])
+    how = "an empty cache of kernels; one process per group"
+    return {"cold-start": of_cells("A first start, by kernel", ["group", "kernel", "CPU, s"], rows, [how])}

@@ -1,0 +1,62 @@
+"""``--keep``: mark the results of which a share is right, in the hand or in the camera. Nothing is deleted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import arg
+
+from getagrip.errors import UsageError
+from getagrip.probability import Probability
+
+if TYPE_CHECKING:
+    from getagrip.pages import IndexRow
+    from getagrip.result import Reconstruction
+
+LOWEST, HIGHEST = 0.5, 0.98
+"""Shares that results are calibrated for (``checks.keeping``)."""
+
+
+@dataclass(frozen=True)
+class Keep:
+    """Which results are kept. Raises ``UsageError``."""
+
+    keep: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="(default: no result is marked)")] = None
+    """Mark results as kept or dropped, so that at least this share of the kept ones is right, 0.5 to 0.98. Nothing is
+    deleted."""
+    keep_in: Literal["hand", "camera"] = "hand"
+    """Frame in which they are to be right."""
+
+    def __post_init__(self) -> None:
+        if self.keep is not None and not LOWEST <= self.keep <= HIGHEST:
+            raise UsageError(f"--keep must be {LOWEST:g} to {HIGHEST:g} (got {self.keep:g})")
+
+    def verdict(self, in_hand: Probability | None, in_camera: Probability | None) -> str:
+        """Return "kept" or "dropped"; empty where nothing is marked. Results without a probability are dropped."""
+        return self.mark(*(None if right is None else right.keep for right in (in_hand, in_camera)))
+
+    def mark(self, in_hand: float | None, in_camera: float | None) -> str:
+        """Return the verdict by the largest shares that a result is kept for."""
+        if self.keep is None:
+            return ""
+        share = in_hand if self.keep_in == "hand" else in_camera
+        return "kept" if share is not None and share >= self.keep else "dropped"
+
+    def marked(self, row: IndexRow, result: Reconstruction) -> IndexRow:
+        """Return a row of the index with a flag where its result is dropped."""
+        dropped = self.verdict(result.probability_right, result.probability_right_in_camera) == "dropped"
+        return replace(row, flags=(*row.flags, "dropped")) if dropped else row
+
+    def summary(self, verdicts: Mapping[str, str]) -> str:
+        """Sum up the verdicts of results by name, in a line."""
+        dropped = sorted(name for name, verdict in verdicts.items() if verdict == "dropped")
+        kept = len(verdicts) - len(dropped)
+        named = f"; dropped: {', '.join(dropped)}" if dropped else ""
+        share = f"{kept} of {len(verdicts)} ({100.0 * kept / max(len(verdicts), 1):.0f} %) are kept"
+        return f"{share}: at least {100.0 * (self.keep or 0.0):.3g} % of such are right in the {self.keep_in}{named}"
+
+
+ALL = Keep()
+"""No mark."""

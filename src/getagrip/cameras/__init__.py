@@ -1,0 +1,42 @@
+"""The camera's path from other programs' files: ``read_path(path)``, recognised by names and keys.
+
+Each format is a function in one of these files, and a line in ``FORMATS``; it returns None for what is not its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from getagrip.cameras import colmap, lines, phones, slam
+from getagrip.cameras.camera_path import CameraPath
+from getagrip.errors import InputError, UsageError
+
+__all__ = ["FORMATS", "CameraPath", "read_path"]
+
+FORMATS: dict[str, Callable[[Path], CameraPath | None]] = {
+    "colmap (images.txt or images.bin, cameras.txt or cameras.bin)": colmap.read,
+    "epic-fields (a JSON with camera and images)": colmap.read_epic_fields,
+    "vipe (pose/*.npz and intrinsics/*.npz)": slam.read_vipe,
+    "megasam (cam_c2w in an .npz)": slam.read_megasam,
+    "hawor (SLAM/hawor_slam_w_scale_*.npz, or traj in an .npz, as of DROID-SLAM)": slam.read_hawor,
+    "arkit (frames' .json with cameraPoseARFrame)": phones.read_arkit,
+    "aria (closed_loop_trajectory.csv)": phones.read_aria,
+    "tum (lines of 8 numbers)": lines.read_tum,
+    "kitti (lines of 12 numbers)": lines.read_kitti,
+}
+
+
+def read_path(path: Path) -> CameraPath:
+    """Read a camera's path, in whatever format it is.
+
+    Raises ``InputError`` for damaged files and where no format fits, ``UsageError`` where several do.
+    """
+    if not path.exists():
+        raise InputError(path, "", "no such file or folder", "a camera's path")
+    found = {name: one for name, read in FORMATS.items() if (one := read(path)) is not None}
+    if len(found) > 1:
+        raise UsageError(f"{path}: may be of several programs ({', '.join(found)}); name the file")
+    if not found:
+        raise InputError(path, "", "files of no known program", f"one of {', '.join(FORMATS)}")
+    return next(iter(found.values()))

@@ -1,0 +1,138 @@
+"""COLMAP's models, text and binary (colmap.github.io/format.html), and EPIC-Fields' JSON, which holds the same.
+
+Images have world to camera as a quaternion (w, x, y, z) and a translation. The scale of a model is arbitrary.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.cameras.camera_path import CameraPath, Pinhole
+from getagrip.clip.naming import stem_of
+from getagrip.errors import InputError
+from getagrip.geometry import se3
+from getagrip.io import files
+
+LARGEST = 2 * 2**30
+"""Bytes of the largest file."""
+PLACES = ("", "sparse", "sparse/0", "0", "dense/sparse")
+"""Folders below the one that is named in which a model is looked for."""
+MODELS = {
+    0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5), 4: ("OPENCV", 8),
+    5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12), 7: ("FOV", 5), 8: ("SIMPLE_RADIAL_FISHEYE", 4),
+    9: ("RADIAL_FISHEYE", 5), 10: ("THIN_PRISM_FISHEYE", 12),
+}  # fmt: skip
+"""Camera models by number: name and count of parameters."""
+ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
+
+
+class Image(NamedTuple):
+    """An image of a model: its name, its camera's number, and world to camera (w, x, y, z, tx, ty, tz)."""
+
+    name: str
+    camera: int
+    pose: tuple[float, ...]
+
+
+def read(path: Path) -> CameraPath | None:
+    """Read a model from its folder, or from one above it; None where there is none. Raises ``InputError``."""
+    folders = [path / place for place in PLACES] if path.is_dir() else [path.parent] * path.name.startswith("images.")
+    folder = next((one for one in folders for end in ("bin", "txt") if (one / f"images.{end}").is_file()), None)
+    if folder is None:
+        return None
+    suffix = "bin" if (folder / "images.bin").is_file() and (folder / "cameras.bin").is_file() else "txt"
+    source = files.inside(folder, f"images.{suffix}", "", "COLMAP's images")
+    of_cameras = files.inside(folder, f"cameras.{suffix}", "", "COLMAP's cameras")
+    try:
+        content, cameras = files.read_bytes(source, LARGEST), files.read_bytes(of_cameras, LARGEST)
+        if suffix == "bin":
+            images, pinholes = list(_images_bin(content)), dict(_cameras_bin(cameras))
+        else:
+            images, pinholes = list(_images_txt(content.decode())), dict(_cameras_txt(cameras.decode()))
+    except (ValueError, IndexError, KeyError, OverflowError, struct.error) as error:
+        raise InputError(source, "", f"a damaged file ({error})", "a model as COLMAP writes it") from error
+    return _path(f"COLMAP's model ({suffix})", source, images, pinholes)
+
+
+def read_epic_fields(path: Path) -> CameraPath | None:
+    """Read a file of EPIC-Fields; None for another. Raises ``InputError``."""
+    if path.suffix.lower() != ".json":
+        return None
+    content: Any = files.read_any_json(path)
+    camera = content.get("camera") if isinstance(content, dict) else None
+    if not isinstance(camera, dict) or not isinstance(content.get("images"), dict):
+        return None
+    try:
+        size = int(camera["width"]), int(camera["height"])
+        pinhole = _pinhole(str(camera["model"]), size, [float(value) for value in camera["params"]])
+        images = [Image(name, 0, tuple(map(float, pose))) for name, pose in content["images"].items()]
+        if any(len(image.pose) != 7 for image in images):
+            raise ValueError("7 numbers for each image")
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(path, "", f"a damaged file ({error})", "a file of EPIC-Fields") from error
+    return _path("EPIC-Fields", path, images, {0: pinhole})
+
+
+def _path(source: str, path: Path, images: list[Image], pinholes: dict[int, Pinhole]) -> CameraPath:
+    """Make the path of a model's images."""
+    if not images:
+        raise InputError(path, "", "no images", "a model with images")
+    poses = np.array([image.pose for image in images])
+    T_world_cam = se3.inverse(se3.rigid(se3.from_quaternion(poses[:, :4]), poses[:, 4:]))
+    names = tuple(stem_of(image.name) for image in images)
+    pinhole = pinholes.get(images[0].camera) if len({image.camera for image in images}) == 1 else None
+    return CameraPath(source, path, T_world_cam, names, pinhole=pinhole)
+
+
+def _pinhole(model: str, size: tuple[int, int], params: list[float]) -> Pinhole:
+    """Convert a camera's parameters."""
+    if model in ONE_FOCAL:
+        f, cx, cy, *rest = params
+        return Pinhole.of(f, f, cx, cy, size, any(rest))
+    fx, fy, cx, cy, *rest = params
+    return Pinhole.of(fx, fy, cx, cy, size, any(rest) or "FISHEYE" in model)
+
+
+def _lines(text: str) -> Iterator[list[str]]:
+    return (line.split() for line in text.splitlines() if not line.startswith("#"))
+
+
+def _images_txt(text: str) -> Iterator[Image]:
+    """Yield the images of ``images.txt``, two lines each; that of points may be empty."""
+    for words in list(_lines(text))[::2]:
+        if words:
+            yield Image(" ".join(words[9:]), int(words[8]), tuple(map(float, words[1:8])))
+
+
+def _cameras_txt(text: str) -> Iterator[tuple[int, Pinhole]]:
+    for words in filter(None, _lines(text)):
+        yield int(words[0]), _pinhole(words[1], (int(words[2]), int(words[3])), [float(word) for word in words[4:]])
+
+
+def _images_bin(content: bytes) -> Iterator[Image]:
+    """Yield the images of ``images.bin``; their points are passed over."""
+    (count,), place = struct.unpack_from("<Q", content), 8
+    for _ in range(count):
+        _, *pose, camera = struct.unpack_from("<I7dI", content, place)
+        end = content.index(b"\0", place + 64)
+        name = content[place + 64 : end].decode()
+        (points,) = struct.unpack_from("<Q", content, end + 1)
+        place = end + 9 + 24 * points
+        yield Image(name, camera, tuple(pose))
+
+
+def _cameras_bin(content: bytes) -> Iterator[tuple[int, Pinhole]]:
+    (count,), place = struct.unpack_from("<Q", content), 8
+    for _ in range(count):
+        number, kind, width, height = struct.unpack_from("<IiQQ", content, place)
+        model, parameters = MODELS[kind]
+        params: Float[ndarray, "n"] = np.frombuffer(content, "<f8", parameters, place + 24)
+        place += 24 + 8 * parameters
+        yield number, _pinhole(model, (width, height), params.tolist())

@@ -1,0 +1,191 @@
+"""Depth images in files: 16-bit PNG, ``.npy``, ``.npz`` of one array, EXR; ``depth/`` of a clip's folder."""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.clip.data import Clip
+from getagrip.clip.depth import DEPTH, SIDE, Depth, DepthSource, sampled, windows
+from getagrip.clip.masks import masks_in, read_object_masks
+from getagrip.errors import InputError
+from getagrip.io import arrays, files
+from getagrip.io.exr import read_channel
+from getagrip.io.files import Json, shown
+from getagrip.io.images import open_png
+
+SUFFIXES = (".png", ".npy", ".npz", ".exr")
+MOST = 40_000_000
+"""Pixels of an image."""
+STRETCH = 0.06
+"""Largest difference of a depth image's shape from that of the clip's images: networks round sides to multiples of 14
+or 32 pixels."""
+FARTHEST = 20.0
+"""Distance beyond which metric depth of hand and object is in another unit [m]."""
+SATURATED = 65535
+"""No depth in 16-bit images, as 0 is."""
+KEYS = ("scale", "source", "unit", "error")
+EXPECTED = "a depth image for each frame of clip.json that has one"
+
+
+def depth_file(folder: Path, frame: str) -> str | None:
+    """Name the depth image of a frame in a clip's folder; None where it has none."""
+    names = (f"{DEPTH}/{frame}{suffix}" for suffix in SUFFIXES)
+    return next((name for name in names if os.path.lexists(folder / name)), None)
+
+
+def read_depth(clip: Clip) -> Depth | None:
+    """Read the depth about hand and object in a clip's frames, an image at a time; None where its folder has none.
+
+    Raises ``InputError`` for images of several sizes or of another shape than the clip's, for negative depth, where no
+    image has depth about hand and object, and where all is too far away for the unit.
+    """
+    if clip.folder is None or not os.path.lexists(clip.folder / DEPTH):
+        return None
+    source = read_source(clip.folder / "clip.json")
+    names = [depth_file(clip.folder, frame) for frame in clip.frames]
+    paths = [None if name is None else files.inside(clip.folder, name, "", EXPECTED) for name in names]
+    first = next((path for path in paths if path is not None), None)
+    if first is None:
+        raise InputError(clip.folder / DEPTH, "", "no image named like a frame of the clip", EXPECTED)
+    size = check_shape(first, read_pixels(first), clip.size)
+    corner, stride = windows(clip, masks_in(clip) or read_object_masks(clip), size)
+    z = np.zeros((len(paths), SIDE, SIDE))
+    for n, path in enumerate(paths):
+        if path is not None:
+            z[n] = source.unit * sampled(read_pixels(path, size), corner[n], int(stride[n]))
+    depth = Depth(z, corner, stride, size, source)
+    known = depth.z[depth.z > 0.0]
+    if not known.size:
+        raise InputError(clip.folder / DEPTH, "", "0 in all images about hand and object", "depth in some")
+    if source.scale == "metric" and np.median(known) > FARTHEST:
+        got = f"a median of {np.median(known):.4g} m about hand and object"
+        raise InputError(
+            clip.folder / "clip.json", f"{DEPTH}.unit", got, f"at most {FARTHEST:g} m: are these millimetres?"
+        )
+    return depth
+
+
+def read_source(path: Path) -> DepthSource:
+    """Read what depth images are in a ``clip.json``. Raises ``InputError``."""
+    stored = files.read_json(path).get(DEPTH)
+    if not isinstance(stored, dict):
+        raise InputError(path, DEPTH, shown(stored), "an object: what the images in the folder depth are")
+    return source_of(path, stored)
+
+
+def source_of(path: Path, stored: Json) -> DepthSource:
+    """Parse what depth images are. Raises ``InputError``."""
+    allowed = {"scale": ("metric", "clip", "frame"), "source": ("sensor", "network")}
+    unknown = next((key for key in stored if key not in KEYS), None)
+    if unknown is not None:
+        raise InputError(path, f"{DEPTH}.{files.plain(unknown)}", "an unknown key", f"one of {', '.join(KEYS)}")
+    for key, values in allowed.items():
+        if stored.get(key) not in values:
+            raise InputError(path, f"{DEPTH}.{key}", shown(stored.get(key)), " or ".join(values))
+    for key, most in {"unit": 1e6, "error": 1.0}.items():
+        value = stored.get(key, 1.0 if key == "error" else None)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value <= most:
+            raise InputError(path, f"{DEPTH}.{key}", shown(value), f"a number above 0, at most {most:g}")
+    return DepthSource(stored["scale"], stored["source"], float(stored["unit"]), float(stored.get("error", np.nan)))
+
+
+def source_fields(source: DepthSource) -> Json:
+    """Return ``depth`` of ``clip.json``."""
+    error = {} if np.isnan(source.error) else {"error": source.error}
+    return {"scale": source.scale, "source": source.source, "unit": source.unit, **error}
+
+
+def check_shape(path: Path, image: Float[ndarray, "h w"], size: tuple[int, int]) -> tuple[int, int]:
+    """Return width and height of a depth image. Raises ``InputError`` for another shape than the clip's images have."""
+    height, width = image.shape
+    if abs(np.log(width / height * size[1] / size[0])) > STRETCH:
+        expected = f"the shape of the clip's images, {size[0]} x {size[1]}: neither cropped nor turned"
+        raise InputError(path, "size", f"{width} x {height} pixels", expected)
+    return width, height
+
+
+def read_pixels(path: Path, size: tuple[int, int] | None = None) -> Float[ndarray, "h w"]:
+    """Read a depth image in its file's unit, 0 where there is none; of a ``size`` if given. Raises ``InputError``."""
+    image = READERS[path.suffix.lower()](path)
+    if size is not None and image.shape != size[::-1]:
+        value = f"{image.shape[1]} x {image.shape[0]} pixels"
+        raise InputError(path, "size", value, f"{size[0]} x {size[1]}, as the first image")
+    return image
+
+
+def cleaned(path: Path, key: str, stored: ndarray) -> Float[ndarray, "h w"]:
+    """Return an array as depth: 0 where it is not finite. Raises ``InputError`` for other arrays than of one image."""
+    array = (
+        stored.reshape(stored.shape[-2:]) if stored.ndim > 2 and stored.size == np.prod(stored.shape[-2:]) else stored
+    )
+    if array.ndim != 2 or array.dtype.kind not in "fiu" or not 0 < array.size <= MOST:
+        got = f"{stored.dtype} of shape {stored.shape}"
+        raise InputError(path, key, got, f"numbers of shape (height, width), at most {MOST} of them")
+    image = np.where(np.isfinite(array), array, 0.0)
+    if image.min() < 0.0:
+        raise InputError(path, key, f"numbers down to {image.min():g}", "distances, 0 for none: no disparities")
+    return np.asarray(image, dtype=float)
+
+
+def read_png16(path: Path) -> Float[ndarray, "h w"]:
+    """Read a 16-bit PNG of one channel. Raises ``InputError``."""
+    image, colours, bits = open_png(path, png_size(path))
+    if (colours, bits) != ("grey", 16):
+        raise InputError(path, "channels", f"{bits} bit {colours}", "16 bit, one channel (grey)")
+    values = np.array(image)
+    return np.where(values == SATURATED, 0, values).astype(float)
+
+
+def png_size(path: Path) -> tuple[int, int]:
+    """Return width and height as a PNG's head states them. Raises ``InputError`` where it has none, or is too large."""
+    head = files.read_bytes(path)[:24]
+    if len(head) < 24 or head[:4] != b"\x89PNG":
+        raise InputError(path, "", "a damaged file, or no PNG", "a whole PNG file")
+    width, height = struct.unpack(">II", head[16:24])
+    if not 0 < width * height <= MOST:
+        raise InputError(path, "size", f"{width} x {height} pixels", f"at most {MOST} pixels")
+    return width, height
+
+
+def _npy(path: Path) -> Float[ndarray, "h w"]:
+    return cleaned(path, "", arrays.parse_npy(path, "", files.read_bytes(path, arrays.LARGEST)))
+
+
+def _npz(path: Path) -> Float[ndarray, "h w"]:
+    stored = arrays.read(path, lambda _: True)
+    key = DEPTH if DEPTH in stored else next(iter(stored), DEPTH)
+    if key not in stored or (key != DEPTH and len(stored) > 1):
+        raise InputError(path, DEPTH, f"{len(stored)} arrays without this one", "the array, or one alone")
+    return cleaned(path, key, stored[key])
+
+
+def _exr(path: Path) -> Float[ndarray, "h w"]:
+    return cleaned(path, "", read_channel(path, MOST))
+
+
+READERS: dict[str, Callable[[Path], Float[ndarray, "h w"]]] = {
+    ".png": read_png16, ".npy": _npy, ".npz": _npz, ".exr": _exr
+}  # fmt: skip
+
+
+def write_depth(clip: Clip, depth: Depth, folder: Path) -> None:
+    """Write the depth of a clip into its new folder, and what it is into the ``clip.json`` there.
+
+    Images in the clip's own folder are copied; of samples in memory, images are written that have these pixels alone.
+    """
+    fields, path = source_fields(depth.source), folder / "clip.json"
+    target = files.folder_inside(folder, DEPTH)
+    for n, frame in enumerate(clip.frames):
+        name = None if clip.folder is None else depth_file(clip.folder, frame)
+        if clip.folder is not None and name is not None:
+            files.write_bytes(folder / name, files.read_bytes(files.inside(clip.folder, name, "", EXPECTED)))
+        elif depth.z[n].any():
+            arrays.write(target / f"{frame}.npz", {DEPTH: (depth.image(n) / depth.source.unit).astype(np.float32)})
+    files.write_json(path, {**files.read_json(path), DEPTH: fields})

@@ -1,0 +1,211 @@
+"""Depth images from the files that sensors and networks leave: one entry of ``SOURCES`` each.
+
+What is read, for all of them: a file for each frame, named like it or by its number (PNG, ``.npy``, ``.npz``, EXR); a
+folder for each frame with ``depth`` of these; or one ``.npz`` or ``.npy`` of all frames (N, H, W), in their order or
+with their names in ``frames``. Images have the size that the program worked at: of the clip's images they are all,
+scaled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.clip.depth import DEPTH, DepthSource
+from getagrip.clip.depth_files import SUFFIXES, cleaned, png_size, read_pixels, read_png16
+from getagrip.clip.naming import check_numbers, frames_of, number_of
+from getagrip.errors import InputError, UsageError, unknown
+from getagrip.io import arrays, files
+from getagrip.io.files import plain
+from getagrip.io.images import read_colour_png
+
+HO3D_UNIT = 0.00012498664727900177
+"""Metres per unit of HO-3D's depth (``read_depth_img`` of its authors' code)."""
+OTHER_CAMERA = 0.15
+"""A network whose focal length differs from the clip's by more saw another field of view [share]."""
+
+
+def _ho3d(path: Path) -> Float[ndarray, "h w"]:
+    """HO-3D's colours: red is the low byte, green the high one."""
+    colours = read_colour_png(path, png_size(path)).astype(float)
+    return colours[..., 0] + 256.0 * colours[..., 1]
+
+
+@dataclass(frozen=True)
+class DepthFormat:
+    """How a program writes depth.
+
+    Attributes:
+        takes: its files in a few words, for the command's help.
+        source: what its numbers are; ``unit`` is that of PNG.
+        read_png: the reader of its PNG.
+        floats: unit of numbers with fractions.
+    """
+
+    takes: str
+    source: DepthSource
+    read_png: Callable[[Path], Float[ndarray, "h w"]] = read_png16
+    floats: float = 1.0
+
+
+def _sensor(takes: str, unit: float = 0.001, error: float = np.nan, **more: object) -> DepthFormat:
+    return DepthFormat(takes, DepthSource("metric", "sensor", unit, error), **more)  # type: ignore[arg-type]
+
+
+SOURCES: Mapping[str, DepthFormat] = {
+    "realsense": _sensor("16-bit PNG in mm, aligned to the colour images"),
+    "dexycb": _sensor("aligned_depth_to_color_*.png"),
+    "ho3d": _sensor("its colour-coded PNG", HO3D_UNIT, read_png=_ho3d),
+    "arkit": _sensor("of an iPhone's LiDAR: PNG in mm, or arrays in metres", error=0.01),
+    "depth-anything-3": DepthFormat("exports/npz/results.npz", DepthSource("clip", "network")),
+    "moge": DepthFormat("--maps: a folder for each image, with depth.exr", DepthSource("frame", "network")),
+    "unidepth": DepthFormat("its depth as .npy or .npz", DepthSource("metric", "network")),
+    "depth-pro": DepthFormat("an .npz for each image", DepthSource("metric", "network")),
+}
+"""Each format by its name; ``--scale`` and ``--error`` of the command overrule what it says of itself."""
+
+
+@dataclass(frozen=True)
+class DepthReader:
+    """The depth images of a clip's frames, in the format's unit.
+
+    Attributes:
+        read: the image of a frame, by its index, and its unit; raises ``InputError``.
+        known: frames that have one.
+        focal: focal length that the program assumed [widths of the image]; NaN where it does not say.
+    """
+
+    read: Callable[[int], tuple[Path, Float[ndarray, "h w"], float]]
+    known: Sequence[int]
+    focal: float = field(default=np.nan)
+
+
+def open_depth(path: Path, name: str, frames: Sequence[str], ask_first: str) -> DepthReader:
+    """Open the depth images of some frames.
+
+    Raises ``InputError`` where there are none, ``UsageError`` for an unknown format, and where files seem to be counted
+    from another start (``naming.check_numbers``).
+    """
+    if name not in SOURCES:
+        raise unknown("--from", name, SOURCES)
+    form = SOURCES[name]
+    if path.is_file() and path.suffix in {".npz", ".npy"} and number_of(path.stem) is None:
+        return _stack(path, form, frames, ask_first)
+    if path.is_dir() and (path / "exports" / "npz" / "results.npz").is_file():
+        return _stack(path / "exports" / "npz" / "results.npz", form, frames, ask_first)
+    paths = _images(path) if path.is_dir() else [path] if path.is_file() else []
+    if not paths:
+        got = "no depth image" if path.exists() else "no such file or folder"
+        raise InputError(path, "", got, f"{name}'s {form.takes}")
+    names = [each.parent.name if each.stem == DEPTH else each.stem for each in paths]
+    rows = _rows(path, names, frames, ask_first)
+
+    def read(n: int) -> tuple[Path, Float[ndarray, "h w"], float]:
+        of_frame = paths[rows[n]]
+        if of_frame.suffix == ".png":
+            return of_frame, form.read_png(of_frame), form.source.unit
+        return of_frame, read_pixels(of_frame), form.floats
+
+    beside = paths[rows[min(rows)]].parent / "fov.json"
+    return DepthReader(read, sorted(rows), _focal_of_view(beside) if beside.is_file() else np.nan)
+
+
+def _images(folder: Path) -> list[Path]:
+    """List the depth images of a folder: a file of each frame, or a folder of each with one called ``depth``."""
+    inside = sorted(one for sub in folder.iterdir() if sub.is_dir() for one in sub.glob(f"{DEPTH}.*"))
+    alone = sorted(one for one in folder.iterdir() if one.is_file())
+    for some in (inside, alone):
+        for suffix in reversed(SUFFIXES):  # numbers with fractions rather than pictures of them
+            found = [one for one in some if one.suffix.lower() == suffix]
+            if found:
+                return found
+    return []
+
+
+def _stack(path: Path, form: DepthFormat, frames: Sequence[str], ask_first: str) -> DepthReader:
+    """Open an array of all frames."""
+    if path.suffix == ".npy":
+        stored = {DEPTH: arrays.parse_npy(path, "", files.read_bytes(path, arrays.LARGEST))}
+    else:
+        stored = arrays.read(path, {DEPTH, "frames", "intrinsics"}.__contains__)
+    if DEPTH not in stored:
+        raise InputError(path, DEPTH, "no such array", "the depth of all frames")
+    depth = stored[DEPTH]
+    if depth.ndim == 4 and 1 in depth.shape[1::2]:
+        depth = depth[:, 0] if depth.shape[1] == 1 else depth[..., 0]
+    depth = depth[None] if depth.ndim == 2 else depth
+    if depth.ndim != 3:
+        raise InputError(
+            path, DEPTH, f"{depth.dtype} of shape {depth.shape}", "numbers of shape (frames, height, width)"
+        )
+    if "frames" in stored:
+        names = arrays.names(stored["frames"])
+        if names is None or len(names) != len(depth):
+            raise InputError(path, "frames", files.shown(stored["frames"]), f"{len(depth)} names or numbers of frames")
+        rows = _rows(path, [str(name) for name in names], frames, ask_first)
+    elif len(depth) == len(frames):
+        rows = {n: n for n in range(len(frames))}
+    else:
+        expected = f"{len(frames)} as the clip has, or an array frames with their names"
+        raise InputError(path, DEPTH, f"{len(depth)} images and no names of frames", expected)
+    focal, K = np.nan, stored.get("intrinsics")
+    if K is not None and K.ndim == 3 and K.shape[1:] == (3, 3) and K.dtype.kind == "f" and len(K):
+        focal = float(np.median(K[:, 0, 0])) / depth.shape[2]
+    unit = form.floats if depth.dtype.kind == "f" else form.source.unit
+    return DepthReader(lambda n: (path, cleaned(path, DEPTH, depth[rows[n]]), unit), sorted(rows), focal)
+
+
+def _rows(path: Path, names: Sequence[str], frames: Sequence[str], ask_first: str) -> dict[int, int]:
+    """Return the row of each frame that has an image."""
+    check_numbers(frames, names, path, "depth image", ask_first)
+    rows = dict[int, int]()
+    for row, n in enumerate(frames_of(names, frames)):
+        if n is not None and n in rows:
+            got = f"two images of frame {plain(frames[n])}: {plain(names[rows[n]])}, {plain(names[row])}"
+            raise InputError(path, "", got, "one")
+        if n is not None:
+            rows[n] = row
+    if not rows:
+        some = ", ".join(map(plain, names[:2]))
+        got = f"no depth image of any of {len(frames)} frames among {some}"
+        raise InputError(path, "", got, f"names like those of frames, {plain(frames[0])}")
+    return rows
+
+
+def _focal_of_view(path: Path) -> float:
+    """Return the focal length of MoGe's ``fov.json`` [widths of the image]; NaN where it does not say."""
+    angle = files.read_json(path).get("fov_x")
+    if not isinstance(angle, int | float) or not 0.0 < angle < 180.0:
+        return np.nan
+    return float(0.5 / np.tan(np.radians(angle) / 2.0))
+
+
+def check_camera(reader: DepthReader, K: Float[ndarray, "T 3 3"], width: int) -> str:
+    """Say that a program saw another field of view than the clip's camera has; empty where it did not."""
+    ratio = reader.focal * width / float(np.median(K[:, 0, 0]))
+    if not abs(ratio - 1.0) > OTHER_CAMERA:
+        return ""
+    return (
+        f"the program assumed {ratio:.2f} times the clip's focal length: its distances may be off as much; "
+        "give it the clip's, or import with --scale clip"
+    )
+
+
+def chosen_source(name: str, scale: str | None, unit: float | None, error: float | None) -> DepthSource:
+    """Return what a format's numbers are, as far as the user does not say otherwise. Raises ``UsageError``."""
+    source = SOURCES[name].source
+    if error is not None and not 0.0 < error < 1.0:
+        raise UsageError(f"--error must be a share of the distance, above 0 and below 1 (got {error})")
+    if unit is not None and not 0.0 < unit <= 1e3:
+        raise UsageError(f"--unit must be a number above 0 (got {unit})")
+    return DepthSource(
+        scale or source.scale,  # type: ignore[arg-type]
+        source.source,
+        source.unit if unit is None else unit,
+        source.error if error is None else error,
+    )

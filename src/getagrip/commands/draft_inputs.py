@@ -1,0 +1,191 @@
+"""Hands and masks of a draft that are not made here: a user's files, or those of an estimator that is run for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.annotate.drafting import traced
+from getagrip.annotate.estimators import ESTIMATORS, check, named, run
+from getagrip.annotate.finding_hands import FoundHands
+from getagrip.annotate.footage import Footage
+from getagrip.annotate.labels import FrameLabels
+from getagrip.clip.mask_request import MaskRequest
+from getagrip.clip.mask_sources import open_masks
+from getagrip.clip.naming import number_of
+from getagrip.clip.plausible import check_in_view
+from getagrip.commands.hand_file import HandFile
+from getagrip.errors import InputError, UsageError, unknown
+from getagrip.geometry import se3
+from getagrip.geometry.camera import project
+from getagrip.hands.model import Side
+from getagrip.hands.trackers import TRACKERS, Hands, Request, read
+from getagrip.hands.trackers.hawor import HaWoR
+from getagrip.io import files
+from getagrip.landmarks import HandLandmarks
+from getagrip.provenance import Source
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Frames of a video, from 0, both ends included, and its camera."""
+
+    footage: Footage
+    first: int
+    last: int
+    K: Float[ndarray, "3 3"]
+    camera: Source
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the frames in a clip."""
+        return tuple(self.footage.name(n) for n in range(self.first, self.last + 1))
+
+    def request(self, side: Side, names: tuple[str, ...] | None = None) -> Request:
+        """Make the request for the hand in all frames, under other names if these are given."""
+        many = np.tile(self.K, (self.last - self.first + 1, 1, 1))
+        return Request(side, names or self.names, many, self.footage.size, ask_first="" if names else "--interval")
+
+    def write_images(self, folder: Path) -> Path:
+        """Write the frames as JPEG, named by the numbers of their names."""
+        folder.mkdir()
+        for n, name in enumerate(self.names, start=self.first):
+            files.write_bytes(folder / f"{_number(name, n):06d}.jpg", self.footage.jpeg(n, whole=True))
+        return folder
+
+
+def _number(name: str, n: int) -> int:
+    """Return the number in a frame's name, or its place from 1."""
+    number = number_of(name)
+    return n + 1 if number is None else number
+
+
+def check_source(option: str, given: str | None) -> None:
+    """Raise ``UsageError`` for what is neither a file nor an estimator that is set up."""
+    if given is None:
+        return
+    names = named(option)
+    if given in names:
+        check(given)
+    elif not Path(given).exists():
+        raise unknown(f"--{option}", given, [*names, "a file or folder that exists"])
+
+
+def estimated(name: str, stretch: Stretch, folder: Path, values: Mapping[str, Sequence[object]]) -> Path:
+    """Run an estimator on the frames; return the folder of its files, which is in ``folder``.
+
+    Raises ``UsageError`` where it fails, and where the folder exists: it is the result of minutes.
+    """
+    from tempfile import TemporaryDirectory
+
+    out = folder / name
+    if out.exists():
+        makes = ESTIMATORS[name].makes
+        raise UsageError(f"{out}: exists already: --{makes} {out} reads it; remove it to run {name} again")
+    with TemporaryDirectory() as temporary:
+        images = stretch.write_images(Path(temporary) / "images")
+        made = Path(temporary) / "made"
+        made.mkdir()
+        run(name, {**values, "images": [images], "K": stretch.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()}, made)
+        with files.new_folder(out) as new:
+            for path in made.rglob("*"):
+                if path.is_file() and not path.is_symlink():
+                    target = new / path.relative_to(made)
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    target.write_bytes(path.read_bytes())
+    return out
+
+
+def boxes_file(landmarks: HandLandmarks, stretch: Stretch, path: Path) -> Path:
+    """Write the box about the landmarks of each frame, as HaMeR's script takes them [px]."""
+    boxes = {}
+    for row in landmarks.rows:
+        points, name = landmarks.points[row], f"{_number(stretch.names[row], stretch.first + row):06d}"
+        boxes[name] = [*points.min(axis=0).tolist(), *points.max(axis=0).tolist()]
+    files.write_json(path, boxes)
+    return path
+
+
+def hands_of(path: Path, source: str | None, side: Side | None, stretch: Stretch) -> FoundHands:
+    """Read the hand in a file or folder: a hand file or, with ``source``, what ``import hands --from`` reads.
+
+    Raises ``InputError``, and ``UsageError`` for options that are missing.
+    """
+    if source is None and (path.is_dir() or path.suffix != ".npz"):
+        which = ", ".join(TRACKERS)
+        raise UsageError(f"missing --hands-from: the program that wrote {path}: {which} (without it, a hand file .npz)")
+    own = HandFile.of(path) if source is None else None
+    known = side or (own.side if own is not None else None)
+    if known not in ("left", "right"):
+        raise UsageError(f"missing --side: {path} does not say which hand it holds")
+    which_side: Side = "left" if known == "left" else "right"
+    if own is not None:
+        return as_found(path, own.at(stretch.names, which_side, None), which_side, stretch)
+    if source is None or source not in TRACKERS:
+        raise unknown("--hands-from", source, TRACKERS)
+    try:
+        hands = read([path], TRACKERS[source], stretch.request(which_side))
+    except UsageError as error:
+        advice = "getagrip import hands has this option: --out FILE there, --hands FILE here"
+        raise UsageError(f"{error} ({advice})" if str(error).startswith("missing --") else str(error)) from error
+    return as_found(path, hands, which_side, stretch)
+
+
+def hands_by(name: str, out: Path, side: Side, stretch: Stretch) -> FoundHands:
+    """Read what an estimator has written. Raises ``InputError``."""
+    if ESTIMATORS[name].reader == "hawor":  # counts from 0, a folder for each side
+        names = tuple(f"{n:06d}" for n in range(len(stretch.names)))
+        tracker = HaWoR(float(stretch.K[0, 0]))
+        path = out / ("0" if side == "left" else "1")
+        return as_found(path, read([path], tracker, stretch.request(side, names)), side, stretch)
+    return hands_of(out / "hand.npz", None, side, stretch)
+
+
+def as_found(path: Path, hands: Hands, side: Side, stretch: Stretch) -> FoundHands:
+    """Return hands as if they had been found here: their joints, seen or projected, are drawn on the page."""
+    track, frames = hands.track, tuple(stretch.first + row for row in hands.found)
+    check_in_view(path, track, np.tile(stretch.K, (len(frames), 1, 1)), stretch.footage.size)
+    landmarks: dict[int, Float[ndarray, "21 2"]] = {}
+    if track.joints is not None:
+        points = project(stretch.K, se3.transform(track.T_cam_hand, track.joints))
+        landmarks = dict(zip(frames, points, strict=True))
+        confidence = np.zeros(points.shape[:2]) if track.joints_2d_confidence is None else track.joints_2d_confidence
+        if track.joints_2d is not None:
+            points = np.where(confidence[..., None] > 0.0, track.joints_2d, points)
+        track = replace(track, joints_2d=points, joints_2d_confidence=confidence)  # without confidence only drawn
+    return FoundHands(track, side, frames, landmarks, stretch.K, {**hands.provenance, "camera": stretch.camera})
+
+
+def masks_of(
+    path: Path, stretch: Stretch, labels: Sequence[str], hand: Sequence[str], done: Callable[[int], None]
+) -> dict[int, FrameLabels]:
+    """Read masks of the frames, as polygons. Raises ``InputError``, and ``UsageError`` for labels."""
+    request = MaskRequest(stretch.names, stretch.footage.size, tuple(labels), (), tuple(hand))
+    drawn: dict[int, FrameLabels] = {}
+    try:
+        reader = open_masks(path, request)
+        for row in range(len(stretch.names)):
+            masks = reader(row)
+            done(row + 1)
+            if masks is not None:
+                seen = None if masks.hand is None else tuple(traced(masks.hand))
+                front = masks.ignore if masks.hand is None else masks.ignore & ~masks.hand
+                shapes = tuple(traced(masks.object)), tuple(traced(front))
+                drawn[stretch.first + row] = FrameLabels(object=shapes[0], front=shapes[1] or None, hand=seen)
+    except InputError as error:
+        raise InputError(error.path, error.key, _of_draft(error.got), _of_draft(error.expected)) from error
+    except UsageError as error:
+        raise UsageError(_of_draft(str(error))) from error
+    if not any(frame.object for frame in drawn.values()):
+        raise UsageError(f"{path}: no mask shows a pixel of the object in the frames of the interval")
+    return drawn
+
+
+def _of_draft(text: str) -> str:
+    """Return what a reader of masks says, with the names that its options have here."""
+    return text.replace("--object", "--mask-object").replace("--hand", "--mask-hand")

@@ -1,0 +1,86 @@
+"""``import hands DEMOS/ --clips CLIPS/``, and masks: what is named like a clip goes into it, for many clips."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from getagrip.commands.command import Command, each_clip
+from getagrip.errors import InputError
+from getagrip.io.terminal import Silence, counted, report, say
+
+if TYPE_CHECKING:
+    from getagrip.batch.job import Outcome
+
+
+@dataclass(frozen=True)
+class ImportJob:
+    """A clip, and the command that imports what is there for it."""
+
+    clip: Path
+    command: Command | None
+    """None where there is nothing of this name."""
+    source: Path
+    target: Path
+    """The file or folder that it makes; a clip that has it is done."""
+    overwrite: bool
+
+
+@dataclass(frozen=True)
+class Imported:
+    """The outcome of a clip that did not fail."""
+
+    clip: str
+    kept: bool
+    warnings: tuple[str, ...] = ()
+
+
+def import_many(
+    source: Path, clips: Path, target: str, overwrite: bool, command: Callable[[Path, Path], Command], debug: bool
+) -> int:
+    """Import into every clip below a folder; return 1 if one failed, 3 with warnings, else 0.
+
+    ``command`` makes the command of a clip from what ``source`` has under its name (a folder, or one file) and the
+    clip. Clips that have ``target`` are done. A clip that fails does not end the others.
+    """
+    if not source.is_dir():
+        raise InputError(source, "", "no such folder", "a folder with something named like each clip")
+    by_stem: dict[str, list[Path]] = {}
+    for one in sorted(source.iterdir()):
+        by_stem.setdefault(one.name if one.is_dir() else one.stem, []).append(one)
+
+    def job(name: str, folder: Path) -> ImportJob:
+        found = by_stem.get(name) or by_stem.get(folder.name) or []
+        made = command(found[0], folder) if len(found) == 1 else None
+        several = source / (" and ".join(one.name for one in found) or name)
+        return ImportJob(folder, made, several, folder / target, overwrite)
+
+    imported, failed = each_clip([clips], job, import_one, 1, debug)
+    for each in imported:
+        for text in each.warnings:
+            report(f"{each.clip}: {text}")
+    kept = sum(one.kept for one in imported)
+    say(f"{counted(len(imported) - kept, 'clip')} imported, {kept} done already, {failed} failed")
+    return 1 if failed else 3 if any(one.warnings for one in imported) else 0
+
+
+def import_one(job: ImportJob, progress: Callable[[str, float], None] = lambda *_: None) -> Imported | Outcome:
+    """Import into one clip. Raises nothing: a failure is returned."""
+    from getagrip.batch.job import failure
+
+    if job.target.exists() and not job.overwrite:
+        return Imported(job.clip.name, kept=True)
+    said = io.StringIO()
+    try:
+        if job.command is None:
+            raise InputError(job.source, "", "no such file or folder", "one for the clip, and only one")
+        with redirect_stdout(Silence()), redirect_stderr(said):
+            job.command.run()
+    except Exception as error:  # one clip's trouble must not end the others
+        return failure(job.clip.name, error)
+    lines = said.getvalue().splitlines()
+    return Imported(job.clip.name, kept=False, warnings=tuple(line for line in lines if line.startswith("warning")))

@@ -1,0 +1,201 @@
+"""How kernels are compiled, on all cores before the first reconstruction, and where they are kept.
+
+They are kept in the user's cache, in a folder that is named after all that they depend on: their sources, numba and
+Python. There they outlast upgrades and new environments, and a kernel whose source has changed is compiled anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numba
+from numba import config, njit, types
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
+
+from getagrip.io import files, locks
+
+OPTIONS: dict[str, Any] = {
+    "cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"},
+    "forceinline": True, "no_cfunc_wrapper": True,
+}  # fmt: skip
+"""How all kernels are compiled; NaN and infinity keep their meaning.
+
+Kernels that others call become parts of these. Else each caller has a copy, optimised in its own way; of several copies
+in a process the first to be loaded counts, and that is another one where kernels come from the cache: other last bits.
+"""
+GROUPS = (
+    ("fitting.energy.mask", "kernels.hand", "kernels.silhouette", "kernels.contour"),
+    ("kernels.closest", "fitting.contact", "fitting.energy.push", "fitting.energy.pull"),
+    ("fitting.energy.contact_consistency", "geometry.depth"),
+    ("fitting.observation", "fitting.mask_gaps", "hands.bending"),
+)
+"""Modules whose kernels share parts are compiled by one process; those that take longest first."""
+RARE = (
+    "fitting.energy.mask_by_shape", "fitting.energy.paper_push", "fitting.energy.paper_pull", "fitting.energy.depth",
+    "kernels.depth", "fitting.energy.order", "kernels.cut",
+)  # fmt: skip
+"""Modules of kernels that few reconstructions need; each is compiled when it is."""
+LETTERS = {
+    "f": types.float64, "s": types.float32, "i": types.int64, "n": types.int32, "t": types.int8, "u": types.uint64,
+    "b": types.boolean,
+}  # fmt: skip
+WORDS = "kernels are compiled, once for this version: half a minute of one core"
+
+_declared: list[tuple[Any, str]] = []
+
+
+def kernel(arguments: str = "", fastmath: bool = True) -> Callable[[Any], Any]:
+    """Make a decorator that compiles a function.
+
+    ``arguments`` are the types that a kernel called from Python is compiled for ahead: a letter of ``LETTERS`` each,
+    then the number of axes of an array, as in "f3 i". A private one without them can be called by kernels only.
+    Without ``fastmath``, sums keep their order.
+    """
+
+    def decorate(function: Callable) -> Any:
+        options = OPTIONS | {"no_cpython_wrapper": not arguments and function.__name__.startswith("_")}
+        compiled = njit(**options if fastmath else options | {"fastmath": False})(function)
+        compiled._cache = _Cache(function)
+        if arguments:
+            _declared.append((compiled, arguments))
+        return compiled
+
+    return decorate
+
+
+part = njit(inline="always")
+"""Decorates a small piece of one kernel: it is compiled as the text of that kernel, never by itself."""
+
+
+def compile_once(tell: Callable[[], object] = lambda: None) -> None:
+    """Have the kernels of a reconstruction compiled, unless they are, and call ``tell`` before. Raises nothing.
+
+    Of several processes one does it, by one process per core; the others wait. A mark says that it is done. Kernels
+    that could not be kept are compiled when they are used.
+    """
+    mark = mark_file()
+    try:
+        if _is_set(mark):
+            return
+        mark.parent.mkdir(parents=True, exist_ok=True)
+        mark.touch()
+        with locks.holding(mark):
+            if not _is_set(mark):
+                tell()
+                _compile_side_by_side()
+                files.write_text(mark, "compiled")
+    except Exception:  # a full disk, a folder of others, no room in memory: the clips will say what is wrong
+        return
+
+
+def compile_modules(names: Iterable[str]) -> None:
+    """Compile the kernels of modules of the package for the types that they declare."""
+    modules = {f"getagrip.{name}" for name in names}
+    for module in modules:
+        importlib.import_module(module)
+    for compiled, arguments in _declared:
+        if compiled.py_func.__module__ in modules:
+            compiled.compile(signature(arguments))
+
+
+def signature(arguments: str) -> tuple[Any, ...]:
+    """Return numba's types of arguments as ``kernel`` takes them."""
+    return tuple(
+        types.Array(LETTERS[word[0]], int(word[1:]), "C") if word[1:] else LETTERS[word] for word in arguments.split()
+    )
+
+
+@cache
+def folder() -> Path:
+    """Return the folder of the compiled kernels: in ``NUMBA_CACHE_DIR``, else in the user's cache."""
+    total = hashlib.sha256(repr((numba.__version__, sys.version_info[:2], sys.platform)).encode())
+    for name in ("compiling", *(name for group in (*GROUPS, RARE) for name in group)):
+        total.update(resources.files("getagrip").joinpath(*name.split(".")).with_suffix(".py").read_bytes())
+    user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "getagrip" / "kernels"
+    return (Path(config.CACHE_DIR) if config.CACHE_DIR else user) / total.hexdigest()[:16]
+
+
+def mark_file() -> Path:
+    """Return the mark that all kernels are compiled for this processor: several machines may see one folder."""
+    from numba.core.registry import cpu_target
+
+    processor = cpu_target.target_context.codegen().magic_tuple()  # by which numba tells apart what it keeps
+    return folder() / f"compiled.{hashlib.sha256(repr(processor).encode()).hexdigest()[:16]}"
+
+
+def _is_set(mark: Path) -> bool:
+    return mark.is_file() and mark.stat().st_size > 0
+
+
+def _compile_side_by_side() -> None:
+    """Compile all groups, in processes of their own where there are cores for several and Python can be started."""
+    n = min(config.NUMBA_DEFAULT_NUM_THREADS, len(GROUPS))  # cores that this process may use
+    if n == 1 or getattr(sys, "frozen", False) or not Path(sys.executable or "").name.lower().startswith("py"):
+        return compile_modules(name for group in GROUPS for name in group)
+    shares = [*GROUPS[: n - 1], tuple(name for group in GROUPS[n - 1 :] for name in group)]
+    command = "import sys; from getagrip.compiling import compile_modules; compile_modules(sys.argv[1:])"
+    paths = os.pathsep.join(os.path.abspath(path) for path in sys.path if path)
+    with ThreadPoolExecutor(n) as threads:
+        ends = [
+            threads.submit(
+                subprocess.run, [sys.executable, "-P", "-c", command, *names], env=os.environ | {"PYTHONPATH": paths},
+                stdin=subprocess.DEVNULL, capture_output=True, check=True,
+            )
+            for names in shares
+        ]  # fmt: skip
+        for end in ends:
+            end.result()
+    return None
+
+
+class _Place(_CacheLocator):
+    """The place of a kernel in the cache, as numba asks for it."""
+
+    def __init__(self, py_func: Callable, py_file: str) -> None:
+        self._py_file, self._module = py_file, py_func.__module__
+
+    def get_cache_path(self) -> str:
+        return str(folder())
+
+    def get_source_stamp(self) -> str:
+        return folder().name
+
+    def get_disambiguator(self) -> str:
+        return str(self._module)
+
+    @classmethod
+    def from_function(cls, py_func: Callable, py_file: str) -> _Place:
+        return cls(py_func, py_file)
+
+
+class _Files(CompileResultCacheImpl):
+    _locator_classes: ClassVar = [_Place]
+
+
+class _Cache(FunctionCache):
+    """The compiled versions of a kernel. What cannot be read or kept is compiled anew."""
+
+    _impl_class = _Files
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:  # a damaged file may raise anything
+            with suppress(OSError):
+                self.flush()
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        with suppress(Exception):  # likewise, or a full disk
+            super().save_overload(sig, data)

@@ -1,0 +1,145 @@
+"""Depth images: ``depth``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
+
+from getagrip.checks.check import Check, percent
+from getagrip.checks.evidence import Evidence
+from getagrip.clip import Clip, Modality
+from getagrip.clip.depth import DEPTH, Depth
+from getagrip.clip.depth_files import depth_file, read_depth, write_depth
+from getagrip.fitting.energy import Term, Terms
+from getagrip.geometry.mesh import decimate
+
+if TYPE_CHECKING:  # files of clips are asked for by commands that fit nothing
+    from getagrip.fitting.energy.depth import DepthSamples
+    from getagrip.fitting.problem import Problem
+
+WEIGHT = 0.004
+"""Energy per squared deviation of an independent sample [area of the masks]: what a nat of the masks weighs for objects
+of the hand's size, and less for smaller ones, whose contact with the hand counts less as well."""
+FACES = {64: 200, 128: 500, 256: 500}
+"""Most faces of the object at each resolution."""
+MOST = {64: 40, 128: 60, 256: 100}
+"""Samples of a body in a frame, at each resolution."""
+UNIT = 2.0
+"""Metric depth that shows the hand this many times as far away as it is given, or as near, is not used."""
+OFF = 1.6
+"""Usual deviation of depth from the surfaces that were found, at most [in what it may err by]; of the truth it is 0.6
+to 1.4 on training clips, and 1.4 to 2.1 where depth is warped by 30 %, 2.8 to 3.3 for that of another clip."""
+
+
+def hand_ratio(it: Evidence) -> float:
+    """Measure how many times as far away metric depth shows the hand as it is given."""
+    depth = DepthImages().of(it.clip)
+    if depth is None or depth.source.scale != "metric":
+        return np.nan
+    from getagrip.fitting.depth_samples import hand_ratio_of, samples_of
+
+    return hand_ratio_of(samples_of(it.clip, it.masks, depth, MOST[64]))
+
+
+def missing(it: Evidence) -> float:
+    """Measure the share of the visible surface of object and hand that has no depth."""
+    return _shares(it)[0]
+
+
+def elsewhere(it: Evidence) -> float:
+    """Measure the share of the surface's depth that is far behind or before the rest."""
+    return _shares(it)[1]
+
+
+def _shares(it: Evidence) -> tuple[float, float]:
+    depth = DepthImages().of(it.clip)
+    if depth is None:
+        return np.nan, np.nan
+    from getagrip.fitting.depth_samples import shares_of
+
+    return shares_of(it.clip, it.masks, depth)
+
+
+def misfit(it: Evidence) -> float:
+    """Measure how far depth is off the surfaces that were found, its own scale apart, in what it may err by."""
+    depth = DepthImages().of(it.clip)
+    if depth is None or it.T_hand_obj is None:
+        return np.nan
+    from getagrip.fitting.depth_samples import deviation_at
+
+    return deviation_at(it.clip, it.masks, depth, it.T_hand_obj, it.scale)
+
+
+class DepthImages(Modality[Depth]):
+    """Distances of the object's and the hand's visible surface."""
+
+    name = DEPTH
+    input_checks = (
+        Check(
+            "depth-unit", hand_ratio, low=1.0 / UNIT, high=UNIT,
+            fault="depth images show the hand {value} times as far away as it is given, and were not used",
+            advice="check the depth's unit and scale, and the hand's distance",
+        ),
+        Check(
+            "depth-missing", missing, high=0.9, serious=False, shown=percent,
+            fault="{value} of the visible surface of object and hand have no depth", advice="is it of this clip?",
+        ),
+        Check(
+            "depth-elsewhere", elsewhere, high=0.25, serious=False, shown=percent,
+            fault="{value} of the depth on object and hand is far behind or before the rest",
+            advice="is it of this clip, aligned to its images and of the same field of view?",
+        ),
+    )  # fmt: skip
+    result_checks = (
+        Check(
+            "depth-misfit",
+            misfit,
+            high=OFF,
+            serious=False,
+            fault="depth is off the surfaces that were found by {value} times what it may err by, and counted little",
+            advice="is it of this clip? A wrong hand or mesh is off likewise",
+        ),
+    )
+
+    def files(self, folder: Path, frames: Sequence[str]) -> list[str]:
+        return [name for frame in frames if (name := depth_file(folder, frame)) is not None]
+
+    def read(self, clip: Clip) -> Depth | None:
+        return read_depth(clip)
+
+    def write(self, clip: Clip, folder: Path) -> None:
+        depth = self.of(clip)
+        if depth is not None:
+            write_depth(clip, depth, folder)
+
+    def terms(self, problem: Problem) -> Terms | None:
+        depth = self.of(problem.clip)
+        if depth is None:
+            return None
+        from getagrip.fitting.depth_samples import errors_of, hand_ratio_of, samples_of
+        from getagrip.fitting.energy.depth import DepthTerm, Solid
+
+        clip, centre = problem.clip, problem.clip.mesh.centre
+
+        @cache
+        def samples(most: int) -> DepthSamples:
+            return samples_of(clip, problem.masks, depth, most)
+
+        if depth.source.scale == "metric" and abs(np.log(hand_ratio_of(samples(MOST[64])))) > np.log(UNIT):
+            return None
+        meshes = {level: decimate(clip.mesh, faces) for level, faces in FACES.items()}
+        solids = {level: Solid.of(mesh.vertices[None] - centre, mesh.faces) for level, mesh in meshes.items()}
+        hand = Solid.of(clip.hand.vertices, clip.hand.faces)
+        errors, weight = errors_of(depth.source), WEIGHT * float(problem.observation.area.mean())
+
+        def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[Term]:
+            some = samples(MOST[level]).take(index)
+            return [DepthTerm(solids[level], hand.take(index), some, errors, weight)]
+
+        return Terms(object=terms)

@@ -1,0 +1,72 @@
+"""2D joints of the hand that holds the object: ``joints_2d`` of ``hand.npz``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.checks import Check
+from getagrip.checks.check import percent
+from getagrip.clip import Clip, Modality
+from getagrip.fitting.energy import Terms
+from getagrip.fitting.seen_joints import ELSEWHERE, share_elsewhere
+from getagrip.io.array_data import ArrayData
+
+if TYPE_CHECKING:  # files of clips are asked for by commands that fit nothing
+    from getagrip.fitting.problem import Problem
+
+
+@dataclass(frozen=True, eq=False)
+class Joints2D(ArrayData):
+    """Joints of the hand in every frame, as detected or clicked.
+
+    Attributes:
+        points: (T, 21, 2) in the images [px].
+        confidence: (T, 21) from 0 (not seen) to 1.
+    """
+
+    points: Float[ndarray, "T 21 2"]
+    confidence: Float[ndarray, "T 21"]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def take(self, index: Int[ndarray, "n"]) -> Joints2D:
+        """Return the joints in some of the frames, in the given order."""
+        return Joints2D(self.points[index], self.confidence[index])
+
+
+class HandJoints2D(Modality[Joints2D]):
+    """Places of the hand's joints in the images. They are the hand's (``HandTrack.joints_2d``), and stay with it."""
+
+    name = "joints-2d"
+    input_checks = (
+        Check(
+            "joints-elsewhere", lambda it: share_elsewhere(it.clip, it.masks), high=ELSEWHERE, serious=False,
+            shown=percent, fault="{value} of the hand's 2D joints are neither on the hand nor on the object",
+            advice="they were left out: are they of the other hand, or of images of another size?",
+        ),
+    )  # fmt: skip
+
+    def files(self, folder: Path, frames: Sequence[str]) -> list[str]:
+        return []  # hand.npz is a file of every clip
+
+    def read(self, clip: Clip) -> None:
+        return None
+
+    def write(self, clip: Clip, folder: Path) -> None:
+        return None
+
+    def of(self, clip: Clip) -> Joints2D | None:
+        points, confidence = clip.hand.joints_2d, clip.hand.joints_2d_confidence
+        return None if points is None or confidence is None else Joints2D(points, confidence)
+
+    def terms(self, problem: Problem) -> Terms | None:
+        from getagrip.fitting.objective import joints_of
+
+        return None if self.of(problem.clip) is None else Terms(hand=joints_of(problem))

@@ -1,0 +1,115 @@
+"""A dataset of LeRobot of many results, an episode each, with files of its own; it can be continued.
+
+``meta/info.json`` is written last: what it does not count is written anew, so that an end at any time loses the episode
+at work and no other. Each record in ``meta/episodes`` has its result's clip as ``clip``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy import ndarray
+
+from getagrip.errors import InputError
+from getagrip.export.lerobot import CHUNK_SIZE, EPISODES, Episode, write_meta
+from getagrip.export.scene import Scene
+from getagrip.io import extras, files
+
+
+@dataclass
+class Dataset:
+    """The dataset in a folder.
+
+    Attributes:
+        folder: its folder.
+        info: the content of ``meta/info.json``; empty for a new one.
+        records: the record of each episode.
+        tasks: the tasks in words.
+    """
+
+    folder: Path
+    info: dict[str, Any] = field(default_factory=dict)
+    records: list[dict[str, Any]] = field(default_factory=list)
+    tasks: list[str] = field(default_factory=list)
+
+    @staticmethod
+    def of(folder: Path) -> Dataset:
+        """Open the dataset in a folder, or begin one. Raises ``InputError`` for other things."""
+        made, path = Dataset(folder), folder / "meta" / "info.json"
+        if not path.exists():
+            if folder.exists() and {one.name for one in folder.iterdir()} - {"data", "meta", "videos"}:
+                raise InputError(folder, "", "other files", "a dataset of LeRobot, or a new folder")
+            return made
+        parquet = extras.load("pyarrow.parquet", "lerobot")
+        made.info = files.read_json(files.inside(folder, "meta/info.json", "", "the dataset's description"))
+        total = made.info.get("total_episodes")
+        try:
+            for number in range(int(str(total))):
+                place = {"chunk_index": number // CHUNK_SIZE, "file_index": number % CHUNK_SIZE}
+                source = files.inside(folder, EPISODES.format(**place), "", "an episode's record")
+                (record,) = parquet.read_table(source).to_pylist()
+                made.records.append({key: _arrays(key, value) for key, value in record.items()})
+                made.tasks += [task for task in record["tasks"] if task not in made.tasks]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            expected = "a dataset that this program wrote"
+            raise InputError(path, "total_episodes", f"{total} and {error}", expected) from error
+        return made
+
+    @property
+    def clips(self) -> set[str]:
+        """The clips whose results are in it."""
+        return {str(record.get("clip", "")) for record in self.records}
+
+    def add(self, scene: Scene) -> int:
+        """Add a scene as the last episode and return its number.
+
+        Raises ``InputError`` where its rate or its features differ from the dataset's, and as ``Episode.of``.
+        """
+        made, number = Episode.of(scene), len(self.records)
+        if self.info and (self.info["fps"], self.info["features"]) != (made.fps, made.features):
+            got = f"{made.fps} frames per second, {', '.join(sorted(made.features))}"
+            of = self.info["features"]
+            expected = f"{self.info['fps']}, {', '.join(sorted(of))}, images of one size, as the other episodes have"
+            raise InputError(Path(scene.name), "", got, expected)
+        files.folder_inside(self.folder, "meta")
+        tasks = self.tasks if made.task in self.tasks else [*self.tasks, made.task]
+        begin = int(self.records[-1]["dataset_to_index"]) if self.records else 0
+        record = made.write(self.folder, number, begin, tasks.index(made.task), scene.name)
+        self.records.append(record)
+        write_meta(self.folder, made, tasks, self.statistics(), number + 1, int(str(record["dataset_to_index"])))
+        self.tasks, self.info = tasks, {"fps": made.fps, "features": made.features}
+        return number
+
+    def statistics(self) -> dict[str, dict[str, ndarray]]:
+        """Compute the statistics of all episodes from those of each, as LeRobot does: quantiles are means of theirs."""
+        keys = [key.split("/")[1:] for key in self.records[0] if key.startswith("stats/")]
+        return {name: _together(self._each(name, of_name)) for name, of_name in _grouped(keys).items()}
+
+    def _each(self, name: str, keys: list[str]) -> dict[str, ndarray]:
+        """Return some statistics of a feature, for each episode."""
+        return {key: np.array([np.asarray(one[f"stats/{name}/{key}"]) for one in self.records]) for key in keys}
+
+
+def _grouped(keys: list[list[str]]) -> dict[str, list[str]]:
+    out: dict[str, list[str]] = {}
+    for name, key in keys:
+        out.setdefault(name, []).append(key)
+    return out
+
+
+def _together(each: dict[str, ndarray]) -> dict[str, ndarray]:
+    """Join the statistics of episodes (N, ...)."""
+    count = each["count"].reshape(len(each["count"]), *[1] * (each["mean"].ndim - 1))
+    share = count / count.sum()
+    mean = (share * each["mean"]).sum(axis=0)
+    variance = (share * (each["std"] ** 2 + (each["mean"] - mean) ** 2)).sum(axis=0)
+    known = {"min": each["min"].min(axis=0), "max": each["max"].max(axis=0), "mean": mean, "std": np.sqrt(variance)}
+    quantiles = {key: (share * value).sum(axis=0) for key, value in each.items() if key.startswith("q")}
+    return {**known, "count": each["count"].sum(axis=0), **quantiles}
+
+
+def _arrays(key: str, value: Any) -> Any:
+    return np.array(value) if key.startswith("stats/") else value

@@ -1,0 +1,299 @@
+"""E_depth: how far the visible surfaces of object and hand are from where depth images say, up to what those may err.
+
+At a sample, r = log z - log z' compares the distance z of the posed surface with the z' of the image, which errs by
+
+    r = a + b_n + g d + h + noise
+
+a factor of the clip (a) and of the frame (b_n), a relief that is too flat or too deep (g, times the sample's own relief
+d), a hand that is off against the object (h, on the hand), and noise with heavy tails. Each of a, b_n, g, h has a prior
+of zero mean and a given deviation: that of a is small where depth is metric, and large where its scale is unknown. The
+energy is its minimum over all of them (they are *profiled out*): with Student's log for the noise,
+
+    Q = min  sum over n, i of w_ni c^2 log(1 + (r - a - b_n - g d - h)^2 / (c sigma)^2) + squares of the priors
+    E = weight * N kappa log(1 + Q / (N kappa))
+
+At the minimum the derivatives of Q by a, b_n, g and h vanish, so the gradient of Q is that at fixed ones; its curvature
+is less, and ties all frames to each other (Schur complement). The outer logarithm lets depth count the less the worse
+it fits at its best: that of another scene, or a warped one.
+
+Without a moving hand the hand's samples say what a is, as well as the given hand is known: sigma is larger there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.compiling import kernel
+from getagrip.fitting.energy.hand_term import ObjectWithHand
+from getagrip.fitting.energy.term import PosesInCamera, Quadratic, no_bound
+from getagrip.geometry.mesh import Mesh
+from getagrip.kernels.depth import cholesky, distances, forward, profile
+
+TAIL = 2.5
+"""c: errors count less and less beyond this many deviations."""
+KAPPA = 20.0
+"""Misfit of a frame at which depth counts half [squared deviations]."""
+MISSED = 0.1
+"""Error that a sample has whose ray misses the surface [share of the distance]."""
+FIXED_HAND, FIXED_SURFACE = 0.02, 0.015
+"""Error of the given hand's distance, the same in all frames, and of its surface [shares of the distance]: 13 to 18 mm,
+and what 0.28 rad do to a surface 5 cm from the middle, at arm's length."""
+ROUNDS = 12
+"""Most iterations by which the image's errors are found (iteratively reweighted least squares)."""
+EXACT = 1e-3
+"""They are found when none moves by more [deviations of the noise]."""
+
+
+@dataclass(frozen=True)
+class DepthErrors:
+    """Deviations of what a depth image may err by, as shares of the distance: sigma, a, b_n, h; and of relief: g."""
+
+    noise: float
+    clip: float
+    frame: float
+    relief: float
+    apart: float
+
+
+@dataclass(frozen=True)
+class DepthSamples:
+    """Samples of N depth images on the visible pixels of object and hand: at most M, first those on the object.
+
+    Attributes:
+        K: (N, 4) fx, fy, cx, cy of the images.
+        size: side of the images [px].
+        place: (N, M, 2) row and column of each sample.
+        on_object, used: (N,) how many are on the object, and on object and hand.
+        log_z: (N, M) logarithm of the depth.
+        relief: (N, M) how much farther they are than the mean of their frame, as a share.
+        weight: (N, M) in how many independent samples each counts; 0 beyond ``used``.
+        input: (N, M) logarithm of the given hand's distance; NaN where the ray misses it.
+    """
+
+    K: Float[ndarray, "N 4"]
+    size: int
+    place: Int[ndarray, "N M 2"]
+    on_object: Int[ndarray, "N"]
+    used: Int[ndarray, "N"]
+    log_z: Float[ndarray, "N M"]
+    relief: Float[ndarray, "N M"]
+    weight: Float[ndarray, "N M"]
+    input: Float[ndarray, "N M"]
+
+    def take(self, index: Int[ndarray, "n"]) -> DepthSamples:
+        """Return the samples of some of the frames."""
+        return DepthSamples(
+            self.K[index], self.size, self.place[index], self.on_object[index], self.used[index], self.log_z[index],
+            self.relief[index], self.weight[index], self.input[index],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A triangle mesh as the kernel reads it: vertices and planes about its centre, in each frame or in all (N = 1)."""
+
+    vertices: Float[ndarray, "N 3 V"]
+    planes: Float[ndarray, "N 4 F"]
+    faces: Int[ndarray, "F 3"]
+    closed: bool
+
+    @staticmethod
+    def of(vertices: Float[ndarray, "N V 3"], faces: Int[ndarray, "F 3"]) -> Solid:
+        """Build the tables of vertices about a centre."""
+        meshes = [Mesh(one, faces) for one in vertices]
+        closed = all(mesh.is_closed and mesh.volume > 0.0 for mesh in meshes)  # its faces look outward
+        planes = np.stack([mesh.planes.T for mesh in meshes])
+        return Solid(np.ascontiguousarray(np.swapaxes(vertices, 1, 2)), np.ascontiguousarray(planes), faces, closed)
+
+    def about(self, middle: Float[ndarray, "3"]) -> Solid:
+        """Return it about another centre."""
+        planes = self.planes.copy()
+        planes[:, 3] += np.einsum("nkf,k->nf", planes[:, :3], middle)
+        return replace(self, vertices=self.vertices - middle[:, None], planes=planes)
+
+    def take(self, index: Int[ndarray, "n"]) -> Solid:
+        """Return it at some of its frames."""
+        return replace(self, vertices=self.vertices[index], planes=self.planes[index])
+
+
+@dataclass(frozen=True)
+class ImageErrors:
+    """The errors of depth images at given poses, at best.
+
+    Attributes:
+        of_clip: (B, 3) g, h and a.
+        of_frame: (B, N) b_n.
+        left: (B, N, M) what is left of r; 0 where a ray misses.
+    """
+
+    of_clip: Float[ndarray, "B 3"]
+    of_frame: Float[ndarray, "B N"]
+    left: Float[ndarray, "B N M"]
+
+
+@dataclass(frozen=True)
+class DepthTerm:
+    """E_depth of N frames: a term on the object and, where it is unknown as well, on the hand.
+
+    Attributes:
+        object: the object's mesh.
+        hand: the hand's mesh in its own frame, in each frame.
+        samples: the depth images.
+        errors: what these may err by.
+        weight: energy per squared deviation of an independent sample [px^2].
+    """
+
+    object: Solid
+    hand: Solid
+    samples: DepthSamples
+    errors: DepthErrors
+    weight: float
+    name: str = "depth"
+
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
+        return self._evaluate(poses, bound)[0]
+
+    def image_errors(self, poses: PosesInCamera) -> ImageErrors:
+        """Return what the images err by."""
+        return self._evaluate(poses, no_bound(poses))[1]
+
+    def squared_deviations(self, poses: PosesInCamera) -> Float[ndarray, "B"]:
+        """Return Q per frame."""
+        total = self._evaluate(poses, no_bound(poses))[0].value.mean(axis=1) / self.weight
+        return np.asarray(KAPPA * np.expm1(total / KAPPA))
+
+    def _evaluate(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> tuple[Quadratic, ImageErrors]:
+        (B, N), s, o = poses.centre.shape[:2], self.samples, self.object
+        moves = isinstance(poses, ObjectWithHand)
+        hand, solid = poses, self.hand
+        if isinstance(poses, ObjectWithHand):
+            hand, solid = poses.hand, self.hand.about(poses.hand.middle)
+        P = 14 if moves else 7
+        q = replace(Quadratic.zero(poses, P), cross=np.zeros((B, N, P, N, P)))
+        image = ImageErrors(np.zeros((B, 3)), np.zeros((B, N)), np.zeros((B, *s.log_z.shape)))
+        apart = self.errors.apart if moves else np.hypot(self.errors.apart, FIXED_HAND)
+        surface = 0.0 if moves else FIXED_SURFACE
+        sigma = np.array([self.errors.noise, np.hypot(self.errors.noise, surface)])
+        priors = np.array([self.errors.relief, apart, self.errors.clip, self.errors.frame]) ** -2.0
+        _evaluate(
+            poses.R, poses.centre, poses.scale, o.vertices, o.planes, o.faces, o.closed,
+            hand.R, hand.centre, hand.scale, solid.vertices, solid.planes, solid.faces, solid.closed, moves,
+            s.K, s.size, s.place, s.on_object, s.used, s.log_z, s.relief, s.weight, s.input,
+            priors, sigma, self.weight, EXACT * self.errors.noise, ROUNDS, bound,
+            q.value, q.g, q.H, q.cross, image.of_clip, image.of_frame, image.left,
+        )  # fmt: skip
+        return q, image
+
+
+@kernel("f4 f3 f1 f3 f3 i2 b f4 f3 f1 f3 f3 i2 b b f2 i i3 i1 i1 f2 f2 f2 f2 f1 f1 f f i f1 f2 f3 f4 f5 f2 f2 f3")
+def _evaluate(
+    R, centre, scale, vertices, planes, faces, closed,
+    hand_R, hand_centre, hand_scale, hand_vertices, hand_planes, hand_faces, hand_closed, moves,
+    K, size, place, on_object, used, log_z, relief, weight, given,
+    priors, sigma, unit, exact, rounds, bound,
+    value, g, H, cross, of_clip, of_frame, left,
+):  # fmt: skip
+    """Fill in value (B, N), g (B, N, P), H (B, N, P, P), cross (B, N, P, N, P), and the images' errors."""
+    B, N = value.shape
+    M, P = log_z.shape[1], g.shape[2]
+    uvz, hand_uvz = np.empty((3, vertices.shape[2])), np.empty((3, hand_vertices.shape[2]))
+    nearest, face = np.empty((size, size)), np.empty((size, size), np.int64)
+    r, u, w, on_hand, J = np.empty((N, M)), np.empty((N, M)), np.empty((N, M)), np.zeros((N, M)), np.empty((N, M, 7))
+    sums, A, tied = np.empty((N, 8)), np.empty((3, 3)), np.empty((N, 3, P))
+    missed, sigmas = TAIL**2 * np.log1p((MISSED / (TAIL * sigma[0])) ** 2), np.full((N, M), sigma[0])
+    most = KAPPA * N
+    for n in range(N):
+        on_hand[n, on_object[n] :], sigmas[n, on_object[n] :] = 1.0, sigma[1]
+    for b in range(B):
+        if not bound[b] >= 0.0:  # the step is rejected, whatever depth says
+            continue
+        there = True
+        for n in range(N):
+            k, end = on_object[n], used[n]
+            there &= distances(
+                vertices[0], planes[0], faces, closed, R[b, n], centre[b, n], scale[b], K[n], place[n], 0, k, size, uvz,
+                nearest, face, r[n], J[n],
+            )  # fmt: skip
+            if moves:
+                there &= distances(
+                    hand_vertices[n], hand_planes[n], hand_faces, hand_closed, hand_R[b, n], hand_centre[b, n],
+                    hand_scale[b], K[n], place[n], k, end, size, hand_uvz, nearest, face, r[n], J[n],
+                )  # fmt: skip
+            else:
+                r[n, k:end] = given[n, k:end]
+            for m in range(M):
+                hit = m < end and r[n, m] == r[n, m]
+                w[n, m] = weight[n, m] if hit else 0.0
+                r[n, m] = r[n, m] - log_z[n, m] if hit else 0.0
+        if not there:
+            value[b] = np.inf
+            continue
+        profile(
+            r, w, relief, on_hand, priors, sigmas, TAIL, rounds, exact, u, left[b], sums, A, of_clip[b], of_frame[b]
+        )
+        shared = (priors[0] * of_clip[b, 0] ** 2 + priors[1] * of_clip[b, 1] ** 2 + priors[2] * of_clip[b, 2] ** 2) / N
+        total = 0.0
+        for n in range(N):
+            cost = shared + priors[3] * of_frame[b, n] ** 2
+            for m in range(M):
+                if w[n, m] == 0.0:
+                    left[b, n, m] = 0.0
+            for m in range(used[n]):
+                cost += w[n, m] * TAIL**2 * np.log1p((left[b, n, m] / (TAIL * sigmas[n, m])) ** 2)
+                cost += (weight[n, m] - w[n, m]) * missed * (moves or m < on_object[n])
+            value[b, n] = cost
+            total += cost
+        value[b] *= unit * most * np.log1p(total / most) / total
+        slope = 2.0 * unit / (1.0 + total / most)
+        _derive(slope, J, u, left[b], relief, on_object, used, moves, priors[3], sums, A, tied, g[b], H[b], cross[b])
+
+
+@kernel()
+def _derive(slope, J, u, left, relief, on_object, used, moves, prior, sums, A, tied, g, H, cross):
+    """Fill in g (N, P), H (N, P, P) and cross (N, P, N, P) of a hypothesis. Work space: tied (N, 3, P).
+
+    Of the curvature at fixed errors of the images, profiling takes off ``F^T F`` in each frame, for its own error, and
+    between all frames, for those of the clip.
+    """
+    N, P = g.shape
+    F = np.empty(P)
+    L = cholesky(A)
+    for n in range(N):
+        F[:], tied[n] = 0.0, 0.0
+        for m in range(used[n]):
+            w, hand = u[n, m], m >= on_object[n]
+            if w == 0.0 or (hand and not moves):
+                continue
+            start = 7 * hand
+            for p in range(7):
+                wJ = w * J[n, m, p]
+                g[n, start + p] += slope * wJ * left[n, m]
+                F[start + p] += wJ
+                tied[n, 0, start + p] += wJ * relief[n, m]
+                tied[n, 1, start + p] += wJ * hand
+                for q in range(p + 1):
+                    H[n, start + p, start + q] += slope * wJ * J[n, m, q]
+        s = sums[n, 0] + prior
+        for p in range(P):
+            tied[n, 0, p], tied[n, 1, p], tied[n, 2, p] = forward(
+                *L, tied[n, 0, p] - sums[n, 1] * F[p] / s, tied[n, 1, p] - sums[n, 2] * F[p] / s, prior * F[p] / s
+            )
+        for p in range(P):
+            for q in range(p + 1):
+                H[n, p, q] -= slope * (F[p] * F[q] / s + _dot(tied[n], p, tied[n], q))
+                H[n, q, p] = H[n, p, q]
+    for n in range(N):
+        for o in range(n):
+            for p in range(P):
+                for q in range(P):
+                    cross[n, p, o, q] = cross[o, q, n, p] = -slope * _dot(tied[n], p, tied[o], q)
+
+
+@kernel()
+def _dot(a, p, b, q):
+    """Product of column p of a (3, P) with column q of b."""
+    return a[0, p] * b[0, q] + a[1, p] * b[1, q] + a[2, p] * b[2, q]

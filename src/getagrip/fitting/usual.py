@@ -1,0 +1,100 @@
+"""The usual grasps and sizes of a kind of objects, where nothing but the kind is known of the object.
+
+A mesh of this package's own stands for an object that nobody has measured. Its search also starts from the grasps that
+are usual for the kind, turned about the object's upright axis, so that a handle is tried on every side of the hand. Its
+size is drawn to what is usual (``Kind.spread``), and its upright axis to where it usually points in the hand: the
+silhouette of a mug is nearly that of one upside down.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.clip import Clip
+from getagrip.datasets.synthetic.categories import CATEGORIES, Kind
+from getagrip.fitting.energy import Energy, InHand, PosesInCamera, Quadratic, Term
+from getagrip.geometry import se3
+from getagrip.provenance import is_assumed
+
+TURNS = 8
+"""Turns of each grasp about the upright axis."""
+WEIGHT = 20.0
+"""Energy of one standard deviation of size or tilt in each frame, times 1/2 [px^2]."""
+TILT = 0.15
+"""Standard deviation of the cosine to the usual upright axis, below zero."""
+MIRROR = np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
+"""Of the left hand's frame to the right's, and of an object whose handle points along x."""
+
+
+def kind_of(clip: Clip) -> Kind | None:
+    """Return the kind of a clip's object, if its kind is all that is known of its shape and size."""
+    unmeasured = clip.scale == "free" and is_assumed(clip.provenance.get("mesh"))
+    return CATEGORIES.get(clip.category) if unmeasured else None
+
+
+def usual_rotations(clip: Clip) -> Float[ndarray, "k 3 3"]:
+    """Return rotations of the object in the hand, those of the most usual grasps first; none where it was measured."""
+    kind = kind_of(clip)
+    if kind is None:
+        return np.zeros((0, 3, 3))
+    grips = np.array([grip.R_hand_obj for grip in (*kind.grips, *kind.rarer)])
+    about = se3.exp_so3(np.arange(TURNS)[:, None] * np.array([0.0, 0.0, 2.0 * np.pi / TURNS]))
+    R = (grips[None] @ about[:, None]).reshape(-1, 3, 3)
+    return R if clip.side == "right" else MIRROR[0] @ R @ MIRROR[1]
+
+
+@dataclass(frozen=True)
+class SizeTerm:
+    """``weight / 2 * (log(scale) / spread)^2`` in each frame."""
+
+    spread: float
+    weight: float = WEIGHT
+    name: str = "size"
+
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
+        found, off = Quadratic.zero(poses), np.log(poses.scale)[:, None]
+        stiffness = self.weight / self.spread**2
+        found.value[:] = 0.5 * stiffness * off**2
+        found.g[..., 6], found.H[..., 6, 6] = stiffness * off, stiffness
+        return found
+
+
+@dataclass(frozen=True)
+class UprightTerm:
+    """``weight / 2 * (min(0, max over k of axis_k . R z) / TILT)^2``, z the object's upright axis."""
+
+    axes: Float[ndarray, "N k 3"]
+    """Where that usually points, in the camera frame."""
+    weight: float = WEIGHT
+    name: str = "upright"
+
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
+        z = poses.R[..., 2]
+        cosine = np.sum(z[:, :, None] * self.axes, axis=-1)
+        nearest = cosine.argmax(axis=-1)
+        axis = self.axes[np.arange(z.shape[1]), nearest]
+        error = np.minimum(cosine.max(axis=-1), 0.0)
+        J = np.zeros((*z.shape[:2], 1, 7))
+        J[..., 0, 3:6] = np.where(error[..., None] < 0.0, np.cross(z, axis), 0.0)
+        return Quadratic.of_squares(error[..., None], J, 0.5 * self.weight / TILT**2)
+
+
+def usual_of(clip: Clip) -> Energy:
+    """Return the terms of an unmeasured object's size and upright axis; no terms for others."""
+    kind = kind_of(clip)
+
+    def terms(level: int, index: Int[ndarray, "n"]) -> list[Term]:
+        if kind is None:
+            return []
+        size = SizeTerm(kind.spread)
+        if not kind.opens_up:
+            return [size]
+        axes = usual_rotations(clip)[: len(kind.grips), :, 2]
+        in_camera = axes @ np.swapaxes(clip.hand.T_cam_hand[index, :3, :3], 1, 2)
+        return [size, InHand(UprightTerm(in_camera))]
+
+    return terms

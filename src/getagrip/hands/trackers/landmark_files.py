@@ -1,0 +1,153 @@
+"""2D landmarks as trackers write them: MediaPipe's results and MMPose's (ViTPose's) predictions, as JSON.
+
+- **MediaPipe**: ``hand_landmarks`` (or ``landmarks``), for each hand 21 of ``{"x", "y"}`` as shares of the image's
+  sides, with ``handedness``; or ``multi_hand_landmarks`` and ``multi_handedness`` of its older interface.
+- **MMPose**: ``instances`` with ``keypoints`` [px] and ``keypoint_scores``: COCO-WholeBody's 133, or a hand's 21.
+
+A file is of one image, named like it, or lists its images: records with ``frame``, ``frame_id`` or ``frame_index``, or
+in the order of the clip's frames; ``instance_info`` may hold the list.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.errors import InputError, UsageError
+from getagrip.hands.model import Side
+from getagrip.hands.trackers import records
+from getagrip.io import arrays
+
+MEDIAPIPE = ("hand_landmarks", "handLandmarks", "landmarks", "multi_hand_landmarks")
+HANDEDNESS = ("handedness", "handednesses", "multi_handedness")
+NAMED = ("frame", "frame_id", "frame_index", "image", "file_name")
+OTHER: dict[str, str] = {"left": "right", "right": "left"}
+WHOLE_BODY = {133: {"left": slice(91, 112), "right": slice(112, 133)}}
+"""Rows of each hand among COCO-WholeBody's keypoints."""
+
+
+class Seen(NamedTuple):
+    """A hand in an image: (21, 3) x, y and confidence; its side, empty where no side is named."""
+
+    points: Float[ndarray, "21 3"]
+    side: str
+    in_mirror: bool = False
+    """True if the side may be that of the mirrored image."""
+
+    def may_be(self, side: Side, swapped: bool | None) -> bool:
+        """Return whether it may be the hand of a side; ``swapped`` as in ``read``."""
+        if not self.side or (self.in_mirror and swapped is None):
+            return True
+        return self.side == (OTHER[side] if self.in_mirror and swapped else side)
+
+
+def is_mediapipe(keys: frozenset[str]) -> bool:
+    """Return whether a file with these keys holds MediaPipe's results."""
+    return bool(keys & {*MEDIAPIPE}) and bool(keys & {*HANDEDNESS})
+
+
+def is_mmpose(keys: frozenset[str]) -> bool:
+    """Return whether a file with these keys holds MMPose's predictions."""
+    return {"keypoints", "keypoint_scores"} <= keys
+
+
+def read(paths: Sequence[Path], side: Side, swapped: bool | None) -> tuple[list[str], Float[ndarray, "T 21 3"], bool]:
+    """Read the landmarks of one side's hand: the names of images, or none where their order counts, and the points.
+
+    Zeros where there is no such hand. ``swapped``: True if Left in the files means a right hand. Also return whether
+    the side is assumed. Raises ``InputError``, and ``UsageError`` where it must be stated whether sides are swapped.
+    """
+    named, hands = list[str](), list[list[Seen]]()
+    for path in paths:
+        images = _images(path)
+        for name, content in images:
+            named.append(path.stem if name is None and len(images) == 1 else name or "")
+            hands.append(_mediapipe(path, content) or _mmpose(path, content))
+    named = [] if len(paths) == 1 and not any(named[1:]) and len(named) > 1 else named
+    in_mirror = [hand for seen in hands for hand in seen if hand.in_mirror and hand.side]
+    if swapped is None and len({hand.side for hand in in_mirror}) > 1:
+        raise UsageError(
+            "missing --sides (named or swapped): MediaPipe names hands as in a mirror: in images that were not "
+            "flipped, its Left is the right hand"
+        )
+    chosen = np.zeros((len(hands), 21, 3))
+    for row, seen in enumerate(hands):
+        if of_side := [hand.points for hand in seen if hand.may_be(side, swapped)]:
+            chosen[row] = max(of_side, key=lambda points: float(points[:, 2].sum()))
+    return named, chosen, bool(in_mirror) and swapped is None
+
+
+def _images(path: Path) -> list[tuple[str | None, Mapping[str, Any]]]:
+    """Return the name of each image, None where there is none, and what the file has of it."""
+    content: Any = records.read(path)
+    by_image = records.by_image(content)
+    if by_image:
+        return [(Path(name).stem, _mapping(path, one)) for name, one in by_image.items()]
+    listed = next((content[key] for key in ("instance_info", records.PEOPLE, "frames") if key in content), None)
+    if not isinstance(listed, list) or not listed:
+        return [(None, content)]
+    if "keypoints" in _mapping(path, listed[0]):  # of one image
+        return [(None, {"instances": listed})]
+    found = []
+    for one in listed:
+        name = next((_mapping(path, one)[key] for key in NAMED if key in one), None)
+        found.append((None if name is None else Path(str(name)).stem, one))
+    return found
+
+
+def _mapping(path: Path, value: object) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise InputError(path, "", "a list of other things", "a record for each image")
+    return value
+
+
+def _mediapipe(path: Path, content: Mapping[str, Any]) -> list[Seen]:
+    """Read MediaPipe's hands in an image; none where it is not of MediaPipe."""
+    key = next((key for key in MEDIAPIPE if isinstance(content.get(key), list)), None)
+    if key is None:
+        return []
+    labels = [_label(one) for one in next((content[k] for k in HANDEDNESS if isinstance(content.get(k), list)), [])]
+    found = []
+    for n, hand in enumerate(content[key]):
+        points = hand.get("landmark", hand.get("landmarks")) if isinstance(hand, Mapping) else hand
+        rows = points if isinstance(points, list) and all(isinstance(point, Mapping) for point in points) else []
+        values = arrays.from_lists([[point.get("x"), point.get("y")] for point in rows])
+        if values is None or values.shape != (21, 2) or values.dtype.kind not in "fiu" or not np.isfinite(values).all():
+            raise InputError(path, key, "another shape", "21 landmarks with x and y for each hand")
+        found.append(Seen(np.column_stack([values, np.ones(21)]), labels[n] if n < len(labels) else "", in_mirror=True))
+    return found
+
+
+def _label(value: Any) -> str:
+    """Return the side that a hand's classification names, in small letters."""
+    while isinstance(value, list) and value:
+        value = value[0]
+    if isinstance(value, Mapping) and isinstance(value.get("classification"), list):
+        return _label(value["classification"])
+    if isinstance(value, Mapping):
+        value = next((value[k] for k in ("category_name", "categoryName", "label", "displayName") if k in value), "")
+    return str(value).lower() if str(value).lower() in ("left", "right") else ""
+
+
+def _mmpose(path: Path, content: Mapping[str, Any]) -> list[Seen]:
+    """Read the hands of the people in an image."""
+    found = []
+    for one in content.get("instances", [content] if "keypoints" in content else []):
+        keypoints = arrays.from_lists(_mapping(path, one).get("keypoints"))
+        scores = arrays.from_lists(one.get("keypoint_scores"))
+        count = 0 if keypoints is None else len(np.atleast_1d(keypoints))
+        if keypoints is None or scores is None or keypoints.shape[1:] != (2,) or scores.shape != (count,):
+            raise InputError(path, "keypoints", "another shape", "(N, 2), with keypoint_scores (N)")
+        points = np.column_stack([keypoints, np.clip(scores, 0.0, 1.0)]).astype(float)
+        if count == 21:
+            found.append(Seen(points, ""))
+        elif count in WHOLE_BODY:
+            found += [Seen(points[rows], side) for side, rows in WHOLE_BODY[count].items()]
+        else:
+            raise InputError(path, "keypoints", f"{count} of them", "133 (COCO-WholeBody) or a hand's 21")
+    return found

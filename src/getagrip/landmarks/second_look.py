@@ -1,0 +1,126 @@
+"""A second look at the frames in which a hand was lost or seen otherwise than before, from those that are sure.
+
+In blur the landmark network is as certain of a hand that is turned by half as of the right one, and which of them it
+sees depends on the square that it is shown. So runs of frames in which the hand moves steadily are extended frame by
+frame, in both directions, by squares where it is expected: of several sizes and angles, of which those are averaged
+that show the hand as it was expected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+
+from getagrip.landmarks import crops
+from getagrip.landmarks.crops import Crop
+from getagrip.landmarks.following import LEAST, MEMORY, SURE, Sighting
+from getagrip.landmarks.nets import Nets
+
+LONG = 6
+"""Fewest frames of a run that is sure."""
+SIZES, ANGLES = (1.0, 1.4), (-0.5, -0.25, 0.0, 0.25, 0.5)
+"""Squares to be looked at: factors of the expected side, and differences from the expected angle [rad]."""
+TURNED, APART, RATIO = 0.6, 0.5, 1.5
+"""Largest differences from what is expected: angle [rad], distance in sides of the square, and factor of its side."""
+ALIKE = 0.06
+"""Standard deviation of landmarks from those that are expected, in sides of the square (root mean square)."""
+GAIN = 0.2
+"""Share of a difference in angle and size that is believed."""
+DECAY = 0.5
+"""Share of the motion from frame to frame that is expected to go on."""
+
+Image = UInt8[ndarray, "H W 3"]
+
+
+def look_again(
+    image: Callable[[int], Image], hand: Mapping[int, Sighting], count: int, nets: Nets
+) -> dict[int, Sighting]:
+    """Return a hand's sightings in ``count`` frames, those in sure runs as they are; all, if there is no sure run."""
+    sure = [n for run in _runs(hand) for n in run]
+    if not sure:
+        return dict(hand)
+    out = {n: hand[n] for n in sure}
+    found: list[dict[int, Sighting]] = []
+    for step in (1, -1):
+        ends = [n for n in sure if n + step not in out and 0 <= n + step < count]
+        found.append({})
+        for end in ends:
+            found[-1] |= _extended(image, hand, out, end, step, count, nets)
+    for n in sorted({*found[0], *found[1]}):
+        each = [part[n] for part in found if n in part]
+        out[n] = max(each, key=lambda one: one.confidence)
+    return dict(sorted(out.items()))
+
+
+def _runs(hand: Mapping[int, Sighting]) -> Iterator[list[int]]:
+    """Yield the runs of successive frames in which the hand is sure and moves steadily."""
+    run: list[int] = []
+    for n in sorted(n for n, each in hand.items() if each.confidence >= SURE):
+        if run and (n > run[-1] + 1 or not _expected(crops.of_landmarks(hand[run[-1]].points), hand[n])):
+            if len(run) >= LONG:
+                yield run
+            run = []
+        run.append(n)
+    if len(run) >= LONG:
+        yield run
+
+
+def _expected(crop: Crop, hand: Sighting) -> bool:
+    """Return whether a hand is about where and as it is expected."""
+    own = crops.of_landmarks(hand.points)
+    turned = abs((own.angle - crop.angle + np.pi) % (2.0 * np.pi) - np.pi)
+    apart = float(np.linalg.norm(own.middle - crop.middle)) / crop.side
+    return turned < TURNED and apart < APART and 1.0 / RATIO < own.side / crop.side < RATIO
+
+
+def _extended(
+    image: Callable[[int], Image],
+    hand: Mapping[int, Sighting],
+    known: Mapping[int, Sighting],
+    end: int,
+    step: int,
+    count: int,
+    nets: Nets,
+) -> dict[int, Sighting]:
+    """Follow the hand from the end of a run to the next run, or until it is lost for long."""
+    path = [crops.of_landmarks(known[n].points) for n in (end - step, end) if n in known]
+    shape = path[-1].from_image(known[end].points)
+    motion = np.zeros(2) if len(path) < 2 else path[1].middle - path[0].middle
+    crop, lost, out, n = path[-1], 0, dict[int, Sighting](), end + step
+    while 0 <= n < count and n not in known and lost < MEMORY:
+        crop = crop._replace(middle=crop.middle + motion)
+        as_expected = n in hand and _expected(crop, hand[n])
+        seen = hand[n] if as_expected else _seen(image(n), crop, shape, nets)
+        if seen is None:
+            motion, lost = np.zeros(2), lost + 1
+        else:
+            own = crops.of_landmarks(seen.points)
+            motion, lost = DECAY * (motion + own.middle - crop.middle), 0
+            turned = (own.angle - crop.angle + np.pi) % (2.0 * np.pi) - np.pi
+            side, angle = crop.side ** (1.0 - GAIN) * own.side**GAIN, crop.angle + GAIN * turned
+            crop = Crop(own.middle, float(side), float(angle))
+            shape += GAIN * (crop.from_image(seen.points) - shape)
+            out[n] = seen
+        n += step
+    return out
+
+
+def _seen(image: Image, crop: Crop, shape: Float[ndarray, "21 2"], nets: Nets) -> Sighting | None:
+    """Look where a hand is expected, in a ``shape`` [px of the square]; average what is alike, None without any."""
+    squares = [crop._replace(side=size * crop.side, angle=crop.angle + turn) for size in SIZES for turn in ANGLES]
+    looks = [Sighting(*nets.landmarks(image, square)) for square in squares]
+    looks = [each for each in looks if each.confidence >= LEAST and _expected(crop, each)]
+    if not looks:
+        return None
+    points = np.array([each.points for each in looks])
+    in_square = crop.from_image(points)
+    bent = in_square - in_square.mean(axis=1, keepdims=True) - (shape - shape.mean(axis=0))
+    off = np.sqrt(np.mean(np.sum(bent**2, axis=-1), axis=-1)) / crops.SIDE
+    confidence = np.array([each.confidence for each in looks])
+    weights = confidence * np.exp(-0.5 * (off / ALIKE) ** 2) + 1e-9
+    mean = [np.average([getattr(each, key) for each in looks], axis=0, weights=weights) for key in ("points", "world")]
+    right = float(np.average([each.right for each in looks], weights=weights))
+    return Sighting(mean[0], mean[1], float(np.average(confidence, weights=weights)), right)

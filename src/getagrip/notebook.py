@@ -1,0 +1,217 @@
+"""How a notebook shows data: a table and a picture of what the last line of a cell gives, and a result's page."""
+
+from __future__ import annotations
+
+import base64
+import tempfile
+from dataclasses import dataclass, replace
+from functools import singledispatch
+from html import escape
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+from numpy import ndarray
+
+from getagrip.clip import Clip, HandTrack, Masks, find_masks
+from getagrip.errors import UsageError
+from getagrip.evaluation import Evaluation, evaluate
+from getagrip.evaluation.metric import METRICS
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.render import render_rgb
+from getagrip.io import files
+from getagrip.io.brief import facts, short
+from getagrip.io.images import read_image
+from getagrip.io.terminal import counted
+from getagrip.pages import write_page
+from getagrip.pictures.looking import looking
+from getagrip.pictures.report import report_figure
+from getagrip.pictures.shown import View
+from getagrip.pictures.style import BLANK, HAND, IGNORED, OBJECT, OBSERVED, PAPER_RGB
+from getagrip.probability import percent
+from getagrip.result import Reconstruction
+from getagrip.result.folder import software
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SIDE = 320
+"""Longest side of a picture beside a table [px]."""
+Picture = UInt8[ndarray, "H W 3"]
+
+
+@dataclass(frozen=True, repr=False)
+class Page:
+    """An HTML page in one file: a notebook shows it in a frame, which runs nothing but the page's own scripts."""
+
+    html: str
+    height: int
+
+    def __repr__(self) -> str:
+        return f"Page of {len(self.html) / 1e6:.1f} MB: a notebook shows it, .write('report.html') saves it"
+
+    def _repr_html_(self) -> str:
+        style = f"width:100%;height:{self.height}px;border:1px solid #d9dad6"
+        return f'<iframe sandbox="allow-scripts" srcdoc="{_in_html(self.html)}" style="{style}"></iframe>'
+
+    def write(self, path: str | Path) -> Path:
+        """Write the page to a file, and return its path."""
+        files.write_text(Path(path), self.html)
+        return Path(path)
+
+
+def plotted(result: Reconstruction, clip: Clip | None, masks: Masks | None) -> Figure:
+    """Draw the report of a result as a figure that shows itself in a notebook, also without pyplot."""
+    figure = report_figure(result, *_inputs(result, clip, masks))
+    figure.__dict__["_repr_png_"] = lambda: _png_of(figure)
+    return figure
+
+
+def page(result: Reconstruction, clip: Clip | None, masks: Masks | None, height: int) -> Page:
+    """Make the page of a result, with its metrics."""
+    clip, masks = _inputs(result, clip, masks)
+    index = clip.index_of(result.frames)
+    clip, masks = clip.take(index), None if masks is None else masks.take(index)
+    record = {"software": software(), "options": result.options, "seed": result.seed, "provenance": clip.provenance}
+    with tempfile.TemporaryDirectory() as folder:
+        written = write_page(
+            View.of(result, clip, masks), evaluate(result, clip, masks), record, Path(folder) / "report.html"
+        )
+        return Page(written.read_text(encoding="utf-8"), height)
+
+
+def _inputs(result: Reconstruction, clip: Clip | None, masks: Masks | None) -> tuple[Clip, Masks | None]:
+    """Return the clip and masks to show a result with. Raises ``UsageError`` where they are not known."""
+    if clip is None and result.inputs is None:
+        raise UsageError("missing clip: this result does not know what it was made of; say result.plot(clip, masks)")
+    clip, masks = (clip, masks) if clip is not None else result.inputs or (clip, masks)
+    assert clip is not None
+    return clip, find_masks(clip) if masks is None and clip.folder is not None else masks
+
+
+def table_and_picture(data: Any) -> str:
+    """Write HTML of data: a table of what is in it, and a picture beside it where there is something to see."""
+    rows = "".join(
+        f'<tr><td style="text-align:left;color:#8a9096">{_in_html(name)}</td>'
+        f'<td style="text-align:left">{_in_html(text)}</td></tr>'
+        for name, text in described(data).items()
+    )
+    seen = picture(data)
+    image = "" if seen is None else f'<img style="flex:none" alt="" src="{_address(seen)}">'
+    title = f"<caption><b>{escape(type(data).__name__)}</b></caption>"
+    return f'<div style="display:flex;gap:16px;align-items:start"><table>{title}{rows}</table>{image}</div>'
+
+
+@singledispatch
+def described(data: Any) -> dict[str, str]:
+    """Describe data in rows of a name and a text."""
+    return facts(data)
+
+
+@described.register
+def _(clip: Clip) -> dict[str, str]:
+    held = facts(replace(clip, provenance={}, segments=()))
+    segments = [f"{s.state}{f', {s.side} hand' if s.side else ''}: {s.first} to {s.last}" for s in clip.segments]
+    taken = {f"segment {n + 1}": text for n, text in enumerate(segments)}
+    return {**held, **taken, **{f"from: {topic}": short(text) for topic, text in clip.provenance.items()}}
+
+
+@described.register
+def _(result: Reconstruction) -> dict[str, str]:
+    return {
+        "clip": result.clip,
+        "method": result.method,
+        "frames": counted(len(result.frames), "frame"),
+        "status": result.message,
+        "mask IOU": f"{100 * result.mean_iou:.1f} %",
+        **{f"probability right {where}": percent(one.value) for where, one in result.probabilities.items()},
+        "scale": f"{result.scale:.4g}",
+        **{f"finding: {finding.check}": finding.message for finding in result.findings},
+        **{f"segment {n + 1}": f"{s.state}: {s.first} to {s.last}" for n, s in enumerate(result.segments)},
+    }
+
+
+@described.register
+def _(evaluation: Evaluation) -> dict[str, str]:
+    metrics = {metric.name: metric for metric in METRICS.working().values()}
+    shown = {name: metrics[name] for name in evaluation.headline if name in metrics}
+    units = {name: "°" if one.unit == "deg" else f" {one.unit}" for name, one in shown.items()}
+    numbers = {name: f"{one.text(evaluation.headline[name])}{units[name]}" for name, one in shown.items()}
+    return {"clip": evaluation.clip, "method": evaluation.method, **numbers}
+
+
+@singledispatch
+def picture(data: Any) -> Picture | None:
+    """Draw data in a small picture; None where there is nothing to see."""
+    return None
+
+
+@picture.register
+def _(clip: Clip) -> Picture | None:
+    n = len(clip) // 2
+    if (file := clip.image_file(n)) is not None:
+        return read_image(file, clip.size)
+    hand = se3.transform(clip.hand.T_cam_hand[n], clip.hand.vertices[n])
+    surfaces = [(hand, clip.hand.faces, HAND)]
+    if clip.truth is not None:
+        true = se3.transform(clip.truth.T_cam_obj[n], clip.truth.scale * clip.mesh.vertices)
+        surfaces.append((true, clip.mesh.faces, OBJECT))
+    return render_rgb(surfaces, clip.K[n], clip.size, PAPER_RGB)
+
+
+@picture.register
+def _(masks: Masks) -> Picture | None:
+    known = np.flatnonzero(masks.known)
+    n = known[len(known) // 2] if len(known) else 0
+    drawn = np.full((*masks.object.shape[1:], 3), BLANK, dtype=np.uint8)
+    drawn[masks.ignore[n]] = IGNORED
+    drawn[masks.object[n]] = OBSERVED
+    return drawn
+
+
+@picture.register
+def _(hand: HandTrack) -> Picture | None:
+    return _looked_at(hand.vertices[len(hand.vertices) // 2], hand.faces, HAND) if hand.vertices.size else None
+
+
+@picture.register
+def _(mesh: Mesh) -> Picture | None:
+    return _looked_at(mesh.light.vertices, mesh.light.faces, OBJECT)
+
+
+@picture.register
+def _(result: Reconstruction) -> Picture | None:
+    if result.inputs is None:
+        return None
+    figure = plotted(result, None, None)
+    return np.asarray(cv2.imdecode(np.frombuffer(_png_of(figure), np.uint8), cv2.IMREAD_COLOR_RGB), dtype=np.uint8)
+
+
+def _looked_at(vertices: ndarray, faces: ndarray, colour: tuple[float, float, float]) -> Picture:
+    eye = looking(vertices, np.array([0.6, -0.5, -0.8]), np.array([0.0, -1.0, 0.0]), SIDE)
+    return render_rgb([(se3.transform(eye.T_view_frame, vertices), faces, colour)], eye.K, (SIDE, SIDE), PAPER_RGB)
+
+
+def _in_html(text: str) -> str:
+    """Write text as HTML in ASCII, which is right in a page of any encoding."""
+    return escape(text).encode("ascii", "xmlcharrefreplace").decode()
+
+
+def _address(seen: Picture) -> str:
+    """Return a picture as an address that holds it."""
+    height, width = seen.shape[:2]
+    most = 2.5 * SIDE if width > 3 * SIDE else SIDE  # a report has small letters
+    factor = min(1.0, most / max(height, width))
+    small = cv2.resize(seen, (round(factor * width), round(factor * height)), interpolation=cv2.INTER_AREA)
+    _, png = cv2.imencode(".png", cv2.cvtColor(small, cv2.COLOR_RGB2BGR))
+    return f"data:image/png;base64,{base64.b64encode(png.tobytes()).decode()}"
+
+
+def _png_of(figure: Figure) -> bytes:
+    out = BytesIO()
+    figure.savefig(out, format="png", facecolor="white")
+    return out.getvalue()

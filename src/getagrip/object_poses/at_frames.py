@@ -1,0 +1,132 @@
+"""Another system's poses at the frames of a clip, in its hand frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+
+from getagrip.clip import Clip
+from getagrip.clip.naming import check_numbers, frame_of, number_of, renumbered
+from getagrip.clip.plausible import check_poses
+from getagrip.errors import InputError
+from getagrip.geometry import se3
+from getagrip.io import files
+from getagrip.object_poses.files import SUFFIXES, PoseFile, read_pose_file, row_of_each
+from getagrip.result import is_result, read_result
+
+FIRST = "--first"
+"""The option of ``evaluate`` and ``refine`` that states the number of the first frame's pose."""
+FROM_HAND = 0.5
+"""Largest distance of an object's middle from the origin of the hand frame [m]."""
+
+
+@dataclass(frozen=True)
+class PosesAtFrames:
+    """Poses of a clip's mesh in its hand frame, in T frames.
+
+    Attributes:
+        T_hand_obj: (T, 4, 4) a frame without a pose has that of the nearest frame that has one.
+        found: (T,) the frames that have one.
+        scale: factor on the mesh; None where the source says none.
+        names: what the source calls the frames, or would.
+    """
+
+    T_hand_obj: Float[ndarray, "T 4 4"]
+    found: Bool[ndarray, "T"]
+    scale: float | None
+    names: tuple[str, ...]
+
+
+def place_of(root: Path, clip: str) -> Path:
+    """Return the place of a clip's poses in a folder of many clips'.
+
+    It holds ``<clip>.csv`` (or another suffix of ``files``) or a folder ``<clip>``. Raises ``InputError`` where there
+    are none.
+    """
+    places = [root / clip, *(root / f"{clip}{suffix}" for suffix in SUFFIXES)]
+    found = next((place for place in places if place.exists()), None)
+    if found is None:
+        expected = f"{files.plain(clip)}/, or {files.plain(clip)} with one of {', '.join(SUFFIXES)}"
+        raise InputError(root, "", f"no poses of the clip {files.plain(clip)}", expected)
+    return found
+
+
+def place_in(root: Path, clip: str) -> Path:
+    """Return the place of a clip's poses: in a folder of many clips', or ``root`` itself, which may be one clip's."""
+    many = root.is_dir() and any((root / f"{clip}{suffix}").exists() for suffix in ("", *SUFFIXES))
+    return place_of(root, clip) if many else root
+
+
+def read_poses(place: Path, clip: Clip, first: int | None = None) -> PosesAtFrames:
+    """Read the poses of a file or folder at the clip's frames.
+
+    ``first`` is the number of the first frame's pose, where poses are counted from another start. Raises
+    ``InputError``, and ``UsageError`` where poses seem to be counted from another start.
+    """
+    poses = _of_result(place) if place.is_dir() and is_result(place) else read_pose_file(only_file(place))
+    rows, frames = _rows(poses, clip, first)
+    index = np.array(sorted(rows))
+    scale = 1.0 if poses.scale is None else poses.scale
+    T_hand_obj = _in_hand(poses, poses.T[[rows[n] for n in index]], scale, clip, index)
+    nearest = np.abs(np.arange(len(clip))[:, None] - index).argmin(axis=1)
+    names = tuple(poses.names[rows[n]] if poses.names and n in rows else name for n, name in enumerate(frames))
+    return PosesAtFrames(T_hand_obj[nearest], np.isin(np.arange(len(clip)), index), poses.scale, names)
+
+
+def only_file(place: Path) -> Path:
+    """Return a folder's one table of poses, where it has one; else the folder itself."""
+    if not place.is_dir():
+        return place
+    tables = sorted(path for path in place.iterdir() if path.suffix.lower() in (".csv", ".npz"))
+    if len(tables) > 1:
+        raise InputError(place, "", f"several files of poses, {tables[0].name}, {tables[1].name}", "one")
+    return tables[0] if tables else place
+
+
+def _of_result(folder: Path) -> PoseFile:
+    """Read a result folder of this package, perhaps of another version or made from other hands."""
+    result, _ = read_result(folder)
+    if result.T_cam_hand is None:
+        return PoseFile(folder, result.T_hand_obj, result.frames, in_hand=True, scale=result.scale)
+    return PoseFile(folder, result.T_cam_hand @ result.T_hand_obj, result.frames, scale=result.scale)
+
+
+def _rows(poses: PoseFile, clip: Clip, first: int | None) -> tuple[dict[int, int], tuple[str, ...]]:
+    """Return the row of each of the clip's frames that has one, and the frames' names there. Raises ``InputError``."""
+    if poses.names is None:
+        if len(poses.T) != len(clip):
+            expected = f"{len(clip)} as the clip has frames, or names of frames beside them"
+            raise InputError(poses.path, "", f"{len(poses.T)} poses without names", expected)
+        return {n: n for n in range(len(clip))}, clip.frames
+    frames = clip.frames
+    if poses.by_place and number_of(frames[0]) is None:
+        frames = tuple(str(n) for n in range(len(clip)))
+    if first is not None:
+        frames = renumbered(frames, first, FIRST)
+    check_numbers(frames, poses.names, poses.path, "pose", FIRST if first is None else "")
+    rows = row_of_each(poses.names, [frame_of(name, frames) for name in poses.names], poses.path)
+    if not rows:
+        shown = f"{files.plain(frames[0])} to {files.plain(frames[-1])}"
+        raise InputError(poses.path, "", f"no pose of the clip's frames ({files.plain(poses.names[0])}, ...)", shown)
+    return rows, frames
+
+
+def _in_hand(
+    poses: PoseFile, T: Float[ndarray, "n 4 4"], scale: float, clip: Clip, index: ndarray
+) -> Float[ndarray, "n 4 4"]:
+    """Convert poses to the clip's hand frame. Raises ``InputError`` for what can be no pose there."""
+    T_cam_hand = clip.hand.T_cam_hand[index]
+    centres = np.tile(scale * clip.mesh.centre, (len(T), 1))
+    if not poses.in_hand:
+        check_poses(poses.path, "T_cam_obj", T, centres, "the object")
+        return np.asarray(se3.inverse(T_cam_hand) @ T)
+    check_poses(poses.path, "T_hand_obj", T_cam_hand @ T, centres, "the object")
+    away = np.linalg.norm(se3.transform(T, centres[:, None])[:, 0], axis=1).max()
+    if away > FROM_HAND:
+        expected = f"at most {FROM_HAND:g} m; are these in the camera frame (T_cam_obj)?"
+        raise InputError(poses.path, "T_hand_obj", f"an object {away:.3g} m from the hand's origin", expected)
+    return T

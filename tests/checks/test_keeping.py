@@ -1,0 +1,83 @@
+"""Laws of keeping: the kept ones are right with the share that is asked for, and sets hold the right candidate."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from getagrip.batch.keep import HIGHEST, LOWEST, Keep
+from getagrip.checks.keeping import SHARES, Keeping, kind_of, least_kept, least_times
+from getagrip.errors import UsageError
+from getagrip.probability import Probability
+from getagrip.provenance import assumed, estimated, measured
+
+
+def drawn(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Probabilities, and what is right with three quarters of them: an overconfident judge."""
+    rng = np.random.default_rng(seed)
+    p = rng.random(n)
+    return p, rng.random(n) < np.where(p > 0.8, 0.99, 0.75 * p)
+
+
+@pytest.mark.parametrize("share", [0.7, 0.9, 0.95])
+def test_of_new_results_that_are_kept_the_share_is_right(share: float) -> None:
+    of_kept, kept_at_all = [], 0
+    for seed in range(60):
+        least = least_kept(*drawn(300, seed), share)
+        p, right = drawn(4000, 1000 + seed)
+        of_kept += [right[p >= least].mean()] if np.isfinite(least) else []
+        kept_at_all += np.isfinite(least)
+    assert np.mean(of_kept) > share - 0.01
+    assert kept_at_all > 50, "an empty promise keeps nothing"
+
+
+@given(st.integers(0, 1000), st.floats(0.5, 0.98), st.floats(0.0, 0.2))
+def test_a_larger_share_keeps_fewer(seed: int, share: float, more: float) -> None:
+    p, right = drawn(40, seed)
+    assert least_kept(p, right, share) <= least_kept(p, right, share + more)
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=30))
+def test_the_threshold_keeps_its_promise_where_it_was_chosen(right: list[bool]) -> None:
+    rights, p = np.array(right), np.linspace(0.0, 1.0, len(right)).round(1)  # some are alike
+    least = least_kept(p, rights, 0.8)
+    assert np.isinf(least) or np.mean(rights[p >= least]) >= 0.8
+
+
+def test_sets_hold_the_right_candidate_of_new_results() -> None:
+    covered = []
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        covered.append(np.mean(rng.exponential(size=500) <= least_times(rng.exponential(size=60), 0.9)))
+    assert 0.895 <= np.mean(covered) < 0.93
+    assert np.isinf(least_times(np.array([1.0, np.inf]), 0.9))
+
+
+def test_a_result_is_kept_for_the_largest_share_that_its_probability_reaches() -> None:
+    keeping = Keeping({0.8: 0.5, 0.9: 0.7}, probable=0.6, times=1.2)
+    energy = np.array([10.0, 11.0, 13.0, 11.5])
+    found = [keeping.applied(Probability(p, ""), energy) for p in (0.4, 0.55, 0.75)]
+    assert [one.keep for one in found] == [0.0, 0.8, 0.9]
+    assert [one.candidates for one in found] == [0, 0, 2]
+
+
+def test_marks_say_kept_or_dropped_and_nothing_where_none_is_asked_for() -> None:
+    sure, unsure = Probability(0.9, "", keep=0.95), Probability(0.9, "", keep=0.8)
+    assert Keep().verdict(sure, None) == ""
+    keep = Keep(0.95)
+    verdicts = {name: keep.verdict(one, None) for name, one in {"a": sure, "b": unsure, "c": None}.items()}
+    assert verdicts == {"a": "kept", "b": "dropped", "c": "dropped"}
+    assert keep.summary(verdicts).endswith("right in the hand; dropped: b, c")
+    assert "1 of 3 (33 %) are kept" in keep.summary(verdicts)
+    assert Keep(0.95, "camera").verdict(unsure, sure) == "kept"
+    for share in (0.49, 0.99, -1.0):
+        with pytest.raises(UsageError, match=r"--keep must be 0.5 to 0.98"):
+            Keep(share)
+    assert (min(SHARES), max(SHARES)) == (LOWEST, HIGHEST)
+
+
+def test_hands_are_measured_unless_their_source_says_otherwise() -> None:
+    assert kind_of({}) == kind_of({"hands": measured("mocap")}) == kind_of({"hands": "mocap"}) == "measured"
+    assert kind_of({"hands": estimated("a network")}) == kind_of({"hands": assumed("a guess")}) == "estimated"

@@ -1,0 +1,148 @@
+"""``import depth``: each format as its program writes it gives the same distances."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy import ndarray
+
+from getagrip import cli
+from getagrip.clip import read_clip, with_evidence, write_clip
+from getagrip.clip.depth import DEPTH
+from getagrip.clip.depth_sources import HO3D_UNIT
+from helpers.clips import small_clip
+from helpers.exr_files import exr
+
+NAMES = ("0000", "0001", "0002")
+Z = 0.5 + 0.1 * np.random.default_rng(0).random((3, 24, 32))
+
+
+def realsense(root: Path) -> Path:
+    for name, z in zip(NAMES, Z, strict=True):
+        cv2.imwrite(str(root / f"aligned_depth_to_color_{name}.png"), np.rint(1000 * z).astype(np.uint16))
+        (root / f"color_{name}.jpg").write_bytes(b"")
+    return root
+
+
+def ho3d(root: Path) -> Path:
+    for name, z in zip(NAMES, Z, strict=True):
+        units = np.rint(z / HO3D_UNIT).astype(int)
+        blue_green_red = np.stack([np.zeros_like(units), units // 256, units % 256], axis=-1)
+        cv2.imwrite(str(root / f"{name}.png"), blue_green_red.astype(np.uint8))
+    return root
+
+
+def moge(root: Path) -> Path:
+    for name, z in zip(NAMES, Z, strict=True):
+        (root / name).mkdir()
+        (root / name / "depth.exr").write_bytes(exr({"Y": z.astype("<f4")}))
+        (root / name / "depth_vis.png").write_bytes(b"")
+        (root / name / "fov.json").write_text(json.dumps({"fov_x": 43.6, "fov_y": 33.4}))
+    return root
+
+
+def depth_anything(root: Path) -> Path:
+    folder = root / "exports" / "npz"
+    folder.mkdir(parents=True)
+    K = np.tile(np.array([[40.0, 0, 16], [0, 41, 12], [0, 0, 1]], np.float32), (3, 1, 1))
+    image = np.zeros((3, 24, 32, 3), np.uint8)
+    np.savez(folder / "results.npz", image=image, depth=Z.astype(np.float32), conf=np.ones_like(Z), intrinsics=K)
+    return root
+
+
+def unidepth(root: Path) -> Path:
+    np.save(root / "depth.npy", Z[:, None].astype(np.float32))
+    return root / "depth.npy"
+
+
+def depth_pro(root: Path) -> Path:
+    for name, z in zip(NAMES, Z, strict=True):
+        np.savez_compressed(root / f"{name}.npz", depth=z.astype(np.float32))
+        (root / f"{name}.jpg").write_bytes(b"")
+    return root
+
+
+FORMATS: dict[str, tuple[Callable[[Path], Path], str]] = {
+    "realsense": (realsense, "metric"),
+    "dexycb": (realsense, "metric"),
+    "ho3d": (ho3d, "metric"),
+    "arkit": (realsense, "metric"),
+    "moge": (moge, "frame"),
+    "depth-anything-3": (depth_anything, "clip"),
+    "unidepth": (unidepth, "metric"),
+    "depth-pro": (depth_pro, "metric"),
+}
+
+
+@pytest.fixture
+def clip(tmp_path: Path) -> Path:
+    return write_clip(*small_clip(), tmp_path / "clip")
+
+
+def run(clip: Path, path: Path, name: str, *more: str) -> int:
+    return cli.main(["import", "depth", str(path), "--from", name, "--clip", str(clip), *more])
+
+
+def z_of(clip: Path) -> ndarray:
+    depth = with_evidence(read_clip(clip)).evidence[DEPTH]
+    return np.stack([depth.image(n) for n in range(3)])
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_each_format_gives_its_distances(tmp_path: Path, clip: Path, name: str) -> None:
+    make, scale = FORMATS[name]
+    (tmp_path / "made").mkdir()
+    assert run(clip, make(tmp_path / "made"), name) == 0
+    found = z_of(clip)
+    np.testing.assert_allclose(found[found > 0.0], Z[found > 0.0], atol=6e-4)
+    assert (found > 0.0).sum() > 0.1 * Z.size
+    fields = json.loads((clip / "clip.json").read_text())
+    assert fields[DEPTH]["scale"] == scale
+    assert name in str(fields["provenance"][DEPTH])
+
+
+def test_what_the_user_says_counts(tmp_path: Path, clip: Path) -> None:
+    (tmp_path / "made").mkdir()
+    path = depth_pro(tmp_path / "made")
+    assert run(clip, path, "depth-pro", "--scale", "clip", "--unit", "2", "--error", "0.02") == 0
+    found = z_of(clip)
+    np.testing.assert_allclose(found[found > 0.0], 2.0 * Z[found > 0.0], rtol=1e-3)
+    assert json.loads((clip / "clip.json").read_text())[DEPTH]["error"] == 0.02
+
+
+def test_depth_there_is_kept_and_other_counts_are_refused(
+    tmp_path: Path, clip: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "made").mkdir()
+    path = unidepth(tmp_path / "made")
+    np.save(path, Z[:2].astype(np.float32))
+    assert run(clip, path, "unidepth") == 1
+    assert "2 images and no names of frames" in capsys.readouterr().err
+    np.save(path, np.zeros_like(Z))
+    assert run(clip, path, "unidepth") == 1
+    assert "0 in all images" in capsys.readouterr().err
+    assert not (clip / DEPTH).exists()
+    np.save(path, Z)
+    assert run(clip, path, "unidepth") == 0
+    assert run(clip, path, "unidepth") == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert run(clip, path, "unidepth", "--overwrite") == 0
+
+
+def test_another_field_of_view_and_missing_frames_are_said(
+    tmp_path: Path, clip: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "made").mkdir()
+    moge(tmp_path / "made")
+    for sub in (tmp_path / "made").iterdir():
+        (sub / "fov.json").write_text(json.dumps({"fov_x": 80.0}))
+    (tmp_path / "made" / "0001" / "depth.exr").unlink()
+    assert run(clip, tmp_path / "made", "moge") == 3
+    said = capsys.readouterr().err
+    assert "times the clip's focal length" in said
+    assert "no depth in 1 of 3 frames (first: 0001)" in said

@@ -1,0 +1,82 @@
+"""`refine`: another system's poses are where the joint fit starts, and come back in their own format."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from getagrip.clip import Clip, Masks, write_clip
+from getagrip.evaluation import evaluate
+from getagrip.evaluation.other_poses import poses_of
+from getagrip.fitting.options import Options, PriorsFile
+from getagrip.fitting.pose_priors import APART, poses_for
+from getagrip.geometry import se3
+from helpers.command_line import Run
+from helpers.scenes import SMALL, scene
+
+
+@pytest.fixture(scope="module")
+def mug() -> tuple[Clip, Masks]:
+    return scene("mug", 1, SMALL)
+
+
+def flipped(clip: Clip) -> np.ndarray:
+    """The true poses, every other one turned by half a turn about the mug's middle."""
+    assert clip.truth is not None
+    T = clip.truth.T_cam_obj.copy()
+    R = se3.exp_so3(np.array([0.0, 0.0, np.pi]))
+    T[::2] = T[::2] @ se3.rigid(R, clip.mesh.centre - R @ clip.mesh.centre)
+    return T
+
+
+def options(path: Path) -> Options:
+    return Options(init="poses", priors=PriorsFile(path), priors_only=True)
+
+
+def test_poses_alike_are_represented_by_one_and_each_other_kind_too(tmp_path: Path, mug: tuple[Clip, Masks]) -> None:
+    clip, _ = mug
+    np.savez(tmp_path / "poses.npz", T_cam_obj=flipped(clip), frames=np.array(clip.frames))
+    T, notes = poses_for(clip, options(tmp_path / "poses.npz"))
+    assert 2 <= len(T) < len(clip)
+    assert any("represent the others" in note for note in notes)
+    points = clip.mesh.vertices / clip.mesh.diameter
+    given = se3.transform(se3.inverse(clip.hand.T_cam_hand) @ flipped(clip), clip.mesh.vertices) / clip.mesh.diameter
+    chosen = se3.transform(T, clip.mesh.diameter * points) / clip.mesh.diameter
+    apart = np.sqrt(np.mean(np.sum((given[:, None] - chosen) ** 2, axis=-1), axis=-1))
+    assert apart.min(axis=1).max() < 1.2 * APART  # the choice looks at some of the vertices
+
+
+def test_a_file_that_changed_is_refused(tmp_path: Path, mug: tuple[Clip, Masks]) -> None:
+    clip, _ = mug
+    np.savez(tmp_path / "poses.npz", T_cam_obj=flipped(clip), frames=np.array(clip.frames))
+    stale = replace(options(tmp_path / "poses.npz"), priors=PriorsFile(tmp_path / "poses.npz", "0" * 64))
+    with pytest.raises(Exception, match="another content"):
+        poses_for(clip, stale)
+
+
+@pytest.mark.slow
+def test_flips_are_mended_and_written_in_the_same_format(tmp_path: Path, run: Run, mug: tuple[Clip, Masks]) -> None:
+    clip, masks = mug
+    write_clip(clip, masks, tmp_path / "clips" / clip.name)
+    (tmp_path / "theirs").mkdir()
+    file = tmp_path / "theirs" / f"{clip.name}.npy"
+    np.save(file, flipped(clip))
+    status, out, err = run("refine", tmp_path / "theirs", "--clips", tmp_path / "clips", "--out", tmp_path / "out")
+    assert status == 0, err
+    assert "IOU before" in out
+    before, after = (
+        evaluate(poses_of(each, "x", clip, masks), clip, masks).metrics["add_sym_success"]
+        for each in (file, tmp_path / "out" / "refined" / clip.name / file.name)
+    )
+    assert (before, after) == (0.0, 1.0)
+
+
+def test_another_start_cannot_be_named(tmp_path: Path, run: Run) -> None:
+    np.save(tmp_path / "poses.npy", np.tile(np.eye(4), (3, 1, 1)))
+    poses = ("--init", "poses", "--priors", tmp_path / "poses.npy")
+    status, _, err = run("refine", tmp_path, "--clips", tmp_path, "--out", tmp_path / "out", *poses)
+    assert status == 2
+    assert "--init poses cannot be used with refine" in err

@@ -1,0 +1,158 @@
+"""Laws of depth: derivatives by differences, a scale that is profiled out, holes, wrong depth that counts little."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy import ndarray
+
+from getagrip.fitting.energy import HandInCamera, ObjectWithHand, PosesInCamera, no_bound
+from getagrip.fitting.energy import depth as depth_term
+from getagrip.fitting.energy.depth import DepthErrors, DepthSamples, DepthTerm
+from getagrip.geometry import se3
+from helpers.depth_terms import FREE, METRIC, MIDDLE, N, poses, seen, term
+from helpers.terms import is_trustworthy
+
+ONE = np.ones(1)
+STEP = 1e-6
+
+
+def scene(seed: int, noise: float = 0.004) -> tuple[DepthSamples, PosesInCamera, PosesInCamera]:
+    """Noisy samples of object and hand, and poses of both a little beside those."""
+    rng = np.random.default_rng(seed)
+    R, centre = poses(rng)
+    hand = R @ se3.exp_so3(np.array([0.1, 0.2, 0.0])), centre + [0.05, 0.03, -0.02]
+    samples, log_z = seen(((R, centre), hand))
+    samples = replace(samples, log_z=log_z + 0.05 + rng.normal(0.0, noise, log_z.shape))
+    turn, shift = se3.exp_so3(rng.normal(0.0, 0.02, (2, 1, N, 3))), rng.normal(0.0, 0.003, (2, 1, N, 3))
+    of_object = PosesInCamera(turn[0] @ R, centre + shift[0], 1.02 * ONE)
+    return samples, of_object, PosesInCamera(turn[1] @ hand[0], hand[1] + shift[1], 0.98 * ONE)
+
+
+def with_hand(of_object: PosesInCamera, hand: PosesInCamera) -> ObjectWithHand:
+    there = HandInCamera(*vars(hand).values(), np.zeros((1, N, 0)), MIDDLE)
+    return ObjectWithHand(*vars(of_object).values(), there, of_object)
+
+
+def turned(at: PosesInCamera, step: ndarray) -> PosesInCamera:
+    """A body after a local vector (N, 7); its size by the sum over frames."""
+    scale = at.scale * np.exp(step[:, 6].sum())
+    return PosesInCamera(se3.exp_so3(step[:, 3:6]) @ at.R, at.centre + step[:, :3], scale)
+
+
+@pytest.mark.parametrize("errors", [METRIC, FREE], ids=["metric", "free"])
+@pytest.mark.parametrize("moves", [False, True], ids=["object", "both"])
+def test_gradient_is_that_of_differences(monkeypatch: pytest.MonkeyPatch, errors: DepthErrors, moves: bool) -> None:
+    monkeypatch.setattr(depth_term, "ROUNDS", 500)
+    monkeypatch.setattr(depth_term, "EXACT", 1e-12)
+    samples, of_object, hand = scene(0)
+    one = term(samples, errors)
+
+    def at(step: ndarray) -> PosesInCamera:
+        there = turned(of_object, step[:, :7])
+        return with_hand(there, turned(hand, step[:, 7:])) if moves else there
+
+    P = 14 if moves else 7
+    found = one(at(np.zeros((N, 14))), np.array([np.inf]))
+    numeric = np.zeros((N, P))
+    for n in range(N):
+        for k in range(P):
+            step = np.zeros((N, 14))
+            step[n, k] = STEP
+            ahead, behind = (one(at(sign * step), np.array([np.inf])).value.sum() for sign in (1.0, -1.0))
+            numeric[n, k] = (ahead - behind) / (2.0 * STEP)
+    sizes = [k for k in (6, 13) if k < P]
+    analytic = found.g[0].copy()
+    analytic[:, sizes] = found.g[0][:, sizes].sum(axis=0)  # which frames share
+    np.testing.assert_allclose(analytic, numeric, rtol=1e-4, atol=1e-4 * np.abs(numeric).max())
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_curvature_can_be_trusted(moves: bool) -> None:
+    samples, of_object, hand = scene(1)
+    there = with_hand(of_object, hand) if moves else of_object
+    found = term(samples, FREE)(there, no_bound(there))
+    is_trustworthy(found)
+    P = found.g.shape[-1]
+    assert found.cross is not None
+    whole = found.cross[0].copy()
+    for n in range(N):
+        whole[n, :, n] += found.H[0, n]
+    whole = whole.reshape(N * P, N * P)
+    np.testing.assert_allclose(whole, whole.T)
+    assert np.linalg.eigvalsh(whole).min() > -1e-6 * np.abs(whole).max()
+
+
+def test_errors_of_the_image_are_found() -> None:
+    samples, _, _ = scene(2, noise=0.0)
+    exact = with_hand(*true_poses(2))
+    image = term(samples, FREE).image_errors(exact)
+    np.testing.assert_allclose(image.of_clip[0, 2] + image.of_frame.mean(), -0.05, atol=2e-3)
+    assert np.abs(image.left).max() < 2e-3
+
+
+def true_poses(seed: int) -> tuple[PosesInCamera, PosesInCamera]:
+    R, centre = poses(np.random.default_rng(seed))
+    hand = R @ se3.exp_so3(np.array([0.1, 0.2, 0.0])), centre + [0.05, 0.03, -0.02]
+    return PosesInCamera(R, centre, ONE), PosesInCamera(*hand, ONE)
+
+
+def test_an_unknown_scale_hardly_costs_and_a_metric_one_does() -> None:
+    samples, _, _ = scene(3, noise=0.0)
+    exact = with_hand(*true_poses(3))
+
+    def cost(errors: DepthErrors, factor: float) -> float:
+        scaled = replace(samples, log_z=samples.log_z + np.log(factor))
+        return float(term(scaled, errors)(exact, no_bound(exact)).value.sum())
+
+    assert cost(FREE, 2.0) < 1.0 + cost(FREE, 1.0) + 30.0  # of a prior one wide
+    assert cost(METRIC, 1.1) > 2.0 * cost(METRIC, 1.0)
+
+
+def test_holes_say_nothing_and_other_samples_are_rejected_or_independent() -> None:
+    samples, of_object, hand = scene(4)
+    there = with_hand(of_object, hand)
+    one = term(samples, FREE)
+    without = replace(samples, weight=samples.weight * (np.arange(samples.weight.shape[1]) % 2))
+    noise = np.random.default_rng(0).normal(size=samples.log_z.shape) * (without.weight == 0.0)
+    np.testing.assert_allclose(
+        term(without, FREE)(there, no_bound(there)).value,
+        term(replace(without, log_z=without.log_z + noise), FREE)(there, no_bound(there)).value,
+    )
+    assert not one(there, np.array([-1.0])).g.any()
+
+
+def test_two_hypotheses_are_as_each_alone() -> None:
+    samples, of_object, _ = scene(5)
+    other = turned(of_object, np.full((N, 7), 0.003))
+    one = term(samples, METRIC)
+    both = PosesInCamera(
+        *(np.concatenate([a, b]) for a, b in zip(vars(of_object).values(), vars(other).values(), strict=True))
+    )
+    found = one(both, no_bound(both))
+    for k, alone in enumerate((of_object, other)):
+        np.testing.assert_allclose(found.value[k], one(alone, no_bound(alone)).value[0])
+        np.testing.assert_allclose(found.g[k], one(alone, no_bound(alone)).g[0])
+
+
+def test_wrong_depth_counts_little() -> None:
+    samples, of_object, _ = scene(6)
+    warped = replace(samples, log_z=samples.log_z + 0.01 * samples.place[..., 0])
+
+    def pull(one: DepthTerm) -> float:
+        found = one(of_object, no_bound(of_object))
+        return float(np.abs(found.H[0]).max())
+
+    assert pull(term(warped, METRIC)) < 0.5 * pull(term(samples, METRIC))
+    assert (
+        term(warped, METRIC).squared_deviations(of_object)[0]
+        > 3.0 * term(samples, METRIC).squared_deviations(of_object)[0]
+    )
+
+
+def test_an_object_behind_the_camera_is_no_solution() -> None:
+    samples, of_object, _ = scene(7)
+    behind = replace(of_object, centre=-of_object.centre)
+    assert np.isinf(term(samples, METRIC)(behind, no_bound(behind)).value).all()

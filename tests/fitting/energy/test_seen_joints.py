@@ -1,0 +1,123 @@
+"""The reprojection of the hand's joints, as a term on a hand that is unknown as well."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from getagrip.clip import Clip, with_masks
+from getagrip.fitting.energy import HandInCamera, no_bound
+from getagrip.fitting.energy.hand_term import OnHand
+from getagrip.fitting.objective import evidence_on_hand
+from getagrip.fitting.options import Options
+from getagrip.fitting.problem import Problem, prepare
+from getagrip.fitting.seen_joints import SeenJoints
+from getagrip.geometry import se3
+from getagrip.geometry.camera import project
+from helpers.scenes import SHORT, scene
+
+
+def seen_in(clip: Clip, px: float = 0.0) -> Clip:
+    """The clip with its joints where they are seen, off by ``px``."""
+    assert clip.hand.joints is not None
+    points = project(clip.K, se3.transform(clip.hand.T_cam_hand, clip.hand.joints))
+    points = points + px * np.random.default_rng(0).normal(size=points.shape)
+    confidence = np.ones(points.shape[:2])
+    confidence[:, 3] = 0.0
+    return replace(clip, hand=replace(clip.hand, joints_2d=points, joints_2d_confidence=confidence))
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    clip, masks = scene("mug", 2, SHORT)
+    return prepare(with_masks(seen_in(clip, 3.0), masks), Options(hands="as-given", frames=4))
+
+
+def hands(problem: Problem, x: np.ndarray) -> HandInCamera:
+    """The hand of each row of x: its local vector of 7 + 5 numbers, the same in all frames."""
+    T, middle = problem.clip.hand.T_cam_hand, problem.clip.hand.vertices.mean(axis=(0, 1))
+    R = se3.exp_so3(x[:, None, 3:6]) @ T[:, :3, :3]
+    centre = se3.transform(T, middle[None])[:, 0] + x[:, None, :3]
+    modes = np.broadcast_to(x[:, None, 7:], (len(x), len(T), 5)).copy()
+    return HandInCamera(R, centre, np.exp(x[:, 6]), modes, middle)
+
+
+def test_its_gradient_is_that_of_finite_differences(problem: Problem) -> None:
+    term = next(term for term in evidence_on_hand(problem)(128, np.arange(4)) if term.name == "joints-2d")
+    assert isinstance(term, OnHand)
+    rng, step = np.random.default_rng(1), 1e-5
+    at = rng.normal(size=12) * np.repeat([0.01, 0.2, 0.1, 0.3], [3, 3, 1, 5])
+    start = hands(problem, at[None])
+    found = term.term(start, no_bound(start))
+    for k in range(12):
+        # A turn is in the camera frame, about the middle, from where the hand is.
+        sides = []
+        for sign in (-1.0, 1.0):
+            move = sign * step * np.eye(12)[k]
+            poses = HandInCamera(
+                se3.exp_so3(move[3:6]) @ start.R, start.centre + move[:3], start.scale * np.exp(move[6]),
+                start.modes + move[7:], start.middle,
+            )  # fmt: skip
+            sides.append(term.term(poses, no_bound(poses)).value[0])
+        slope = (sides[1] - sides[0]) / (2.0 * step)
+        np.testing.assert_allclose(found.g[0, :, k], slope, rtol=2e-3, atol=1e-3 * np.abs(found.g[0, :, k]).max())
+    assert np.linalg.eigvalsh(found.H[0]).min() > -1e-6 * np.abs(found.H).max()
+
+
+def test_by_the_hands_errors_its_gradient_is_that_of_finite_differences(problem: Problem) -> None:
+    seen = SeenJoints.of(problem.clip, problem.input_masks)
+    assert seen is not None
+    x = np.random.default_rng(2).normal(size=(4, 22)) * np.repeat([0.1, 0.005, 0.1, 0.2], [3, 3, 1, 15])
+    _, g, H = seen(x)
+    for k in range(22):
+        step = 1e-5 * np.eye(22)[k]
+        slope = (seen(x + step)[0] - seen(x - step)[0]) / 2e-5
+        np.testing.assert_allclose(g[:, k], slope, rtol=2e-3, atol=1e-4 * np.abs(g).max())
+    assert np.linalg.eigvalsh(H).min() > -1e-6 * np.abs(H).max()
+    np.testing.assert_allclose(seen.rigid(x[:, :7])[1], seen(np.pad(x[:, :7], ((0, 0), (0, 15))))[1][:, :7])
+
+
+def test_it_is_least_where_the_joints_are_seen(problem: Problem) -> None:
+    exact = replace(problem, clip=seen_in(problem.clip))
+    term = next(term for term in evidence_on_hand(exact)(64, np.arange(4)) if term.name == "joints-2d")
+    assert isinstance(term, OnHand)
+    x = np.concatenate([np.zeros((1, 12)), 0.02 * np.eye(12)])
+    value = term.term(hands(exact, x), np.full(13, np.inf)).value.sum(axis=1)
+    assert np.all(value[1:] > value[0] + 1e-9)
+
+
+def test_joints_behind_the_camera_cost_infinitely_much(problem: Problem) -> None:
+    term = next(term for term in evidence_on_hand(problem)(64, np.arange(4)) if term.name == "joints-2d")
+    assert isinstance(term, OnHand)
+    behind = hands(problem, np.eye(12)[None, 2] * -5.0)
+    assert np.isinf(term.term(behind, no_bound(behind)).value).all()
+
+
+@pytest.mark.parametrize(("own", "lasting"), [(0.02, 0.004), (0.02, 0.03), (0.05, 0.05)])
+def test_the_size_of_errors_is_estimated_from_the_clip(own: float, lasting: float) -> None:
+    clip, _ = scene("mug", 2)
+    exact = seen_in(clip).hand.joints_2d
+    assert exact is not None
+    found = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        box = np.ptp(exact, axis=1).max(axis=-1)[:, None, None]
+        off = own * rng.normal(size=exact.shape) + lasting * rng.normal(size=exact.shape[1:])
+        # Some joints are elsewhere altogether.
+        off[rng.random(off.shape[:2]) < 0.05] += 0.5
+        hand = replace(clip.hand, joints_2d=exact + box * off, joints_2d_confidence=np.ones(off.shape[:2]))
+        seen = SeenJoints.of(replace(clip, hand=hand), None)
+        assert seen is not None
+        found.append((seen.own, seen.lasting))
+    mean_own, mean_lasting = np.mean(found, axis=0)
+    assert own / 1.4 < mean_own < 1.4 * own
+    assert lasting / 2.0 < mean_lasting < max(2.0 * lasting, 0.012)
+
+
+def test_a_clip_without_joints_has_no_such_term() -> None:
+    clip, masks = scene("mug", 2, SHORT)
+    assert SeenJoints.of(clip, masks) is None
+    plain = prepare(with_masks(clip, masks), Options(hands="as-given", frames=4))
+    assert [term.name for term in evidence_on_hand(plain)(64, np.arange(4))] == ["hand-mask"]

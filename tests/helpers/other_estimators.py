@@ -1,0 +1,155 @@
+"""Files of estimators and datasets as their public writers make them, of a known hand."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy import ndarray
+
+from getagrip.geometry import se3
+from getagrip.hands.model import MIRROR
+from getagrip.hands.trackers.dynhamr import root_joint
+from getagrip.hands.trackers.estimates import mirror_rotation
+from helpers.estimator_files import FRAMES, SIZE, K, Known, write_npz
+
+FOCAL, CENTRE = 900.0, np.array(SIZE) / 2.0
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON has it."""
+    if isinstance(value, dict):
+        return {key: plain(one) for key, one in value.items()}
+    return np.asarray(value).tolist() if isinstance(value, ndarray | np.generic) else value
+
+
+def write_json(path: Path, content: Any) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content, default=plain), encoding="utf-8")
+    return path
+
+
+def translation(known: Known) -> ndarray:
+    """The translations with which a camera of another focal length shows the hand where the clip's does."""
+    u = K[:2, 2] + K[0, 0] * known.t[:, :2] / known.t[:, 2:]
+    z = known.t[:, 2:] * FOCAL / K[0, 0]
+    return np.hstack([z * (u - CENTRE) / FOCAL, z])
+
+
+def in_world(known: Known, folder: Path | None) -> tuple[ndarray, ndarray, ndarray]:
+    """The hand's rotations and translations in a world, and ``T_cam_world`` of a moving camera."""
+    rng = np.random.default_rng(3)
+    count = len(known.R)
+    T = se3.rigid(se3.exp_so3(rng.normal(scale=0.4, size=(count, 3))), rng.normal(size=(count, 3)))
+    root = np.array([root_joint(folder, known.side, betas) for betas in known.betas])
+    t = se3.transform(se3.inverse(T), (root + translation(known))[:, None])[:, 0] - root
+    return np.swapaxes(T[:, :3, :3], 1, 2) @ known.R, t, T
+
+
+def hawor_folder(place: Path, known: Known, folder: Path | None) -> Path:
+    """HaWoR's folder, its hands in the world converted to an .npz."""
+    R, t, T_cam_world = in_world(known, folder)
+    count, row = len(t), int(known.side == "right")
+    fields = {"pred_trans": t, "pred_rot": se3.log_so3(R), "pred_hand_pose": known.pose, "pred_betas": known.betas}
+    both = {key: np.zeros((2, *value.shape)) for key, value in fields.items()}
+    for key, value in fields.items():
+        both[key][row] = value
+    valid = np.zeros((2, count), dtype=bool)
+    valid[row] = True
+    write_npz(place / "world_space_res.npz", both | {"pred_valid": valid})
+    T = se3.inverse(T_cam_world)
+    q = se3.quaternion(T[:, :3, :3])[:, [1, 2, 3, 0]]
+    (place / "SLAM").mkdir()
+    slam = {"traj": np.hstack([T[:, :3, 3] / 2.5, q]), "scale": 2.5, "img_focal": FOCAL, "img_center": CENTRE}
+    write_npz(place / "SLAM" / f"hawor_slam_w_scale_0_{count}.npz", slam | {"tstamp": np.arange(count)})
+    (place / "est_focal.txt").write_text(str(FOCAL))
+    return place
+
+
+def hawor_cam_space(place: Path, known: Known) -> Path:
+    """HaWoR's cam_space, of frames 7 to 9, with a file for the other hand."""
+    record = {
+        "init_root_orient": known.R[None], "init_hand_pose": se3.exp_so3(known.pose.reshape(-1, 15, 3))[None],
+        "init_betas": known.betas[None], "init_trans": translation(known)[None],
+    }  # fmt: skip
+    other = {**record, "init_trans": translation(known)[None] + [0.3, 0.0, 0.0]}
+    for row, content in ((int(known.side == "right"), record), (int(known.side == "left"), other)):
+        write_json(place / "cam_space" / str(row) / "6_8.json", content)
+    (place / "est_focal.txt").write_text(str(FOCAL))
+    return place
+
+
+def dynhamr_file(place: Path, known: Known, folder: Path | None) -> Path:
+    """Dyn-HaMR's results: a track of each side, a left hand as the right one that it is the mirror image of."""
+    R, t, T_cam_world = in_world(known, folder)
+    pose = se3.exp_so3(known.pose.reshape(-1, 15, 3))
+    if known.side == "left":
+        R, pose, t = mirror_rotation(R), mirror_rotation(pose), t * MIRROR
+    rows = [np.zeros_like(t), t] if known.side == "right" else [t, np.zeros_like(t)]
+    both = {"trans": np.stack(rows), "root_orient": np.stack([se3.log_so3(R)] * 2)}
+    right = np.repeat([[0.0], [1.0]], len(t), axis=1)
+    both |= {"pose_body": np.stack([se3.log_so3(pose)] * 2), "betas": np.stack([known.betas[0]] * 2)}
+    both |= {"cam_R": np.stack([T_cam_world[:, :3, :3]] * 2), "cam_t": np.stack([T_cam_world[:, :3, 3]] * 2)}
+    both |= {"is_right": right, "intrins": np.array([FOCAL, FOCAL, *CENTRE])}
+    return write_npz(place / "clip_000300_world_results.npz", both)
+
+
+def fasthamer_files(place: Path, known: Known) -> Path:
+    """fasthamer's results as ``dataclasses.asdict`` has them, one for each image."""
+    for n, frame in enumerate(FRAMES[: len(known.R)]):
+        R, fingers = known.raw(n)
+        hand = {"is_right": known.side == "right", "bbox": [0, 0, 9, 9], "cam_t": translation(known)[n]}
+        hand |= {"global_orient": R, "hand_pose": fingers, "betas": known.betas[n]}
+        result = {"hands": [hand], "focal": FOCAL, "cx": CENTRE[0], "cy": CENTRE[1], "image_size": list(SIZE)}
+        write_json(place / f"{frame}.json", result)
+    return place
+
+
+def v2d_tracks(place: Path, known: Known) -> Path:
+    """V2D's hand tracks: a folder for each track, with the network's right hands."""
+    for n, frame in enumerate(FRAMES[: len(known.R)]):
+        R, fingers = known.raw(n)
+        mano = {"betas": known.betas[n], "global_orient": se3.log_so3(R), "hand_pose": se3.log_so3(fingers).ravel()}
+        camera = {"scaled_focal_length": FOCAL, "pred_cam_t_full": translation(known)[n]}
+        for track, right in ((2, False), (3, True)):
+            record = {"track_id": track, "is_right": right, "frame_idx": n, "image_size": list(SIZE)}
+            write_json(place / str(track) / f"{frame}.json", {**record, "camera": camera, "mano": mano})
+    return place
+
+
+def landmarks(known: Known) -> ndarray:
+    """The joints in the clip's images (T, 21, 2) [px]."""
+    seen = known.joints @ K.T
+    return np.asarray(seen[..., :2] / seen[..., 2:])
+
+
+def mediapipe_files(place: Path, known: Known) -> Path:
+    """MediaPipe's results (HandLandmarker), one for each image: shares of the sides."""
+    for frame, points in zip(FRAMES, landmarks(known) / SIZE, strict=False):
+        hand = [{"x": x, "y": y, "z": 0.0, "visibility": 0.0} for x, y in points]
+        side = [{"index": 0, "score": 0.9, "category_name": "Left", "display_name": "Left"}]
+        write_json(place / f"{frame}.json", {"hand_landmarks": [hand], "handedness": [side]})
+    return place
+
+
+def mmpose_file(place: Path, known: Known) -> Path:
+    """MMPose's predictions of a video, COCO-WholeBody's keypoints of two people."""
+    frames = []
+    for frame, points in zip(FRAMES, landmarks(known), strict=False):
+        keypoints, scores = np.zeros((133, 2)), np.full(133, 0.9)
+        start = 91 if known.side == "left" else 112
+        keypoints[start : start + 21] = points
+        person = {"keypoints": keypoints, "keypoint_scores": scores, "bbox": [[0, 0, 9, 9]], "bbox_score": 0.9}
+        other = {**person, "keypoints": keypoints + 200.0, "keypoint_scores": scores / 3.0}
+        frames.append({"frame_id": int(frame), "instances": [other, person]})
+    return write_json(place / "results_clip.json", {"meta_info": {"num_keypoints": 133}, "instance_info": frames})
+
+
+def soma_joints(joints: ndarray) -> ndarray:
+    """SOMA's 25 joints of the 21, the metacarpal ones beside the wrist."""
+    fingers = [joints[:, first : first + 4] for first in range(5, 21, 4)]
+    bases = [0.8 * joints[:, :1] + 0.2 * finger[:, :1] for finger in fingers]
+    each = [part for pair in zip(bases, fingers, strict=True) for part in pair]
+    return np.concatenate([joints[:, :5], *each], axis=1)

@@ -1,0 +1,72 @@
+"""Frames in which a hand was lost, or seen turned, are seen again from the frames that are sure."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from getagrip.landmarks import crops
+from getagrip.landmarks.crops import Crop
+from getagrip.landmarks.following import Sighting
+from getagrip.landmarks.nets import Found, Nets
+from getagrip.landmarks.second_look import look_again
+
+BASES = ((60, 20), (30, -25), (5, -30), (-15, -25), (-40, -15))
+FLAT = np.array([[0, 0], *([x * k / 4, -100 + y * k] for x, y in BASES for k in (1, 2, 3, 4))], dtype=float)
+WORLD = np.column_stack([FLAT / 1000.0, np.zeros(21)])
+COUNT = 30
+
+
+def hand(n: int, confidence: float = 0.95) -> Sighting:
+    return Sighting(FLAT + np.array([300.0 + 8.0 * n, 500.0]), WORLD, confidence, 0.1)
+
+
+def turned(n: int) -> Sighting:
+    """The same, by half a turn, as sure."""
+    there = hand(n)
+    return there._replace(points=2.0 * there.points.mean(axis=0) - there.points)
+
+
+class TurnedNets(Nets):
+    """A network that sees the hand as it is in upright squares about it, and turned, and surer, in others."""
+
+    def __init__(self) -> None:
+        super().__init__(lambda image: [], lambda image: [], "")
+
+    def landmarks(self, image: np.ndarray, crop: Crop) -> Found:
+        n = int(image[0, 0, 0])
+        own = crops.of_landmarks(hand(n).points)
+        if np.linalg.norm(own.middle - crop.middle) > 0.5 * own.side:
+            return Found(FLAT, WORLD, 0.02, 0.5)
+        return Found(*(hand(n, 0.7) if abs(crop.angle - own.angle) < 0.5 else turned(n)))
+
+
+def image(n: int) -> np.ndarray:
+    return np.full((4, 4, 3), n, np.uint8)
+
+
+@pytest.mark.parametrize("there", [None, turned], ids=["lost", "turned"])
+def test_what_was_lost_or_turned_is_seen_again(there: object) -> None:
+    doubtful = range(10, 15)
+    seen = {n: hand(n) for n in range(COUNT) if n not in doubtful}
+    if callable(there):
+        seen |= {n: there(n) for n in doubtful}
+    found = look_again(image, seen, COUNT, TurnedNets())
+    assert sorted(found) == list(range(COUNT))
+    for n, each in found.items():
+        np.testing.assert_allclose(each.points, hand(n).points, atol=1e-6)
+        assert each.confidence == pytest.approx(0.7 if n in doubtful else 0.95)
+
+
+def test_without_a_sure_run_nothing_changes() -> None:
+    seen = {n: hand(n, 0.6) for n in range(COUNT)}
+    assert look_again(image, seen, COUNT, TurnedNets()) == seen
+
+
+def test_a_hand_that_has_gone_stays_gone() -> None:
+    class Nothing(TurnedNets):
+        def landmarks(self, image: np.ndarray, crop: Crop) -> Found:
+            return Found(FLAT, WORLD, 0.02, 0.5)
+
+    seen = {n: hand(n) for n in range(10)}
+    assert sorted(look_again(image, seen, COUNT, Nothing())) == list(range(10))

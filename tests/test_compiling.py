@@ -1,0 +1,143 @@
+"""Kernels are compiled by one process of a machine, and by no other one then; and kept by what they depend on."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from numba import config
+from numba.core.registry import CPUDispatcher
+
+from getagrip import compiling
+from getagrip.io import locks
+from helpers.paths import ROOT
+
+CODE = """
+from getagrip import compiling
+compiling.compile_modules(["kernels.closest"])
+from getagrip.kernels.closest import _spread
+print(sum(_spread.stats.cache_hits.values()), _spread.stats.cache_path)
+"""
+
+
+@pytest.fixture
+def marked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """Where the mark is, in a folder that is not there yet."""
+    mark = tmp_path / "cache" / "mark"
+    monkeypatch.setattr(compiling, "mark_file", lambda: mark)
+    return mark
+
+
+@pytest.fixture
+def compiles(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], None]], None]:
+    """Have something else done in place of the compiling."""
+    return lambda instead: monkeypatch.setattr(compiling, "_compile_side_by_side", instead)
+
+
+@pytest.mark.skipif(not locks.KNOWN, reason="no locks here")
+def test_of_several_at_once_one_compiles_and_the_others_wait(marked: Path, compiles: Callable[..., None]) -> None:
+    ended: list[float] = []
+
+    def slowly() -> None:
+        time.sleep(0.05)
+        ended.append(time.monotonic())
+
+    compiles(slowly)
+    with ThreadPoolExecutor(4) as threads:
+        returned = [*threads.map(lambda _: (compiling.compile_once(), time.monotonic())[1], range(4))]
+    assert len(ended) == 1
+    assert min(returned) >= ended[0]
+    compiling.compile_once()
+    assert len(ended) == 1
+
+
+def test_it_is_done_again_where_the_mark_is_gone_and_told_each_time(
+    marked: Path, compiles: Callable[..., None]
+) -> None:
+    done: list[str] = []
+    compiles(lambda: done.append("compiled"))
+    for _ in range(2):
+        compiling.compile_once(lambda: done.append("told"))
+    assert done == ["told", "compiled"]
+    marked.unlink()
+    compiling.compile_once()
+    assert done == ["told", "compiled", "compiled"]
+
+
+def test_a_failure_is_left_to_the_clips(marked: Path, compiles: Callable[..., None]) -> None:
+    tries: list[None] = []
+
+    def fail() -> None:
+        tries.append(None)
+        raise OSError("no space left")
+
+    compiles(fail)
+    compiling.compile_once()
+    compiling.compile_once()
+    assert len(tries) == 2
+
+
+def test_the_folder_depends_on_the_kernels_and_on_numba(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    folder = compiling.folder.__wrapped__
+    before = folder()
+    assert before.parent == tmp_path
+    monkeypatch.setattr("numba.__version__", "0.0.0")
+    assert folder() != before
+    monkeypatch.undo()
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    assert folder() == before
+    monkeypatch.setattr(compiling, "RARE", compiling.RARE[1:])  # other sources
+    assert folder() != before
+
+
+def test_every_module_with_kernels_is_in_the_folders_name() -> None:
+    source = ROOT / "src" / "getagrip"
+    found = {
+        path.relative_to(source).with_suffix("").as_posix().replace("/", ".")
+        for path in source.rglob("*.py")
+        if "\n@kernel(" in path.read_text("utf-8")
+    }
+    assert sorted(found) == sorted([*(name for group in compiling.GROUPS for name in group), *compiling.RARE])
+
+
+def test_kernels_declare_as_many_arguments_as_they_take() -> None:
+    for name in (*(name for group in compiling.GROUPS for name in group), *compiling.RARE):
+        import_module(f"getagrip.{name}")
+    assert len(compiling._declared) > 15
+    for compiled, arguments in compiling._declared:
+        assert len(compiling.signature(arguments)) == compiled.py_func.__code__.co_argcount, compiled
+
+
+@pytest.mark.slow
+def test_a_kernel_is_compiled_once_and_again_where_its_file_is_damaged(tmp_path: Path) -> None:
+    def hits() -> int:
+        env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+        done = subprocess.run([sys.executable, "-c", CODE], env=env, capture_output=True, text=True, check=True)
+        found, where = done.stdout.split()
+        assert Path(where).parent == tmp_path
+        return int(found)
+
+    assert [hits(), hits()] == [0, 1]
+    for path in tmp_path.rglob("closest._spread*.nb?"):
+        path.write_bytes(b"no pickle")
+    assert [hits(), hits()] == [0, 1]
+
+
+@pytest.mark.compiles
+@pytest.mark.slow
+def test_a_reconstruction_compiles_nothing_for_types_that_no_kernel_declares() -> None:
+    import getagrip
+    from getagrip.datasets.synthetic.scene_options import SceneOptions
+
+    getagrip.reconstruct(*getagrip.synthesise("can", seed=0, options=SceneOptions(frames=6)))
+    for compiled, arguments in compiling._declared:
+        assert isinstance(compiled, CPUDispatcher)
+        assert set(compiled.signatures) <= {compiling.signature(arguments)}, compiled

@@ -1,0 +1,65 @@
+"""Systems without POSIX (Windows) or Linux's own calls: everything can be imported, and what is missing is said."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from getagrip.batch.limits import Limits
+from getagrip.errors import UsageError
+from getagrip.io import files
+
+WITHOUT_POSIX = """
+import importlib, os, pkgutil, sys, tempfile
+import cv2, igl, matplotlib.pyplot, numba, scipy.optimize, scipy.spatial, trimesh, rich.progress, tyro, av
+for name in ("fcntl", "resource", "pwd", "grp", "termios", "posix"):
+    sys.modules[name] = None
+for name in ("fork", "sched_getaffinity", "getuid", "getloadavg", "mkfifo", "O_NOFOLLOW", "O_DIRECTORY"):
+    if hasattr(os, name):
+        delattr(os, name)
+import getagrip
+for module in pkgutil.walk_packages(getagrip.__path__, "getagrip."):
+    if module.name != "getagrip.__main__":
+        importlib.import_module(module.name)
+from pathlib import Path
+from getagrip.batch.executor import cores
+from getagrip.commands.doctor import _machine
+from getagrip.io import locks
+assert cores() >= 1
+with locks.holding(Path(tempfile.gettempdir())):
+    pass
+print(locks.KNOWN, *(words for state, words in _machine() if state == "without"), sep="; ")
+"""
+
+
+@pytest.mark.slow
+def test_every_module_can_be_imported_without_posix_and_doctor_says_what_is_missing() -> None:
+    done = subprocess.run([sys.executable, "-c", WITHOUT_POSIX], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("False; ")
+    assert "locks on files" in done.stdout
+
+
+@pytest.mark.parametrize("platform", ["darwin", "win32"])
+def test_a_limit_of_memory_is_refused_where_the_system_has_none(monkeypatch: pytest.MonkeyPatch, platform: str) -> None:
+    monkeypatch.setattr(sys, "platform", platform)
+    Limits(seconds=1.0)
+    with pytest.raises(UsageError, match=f"--limit-gb cannot be used with {platform}"):
+        Limits(gigabytes=1.0)
+
+
+@pytest.mark.parametrize("name", ["CON", "nul.json", "Com1", "lpt9.tar.gz", "mug.", "aux.", "COM¹"])
+def test_names_that_windows_cannot_have_are_no_plain_names(name: str) -> None:
+    assert not files.is_plain_name(name)
+
+
+@pytest.mark.parametrize("name", ["console", "nullified.json", "com10", "a.con", "mug.0", "Größe"])
+def test_names_that_only_look_like_them_are(name: str) -> None:
+    assert files.is_plain_name(name)
+
+
+def test_letters_that_windows_forbids_are_forbidden_there() -> None:
+    assert (":" in files.FORBIDDEN) == (os.name == "nt")
