@@ -46,7 +46,7 @@ BACK = 1.5
 """Flow there and back agrees if it ends so near to where it began [px]."""
 
 CUT = 10.0
-"""Where most pixels differ more than this from where flow says that they were, the video is cut [of 255]."""
+"""Median difference of pixels from those where flow says that they were; above it the video is cut [of 255]."""
 
 SEEN = 0.2
 """Knowledge of a pixel that came into view after the key: its colour has decided."""
@@ -80,7 +80,7 @@ class Carried(NamedTuple):
     """1 where the key shows whether the object is there, 0 where nothing has shown that, ``SEEN`` in between."""
     trust: float
     unlike: Float32[ndarray, "h w"]
-    """How much likelier a pixel is than on the ground behind, as far as that was seen (``Ground.unlike``)."""
+    """Log ratio of a pixel's probabilities on the object and on the ground behind (``Ground.unlike``)."""
 
 
 def carry(

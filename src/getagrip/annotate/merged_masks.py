@@ -30,7 +30,7 @@ from getagrip.annotate.shared_flow import SmallFrame
 SIDE_WEIGHT = 0.5
 """Weight of the sides beside the colours' mean, in multiples of one ``BAND``."""
 CERTAIN, ALIKE = 0.1, 0.2
-"""How certain the merged border is, when it is drawn anew, where the two differ, and where they are alike: from 0,
+"""Certainty of the merged border, when it is drawn anew, where the two differ, and where they are alike: from 0,
 colours alone, to 1. Near to a key it is that key's."""
 
 

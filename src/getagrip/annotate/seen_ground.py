@@ -1,4 +1,4 @@
-"""What was seen of the ground behind the object: a pixel that shows it again is not the object's.
+"""The ground behind the object, as far as it was seen: a pixel that shows it again is not the object's.
 
 It moves as the visible surroundings do, and is completed wherever the ground is visible.
 """
@@ -46,7 +46,7 @@ class Ground:
         return Ground(np.asarray(image, np.uint8), np.asarray(seen, np.float32))
 
     def renew(self, image: UInt8[ndarray, "h w 3"], part: Part, moved: Ground, visible: Bool[ndarray, "h w"]) -> None:
-        """Become the next frame's: outside a part its ``image``; in it ``moved``, as it looks now if ``visible``."""
+        """Replace it by the next frame's: outside a part its ``image``; in it ``moved``, renewed where ``visible``."""
         same = visible & (np.abs(image[part].astype(np.int16) - moved.image).max(axis=-1) < 2.0 * NOISE)
         self.image = image.copy()
         self.image[part] = np.where(same[..., None], image[part], moved.image)

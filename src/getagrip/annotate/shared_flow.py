@@ -27,9 +27,9 @@ class SmallFrame(NamedTuple):
 
     image: UInt8[ndarray, "h w 3"]
     bins: Int32[ndarray, "h w"]
-    """Of its colours."""
+    """Bins of its colours."""
     whole: UInt8[ndarray, "H W 3"]
-    """As it was."""
+    """The frame at its own size."""
 
 
 class SmallFrames:
