@@ -166,7 +166,7 @@ def _add(sign, ray, t, face, R, centre, unit, delta, error, g, H):
 
 @kernel()
 def _error(sign, point, R, centre, scale, corners, reach, origin, local, ray):
-    """Return how far a point is on the wrong side of the surface [m], the distance of that, and its face, -1: no surface.
+    """Return how far a point is on the wrong side of the surface [m], how far that is, and its face, -1: none.
 
     Fills in the ray to the point.
     """
