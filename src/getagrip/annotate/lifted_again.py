@@ -57,7 +57,7 @@ class LabelMaps:
 def lifted_again(
     hand: HandTrack, frames: Int[ndarray, "n"], K: Float[ndarray, "3 3"], side: Side, maps: LabelMaps
 ) -> tuple[HandTrack, Int[ndarray, "k"]]:
-    """Lift a grasp's hand, of rising ``frames``, from its ``joints_2d`` again; also return the rows that have one.
+    """Fit a grasp's hand, of rising ``frames``, to its ``joints_2d`` again; also return the rows that have one.
 
     Raises ``UsageError`` as ``hands_from_landmarks`` does, and for a hand without ``joints_2d``.
     """

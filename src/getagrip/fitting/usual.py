@@ -27,7 +27,7 @@ WEIGHT = 20.0
 TILT = 0.15
 """Standard deviation of the cosine to the usual upright axis, below zero."""
 MIRROR = np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
-"""Of the left hand's frame to the right's, and of an object whose handle points along x."""
+"""Reflections: of the left hand's frame to the right's, and of an object whose handle points along x."""
 
 
 def kind_of(clip: Clip) -> Kind | None:
@@ -68,7 +68,7 @@ class UprightTerm:
     """``weight / 2 * (min(0, max over k of axis_k . R z) / TILT)^2``, z the object's upright axis."""
 
     axes: Float[ndarray, "N k 3"]
-    """Where that usually points, in the camera frame."""
+    """Its usual directions in the camera frame."""
     weight: float = WEIGHT
     name: str = "upright"
 

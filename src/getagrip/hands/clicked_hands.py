@@ -161,7 +161,7 @@ class Fit(NamedTuple):
     repeats: float = 1.0
     """Frames whose joints are wrong in the same way: their evidence of what frames share counts as that of one."""
     hiding: Hiding | None = None
-    """Where joints can be that are not seen; None: anywhere."""
+    """Places that can hide joints; None: anywhere."""
 
     def equations(self, guess: Guess) -> Equations:
         """Compute the cost, and per frame J^T J and J^T r of (T_cam_hand step, pose, grasp, shape)."""

@@ -103,7 +103,7 @@ class Kind:
     spread: float = 0.25
     """Standard deviation of the logarithm of its size, from one such object in a kitchen to another: a coarse guess."""
     opens_up: bool = False
-    """Whether it is a vessel, which is hardly ever held with its opening on the little finger's side."""
+    """True for a vessel, which is hardly ever held with its opening on the little finger's side."""
 
 
 _ROUND = Grip("palm", (0, 0, 0), (1, 0, 0), (0, 0, 1))

@@ -92,9 +92,9 @@ class OrderTerm:
     weight: Float[ndarray, "N"]
     """Energy per metre of the mean, per frame [px^2 / m]."""
     tolerance: float = 0.004
-    """What costs nothing [m]."""
+    """Error that costs nothing [m]."""
     cap: float = 0.04
-    """What lies farther on the wrong side costs no more, and does not pull [m]."""
+    """Largest error that counts; beyond it a point costs no more, and does not pull [m]."""
     delta: float = 0.002
     """Errors below this count as this in the curvature [m]."""
     name: str = "order"
@@ -166,7 +166,7 @@ def _add(sign, ray, t, face, R, centre, unit, delta, error, g, H):
 
 @kernel()
 def _error(sign, point, R, centre, scale, corners, reach, origin, local, ray):
-    """How far a point is on the wrong side of the surface [m], the distance of that, and its face, -1: no surface.
+    """Return how far a point is on the wrong side of the surface [m], how far that is, and its face, -1: none.
 
     Fills in the ray to the point.
     """
