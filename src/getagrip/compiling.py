@@ -74,10 +74,6 @@ def kernel(arguments: str = "", fastmath: bool = True) -> Callable[[Any], Any]:
     return decorate
 
 
-part = njit(inline="always")
-"""Decorates a small piece of one kernel: it is compiled as the text of that kernel, never by itself."""
-
-
 def compile_once(tell: Callable[[], object] = lambda: None) -> None:
     """Have the kernels of a reconstruction compiled, unless they are, and call ``tell`` before. Raises nothing.
 
