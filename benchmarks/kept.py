@@ -15,14 +15,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from benchmarks import store
-from benchmarks.reliability import auroc, calibration_error, fit_weights
+from benchmarks.probability import entry
+from benchmarks.reliability import auroc, calibration_error, fit_weights, least_error
 from benchmarks.timing import circumstances
 from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.checks.calibration import Calibration, Where
@@ -51,7 +52,8 @@ CONDITIONS: Mapping[str, Change] = {
 }
 SIGNS_USED = [sign for sign in (*SIGNS, *HAND_SIGNS) if sign.name != "mesh-deformation"]
 """Signs for estimated hands; DexYCB's own meshes are not deformed."""
-FOLDS = 10
+KEPT = 0.95
+"""Share of right results in the table."""
 Row = dict[str, Any]
 
 
@@ -153,11 +155,11 @@ def of_kind(rows: Sequence[Row], part: str, kind: Kind, where: Where) -> Results
 def source(estimated: Mapping[Where, Calibration], keeping: Mapping[tuple[Kind, Where], Keeping]) -> str:
     """Return the module that holds the calibrations."""
     made = next(iter(estimated.values())).made
-    fitted = "".join(f'    ("{METHOD}", "{where}"): {one!r},\n' for where, one in estimated.items())
+    fitted = "".join(map(entry, estimated.values()))
     kept = "".join(f"    {key!r}: {_literal(one)},\n" for key, one in keeping.items())
     return (
         '"""The probability for estimated hands, and the thresholds of all kinds; written by ``python -m '
-        f'benchmarks.kept``.\n\nMade {made}.\n"""\n\nfrom math import inf\n\n'
+        f'benchmarks.kept``.\n\nMade {made}.\n"""\n\n{"from math import inf" * ("inf" in kept)}\n\n'
         "from getagrip.checks.calibration import Calibration, Weight, Where\n"
         "from getagrip.checks.keeping import Keeping, Kind\n\n"
         f"ESTIMATED: dict[tuple[str, Where], Calibration] = {{\n{fitted}}}\n"
@@ -172,34 +174,49 @@ def _literal(one: Keeping) -> str:
     return f"Keeping({{{least}}}, {one.probable:.4g}, {one.times:.4g})"
 
 
-HEADER = ("validation clips", "results", "right, %", "AUROC", "ECE", "kept at 95 %, %", "right of kept, %",
-          "with a set, %", "sets that hold it, %", "candidates")  # fmt: skip
+HEADER = (
+    "clips", "results", "right, %", "AUROC", "ECE", "ECE if it were perfect", "kept at 95 %, %", "right of kept, %",
+    "with a set, %", "sets that hold it, %", "candidates",
+)  # fmt: skip
 
 
 def lines(rows: Sequence[Row], estimated: Mapping[Where, Calibration], keeping: Any) -> Iterator[list[str]]:
-    """Hold the validation part against the calibrations, condition by condition."""
-    for where in WHERE:
-        for condition in CONDITIONS:
-            some = [r for r in rows if (r["part"], r["condition"], r["serious"]) == ("validation", condition, False)]
-            if not some:
+    """Hold both parts against the calibrations; estimated hands of training by fits without their own object."""
+    for where, part in product(WHERE, ("train", "validation")):
+        for kind in get_args(Kind):
+            results = of_kind(rows, part, kind, where)
+            if not results.rows:
                 continue
-            kind, results = some[0]["kind"], Results(some, where)
             fitted = estimated[where] if kind == "estimated" else CALIBRATIONS[METHOD, where]
-            p, right = results.probability(fitted), results.right
-            verdicts = [
-                keeping[kind, where].applied(Probability(float(x), ""), np.array(r["energy"]))
-                for x, r in zip(p, some, strict=True)
-            ]
-            kept = np.array([one.keep >= 0.95 for one in verdicts])
-            count = np.array([one.candidates for one in verdicts])
-            holds = np.array([any(x > 0.5 for x in r["right"][where][:n]) for r, n in zip(some, count, strict=True)])
-            sets = count > 0
-            numbers = [kept.mean(), _mean(right[kept]), sets.mean(), _mean(holds[sets])]
-            yield [
-                f"in the {where}, {condition}", f"{len(some)}", f"{100.0 * right.mean():.0f}", f"{auroc(p, right):.2f}",
-                f"{calibration_error(p, right):.3f}", *("" if np.isnan(x) else f"{100.0 * x:.0f}" for x in numbers),
-                "" if not sets.any() else f"{count[sets].mean():.1f}",
-            ]  # fmt: skip
+            fair = results.without_own_object if (part, kind) == ("train", "estimated") else None
+            p = results.probability(fitted) if fair is None else fair()
+            yield line(f"{part}, in the {where}, {kind}", results, p, keeping[kind, where])
+            for condition in CONDITIONS:
+                of = np.array([row["condition"] == condition for row in results.rows])
+                if 0 < of.sum() < len(of):
+                    some = [row for row, own in zip(results.rows, of, strict=True) if own]
+                    label = f"{part}, in the {where}, {condition} alone"
+                    yield line(label, Results(some, where), p[of], keeping[kind, where])
+
+
+def line(label: str, results: Results, p: Float[ndarray, "n"], keeping: Keeping) -> list[str]:
+    """Sum up results of these probabilities."""
+    right, where = results.right, results.where
+    verdicts = [
+        keeping.applied(Probability(float(x), ""), np.array(row["energy"]))
+        for x, row in zip(p, results.rows, strict=True)
+    ]
+    kept, count = np.array([one.keep >= KEPT for one in verdicts]), np.array([one.candidates for one in verdicts])
+    first = [row["right"][where][:n] for row, n in zip(results.rows, count, strict=True)]
+    holds = np.array([max(one, default=0.0) > 0.5 for one in first])
+    sets, area = count > 0, auroc(p, right)
+    shares = [kept.mean(), _mean(right[kept]), sets.mean(), _mean(holds[sets])]
+    return [
+        label, f"{len(p)}", f"{100.0 * right.mean():.0f}", "" if np.isnan(area) else f"{area:.2f}",
+        f"{calibration_error(p, right):.3f}", f"{least_error(p):.3f}",
+        *("" if np.isnan(x) else f"{100.0 * x:.0f}" for x in shares),
+        "" if not sets.any() else f"{count[sets].mean():.1f}",
+    ]  # fmt: skip
 
 
 def _mean(x: ndarray) -> float:

@@ -120,3 +120,14 @@ def test_progress_is_a_bar_a_function_or_nothing(capsys: pytest.CaptureFixture[s
         assert bar is not None
         bar("search", 0.5)
     assert capsys.readouterr().out == ""
+
+
+def test_progress_in_a_notebook_without_widgets_is_a_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("getagrip.io.terminal._in_notebook", lambda: True)
+    monkeypatch.setattr("getagrip.io.terminal.find_spec", lambda _: None)
+    with shown_progress(True, "mug") as line:
+        assert line is not None
+        line("search", 0.5)
+    assert "\r 50% mug: search" in capsys.readouterr().out

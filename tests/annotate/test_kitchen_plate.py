@@ -58,7 +58,7 @@ def test_from_video_to_reconstruction(tmp_path: Path, run: Run) -> None:
         made = make(given, video.image, Lens(), tmp_path / "made")
     finally:
         video.close()
-    assert min(made.confidence.values()) > 0.75
+    assert min(made.confidence.values()) > 0.85
     write_mesh(plate(), tmp_path / "plate.obj")
     words = made.command.split()[1:]
     words[words.index(given.video)] = str(VIDEO)

@@ -192,7 +192,7 @@ def test_a_cut_lowers_the_confidence() -> None:
         image, labels = drawn(n)
         return (image, labels) if n < 5 else (image[:, ::-1].copy(), labels[:, ::-1].copy())
 
-    assert worst(carried((0, LAST), cut))[1] < 0.75
+    assert worst(carried((0, LAST), cut))[1] < 0.5
 
 
 @pytest.mark.slow
@@ -228,13 +228,14 @@ def test_every_frame_is_in_one_stretch_with_the_keys_about_it(keys: set[int], en
 def test_a_changed_key_changes_the_frames_up_to_its_neighbours_only() -> None:
     """The others need not be made again."""
     keys = {n: drawn(n)[1] for n in (1, 4, 6)}
-    before = {n: labels for n, labels, _ in propagate(lambda n: drawn(n)[0], keys, 0, LAST)}
+    before = {n: (labels, sure) for n, labels, sure in propagate(lambda n: drawn(n)[0], keys, 0, LAST)}
     keys[6] = np.where(drawn(6)[1] == OBJECT, 0, FRONT).astype(np.uint8)
-    after = {n: labels for n, labels, _ in propagate(lambda n: drawn(n)[0], keys, 0, LAST)}
-    assert {n for n in before if not np.array_equal(before[n], after[n])} == {*range(5, LAST + 1)}
+    after = {n: (labels, sure) for n, labels, sure in propagate(lambda n: drawn(n)[0], keys, 0, LAST)}
+    same = {n for n, (labels, sure) in after.items() if np.array_equal(before[n][0], labels) and before[n][1] == sure}
+    assert after.keys() - same == {*range(5, LAST + 1)}
     again = {n: labels for n, labels, _ in propagate(lambda n: drawn(n)[0], keys, 0, LAST, range(5))}
     assert again.keys() == {*range(5, LAST + 1)}
-    assert all(np.array_equal(after[n], labels) for n, labels in again.items())
+    assert all(np.array_equal(after[n][0], labels) for n, labels in again.items())
 
 
 def test_what_cannot_be_propagated_is_refused() -> None:

@@ -32,7 +32,7 @@ VERBS = re.findall(
     Close Cluster Collect Combine Compare Complete Compute Convert Copy Correlate Count Crop Cut Decode Delay
     Descend Describe Detect Differentiate Displace Do Draw Drop Embed Encode End Enlarge Enter Escape Estimate
     Evaluate Expand Explain Export Extend Fill Find Fit Flatten Flip Follow Give Group Grow Have Hold Identify
-    Ignore Import Interpolate Join Judge Keep Learn Leave Let Limit Link List Listen Load Lock Make Mark Match
+    Ignore Import Interpolate Join Judge Keep Learn Leave Let Lift Limit Link List Listen Load Lock Make Mark Match
     Measure Minimise Mirror Move Name Note Open Overwrite Pack Pair Parse Place Pop Predict Print Project Pull Put
     Raise Rank Read Reconstruct Reduce Refine Refuse Remove Render Repair Replace Report Resample Resolve Return
     Reverse Rotate Run Sample Say Scale Score Search Segment Select Send Serve Set Shift Shorten Show Shrink

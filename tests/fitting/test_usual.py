@@ -72,17 +72,32 @@ def test_usual_rotations_are_the_first_and_at_most_half() -> None:
     np.testing.assert_array_equal(initial_poses(clip, masks, 10, usual=usual[:0]).R, initial_poses(clip, masks, 10).R)
 
 
-def test_upside_down_costs_most_and_a_turn_about_the_axis_nothing() -> None:
+def test_only_what_is_nearly_upside_down_costs() -> None:
     axes = np.tile(np.array([0.0, 0.0, 1.0]), (N, 1, 1))
 
-    def value(*turns: np.ndarray) -> np.ndarray:
+    def value(*turns: tuple[float, float, float]) -> np.ndarray:
         R = np.tile(se3.exp_so3(np.array(turns))[:, None], (1, N, 1, 1))
         poses = PosesInCamera(R, np.zeros((len(turns), N, 3)), np.ones(len(turns)))
         return np.asarray(UprightTerm(axes)(poses, no_bound(poses)).value[:, 0])
 
-    about, tilted, over = value(np.array([0, 0, 2.0]), np.array([1.0, 0, 0]), np.array([np.pi, 0, 0]))
-    assert about == pytest.approx(0.0, abs=1e-9)
-    assert 0.0 < tilted < over
+    about, tilted, beyond, over = value((0, 0, 2.0), (1.5, 0, 0), (1.8, 0, 0), (np.pi, 0, 0))
+    assert about == tilted == 0.0
+    assert 0.0 < beyond < over
+
+
+def test_a_mug_has_its_opening_on_the_thumb_s_side() -> None:
+    clip, _ = unmeasured()
+    terms = usual_of(clip)(64, np.arange(len(clip)))
+    assert [term.name for term in terms] == ["size", "upright"]
+    assert clip.truth is not None
+    T, ones = clip.truth.T_cam_obj, np.ones(2)
+    over = np.diag([1.0, -1.0, -1.0])
+    R = np.stack([T[:, :3, :3], T[:, :3, :3] @ over])
+    poses = PosesInCamera(R, np.tile(T[:, :3, 3], (2, 1, 1)), ones)
+    value = terms[1](poses, no_bound(poses)).value
+    assert not value[0].any()
+    assert value[1].all()
+    assert [one.name for one in usual_of(replace(clip, category="bottle"))(64, np.arange(2))] == ["size"]
 
 
 @pytest.mark.parametrize("name", ["size", "upright"])

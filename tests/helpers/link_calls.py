@@ -61,6 +61,7 @@ CALLS: dict[str, Sequence[str]] = {
         "joints.npz --from joints --order openpose --clip cup --overwrite",
         f"joints.npz --from joints --order openpose --out hands/new.npz {NEW_FRAMES}",
     ],
+    "import depth": ["depths.npy --from unidepth --clip cup --overwrite"],
     "import masks": [f"masks {MASKS} --clip cup --overwrite"],
     "import cameras": ["cameras.txt --clip cup"],
     "import segments": ["segments.json --clip cup --still-camera --overwrite"],
@@ -71,6 +72,7 @@ CALLS: dict[str, Sequence[str]] = {
         "clips --cut-grasps --out out --workers 1 --method static",
     ],
     "evaluate": ["results --json new/out.json"],
+    "refine": ["theirs.npy --clips clips --out out --workers 1 --overwrite"],
     "report": ["results/small --mp4", "results --workers 1"],
     "status": ["results"],
     "view": ["results"],
@@ -139,7 +141,7 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
     parsed = cache(cli._parsed)
     places = {
         "annotate.server.Server.serve_forever": ended,
-        "compiling.compile_once": lambda: None,
+        "compiling.compile_once": lambda *_: None,
         "cli._parsed": lambda words: parsed(tuple(words)),
         "datasets.synthetic.scene_options.DEMO": SHORT,
         "commands.doctor._try_out": lambda: None,
@@ -178,7 +180,9 @@ def _write_results(folder: Path) -> None:
     """A clip, its true poses as a result, and the list of its grasp."""
     there = write_clip(*small("small"), folder / "clips" / "small")
     clip = read_clip(there)
-    write_result(true_result(clip, None), folder / "results" / "small", input_sha256(there), {}, there)
+    true = true_result(clip, None)
+    write_result(true, folder / "results" / "small", input_sha256(there), {}, there)
+    np.save(folder / "theirs.npy", clip.hand.T_cam_hand @ true.T_hand_obj)
     (folder / "grasps.json").write_text(json.dumps({"version": 1, "grasps": [as_listed(clip, 0, 3).row()]}))
 
 
@@ -188,6 +192,7 @@ def _write_cup(folder: Path) -> None:
     assert cli.main([*map(str, cup), "--hands", str(folder / "six.npz")]) == 0
     joints_of = generic.load("right").with_shape().with_pose().joints + AHEAD
     arrays.write(folder / "joints.npz", {"joints": np.tile(joints_of, (6, 1, 1)), "frames": np.arange(3, 9)})
+    np.save(folder / "depths.npy", np.full((6, 48, 64), 0.5, np.float32))
     np.savetxt(folder / "cameras.txt", np.tile(np.eye(4)[:3].reshape(1, 12), (6, 1)))
     row = {"state": "static", "first": "000003", "last": "000005"}
     (folder / "segments.json").write_text(json.dumps({"scene": {"segments": [row]}}))

@@ -59,7 +59,7 @@ STIFF = 0.5
 
 CLEAR = 3.0
 """Pixels farther than this from all that is carried show the ground [px]."""
-NO_HAND = 0.3
+NO_HAND = 0.5
 """Pixels of the hand that was found are not the hand's where colours of the object are likelier by e to this."""
 
 KINDS = (OBJECT, FRONT, HAND)

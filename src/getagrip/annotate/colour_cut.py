@@ -57,7 +57,7 @@ class Colours(NamedTuple):
         for side in (inside & counted, ~inside & counted):
             cube = np.bincount(at[side], minlength=BINS**3).astype(np.float32).reshape(BINS, BINS, BINS)
             sides.append(_blurred(cube).ravel() / max(1, np.count_nonzero(side)))
-        return Colours(np.stack(sides))
+        return Colours(np.stack(sides).astype(np.float32))
 
     @staticmethod
     def mean(some: list[Colours]) -> Colours:

@@ -22,7 +22,7 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands.clicked_hands import SCALE
-from getagrip.hands.lifted_hands import hands_from_landmarks
+from getagrip.hands.lifted_hands import LIFTED, hands_from_landmarks
 from getagrip.io import files
 from getagrip.io.images import write_mask
 from getagrip.landmarks import HandLandmarks, follow, hand_mask, look_again, select
@@ -57,7 +57,7 @@ def of_landmarks(landmarks: HandLandmarks) -> Provenance:
     """Return the provenance of hands that are lifted from landmarks."""
     words = "; ".join(landmarks.notes)
     return {
-        "hands": estimated(f"MediaPipe's landmarks, lifted to the generic hand; {words}"),
+        "hands": estimated(f"MediaPipe's landmarks, {LIFTED}; {words}"),
         "hands_focal": assumed("from the size of the generic hand and the focal length"),
         "hands_scale": assumed(SCALE),
     }

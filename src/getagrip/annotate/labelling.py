@@ -20,6 +20,7 @@ from getagrip.annotate import keyframes, labels, reconstruction, versions
 from getagrip.annotate.background import Background, BackgroundJob, Work
 from getagrip.annotate.footage import Footage
 from getagrip.annotate.found_hands import FOLDER, FoundHands
+from getagrip.annotate.frame_wanted import frame_wanted
 from getagrip.annotate.interaction import Interaction
 from getagrip.annotate.keyframes import KeyFrame
 from getagrip.annotate.labelled_footage import checksum
@@ -93,6 +94,8 @@ class Labelling:
         own = self._own(grasp)
         job = self.background.job(grasp.mark.mark)
         keys = ("frame", "joints", "outlines", "hidden")
+        basis = self._basis(grasp, own)
+        sure = self.store.drafts.confidence(grasp.mark.mark, {word for *_, word in basis["masks"]})
         return {
             "grasp": grasp.mark.mark,
             "newest": newest,
@@ -103,7 +106,8 @@ class Labelling:
             "keyframes": [
                 {key: getattr(one, key) for key in keys} | {"number": grasp.footage.number(one.frame)} for one in own
             ],
-            "basis": self._basis(grasp, own),
+            "basis": basis,
+            "wanted": frame_wanted(sure, self.labels(grasp).drawn, *grasp.extent),
             "found": bool(self.found.joints),
             "drafts": self.store.drafts.newest(grasp.mark.mark),
             "job": None if job is None else job.status(),

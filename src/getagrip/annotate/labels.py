@@ -82,15 +82,19 @@ class Labels:
         """The joints, where there are any: rising frames."""
         return {n: frame.joints for n, frame in sorted(self.frames.items()) if frame.joints is not None}
 
+    @property
+    def drawn(self) -> list[int]:
+        """Frames on which the object has polygons or strokes, or is marked as not visible: rising."""
+        return [n for n, frame in sorted(self.frames.items()) if frame.object is not None or frame.on]
+
     def label_maps(self) -> dict[int, UInt8[ndarray, "H W"]]:
         """Make label maps with 0, ``OBJECT``, ``FRONT`` or ``HAND`` from polygons.
 
         ``strokes.key_masks`` uses strokes, too.
 
-        Of each frame on which the object has polygons or strokes, or is marked as not visible.
+        Of the frames ``drawn``.
         """
-        drawn = {n: frame for n, frame in sorted(self.frames.items()) if frame.object is not None or frame.on}
-        return {n: _label_map(frame, self.size) for n, frame in drawn.items()}
+        return {n: _label_map(self.frames[n], self.size) for n in self.drawn}
 
 
 def _label_map(frame: FrameLabels, size: tuple[int, int]) -> UInt8[ndarray, "H W"]:

@@ -18,14 +18,14 @@ from getagrip.annotate.labels import OBJECT
 from getagrip.clip import HandTrack
 from getagrip.clip.reading import read_hand
 from getagrip.clip.writing import write_hand
-from getagrip.errors import UsageError
+from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands.hidden_joints import SIDE, Hiding
-from getagrip.hands.lifted_hands import hands_from_landmarks
+from getagrip.hands.lifted_hands import LIFTED, hands_from_landmarks
 from getagrip.hands.model import Side
 from getagrip.io import arrays
 from getagrip.io.terminal import report
-from getagrip.provenance import of_provenance
+from getagrip.provenance import from_arrays, of_provenance
 
 LOOSENESS = 0.08
 """Standard deviation of each number of the fingers' pose from that of the grasp [rad]."""
@@ -74,22 +74,27 @@ def lifted_again(
     found = hands_from_landmarks(points, confidence, K, side, world, hiding, LOOSENESS)
     kept = np.isin(found.rows, at)
     rows = np.searchsorted(at, np.array(found.rows)[kept])
-    seen = {"joints_2d": hand.joints_2d[rows], "joints_2d_confidence": hand.joints_2d_confidence[rows]}
-    return replace(found.hand.take(np.flatnonzero(kept)), **seen), rows
+    lifted = found.hand.take(np.flatnonzero(kept))
+    seen, sure = hand.joints_2d[rows], hand.joints_2d_confidence[rows]
+    return replace(lifted, joints_2d=seen, joints_2d_confidence=sure), rows
 
 
 def write_lifted_again(found: Path, out: Path, side: Side, first: int, last: int, maps: LabelMaps) -> None:
     """Write a found hand file to ``out``, its hands lifted again in the frames ``first`` to ``last``, from 0.
 
-    Where they cannot be, they stay as they are, and it is said. Raises ``InputError`` for a malformed file.
+    Where they cannot be, they stay as they are, and it is said; an estimator's own hands stay, too. Raises
+    ``InputError`` for a malformed file.
     """
     content = arrays.read(found, lambda key: key in {"frames", "K", "side"} or of_provenance(key))
     numbers = arrays.frame_numbers(found, content)
-    assert numbers is not None
+    if numbers is None:
+        raise InputError(found, "frames", "no such key", "the numbers of its frames")
     frames = np.array(numbers) - 1
     rows = np.flatnonzero((first <= frames) & (frames <= last))
     hand, frames = read_hand(found, len(numbers)).take(rows), frames[rows]
     try:
+        if LIFTED not in str(from_arrays(found, content).get("hands")):
+            raise UsageError("they are an estimator's")
         hand, kept = lifted_again(hand, frames, arrays.floats(found, content, "K", (3, 3)), side, maps)
         frames = frames[kept]
     except UsageError as error:

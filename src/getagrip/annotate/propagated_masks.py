@@ -2,12 +2,12 @@
 
 Each mask is carried as a signed distance from its border, frame by frame: from the key before forwards, from the key
 after backwards (``carried_masks``); it depends on these two keys alone. The two are merged (``merged_masks``): where
-they differ the keys' colours decide, and the nearer key; what has come into the image since one key is known from the
-other only.
+they differ the keys' colours decide, the ground that keys show, and the nearer key; what has come into the image since
+one key is known from the other only. At last the border is drawn at the image's own size (``fine_border``).
 
-The confidence of a frame is how far the two agree (intersection over union), 1 on keys. Where there is one only, before
-the first key and after the last, it is its trust: the share of the border for which flow there and back agrees, all
-steps since the key multiplied.
+The confidence of a frame is the share that is expected to be right: where there are two, a pixel is lost if both are
+wrong, and hardly near to a key; it is 1 on keys. Where there is one only, before the first key, after the last and up to
+a cut, it is its trust: the share of the border for which flow there and back agrees, all steps since the key multiplied.
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ class Ground:
         """
         import cv2
 
-        apart = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.0)
-        apart -= cv2.GaussianBlur(self.image.astype(np.float32), (0, 0), 1.0)
+        now, before = (cv2.GaussianBlur(each.astype(np.float32), (0, 0), 1.0) for each in (image, self.image))
+        apart = np.subtract(now, before)
         same = SAME * np.exp(-np.einsum("hwc,hwc->hw", apart, apart) / (2.0 * NOISE**2))
         return np.asarray(self.seen * np.log((share + RARE) / (same + RARE)), np.float32)

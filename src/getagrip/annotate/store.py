@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -65,6 +65,12 @@ class Drafts:
     def bases(self, grasp: str, kind: str) -> dict[int, str]:
         """Return, by frame, the inputs of the existing drafts."""
         return dict(self.database.rows("SELECT frame, basis FROM drafts WHERE grasp = ? AND kind = ?", (grasp, kind)))
+
+    def confidence(self, grasp: str, basis: Collection[str]) -> dict[int, float]:
+        """Return the confidence of masks by frame, of those made of some inputs."""
+        query = "SELECT frame, basis, content FROM drafts WHERE grasp = ? AND kind = 'masks'"
+        rows = self.database.rows(query, (grasp,))
+        return {n: json.loads(content)["confidence"] for n, made_of, content in rows if made_of in basis}
 
     def newest(self, grasp: str) -> int:
         """Return a number that grows with every draft of a grasp."""

@@ -27,7 +27,7 @@ arm's length."""
 
 @dataclass(frozen=True)
 class DepthSource:
-    """What made a clip's depth images, and in which measure: ``depth`` in ``clip.json``.
+    """The source of a clip's depth images, and their measure: ``depth`` in ``clip.json``.
 
     Attributes:
         scale: ``metric``: depth is in metres; ``clip``: times a factor that the clip has; ``frame``: that each frame
@@ -44,13 +44,13 @@ class DepthSource:
 
     @property
     def assumed_error(self) -> float:
-        """The error that is given, else that of its kind."""
+        """The error that is given, else the usual one of a sensor or network."""
         return ERROR[self.source] if np.isnan(self.error) else self.error
 
 
 @dataclass(frozen=True, eq=False)
 class Depth(ArrayData):
-    """Depth at every so manieth pixel of a window about hand and object, in T frames.
+    """Depth at pixels a stride apart, in a window about hand and object, in T frames.
 
     Attributes:
         z: (T, n, n) depth along the camera's axis, in ``source.scale``'s measure; 0 where it is not known.
@@ -74,7 +74,7 @@ class Depth(ArrayData):
         return replace(self, z=self.z[index], corner=self.corner[index], stride=self.stride[index])
 
     def thinned(self, every: int) -> Depth:
-        """Return every so manieth sample of a row, and of a column."""
+        """Return one sample in ``every`` of a row, and of a column."""
         return replace(self, z=self.z[:, ::every, ::every], stride=every * self.stride)
 
     def image(self, n: int) -> Float[ndarray, "h w"]:

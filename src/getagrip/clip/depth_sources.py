@@ -180,8 +180,9 @@ def _rows(path: Path, names: Sequence[str], frames: Sequence[str], ask_first: st
 def _focal_of_view(path: Path) -> float:
     """Return the focal length of MoGe's ``fov.json`` [widths of the image]; NaN where it does not say."""
     angle = files.read_json(path).get("fov_x")
-    known = isinstance(angle, int | float) and 0.0 < angle < 180.0
-    return float(0.5 / np.tan(np.radians(angle) / 2.0)) if known else np.nan
+    if not isinstance(angle, int | float) or not 0.0 < angle < 180.0:
+        return np.nan
+    return float(0.5 / np.tan(np.radians(angle) / 2.0))
 
 
 def check_camera(reader: DepthReader, K: Float[ndarray, "T 3 3"], width: int) -> str:

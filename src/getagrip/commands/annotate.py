@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
 DATABASE = "marks.sqlite"
 """The marks, in the folder of the annotations."""
+NO_SHAPE: Mapping[str, object] = {}
+"""Nothing is known of the object's shape."""
 TOKENS = "tokens"
 """The folder, in the user's state folder, of what the addresses of pages hold."""
 
@@ -131,18 +134,21 @@ def take_segments(project: Project, path: Path, annotator: str) -> int:
         raise UsageError(str(error)) from error
 
 
-def serve(project: Project, port: int | None, annotator: str = "") -> None:
+def serve(project: Project, port: int | None, annotator: str = "", shape: Mapping[str, object] = NO_SHAPE) -> None:
     """Serve the page until it is interrupted. Raises ``UsageError`` for a port that is taken.
 
-    With an ``annotator`` the page opens on the first grasp that they have marked, to be labelled.
+    With an ``annotator`` the page opens on the first grasp that they have marked, to be labelled, with the fields
+    ``mesh`` and ``size-mm`` filled in.
     """
+    from urllib.parse import urlencode
+
     from getagrip.annotate.server import Server, first_free, kept_token
     from getagrip.batch.ledger import state_folder
 
     marks = sha256(os.fsencode(project.store.path.resolve())).hexdigest()[:16]
     token = kept_token(state_folder() / TOKENS / marks)  # not beside the marks: a folder may be a stranger's
     with first_free(project, token) if port is None else Server(project, port, token) as server:
-        address = f"{server.url}#annotator={annotator}" if annotator else server.url
+        address = f"{server.url}#{urlencode({'annotator': annotator, **shape})}" if annotator else server.url
         print(f"open {address} in a browser; marks are kept in {project.store.path}; Ctrl-C ends", flush=True)
         try:
             server.serve_forever()

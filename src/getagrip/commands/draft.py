@@ -158,13 +158,13 @@ class Draft(Command):
                 project.mark_grasp(task, DRAFTER, extent, found.side)
                 if frames := _within(labels.frames, extent):
                     project.import_labels(replace(labels, first=extent[0], last=extent[1], frames=frames), DRAFTER)
-            mesh = " ".join(shape.options)
             if self.no_page:
                 status = write_labels(project) if drawn else 0
-                print(f"options of clip new for the object's mesh: {mesh}")
+                print(f"options of clip new for the object's mesh: {' '.join(shape.options)}")
                 return status
-            print(f"the grasp is marked: mark the object on the page, and reconstruct with {mesh}")
-            serve(project, self.port, DRAFTER)
+            print("the grasp is marked: mark the object on the page; it is reconstructed there")
+            size = {} if self.size_mm is None else {"size-mm": f"{self.size_mm:g}"}
+            serve(project, self.port, DRAFTER, {"mesh": self.object, **size})
             return 0
         finally:
             project.close()

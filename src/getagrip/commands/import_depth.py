@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 import numpy as np
 from tyro.conf import Positional, arg
@@ -28,8 +28,11 @@ MIDDLE = 16384
 """Numbers with fractions are written so that the first image's median is this."""
 WARNED = 3
 """Exit status where depth is written, and something seems to be wrong with it."""
-TAKES = "; ".join(f"{name}: {form.takes}" for name, form in SOURCES.items())
-Format = Annotated[Literal[tuple(SOURCES)], arg(name="from", help=f"Program or format of the files. {TAKES}.")]
+if TYPE_CHECKING:
+    Format: TypeAlias = str
+else:  # the choices of --from, as the table has them
+    TAKES = "; ".join(f"{name}: {form.takes}" for name, form in SOURCES.items())
+    Format = Annotated[Literal[tuple(SOURCES)], arg(name="from", help=f"Program or format of the files. {TAKES}.")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +53,7 @@ class ImportDepth(Command):
     )
     """Measure of the numbers: metres; metres times a factor of the clip, or of each frame."""
     unit: Annotated[float | None, arg(metavar="M", help_behavior_hint="(default: as its program)")] = None
-    """What 1 in the files stands for, in metres."""
+    """Metres that 1 in the files stands for."""
     error: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="(default: by its kind)")] = None
     """Error of distances, the factor apart, as a share of the distance."""
     first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None

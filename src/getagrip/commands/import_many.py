@@ -26,7 +26,7 @@ class ImportJob:
     """None where there is nothing of this name."""
     source: Path
     target: Path
-    """What it makes; where that is there already, the clip is done."""
+    """The file or folder that it makes; a clip that has it is done."""
     overwrite: bool
 
 

@@ -23,12 +23,15 @@ if TYPE_CHECKING:  # files of clips are asked for by commands that fit nothing
     from getagrip.fitting.energy.depth import DepthSamples
     from getagrip.fitting.problem import Problem
 
+WEIGHT = 0.004
+"""Energy per squared deviation of an independent sample [area of the masks]: what a nat of the masks weighs for objects
+of the hand's size, and less for smaller ones, whose contact with the hand counts less as well."""
 FACES = {64: 200, 128: 500, 256: 500}
 """Most faces of the object at each resolution."""
 MOST = {64: 40, 128: 60, 256: 100}
 """Samples of a body in a frame, at each resolution."""
 UNIT = 2.0
-"""Metric depth that shows the hand so many times as far away as it is given, or as near, is not used."""
+"""Metric depth that shows the hand this many times as far away as it is given, or as near, is not used."""
 OFF = 1.6
 """Usual deviation of depth from the surfaces that were found, at most [in what it may err by]; of the truth it is 0.6
 to 1.4 on training clips, and 1.4 to 2.1 where depth is warped by 30 %, 2.8 to 3.3 for that of another clip."""
@@ -121,7 +124,6 @@ class DepthImages(Modality[Depth]):
             return None
         from getagrip.fitting.depth_samples import errors_of, hand_ratio_of, samples_of
         from getagrip.fitting.energy.depth import DepthTerm, Solid
-        from getagrip.fitting.objective import energy_of_nat
 
         clip, centre = problem.clip, problem.clip.mesh.centre
 
@@ -134,7 +136,7 @@ class DepthImages(Modality[Depth]):
         meshes = {level: decimate(clip.mesh, faces) for level, faces in FACES.items()}
         solids = {level: Solid.of(mesh.vertices[None] - centre, mesh.faces) for level, mesh in meshes.items()}
         hand = Solid.of(clip.hand.vertices, clip.hand.faces)
-        errors, weight = errors_of(depth.source), 0.5 * energy_of_nat(problem)
+        errors, weight = errors_of(depth.source), WEIGHT * float(problem.observation.area.mean())
 
         def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[Term]:
             some = samples(MOST[level]).take(index)

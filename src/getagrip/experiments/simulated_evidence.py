@@ -28,7 +28,7 @@ from getagrip.geometry.depth import depth_and_face
 STAYS = 0.7
 """Share of the smooth errors' variance that is the same in all frames."""
 LUMPS = 4
-"""Smooth errors are interpolated between so many values along a side of the window."""
+"""Values along a side of the window between which smooth errors are interpolated."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class SimulatedDepth(Change):
 
 
 def simulated(clip: Clip, masks: Masks, errors: DepthErrors, rng: np.random.Generator) -> Depth:
-    """Simulate the depth images of a clip with ground truth."""
+    """Make the depth images of a clip with ground truth."""
     truth = clip.truth
     assert truth is not None
     corner, stride = windows(clip, masks, clip.size)

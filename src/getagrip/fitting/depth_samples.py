@@ -19,9 +19,9 @@ from getagrip.geometry.mesh import decimate
 INDEPENDENT = 6.0
 """Independent samples of each body in a frame: its errors are smooth."""
 FEWEST = 20
-"""Samples of a body in a frame below which each counts as one of so many."""
+"""Samples of a body in a frame below which each counts as if there were that many."""
 EVERY = 2
-"""One sample in so many of a row, and of a column, is used; the others tell where borders are."""
+"""One sample in two of a row, and of a column, is used; the others tell where borders are."""
 FAR = 0.25
 """Samples beyond the middle of their body by more are of something else [share of the distance]."""
 
@@ -39,30 +39,30 @@ def errors_of(source: DepthSource) -> DepthErrors:
 
 
 def samples_of(clip: Clip, masks: Masks, depth: Depth, most: int) -> DepthSamples:
-    """Return at most so many samples on the visible pixels of each of object and hand, but none at their borders."""
-    given = given_hand(clip, depth)
+    """Return at most ``most`` samples on the visible pixels of each of object and hand, but none at their borders."""
+    given = input_hand(clip, depth)
     bodies = [body[:, ::EVERY, ::EVERY] for body in bodies_of(clip, masks, depth, given < np.inf)]
     depth, given = depth.thinned(EVERY), given[:, ::EVERY, ::EVERY]
     parts = [[_part(body[n], depth.z[n], most) for body in bodies] for n in range(len(depth))]
     on_object = np.array([len(part[0]) for part in parts])
     used = on_object + [len(part[1]) for part in parts]
     shape = (len(depth), max(1, used.max()))
-    place, (log_z, weight, relief, of_given) = np.zeros((*shape, 2), int), (np.zeros(shape) for _ in range(4))
+    place, (log_z, weight, relief, of_hand) = np.zeros((*shape, 2), int), (np.zeros(shape) for _ in range(4))
     for n, part in enumerate(parts):
         end = used[n]
         place[n, :end] = np.concatenate(part)
         rows, columns = place[n, :end].T
         log_z[n, :end] = np.log(depth.z[n, rows, columns])
         relief[n, :end] = log_z[n, :end] - log_z[n, :end].mean() if end else 0.0
-        of_given[n, :end] = np.log(given[n, rows, columns])
+        of_hand[n, :end] = np.log(given[n, rows, columns])
         weight[n, :end] = np.repeat([INDEPENDENT / max(len(one), FEWEST) for one in part], [len(one) for one in part])
-    of_given[~np.isfinite(of_given)] = np.nan
+    of_hand[~np.isfinite(of_hand)] = np.nan
     K = depth.intrinsics(clip)
     fxfycxcy = np.stack([K[:, 0, 0], K[:, 1, 1], K[:, 0, 2], K[:, 1, 2]], axis=1)
-    return DepthSamples(fxfycxcy, len(depth.z[0]), place, on_object, used, log_z, relief, weight, of_given)
+    return DepthSamples(fxfycxcy, len(depth.z[0]), place, on_object, used, log_z, relief, weight, of_hand)
 
 
-def given_hand(clip: Clip, depth: Depth) -> Float[ndarray, "T n n"]:
+def input_hand(clip: Clip, depth: Depth) -> Float[ndarray, "T n n"]:
     """Render the distance of the given hand at the samples; infinite beside it."""
     posed, side = se3.transform(clip.hand.T_cam_hand, clip.hand.vertices), depth.z.shape[1]
     K = depth.intrinsics(clip)
@@ -97,11 +97,11 @@ def _part(mask: Bool[ndarray, "n n"], z: Float[ndarray, "n n"], most: int) -> In
 def shares_of(clip: Clip, masks: Masks, depth: Depth) -> tuple[float, float]:
     """Return the share of the visible surface without depth, and of what has some, the share far from the rest."""
     seen = np.zeros(3)
-    for body in bodies_of(clip, masks, depth, given_hand(clip, depth) < np.inf):
+    for body in bodies_of(clip, masks, depth, input_hand(clip, depth) < np.inf):
         for mask, z in zip(body, depth.z, strict=True):
             there = z[mask & (z > 0.0)]
             off = np.abs(np.log(there / np.median(there))) >= FAR if len(there) else there
-            seen += np.count_nonzero(mask), len(there), np.count_nonzero(off)
+            seen += np.array([np.count_nonzero(mask), len(there), np.count_nonzero(off)])
     with np.errstate(invalid="ignore"):
         return float(1.0 - seen[1] / seen[0]), float(seen[2] / seen[1])
 
@@ -109,7 +109,7 @@ def shares_of(clip: Clip, masks: Masks, depth: Depth) -> tuple[float, float]:
 def hand_ratio_of(samples: DepthSamples) -> float:
     """Return how many times as far away depth shows the hand as it is given: the median; NaN where it shows none."""
     on_hand = np.arange(samples.log_z.shape[1]) >= samples.on_object[:, None]
-    off = (samples.log_z - samples.given)[on_hand & (samples.weight > 0.0)]
+    off = (samples.log_z - samples.input)[on_hand & (samples.weight > 0.0)]
     off = off[np.isfinite(off)]
     return float(np.exp(np.median(off))) if len(off) else np.nan
 

@@ -27,7 +27,7 @@ from getagrip.geometry import se3
 
 PIXEL = 0.03
 """Weight of a pixel against the prior: thirty of them, side by side along a contour, are as much as one fact."""
-BIAS = np.repeat([0.16, 0.010, 0.01, 0.2], [3, 3, 1, 15])
+BIAS = np.repeat([0.14, 0.008, 0.01, 0.2], [3, 3, 1, 15])
 """Assumed standard deviations of the errors that all frames share: turn about each axis [rad], shift along each [m],
 logarithm of the size, bend of each finger joint [rad]. They are those of estimates from images (docs/datasets.md),
 but for the size, without which nothing tells the distance."""
@@ -90,33 +90,34 @@ class HandRefinement:
         return replace(errors, tracked=replace(errors.tracked, vertices=vertices, joints=joints), weights=None)
 
     def __str__(self) -> str:
+        told = f"{100 * self.before:.0f} % of its pixels differed, {100 * self.after:.0f} % still do"
         grown = f" (grown by {self.grown:.1f} px: its masks are too small on all sides)" if self.grown else ""
+        by = " and ".join(["pixels"] * (not np.isnan(self.before)) + ["joints"] * (self.joints is not None))
         return (
-            f"the hand was refined against its own pixels{grown}: "
-            f"turned by {np.degrees(self.turned):.1f} degrees and moved by {1e3 * self.moved:.1f} mm on average; "
-            f"{100 * self.before:.0f} % of its pixels differed, {100 * self.after:.0f} % still do"
+            f"the hand was refined against its own {by}{grown}: turned by {np.degrees(self.turned):.1f} degrees and "
+            f"moved by {1e3 * self.moved:.1f} mm on average" + ("" if np.isnan(self.before) else f"; {told}")
         )
 
 
 def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[HandRefinement | None, float]:
-    """Refine a clip's hand against its silhouette; also return the share of its visible pixels that still differ.
+    """Refine a clip's hand by silhouette and 2D joints; also return the share of its visible pixels that still differ.
 
-    There is no correction where its pixels are not known (the share is NaN) or ask for none, and where it cannot be
-    made to agree with them: then they are not this hand's, or it is too far off. Pixels of the hand are those of
-    ``masks.hand``, else the ignored ones near the given hand. Where masks leave gaps (``mask_gaps``) the hand's may be
-    too small all round, and are grown first.
+    There is no correction where neither is known (without pixels the share is NaN), where its pixels ask for none, and
+    where it cannot be made to agree with them: then they are not this hand's, or it is too far off. Pixels of the hand
+    are those of ``masks.hand``, else the ignored ones near the given hand. Where masks leave gaps (``mask_gaps``) the
+    hand's may be too small all round, and are grown first.
     """
     seen, joints = HandSilhouette.of(clip, masks), SeenJoints.of(clip, masks)
-    if seen.mask.pixels == 0:
+    if seen.mask.pixels == 0 and joints is None:
         return None, float("nan")
     unrefined = np.zeros((len(clip), RIGID))
-    before = seen.differing(unrefined) / seen.mask.pixels
-    if not np.isfinite(before):  # it goes behind the camera, and has no silhouette
+    before = seen.share(unrefined)
+    if np.isinf(before):  # it goes behind the camera, and has no silhouette
         return None, 1.0
-    if have_gaps:
+    if have_gaps and seen.mask.pixels:
         seen = seen.with_masks_grown(unrefined)
-        before = seen.differing(unrefined) / seen.mask.pixels
-    if before < WORTH and joints is None:
+        before = seen.share(unrefined)
+    if before < WORTH:
         return None, before
     seen = seen.with_field
     found, after = _fitted(_SeenHand(seen, joints), unrefined)
@@ -161,10 +162,11 @@ class _SeenHand:
 
 
 def _fitted(seen: _SeenHand, unrefined: Float[ndarray, "N P"]) -> tuple[HandFit, float]:
-    """Return the fit, and the share of the hand's pixels that still differ."""
+    """Return the fit, and the share of the hand's pixels that still differ; NaN where none is seen."""
     found, silhouette = _minimised(seen, unrefined), seen.silhouette
-    pixels = float(found.value.sum()) if seen.joints is None else silhouette.with_bends.differing(found.errors)
-    return found, pixels / silhouette.mask.pixels
+    if found.own.shape[1] > RIGID:
+        silhouette = silhouette.with_bends
+    return found, silhouette.share(found.errors)
 
 
 def _minimised(seen: _SeenHand, unrefined: Float[ndarray, "N P"]) -> HandFit:

@@ -173,6 +173,10 @@ class HandSilhouette:
         in_camera = se3.transform(self.errors.T_cam_hand(x), self.errors.surface(x)[0])
         return float(_contours(in_camera, self.errors.tracked, self.edges, self.mask, 0)[0].sum())
 
+    def share(self, x: Float[ndarray, "N P"]) -> float:
+        """Return which share of the hand's seen pixels differ from its silhouette; NaN where none is seen."""
+        return self.differing(x) / self.mask.pixels if self.mask.pixels else float("nan")
+
     def __call__(
         self, x: Float[ndarray, "N P"]
     ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]:

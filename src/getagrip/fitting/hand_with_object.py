@@ -55,7 +55,7 @@ def solve_with_hand(problem: Problem, motion: M, energy_of: EnergyOf) -> tuple[S
     covariance = nat * _covariance(found.motion, inverse_of_shared(found.motion, terms, T_given, last=8))
     rest = np.arange(1, len(motion.poses().scale))
     seen = refinement.seen
-    hand = SolvedHand(seen.errors.T_cam_hand(x), covariance, energy, seen.differing(x) / seen.mask.pixels)
+    hand = SolvedHand(seen.errors.T_cam_hand(x), covariance, energy, seen.share(x))
     return hand, found.motion.core.concatenate(motion.take(rest))
 
 

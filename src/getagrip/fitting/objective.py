@@ -43,8 +43,6 @@ PUSH, PULL = 0.125, 0.015
 area of the mask. Ours multiplies push and pull by these fractions of the mean area of the masks instead. Pull has less:
 a hand may well go without touching with all five fingertips, but not into the object.
 """
-ORDER = 4.0
-"""Times as much as push weighs order in depth."""
 PER_REGION, POINTS = 2, 20
 """Points of each contact region of the hand, and of the object, that stand for all where distances are to stay."""
 
@@ -167,7 +165,7 @@ def order_of(problem: Problem) -> Energy:
     masks, weight = problem.input_masks, problem.trust.contact * problem.options.push
     if not (problem.trust.hand_lifted and weight) or masks.hand is None:
         return NOTHING
-    corners, (each, _) = corners_of(problem.clip.mesh), contact_weights(problem, ORDER * weight, 0.0)
+    corners, (each, _) = corners_of(problem.clip.mesh), contact_weights(problem, weight, 0.0)
     hand = HandOrder.of(problem.clip.hand, problem.clip.K, masks)
     return lambda level, index: [InHand(OrderTerm(corners, hand.take(index), each[index]))]
 

@@ -244,6 +244,8 @@ def _prepared(
     if correction is not None:
         clip = clip.with_hand_at(correction.T_cam_hand)
         notes.append(str(correction))
+        if correction.joints is None and clip.hand.joints_2d is not None and clip.hand.joints is not None:
+            notes.append("2D joints of the hand contradict its pixels, and were left out")
     hand_drawn = options.occlusion and not masks.say_what_hides
     if hand_drawn:
         masks = occluded_by_hand(clip, masks)

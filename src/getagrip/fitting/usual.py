@@ -24,8 +24,8 @@ TURNS = 8
 """Turns of each grasp about the upright axis."""
 WEIGHT = 20.0
 """Energy of one standard deviation of size or tilt in each frame, times 1/2 [px^2]."""
-TILT = 0.7
-"""Standard deviation of the upright axis, as the distance of unit vectors."""
+TILT = 0.15
+"""Standard deviation of the cosine to the usual upright axis, below zero."""
 MIRROR = np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
 """Of the left hand's frame to the right's, and of an object whose handle points along x."""
 
@@ -65,7 +65,7 @@ class SizeTerm:
 
 @dataclass(frozen=True)
 class UprightTerm:
-    """``weight / 2 * min over k of |R z - axis_k|^2 / TILT^2``, z the object's upright axis."""
+    """``weight / 2 * (min(0, max over k of axis_k . R z) / TILT)^2``, z the object's upright axis."""
 
     axes: Float[ndarray, "N k 3"]
     """Where that usually points, in the camera frame."""
@@ -74,22 +74,27 @@ class UprightTerm:
 
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
         z = poses.R[..., 2]
-        off = z[:, :, None] - self.axes
-        nearest = np.sum(off**2, axis=-1).argmin(axis=-1)
-        error = np.take_along_axis(off, nearest[..., None, None], axis=2)[:, :, 0]
-        J = np.zeros((*z.shape, 7))
-        J[..., 3:6] = -se3.hat(z)
-        return Quadratic.of_squares(error, J, 0.5 * self.weight / TILT**2)
+        cosine = np.sum(z[:, :, None] * self.axes, axis=-1)
+        nearest = cosine.argmax(axis=-1)
+        axis = self.axes[np.arange(z.shape[1]), nearest]
+        error = np.minimum(cosine.max(axis=-1), 0.0)
+        J = np.zeros((*z.shape[:2], 1, 7))
+        J[..., 0, 3:6] = np.where(error[..., None] < 0.0, np.cross(z, axis), 0.0)
+        return Quadratic.of_squares(error[..., None], J, 0.5 * self.weight / TILT**2)
 
 
 def usual_of(clip: Clip) -> Energy:
     """Return the terms of an unmeasured object's size and upright axis; no terms for others."""
-    kind, axes = kind_of(clip), np.unique(usual_rotations(clip)[..., 2].round(6), axis=0)
+    kind = kind_of(clip)
 
     def terms(level: int, index: Int[ndarray, "n"]) -> list[Term]:
         if kind is None:
             return []
+        size = SizeTerm(kind.spread)
+        if not kind.opens_up:
+            return [size]
+        axes = usual_rotations(clip)[: len(kind.grips), :, 2]
         in_camera = axes @ np.swapaxes(clip.hand.T_cam_hand[index, :3, :3], 1, 2)
-        return [SizeTerm(kind.spread), InHand(UprightTerm(in_camera))]
+        return [size, InHand(UprightTerm(in_camera))]
 
     return terms

@@ -32,7 +32,7 @@ class Hiding(NamedTuple):
         import cv2
 
         off = [cv2.distanceTransform((~each).astype(np.uint8), cv2.DIST_L2, 5) / zoom for each in possible]
-        known = possible.any(axis=(1, 2))
+        known = np.asarray(possible.any(axis=(1, 2)))
         return Hiding(np.where(known[:, None, None], np.array(off).reshape(possible.shape), 0.0), zoom)
 
     def take(self, rows: ndarray) -> Hiding:

@@ -30,6 +30,8 @@ from getagrip.hands.model import Side, hand_track
 from getagrip.hands.placed_hands import CLICK_NOISE, Clicks
 from getagrip.hands.pose_prior import PosePrior
 
+LIFTED = "lifted to the generic hand"
+"""Words in the provenance of hands that are made of landmarks alone, and can be made of them again."""
 NOISE = 0.009
 """Standard deviation of a landmark, at the hand [m]."""
 LOOSENESS = 0.3

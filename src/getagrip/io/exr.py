@@ -21,7 +21,7 @@ MAGIC, SINGLE_IMAGE = 20000630, 2
 """The first two numbers: OpenEXR, and version 2 without tiles, long names, depth lists or parts."""
 LINES = {0: 1, 2: 1, 3: 16}
 """Lines of a block by the compression: none, ZIPS, ZIP."""
-TYPES = {1: np.dtype("<f2"), 2: np.dtype("<f4")}
+TYPES: dict[int, np.dtype[np.floating]] = {1: np.dtype("<f2"), 2: np.dtype("<f4")}
 PREFERRED = ("Z", "Y", "depth", "depth.Z", "R")
 """Channels that are taken where there are several."""
 
@@ -80,7 +80,8 @@ def _header(content: bytes) -> tuple[dict[str, bytes], int]:
 
 def _channels(value: bytes) -> dict[str, np.dtype[np.floating]]:
     """Return the type of each channel, in the order of the file."""
-    found, at = dict[str, "np.dtype[np.floating]"](), 0
+    found: dict[str, np.dtype[np.floating]] = {}
+    at = 0
     while value[at]:
         end = value.index(0, at)
         kind, _, x, y = struct.unpack_from("<iiii", value, end + 1)

@@ -23,6 +23,10 @@ PIPE_WIDTH = 200
 """Columns of a pipe, which has no width of its own: enough for every table."""
 
 
+PLAIN_WIDTH = 70
+"""Letters of a line that the next one overwrites."""
+
+
 class Silence(io.TextIOBase):
     """Standard output of ``--quiet``: nothing of what is printed appears, and no progress bar."""
 
@@ -63,6 +67,13 @@ def plain_table(
     )  # fmt: skip
 
 
+def _in_notebook() -> bool:
+    """Return whether this runs in a notebook."""
+    from rich.console import Console
+
+    return Console().is_jupyter
+
+
 @contextmanager
 def progress_bar(counted: bool = False) -> Iterator[Progress]:
     """Show a bar on stderr, where that is a terminal; ``counted`` adds the counts and the time left."""
@@ -81,7 +92,7 @@ def progress_bar(counted: bool = False) -> Iterator[Progress]:
     if counted:
         columns += [MofNCompleteColumn(), TextColumn("left"), TimeRemainingColumn()]
     stderr = Console(stderr=True)
-    in_notebook = stderr.is_jupyter and find_spec("ipywidgets") is not None  # rich draws by it there
+    in_notebook = _in_notebook() and find_spec("ipywidgets") is not None  # rich draws by it there
     with Progress(
         *columns,
         console=stderr,
@@ -104,7 +115,10 @@ def shown_progress(progress: Progressed, name: str) -> Iterator[Callable[[str, f
 
     True shows a bar on a terminal or in a notebook; False and None show nothing.
     """
-    if progress is True:
+    if progress is True and _in_notebook() and find_spec("ipywidgets") is None:
+        yield lambda stage, part: print(f"\r{part:4.0%} {name}: {stage}".ljust(PLAIN_WIDTH), end="", flush=True)
+        print()
+    elif progress is True:
         with progress_bar() as bar:
             yield partial(show_stage, bar, bar.add_task(name, total=1.0), name)
     else:

@@ -122,9 +122,9 @@ def profile(r, weight, relief, on_hand, priors, sigma, tail, rounds, exact, u, l
 
     Minimises ``sum of weight tail^2 log(1 + (left / (tail sigma))^2)`` and of ``prior error^2``, where ``left`` (N, M)
     is r without the errors: of_clip (3,) times relief, on_hand and 1, and of_frame (N,). ``priors`` are theirs (4,),
-    sigma is that of each sample (N, M).
-    Ends after so many ``rounds``, or when of_frame changes by less than ``exact``. Fills in ``left``, the weights ``u``
-    (N, M) of least squares, their ``sums`` (N, 8), and the normal matrix A (3, 3) of of_clip, below its diagonal.
+    sigma is that of each sample (N, M). Ends after ``rounds``, or when of_frame changes by less than ``exact``. Fills
+    in ``left``, the weights ``u`` (N, M) of least squares, their ``sums`` (N, 8), and the normal matrix A (3, 3) of
+    of_clip, below its diagonal.
     """
     N, M = r.shape
     y = np.empty(3)

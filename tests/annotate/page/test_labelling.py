@@ -77,8 +77,10 @@ def test_clicks_made_while_the_server_is_away_are_kept(context: Any, served: Ser
 
 def test_an_address_opens_the_grasp_to_be_labelled(context: Any, served: Served) -> None:
     page = context.new_page()
-    page.goto(f"{served.server.url}#annotator=ann")
+    page.goto(f"{served.server.url}#annotator=ann&mesh=my+mug.obj&size-mm=95")
     expect(page.locator("#annotator")).to_have_text("ann")
+    expect(page.locator("#mesh")).to_have_value("my mug.obj")
+    expect(page.locator("#size-mm")).to_have_value("95")
     expect(page.locator("#back")).to_be_visible()
 
 

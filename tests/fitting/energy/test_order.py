@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from getagrip.clip import Masks
 from getagrip.fitting.energy import PosesInCamera, no_bound
 from getagrip.fitting.energy.order import HandOrder, OrderTerm, corners_of
 from getagrip.geometry import se3
+from getagrip.geometry.depth import depth_and_face
 from getagrip.geometry.mesh import Mesh
 from helpers.clips import box
+from helpers.scenes import SHORT, scene
 from helpers.terms import MESHES, N, moved, random_poses
 
 DEEP, NEAR = 0.55, 0.45
@@ -79,3 +82,27 @@ def test_no_way_of_looking_matters() -> None:
     turned = PosesInCamera(T @ poses.R, poses.centre @ T.T, poses.scale)
     np.testing.assert_allclose(term_of(mesh, points @ T.T, 1)(turned, no_bound(turned)).value, value, atol=1e-9)
     assert value.any()
+
+
+def test_the_true_pose_costs_less_than_one_before_or_behind_the_hand() -> None:
+    clip, _ = scene("mug", 1, SHORT)
+    assert clip.truth is not None
+    hands = se3.transform(clip.hand.T_cam_hand, clip.hand.vertices)
+    objects = se3.transform(clip.truth.T_cam_obj, clip.mesh.vertices)
+    sees = [
+        (depth_and_face(hand, clip.hand.faces, K, clip.size)[0], depth_and_face(mesh, clip.mesh.faces, K, clip.size)[0])
+        for hand, mesh, K in zip(hands, objects, clip.K, strict=True)
+    ]
+    shown = np.array([hand < mesh for hand, mesh in sees])
+    seen = np.array([mesh < hand for hand, mesh in sees])
+    hand = HandOrder.of(clip.hand, clip.K, Masks(seen, shown, shown))
+    assert (hand.side == 1).any()
+    assert set(np.unique(hand.side)) <= {-1, 0, 1}
+    T = clip.truth.T_cam_obj
+    centre = se3.transform(T, clip.mesh.centre[None])[:, 0]
+    ray = centre / np.linalg.norm(centre, axis=-1, keepdims=True)
+    shifts = np.array([0.0, -0.05, -0.1])
+    poses = PosesInCamera(np.tile(T[:, :3, :3], (3, 1, 1, 1)), centre + shifts[:, None, None] * ray, np.ones(3))
+    term = OrderTerm(corners_of(clip.mesh), hand, np.ones(len(T)), cap=1.0)
+    value = term(poses, no_bound(poses)).value.sum(axis=1)
+    assert value[0] < value[1] < value[2]

@@ -5,8 +5,10 @@ import { Saving } from "./saving.js";
 
 export const $ = (id) => document.getElementById(id);
 
-/** Whose grasp the address asks to label, as in "#annotator=draft". */
-export const invited = new URLSearchParams(location.hash.slice(1)).get("annotator");
+/** Whose grasp the address asks to label, as in "#annotator=draft&mesh=mug&size-mm=95", and of which shape it is. */
+const address = new URLSearchParams(location.hash.slice(1));
+export const invited = address.get("annotator");
+for (const id of invited ? ["mesh", "size-mm"] : []) $(id).value = address.get(id) ?? "";
 
 export const state = {
   annotator: invited ?? localStorage.getItem("getagrip-annotator"),

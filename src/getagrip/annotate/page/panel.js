@@ -9,7 +9,6 @@ const UNSURE = 0.85; // masks less sure than this are named
 const NAMED = 6; // frames named in a list, at most
 
 const STROKES = ["on", "off"];
-const FEW = 4; // frames that are drawn on, of which the page asks for the next
 
 const clicked = (one) => Object.values(one.joints).filter(Array.isArray).length;
 const within = (frame) => frame >= state.labels.extent[0] && frame <= state.labels.extent[1];
@@ -28,19 +27,9 @@ function unfilled() {
 
 const busy = () => ["waiting", "running"].includes(state.labels.job?.state);
 
-/** The frame that it helps most to draw on: the first, the last, then the least sure; undefined where all are sure. */
-function wanted() {
-  const [first, last] = state.labels.extent, { keyframes, drafts } = state.labels;
-  const drawn = [...keyframes.values()].filter((one) => one.outlined && within(one.frame)).map((one) => one.frame);
-  if (!drawn.length) return first;
-  if (drawn.length === 1) return 2 * drawn[0] < first + last ? last : first;
-  const unsure = [...drafts.masks.values()].filter((one) => within(one.frame) && !stale("masks", one.frame) && one.content.confidence < UNSURE);
-  return drawn.length < FEW && !unfilled() ? unsure.sort((a, b) => a.content.confidence - b.content.confidence)[0]?.frame : undefined;
-}
-
 /** The next step where hands were found: the object is painted on the frames that are asked for. */
 function nextStroke(outlined) {
-  const at = wanted(), there = at === player.wanted;
+  const at = state.labels.wanted ?? undefined, there = at === player.wanted;
   if (!outlined) return there ? "The hands were found; they are drawn in every frame. Paint strokes over the object: along it, and over each of its colours. The hand does not belong to it." : "Go to the first frame (Home), and paint a stroke over the object there.";
   if (busy() || at === undefined) return null;
   return there ? "Paint over the object here, too; z, then a stroke, for what does not belong to it." : "Most is gained by a stroke on the frame that is named below.";
@@ -107,14 +96,14 @@ function drawWork() {
   $("progress-bar").max = job?.total || 1;
   $("progress-bar").value = job?.done ?? 0;
   const away = unfilled(), frames = last - first + 1;
-  const texts = { waiting: "waiting …", running: job?.message ? `${job.message} …` : job?.total ? `${job.done} of ${job.total} frames` : "fitting the hand …", failed: `It did not work: ${job?.message}`, cancelled: "Stopped." };
+  const texts = { waiting: "waiting …", running: job?.message ? `${job.message} …` : job?.total ? `${job.done} of ${job.total} frames` : state.labels.found ? "drawing the hand …" : "fitting the hand …", failed: `It did not work: ${job?.message}`, cancelled: "Stopped." };
   const now = !basis.masks.length && !basis.hand.length ? "" : away ? `${away} of ${many(frames, "frame")} to be filled in${drafts.masks.size || drafts.hand.size ? " again" : ""}.` : `All ${many(frames, "frame")} filled in.`;
   $("fill-state").textContent = texts[job?.state] ?? now;
   $("fill-state").className = job?.state === "failed" ? "failed" : "";
   const unsure = [...drafts.masks.values()].filter((one) => within(one.frame) && !stale("masks", one.frame) && one.content.confidence < UNSURE)
     .sort((a, b) => a.content.confidence - b.content.confidence).slice(0, NAMED).sort((a, b) => a.frame - b.frame);
   drawFrames("unsure", unsure.map((one) => [one.frame, one.content.number, `${Math.round(100 * one.content.confidence)} % sure`]));
-  const at = wanted();
+  const at = state.labels.wanted ?? undefined;
   drawFrames("wanted", at === undefined ? [] : [[at, (drafts.masks.get(at) ?? drafts.hand.get(at))?.content.number ?? `${at + 1}`, "Go there"]]);
   const uncertain = own.map((one) => [one, (drafts.hand.get(one.frame)?.content.uncertain ?? []).filter((n) => Array.isArray(one.joints[n]))]);
   drawFrames("uncertain", uncertain.filter(([, joints]) => joints.length).map(([one, joints]) => [one.frame, one.number, joints.map((n) => NAMES[n]).join(", ")]));

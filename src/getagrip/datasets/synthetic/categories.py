@@ -102,6 +102,8 @@ class Kind:
     """Further ways, for clips whose grasps are to vary."""
     spread: float = 0.25
     """Standard deviation of the logarithm of its size, from one such object in a kitchen to another: a coarse guess."""
+    opens_up: bool = False
+    """Whether it is a vessel, which is hardly ever held with its opening on the little finger's side."""
 
 
 _ROUND = Grip("palm", (0, 0, 0), (1, 0, 0), (0, 0, 1))
@@ -122,15 +124,16 @@ CATEGORIES: dict[str, Kind] = {
         (Grip("palm", (0, 0, 0.06), (1, 0, 0), (0, 0, 1)), Grip("palm", (0, 0, 0.03), (1, 0, 0), (0, 0, -1))),
         spread=0.5,
     ),
-    "bowl": Kind(shapes.bowl, (Grip("pinch", (0.072, 0, 0.055), (-0.25, 0, -1), (1, 0, 0)),)),
+    "bowl": Kind(shapes.bowl, (Grip("pinch", (0.072, 0, 0.055), (-0.25, 0, -1), (1, 0, 0)),), opens_up=True),
     "can": Kind(shapes.can, (_ROUND,), (_ROUND_THUMB_DOWN,)),
     "cup": Kind(
         shapes.cup,
         (Grip("pinch", (0.058, 0, 0.042), (-1, 0, 0), (0, -1, 0)),),
         (Grip("pinch", (0, -0.042, 0.055), (0, 0.25, -1), (0, -1, 0)),),  # by the rim
         spread=0.15,
+        opens_up=True,
     ),
-    "glass": Kind(shapes.glass, (_ROUND,), (_ROUND_THUMB_DOWN, _rim(0.036, 0.055))),
+    "glass": Kind(shapes.glass, (_ROUND,), (_ROUND_THUMB_DOWN, _rim(0.036, 0.055)), opens_up=True),
     "mug": Kind(
         shapes.mug,
         (
@@ -139,10 +142,11 @@ CATEGORIES: dict[str, Kind] = {
         ),
         (Grip("pinch", (0, -0.039, 0.085), (0, 0.25, -1), (0, -1, 0)),),  # by the rim
         spread=0.15,
+        opens_up=True,
     ),
-    "pan": Kind(shapes.pan, (_BAR,), (_BAR_FROM_BELOW,)),
+    "pan": Kind(shapes.pan, (_BAR,), (_BAR_FROM_BELOW,), opens_up=True),
     "plate": Kind(shapes.plate, (Grip("pinch", (0.09, 0, 0.016), (-1, 0, 0), (0, 0, -1)),), spread=0.2),
-    "saucepan": Kind(shapes.saucepan, (_BAR,), (_BAR_FROM_BELOW,)),
+    "saucepan": Kind(shapes.saucepan, (_BAR,), (_BAR_FROM_BELOW,), opens_up=True),
     "box": Kind(
         shapes.box,
         (Grip("palm", (0, -0.06, 0), (0, 1, 0), (0, 0, 1)),),
@@ -157,7 +161,7 @@ CATEGORIES: dict[str, Kind] = {
             Grip("palm", (-0.055, 0, -0.01), (1, 0, 0), (0, 0, 1)),  # by the column
         ),
     ),
-    "kettle": Kind(shapes.kettle, (Grip("palm", (0.127, 0, 0.085), (-1, 0, 0), (0, 0, 1)),)),
+    "kettle": Kind(shapes.kettle, (Grip("palm", (0.127, 0, 0.085), (-1, 0, 0), (0, 0, 1)),), opens_up=True),
     "ketchup": Kind(shapes.ketchup, (Grip("palm", (0, 0, 0.02), (1, 0, 0), (0, 0, 1)),)),
     "laptop": Kind(shapes.laptop, (Grip("pinch", (0.1, 0, 0), (-1, 0, 0), (0, 0, -1)),), spread=0.15),
     "microwave": Kind(microwave, (Grip("palm", (0.151, 0.078, 0), (-1, -0.35, 0), (0, 0, 1)),)),

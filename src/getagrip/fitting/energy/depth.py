@@ -34,12 +34,12 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.kernels.depth import cholesky, distances, forward, profile
 
 TAIL = 2.5
-"""c: errors beyond so many deviations count less and less."""
+"""c: errors count less and less beyond this many deviations."""
 KAPPA = 20.0
 """Misfit of a frame at which depth counts half [squared deviations]."""
 MISSED = 0.1
 """Error that a sample has whose ray misses the surface [share of the distance]."""
-GIVEN_HAND, GIVEN_SURFACE = 0.02, 0.015
+FIXED_HAND, FIXED_SURFACE = 0.02, 0.015
 """Error of the given hand's distance, the same in all frames, and of its surface [shares of the distance]: 13 to 18 mm,
 and what 0.28 rad do to a surface 5 cm from the middle, at arm's length."""
 ROUNDS = 12
@@ -71,7 +71,7 @@ class DepthSamples:
         log_z: (N, M) logarithm of the depth.
         relief: (N, M) how much farther they are than the mean of their frame, as a share.
         weight: (N, M) in how many independent samples each counts; 0 beyond ``used``.
-        given: (N, M) logarithm of the given hand's distance; NaN where the ray misses it.
+        input: (N, M) logarithm of the given hand's distance; NaN where the ray misses it.
     """
 
     K: Float[ndarray, "N 4"]
@@ -82,13 +82,13 @@ class DepthSamples:
     log_z: Float[ndarray, "N M"]
     relief: Float[ndarray, "N M"]
     weight: Float[ndarray, "N M"]
-    given: Float[ndarray, "N M"]
+    input: Float[ndarray, "N M"]
 
     def take(self, index: Int[ndarray, "n"]) -> DepthSamples:
         """Return the samples of some of the frames."""
         return DepthSamples(
             self.K[index], self.size, self.place[index], self.on_object[index], self.used[index], self.log_z[index],
-            self.relief[index], self.weight[index], self.given[index],
+            self.relief[index], self.weight[index], self.input[index],
         )  # fmt: skip
 
 
@@ -122,7 +122,7 @@ class Solid:
 
 @dataclass(frozen=True)
 class ImageErrors:
-    """What depth images err by, at best, at given poses.
+    """The errors of depth images at given poses, at best.
 
     Attributes:
         of_clip: (B, 3) g, h and a.
@@ -175,14 +175,14 @@ class DepthTerm:
         P = 14 if moves else 7
         q = replace(Quadratic.zero(poses, P), cross=np.zeros((B, N, P, N, P)))
         image = ImageErrors(np.zeros((B, 3)), np.zeros((B, N)), np.zeros((B, *s.log_z.shape)))
-        apart = self.errors.apart if moves else np.hypot(self.errors.apart, GIVEN_HAND)
-        surface = 0.0 if moves else GIVEN_SURFACE
+        apart = self.errors.apart if moves else np.hypot(self.errors.apart, FIXED_HAND)
+        surface = 0.0 if moves else FIXED_SURFACE
         sigma = np.array([self.errors.noise, np.hypot(self.errors.noise, surface)])
         priors = np.array([self.errors.relief, apart, self.errors.clip, self.errors.frame]) ** -2.0
         _evaluate(
             poses.R, poses.centre, poses.scale, o.vertices, o.planes, o.faces, o.closed,
             hand.R, hand.centre, hand.scale, solid.vertices, solid.planes, solid.faces, solid.closed, moves,
-            s.K, s.size, s.place, s.on_object, s.used, s.log_z, s.relief, s.weight, s.given,
+            s.K, s.size, s.place, s.on_object, s.used, s.log_z, s.relief, s.weight, s.input,
             priors, sigma, self.weight, EXACT * self.errors.noise, ROUNDS, bound,
             q.value, q.g, q.H, q.cross, image.of_clip, image.of_frame, image.left,
         )  # fmt: skip

@@ -49,7 +49,7 @@ FOCAL = "est_focal.txt"
 SIDES = ("0", "1")
 """Folders in ``cam_space`` of the left and the right hand."""
 WORLD = ("pred_trans", "pred_rot", "pred_hand_pose", "pred_betas")
-"""Of the list that ``world_space_res.pth`` is, in its order; ``pred_valid`` is the last."""
+"""Names for the list that ``world_space_res.pth`` is, in its order; ``pred_valid`` is the last."""
 KEYS = ("init_root_orient", "init_hand_pose", "init_trans", "init_betas")
 
 

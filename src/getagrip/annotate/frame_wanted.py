@@ -1,0 +1,42 @@
+"""The frame on which a person should draw next: the first, the last, then the one that mends most."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+import numpy as np
+
+from getagrip.annotate.propagated_masks import stretches
+
+FEW = 4
+"""Frames that are asked for."""
+ENOUGH = 0.95
+"""Masks as sure as this need no more."""
+
+
+def frame_wanted(confidence: Mapping[int, float], drawn: Collection[int], first: int, last: int) -> int | None:
+    """Return the frame from ``first`` to ``last`` on which it helps most to draw; None where nothing is asked for.
+
+    ``confidence`` is that of the frames' masks; frames without one are about to be filled in. Of what a frame is unsure
+    of, a drawn one at a distance d mends the share 1 - d / D, D being its distance from the frames drawn before.
+    """
+    if not drawn:
+        return first
+    if len(drawn) == 1:
+        (only,) = drawn
+        return last if 2 * only < first + last else first
+    unsure = np.array([1.0 - confidence.get(n, np.nan) for n in range(first, last + 1)])
+    if len(drawn) >= FEW or np.isnan(unsure).any() or unsure.max() <= 1.0 - ENOUGH:
+        return None
+    best, most = None, 0.0
+    for stretch in stretches(drawn, first, last):
+        frames = np.arange(stretch.first, stretch.last + 1)
+        for n in frames[~np.isin(frames, stretch.keys)]:
+            sides = [np.abs(key - (n if len(stretch.keys) == 2 else frames)) for key in stretch.keys]
+            beyond = sides[0] if len(sides) == 1 else np.where(frames < n, *sides)
+            mended = float(
+                (unsure[frames - first] * np.clip(1.0 - np.abs(frames - n) / np.maximum(beyond, 1), 0, 1)).sum()
+            )
+            if mended > most:
+                best, most = int(n), mended
+    return best

@@ -1,0 +1,43 @@
+"""The frame that is asked for next."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from getagrip.annotate.frame_wanted import ENOUGH, FEW, frame_wanted
+
+FIRST, LAST = 10, 60
+
+
+def unsure(*worst: int, width: int = 6) -> dict[int, float]:
+    """Confidence that is low about some frames."""
+    nearest = {n: min(abs(n - one) for one in worst) for n in range(FIRST, LAST + 1)}
+    return {n: min(1.0, 0.6 + 0.4 * distance / width) for n, distance in nearest.items()}
+
+
+def test_the_ends_are_asked_for_first() -> None:
+    assert frame_wanted({}, [], FIRST, LAST) == FIRST
+    assert frame_wanted({}, [20], FIRST, LAST) == LAST
+    assert frame_wanted({}, [50], FIRST, LAST) == FIRST
+
+
+def test_the_middle_of_the_longest_unsure_part_is_asked_for() -> None:
+    """Not the least certain frame, where it stands alone: the frames about it are mended, too."""
+    sure = unsure(35)
+    assert frame_wanted(sure, [FIRST, LAST], FIRST, LAST) == 35
+    alone = sure | {50: 0.3}
+    assert abs((frame_wanted(alone, [FIRST, LAST], FIRST, LAST) or 0) - 35) <= 3
+
+
+def test_nothing_is_asked_for_while_masks_are_made_or_where_they_are_sure_enough() -> None:
+    sure = unsure(35)
+    assert frame_wanted({n: c for n, c in sure.items() if n != 40}, [FIRST, LAST], FIRST, LAST) is None
+    assert frame_wanted(dict.fromkeys(sure, ENOUGH), [FIRST, LAST], FIRST, LAST) is None
+    assert frame_wanted(sure, range(FIRST, FIRST + FEW), FIRST, LAST) is None
+
+
+@given(st.sets(st.integers(FIRST, LAST), min_size=2, max_size=FEW - 1), st.integers(FIRST, LAST))
+def test_a_frame_that_is_drawn_is_not_asked_for_again(drawn: set[int], worst: int) -> None:
+    asked = frame_wanted(unsure(worst), drawn, FIRST, LAST)
+    assert asked is None or (FIRST <= asked <= LAST and asked not in drawn)

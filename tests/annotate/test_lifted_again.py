@@ -1,0 +1,88 @@
+"""A found hand is lifted again with the masks: same frames and landmarks, fingers off the background; or stays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from getagrip.annotate.labels import HAND, OBJECT
+from getagrip.annotate.lifted_again import LabelMaps, lifted_again, write_lifted_again
+from getagrip.clip import HandTrack
+from getagrip.clip.reading import read_hand
+from getagrip.clip.writing import write_hand
+from getagrip.errors import InputError, UsageError
+from getagrip.geometry import se3
+from getagrip.geometry.camera import project
+from getagrip.hands import generic
+from getagrip.hands.clicked_hands import model_pose
+from getagrip.hands.model import hand_track
+from getagrip.hands.pose_prior import PosePrior
+
+K = np.array([[500.0, 0.0, 160.0], [0.0, 500.0, 160.0], [0.0, 0.0, 1.0]])
+SIZE = (320, 320)
+FRAMES = np.array([3, 4, 5, 9, 10])
+
+
+def found_hand() -> HandTrack:
+    """A hand at rest, with its landmarks."""
+    model = generic.load("left")
+    q = np.tile(PosePrior.of(model).mean, (len(FRAMES), 1, 1, 1))
+    T = se3.rigid(se3.exp_so3(np.array([-0.5 * np.pi, 0.0, 0.0])), np.array([0.0, 0.0, 0.35]))
+    hand = hand_track(
+        model.with_shape(np.zeros(len(model.shape_names))).with_pose(model_pose(q)), np.tile(T, (5, 1, 1))
+    )
+    assert hand.joints is not None
+    points = project(K, se3.transform(hand.T_cam_hand, hand.joints))
+    return HandTrack(
+        hand.vertices, hand.faces, hand.T_cam_hand, hand.regions, hand.joints, points, np.ones(points.shape[:2])
+    )
+
+
+def maps_of(value: int) -> LabelMaps:
+    """All that is drawn is one thing, the same in all frames."""
+    maps = LabelMaps(SIZE)
+    for frame in FRAMES:
+        maps.add(int(frame), np.full(SIZE[::-1], value, np.uint8))
+    return maps
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("value", [HAND, OBJECT])
+def test_frames_and_landmarks_stay(value: int) -> None:
+    hand = found_hand()
+    assert hand.joints is not None
+    lifted, rows = lifted_again(hand, FRAMES, K, "left", maps_of(value))
+    np.testing.assert_array_equal(rows, np.arange(len(FRAMES)))
+    np.testing.assert_array_equal(lifted.joints_2d, hand.joints_2d)
+    assert lifted.joints is not None
+    there = project(K, se3.transform(lifted.T_cam_hand, lifted.joints))
+    assert np.median(np.linalg.norm(there - hand.joints_2d, axis=-1)) < 6.0
+
+
+def test_a_frame_without_a_map_is_empty() -> None:
+    assert maps_of(HAND).at(np.array([4, 7])).any(axis=(1, 2)).tolist() == [True, False]
+
+
+def test_a_hand_without_landmarks_is_refused() -> None:
+    hand = found_hand()
+    bare = HandTrack(hand.vertices, hand.faces, hand.T_cam_hand, hand.regions, hand.joints)
+    with pytest.raises(UsageError, match="joints_2d"):
+        lifted_again(bare, FRAMES, K, "left", maps_of(HAND))
+
+
+def test_files_keep_what_cannot_be_lifted_and_say_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    hand = found_hand()
+    bare = HandTrack(hand.vertices, hand.faces, hand.T_cam_hand, hand.regions, hand.joints)
+    write_hand(bare, tmp_path / "found.npz", {"frames": FRAMES + 1, "K": K})
+    write_lifted_again(tmp_path / "found.npz", tmp_path / "out.npz", "left", 4, 9, maps_of(HAND))
+    assert "as they were found" in "".join(capsys.readouterr())
+    assert np.load(tmp_path / "out.npz")["frames"].tolist() == [5, 6, 10]
+    np.testing.assert_array_equal(read_hand(tmp_path / "out.npz", 3).vertices, hand.vertices[1:4])
+
+
+def test_a_file_without_frames_is_refused(tmp_path: Path) -> None:
+    write_hand(found_hand(), tmp_path / "found.npz", {"K": K})
+    with pytest.raises(InputError, match="frames"):
+        write_lifted_again(tmp_path / "found.npz", tmp_path / "out.npz", "left", 0, 9, maps_of(HAND))
