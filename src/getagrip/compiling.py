@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -74,10 +73,6 @@ def kernel(arguments: str = "", fastmath: bool = True) -> Callable[[Any], Any]:
     return decorate
 
 
-part = njit(inline="always")
-"""Decorates a small piece of one kernel: it is compiled as the text of that kernel, never by itself."""
-
-
 def compile_once(tell: Callable[[], object] = lambda: None) -> None:
     """Have the kernels of a reconstruction compiled, unless they are, and call ``tell`` before. Raises nothing.
 
@@ -121,7 +116,7 @@ def folder() -> Path:
     """Return the folder of the compiled kernels: in ``NUMBA_CACHE_DIR``, else in the user's cache."""
     total = hashlib.sha256(repr((numba.__version__, sys.version_info[:2], sys.platform)).encode())
     for name in ("compiling", *(name for group in (*GROUPS, RARE) for name in group)):
-        total.update(resources.files("getagrip").joinpath(*name.split(".")).with_suffix(".py").read_bytes())
+        total.update(Path(__file__).parent.joinpath(*name.split(".")).with_suffix(".py").read_bytes())
     user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "getagrip" / "kernels"
     return (Path(config.CACHE_DIR) if config.CACHE_DIR else user) / total.hexdigest()[:16]
 
@@ -159,7 +154,7 @@ def _compile_side_by_side() -> None:
     return None
 
 
-class _Place(_CacheLocator):
+class _Place(_CacheLocator):  # type: ignore[misc]
     """The place of a kernel in the cache, as numba asks for it."""
 
     def __init__(self, py_func: Callable, py_file: str) -> None:
@@ -179,11 +174,11 @@ class _Place(_CacheLocator):
         return cls(py_func, py_file)
 
 
-class _Files(CompileResultCacheImpl):
+class _Files(CompileResultCacheImpl):  # type: ignore[misc]
     _locator_classes: ClassVar = [_Place]
 
 
-class _Cache(FunctionCache):
+class _Cache(FunctionCache):  # type: ignore[misc]
     """The compiled versions of a kernel. What cannot be read or kept is compiled anew."""
 
     _impl_class = _Files

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.compiling import kernel, part
+from getagrip.compiling import kernel
 from getagrip.fitting.energy.term import PosesInCamera, Quadratic
 
 
@@ -58,7 +58,7 @@ def _evaluate(R, centre, scale, points, hand, weight, delta, bound, value, g, H,
         _tie(distance, a, weight, delta, g[b], H[b], cross[b])
 
 
-@part
+@kernel()
 def _compare(distance, weight, delta, value):
     """Share the cost of each pair of frames between the two, in value (N,), and return the sum."""
     N, D = distance.shape
@@ -76,7 +76,7 @@ def _compare(distance, weight, delta, value):
     return total
 
 
-@part
+@kernel()
 def _tie(distance, a, weight, delta, g, H, cross):
     """Fill in g (N, 7), H (N, 7, 7), cross (N, 7, N, 7) from distances (N, D) and their derivatives (N, 7, D)."""
     N, D = distance.shape
@@ -105,7 +105,7 @@ def _tie(distance, a, weight, delta, g, H, cross):
                 H[n, p, q] = H[n, q, p] = _dot(weighted[p], a[n, q])
 
 
-@part
+@kernel()
 def _distances(R, centre, scale, points, hand, distance, a):
     """Squared distances (D,) of all pairs of a frame, and their derivatives (7, D) by the local 7-vector.
 
@@ -128,7 +128,7 @@ def _distances(R, centre, scale, points, hand, distance, a):
             k += 1
 
 
-@part
+@kernel()
 def _times(h, a, out):
     """Rows of a (7, D) times h (D,)."""
     for p in range(7):
@@ -136,7 +136,7 @@ def _times(h, a, out):
             out[p, k] = h[k] * a[p, k]
 
 
-@part
+@kernel()
 def _dot(a, b):
     total = 0.0
     for k in range(len(a)):
