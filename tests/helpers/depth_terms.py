@@ -23,7 +23,7 @@ FREE = DepthErrors(noise=0.004, clip=1.0, frame=0.02, relief=0.15, apart=0.008)
 
 def poses(rng: np.random.Generator) -> tuple[ndarray, ndarray]:
     """Rotations (1, N, 3, 3) of object or hand, and places (1, N, 3) of its middle, half a metre away."""
-    R = se3.exp_so3(rng.normal(0.0, 0.2, (1, N, 3)) + [0.4, 0.3, 0.0])
+    R = se3.exp_so3(rng.normal(0.0, 0.2, (1, N, 3)) + np.array([0.4, 0.3, 0.0]))
     return R, np.array([0.0, 0.0, 0.55]) + rng.normal(0.0, 0.005, (1, N, 3))
 
 

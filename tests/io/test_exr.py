@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -36,10 +37,8 @@ def test_damage_is_an_error_or_other_numbers(tmp_path: Path) -> None:
         for at in rng.integers(0, max(len(damaged), 1), 3) if damaged else ():
             damaged[at] = rng.integers(256)
         path.write_bytes(bytes(damaged))
-        try:
+        with suppress(InputError):
             read_channel(path, MOST)
-        except InputError:
-            pass
 
 
 def test_other_kinds_are_refused(tmp_path: Path) -> None:

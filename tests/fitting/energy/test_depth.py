@@ -23,7 +23,7 @@ def scene(seed: int, noise: float = 0.004) -> tuple[DepthSamples, PosesInCamera,
     """Noisy samples of object and hand, and poses of both a little beside those."""
     rng = np.random.default_rng(seed)
     R, centre = poses(rng)
-    hand = R @ se3.exp_so3(np.array([0.1, 0.2, 0.0])), centre + [0.05, 0.03, -0.02]
+    hand = R @ se3.exp_so3(np.array([0.1, 0.2, 0.0])), centre + np.array([0.05, 0.03, -0.02])
     samples, log_z = seen(((R, centre), hand))
     samples = replace(samples, log_z=log_z + 0.05 + rng.normal(0.0, noise, log_z.shape))
     turn, shift = se3.exp_so3(rng.normal(0.0, 0.02, (2, 1, N, 3))), rng.normal(0.0, 0.003, (2, 1, N, 3))
@@ -95,7 +95,7 @@ def test_errors_of_the_image_are_found() -> None:
 
 def true_poses(seed: int) -> tuple[PosesInCamera, PosesInCamera]:
     R, centre = poses(np.random.default_rng(seed))
-    hand = R @ se3.exp_so3(np.array([0.1, 0.2, 0.0])), centre + [0.05, 0.03, -0.02]
+    hand = R @ se3.exp_so3(np.array([0.1, 0.2, 0.0])), centre + np.array([0.05, 0.03, -0.02])
     return PosesInCamera(R, centre, ONE), PosesInCamera(*hand, ONE)
 
 
