@@ -29,7 +29,7 @@ VERBS = re.findall(
     r"\w+",
     """
     Add Answer Apply Approximate Assign Average Begin Bend Blend Build Call Cancel Carry Check Choose Claim Clip
-    Close Cluster Collect Combine Compare Complete Compute Convert Copy Correlate Count Crop Cut Decode Delay
+    Close Cluster Collect Combine Compare Compile Complete Compute Convert Copy Correlate Count Crop Cut Decode Delay
     Descend Describe Detect Differentiate Displace Do Draw Drop Embed Encode End Enlarge Enter Escape Estimate
     Evaluate Expand Explain Export Extend Fill Find Fit Flatten Flip Follow Give Group Grow Have Hold Identify
     Ignore Import Interpolate Join Judge Keep Learn Leave Let Lift Limit Link List Listen Load Lock Make Mark Match

@@ -91,7 +91,7 @@ class _Tally:
         self.right_in_camera: dict[str, float] = {}
         """The probability of each that it is right."""
         self.verdicts: dict[str, str] = {}
-        """Whether each is kept or dropped."""
+        """The verdict of ``--keep`` on each: kept or dropped."""
 
     def add(self, outcome: Outcome, keep: Keep) -> None:
         if outcome.state != "failed":
