@@ -48,4 +48,4 @@ def test_work_that_is_not_wanted_any_more_is_ended(tmp_path: Path, monkeypatch: 
     job = BackgroundJob("reconstruct")
     job.stop.set()
     with pytest.raises(CancelledError):
-        reconstruction._run(["doctor"], job)
+        reconstruction.run_command(["doctor"], job)

@@ -7,6 +7,7 @@ import pytest
 
 from getagrip.batch.clips import _Tally
 from getagrip.batch.job import Outcome
+from getagrip.batch.keep import Keep
 from getagrip.batch.share import Batch
 from getagrip.checks import RESULT_CHECKS, Evidence, examine
 from getagrip.clip import Clip, Masks
@@ -64,7 +65,9 @@ def test_a_low_overlap_with_near_contours_is_that_of_a_small_object() -> None:
 )
 def test_strict_asks_for_a_probability_where_there_is_one(right: float | None, least: float, passes: bool) -> None:
     tally = _Tally()
-    tally.add(Outcome("a", "done", "", probability_right=None if right is None else Probability(right, "right")))
+    tally.add(
+        Outcome("a", "done", "", probability_right=None if right is None else Probability(right, "right")), Keep()
+    )
     assert tally.passes(least) == passes
 
 

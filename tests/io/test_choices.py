@@ -20,7 +20,7 @@ from getagrip.metrics.contact import ContactDefinition
 WRONG: dict[str, Callable[[], object]] = {
     "unknown axis 'anywhere'; choose from free, hand": lambda: Options(axis="anywhere"),
     "unknown hands None; choose from corrected, as-given": lambda: Options(hands=None),
-    "unknown init 'random'; choose from uniform, clusters, priors": lambda: Options(init="random"),
+    "unknown init 'random'; choose from uniform, clusters, priors, poses": lambda: Options(init="random"),
     "frames must be a whole number (got '30')": lambda: Options(frames="30"),
     "inits must be a whole number (got 2.5)": lambda: Options(inits=2.5),
     "seed must be a whole number (got True)": lambda: Options(seed=True),

@@ -45,7 +45,7 @@ class Ground:
         seen = cv2.remap(self.seen[part], *origins, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, 0.0)
         return Ground(np.asarray(image, np.uint8), np.asarray(seen, np.float32))
 
-    def renew(self, image: UInt8[ndarray, "h w 3"], part: Part, moved: Ground, visible: Bool[ndarray, "h w"]) -> None:
+    def renew(self, image: UInt8[ndarray, "h w 3"], part: Part, moved: Ground, visible: Bool[ndarray, "y x"]) -> None:
         """Replace it by the next frame's: outside a part its ``image``; in it ``moved``, renewed where ``visible``."""
         same = visible & (np.abs(image[part].astype(np.int16) - moved.image).max(axis=-1) < 2.0 * NOISE)
         self.image = image.copy()

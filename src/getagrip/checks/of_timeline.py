@@ -107,7 +107,8 @@ def _examine(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[str, f
     result = Evidence(seen_at, masks, T_hand_obj[rows], whole.scale, iou)
     checks = [c for c in RESULT_CHECKS.working().values() if c.name in OF_MASKS or (grasped and c.name in WITH_HAND)]
     checks += [*SEGMENT_CHECKS, *((STATIC, FLOATS) if segment.state == "static" else ())]
-    checks += [check for one in modalities() for check in (*one.input_checks, *one.result_checks)]
+    there = [one for one in modalities() if one.of(seen_at) is not None]
+    checks += [check for one in there for check in (*one.input_checks, *one.result_checks)]
     measured, findings = examine(checks, result)
     if not grasped:
         return measured, findings

@@ -112,15 +112,18 @@ def _closed(it: Comparison) -> float:
     return float(np.mean(closed))
 
 
+def _known(values: Float[ndarray, "n"]) -> float:
+    """Compute the mean of the values that are known; there is no such part where none is."""
+    if np.isnan(values).all():
+        raise MissingPartError
+    return mean_of(values)
+
+
 def _motion_deviation(it: Comparison) -> float:
-    """Motion deviation of hand and object in stable contact."""
-    return motion.motion_deviation(
-        it.contact_pairs,
-        it.true.scale * it.clip.mesh.vertices,
-        it.hand_in_camera[0],
-        it.object_in_camera[0],
-        it.clip.time,
-    )
+    """Motion deviation of hand and object in stable contact; there is none without such contact."""
+    hand, object_ = it.hand_in_camera[0], it.object_in_camera[0]
+    vertices = it.true.scale * it.clip.mesh.vertices
+    return _known(np.array([motion.motion_deviation(it.contact_pairs, vertices, hand, object_, it.clip.time)]))
 
 
 IOU = Metric(
@@ -218,11 +221,11 @@ _METRICS: tuple[Metric, ...] = (
     ),
     Metric("mdev_mm", lambda it, _: 1e3 * _motion_deviation(it), "mm", needs_truth=True, ranked=False),
     Metric(
-        "acc_hand", lambda it, _: motion.acceleration_error(*it.hand_in_camera, it.clip.time),
+        "acc_hand", lambda it, _: _known(motion.acceleration_error(*it.hand_in_camera, it.clip.time)),
         "m/s^2", needs_truth=True, ranked=False,
     ),
     Metric(
-        "acc_object", lambda it, _: motion.acceleration_error(*it.object_in_camera, it.clip.time),
+        "acc_object", lambda it, _: _known(motion.acceleration_error(*it.object_in_camera, it.clip.time)),
         "m/s^2", needs_truth=True, ranked=False,
     ),
     Metric(

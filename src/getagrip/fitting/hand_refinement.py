@@ -34,9 +34,14 @@ but for the size, without which nothing tells the distance."""
 JITTER = np.repeat([0.08, 0.006, 0.003, 0.1], [3, 3, 1, 15])
 """Those of each frame's own errors, likewise, outliers among them; neighbouring frames are taken as independent."""
 ASSUMED = AssumedErrors(BIAS, JITTER, PIXEL)
+GROWN = replace(ASSUMED, unit=PIXEL / 2)
+"""Those for masks that were grown, whose border nobody knows to a pixel."""
 WORTH = 0.01
 """Share of the hand's visible pixels that a refinement must correct; less is noise of masks."""
-AGREE = 0.4
+LEAST = 0.01, 0.002
+"""Turn [rad] and shift [m] that joints must ask for where pixels ask for none; hands that were lifted from the same
+joints agree with them."""
+AGREE = 0.25
 """Share of them that may still differ afterwards; otherwise the mask is another hand's."""
 SUSPICIOUS, CONTRADICTED = 0.12, 0.05
 """Joints with which more than the first share of the pixels differ are left out, if without them fewer do, by the
@@ -130,6 +135,8 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
     T, T_input, middle = seen.errors.T_cam_hand(found.errors), clip.hand.T_cam_hand, seen.errors.middle[None]
     turned = se3.angle_between(T[:, :3, :3], T_input[:, :3, :3])
     moved = np.linalg.norm(se3.transform(T, middle) - se3.transform(T_input, middle), axis=-1)
+    if not before - after >= WORTH and turned.mean() < LEAST[0] and moved.mean() < LEAST[1]:
+        return None, before
     seen = seen if found.own.shape[1] == RIGID else seen.with_bends
     how = float(turned.mean()), float(moved.mean()), before, after, seen.mask.grown
     return HandRefinement(T, *how, seen, found.shared, found.own, joints), after
@@ -172,12 +179,13 @@ def _fitted(seen: _SeenHand, unrefined: Float[ndarray, "N P"]) -> tuple[HandFit,
 def _minimised(seen: _SeenHand, unrefined: Float[ndarray, "N P"]) -> HandFit:
     """Minimise the cost: first by rigid errors alone, since bends, too, could explain a hand that is turned."""
     rigid, few, all_frames = STEPS
-    found = least_squares.minimise(HandFit.of(seen, ASSUMED, unrefined), rigid).state
+    assumed = GROWN if seen.silhouette.mask.grown else ASSUMED
+    found = least_squares.minimise(HandFit.of(seen, assumed, unrefined), rigid).state
     seen = seen.with_bends
     if seen.silhouette.errors.weights is None:
         return found
     spare = seen.silhouette.errors.size - RIGID
     shared, own = np.pad(found.shared, (0, spare)), np.pad(found.own, ((0, 0), (0, spare)))
     index = frame_indices(len(own), FEW)
-    some = least_squares.minimise(HandFit.of(seen.take(index), ASSUMED, own[index], shared), few).state
-    return least_squares.minimise(HandFit.of(seen, ASSUMED, own, some.shared), all_frames).state
+    some = least_squares.minimise(HandFit.of(seen.take(index), assumed, own[index], shared), few).state
+    return least_squares.minimise(HandFit.of(seen, assumed, own, some.shared), all_frames).state

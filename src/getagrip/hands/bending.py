@@ -66,7 +66,7 @@ def bent(
         turns[:, :, k] = turns[:, :, k - 1] @ turns[:, :, k]
     moved, skeleton = np.empty_like(vertices), joints.copy()
     skeleton[:, CHAINS[:, 1:]] = se3.transform(turns, joints[:, CHAINS[:, 1:], None])[..., 0, :]
-    _skin(vertices, weights.reshape(-1, 15), turns.reshape(-1, 15, 4, 4), moved)
+    _skin(vertices, np.ascontiguousarray(weights.reshape(-1, 15)), turns.reshape(-1, 15, 4, 4), moved)
     return moved, skeleton
 
 

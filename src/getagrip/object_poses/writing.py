@@ -13,6 +13,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.io import arrays, files
+from getagrip.io.tables import text_cell
 from getagrip.object_poses.files import ALONE, COLUMNS
 
 
@@ -81,7 +82,7 @@ def _bop_results(place: Path, track: Track) -> bytes:
     table.writerow([*COLUMNS, "time"])
     for name, T, score in zip(track.names, track.T_cam_obj, np.nan_to_num(track.score), strict=True):
         R, t = (" ".join(f"{x:.9g}" for x in values) for values in (T[:3, :3].ravel(), 1e3 * T[:3, 3]))
-        table.writerow([first["scene_id"], name, first["obj_id"], f"{score:.6g}", R, t, -1])
+        table.writerow([*map(text_cell, (first["scene_id"], name, first["obj_id"])), f"{score:.6g}", R, t, -1])
     return text.getvalue().encode()
 
 

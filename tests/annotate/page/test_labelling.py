@@ -140,7 +140,7 @@ def test_it_ends_in_a_reconstruction(
             (folder / "report.html").write_text("<p>the report of a plate</p>")
         return f"{words[0]}: done"
 
-    monkeypatch.setattr(reconstruction, "_run", ran)
+    monkeypatch.setattr(reconstruction, "run_command", ran)
     about = {"grasp": MARK, "task": "scene", "annotator": "ann", "tab": "a-tab-of-old"}
     clicked = {str(n): point for n, point in enumerate(joints(FIRST))}
     served.project.label(about | {"change": "all-joints", "frame": FIRST, "set": {"joints": clicked}})
