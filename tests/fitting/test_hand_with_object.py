@@ -20,6 +20,7 @@ from getagrip.fitting.options import Options
 from getagrip.fitting.problem import Problem, prepare
 from getagrip.fitting.solved_hand import SolvedHand, hand_between
 from getagrip.geometry import camera, se3
+from getagrip.provenance import estimated, measured
 from getagrip.timelines.reconstruct import reconstruct
 
 SCENE = SceneOptions(frames=6, size=(320, 240), focal=300.0, turn_deg=(0.0, 1.0), residual_deg=0.0, residual_mm=0.0)
@@ -31,6 +32,7 @@ def made(side: str = "right", noise: Noise | None = OFF) -> Clip:
     """A clip with exact masks, and a hand with a constant error."""
     clip, masks = synthesise("mug", 0, replace(SCENE, side=side))
     masks = Masks(masks.object, masks.ignore, masks.ignore)
+    clip = replace(clip, provenance=clip.provenance | {"hands": estimated("a test")})
     if noise is not None:
         clip = replace(clip, hand=noisy_hand(clip, noise, np.random.default_rng(6)))
     return with_masks(clip, masks)
@@ -54,6 +56,17 @@ def errors(clip: Clip, T_cam_hand: ndarray) -> tuple[float, float]:
     there, here = (se3.transform(T, middle)[:, 0] for T in (true, T_cam_hand))
     deeper = np.linalg.norm(here, axis=1) - np.linalg.norm(there, axis=1)
     return np.degrees(se3.angle_between(T_cam_hand[:, :3, :3], true[:, :3, :3])).mean(), float(abs(deeper.mean()))
+
+
+def test_a_measured_hand_is_refined_less_and_not_solved_with_the_object() -> None:
+    clip = made()
+    alone = prepare(replace(clip, provenance=clip.provenance | {"hands": measured("a test")}), Options(frames=6))
+    together = prepare(clip, Options(frames=6))
+    assert alone.refinement is None
+    assert together.refinement is not None
+    T = clip.hand.T_cam_hand[:, :3, :3]
+    turned = [se3.angle_between(each.clip.hand.T_cam_hand[:, :3, :3], T).mean() for each in (alone, together)]
+    assert 0.0 < turned[0] < turned[1]
 
 
 def test_a_constant_error_is_found_and_its_depth_by_the_object() -> None:

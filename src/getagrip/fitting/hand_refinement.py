@@ -2,7 +2,7 @@
 
 Minimised is, over the errors x_n = b + e_n of each frame (``HandErrors``), b the same in all frames,
 
-    PIXEL * sum_n E_n(x_n) + 1/2 |b / BIAS|^2 + 1/2 sum_n |e_n / JITTER|^2
+    PIXEL * sum_n E_n(x_n) + 1/2 |b / bias|^2 + 1/2 sum_n |e_n / jitter|^2
 
 with E_n the pixels in which the hand's silhouette differs from its mask (``HandSilhouette``). E counts area, so that a
 finger that is elsewhere weighs by its length and not by its square.
@@ -10,6 +10,7 @@ finger that is elsewhere weighs by its length and not by its square.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip import least_squares
+from getagrip.checks.keeping import Kind, kind_of
 from getagrip.clip import Clip, Masks
 from getagrip.clip.sampling import frame_indices
 from getagrip.fitting.hand_errors import RIGID, HandErrors
@@ -27,15 +29,19 @@ from getagrip.geometry import se3
 
 PIXEL = 0.03
 """Weight of a pixel against the prior: thirty of them, side by side along a contour, are as much as one fact."""
-BIAS = np.repeat([0.14, 0.008, 0.01, 0.2], [3, 3, 1, 15])
-"""Assumed standard deviations of the errors that all frames share: turn about each axis [rad], shift along each [m],
-logarithm of the size, bend of each finger joint [rad]. They are those of estimates from images (docs/datasets.md),
-but for the size, without which nothing tells the distance."""
-JITTER = np.repeat([0.08, 0.006, 0.003, 0.1], [3, 3, 1, 15])
-"""Those of each frame's own errors, likewise, outliers among them; neighbouring frames are taken as independent."""
-ASSUMED = AssumedErrors(BIAS, JITTER, PIXEL)
-GROWN = replace(ASSUMED, unit=PIXEL / 2)
-"""Those for masks that were grown, whose border nobody knows to a pixel."""
+_EACH = [3, 3, 1, 15]
+ASSUMED: Mapping[Kind, AssumedErrors] = {
+    "measured": AssumedErrors(
+        np.repeat([0.08, 0.008, 0.01, 0.2], _EACH), np.repeat([0.03, 0.003, 0.003, 0.1], _EACH), PIXEL
+    ),
+    "estimated": AssumedErrors(
+        np.repeat([0.14, 0.008, 0.01, 0.2], _EACH), np.repeat([0.08, 0.006, 0.003, 0.1], _EACH), PIXEL
+    ),
+}
+"""Assumed standard deviations of the errors that all frames share, and of each frame's own, which are taken as
+independent: turn about each axis [rad], shift along each [m], logarithm of the size, bend of each finger joint [rad].
+Those of estimates from images are measured (docs/datasets.md), but for the size, without which nothing tells the
+distance."""
 WORTH = 0.01
 """Share of the hand's visible pixels that a refinement must correct; less is noise of masks."""
 LEAST = 0.01, 0.002
@@ -124,10 +130,10 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
         before = seen.share(unrefined)
     if before < WORTH:
         return None, before
-    seen = seen.with_field
-    found, after = _fitted(_SeenHand(seen, joints), unrefined)
+    seen, assumed = seen.with_field, ASSUMED[kind_of(clip.provenance)]
+    found, after = _fitted(_SeenHand(seen, joints), assumed, unrefined)
     if joints is not None and after > SUSPICIOUS:
-        by_pixels, alone = _fitted(_SeenHand(seen, None), unrefined)
+        by_pixels, alone = _fitted(_SeenHand(seen, None), assumed, unrefined)
         if after - alone > CONTRADICTED:
             joints, found, after = None, by_pixels, alone
     if after > AGREE or (before - after < WORTH and joints is None):
@@ -168,18 +174,17 @@ class _SeenHand:
         return value, g, H
 
 
-def _fitted(seen: _SeenHand, unrefined: Float[ndarray, "N P"]) -> tuple[HandFit, float]:
+def _fitted(seen: _SeenHand, assumed: AssumedErrors, unrefined: Float[ndarray, "N P"]) -> tuple[HandFit, float]:
     """Return the fit, and the share of the hand's pixels that still differ; NaN where none is seen."""
-    found, silhouette = _minimised(seen, unrefined), seen.silhouette
+    found, silhouette = _minimised(seen, assumed, unrefined), seen.silhouette
     if found.own.shape[1] > RIGID:
         silhouette = silhouette.with_bends
     return found, silhouette.share(found.errors)
 
 
-def _minimised(seen: _SeenHand, unrefined: Float[ndarray, "N P"]) -> HandFit:
+def _minimised(seen: _SeenHand, assumed: AssumedErrors, unrefined: Float[ndarray, "N P"]) -> HandFit:
     """Minimise the cost: first by rigid errors alone, since bends, too, could explain a hand that is turned."""
     rigid, few, all_frames = STEPS
-    assumed = GROWN if seen.silhouette.mask.grown else ASSUMED
     found = least_squares.minimise(HandFit.of(seen, assumed, unrefined), rigid).state
     seen = seen.with_bends
     if seen.silhouette.errors.weights is None:

@@ -31,6 +31,7 @@ each frame's own [m]; those of estimates from images (docs/datasets.md)."""
 PRIOR = 0.5
 """Weight of the prior against what it has in the hand's refinement: clips differ in how far their hands are off, so
 that its tails are heavier than a square's. Chosen on training clips."""
+ESTIMATED = ASSUMED["estimated"]
 LEVEL, ITERATIONS = 128, 8
 """Resolution [px] and most iterations."""
 
@@ -61,7 +62,7 @@ def solve_with_hand(problem: Problem, motion: M, energy_of: EnergyOf) -> tuple[S
 
 def _moving(refinement: HandRefinement, motion: M, nat: float) -> MovingHand[M]:
     """Put a motion into the refined hand."""
-    hand, (bias, jitter) = refinement.seen.errors.tracked, (ASSUMED.bias, ASSUMED.jitter)
+    hand, (bias, jitter) = refinement.seen.errors.tracked, (ESTIMATED.bias, ESTIMATED.jitter)
     constant = np.concatenate([bias[SHIFT], bias[TURN], [DEPTH[0], bias[SIZE]]])
     own = np.concatenate([jitter[SHIFT], jitter[TURN], [DEPTH[1]]])
     a, b = refinement.shared, refinement.own

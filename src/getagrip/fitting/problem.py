@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from getagrip.checks.keeping import kind_of
 from getagrip.clip import (
     Clip,
     Masks,
@@ -102,7 +103,8 @@ class Problem:
         notes: dropped frames, guesses, initial poses, what stands in for missing masks.
         threads: number of threads that share the hypotheses of a fit.
         trust: the trust in these inputs.
-        refinement: how the hand was refined by its own pixels, in the problem's frames; None: it was not.
+        refinement: how an estimated hand was refined, in the problem's frames, so that it is solved with the object;
+            None: it was not, or it was measured.
     """
 
     clip: Clip
@@ -259,7 +261,8 @@ def _prepared(
     return Problem(
         clip=clip, masks=masks, observation=observation, surface=surface.result(),
         options=options, prior_poses=initial[0], notes=tuple(notes), threads=threads,
-        trust=Trust(correction is not None, differing, hand_drawn, hand_lifted=lifted), refinement=correction,
+        trust=Trust(correction is not None, differing, hand_drawn, hand_lifted=lifted),
+        refinement=correction if kind_of(clip.provenance) == "estimated" else None,
     )  # fmt: skip
 
 
