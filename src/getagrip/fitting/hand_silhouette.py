@@ -213,7 +213,8 @@ def _contours(
     value, points, nearest = np.empty(N), np.empty((N, 7, most)), np.empty((N, most), np.int64)
     bits = np.empty_like(mask.observed)
     contours(
-        np.ascontiguousarray(np.swapaxes(vertices, 1, 2)), hand.faces, edges, bool(np.all(edges[3] < len(hand.faces))),
+        np.ascontiguousarray(np.swapaxes(vertices, 1, 2)), np.ascontiguousarray(hand.faces), edges,
+        bool(np.all(edges[3] < len(hand.faces))),
         mask.K, mask.observed, mask.valid, mask.field, STEP, DELTA, bits, value, points, nearest,
     )  # fmt: skip
     return value, points, nearest, bits
