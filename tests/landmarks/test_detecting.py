@@ -119,7 +119,7 @@ def test_a_runtime_with_other_answers_is_not_used(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(nets, "_opencv", opened(1.0))
     assert nets.open_nets(b"", b"").runtime == "OpenCV"
     monkeypatch.setattr(nets, "_opencv", opened(0.9))
-    with pytest.raises(UsageError, match=r"\[hands\]"):
+    with pytest.raises(UsageError, match=r"pip install .*\[hands\]"):
         nets.open_nets(b"", b"")
 
 

@@ -91,7 +91,7 @@ def test_torch_is_named_where_it_is_missing(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setitem(sys.modules, "torch", None)
     path = tmp_path / "000007.pt"
     path.write_bytes(b"PK")
-    with pytest.raises(UsageError, match=r"\[torch\]"):
+    with pytest.raises(UsageError, match=r"pip install .*\[torch\]"):
         read([path], HaMeR(), request("right"))
 
 
