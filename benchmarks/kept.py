@@ -27,7 +27,7 @@ from benchmarks.reliability import auroc, calibration_error, fit_weights, least_
 from benchmarks.timing import circumstances
 from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.checks.calibration import Calibration, Where
-from getagrip.checks.keeping import SHARES, Keeping, Kind, kind_of, least_kept, least_times
+from getagrip.checks.keeping import SHARES, Keeping, least_kept, least_times
 from getagrip.checks.signs import HAND_SIGNS, SIGNS
 from getagrip.clip import read_clip, read_masks
 from getagrip.datasets.synthetic.noise import NOISE
@@ -40,6 +40,7 @@ from getagrip.experiments.sources.recorded import DexYcb
 from getagrip.fitting.options import Options
 from getagrip.io.code import stamp
 from getagrip.probability import HOLDS, Probability
+from getagrip.provenance import HandsKind, kind_of_hands
 from getagrip.timelines.reconstruct import reconstruct
 
 SOURCE = Path(__file__).resolve().parents[1] / "src/getagrip/checks/kept.py"
@@ -86,7 +87,7 @@ def row(folder: Path, condition: str) -> Row:
             right[where].append(metrics[metric.name])
     serious = any(finding.serious for finding in result.findings)
     return {
-        "clip": clip.name, "category": clip.category, "condition": condition, "kind": kind_of(clip.provenance),
+        "clip": clip.name, "category": clip.category, "condition": condition, "kind": kind_of_hands(clip.provenance),
         "serious": serious, "signs": result.signs, "energy": found.energy.tolist(), "right": right,
     }  # fmt: skip
 
@@ -147,12 +148,12 @@ class Results:
         return Keeping({share: p for share, p in least.items() if np.isfinite(p)}, probable, times)
 
 
-def of_kind(rows: Sequence[Row], part: str, kind: Kind, where: Where) -> Results:
+def of_kind(rows: Sequence[Row], part: str, kind: HandsKind, where: Where) -> Results:
     """Select the results of a kind that have a probability."""
     return Results([r for r in rows if (r["part"], r["kind"], r["serious"]) == (part, kind, False)], where)
 
 
-def source(estimated: Mapping[Where, Calibration], keeping: Mapping[tuple[Kind, Where], Keeping]) -> str:
+def source(estimated: Mapping[Where, Calibration], keeping: Mapping[tuple[HandsKind, Where], Keeping]) -> str:
     """Return the module that holds the calibrations."""
     made = next(iter(estimated.values())).made
     fitted = "".join(map(entry, estimated.values()))
@@ -161,10 +162,11 @@ def source(estimated: Mapping[Where, Calibration], keeping: Mapping[tuple[Kind, 
         '"""The probability for estimated hands, and the thresholds of all kinds; written by ``python -m '
         f'benchmarks.kept``.\n\nMade {made}.\n"""\n\n{"from math import inf" * ("inf" in kept)}\n\n'
         "from getagrip.checks.calibration import Calibration, Weight, Where\n"
-        "from getagrip.checks.keeping import Keeping, Kind\n\n"
+        "from getagrip.checks.keeping import Keeping\n"
+        "from getagrip.provenance import HandsKind\n\n"
         f"ESTIMATED: dict[tuple[str, Where], Calibration] = {{\n{fitted}}}\n"
         '"""By method, and by where poses are right."""\n'
-        f"KEEPING: dict[tuple[Kind, Where], Keeping] = {{\n{kept}}}\n"
+        f"KEEPING: dict[tuple[HandsKind, Where], Keeping] = {{\n{kept}}}\n"
         '"""By kind of input, and by where poses are right."""\n'
     )
 
@@ -183,7 +185,7 @@ HEADER = (
 def lines(rows: Sequence[Row], estimated: Mapping[Where, Calibration], keeping: Any) -> Iterator[list[str]]:
     """Hold both parts against the calibrations; estimated hands of training by fits without their own object."""
     for where, part in product(WHERE, ("train", "validation")):
-        for kind in get_args(Kind):
+        for kind in get_args(HandsKind):
             results = of_kind(rows, part, kind, where)
             if not results.rows:
                 continue
@@ -227,7 +229,7 @@ def main(out: Path, clips: Path, root: Path, meshes: Path, most: int = 1000) -> 
     """Collect, fit, and write both down."""
     out.mkdir(parents=True, exist_ok=True)
     rows = collect(out / "rows.jsonl", clips, root, meshes, most)
-    estimated, keeping = dict[Where, Calibration](), dict[tuple[Kind, Where], Keeping]()
+    estimated, keeping = dict[Where, Calibration](), dict[tuple[HandsKind, Where], Keeping]()
     for where in WHERE:
         train = of_kind(rows, "train", "estimated", where)
         estimated[where] = train.fitted(stamp())

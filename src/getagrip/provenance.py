@@ -15,6 +15,8 @@ from getagrip.io import files
 
 Basis = Literal["measured", "estimated", "assumed"]
 """From a sensor, the ground truth or the user; found by an algorithm; neither of these."""
+HandsKind = Literal["measured", "estimated"]
+"""Kind of a clip's hands: from sensors or the ground truth; estimated from images, or assumed."""
 TYPED = 4
 """The version of ``clip.json`` from which on sources have a basis; before, a guess said so in its text."""
 
@@ -55,6 +57,12 @@ def assumed(text: str) -> Source:
 def estimated(text: str) -> Source:
     """Make the source of an algorithm's result."""
     return Source(text, "estimated")
+
+
+def kind_of_hands(provenance: Mapping[str, object]) -> HandsKind:
+    """Return the kind of a clip's hands; without a source they count as measured."""
+    source = provenance.get("hands")
+    return "estimated" if isinstance(source, Source) and source.basis != "measured" else "measured"
 
 
 def is_assumed(source: object) -> bool:

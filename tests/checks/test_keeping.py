@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from getagrip.batch.keep import HIGHEST, LOWEST, Keep
-from getagrip.checks.keeping import SHARES, Keeping, kind_of, least_kept, least_times
+from getagrip.checks.keeping import SHARES, Keeping, least_kept, least_times
 from getagrip.errors import UsageError
 from getagrip.probability import Probability
-from getagrip.provenance import assumed, estimated, measured
+from getagrip.provenance import assumed, estimated, kind_of_hands, measured
 
 
 def drawn(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -79,5 +79,12 @@ def test_marks_say_kept_or_dropped_and_nothing_where_none_is_asked_for() -> None
 
 
 def test_hands_are_measured_unless_their_source_says_otherwise() -> None:
-    assert kind_of({}) == kind_of({"hands": measured("mocap")}) == kind_of({"hands": "mocap"}) == "measured"
-    assert kind_of({"hands": estimated("a network")}) == kind_of({"hands": assumed("a guess")}) == "estimated"
+    assert (
+        kind_of_hands({})
+        == kind_of_hands({"hands": measured("mocap")})
+        == kind_of_hands({"hands": "mocap"})
+        == "measured"
+    )
+    assert (
+        kind_of_hands({"hands": estimated("a network")}) == kind_of_hands({"hands": assumed("a guess")}) == "estimated"
+    )

@@ -12,17 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from getagrip.probability import Probability
-from getagrip.provenance import Source
 
-Kind = Literal["measured", "estimated"]
-"""Kind of a clip's hands: from sensors or the ground truth; estimated from images, or assumed."""
 SHARES = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98)
 """Shares that results are kept for."""
 
@@ -46,12 +42,6 @@ class Keeping:
         keep = max((share for share, least in self.least.items() if right.value >= least), default=0.0)
         within = np.count_nonzero(np.maximum.accumulate(energy) <= self.times * max(energy.min(), 1e-9))
         return replace(right, keep=keep, candidates=int(within) if right.value >= self.probable else 0)
-
-
-def kind_of(provenance: Mapping[str, object]) -> Kind:
-    """Return the kind of a clip's hands."""
-    source = provenance.get("hands")
-    return "estimated" if isinstance(source, Source) and source.basis != "measured" else "measured"
 
 
 def least_kept(probability: Float[ndarray, "n"], right: Bool[ndarray, "n"], share: float) -> float:

@@ -6,7 +6,8 @@ Made 2026-11-25, commit e3858339.
 from math import inf
 
 from getagrip.checks.calibration import Calibration, Weight, Where
-from getagrip.checks.keeping import Keeping, Kind
+from getagrip.checks.keeping import Keeping
+from getagrip.provenance import HandsKind
 
 ESTIMATED: dict[tuple[str, Where], Calibration] = {
     ("soft-hinge", "hand"): Calibration(
@@ -57,7 +58,7 @@ ESTIMATED: dict[tuple[str, Where], Calibration] = {
     ),
 }
 """By method, and by where poses are right."""
-KEEPING: dict[tuple[Kind, Where], Keeping] = {
+KEEPING: dict[tuple[HandsKind, Where], Keeping] = {
     ("estimated", "hand"): Keeping({0.5: 0.01371, 0.6: 0.0442, 0.7: 0.4507, 0.8: 0.6211}, inf, inf),
     ("measured", "hand"): Keeping(
         {0.5: 0.9679, 0.6: 0.9679, 0.7: 0.9679, 0.8: 0.9679, 0.9: 0.9679, 0.95: 0.9679}, 0.9679, 1

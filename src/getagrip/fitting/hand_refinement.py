@@ -18,7 +18,6 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip import least_squares
-from getagrip.checks.keeping import Kind, kind_of
 from getagrip.clip import Clip, Masks
 from getagrip.clip.sampling import frame_indices
 from getagrip.fitting.hand_errors import RIGID, HandErrors
@@ -26,11 +25,12 @@ from getagrip.fitting.hand_fit import AssumedErrors, HandFit
 from getagrip.fitting.hand_silhouette import HandSilhouette
 from getagrip.fitting.seen_joints import SeenJoints
 from getagrip.geometry import se3
+from getagrip.provenance import HandsKind, kind_of_hands
 
 PIXEL = 0.03
 """Weight of a pixel against the prior: thirty of them, side by side along a contour, are as much as one fact."""
 _EACH = [3, 3, 1, 15]
-ASSUMED: Mapping[Kind, AssumedErrors] = {
+ASSUMED: Mapping[HandsKind, AssumedErrors] = {
     "measured": AssumedErrors(
         np.repeat([0.08, 0.008, 0.01, 0.2], _EACH), np.repeat([0.03, 0.003, 0.003, 0.1], _EACH), PIXEL
     ),
@@ -130,7 +130,7 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
         before = seen.share(unrefined)
     if before < WORTH:
         return None, before
-    seen, assumed = seen.with_field, ASSUMED[kind_of(clip.provenance)]
+    seen, assumed = seen.with_field, ASSUMED[kind_of_hands(clip.provenance)]
     found, after = _fitted(_SeenHand(seen, joints), assumed, unrefined)
     if joints is not None and after > SUSPICIOUS:
         by_pixels, alone = _fitted(_SeenHand(seen, None), assumed, unrefined)

@@ -12,7 +12,6 @@ from numpy import ndarray
 from getagrip.checks import Solved
 from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.checks.calibration import Where
-from getagrip.checks.keeping import Kind, kind_of
 from getagrip.checks.kept import ESTIMATED, KEEPING
 from getagrip.clip import Clip
 from getagrip.finding import Finding
@@ -23,7 +22,7 @@ from getagrip.fitting.pose_spread import pose_spread
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.scale_check import scale_check
 from getagrip.probability import Probability
-from getagrip.provenance import is_assumed
+from getagrip.provenance import HandsKind, is_assumed, kind_of_hands
 from getagrip.result import Candidates
 
 CHOICES = ("method", "inits", "init", "priors", "priors_only", "thorough", "seed", "frames", "every_frame")
@@ -58,7 +57,7 @@ def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: 
 def _hand_spread(clip: Clip, problem: Problem, found: MethodResult) -> float:
     """Compute the standard deviation of the object in the hand that the hand's errors leave [m]."""
     if found.hand is None:
-        return 0.0 if kind_of(clip.provenance) == "measured" else UNSOLVED
+        return 0.0 if kind_of_hands(clip.provenance) == "measured" else UNSOLVED
     n, scale = len(problem.clip) // 2, float(found.poses.scale[0])
     points = scale * problem.surface.points @ found.poses.R[0, n].T + found.poses.centre[0, n]
     return found.hand.spread(points - problem.clip.hand.vertices.mean(axis=(0, 1)))
@@ -76,7 +75,7 @@ def probabilities(
 
     ``terms`` are those of its energy, ``energy`` the candidates'.
     """
-    kind = kind_of(clip.provenance)
+    kind = kind_of_hands(clip.provenance)
     in_hand, in_camera = (
         probability_right(options, signs, findings, where, terms, kind, energy) for where in get_args(Where)
     )
@@ -91,7 +90,7 @@ def probability_right(
     findings: Sequence[Finding],
     where: Where = "hand",
     terms: Iterable[str] = (),
-    kind: Kind = "measured",
+    kind: HandsKind = "measured",
     energy: Float[ndarray, "K"] | None = None,
 ) -> Probability | None:
     """Compute the probability that a result with such signs is right; ``kind`` says how its hands are known.

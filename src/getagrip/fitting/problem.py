@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.checks.keeping import kind_of
 from getagrip.clip import (
     Clip,
     Masks,
@@ -34,7 +33,7 @@ from getagrip.fitting.solved_hand import SolvedHand
 from getagrip.fitting.surface import ObjectSurface
 from getagrip.geometry.warp import Warp
 from getagrip.io.terminal import counted
-from getagrip.provenance import assumptions, is_assumed
+from getagrip.provenance import assumptions, is_assumed, kind_of_hands
 from getagrip.result import Axis, Status
 
 CONTACT_IF_FITTED = 4.0
@@ -262,7 +261,7 @@ def _prepared(
         clip=clip, masks=masks, observation=observation, surface=surface.result(),
         options=options, prior_poses=initial[0], notes=tuple(notes), threads=threads,
         trust=Trust(correction is not None, differing, hand_drawn, hand_lifted=lifted),
-        refinement=correction if kind_of(clip.provenance) == "estimated" else None,
+        refinement=correction if kind_of_hands(clip.provenance) == "estimated" else None,
     )  # fmt: skip
 
 
