@@ -10,15 +10,19 @@ the results that are probable enough have the right one among them, by the same 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from getagrip.probability import Probability
+from getagrip.provenance import HandsKind
 
+InputKind = Literal["measured", "estimated", "joints", "depth"]
+"""Kind of a result's input: measured hands; estimated ones without further evidence, with 2D joints, with depth."""
 SHARES = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98)
 """Shares that results are kept for."""
 
@@ -42,6 +46,13 @@ class Keeping:
         keep = max((share for share, least in self.least.items() if right.value >= least), default=0.0)
         within = np.count_nonzero(np.maximum.accumulate(energy) <= self.times * max(energy.min(), 1e-9))
         return replace(right, keep=keep, candidates=int(within) if right.value >= self.probable else 0)
+
+
+def kind_of_input(hands: HandsKind, evidence: Container[str]) -> InputKind:
+    """Return the kind of an input by its hands and the names of the terms that its evidence gave."""
+    if hands == "measured":
+        return "measured"
+    return "depth" if "depth" in evidence else "joints" if "joints-2d" in evidence else "estimated"
 
 
 def least_kept(probability: Float[ndarray, "n"], right: Bool[ndarray, "n"], share: float) -> float:

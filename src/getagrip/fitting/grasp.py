@@ -108,8 +108,9 @@ def _judge(prepared: Prepared, found: Found, answer: Answer) -> Judgement:
     solved = solved_of(source.clip, found.problem, found.result, found.sampled, answer.track)
     checks, after = examine(result_checks(), solved)
     findings, signs = (*prepared.findings, *after), read_signs(solved)
-    of_energy = found.result.terms, found.result.energy
-    right = probabilities(source.clip, source.options, signs, findings, *of_energy)
+    hand, terms = found.result.hand, {*found.result.terms}
+    terms = terms if hand is None else terms | {*hand.energy}
+    right = probabilities(source.clip, source.options, signs, findings, terms, found.result.energy)
     return Judgement(prepared.checks | checks, findings, signs, right)
 
 

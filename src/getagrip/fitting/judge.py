@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import fields
 from typing import get_args
 
@@ -12,6 +12,7 @@ from numpy import ndarray
 from getagrip.checks import Solved
 from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.checks.calibration import Where
+from getagrip.checks.keeping import InputKind, kind_of_input
 from getagrip.checks.kept import ESTIMATED, KEEPING
 from getagrip.clip import Clip
 from getagrip.finding import Finding
@@ -22,12 +23,15 @@ from getagrip.fitting.pose_spread import pose_spread
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.scale_check import scale_check
 from getagrip.probability import Probability
-from getagrip.provenance import HandsKind, is_assumed, kind_of_hands
+from getagrip.provenance import is_assumed, kind_of_hands
 from getagrip.result import Candidates
 
 CHOICES = ("method", "inits", "init", "priors", "priors_only", "thorough", "seed", "frames", "every_frame")
 """Options that leave a calibration valid; it was made with the usual values of all."""
-TERMS = ("total", "mask", "push", "pull", "consistency", "prior", "hand-mask", "joints-2d", "order", "size", "upright")
+TERMS = (
+    "total", "mask", "push", "pull", "consistency", "prior", "hand-mask", "joints-2d", "depth",
+    "order", "size", "upright",
+)  # fmt: skip
 """Names in the energy that was calibrated; the last three count only for inputs that are assumed, as which kind of
 object it is, of which there were none, so that its probability is carried over to them."""
 UNSOLVED = 0.03
@@ -50,7 +54,7 @@ def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: 
         T_cam_hand_input=input_clip.hand.T_cam_hand[input_clip.index_of(problem.clip.frames)],
         misfit=misfit(problem.observation, found.terms["mask"] / len(problem.clip)),
         spread=pose_spread(problem, found), hand_spread=_hand_spread(input_clip, problem, found),
-        scale_check=scale_check(problem, found),
+        scale_check=scale_check(problem, found), joint_error=_joint_error(problem),
     )  # fmt: skip
 
 
@@ -63,19 +67,25 @@ def _hand_spread(clip: Clip, problem: Problem, found: MethodResult) -> float:
     return found.hand.spread(points - problem.clip.hand.vertices.mean(axis=(0, 1)))
 
 
+def _joint_error(problem: Problem) -> float:
+    """Return the error of the joints that moved the hand; NaN where none did."""
+    joints = None if problem.refinement is None else problem.refinement.joints
+    return float("nan") if joints is None else joints.size
+
+
 def probabilities(
     clip: Clip,
     options: Options,
     signs: Mapping[str, float],
     findings: Sequence[Finding],
-    terms: Iterable[str],
+    terms: Collection[str],
     energy: Float[ndarray, "K"],
 ) -> dict[Where, Probability | None]:
     """Compute the probability that a result is right, in the hand and in the camera.
 
-    ``terms`` are those of its energy, ``energy`` the candidates'.
+    ``terms`` are those of its energy and of its hand's, ``energy`` the candidates'.
     """
-    kind = kind_of_hands(clip.provenance)
+    kind = kind_of_input(kind_of_hands(clip.provenance), terms)
     in_hand, in_camera = (
         probability_right(options, signs, findings, where, terms, kind, energy) for where in get_args(Where)
     )
@@ -90,18 +100,17 @@ def probability_right(
     findings: Sequence[Finding],
     where: Where = "hand",
     terms: Iterable[str] = (),
-    kind: HandsKind = "measured",
+    kind: InputKind = "measured",
     energy: Float[ndarray, "K"] | None = None,
 ) -> Probability | None:
-    """Compute the probability that a result with such signs is right; ``kind`` says how its hands are known.
+    """Compute the probability that a result with such signs is right; ``kind`` is that of its input.
 
     With the ``energy`` of its candidates it says for which share of right results it is kept.
     ``findings`` are those about its input and itself.
 
     None where nothing is calibrated (``uncalibrated``).
     """
-    of_kind = {**CALIBRATIONS, **ESTIMATED} if kind == "estimated" else CALIBRATIONS
-    calibration = of_kind.get((options.method, where))
+    calibration = (CALIBRATIONS if kind == "measured" else ESTIMATED).get((options.method, where))
     if calibration is None or uncalibrated(options, findings, terms):
         return None
     if not signs.keys() >= calibration.weights.keys():  # of a motion of one's own
