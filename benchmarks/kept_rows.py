@@ -104,7 +104,8 @@ def row(case: Case) -> Row | None:
         "condition": case.condition, "seed": case.seed, "made": stamp(),
         "kind": kind_of_input(kind_of_hands(clip.provenance), {*result.energy, *result.hand_energy}),
         "serious": [finding.check for finding in result.findings if finding.serious],
-        "signs": result.signs, "energy": found.energy.tolist(), "right": right,
+        "signs": result.signs, "checks": result.checks, "hand_energy": result.hand_energy,
+        "diameter": clip.mesh.diameter, "energy": found.energy.tolist(), "right": right,
     }  # fmt: skip
 
 
