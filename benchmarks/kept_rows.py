@@ -32,8 +32,8 @@ from getagrip.io.code import stamp
 from getagrip.provenance import kind_of_hands
 from getagrip.timelines.reconstruct import reconstruct
 
-ROWS, END = "rows.jsonl", " "
-"""The file, and what ends a row in it that was not cut off."""
+ROWS, END = "rows.jsonl", "\t"
+"""The file, and what ends a row in it that was not cut off; no JSON has it."""
 WHERE = {"hand": ADD_SYM, "camera": ADD_SYM_CAM}
 ESTIMATED = Noisy(replace(NOISE["estimated"], mask_ragged_px=0.0))
 JOINTS = "landmarks", "wild", "lab"

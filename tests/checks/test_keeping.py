@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.kept_rows import END, read
 from getagrip.batch.keep import HIGHEST, LOWEST, Keep
-from getagrip.checks.keeping import SHARES, Keeping, least_kept, least_times
+from getagrip.checks.keeping import SHARES, Keeping, kind_of_input, least_kept, least_times
 from getagrip.errors import UsageError
 from getagrip.probability import Probability
 from getagrip.provenance import assumed, estimated, kind_of_hands, measured
@@ -44,6 +47,15 @@ def test_the_threshold_keeps_its_promise_where_it_was_chosen(right: list[bool]) 
     rights, p = np.array(right), np.linspace(0.0, 1.0, len(right)).round(1)  # some are alike
     least = least_kept(p, rights, 0.8)
     assert np.isinf(least) or np.mean(rights[p >= least]) >= 0.8
+
+
+def test_nothing_is_kept_where_nothing_is_sure() -> None:
+    p, right = drawn(300, 0)
+    assert np.isinf(least_kept(p, np.zeros(300, dtype=bool), 0.5))
+    assert np.isinf(least_kept(p, np.random.default_rng(0).random(300) < 0.7, 0.95))
+    assert np.isinf(least_kept(p[:18], right[:18] | True, 0.95)), "eighteen are too few to promise 95 %"
+    kept = Keeping({}, probable=np.inf, times=1.0).applied(Probability(0.99, ""), np.array([1.0, 2.0]))
+    assert (kept.keep, kept.candidates) == (0.0, 0)
 
 
 def test_sets_hold_the_right_candidate_of_new_results() -> None:
@@ -88,3 +100,23 @@ def test_hands_are_measured_unless_their_source_says_otherwise() -> None:
     assert (
         kind_of_hands({"hands": estimated("a network")}) == kind_of_hands({"hands": assumed("a guess")}) == "estimated"
     )
+
+
+def test_the_kind_of_an_input_is_that_of_its_hands_and_of_the_evidence_that_counted() -> None:
+    terms = {"total", "mask", "hand-mask"}
+    assert kind_of_input("measured", terms | {"depth", "joints-2d"}) == "measured"
+    assert kind_of_input("estimated", terms) == "estimated"
+    assert kind_of_input("estimated", terms | {"joints-2d"}) == "joints"
+    assert (
+        kind_of_input("estimated", terms | {"joints-2d", "depth"}) == kind_of_input("estimated", {"depth"}) == "depth"
+    )
+
+
+def test_rows_that_were_cut_off_count_as_missing(tmp_path: Path) -> None:
+    whole = "".join(f'\n{{"a": {{"n": {n}}}}}{END}' for n in range(3))
+    file = tmp_path / "rows.jsonl"
+    for cut in range(len(whole) + 1):
+        file.write_text(whole[:cut] + whole, encoding="utf-8")
+        found = [row["a"]["n"] for row in read(file)]
+        assert found == [*range(whole[:cut].count(END + "\n") + (cut == len(whole))), 0, 1, 2]
+    assert read(tmp_path / "none") == []
