@@ -20,13 +20,13 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from benchmarks import store
-from benchmarks.kept_rows import SEEDS, WHERE, Row, read
+from benchmarks.kept_rows import SEEDS, Row, read
 from benchmarks.probability import entry
 from benchmarks.reliability import auroc, auroc_interval, calibration_error, fit_weights, least_error
 from benchmarks.timing import circumstances
 from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.checks.calibration import Calibration, Where
-from getagrip.checks.keeping import SHARES, InputKind, Keeping, least_kept, least_times
+from getagrip.checks.keeping import SHARES, InputKind, Keeping, least_kept, least_of_sets
 from getagrip.checks.signs import ESTIMATED_SIGNS
 from getagrip.experiments.comparison import LEVEL, resamples
 from getagrip.fitting.options import Options
@@ -49,17 +49,12 @@ class Results:
     @property
     def right(self) -> Bool[ndarray, "n"]:
         """Which are right."""
-        return np.array([row["right"][self.where][0] > 0.5 for row in self.rows], dtype=bool)
+        return self.rank == 1.0
 
     @property
-    def times(self) -> Float[ndarray, "n"]:
-        """Energy of the first right candidate in multiples of the least; infinite where none is right."""
-        out = []
-        for row in self.rows:
-            energy = np.maximum.accumulate(row["energy"]) / max(min(row["energy"]), 1e-9)
-            right = np.flatnonzero(np.array(row["right"][self.where]) > 0.5)
-            out.append(float(energy[right[0]]) if len(right) else np.inf)
-        return np.array(out)
+    def rank(self) -> Float[ndarray, "n"]:
+        """Which candidate is the first that is right; infinite where none is."""
+        return np.array([row["rank"][self.where] or np.inf for row in self.rows])
 
     @property
     def weights(self) -> Float[ndarray, "B n"]:
@@ -102,10 +97,8 @@ class Results:
     def keeping(self, probability: Float[ndarray, "n"]) -> Keeping:
         """Choose the thresholds."""
         least = {share: least_kept(probability, self.right, share) for share in SHARES}
-        probable = least_kept(probability, np.isfinite(self.times), HOLDS)
-        some = probability >= probable
-        times = least_times(self.times[some], HOLDS) if some.any() else np.inf
-        return Keeping({share: p for share, p in least.items() if np.isfinite(p)}, probable, times)
+        sets = least_of_sets(probability, self.rank, HOLDS)
+        return Keeping({share: p for share, p in least.items() if np.isfinite(p)}, sets)
 
 
 def of_part(rows: Sequence[Row], part: str, where: Where) -> Results:
@@ -120,7 +113,7 @@ def source(estimated: Mapping[Where, Calibration], keeping: Mapping[tuple[InputK
     kept = "".join(f"    {key!r}: {_literal(one)},\n" for key, one in keeping.items())
     return (
         '"""The probability for estimated hands, and the thresholds of all kinds of input; written by ``python -m '
-        f'benchmarks.kept``.\n\nMade {made}.\n"""\n\n{"from math import inf" * ("inf" in kept)}\n\n'
+        f'benchmarks.kept``.\n\nMade {made}.\n"""\n\n'
         "from getagrip.checks.calibration import Calibration, Weight, Where\n"
         "from getagrip.checks.keeping import InputKind, Keeping\n\n"
         f"ESTIMATED: dict[tuple[str, Where], Calibration] = {{\n{fitted}}}\n"
@@ -131,8 +124,8 @@ def source(estimated: Mapping[Where, Calibration], keeping: Mapping[tuple[InputK
 
 
 def _literal(one: Keeping) -> str:
-    least = ", ".join(f"{share!r}: {p:.4g}" for share, p in one.least.items())
-    return f"Keeping({{{least}}}, {one.probable:.4g}, {one.times:.4g})"
+    least, sets = (", ".join(f"{key!r}: {p:.4g}" for key, p in part.items()) for part in (one.least, one.sets))
+    return f"Keeping({{{least}}}, {{{sets}}})"
 
 
 HEADER = (
@@ -145,7 +138,7 @@ Fitted = Callable[[Results], Float[ndarray, "n"]]
 
 def lines(rows: Sequence[Row], fitted: Mapping[Where, Calibration], keeping: Mapping) -> Iterator[list[str]]:
     """Hold both parts against the calibrations; estimated hands of training by fits without their own object."""
-    for where, part in product(WHERE, ("train", "validation")):
+    for where, part in product(get_args(Where), ("train", "validation")):
         of = of_part(rows, part, where)
         measured, estimated = of.only(kind="measured"), of.estimated
         if not measured.rows or not estimated.rows:
@@ -164,12 +157,10 @@ def line(label: str, results: Results, p: Float[ndarray, "n"], keeping: Mapping)
     """Sum up results of these probabilities."""
     right, where, rows, weights = results.right, results.where, results.rows, results.weights
     verdicts = [
-        keeping[row["kind"], where].applied(Probability(float(x), ""), np.array(row["energy"]))
-        for x, row in zip(p, rows, strict=True)
+        keeping[row["kind"], where].applied(Probability(x, "")) for x, row in zip(p.tolist(), rows, strict=True)
     ]
     kept, count = np.array([one.keep >= KEPT for one in verdicts]), np.array([one.candidates for one in verdicts])
-    holds = np.array([max(row["right"][where][:n], default=0.0) > 0.5 for row, n in zip(rows, count, strict=True)])
-    sets, area = count > 0, ""
+    sets, holds, area = count > 0, results.rank <= count, ""
     if 0 < right.sum() < len(right):
         low, high = auroc_interval(p, right, weights)
         area = f"{auroc(p, right):.2f} [{low:.2f}, {high:.2f}]"

@@ -15,14 +15,16 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from numpy import ndarray
+
 from getagrip.batch.executor import cores, in_processes
 from getagrip.batch.share import Share
 from getagrip.checks.keeping import kind_of_input
-from getagrip.clip import read_clip, read_masks
+from getagrip.clip import Clip, read_clip, read_masks
 from getagrip.datasets.synthetic.noise import NOISE
 from getagrip.datasets.tracks import subject_of
 from getagrip.evaluation import evaluate
-from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_CAM
+from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_CAM, Metric
 from getagrip.experiments.changes import UNCHANGED, Change, Noisy, Several
 from getagrip.experiments.simulated_evidence import SimulatedDepth, SimulatedJoints
 from getagrip.experiments.sources import samples
@@ -30,11 +32,11 @@ from getagrip.experiments.sources.recorded import DexYcb
 from getagrip.fitting.options import Options
 from getagrip.io.code import stamp
 from getagrip.provenance import kind_of_hands
+from getagrip.result import Reconstruction
 from getagrip.timelines.reconstruct import reconstruct
 
 ROWS, END = "rows.jsonl", "\t"
 """The file, and what ends a row in it that was not cut off; no JSON has it."""
-WHERE = {"hand": ADD_SYM, "camera": ADD_SYM_CAM}
 ESTIMATED = Noisy(replace(NOISE["estimated"], mask_ragged_px=0.0))
 JOINTS = "landmarks", "wild", "lab"
 """Levels of the errors of 2D joints, by seed: results are to be kept at any of them."""
@@ -93,20 +95,26 @@ def row(case: Case) -> Row | None:
     except Exception as error:  # one clip's trouble must not end the others
         print(f"{case}: {error}", file=sys.stderr)
         return None
-    found, right = result.candidates, {where: list[float]() for where in WHERE}
-    for T, scale in zip(found.T_hand_obj, found.scale, strict=True):
-        one = replace(result, T_hand_obj=T, scale=float(scale))
-        metrics = evaluate(one, clip, None, wanted=tuple(WHERE.values())).metrics
-        for where, metric in WHERE.items():
-            right[where].append(metrics[metric.name])
+    in_camera = [*zip(result.candidates.T_hand_obj, result.candidates.scale, strict=True)]
+    in_hand = in_camera if result.hand_alternatives is None else [(T, result.scale) for T in result.in_hand]
     return {
         "clip": clip.name, "subject": subject_of(clip.name), "category": clip.category, "part": case.part,
         "condition": case.condition, "seed": case.seed, "made": stamp(),
         "kind": kind_of_input(kind_of_hands(clip.provenance), {*result.energy, *result.hand_energy}),
         "serious": [finding.check for finding in result.findings if finding.serious],
         "signs": result.signs, "checks": result.checks, "hand_energy": result.hand_energy,
-        "diameter": clip.mesh.diameter, "energy": found.energy.tolist(), "right": right,
+        "diameter": clip.mesh.diameter, "energy": result.candidates.energy.tolist(),
+        "rank": {"hand": rank(result, clip, in_hand, ADD_SYM), "camera": rank(result, clip, in_camera, ADD_SYM_CAM)},
     }  # fmt: skip
+
+
+def rank(result: Reconstruction, clip: Clip, candidates: Sequence[tuple[ndarray, float]], metric: Metric) -> int | None:
+    """Return which candidate, poses and scale, is the first that is right, from 1; None where none is."""
+    for n, (T, scale) in enumerate(candidates, start=1):
+        one = replace(result, T_hand_obj=T, scale=float(scale))
+        if evaluate(one, clip, None, wanted=(metric,)).metrics[metric.name] > 0.5:
+            return n
+    return None
 
 
 def collect(out: Path, every: Sequence[Case], workers: int) -> None:

@@ -9,7 +9,7 @@ from getagrip.clip import Clip
 from getagrip.errors import GetagripError, InputError
 from getagrip.finding import Finding
 from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frames
-from getagrip.fitting.judge import probabilities, solved_of
+from getagrip.fitting.judge import hand_alternatives, probabilities, solved_of
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.outlier_masks import fit_without_outliers
 from getagrip.fitting.pipeline import Answer, Clock, Input, Judgement, Steps
@@ -110,8 +110,8 @@ def _judge(prepared: Prepared, found: Found, answer: Answer) -> Judgement:
     findings, signs = (*prepared.findings, *after), read_signs(solved)
     hand, terms = found.result.hand, {*found.result.terms}
     terms = terms if hand is None else terms | {*hand.energy}
-    right = probabilities(source.clip, source.options, signs, findings, terms, found.result.energy)
-    return Judgement(prepared.checks | checks, findings, signs, right)
+    right = probabilities(source.clip, source.options, signs, findings, terms)
+    return Judgement(prepared.checks | checks, findings, signs, right, hand_alternatives(found.problem, found.result))
 
 
 GRASP = Steps(_prepare, _search, _fit_all_frames, _judge, stages=8)

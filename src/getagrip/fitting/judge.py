@@ -34,6 +34,9 @@ TERMS = (
 )  # fmt: skip
 """Names in the energy that was calibrated; the last three count only for inputs that are assumed, as which kind of
 object it is, of which there were none, so that its probability is carried over to them."""
+APART = 0.14
+"""How far alternatives of a hand move the object in it [diameters]: what is right lies within 0.1 of one of them.
+Chosen on training clips."""
 UNSOLVED = 0.03
 """Spread of an object in an estimated hand that was not solved with it [m]: the measured errors (docs/datasets.md)."""
 
@@ -62,9 +65,22 @@ def _hand_spread(clip: Clip, problem: Problem, found: MethodResult) -> float:
     """Compute the standard deviation of the object in the hand that the hand's errors leave [m]."""
     if found.hand is None:
         return 0.0 if kind_of_hands(clip.provenance) == "measured" else UNSOLVED
+    return found.hand.spread(_in_hand(problem, found) - problem.clip.hand.vertices.mean(axis=(0, 1)))
+
+
+def hand_alternatives(problem: Problem, found: MethodResult) -> Float[ndarray, "M 4 4"] | None:
+    """Return where a hand that was solved with the object may be instead; None of another."""
+    if found.hand is None:
+        return None
+    middle = problem.clip.hand.vertices.mean(axis=(0, 1))
+    apart = APART * float(found.poses.scale[0]) * problem.surface.diameter
+    return found.hand.alternatives(_in_hand(problem, found) - middle, middle, apart)
+
+
+def _in_hand(problem: Problem, found: MethodResult) -> Float[ndarray, "P 3"]:
+    """Return points of the object's surface in the hand, in the middle frame [m]."""
     n, scale = len(problem.clip) // 2, float(found.poses.scale[0])
-    points = scale * problem.surface.points @ found.poses.R[0, n].T + found.poses.centre[0, n]
-    return found.hand.spread(points - problem.clip.hand.vertices.mean(axis=(0, 1)))
+    return scale * problem.surface.points @ found.poses.R[0, n].T + found.poses.centre[0, n]
 
 
 def _joint_error(problem: Problem) -> float:
@@ -79,15 +95,15 @@ def probabilities(
     signs: Mapping[str, float],
     findings: Sequence[Finding],
     terms: Collection[str],
-    energy: Float[ndarray, "K"],
 ) -> dict[Where, Probability | None]:
     """Compute the probability that a result is right, in the hand and in the camera.
 
-    ``terms`` are those of its energy and of its hand's, ``energy`` the candidates'.
+    ``terms`` are those of its energy and of its hand's.
     """
     kind = kind_of_input(kind_of_hands(clip.provenance), terms)
+    found = (probability_right(options, signs, findings, where, terms, kind) for where in get_args(Where))
     in_hand, in_camera = (
-        probability_right(options, signs, findings, where, terms, kind, energy) for where in get_args(Where)
+        right and KEEPING[kind, where].applied(right) for where, right in zip(get_args(Where), found, strict=True)
     )
     # No pixel tells a wrong focal length from another distance.
     guessed = is_assumed(clip.provenance.get("camera"))
@@ -101,11 +117,9 @@ def probability_right(
     where: Where = "hand",
     terms: Iterable[str] = (),
     kind: InputKind = "measured",
-    energy: Float[ndarray, "K"] | None = None,
 ) -> Probability | None:
     """Compute the probability that a result with such signs is right; ``kind`` is that of its input.
 
-    With the ``energy`` of its candidates it says for which share of right results it is kept.
     ``findings`` are those about its input and itself.
 
     None where nothing is calibrated (``uncalibrated``).
@@ -115,8 +129,7 @@ def probability_right(
         return None
     if not signs.keys() >= calibration.weights.keys():  # of a motion of one's own
         return None
-    right, keeping = calibration.probability(signs), KEEPING.get((kind, where))
-    return right if keeping is None or energy is None else keeping.applied(right, energy)
+    return calibration.probability(signs)
 
 
 def uncalibrated(options: Options, findings: Sequence[Finding], terms: Iterable[str] = ()) -> str:
