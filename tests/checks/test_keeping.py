@@ -155,7 +155,7 @@ def made_rows(n: int, seed: int) -> list[Row]:
     for k in range(n):
         signs = dict(zip(USUAL, rng.normal(size=len(USUAL)), strict=True))
         (condition, kind), odds = kinds[k % 4], 3.0 * signs["energy-gap"] + 2.0
-        rank = None if rng.random() < 0.1 else 1 if rng.random() < 1.0 / (1.0 + np.exp(-odds)) else 3
+        rank = None if rng.random() < 0.03 else 1 if rng.random() < 1.0 / (1.0 + np.exp(-odds)) else 3
         rows.append({
             "clip": f"{k % 30}", "category": f"{k % 5}", "part": ("train", "train", "validation")[k // 4 % 3],
             "condition": condition, "kind": kind, "serious": [], "made": "today", "signs": signs,
