@@ -63,7 +63,16 @@ def clicks() -> dict[str, Table]:
 
 def landmarks() -> dict[str, Table]:
     """The hand, as it is found."""
-    header = ["video", "frames", "with a hand, %", "right side", "clicked", "within 20 px", "median, px", "CPU ms/frame"]
+    header = [
+        "video",
+        "frames",
+        "with a hand, %",
+        "right side",
+        "clicked",
+        "within 20 px",
+        "median, px",
+        "CPU ms/frame",
+    ]
     return {"draft-landmarks": of_cells("The hand's landmarks", header, *_rows(HELD_BY_LEFT, _landmarks))}
 
 

@@ -61,7 +61,7 @@ class Search:
     threads: int = 1
     """Number of threads."""
     opposite: Float[ndarray, "k 3 3"] = field(default_factory=lambda: np.zeros((0, 3, 3)))
-    """Turns of the object that take a handle to its other side: a solution turned so is always kept, if there is one."""
+    """Turns of the object that take a handle to its other side: the best solution turned so is always kept."""
 
     def relax(self, initial: Fixed, energy: Energy) -> Soft[Fixed]:
         """Fit a static pose from each initial one, then let each frame deviate a little."""
