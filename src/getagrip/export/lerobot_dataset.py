@@ -1,12 +1,16 @@
 """A dataset of LeRobot of many results, an episode each, with files of its own; it can be continued.
 
 ``meta/info.json`` is written last: what it does not count is written anew, so that an end at any time loses the episode
-at work and no other. Each record in ``meta/episodes`` has its result's clip as ``clip``.
+at work and no other. Each record in ``meta/episodes`` has its result's clip as ``clip`` and whether it is of ``train``
+or of ``test`` as ``split``; ``splits`` in ``info.json`` has the ranges of both, with commas where there are several.
 """
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Collection
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -63,8 +67,17 @@ class Dataset:
         """The clips whose results are in it."""
         return {str(record.get("clip", "")) for record in self.records}
 
-    def add(self, scene: Scene) -> int:
-        """Add a scene as the last episode and return its number.
+    def tests(self, clips: Collection[str], share: float) -> set[str]:
+        """Choose which of some clips are for tests, so that they are a share of all, with those that are there.
+
+        By the checksums of their names, whatever their order. What is there stays what it is.
+        """
+        new = sorted({*clips} - self.clips, key=lambda clip: hashlib.sha256(clip.encode()).digest())
+        there = sum(record.get("split") == "test" for record in self.records)
+        return {*new[: max(0, round(share * (len(self.records) + len(new))) - there)]}
+
+    def add(self, scene: Scene, split: str = "train") -> int:
+        """Add a scene as the last episode, of ``train`` or ``test``, and return its number.
 
         Raises ``InputError`` where its rate or its features differ from the dataset's, and as ``Episode.of``.
         """
@@ -77,11 +90,20 @@ class Dataset:
         files.folder_inside(self.folder, "meta")
         tasks = self.tasks if made.task in self.tasks else [*self.tasks, made.task]
         begin = int(self.records[-1]["dataset_to_index"]) if self.records else 0
-        record = made.write(self.folder, number, begin, tasks.index(made.task), scene.name)
+        record = made.write(self.folder, number, begin, tasks.index(made.task), {"clip": scene.name, "split": split})
         self.records.append(record)
-        write_meta(self.folder, made, tasks, self.statistics(), number + 1, int(str(record["dataset_to_index"])))
+        write_meta(self.folder, made, tasks, self.statistics(), self.splits, int(str(record["dataset_to_index"])))
         self.tasks, self.info = tasks, {"fps": made.fps, "features": made.features}
         return number
+
+    @property
+    def splits(self) -> dict[str, str]:
+        """The ranges of episodes of each split, as ``info.json`` has them."""
+        ranges: dict[str, list[str]] = {"train": []}
+        for split, run in groupby(range(len(self.records)), key=lambda n: str(self.records[n].get("split", "train"))):
+            episodes = list(run)
+            ranges.setdefault(split, []).append(f"{episodes[0]}:{episodes[-1] + 1}")
+        return {split: ",".join(each) for split, each in ranges.items() if each}
 
     def statistics(self) -> dict[str, dict[str, ndarray]]:
         """Compute the statistics of all episodes from those of each, as LeRobot does: quantiles are means of theirs."""
