@@ -1,8 +1,9 @@
 """A dataset of LeRobot of many results, an episode each, with files of its own; it can be continued.
 
-``meta/info.json`` is written last: what it does not count is written anew, so that an end at any time loses the episode
-at work and no other. Each record in ``meta/episodes`` has its result's clip as ``clip`` and whether it is of ``train``
-or of ``test`` as ``split``; ``splits`` in ``info.json`` has the ranges of both, with commas where there are several.
+An episode's files are written aside and then moved to their place, since LeRobot reads all files of its folders, also
+half of one; ``meta/info.json`` is written last: what it does not count is written anew. So an end at any time loses the
+episode at work and no other. Each record in ``meta/episodes`` has its result's clip as ``clip`` and ``train`` or ``test``
+as ``split``; ``splits`` in ``info.json`` has the ranges of both, with commas where there are several.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from numpy import ndarray
 from getagrip.errors import InputError
 from getagrip.export.lerobot import CHUNK_SIZE, EPISODES, Episode, write_meta
 from getagrip.export.scene import Scene
-from getagrip.io import extras, files
+from getagrip.io import extras, files, leftovers
 
 
 @dataclass
@@ -43,6 +44,8 @@ class Dataset:
     def of(folder: Path) -> Dataset:
         """Open the dataset in a folder, or begin one. Raises ``InputError`` for other things."""
         made, path = Dataset(folder), folder / "meta" / "info.json"
+        if folder.is_dir():
+            leftovers.sweep(folder)
         if not path.exists():
             if folder.exists() and {one.name for one in folder.iterdir()} - {"data", "meta", "videos"}:
                 raise InputError(folder, "", "other files", "a dataset of LeRobot, or a new folder")
@@ -90,7 +93,11 @@ class Dataset:
         files.folder_inside(self.folder, "meta")
         tasks = self.tasks if made.task in self.tasks else [*self.tasks, made.task]
         begin = int(self.records[-1]["dataset_to_index"]) if self.records else 0
-        record = made.write(self.folder, number, begin, tasks.index(made.task), {"clip": scene.name, "split": split})
+        with leftovers.workplace(self.folder) as work:
+            record = made.write(work, number, begin, tasks.index(made.task), {"clip": scene.name, "split": split})
+            for path in sorted(work.rglob("*.*")):
+                place = path.relative_to(work)
+                path.replace(files.folder_inside(self.folder, *place.parent.parts) / place.name)
         self.records.append(record)
         write_meta(self.folder, made, tasks, self.statistics(), self.splits, int(str(record["dataset_to_index"])))
         self.tasks, self.info = tasks, {"fps": made.fps, "features": made.features}

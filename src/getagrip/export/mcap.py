@@ -1,4 +1,4 @@
-"""MCAP (https://mcap.dev): a log for Foxglove and ROS tools, in JSON by Foxglove's schemas (foxglove-sdk, ``jsonschema``).
+"""MCAP (https://mcap.dev): a log for Foxglove and ROS tools, in JSON by the schemas of foxglove-sdk (``jsonschema``).
 
 Frames are a tree: ``stage`` (stands still, z up), ``camera`` (x right, y down, z forward), the hands in it, and
 ``object`` in the clip's own hand. Quaternions are (x, y, z, w); times are the clip's. Meshes are beside it.

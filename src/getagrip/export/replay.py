@@ -1,8 +1,8 @@
 """Replay in MuJoCo: the hand moves as it was reconstructed, and holds the object by contact and friction alone.
 
-The hand is 20 rigid parts, a convex hull about each bone, which are drawn after the reconstruction by welds: bodies with
-a velocity, since friction with a body that is only put somewhere would hold the object in the world. A hand that is
-reconstructed touches but does not press: surfaces meet ``PRESS`` before they touch, as soft skin that is pressed in.
+The hand is 20 rigid parts, a convex hull about each bone, drawn after the reconstruction by welds: bodies that have a
+velocity, since friction with a mocap body, which has none, would hold the object in the world. A reconstructed hand
+touches but does not press: surfaces meet ``PRESS`` before they touch, as skin that is pressed in.
 The object is convex pieces, welded to its reconstructed pose at first, then free.
 
 The friction, the density, the stiffness of skin and, where the clip has no ``world_up``, the direction of gravity are
@@ -99,7 +99,7 @@ def replay(scene: Scene) -> Replay:
 
 
 def hand_parts(scene: Scene) -> tuple[list[Float[ndarray, "n 3"]], Float[ndarray, "T 20 4 4"]]:
-    """Split the hand's vertices by its bones into parts, each rigid, and posed as its vertices move. Raises ``UsageError``."""
+    """Split the hand's vertices by its bones into rigid parts, posed as their vertices move. Raises ``UsageError``."""
     if scene.joints is None:
         raise UsageError(f"missing joints in hand.npz of the clip {scene.name}: replay needs 21")
     parts, poses, distance = [], [], distances(scene)
@@ -127,14 +127,13 @@ def _model(
         spec.worldbody.add_body(name=f"target_{n}", mocap=True, **place)
         body = spec.worldbody.add_body(name=f"body_{n}", gravcomp=0.0 if is_object else 1.0, **place)
         body.add_freejoint()
+        of_object = {"density": DENSITY, "margin": PRESS, "contype": 1, "conaffinity": 2}
+        kind = of_object if is_object else {"mass": HEAVY, "contype": 2, "conaffinity": 1}
         for k, points in enumerate(meshes):
             name = f"mesh_{n}_{k}"
             spec.add_mesh(name=name, uservert=points.ravel())
-            mass = {"density": DENSITY} if is_object else {"mass": HEAVY}
-            body.add_geom(
-                type=library.mjtGeom.mjGEOM_MESH, meshname=name, condim=4, friction=[FRICTION, 0.005, 1e-4],
-                margin=PRESS if is_object else 0.0, contype=1 if is_object else 2, conaffinity=2 if is_object else 1, **mass,
-            )  # fmt: skip
+            shape = {"type": library.mjtGeom.mjGEOM_MESH, "meshname": name, "condim": 4}
+            body.add_geom(**shape, friction=[FRICTION, 0.005, 1e-4], **kind)
         weld = spec.add_equality(
             type=library.mjtEq.mjEQ_WELD, objtype=library.mjtObj.mjOBJ_BODY, name1=f"target_{n}", name2=f"body_{n}",
             solref=[FOLLOWS, 1.0],
