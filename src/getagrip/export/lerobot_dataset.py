@@ -2,8 +2,8 @@
 
 An episode's files are written aside and then moved to their place, since LeRobot reads all files of its folders, also
 half of one; ``meta/info.json`` is written last: what it does not count is written anew. So an end at any time loses the
-episode at work and no other. Each record in ``meta/episodes`` has its result's clip as ``clip`` and ``train`` or ``test``
-as ``split``; ``splits`` in ``info.json`` has the ranges of both, with commas where there are several.
+episode at work and no other. Each record in ``meta/episodes`` has the clip as ``clip`` and ``train`` or ``test`` as
+``split``; ``splits`` in ``info.json`` has the ranges of both, with commas where there are several.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class Dataset:
         begin = int(self.records[-1]["dataset_to_index"]) if self.records else 0
         with leftovers.workplace(self.folder) as work:
             record = made.write(work, number, begin, tasks.index(made.task), {"clip": scene.name, "split": split})
-            for path in sorted(work.rglob("*.*")):
+            for path in filter(Path.is_file, sorted(work.rglob("*"))):
                 place = path.relative_to(work)
                 path.replace(files.folder_inside(self.folder, *place.parent.parts) / place.name)
         self.records.append(record)

@@ -32,6 +32,8 @@ FRICTION = 1.0
 """Coefficient of friction of skin and object, assumed."""
 PRESS = 0.003
 """How far the surfaces of hand and object are pressed into each other where they just touch [m]."""
+SOFT = 0.04
+"""Time constant of contact [s]: stiffer, what is pressed in too deep throws the object out."""
 OVERLAP = 0.003
 """A vertex belongs to its nearest bone, and to those that are farther by less than this [m]."""
 STEP = 0.002
@@ -132,7 +134,7 @@ def _model(
         for k, points in enumerate(meshes):
             name = f"mesh_{n}_{k}"
             spec.add_mesh(name=name, uservert=points.ravel())
-            shape = {"type": library.mjtGeom.mjGEOM_MESH, "meshname": name, "condim": 4}
+            shape = {"type": library.mjtGeom.mjGEOM_MESH, "meshname": name, "condim": 4, "solref": [SOFT, 1.0]}
             body.add_geom(**shape, friction=[FRICTION, 0.005, 1e-4], **kind)
         weld = spec.add_equality(
             type=library.mjtEq.mjEQ_WELD, objtype=library.mjtObj.mjOBJ_BODY, name1=f"target_{n}", name2=f"body_{n}",
