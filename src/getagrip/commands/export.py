@@ -29,8 +29,8 @@ class Export(Command):
     to: Annotated[str, arg(metavar="FORMAT", help_behavior_hint=_others)] = ""
     """csv: a table of poses; npz: arrays; obj: posed meshes, one per frame; glb: glTF, animated, for Blender and
     browsers; bop: files of the BOP benchmark; usd: a USD stage, animated; mujoco: an MJCF scene to
-    replay and to simulate; lerobot: a dataset; mcap: a log for Foxglove; spider: keypoint trajectories; dex-retargeting: joints and object
-    poses, z up."""
+    replay and to simulate; lerobot: a dataset; mcap: a log for Foxglove; spider: keypoint trajectories;
+    dex-retargeting: joints and object poses, z up."""
     out: OptionalFolder = None
     """Folder of the exports, each in a folder named as its result's. Otherwise RESULT/export-FORMAT."""
     one_dataset: Flag = False

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ReplayResults(Command):
-    """Simulate results in MuJoCo: the hand moves as it was reconstructed, the object is let go. Print how long it stays.
+    """Simulate results in MuJoCo: the hand moves as it was reconstructed, the object is let go. Print where it stays.
 
     Friction, mass and softness are assumed.
     """

@@ -34,6 +34,8 @@ PRESS = 0.003
 """How far the surfaces of hand and object are pressed into each other where they just touch [m]."""
 SOFT = 0.04
 """Time constant of contact [s]: stiffer, what is pressed in too deep throws the object out."""
+FEWEST = 4
+"""Least number of vertices of a part of the hand, so that it has an inside."""
 OVERLAP = 0.003
 """A vertex belongs to its nearest bone, and to those that are farther by less than this [m]."""
 STEP = 0.002
@@ -100,12 +102,15 @@ def replay(scene: Scene) -> Replay:
     return Replay(T, np.linalg.norm(away, axis=-1).mean(axis=1), times > released, assumed)
 
 
-def hand_parts(scene: Scene) -> tuple[list[Float[ndarray, "n 3"]], Float[ndarray, "T 20 4 4"]]:
+def hand_parts(scene: Scene) -> tuple[list[Float[ndarray, "n 3"]], Float[ndarray, "T P 4 4"]]:
     """Split the hand's vertices by its bones into rigid parts, posed as their vertices move. Raises ``UsageError``."""
     if scene.joints is None:
         raise UsageError(f"missing joints in hand.npz of the clip {scene.name}: replay needs 21")
-    parts, poses, distance = [], [], distances(scene)
-    for own in (distance < distance.min(axis=1, keepdims=True) + OVERLAP).T:
+    distance = distances(scene)
+    near = distance < distance.min(axis=1, keepdims=True) + OVERLAP
+    near = near[:, near.sum(axis=0) >= FEWEST]
+    parts, poses = [], []
+    for own in near.T if near.size else np.ones((1, len(near)), dtype=bool):  # a coarse mesh is one part
         points = scene.hand_vertices[:, own]
         middle = points.mean(axis=1)
         parts.append(points[0] - middle[0])
@@ -115,7 +120,7 @@ def hand_parts(scene: Scene) -> tuple[list[Float[ndarray, "n 3"]], Float[ndarray
 
 
 def _model(
-    library: Any, parts: list[Float[ndarray, "n 3"]], object_: Mesh, T: Float[ndarray, "P+1 4 4"]
+    library: Any, parts: list[Float[ndarray, "n 3"]], object_: Mesh, T: Float[ndarray, "N 4 4"]
 ) -> tuple[Any, Any]:
     """Make the model, its bodies where they begin: those of the hand, then the object; MuJoCo makes points convex."""
     spec = library.MjSpec()
@@ -141,7 +146,10 @@ def _model(
             solref=[FOLLOWS, 1.0],
         )  # fmt: skip
         weld.data[:] = np.isin(np.arange(len(weld.data)), [6, 10])  # both at one place, turned by no angle
-    model = spec.compile()
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise UsageError(f"replay: MuJoCo refuses the hand or the object: {error}") from error
     data = library.MjData(model)
     library.mj_forward(model, data)
     return model, data
