@@ -30,6 +30,7 @@ from getagrip.commands.learn_poses import LearnPoses
 from getagrip.commands.new_clip import NewClip
 from getagrip.commands.reconstruct import Reconstruct
 from getagrip.commands.refine import Refine
+from getagrip.commands.replay import ReplayResults
 from getagrip.commands.report import Report
 from getagrip.commands.segment import Segment
 from getagrip.commands.stats import Stats
@@ -70,6 +71,7 @@ def commands(imports: Any, figures: Any) -> Any:
         | Annotated[View, subcommand("view")]
         | Annotated[figures, subcommand("figure", description="Draw figures of results, as the paper has them.")]
         | Annotated[Export, subcommand("export")]
+        | Annotated[ReplayResults, subcommand("replay")]
         | Annotated[Benches, subcommand("bench", description=BENCH)]
         | Annotated[Segment, subcommand("segment")]
         | Annotated[Study, subcommand("study")]

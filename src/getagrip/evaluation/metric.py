@@ -167,6 +167,15 @@ TRUE_SCA = Metric(
     by_contact=True, needs_truth=True, ranked=False,
 )  # fmt: skip
 
+
+def _by_replay(_: Comparison, __: ContactDefinition) -> float:
+    """Leave it out: it takes a simulation, which ``replay`` and ``bench --replay`` make."""
+    raise MissingPartError
+
+
+REPLAY = Metric("replay_stays", _by_replay, label="stays", decimals=0)
+"""Share of the frames in which the object stays in the simulated hand (``export.replay``)."""
+
 _METRICS: tuple[Metric, ...] = (
     IOU,
     Metric("iou_soft", lambda it, _: it.iou.soft),
@@ -255,6 +264,7 @@ _METRICS: tuple[Metric, ...] = (
         lambda it, _: recall.recall(it.symmetric_errors.mspd(it.clip.K), recall.PIXELS * it.clip.size[0] / 640),
         needs_truth=True,
     ),
+    REPLAY,
     Metric("frames_without_mesh", lambda it, _: float(sum(mesh is None for mesh in it.meshes)), "frames"),
     Metric("closed", lambda it, _: _closed(it)),
 )  # fmt: skip

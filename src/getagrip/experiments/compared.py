@@ -10,6 +10,7 @@ from tyro.conf import arg
 from getagrip.batch.keep import Keep
 from getagrip.errors import unknown
 from getagrip.fitting.methods import METHODS
+from getagrip.io.arguments import Flag
 
 
 def _methods(_: str) -> str:
@@ -46,6 +47,8 @@ class Compared:
     """In SCA, SCA-ADD and SCA-IOU, points of the object within MM of the hand's surface are in contact; with several
     values, rows for each. The paper uses 0 on ARCTIC."""
 
+    replay: Flag = False
+    """Also simulate each result (getagrip replay): in what share of the frames the object stays in the hand."""
     keep: Annotated[Keep, arg(name="")] = field(default_factory=Keep)
 
     def __post_init__(self) -> None:
