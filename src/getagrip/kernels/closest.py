@@ -218,7 +218,7 @@ def signed_distance(x, y, z, corners, normals, face, origin, spacing):
     dx, dy, dz = 0.0, 0.0, 0.0
     for node in range(8):
         f = int(face[i + (node & 1), j + (node >> 1 & 1), k + (node >> 2)])
-        if f == nearest or f == seen or f == seen_before:  # noqa: PLR1714 - a tuple costs a second of compiling
+        if f in (nearest, seen, seen_before):
             continue
         seen, seen_before = f, seen
         px, py, pz, on = closest_on_face(x, y, z, corners, f)

@@ -96,7 +96,7 @@ def silhouette_edges(planes, edges, R, centre, scale, sign, out):
 
 
 @kernel()
-def rasterise(uvz, edges, n_edges, closed, zoom, lines, planes, bits):
+def rasterise(uvz, edges, n_edges, closed, zoom, lines, planes, bits):  # noqa: PLR0912 - loops for slices
     """Fill the first n silhouette edges (coordinates times zoom) into bits (height, words), 64 pixels a word.
 
     lines (5, E) and planes (height, words, 4) are scratch. Pixel j of a row is bit j % 64 of word j // 64.
