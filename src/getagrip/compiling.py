@@ -48,7 +48,7 @@ LETTERS = {
     "f": types.float64, "s": types.float32, "i": types.int64, "n": types.int32, "t": types.int8, "u": types.uint64,
     "b": types.boolean,
 }  # fmt: skip
-WORDS = "kernels are compiled, once for this version: half a minute of one core"
+WORDS = "kernels are compiled, once for this version: about 20 seconds of one core"
 
 _declared: list[tuple[Any, str]] = []
 

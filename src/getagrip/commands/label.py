@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
@@ -65,19 +66,19 @@ class Label(Command):
         found, failed = self._tasks()
         for n, task in enumerate(found, start=1):
             say(f"{task.key}: draft {n} of {len(found)}")
-            failed += not self._told(task.key, lambda task=task: self._draft(task))
+            failed += not self._told(task.key, partial(self._draft, task))
         self.out.mkdir(parents=True, exist_ok=True)
         project = Project(found, Store(self.out / DATABASE), self.lens)
         try:
             for task in found:
-                failed += not self._told(task.key, lambda task=task: self._mark(project, task))
+                failed += not self._told(task.key, partial(self._mark, project, task))
             if not self.no_page:
                 size = {} if self.size_mm is None else {"size-mm": f"{self.size_mm:g}"}
                 serve(project, self.port, DRAFTER, {"mesh": self.object, **size})
             solved = []
             for grasp in project.labelled():
                 shape = Shape(self.object, self.size_mm)
-                if self._told(grasp.name, lambda grasp=grasp, shape=shape: _solve(project, grasp, shape)):
+                if self._told(grasp.name, partial(_solve, project, grasp, shape)):
                     solved.append(self.out / "results" / grasp.name)
                     say(_effort(project, grasp))
         finally:
@@ -108,10 +109,10 @@ class Label(Command):
             key = path.stem if stems[path.stem.casefold()] == 1 else path.name
             tasks.append(replace(read_tasks(path)[0], key=key))
 
-        opened = [self._told(path.name, lambda path=path: add(path)) for path in videos]
+        opened = [self._told(path.name, partial(add, path)) for path in videos]
         return tasks, opened.count(False)
 
-    def _told(self, name: str, do: Callable[[], object]) -> bool:
+    def _told(self, name: str, do: Callable[[], Any]) -> bool:
         """Do something for a video, and tell what is wrong; whether it was done."""
         from getagrip.batch.clips import print_outcome
         from getagrip.batch.job import failure
