@@ -26,6 +26,7 @@ from getagrip.commands.draft import Draft
 from getagrip.commands.epic_candidates import EpicCandidates
 from getagrip.commands.evaluate import Evaluate
 from getagrip.commands.export import Export
+from getagrip.commands.label import Label
 from getagrip.commands.learn_poses import LearnPoses
 from getagrip.commands.new_clip import NewClip
 from getagrip.commands.reconstruct import Reconstruct
@@ -59,6 +60,7 @@ def commands(imports: Any, figures: Any) -> Any:
         Annotated[Demo, subcommand("demo")]
         | Annotated[Doctor, subcommand("doctor")]
         | Annotated[Draft, subcommand("draft")]
+        | Annotated[Label, subcommand("label")]
         | Annotated[NewClip, subcommand("clip new")]
         | Annotated[Annotate, subcommand("annotate")]
         | Annotated[imports, subcommand("import", description="Import datasets, hands or masks.")]
