@@ -1,8 +1,9 @@
 """Why HOMan does better here than in the paper: ``python -m benchmarks.homan_gap NAME CLIPS [N [WORKERS]]``.
 
-N clips with ground truth, evenly sampled; ``NAME`` begins the table's name, starts are learnt from all clips. From our HOMan, one step more in each row leads to what the
-paper's authors will have run: the paper's starting poses, HOMan's own choice of one track, its weights of smoothness
-and interaction, converted (docs/method.md). Contact is measured within 10 mm, and at 0 mm as in the paper.
+N clips with ground truth, evenly sampled; ``NAME`` begins the table's name, and starts are learnt from all clips. From
+our HOMan, one step more in each row leads to what the authors will have run: the paper's starts, HOMan's own choice of
+one track, stiffer tracks up to its weights of smoothness and interaction, converted (docs/method.md). Contact is
+measured within 10 mm, and at 0 mm as in the paper.
 """
 
 from __future__ import annotations
