@@ -64,7 +64,7 @@ def write_demos(root: Path) -> None:
     """HaMeR's records and FrankMocap's pickles of each clip's frames, by their own formulas, in images of 456 x 256."""
     for category, (side, first) in CATEGORIES.items():
         model, shaped = posed(root / "mano", side)
-        s, centre, size = 9.0, np.array([200.0, 136.0]), 100.0
+        s, centre, size = 6.0, np.array([200.0, 136.0]), 130.0
         for n in range(LENGTH):
             shift = np.array([1.6 * n / size, 0.0])
             R = se3.exp_so3(np.array([0.2, 0.03 * n, 0.1]))
@@ -86,7 +86,12 @@ def write_demos(root: Path) -> None:
                 "pred_hand_betas": np.ones((1, 10)), "pred_vertices_smpl": vertices,
             }  # fmt: skip
             hands = {"left_hand": {}, "right_hand": {}} | {f"{side}_hand": record}
-            content = {"image_path": "x.jpg", "demo_type": "hand", "hand_bbox_list": [None], "pred_output_list": [hands]}
+            content = {
+                "image_path": "x.jpg",
+                "demo_type": "hand",
+                "hand_bbox_list": [None],
+                "pred_output_list": [hands],
+            }
             frank = root / "frankmocap" / clip_name(category)
             frank.mkdir(parents=True, exist_ok=True)
             path = frank / f"frame_{first + n:010d}_prediction_result.pkl"
