@@ -42,6 +42,8 @@ from getagrip.errors import GetagripError, UsageError, cleaned, unknown
 from getagrip.io.arguments import PATHS
 from getagrip.io.choices import explain_all
 from getagrip.io.terminal import Silence
+from getagrip.reproduction.arctic import ReproduceArctic
+from getagrip.reproduction.epic import ReproduceEpic
 
 DESCRIPTION = (
     "Reconstruct where an object is in the hand that holds it, in every frame of a video, from hand poses, masks and "
@@ -75,6 +77,8 @@ def commands(imports: Any, figures: Any) -> Any:
         | Annotated[Export, subcommand("export")]
         | Annotated[ReplayResults, subcommand("replay")]
         | Annotated[Benches, subcommand("bench", description=BENCH)]
+        | Annotated[ReproduceEpic, subcommand("reproduce epic-grasps")]
+        | Annotated[ReproduceArctic, subcommand("reproduce arctic-grasps")]
         | Annotated[Segment, subcommand("segment")]
         | Annotated[Study, subcommand("study")]
         | Annotated[Stats, subcommand("stats")]
