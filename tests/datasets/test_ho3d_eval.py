@@ -1,4 +1,4 @@
-"""``bench ho3d-eval`` on a forged sequence: whole, with masks given and estimated, with the scene's depth and without."""
+"""``bench ho3d-eval`` on a forged sequence: whole, masks given and estimated, with and without the scene's depth."""
 
 from __future__ import annotations
 

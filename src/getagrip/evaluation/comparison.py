@@ -181,18 +181,18 @@ class Comparison:
     @cached_property
     def vsd_recall(self) -> Float[ndarray, "T"]:
         """BOP's recall of the visible surface, in the frames with a depth image; none without a sensor's depth."""
-        clip, scale = self.clip, self.true_in_camera.scale
+        clip = self.clip
         found = np.full(len(clip), np.nan)
         for n, (image, K) in sensor_images(clip):
             size = image.shape[::-1]
             rays = visible_surface.ray_lengths(K, size)
-            drawn = []
-            for track in (self.predicted_in_camera, self.true_in_camera):
-                vertices = track.scale * clip.mesh.vertices
-                z = depth_and_face(se3.transform(track.T_ref_obj[n], vertices), clip.mesh.faces, K, size)[0]
-                drawn.append(rays * np.where(np.isfinite(z), z, 0.0))
-            tolerances = visible_surface.SHARES * clip.mesh.diameter * scale
-            found[n] = visible_surface.recall(visible_surface.discrepancy(*drawn, rays * image, tolerances))
+            predicted, true = (
+                depth_and_face(track.placed(clip.mesh.vertices)[n], clip.mesh.faces, K, size)[0]
+                for track in (self.predicted_in_camera, self.true_in_camera)
+            )
+            predicted, true = (rays * np.where(np.isfinite(z), z, 0.0) for z in (predicted, true))
+            tolerances = visible_surface.SHARES * clip.mesh.diameter * self.true_in_camera.scale
+            found[n] = visible_surface.recall(visible_surface.discrepancy(predicted, true, rays * image, tolerances))
         if np.isnan(found).all():
             raise MissingPartError
         return found
