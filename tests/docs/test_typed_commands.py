@@ -52,7 +52,11 @@ def options(kind: Any) -> set[str]:
 
 def parts(hint: Any) -> list[Any]:
     """The dataclasses in a type."""
-    return [hint] if isinstance(hint, type) and is_dataclass(hint) else [part for each in get_args(hint) for part in parts(each)]
+    return (
+        [hint]
+        if isinstance(hint, type) and is_dataclass(hint)
+        else [part for each in get_args(hint) for part in parts(each)]
+    )
 
 
 @pytest.fixture(scope="module")

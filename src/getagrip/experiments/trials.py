@@ -31,7 +31,10 @@ from getagrip.probability import read_probability
 from getagrip.result import Reconstruction, read_record, software, write_result
 
 EVALUATION = "evaluation"
-CHANGES = tuple(f"experiments/{name}.py" for name in ("changes", "hand_sources", "wrong_inputs"))
+CHANGES = tuple(
+    f"experiments/{name}.py"
+    for name in ("changes", "hand_sources", "other_masks", "simulated_evidence", "wrong_inputs")
+)
 SYSTEMS = (EVALUATION, "experiments/other_systems.py")
 """Code that results depend on, besides that of a reconstruction: the metrics in them; those of changed clips; those of
 other systems."""
