@@ -110,7 +110,6 @@ def _things(folder: Path, request: MaskRequest, things: Sequence[str]) -> MaskRe
 
 
 def _labels(folder: Path, paths: Sequence[Path], request: MaskRequest) -> MaskReader:
-    """Open a folder of label images."""
     choose, notes = LabelChoice(request), Counter[str]()
     frames, load = _images(folder, request, notes, paths)
     sharp = sharpened(load, frames, notes, choose.object, bool(choose.ignore or choose.hand))

@@ -29,9 +29,8 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.timelines.between import fill_between
 from getagrip.timelines.following import Paths, follow
 from getagrip.timelines.footage import Footage, Grasp
-from getagrip.timelines.grasp_segment import GraspSolutions, Neighbour, fit_in_all_frames, most, solve_grasp
+from getagrip.timelines.grasp_segment import SLIP, GraspSolutions, Neighbour, fit_in_all_frames, most, solve_grasp
 from getagrip.timelines.hypotheses import Hypotheses
-from getagrip.timelines.link_term import SLIP
 from getagrip.timelines.motion import Motion, split_at_gaps
 from getagrip.timelines.settled import LEAST_JITTER, depth_jitter, settle
 from getagrip.timelines.static_pose import frames_to_fit, static_hypotheses
