@@ -113,7 +113,7 @@ def source(estimated: Mapping[Where, Calibration], keeping: Kept) -> str:
     fitted = "".join(map(entry, estimated.values()))
     kept = "".join(f"    {key!r}: {_literal(one)},\n" for key, one in keeping.items())
     return (
-        '"""The probability for estimated hands, and the thresholds of all kinds of input; written by ``python -m '
+        '"""The probability for estimated hands, and thresholds by kind of input; written by ``python -m '
         f'benchmarks.kept``.\n\nMade {made}.\n"""\n\n'
         "from getagrip.checks.calibration import Calibration, Weight, Where\n"
         "from getagrip.checks.keeping import InputKind, Keeping\n\n"

@@ -1,4 +1,4 @@
-"""The probability for estimated hands, and the thresholds of all kinds of input; written by ``python -m benchmarks.kept``.
+"""The probability for estimated hands, and thresholds by kind of input; written by ``python -m benchmarks.kept``.
 
 Made 2026-11-25, commit 472c0eab.
 """
