@@ -21,13 +21,17 @@ from getagrip.checks.signs import (
     HAND_SIGNS,
     SIGNS,
     contact_gap,
+    depth_images,
     energy_gap,
+    joint_error,
     mask_misfit,
     off_axis_turn,
+    penetration,
     pose_spread,
     read_signs,
     solution_spread,
 )
+from getagrip.clip.depth import Depth, DepthSource
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.finding import Finding
@@ -113,6 +117,27 @@ def test_solutions_are_apart_vertex_by_vertex_up_to_symmetries() -> None:
         candidates = Candidates(np.stack([it.poses, it.poses @ moved]), np.ones(2), np.array([100.0, 101.0]))
         of_can = replace(it, clip=replace(it.clip, mesh=can.mesh), candidates=candidates)
         assert of_can.vertices_apart(1) == pytest.approx(far, abs=0.01)
+
+
+def test_signs_of_the_evidence_on_a_hand_count_what_there_is() -> None:
+    it = mug()
+    errors = [joint_error(replace(it, joint_error=error)) for error in (0.01, 0.05, 0.1, np.nan)]
+    assert errors == sorted(errors), "no joints are worse than bad ones"
+    assert depth_images(it) == 0.0
+    z, corner, stride = np.ones((4, 8, 8)), np.zeros((4, 2), dtype=int), np.ones(4, dtype=int)
+    for made_by, value in (("network", 1.0), ("sensor", 2.0)):
+        depth = Depth(z, corner, stride, it.clip.size, DepthSource("metric", made_by))
+        with_depth = replace(it.clip, evidence={**it.clip.evidence, "depth": depth})
+        assert depth_images(replace(it, clip=with_depth)) == value
+
+
+def test_penetration_is_that_of_the_deepest_point_in_diameters() -> None:
+    it = mug()
+    apart, into = (replace(it, T_hand_obj=se3.rigid(None, shift) @ it.poses) for shift in np.diag([1.0, 0.02, 0.0])[:2])
+    assert penetration(apart) == pytest.approx(np.log(0.01))
+    for one in (it, into):
+        deepest = np.exp(penetration(one)) - 0.01
+        assert deepest == pytest.approx(np.maximum(-one.to_object.min(axis=1), 0.0).mean() / it.diameter)
 
 
 def test_the_same_solution_twice_is_no_other_one() -> None:
