@@ -32,63 +32,50 @@ PRIOR = 0.5
 """Weight of the prior against what it has in the hand's refinement: clips differ in how far their hands are off, so
 that its tails are heavier than a square's. Chosen on training clips."""
 TAIL = 2.0
-"""Degrees of freedom by which shift, turn and depth may each be off, in a clip, by more than is assumed."""
+"""Degrees of freedom of Student's t: a clip's shift, turn and depth may each be off by more than is assumed."""
 ESTIMATED = ASSUMED["estimated"]
-LEVEL, TRIED, ITERATIONS, AGAIN = 128, 2, 8, (4, 4)
-"""Resolution [px]; hypotheses of the object that are tried; most iterations, and those of each round under a prior that
-is as wide as the errors before."""
+LEVEL, ITERATIONS, AGAIN = 128, 8, (4, 4)
+"""Resolution [px]; most iterations, and those of each round under a prior that is as wide as the errors before."""
 
 
 def solve_with_hand(problem: Problem, motion: M, energy_of: EnergyOf) -> tuple[SolvedHand, M]:
-    """Solve the first hypotheses together with the hand; return the hand of the best, and all motions in it.
+    """Solve the first hypothesis together with the hand; return the hand, and the motions in it.
 
-    The other hypotheses go with that hand. The hand of the problem was refined (``Problem.refinement``).
+    The other hypotheses go with the hand. The hand of the problem was refined (``Problem.refinement``).
     """
     refinement = problem.refinement
     assert refinement is not None
     given, nat = problem.with_input_hand(), energy_of_nat(problem)
     frames, T_input = np.arange(len(given.clip)), given.clip.hand.T_cam_hand
     terms = plus(energy_of(given), evidence_on_hand(given))(LEVEL, frames)
-    count = np.arange(len(motion.poses().scale))
-    start = _moving(refinement, motion.take(count[:TRIED]), nat)
+    start = _moving(refinement, motion.take(np.zeros(1, int)), nat)
     found = minimise(start, terms, T_input, ITERATIONS)
-    best = np.array([found.energy.argmin()])
-    start, found, rest = start.take(best), found.take(best), motion.take(np.delete(count, best))
     for iterations in AGAIN:
-        found = minimise(_widened(found.motion, start.assumed), terms, T_input, iterations)
+        assumed = start.assumed.widened(found.motion.constant[0], found.motion.own[0], TAIL)
+        found = minimise(replace(found.motion, assumed=assumed), terms, T_input, iterations)
     x = _errors(found.motion, refinement)
     begun = evaluate(start, terms, T_input, np.full(1, np.inf)).values[0]
     names = [term.name for term in terms if isinstance(term, OnHand)]
     before = dict(zip((term.name for term in terms), begun, strict=False))
     energy = {name: (float(before[name]), float(found.terms[name][0])) for name in names}
     covariance = nat * _covariance(found.motion, inverse_of_shared(found.motion, terms, T_input, last=8))
+    rest = np.arange(1, len(motion.poses().scale))
     seen = refinement.seen
     hand = SolvedHand(seen.errors.T_cam_hand(x), covariance, energy, seen.share(x))
-    return hand, found.motion.core.concatenate(rest)
+    return hand, found.motion.core.concatenate(motion.take(rest))
 
 
 def _moving(refinement: HandRefinement, motion: M, nat: float) -> MovingHand[M]:
-    """Put motions into the refined hand."""
+    """Put a motion into the refined hand."""
     hand, (bias, jitter) = refinement.seen.errors.tracked, (ESTIMATED.bias, ESTIMATED.jitter)
     constant = np.concatenate([bias[SHIFT], bias[TURN], [DEPTH[0], bias[SIZE]]])
     own = np.concatenate([jitter[SHIFT], jitter[TURN], [DEPTH[1]]])
-    a, b, B = refinement.shared, refinement.own, len(motion.poses().scale)
-    refined = np.concatenate([a[SHIFT], a[TURN], [0.0, a[SIZE] + b[:, SIZE].mean()]])
-    each = np.concatenate([b[:, SHIFT], b[:, TURN], np.zeros((len(b), 1))], axis=1)
+    a, b = refinement.shared, refinement.own
     return replace(
         MovingHand.around(motion, HandPrior.of(hand, constant, own, PRIOR * nat)),
-        constant=np.tile(refined, (B, 1)), own=np.tile(each, (B, 1, 1)),
-    )  # fmt: skip
-
-
-def _widened(motion: MovingHand[M], assumed: HandPrior) -> MovingHand[M]:
-    """Widen the prior of the one hypothesis to its errors, by Student's t: clips differ in how far hands are off."""
-    constant, own = assumed.constant.copy(), assumed.own.copy()
-    for deviation, errors in ((constant, motion.constant), (own, motion.own[0])):
-        for part in (moving_hand.SHIFT, moving_hand.TURN, [moving_hand.DEPTH]):
-            squares = (errors[:, part] / deviation[part]) ** 2
-            deviation[part] *= np.sqrt(max(1.0, (TAIL + squares.sum()) / (TAIL + squares.size)))
-    return replace(motion, assumed=replace(assumed, constant=constant, own=own))
+        constant=np.concatenate([a[SHIFT], a[TURN], [0.0, a[SIZE] + b[:, SIZE].mean()]])[None],
+        own=np.concatenate([b[:, SHIFT], b[:, TURN], np.zeros((len(b), 1))], axis=1)[None],
+    )
 
 
 def _errors(motion: MovingHand[M], refinement: HandRefinement) -> Float[ndarray, "N P"]:
