@@ -18,6 +18,7 @@ from getagrip.batch.kept import good_result, made_by
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
 from getagrip.errors import InputError
 from getagrip.evaluation.metric import METRICS, REPLAY, SCA
+from getagrip.evaluation.own_hands import keep_hands
 from getagrip.experiments.changes import UNCHANGED
 from getagrip.experiments.other_systems import options_of, result_of
 from getagrip.experiments.trial import ClipScores, Trial
@@ -30,7 +31,10 @@ from getagrip.probability import read_probability
 from getagrip.result import Reconstruction, read_record, software, write_result
 
 EVALUATION = "evaluation"
-CHANGES = tuple(f"experiments/{name}.py" for name in ("changes", "hand_sources", "wrong_inputs"))
+CHANGES = tuple(
+    f"experiments/{name}.py"
+    for name in ("changes", "hand_sources", "other_masks", "simulated_evidence", "wrong_inputs")
+)
 SYSTEMS = (EVALUATION, "experiments/other_systems.py")
 """Code that results depend on, besides that of a reconstruction: the metrics in them; those of changed clips; those of
 other systems."""
@@ -150,6 +154,8 @@ def _try(trial: GraspTrial, variant: Variant, changed: tuple[Clip, Masks], masks
         if trial.replay:
             metrics[REPLAY.name] = replay(Scene.of(result, clip)).stays if clip.hand.joints is not None else np.nan
         write_result(result, place, checksum, metrics, clip.folder, overwrite=True, made_by=_made_by(variant))
+        if variant.change.other_hands:
+            keep_hands(clip, place, input_sha256(clip.origin))
     except Exception as error:
         if isinstance(error, InputError) and variant.system is None:
             raise

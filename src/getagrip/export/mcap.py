@@ -57,9 +57,6 @@ CALIBRATION = _object(
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
     """Write ``scene.mcap`` and meshes. Raises ``UsageError`` without mcap, ``InputError`` for unreadable images."""
-    import trimesh
-    from trimesh.exchange.gltf import export_glb
-
     writing = extras.load("mcap.writer", "mcap")
     stage, channels = Stage.of(scene), dict[str, int]()
     with files.new_file(folder / FILE) as path, path.open("wb") as stream:
@@ -77,8 +74,10 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     meshes = {"object.glb": (scene.object.vertices, scene.object.faces)}
     meshes |= {f"{hand.name}.glb": (hand.vertices[0], hand.faces) for hand in scene.hands}
     for name, (vertices, faces) in meshes.items():
-        mesh = trimesh.Trimesh(vertices, faces, process=False)
-        files.write_bytes(folder / name, export_glb(trimesh.Scene(mesh)))  # type: ignore[no-untyped-call]
+        import trimesh
+
+        scene_file: Any = trimesh.Trimesh(vertices, faces, process=False).export(file_type="glb")
+        files.write_bytes(folder / name, scene_file)
     about = {name: f"the mesh in the frame {name[:-4]}, axes as they are; metres" for name in meshes}
     hands = {name: f"{words}; as it is bent in the first frame" for name, words in about.items() if "hand" in name}
     return {FILE: f"JSON by Foxglove's schemas; {stage.words}; quaternions (x, y, z, w)", **about, **hands}
