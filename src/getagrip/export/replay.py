@@ -31,7 +31,7 @@ from getagrip.io import extras
 FRICTION = 1.0
 """Coefficient of friction of skin and object, assumed."""
 PRESS = 0.003
-"""How far the surfaces of hand and object are pressed into each other where they just touch [m]."""
+"""Depth by which the surfaces of hand and object are pressed into each other where they just touch [m]."""
 SOFT = 0.04
 """Time constant of contact [s]: stiffer, what is pressed in too deep throws the object out."""
 FEWEST = 4
