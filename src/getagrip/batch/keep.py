@@ -24,8 +24,8 @@ class Keep:
     """Which results are kept. Raises ``UsageError``."""
 
     keep: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="(default: no result is marked)")] = None
-    """Mark each result as kept or dropped, such that at least this share of the kept ones (0.5 to 0.98) is right. Nothing
-    is deleted."""
+    """Mark each result as kept or dropped, such that at least this share of the kept ones (0.5 to 0.98) is right.
+    Nothing is deleted."""
     keep_in: Literal["hand", "camera"] = "hand"
     """Frame in which kept results must be right."""
 
