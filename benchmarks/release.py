@@ -24,13 +24,18 @@ BENCHES = {
     "dexycb-evidence": f"{DEXYCB} --ablation evidence",
     "dexycb-hand-noise": f"{DEXYCB} --ablation hand-noise",
     "synthetic-methods": "getagrip bench synthetic --clips 99 --out out/synthetic",
-    "dexycb-segments-none": "getagrip bench dexycb-segments --root DEXYCB --meshes YCB --out out/dexycb-segments",
+    "dexycb-segments-none": "getagrip bench dexycb-segments --root DEXYCB --meshes YCB --clips 48 "
+    "--out out/dexycb-segments",
     "dexycb-timelines-exact": "getagrip bench dexycb-timelines --root DEXYCB --meshes YCB --preset exact "
-    "--out out/dexycb-timelines",
+    "--clips 48 --out out/dexycb-timelines",
     "dexycb-other-final": "getagrip bench dexycb --root OTHER --meshes YCB --split all --out out/dexycb-other "
     "--ablation final",
 }
-"""By the name of the table that each makes."""
+"""By the name of the table that each makes.
+
+Estimated for idle cores, in minutes of one: 21, 6, 25, 15, 8, 8, 6 and 22, and 6 for the imports. A row of a clip takes
+0.5 to 1 s, with other evidence 1.4 to 2.5 s (medians in ``results/``), a sequence 4 s in each direction.
+"""
 
 
 def main(words: Sequence[str]) -> int:

@@ -37,7 +37,7 @@ VERBS = re.findall(
     Raise Rank Read Reconstruct Reduce Refine Refuse Remove Render Repair Replace Report Resample Resolve Return
     Reverse Rotate Run Sample Say Scale Score Search Segment Select Send Serve Set Shift Shorten Show Shrink
     Simplify Simulate Skip Smooth Solve Split Stack Start Strike Strip Study Subdivide Sum Summarise Take Trace Track
-    Transform Triangulate Turn Unpack Wait Write Yield
+    Transform Triangulate Turn Unpack Wait Widen Write Yield
     """,
 )
 """The words with which public functions begin. A new one is added here, if it is an imperative."""

@@ -24,10 +24,10 @@ class Keep:
     """Which results are kept. Raises ``UsageError``."""
 
     keep: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="(default: no result is marked)")] = None
-    """Mark results as kept or dropped, so that at least this share of the kept ones is right, 0.5 to 0.98. Nothing is
-    deleted."""
+    """Mark each result as kept or dropped, such that at least this share of the kept ones (0.5 to 0.98) is right.
+    Nothing is deleted."""
     keep_in: Literal["hand", "camera"] = "hand"
-    """Frame in which they are to be right."""
+    """Frame in which kept results must be right."""
 
     def __post_init__(self) -> None:
         if self.keep is not None and not LOWEST <= self.keep <= HIGHEST:

@@ -63,8 +63,8 @@ class Share:
     """
 
     workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core)")] = None
-    """Number of processes. Up to three clips, or parts of a dataset, are processed without starting others. Default on
-    a Ray cluster: its CPUs; on Slurm: 64 array tasks."""
+    """Number of processes. Up to three clips, or parts of a dataset, run in the command's own process. Default on a Ray
+    cluster: its CPUs; on Slurm: 64 array tasks."""
     engine: Literal["local", "ray", "slurm"] = "local"
     """Executor of the jobs: this machine, a Ray cluster, or Slurm's array jobs. All machines must see inputs and
     outputs under the same paths."""
@@ -138,7 +138,7 @@ class Batch:
     """Threads for each clip, to get a single clip sooner; many clips are faster with --workers. Results are
     bit-equal."""
     overwrite: Flag = False
-    """Make valid results again, too."""
+    """Recompute valid results, too."""
     strict: Flag = False
     """Exit with 1 also if a check has a serious finding (the result is probably worthless), or a result is less
     probable than --min-probability."""

@@ -42,7 +42,7 @@ class GraspCommand(Command):
     json: OptionalFile = None
     """Write every number here, unrounded."""
     workers: Workers = None
-    """Processes to share the clips between."""
+    """Number of processes."""
 
     def cut(self) -> Cut:
         """Return the rule by which the clips are cut to grasps."""

@@ -20,7 +20,7 @@ from getagrip.io.terminal import say
 
 @dataclass(frozen=True, kw_only=True)
 class View(Command):
-    """Play results and clips in 3D, on a page that only those who have its address can open."""
+    """Play results and clips in 3D on a local page, which opens only at its secret address."""
 
     paths: Annotated[Positional[tuple[Path, ...]], arg(metavar="PATH...", help_behavior_hint="")] = ()
     """Results, clips, or folders of them. Results of one clip are shown side by side; several clips are listed, the
