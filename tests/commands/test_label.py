@@ -1,4 +1,4 @@
-"""``getagrip label`` on a folder of videos: each is drafted once, trouble with one is reported, labels become a dataset."""
+"""``getagrip label``: each video is drafted once, trouble with one is reported, and labels become a dataset."""
 
 from __future__ import annotations
 
