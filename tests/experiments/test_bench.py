@@ -16,6 +16,7 @@ from getagrip.clip import Clip, read_clip, write_clip
 from getagrip.clip.writing import write_hand
 from getagrip.errors import GetagripError
 from getagrip.evaluation import evaluate_result
+from getagrip.evaluation.results import read_evaluated
 from getagrip.experiments import trials
 from getagrip.experiments.hand_sources import HandSource
 from getagrip.experiments.trials import Scores
@@ -119,6 +120,40 @@ def test_results_of_other_systems_are_rows(can_and_box: Path, tmp_path: Path, ru
 
 
 @pytest.mark.slow
+def test_other_systems_poses_are_refined_and_result_folders_keep_their_columns(
+    can_and_box: Path, tmp_path: Path, run: Run
+) -> None:
+    out, theirs = tmp_path / "out", tmp_path / "theirs"
+    theirs.mkdir()
+    for folder in sorted(can_and_box.iterdir()):
+        clip = read_clip(folder)
+        assert clip.truth is not None
+        T = clip.truth.T_cam_obj.copy()
+        T[:, :3, 3] *= 1.03  # a tracker with a mesh of another size
+        np.save(theirs / f"{clip.name}.npy", T)
+    call = ("bench", can_and_box, "--workers", "1", "--inits", "4", "--methods", "soft-hinge")
+    assert run(*call, "--out", out, "--with", f"theirs={theirs}", "--refine")[0] == 0
+
+    def rows(of: Path) -> dict[tuple[str, str], dict[str, str]]:
+        lines = csv.DictReader((of / "methods-clips.csv").read_text().splitlines())
+        return {(row["clip"], row["setting"]): row for row in lines}
+
+    first = rows(out)
+    for clip in ("box-right-0000", "can-right-0000"):
+        before, after = (float(first[clip, s]["add_sym_mm"]) for s in ("theirs", "theirs, refined"))
+        assert after < before
+    again = tmp_path / "again"
+    assert run(*call, "--out", again, "--with", f"kept={out / 'results' / 'theirs+refined'}")[0] == 0
+    for (clip, setting), row in rows(again).items():
+        if setting == "kept":
+            assert {**row, "method": "", "setting": ""} == {
+                **first[clip, "theirs, refined"],
+                "method": "",
+                "setting": "",
+            }
+
+
+@pytest.mark.slow
 def test_an_ablation_changes_clips_and_draws_a_plot(can_and_box: Path, tmp_path: Path, run: Run) -> None:
     call = ("bench", can_and_box, "--out", tmp_path, "--workers", "1", "--inits", "4", "--clips", "1")
     status, _, _ = run(*call, "--ablation", "mask-noise", "--methods", "static")
@@ -176,6 +211,12 @@ def test_hands_are_compared_on_the_frames_that_all_have(can_and_box: Path, tmp_p
     for variant in ("static+hands-exact", "static+hands-off"):
         assert read_result(out / "results" / variant / clip.name)[0].frames == clip.frames[1:]
     assert run(*call, "--hands", *sources)[1].count("0 done, 2 already done") == 1
+    # The hands are kept beside the results, so that these can be evaluated and drawn.
+    results = [out / "results" / f"static+hands-{name}" / clip.name for name in ("exact", "off")]
+    exact, off = (read_evaluated(folder)[1].hand for folder in results)
+    np.testing.assert_array_equal(exact.T_cam_hand, clip.hand.T_cam_hand[1:])
+    assert np.abs(off.T_cam_hand - exact.T_cam_hand).max() > 1e-3
+    assert run("figure", "hands", *results, "--out", tmp_path / "hands.png", "--dpi", 40, "--frames", 1)[0] == 0
     hand_file(tmp_path / "off", clip, [1, 2], mm=6.0)  # its hands are others now
     assert run(*call, "--hands", *sources)[1].count("2 done, 0 already done") == 1
     assert read_result(out / "results" / "static+hands-exact" / clip.name)[0].frames == clip.frames[1:3]

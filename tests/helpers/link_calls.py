@@ -43,7 +43,7 @@ MASKS = "--object 1 --ignore 2"
 NEW_FRAMES = f"--side right --frames 3 8 --size 64 48 --K {' '.join(K)} --overwrite"
 BENCH = "--out out --workers 1 --methods static"
 BENCHED = ("dexycb",)
-EXPORTS = {"usd": "pxr", "mujoco": "mujoco", "lerobot": "pyarrow"}
+EXPORTS = {"usd": "pxr", "mujoco": "mujoco", "lerobot": "pyarrow", "mcap": "mcap"}
 """Formats that need a library."""
 CALLS: dict[str, Sequence[str]] = {
     "demo": ["--out out"],
@@ -85,6 +85,7 @@ CALLS: dict[str, Sequence[str]] = {
         *(f"results --to {to} --out out" for to, library in EXPORTS.items() if find_spec(library)),
         *["results --to lerobot --out out --one-dataset"] * (find_spec("pyarrow") is not None),
     ],
+    "replay": ["results --json new/out.json"] * (find_spec("mujoco") is not None),
     "bench clips": [f"clips {BENCH} --json out.json", f"clips {BENCH} --ablation mask-noise"],
     "bench synthetic": [f"{BENCH} --clips 1"],
     **{f"bench {name}": [f"--root root {BENCH} --split all"] for name in BENCHED},
