@@ -18,7 +18,7 @@ from getagrip.commands.export import Export
 from getagrip.errors import UsageError
 from getagrip.geometry.lens import Lens
 from getagrip.io.arguments import Flag, Folder, OptionalFolder
-from getagrip.io.terminal import counted, report, say
+from getagrip.io.terminal import counted, say
 
 if TYPE_CHECKING:
     from getagrip.annotate.grasp import Grasp
@@ -156,7 +156,7 @@ def _solve(project: Project, grasp: Grasp, shape: Shape) -> None:
 
     if not project.labelling.is_solved(grasp):
         with progress_bar() as bar:
-            report(project.labelling.solve(grasp, shape, JobOnBar(bar, grasp.name)))
+            say(project.labelling.solve(grasp, shape, JobOnBar(bar, grasp.name)))
 
 
 def _effort(project: Project, grasp: Grasp) -> str:
