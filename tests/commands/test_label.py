@@ -1,4 +1,4 @@
-"""Labelling all videos of a folder: each is drafted once, what fails of one is told, and labels become a dataset."""
+"""``getagrip label``: each video is drafted once, trouble with one is reported, and labels become a dataset."""
 
 from __future__ import annotations
 

@@ -44,9 +44,10 @@ def options(kind: Any) -> set[str]:
         return {name.replace("_", "-") for name in own}
     found: set[str] = set()
     for one in own & hints.keys():
-        about = [getattr(each, "name", None) for each in getattr(hints[one], "__metadata__", ())]
-        name = next(filter(None, about), one)
-        found |= {name.replace("_", "-")}.union(*(options(part) for part in parts(hints[one])))
+        about = getattr(hints[one], "__metadata__", ())
+        name = next(filter(None, (getattr(each, "name", None) for each in about)), one)
+        aliases = {alias.lstrip("-") for each in about for alias in getattr(each, "aliases", None) or ()}
+        found |= aliases.union({name.replace("_", "-")}, *(options(part) for part in parts(hints[one])))
     return found
 
 

@@ -1,4 +1,4 @@
-"""What is labelled: a finished grasp or a whole interaction that somebody has marked, and its footage."""
+"""A finished grasp or a whole interaction that somebody has marked, and its footage."""
 
 from __future__ import annotations
 

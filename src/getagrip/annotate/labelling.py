@@ -52,6 +52,8 @@ class Labelling:
         """Return the hands that were found in its footage: in its draft's folder, else in the one beside the marks."""
         own = self.out / DRAFTS / grasp.task.key / FOLDER
         folder = own if own.is_dir() else self.out / FOLDER
+        if not folder.is_dir():  # it may come
+            return FoundHands(folder)
         return self._found.setdefault(folder, FoundHands(folder))
 
     def state(self, grasp: Grasp) -> dict[str, object]:

@@ -18,7 +18,7 @@ from getagrip.commands.export import Export
 from getagrip.errors import UsageError
 from getagrip.geometry.lens import Lens
 from getagrip.io.arguments import Flag, Folder, OptionalFolder
-from getagrip.io.terminal import counted, report, say
+from getagrip.io.terminal import counted, say
 
 if TYPE_CHECKING:
     from getagrip.annotate.grasp import Grasp
@@ -57,7 +57,7 @@ class Label(Command):
     """Port of the page on 127.0.0.1."""
 
     def run(self) -> int:
-        """Label the videos; 1 where one of them failed, else 0. What fails of one is told and ends no other."""
+        """Run all steps; return 1 where one video failed, else 0. What fails of one is reported and ends no other."""
         from getagrip.annotate.project import Project
         from getagrip.annotate.reconstruction import Shape
         from getagrip.annotate.store import Store
@@ -66,19 +66,19 @@ class Label(Command):
         found, failed = self._tasks()
         for n, task in enumerate(found, start=1):
             say(f"{task.key}: draft {n} of {len(found)}")
-            failed += not self._told(task.key, partial(self._draft, task))
+            failed += not self._does(task.key, partial(self._draft, task))
         self.out.mkdir(parents=True, exist_ok=True)
         project = Project(found, Store(self.out / DATABASE), self.lens)
         try:
             for task in found:
-                failed += not self._told(task.key, partial(self._mark, project, task))
+                failed += not self._does(task.key, partial(self._mark, project, task))
             if not self.no_page:
                 size = {} if self.size_mm is None else {"size-mm": f"{self.size_mm:g}"}
                 serve(project, self.port, DRAFTER, {"mesh": self.object, **size})
             solved = []
             for grasp in project.labelled():
                 shape = Shape(self.object, self.size_mm)
-                if self._told(grasp.name, partial(_solve, project, grasp, shape)):
+                if self._does(grasp.name, partial(_solve, project, grasp, shape)):
                     solved.append(self.out / "results" / grasp.name)
                     say(_effort(project, grasp))
         finally:
@@ -109,11 +109,11 @@ class Label(Command):
             key = path.stem if stems[path.stem.casefold()] == 1 else path.name
             tasks.append(replace(read_tasks(path)[0], key=key))
 
-        opened = [self._told(path.name, partial(add, path)) for path in videos]
+        opened = [self._does(path.name, partial(add, path)) for path in videos]
         return tasks, opened.count(False)
 
-    def _told(self, name: str, do: Callable[[], Any]) -> bool:
-        """Do something for a video, and tell what is wrong; whether it was done."""
+    def _does(self, name: str, do: Callable[[], Any]) -> bool:
+        """Do something for a video and return True; report what is wrong and return False."""
         from getagrip.batch.clips import print_outcome
         from getagrip.batch.job import failure
 
@@ -156,7 +156,7 @@ def _solve(project: Project, grasp: Grasp, shape: Shape) -> None:
 
     if not project.labelling.is_solved(grasp):
         with progress_bar() as bar:
-            report(project.labelling.solve(grasp, shape, JobOnBar(bar, grasp.name)))
+            say(project.labelling.solve(grasp, shape, JobOnBar(bar, grasp.name)))
 
 
 def _effort(project: Project, grasp: Grasp) -> str:
