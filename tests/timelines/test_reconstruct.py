@@ -15,6 +15,7 @@ from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.pages.report import _segments
+from getagrip.provenance import estimated
 from getagrip.result import Reconstruction, read_result, write_result
 from getagrip.result.segments import probabilities_of_grasps
 from getagrip.timelines.reconstruct import reconstruct
@@ -133,3 +134,18 @@ def test_a_hand_that_jumps_in_a_timeline_is_put_right() -> None:
     assert result.T_cam_hand is not None
     assert np.linalg.norm((result.T_cam_hand - clip.hand.T_cam_hand)[11, :3, 3]) < 0.03
     assert {f.check for f in result.findings if clip.frames[11] in f.message} == {"tracker-glitches"}
+
+
+@pytest.mark.slow
+def test_an_estimated_hand_is_solved_with_the_object_of_its_grasp() -> None:
+    clip, masks = timeline()
+    off = replace(clip.hand, T_cam_hand=clip.hand.T_cam_hand @ se3.rigid(se3.exp_so3(np.array([0.15, 0.0, 0.1]))))
+    source = estimated("a test")
+    result = reconstruct(replace(clip, hand=off, provenance=clip.provenance | {"hands": source}), masks, FEW)
+    assert any("solved together" in note for note in result.notes)
+    assert result.T_cam_hand is not None
+    given, found = (
+        se3.angle_between(T[-6:, :3, :3], clip.hand.T_cam_hand[-6:, :3, :3]).mean()
+        for T in (off.T_cam_hand, result.T_cam_hand)
+    )
+    assert found < 0.7 * given

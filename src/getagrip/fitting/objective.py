@@ -6,7 +6,7 @@ Other evidence of the clip counts beside its masks (``evidence_of``). A method a
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -14,9 +14,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.clip import modalities
 from getagrip.fitting.contact import HandContacts, spread_points
-from getagrip.fitting.energy import Energy, HandEnergy, HandTerm, InHand, OnHand, Term, Terms
+from getagrip.fitting.energy import Energy, HandEnergy, HandTerm, InHand, OnHand, Term
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
 from getagrip.fitting.energy.hand_mask import HandMaskTerm
 from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
@@ -54,22 +53,14 @@ def energy_of(problem: Problem, push: float, pull: float) -> Energy:
 
 def evidence_of(problem: Problem) -> Energy:
     """Return the terms of all evidence on the object: E_mask first, since masks are the first modality."""
-    energies = (terms.object for terms in _terms(problem))
+    energies = (terms.object for terms in problem.evidence)
     return plus(*(energy for energy in energies if energy is not None))
 
 
 def evidence_on_hand(problem: Problem) -> Energy:
     """Return the terms of all evidence on a hand that is unknown as well; nothing where it is fixed."""
-    energies = [terms.hand for terms in _terms(problem)]
+    energies = [terms.hand for terms in problem.evidence]
     return lambda level, index: [OnHand(one) for hand in energies if hand is not None for one in hand(level, index)]
-
-
-def _terms(problem: Problem) -> Iterator[Terms]:
-    """Yield what each modality gives that has data."""
-    for modality in modalities():
-        terms = modality.terms(problem)
-        if terms is not None:
-            yield terms
 
 
 def hand_mask_of(problem: Problem) -> HandEnergy:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -14,6 +15,7 @@ from getagrip.clip import (
     Clip,
     Masks,
     masks_in,
+    modalities,
     observed_frames,
     read_masks,
     read_observed,
@@ -23,7 +25,7 @@ from getagrip.clip import (
 from getagrip.clip.occlusion import occluded_by_hand
 from getagrip.fitting import pose_priors
 from getagrip.fitting.contact import MARGIN
-from getagrip.fitting.energy import Energy
+from getagrip.fitting.energy import Energy, Terms
 from getagrip.fitting.hand_refinement import HandRefinement, refine_hand
 from getagrip.fitting.mask_gaps import GAP_SHARE
 from getagrip.fitting.motion import Motion, PosesInHand
@@ -121,6 +123,11 @@ class Problem:
     def inits(self) -> int:
         """How many initial poses the object in the hand has: those given, if they stand alone."""
         return len(self.prior_poses) if self.options.priors_only else self.options.inits
+
+    @cached_property
+    def evidence(self) -> tuple[Terms, ...]:
+        """What each modality gives that has data."""
+        return tuple(terms for modality in modalities() if (terms := modality.terms(self)) is not None)
 
     @property
     def input_masks(self) -> Masks:

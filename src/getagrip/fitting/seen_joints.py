@@ -204,9 +204,13 @@ def share_elsewhere(clip: Clip, masks: Masks) -> float:
         points = seen[(confidence > 0.0) & inside]
         if not shown.any() or not len(points):
             continue
-        far = cv2.distanceTransform((~(shown | held)).astype(np.uint8), cv2.DIST_L2, 3)
-        u, v = points.astype(int).T
-        elsewhere += list(far[v, u] > BESIDE * np.ptp(points, axis=0).max())
+        beside = BESIDE * np.ptp(points, axis=0).max()
+        margin, pixels = int(beside) + 2, points.astype(int)
+        first, last = np.maximum(pixels.min(axis=0) - margin, 0), pixels.max(axis=0) + margin + 1  # what can be near
+        window = slice(first[1], last[1]), slice(first[0], last[0])
+        far = cv2.distanceTransform((~(shown[window] | held[window])).astype(np.uint8), cv2.DIST_L2, 3)
+        u, v = (pixels - first).T
+        elsewhere += list(far[v, u] > beside)
     return float(np.mean(elsewhere)) if elsewhere else float("nan")
 
 

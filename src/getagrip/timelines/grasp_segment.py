@@ -17,6 +17,7 @@ from numpy import ndarray
 from getagrip.fitting.energy import Energy, PosesInCamera, Quadratic, Term
 from getagrip.fitting.energy.smoothness import moments
 from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frames
+from getagrip.fitting.hand_with_object import solve_with_hand
 from getagrip.fitting.methods.all_frames import result_of, soft_energy, soft_hinges
 from getagrip.fitting.motion import Hinge, Soft, moved
 from getagrip.fitting.objective import NOTHING, plus
@@ -167,13 +168,16 @@ class GraspTrack:
 
 
 def fit_in_all_frames(solutions: GraspSolutions, k: int, neighbours: Sequence[Neighbour]) -> GraspTrack:
-    """Fit solution k once more with its links, in every frame."""
-    motion = solutions.motion.take(np.array([k]))
+    """Fit solution k once more with its links, in every frame; an estimated hand is solved with it."""
+    motion, hand = solutions.motion.take(np.array([k])), None
+    if solutions.problem.refinement is not None:
+        hand, motion = solve_with_hand(solutions.problem, motion, lambda some: linked_energy(some, neighbours))
+        solutions = replace(solutions, problem=solutions.problem.with_hand(hand))
     energy = {"total": solutions.energy[[k]]}
     solution = Solution(motion, solutions.energy[[k]], energy, [Status.FINISHED], 0)
     grasp, problem, found = solutions.grasp, solutions.problem, result_of(solution, motion.core, soft_energy)
-    if neighbours:
-        found = _polished(problem, found, neighbours)
+    if neighbours or hand is not None:
+        found = replace(_polished(problem, found, neighbours), hand=hand)
     sampled = at_sampled_frames(problem, found)
     return GraspTrack(solutions, k, found, at_every_frame(grasp.clip, problem, found, sampled))
 
@@ -181,10 +185,14 @@ def fit_in_all_frames(solutions: GraspSolutions, k: int, neighbours: Sequence[Ne
 def _polished(problem: Problem, found: MethodResult, neighbours: Sequence[Neighbour]) -> MethodResult:
     """Fitted again, links included."""
     assert isinstance(found.motion, Soft)
-    energy = plus(soft_energy(problem), links_of(problem, neighbours))
-    terms = energy(FINEST, np.arange(len(problem.clip)))
+    terms = linked_energy(problem, neighbours)(FINEST, np.arange(len(problem.clip)))
     solution = minimise(found.motion, terms, problem.clip.hand.T_cam_hand, POLISH)
     return result_of(solution, solution.motion.core, soft_energy)
+
+
+def linked_energy(problem: Problem, neighbours: Sequence[Neighbour]) -> Energy:
+    """Return the energy of a grasp with its links."""
+    return plus(soft_energy(problem), links_of(problem, neighbours))
 
 
 def links_of(problem: Problem, neighbours: Sequence[Neighbour]) -> Energy:

@@ -85,14 +85,6 @@ def test_curvature_can_be_trusted(moves: bool) -> None:
     assert np.linalg.eigvalsh(whole).min() > -1e-6 * np.abs(whole).max()
 
 
-def test_errors_of_the_image_are_found() -> None:
-    samples, _, _ = scene(2, noise=0.0)
-    exact = with_hand(*true_poses(2))
-    image = term(samples, FREE).image_errors(exact)
-    np.testing.assert_allclose(image.of_clip[0, 2] + image.of_frame.mean(), -0.05, atol=2e-3)
-    assert np.abs(image.left).max() < 2e-3
-
-
 def true_poses(seed: int) -> tuple[PosesInCamera, PosesInCamera]:
     R, centre = poses(np.random.default_rng(seed))
     hand = R @ se3.exp_so3(np.array([0.1, 0.2, 0.0])), centre + np.array([0.05, 0.03, -0.02])

@@ -121,21 +121,6 @@ class Solid:
 
 
 @dataclass(frozen=True)
-class ImageErrors:
-    """The errors of depth images at given poses, at best.
-
-    Attributes:
-        of_clip: (B, 3) g, h and a.
-        of_frame: (B, N) b_n.
-        left: (B, N, M) what is left of r; 0 where a ray misses.
-    """
-
-    of_clip: Float[ndarray, "B 3"]
-    of_frame: Float[ndarray, "B N"]
-    left: Float[ndarray, "B N M"]
-
-
-@dataclass(frozen=True)
 class DepthTerm:
     """E_depth of N frames: a term on the object and, where it is unknown as well, on the hand.
 
@@ -154,19 +139,12 @@ class DepthTerm:
     weight: float
     name: str = "depth"
 
-    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
-        return self._evaluate(poses, bound)[0]
-
-    def image_errors(self, poses: PosesInCamera) -> ImageErrors:
-        """Return what the images err by."""
-        return self._evaluate(poses, no_bound(poses))[1]
-
     def squared_deviations(self, poses: PosesInCamera) -> Float[ndarray, "B"]:
         """Return Q per frame."""
-        total = self._evaluate(poses, no_bound(poses))[0].value.mean(axis=1) / self.weight
+        total = self(poses, no_bound(poses)).value.mean(axis=1) / self.weight
         return np.asarray(KAPPA * np.expm1(total / KAPPA))
 
-    def _evaluate(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> tuple[Quadratic, ImageErrors]:
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
         (B, N), s, o = poses.centre.shape[:2], self.samples, self.object
         moves = isinstance(poses, ObjectWithHand)
         hand, solid = poses, self.hand
@@ -174,7 +152,7 @@ class DepthTerm:
             hand, solid = poses.hand, self.hand.about(poses.hand.middle)
         P = 14 if moves else 7
         q = replace(Quadratic.zero(poses, P), cross=np.zeros((B, N, P, N, P)))
-        image = ImageErrors(np.zeros((B, 3)), np.zeros((B, N)), np.zeros((B, *s.log_z.shape)))
+        of_clip, of_frame, left = np.zeros((B, 3)), np.zeros((B, N)), np.zeros((B, *s.log_z.shape))
         apart = self.errors.apart if moves else np.hypot(self.errors.apart, FIXED_HAND)
         surface = 0.0 if moves else FIXED_SURFACE
         sigma = np.array([self.errors.noise, np.hypot(self.errors.noise, surface)])
@@ -184,9 +162,9 @@ class DepthTerm:
             hand.R, hand.centre, hand.scale, solid.vertices, solid.planes, solid.faces, solid.closed, moves,
             s.K, s.size, s.place, s.on_object, s.used, s.log_z, s.relief, s.weight, s.input,
             priors, sigma, self.weight, EXACT * self.errors.noise, ROUNDS, bound,
-            q.value, q.g, q.H, q.cross, image.of_clip, image.of_frame, image.left,
+            q.value, q.g, q.H, q.cross, of_clip, of_frame, left,
         )  # fmt: skip
-        return q, image
+        return q
 
 
 @kernel("f4 f3 f1 f3 f3 i2 b f4 f3 f1 f3 f3 i2 b b f2 i i3 i1 i1 f2 f2 f2 f2 f1 f1 f f i f1 f2 f3 f4 f5 f2 f2 f3")
@@ -197,7 +175,10 @@ def _evaluate(
     priors, sigma, unit, exact, rounds, bound,
     value, g, H, cross, of_clip, of_frame, left,
 ):  # fmt: skip
-    """Fill in value (B, N), g (B, N, P), H (B, N, P, P), cross (B, N, P, N, P), and the images' errors."""
+    """Fill in value (B, N), g (B, N, P), H (B, N, P, P), cross (B, N, P, N, P).
+
+    Work space: of_clip (B, 3) g, h and a; of_frame (B, N) b_n; left (B, N, M) what is left of r, 0 where a ray misses.
+    """
     B, N = value.shape
     M, P = log_z.shape[1], g.shape[2]
     uvz, hand_uvz = np.empty((3, vertices.shape[2])), np.empty((3, hand_vertices.shape[2]))
