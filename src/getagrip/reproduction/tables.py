@@ -38,10 +38,10 @@ class PaperTable:
     """A table of the paper, measured."""
 
     number: str
-    """As ``published.json`` has it."""
+    """Its number, a key of ``published.json``."""
     measured: Values
     note: str = ""
-    """What was measured, on how many clips."""
+    """Remark on what was measured."""
 
     @property
     def title(self) -> str:
