@@ -322,7 +322,7 @@ def test_meshes_of_a_system_without_a_cad_model_stand_under_our_result(made: Pat
     figure = kind.draw([result], never)
     words = texts(figure)
     assert {"1-DoF, ours", "iHOI"} <= words
-    assert any("1 frames without" in text for text in words)
+    assert any("1 frame without" in text for text in words)
     meshes, errors = read_meshes(tmp_path, view.clip, "camera")
     assert (meshes[0], errors) == (None, [])
     drawn = replace(view, frame_meshes=tuple(meshes))
