@@ -26,7 +26,10 @@ SECTIONS = {
     "scaling": scaling.tables,
     "segment-speed": segment_speed.tables,
     "batch": batch.tables,
-    "drafts": drafts.tables,
+    "draft-masks": drafts.masks,
+    "draft-clicks": drafts.clicks,
+    "draft-landmarks": drafts.landmarks,
+    "draft-example": drafts.example,
 }
 
 

@@ -8,6 +8,7 @@
     {{ inputs TABLE METHOD... }}             how often methods are right with each kind of input, in hand and camera;
                                              METHOD=TABLE: of one that was run on exact input only
     {{ methods COLUMN }}                     a column of all methods, by set of clips
+    {{ leaderboard }}                        every method on every real motion, and what others printed
     {{ made TABLE }}                         at which commit, when, by which command
 
 Keys of rows are their labels in small letters, with "-" for what is neither letter nor digit. An unknown key is a
@@ -55,6 +56,15 @@ CLIPS = {
     "`measured`": "synthetic-measured-methods",
 }
 """On what methods are compared, and the table of it."""
+
+
+MOTIONS = {
+    "ARCTIC's motion": ("arctic-methods", ""),
+    "DexYCB": ("dexycb-methods", ""),
+    "ten new objects": ("dexycb-other-final", "-exact"),
+    "ARCTIC, estimated hands": ("arctic-estimated-methods", ""),
+}
+"""Real motion, the table of it, and the end of its rows' keys."""
 
 
 def fill(text: str) -> str:
@@ -191,6 +201,36 @@ def methods(column: str) -> str:
     return grid(["", *CLIPS], lines)
 
 
+def leaderboard() -> str:
+    """ADD and SCA-ADD of each method on each real motion, with what it is given, its time, and what runs it."""
+    tables = {label: (store.read(name), suffix) for label, (name, suffix) in MOTIONS.items()}
+    lines = []
+    for key in dict.fromkeys(store.key_of(row) for table, _ in tables.values() for row in table.rows):
+        rows = {label: _row(table, f"{key}{suffix}") for label, (table, suffix) in tables.items()}
+        if not any(rows.values()) or rows["DexYCB"] is None:
+            continue
+        cells = [_both(tables[label][0], row) for label, row in rows.items()]
+        found = tables["DexYCB"][0]
+        seconds = shown(found.column("seconds"), rows["DexYCB"].get("seconds"))
+        lines.append([f"`{key}`", "here", "hands, masks, CAD, K", *cells, seconds, "one CPU core", "MIT"])
+    printed = store.read("beside-paper")
+    for row in printed.rows:
+        name, _, said = str(row["label"]).partition(", ARCTIC, ")
+        if said == "the paper":
+            cells = [_both(printed, row), *("–" for _ in list(MOTIONS)[1:])]
+            lines.append([name, "printed in the paper, Table 2", "the same, true hands", *cells, "–", "–", "–"])
+    return grid(["method", "by", "given", *MOTIONS, "s", "runs on", "licence"], lines)
+
+
+def _row(table: store.Table, key: str) -> Row | None:
+    return next((row for row in table.rows if store.key_of(row) == key), None)
+
+
+def _both(table: store.Table, row: Row | None) -> str:
+    keys = ("add", "sca_add")
+    return "–" if row is None else " / ".join(shown(table.column(key), row.get(key)) for key in keys)
+
+
 def made(name: str) -> str:
     """How a table was made, in a line."""
     how = store.read(name).made
@@ -202,5 +242,6 @@ DIRECTIVES: dict[str, Callable[..., str]] = {
     "table": table,
     "inputs": inputs,
     "methods": methods,
+    "leaderboard": leaderboard,
     "made": made,
 }

@@ -15,7 +15,9 @@ wrong in frames 0 to 2 and from 32 * floor(T / 32) on: those frames are left out
 in images, in the camera's axes. The first and last 10 frames hold a hand at rest. The object's translation is the same
 in all frames, so an estimated hand is put as far from the true origin of the object as from the estimated one. The
 camera's orientation is that which takes the true rotations of the object to the estimated ones, their median over the
-sequence.
+sequence. The estimated object goes to ``TRACKS/estimated/<subject>-<sequence>.npz``, placed by the true origin as well,
+so that its place in the camera is right by construction; ``--poses CLIPS POSES`` writes it for each clip of these, for
+``bench --with``.
 """
 
 from __future__ import annotations
@@ -30,12 +32,14 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from getagrip.clip import read_clip
 from getagrip.datasets.arctic import FPS, MM, Template, in_neutral_frame
 from getagrip.datasets.joint_tracks import facing
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import read_mesh
 from getagrip.geometry.subdivide import fine
+from getagrip.grasps.lists import BETWEEN
 from getagrip.io import arrays
 from getagrip.io.files import read_bytes
 
@@ -52,7 +56,11 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("tracks", type=Path)
     parser.add_argument("--subjects", nargs="+", help="only these (default: all)")
     parser.add_argument("--estimated", action="store_true", help="with hands as estimated from images")
+    parser.add_argument("--poses", nargs=2, type=Path, metavar=("CLIPS", "POSES"), help="estimated objects of clips")
     given = parser.parse_args(arguments)
+    if given.poses:
+        write_poses(given.tracks, *given.poses)
+        return
     rsc = folder_rsc(given.artigrasp)
     found = [f for f in sequences(rsc) if given.subjects is None or f.parent.name in given.subjects]
     if given.estimated:
@@ -101,6 +109,9 @@ def convert(rsc: Path, file: Path, out: Path, estimated: bool = False) -> None:
     }  # fmt: skip
     if estimated:
         content |= _estimates(rsc, file, T, rows, T_world_obj, template)
+        (out / "estimated").mkdir(exist_ok=True)
+        poses = {"frames": rows, "T_cam_obj": content.pop("estimated_object")}
+        np.savez_compressed(out / "estimated" / f"{subject}-{sequence}.npz", **poses)
         content["source"] += "; estimated hands are placed by the object's true place"
     np.savez_compressed(out / f"{subject}-{sequence}.npz", **content)
 
@@ -122,10 +133,22 @@ def _estimates(
         "size": camera.size,
         "T_cam_world": camera.T_cam_world[0],
         "assumed_camera": str(camera.described),
+        "estimated_object": se3.rigid(T_estimate_obj[:, :3, :3], T_estimate_obj[:, :3, 3] + displaced[:, 0]),
     } | {
         f"estimated_{side}": se3.transform(se3.inverse(camera.T_cam_world), joints[rows] + displaced)
         for side, joints in estimated.items()
     }
+
+
+def write_poses(tracks: Path, clips: Path, out: Path) -> None:
+    """The estimated object of each clip of these tracks, in the clip's frames."""
+    out.mkdir(parents=True, exist_ok=True)
+    for file in sorted(clips.glob("*/clip.json")):
+        clip = read_clip(file.parent)
+        subject, sequence, *_ = clip.name.split(BETWEEN)
+        stored = arrays.read(tracks / "estimated" / f"{subject}-{sequence}.npz", {"frames", "T_cam_obj"}.__contains__)
+        rows = np.searchsorted(stored["frames"], [int(name) for name in clip.frames])
+        np.savez(out / f"{clip.name}.npz", frames=np.array(clip.frames), T_cam_obj=stored["T_cam_obj"][rows])
 
 
 def median_rotation(R: Float[ndarray, "T 3 3"]) -> Float[ndarray, "3 3"]:

@@ -120,6 +120,40 @@ def test_results_of_other_systems_are_rows(can_and_box: Path, tmp_path: Path, ru
 
 
 @pytest.mark.slow
+def test_other_systems_poses_are_refined_and_result_folders_keep_their_columns(
+    can_and_box: Path, tmp_path: Path, run: Run
+) -> None:
+    out, theirs = tmp_path / "out", tmp_path / "theirs"
+    theirs.mkdir()
+    for folder in sorted(can_and_box.iterdir()):
+        clip = read_clip(folder)
+        assert clip.truth is not None
+        T = clip.truth.T_cam_obj.copy()
+        T[:, :3, 3] *= 1.03  # a tracker with a mesh of another size
+        np.save(theirs / f"{clip.name}.npy", T)
+    call = ("bench", can_and_box, "--workers", "1", "--inits", "4", "--methods", "soft-hinge")
+    assert run(*call, "--out", out, "--with", f"theirs={theirs}", "--refine")[0] == 0
+
+    def rows(of: Path) -> dict[tuple[str, str], dict[str, str]]:
+        lines = csv.DictReader((of / "methods-clips.csv").read_text().splitlines())
+        return {(row["clip"], row["setting"]): row for row in lines}
+
+    first = rows(out)
+    for clip in ("box-right-0000", "can-right-0000"):
+        before, after = (float(first[clip, s]["add_sym_mm"]) for s in ("theirs", "theirs, refined"))
+        assert after < before
+    again = tmp_path / "again"
+    assert run(*call, "--out", again, "--with", f"kept={out / 'results' / 'theirs+refined'}")[0] == 0
+    for (clip, setting), row in rows(again).items():
+        if setting == "kept":
+            assert {**row, "method": "", "setting": ""} == {
+                **first[clip, "theirs, refined"],
+                "method": "",
+                "setting": "",
+            }
+
+
+@pytest.mark.slow
 def test_an_ablation_changes_clips_and_draws_a_plot(can_and_box: Path, tmp_path: Path, run: Run) -> None:
     call = ("bench", can_and_box, "--out", tmp_path, "--workers", "1", "--inits", "4", "--clips", "1")
     status, _, _ = run(*call, "--ablation", "mask-noise", "--methods", "static")

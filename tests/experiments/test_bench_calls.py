@@ -33,6 +33,7 @@ from helpers.command_line import Run
         (("--with", "x=nowhere"), "--with"),
         (("--with", "static=."), "another name than those of the methods"),
         (("--with", "x=.", "--ablation", "scale"), "--with"),
+        (("--refine",), "missing --with"),
     ],
 )
 def test_wrong_calls_are_refused(can_and_box: Path, tmp_path: Path, run: Run, args: tuple[str, ...], word: str) -> None:

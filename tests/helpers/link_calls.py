@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
@@ -42,12 +43,13 @@ MASKS = "--object 1 --ignore 2"
 NEW_FRAMES = f"--side right --frames 3 8 --size 64 48 --K {' '.join(K)} --overwrite"
 BENCH = "--out out --workers 1 --methods static"
 BENCHED = ("dexycb",)
-EXPORTS = {"usd": "pxr", "mujoco": "mujoco", "lerobot": "pyarrow"}
+EXPORTS = {"usd": "pxr", "mujoco": "mujoco", "lerobot": "pyarrow", "mcap": "mcap"}
 """Formats that need a library."""
 CALLS: dict[str, Sequence[str]] = {
     "demo": ["--out out"],
     "doctor": [""],
     "draft": ["scene.mp4 --object cup --out marks --no-page"],
+    "label": ["videos --object cup --out marks --no-page"],
     "clip new": [f"video.mp4 --out new {CUP} --masks masks {MASKS} --hands six.npz"],
     "annotate": [
         "scene.mp4 --out marks",
@@ -83,6 +85,7 @@ CALLS: dict[str, Sequence[str]] = {
         *(f"results --to {to} --out out" for to, library in EXPORTS.items() if find_spec(library)),
         *["results --to lerobot --out out --one-dataset"] * (find_spec("pyarrow") is not None),
     ],
+    "replay": ["results --json new/out.json"] * (find_spec("mujoco") is not None),
     "bench clips": [f"clips {BENCH} --json out.json", f"clips {BENCH} --ablation mask-noise"],
     "bench synthetic": [f"{BENCH} --clips 1"],
     **{f"bench {name}": [f"--root root {BENCH} --split all"] for name in BENCHED},
@@ -201,6 +204,8 @@ def _write_cup(folder: Path) -> None:
 def _write_annotations(folder: Path) -> None:
     """A video with labels of its first frames, and VISOR's and EPIC's of another."""
     write_scene(folder / "scene.mp4", 6)
+    (folder / "videos").mkdir()
+    shutil.copy(folder / "scene.mp4", folder / "videos")
     clicked = {n: labels.FrameLabels(np.array(joints(n)), (np.array(circle(n)),)) for n in (0, 2)}
     sha256 = hashlib.sha256((folder / "scene.mp4").read_bytes()).hexdigest()
     labels.write(labels.Labels("scene", (320, 240), "left", 30.0, 0, 2, clicked, sha256), folder / "labels.json")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -70,6 +70,23 @@ def read_depth(clip: Clip) -> Depth | None:
             clip.folder / "clip.json", f"{DEPTH}.unit", got, f"at most {FARTHEST:g} m: are these millimetres?"
         )
     return depth
+
+
+def sensor_images(clip: Clip) -> Iterator[tuple[int, tuple[Float[ndarray, "h w"], Float[ndarray, "3 3"]]]]:
+    """Yield the whole depth images [m] of a sensor in a clip's folder, by frame, and their intrinsics.
+
+    Raises ``InputError``.
+    """
+    if clip.folder is None or not os.path.lexists(clip.folder / DEPTH):
+        return
+    source = read_source(clip.folder / "clip.json")
+    if (source.scale, source.source) != ("metric", "sensor"):
+        return
+    for n, frame in enumerate(clip.frames):
+        if (name := depth_file(clip.folder, frame)) is not None:
+            image = source.unit * read_pixels(files.inside(clip.folder, name, "", EXPECTED))
+            zoom = np.array(image.shape[::-1]) / np.array(clip.size)
+            yield n, (image, np.diag([*zoom, 1.0]) @ clip.K[n])
 
 
 def read_source(path: Path) -> DepthSource:

@@ -14,6 +14,7 @@ from tyro.conf import arg, subcommand
 from getagrip.batch.share import Share
 from getagrip.commands.command import Command
 from getagrip.experiments.compared import Compared
+from getagrip.experiments.sources.ho3d import Ho3dEval
 from getagrip.experiments.sources.recorded import DexYcb, DexYcbSequences, DexYcbTimelines, Hot3dTimelines, Timelines
 from getagrip.experiments.sources.source import ClipFolder, ClipSource
 from getagrip.experiments.sources.synthetic import Synthetic
@@ -48,7 +49,7 @@ class Bench(Command, Generic[C]):
     @property
     def options(self) -> Options:
         """Options that all results share."""
-        return Options(**vars(self.search), every_frame=self.every_frame)
+        return Options(**vars(self.search), every_frame=self.every_frame or self.source.every_frame)
 
     def benchmark(self) -> Benchmark[Any]:
         """Make the benchmark, which is done with every clip. Raises ``UsageError`` where the call is wrong."""
@@ -137,6 +138,7 @@ class BenchTimelines(Bench[T], Generic[T]):
 BENCHES: tuple[tuple[Any, type[ClipSource]], ...] = (
     (BenchGrasps[Synthetic], Synthetic),
     (BenchGrasps[DexYcb], DexYcb),
+    (BenchGrasps[Ho3dEval], Ho3dEval),
     (BenchSegments, DexYcbSequences),
     (BenchTimelines[DexYcbTimelines], DexYcbTimelines),
     (BenchTimelines[Hot3dTimelines], Hot3dTimelines),

@@ -2,30 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
-import numpy as np
 from tyro.conf import Positional, arg
 
-from getagrip.clip.depth import DEPTH, DepthSource
-from getagrip.clip.depth_files import check_shape, source_fields
-from getagrip.clip.depth_sources import SOURCES, DepthReader, check_camera, chosen_source, open_depth
+from getagrip.clip.depth import DEPTH
+from getagrip.clip.depth_sources import SOURCES, check_camera, chosen_source, open_depth
+from getagrip.clip.depth_writing import add_depth
 from getagrip.clip.naming import renumbered
 from getagrip.clip.reading import read_header
 from getagrip.commands.command import Command
-from getagrip.errors import InputError, UsageError
-from getagrip.io import files
+from getagrip.errors import UsageError
 from getagrip.io.arguments import Flag
-from getagrip.io.images import write_depth
 from getagrip.io.terminal import report, say
 
-LARGEST = 65534
-"""Largest number of a 16-bit image that is a distance."""
-MIDDLE = 16384
-"""Numbers with fractions are written so that the first image's median is this."""
 WARNED = 3
 """Exit status where depth is written, and something seems to be wrong with it."""
 if TYPE_CHECKING:
@@ -73,12 +65,8 @@ class ImportDepth(Command):
         frames = header.frames if self.first is None else renumbered(header.frames, self.first, "--first")
         reader = open_depth(self.path, self.source, frames, "--first" if self.first is None else "")
         source = chosen_source(self.source, self.scale, self.unit, self.error)
-        whence = header.fields["provenance"] | {DEPTH: f"from {self.path.name}, {self.source}"}
-        with files.new_folder(target, tuple(f"{name}.png" for name in header.frames) if self.overwrite else ()) as new:
-            unit = _write(reader, header.frames, header.size, self.unit, new)
-            stored = source_fields(DepthSource(source.scale, source.source, unit, source.error))
-            with files.new_file(header.folder / "clip.json") as part:
-                files.write_json(part, header.changed({DEPTH: stored, "provenance": whence}))
+        said = f"from {self.path.name}, {self.source}"
+        add_depth(header, reader, source, said, unit=self.unit, overwrite=self.overwrite)
         say(f"{target}: depth of {len(reader.known)} of {len(frames)} frames")
         warning = check_camera(reader, header.K, header.size[0])
         if len(reader.known) < len(frames):
@@ -87,28 +75,3 @@ class ImportDepth(Command):
         if warning:
             report(f"warning: {self.path}: {warning}")
         return WARNED if warning else 0
-
-
-def _write(
-    reader: DepthReader, frames: Sequence[str], size: tuple[int, int], stated: float | None, folder: Path
-) -> float:
-    """Write the images, one at a time in memory, and return the unit of their numbers. Raises ``InputError``.
-
-    Whole numbers stay as they are.
-    """
-    unit = written = 0.0
-    for n in reader.known:
-        path, image, one = reader.read(n)
-        check_shape(path, image, size)
-        one = one if stated is None else stated
-        if not unit:
-            whole = bool(np.all(image == np.floor(image))) and image.max() <= LARGEST
-            middle = float(np.median(image[image > 0.0])) if image.any() else 0.0
-            unit = one if whole or not middle else one * middle / MIDDLE
-        numbers = np.rint(image * (one / unit))
-        numbers[numbers > LARGEST] = 0.0  # farther than anything near a hand
-        written += float(numbers.sum())
-        write_depth(folder / f"{frames[n]}.png", numbers.astype(np.uint16))
-    if not written:
-        raise InputError(folder, "", "0 in all images", "distances, 0 for none")
-    return unit

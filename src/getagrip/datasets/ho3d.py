@@ -15,7 +15,7 @@ in a list of their own, which is read where it lies beside the splits.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -28,17 +28,17 @@ from tyro.conf import arg
 
 from getagrip.clip import HandTrack
 from getagrip.datasets import mano_tracks, ycb
-from getagrip.datasets.cutting import TrackedDataset
-from getagrip.datasets.dataset import Note
+from getagrip.datasets.cutting import WHOLE, CutSource, TrackedDataset
+from getagrip.datasets.dataset import Note, Part
 from getagrip.datasets.mano_tracks import numbers
-from getagrip.datasets.tracks import Source, Track, check_length, in_pixels
+from getagrip.datasets.tracks import Piece, Source, Track, check_length, in_pixels
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.grasps.definition import GraspOptions
 from getagrip.hands import generic
 from getagrip.hands.fit import fit_joints
 from getagrip.io import pickles
-from getagrip.io.arguments import OptionalFolder
+from getagrip.io.arguments import Flag, OptionalFolder
 from getagrip.io.arrays import from_lists
 from getagrip.io.files import is_plain_name, read_any_json, read_bytes, shown
 from getagrip.io.terminal import counted
@@ -89,6 +89,32 @@ class Ho3d(TrackedDataset):
         if not found:
             raise InputError(self.root, "", "no <split>/<sequence>/meta/<frame>.pkl in it", "HO-3D's folder")
         return [Source(f"{f.parent.name}/{f.name}", partial(_read, f, models, mano)) for f in found]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ho3dEvaluation(Ho3d):
+    """HO-3D's evaluation split: a clip of each sequence, in all frames in which hand and object are known."""
+
+    whole: Flag = True
+
+    def sources(self) -> list[Source]:
+        """List the sequences of the evaluation split."""
+        for name in (f"{EVALUATION}.txt", f"{EVALUATION}_xyz.json"):
+            if not (self.root / name).is_file():
+                raise InputError(self.root, "", f"no {name} in it", "HO-3D's folder with the list of evaluated joints")
+        found = [one for one in super().sources() if one.name.startswith(f"{EVALUATION}/")]
+        if not found:
+            raise InputError(self.root, "", f"no {EVALUATION}/<sequence>/meta in it", "HO-3D's folder")
+        return found
+
+    def parts(self, note: Note) -> Sequence[Part]:
+        """List its sequences, with masks."""
+        return [CutSource(source, _as_they_are, 2) for source in self.sources()]
+
+
+def _as_they_are(tracks: Iterable[Track], note: Note) -> Iterator[Piece]:
+    for track in tracks:
+        yield Piece(track, track.name, WHOLE)
 
 
 def _read(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator[Track]:

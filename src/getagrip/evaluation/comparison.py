@@ -11,9 +11,12 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
+from getagrip.clip.depth_files import sensor_images
 from getagrip.clip.occlusion import occluded_by_hand
 from getagrip.geometry import se3
+from getagrip.geometry.depth import depth_and_face
 from getagrip.geometry.mesh import Mesh
+from getagrip.metrics import visible_surface
 from getagrip.metrics.contact import (
     CONTACT_DEFINITIONS,
     MAX_DISTANCE,
@@ -174,6 +177,25 @@ class Comparison:
     def symmetric_errors(self) -> SymmetricErrors:
         """Errors of the object in the camera, the least over its symmetries."""
         return SymmetricErrors.of(self.clip.mesh, self.predicted_in_camera, self.true_in_camera, self.symmetries)
+
+    @cached_property
+    def vsd_recall(self) -> Float[ndarray, "T"]:
+        """BOP's recall of the visible surface, in the frames with a depth image; none without a sensor's depth."""
+        clip = self.clip
+        found = np.full(len(clip), np.nan)
+        for n, (image, K) in sensor_images(clip):
+            size = image.shape[::-1]
+            rays = visible_surface.ray_lengths(K, size)
+            predicted, true = (
+                depth_and_face(track.placed(clip.mesh.vertices)[n], clip.mesh.faces, K, size)[0]
+                for track in (self.predicted_in_camera, self.true_in_camera)
+            )
+            predicted, true = (rays * np.where(np.isfinite(z), z, 0.0) for z in (predicted, true))
+            tolerances = visible_surface.SHARES * clip.mesh.diameter * self.true_in_camera.scale
+            found[n] = visible_surface.recall(visible_surface.discrepancy(predicted, true, rays * image, tolerances))
+        if np.isnan(found).all():
+            raise MissingPartError
+        return found
 
     @cached_property
     def hand_in_camera(self) -> tuple[Float[ndarray, "T V 3"], Float[ndarray, "T V 3"]]:

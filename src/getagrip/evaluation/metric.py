@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +17,8 @@ from getagrip.metrics import motion, recall
 from getagrip.metrics.contact import ContactDefinition
 
 Value = float | Float[ndarray, "T"]
+Group = Literal["paper", "motion", "recall"]
+"""Columns that belong together: the paper's; ARCTIC's of motion; areas and average recalls of RGB-D systems."""
 IOU_THRESHOLDS = (0.8, 0.6)
 """SCA-IOU counts the clips whose mean IOU is above these (paper, Sec. 5.2)."""
 
@@ -37,6 +39,8 @@ class Metric:
     """Said below the table of ``evaluate`` where the column is there."""
     label: str = ""
     """Its column in the tables of ``bench``: of means if it is a share, else of medians; empty: none."""
+    group: Group = "paper"
+    """Which tables of ``bench`` have that column."""
     folded: bool = False
     """True if ``bench`` shows it in the folded part of its pages."""
     decimals: int = 1
@@ -119,6 +123,14 @@ def _known(values: Float[ndarray, "n"]) -> float:
     return mean_of(values)
 
 
+def _mssd(it: Comparison) -> Float[ndarray, "T"]:
+    return recall.recall(it.symmetric_errors.mssd(), recall.SHARES * it.errors_cam.diameter)
+
+
+def _mspd(it: Comparison) -> Float[ndarray, "T"]:
+    return recall.recall(it.symmetric_errors.mspd(it.clip.K), recall.PIXELS * it.clip.size[0] / 640)
+
+
 def _motion_deviation(it: Comparison) -> float:
     """Motion deviation of hand and object in stable contact; there is none without such contact."""
     hand, object_ = it.hand_in_camera[0], it.object_in_camera[0]
@@ -167,6 +179,16 @@ TRUE_SCA = Metric(
     by_contact=True, needs_truth=True, ranked=False,
 )  # fmt: skip
 
+
+def _by_replay(_: Comparison, __: ContactDefinition) -> float:
+    """Leave it out: it takes a simulation, which ``replay`` and ``bench --replay`` make."""
+    raise MissingPartError
+
+
+REPLAY = Metric("replay_stays", _by_replay, label="stays", decimals=0)
+"""Share of the frames in which the object stays in the simulated hand (``export.replay``)."""
+
+BOP: Mapping[str, Any] = {"group": "recall", "needs_truth": True}
 _METRICS: tuple[Metric, ...] = (
     IOU,
     Metric("iou_soft", lambda it, _: it.iou.soft),
@@ -217,44 +239,44 @@ _METRICS: tuple[Metric, ...] = (
     Metric(
         "cdev_mm",
         lambda it, _: 1e3 * motion.contact_deviation(it.contact_pairs, it.hand_in_camera[0], it.object_in_camera[0]),
-        "mm", needs_truth=True, ranked=False,
+        "mm", label="CDev, mm", group="motion", needs_truth=True, ranked=False,
     ),
-    Metric("mdev_mm", lambda it, _: 1e3 * _motion_deviation(it), "mm", needs_truth=True, ranked=False),
+    Metric(
+        "mdev_mm", lambda it, _: 1e3 * _motion_deviation(it), "mm", label="MDev, mm", group="motion", needs_truth=True,
+        ranked=False,
+    ),
     Metric(
         "acc_hand", lambda it, _: _known(motion.acceleration_error(*it.hand_in_camera, it.clip.time)),
-        "m/s^2", needs_truth=True, ranked=False,
+        "m/s^2", label="ACC of the hand, m/s²", group="motion", needs_truth=True, ranked=False,
     ),
     Metric(
         "acc_object", lambda it, _: _known(motion.acceleration_error(*it.object_in_camera, it.clip.time)),
-        "m/s^2", needs_truth=True, ranked=False,
+        "m/s^2", label="ACC of the object, m/s²", group="motion", needs_truth=True, ranked=False,
     ),
     Metric(
         "mrrpe_mm",
         lambda it, _: 1e3 * motion.root_error(*zip(it.hand_in_camera, it.object_in_camera, strict=True)),
-        "mm", needs_truth=True, ranked=False,
+        "mm", label="MRRPE, mm", group="motion", needs_truth=True, ranked=False,
     ),
     Metric(
         "vertex_success_5", lambda it, _: motion.vertex_success(
             *it.object_in_camera, it.clip.mesh.diameter * it.true.scale
-        ), needs_truth=True,
+        ), label="within 5 %", group="motion", needs_truth=True,
     ),
     Metric(
-        "add_cam_auc", lambda it, _: recall.area_under_curve(it.errors_cam.add), needs_truth=True,
+        "add_cam_auc", lambda it, _: recall.area_under_curve(it.errors_cam.add), label="ADD AUC", group="recall",
+        needs_truth=True,
     ),
     Metric(
         "adds_cam_auc", lambda it, _: recall.area_under_curve(recall.nearest_add(*it.object_in_camera)),
-        needs_truth=True,
+        label="ADD-S AUC", group="recall", needs_truth=True,
     ),
-    Metric(
-        "mssd_cam_recall",
-        lambda it, _: recall.recall(it.symmetric_errors.mssd(), recall.SHARES * it.errors_cam.diameter),
-        needs_truth=True,
-    ),
-    Metric(
-        "mspd_cam_recall",
-        lambda it, _: recall.recall(it.symmetric_errors.mspd(it.clip.K), recall.PIXELS * it.clip.size[0] / 640),
-        needs_truth=True,
-    ),
+    REPLAY,
+    Metric("ar_cam", lambda it, _: np.mean([_mssd(it), _mspd(it), it.vsd_recall], axis=0), label="AR", **BOP),
+    Metric("ar_of_two_cam", lambda it, _: np.mean([_mssd(it), _mspd(it)], axis=0), label="AR without VSD", **BOP),
+    Metric("mssd_cam_recall", lambda it, _: _mssd(it), label="MSSD", **BOP),
+    Metric("mspd_cam_recall", lambda it, _: _mspd(it), label="MSPD", **BOP),
+    Metric("vsd_cam_recall", lambda it, _: it.vsd_recall, label="VSD", **BOP),
     Metric("frames_without_mesh", lambda it, _: float(sum(mesh is None for mesh in it.meshes)), "frames"),
     Metric("closed", lambda it, _: _closed(it)),
 )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 from getagrip.clip import Clip, Masks
 from getagrip.metrics.mask import iou_of_poses
 from getagrip.object_poses.at_frames import place_of, read_poses
-from getagrip.result import FrameKind, Reconstruction
+from getagrip.result import FrameKind, Reconstruction, is_result, read_result
 
 
 @dataclass(frozen=True)
@@ -26,9 +27,17 @@ class OtherSystem:
         inside = sorted(path for path in place.iterdir() if path.is_file()) if place.is_dir() else [place]
         return {path.name: path for path in inside}
 
-    def result(self, clip: Clip, masks: Masks | None) -> Reconstruction:
-        """Read its poses of a clip, one of many. Raises ``InputError``."""
-        return poses_of(place_of(self.root, clip.name), self.name, clip, masks)
+    def result(self, clip: Clip, masks: Masks | None, frames: Sequence[str]) -> Reconstruction:
+        """Read its poses of a clip, one of many, in some of its frames. Raises ``InputError``.
+
+        A result folder of this package that has all of them keeps its hand, its checks and what else is in it.
+        """
+        place = place_of(self.root, clip.name)
+        if place.is_dir() and is_result(place):
+            found, _ = read_result(place)
+            if {*frames} <= {*found.frames}:
+                return replace(found.take(np.array([found.frames.index(name) for name in frames])), method=self.name)
+        return poses_of(place, self.name, clip, masks).take(clip.index_of(frames))
 
 
 def poses_of(place: Path, name: str, clip: Clip, masks: Masks | None, first: int | None = None) -> Reconstruction:

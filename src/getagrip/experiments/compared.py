@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import arg
 
 from getagrip.batch.keep import Keep
 from getagrip.errors import unknown
 from getagrip.fitting.methods import METHODS
+from getagrip.io.arguments import Flag
 
 
 def _methods(_: str) -> str:
@@ -46,6 +47,16 @@ class Compared:
     """In SCA, SCA-ADD and SCA-IOU, points of the object within MM of the hand's surface are in contact; with several
     values, rows for each. The paper uses 0 on ARCTIC."""
 
+    replay: Flag = False
+    """Also simulate each result (getagrip replay): in what share of the frames the object stays in the hand."""
+    columns: Annotated[
+        tuple[Literal["paper", "motion", "recall"], ...],
+        arg(help_behavior_hint="(default: paper; of ho3d-eval: recall)"),
+    ] = ()
+    """Columns of the tables. paper: its own; motion: ARCTIC's metrics; recall: areas under curves of ADD and ADD-S, and
+    BOP's average recall."""
+    refine: Flag = False
+    """Add a row for each system of --with: our joint fit that starts from its poses, as of refine."""
     keep: Annotated[Keep, arg(name="")] = field(default_factory=Keep)
 
     def __post_init__(self) -> None:

@@ -6,7 +6,7 @@ Intervals of means are by Student's t over groups of clips; other statistics hav
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,14 +14,16 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy.special import stdtrit
 
-from getagrip.evaluation.metric import ADD_SYM, METRICS, Metric
+from getagrip.evaluation.metric import ADD_SYM, METRICS, Group, Metric
 from getagrip.experiments.trials import Score, Scores
 from getagrip.experiments.variants import Variant
 
+PAPER: tuple[Group, ...] = ("paper",)
 
-def columns() -> tuple[Metric, ...]:
-    """Return the metrics shown as means: the paper's, and up to the object's symmetries."""
-    return tuple(m for m in METRICS.working().values() if m.label and m.unit == "%" and not m.folded)
+
+def columns(groups: Sequence[Group] = PAPER) -> tuple[Metric, ...]:
+    """Return the metrics of some groups that are shown as means."""
+    return tuple(m for m in METRICS.working().values() if _is_of(m, groups) and m.unit == "%" and not m.folded)
 
 
 def folded_columns() -> tuple[Metric, ...]:
@@ -29,9 +31,13 @@ def folded_columns() -> tuple[Metric, ...]:
     return tuple(metric for metric in METRICS.working().values() if metric.folded)
 
 
-def error_columns() -> tuple[Metric, ...]:
-    """Return the metrics shown as medians."""
-    return tuple(metric for metric in METRICS.working().values() if metric.label and metric.unit != "%")
+def error_columns(groups: Sequence[Group] = PAPER) -> tuple[Metric, ...]:
+    """Return the metrics that are shown as medians: those of some groups, and always the paper's."""
+    return tuple(m for m in METRICS.working().values() if _is_of(m, (*groups, *PAPER)) and m.unit != "%")
+
+
+def _is_of(metric: Metric, groups: Sequence[Group]) -> bool:
+    return bool(metric.label) and metric.group in groups
 
 
 RESAMPLES = 2000
@@ -103,17 +109,25 @@ class Table:
         return ranks
 
 
-def compare(scores: Sequence[Scores], variants: Sequence[Variant]) -> list[Table]:
-    """Make a table over all clips, and one for each category where there are several."""
+def compare(
+    scores: Sequence[Scores],
+    variants: Sequence[Variant],
+    shown: Sequence[Group] = PAPER,
+    part_of: Callable[[Scores], str] = lambda clip: clip.category,
+) -> list[Table]:
+    """Make a table over all clips, and one for each part of them, by default a category, where there are several.
+
+    ``shown`` are the groups of metrics that are columns.
+    """
     scores = [clip for clip in scores if clip.scores]
     if not scores:
         return []
     of = groups(scores)
-    tables = [_table("all", scores, variants, of)]
-    categories = sorted({clip.category for clip in scores})
-    for category in categories if len(categories) > 1 else []:
-        own = [n for n, clip in enumerate(scores) if clip.category == category]
-        tables.append(_table(category, [scores[n] for n in own], variants, [of[n] for n in own]))
+    tables = [_table("all", scores, variants, of, shown)]
+    parts = sorted({part_of(clip) for clip in scores})
+    for part in parts if len(parts) > 1 else []:
+        own = [n for n, clip in enumerate(scores) if part_of(clip) == part]
+        tables.append(_table(part, [scores[n] for n in own], variants, [of[n] for n in own], shown))
     return tables
 
 
@@ -126,10 +140,12 @@ def groups(scores: Sequence[Scores]) -> list[str]:
     return subjects if all(subjects) and len(set(subjects)) > 1 else [clip.name for clip in scores]
 
 
-def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], of: Sequence[str]) -> Table:
-    means = (*columns(), *folded_columns())
+def _table(
+    title: str, scores: Sequence[Scores], variants: Sequence[Variant], of: Sequence[str], shown: Sequence[Group]
+) -> Table:
+    means = (*columns(shown), *folded_columns())
     cells = {v.label: {column.label: _values(scores, v, column) for column in means} for v in variants}
-    there = tuple(c for c in columns() if any(not np.isnan(values[c.label]).all() for values in cells.values()))
+    there = tuple(c for c in columns(shown) if any(not np.isnan(values[c.label]).all() for values in cells.values()))
     folded = tuple(c for c in folded_columns() if not c.needs_truth or any(clip.has_truth for clip in scores))
     rows = []
     for variant in variants:
@@ -139,7 +155,7 @@ def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], of
         done = [score for score in tried if not score.failed]
         wrong = [score for score in done if _is_right(score, variant) is False]
         errors = {
-            e.label: [score.metrics.get(e.key(variant.contact), np.nan) for score in done] for e in error_columns()
+            e.label: [score.metrics.get(e.key(variant.contact), np.nan) for score in done] for e in error_columns(shown)
         }
         rows.append(
             Row(
@@ -187,6 +203,8 @@ def _values(scores: Sequence[Scores], variant: Variant, column: Metric) -> Float
     before it was measured: the others' mean would mislead.
     """
     key, values = column.key(variant.contact), np.full(len(scores), np.nan)
+    if not any(key in score.metrics for clip in scores for score in clip.scores):
+        return values
     tried = [(n, clip, score) for n, clip in enumerate(scores) if (score := _score(clip, variant))]
     if column.needs_truth and any(c.has_truth and not s.failed and key not in s.metrics for _, c, s in tried):
         return values

@@ -24,7 +24,7 @@ from getagrip.experiments.trials import GraspTrial, Scores
 from getagrip.experiments.variants import Variant, ablation_variants, method_variants
 from getagrip.fitting.methods import method_of
 from getagrip.fitting.options import WITH_FREE_SCALE, Options
-from getagrip.io import files, leftovers
+from getagrip.io import extras, files, leftovers
 from getagrip.io.code import stamp
 from getagrip.io.terminal import counted
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition, at_millimetres
@@ -48,6 +48,12 @@ class GraspBenchmark(Benchmark[Scores]):
             raise UsageError("--ablation cannot be used with --hands")
         if self.compared.others and (ablation is not None or self.compared.hands):
             raise UsageError("--with cannot be used with --ablation or --hands")
+        if self.compared.replay:
+            extras.load("mujoco", "mujoco", "--replay")
+        if self.compared.refine and not self.compared.others:
+            raise UsageError("missing --with: --refine needs poses to start from")
+        if self.compared.refine and self.options.init != "uniform":
+            raise UsageError(f"--init {self.options.init} cannot be used with --refine, which starts from --with")
         _ = self.variants
 
     @cached_property
@@ -60,29 +66,34 @@ class GraspBenchmark(Benchmark[Scores]):
         """Settings that are compared besides methods."""
         if self.compared.hands:
             return comparison([HandSource.of(text) for text in self.compared.hands])
-        return None if self.compared.ablation is None else ABLATIONS[self.compared.ablation]
+        if self.compared.ablation is not None:
+            return ABLATIONS[self.compared.ablation]
+        return self.source.compared
 
     @property
     def name(self) -> str:
         """Name of the files of the tables."""
-        return "hands" if self.compared.hands else self.compared.ablation or "methods"
+        own = "methods" if self.source.compared is None else self.source.dataset
+        return "hands" if self.compared.hands else self.compared.ablation or own
 
     @cached_property
     def variants(self) -> list[Variant]:
         """The rows of the tables."""
         methods = self.compared.methods
         if self.settings is None:
-            systems = [system_of(text) for text in self.compared.others]
             ours = method_variants(methods, self.options, self.contacts)
-            return ours + system_variants(systems, self.options, self.contacts)
-        return ablation_variants(self.name, methods, self.options, self.contacts, self.settings)
+        else:
+            ours = ablation_variants(self.name, methods, self.options, self.contacts, self.settings)
+        systems = [system_of(text) for text in self.compared.others]
+        return ours + system_variants(systems, self.options, self.contacts, self.compared.refine)
 
     def trials(self, samples: Sequence[Sample], results: Path, overwrite: bool) -> list[Trial[Scores]]:
         distinct = tuple({variant.folder: variant for variant in self.variants}.values())
         for variant in distinct:
             leftovers.sweep(files.folder_inside(results, variant.folder))
         contacts = tuple(dict.fromkeys((*CONTACT_DEFINITIONS, *self.contacts)))
-        return [GraspTrial(sample, results, overwrite, distinct, contacts) for sample in samples]
+        replay = self.compared.replay
+        return [GraspTrial(sample, results, overwrite, distinct, contacts, replay) for sample in samples]
 
     def failures(self, scores: Scores) -> list[Outcome]:
         """Return the failed clip, or each of its failed variants."""
@@ -107,7 +118,8 @@ class GraspBenchmark(Benchmark[Scores]):
         return Entry("", "failed" if scores.failure else "done" if scores.made else "kept", why)
 
     def page(self, scores: Sequence[Scores]) -> Page | None:
-        tables = compare(scores, self.variants)
+        shown = self.compared.columns or self.source.columns
+        tables = compare(scores, self.variants, shown, lambda clip: self.source.part_of(clip.name, clip.category))
         title = "Methods" if self.settings is None else self.settings.title
         about, settings = _about(self, scores), _settings(self, scores)
         texts = {".md": markdown(tables, title, about, settings), ".tex": latex(tables, title, about + settings)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from getagrip.clip import Clip, Masks, observed_frames
@@ -14,7 +14,7 @@ from getagrip.experiments.changes import UNCHANGED
 from getagrip.experiments.settings import REFERENCE
 from getagrip.experiments.variants import Variant, by_contact
 from getagrip.fitting.methods import METHODS
-from getagrip.fitting.options import Options
+from getagrip.fitting.options import Options, PriorsFile
 from getagrip.io.files import is_plain_name, sha256
 from getagrip.metrics.contact import ContactDefinition
 from getagrip.result import Reconstruction
@@ -33,13 +33,17 @@ def system_of(text: str) -> OtherSystem:
 
 
 def system_variants(
-    systems: Sequence[OtherSystem], base: Options, contacts: Sequence[ContactDefinition]
+    systems: Sequence[OtherSystem], base: Options, contacts: Sequence[ContactDefinition], refine: bool = False
 ) -> list[Variant]:
-    """Make a row for each system, by each definition of contact."""
+    """Make a row for each system, by each definition of contact, and one of ours that starts from its poses."""
     rows = [
         Variant(each.name, each.name, base, UNCHANGED, contacts[0], REFERENCE, each.name, each.name, each)
         for each in systems
     ]
+    for each in systems if refine else ():
+        label, options = f"{each.name}, refined", replace(base, init="poses", priors=PriorsFile(each.root))
+        folder = f"{each.name}+refined"
+        rows.append(Variant(label, folder, options, UNCHANGED, contacts[0], each.name, each.name, label))
     return by_contact(rows, contacts)
 
 
@@ -60,9 +64,7 @@ def options_of(variant: Variant, clip: str) -> dict[str, object]:
 def result_of(variant: Variant, clip: Clip, masks: Masks) -> Reconstruction:
     """Return another system's poses in the frames in which our methods are evaluated. Raises ``InputError``."""
     assert variant.system is not None
-    result = variant.system.result(clip, masks)
     if variant.options.every_frame:
-        return result
+        return variant.system.result(clip, masks, clip.frames)
     visible = observed_frames(clip, masks.observed)
-    used = visible.take(frame_indices(len(visible), variant.options.frames))
-    return result.take(clip.index_of(used.frames))
+    return variant.system.result(clip, masks, visible.take(frame_indices(len(visible), variant.options.frames)).frames)

@@ -10,6 +10,7 @@ from getagrip.datasets.synthetic.noise import NOISE, Noise
 from getagrip.experiments.changes import (
     UNCHANGED,
     Change,
+    EstimatedHands,
     FlippedHands,
     Gapped,
     Noisy,
@@ -77,8 +78,8 @@ def _noise_level(name: str) -> Setting:
 
 
 def _estimated(*evidence: Change) -> Change:
-    """Make the change to hands at the level ``estimated``; evidence is of the true ones."""
-    return Several((*evidence, Noisy(replace(NOISE["estimated"], mask_ragged_px=0.0))))
+    """Make the change to estimated hands, at the level ``estimated`` where they are true; evidence is of true ones."""
+    return Several((*evidence, EstimatedHands(replace(NOISE["estimated"], mask_ragged_px=0.0))))
 
 
 def _mask_noise(px: float) -> Setting:
@@ -199,7 +200,7 @@ ABLATIONS: dict[str, Ablation] = {
         ("soft-hinge",),
     ),
     "evidence": Ablation(
-        "Hands at the level `estimated`, with other evidence simulated at levels of errors (docs/datasets.md)",
+        "Estimated hands, with other evidence simulated at levels of errors (docs/datasets.md)",
         "nothing new",
         (
             Setting("nothing new", change=_estimated()),
@@ -207,9 +208,10 @@ ABLATIONS: dict[str, Ablation] = {
             *(Setting(f"depth, {level}", change=_estimated(SimulatedDepth(level))) for level in DEPTHS),
             *(
                 Setting(
-                    f"2D joints, wild; depth, {level}",
-                    change=_estimated(SimulatedJoints("wild"), SimulatedDepth(level)),
+                    f"2D joints, {joints}; depth, {level}",
+                    change=_estimated(SimulatedJoints(joints), SimulatedDepth(level)),
                 )
+                for joints in ("wild", "landmarks")
                 for level in ("mono", "realsense")
             ),
         ),

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from getagrip.experiments.comparison import LEVEL, Estimate, Table, error_columns
+from getagrip.experiments.comparison import LEVEL, Estimate, Table
 from getagrip.experiments.trials import Scores
 from getagrip.experiments.variants import Variant
 from getagrip.io.tables import markdown_table as table_lines
@@ -115,9 +115,7 @@ def _differences(table: Table, style: Style) -> list[list[str]]:
 
 def _errors(table: Table, style: Style) -> list[list[str]]:
     """Headings and rows of the means that are folded away, of the medians, and of what is marked ambiguous."""
-    labels = [
-        error.label for error in error_columns() if not all(math.isnan(row.medians[error.label]) for row in table.rows)
-    ]
+    labels = [label for label in table.rows[0].medians if not all(math.isnan(row.medians[label]) for row in table.rows)]
     rows = [["", *(f"{column.label}, %" for column in table.folded), *labels, "ambiguous", "of wrong poses"]]
     for row in table.rows:
         means = [row.values[column.label] for column in table.folded]
@@ -135,7 +133,7 @@ def _findings(table: Table, style: Style) -> list[list[str]]:
     """Return headings and rows of the number of results that each check flags (docs/checks.md)."""
     rows = [["", "flagged", "right ones", "serious findings", "notes"]]
     for row in table.rows:
-        known = any(not math.isnan(row.medians[error.label]) for error in error_columns())
+        known = any(not math.isnan(median) for median in row.medians.values())
         right = str(row.flagged_right) if known else "–"
         named = [", ".join(f"{name} {count}" for name, count in of.items()) or "–" for of in (row.serious, row.noted)]
         rows.append([style.text(row.variant.label), f"{row.flagged} of {table.clips}", right, *named])

@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from getagrip.checks import input_checks, result_checks
 from getagrip.checks.of_timeline import JUMP
-from getagrip.evaluation.metric import ADD_MM, ADD_SYM_CAM_MM, ADD_SYM_MM, METRICS, ROTATION_SYM, SCA, Metric
+from getagrip.evaluation.metric import ADD_MM, ADD_SYM_CAM_MM, ADD_SYM_MM, METRICS, REPLAY, ROTATION_SYM, SCA, Metric
 from getagrip.evaluation.results import Evaluation
 from getagrip.fitting.methods import label_of
 from getagrip.io import files
@@ -37,7 +37,7 @@ CONTACT = ContactDefinition("object", 0.010)
 """Definition of contact of SCA among the main metrics."""
 MAIN: Mapping[str, Metric] = {
     "ADD": ADD_MM, "ADD sym.": ADD_SYM_MM, "in the camera": ADD_SYM_CAM_MM, "rotation sym.": ROTATION_SYM,
-    f"SCA {CONTACT.distance}": SCA,
+    f"SCA {CONTACT.distance}": SCA, "stays in the simulated hand": REPLAY,
 }  # fmt: skip
 """Metrics at the top of the page beside the IOU, each under a short name."""
 PLOTTED: Mapping[str, Metric] = {"ADD, symmetries allowed": ADD_SYM_MM}
@@ -109,6 +109,7 @@ def described(view: View, label: str, evaluation: Evaluation, record: Json) -> J
             *_probably(view.result),
             *_met(view.result),
             *_main(evaluation.headline, bool(evaluation.metrics_of_grasps)),
+            *_main({REPLAY.name: record["metrics"].get(REPLAY.name)}, False),
         ],
         "plots": _plots(view, evaluation.per_frame),
         "tables": tables(view, evaluation, record),
@@ -162,7 +163,7 @@ def _met(result: Reconstruction) -> list[dict[str, str]]:
     return [] if np.isnan(result.mean_iou) else [{"name": "IOU", "value": f"{100 * result.mean_iou:.1f} %"}]
 
 
-def _main(metrics: Mapping[str, float], of_grasps: bool) -> list[dict[str, str]]:
+def _main(metrics: Mapping[str, float | None], of_grasps: bool) -> list[dict[str, str]]:
     """Return the main metrics that are known."""
     out = []
     for name, metric in MAIN.items():

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
-from tyro.conf import arg
+from tyro.conf import Positional, arg
 
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
@@ -16,13 +16,7 @@ from getagrip.io.arguments import meant, one_of, parsed
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
     from getagrip.batch.share import Share
-from typing import TYPE_CHECKING
-
-from tyro.conf import Positional
-
-if TYPE_CHECKING:
-    from getagrip.batch.job import Outcome
-    from getagrip.batch.share import Share
+    from getagrip.experiments.settings import Ablation
 
 Split = Literal["train", "validation", "all"]
 
@@ -58,6 +52,8 @@ class ClipSource:
 
     dataset: ClassVar[str]
     """Name of the dataset for users."""
+    every_frame: ClassVar[bool] = False
+    """Whether all frames of its clips count, whatever the user says."""
     split: Annotated[
         Split | None,
         one_of("train", "validation", "all"),
@@ -93,6 +89,20 @@ class ClipSource:
     def contact_mm(self) -> float:
         """Within how much of the hand's surface points of the object are in contact, unless the user says [mm]."""
         return 10.0
+
+    @property
+    def columns(self) -> tuple[Literal["paper", "motion", "recall"], ...]:
+        """The columns of its tables, unless the user says."""
+        return ("paper",)
+
+    @property
+    def compared(self) -> Ablation | None:
+        """The settings that are compared on it, where these are not methods."""
+        return None
+
+    def part_of(self, clip: str, category: str) -> str:
+        """Return the part that a clip is of, of those with a table each."""
+        return category
 
     def samples(self, clips: Path, debug: bool, share: Share | None = None) -> tuple[list[Sample], list[Outcome]]:
         """Return the clips, and the outcomes of folders that are none.
