@@ -14,14 +14,13 @@ from benchmarks import (
     scaling,
     segment_speed,
     store,
-    two_threads,
 )
 from benchmarks.timing import circumstances
 
 SECTIONS = {
     "reconstruct-speed": reconstruct_speed.tables,
     "cold-start": cold_start.tables,
-    "two-threads": two_threads.tables,
+    "two-threads": reconstruct_speed.two_threads,
     "against-deodr": against_deodr.tables,
     "scaling": scaling.tables,
     "segment-speed": segment_speed.tables,

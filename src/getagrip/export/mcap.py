@@ -76,7 +76,8 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     for name, (vertices, faces) in meshes.items():
         import trimesh
 
-        files.write_bytes(folder / name, bytes(trimesh.Trimesh(vertices, faces, process=False).export(file_type="glb")))
+        scene_file: Any = trimesh.Trimesh(vertices, faces, process=False).export(file_type="glb")
+        files.write_bytes(folder / name, scene_file)
     about = {name: f"the mesh in the frame {name[:-4]}, axes as they are; metres" for name in meshes}
     hands = {name: f"{words}; as it is bent in the first frame" for name, words in about.items() if "hand" in name}
     return {FILE: f"JSON by Foxglove's schemas; {stage.words}; quaternions (x, y, z, w)", **about, **hands}

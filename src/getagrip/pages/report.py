@@ -117,7 +117,6 @@ def described(view: View, label: str, evaluation: Evaluation, record: Json) -> J
 
 
 def _summary(view: View, label: str, record: Json) -> Json:
-    """Return the page's text."""
     result, clip = view.result, view.clip
     hand = f"a {clip.side} hand" if clip.other_hand is None else "both hands"
     return {
@@ -164,7 +163,6 @@ def _met(result: Reconstruction) -> list[dict[str, str]]:
 
 
 def _main(metrics: Mapping[str, float | None], of_grasps: bool) -> list[dict[str, str]]:
-    """Return the main metrics that are known."""
     out = []
     for name, metric in MAIN.items():
         if (value := metrics.get(metric.key(CONTACT))) is not None and not np.isnan(value):
@@ -252,5 +250,4 @@ def _checked(checks: Mapping[str, float]) -> list[list[str]]:
 
 
 def _rows(content: Mapping[str, object]) -> list[list[str]]:
-    """Names and values as texts."""
     return [[str(key), f"{value:.4g}" if isinstance(value, float) else str(value)] for key, value in content.items()]

@@ -148,7 +148,6 @@ def draw_rows(rows: Sequence[Row], title: str, under: str, frames: int, dpi: int
 
 
 def _headings(sheet: Sheet, view: View, chosen: Int[ndarray, "n"], turned: float) -> None:
-    """Draw the headings of the tiles, and the frames' names."""
     for x, words in (
         (LABEL, "over the masks" if view.image_file(0) is None else "over the image"),
         (turned, "from the side"),
