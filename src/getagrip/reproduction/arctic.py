@@ -27,7 +27,7 @@ PAPERS = {
 
 @dataclass(frozen=True, kw_only=True)
 class ReproduceArctic(Reproduce):
-    """Make the paper's tables of ARCTIC-Grasps: methods, statistics, and the study of rotation within grasps."""
+    """The paper's tables of ARCTIC-Grasps: methods, statistics, and the study of rotation within grasps."""
 
     def run(self) -> int:
         """Import, learn starts, compare, study, and write the tables; 1 if anything failed, else 0.

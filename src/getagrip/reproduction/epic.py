@@ -53,7 +53,7 @@ PAPERS = {"HOMan": "homan", "Dynamic": "paper-dynamic", "1-DoF": "paper"}
 
 @dataclass(frozen=True, kw_only=True)
 class ReproduceEpic(Reproduce):
-    """Make the paper's tables of EPIC-Grasps; while HaMeR's hands are missing, only the clips that it runs on.
+    """The paper's tables of EPIC-Grasps; while HaMeR's hands are missing, only the clips that it runs on.
 
     Without FrankMocap's hands, Tables 4 and 9 are left out.
     """
