@@ -22,7 +22,6 @@ from benchmarks.store import Cell, Column, Table
 from benchmarks.timing import circumstances
 from getagrip import Options, evaluate, read_clip, read_masks, reconstruct
 from getagrip.commands.learn_poses import LearnPoses
-from getagrip.experiments.comparison import estimate
 from getagrip.fitting.methods import homan, homan_refine
 from getagrip.fitting.options import PriorsFile
 from getagrip.metrics.contact import at_millimetres
@@ -54,15 +53,15 @@ STEPS = (
 )
 
 
-def measured(step: Step, priors: Path, folder: Path) -> tuple[str, list[float]]:
-    """Run HOMan on a clip: its subject, and ``METRICS``."""
+def measured(step: Step, priors: Path, folder: Path) -> list[float]:
+    """Run HOMan on a clip: ``METRICS``."""
     homan.TRACKS, homan_refine.SMOOTH, homan_refine.INTERACT = step.tracks, step.smooth, step.interact
     starts = {"init": "priors", "priors": PriorsFile(priors), "priors_only": True} if step.its_starts else {}
     clip = read_clip(folder)
     masks = read_masks(clip)
     options = Options(method="homan", hands="as-given", every_frame=False, **starts)  # type: ignore[arg-type]
     metrics = evaluate(reconstruct(clip, masks, options), clip, masks, CONTACTS).metrics
-    return str(clip.provenance.get("subject", clip.name)), [metrics[key] for _, key in METRICS.values()]
+    return [metrics[key] for _, key in METRICS.values()]
 
 
 def main(name: str, clips: Path, count: int = 10**6, workers: int = 1) -> None:
@@ -76,10 +75,9 @@ def main(name: str, clips: Path, count: int = 10**6, workers: int = 1) -> None:
         priors = Path(place) / "priors"
         LearnPoses(clips=(clips,), out=Path(place) / "starts.npz", as_folder=priors, way="axis-angle").run()
         for step in STEPS:
-            subjects, found = zip(*pool.imap(partial(measured, step, priors), folders), strict=True)
-            means = [estimate(values, subjects) for values in np.array(found, dtype=float).T]
-            cells = [[round(100 * v, 1) for v in (m.mean, m.low, m.high) if not np.isnan(v)] for m in means]
-            rows.append({"label": step.label, "clips": len(found), **dict(zip(METRICS, cells, strict=True))})
+            found = np.array(list(pool.imap(partial(measured, step, priors), folders)))
+            means = [round(100 * float(mean), 1) for mean in found.mean(axis=0)]
+            rows.append({"label": step.label, "clips": len(found), **dict(zip(METRICS, means, strict=True))})
             print(rows[-1], flush=True)
             store.write(f"{name}-homan-gap", Table("HOMan, from ours to the paper's", made, columns, rows))
 

@@ -16,7 +16,7 @@ SIZE = (456, 256)
 """EPIC-KITCHENS' images."""
 CATEGORIES = {"mug": ("left", 1000), "bowl": ("right", 1200)}
 """Side and first frame of the grasp of each."""
-LENGTH = 9
+LENGTH = 4
 
 
 def clip_name(category: str) -> str:
@@ -61,10 +61,10 @@ def write_epic_paper(root: Path) -> Path:
 
 
 def write_demos(root: Path) -> None:
-    """HaMeR's records and FrankMocap's pickles of each clip's frames, by their own formulas, in images of 456 x 256."""
+    """HaMeR's records and FrankMocap's pickles of the images of clips, 854 x 480, by their own formulas."""
     for category, (side, first) in CATEGORIES.items():
         model, shaped = posed(root / "mano", side)
-        s, centre, size = 6.0, np.array([200.0, 136.0]), 130.0
+        s, centre, size = 6.0, np.array([375.0, 255.0]), 244.0
         for n in range(LENGTH):
             shift = np.array([1.6 * n / size, 0.0])
             R = se3.exp_so3(np.array([0.2, 0.03 * n, 0.1]))
@@ -74,7 +74,7 @@ def write_demos(root: Path) -> None:
             hamer.mkdir(parents=True, exist_ok=True)
             np.savez(
                 hamer / f"frame_{first + n:010d}_0.npz", global_orient=R[None], hand_pose=fingers, betas=np.zeros(10),
-                right=float(side == "right"), img_size=np.array(SIZE, float), pred_cam=np.array([s, *shift]),
+                right=float(side == "right"), img_size=np.array([854.0, 480.0]), pred_cam=np.array([s, *shift]),
                 box_center=centre, box_size=size,
             )  # fmt: skip
             seen = R if side == "right" else flip @ R @ flip

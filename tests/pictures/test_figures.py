@@ -322,7 +322,7 @@ def test_meshes_of_a_system_without_a_cad_model_stand_under_our_result(made: Pat
     figure = kind.draw([result], never)
     words = texts(figure)
     assert {"1-DoF, ours", "iHOI"} <= words
-    assert any("1 frames without" in text for text in words)
+    assert any("1 frame without" in text for text in words)
     meshes, errors = read_meshes(tmp_path, view.clip, "camera")
     assert (meshes[0], errors) == (None, [])
     drawn = replace(view, frame_meshes=tuple(meshes))
@@ -337,3 +337,8 @@ def test_meshes_of_a_system_without_a_cad_model_stand_under_our_result(made: Pat
 def test_meshes_must_be_folders_with_names(meshes: tuple[str, ...]) -> None:
     with pytest.raises(UsageError, match="--meshes"):
         Ihoi(meshes=meshes).check()
+
+
+def test_results_of_which_none_can_be_read_are_an_error(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="one"):
+        Hands().draw([StoredResult(tmp_path / "one"), StoredResult(tmp_path / "two")], never)

@@ -15,7 +15,7 @@ from getagrip.io import arrays, files
 
 FILE = "hand.npz"
 KEYS = ("names", "K", "clip_sha256")
-"""What it holds beside a hand: names of the frames, the camera of each, and the checksum of the clip without it."""
+"""Its arrays beside those of a hand: names of the frames, the camera of each, the checksum of the clip without it."""
 
 
 def keep_hands(clip: Clip, result: Path, clip_sha256: str) -> None:

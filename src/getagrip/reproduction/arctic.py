@@ -27,7 +27,7 @@ PAPERS = {
 
 @dataclass(frozen=True, kw_only=True)
 class ReproduceArctic(Reproduce):
-    """Make the paper's tables of ARCTIC-Grasps: methods, statistics, and the study of rotation within grasps."""
+    """The paper's tables of ARCTIC-Grasps: methods, statistics, and the study of rotation within grasps."""
 
     def run(self) -> int:
         """Import, learn starts, compare, study, and write the tables; 1 if anything failed, else 0.
@@ -40,7 +40,7 @@ class ReproduceArctic(Reproduce):
         from getagrip.commands.study import Study
         from getagrip.datasets.arctic import PAPER, Arctic
         from getagrip.fitting.options import PriorsFile, SearchOptions
-        from getagrip.reproduction.tables import ALL, PaperTable, bench_values, durations
+        from getagrip.reproduction.tables import ALL, PaperTable, bench_values, durations, on_clips
 
         there, clips, whole = found(NEEDS, self.roots), self.out / "clips", self.out / "whole"
         cut = Arctic(root=there["root"], mano=there["mano"], grasps=replace(PAPER, shortest=SHORTEST))
@@ -63,7 +63,7 @@ class ReproduceArctic(Reproduce):
             good &= self.step("study", study)
         methods = {g: bench_values(self.page("methods"), m, COLUMNS) for g, m in (PAPERS | OURS).items()}
         tables = [
-            PaperTable("Table 2", methods),
+            PaperTable("Table 2", methods, on_clips(self.page("methods"))),
             PaperTable("Table 8", durations(statistics)),
             PaperTable("Sec. 3", {"grasps": {ALL: self._errors()}}),
         ]

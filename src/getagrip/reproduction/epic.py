@@ -12,7 +12,7 @@ from getagrip.reproduction.reproduce import OURS, Reproduce
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
-    from getagrip.reproduction.tables import PaperTable, Values
+    from getagrip.reproduction.tables import PaperTable
 
 FOCAL = 5000.0 / 256.0 * 854.0
 """HaMeR's focal length, which the paper takes, for VISOR's masks, 854 wide [px]."""
@@ -49,14 +49,13 @@ HANDS = {
 COLUMNS = {"IOU": "IOU", "SCA@0.8": "SCA-IOU 0.8", "SCA@0.6": "SCA-IOU 0.6"}
 PAPERS = {"HOMan": "homan", "Dynamic": "paper-dynamic", "1-DoF": "paper"}
 """The paper's groups, and their methods."""
-PHYSICAL, OCCLUSION = ("0", "0.1", "1"), ("off", "on")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReproduceEpic(Reproduce):
-    """Make the paper's tables of EPIC-Grasps: methods, ablations, statistics. Without HaMeR's hands, the clips first.
+    """The paper's tables of EPIC-Grasps; while HaMeR's hands are missing, only the clips that it runs on.
 
-    FrankMocap's hands, for two of the tables, may be missing.
+    Without FrankMocap's hands, Tables 4 and 9 are left out.
     """
 
     def run(self) -> int:
@@ -139,43 +138,35 @@ class ReproduceEpic(Reproduce):
 
     def _tables(self, frankmocap: bool) -> list[PaperTable]:
         """Read the benches' pages as the paper's tables."""
-        from getagrip.reproduction.tables import PaperTable, durations
+        from getagrip.reproduction.tables import PaperTable, bench_values, durations, on_clips
 
-        tables = [PaperTable("Table 3", self._by_category({g: ("methods", m) for g, m in (PAPERS | OURS).items()}))]
-        if frankmocap:
-            tables.append(
-                PaperTable("Table 4", self._by_setting("hands", {"FrankMocap": "frankmocap", "HaMeR": "hamer"}))
-            )
-        tables += [
-            PaperTable("Table 5", self._by_setting("physical", dict(zip(PHYSICAL, PHYSICAL, strict=True)))),
-            PaperTable("Table 6", self._by_setting("occlusion", dict(zip(OCCLUSION, OCCLUSION, strict=True)))),
-            PaperTable(
-                "Table 7", durations(self.out / "statistics" / "stats.json"), "The paper's table has 5 grasps more."
-            ),
+        def table(number: str, name: str, groups: dict[str, str], also: str = "") -> PaperTable:
+            values = {group: bench_values(self.page(name), label, COLUMNS) for group, label in groups.items()}
+            return PaperTable(number, values, on_clips(self.page(name)) + also)
+
+        def settings(number: str, name: str, labels: dict[str, str]) -> PaperTable:
+            groups = {"1-DoF": "paper", "soft hinge": "soft-hinge"}
+            values = {
+                group: {
+                    row: bench_values(self.page(name), f"{method}, {label}", COLUMNS).get("All", {})
+                    for row, label in labels.items()
+                }
+                for group, method in groups.items()
+            }
+            return PaperTable(number, values, on_clips(self.page(name)))
+
+        tables = [
+            table("Table 3", "methods", PAPERS | OURS),
+            settings("Table 5", "physical", {weight: weight for weight in ("0", "0.1", "1")}),
+            settings("Table 6", "occlusion", {word: word for word in ("off", "on")}),
+            PaperTable("Table 7", durations(self.out / "statistics" / "stats.json")),
         ]
         if frankmocap:
-            of = {"HOMan": "homan", "1-DoF": "paper", "soft hinge": "soft-hinge"}
             both = {
-                f"{g} + {label}": ("hands", f"{m}, {label.lower()}")
-                for g, m in of.items()
-                for label in ("FrankMocap", "HaMeR")
-            }
-            del both["HOMan + HaMeR"]  # the paper has none
-            tables.append(PaperTable("Table 9", self._by_category(both), "On the frames that have both hands."))
+                "HOMan + FrankMocap": "homan, frankmocap", "1-DoF + FrankMocap": "paper, frankmocap",
+                "1-DoF + HaMeR": "paper, hamer", "soft hinge + FrankMocap": "soft-hinge, frankmocap",
+                "soft hinge + HaMeR": "soft-hinge, hamer",
+            }  # fmt: skip
+            tables.insert(1, settings("Table 4", "hands", {"FrankMocap": "frankmocap", "HaMeR": "hamer"}))
+            tables.append(table("Table 9", "hands", both, " Only frames that have both hands."))
         return tables
-
-    def _by_category(self, groups: dict[str, tuple[str, str]]) -> Values:
-        """Return categories as rows, of a page's name and the label of a variant for each group."""
-        from getagrip.reproduction.tables import bench_values
-
-        return {group: bench_values(self.page(name), label, COLUMNS) for group, (name, label) in groups.items()}
-
-    def _by_setting(self, name: str, settings: dict[str, str]) -> Values:
-        """Return settings as rows: the paper's name of each, and the bench's."""
-        from getagrip.reproduction.tables import ALL, bench_values
-
-        def row(method: str, setting: str) -> dict[str, float]:
-            return bench_values(self.page(name), f"{method}, {setting}", COLUMNS).get(ALL, {})
-
-        methods = {"1-DoF": "paper", "soft hinge": "soft-hinge"}
-        return {group: {ours: row(m, label) for ours, label in settings.items()} for group, m in methods.items()}

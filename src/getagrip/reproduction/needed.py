@@ -19,7 +19,7 @@ class Need:
     places: tuple[str, ...]
     """Paths below any of the given folders; the first that is there counts."""
     source: str
-    """Where to get it."""
+    """Place to get it from."""
     holds: tuple[str, ...] = ()
     """Patterns of which a folder has at least one; none for a file."""
 

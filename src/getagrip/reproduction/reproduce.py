@@ -29,7 +29,7 @@ WARNED = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Reproduce(Command):
-    """Make tables of the paper."""
+    """Options and steps of all reproductions."""
 
     roots: Annotated[Positional[tuple[Path, ...]], arg(metavar="ROOT...", help_behavior_hint="")] = ()
     """Folders that together hold what is needed; what is missing is listed, with where to get it."""

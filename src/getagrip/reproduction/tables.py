@@ -18,6 +18,7 @@ from typing import Any
 from getagrip.experiments.tables import LATEX, MARKDOWN
 from getagrip.io import files
 from getagrip.io.tables import markdown_table
+from getagrip.io.terminal import counted
 
 Values = Mapping[str, Mapping[str, Mapping[str, float]]]
 """Measured numbers by group, row and column."""
@@ -38,10 +39,10 @@ class PaperTable:
     """A table of the paper, measured."""
 
     number: str
-    """As ``published.json`` has it."""
+    """Its number, a key of ``published.json``."""
     measured: Values
     note: str = ""
-    """What was measured, on how many clips."""
+    """Remark on what was measured."""
 
     @property
     def title(self) -> str:
@@ -112,7 +113,7 @@ class PaperTable:
         for row in self.rows:
             cells = [self.cell(group, row, column, True) for group in self.groups for column in self.columns]
             lines += [r"\hline"] * (row == ALL) + [" & ".join([LATEX.text(row), *cells]) + r" \\"]
-        caption = f"{self.title}. {self.note} In brackets the paper's numbers."
+        caption = " ".join([f"{self.title}.", *filter(None, [self.note]), "In brackets the paper's numbers."])
         return "\n".join(
             [*lines, r"\bottomrule", r"\end{tabular}", rf"\caption{{{LATEX.text(caption)}}}", r"\end{table*}"]
         )
@@ -128,7 +129,7 @@ def write(tables: Sequence[PaperTable], out: Path, about: Sequence[str]) -> None
     """Print the tables, and write ``tables.md``, ``tables.tex`` and ``tables.json`` into a folder."""
     lines = ["# The paper's tables", "", *(f"- {line}" for line in about)]
     for table in tables:
-        lines += ["", f"## {table.title}", "", *([table.note] if table.note else [])]
+        lines += ["", f"## {table.title}", *(["", table.note] if table.note else [])]
         for column, grid in table.grids():
             lines += ["", *([f"{column}:", ""] if column else []), *markdown_table(grid)]
     text = "\n".join(lines) + "\n"
@@ -146,13 +147,23 @@ def bench_values(page: Path, label: str, columns: Mapping[str, str]) -> dict[str
     ``columns`` maps the paper's columns to ours. Without results, or where all have failed, there is none.
     """
     found: dict[str, dict[str, float]] = {}
-    for table in files.read_json(page)["tables"]:
+    for table in _tables_of(page):
         for row in table["rows"]:
             if row["row"] == label and row["failed"] < table["clips"]:
                 means = {name: row["values"].get(ours, {}).get("mean") for name, ours in columns.items()}
                 values = {name: math.nan if mean is None else 100.0 * mean for name, mean in means.items()}
                 found[ALL if table["table"] == "all" else table["table"]] = values
     return found
+
+
+def on_clips(page: Path) -> str:
+    """Say on how many clips such a page is."""
+    return "".join(f"On {counted(table['clips'], 'clip')}." for table in _tables_of(page)[:1])
+
+
+def _tables_of(page: Path) -> Sequence[Any]:
+    """Return the tables of a page; none where no clip gave a result."""
+    return files.read_json(page)["tables"] if page.is_file() else ()
 
 
 def durations(page: Path) -> Values:

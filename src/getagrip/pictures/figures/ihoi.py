@@ -14,6 +14,7 @@ from getagrip.errors import UsageError
 from getagrip.evaluation.meshes import evaluate_meshes, read_meshes
 from getagrip.evaluation.metric import IOU, SCA
 from getagrip.fitting.methods import label_of
+from getagrip.io.terminal import counted
 from getagrip.metrics.contact import ContactDefinition
 from getagrip.pictures.figures.kind import Fail, about, readable
 from getagrip.pictures.figures.rows import Row, Rows, draw_rows, numbers
@@ -68,4 +69,4 @@ class Ihoi(Rows):
         missing = sum(mesh is None for mesh in found)
         nothing = Reconstruction.external(clip.name, name, clip.frames, np.tile(np.eye(4), (len(clip), 1, 1)))
         view = replace(ours, result=nothing, frame_meshes=tuple(found))
-        return Row(name, texts + [f"{missing} frames without"] * (missing > 0), view)
+        return Row(name, texts + [f"{counted(missing, 'frame')} without"] * (missing > 0), view)

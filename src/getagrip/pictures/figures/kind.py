@@ -57,15 +57,18 @@ def the_one(results: Sequence[StoredResult], kind: str) -> View:
 
 
 def readable(results: Sequence[StoredResult], fail: Fail) -> list[tuple[StoredResult, View]]:
-    """Read the results that can be read; the others go to ``fail``. Raises the error where there is only one."""
+    """Read the results that can be read; the others go to ``fail``. Raises the first error where none can."""
     out: list[tuple[StoredResult, View]] = []
+    errors = list[Exception]()
     for value in results:
         try:
             out.append((value, value.read()))
         except (GetagripError, OSError) as error:
-            if len(results) == 1:
-                raise
-            fail(error)
+            errors.append(error)
+    if errors and not out:
+        raise errors[0]
+    for error in errors:
+        fail(error)
     return out
 
 
