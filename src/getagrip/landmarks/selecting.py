@@ -148,9 +148,7 @@ def select(
     wrong = sum(share < 0.5 for share in shares)
     notes = [f"{majority} hand: {'as stated' if side else f'in {len(shares) - wrong} of {len(shares)} frames'}"]
     if side is not None and first.side != side:
-        notes.append(
-            f"a guess: it looks like the other hand in {wrong} of {len(shares)} frames, and no {side} hand is seen"
-        )
+        notes.append(f"a guess: it looks like the other hand in {wrong} of {len(shares)} frames")
     notes += [] if boxes is None else ["of the hands that were seen, the one nearest to the object"]
     if flickering:
         left_out = _ranges(flickering, counted_from)
