@@ -80,6 +80,15 @@ def test_the_side_is_the_majoritys() -> None:
         select(seen, side="right")
 
 
+def test_a_stated_side_overrules_all_frames_for_the_hand_at_the_object() -> None:
+    seen = [[hand(300.0, right=0.2), hand(900.0, right=0.2)] for n in range(20)]
+    box = {0: np.array([250.0, 450.0, 100.0, 100.0])}
+    found = select(seen, side="right", boxes=box)
+    assert (found.side, found.rows) == ("right", tuple(range(20)))
+    np.testing.assert_allclose(found.points[:, :, 0].mean(), select(seen, boxes=box).points[:, :, 0].mean())
+    assert any(note.startswith("a guess: it looks like the other hand in 20 of 20") for note in found.notes)
+
+
 def test_the_hand_nearest_to_the_object_is_taken() -> None:
     seen = [[hand(200.0, right=0.05)] + ([hand(900.0, right=0.95)] if n > 5 else []) for n in range(20)]
     assert select(seen).side == "left"

@@ -145,7 +145,9 @@ class Draft(Command):
             with progress_bar() as bar:
                 job = bar.add_task("the hand's masks", total=len(found.landmarks))
                 made = write_found(self.folder, found, footage.image, lambda n: bar.update(job, completed=n))
-            print(f"{made}: the {found.side} hand in {len(found.frames)} of {len(stretch.names)} frames")
+            between = len(found.frames) - len(found.landmarks)
+            guessed = f", interpolated in {between} of them" if between > 0 else ""
+            print(f"{made}: the {found.side} hand in {len(found.frames)} of {len(stretch.names)} frames{guessed}")
             drawn = self._drawn(stretch, found)
             whole: Extent = (found.frames[0], found.frames[-1])
             labels = Drawn(self.video.name, footage.size, found.side, footage.fps, *whole, _within(drawn, whole))

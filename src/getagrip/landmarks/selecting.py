@@ -128,29 +128,34 @@ def select(
     """Select the hand that holds the object. ``again`` looks for it once more where it is not sure (``second_look``).
 
     ``side`` overrules the majority; ``boxes`` (left, top, width, height) [px] are where the object is in some frames.
-    Notes give the first frame the number ``counted_from``.
+    With both, a hand near the object that looks like the other one is taken, and said to be a guess. Notes give the
+    first frame the number ``counted_from``.
 
     Raises ``UsageError`` where there is no such hand.
     """
     found = tracks(seen)
-    if side is not None:
-        found = _of_side(found, side)
+    stated = found if side is None else _of_side(found, side)
+    if not stated and boxes is not None:  # the networks may take a hand seen from behind the object for the other one
+        stated = [track for track in found if np.isfinite(track.distance(boxes))]
+    found = stated
     if not found:
         raise UsageError(_none(seen, side))
     first = min(found, key=lambda track: (track.distance(boxes or {}), -_weight(track)))
     majority = side or first.side
-    hand, others = _completed(first, _of_side([track for track in found if track is not first], majority))
+    hand, others = _completed(first, _of_side([track for track in found if track is not first], first.side))
     hand, flickering = _steady(again(hand))
     shares = [each.right if majority == "right" else 1.0 - each.right for each in hand.values()]
     wrong = sum(share < 0.5 for share in shares)
     notes = [f"{majority} hand: {'as stated' if side else f'in {len(shares) - wrong} of {len(shares)} frames'}"]
+    if side is not None and first.side != side:
+        notes.append(f"a guess: it looks like the other hand in {wrong} of {len(shares)} frames")
     notes += [] if boxes is None else ["of the hands that were seen, the one nearest to the object"]
     if flickering:
         left_out = _ranges(flickering, counted_from)
         notes.append(f"left out, since they differ from the frames about them: {left_out}")
     if gaps := _ranges(sorted({*range(len(seen))} - {*hand}), counted_from):
         notes.append(f"no hand in the frames {gaps} (counted from 1)")
-    opposite = [track for track in found if track.side != majority]
+    opposite = [track for track in found if track.side != first.side]
     for beside, overrules in ((others, "--object-box"), (opposite, "--object-box or --side")):
         twice = [n for n in hand if any(n in track.seen for track in beside)]
         if len(twice) > OTHERS * len(hand):
@@ -203,7 +208,8 @@ def _none(seen: Sequence[Sequence[Sighting]], side: Side | None) -> str:
     some = sum(bool(hands) for hands in seen)
     tried = f"palms were looked for in {counted(len(seen), 'frame')}, and hands followed in both directions"
     if side is not None and some:
-        return f"no {side} hand: {tried}; there are hands in {some}, of the other side (leave out --side {side})"
+        ways = f"leave out --side {side}, or mark the object by --object-box: the hand at it is taken for a {side} one"
+        return f"no {side} hand: {tried}; there are hands in {some}, of the other side ({ways})"
     advice = "Click joints in getagrip annotate; or use an estimator: --hands FILE"
     return f"no hand: {tried}; found in {some}. Is there a glove, blur, or a hand half out of view? {advice}"
 
