@@ -126,7 +126,7 @@ class Problem:
 
     @cached_property
     def evidence(self) -> tuple[Terms, ...]:
-        """What each modality gives that has data."""
+        """Terms of each modality that has data."""
         return tuple(terms for modality in modalities() if (terms := modality.terms(self)) is not None)
 
     @property
