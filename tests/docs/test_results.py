@@ -162,3 +162,12 @@ def test_a_release_measures_tables_that_are_kept() -> None:
     for name, command in BENCHES.items():
         out = Path(re.findall(r"--out (\S+)", command)[0]).name
         assert name.startswith(f"{out}-")
+
+
+def test_the_leaderboard_has_every_method_and_the_paper_s_numbers() -> None:
+    board = cite.said("leaderboard")
+    rows = [line for line in board.splitlines() if line.startswith("| ")][2:]
+    assert len(rows) == len(store.read("dexycb-methods").rows) + 5
+    row = store.read("dexycb-methods").row("soft-hinge")
+    (ours,) = (line for line in rows if line.startswith("| `soft-hinge` |"))
+    assert f"{row['add'][0]:.1f} / {row['sca_add'][0]:.1f}" in ours

@@ -115,8 +115,8 @@ class GraspBenchmark(Benchmark[Scores]):
         return Entry("", "failed" if scores.failure else "done" if scores.made else "kept", why)
 
     def page(self, scores: Sequence[Scores]) -> Page | None:
-        shown = self.compared.columns or self.source.columns
-        tables = compare(scores, self.variants, shown, lambda clip: self.source.part_of(clip.name, clip.category))
+        columns = self.compared.columns or self.source.columns
+        tables = compare(scores, self.variants, columns, lambda clip: self.source.part_of(clip.name, clip.category))
         title = "Methods" if self.settings is None else self.settings.title
         about, settings = _about(self, scores), _settings(self, scores)
         texts = {".md": markdown(tables, title, about, settings), ".tex": latex(tables, title, about + settings)}
