@@ -21,7 +21,7 @@ help:
 	@echo "make fuzz    change valid inputs of every reader for MINUTES=5, and keep what goes wrong as a test"
 	@echo "make docs    build the documentation as a site: site/index.html"
 	@echo "make wheel   build dist/, install the wheel into a fresh environment without the clone, and use it there"
-	@echo "make results DEXYCB=DIR YCB=DIR OTHER=DIR   measure the tables of a release, in an hour at most on two cores"
+	@echo "make results DEXYCB=DIR YCB=DIR [OTHER=DIR]   measure the tables of a release, in an hour at most on two cores"
 	@echo "make bench   measure speed, also against a peer, which it installs, into results/"
 	@echo "make lock    recompile requirements.lock from pyproject.toml"
 	@echo "make clean   remove the virtual environment and all caches"
@@ -67,7 +67,7 @@ wheel: $(VENV)/installed
 	$(BIN)/python scripts/try_wheel.py dist/*.whl
 
 results: $(VENV)/warm
-	$(BIN)/python -m benchmarks.release $(DEXYCB) $(YCB) $(OTHER)
+	$(BIN)/python -m benchmarks.release $(DEXYCB) $(YCB) $(if $(OTHER),--other $(OTHER))
 
 bench: $(VENV)/installed
 	$(PIP) install --no-build-isolation --editable '.[bench]'

@@ -14,19 +14,21 @@ from benchmarks import (
     scaling,
     segment_speed,
     store,
-    two_threads,
 )
 from benchmarks.timing import circumstances
 
 SECTIONS = {
     "reconstruct-speed": reconstruct_speed.tables,
     "cold-start": cold_start.tables,
-    "two-threads": two_threads.tables,
+    "two-threads": reconstruct_speed.two_threads,
     "against-deodr": against_deodr.tables,
     "scaling": scaling.tables,
     "segment-speed": segment_speed.tables,
     "batch": batch.tables,
-    "drafts": drafts.tables,
+    "draft-masks": drafts.masks,
+    "draft-clicks": drafts.clicks,
+    "draft-landmarks": drafts.landmarks,
+    "draft-example": drafts.example,
 }
 
 

@@ -17,7 +17,7 @@ from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
 from benchmarks.store import ROOT, Table, of_cells
@@ -25,8 +25,9 @@ from benchmarks.timing import timed
 from getagrip.annotate import labels
 from getagrip.annotate.carried_masks import Hands, Images
 from getagrip.annotate.footage import Footage
-from getagrip.annotate.labels import OBJECT, Labels
+from getagrip.annotate.labels import OBJECT, FrameLabels, Labels
 from getagrip.annotate.propagated_masks import propagate
+from getagrip.annotate.strokes import stroked
 from getagrip.annotate.video import Video
 
 DATA = ROOT / "shared" / "data"
@@ -48,16 +49,37 @@ CLOSE = 20.0
 """Largest error of the landmarks of a clicked frame that counts as close [px]."""
 
 
-def tables() -> dict[str, Table]:
-    """Measure what the videos that are there allow."""
+def masks() -> dict[str, Table]:
+    """Masks from outlines on a few frames."""
     header = ["video", "frames", "drawn", "held back", "mean IOU", "least IOU", "CPU s/frame"]
-    masks = _rows(KEYS, _masks)
-    hands = ["video", "frames", "with a hand, %", "right side", "clicked", "within 20 px", "median, px", "CPU ms/frame"]
-    return {
-        "draft-masks": of_cells("The object's masks from polygons on a few frames", header, *masks),
-        "draft-landmarks": of_cells("The hand's landmarks", hands, *_rows(HELD_BY_LEFT, _landmarks)),
-        "draft-example": of_cells("The steps of docs/tape.md", ["step", "CPU, s", "IOU"], *_rows(["tape"], _example)),
-    }
+    return {"draft-masks": of_cells("The object's masks from outlines on a few frames", header, *_rows(KEYS, _masks))}
+
+
+def clicks() -> dict[str, Table]:
+    """Masks from one click on one frame, and from one on each frame that has an outline in ``masks``."""
+    header = ["clicks", "frames", "IOU where clicked", "held back", "mean IOU", "least IOU"]
+    return {"draft-clicks": of_cells("The object's masks from clicks", header, *_rows(KEYS, _clicks))}
+
+
+def landmarks() -> dict[str, Table]:
+    """The hand, as it is found."""
+    header = [
+        "video",
+        "frames",
+        "with a hand, %",
+        "right side",
+        "clicked",
+        "within 20 px",
+        "median, px",
+        "CPU ms/frame",
+    ]
+    return {"draft-landmarks": of_cells("The hand's landmarks", header, *_rows(HELD_BY_LEFT, _landmarks))}
+
+
+def example() -> dict[str, Table]:
+    """Time the tutorial's video."""
+    header = ["step", "CPU, s", "IOU"]
+    return {"draft-example": of_cells("The steps of docs/tape.md", header, *_rows(["tape"], _example))}
 
 
 def _example(_: str, video: Path) -> Rows:
@@ -142,10 +164,43 @@ def _masks(name: str, path: Path) -> Rows:
     return [[name, *counts, f"{np.mean(ious):.3f}", f"{min(ious):.3f}", f"{timing.cpu[0] / frames:.2f}"]]
 
 
-def held_back(given: Labels, keys: tuple[int, ...], image: Images, hand: Hands) -> dict[int, float]:
-    """Propagate the masks of ``keys``; return the IOU of each other frame that was drawn."""
+def _clicks(name: str, path: Path) -> Rows:
+    """Return the cells of a video's rows: a click in the middle of the outline, as deep inside as can be."""
+    given, keys, video = _labels(name), KEYS[name], Video(path)
+    drawn, rows = given.label_maps(), []
+    try:
+        hand = found_hand(video, given)
+        for some in ((keys[len(keys) // 2],), keys):
+            clicked = {n: FrameLabels(on=(_deepest(drawn[n] == OBJECT)[None],)) for n in some}
+            cut = {n: stroked(video.image(n), np.zeros_like(drawn[n]), clicked[n], hand(n)) for n in some}
+            there = np.mean([iou(mask == OBJECT, drawn[n] == OBJECT) for n, mask in cut.items()])
+            ious = list(held_back(given, keys, video.image, hand, cut).values())
+            counts = f"{given.last - given.first + 1}", f"{there:.3f}", str(len(ious))
+            rows.append([f"{name}: {len(some)}", *counts, f"{np.mean(ious):.3f}", f"{min(ious):.3f}"])
+    finally:
+        video.close()
+    return rows
+
+
+def _deepest(mask: Bool[ndarray, "H W"]) -> Float[ndarray, "2"]:
+    """Return the middle of the pixel farthest from a mask's border [px]."""
+    import cv2
+
+    far = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
+    return np.array(np.unravel_index(far.argmax(), far.shape))[::-1] + 0.5
+
+
+def held_back(
+    given: Labels,
+    keys: tuple[int, ...],
+    image: Images,
+    hand: Hands,
+    shown: Mapping[int, UInt8[ndarray, "H W"]] | None = None,
+) -> dict[int, float]:
+    """Propagate the masks ``shown``, by default what is drawn on ``keys``; return the IOU of the other drawn frames."""
     drawn: Mapping[int, UInt8[ndarray, "H W"]] = given.label_maps()
-    found = propagate(image, {n: drawn[n] for n in keys}, given.first, given.last, hand=hand)
+    shown = {n: drawn[n] for n in keys} if shown is None else shown
+    found = propagate(image, shown, given.first, given.last, hand=hand)
     return {n: iou(mask == OBJECT, drawn[n] == OBJECT) for n, mask, _ in found if n in drawn and n not in keys}
 
 

@@ -1,45 +1,86 @@
-"""Measure the tables of a release, at most an hour on two cores: ``python -m benchmarks.release DEXYCB YCB OTHER``.
+"""Measure the tables of a release, in an hour at most on two cores: ``python -m benchmarks.release DEXYCB YCB``.
 
-DEXYCB, YCB and OTHER are the folders of the dataset, of its models, and of its sequences of the ten test objects. What
-is in ``out/`` already is kept, so that an interrupted run goes on. ``benchmarks.results`` then puts the tables into
-``results/``. The other tables there belong to studies that chose a constant or a default: their JSON names the commit
-and the command that they were made by, and they are not made again.
+DEXYCB and YCB are the folders of the dataset and of its models. The most important tables come first, and each is put
+into ``results/`` as soon as it is measured. Existing results in ``out/`` are kept, so the same call continues a run
+that was cut off. ``--clips N`` tries every section on N clips and puts nothing into ``results/``. The other tables
+there belong to studies that chose a constant or a default: their JSON names the commit and the command that they were
+made by, and they are not made again.
 """
 
 from __future__ import annotations
 
+import argparse
 import shlex
 import subprocess
 import sys
+import time
+from collections.abc import Sequence
 from pathlib import Path
 
 DEXYCB = "getagrip bench dexycb --root DEXYCB --meshes YCB --out out/dexycb"
 BENCHES = {
-    "dexycb-methods": DEXYCB,
     "dexycb-inputs": f"{DEXYCB} --ablation inputs",
-    "dexycb-other-final": "getagrip bench dexycb --root OTHER --meshes YCB --split all --out out/dexycb-other "
-    "--ablation final",
-    "synthetic-methods": "getagrip bench synthetic --out out/synthetic",
+    "dexycb-methods": DEXYCB,
+    "dexycb-evidence": f"{DEXYCB} --ablation evidence",
+    "dexycb-hand-noise": f"{DEXYCB} --ablation hand-noise",
+    "synthetic-methods": "getagrip bench synthetic --clips 99 --out out/synthetic",
+    "dexycb-segments-none": "getagrip bench dexycb-segments --root DEXYCB --meshes YCB --out out/dexycb-segments",
     "dexycb-timelines-exact": "getagrip bench dexycb-timelines --root DEXYCB --meshes YCB --preset exact "
     "--out out/dexycb-timelines",
-    "dexycb-segments-none": "getagrip bench dexycb-segments --root DEXYCB --meshes YCB --out out/dexycb-segments",
+    "dexycb-other-final": "getagrip bench dexycb --root OTHER --meshes YCB --split all --out out/dexycb-other "
+    "--ablation final",
 }
 """By the name of the table that each makes."""
 
 
-def main(dexycb: Path, ycb: Path, other: Path) -> None:
-    """Run every bench, then put its tables into ``results/``."""
+def main(words: Sequence[str]) -> int:
+    """Run the benches, put their tables into ``results/``, and sum up; 1 if one failed, else 0."""
+    parser = _parser()
+    asked = parser.parse_args(words)
+    workers = [] if asked.workers is None else ["--workers", str(asked.workers)]
+    clips = [] if asked.clips is None else ["--clips", str(asked.clips)]
+    roots, summary = {"DEXYCB": asked.dexycb, "YCB": asked.ycb, "OTHER": asked.other}, list[str]()
+    chosen = asked.only or [name for name in BENCHES if asked.other or "OTHER" not in BENCHES[name]]
+    if not asked.other and any("OTHER" in BENCHES[name] for name in chosen):
+        parser.error("missing --other")
+    for n, name in enumerate(chosen, start=1):
+        words = [str(roots.get(word, word)) for word in shlex.split(BENCHES[name])[1:]]
+        place = words.index("--out") + 1
+        words[place] = str(asked.out / Path(words[place]).name)
+        print(f"\n{n} of {len(chosen)}, {name}: getagrip {shlex.join([*words, *clips])}", flush=True)
+        start = time.monotonic()
+        status = subprocess.run([sys.executable, "-m", "getagrip", *words, *clips, *workers], check=False).returncode
+        try:
+            kept = _keep(name, Path(words[place]), write=not clips)
+        except (FileNotFoundError, KeyError):
+            kept, status = "no table", status or 1
+        failed = f"; failures: exit status {status}" if status else ""
+        summary.append(f"{name}: {(time.monotonic() - start) / 60.0:.1f} min, {kept}{failed}")
+    print("", *summary, sep="\n")
+    return int(any("failures" in line for line in summary))
+
+
+def _keep(name: str, folder: Path, write: bool) -> str:
+    """Put the tables of a bench into ``results/``. Raises ``FileNotFoundError`` or ``KeyError`` without its own."""
     from benchmarks import results
 
-    roots, folders = {"DEXYCB": str(dexycb), "YCB": str(ycb), "OTHER": str(other)}, []
-    for command in BENCHES.values():
-        words = [roots.get(word, word) for word in shlex.split(command)[1:]]
-        folders.append(Path(words[words.index("--out") + 1]))
-        subprocess.run([sys.executable, "-m", "getagrip", *words], check=True)
-    results.main([*dict.fromkeys(folders)])
+    rows = len(results.found(folder)[name].rows)
+    if write:
+        results.main([folder])
+    return f"{rows} rows" + ("" if write else ", not kept")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser("python -m benchmarks.release", description="Measure the tables of a release.")
+    parser.add_argument("dexycb", type=Path, metavar="DEXYCB", help="DexYCB")
+    parser.add_argument("ycb", type=Path, metavar="YCB", help="the YCB models")
+    parser.add_argument("--other", type=Path, metavar="DIR", help="DexYCB's sequences of the ten test objects")
+    parser.add_argument("--out", type=Path, metavar="DIR", default=Path("out"), help="clips and results (default: out)")
+    parser.add_argument("--clips", type=int, metavar="N", help="try every section on N clips; no table is kept")
+    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
+    parser.add_argument("--only", nargs="+", choices=BENCHES, metavar="TABLE", help=f"of {', '.join(BENCHES)}")
+    return parser
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 4:
-        sys.exit("usage: python -m benchmarks.release DEXYCB YCB OTHER")
-    main(*map(Path, sys.argv[1:]))
+    sys.exit(main(sys.argv[1:]))

@@ -26,10 +26,12 @@ from getagrip.commands.draft import Draft
 from getagrip.commands.epic_candidates import EpicCandidates
 from getagrip.commands.evaluate import Evaluate
 from getagrip.commands.export import Export
+from getagrip.commands.label import Label
 from getagrip.commands.learn_poses import LearnPoses
 from getagrip.commands.new_clip import NewClip
 from getagrip.commands.reconstruct import Reconstruct
 from getagrip.commands.refine import Refine
+from getagrip.commands.replay import ReplayResults
 from getagrip.commands.report import Report
 from getagrip.commands.segment import Segment
 from getagrip.commands.stats import Stats
@@ -40,6 +42,8 @@ from getagrip.errors import GetagripError, UsageError, cleaned, unknown
 from getagrip.io.arguments import PATHS
 from getagrip.io.choices import explain_all
 from getagrip.io.terminal import Silence
+from getagrip.reproduction.arctic import ReproduceArctic
+from getagrip.reproduction.epic import ReproduceEpic
 
 DESCRIPTION = (
     "Reconstruct where an object is in the hand that holds it, in every frame of a video, from hand poses, masks and "
@@ -58,6 +62,7 @@ def commands(imports: Any, figures: Any) -> Any:
         Annotated[Demo, subcommand("demo")]
         | Annotated[Doctor, subcommand("doctor")]
         | Annotated[Draft, subcommand("draft")]
+        | Annotated[Label, subcommand("label")]
         | Annotated[NewClip, subcommand("clip new")]
         | Annotated[Annotate, subcommand("annotate")]
         | Annotated[imports, subcommand("import", description="Import datasets, hands or masks.")]
@@ -70,7 +75,10 @@ def commands(imports: Any, figures: Any) -> Any:
         | Annotated[View, subcommand("view")]
         | Annotated[figures, subcommand("figure", description="Draw figures of results, as the paper has them.")]
         | Annotated[Export, subcommand("export")]
+        | Annotated[ReplayResults, subcommand("replay")]
         | Annotated[Benches, subcommand("bench", description=BENCH)]
+        | Annotated[ReproduceEpic, subcommand("reproduce epic-grasps")]
+        | Annotated[ReproduceArctic, subcommand("reproduce arctic-grasps")]
         | Annotated[Segment, subcommand("segment")]
         | Annotated[Study, subcommand("study")]
         | Annotated[Stats, subcommand("stats")]

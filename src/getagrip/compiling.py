@@ -36,20 +36,19 @@ in a process the first to be loaded counts, and that is another one where kernel
 GROUPS = (
     ("fitting.energy.mask", "kernels.hand", "kernels.silhouette", "kernels.contour"),
     ("kernels.closest", "fitting.contact", "fitting.energy.push", "fitting.energy.pull"),
-    ("fitting.energy.contact_consistency", "geometry.depth"),
-    ("fitting.observation", "fitting.mask_gaps", "hands.bending"),
+    ("geometry.depth", "fitting.observation", "fitting.mask_gaps", "hands.bending"),
 )
 """Modules whose kernels share parts are compiled by one process; those that take longest first."""
 RARE = (
     "fitting.energy.mask_by_shape", "fitting.energy.paper_push", "fitting.energy.paper_pull", "fitting.energy.depth",
-    "kernels.depth", "fitting.energy.order", "kernels.cut",
+    "kernels.depth", "fitting.energy.order", "fitting.energy.contact_consistency", "kernels.cut",
 )  # fmt: skip
 """Modules of kernels that few reconstructions need; each is compiled when it is."""
 LETTERS = {
     "f": types.float64, "s": types.float32, "i": types.int64, "n": types.int32, "t": types.int8, "u": types.uint64,
     "b": types.boolean,
 }  # fmt: skip
-WORDS = "kernels are compiled, once for this version: half a minute of one core"
+WORDS = "kernels are compiled, once for this version: about 20 seconds of one core"
 
 _declared: list[tuple[Any, str]] = []
 
@@ -138,10 +137,10 @@ def _compile_side_by_side() -> None:
     n = min(config.NUMBA_DEFAULT_NUM_THREADS, len(GROUPS))  # cores that this process may use
     if n == 1 or getattr(sys, "frozen", False) or not Path(sys.executable or "").name.lower().startswith("py"):
         return compile_modules(name for group in GROUPS for name in group)
-    shares = [*GROUPS[: n - 1], tuple(name for group in GROUPS[n - 1 :] for name in group)]
+    shares, own = GROUPS[: n - 1], [name for group in GROUPS[n - 1 :] for name in group]
     command = "import sys; from getagrip.compiling import compile_modules; compile_modules(sys.argv[1:])"
     paths = os.pathsep.join(os.path.abspath(path) for path in sys.path if path)
-    with ThreadPoolExecutor(n) as threads:
+    with ThreadPoolExecutor(n - 1) as threads:
         ends = [
             threads.submit(
                 subprocess.run, [sys.executable, "-P", "-c", command, *names], env=os.environ | {"PYTHONPATH": paths},
@@ -149,6 +148,7 @@ def _compile_side_by_side() -> None:
             )
             for names in shares
         ]  # fmt: skip
+        compile_modules(own)
         for end in ends:
             end.result()
     return None

@@ -92,7 +92,6 @@ def _timeline(view: View) -> Iterator[UInt8[ndarray, "H W 3"]]:
 
 
 def _under(view: View) -> Iterator[str]:
-    """Yield the line of words under each frame."""
     result, clip = view.result, view.clip
     shared = [label_of(result.method), *["scale is a guess"] * (clip.scale == "free")]
     shared += ["shape is a guess"] * (result.warp is not None)
@@ -102,7 +101,6 @@ def _under(view: View) -> Iterator[str]:
 
 
 def _words(words: str) -> UInt8[ndarray, "STRIP W 3"]:
-    """Draw a line of words, cut where it is too long."""
     from PIL import Image, ImageDraw
 
     strip = Image.new("RGB", (2 * SIDE, STRIP), "white")

@@ -43,7 +43,7 @@ class Probability:
         return kept + held
 
     def __str__(self) -> str:
-        return f"{percent(self.value)}{' (extrapolated)' if self.beyond else ''}"
+        return percent(self.value) + (f" (extrapolated: {', '.join(self.beyond)})" if self.beyond else "")
 
 
 def percent(value: float) -> str:

@@ -56,7 +56,6 @@ def test_a_hand_that_was_found_is_drawn_without_a_click_and_masks_have_it(clicki
     with pytest.raises(RefusedError):
         clicking.project.work(clicking.about | {"work": "propagate"})
     write_found(out / FOLDER)
-    clicking.project.labelling.found = FoundHands(out / FOLDER)
     assert clicking.work("propagate")["state"] == "done"
     drafts = clicking.project.drafts(clicking.about, 0)["drafts"]
     assert {one["kind"] for one in drafts} == {"hand"}

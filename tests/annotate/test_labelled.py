@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
+from getagrip.annotate.grasp import Grasp
 from getagrip.annotate.labelled import make
-from getagrip.annotate.labelling import Grasp
 from getagrip.annotate.labels import FRONT, OBJECT, FrameLabels, Labels
 from getagrip.annotate.marks import Mark
 from getagrip.annotate.steadied_hands import steadied

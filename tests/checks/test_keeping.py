@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.kept_rows import END, read
 from getagrip.batch.keep import HIGHEST, LOWEST, Keep
-from getagrip.checks.keeping import SHARES, Keeping, least_kept, least_times
+from getagrip.checks.keeping import SHARES, Keeping, kind_of_input, least_kept, least_of_sets
 from getagrip.errors import UsageError
 from getagrip.probability import Probability
 from getagrip.provenance import assumed, estimated, kind_of_hands, measured
@@ -46,21 +49,48 @@ def test_the_threshold_keeps_its_promise_where_it_was_chosen(right: list[bool]) 
     assert np.isinf(least) or np.mean(rights[p >= least]) >= 0.8
 
 
+def test_nothing_is_kept_where_nothing_is_sure() -> None:
+    p, right = drawn(300, 0)
+    assert np.isinf(least_kept(p, np.zeros(300, dtype=bool), 0.5))
+    assert np.isinf(least_kept(p, np.random.default_rng(0).random(300) < 0.7, 0.95))
+    assert np.isinf(least_kept(p[:18], right[:18] | True, 0.95)), "eighteen are too few to promise 95 %"
+    kept = Keeping({}, least_of_sets(p, np.full(300, np.inf), 0.9)).applied(Probability(0.99, ""))
+    assert (kept.keep, kept.candidates) == (0.0, 0)
+
+
+def ranked(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Probabilities, and which candidate is right: the less probable the first, the farther down, or none is."""
+    rng = np.random.default_rng(seed)
+    p = rng.random(n)
+    rank = np.ceil(rng.exponential(3.0 * (1.0 - p)))
+    return p, np.where(rank > 7.0, np.inf, np.maximum(rank, 1.0))
+
+
 def test_sets_hold_the_right_candidate_of_new_results() -> None:
-    covered = []
-    for seed in range(200):
-        rng = np.random.default_rng(seed)
-        covered.append(np.mean(rng.exponential(size=500) <= least_times(rng.exponential(size=60), 0.9)))
-    assert 0.895 <= np.mean(covered) < 0.93
-    assert np.isinf(least_times(np.array([1.0, np.inf]), 0.9))
+    held, of = np.zeros(8), np.zeros(8)
+    for seed in range(100):
+        keeping = Keeping({}, least_of_sets(*ranked(200, seed), 0.9))
+        p, rank = ranked(1000, 1000 + seed)
+        size = np.array([keeping.applied(Probability(x, "")).candidates for x in p.tolist()])
+        held += np.bincount(size, rank <= size, minlength=8)
+        of += np.bincount(size, minlength=8)
+    assert 0.895 < held[1:].sum() / of[1:].sum() < 0.93
+    assert (held[1:] >= 0.85 * of[1:]).all(), "by themselves, small groups are a little worse"
+    assert np.count_nonzero(of[1:]) == 5
+
+
+@given(st.integers(0, 1000))
+def test_the_more_probable_a_result_is_the_smaller_is_its_set(seed: int) -> None:
+    sets = least_of_sets(*ranked(80, seed), 0.9)
+    assert [*sets] == sorted(sets)
+    assert [*sets.values()] == sorted(sets.values(), reverse=True)
 
 
 def test_a_result_is_kept_for_the_largest_share_that_its_probability_reaches() -> None:
-    keeping = Keeping({0.8: 0.5, 0.9: 0.7}, probable=0.6, times=1.2)
-    energy = np.array([10.0, 11.0, 13.0, 11.5])
-    found = [keeping.applied(Probability(p, ""), energy) for p in (0.4, 0.55, 0.75)]
+    keeping = Keeping({0.8: 0.5, 0.9: 0.7}, {1: 0.72, 3: 0.5})
+    found = [keeping.applied(Probability(p, "")) for p in (0.4, 0.55, 0.75)]
     assert [one.keep for one in found] == [0.0, 0.8, 0.9]
-    assert [one.candidates for one in found] == [0, 0, 2]
+    assert [one.candidates for one in found] == [0, 3, 1]
 
 
 def test_marks_say_kept_or_dropped_and_nothing_where_none_is_asked_for() -> None:
@@ -88,3 +118,23 @@ def test_hands_are_measured_unless_their_source_says_otherwise() -> None:
     assert (
         kind_of_hands({"hands": estimated("a network")}) == kind_of_hands({"hands": assumed("a guess")}) == "estimated"
     )
+
+
+def test_the_kind_of_an_input_is_that_of_its_hands_and_of_the_evidence_that_counted() -> None:
+    terms = {"total", "mask", "hand-mask"}
+    assert kind_of_input("measured", terms | {"depth", "joints-2d"}) == "measured"
+    assert kind_of_input("estimated", terms) == "estimated"
+    assert kind_of_input("estimated", terms | {"joints-2d"}) == "joints"
+    assert (
+        kind_of_input("estimated", terms | {"joints-2d", "depth"}) == kind_of_input("estimated", {"depth"}) == "depth"
+    )
+
+
+def test_rows_that_were_cut_off_count_as_missing(tmp_path: Path) -> None:
+    whole = "".join(f'\n{{"a": {{"n": {n}}}}}{END}' for n in range(3))
+    file = tmp_path / "rows.jsonl"
+    for cut in range(len(whole) + 1):
+        file.write_text(whole[:cut] + whole, encoding="utf-8")
+        found = [row["a"]["n"] for row in read(file)]
+        assert found == [*range(whole[:cut].count(END)), 0, 1, 2]
+    assert read(tmp_path / "none") == []

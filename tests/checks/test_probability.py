@@ -199,7 +199,8 @@ def test_what_is_worse_than_in_training_is_said_to_be_extrapolated() -> None:
     assert calibration.probability(USUAL).beyond == ()
     assert {*calibration.probability(worst).beyond} == {name for name, w in calibration.weights.items() if w.weight}
     assert calibration.probability({name: -value for name, value in worst.items()}).beyond == ()
-    assert "extrapolated" in str(calibration.probability(worst))
+    one = calibration.probability(USUAL | {"mask-misfit": worst["mask-misfit"]})
+    assert str(one).endswith("(extrapolated: mask-misfit)") is bool(calibration.weights["mask-misfit"].weight)
 
 
 @pytest.mark.parametrize(

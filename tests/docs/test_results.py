@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
+import tyro
+from tyro.conf import OmitArgPrefixes
 
-from benchmarks import cite, results, store
+from benchmarks import cite, release, results, store
 from benchmarks.release import BENCHES
 from benchmarks.store import Column, Table
+from getagrip.commands.bench import Bench, Benches
 from getagrip.experiments.comparison import compare
 from getagrip.experiments.tables import clips_csv_rows, csv_rows, markdown
 from getagrip.experiments.trials import Scores
@@ -171,3 +175,26 @@ def test_the_leaderboard_has_every_method_and_the_paper_s_numbers() -> None:
     row = store.read("dexycb-methods").row("soft-hinge")
     (ours,) = (line for line in rows if line.startswith("| `soft-hinge` |"))
     assert f"{row['add'][0]:.1f} / {row['sca_add'][0]:.1f}" in ours
+
+
+def test_a_release_is_measured_in_order_and_summed_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calls = list[list[str]]()
+
+    def run(call: list[str], check: bool) -> subprocess.CompletedProcess[bytes]:
+        calls.append(call[3:])
+        bench: Bench = tyro.cli(Benches, args=call[4:], config=(OmitArgPrefixes,))  # all its options are known
+        assert bench.benchmark()
+        return subprocess.CompletedProcess(call, 1)
+
+    monkeypatch.setattr(subprocess, "run", run)
+    assert release.main(["DEXYCB", "YCB", "--out", str(tmp_path), "--clips", "2"]) == 1
+    assert len(calls) == len(BENCHES) - 1  # the test objects only where they are given
+    assert calls[0] == [
+        *("bench", "dexycb", "--root", "DEXYCB", "--meshes", "YCB", "--out", str(tmp_path / "dexycb")),
+        *("--ablation", "inputs", "--clips", "2"),
+    ]
+    assert "dexycb-inputs: 0.0 min, no table; failures: exit status 1" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        release.main(["DEXYCB", "YCB", "--only", "dexycb-other-final"])

@@ -16,6 +16,7 @@ from getagrip.clip import Clip, read_clip, write_clip
 from getagrip.clip.writing import write_hand
 from getagrip.errors import GetagripError
 from getagrip.evaluation import evaluate_result
+from getagrip.evaluation.results import read_evaluated
 from getagrip.experiments import trials
 from getagrip.experiments.hand_sources import HandSource
 from getagrip.experiments.trials import Scores
@@ -210,6 +211,12 @@ def test_hands_are_compared_on_the_frames_that_all_have(can_and_box: Path, tmp_p
     for variant in ("static+hands-exact", "static+hands-off"):
         assert read_result(out / "results" / variant / clip.name)[0].frames == clip.frames[1:]
     assert run(*call, "--hands", *sources)[1].count("0 done, 2 already done") == 1
+    # The hands are kept beside the results, so that these can be evaluated and drawn.
+    results = [out / "results" / f"static+hands-{name}" / clip.name for name in ("exact", "off")]
+    exact, off = (read_evaluated(folder)[1].hand for folder in results)
+    np.testing.assert_array_equal(exact.T_cam_hand, clip.hand.T_cam_hand[1:])
+    assert np.abs(off.T_cam_hand - exact.T_cam_hand).max() > 1e-3
+    assert run("figure", "hands", *results, "--out", tmp_path / "hands.png", "--dpi", 40, "--frames", 1)[0] == 0
     hand_file(tmp_path / "off", clip, [1, 2], mm=6.0)  # its hands are others now
     assert run(*call, "--hands", *sources)[1].count("2 done, 0 already done") == 1
     assert read_result(out / "results" / "static+hands-exact" / clip.name)[0].frames == clip.frames[1:3]

@@ -25,7 +25,7 @@ from getagrip.result import write_result
 from helpers.command_line import Run
 from helpers.exported import result_and_clip
 
-LIBRARIES = {"usd": "pxr", "mujoco": "mujoco", "lerobot": "pyarrow"}
+LIBRARIES = {"usd": "pxr", "mujoco": "mujoco", "lerobot": "pyarrow", "mcap": "mcap"}
 """Formats that need an extra, and a module of it."""
 
 

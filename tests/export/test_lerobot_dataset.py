@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -56,6 +60,27 @@ def test_episodes_are_counted_on_and_statistics_are_those_of_all(scene: Scene, t
 
 
 @pytest.mark.slow
+def test_clips_stay_in_their_split_as_the_dataset_grows(scene: Scene, tmp_path: Path) -> None:
+    names = [f"clip-{n}" for n in range(8)]
+    dataset = Dataset.of(tmp_path / "set")
+    tests = dataset.tests(names, 0.25)
+    assert len(tests) == 2
+    assert tests == dataset.tests(names[::-1], 0.25)
+    for name in sorted(names, key=lambda name: name in tests):
+        dataset.add(replace(named(scene, name), probability=0.75), "test" if name in tests else "train")
+    again = Dataset.of(tmp_path / "set")
+    assert again.splits == {"train": "0:6", "test": "6:8"}
+    assert again.tests(names, 0.25) == set()
+    assert len(again.tests([*names, "new-1", "new-2", "new-3", "new-4"], 0.25)) == 1
+    again.add(named(scene, "new-1"))
+    assert json.loads((tmp_path / "set/meta/info.json").read_text())["splits"] == {"train": "0:6,8:9", "test": "6:8"}
+    rows = columns(tmp_path / "set")
+    assert {*rows["confidence"].tolist()} == {0.75, -1.0}
+    np.testing.assert_allclose(rows["mask_iou"][:3], np.nan_to_num(scene.iou, nan=-1.0))
+    assert rows["interpolated"][:3].tolist() == [False, False, True]
+
+
+@pytest.mark.slow
 def test_an_episode_that_was_not_finished_is_written_anew(scene: Scene, tmp_path: Path) -> None:
     folder = tmp_path / "set"
     Dataset.of(folder).add(named(scene, "a"))
@@ -67,6 +92,42 @@ def test_an_episode_that_was_not_finished_is_written_anew(scene: Scene, tmp_path
     assert dataset.add(named(scene, "bb")) == 1
     assert Dataset.of(folder).clips == {"a", "bb"}
     assert len(columns(folder)["index"]) == 6
+
+
+@pytest.mark.slow
+def test_a_process_that_is_killed_leaves_a_dataset_that_goes_on(scene: Scene, tmp_path: Path) -> None:
+    """At each file that takes its place, as SIGKILL ends it: no clean-up is run."""
+    images = tuple(tmp_path / f"{n}.png" for n in range(3))
+    for n, path in enumerate(images):
+        cv2.imwrite(str(path), np.full((scene.size[1], scene.size[0], 3), 80 * n, np.uint8))
+    scenes = [replace(named(scene, name), image_files=images) for name in ("a", "bb", "ccc")]
+    for at in range(12):
+        folder = tmp_path / f"set-{at}"
+        Dataset.of(folder).add(scenes[0])
+        if (process := os.fork()) == 0:
+            left = iter(range(at))
+
+            def replaced(*paths: object, put: Callable[..., None] = os.replace, left: Iterator[int] = left) -> None:
+                if next(left, None) is None:
+                    os.kill(os.getpid(), signal.SIGKILL)
+                put(*paths)
+
+            os.replace = replaced
+            Dataset.of(folder).add(scenes[1])
+            os._exit(0)
+        os.waitpid(process, 0)
+        read = [*folder.glob("data/*/*.parquet"), *folder.glob("meta/episodes/*/*.parquet")]
+        assert not any(path.name.startswith(".") for path in read)  # LeRobot reads all of these, in the order of names
+        total = json.loads((folder / "meta" / "info.json").read_text())["total_frames"]
+        np.testing.assert_array_equal(columns(folder)["index"][:total], np.arange(total))
+        dataset = Dataset.of(folder)
+        for one in scenes:
+            if one.name not in dataset.clips:
+                dataset.add(one)
+        assert {path.name for path in folder.iterdir()} == {"data", "meta", "videos"}
+        assert columns(folder)["index"].tolist() == list(range(9))
+        assert len([*folder.glob("videos/*/*/*.mp4")]) == 3
+    assert at > total // 3  # the last ends are after the last file
 
 
 def test_what_does_not_belong_is_refused(scene: Scene, tmp_path: Path) -> None:

@@ -1,25 +1,21 @@
 """Clips with impossible troubles end in a sound result or in one line, whatever the method.
 
-``python -m benchmarks.adversarial`` tries many more, within limits of time and memory.
+``python -m fuzz.adversarial`` tries many more, within limits of time and memory.
 """
 
 from __future__ import annotations
 
 import os
-import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
-sys.path.append(str(Path(__file__).resolve().parents[2]))
-
-from benchmarks import adversarial
-from benchmarks.adversarial import Case, attempts, limited, main
-from benchmarks.troubles import quartered
+from fuzz import adversarial
+from fuzz.adversarial import Case, attempts, limited, main
+from fuzz.troubles import quartered
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options

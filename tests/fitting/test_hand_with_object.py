@@ -142,14 +142,41 @@ def test_the_other_frames_go_with_their_neighbours() -> None:
     np.testing.assert_allclose(found, given @ se3.rigid(off, np.full(3, 0.01)), atol=1e-9)
 
 
+def test_alternatives_move_the_object_alike_first_where_the_hand_is_known_least() -> None:
+    rng = np.random.default_rng(0)
+    sizes = np.repeat([0.004, 0.05], 3)
+    covariance = np.cov(rng.normal(size=(6, 30))) * sizes * sizes[:, None]
+    hand = SolvedHand(np.eye(4)[None], covariance, {}, 0.1)
+    points, middle, apart = 0.05 * rng.normal(size=(200, 3)) + [0.0, 0.0, 0.08], np.array([0.01, 0.02, 0.03]), 1e-4
+    found = hand.alternatives(points, middle, apart)
+    moved = se3.transform(found, points[None] + middle) - points - middle
+    assert np.sqrt((moved**2).sum(axis=-1).mean(axis=1)) == pytest.approx(np.full(6, apart), rel=0.01)
+    np.testing.assert_allclose(moved[::2], -moved[1::2], atol=0.01 * apart)
+    shift = se3.transform(found, middle[None])[:, 0] - middle
+    turn = np.stack([found[:, 2, 1], found[:, 0, 2], found[:, 1, 0]], axis=1)
+    x = np.concatenate([shift, turn], axis=1)
+    unlikely = np.einsum("mi,ij,mj->m", x, np.linalg.inv(covariance), x)[::2]
+    assert (np.diff(unlikely) > 0.0).all()
+    # None that moves it as far is more probable than the first.
+    others = rng.multivariate_normal(np.zeros(6), covariance, 500)
+    far = others[:, None, :3] + np.cross(others[:, None, 3:], points)
+    others *= apart / np.sqrt((far**2).sum(axis=-1).mean(axis=1))[:, None]
+    assert np.einsum("mi,ij,mj->m", others, np.linalg.inv(covariance), others).min() >= 0.99 * unlikely[0]
+
+
 @pytest.mark.slow
 def test_the_result_says_what_moved_the_hand() -> None:
     clip = made()
     result = reconstruct(clip, options=Options(inits=20))
     assert result.hand_covariance is not None
     assert result.hand_energy.keys() == {"hand-mask"}
-    assert any("solved together" in note for note in result.notes)
     assert result.T_cam_hand is not None
+    assert result.hand_alternatives is not None
+    assert len(result.in_hand) == 1 + len(result.hand_alternatives)
+    np.testing.assert_array_equal(result.in_hand[0], result.T_hand_obj)
+    T_cam_obj = result.T_cam_hand @ result.hand_alternatives[0] @ result.in_hand[1]
+    np.testing.assert_allclose(T_cam_obj, result.T_cam_hand @ result.T_hand_obj, atol=1e-12)
+    assert any("solved together" in note for note in result.notes)
     assert errors(clip, result.T_cam_hand)[0] < 0.5 * errors(clip, clip.hand.T_cam_hand)[0]
 
 

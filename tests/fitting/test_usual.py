@@ -16,9 +16,11 @@ from getagrip.fitting.initial_poses import initial_poses
 from getagrip.fitting.methods.all_frames import coarse_energy
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare
-from getagrip.fitting.usual import MIRROR, SizeTerm, UprightTerm, kind_of, usual_of, usual_rotations
+from getagrip.fitting.surface import ObjectSurface
+from getagrip.fitting.usual import MIRROR, SizeTerm, UprightTerm, kind_of, opposite_turns, usual_of, usual_rotations
 from getagrip.geometry import se3
 from getagrip.provenance import Source, assumed
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.scenes import SHORT, scene
 from helpers.terms import B, N, moved, random_poses
 
@@ -144,3 +146,23 @@ def test_the_handle_is_found_or_its_side_is_among_the_candidates(seed: int) -> N
     ]
     assert min(off) < 45.0
     assert 0.75 < result.scale / clip.truth.scale < 1.33
+
+
+def test_the_handle_on_the_other_side_is_always_a_candidate() -> None:
+    clip, masks = unmeasured()
+    found = reconstruct(clip, masks, Options(inits=12)).candidates
+    R = found.T_hand_obj[:, 0, :3, :3]
+    assert (np.degrees(se3.angle_between(R[0].T @ R, opposite_turns(clip, surface_of(clip))[0])) < 60.0).any()
+
+
+def test_only_what_has_a_handle_has_an_opposite_side() -> None:
+    clip = unmeasured()[0]
+    for kind, turns in (("mug", 1), ("pan", 1), ("bottle", 0), ("plate", 0)):
+        other = replace(clip, category=kind, mesh=CATEGORIES[kind].make())
+        assert len(opposite_turns(other, surface_of(other))) == turns
+    assert len(opposite_turns(replace(clip, scale="known"), surface_of(clip))) == 0
+
+
+def surface_of(clip: Clip) -> ObjectSurface:
+    """Return the surface of a clip's mesh."""
+    return ObjectSurface.of(clip.mesh)

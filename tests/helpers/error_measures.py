@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from getagrip.datasets.synthetic.error_curves import Drawn
+from getagrip.datasets.synthetic.noise import Drawn
 
 OUTSIDE = 4.0
 """Distance of an outlier's rotation from the clip's median, in units of the usual jitter about one axis."""

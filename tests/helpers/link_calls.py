@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
@@ -19,6 +20,7 @@ from getagrip.annotate import labels
 from getagrip.clip import Clip, Masks, Segment, input_sha256, read_clip, write_clip
 from getagrip.commands.datasets import DATASETS
 from getagrip.datasets.dataset import Draft
+from getagrip.datasets.ho3d import Ho3dEvaluation
 from getagrip.datasets.synthetic.scene import clip_name
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.experiments.segment_trials import DIRECTIONS
@@ -41,13 +43,14 @@ CUP = f"--interval 3 8 --side right --mesh unit.obj --size-mm 120 --K {' '.join(
 MASKS = "--object 1 --ignore 2"
 NEW_FRAMES = f"--side right --frames 3 8 --size 64 48 --K {' '.join(K)} --overwrite"
 BENCH = "--out out --workers 1 --methods static"
-BENCHED = ("dexycb",)
-EXPORTS = {"usd": "pxr", "mujoco": "mujoco", "lerobot": "pyarrow"}
+BENCHED = ("dexycb", "ho3d-eval")
+EXPORTS = {"usd": "pxr", "mujoco": "mujoco", "lerobot": "pyarrow", "mcap": "mcap"}
 """Formats that need a library."""
 CALLS: dict[str, Sequence[str]] = {
     "demo": ["--out out"],
     "doctor": [""],
     "draft": ["scene.mp4 --object cup --out marks --no-page"],
+    "label": ["videos --object cup --out marks --no-page"],
     "clip new": [f"video.mp4 --out new {CUP} --masks masks {MASKS} --hands six.npz"],
     "annotate": [
         "scene.mp4 --out marks",
@@ -83,6 +86,7 @@ CALLS: dict[str, Sequence[str]] = {
         *(f"results --to {to} --out out" for to, library in EXPORTS.items() if find_spec(library)),
         *["results --to lerobot --out out --one-dataset"] * (find_spec("pyarrow") is not None),
     ],
+    "replay": ["results --json new/out.json"] * (find_spec("mujoco") is not None),
     "bench clips": [f"clips {BENCH} --json out.json", f"clips {BENCH} --ablation mask-noise"],
     "bench synthetic": [f"{BENCH} --clips 1"],
     **{f"bench {name}": [f"--root root {BENCH} --split all"] for name in BENCHED},
@@ -160,7 +164,7 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(f"getagrip.{place}", trifle)
     for kind in FIGURES.values():
         monkeypatch.setattr(kind, "draw", drawn)
-    for dataset in DATASETS.values():
+    for dataset in (*DATASETS.values(), Ho3dEvaluation):
         monkeypatch.setattr(dataset, "parts", lambda *_: [SmallPart()])
 
 
@@ -201,6 +205,8 @@ def _write_cup(folder: Path) -> None:
 def _write_annotations(folder: Path) -> None:
     """A video with labels of its first frames, and VISOR's and EPIC's of another."""
     write_scene(folder / "scene.mp4", 6)
+    (folder / "videos").mkdir()
+    shutil.copy(folder / "scene.mp4", folder / "videos")
     clicked = {n: labels.FrameLabels(np.array(joints(n)), (np.array(circle(n)),)) for n in (0, 2)}
     sha256 = hashlib.sha256((folder / "scene.mp4").read_bytes()).hexdigest()
     labels.write(labels.Labels("scene", (320, 240), "left", 30.0, 0, 2, clicked, sha256), folder / "labels.json")

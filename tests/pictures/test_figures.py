@@ -14,6 +14,7 @@ from getagrip.clip import Clip, Masks, input_sha256, write_clip
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError, UsageError
 from getagrip.evaluation import evaluate
+from getagrip.evaluation.meshes import evaluate_meshes, read_meshes
 from getagrip.evaluation.metric import ADD_MM, IOU, SCA
 from getagrip.finding import Finding
 from getagrip.geometry import se3
@@ -22,6 +23,7 @@ from getagrip.pictures.figures import StoredResult
 from getagrip.pictures.figures.aligned import RAMP, Aligned, _overlay
 from getagrip.pictures.figures.contact import Contact
 from getagrip.pictures.figures.gallery import Gallery
+from getagrip.pictures.figures.ihoi import Ihoi
 from getagrip.pictures.figures.kind import summary
 from getagrip.pictures.figures.rows import Hands, Methods, numbers
 from getagrip.pictures.looking import looking
@@ -305,3 +307,33 @@ def test_figures_are_written_whole_or_not_at_all(run: Run, made: Path, tmp_path:
         assert words in err
         assert err.count("\n") == 1
     assert sorted(tmp_path.iterdir()) == before
+
+
+def test_meshes_of_a_system_without_a_cad_model_stand_under_our_result(made: Path, tmp_path: Path) -> None:
+    """Our own surfaces, as meshes of each frame, look and score as our result does; a frame without one is said."""
+    (result,) = given(made, "true")
+    view = result.read()
+    for n, name in list(enumerate(view.result.frames))[1:]:
+        lines = [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in view.object(n)]
+        lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in view.clip.mesh.faces]
+        (tmp_path / f"{name}.obj").write_text("\n".join(lines))
+    kind = Ihoi(dpi=LINES, frames=2, meshes=(f"iHOI={tmp_path}",))
+    kind.check()
+    figure = kind.draw([result], never)
+    words = texts(figure)
+    assert {"1-DoF, ours", "iHOI"} <= words
+    assert any("1 frames without" in text for text in words)
+    meshes, errors = read_meshes(tmp_path, view.clip, "camera")
+    assert (meshes[0], errors) == (None, [])
+    drawn = replace(view, frame_meshes=tuple(meshes))
+    for n in range(1, len(meshes)):
+        np.testing.assert_allclose(drawn.surface(n)[0], view.object(n), atol=1e-7)
+    assert len(drawn.surface(0)[1]) == 0
+    known = evaluate_meshes(meshes, view.clip, view.masks, "iHOI").per_frame["iou"]
+    np.testing.assert_allclose(known[1:], evaluate(view.result, view.clip, view.masks).per_frame["iou"][1:], atol=0.01)
+
+
+@pytest.mark.parametrize("meshes", [(), ("iHOI",), ("iHOI=nowhere",)])
+def test_meshes_must_be_folders_with_names(meshes: tuple[str, ...]) -> None:
+    with pytest.raises(UsageError, match="--meshes"):
+        Ihoi(meshes=meshes).check()

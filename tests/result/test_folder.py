@@ -47,6 +47,7 @@ def small_result(frames: int = 3, candidates: int = 2, hinged: bool = True, seed
         seed=7,
         notes=("a note",),
         hand_covariance=np.cov(rng.standard_normal((6, 20))),
+        hand_alternatives=se3.rigid(se3.exp_so3(rng.standard_normal((2, 3))), rng.standard_normal((2, 3))),
         hand_energy={"hand-mask": (40.0, 30.5)},
         signs={"contact-gap": -2.5},
         probability_right=Probability(0.75, "of being right", ("contact-gap",)),
@@ -82,6 +83,7 @@ def test_what_is_written_is_read(tmp_path_factory: Any, frames: int, candidates:
         assert getattr(back, name) == getattr(result, name)
     np.testing.assert_array_equal(back.T_hand_obj, result.T_hand_obj)
     np.testing.assert_array_equal(back.hand_covariance, result.hand_covariance)
+    np.testing.assert_array_equal(back.hand_alternatives, result.hand_alternatives)
     np.testing.assert_array_equal(back.iou, result.iou)
     for name in ("T_hand_obj", "scale", "energy"):
         np.testing.assert_array_equal(getattr(back.candidates, name), getattr(result.candidates, name))
@@ -176,6 +178,7 @@ BROKEN: dict[str, tuple[dict[str, object], dict[str, object], str]] = {
     "no frames": ({"frames": None}, {}, "result.npz: frames"),
     "iou long": ({"iou": np.ones(4)}, {}, "result.npz: iou"),
     "covariance short": ({"hand_covariance": np.eye(3)}, {}, "result.npz: hand_covariance"),
+    "alternatives scaled": ({"hand_alternatives": 2 * EYE}, {}, "result.npz: hand_alternatives"),
     "hand's energy single": ({}, {"hand_energy": {"hand-mask": 3.0}}, "result.json: hand_energy."),
     "hand's energy texts": ({}, {"hand_energy": {"hand-mask": ["a", 1]}}, "result.json: hand_energy."),
     "no axis": ({"axis_point": None}, {}, "result.npz: missing axis_point"),

@@ -11,7 +11,7 @@ from getagrip.fitting.energy import PosesInCamera, Term, no_bound
 from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
 from getagrip.geometry import se3
 from getagrip.timelines.between import WorldTerm
-from getagrip.timelines.link_term import Expected, LinkTerm
+from getagrip.timelines.grasp_segment import Expected, LinkTerm
 from getagrip.timelines.static_pose import SupportTerm, hull_vertices, plane_in_camera
 from helpers.clips import box
 from helpers.terms import N, differences, hypotheses_are_independent, is_trustworthy, moved, random_poses, total_hessian

@@ -163,7 +163,8 @@ def _step(
     back, there = frames.flows(frame, before, part)
     x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in b.shape[1::-1]))
     came = x + back[..., 0], y + back[..., 1]
-    off = np.linalg.norm(back + cv2.remap(there, *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE), axis=-1)
+    round_trip = back + cv2.remap(there, *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+    off = np.sqrt(np.einsum("hwc,hwc->hw", round_trip, round_trip))
 
     def old(u: Float32[ndarray, "h w"], v: Float32[ndarray, "h w"]) -> tuple[ndarray, ndarray]:
         return (
@@ -214,7 +215,7 @@ def _is_cut(before: Image, after: Image, came: Origins) -> bool:
     import cv2
 
     expected = cv2.remap(before, *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
-    return bool(np.median(cv2.absdiff(expected, after)[::2, ::2].mean(axis=-1)) > CUT)
+    return bool(np.median(cv2.absdiff(expected[::2, ::2], after[::2, ::2]).mean(axis=-1)) > CUT)
 
 
 def _around(now: Carried, size: tuple[int, int]) -> Part:

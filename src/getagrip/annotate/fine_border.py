@@ -42,7 +42,8 @@ def fine(image: UInt8[ndarray, "H W 3"], inside: Float32[ndarray, "H W"], zoom: 
         weight = side.astype(np.float32)
         total = cv2.boxFilter(weight, -1, square) + 1e-4
         mean = cv2.boxFilter(colours * weight[..., None], -1, square) / total[..., None]
-        apart.append(np.square(colours - mean).sum(axis=-1) + NOISE**2)
+        off = colours - mean
+        apart.append(np.einsum("hwc,hwc->hw", off, off) + NOISE**2)
     score = inside[part] / NEAR + (apart[1] - apart[0]) / (apart[1] + apart[0])
     found = inside > 0.0
     smooth = cv2.GaussianBlur(score, (0, 0), SMOOTH * zoom)

@@ -23,6 +23,8 @@ from getagrip.io.images import decoded
 
 FOLDER = "found"
 """Beside the marks."""
+DRAFTS = "drafts"
+"""Beside the marks of several videos: a folder for each, of its draft."""
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,9 @@ import json
 import re
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import cast
 from uuid import uuid4
 
 import numpy as np
@@ -18,64 +17,25 @@ from numpy import ndarray
 
 from getagrip.annotate import keyframes, labels, reconstruction, versions
 from getagrip.annotate.background import Background, BackgroundJob, Work
-from getagrip.annotate.footage import Footage
-from getagrip.annotate.found_hands import FOLDER, FoundHands
+from getagrip.annotate.found_hands import DRAFTS, FOLDER, FoundHands
 from getagrip.annotate.frame_wanted import frame_wanted
-from getagrip.annotate.interaction import Interaction
+from getagrip.annotate.grasp import Grasp
 from getagrip.annotate.keyframes import KeyFrame
 from getagrip.annotate.labelled_footage import checksum
 from getagrip.annotate.labels import SHAPES, Labels
-from getagrip.annotate.marks import Mark
 from getagrip.annotate.propagated_masks import stretches
 from getagrip.annotate.store import Store
-from getagrip.annotate.tasks import Task, open_footage
+from getagrip.annotate.tasks import open_footage
 from getagrip.annotate.versions import RefusedError
 from getagrip.clip.intrinsics import intrinsics
 from getagrip.errors import UsageError
 from getagrip.geometry.lens import Lens
 from getagrip.hands.clicked_hands import FEWEST
-from getagrip.hands.model import Side
 from getagrip.io import files
 from getagrip.io.files import Json, shown
 
 Basis = dict[str, list[tuple[int, int, str]]]
 """Inputs of the drafts of "masks" and "hand": first and last frame, and the kind of input, in a word."""
-
-LONGEST_NAME = 100
-"""Characters of a grasp's name in files."""
-
-
-@dataclass(frozen=True)
-class Grasp:
-    """A finished grasp, or a whole interaction, and the footage that shows it."""
-
-    task: Task
-    footage: Footage
-    mark: Mark
-    whole: Interaction | None = None
-    """Segments of a whole interaction."""
-
-    @property
-    def extent(self) -> tuple[int, int]:
-        """First and last frame. Raises ``RefusedError`` where they are not marked yet."""
-        if self.mark.interval is None:
-            raise RefusedError("mark the start and the end of the grasp first")
-        return self.mark.interval
-
-    @property
-    def side(self) -> Side:
-        """Which hand. Raises ``RefusedError`` where the mark does not have it."""
-        if self.mark.side not in ("left", "right"):
-            raise RefusedError("say first which hand holds the object")
-        return cast(Side, self.mark.side)
-
-    @property
-    def name(self) -> str:
-        """Name of its files; names that had to be cut or changed for that differ by a checksum."""
-        parts = [self.mark.annotator, self.task.video, self.mark.start_number, self.mark.end_number, self.side]
-        whole = "-".join(map(str, parts))
-        plain = re.sub(r"[^\w.-]", "_", whole).lstrip(".")[:LONGEST_NAME]
-        return plain if plain == whole else f"{plain}-{_word(whole)[:8]}"
 
 
 class Labelling:
@@ -85,8 +45,14 @@ class Labelling:
         """Write the files of grasps into ``out``; without a lens the focal length is assumed."""
         self.store, self.out = store, out
         self.lens = lens if lens.is_set else Lens(guess_focal=True)
-        self.found = FoundHands(out / FOLDER)
+        self._found: dict[Path, FoundHands] = {}
         self.background = Background()
+
+    def found(self, grasp: Grasp) -> FoundHands:
+        """Return the hands that were found in its footage: in its draft's folder, else in the one beside the marks."""
+        own = self.out / DRAFTS / grasp.task.key / FOLDER
+        folder = own if own.is_dir() else self.out / FOLDER
+        return self._found.setdefault(folder, FoundHands(folder))
 
     def state(self, grasp: Grasp) -> dict[str, object]:
         """Return the labels of a grasp's frames, the inputs of drafts now, and the progress of the work on it."""
@@ -108,7 +74,7 @@ class Labelling:
             ],
             "basis": basis,
             "wanted": frame_wanted(sure, self.labels(grasp).drawn, *grasp.extent),
-            "found": bool(self.found.joints),
+            "found": bool(self.found(grasp).joints),
             "drafts": self.store.drafts.newest(grasp.mark.mark),
             "job": None if job is None else job.status(),
         }
@@ -136,7 +102,7 @@ class Labelling:
 
     def whole_labels(self, grasp: Grasp) -> Labels:
         """Return the labels of a grasp with the checksum of its footage, by which a file of them finds it again."""
-        return replace(self.labels(grasp), sha256=checksum(_path(grasp)))
+        return replace(self.labels(grasp), sha256=checksum(grasp.path))
 
     def take(self, grasp: Grasp, labels: Labels) -> None:
         """Replace the labels of a grasp by those of a file. Raises ``RefusedError``."""
@@ -169,18 +135,32 @@ class Labelling:
 
     def reconstruct(self, grasp: Grasp, content: Json) -> None:
         """Begin to write the files, make a clip of them and reconstruct it. Raises ``RefusedError``."""
+        shape = reconstruction.shape_of(content)
+        self._check_enough(grasp, self.labels(grasp))
+        self._start(grasp, "reconstruct", lambda job: self.solve(grasp, shape, job))
+
+    def solve(self, grasp: Grasp, shape: reconstruction.Shape, job: BackgroundJob) -> str:
+        """Write the files, make a clip of them and reconstruct it; what is said of it.
+
+        Raises ``GetagripError``, ``CancelledError``.
+        """
         from getagrip.annotate.labelled import clip_words
 
-        shape, value = reconstruction.shape_of(content), self.labels(grasp)
+        value = self.labels(grasp)
         self._check_enough(grasp, value)
+        job.message = "writing the files"
+        self.write(grasp, value, job)
+        words = clip_words(value, self.out / grasp.name, str(grasp.path), self._segments(grasp))
+        return reconstruction.reconstruct(words, shape, self.out, grasp.name, job)
 
-        def work(job: BackgroundJob) -> str:
-            job.message = "writing the files"
-            self.write(grasp, value, job)
-            words = clip_words(value, self.out / grasp.name, str(_path(grasp)), self._segments(grasp))
-            return reconstruction.reconstruct(words, shape, self.out, grasp.name, job)
-
-        self._start(grasp, "reconstruct", work)
+    def is_solved(self, grasp: Grasp) -> bool:
+        """Return whether there is a result of the labels as they are now."""
+        written = self.out / f"labels-{grasp.name}.json"
+        result = reconstruction.result_folder(self.out, grasp.name) / "result.json"
+        if not (written.is_file() and result.is_file()) or result.stat().st_mtime < written.stat().st_mtime:
+            return False
+        now = json.loads(json.dumps(labels.to_json(self.whole_labels(grasp))))
+        return bool(files.read_any_json(written) == now)
 
     def result_file(self, grasp: Grasp, name: str) -> bytes:
         """Return the report of the grasp's result. Raises ``RefusedError`` where there is none."""
@@ -199,10 +179,10 @@ class Labelling:
         self.out.mkdir(parents=True, exist_ok=True)
         if (path := self._segments(grasp)) is not None and grasp.whole is not None:
             files.write_json(path, {grasp.task.key: grasp.whole.listed().fields})
-        whole = replace(value, sha256=checksum(_path(grasp)))
+        whole = replace(value, sha256=checksum(grasp.path))
         labels.write(whole, self.out / f"labels-{grasp.name}.json")
         frames = value.last - value.first + 1
-        with closing(open_footage(_path(grasp))) as footage:
+        with closing(open_footage(grasp.path)) as footage:
 
             def image(n: int) -> UInt8[ndarray, "H W 3"]:
                 job.report(job.done, frames)
@@ -216,9 +196,9 @@ class Labelling:
                 out,
                 overwrite=True,
                 done=lambda masks: job.report(masks, frames),
-                found=self.found,
+                found=self.found(grasp),
             )
-        return command(replace(value, video=str(_path(grasp))), out, self._segments(grasp))
+        return command(replace(value, video=str(grasp.path)), out, self._segments(grasp))
 
     def _segments(self, grasp: Grasp) -> Path | None:
         """Return the file of a whole interaction's segments."""
@@ -258,19 +238,18 @@ class Labelling:
         hand = {one.frame: one.joints for one, labelled in frames if labelled.joints is not None}
         between = stretches(masks, first, last) if masks else ()
         hands = [(first, last, _word(first, last, hand, grasp.side, asdict(self.lens)))] if hand else []
-        if not hand and self.found.joints:
-            hands = [(first, last, self.found.word)]
+        found = self.found(grasp)
+        if not hand and found.joints:
+            hands = [(first, last, found.word)]
         return {
-            "masks": [
-                (one.first, one.last, _word({n: masks[n] for n in one.keys}, self.found.word)) for one in between
-            ],
+            "masks": [(one.first, one.last, _word({n: masks[n] for n in one.keys}, found.word)) for one in between],
             "hand": hands,
         }
 
     def _check_enough(self, grasp: Grasp, value: Labels) -> None:
         """Raise ``RefusedError`` where no clip can be made."""
         self._check_joints(grasp, value)
-        if not (value.clicks or self.found.path.is_file()) or not value.label_maps():
+        if not (value.clicks or self.found(grasp).path.is_file()) or not value.label_maps():
             raise RefusedError("a clip needs a hand, found or clicked on one frame, and the object drawn on one")
 
     def _check_joints(self, grasp: Grasp, labels: Labels) -> None:
@@ -290,30 +269,25 @@ class Labelling:
         made = {kind: drafts.bases(key, kind) for kind in basis}
         known = {kind: {n for n, word in rows.items() if made[kind].get(n) == word} for kind, rows in words.items()}
         wrong: UsageError | None = None
-        with closing(open_footage(_path(grasp))) as footage:
+        with closing(open_footage(grasp.path)) as footage:
             if len(known["hand"]) < len(words["hand"]):
                 K, _ = intrinsics(self.lens, labels.size)
                 try:
                     hands = (
                         drafting.hand(labels, K, footage.image)
                         if labels.clicks
-                        else drafting.found_hand(labels, self.found)
+                        else drafting.found_hand(labels, self.found(grasp))
                     )
                     drafts.put(key, "hand", words["hand"][labels.first], hands)
                 except UsageError as error:  # masks can be filled in nevertheless
                     wrong = error
             if len(known["masks"]) < len(words["masks"]):
-                for n, content in drafting.masks(labels, footage.image, known["masks"], self.found.mask):
+                for n, content in drafting.masks(labels, footage.image, known["masks"], self.found(grasp).mask):
                     drafts.put(key, "masks", words["masks"][n], {n: content | {"number": footage.number(n)}})
                     job.report(n - labels.first + 1, frames)
         if wrong is not None:
             raise wrong
         return ""
-
-
-def _path(grasp: Grasp) -> Path:
-    assert grasp.task.path is not None  # its footage is open
-    return grasp.task.path
 
 
 def _word(*content: object) -> str:

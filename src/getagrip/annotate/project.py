@@ -12,9 +12,10 @@ from uuid import uuid4
 
 from getagrip.annotate import agreement, export, labels, marks, versions
 from getagrip.annotate.footage import Footage, Names
+from getagrip.annotate.grasp import Grasp
 from getagrip.annotate.interaction import Interaction, interaction, is_whole, segments_of
 from getagrip.annotate.labelled_footage import tasks_of
-from getagrip.annotate.labelling import Grasp, Labelling
+from getagrip.annotate.labelling import Labelling
 from getagrip.annotate.labels import Labels
 from getagrip.annotate.marks import Mark
 from getagrip.annotate.store import Store

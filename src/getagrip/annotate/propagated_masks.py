@@ -160,7 +160,8 @@ def _propagated(
     inside, _ = placed(each, (0, 0), frames.size)
     labels = np.zeros((height, width), np.uint8)
     for kind, distances in zip(KINDS[1:], inside[1:], strict=True):  # what is in front wins
-        labels[cv2.resize(distances, (width, height), interpolation=cv2.INTER_LINEAR) > 0] = kind
+        if (distances > 0).any():
+            labels[cv2.resize(distances, (width, height), interpolation=cv2.INTER_LINEAR) > 0] = kind
     whole = frames[each.frame].whole
     visible = cv2.resize(np.minimum(inside[0], -inside[1:].max(axis=0)), whole.shape[1::-1])
     found = fine(whole, visible, whole.shape[1] / frames.size[0]).astype(np.float32)

@@ -47,7 +47,9 @@ class Ground:
 
     def renew(self, image: UInt8[ndarray, "h w 3"], part: Part, moved: Ground, visible: Bool[ndarray, "y x"]) -> None:
         """Replace it by the next frame's: outside a part its ``image``; in it ``moved``, renewed where ``visible``."""
-        same = visible & (np.abs(image[part].astype(np.int16) - moved.image).max(axis=-1) < 2.0 * NOISE)
+        import cv2
+
+        same = visible & (cv2.absdiff(image[part], moved.image) < 2.0 * NOISE).all(axis=-1)
         self.image = image.copy()
         self.image[part] = np.where(same[..., None], image[part], moved.image)
         self.seen[part] = moved.seen

@@ -130,6 +130,14 @@ class Versions(Generic[Kind]):
         query = f"SELECT coalesce(max(seq), 0) FROM {self.table} WHERE {self.scope} = ? AND annotator = ?"
         return int(self.database.rows(query, (scope, annotator))[0][0])
 
+    def times(self, scope: str, annotator: str) -> list[datetime]:
+        """Return when an annotator changed states of a scope, the first change first."""
+        query = f"SELECT at FROM {self.table} WHERE {self.scope} = ? AND annotator = ? ORDER BY seq"
+        try:
+            return [datetime.fromisoformat(at) for (at,) in self.database.rows(query, (scope, annotator))]
+        except (TypeError, ValueError) as error:
+            raise self.database.damaged(error) from error
+
     def history(self, key: str) -> list[Kind]:
         """Return all versions of a state, the oldest first."""
         query = f"SELECT {', '.join(self.columns)} FROM {self.table} WHERE {self.key} = ? ORDER BY seq"

@@ -75,7 +75,6 @@ def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batc
 
 
 def _summarise(ledger: Ledger, out: Place, keep: Keep) -> None:
-    """Write the summary, and say where."""
     for path in write_summary(ledger, out, keep):
         say(str(path))
 
@@ -143,7 +142,6 @@ def _work_off(plan: Plan, ledger: Ledger, out: Place, options: Options, batch: B
 
 
 def _lost(job: Job | StreamedJob, why: str) -> Outcome:
-    """Make the outcome of a clip that no process could do."""
     return Outcome(job.name, "failed", why)
 
 

@@ -103,12 +103,10 @@ def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE,
 
 
 def _lost(job: ImportJob, why: str) -> Imported:
-    """Make the outcome of a part that no process could read."""
     return Imported([Outcome(job.name, "failed", why)])
 
 
 def _entry(imported: Imported) -> Entry:
-    """Make the ledger's entry of a part."""
     states = Counter(outcome.state for outcome in imported.clips)
     why = "; ".join(outcome.message for outcome in imported.clips if outcome.state == "failed")
     state: State = "failed" if states["failed"] else "done" if states["done"] else "kept"

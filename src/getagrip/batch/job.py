@@ -152,7 +152,6 @@ def standing(job: Job, checksum: str) -> tuple[Outcome | None, str]:
 
 
 def _outcome(job: Job, state: Literal["done", "kept"], message: str, result: Reconstruction, checksum: str) -> Outcome:
-    """Make the outcome of a job whose result is valid."""
     return Outcome(
         job.name, state, message, findings=result.findings, probability_right=result.probability_right,
         probability_right_in_camera=result.probability_right_in_camera,

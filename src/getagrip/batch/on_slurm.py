@@ -132,7 +132,6 @@ class SlurmExecutor(Generic[J, R]):
         self._at_work |= dict(zip(tasks, bundles, strict=True))
 
     def _ended(self, task: Any, bundle: list[_Submitted[J]]) -> list[Ended[J, R]]:
-        """Return the ends of the jobs of a task that has ended; those of a lost one are collected again."""
         try:
             ends = task.result()
         except self._errors:

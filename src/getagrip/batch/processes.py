@@ -126,12 +126,10 @@ class _Process(Generic[J, R]):
         return Ended(self.job, result, "", took, self.attempt, self.pid)
 
     def _lost(self, why: str) -> Ended[J, R]:
-        """Return the job's end, where the process is gone."""
         self.busy = False
         return Ended(self.job, None, why, time.monotonic() - self.since, self.attempt, self.pid)
 
     def _end(self) -> None:
-        """End it at once."""
         self.process.kill()
         self.close()
 

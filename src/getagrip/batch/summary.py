@@ -140,7 +140,6 @@ def row_without_result(entry: Entry) -> IndexRow:
 
 
 def _write_here(ledger: Entries | None, results: Place, out: Path, keep: Keep) -> list[Path]:
-    """Write them into a folder on this machine."""
     states = write_table(ledger, results, out / TABLE, keep)
     return [out / TABLE, _write_index(ledger, results, out, states, keep)]
 

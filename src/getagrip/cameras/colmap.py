@@ -27,10 +27,14 @@ PLACES = ("", "sparse", "sparse/0", "0", "dense/sparse")
 MODELS = {
     0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5), 4: ("OPENCV", 8),
     5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12), 7: ("FOV", 5), 8: ("SIMPLE_RADIAL_FISHEYE", 4),
-    9: ("RADIAL_FISHEYE", 5), 10: ("THIN_PRISM_FISHEYE", 12),
+    9: ("RADIAL_FISHEYE", 5), 10: ("THIN_PRISM_FISHEYE", 12), 11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    12: ("SIMPLE_DIVISION", 4), 13: ("DIVISION", 5), 14: ("SIMPLE_FISHEYE", 3), 15: ("FISHEYE", 4), 16: ("EUCM", 6),
 }  # fmt: skip
 """Camera models by number: name and count of parameters."""
-ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
+ONE_FOCAL = (
+    "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_DIVISION",
+    "SIMPLE_FISHEYE",
+)  # fmt: skip
 
 
 class Image(NamedTuple):
@@ -95,7 +99,7 @@ def _pinhole(model: str, size: tuple[int, int], params: list[float]) -> Pinhole:
     """Convert a camera's parameters."""
     if model in ONE_FOCAL:
         f, cx, cy, *rest = params
-        return Pinhole.of(f, f, cx, cy, size, any(rest))
+        return Pinhole.of(f, f, cx, cy, size, any(rest) or "FISHEYE" in model)
     fx, fy, cx, cy, *rest = params
     return Pinhole.of(fx, fy, cx, cy, size, any(rest) or "FISHEYE" in model)
 

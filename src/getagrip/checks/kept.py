@@ -3,11 +3,8 @@
 Made 2026-11-25, commit e3858339.
 """
 
-from math import inf
-
 from getagrip.checks.calibration import Calibration, Weight, Where
-from getagrip.checks.keeping import Keeping
-from getagrip.provenance import HandsKind
+from getagrip.checks.keeping import InputKind, Keeping
 
 ESTIMATED: dict[tuple[str, Where], Calibration] = {
     ("soft-hinge", "hand"): Calibration(
@@ -58,16 +55,18 @@ ESTIMATED: dict[tuple[str, Where], Calibration] = {
     ),
 }
 """By method, and by where poses are right."""
-KEEPING: dict[tuple[HandsKind, Where], Keeping] = {
-    ("estimated", "hand"): Keeping({0.5: 0.01371, 0.6: 0.0442, 0.7: 0.4507, 0.8: 0.6211}, inf, inf),
+KEEPING: dict[tuple[InputKind, Where], Keeping] = {
     ("measured", "hand"): Keeping(
-        {0.5: 0.9679, 0.6: 0.9679, 0.7: 0.9679, 0.8: 0.9679, 0.9: 0.9679, 0.95: 0.9679}, 0.9679, 1
+        {0.5: 0.9679, 0.6: 0.9679, 0.7: 0.9679, 0.8: 0.9679, 0.9: 0.9679, 0.95: 0.9679}, {1: 0.9679}
     ),
-    ("estimated", "camera"): Keeping(
-        {0.5: 0.02334, 0.6: 0.02334, 0.7: 0.02334, 0.8: 0.02334, 0.9: 0.6362, 0.95: 0.9304}, 0.5139, 1.212
-    ),
+    ("estimated", "hand"): Keeping({0.5: 0.01371, 0.6: 0.0442, 0.7: 0.4507, 0.8: 0.6211}, {}),
+    ("joints", "hand"): Keeping({}, {}),
+    ("depth", "hand"): Keeping({}, {}),
     ("measured", "camera"): Keeping(
-        {0.5: 0.9579, 0.6: 0.9579, 0.7: 0.9579, 0.8: 0.9579, 0.9: 0.9579, 0.95: 0.9579}, 0.9579, 1
+        {0.5: 0.9579, 0.6: 0.9579, 0.7: 0.9579, 0.8: 0.9579, 0.9: 0.9579, 0.95: 0.9579}, {1: 0.9579}
     ),
+    ("estimated", "camera"): Keeping({}, {}),
+    ("joints", "camera"): Keeping({}, {}),
+    ("depth", "camera"): Keeping({}, {}),
 }
 """By kind of input, and by where poses are right."""

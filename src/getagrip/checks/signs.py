@@ -14,6 +14,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.checks.solved import Solved
+from getagrip.clip.depth import DEPTH, Depth
 from getagrip.geometry import se3
 
 ELSEWHERE = 0.03
@@ -26,6 +27,8 @@ LEAST_PROBABLE = 1e-2
 """Solutions less probable than this do not count, each by the most probable one."""
 UNSEEN = 0.4
 """Differing pixels of a hand of which none is seen."""
+NO_JOINTS = 0.15
+"""Error of a given hand's joints, where none are seen [shares of its box]."""
 FARTHEST = 0.03
 """A region that does not touch counts as at most so far [m]."""
 
@@ -127,6 +130,22 @@ def hand_misfit(it: Solved) -> float:
     return _logarithm(float(np.nan_to_num(it.hand_differing, nan=UNSEEN)), 0.01)
 
 
+def penetration(it: Solved) -> float:
+    """Measure how deep the hand is in the object at the deepest, mean over frames, in its diameters."""
+    return _logarithm(np.maximum(-it.to_object, 0.0).max(axis=1).mean() / it.diameter, 0.01)
+
+
+def joint_error(it: Solved) -> float:
+    """Return the error of the 2D joints, estimated from the clip, in shares of the hand's box; a hand's without any."""
+    return _logarithm(float(np.nan_to_num(it.joint_error, nan=NO_JOINTS)), 0.01)
+
+
+def depth_images(it: Solved) -> float:
+    """Return 0 without depth images, 1 with a network's, 2 with a sensor's."""
+    depth = it.clip.evidence.get(DEPTH)
+    return 0.0 if not isinstance(depth, Depth) else 2.0 if depth.source.source == "sensor" else 1.0
+
+
 def _logarithm(value: float | Float[ndarray, ""], least: float) -> float:
     """Return the logarithm of a number that is never below zero, and hardly counts below ``least``."""
     return float(np.log(max(float(value), 0.0) + least))
@@ -148,8 +167,17 @@ SIGNS: tuple[Sign, ...] = (
 HAND_SIGNS: tuple[Sign, ...] = (
     Sign("hand-spread", hand_spread, -1),
     Sign("hand-misfit", hand_misfit, -1),
+    Sign("penetration", penetration, -1),
+    Sign("joint-error", joint_error, -1),
+    Sign("depth-images", depth_images, 1),
 )
-"""Signs of the hand, which count where hands are estimated (``checks.kept``)."""
+"""Signs of the hand and of the evidence on it."""
+NAMES = (
+    "energy-gap", "solution-spread", "pose-spread", "mask-misfit", "contact-gap", "hand-turn",
+    *(sign.name for sign in HAND_SIGNS),
+)  # fmt: skip
+ESTIMATED_SIGNS = tuple(sign for sign in (*SIGNS, *HAND_SIGNS) if sign.name in NAMES)
+"""Signs that count where hands are estimated (``checks.kept``): few, since more were worse for other objects."""
 
 
 def read_signs(it: Solved) -> dict[str, float]:

@@ -29,9 +29,10 @@ class Solved(Evidence):
         iou: (T,) overlap of rendered and observed mask.
         candidates: the best distinct solutions in these frames; the first is the one that was found.
         axis: the axis that was found, where the method has one.
-        T_cam_hand_given: (T, 4, 4) poses of the hand as it was given.
+        T_cam_hand_input: (T, 4, 4) poses of the hand as it was given.
         spread: standard deviation of the pose that the energy leaves, in diameters; NaN where it is not known.
         hand_spread: standard deviation of an object in the hand that the evidence on the hand leaves [m].
+        joint_error: error of the hand's 2D joints, estimated from the clip [shares of the hand's box]; NaN: none count.
     """
 
     candidates: Candidates
@@ -39,6 +40,7 @@ class Solved(Evidence):
     T_cam_hand_input: Float[ndarray, "T 4 4"]
     spread: float
     hand_spread: float
+    joint_error: float = np.nan
 
     @property
     def poses(self) -> Float[ndarray, "T 4 4"]:

@@ -87,7 +87,6 @@ def npy_folder(folder: Path, paths: Sequence[Path], request: MaskRequest) -> Mas
 
 
 def _labels(source: Path, load: Numbers, frames: Mapping[int, int], request: MaskRequest) -> MaskReader:
-    """Make a reader of labels."""
     choose, notes = LabelChoice(request), Counter[str]()
     whole = _whole(load, frames, request.size, notes)
     sharp = sharpened(whole, frames, notes, choose.object, bool(choose.ignore or choose.hand))
@@ -97,7 +96,6 @@ def _labels(source: Path, load: Numbers, frames: Mapping[int, int], request: Mas
 def _masks_of(
     path: Path, key: str, stack: ndarray, rows: Mapping[int, int], request: MaskRequest, notes: Counter[str]
 ) -> Load:
-    """Make a loader of the masks of one thing."""
     return sharpened(_whole(lambda n: (path, key, stack[rows[n]]), rows, request.size, notes), rows, notes)
 
 
@@ -129,7 +127,6 @@ def _whole(load: Numbers, frames: Collection[int], size: tuple[int, int], notes:
 
 
 def _rows(path: Path, arrays: Mapping[str, ndarray], count: int, request: MaskRequest) -> dict[int, int]:
-    """Return the row of each frame that has one."""
     frames = request.frames
     if "frames" not in arrays:
         if count != len(frames):

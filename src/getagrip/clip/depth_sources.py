@@ -116,7 +116,6 @@ def open_depth(path: Path, name: str, frames: Sequence[str], ask_first: str) -> 
 
 
 def _images(folder: Path) -> list[Path]:
-    """List the depth images of a folder: a file of each frame, or a folder of each with one called ``depth``."""
     inside = sorted(one for sub in folder.iterdir() if sub.is_dir() for one in sub.glob(f"{DEPTH}.*"))
     alone = sorted(one for one in folder.iterdir() if one.is_file())
     for some in (inside, alone):
@@ -128,7 +127,6 @@ def _images(folder: Path) -> list[Path]:
 
 
 def _stack(path: Path, form: DepthFormat, frames: Sequence[str], ask_first: str) -> DepthReader:
-    """Open an array of all frames."""
     if path.suffix == ".npy":
         stored = {DEPTH: arrays.parse_npy(path, "", files.read_bytes(path, arrays.LARGEST))}
     else:
@@ -161,7 +159,6 @@ def _stack(path: Path, form: DepthFormat, frames: Sequence[str], ask_first: str)
 
 
 def _rows(path: Path, names: Sequence[str], frames: Sequence[str], ask_first: str) -> dict[int, int]:
-    """Return the row of each frame that has an image."""
     check_numbers(frames, names, path, "depth image", ask_first)
     rows = dict[int, int]()
     for row, n in enumerate(frames_of(names, frames)):

@@ -53,7 +53,6 @@ class LabelChoice:
 
 
 def _label_name(label: int) -> str:
-    """Write a label as the command line takes it."""
     return str(label) if label < 2**16 else f"#{label:06x}"
 
 

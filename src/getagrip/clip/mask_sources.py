@@ -3,9 +3,9 @@
 - a folder of folders, one for each thing (``object/`` and perhaps ``ignore/`` and ``hand/``, or any others, chosen by
   their names): one PNG for each frame, non-zero where the mask is set;
 - a folder of PNG: the labels of an image each (``label_choice``), or a mask each where there is one label only; or of
-  ``.npy`` or ``.npz`` (``array_masks``), or of LabelMe's ``.json`` (``shape_masks``);
+  ``.npy`` or ``.npz`` (``array_masks``), or of LabelMe's ``.json`` (``json_masks``);
 - ``.json``: COCO's ``images``, ``annotations`` (polygons or run lengths) and ``categories``, YouTube-VIS's ``videos``
-  (``coco_masks``), SA-V's ``masklet`` (``shape_masks``);
+  and SA-V's ``masklet`` (``json_masks``);
 - ``.pkl`` or ``.npy``: SAM 2's ``video_segments`` (``video_segments``);
 - ``.npz`` or ``.npy``: ``object`` (T, H, W) and perhaps ``ignore`` and ``hand``, or ``labels`` (T, H, W) of whole
   numbers; ``frames`` (T,) names or numbers of them, or all of the wanted ones in order; or an array for each frame.
@@ -24,12 +24,11 @@ from jaxtyping import Int
 from numpy import ndarray
 
 from getagrip.clip.array_masks import npy, npy_folder, npz
-from getagrip.clip.coco_masks import coco, youtube_vis
 from getagrip.clip.data import FrameMasks
+from getagrip.clip.json_masks import coco, label_me, masklets, youtube_vis
 from getagrip.clip.label_choice import LabelChoice, read_labels
 from getagrip.clip.mask_request import MOST_NAMED, MaskReader, MaskRequest, without_object
 from getagrip.clip.segments import union
-from getagrip.clip.shape_masks import label_me, masklets
 from getagrip.clip.soft_edges import Load, sharpened
 from getagrip.clip.video_segments import holds_objects, video_segments
 from getagrip.errors import InputError, UsageError
@@ -111,7 +110,6 @@ def _things(folder: Path, request: MaskRequest, things: Sequence[str]) -> MaskRe
 
 
 def _labels(folder: Path, paths: Sequence[Path], request: MaskRequest) -> MaskReader:
-    """Open a folder of label images."""
     choose, notes = LabelChoice(request), Counter[str]()
     frames, load = _images(folder, request, notes, paths)
     sharp = sharpened(load, frames, notes, choose.object, bool(choose.ignore or choose.hand))

@@ -127,7 +127,6 @@ def read_observed(clip: Clip) -> Bool[ndarray, "T"]:
 
 
 def _each(clip: Clip) -> Iterator[FrameMasks]:
-    """Yield the masks of each frame, without those of the hand."""
     folder, (width, height) = _folder(clip), clip.size
     hidden = (folder / "masks" / "ignore").exists()
     for frame in clip.frames:
@@ -165,14 +164,12 @@ def _are_there(clip: Clip) -> bool:
 
 
 def _folder(clip: Clip) -> Path:
-    """Return the clip's folder. Raises ``InputError`` where it has none."""
     if clip.folder is None:
         raise InputError(clip.origin, "masks", "none, for a clip that is in no folder", "the masks beside the clip")
     return clip.folder
 
 
 def _read(folder: Path, kind: str, frame: str, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
-    """Read the mask of a frame."""
     path = files.inside(folder, f"masks/{kind}/{frame}.png", "", "a mask for each frame of clip.json")
     return read_png(path, size) != 0
 

@@ -58,8 +58,8 @@ class Modality(ABC, Generic[D]):
 
 
 OURS: Mapping[str, Modality[Any] | str] = {
-    "object-masks": "getagrip.evidence.object_masks:ObjectMasks",
-    "hand-masks": "getagrip.evidence.hand_masks:HandMasks",
+    "object-masks": "getagrip.evidence.masks:ObjectMasks",
+    "hand-masks": "getagrip.evidence.masks:HandMasks",
     "joints-2d": "getagrip.evidence.joints_2d:HandJoints2D",
     "depth": "getagrip.evidence.depth:DepthImages",
 }

@@ -20,8 +20,8 @@ from getagrip.geometry.camera import project
 from getagrip.geometry.mesh_files import check_size
 from getagrip.io.files import shown
 
-NEAREST, FARTHEST = 0.05, 20.0
-"""Plausible distances from the camera [m]."""
+NEAREST, FARTHEST = 0.05, 100.0
+"""Plausible distances from the camera [m]. HaMeR's focal length puts the hands of a video at 20 to 70 m."""
 SLOWEST, FASTEST = 0.001, 100_000.0
 """Plausible frames per second."""
 LONGEST = 86_400.0

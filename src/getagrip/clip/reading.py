@@ -161,13 +161,11 @@ def input_sha256(folder: str | Path) -> str:
 
 
 def _folder(path: str | Path) -> Path:
-    """Return the clip's folder, which may be given by its ``clip.json``."""
     path = Path(path)
     return path.parent if path.name == "clip.json" else path
 
 
 def _mesh(folder: Path, fields: ClipFields) -> Path:
-    """Return the path of the mesh, checked."""
     return files.inside(folder, fields["mesh"], "mesh", "a triangle mesh", source=folder / "clip.json")
 
 

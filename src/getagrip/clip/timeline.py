@@ -116,7 +116,6 @@ def read_segments(path: Path, value: object, frames: Sequence[str], has_world: b
 
 
 def _read_segment(path: Path, key: str, fields: files.Json, row_of: dict[str, int]) -> Segment:
-    """One of them."""
     unknown = next((name for name in fields if name not in KEYS), None)
     if unknown is not None:
         raise InputError(path, f"{key}.{files.plain(unknown)}", "an unknown key", f"one of {', '.join(KEYS)}")

@@ -103,7 +103,6 @@ def without_hand(frames: Sequence[str], rows: Sequence[int]) -> dict[str, str]:
 
 
 def _fields(clip: Clip) -> dict[str, object]:
-    """Return the fields of a clip's ``clip.json``."""
     camera: dict[str, object] = {"K": _once(clip.K)}
     if clip.world is not None:
         camera["T_world_cam"] = _once(clip.world.T_world_cam)
@@ -148,7 +147,6 @@ def _truth_arrays(clip: Clip, truth: Truth) -> dict[str, Shaped[ndarray, "..."]]
 
 
 def _write_images(folder: Path, frames: tuple[str, ...], images: Iterable[UInt8[ndarray, "H W 3"]]) -> None:
-    """One JPEG for each frame."""
     folder.mkdir()
     for name, image in zip(frames, images, strict=True):
         write_image(folder / f"{name}.jpg", image)

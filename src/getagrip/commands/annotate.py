@@ -19,7 +19,7 @@ from getagrip.io.arguments import Flag, Folder, OptionalFile
 from getagrip.io.terminal import counted, report
 
 if TYPE_CHECKING:
-    from getagrip.annotate.labelling import Grasp
+    from getagrip.annotate.grasp import Grasp
     from getagrip.annotate.labels import Labels
     from getagrip.annotate.project import Project
     from getagrip.annotate.tasks import Task

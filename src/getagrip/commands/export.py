@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import arg
@@ -28,12 +29,14 @@ class Export(Command):
     to: Annotated[str, arg(metavar="FORMAT", help_behavior_hint=_others)] = ""
     """csv: a table of poses; npz: arrays; obj: posed meshes, one per frame; glb: glTF, animated, for Blender and
     browsers; bop: files of the BOP benchmark; usd: a USD stage, animated; mujoco: an MJCF scene to
-    replay and to simulate; lerobot: a dataset; spider: keypoint trajectories; dex-retargeting: joints and object
-    poses, z up."""
+    replay and to simulate; lerobot: a dataset; mcap: a log for Foxglove; spider: keypoint trajectories;
+    dex-retargeting: joints and object poses, z up."""
     out: OptionalFolder = None
     """Folder of the exports, each in a folder named as its result's. Otherwise RESULT/export-FORMAT."""
     one_dataset: Flag = False
     """With --to lerobot: --out is a dataset, made or continued, and each result an episode; clips in it are kept."""
+    test_share: float = 0.0
+    """With --one-dataset: share of the clips that are for tests, chosen by their names; the others are for training."""
     clips: ClipsFolder = None
     """A clip, or the folder that holds the clips by name."""
     overwrite: Flag = False
@@ -49,6 +52,10 @@ class Export(Command):
             raise unknown("--to", self.to, FORMATS)
         if self.one_dataset and (self.to != "lerobot" or self.out is None):
             raise UsageError("--one-dataset cannot be used without --to lerobot and --out")
+        if not 0.0 <= self.test_share <= 1.0:
+            raise UsageError(f"--test-share must be 0 to 1 (got {self.test_share:g})")
+        if self.test_share and not self.one_dataset:
+            raise UsageError("--test-share cannot be used without --one-dataset")
         FORMATS[self.to]  # which raises where it cannot be loaded
         if not self.results:
             raise UsageError("missing RESULT: name at least one result")
@@ -65,21 +72,46 @@ class Export(Command):
         from getagrip.io.terminal import say
         from getagrip.result import read_result
 
-        failed, dataset = False, Dataset.of(self.out) if self.one_dataset and self.out is not None else None
+        dataset = Dataset.of(self.out) if self.one_dataset and self.out is not None else None
+        found, failed = list[tuple[Path, Path]](), False
+
+        def trouble(path: Path, error: Exception) -> None:
+            nonlocal failed
+            failed = True
+            print_outcome(failure("" if isinstance(error, InputError) else str(path), error), self.debug)
+
         for path in self.results:
             try:
-                for folder in results_in(path):
-                    if self.out is None and folder != path:
-                        files.refuse_link(folder)
-                    result, record = read_result(folder)
-                    scene = Scene.of(result, clip_of(folder, result, record, self.clips))
-                    if dataset is not None:
-                        there = scene.name in dataset.clips
-                        say(f"{scene.name}: {'there already' if there else f'episode {dataset.add(scene)}'}")
-                        continue
-                    target = folder / f"export-{self.to}" if self.out is None else self.out / folder.resolve().name
-                    say(str(export(scene, target, self.to, self.overwrite)))
+                found += [(path, folder) for folder in results_in(path)]
             except Exception as error:  # one result's trouble must not end the others
-                failed = True
-                print_outcome(failure("" if isinstance(error, InputError) else str(path), error), self.debug)
+                trouble(path, error)
+        if dataset is not None:
+            names = {folder: _clip_name(folder) for _, folder in found}
+            tests = dataset.tests({*names.values()}, self.test_share)
+            found.sort(key=lambda one: names[one[1]] in tests)  # so that each split is one range of episodes
+        for path, folder in found:
+            try:
+                if self.out is None and folder != path:
+                    files.refuse_link(folder)
+                result, record = read_result(folder)
+                scene = Scene.of(result, clip_of(folder, result, record, self.clips))
+                if dataset is not None:
+                    there, split = scene.name in dataset.clips, "test" if scene.name in tests else "train"
+                    said = "there already" if there else f"episode {dataset.add(scene, split)}, {split}"
+                    say(f"{scene.name}: {said}")
+                    continue
+                target = folder / f"export-{self.to}" if self.out is None else self.out / folder.resolve().name
+                say(str(export(scene, target, self.to, self.overwrite)))
+            except Exception as error:
+                trouble(path, error)
         return int(failed)
+
+
+def _clip_name(folder: Path) -> str:
+    """Return the clip of a result; empty where its record cannot be read, which is said later."""
+    from getagrip.result import read_record
+
+    try:
+        return str(read_record(folder)["clip"])
+    except (InputError, OSError):
+        return ""

@@ -100,6 +100,5 @@ def clips(dataset: Dataset, note: Note = lambda _: None) -> Iterator[tuple[Clip,
 
 
 def _with_hand(clip: Clip, masks: Masks | None, hand: HandTrack, rows: Sequence[int]) -> tuple[Clip, Masks | None]:
-    """Return the clip and its masks in the frames that have a hand."""
     index = np.array(rows, dtype=int)
     return replace(clip.take(index), hand=hand), masks and masks.take(index)

@@ -184,7 +184,6 @@ def _camera(file: Path, value: Arrays, T: int, rows: Int[ndarray, "n"]) -> Posed
 
 
 def _numbers(file: Path, value: Arrays, T: int) -> Int[ndarray, "T"]:
-    """Numbers of all frames."""
     if "frames" not in value:
         return np.arange(T)
     numbers = arrays.floats(file, value, "frames", (T,), kinds="iu").astype(np.int64)

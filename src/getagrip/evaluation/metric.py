@@ -179,6 +179,15 @@ TRUE_SCA = Metric(
     by_contact=True, needs_truth=True, ranked=False,
 )  # fmt: skip
 
+
+def _by_replay(_: Comparison, __: ContactDefinition) -> float:
+    """Leave it out: it takes a simulation, which ``replay`` and ``bench --replay`` make."""
+    raise MissingPartError
+
+
+REPLAY = Metric("replay_stays", _by_replay, label="stays", decimals=0)
+"""Share of the frames in which the object stays in the simulated hand (``export.replay``)."""
+
 BOP: Mapping[str, Any] = {"group": "recall", "needs_truth": True}
 _METRICS: tuple[Metric, ...] = (
     IOU,
@@ -262,6 +271,7 @@ _METRICS: tuple[Metric, ...] = (
         "adds_cam_auc", lambda it, _: recall.area_under_curve(recall.nearest_add(*it.object_in_camera)),
         label="ADD-S AUC", group="recall", needs_truth=True,
     ),
+    REPLAY,
     Metric("ar_cam", lambda it, _: np.mean([_mssd(it), _mspd(it), it.vsd_recall], axis=0), label="AR", **BOP),
     Metric("ar_of_two_cam", lambda it, _: np.mean([_mssd(it), _mspd(it)], axis=0), label="AR without VSD", **BOP),
     Metric("mssd_cam_recall", lambda it, _: _mssd(it), label="MSSD", **BOP),

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import cv2
 import numpy as np
@@ -36,6 +36,9 @@ AWAY, BESIDE, RADIUS = 1.2, 0.6, 0.6
 
 class Change(Protocol):
     """A change of a clip before it is reconstructed. Its ``repr`` and the ``inputs`` identify it."""
+
+    other_hands: ClassVar[bool] = False
+    """True if the clip gets another estimator's hands, which its results keep (``own_hands``)."""
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
         """Return the changed clip and masks, perhaps of some of its frames.

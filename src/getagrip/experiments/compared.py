@@ -47,6 +47,8 @@ class Compared:
     """In SCA, SCA-ADD and SCA-IOU, points of the object within MM of the hand's surface are in contact; with several
     values, rows for each. The paper uses 0 on ARCTIC."""
 
+    replay: Flag = False
+    """Also simulate each result (getagrip replay): in what share of the frames the object stays in the hand."""
     columns: Annotated[
         tuple[Literal["paper", "motion", "recall"], ...],
         arg(help_behavior_hint="(default: paper; of ho3d-eval: recall)"),

@@ -203,6 +203,8 @@ def _values(scores: Sequence[Scores], variant: Variant, column: Metric) -> Float
     before it was measured: the others' mean would mislead.
     """
     key, values = column.key(variant.contact), np.full(len(scores), np.nan)
+    if not any(key in score.metrics for clip in scores for score in clip.scores):
+        return values
     tried = [(n, clip, score) for n, clip in enumerate(scores) if (score := _score(clip, variant))]
     if column.needs_truth and any(c.has_truth and not s.failed and key not in s.metrics for _, c, s in tried):
         return values

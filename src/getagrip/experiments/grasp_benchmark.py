@@ -24,7 +24,7 @@ from getagrip.experiments.trials import GraspTrial, Scores
 from getagrip.experiments.variants import Variant, ablation_variants, method_variants
 from getagrip.fitting.methods import method_of
 from getagrip.fitting.options import WITH_FREE_SCALE, Options
-from getagrip.io import files, leftovers
+from getagrip.io import extras, files, leftovers
 from getagrip.io.code import stamp
 from getagrip.io.terminal import counted
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition, at_millimetres
@@ -48,6 +48,8 @@ class GraspBenchmark(Benchmark[Scores]):
             raise UsageError("--ablation cannot be used with --hands")
         if self.compared.others and (ablation is not None or self.compared.hands):
             raise UsageError("--with cannot be used with --ablation or --hands")
+        if self.compared.replay:
+            extras.load("mujoco", "mujoco", "--replay")
         if self.compared.refine and not self.compared.others:
             raise UsageError("missing --with: --refine needs poses to start from")
         if self.compared.refine and self.options.init != "uniform":
@@ -90,7 +92,8 @@ class GraspBenchmark(Benchmark[Scores]):
         for variant in distinct:
             leftovers.sweep(files.folder_inside(results, variant.folder))
         contacts = tuple(dict.fromkeys((*CONTACT_DEFINITIONS, *self.contacts)))
-        return [GraspTrial(sample, results, overwrite, distinct, contacts) for sample in samples]
+        replay = self.compared.replay
+        return [GraspTrial(sample, results, overwrite, distinct, contacts, replay) for sample in samples]
 
     def failures(self, scores: Scores) -> list[Outcome]:
         """Return the failed clip, or each of its failed variants."""

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -101,6 +102,7 @@ class Hands:
 class WithHands(Change):
     """The clip with the hands of a source, at the frames that all sources have."""
 
+    other_hands: ClassVar[bool] = True
     source: HandSource
     sources: tuple[HandSource, ...]
 

@@ -17,7 +17,8 @@ from getagrip.batch.job import failure
 from getagrip.batch.kept import good_result, made_by
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
 from getagrip.errors import InputError
-from getagrip.evaluation.metric import METRICS, SCA
+from getagrip.evaluation.metric import METRICS, REPLAY, SCA
+from getagrip.evaluation.own_hands import keep_hands
 from getagrip.experiments.changes import UNCHANGED
 from getagrip.experiments.other_systems import options_of, result_of
 from getagrip.experiments.trial import ClipScores, Trial
@@ -46,6 +47,8 @@ class GraspTrial(Trial["Scores"]):
     variants: tuple[Variant, ...]
     contacts: tuple[ContactDefinition, ...] = CONTACT_DEFINITIONS
     """Those by which results are evaluated."""
+    replay: bool = False
+    """True if they are simulated, too."""
 
     def failed(self, why: str, trace: str = "") -> Scores:
         return Scores(self.name, failure=why, trace=trace)
@@ -58,7 +61,7 @@ class GraspTrial(Trial["Scores"]):
         for variant in self.variants:
             place = _place(self, variant)
             there, _ = _good(self, variant, clip.name, _checksum(checksum, variant, clip.name))
-            if there is None or not _measured(there[1], self.contacts):
+            if there is None or not _measured(there[1], self.contacts, self.replay):
                 missing.append(variant)
             else:
                 scores[variant.folder] = _score(variant, place, there[1])
@@ -134,6 +137,8 @@ def _try(trial: GraspTrial, variant: Variant, changed: tuple[Clip, Masks], masks
     raised.
     """
     from getagrip.evaluation import evaluate
+    from getagrip.export.replay import replay
+    from getagrip.export.scene import Scene
     from getagrip.timelines.reconstruct import reconstruct
 
     clip, place = changed[0], _place(trial, variant)
@@ -146,7 +151,11 @@ def _try(trial: GraspTrial, variant: Variant, changed: tuple[Clip, Masks], masks
         else:
             result = reconstruct(replace(clip, segments=()), changed[1], variant.options)
         metrics = evaluate(result, clip, masks, trial.contacts).metrics
+        if trial.replay:
+            metrics[REPLAY.name] = replay(Scene.of(result, clip)).stays if clip.hand.joints is not None else np.nan
         write_result(result, place, checksum, metrics, clip.folder, overwrite=True, made_by=_made_by(variant))
+        if variant.change.other_hands:
+            keep_hands(clip, place, input_sha256(clip.origin))
     except Exception as error:
         if isinstance(error, InputError) and variant.system is None:
             raise
@@ -154,9 +163,11 @@ def _try(trial: GraspTrial, variant: Variant, changed: tuple[Clip, Masks], masks
     return replace(_score(variant, place, read_record(place)), again=why)
 
 
-def _measured(record: Json, contacts: Sequence[ContactDefinition]) -> bool:
+def _measured(record: Json, contacts: Sequence[ContactDefinition], replay: bool) -> bool:
     """Return whether a result was evaluated by this code, by all these definitions; else only that is done again."""
     by_this = record["software"].get("evaluation") == _evaluation()
+    if replay and REPLAY.name not in record["metrics"]:
+        return False
     return by_this and all(SCA.key(contact) in record["metrics"] for contact in contacts)
 
 
@@ -214,4 +225,4 @@ def _made_by(variant: Variant) -> dict[str, str]:
 
 def _evaluation() -> str:
     """Return the checksum of ``evaluation``, and of other packages' metrics."""
-    return " with ".join([code.fingerprint(EVALUATION), *METRICS.made_of()])
+    return " with ".join([code.fingerprint(EVALUATION, "export/replay.py"), *METRICS.made_of()])

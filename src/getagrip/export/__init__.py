@@ -12,6 +12,7 @@ from getagrip.export import (
     dex_retargeting,
     gltf,
     lerobot,
+    mcap,
     mujoco,
     obj_sequence,
     poses_csv,
@@ -36,6 +37,7 @@ _FORMATS: dict[str, Write] = {
     "usd": usd.write,
     "mujoco": mujoco.write,
     "lerobot": lerobot.write,
+    "mcap": mcap.write,
     "spider": spider.write,
     "dex-retargeting": dex_retargeting.write,
 }

@@ -50,18 +50,26 @@ class Bones:
         rest = se3.between(np.array([0.0, 0.0, 1.0]), straight[0])
         R = se3.between(straight[:1], straight) @ rest
         typical = np.median(length, axis=0)
-        return Bones(se3.rigid(R, begin), typical, _radius(scene, begin[0], end[0]))
+        return Bones(se3.rigid(R, begin), typical, _radius(distances(scene)))
 
 
-def _radius(scene: Scene, begin: Float[ndarray, "20 3"], end: Float[ndarray, "20 3"]) -> Float[ndarray, "20"]:
-    """Compute each bone's distance to the surface near it, over the vertices that no other bone is nearer to.
-
-    In the first frame; a capsule as thick as the palm would reach into the object.
-    """
+def distances(scene: Scene) -> Float[ndarray, "V 20"]:
+    """Compute the distance of each vertex from each bone in the first frame [m]. The joints are known."""
+    assert scene.joints is not None
+    begin, end = (scene.joints[0, [pair[k] for pair in ENDS]] for k in (0, 1))
     points, along = scene.hand_vertices[0], end - begin
     share = np.sum((points[:, None] - begin) * along, axis=-1) / np.maximum(np.sum(along**2, axis=-1), 1e-12)
     nearest = begin + np.clip(share, 0.0, 1.0)[..., None] * along
-    distance = np.linalg.norm(points[:, None] - nearest, axis=-1)
+    return np.asarray(np.linalg.norm(points[:, None] - nearest, axis=-1))
+
+
+def _radius(distance: Float[ndarray, "V 20"]) -> Float[ndarray, "20"]:
+    """Compute each bone's distance to the surface near it, over the vertices that no other bone is nearer to.
+
+    A capsule as thick as the palm would reach into the object.
+    """
     owner = np.argmin(distance, axis=1)
-    found = [np.quantile(distance[owner == n, n], NEAR) if np.any(owner == n) else THINNEST for n in range(len(begin))]
+    found = [
+        np.quantile(distance[owner == n, n], NEAR) if np.any(owner == n) else THINNEST for n in range(distance.shape[1])
+    ]
     return np.maximum(found, THINNEST)

@@ -4,7 +4,8 @@ Each frame has the wrist's pose and the 21 joints (``observation.state``) and th
 (``observation.environment_state``) in a frame that stands still, z up; quaternions are (w, x, y, z). A person gives no
 commands: ``action`` is the state of the next frame. LeRobot takes frames as evenly spaced: ``timestamp`` is n / fps, at
 the clip's own rate as a whole number; ``time_s`` is when the frame was taken. Images, if there is one for every frame,
-are a video.
+are a video. ``confidence`` is the probability that the result is right relative to the hand, -1 where none is
+calibrated; ``mask_iou`` is how well each frame meets its mask, -1 where none shows the object.
 """
 
 from __future__ import annotations
@@ -70,10 +71,12 @@ class Episode(NamedTuple):
         task = f"hold the {scene.category} with the {scene.side} hand"
         return Episode(columns, features, stats, task, pictures, fps, stage)
 
-    def write(self, folder: Path, number: int = 0, begin: int = 0, task: int = 0, clip: str = "") -> dict[str, object]:
+    def write(
+        self, folder: Path, number: int = 0, begin: int = 0, task: int = 0, more: Mapping[str, str] | None = None
+    ) -> dict[str, object]:
         """Write its files into a dataset, and return its record; ``begin`` is the number of frames before it.
 
-        ``task`` is the number of its task, ``clip`` a name to keep in the record.
+        ``task`` is the number of its task, ``more`` what the record says besides.
         """
         place = {"chunk_index": number // CHUNK_SIZE, "file_index": number % CHUNK_SIZE}
         count = len(self.columns["index"])
@@ -96,7 +99,7 @@ class Episode(NamedTuple):
             record |= {f"videos/{CAMERA}/from_timestamp": 0.0, f"videos/{CAMERA}/to_timestamp": count / self.fps}
         stats = self.stats | {name: statistics(values) for name, values in moved.items()}
         record |= {f"stats/{name}/{key}": value for name, of in stats.items() for key, value in of.items()}
-        record |= {"clip": clip} if clip else {}
+        record |= more or {}
         _write_table(_inside(folder, DATA.format(**place)), columns)
         _write_table(_inside(folder, EPISODES.format(**place)), {key: [_plain(value)] for key, value in record.items()})
         return record
@@ -112,7 +115,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     """Write a dataset of one episode. Raises as ``Episode.of`` does."""
     made = Episode.of(scene)
     made.write(folder)
-    write_meta(folder, made, [made.task], made.stats, 1, len(scene.frames))
+    write_meta(folder, made, [made.task], made.stats, {"train": "0:1"}, len(scene.frames))
     video = {VIDEO.format(video_key=CAMERA, **CHUNK): "the images, H.264, at the same fps"} if made.pictures else {}
     return {
         DATA.format(
@@ -128,12 +131,17 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
 
 
 def write_meta(
-    folder: Path, made: Episode, tasks: Sequence[str], stats: Mapping[str, object], episodes: int, frames: int
+    folder: Path,
+    made: Episode,
+    tasks: Sequence[str],
+    stats: Mapping[str, object],
+    splits: Mapping[str, str],
+    frames: int,
 ) -> None:
     """Write what says that all episodes are there: tasks and statistics, then ``info.json``."""
     _write_tasks(folder / "meta" / "tasks.parquet", tasks)
     files.write_json(folder / "meta" / "stats.json", stats)
-    info = _info(made.fps, episodes, frames, len(tasks), made.features, made.pictures is not None)
+    info = _info(made, splits, frames, len(tasks))
     files.write_json(folder / "meta" / "info.json", info)
 
 
@@ -185,6 +193,8 @@ def _columns(scene: Scene, stage: Stage) -> dict[str, Shaped[ndarray, "T ..."]]:
         "action": np.concatenate([state[1:], state[-1:]]),
         **{name: T.reshape(count, 16).astype(np.float32) for name, T in scene.poses.items()},
         "time_s": scene.time,
+        "confidence": np.full(count, -1.0 if scene.probability is None else scene.probability, dtype=np.float32),
+        "mask_iou": np.nan_to_num(scene.iou, nan=-1.0).astype(np.float32),
         "interpolated": np.array([kind == "interpolated" for kind in scene.frame_kind]),
         "frame_kind": np.array(scene.frame_kind, dtype=np.str_),
         "timestamp": (number / rate(scene)).astype(np.float32),
@@ -205,23 +215,22 @@ def _dtype(values: Shaped[ndarray, "T ..."]) -> str:
     return "string" if values.dtype.kind == "U" else str(values.dtype)
 
 
-def _info(
-    fps: int, episodes: int, frames: int, tasks: int, features: dict[str, object], has_video: bool
-) -> dict[str, object]:
+def _info(made: Episode, splits: Mapping[str, str], frames: int, tasks: int) -> dict[str, object]:
+    ends = [int(each.split(":")[1]) for ranges in splits.values() for each in ranges.split(",")]
     return {
         "codebase_version": VERSION,
         "robot_type": "human_hand",
-        "total_episodes": episodes,
+        "total_episodes": max(ends),
         "total_frames": frames,
         "total_tasks": tasks,
         "chunks_size": CHUNK_SIZE,
         "data_files_size_in_mb": 100,
         "video_files_size_in_mb": 200,
-        "fps": fps,
-        "splits": {"train": f"0:{episodes}"},
+        "fps": made.fps,
+        "splits": splits,
         "data_path": DATA,
-        "video_path": VIDEO if has_video else None,
-        "features": features,
+        "video_path": VIDEO if made.pictures is not None else None,
+        "features": made.features,
     }
 
 

@@ -1,12 +1,17 @@
 """A dataset of LeRobot of many results, an episode each, with files of its own; it can be continued.
 
-``meta/info.json`` is written last: what it does not count is written anew, so that an end at any time loses the episode
-at work and no other. Each record in ``meta/episodes`` has its result's clip as ``clip``.
+An episode's files are written aside and then moved to their place, since LeRobot reads all files of its folders, also
+half of one; ``meta/info.json`` is written last: what it does not count is written anew. So an end at any time loses the
+episode at work and no other. Each record in ``meta/episodes`` has the clip as ``clip`` and ``train`` or ``test`` as
+``split``; ``splits`` in ``info.json`` has the ranges of both, with commas where there are several.
 """
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Collection
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +21,7 @@ from numpy import ndarray
 from getagrip.errors import InputError
 from getagrip.export.lerobot import CHUNK_SIZE, EPISODES, Episode, write_meta
 from getagrip.export.scene import Scene
-from getagrip.io import extras, files
+from getagrip.io import extras, files, leftovers
 
 
 @dataclass
@@ -39,6 +44,8 @@ class Dataset:
     def of(folder: Path) -> Dataset:
         """Open the dataset in a folder, or begin one. Raises ``InputError`` for other things."""
         made, path = Dataset(folder), folder / "meta" / "info.json"
+        if folder.is_dir():
+            leftovers.sweep(folder)
         if not path.exists():
             if folder.exists() and {one.name for one in folder.iterdir()} - {"data", "meta", "videos"}:
                 raise InputError(folder, "", "other files", "a dataset of LeRobot, or a new folder")
@@ -63,8 +70,17 @@ class Dataset:
         """The clips whose results are in it."""
         return {str(record.get("clip", "")) for record in self.records}
 
-    def add(self, scene: Scene) -> int:
-        """Add a scene as the last episode and return its number.
+    def tests(self, clips: Collection[str], share: float) -> set[str]:
+        """Choose which of some clips are for tests, so that they are a share of all, with those that are there.
+
+        By the checksums of their names, whatever their order. What is there stays what it is.
+        """
+        new = sorted({*clips} - self.clips, key=lambda clip: hashlib.sha256(clip.encode()).digest())
+        there = sum(record.get("split") == "test" for record in self.records)
+        return {*new[: max(0, round(share * (len(self.records) + len(new))) - there)]}
+
+    def add(self, scene: Scene, split: str = "train") -> int:
+        """Add a scene as the last episode, of ``train`` or ``test``, and return its number.
 
         Raises ``InputError`` where its rate or its features differ from the dataset's, and as ``Episode.of``.
         """
@@ -77,11 +93,24 @@ class Dataset:
         files.folder_inside(self.folder, "meta")
         tasks = self.tasks if made.task in self.tasks else [*self.tasks, made.task]
         begin = int(self.records[-1]["dataset_to_index"]) if self.records else 0
-        record = made.write(self.folder, number, begin, tasks.index(made.task), scene.name)
+        with leftovers.workplace(self.folder) as work:
+            record = made.write(work, number, begin, tasks.index(made.task), {"clip": scene.name, "split": split})
+            for path in filter(Path.is_file, sorted(work.rglob("*"))):
+                place = path.relative_to(work)
+                path.replace(files.folder_inside(self.folder, *place.parent.parts) / place.name)
         self.records.append(record)
-        write_meta(self.folder, made, tasks, self.statistics(), number + 1, int(str(record["dataset_to_index"])))
+        write_meta(self.folder, made, tasks, self.statistics(), self.splits, int(str(record["dataset_to_index"])))
         self.tasks, self.info = tasks, {"fps": made.fps, "features": made.features}
         return number
+
+    @property
+    def splits(self) -> dict[str, str]:
+        """The ranges of episodes of each split, as ``info.json`` has them."""
+        ranges: dict[str, list[str]] = {"train": []}
+        for split, run in groupby(range(len(self.records)), key=lambda n: str(self.records[n].get("split", "train"))):
+            episodes = list(run)
+            ranges.setdefault(split, []).append(f"{episodes[0]}:{episodes[-1] + 1}")
+        return {split: ",".join(each) for split, each in ranges.items() if each}
 
     def statistics(self) -> dict[str, dict[str, ndarray]]:
         """Compute the statistics of all episodes from those of each, as LeRobot does: quantiles are means of theirs."""

@@ -75,6 +75,7 @@ class Scene:
             says; empty where it is of none of BOP's.
         image_files: (T,) files of the images; None where a frame has none.
         other_hand: of a timeline, the hand of the other side, in the frames in which it is known.
+        probability: that the poses are right relative to the hand; None where that is not calibrated.
     """
 
     name: str
@@ -101,6 +102,7 @@ class Scene:
     bop: Mapping[str, str] = field(default_factory=dict)
     image_files: tuple[Path | None, ...] = ()
     other_hand: OtherHand | None = None
+    probability: float | None = None
 
     @staticmethod
     def of(result: Reconstruction, clip: Clip) -> Scene:
@@ -135,6 +137,7 @@ class Scene:
             bop=_names(clip.provenance.get("bop")),
             image_files=tuple(some.image_file(n) for n in range(len(some))),
             other_hand=some.other_hand,
+            probability=None if result.probability_right is None else result.probability_right.value,
         )
 
     @property

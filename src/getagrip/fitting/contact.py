@@ -31,8 +31,9 @@ def distances(points, corners, normals, face, distance, origin, spacing):
     """
     P = len(points)
     local, rough, out = np.empty((P, 3)), np.empty(P), np.empty(P)
-    last = origin + spacing * (np.array(distance.shape) - 1)
-    screen(points, np.eye(3), np.zeros(3), 1.0, distance, origin, spacing, local, rough)
+    here = np.zeros((3, 3))
+    here[0, 0] = here[1, 1] = here[2, 2] = 1.0
+    screen(points, here, np.zeros(3), 1.0, distance, origin, spacing, local, rough)
     for p in range(P):
         if np.isfinite(rough[p]):
             x, y, z = local[p, 0], local[p, 1], local[p, 2]
@@ -40,7 +41,8 @@ def distances(points, corners, normals, face, distance, origin, spacing):
         else:
             squared = 0.0
             for k in range(3):
-                squared += max(max(origin[k] - local[p, k], local[p, k] - last[k]), 0.0) ** 2
+                last = origin[k] + spacing * (distance.shape[k] - 1)
+                squared += max(max(origin[k] - local[p, k], local[p, k] - last), 0.0) ** 2
             out[p] = MARGIN + np.sqrt(squared)
     return out
 

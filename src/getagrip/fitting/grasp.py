@@ -9,7 +9,7 @@ from getagrip.clip import Clip
 from getagrip.errors import GetagripError, InputError
 from getagrip.finding import Finding
 from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frames
-from getagrip.fitting.judge import probabilities, solved_of
+from getagrip.fitting.judge import hand_alternatives, probabilities, solved_of
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.outlier_masks import fit_without_outliers
 from getagrip.fitting.pipeline import Answer, Clock, Input, Judgement, Steps
@@ -108,9 +108,10 @@ def _judge(prepared: Prepared, found: Found, answer: Answer) -> Judgement:
     solved = solved_of(source.clip, found.problem, found.result, found.sampled, answer.track)
     checks, after = examine(result_checks(), solved)
     findings, signs = (*prepared.findings, *after), read_signs(solved)
-    of_energy = found.result.terms, found.result.energy
-    right = probabilities(source.clip, source.options, signs, findings, *of_energy)
-    return Judgement(prepared.checks | checks, findings, signs, right)
+    hand, terms = found.result.hand, {*found.result.terms}
+    terms = terms if hand is None else terms | {*hand.energy}
+    right = probabilities(source.clip, source.options, signs, findings, terms)
+    return Judgement(prepared.checks | checks, findings, signs, right, hand_alternatives(found.problem, found.result))
 
 
 GRASP = Steps(_prepare, _search, _fit_all_frames, _judge, stages=8)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import fields
 from typing import get_args
 
@@ -12,6 +12,7 @@ from numpy import ndarray
 from getagrip.checks import Solved
 from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.checks.calibration import Where
+from getagrip.checks.keeping import InputKind, kind_of_input
 from getagrip.checks.kept import ESTIMATED, KEEPING
 from getagrip.clip import Clip
 from getagrip.finding import Finding
@@ -22,14 +23,20 @@ from getagrip.fitting.pose_spread import pose_spread
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.scale_check import scale_check
 from getagrip.probability import Probability
-from getagrip.provenance import HandsKind, is_assumed, kind_of_hands
+from getagrip.provenance import is_assumed, kind_of_hands
 from getagrip.result import Candidates
 
 CHOICES = ("method", "inits", "init", "priors", "priors_only", "thorough", "seed", "frames", "every_frame")
 """Options that leave a calibration valid; it was made with the usual values of all."""
-TERMS = ("total", "mask", "push", "pull", "consistency", "prior", "hand-mask", "joints-2d", "order", "size", "upright")
+TERMS = (
+    "total", "mask", "push", "pull", "consistency", "prior", "hand-mask", "joints-2d", "depth",
+    "order", "size", "upright",
+)  # fmt: skip
 """Names in the energy that was calibrated; the last three count only for inputs that are assumed, as which kind of
 object it is, of which there were none, so that its probability is carried over to them."""
+APART = 0.14
+"""Distance by which alternatives of a hand move the object in it [diameters]: what is right lies within 0.1 of one of
+them. Chosen on training clips."""
 UNSOLVED = 0.03
 """Spread of an object in an estimated hand that was not solved with it [m]: the measured errors (docs/datasets.md)."""
 
@@ -50,7 +57,7 @@ def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: 
         T_cam_hand_input=input_clip.hand.T_cam_hand[input_clip.index_of(problem.clip.frames)],
         misfit=misfit(problem.observation, found.terms["mask"] / len(problem.clip)),
         spread=pose_spread(problem, found), hand_spread=_hand_spread(input_clip, problem, found),
-        scale_check=scale_check(problem, found),
+        scale_check=scale_check(problem, found), joint_error=_joint_error(problem),
     )  # fmt: skip
 
 
@@ -58,9 +65,28 @@ def _hand_spread(clip: Clip, problem: Problem, found: MethodResult) -> float:
     """Compute the standard deviation of the object in the hand that the hand's errors leave [m]."""
     if found.hand is None:
         return 0.0 if kind_of_hands(clip.provenance) == "measured" else UNSOLVED
+    return found.hand.spread(_in_hand(problem, found) - problem.clip.hand.vertices.mean(axis=(0, 1)))
+
+
+def hand_alternatives(problem: Problem, found: MethodResult) -> Float[ndarray, "M 4 4"] | None:
+    """Return where a hand that was solved with the object may be instead; None of another."""
+    if found.hand is None:
+        return None
+    middle = problem.clip.hand.vertices.mean(axis=(0, 1))
+    apart = APART * float(found.poses.scale[0]) * problem.surface.diameter
+    return found.hand.alternatives(_in_hand(problem, found) - middle, middle, apart)
+
+
+def _in_hand(problem: Problem, found: MethodResult) -> Float[ndarray, "P 3"]:
+    """Return points of the object's surface in the hand, in the middle frame [m]."""
     n, scale = len(problem.clip) // 2, float(found.poses.scale[0])
-    points = scale * problem.surface.points @ found.poses.R[0, n].T + found.poses.centre[0, n]
-    return found.hand.spread(points - problem.clip.hand.vertices.mean(axis=(0, 1)))
+    return scale * problem.surface.points @ found.poses.R[0, n].T + found.poses.centre[0, n]
+
+
+def _joint_error(problem: Problem) -> float:
+    """Return the error of the joints that moved the hand; NaN where none did."""
+    joints = None if problem.refinement is None else problem.refinement.joints
+    return float("nan") if joints is None else joints.size
 
 
 def probabilities(
@@ -68,16 +94,16 @@ def probabilities(
     options: Options,
     signs: Mapping[str, float],
     findings: Sequence[Finding],
-    terms: Iterable[str],
-    energy: Float[ndarray, "K"],
+    terms: Collection[str],
 ) -> dict[Where, Probability | None]:
     """Compute the probability that a result is right, in the hand and in the camera.
 
-    ``terms`` are those of its energy, ``energy`` the candidates'.
+    ``terms`` are those of its energy and of its hand's.
     """
-    kind = kind_of_hands(clip.provenance)
+    kind = kind_of_input(kind_of_hands(clip.provenance), terms)
+    found = (probability_right(options, signs, findings, where, terms, kind) for where in get_args(Where))
     in_hand, in_camera = (
-        probability_right(options, signs, findings, where, terms, kind, energy) for where in get_args(Where)
+        right and KEEPING[kind, where].applied(right) for where, right in zip(get_args(Where), found, strict=True)
     )
     # No pixel tells a wrong focal length from another distance.
     guessed = is_assumed(clip.provenance.get("camera"))
@@ -90,24 +116,20 @@ def probability_right(
     findings: Sequence[Finding],
     where: Where = "hand",
     terms: Iterable[str] = (),
-    kind: HandsKind = "measured",
-    energy: Float[ndarray, "K"] | None = None,
+    kind: InputKind = "measured",
 ) -> Probability | None:
-    """Compute the probability that a result with such signs is right; ``kind`` says how its hands are known.
+    """Compute the probability that a result with such signs is right; ``kind`` is that of its input.
 
-    With the ``energy`` of its candidates it says for which share of right results it is kept.
     ``findings`` are those about its input and itself.
 
     None where nothing is calibrated (``uncalibrated``).
     """
-    of_kind = {**CALIBRATIONS, **ESTIMATED} if kind == "estimated" else CALIBRATIONS
-    calibration = of_kind.get((options.method, where))
+    calibration = (CALIBRATIONS if kind == "measured" else ESTIMATED).get((options.method, where))
     if calibration is None or uncalibrated(options, findings, terms):
         return None
     if not signs.keys() >= calibration.weights.keys():  # of a motion of one's own
         return None
-    right, keeping = calibration.probability(signs), KEEPING.get((kind, where))
-    return right if keeping is None or energy is None else keeping.applied(right, energy)
+    return calibration.probability(signs)
 
 
 def uncalibrated(options: Options, findings: Sequence[Finding], terms: Iterable[str] = ()) -> str:

@@ -61,7 +61,7 @@ def _keep_gaps(observed, hidden, offsets, found):
             x0 = y0 = x1 = y1 = 0
             to_object = to_hidden = 0.0
             for k in range(len(offsets)):
-                x, y = offsets[k]
+                x, y = offsets[k, 0], offsets[k, 1]
                 distance = np.sqrt(x * x + y * y)
                 # One that is yet to be found is no nearer than this: then the gap is too wide.
                 if distance + (max(to_object, to_hidden) or distance) > WIDEST + 1.0:

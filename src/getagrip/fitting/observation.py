@@ -162,7 +162,9 @@ def _boundary(observed, valid, field, zoom, targets):
             ):
                 rows[n], cols[n] = i, j
                 n += 1
-    targets[:] = 0.0
+    for q in range(len(targets)):
+        for k in range(5):
+            targets[q, k] = 0.0
     used = min(n, len(targets))
     for q in range(used):
         k = (2 * q + 1) * n // (2 * used)

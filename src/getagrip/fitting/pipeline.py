@@ -110,6 +110,7 @@ class Judgement:
         findings: what is unusual, about the inputs first.
         signs: what is known about whether it is right, by name.
         right: how probable that is, in the hand and in the camera; None where it is not known.
+        hand_alternatives: where the hand may be instead; None where it was not solved with the object.
         segments: what was found in each segment of a timeline.
         failed: the segments whose masks are hardly met, in words; empty: none.
     """
@@ -118,6 +119,7 @@ class Judgement:
     findings: tuple[Finding, ...]
     signs: dict[str, float] = field(default_factory=dict)
     right: Mapping[Where, Probability | None] = field(default_factory=dict)
+    hand_alternatives: Float[ndarray, "M 4 4"] | None = None
     segments: tuple[SegmentResult, ...] = ()
     failed: str = ""
 
@@ -232,6 +234,7 @@ def _result(
         seed=options.seed,
         T_cam_hand=track.T_cam_hand if answer.hand_moved else None,
         hand_covariance=None if answer.hand is None else answer.hand.covariance,
+        hand_alternatives=judgement.hand_alternatives,
         hand_energy={} if answer.hand is None else dict(answer.hand.energy),
         T_cam_other_hand=answer.T_cam_other_hand,
         warp=answer.warp,

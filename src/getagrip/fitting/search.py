@@ -4,7 +4,8 @@ By the energy of a static fit the right hypothesis is often lost: the first are 
 the motion model has been fitted.
 Then the best are rotated and fitted again, a few rounds of it: local minima lie side by side, and in pairs; once more
 by less in the middle, for a mug whose handle is in the hand has minima all around it. At the end the best is compared
-with the other way round, where half a turn nearly leaves the surface as it is. The axis of a hinge comes from
+with the other way round, where half a turn nearly leaves the surface as it is, and always where only a handle tells the
+two apart and nothing but the kind is known of the object. The axis of a hinge comes from
 the data: after a static fit, a relaxed fit with a small deviation per frame, whose rotation vectors' principal
 direction is the axis. (Angle zero about any axis is a dead start: the energy does not depend on the axis there.)
 
@@ -15,7 +16,7 @@ then ``run``, which is ``coarse``, ``at_all_frames`` and ``fine``.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
@@ -44,6 +45,8 @@ ALIKE = 1.02
 In a trial on 94 training clips of DexYCB and ARCTIC it was 1.005 where the best was wrong, and 1.007 or more where it
 was right.
 """
+OPPOSITE = np.radians(60.0)
+"""Solutions with the handle on opposite sides differ by half a turn, but for so much."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,8 @@ class Search:
     """Called with the name of each stage when it ends."""
     threads: int = 1
     """Number of threads."""
+    opposite: Float[ndarray, "k 3 3"] = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    """Turns of the object that take a handle to its other side: the best solution turned so is always kept."""
 
     def relax(self, initial: Fixed, energy: Energy) -> Soft[Fixed]:
         """Fit a static pose from each initial one, then let each frame deviate a little."""
@@ -105,7 +110,10 @@ class Search:
             if k:
                 before, index = index, self.frames(stage)
                 motion = motion.resampled(before, index)
-            if stage.half_turns and len(turns := self.surface.half_turns):
+            turns = self.opposite if stage in self.schedule.fine else self.opposite[:0]
+            if stage.half_turns:
+                turns = np.concatenate([turns, self.surface.half_turns])
+            if len(turns):
                 motion = motion.concatenate(motion.take(np.zeros(len(turns), int)).rotated(turns))
             terms, T = energy(stage.level, index), self.T_cam_hand[index]
             solution = minimise(motion, terms, T, stage.iterations, threads=self.threads)
@@ -114,10 +122,26 @@ class Search:
             best = suppress_duplicates(poses, energies, self.surface, stage.keep, stage.half_turns)
             if not len(best):
                 raise GetagripError(Status.INVISIBLE.sentence)
-            solution = solution.take(best[near(solution.energy[best], stage.within)])
+            kept = best[near(solution.energy[best], stage.within)]
+            if stage in self.schedule.fine:
+                kept = self._with_opposite(kept, poses, energies, stage.keep)
+            solution = solution.take(kept)
             motion = solution.motion
             self.on_stage(stage.name)
         return solution
+
+    def _with_opposite(
+        self, kept: Int[ndarray, "k"], poses: PosesInHand, energy: Float[ndarray, "B"], most: int
+    ) -> Int[ndarray, "n"]:
+        """Add the best solution with the handle opposite to the first one's, in the place of the last if need be."""
+        few = frame_indices(poses.R.shape[1], 3)
+        between = np.swapaxes(poses.R[kept[0], few], -1, -2) @ poses.R[:, few]
+        for turn in self.opposite:
+            off = se3.angle_between(between, turn).mean(axis=-1)
+            there = np.flatnonzero((off < OPPOSITE) & np.isfinite(energy))
+            if len(there) and not np.isin(there, kept).any():
+                kept = np.append(kept[: most - 1], there[energy[there].argmin()])
+        return kept
 
 
 def explored(

@@ -12,6 +12,9 @@ from numpy import ndarray
 from getagrip.fitting.motion import PosesInHand, interpolated
 from getagrip.geometry import se3
 
+PAIRS, TINY = 3, 1e-12
+"""Directions in which alternatives of a hand lie; least squared movement of points by a standard deviation [m^2]."""
+
 
 @dataclass(frozen=True)
 class SolvedHand:
@@ -30,9 +33,30 @@ class SolvedHand:
     energy: Mapping[str, tuple[float, float]]
     differing: float
 
+    def alternatives(
+        self, points: Float[ndarray, "P 3"], middle: Float[ndarray, "3"], apart: float
+    ) -> Float[ndarray, "M 4 4"]:
+        """Return where the hand may be instead: either way along the ``PAIRS`` directions in which it is known least.
+
+        Args:
+            points: points in the hand, from its middle [m].
+            middle: the hand's middle, in the hand frame [m].
+            apart: how far these points are moved, root mean square [m].
+
+        Returns:
+            Poses of the hand in the hand frame, in pairs, the least certain direction first.
+        """
+        certain, axes = np.linalg.eigh(self.covariance)
+        root, moved = axes * np.sqrt(np.maximum(certain, 0.0)), _moved(points)
+        spread, axes = np.linalg.eigh(root.T @ np.einsum("pij,pik->jk", moved, moved) @ root / len(points))
+        x = (apart * root @ axes[:, ::-1] / np.sqrt(np.maximum(spread[::-1], TINY))).T[:PAIRS]
+        x = np.stack([x, -x], axis=1).reshape(-1, 6)
+        R = se3.exp_so3(x[:, 3:])
+        return se3.rigid(R, middle + x[:, :3] - R @ middle)
+
     def spread(self, points: Float[ndarray, "P 3"]) -> float:
         """Compute the standard deviation of points in the hand, from its middle, that its shared error leaves [m]."""
-        moved = np.concatenate([np.broadcast_to(np.eye(3), (len(points), 3, 3)), -se3.hat(points)], axis=-1)
+        moved = _moved(points)
         return float(np.sqrt(np.einsum("pij,jk,pik->p", moved, self.covariance, moved).mean()))
 
     def __str__(self) -> str:
@@ -42,6 +66,11 @@ class SolvedHand:
             "hand and object were solved together: the hand is known to about "
             f"{1e3 * place:.0f} mm and {np.degrees(turn):.0f} degrees; energies: {evidence}"
         )
+
+
+def _moved(points: Float[ndarray, "P 3"]) -> Float[ndarray, "P 3 6"]:
+    """How points move with the hand's shift and turn."""
+    return np.concatenate([np.broadcast_to(np.eye(3), (len(points), 3, 3)), -se3.hat(points)], axis=-1)
 
 
 def hand_between(

@@ -55,9 +55,14 @@ class ObjectSurface:
     @cached_property
     def half_turns(self) -> Float[ndarray, "T 3 3"]:
         """Half turns about the principal axes that nearly leave the surface as it is: T from 0 to 3."""
-        turns, middle = se3.exp_so3(np.pi * self.axes)[:, None], np.zeros((3, 1, 3))
-        moved = self.rms_distance(np.eye(3)[None], middle[0], 1.0, turns, middle, np.ones(3))
-        return turns[(moved > HALF_TURNS[0]) & (moved < HALF_TURNS[1]), 0]
+        turns = se3.exp_so3(np.pi * self.axes)
+        moved = self.moved_by(turns)
+        return turns[(moved > HALF_TURNS[0]) & (moved < HALF_TURNS[1])]
+
+    def moved_by(self, turns: Float[ndarray, "T 3 3"]) -> Float[ndarray, "T"]:
+        """Return how far turns move the surface, root mean square distance [diameters]."""
+        middle = np.zeros((len(turns), 1, 3))
+        return self.rms_distance(np.eye(3)[None], np.zeros((1, 3)), 1.0, turns[:, None], middle, np.ones(len(turns)))
 
     def half_turned(self, R: Float[ndarray, "N 3 3"], others: Float[ndarray, "C N 3 3"]) -> Bool[ndarray, "C"]:
         """Return which of C other rotations, over N frames, differ by one of the half turns."""

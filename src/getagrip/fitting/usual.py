@@ -17,6 +17,7 @@ from numpy import ndarray
 from getagrip.clip import Clip
 from getagrip.datasets.synthetic.categories import CATEGORIES, Kind
 from getagrip.fitting.energy import Energy, InHand, PosesInCamera, Quadratic, Term
+from getagrip.fitting.surface import HALF_TURNS, ObjectSurface
 from getagrip.geometry import se3
 from getagrip.provenance import is_assumed
 
@@ -45,6 +46,14 @@ def usual_rotations(clip: Clip) -> Float[ndarray, "k 3 3"]:
     about = se3.exp_so3(np.arange(TURNS)[:, None] * np.array([0.0, 0.0, 2.0 * np.pi / TURNS]))
     R = (grips[None] @ about[:, None]).reshape(-1, 3, 3)
     return R if clip.side == "right" else MIRROR[0] @ R @ MIRROR[1]
+
+
+def opposite_turns(clip: Clip, surface: ObjectSurface) -> Float[ndarray, "k 3 3"]:
+    """Return the half turn that takes an unmeasured object's handle to its other side, if anything sticks out."""
+    half = se3.exp_so3(np.array([[0.0, 0.0, np.pi]]))
+    if kind_of(clip) is None or surface.moved_by(half)[0] < HALF_TURNS[1]:
+        return half[:0]
+    return half
 
 
 @dataclass(frozen=True)

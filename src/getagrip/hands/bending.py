@@ -82,7 +82,9 @@ def bend_derivatives(joints: Float[ndarray, "T 21 3"], axes: Float[ndarray, "T 5
 def _skin(vertices: ndarray, weights: ndarray, T: ndarray, moved: ndarray) -> None:
     """Vertices (T, V, 3) moved by as much as their weights (V, 15) say of what each bone's pose (T, 15, 4, 4) does."""
     for v in range(vertices.shape[1]):
-        moved[:, v] = vertices[:, v]
+        for t in range(len(vertices)):
+            for i in range(3):
+                moved[t, v, i] = vertices[t, v, i]
         for bone in range(weights.shape[1]):
             w = weights[v, bone]
             if w == 0.0:  # most are

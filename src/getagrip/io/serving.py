@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
@@ -25,6 +26,7 @@ class QuietServer(ThreadingHTTPServer):
     """A thread for each connection, none of which keeps the program from ending."""
 
     daemon_threads = True
+    allow_reuse_address = os.name != "nt"  # where two servers would share a port
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Say nothing of connections that end early."""

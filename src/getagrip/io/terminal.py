@@ -68,7 +68,6 @@ def plain_table(
 
 
 def _in_notebook() -> bool:
-    """Return whether this runs in a notebook."""
     from rich.console import Console
 
     return Console().is_jupyter

@@ -107,9 +107,9 @@ def match_boundary(points, n, targets, gate, strength, delta, matched):
             at[q] = k if nearer else at[q]
             least[q] = cost if nearer else least[q]
     value = 0.0
-    matched[:] = 0.0
-    matched[Z] = 1.0
     for q in range(Q):
+        for row in range(7):
+            matched[row, q] = 1.0 if row == Z else 0.0
         length = targets[q, 4]
         value += strength * length * np.sqrt(least[q])
         if at[q] >= 0:

@@ -29,13 +29,18 @@ def contours(vertices, faces, edges, closed, K, observed, valid, field, step, de
     edge = np.empty((3, edges.shape[1] + 1), np.int64)
     lines = np.empty((12, edges.shape[1] + 1))
     counters = np.empty((observed.shape[1], observed.shape[2], PLANES), np.uint64)
-    here, origin, least = np.eye(3), np.zeros(3), np.empty(nearest.shape[1])
+    here, origin, least = np.zeros((3, 3)), np.zeros(3), np.empty(nearest.shape[1])
+    here[0, 0] = here[1, 1] = here[2, 2] = 1.0
     for n in range(len(vertices)):
         X, fx, fy = vertices[n], K[n, 0], K[n, 1]
-        points[n] = 0.0
-        nearest[n] = 0
+        for k in range(len(least)):
+            nearest[n, k], least[k] = 0, np.inf
+            for row in range(7):
+                points[n, row, k] = 0.0
         if not project(X, here, origin, 1.0, K[n], uvz):
-            bits[n] = np.uint64(0)
+            for i in range(bits.shape[1]):
+                for word in range(bits.shape[2]):
+                    bits[n, i, word] = np.uint64(0)
             value[n] = np.inf
             continue
         for f in range(len(faces)):  # for a camera at the origin, the sign of the triple product is the face's side
@@ -50,8 +55,8 @@ def contours(vertices, faces, edges, closed, K, observed, valid, field, step, de
         value[n] = mismatch(bits[n], observed[n], valid[n])
         found = sample_contour(uvz, edge, count, 1.0, step, bits[n], valid[n], lines, points[n])
         sample_field(points[n], found, field[n], 1.0, step, delta)
-        points[n, WEIGHT, found:] = 0.0
-        least[:found] = np.inf
+        for k in range(found, len(least)):
+            points[n, WEIGHT, k] = 0.0
         for i in range(uvz.shape[1]):  # points inside: they go side by side
             x, y, depth = uvz[0, i], uvz[1, i], uvz[2, i]
             for k in range(found):

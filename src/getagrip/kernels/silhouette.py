@@ -96,7 +96,7 @@ def silhouette_edges(planes, edges, R, centre, scale, sign, out):
 
 
 @kernel()
-def rasterise(uvz, edges, n_edges, closed, zoom, lines, planes, bits):
+def rasterise(uvz, edges, n_edges, closed, zoom, lines, planes, bits):  # noqa: PLR0912 - loops for slices
     """Fill the first n silhouette edges (coordinates times zoom) into bits (height, words), 64 pixels a word.
 
     lines (5, E) and planes (height, words, 4) are scratch. Pixel j of a row is bit j % 64 of word j // 64.
@@ -120,8 +120,13 @@ def rasterise(uvz, edges, n_edges, closed, zoom, lines, planes, bits):
         n += crosses
         top, bottom = min(top, first) if crosses else top, max(bottom, last) if crosses else bottom
     begin, end = int(top), int(bottom)
-    bits[:] = _ZERO
-    planes[begin:end] = _ZERO
+    for row in range(height):
+        for word in range(words):
+            bits[row, word] = _ZERO
+    for row in range(begin, end):
+        for word in range(words):
+            for p in range(PLANES):
+                planes[row, word, p] = _ZERO
     for k in range(n):
         x, slope, weight = lines[2, k], lines[3, k], lines[4, k]
         times = int(abs(weight)) // 2 if closed else int(abs(weight))
@@ -163,15 +168,18 @@ def silhouettes(R, centre, scale, vertices, planes, edges, closed, K, bits):
 
     R (P, 3, 3), centre (P, 3), scale (P,), K (P, 4) -> bits (P, height, W).
     """
-    uvz = np.empty_like(vertices)
+    uvz = np.empty(vertices.shape)
     sign = np.empty(planes.shape[1] + 1, np.int64)
     edge = np.empty((3, edges.shape[1] + 1), np.int64)
     lines, counters = np.empty((5, edges.shape[1] + 1)), np.empty((bits.shape[1], bits.shape[2], PLANES), np.uint64)
     for p in range(len(R)):
-        bits[p] = _ZERO
         if project(vertices, R[p], centre[p], scale[p], K[p], uvz):
             n = silhouette_edges(planes, edges, R[p], centre[p], scale[p], sign, edge)
             rasterise(uvz, edge, n, closed, 1.0, lines, counters, bits[p])
+        else:
+            for row in range(bits.shape[1]):
+                for word in range(bits.shape[2]):
+                    bits[p, row, word] = _ZERO
 
 
 def pack(masks: np.ndarray) -> np.ndarray:

@@ -204,7 +204,7 @@ def _none(seen: Sequence[Sequence[Sighting]], side: Side | None) -> str:
     tried = f"palms were looked for in {counted(len(seen), 'frame')}, and hands followed in both directions"
     if side is not None and some:
         return f"no {side} hand: {tried}; there are hands in {some}, of the other side (leave out --side {side})"
-    advice = "Click joints in getagrip annotate, or use an estimator: --hands FILE"
+    advice = "Click joints in getagrip annotate; or use an estimator: --hands FILE"
     return f"no hand: {tried}; found in {some}. Is there a glove, blur, or a hand half out of view? {advice}"
 
 

@@ -120,7 +120,6 @@ def _json(path: Path) -> PoseFile:
 
 
 def _record(path: Path, entry: Mapping[str, object]) -> PoseFile:
-    """Poses by name."""
     key = next((key for key in ("T_cam_obj", "T_hand_obj") if key in entry), None)
     if key is None:
         raise InputError(path, "T_cam_obj", "no such array", "T_cam_obj or T_hand_obj (T, 4, 4)")
@@ -168,7 +167,6 @@ def _bop_results(path: Path) -> PoseFile:
 
 
 def _bop_truth(path: Path, content: Json) -> PoseFile:
-    """BOP's ``scene_gt``, or estimates in that layout."""
     T = np.tile(np.eye(4), (len(content), 1, 1))
     for n, (image, objects) in enumerate(content.items()):
         if len(objects) > 1:

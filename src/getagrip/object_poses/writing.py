@@ -62,7 +62,6 @@ def write_like(place: Path, track: Track, folder: Path) -> Path:
 
 
 def _matrices(suffix: str, T: Float[ndarray, "*T 4 4"]) -> bytes:
-    """One matrix, or several."""
     if suffix == ".json":
         return json.dumps(T.tolist()).encode()
     stream = io.BytesIO()

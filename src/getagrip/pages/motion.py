@@ -101,7 +101,6 @@ def _axis(view: View) -> Float[ndarray, "2 3"]:
 
 
 def _middle(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "3"]:
-    """Return the middle of the bounding box."""
     return np.asarray((vertices.min(axis=0) + vertices.max(axis=0)) / 2.0)
 
 

@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from getagrip.checks import input_checks, result_checks
 from getagrip.checks.of_timeline import JUMP
-from getagrip.evaluation.metric import ADD_MM, ADD_SYM_CAM_MM, ADD_SYM_MM, METRICS, ROTATION_SYM, SCA, Metric
+from getagrip.evaluation.metric import ADD_MM, ADD_SYM_CAM_MM, ADD_SYM_MM, METRICS, REPLAY, ROTATION_SYM, SCA, Metric
 from getagrip.evaluation.results import Evaluation
 from getagrip.fitting.methods import label_of
 from getagrip.io import files
@@ -37,7 +37,7 @@ CONTACT = ContactDefinition("object", 0.010)
 """Definition of contact of SCA among the main metrics."""
 MAIN: Mapping[str, Metric] = {
     "ADD": ADD_MM, "ADD sym.": ADD_SYM_MM, "in the camera": ADD_SYM_CAM_MM, "rotation sym.": ROTATION_SYM,
-    f"SCA {CONTACT.distance}": SCA,
+    f"SCA {CONTACT.distance}": SCA, "stays in the simulated hand": REPLAY,
 }  # fmt: skip
 """Metrics at the top of the page beside the IOU, each under a short name."""
 PLOTTED: Mapping[str, Metric] = {"ADD, symmetries allowed": ADD_SYM_MM}
@@ -109,6 +109,7 @@ def described(view: View, label: str, evaluation: Evaluation, record: Json) -> J
             *_probably(view.result),
             *_met(view.result),
             *_main(evaluation.headline, bool(evaluation.metrics_of_grasps)),
+            *_main({REPLAY.name: record["metrics"].get(REPLAY.name)}, False),
         ],
         "plots": _plots(view, evaluation.per_frame),
         "tables": tables(view, evaluation, record),
@@ -116,7 +117,6 @@ def described(view: View, label: str, evaluation: Evaluation, record: Json) -> J
 
 
 def _summary(view: View, label: str, record: Json) -> Json:
-    """Return the page's text."""
     result, clip = view.result, view.clip
     hand = f"a {clip.side} hand" if clip.other_hand is None else "both hands"
     return {
@@ -162,8 +162,7 @@ def _met(result: Reconstruction) -> list[dict[str, str]]:
     return [] if np.isnan(result.mean_iou) else [{"name": "IOU", "value": f"{100 * result.mean_iou:.1f} %"}]
 
 
-def _main(metrics: Mapping[str, float], of_grasps: bool) -> list[dict[str, str]]:
-    """Return the main metrics that are known."""
+def _main(metrics: Mapping[str, float | None], of_grasps: bool) -> list[dict[str, str]]:
     out = []
     for name, metric in MAIN.items():
         if (value := metrics.get(metric.key(CONTACT))) is not None and not np.isnan(value):
@@ -251,5 +250,4 @@ def _checked(checks: Mapping[str, float]) -> list[list[str]]:
 
 
 def _rows(content: Mapping[str, object]) -> list[list[str]]:
-    """Names and values as texts."""
     return [[str(key), f"{value:.4g}" if isinstance(value, float) else str(value)] for key, value in content.items()]

@@ -45,7 +45,6 @@ def looking(points: Float[ndarray, "n 3"], side: Float[ndarray, "3"], up: Float[
 
 
 def _across(v: Float[ndarray, "3"], along: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
-    """Return the part of a vector that is perpendicular to a unit vector."""
     return np.asarray(v - (v @ along) * along)
 
 

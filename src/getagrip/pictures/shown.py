@@ -35,6 +35,8 @@ class View:
     """True if the result is the clip's ground truth, given its form (``true_view``)."""
     posed: bool = True
     """True if the object's poses are known; else there is the hand alone (``hand_alone``)."""
+    frame_meshes: Sequence[Mesh | None] | None = None
+    """A mesh for each frame, in the hand frame [m], of a system without a CAD model; it counts instead of the poses."""
 
     @property
     def frames_in_words(self) -> str:
@@ -89,6 +91,14 @@ class View:
         T_cam_obj = self.clip.hand.T_cam_hand[n] @ self.result.T_hand_obj[n]
         return se3.transform(T_cam_obj, self.result.scale * self.clip.mesh.vertices)
 
+    def surface(self, n: int) -> Surface:
+        """Return the object in the camera frame [m]; an empty surface where the frame has no mesh."""
+        if self.frame_meshes is None:
+            return self.object(n), self.clip.mesh.faces
+        if (mesh := self.frame_meshes[n]) is None:
+            return np.zeros((0, 3)), np.zeros((0, 3), dtype=int)
+        return se3.transform(self.clip.hand.T_cam_hand[n], mesh.vertices), mesh.faces
+
     @staticmethod
     def of(result: Reconstruction, clip: Clip, masks: Masks | None) -> View:
         """Make the view of a result with a clip and masks at its frames, its hand and mesh as they are to be drawn."""
@@ -117,7 +127,8 @@ class View:
             candidates=replace(result.candidates, T_hand_obj=result.candidates.T_hand_obj[:, index]),
         )
         masks = None if self.masks is None else self.masks.take(index)
-        return replace(self, clip=self.clip.take(index), masks=masks, result=taken)
+        meshes = None if self.frame_meshes is None else [self.frame_meshes[n] for n in index]
+        return replace(self, clip=self.clip.take(index), masks=masks, result=taken, frame_meshes=meshes)
 
     def true(self) -> View | None:
         """Return the ground truth in place of the result; None where it is not known."""

@@ -75,7 +75,8 @@ def over_image(axes: Axes, view: View, n: int, crops: Crops, k: int, with_hand: 
     if with_hand:
         for hand in view.hands(n):
             contour(axes, *hand, K, crops.size, HAND_LINE)
-    contour(axes, view.object(n), view.clip.mesh.faces, K, crops.size, FOUND)
+    if len((found := view.surface(n))[1]):
+        contour(axes, *found, K, crops.size, FOUND)
 
 
 def image_in(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size size 3"]:
@@ -103,7 +104,7 @@ def posed(
 ) -> tuple[UInt8[ndarray, "size size 3"], AxisLine | None]:
     """Render hand and object in window ``k``, as ``rendered`` shows it, and return the axis in it, if there is one."""
     K, size = intrinsics_of(view, n, crops, k), crops.size
-    hand, grasped = view.hand(n), view.object(n)
+    hand, (grasped, faces) = view.hand(n), view.surface(n)
     T_view_cam = np.eye(4)
     if from_side:
         both = np.concatenate([hand, grasped])
@@ -111,12 +112,12 @@ def posed(
         R = se3.exp_so3(np.array([0.0, -SIDE_VIEW, 0.0]))
         T_view_cam = se3.rigid(R, np.array([0.0, 0.0, np.linalg.norm(middle)]) - R @ middle)
         K = np.array([[K[0, 0], 0.0, size / 2.0], [0.0, K[1, 1], size / 2.0], [0.0, 0.0, 1.0]])
-    others = [(se3.transform(T_view_cam, v), faces) for v, faces in view.hands(n)[1:]]
+    others = [(se3.transform(T_view_cam, v), f) for v, f in view.hands(n)[1:]]
     hand, grasped = se3.transform(T_view_cam, hand), se3.transform(T_view_cam, grasped)
     if from_side:  # an object far before or behind the hand would be cut off
         reach = np.abs(project(K, np.concatenate([hand, grasped])) - size / 2.0).max()
         K[:2, :2] *= min(1.0, 0.48 * size / reach)
-    meshes = [(hand, view.clip.hand.faces, HAND), (grasped, view.clip.mesh.faces, OBJECT)]
+    meshes = [(hand, view.clip.hand.faces, HAND), *(((grasped, faces, OBJECT),) if len(faces) else ())]
     meshes += [(*other, HAND) for other in others]
     picture = render_rgb(meshes, K, (size, size), PAPER_RGB)
     if view.result.axis is None:

@@ -12,6 +12,7 @@ from numpy import ndarray
 
 from getagrip.errors import UsageError
 from getagrip.finding import Finding
+from getagrip.geometry import se3
 from getagrip.geometry.warp import Warp
 from getagrip.io.array_data import ArrayData
 from getagrip.io.brief import view
@@ -92,6 +93,8 @@ class Reconstruction(ArrayData):
             the axis are relative to it. None if the clip's hand is unchanged.
         hand_covariance: (6, 6) of the error that all frames of ``T_cam_hand`` share, in the hand frame: shift of the
             hand's middle [m], turn about it [rad]; None if hand and object were not solved together.
+        hand_alternatives: (M, 4, 4) where the hand may be instead, as poses in the hand frame, in pairs along the
+            directions in which it is known least; None where ``hand_covariance`` is.
         hand_energy: energy of each kind of evidence on the hand, before and after it was solved with the object
             [pixels squared of the 256-pixel crop]: what moved it.
         T_cam_other_hand: (T, 4, 4) for a timeline, pose of the other hand, refined where it holds the object; None if
@@ -126,6 +129,7 @@ class Reconstruction(ArrayData):
     probability_right_in_camera: Probability | None = None
     T_cam_hand: Float[ndarray, "T 4 4"] | None = None
     hand_covariance: Float[ndarray, "6 6"] | None = None
+    hand_alternatives: Float[ndarray, "M 4 4"] | None = None
     hand_energy: dict[str, tuple[float, float]] = field(default_factory=dict)
     T_cam_other_hand: Float[ndarray, "T 4 4"] | None = None
     warp: Warp | None = None
@@ -189,6 +193,18 @@ class Reconstruction(ArrayData):
         """How probable it is that the poses are right, by where; those that are known."""
         each = {"in the hand": self.probability_right, "in the camera": self.probability_right_in_camera}
         return {where: right for where, right in each.items() if right is not None}
+
+    @property
+    def in_hand(self) -> Float[ndarray, "n T 4 4"]:
+        """Poses in the hand; the first ``probability_right.candidates`` of them hold the right ones with 90 %.
+
+        Where the hand was solved with the object they are those of the result, and the same in each of
+        ``hand_alternatives``; else those of ``candidates``.
+        """
+        if self.hand_alternatives is None:
+            return self.candidates.T_hand_obj
+        here = np.concatenate([np.eye(4)[None], se3.inverse(self.hand_alternatives)])
+        return np.asarray(here[:, None] @ self.T_hand_obj)
 
     def frames_of(self, *kinds: FrameKind) -> Int[ndarray, "n"]:
         """Return the indices of the frames of some kinds."""

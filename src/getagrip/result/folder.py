@@ -81,6 +81,8 @@ def _arrays(result: Reconstruction) -> dict[str, Shaped[ndarray, "..."]]:
         out["T_cam_hand"] = result.T_cam_hand
     if result.hand_covariance is not None:
         out["hand_covariance"] = result.hand_covariance
+    if result.hand_alternatives is not None:
+        out["hand_alternatives"] = result.hand_alternatives
     if result.T_cam_other_hand is not None:
         out["T_cam_other_hand"] = result.T_cam_other_hand
     if result.warp is not None:

@@ -27,7 +27,7 @@ MOST_WARPED = 10.0
 """Coefficients of a warp are about 1 or 0; far more would be no shape of a mesh."""
 ARRAYS = (
     "T_hand_obj", "T_cam_hand", "T_cam_other_hand", "scale", "frames", "frame_kind", "iou", *AXIS,
-    "candidate_T_hand_obj", "candidate_scale", "candidate_energy", "hand_covariance", *WARP,
+    "candidate_T_hand_obj", "candidate_scale", "candidate_energy", "hand_covariance", "hand_alternatives", *WARP,
 )  # fmt: skip
 """Arrays of ``result.npz``."""
 OPTIONAL: Json = {
@@ -121,6 +121,7 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, Json]:
             folder / "result.json", fields["probability_right_in_camera"], "probability_right_in_camera"
         ),
         T_cam_hand=_rigid(path, stored, "T_cam_hand", (T, 4, 4)) if "T_cam_hand" in stored else None,
+        hand_alternatives=_alternatives(path, stored),
         hand_covariance=arrays.floats(path, stored, "hand_covariance", (6, 6)) if "hand_covariance" in stored else None,
         hand_energy=_hand_energy(folder / "result.json", fields["hand_energy"]),
         T_cam_other_hand=_rigid(path, stored, "T_cam_other_hand", (T, 4, 4)) if "T_cam_other_hand" in stored else None,
@@ -223,6 +224,12 @@ def _rigid(path: Path, stored: dict[str, ndarray], key: str, shape: tuple[int, .
         raise InputError(path, key, "a matrix that is no rigid motion", "rotations and translations [m]")
     _within(path, key, T[..., :3, 3], -FARTHEST, FARTHEST)
     return T
+
+
+def _alternatives(path: Path, stored: dict[str, ndarray]) -> Float[ndarray, "M 4 4"] | None:
+    """Read where the hand may be instead."""
+    key = "hand_alternatives"
+    return _rigid(path, stored, key, (len(np.atleast_1d(stored[key])), 4, 4)) if key in stored else None
 
 
 def _warp(path: Path, stored: dict[str, ndarray]) -> Warp:

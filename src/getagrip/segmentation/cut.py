@@ -49,7 +49,6 @@ def write_grasps(clip: Clip, masks: Masks, found: DetectedSegments, folder: Path
 
 
 def _write_grasp(clip: Clip, masks: Masks, found: DetectedSegments, one: DetectedSegment, folder: Path) -> Path:
-    """One of them."""
     segment = one.segment
     by = clip.with_side(segment.side)
     assert by is not None

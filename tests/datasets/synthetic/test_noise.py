@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.clip import Clip, Masks
-from getagrip.datasets.synthetic.error_curves import draw
-from getagrip.datasets.synthetic.noise import NOISE, TABLE, Noise, noisy_hand, perturbed, ragged
+from getagrip.datasets.synthetic.noise import NOISE, TABLE, Noise, draw, noisy_hand, perturbed, ragged
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError

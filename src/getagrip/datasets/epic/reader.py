@@ -173,7 +173,6 @@ class VideoGrasps:
         return clips.clip(grasp, frames, mesh, source, camera, hands, has_mapping, note, timeline.segments)
 
     def _hands(self, grasp: EpicGrasp) -> Path | None:
-        """Return the hand file of a grasp, where there is one."""
         path = None if self.options.hands is None else self.options.hands / f"{grasp.name}.npz"
         return path if path is not None and path.is_file() else None
 

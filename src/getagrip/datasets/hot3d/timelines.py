@@ -97,7 +97,6 @@ def _listed(track: Track, sides: Sequence[Side], timelines: Sequence[Timeline], 
 
 
 def _other(track: Track, hands: Sequence[Track]) -> Track | None:
-    """Return the track of the other hand, if it is known."""
     return next((other for other in hands if other.side != track.side and len(other)), None)
 
 

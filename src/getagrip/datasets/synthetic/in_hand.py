@@ -166,7 +166,6 @@ def _motion(
     frames: int,
     rng: np.random.Generator,
 ) -> tuple[Float[ndarray, "N 3 3"], Float[ndarray, "N 3"]]:
-    """One of the motions."""
     axes = hinge_axes(start.direction, start.arm)
     angle = _curves(statistics.angle, frames, 1, rng)[:, 0]
     rotation = _curves(statistics.rotation, frames, 3, rng) * np.sqrt(statistics.rotation_shares) @ axes.T

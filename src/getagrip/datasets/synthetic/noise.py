@@ -8,7 +8,7 @@ w_n turns the hand about its middle, s_n shifts it in any direction, and d_n shi
 its middle: the direction that one image constrains least. The fingers' joints are bent as well. Every error has a
 **bias**, the same in all frames, and **jitter**, an autoregressive process: e_n = a e_(n-1) + sqrt(1 - a^2) white
 noise, with a = exp(-1 / (fps memory)), so that errors of neighbouring frames are alike. Clips may differ in how far
-they are off, and frames in bursts may be **outliers** (``error_curves``).
+they are off, and frames in bursts may be **outliers**.
 
 The level ``estimated`` has errors as they were measured of hands estimated from images, ``moderate`` and ``strong`` are
 assumptions: see "Noise levels" in docs/datasets.md.
@@ -22,11 +22,10 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.clip import Clip, HandTrack, Masks
-from getagrip.datasets.synthetic.error_curves import draw
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import bounding_boxes
@@ -173,3 +172,72 @@ def ragged(mask: Bool[ndarray, "H W"], px: float, rng: np.random.Generator) -> B
     moved = mask.copy()
     moved[window] = inside - outside > field * (px / field.std())
     return moved
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Errors as ``noisy_hand`` applies them.
+
+    Attributes:
+        turn: (T, 3) rotation vector about the hand's middle [rad].
+        shift: (T, 3) translation in the hand frame [m].
+        deeper: (T, 1) translation along the camera's ray [m].
+        bends: (T, 5, 3) further bend of each finger's joints [rad].
+    """
+
+    turn: Float[ndarray, "T 3"]
+    shift: Float[ndarray, "T 3"]
+    deeper: Float[ndarray, "T 1"]
+    bends: Float[ndarray, "T 5 3"]
+
+
+def draw(noise: Noise, frames: int, fps: float, rng: np.random.Generator) -> Drawn:
+    """Draw the errors of a clip. The same generator draws the same errors, larger or smaller, for every noise."""
+    # Generators of their own: hands err alike whatever their depth, fingers and outliers do.
+    depth, fingers, levels, bursts = rng.spawn(4)
+    a = float(np.exp(-1.0 / (fps * noise.jitter_memory_s))) if noise.jitter_memory_s > 0.0 else 0.0
+    bias, jitter = np.exp(noise.spread * levels.normal(size=(2, 4)))
+    first = _outliers(noise, frames, fps, bursts)
+
+    def wander(white: Float[ndarray, "T k"], rms: float, kind: int) -> Float[ndarray, "T k"]:
+        far = bursts.normal(size=white.shape)[first]  # one error throughout a burst
+        times = np.where(first < 0, 0.0, noise.outlier_times)
+        return rms * jitter[kind] * (_lasting(white, a) + times[:, None] * far)
+
+    turn = bias[0] * _of_length(rng.normal(size=3), np.radians(noise.hand_bias_deg))
+    shift = bias[1] * _of_length(rng.normal(size=3), 1e-3 * noise.hand_bias_mm)
+    turn = turn + wander(rng.normal(size=(frames, 3)), np.radians(noise.hand_jitter_deg) / np.sqrt(3.0), 0)
+    shift = shift + wander(rng.normal(size=(frames, 3)), 1e-3 * noise.hand_jitter_mm / np.sqrt(3.0), 1)
+    deeper = bias[2] * 1e-3 * noise.hand_bias_depth_mm * depth.choice([-1.0, 1.0])
+    deeper = deeper + wander(depth.normal(size=(frames, 1)), 1e-3 * noise.hand_jitter_depth_mm, 2)
+    bends = bias[3] * np.radians(noise.finger_bias_deg) * fingers.normal(size=15)
+    bends = bends + wander(fingers.normal(size=(frames, 5, 3)).reshape(-1, 15), np.radians(noise.finger_jitter_deg), 3)
+    return Drawn(turn, shift, deeper, bends.reshape(-1, 5, 3))
+
+
+def _outliers(noise: Noise, frames: int, fps: float, rng: np.random.Generator) -> Int[ndarray, "T"]:
+    """Draw the first frame of the burst of outliers that each frame is in; -1 of those in none.
+
+    Bursts come and go as a chain of two states, with the noise's share of frames and mean duration.
+    """
+    stay = max(0.0, 1.0 - 1.0 / max(1.0, noise.outlier_s * fps))
+    enter = (1.0 - stay) * noise.outlier_share / max(1.0 - noise.outlier_share, 1e-9)
+    u, first = rng.random(frames), np.full(frames, -1)
+    for n in range(frames):
+        inside = n > 0 and first[n - 1] >= 0
+        chance = stay if inside else enter if n else noise.outlier_share
+        if u[n] < chance:
+            first[n] = first[n - 1] if inside else n
+    return first
+
+
+def _lasting(white: Float[ndarray, "T k"], a: float) -> Float[ndarray, "T k"]:
+    """White noise of unit variance made into a first-order autoregressive process of unit variance."""
+    out = white.copy()
+    for n in range(1, len(out)):
+        out[n] = a * out[n - 1] + np.sqrt(1.0 - a * a) * white[n]
+    return out
+
+
+def _of_length(v: Float[ndarray, "3"], length: float) -> Float[ndarray, "3"]:
+    return np.asarray(v / np.linalg.norm(v) * length)

@@ -20,7 +20,7 @@ from getagrip.fitting.search import Search
 from getagrip.fitting.shape import own_shape
 from getagrip.fitting.solve import Solution, minimise
 from getagrip.fitting.solved_hand import SolvedHand
-from getagrip.fitting.usual import usual_of, usual_rotations
+from getagrip.fitting.usual import opposite_turns, usual_of, usual_rotations
 from getagrip.geometry.warp import Warp
 from getagrip.result import Axis
 
@@ -199,7 +199,8 @@ def steady(problem: Problem, energy: Energy) -> Energy:
 def search_of(problem: Problem, on_stage: OnStage) -> Search:
     """Make the search on a clip, as long as the options say."""
     schedule = THOROUGH if problem.options.thorough else USUAL
-    return Search(problem.clip.hand.T_cam_hand, problem.surface, schedule, on_stage, problem.threads)
+    opposite = opposite_turns(problem.clip, problem.surface)
+    return Search(problem.clip.hand.T_cam_hand, problem.surface, schedule, on_stage, problem.threads, opposite)
 
 
 def initial_of(problem: Problem) -> Fixed:

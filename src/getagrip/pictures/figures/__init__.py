@@ -6,6 +6,7 @@ A new kind is a file here with a subclass of ``Kind``, whose fields are its opti
 from getagrip.pictures.figures.aligned import Aligned
 from getagrip.pictures.figures.contact import Contact
 from getagrip.pictures.figures.gallery import Gallery
+from getagrip.pictures.figures.ihoi import Ihoi
 from getagrip.pictures.figures.kind import Kind
 from getagrip.pictures.figures.rows import Hands, Methods
 from getagrip.pictures.stored_results import StoredResult
@@ -15,6 +16,7 @@ FIGURES: dict[str, type[Kind]] = {
     "aligned": Aligned,
     "methods": Methods,
     "hands": Hands,
+    "ihoi": Ihoi,
     "gallery": Gallery,
 }
 

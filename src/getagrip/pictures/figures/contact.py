@@ -132,7 +132,6 @@ def _matrix(sheet: Sheet, x: float, top: float, view: View, definition: ContactD
 def _bar(
     sheet: Sheet, drawn: ScalarMappable, axes: Axes, way: str, ticks: Sequence[float], labels: Sequence[str]
 ) -> None:
-    """Draw a bar of colours with its labels."""
     bar = sheet.figure.colorbar(drawn, cax=axes, orientation=way)
     bar.outline.set_edgecolor(LINE)
     bar.set_ticks(ticks, labels=labels)

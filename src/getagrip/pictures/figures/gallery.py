@@ -136,7 +136,6 @@ class Gallery(Kind):
         return [("worst", order[:worst]), ("best", order[::-1][:best])]
 
     def _clip(self, sheet: Sheet, x: float, y: float, one: _Scored, words: str) -> None:
-        """Draw a clip's two tiles, under its name and value."""
         view, n = one.stored.read(), one.worst
         label = label_of(view.result.method)
         sheet.text(x, y + 0.02, view.clip.name, 2 * SIDE, fontsize=8.5, fontweight="bold")

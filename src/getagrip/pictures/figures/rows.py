@@ -81,8 +81,8 @@ class Methods(Rows):
 class Hands(Rows):
     """Results for one clip with the hands of several estimators: the input hand and the object that was found with it.
 
-    Each result has its own clip folder, with the same clip's name and frames but other hands. Rows are named after the
-    part in which the paths of the results differ.
+    Results of bench --hands, or each with its own clip folder, with the same clip's name and frames but other hands.
+    Rows are named after the part in which the paths of the results differ.
     """
 
     def draw(self, results: Sequence[StoredResult], fail: Fail) -> Figure:
@@ -92,7 +92,7 @@ class Hands(Rows):
         methods = {view.result.method for view in views}
         if len(methods) > 1:
             raise UsageError(f"RESULT must be of one method (got {' and '.join(sorted(methods))}); see methods")
-        names = distinct([value for value, _ in read])
+        names = [name.rpartition("+hands-")[2] for name in distinct([value for value, _ in read])]
         rows = [Row(name, numbers(view, contact), view) for name, view in zip(names, views, strict=True)]
         under = "  ·  ".join([summary(views[0]), f"SCA: {contact.description}"])
         return draw_rows(rows, views[0].clip.name, under, self.frames, self.dpi, with_hand=True)
@@ -148,7 +148,6 @@ def draw_rows(rows: Sequence[Row], title: str, under: str, frames: int, dpi: int
 
 
 def _headings(sheet: Sheet, view: View, chosen: Int[ndarray, "n"], turned: float) -> None:
-    """Draw the headings of the tiles, and the frames' names."""
     for x, words in (
         (LABEL, "over the masks" if view.image_file(0) is None else "over the image"),
         (turned, "from the side"),

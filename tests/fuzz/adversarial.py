@@ -1,4 +1,4 @@
-"""Clips with impossible troubles, in every method: ``python -m benchmarks.adversarial --clips N --seed S``.
+"""Clips with impossible troubles, in every method: ``python -m fuzz.adversarial --clips N --seed S``.
 
 Each clip is drawn from its number: a synthetic scene of a few frames, up to three troubles (``troubles``). A process of
 its own, within limits of time and memory, runs the methods on it with few initial poses. Each has to end in a result
@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.troubles import RARE, TROUBLES
+from fuzz.troubles import RARE, TROUBLES
 from getagrip.checks import LEAST_IOU
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.scene import synthesise
@@ -188,7 +188,7 @@ def _child(case: Case, megabytes: int, answer: Connection) -> None:
 
 def main(arguments: list[str], trial: Callable[[Case], Iterator[Ended]] = limited) -> int:
     """Try some cases, and print those that fail; 1 if any does."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.adversarial", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m fuzz.adversarial", description=__doc__)
     parser.add_argument("--clips", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--from", type=int, default=0, dest="first")

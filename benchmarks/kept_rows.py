@@ -1,0 +1,146 @@
+"""Collect what ``benchmarks.kept`` needs: ``python -m benchmarks.kept_rows OUT CLIPS DEXYCB YCB [WORKERS [MOST]]``.
+
+CLIPS is the folder of clips of ``bench dexycb``, imported where they are not, at most MOST of either part, evenly. A
+result is a line of OUT/rows.jsonl; those that are there are kept, so that an interrupted call goes on where it stopped.
+The first seed of either part comes first, so that what there is of it is a sample of everything.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from numpy import ndarray
+
+from getagrip.batch.executor import cores, in_processes
+from getagrip.batch.share import Share
+from getagrip.checks.keeping import kind_of_input
+from getagrip.clip import Clip, read_clip, read_masks
+from getagrip.datasets.synthetic.noise import NOISE
+from getagrip.datasets.tracks import subject_of
+from getagrip.evaluation import evaluate
+from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_CAM, Metric
+from getagrip.experiments.changes import UNCHANGED, Change, Noisy, Several
+from getagrip.experiments.simulated_evidence import SimulatedDepth, SimulatedJoints
+from getagrip.experiments.sources import samples
+from getagrip.experiments.sources.recorded import DexYcb
+from getagrip.fitting.options import Options
+from getagrip.io.code import stamp
+from getagrip.provenance import kind_of_hands
+from getagrip.result import Reconstruction
+from getagrip.timelines.reconstruct import reconstruct
+
+ROWS, END = "rows.jsonl", "\t"
+"""The file, and what ends a row in it that was not cut off; no JSON has it."""
+ESTIMATED = Noisy(replace(NOISE["estimated"], mask_ragged_px=0.0))
+JOINTS = "landmarks", "wild", "lab"
+"""Levels of the errors of 2D joints, by seed: results are to be kept at any of them."""
+SEEDS = {"train": 3, "validation": 1}
+"""Draws of the errors of each clip; what does not err is reconstructed once."""
+Row = dict[str, Any]
+
+
+def conditions(seed: int) -> Mapping[str, Change]:
+    """Return what is done to a clip; evidence is of the true hand, so it comes before the hand's errors."""
+    joints = SimulatedJoints(JOINTS[seed])
+    mono, sensor = SimulatedDepth("mono"), SimulatedDepth("realsense")
+    return {
+        "exact": UNCHANGED,
+        "exact, depth of a network": mono,
+        "estimated": ESTIMATED,
+        "2D joints": Several((joints, ESTIMATED)),
+        "2D joints, depth of a network": Several((joints, mono, ESTIMATED)),
+        "2D joints, depth of a sensor": Several((joints, sensor, ESTIMATED)),
+    }
+
+
+@dataclass(frozen=True)
+class Case:
+    """A clip, and how it is changed."""
+
+    folder: Path
+    part: str
+    condition: str
+    seed: int
+
+    @property
+    def key(self) -> tuple[str, str, int]:
+        """What its row is known by."""
+        return self.folder.name, self.condition, self.seed
+
+
+def cases(clips: Path, root: Path, meshes: Path, workers: int, most: int) -> Iterator[Case]:
+    """Yield all cases, the first seed of all clips first."""
+    share = Share(workers=workers)
+    sources = {part: DexYcb(split=part, root=root, meshes=meshes) for part in SEEDS}
+    parts = {part: samples(source, clips, most, False, share)[0] for part, source in sources.items()}
+    for seed in range(max(SEEDS.values())):
+        for part, found in parts.items():
+            for sample, condition in product(found, conditions(seed)):
+                if seed < (1 if condition.startswith("exact") else SEEDS[part]):
+                    yield Case(sample.folder, part, condition, seed)
+
+
+def row(case: Case) -> Row | None:
+    """Reconstruct a clip: its signs, and which of its candidates are right; None where that fails."""
+    clip = read_clip(case.folder)
+    try:
+        clip, masks = conditions(case.seed)[case.condition](clip, read_masks(clip), case.seed)
+        result = reconstruct(clip, masks, Options(every_frame=False))
+    except Exception as error:  # one clip's trouble must not end the others
+        print(f"{case}: {error}", file=sys.stderr)
+        return None
+    in_camera = [*zip(result.candidates.T_hand_obj, result.candidates.scale, strict=True)]
+    in_hand = in_camera if result.hand_alternatives is None else [(T, result.scale) for T in result.in_hand]
+    return {
+        "clip": clip.name, "subject": subject_of(clip.name), "category": clip.category, "part": case.part,
+        "condition": case.condition, "seed": case.seed, "made": stamp(),
+        "kind": kind_of_input(kind_of_hands(clip.provenance), {*result.energy, *result.hand_energy}),
+        "serious": [finding.check for finding in result.findings if finding.serious],
+        "signs": result.signs, "checks": result.checks, "hand_energy": result.hand_energy,
+        "diameter": clip.mesh.diameter, "energy": result.candidates.energy.tolist(),
+        "rank": {"hand": rank(result, clip, in_hand, ADD_SYM), "camera": rank(result, clip, in_camera, ADD_SYM_CAM)},
+    }  # fmt: skip
+
+
+def rank(result: Reconstruction, clip: Clip, candidates: Sequence[tuple[ndarray, float]], metric: Metric) -> int | None:
+    """Return which candidate, poses and scale, is the first that is right, from 1; None where none is."""
+    for n, (T, scale) in enumerate(candidates, start=1):
+        one = replace(result, T_hand_obj=T, scale=float(scale))
+        if evaluate(one, clip, None, wanted=(metric,)).metrics[metric.name] > 0.5:
+            return n
+    return None
+
+
+def collect(out: Path, every: Sequence[Case], workers: int) -> None:
+    """Add the rows that are missing."""
+    out.mkdir(parents=True, exist_ok=True)
+    done = {(one["clip"], one["condition"], one["seed"]) for one in read(out / ROWS)}
+    missing = [case for case in every if case.key not in done]
+    with (out / ROWS).open("a", encoding="utf-8") as stream:
+        for n, (case, new) in enumerate(in_processes(row, missing, workers), start=1):
+            if new is not None:
+                stream.write(f"\n{json.dumps(new)}{END}")
+                stream.flush()
+            print(f"{n} of {len(missing)}:", *case.key, flush=True)
+
+
+def read(file: Path) -> list[Row]:
+    """Read the rows of a file, if there is one; one that was cut off counts as missing."""
+    lines = file.read_text("utf-8").splitlines() if file.exists() else []
+    return [json.loads(line) for line in lines if line.endswith(END)]
+
+
+def main(out: Path, clips: Path, root: Path, meshes: Path, workers: int | None = None, most: int = 1000) -> None:
+    """Import the clips, and collect the rows."""
+    workers = workers or cores()
+    collect(out, [*cases(clips, root, meshes, workers, most)], workers)
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:5]), *map(int, sys.argv[5:]))

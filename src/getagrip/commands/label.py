@@ -1,0 +1,172 @@
+"""``getagrip label``: 6D poses of the object in all videos of a folder, from drafts to a dataset's files."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import Positional, arg
+
+from getagrip.commands.command import Command
+from getagrip.commands.draft import DRAFTER, Draft
+from getagrip.commands.export import Export
+from getagrip.errors import UsageError
+from getagrip.geometry.lens import Lens
+from getagrip.io.arguments import Flag, Folder, OptionalFolder
+from getagrip.io.terminal import counted, report, say
+
+if TYPE_CHECKING:
+    from getagrip.annotate.grasp import Grasp
+    from getagrip.annotate.project import Project
+    from getagrip.annotate.reconstruction import Shape
+    from getagrip.annotate.tasks import Task
+
+PAUSE = 60.0
+"""Longer pauses between two changes are not counted as work [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Label(Command):
+    """Label the object's 6D pose in all videos of a folder: draft the hands, mark the object, reconstruct, export.
+
+    End the page by Ctrl-C: what is labelled is then reconstructed, unless it was on the page, and exported.
+    """
+
+    videos: Annotated[Positional[Path], arg(metavar="VIDEOS")]
+    """A folder of videos, each of one shot, undistorted, of one hand that holds the object."""
+    object: Annotated[str, arg(metavar="MESH|KIND")]
+    """The object: a mesh file, or the kind of a built-in shape, such as mug."""
+    out: Folder
+    """Folder of all that is made. Called again with the same folder, it goes on where it stopped."""
+    size_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: unknown)")] = None
+    """The largest side of the object's bounding box."""
+    to: Annotated[str, arg(metavar="FORMAT")] = "bop"
+    """Format of the labels, as for export --to; they are written to a folder of this name in --out."""
+    no_page: Flag = False
+    """Do not open the page: draft, reconstruct what is labelled, and export."""
+    models: OptionalFolder = None
+    """Folder of the hand models (default: the cache; getagrip doctor --fetch hands)."""
+    lens: Annotated[Lens, arg(name="")] = field(default_factory=Lens)
+    """The camera of all videos. Without it the focal length is assumed."""
+    port: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 8765, or the next free one)")] = None
+    """Port of the page on 127.0.0.1."""
+
+    def run(self) -> int:
+        """Label the videos; 1 where one of them failed, else 0. What fails of one is told and ends no other."""
+        from getagrip.annotate.project import Project
+        from getagrip.annotate.reconstruction import Shape
+        from getagrip.annotate.store import Store
+        from getagrip.commands.annotate import DATABASE, serve
+
+        found, failed = self._tasks()
+        for n, task in enumerate(found, start=1):
+            say(f"{task.key}: draft {n} of {len(found)}")
+            failed += not self._told(task.key, partial(self._draft, task))
+        self.out.mkdir(parents=True, exist_ok=True)
+        project = Project(found, Store(self.out / DATABASE), self.lens)
+        try:
+            for task in found:
+                failed += not self._told(task.key, partial(self._mark, project, task))
+            if not self.no_page:
+                size = {} if self.size_mm is None else {"size-mm": f"{self.size_mm:g}"}
+                serve(project, self.port, DRAFTER, {"mesh": self.object, **size})
+            solved = []
+            for grasp in project.labelled():
+                shape = Shape(self.object, self.size_mm)
+                if self._told(grasp.name, partial(_solve, project, grasp, shape)):
+                    solved.append(self.out / "results" / grasp.name)
+                    say(_effort(project, grasp))
+        finally:
+            project.close()
+        if solved:
+            folder = self.out / self.to
+            failed += Export(results=tuple(solved), to=self.to, out=folder, overwrite=True, debug=self.debug).run()
+            say(f"{folder}: the labels of {counted(len(solved), 'grasp')}")
+        return int(failed > 0)
+
+    def check(self) -> None:
+        super().check()
+        if not self.videos.is_dir():
+            raise UsageError(f"VIDEOS must be a folder of videos (got {self.videos}); for one video: getagrip draft")
+        Export(results=(self.videos,), to=self.to).check()
+
+    def _tasks(self) -> tuple[list[Task], int]:
+        """Return a task for each video that opens, and how many do not. Raises ``UsageError`` without any video."""
+        from getagrip.annotate.tasks import Task, read_tasks
+        from getagrip.annotate.video import SUFFIXES
+
+        videos = sorted(path for path in self.videos.iterdir() if path.suffix in SUFFIXES and path.is_file())
+        if not videos:
+            raise UsageError(f"missing videos in {self.videos}: files that end in {', '.join(SUFFIXES)}")
+        stems, tasks = Counter(path.stem.casefold() for path in videos), list[Task]()
+
+        def add(path: Path) -> None:
+            key = path.stem if stems[path.stem.casefold()] == 1 else path.name
+            tasks.append(replace(read_tasks(path)[0], key=key))
+
+        opened = [self._told(path.name, partial(add, path)) for path in videos]
+        return tasks, opened.count(False)
+
+    def _told(self, name: str, do: Callable[[], Any]) -> bool:
+        """Do something for a video, and tell what is wrong; whether it was done."""
+        from getagrip.batch.clips import print_outcome
+        from getagrip.batch.job import failure
+
+        try:
+            do()
+        except Exception as error:  # one video's trouble must not end the others
+            print_outcome(failure(name, error), self.debug)
+            return False
+        return True
+
+    def _draft(self, task: Task) -> None:
+        """Make the draft of a video, unless it is there."""
+        from getagrip.annotate.found_hands import DRAFTS, FOLDER
+        from getagrip.io import files
+
+        folder = files.folder_inside(self.out, DRAFTS, task.key)
+        if task.path is not None and not (folder / FOLDER / "hand.npz").is_file():
+            Draft(
+                video=task.path, object=self.object, out=folder, size_mm=self.size_mm, models=self.models,
+                lens=self.lens, no_page=True,
+            ).run()  # fmt: skip
+
+    def _mark(self, project: Project, task: Task) -> None:
+        """Mark the frames of the hand that was found, unless somebody has marked some."""
+        from getagrip.annotate.found_hands import DRAFTS, FOLDER
+        from getagrip.commands.hand_file import HandFile
+
+        path = self.out / DRAFTS / task.key / FOLDER / "hand.npz"
+        if not path.is_file() or project.store.marks.standing(task.key):
+            return
+        hands = HandFile.of(path)
+        if hands.numbers and hands.side:
+            project.mark_grasp(task, DRAFTER, (min(hands.numbers) - 1, max(hands.numbers) - 1), hands.side)
+
+
+def _solve(project: Project, grasp: Grasp, shape: Shape) -> None:
+    """Reconstruct a grasp, unless there is a result of its labels."""
+    from getagrip.annotate.written_files import JobOnBar
+    from getagrip.io.terminal import progress_bar
+
+    if not project.labelling.is_solved(grasp):
+        with progress_bar() as bar:
+            report(project.labelling.solve(grasp, shape, JobOnBar(bar, grasp.name)))
+
+
+def _effort(project: Project, grasp: Grasp) -> str:
+    """Say how much work a grasp's labels were: what was drawn, and how long it took."""
+    times = project.store.keyframes.times(grasp.mark.mark, grasp.mark.annotator)
+    gaps = [(b - a).total_seconds() for a, b in pairwise(times)]
+    worked = sum(gap for gap in gaps if gap <= PAUSE)
+    frames = project.labelling.labels(grasp).frames.values()
+    drawn = sum(
+        len(shapes) for frame in frames for shapes in (frame.object, frame.front, frame.on, frame.off) if shapes
+    )
+    what = f"{counted(drawn, 'stroke or outline', 'strokes and outlines')} on {counted(len(frames), 'frame')}"
+    return f"{grasp.name}: {what}, {counted(len(times), 'change')} in {worked / 60:.1f} min without pauses"

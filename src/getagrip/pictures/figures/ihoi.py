@@ -1,0 +1,71 @@
+"""Per-frame meshes of systems without a CAD model, as iHOI, under our result for the same clip (the appendix)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+from tyro.conf import arg
+
+from getagrip.errors import UsageError
+from getagrip.evaluation.meshes import evaluate_meshes, read_meshes
+from getagrip.evaluation.metric import IOU, SCA
+from getagrip.fitting.methods import label_of
+from getagrip.metrics.contact import ContactDefinition
+from getagrip.pictures.figures.kind import Fail, about, readable
+from getagrip.pictures.figures.rows import Row, Rows, draw_rows, numbers
+from getagrip.pictures.shown import View
+from getagrip.pictures.stored_results import StoredResult, at_common_frames
+from getagrip.result import Reconstruction
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ihoi(Rows):
+    """Our result, and under it the meshes that systems without a CAD model, as iHOI, reconstructed for each frame.
+
+    SCA is that of the hand's vertices: new meshes have no points in common.
+    """
+
+    meshes: Annotated[tuple[str, ...], arg(metavar="NAME=DIR...", help_behavior_hint="")] = ()
+    """Folders with a mesh for each frame, named like it or by its number (as for evaluate --meshes)."""
+    mesh_frame: Literal["camera", "hand"] = "camera"
+    """The frame of their vertices [m]: the clip's camera frame or its hand frame."""
+
+    def check(self) -> None:
+        super().check()
+        if not self.meshes:
+            raise UsageError("missing --meshes: the meshes of another system")
+        for text in self.meshes:
+            name, _, folder = text.partition("=")
+            if not (name and folder and Path(folder).is_dir()):
+                raise UsageError(f"--meshes must be NAME=DIR, DIR a folder of meshes (got {text})")
+
+    def draw(self, results: Sequence[StoredResult], fail: Fail) -> Figure:
+        contact = ContactDefinition("hand", self.contact / 1e3)
+        views = at_common_frames(readable(results, fail))
+        rows = [Row(label_of(view.result.method), numbers(view, contact)[:2], view) for view in views]
+        for text in self.meshes:
+            name, _, folder = text.partition("=")
+            rows.append(self._row(name, Path(folder), views[0], contact, fail))
+        under = "  ·  ".join([*about(views[0]), f"SCA: {contact.description}"])
+        return draw_rows(rows, views[0].clip.name, under, self.frames, self.dpi, with_hand=False)
+
+    def _row(self, name: str, folder: Path, ours: View, contact: ContactDefinition, fail: Fail) -> Row:
+        """Make the row of a folder of meshes, in the frames of our result."""
+        clip = ours.clip
+        found, errors = read_meshes(folder, clip, self.mesh_frame)
+        for error in errors:
+            fail(error)
+        known = evaluate_meshes(found, clip, ours.masks, name).metrics
+        texts = [f"{word} {metric.text(known[key])} {metric.unit}" for word, metric in (("crop IOU", IOU), ("SCA", SCA))
+                 if (key := metric.key(contact)) in known]  # fmt: skip
+        missing = sum(mesh is None for mesh in found)
+        nothing = Reconstruction.external(clip.name, name, clip.frames, np.tile(np.eye(4), (len(clip), 1, 1)))
+        view = replace(ours, result=nothing, frame_meshes=tuple(found))
+        return Row(name, texts + [f"{missing} frames without"] * (missing > 0), view)

@@ -1,0 +1,51 @@
+"""The files of others that a reproduction needs: where they are looked for, and where to get those that are missing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from getagrip.errors import UsageError
+
+AUTHORS = "https://github.com/zhifanzhu/objects-along-hit"
+
+
+@dataclass(frozen=True)
+class Need:
+    """A file or folder of others."""
+
+    what: str
+    places: tuple[str, ...]
+    """Paths below any of the given folders; the first that is there counts."""
+    source: str
+    """Where to get it."""
+    holds: tuple[str, ...] = ()
+    """Patterns of which a folder has at least one; none for a file."""
+
+    def find(self, roots: Sequence[Path]) -> Path | None:
+        """Return its place; None where it is missing."""
+        for place in (root / place for root in roots for place in self.places):
+            if place.is_file() if not self.holds else any(next(place.glob(held), None) for held in self.holds):
+                return place
+        return None
+
+    @property
+    def advice(self) -> str:
+        """Say what it is, how it has to be called, and where to get it."""
+        inside = f", with {' or '.join(self.holds)} in it" if self.holds else ""
+        return f"{self.what} ({' or '.join(self.places)}{inside}): {self.source}"
+
+
+MANO = Need(
+    "MANO", (".", "mano", "mano_v1_2/models"), "https://mano.is.tue.mpg.de, after registration", ("MANO_RIGHT.pkl",)
+)
+
+
+def found(needs: dict[str, Need], roots: Sequence[Path]) -> dict[str, Path]:
+    """Return the place of each. Raises ``UsageError``, which lists all that are missing."""
+    places = {name: need.find(roots) for name, need in needs.items()}
+    if missing := [need.advice for name, need in needs.items() if places[name] is None]:
+        where = ", ".join(map(str, roots)) or "ROOT, which names no folder"
+        raise UsageError("\n  ".join([f"missing in {where}:", *missing]))
+    return {name: place for name, place in places.items() if place is not None}
