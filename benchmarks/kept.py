@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -35,6 +35,7 @@ from getagrip.probability import HOLDS, Probability
 
 SOURCE = Path(__file__).resolve().parents[1] / "src/getagrip/checks/kept.py"
 METHOD = Options().method
+Kept = Mapping[tuple[InputKind, Where], Keeping]
 KEPT = 0.95
 """Share of right results in the table."""
 
@@ -106,13 +107,13 @@ def of_part(rows: Sequence[Row], part: str, where: Where) -> Results:
     return Results([row for row in rows if row["part"] == part and not row["serious"]], where)
 
 
-def source(estimated: Mapping[Where, Calibration], keeping: Mapping[tuple[InputKind, Where], Keeping]) -> str:
+def source(estimated: Mapping[Where, Calibration], keeping: Kept) -> str:
     """Return the module that holds the calibrations."""
     made = next(iter(estimated.values())).made
     fitted = "".join(map(entry, estimated.values()))
     kept = "".join(f"    {key!r}: {_literal(one)},\n" for key, one in keeping.items())
     return (
-        '"""The probability for estimated hands, and the thresholds of all kinds of input; written by ``python -m '
+        '"""The probability for estimated hands, and thresholds by kind of input; written by ``python -m '
         f'benchmarks.kept``.\n\nMade {made}.\n"""\n\n'
         "from getagrip.checks.calibration import Calibration, Weight, Where\n"
         "from getagrip.checks.keeping import InputKind, Keeping\n\n"
@@ -132,11 +133,9 @@ HEADER = (
     "results", "right, %", "AUROC", "ECE", "ECE if it were perfect", "kept at 95 %, %", "right of kept, %",
     "with a set, %", "sets that hold it, %", "candidates",
 )  # fmt: skip
-Fitted = Callable[[Results], Float[ndarray, "n"]]
-"""Probabilities of results."""
 
 
-def lines(rows: Sequence[Row], fitted: Mapping[Where, Calibration], keeping: Mapping) -> Iterator[list[str]]:
+def lines(rows: Sequence[Row], fitted: Mapping[Where, Calibration], keeping: Kept) -> Iterator[list[str]]:
     """Hold both parts against the calibrations; estimated hands of training by fits without their own object."""
     for where, part in product(get_args(Where), ("train", "validation")):
         of = of_part(rows, part, where)
@@ -153,7 +152,7 @@ def lines(rows: Sequence[Row], fitted: Mapping[Where, Calibration], keeping: Map
             yield line(f"{label}, {condition}", estimated.only(condition=condition), p[some], keeping)
 
 
-def line(label: str, results: Results, p: Float[ndarray, "n"], keeping: Mapping) -> list[str]:
+def line(label: str, results: Results, p: Float[ndarray, "n"], keeping: Kept) -> list[str]:
     """Sum up results of these probabilities."""
     right, where, rows, weights = results.right, results.where, results.rows, results.weights
     verdicts = [
@@ -185,18 +184,24 @@ def _share(what: Bool[ndarray, "n"], among: Bool[ndarray, "n"], weights: Float[n
     return f"{share:.0f} [{low:.0f}, {high:.0f}]"
 
 
-def main(file: Path) -> None:
-    """Fit, and write both down."""
-    rows = read(file)
+def calibrated(rows: Sequence[Row], made: str) -> tuple[Mapping[Where, Calibration], Kept]:
+    """Fit the training part."""
     estimated, keeping = dict[Where, Calibration](), dict[tuple[InputKind, Where], Keeping]()
     for where in get_args(Where):
         train = of_part(rows, "train", where)
         exact, every = train.only(kind="measured"), train.estimated
-        estimated[where] = every.fitted(stamp())
+        estimated[where] = every.fitted(made)
         keeping["measured", where] = exact.keeping(exact.probability(CALIBRATIONS[METHOD, where]))
         fair, kinds = every.without_own_object(), np.array([row["kind"] for row in every.rows])
-        for kind in dict.fromkeys(kinds.tolist()):
+        for kind in get_args(InputKind)[1:]:
             keeping[kind, where] = every.only(kind=kind).keeping(fair[kinds == kind])
+    return estimated, keeping
+
+
+def main(file: Path) -> None:
+    """Fit, and write both down."""
+    rows = read(file)
+    estimated, keeping = calibrated(rows, stamp())
     SOURCE.write_text(source(estimated, keeping), encoding="utf-8")
     subprocess.run([sys.executable, "-m", "ruff", "format", "-q", SOURCE], check=True)
     makers = ", ".join(sorted({row["made"] for row in rows}))

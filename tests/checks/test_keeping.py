@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
+from runpy import run_path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.kept_rows import END, read
+from benchmarks.kept import HEADER, calibrated, lines, source
+from benchmarks.kept_rows import END, Row, read
 from getagrip.batch.keep import HIGHEST, LOWEST, Keep
+from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.checks.keeping import SHARES, Keeping, kind_of_input, least_kept, least_of_sets
+from getagrip.checks.kept import KEEPING
+from getagrip.checks.signs import HAND_SIGNS
 from getagrip.errors import UsageError
 from getagrip.probability import Probability
 from getagrip.provenance import assumed, estimated, kind_of_hands, measured
+
+USUAL = (*CALIBRATIONS["soft-hinge", "hand"].weights, *(sign.name for sign in HAND_SIGNS))
 
 
 def drawn(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -138,3 +145,40 @@ def test_rows_that_were_cut_off_count_as_missing(tmp_path: Path) -> None:
         found = [row["a"]["n"] for row in read(file)]
         assert found == [*range(whole[:cut].count(END)), 0, 1, 2]
     assert read(tmp_path / "none") == []
+
+
+def made_rows(n: int, seed: int) -> list[Row]:
+    """Rows whose first sign says how probable a right result is, and the fewer candidates hold it the less it is."""
+    rng = np.random.default_rng(seed)
+    kinds = [("exact", "measured"), ("estimated", "estimated"), ("2D joints", "joints"), ("depth", "depth")]
+    rows = []
+    for k in range(n):
+        signs = dict(zip(USUAL, rng.normal(size=len(USUAL)), strict=True))
+        (condition, kind), odds = kinds[k % 4], 3.0 * signs["energy-gap"] + 2.0
+        rank = None if rng.random() < 0.03 else 1 if rng.random() < 1.0 / (1.0 + np.exp(-odds)) else 3
+        rows.append({
+            "clip": f"{k % 30}", "category": f"{k % 5}", "part": ("train", "train", "validation")[k // 4 % 3],
+            "condition": condition, "kind": kind, "serious": [], "made": "today", "signs": signs,
+            "rank": {"hand": rank, "camera": rank},
+        })  # fmt: skip
+    return rows
+
+
+def test_what_was_calibrated_is_written_as_a_module_and_held_against_validation(tmp_path: Path) -> None:
+    rows = made_rows(900, 0)
+    estimated, keeping = calibrated(rows, "today")
+    path = tmp_path / "kept.py"
+    path.write_text(source(estimated, keeping), encoding="utf-8")
+    module = run_path(str(path))
+    assert module["KEEPING"].keys() == keeping.keys() == KEEPING.keys()
+    assert module["KEEPING"]["joints", "hand"].sets == pytest.approx(keeping["joints", "hand"].sets, rel=1e-3)
+    for where in estimated:
+        found = [
+            one.probability(rows[1]["signs"]).value
+            for one in (module["ESTIMATED"]["soft-hinge", where], estimated[where])
+        ]
+        assert found[0] == pytest.approx(found[1], abs=1e-3)
+    table = [dict(zip(("label", *HEADER), line, strict=True)) for line in lines(rows, estimated, keeping)]
+    depth = next(line for line in table if line["label"] == "validation, in the hand, depth")
+    assert float(depth["AUROC"].split()[0]) > 0.75
+    assert float(depth["sets that hold it, %"].split()[0]) > 80.0

@@ -241,3 +241,19 @@ def test_hand_and_object_are_found_together(jitter: bool) -> None:
     assert shifted.max() < 2e-3
     assert np.degrees(se3.angle_between(in_hand.R[0], T_hand_obj[:, :3, :3])).max() < 4.0
     assert np.linalg.norm(in_hand.centre[0] - right, axis=1).max() < 8e-3
+
+
+def test_a_widened_prior_pulls_as_students_t_and_never_more_than_before() -> None:
+    rng, freedom = np.random.default_rng(7), 2.0
+    hand = hand_before_the_camera(rng)
+    assumed = HandPrior.of(hand, np.repeat([0.01, 0.2, 0.02, 0.1], [3, 3, 1, 1]), np.repeat([0.004, 0.05], [3, 4]), 1.0)
+    far, near = 3.0 * rng.choice([-1.0, 1.0], (N, 7)), 0.5 * rng.uniform(-1.0, 1.0, (N, 7))
+    wide = assumed.widened(0.01 * np.ones(8), far * assumed.own, freedom)
+    for part in (slice(0, 3), slice(3, 6), slice(6, 7)):
+        x, s = (far * assumed.own)[:, part], assumed.own[part]
+        pull = (freedom + x.size) * x / s**2 / (freedom + np.sum((x / s) ** 2))
+        np.testing.assert_allclose(x / wide.own[part] ** 2, pull)
+    assert wide.constant[7] == assumed.constant[7]
+    same = assumed.widened(np.zeros(8), near * assumed.own, freedom)
+    np.testing.assert_array_equal(same.own, assumed.own)
+    np.testing.assert_array_equal(same.constant, assumed.constant)

@@ -1,6 +1,6 @@
-"""The probability for estimated hands, and the thresholds of all kinds; written by ``python -m benchmarks.kept``.
+"""The probability for estimated hands, and thresholds by kind of input; written by ``python -m benchmarks.kept``.
 
-Made 2026-11-25, commit e3858339.
+Made 2026-11-25, commit 472c0eab.
 """
 
 from getagrip.checks.calibration import Calibration, Weight, Where
@@ -10,48 +10,46 @@ ESTIMATED: dict[tuple[str, Where], Calibration] = {
     ("soft-hinge", "hand"): Calibration(
         where="hand",
         weights={
-            "energy-gap": Weight(1.9914, 0.25942, 0.83666),
-            "solution-spread": Weight(-0.47182, -5.8091, -3.3314),
-            "pose-spread": Weight(0, -3.3877, -1.7701),
-            "mask-misfit": Weight(-4.0531, 0.19866, 0.8208),
-            "size-shift": Weight(-0.14771, -3.912, -1.6156),
-            "contact-gap": Weight(-0.76429, -4.309, -1.9437),
-            "depth-order": Weight(-1.0138, -3.9895, -1.3451),
-            "off-axis-turn": Weight(-0.051108, -3.8885, -2.4592),
-            "hand-shift": Weight(0, 0.001067, 0.14979),
-            "hand-turn": Weight(-0.5667, 0.0082065, 0.69707),
-            "hand-spread": Weight(-0.9679, -3.6073, -2.6949),
-            "hand-misfit": Weight(-0.43935, -3.4788, -1.6972),
+            "energy-gap": Weight(0.53703, 0.3711, 0.83666),
+            "solution-spread": Weight(-0.097319, -5.8091, -2.1976),
+            "pose-spread": Weight(-0.46342, -3.7228, -1.6074),
+            "mask-misfit": Weight(-5.1865, -0.49611, 0.18496),
+            "contact-gap": Weight(-1.2696, -4.5295, -1.5145),
+            "hand-turn": Weight(-0.79563, 0.0070498, 0.74671),
+            "hand-spread": Weight(-3.941, -3.4827, -2.5002),
+            "hand-misfit": Weight(-0.67365, -3.9988, -2.008),
+            "penetration": Weight(-1.546, -4.314, -2.1522),
+            "joint-error": Weight(-1.4421, -2.8489, -1.8326),
+            "depth-images": Weight(0.26443, 0, 2),
         },
-        bias=-11.509,
+        bias=-28.06,
         data=(
-            "46 results of training clips of DexYCB with hands off as estimates are, with and without "
-            "2D joints, of which 59 % are right"
+            "76 results of 19 training clips of DexYCB with hands off as estimates are, with and "
+            "without 2D joints and depth, of which 71 % are right"
         ),
-        made="2026-11-25, commit e3858339",
+        made="2026-11-25, commit 472c0eab",
     ),
     ("soft-hinge", "camera"): Calibration(
         where="camera",
         weights={
-            "energy-gap": Weight(2.986, 0.25942, 0.83666),
-            "solution-spread": Weight(-0.92615, -5.8091, -3.3314),
-            "pose-spread": Weight(-0.33958, -3.3877, -1.7701),
-            "mask-misfit": Weight(-2.0362, 0.19866, 0.8208),
-            "size-shift": Weight(-0.65101, -3.912, -1.6156),
-            "contact-gap": Weight(-0.47902, -4.309, -1.9437),
-            "depth-order": Weight(0, -3.9895, -1.3451),
-            "off-axis-turn": Weight(-0.41784, -3.8885, -2.4592),
-            "hand-shift": Weight(-20.073, 0.001067, 0.14979),
-            "hand-turn": Weight(0, 0.0082065, 0.69707),
-            "hand-spread": Weight(-0.12119, -3.6073, -2.6949),
-            "hand-misfit": Weight(-1.3256, -3.4788, -1.6972),
+            "energy-gap": Weight(1.19, 0.3711, 0.83666),
+            "solution-spread": Weight(-0.84349, -5.8091, -2.1976),
+            "pose-spread": Weight(-1.1255, -3.7228, -1.6074),
+            "mask-misfit": Weight(-2.838, -0.49611, 0.18496),
+            "contact-gap": Weight(-0.54258, -4.5295, -1.5145),
+            "hand-turn": Weight(0, 0.0070498, 0.74671),
+            "hand-spread": Weight(-0.8403, -3.4827, -2.5002),
+            "hand-misfit": Weight(0, -3.9988, -2.008),
+            "penetration": Weight(0, -4.314, -2.1522),
+            "joint-error": Weight(0, -2.8489, -1.8326),
+            "depth-images": Weight(0.030548, 0, 2),
         },
-        bias=-12.615,
+        bias=-8.827,
         data=(
-            "46 results of training clips of DexYCB with hands off as estimates are, with and without "
-            "2D joints, of which 83 % are right"
+            "76 results of 19 training clips of DexYCB with hands off as estimates are, with and "
+            "without 2D joints and depth, of which 96 % are right"
         ),
-        made="2026-11-25, commit e3858339",
+        made="2026-11-25, commit 472c0eab",
     ),
 }
 """By method, and by where poses are right."""
@@ -59,14 +57,16 @@ KEEPING: dict[tuple[InputKind, Where], Keeping] = {
     ("measured", "hand"): Keeping(
         {0.5: 0.9679, 0.6: 0.9679, 0.7: 0.9679, 0.8: 0.9679, 0.9: 0.9679, 0.95: 0.9679}, {1: 0.9679}
     ),
-    ("estimated", "hand"): Keeping({0.5: 0.01371, 0.6: 0.0442, 0.7: 0.4507, 0.8: 0.6211}, {}),
-    ("joints", "hand"): Keeping({}, {}),
-    ("depth", "hand"): Keeping({}, {}),
+    ("estimated", "hand"): Keeping({0.5: 0.166, 0.6: 0.2367, 0.7: 0.2499}, {}),
+    ("joints", "hand"): Keeping({0.5: 0.0176, 0.6: 0.0176, 0.7: 0.0176, 0.8: 0.7273}, {}),
+    ("depth", "hand"): Keeping(
+        {0.5: 0.01111, 0.6: 0.01111, 0.7: 0.01111, 0.8: 0.01111, 0.9: 0.6373, 0.95: 0.8306}, {1: 0.6373}
+    ),
     ("measured", "camera"): Keeping(
         {0.5: 0.9579, 0.6: 0.9579, 0.7: 0.9579, 0.8: 0.9579, 0.9: 0.9579, 0.95: 0.9579}, {1: 0.9579}
     ),
-    ("estimated", "camera"): Keeping({}, {}),
-    ("joints", "camera"): Keeping({}, {}),
-    ("depth", "camera"): Keeping({}, {}),
+    ("estimated", "camera"): Keeping({0.5: 0.9367, 0.6: 0.9367, 0.7: 0.9367, 0.8: 0.9367}, {}),
+    ("joints", "camera"): Keeping({0.5: 0.964, 0.6: 0.964, 0.7: 0.964, 0.8: 0.964}, {}),
+    ("depth", "camera"): Keeping({0.5: 0.9849, 0.6: 0.9849, 0.7: 0.9849, 0.8: 0.9849, 0.9: 0.9849}, {1: 0.9849}),
 }
 """By kind of input, and by where poses are right."""

@@ -31,9 +31,11 @@ each frame's own [m]; those of estimates from images (docs/datasets.md)."""
 PRIOR = 0.5
 """Weight of the prior against what it has in the hand's refinement: clips differ in how far their hands are off, so
 that its tails are heavier than a square's. Chosen on training clips."""
+TAIL = 2.0
+"""Degrees of freedom of Student's t: a clip's shift, turn and depth may each be off by more than is assumed."""
 ESTIMATED = ASSUMED["estimated"]
-LEVEL, ITERATIONS = 128, 8
-"""Resolution [px] and most iterations."""
+LEVEL, ITERATIONS, AGAIN = 128, 8, (4, 4)
+"""Resolution [px]; most iterations, and those of each round under a prior that is as wide as the errors before."""
 
 
 def solve_with_hand(problem: Problem, motion: M, energy_of: EnergyOf) -> tuple[SolvedHand, M]:
@@ -48,6 +50,9 @@ def solve_with_hand(problem: Problem, motion: M, energy_of: EnergyOf) -> tuple[S
     terms = plus(energy_of(given), evidence_on_hand(given))(LEVEL, frames)
     start = _moving(refinement, motion.take(np.zeros(1, int)), nat)
     found = minimise(start, terms, T_input, ITERATIONS)
+    for iterations in AGAIN:
+        assumed = start.assumed.widened(found.motion.constant[0], found.motion.own[0], TAIL)
+        found = minimise(replace(found.motion, assumed=assumed), terms, T_input, iterations)
     x = _errors(found.motion, refinement)
     begun = evaluate(start, terms, T_input, np.full(1, np.inf)).values[0]
     names = [term.name for term in terms if isinstance(term, OnHand)]

@@ -35,8 +35,8 @@ TERMS = (
 """Names in the energy that was calibrated; the last three count only for inputs that are assumed, as which kind of
 object it is, of which there were none, so that its probability is carried over to them."""
 APART = 0.14
-"""Distance by which alternatives of a hand move the object in it [diameters]: what is right lies within 0.1 of one of
-them. Chosen on training clips."""
+"""Distance by which alternatives of a hand move the object in it [diameters]; a pose is right within 0.1. Chosen on
+training clips."""
 UNSOLVED = 0.03
 """Spread of an object in an estimated hand that was not solved with it [m]: the measured errors (docs/datasets.md)."""
 

@@ -62,6 +62,18 @@ class HandPrior:
         """Take some frames of the clip."""
         return replace(self, frames=frames)
 
+    def widened(self, constant: Float[ndarray, "C"], own: Float[ndarray, "N D"], freedom: float) -> HandPrior:
+        """Widen it to errors of shift, turn and depth, each by what it takes to make it Student's t (EM).
+
+        ``freedom``: its degrees of freedom.
+        """
+        wider = self.constant.copy(), self.own.copy()
+        for deviation, errors in zip(wider, (constant[None], own), strict=True):
+            for part in (SHIFT, TURN, slice(DEPTH, MODES)):
+                squares = (errors[:, part] / deviation[part]) ** 2
+                deviation[part] *= np.sqrt(max(1.0, (freedom + squares.sum()) / (freedom + squares.size)))
+        return replace(self, constant=wider[0], own=wider[1])
+
     @cached_property
     def coupling(self) -> Float[ndarray, "N N"]:
         """Inverse correlation of a frame's own errors with the other frames' (Ornstein-Uhlenbeck), tridiagonal."""
