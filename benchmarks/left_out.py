@@ -1,8 +1,8 @@
 """Fit the probability again without a dataset: ``python -m benchmarks.left_out OUT DEXYCB YCB [WORKERS]``.
 
 OUT, DEXYCB and YCB are those of ``benchmarks.probability``, whose results are used, or made. Each dataset's test part
-is held against the fit to the training parts of all, and of the others: ``results/probability-left-out.json``.
-Other constants that a command fits do not change with a dataset: docs/leaderboard.md lists them.
+is held against the fit to all training parts, and to those of the others: ``results/probability-left-out.json``. Other
+constants that a command fits do not change with a dataset: docs/leaderboard.md lists them.
 """
 
 from __future__ import annotations

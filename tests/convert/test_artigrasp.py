@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from getagrip.clip import read_clip, write_clip
 from getagrip.datasets import arctic, cutting
 from getagrip.datasets.track_files import Tracks
 from getagrip.datasets.tracks import Track
@@ -132,6 +133,23 @@ def test_estimated_hands_stand_by_the_true_object_as_by_the_estimated_one(estima
         expected = ESTIMATE_WORLD @ recording().T_world_obj[track.numbers]
         assert np.degrees(se3.angle_between(T_cam_template[:, :3, :3], expected[:, :3, :3]).max()) < 1.0
         assert "estimated" in str(track.provenance["hands"])
+
+
+@pytest.mark.slow
+def test_the_estimated_object_of_each_clip_stands_at_the_true_place(estimated: Path, tmp_path: Path) -> None:
+    clips, poses = tmp_path / "clips", tmp_path / "poses"
+    for track in read(estimated, "--estimated"):
+        write_clip(cutting.known_clip(track.take(np.arange(5, 25)), track.name), None, clips / track.name)
+    artigrasp.main(["", str(estimated / "tracks"), "--poses", str(clips), str(poses)])
+    for folder in sorted(clips.iterdir()):
+        clip, stored = read_clip(folder), np.load(poses / f"{folder.name}.npz")
+        assert clip.truth is not None
+        assert tuple(stored["frames"]) == clip.frames
+        T, S = stored["T_cam_obj"], clip.truth.T_cam_obj
+        neutral = template(estimated).T_neutral_template[:3, 3]  # the template's origin, which is placed
+        np.testing.assert_allclose(se3.transform(T, neutral[None]), se3.transform(S, neutral[None]), atol=1e-6)
+        off = np.degrees(se3.angle_between(T[:, :3, :3], S[:, :3, :3]))
+        assert 0.1 < off.mean() < 4.0
 
 
 def test_estimates_of_too_few_frames_are_skipped(estimated: Path, capsys: pytest.CaptureFixture[str]) -> None:

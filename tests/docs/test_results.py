@@ -168,6 +168,15 @@ def test_a_release_measures_tables_that_are_kept() -> None:
         assert name.startswith(f"{out}-")
 
 
+def test_the_leaderboard_has_every_method_and_the_paper_s_numbers() -> None:
+    board = cite.said("leaderboard")
+    rows = [line for line in board.splitlines() if line.startswith("| ")][2:]
+    assert len(rows) == len(store.read("dexycb-methods").rows) + 5
+    row = store.read("dexycb-methods").row("soft-hinge")
+    (ours,) = (line for line in rows if line.startswith("| `soft-hinge` |"))
+    assert f"{row['add'][0]:.1f} / {row['sca_add'][0]:.1f}" in ours
+
+
 def test_a_release_is_measured_in_order_and_summed_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

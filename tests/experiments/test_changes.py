@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from getagrip.datasets.synthetic.noise import NOISE
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError
-from getagrip.experiments.changes import UNCHANGED, ScaleFree, ScaleKnown, TrueHands
+from getagrip.experiments.changes import UNCHANGED, EstimatedHands, Noisy, ScaleFree, ScaleKnown, TrueHands
+from getagrip.provenance import estimated
 from helpers.scenes import SHORT, scene
 
 
@@ -35,3 +37,13 @@ def test_true_hands_replace_given_ones() -> None:
     assert np.linalg.norm(clip.hand.T_cam_hand[:, :3, 3] - noisy.hand.T_cam_hand[:, :3, 3], axis=1).min() > 0.009
     with pytest.raises(InputError, match="no ground truth"):
         TrueHands()(replace(noisy, truth=None), masks, 0)
+
+
+@pytest.mark.slow
+def test_estimated_hands_stay_and_true_ones_get_errors() -> None:
+    clip, masks = scene("can", 0, SHORT)
+    change = EstimatedHands(NOISE["estimated"])
+    expected = Noisy(NOISE["estimated"])(clip, masks, 0)[0].hand.T_cam_hand
+    np.testing.assert_array_equal(change(clip, masks, 0)[0].hand.T_cam_hand, expected)
+    own = replace(clip, provenance={**clip.provenance, "hands": estimated("by a network")})
+    assert change(own, masks, 0) == (own, masks)

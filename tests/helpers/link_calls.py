@@ -20,6 +20,7 @@ from getagrip.annotate import labels
 from getagrip.clip import Clip, Masks, Segment, input_sha256, read_clip, write_clip
 from getagrip.commands.datasets import DATASETS
 from getagrip.datasets.dataset import Draft
+from getagrip.datasets.ho3d import Ho3dEvaluation
 from getagrip.datasets.synthetic.scene import clip_name
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.experiments.segment_trials import DIRECTIONS
@@ -42,7 +43,7 @@ CUP = f"--interval 3 8 --side right --mesh unit.obj --size-mm 120 --K {' '.join(
 MASKS = "--object 1 --ignore 2"
 NEW_FRAMES = f"--side right --frames 3 8 --size 64 48 --K {' '.join(K)} --overwrite"
 BENCH = "--out out --workers 1 --methods static"
-BENCHED = ("dexycb",)
+BENCHED = ("dexycb", "ho3d-eval")
 EXPORTS = {"usd": "pxr", "mujoco": "mujoco", "lerobot": "pyarrow", "mcap": "mcap"}
 """Formats that need a library."""
 CALLS: dict[str, Sequence[str]] = {
@@ -163,7 +164,7 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(f"getagrip.{place}", trifle)
     for kind in FIGURES.values():
         monkeypatch.setattr(kind, "draw", drawn)
-    for dataset in DATASETS.values():
+    for dataset in (*DATASETS.values(), Ho3dEvaluation):
         monkeypatch.setattr(dataset, "parts", lambda *_: [SmallPart()])
 
 

@@ -53,7 +53,7 @@ class ClipSource:
     dataset: ClassVar[str]
     """Name of the dataset for users."""
     every_frame: ClassVar[bool] = False
-    """Whether all frames of its clips count, whatever the user says."""
+    """True if all frames of its clips count, whatever the user says."""
     split: Annotated[
         Split | None,
         one_of("train", "validation", "all"),
