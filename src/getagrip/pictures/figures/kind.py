@@ -67,8 +67,8 @@ def readable(results: Sequence[StoredResult], fail: Fail) -> list[tuple[StoredRe
             errors.append(error)
     if errors and not out:
         raise errors[0]
-    for error in errors:
-        fail(error)
+    for each in errors:
+        fail(each)
     return out
 
 
