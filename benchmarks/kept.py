@@ -191,7 +191,12 @@ def calibrated(rows: Sequence[Row], made: str) -> tuple[Mapping[Where, Calibrati
         train = of_part(rows, "train", where)
         exact, every = train.only(kind="measured"), train.estimated
         estimated[where] = every.fitted(made)
-        keeping["measured", where] = exact.keeping(exact.probability(CALIBRATIONS[METHOD, where]))
+        # Exact input is hardly ever wrong, so its thresholds would keep anything: they are at least the asked share.
+        known = exact.keeping(exact.probability(CALIBRATIONS[METHOD, where]))
+        keeping["measured", where] = Keeping(
+            {share: max(p, share) for share, p in known.least.items()},
+            {n: max(p, HOLDS) for n, p in known.sets.items()},
+        )
         fair, kinds = every.without_own_object(), np.array([row["kind"] for row in every.rows])
         for kind in get_args(InputKind)[1:]:
             keeping[kind, where] = every.only(kind=kind).keeping(fair[kinds == kind])
