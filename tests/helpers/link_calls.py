@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 from getagrip import cli
 from getagrip.annotate import labels
@@ -44,6 +45,8 @@ MASKS = "--object 1 --ignore 2"
 NEW_FRAMES = f"--side right --frames 3 8 --size 64 48 --K {' '.join(K)} --overwrite"
 BENCH = "--out out --workers 1 --methods static"
 BENCHED = ("dexycb", "ho3d-eval")
+COMPOSED = ("reproduce epic-grasps", "reproduce arctic-grasps")
+"""Commands that call others, and write tables only (tests/reproduction)."""
 EXPORTS = {"usd": "pxr", "mujoco": "mujoco", "lerobot": "pyarrow", "mcap": "mcap"}
 """Formats that need a library."""
 CALLS: dict[str, Sequence[str]] = {
@@ -80,6 +83,7 @@ CALLS: dict[str, Sequence[str]] = {
     "status": ["results"],
     "view": ["results"],
     **{f"figure {name}": ["results/small --out new/out.png"] for name in FIGURES},
+    "figure ihoi": ["results/small --meshes other=meshes --out new/out.png"],
     "export": [
         *("results --to csv --overwrite", "results --to obj", "results --to glb --out out"),
         *(f"results --to {to} --out out" for to in ("npz", "bop", "spider", "dex-retargeting")),
@@ -187,6 +191,9 @@ def _write_results(folder: Path) -> None:
     true = true_result(clip, None)
     write_result(true, folder / "results" / "small", input_sha256(there), {}, there)
     np.save(folder / "theirs.npy", clip.hand.T_cam_hand @ true.T_hand_obj)
+    (folder / "meshes").mkdir()
+    for frame in clip.frames:
+        trimesh.creation.box((0.1, 0.1, 0.1)).export(folder / "meshes" / f"{frame}.obj")
     (folder / "grasps.json").write_text(json.dumps({"version": 1, "grasps": [as_listed(clip, 0, 3).row()]}))
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import shutil
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
+from getagrip.errors import InputError
 from getagrip.io.files import read_json
 from getagrip.reproduction import arctic, epic
-from getagrip.reproduction.tables import ALL, PaperTable, published
+from getagrip.reproduction.tables import ALL, PaperTable, published, write
 from helpers.arctic_files import write_arctic
 from helpers.command_line import Run
 from helpers.held_ball import write_mano
@@ -118,3 +120,14 @@ def test_best_and_second_are_marked_and_the_printed_number_stands_beside() -> No
     assert table.cell("HOMan", "mug", "IOU", latex=True) == "50.0 (59.4)"
     assert table.cell("Dynamic", "mug", "IOU", latex=False) == "– (63.8)"
     assert table.cell("1-DoF", "mug", "SCA@0.6", latex=False) == "1.0 (38.6)"  # all equal: none is best
+
+
+@pytest.mark.parametrize("end", ["md", "tex", "json"])
+def test_no_table_is_written_through_a_link(tmp_path: Path, end: str) -> None:
+    other, out = tmp_path / "other", tmp_path / "out"
+    other.write_text("a user's")
+    out.mkdir()
+    (out / f"tables.{end}").symlink_to(other)
+    with suppress(InputError):
+        write([], out, [])
+    assert other.read_text() == "a user's"

@@ -208,7 +208,9 @@ def _none(seen: Sequence[Sequence[Sighting]], side: Side | None) -> str:
     some = sum(bool(hands) for hands in seen)
     tried = f"palms were looked for in {counted(len(seen), 'frame')}, and hands followed in both directions"
     if side is not None and some:
-        remedy = f"leave out --side {side}, or mark the object by --object-box: the hand at it is taken for a {side} one"
+        remedy = (
+            f"leave out --side {side}, or mark the object by --object-box: the hand at it is taken for a {side} one"
+        )
         return f"no {side} hand: {tried}; there are hands in {some}, of the other side ({remedy})"
     advice = "Click joints in getagrip annotate; or use an estimator: --hands FILE"
     return f"no hand: {tried}; found in {some}. Is there a glove, blur, or a hand half out of view? {advice}"
