@@ -24,7 +24,8 @@ class Probability:
     Attributes:
         value: of the results with such a value, this share is right.
         meaning: what "right" is, and on what the value was calibrated.
-        beyond: names of signs (``checks.signs``) that are worse than nearly all of them were there: an extrapolation.
+        beyond: names of signs (``checks.signs``) that are worse than nearly all of them were there, and of inputs that
+            were exact there: an extrapolation.
         keep: of results that are at least as probable, at least this share is right (``checks.keeping``); 0: unknown.
         candidates: number of first candidates that hold the right one with ``HOLDS``; 0: all of them may not.
     """

@@ -17,6 +17,7 @@ from benchmarks import signed_results
 from benchmarks.probability import RIGHT, Results, calibrated, source
 from getagrip.checks import Solved
 from getagrip.checks.calibrated import CALIBRATIONS
+from getagrip.checks.kept import ESTIMATED
 from getagrip.checks.signs import (
     HAND_SIGNS,
     SIGNS,
@@ -35,11 +36,12 @@ from getagrip.clip.depth import Depth, DepthSource
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.finding import Finding
-from getagrip.fitting.judge import probability_right, uncalibrated
+from getagrip.fitting.judge import probabilities, probability_right, uncalibrated
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 from getagrip.metrics.symmetry import find_symmetries
 from getagrip.probability import Probability, percent
+from getagrip.provenance import Source, estimated
 from getagrip.result import Axis, Candidates
 
 DIRECTION = {sign.name: sign.direction for sign in SIGNS}
@@ -285,3 +287,20 @@ def test_results_without_what_is_right_in_the_camera_are_refused(tmp_path: Path)
     older = tuple(name for name in signed_results.COLUMNS if name != "right-in-camera")
     with pytest.raises(SystemExit, match=r"right-in-camera.*another OUT"):
         signed_results.collect(table(tmp_path / "results.csv", older), (), 1)
+
+
+def test_an_assumed_mesh_extrapolates_the_probability_of_estimated_hands() -> None:
+    clip, _ = synthesise("box", 0, SceneOptions(frames=3))
+    weights = ESTIMATED["soft-hinge", "hand"].weights
+    best = {name: weight.high if weight.weight > 0.0 else weight.low for name, weight in weights.items()}
+    hands = estimated("by a network")
+    said = {
+        basis: replace(clip, provenance={"hands": hands, "mesh": Source("a box", basis)})
+        for basis in ("measured", "assumed")
+    }
+    right = {basis: probabilities(one, Options(), best, (), ())["hand"] for basis, one in said.items()}
+    assert right["measured"] is not None
+    assert right["assumed"] is not None
+    assert right["measured"].value == right["assumed"].value
+    assert (right["measured"].beyond, right["assumed"].beyond) == ((), ("assumed mesh",))
+    assert right["measured"].keep > right["assumed"].keep == 0.0

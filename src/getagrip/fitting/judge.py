@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import get_args
 
 from jaxtyping import Float
@@ -101,10 +101,12 @@ def probabilities(
     ``terms`` are those of its energy and of its hand's.
     """
     kind = kind_of_input(kind_of_hands(clip.provenance), terms)
-    found = (probability_right(options, signs, findings, where, terms, kind) for where in get_args(Where))
-    in_hand, in_camera = (
-        right and KEEPING[kind, where].applied(right) for where, right in zip(get_args(Where), found, strict=True)
-    )
+    found = {where: probability_right(options, signs, findings, where, terms, kind) for where in get_args(Where)}
+    if kind != "measured" and is_assumed(clip.provenance.get("mesh")):  # these were calibrated on exact meshes
+        kept = (right and replace(right, beyond=("assumed mesh", *right.beyond)) for right in found.values())
+    else:
+        kept = (right and KEEPING[kind, where].applied(right) for where, right in found.items())
+    in_hand, in_camera = kept
     # No pixel tells a wrong focal length from another distance.
     guessed = is_assumed(clip.provenance.get("camera"))
     return {"hand": in_hand, "camera": None if guessed else in_camera}
