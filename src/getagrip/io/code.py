@@ -11,7 +11,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).resolve().parents[1]
 ABOVE = (
     "cli", "commands", "annotate", "experiments", "batch", "pages", "film", "pictures", "export", "segmentation",
-    "evaluation", "notebook",
+    "evaluation", "notebook", "reproduction",
 )  # fmt: skip
 """Parts that a reconstruction does not import: those above ``fitting`` (docs/architecture.md), but for ``timelines``,
 where ``reconstruct`` is; and ``evaluation``."""

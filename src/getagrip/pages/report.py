@@ -109,7 +109,7 @@ def described(view: View, label: str, evaluation: Evaluation, record: Json) -> J
             *_probably(view.result),
             *_met(view.result),
             *_main(evaluation.headline, bool(evaluation.metrics_of_grasps)),
-            *_main({REPLAY.name: record["metrics"].get(REPLAY.name)}, False),
+            *_main({REPLAY.name: record.get("metrics", {}).get(REPLAY.name)}, False),
         ],
         "plots": _plots(view, evaluation.per_frame),
         "tables": tables(view, evaluation, record),
