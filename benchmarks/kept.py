@@ -2,7 +2,8 @@
 
 ROWS is a file of ``benchmarks.kept_rows``, or several joined. Its training part gives ``checks/kept.py``: the
 probability for estimated hands, and for each kind of input the thresholds of ``checks.keeping``. The validation part is
-held against them: ``results/kept.json``. Nothing is reconstructed.
+held against them: ``results/kept.json``; how many of it are right, by evidence: ``results/evidence-validation.json``.
+Nothing is reconstructed.
 """
 
 from __future__ import annotations
@@ -204,7 +205,7 @@ def calibrated(rows: Sequence[Row], made: str) -> tuple[Mapping[Where, Calibrati
 
 
 def by_evidence(rows: Sequence[Row]) -> Iterator[list[str]]:
-    """Say how many validation results are right, those with serious findings included, in the hand and in the camera."""
+    """Say how many validation results are right, those with serious findings included, in either frame."""
     of = [row for row in rows if row["part"] == "validation"]
     for condition in dict.fromkeys(row["condition"] for row in of):
         some = [Results([row for row in of if row["condition"] == condition], where) for where in get_args(Where)]
