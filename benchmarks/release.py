@@ -30,6 +30,8 @@ BENCHES = {
     "--clips 48 --out out/dexycb-timelines",
     "dexycb-other-final": "getagrip bench dexycb --root OTHER --meshes YCB --split all --out out/dexycb-other "
     "--ablation final",
+    "dexycb-other-final-evidence": "getagrip bench dexycb --root OTHER --meshes YCB --split all --out out/dexycb-other "
+    "--ablation final-evidence",
 }
 """By the name of the table that each makes.
 

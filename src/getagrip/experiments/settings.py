@@ -77,9 +77,9 @@ def _noise_level(name: str) -> Setting:
     return Setting(name, change=Noisy(replace(NOISE[name], mask_ragged_px=0.0)))
 
 
-def _estimated(*evidence: Change) -> Change:
-    """Make the change to estimated hands, at the level ``estimated`` where they are true; evidence is of true ones."""
-    return Several((*evidence, EstimatedHands(replace(NOISE["estimated"], mask_ragged_px=0.0))))
+def _with(label: str, *evidence: Change) -> Setting:
+    """Name a change to estimated hands, at the level ``estimated`` where they are true; evidence is of true ones."""
+    return Setting(label, change=Several((*evidence, EstimatedHands(replace(NOISE["estimated"], mask_ragged_px=0.0)))))
 
 
 def _mask_noise(px: float) -> Setting:
@@ -139,6 +139,8 @@ def _departures(count: int) -> Departures:
     return Departures(**dict.fromkeys(list(STEPS.values())[:count], True))
 
 
+JOINT, USUAL = SimulatedJoints("landmarks"), ("mono", "realsense")
+"""Evidence that users often have: 2D joints of landmarks; depth of a network, or of a sensor."""
 ABLATIONS: dict[str, Ablation] = {
     "physical": Ablation(
         "Weights of the physical terms, the paper's λ₂ = λ₃ without the focal length",
@@ -180,6 +182,16 @@ ABLATIONS: dict[str, Ablation] = {
         INPUTS[:4],
         (REFERENCE, "soft-hinge", "contact-consistency"),
     ),
+    "final-evidence": Ablation(
+        "Estimated hands, with 2D joints and depth simulated as they usually are",
+        "nothing new",
+        (
+            _with("nothing new"),
+            _with("2D joints", JOINT),
+            *(_with(f"2D joints, {d}", JOINT, SimulatedDepth(d)) for d in USUAL),
+        ),
+        ("soft-hinge",),
+    ),
     "estimated-hands": Ablation(
         "Hands with the errors of estimates from images: as given, or refined against their own pixels",
         "none",
@@ -203,16 +215,13 @@ ABLATIONS: dict[str, Ablation] = {
         "Estimated hands, with other evidence simulated at levels of errors (docs/datasets.md)",
         "nothing new",
         (
-            Setting("nothing new", change=_estimated()),
-            *(Setting(f"2D joints, {level}", change=_estimated(SimulatedJoints(level))) for level in JOINTS),
-            *(Setting(f"depth, {level}", change=_estimated(SimulatedDepth(level))) for level in DEPTHS),
+            _with("nothing new"),
+            *(_with(f"2D joints, {level}", SimulatedJoints(level)) for level in JOINTS),
+            *(_with(f"depth, {level}", SimulatedDepth(level)) for level in DEPTHS),
             *(
-                Setting(
-                    f"2D joints, {joints}; depth, {level}",
-                    change=_estimated(SimulatedJoints(joints), SimulatedDepth(level)),
-                )
+                _with(f"2D joints, {joints}; depth, {level}", SimulatedJoints(joints), SimulatedDepth(level))
                 for joints in ("wild", "landmarks")
-                for level in ("mono", "realsense")
+                for level in USUAL
             ),
         ),
         ("soft-hinge",),
