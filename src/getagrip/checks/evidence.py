@@ -69,7 +69,7 @@ class Evidence:
         deformed_mm: the same in millimetres.
         hand_differing: share of the hand's seen pixels that differ from its silhouette; NaN where that is not known.
         misfit: how much farther contours are from those of the masks than the object's own mesh would leave them.
-        other_size: how many times as large the object would rather be, where its size was said to be known, and what
+        other_size: how many times as large the object seems to be, where its size was said to be known, and what
             share of the energy that saves; NaN where it was not looked at.
         glitches: frames of tracker glitches, repaired in ``clip``; None where hands are used as given.
     """
