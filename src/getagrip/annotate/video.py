@@ -185,7 +185,7 @@ class Video:
 
     @property
     def frames(self) -> int:
-        """How many frames the file has."""
+        """Number of frames."""
         return len(self._times)
 
     @cached_property

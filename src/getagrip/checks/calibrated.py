@@ -1,4 +1,4 @@
-"""What was calibrated, from ``calibrated.json``: weights of the signs, and thresholds by kind of input.
+"""The calibrations in ``calibrated.json``: weights of the signs, and thresholds by kind of input.
 
 ``python -m benchmarks.probability`` and ``python -m benchmarks.kept`` write it.
 """

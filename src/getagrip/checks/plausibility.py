@@ -14,7 +14,7 @@ UNKNOWN = float("nan")
 
 
 def size_input(it: Evidence) -> float:
-    """Return the mesh's diameter, where that is the object's, in sizes of the hand."""
+    """Return the mesh's diameter in sizes of the hand, where the object's size is known."""
     return it.clip.mesh.diameter / it.hand_size if it.clip.scale == "known" else UNKNOWN
 
 
@@ -24,7 +24,7 @@ def found_size(it: Evidence) -> float:
 
 
 def mask_size(it: Evidence) -> float:
-    """Return the diameter that the masks show, in diameters of the mesh, where that is the object's."""
+    """Return the diameter that the masks show in diameters of the mesh, where the object's size is known."""
     return it.apparent_size / it.clip.mesh.diameter if it.clip.scale == "known" else UNKNOWN
 
 
@@ -97,7 +97,7 @@ ROOTS, TIPS = np.array([5, 9, 13, 17]), np.array([8, 12, 16, 20])
 
 
 def bend(it: Evidence) -> float:
-    """Measure how far the fingers bend towards the palm of a hand of that side, median over frames [degrees].
+    """Measure how far the fingers bend towards the palm of a hand of the clip's side, median over frames [degrees].
 
     Negative where they would bend backwards: it is the other hand. NaN for hands without joints.
 

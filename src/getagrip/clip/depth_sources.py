@@ -195,7 +195,7 @@ def check_camera(reader: DepthReader, K: Float[ndarray, "T 3 3"], width: int) ->
 
 
 def chosen_source(name: str, scale: str | None, unit: float | None, error: float | None) -> DepthSource:
-    """Return what a format's numbers are, as far as the user does not say otherwise. Raises ``UsageError``."""
+    """Return the measure of a format's numbers, or the one that the user states. Raises ``UsageError``."""
     source = SOURCES[name].source
     if error is not None and not 0.0 < error < 1.0:
         raise UsageError(f"--error must be a share of the distance, above 0 and below 1 (got {error})")

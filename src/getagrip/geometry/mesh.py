@@ -84,7 +84,7 @@ class Mesh(ArrayData):
 
     @cached_property
     def light(self) -> Mesh:
-        """The mesh with about ``MOST_FACES`` at most."""
+        """The mesh, simplified to about ``MOST_FACES`` faces if it has more."""
         return clustered(self, MOST_FACES)
 
     def stands_for(self, whole: Mesh, done: str) -> list[str]:
