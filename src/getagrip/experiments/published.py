@@ -40,7 +40,7 @@ def read(name: str) -> dict[str, Published]:
 
 
 def grid(systems: Mapping[str, Published], ours: Mapping[str, Table]) -> list[list[str]]:
-    """Make a grid with the parts as columns and, for each column that anybody printed, our rows and the systems' as rows.
+    """Make a grid: the parts as columns; for each column that anybody printed, our rows and the systems' as rows.
 
     ``ours`` are tables by part. Their mean over all is shown only where it is of the same parts as the printed ones.
     """
@@ -49,7 +49,9 @@ def grid(systems: Mapping[str, Published], ours: Mapping[str, Table]) -> list[li
     rows = next(iter(ours.values())).rows if ours else ()
     lines = [["", *parts, ALL]]
     for column in dict.fromkeys(column for system in systems.values() for column in system.columns):
-        found = {row.variant.label: [_mean(tables.get(p), n, column) for p in (*parts, ALL)] for n, row in enumerate(rows)}
+        found = {
+            row.variant.label: [_mean(tables.get(p), n, column) for p in (*parts, ALL)] for n, row in enumerate(rows)
+        }
         for name, system in systems.items():
             if column in system.columns:
                 found[name] = [system.number(part, column) for part in (*parts, ALL)]
