@@ -6,6 +6,7 @@ templates.
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -125,6 +126,27 @@ def test_whole_sequences_are_not_cut_where_the_joint_turns(root: Path, mano: Pat
     assert [(clip.side, len(clip), masks) for clip, masks in found] == [("left", FRAMES, None), ("right", FRAMES, None)]
     assert segment(found[1][0], CUT.definition)[1] == [(TAKEN, OPENED - 1)]
     assert found[1][0].provenance["first_frame"] == OFFSET
+
+
+@pytest.mark.slow
+def test_a_template_may_hold_vertices_twice_and_unused_ones(root: Path, mano: Path) -> None:
+    folder = root / "meta" / "object_vtemplates" / "ball"
+    lines = (folder / "mesh.obj").read_text().splitlines()
+    first = next(n for n, line in enumerate(lines) if line.startswith("v "))
+    on_axis = ["v 0 0 55", "v 0 0 55", "v 0 0 60", "v 0 5 55", "v 5 0 55"]
+    faces = [line for line in lines if line.startswith("f ")]
+    count = sum(line.startswith("v ") for line in lines)
+    fin = [f"f {count + 1} {count + 4} {count + 5}", f"f {count + 2} {count + 5} {count + 4}"]
+    (folder / "mesh.obj").write_text("\n".join([*lines[:first], *_vertices(lines), *on_axis, *faces, *fin]))
+    parts = json.loads((folder / "parts.json").read_text())
+    (folder / "parts.json").write_text(json.dumps([*parts, 0, 1, 0, 0, 1]))
+    (clip, _), *_ = clips(root, mano)
+    assert clip.truth.joint.moves.sum() > 10
+    assert clip.truth.joint.moves.shape == (len(clip.mesh.vertices),) == (count + 3,)
+
+
+def _vertices(lines: list[str]) -> list[str]:
+    return [line for line in lines if line.startswith("v ")]
 
 
 def test_neutral_frames_are_of_the_shape_alone() -> None:

@@ -78,6 +78,7 @@ def test_all_that_is_missing_is_named_first(tmp_path: Path, run: Run, needs: dic
     status, said, told = run("reproduce", name, tmp_path, "--out", tmp_path / "out")
     assert (status, said) == (2, "")
     assert all(need.source in told and need.what in told for need in needs.values())
+    assert len(told.splitlines()) > len(needs)  # a line each
     assert not (tmp_path / "out").exists()
 
 

@@ -24,7 +24,7 @@ from getagrip.datasets.dataset import Dataset, Draft, Missing, Note, Part
 from getagrip.datasets.tracks import Piece, Source, Track
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
-from getagrip.geometry.mesh_files import checked_mesh
+from getagrip.geometry.mesh_files import checked_mesh, used_vertices
 from getagrip.grasps.cut import FIRST_FRAME, Cut, as_listed
 from getagrip.grasps.definition import FEWEST, GraspOptions
 from getagrip.grasps.lists import BETWEEN, ListedGrasp
@@ -182,7 +182,8 @@ def known_clip(
     """
     angle = 0.0 if track.articulation is None else float(track.articulation.mean())
     mesh = track.object(angle)
-    joint = track.joint and replace(track.joint, angle=angle)
+    used, _ = used_vertices(mesh.vertices, mesh.faces)  # as the clip's mesh has them
+    joint = track.joint and replace(track.joint, angle=angle, moves=track.joint.moves[used])
     return Clip(
         name=name or track.name,
         category=track.category,
