@@ -9,6 +9,7 @@
                                              METHOD=TABLE: of one that was run on exact input only
     {{ methods COLUMN }}                     a column of all methods, by set of clips
     {{ leaderboard }}                        every method on every real motion, and what others printed
+    {{ printed FILE }}                       others' numbers by part of a benchmark, in each column, with their sources
     {{ made TABLE }}                         at which commit, when, by which command
 
 Keys of rows are their labels in small letters, with "-" for what is neither letter nor digit. An unknown key is a
@@ -24,6 +25,7 @@ from fnmatch import fnmatch
 
 from benchmarks import store
 from benchmarks.store import Cell, Column, Row
+from getagrip.experiments import published
 
 PLACE = re.compile(r"\{\{ (.+?) \}\}")
 WRITTEN = re.compile(r"<!-- \{\{ (.+?) \}\} -->(.*?)<!-- end -->", re.DOTALL)
@@ -243,5 +245,6 @@ DIRECTIVES: dict[str, Callable[..., str]] = {
     "inputs": inputs,
     "methods": methods,
     "leaderboard": leaderboard,
+    "printed": lambda name: "\n".join(published.lines(published.read(name), {})),
     "made": made,
 }

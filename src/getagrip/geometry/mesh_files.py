@@ -86,8 +86,8 @@ def checked_mesh(path: Path, vertices: Float[ndarray, "..."], faces: Int[ndarray
     if faces.min() < 0 or faces.max() >= len(vertices):
         bad = faces.min() if faces.min() < 0 else faces.max()
         raise InputError(path, "faces", f"the vertex index {bad}", f"0 to {len(vertices) - 1}, counted from 0")
-    used, remapped = np.unique(merged(vertices)[faces], return_inverse=True)  # formats like .stl repeat vertices
-    vertices, faces = vertices[used], remapped.reshape(faces.shape)
+    used, faces = used_vertices(vertices, faces)
+    vertices = vertices[used]
     extent = float(np.ptp(vertices, axis=0).max())
     check_size(path, "vertices", extent, "the object", OTHER_UNITS)
     away = float(np.abs(vertices.mean(axis=0)).max())
@@ -99,6 +99,14 @@ def checked_mesh(path: Path, vertices: Float[ndarray, "..."], faces: Int[ndarray
         raise InputError(path, "faces", f"{bad.size} faces without area (first: {bad[0]})", "triangles with an area")
     mesh = Mesh(vertices, faces)
     return Mesh(mesh.vertices, mesh.faces[:, ::-1].copy()) if mesh.is_closed and mesh.volume < 0 else mesh
+
+
+def used_vertices(
+    vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]
+) -> tuple[Int[ndarray, "U"], Int[ndarray, "F 3"]]:
+    """Return the vertices that faces need, one at each place, and the faces of these: formats like .stl repeat them."""
+    used, remapped = np.unique(merged(vertices)[faces], return_inverse=True)
+    return used, remapped.reshape(faces.shape)
 
 
 def with_area(vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]) -> Int[ndarray, "..."]:
