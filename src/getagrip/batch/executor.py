@@ -51,12 +51,12 @@ class Executor(Protocol[J, R]):
 
     @property
     def capacity(self) -> int:
-        """How many more jobs it can begin now."""
+        """Number of jobs that can start now."""
         ...
 
     @property
     def busy(self) -> int:
-        """How many jobs are at work."""
+        """Number of jobs at work."""
         ...
 
     def submit(self, job: J, attempt: int) -> None:

@@ -72,14 +72,14 @@ class RayExecutor(Generic[J, R]):
 
     @property
     def capacity(self) -> int:
-        """For how many more jobs; there is always room for one, which waits for a cluster that grows."""
+        """Number of jobs that can start now; at least one, which waits for a cluster that grows."""
         if self._workers is None and time.monotonic() - self._looked >= LOOK_EVERY:
             self._cpus, self._looked = int(self._ray.cluster_resources().get("CPU", 0)), time.monotonic()
         return (self._workers or max(1, self._cpus)) - self.busy
 
     @property
     def busy(self) -> int:
-        """Jobs at work."""
+        """Number of jobs at work."""
         return len(self._at_work)
 
     def submit(self, job: J, attempt: int) -> None:

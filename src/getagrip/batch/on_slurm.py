@@ -74,14 +74,14 @@ class SlurmExecutor(Generic[J, R]):
 
     @property
     def capacity(self) -> int:
-        """For how many more jobs; none while more than half of the tasks are at work, so that arrays are not small."""
+        """Number of jobs that can start now; 0 while more than half of the tasks work, so that arrays are large."""
         if len(self._at_work) > self._workers // 2:
             return 0
         return (self._workers - len(self._at_work)) * BUNDLE - len(self._collected)
 
     @property
     def busy(self) -> int:
-        """Jobs at work."""
+        """Number of jobs at work."""
         return len(self._collected) + sum(map(len, self._at_work.values()))
 
     def submit(self, job: J, attempt: int) -> None:

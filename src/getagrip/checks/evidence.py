@@ -31,7 +31,7 @@ PER_REGION = 6
 
 @dataclass(frozen=True)
 class Glitches:
-    """The frames of tracker glitches (``fitting.hand_jumps``).
+    """The frames of tracker glitches (``fitting.tracker_glitches``).
 
     Attributes:
         frames: names of those frames.
@@ -89,7 +89,7 @@ class Evidence:
 
     @property
     def glitch_share(self) -> float:
-        """Share of the clip's frames in which the hand jumps; NaN where none was looked for."""
+        """Share of the clip's frames with a tracker glitch; NaN where none was looked for."""
         return np.nan if self.glitches is None else self.glitches.share
 
     @property

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 from tyro.conf import Positional, arg
 
 from getagrip.clip.depth import DEPTH
-from getagrip.clip.depth_sources import SOURCES, check_camera, chosen_source, open_depth
-from getagrip.clip.depth_writing import add_depth
+from getagrip.clip.depth_sources import SOURCES, add_depth, check_camera, chosen_source, open_depth
 from getagrip.clip.naming import renumbered
 from getagrip.clip.reading import read_header
 from getagrip.commands.command import Command

@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.glb import parse_glb
-from getagrip.geometry.mesh import Mesh, merged
+from getagrip.geometry.mesh import Mesh, face_areas, merged
 from getagrip.geometry.obj import obj_content, parse_obj
 from getagrip.geometry.ply import parse_ply
 from getagrip.io import files
@@ -94,9 +94,7 @@ def checked_mesh(path: Path, vertices: Float[ndarray, "..."], faces: Int[ndarray
     if away > FARTHEST:
         expected = f"at most {FARTHEST:g} m: so far off, as in a map, its shape has too few digits; move it"
         raise InputError(path, "vertices", f"an object {away:.4g} m from its origin", expected)
-    corners = vertices[faces]
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    bad = np.flatnonzero(area < 1e-12 * extent**2)
+    bad = np.flatnonzero(face_areas(vertices, faces) < 1e-12 * extent**2)
     if bad.size:
         raise InputError(path, "faces", f"{bad.size} faces without area (first: {bad[0]})", "triangles with an area")
     mesh = Mesh(vertices, faces)
@@ -120,9 +118,8 @@ def with_area(vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]) -> In
     if not are_triangles or faces.min() < 0 or faces.max() >= len(vertices):
         return faces
     with np.errstate(invalid="ignore", over="ignore"):
-        a, b, c = np.moveaxis(vertices[faces], 1, 0)
-        doubled = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-        return faces[doubled > 1e-11 * np.ptp(vertices[faces.ravel()], axis=0).max(initial=0.0) ** 2]
+        least = 5e-12 * np.ptp(vertices[faces.ravel()], axis=0).max(initial=0.0) ** 2
+        return faces[face_areas(vertices, faces) > least]
 
 
 def check_size(path: Path, key: str, extent: float, what: str, units: str = "") -> None:

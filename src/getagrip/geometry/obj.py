@@ -1,4 +1,4 @@
-"""Wavefront .obj files: the vertices and the faces, which is all of them that is about shape."""
+"""Wavefront .obj files: the vertices and the faces; the rest is ignored."""
 
 from __future__ import annotations
 

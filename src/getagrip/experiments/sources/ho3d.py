@@ -79,8 +79,7 @@ class Ho3dEval(Recorded):
     def samples(self, clips: Path, debug: bool, share: Share | None = None) -> tuple[list[Sample], list[Outcome]]:
         """Import the sequences, and the depth images of those that have them."""
         from getagrip.clip.depth import DEPTH
-        from getagrip.clip.depth_sources import SOURCES, open_depth
-        from getagrip.clip.depth_writing import add_depth
+        from getagrip.clip.depth_sources import SOURCES, add_depth, open_depth
         from getagrip.clip.reading import read_header
 
         found, failed = super().samples(clips, debug, share)
