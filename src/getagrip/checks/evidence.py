@@ -49,7 +49,8 @@ class Glitches:
     def __str__(self) -> str:
         where, more = "frame" if len(self.frames) == 1 else "frames", len(self.frames) - NAMED
         names = ", ".join(self.frames[:NAMED]) + (f" and {more} more" if more > 0 else "")
-        return f"the hand leaves its path and returns (tracker glitch), and was flipped back or interpolated: {where} {names}"
+        what = "the hand leaves its path and returns (tracker glitch), and was flipped back or interpolated"
+        return f"{what}: {where} {names}"
 
 
 @dataclass(frozen=True, eq=False)
