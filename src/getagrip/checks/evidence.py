@@ -49,7 +49,8 @@ class Glitches:
     def __str__(self) -> str:
         where, more = "frame" if len(self.frames) == 1 else "frames", len(self.frames) - NAMED
         names = ", ".join(self.frames[:NAMED]) + (f" and {more} more" if more > 0 else "")
-        return f"the hand leaves its path and returns (tracker glitch), and was interpolated: {where} {names}"
+        what = "the hand leaves its path and returns (tracker glitch), and was flipped back or interpolated"
+        return f"{what}: {where} {names}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +69,7 @@ class Evidence:
             none.
         deformed_mm: the same in millimetres.
         hand_differing: share of the hand's seen pixels that differ from its silhouette; NaN where that is not known.
+        joints_left_out: whether the hand's 2D joints did not count where it was refined.
         misfit: how much farther contours are from those of the masks than the object's own mesh would leave them.
         other_size: how many times as large the object seems to be, where its size was said to be known, and what
             share of the energy that saves; NaN where it was not looked at.
@@ -83,6 +85,7 @@ class Evidence:
     deformed: float = np.nan
     deformed_mm: float = np.nan
     hand_differing: float = np.nan
+    joints_left_out: bool = False
     misfit: float = np.nan
     scale_check: tuple[float, float] = (np.nan, np.nan)
     glitches: Glitches | None = None

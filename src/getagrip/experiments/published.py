@@ -20,7 +20,7 @@ class Published:
     """A system's printed numbers, in per cent."""
 
     given: str
-    """What it is given, and the frames that count."""
+    """Its inputs, and the frames that count."""
     source: str
     columns: Sequence[str]
     """Labels of ours that mean the same."""
