@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -75,6 +76,10 @@ def test_flips_are_mended_and_written_in_the_same_format(tmp_path: Path, run: Ru
     )
     assert (before, after) == (0.0, 1.0)
     assert " ".join(out.split()).count("before") == 3  # IOU, and how probable it is in hand and camera
+    (line,) = csv.DictReader((tmp_path / "out" / "changes.csv").read_text().splitlines())
+    assert line["clip"] == clip.name
+    assert float(line["iou_before"]) < float(line["iou_after"])
+    assert line["right_in_hand_after"].endswith("%")
 
 
 def test_given_poses_are_as_probable_as_ours_if_they_are_the_same_and_else_at_most_the_rest() -> None:

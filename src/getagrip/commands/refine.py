@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -25,6 +26,12 @@ if TYPE_CHECKING:
 
 REFINED = "refined"
 """Folder, in that of the results, of the poses in the other system's format."""
+CHANGES = "changes.csv"
+"""Table beside it of what changed."""
+HEADS = (
+    "clip", "iou_before", "iou_after", "moved_mm", "turned_deg", "right_in_hand_before", "right_in_hand_after",
+    "right_in_camera_before", "right_in_camera_after",
+)  # fmt: skip
 SAME, OTHER = 0.03, 0.2
 """Poses nearer than this are one solution, and farther apart than this they cannot both be right [diameters]."""
 
@@ -38,8 +45,8 @@ class Refine(Command):
     clips: Annotated[tuple[Path, ...], arg(metavar="CLIP...", help_behavior_hint="(required)")] = ()
     """The clips: folders, folders of clips, or patterns in quotes."""
     out: Annotated[Path, arg(metavar="DIR")]
-    """Folder of the results: a folder for each clip, and DIR/refined/<clip> with the refined poses in the format of
-    PATH."""
+    """Folder of the results: a folder for each clip, DIR/refined/<clip> with the refined poses in the format of PATH,
+    and changes.csv."""
     first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
     """The number that PATH gives to the clip's first frame, if it counts from another start."""
     options: Annotated[Options, arg(name="")] = field(default_factory=Options)
@@ -61,6 +68,8 @@ class Refine(Command):
         changes = [made for name, folder in named if (made := self._written(name, folder, refined)) is not None]
         if changes:
             _print(changes)
+            files.write_csv(self.out / CHANGES, [HEADS, *(one.cells for one in changes)])
+            print(self.out / CHANGES)
         return status
 
     def _written(self, name: str, folder: Path, refined: Path) -> Change | None:
@@ -110,6 +119,11 @@ class Change:
     moved: float
     turned: float
     right: tuple[str, str, str, str]
+
+    @property
+    def cells(self) -> list[object]:
+        """Those of its line in ``CHANGES``."""
+        return [self.clip, *self.iou, 1e3 * self.moved, math.degrees(self.turned), *self.right]
 
     @staticmethod
     def of(name: str, clip: Clip, before: Reconstruction, after: Reconstruction) -> Change:
