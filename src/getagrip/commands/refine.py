@@ -76,6 +76,7 @@ class Refine(Command):
         """Write the refined poses of a clip; return what changed, None where there is no result."""
         from getagrip.clip import find_masks, read_clip
         from getagrip.evaluation.other_poses import poses_of
+        from getagrip.geometry import se3
         from getagrip.io import files
         from getagrip.object_poses.at_frames import only_file, place_in, read_poses
         from getagrip.object_poses.writing import Track, write_like
@@ -98,7 +99,9 @@ class Refine(Command):
             names = read_poses(place, whole, self.first).names
             T_cam_hand = clip.hand.T_cam_hand if after.T_cam_hand is None else after.T_cam_hand
             names = tuple(names[n] for n in whole.index_of(after.frames))
-            track = Track(names, T_cam_hand @ after.T_hand_obj, after.T_hand_obj, after.scale, after.iou)
+            T_cam_obj = T_cam_hand @ after.T_hand_obj
+            T_hand_obj = se3.inverse(clip.hand.T_cam_hand) @ T_cam_obj  # in the clip's hand, as in the file
+            track = Track(names, T_cam_obj, T_hand_obj, after.scale, after.iou)
             write_like(only_file(place), track, files.folder_inside(refined, clip.name))
         return Change.of(name, clip, before, after)
 

@@ -24,7 +24,7 @@ class Track:
     Attributes:
         names: how the format's other files call the frames.
         T_cam_obj: (T, 4, 4) [m].
-        T_hand_obj: (T, 4, 4) the same in the hand frame [m].
+        T_hand_obj: (T, 4, 4) the same in the clip's hand frame [m].
         scale: factor on the mesh.
         score: (T,) how good each is, for formats that say so; NaN: unknown.
     """
