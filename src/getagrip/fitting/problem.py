@@ -252,6 +252,8 @@ def _prepared(
     if correction is not None:
         clip = clip.with_hand_at(correction.T_cam_hand)
         notes.append(str(correction))
+        if correction.kind != kind_of_hands(clip.provenance):
+            notes.append("the hand counts as estimated, since it was turned farther than measured hands are off")
         if correction.joints is None and clip.hand.joints_2d is not None and clip.hand.joints is not None:
             notes.append("2D joints of the hand contradict its pixels, and were left out")
     hand_drawn = options.occlusion and not masks.say_what_hides
@@ -268,7 +270,7 @@ def _prepared(
         clip=clip, masks=masks, observation=observation, surface=surface.result(),
         options=options, prior_poses=initial[0], notes=tuple(notes), threads=threads,
         trust=Trust(correction is not None, differing, hand_drawn, hand_lifted=lifted),
-        refinement=correction if kind_of_hands(clip.provenance) == "estimated" else None,
+        refinement=correction if correction is not None and correction.kind == "estimated" else None,
     )  # fmt: skip
 
 
