@@ -254,6 +254,8 @@ def _prepared(
     if correction is not None:
         clip = clip.with_hand_at(correction.T_cam_hand)
         notes.append(str(correction))
+        if correction.kind != kind_of_hands(clip.provenance):
+            notes.append("the hand counts as estimated, since it was turned farther than measured hands are off")
     hand_drawn = options.occlusion and not masks.say_what_hides
     if hand_drawn:
         masks = occluded_by_hand(clip, masks)
@@ -271,7 +273,7 @@ def _prepared(
             correction is not None, differing, hand_drawn, hand_lifted=lifted,
             joints_left_out=correction is not None and correction.joints is None and clip.hand.joints_2d is not None,
         ),
-        refinement=correction if kind_of_hands(clip.provenance) == "estimated" else None,
+        refinement=correction if correction is not None and correction.kind == "estimated" else None,
     )  # fmt: skip
 
 
