@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from getagrip.clip.depth import DEPTH, DepthSource
-from getagrip.clip.depth_files import check_shape, source_fields
+from getagrip.clip.depth_files import check_shape, depth_file, source_fields
 from getagrip.clip.depth_sources import DepthReader
 from getagrip.clip.reading import ClipHeader
 from getagrip.errors import InputError
@@ -34,7 +34,8 @@ def add_depth(
 
     ``unit`` is that of the files, where the user states it [m].
     """
-    there = tuple(f"{name}.png" for name in header.frames) if overwrite else ()
+    older = (depth_file(header.folder, frame) for frame in header.frames if overwrite)
+    there = tuple(Path(name).name for name in older if name is not None)
     whence = header.fields["provenance"] | {DEPTH: said}
     with files.new_folder(header.folder / DEPTH, there) as new:
         found = _write(reader, header.frames, header.size, unit, new)
@@ -50,7 +51,7 @@ def _write(
 
     Whole numbers stay as they are.
     """
-    unit = written = 0.0
+    unit, written, path = 0.0, 0.0, folder
     for n in reader.known:
         path, image, one = reader.read(n)
         check_shape(path, image, size)
@@ -64,5 +65,5 @@ def _write(
         written += float(numbers.sum())
         write_depth(folder / f"{frames[n]}.png", numbers.astype(np.uint16))
     if not written:
-        raise InputError(folder, "", "0 in all images", "distances, 0 for none")
+        raise InputError(path, "", "0 in all images", "distances, 0 for none")
     return unit
