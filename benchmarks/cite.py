@@ -66,7 +66,7 @@ MOTIONS = {
     "DexYCB": ("dexycb-methods", ""),
     "ten new objects": ("dexycb-other-final", "-exact"),
     "HOT3D's and TACO's samples": ("samples-hot3d-taco-methods", ""),
-    "ARCTIC, estimated hands": ("arctic-estimated-methods", ""),
+    "ARCTIC, estimated hands": ("arctic-motion-methods", ""),
 }
 """Real motion, the table of it, and the end of its rows' keys."""
 PARTS_OF = {"ARCTIC's motion": "arctic", "DexYCB": "dexycb", "ARCTIC, estimated hands": "arctic"}

@@ -35,7 +35,7 @@ from getagrip.clip.depth import Depth, DepthSource
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.finding import Finding
-from getagrip.fitting.judge import probabilities, probability_right, uncalibrated
+from getagrip.fitting.judge import WRONG_EVIDENCE, probabilities, probability_right, uncalibrated
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 from getagrip.metrics.symmetry import find_symmetries
@@ -303,3 +303,17 @@ def test_an_assumed_mesh_extrapolates_the_probability_of_estimated_hands() -> No
     assert right["measured"].value == right["assumed"].value
     assert (right["measured"].beyond, right["assumed"].beyond) == ((), ("assumed mesh",))
     assert right["measured"].keep > right["assumed"].keep == 0.0
+
+
+@pytest.mark.parametrize("check", WRONG_EVIDENCE)
+def test_nothing_is_promised_of_results_with_wrong_evidence(check: str) -> None:
+    clip, _ = synthesise("box", 0, SceneOptions(frames=3))
+    clip = replace(clip, provenance={"hands": estimated("by a network")})
+    weights = ESTIMATED["soft-hinge", "hand"].weights
+    best = {name: weight.high if weight.weight > 0.0 else weight.low for name, weight in weights.items()}
+    found = Finding(check, False, 3.0, 1.6, "depth is off")
+    before, after = (probabilities(clip, Options(), best, some, {"depth"})["hand"] for some in ((), (found,)))
+    assert before is not None
+    assert after is not None
+    assert before.keep >= 0.95
+    assert (after.value, after.keep, after.beyond) == (before.value, 0.0, (check,))

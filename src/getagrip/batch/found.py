@@ -11,7 +11,7 @@ from typing import Literal
 
 from getagrip.batch.entries import Entry
 from getagrip.batch.job import Outcome, Progress, failure
-from getagrip.batch.kept import OTHER, damaged, difference
+from getagrip.batch.validity import OTHER, damaged, difference
 from getagrip.clip import input_sha256, read_clip, read_masks
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options

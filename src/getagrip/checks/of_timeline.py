@@ -29,8 +29,7 @@ LEAST_SHOWN = 0.5
 
 def distance(it: Evidence) -> float:
     """Return the object's distance from the camera [m]: the least where that is too near, else the largest."""
-    middle = _posed(it).mean(axis=1)
-    away = np.linalg.norm(middle, axis=1)
+    away = np.linalg.norm(it.posed.mean(axis=1), axis=1)
     return float(away.min() if away.min() < NEAREST else away.max())
 
 
@@ -45,10 +44,10 @@ def drift(it: Evidence) -> float:
     That is the distance of their middles from where it is in most frames, in sizes of the mask (the root of its area),
     but for the tenth of the frames in which it is largest.
     """
-    posed, offsets = _posed(it), []
+    offsets = []
     for n in np.flatnonzero(it.mask_area >= LEAST_SHOWN * it.mask_area.max()):
         mask, ignored = it.masks.object[n], it.masks.ignore[n]
-        silhouette = covered(posed[n], it.clip.mesh.faces, it.clip.K[n], it.clip.size) & (mask | ~ignored)
+        silhouette = covered(it.posed[n], it.clip.mesh.faces, it.clip.K[n], it.clip.size) & (mask | ~ignored)
         if silhouette.any():
             rows, columns = np.nonzero(silhouette)
             middle = np.array([columns.mean(), rows.mean()]) + 0.5
@@ -57,12 +56,6 @@ def drift(it: Evidence) -> float:
         return float("nan")
     from_most = np.linalg.norm(np.array(offsets) - np.median(offsets, axis=0), axis=1)
     return float(np.quantile(from_most, 0.9))
-
-
-def _posed(it: Evidence) -> Float[ndarray, "T V 3"]:
-    """Return the object's vertices before the camera [m]."""
-    assert it.T_hand_obj is not None
-    return np.asarray(se3.transform(it.clip.hand.T_cam_hand @ it.T_hand_obj, it.scale * it.clip.mesh.vertices))
 
 
 SEGMENT_CHECKS = (
