@@ -55,8 +55,8 @@ second: they are another hand's, or another camera's."""
 UNLIKE_MEASURED, EXPLAINED = np.radians(4.5), 0.5
 """A hand that its evidence turns farther, and of whose differing pixels less than this share then still differ, is an
 estimate, whatever its source says. On training clips hands of 10 mm and 8 degrees are turned by 4.9 or more,
-``moderate`` ones by up to 3.9, and ``strong`` ones leave 36 % at most. Masks that are off by 4 px turn exact hands by up
-to 6.2 degrees, but then leave 80 %."""
+``moderate`` ones by up to 4.3, and ``strong`` ones leave 36 % at most. Masks that are off by 4 px turn exact hands by
+up to 6.2 degrees, but then leave 80 %."""
 STEPS = 10, 8, 3
 """Iterations: without bends; with them, at some of the frames; at all of them."""
 FEW = 10
