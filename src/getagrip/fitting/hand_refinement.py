@@ -52,10 +52,11 @@ AGREE = 0.25
 SUSPICIOUS, CONTRADICTED = 0.12, 0.05
 """Joints with which more than the first share of the pixels differ are left out, if without them fewer do, by the
 second: they are another hand's, or another camera's."""
-UNLIKE_MEASURED = np.radians(4.5)
-"""A hand that its evidence turns farther is an estimate, whatever its source says. On training clips masks that are off
-by 4 px turn exact hands by up to 4.1 degrees, hands of the level ``moderate`` are turned by up to 3.9, of 10 mm and 8
-degrees by 4.9 or more."""
+UNLIKE_MEASURED, EXPLAINED = np.radians(4.5), 0.5
+"""A hand that its evidence turns farther, and of whose differing pixels less than this share then still differ, is an
+estimate, whatever its source says. On training clips hands of 10 mm and 8 degrees are turned by 4.9 or more,
+``moderate`` ones by up to 4.3, and ``strong`` ones leave 36 % at most. Masks that are off by 4 px turn exact hands by
+up to 6.2 degrees, but then leave 80 %."""
 STEPS = 10, 8, 3
 """Iterations: without bends; with them, at some of the frames; at all of them."""
 FEW = 10
@@ -138,7 +139,8 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
         return None, before
     seen, kind = seen.with_field, kind_of_hands(clip.provenance)
     found, after = _fitted(_SeenHand(seen, joints), ASSUMED[kind], unrefined)
-    if kind == "measured" and np.linalg.norm(found.errors[:, TURN], axis=1).mean() > UNLIKE_MEASURED:
+    turned_far = np.linalg.norm(found.errors[:, TURN], axis=1).mean() > UNLIKE_MEASURED
+    if kind == "measured" and turned_far and not after > EXPLAINED * before:
         kind = "estimated"
         found, after = _fitted(_SeenHand(seen, joints), ASSUMED[kind], unrefined)
     if joints is not None and after > SUSPICIOUS:
