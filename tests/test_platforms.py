@@ -43,6 +43,15 @@ def test_every_module_can_be_imported_without_posix_and_doctor_says_what_is_miss
     assert "locks on files" in done.stdout
 
 
+def test_letters_that_an_output_lacks_are_escaped() -> None:
+    command = [sys.executable, "-m", "getagrip", "--help"]
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(command, env=environment, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert b"reconstruct" in done.stdout
+    assert done.stdout.isascii()
+
+
 @pytest.mark.parametrize("platform", ["darwin", "win32"])
 def test_a_limit_of_memory_is_refused_where_the_system_has_none(monkeypatch: pytest.MonkeyPatch, platform: str) -> None:
     monkeypatch.setattr(sys, "platform", platform)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import csv
+import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from runpy import run_path
 
 import numpy as np
 import pytest
@@ -14,10 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks import signed_results
-from benchmarks.probability import RIGHT, Results, calibrated, source
+from benchmarks.probability import RIGHT, Results, calibrated, stored, write
 from getagrip.checks import Solved
-from getagrip.checks.calibrated import CALIBRATIONS
-from getagrip.checks.kept import ESTIMATED
+from getagrip.checks.calibrated import CALIBRATIONS, ESTIMATED, FILE, read_calibrated
 from getagrip.checks.signs import (
     HAND_SIGNS,
     SIGNS,
@@ -272,8 +271,8 @@ def table(file: Path, columns: tuple[str, ...]) -> Path:
 def test_both_are_fitted_to_the_same_results_and_read_back(tmp_path: Path) -> None:
     rows = signed_results.read(table(tmp_path / "results.csv", signed_results.COLUMNS))
     fitted = [calibrated(Results(rows, where), "today") for where in RIGHT]
-    (tmp_path / "calibrated.py").write_text(source(fitted), encoding="utf-8")
-    back = run_path(str(tmp_path / "calibrated.py"))["CALIBRATIONS"]
+    write(path := Path(shutil.copy(FILE, tmp_path)), measured=stored(fitted))
+    back = read_calibrated(path)[0]
     assert [*back] == [("soft-hinge", "hand"), ("soft-hinge", "camera")]
     first, second = (sign.name for sign in SIGNS[:2])
     for there, made in zip(back.values(), fitted, strict=True):
@@ -318,3 +317,10 @@ def test_nothing_is_promised_of_results_with_wrong_evidence(check: str) -> None:
     assert after is not None
     assert before.keep >= 0.95
     assert (after.value, after.keep, after.beyond) == (before.value, 0.0, (check,))
+
+
+def test_estimated_hands_without_joints_are_no_extrapolation() -> None:
+    without = joint_error(mug())
+    for calibration in ESTIMATED.values():
+        assert not calibration.weights["joint-error"].beyond(without), "a limit is rounded in its file"
+        assert calibration.weights["joint-error"].beyond(without + 0.01)

@@ -9,7 +9,7 @@ scaled.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +17,23 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip.depth import DEPTH, DepthSource
-from getagrip.clip.depth_files import FARTHEST, SUFFIXES, cleaned, png_size, read_pixels, read_png16
+from getagrip.clip.depth_files import (
+    FARTHEST,
+    SUFFIXES,
+    check_shape,
+    cleaned,
+    depth_file,
+    png_size,
+    read_pixels,
+    read_png16,
+    source_fields,
+)
 from getagrip.clip.naming import check_numbers, frames_of, number_of
+from getagrip.clip.reading import ClipHeader
 from getagrip.errors import InputError, UsageError, unknown
 from getagrip.io import arrays, files
 from getagrip.io.files import plain
-from getagrip.io.images import read_colour_png
+from getagrip.io.images import read_colour_png, write_depth
 
 HO3D_UNIT = 0.00012498664727900177
 """Metres per unit of HO-3D's depth (``read_depth_img`` of its authors' code)."""
@@ -201,7 +212,7 @@ def check_camera(reader: DepthReader, source: DepthSource, K: Float[ndarray, "T 
 
 
 def chosen_source(name: str, scale: str | None, unit: float | None, error: float | None) -> DepthSource:
-    """Return what a format's numbers are, as far as the user does not say otherwise. Raises ``UsageError``."""
+    """Return the measure of a format's numbers, or the one that the user states. Raises ``UsageError``."""
     source = SOURCES[name].source
     if error is not None and not 0.0 < error < 1.0:
         raise UsageError(f"--error must be a share of the distance, above 0 and below 1 (got {error})")
@@ -213,3 +224,56 @@ def chosen_source(name: str, scale: str | None, unit: float | None, error: float
         source.unit if unit is None else unit,
         source.error if error is None else error,
     )
+
+
+LARGEST = 65534
+"""Largest number of a 16-bit image that is a distance."""
+MIDDLE = 16384
+"""Numbers with fractions are written so that the first image's median is this."""
+
+
+def add_depth(
+    header: ClipHeader,
+    reader: DepthReader,
+    source: DepthSource,
+    said: str,
+    unit: float | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Write ``depth/`` of a clip, and what it is and where it is from into its ``clip.json``. Raises ``InputError``.
+
+    ``unit`` is that of the files, where the user states it [m].
+    """
+    older = (depth_file(header.folder, frame) for frame in header.frames if overwrite)
+    there = tuple(Path(name).name for name in older if name is not None)
+    whence = header.fields["provenance"] | {DEPTH: said}
+    with files.new_folder(header.folder / DEPTH, there) as new:
+        found = _write(reader, header.frames, header.size, unit, new)
+        with files.new_file(header.folder / "clip.json") as part:
+            stored = source_fields(replace(source, unit=found))
+            files.write_json(part, header.changed({DEPTH: stored, "provenance": whence}))
+
+
+def _write(
+    reader: DepthReader, frames: Sequence[str], size: tuple[int, int], stated: float | None, folder: Path
+) -> float:
+    """Write the images, one at a time in memory, and return the unit of their numbers. Raises ``InputError``.
+
+    Whole numbers stay as they are.
+    """
+    unit, written, path = 0.0, 0.0, folder
+    for n in reader.known:
+        path, image, one = reader.read(n)
+        check_shape(path, image, size)
+        one = one if stated is None else stated
+        if not unit:
+            whole = bool(np.all(image == np.floor(image))) and image.max() <= LARGEST
+            middle = float(np.median(image[image > 0.0])) if image.any() else 0.0
+            unit = one if whole or not middle else one * middle / MIDDLE
+        numbers = np.rint(image * (one / unit))
+        numbers[numbers > LARGEST] = 0.0  # farther than anything near a hand
+        written += float(numbers.sum())
+        write_depth(folder / f"{frames[n]}.png", numbers.astype(np.uint16))
+    if not written:
+        raise InputError(path, "", "0 in all images", "distances, 0 for none")
+    return unit

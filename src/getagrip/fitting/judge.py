@@ -10,10 +10,9 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.checks import Solved
-from getagrip.checks.calibrated import CALIBRATIONS
+from getagrip.checks.calibrated import CALIBRATIONS, ESTIMATED, KEEPING
 from getagrip.checks.calibration import Where
 from getagrip.checks.keeping import InputKind, kind_of_input
-from getagrip.checks.kept import ESTIMATED, KEEPING
 from getagrip.clip import Clip
 from getagrip.finding import Finding
 from getagrip.fitting.every_frame import Track
