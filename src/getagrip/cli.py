@@ -54,6 +54,9 @@ DESCRIPTION = (
 BENCH = "Compare methods on a dataset, or on a folder of clips: the paper's tables, with intervals."
 
 
+IMPORT = "Import datasets; or hands, masks, depth, cameras or segments into clips."
+
+
 def commands(imports: Any, figures: Any) -> Any:
     """Make the union of all commands, in the order of use: to try it, input, reconstruction, results, research.
 
@@ -66,7 +69,12 @@ def commands(imports: Any, figures: Any) -> Any:
         | Annotated[Label, subcommand("label")]
         | Annotated[NewClip, subcommand("clip new")]
         | Annotated[Annotate, subcommand("annotate")]
-        | Annotated[imports, subcommand("import", description="Import datasets, hands or masks.")]
+        | Annotated[
+            imports,
+            subcommand(
+                "import", description="Import datasets; or hands, masks, depth, cameras or segments into clips."
+            ),
+        ]
         | Annotated[EpicCandidates, subcommand("epic candidates")]
         | Annotated[Reconstruct, subcommand("reconstruct")]
         | Annotated[Refine, subcommand("refine")]

@@ -68,7 +68,7 @@ class Ledger(Entries):
             self._db.close()
 
     def expect(self, names: Iterable[str], failed: Iterable[Entry]) -> None:
-        """Enter what is to be done, where it has no entry, and what cannot be: paths that give no clip.
+        """Enter tasks that have no entry, and paths that give no clip.
 
         Their names have a slash, as no clip's has. They take the place of those of earlier calls.
         """
@@ -104,7 +104,7 @@ class Ledger(Entries):
             return Entry(**{**vars(entry), "state": "open" if entry.state == "failed" else entry.state})
 
     def end(self, entry: Entry) -> None:
-        """Write what has become of a task of ours, unless another driver has taken us for dead and it over.
+        """Write the outcome of this driver's task, unless another one took this for dead and the task over.
 
         Of one whose result was ``kept``, what is known of its making stays.
         """

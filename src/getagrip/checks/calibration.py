@@ -34,7 +34,7 @@ class Weight:
     """The range of the sign in the training data, but for the last hundredth at either end."""
 
     def clipped(self, value: float) -> float:
-        """Clip a value to the range: better than in training is no surer, worse counts on."""
+        """Clip a value that is better than in training to the range; a worse one keeps counting."""
         return max(value, self.low) if self.weight < 0.0 else min(value, self.high)
 
     def beyond(self, value: float) -> bool:

@@ -78,7 +78,7 @@ class Dataset:
         return {str(record.get("clip", "")) for record in self.records}
 
     def tests(self, clips: Collection[str], share: float) -> set[str]:
-        """Choose which of some clips are for tests, so that they are a share of all, with those that are there.
+        """Choose test clips among new ones, so that a ``share`` of all clips, old ones included, is for tests.
 
         By the checksums of their names, whatever their order. What is there stays what it is.
         """

@@ -188,7 +188,7 @@ def write_json(path: Path, content: Mapping[str, object] | Sequence[object]) -> 
 
 
 def to_json(content: Mapping[str, object] | Sequence[object]) -> str:
-    """Write a JSON object or list as ``write_json`` does."""
+    """Write a JSON object or list as a text, as ``write_json`` does into a file."""
     return legible(json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False))
 
 
