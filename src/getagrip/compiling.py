@@ -6,14 +6,15 @@ Python. There they outlast upgrades and new environments, and a kernel whose sou
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import importlib
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
@@ -23,6 +24,7 @@ from numba import config, njit, types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
 from getagrip.io import files, locks
+from getagrip.io.user_folders import cache_folder
 
 OPTIONS: dict[str, Any] = {
     "cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"},
@@ -35,10 +37,12 @@ in a process the first to be loaded counts, and that is another one where kernel
 """
 GROUPS = (
     ("fitting.energy.mask", "kernels.hand", "kernels.silhouette", "kernels.contour"),
-    ("kernels.closest", "fitting.contact", "fitting.energy.push", "fitting.energy.pull"),
-    ("geometry.depth", "fitting.observation", "fitting.mask_gaps", "hands.bending"),
-)
-"""Modules whose kernels share parts are compiled by one process; those that take longest first."""
+    (
+        "kernels.closest", "fitting.contact", "fitting.energy.push", "fitting.energy.pull", "geometry.depth",
+        "fitting.observation", "fitting.mask_gaps", "hands.bending",
+    ),
+)  # fmt: skip
+"""Modules whose kernels are compiled by one process: those that share parts, and as many as take equally long."""
 RARE = (
     "fitting.energy.mask_by_shape", "fitting.energy.paper_push", "fitting.energy.paper_pull", "fitting.energy.depth",
     "kernels.depth", "fitting.energy.order", "fitting.energy.contact_consistency", "kernels.cut",
@@ -48,6 +52,8 @@ LETTERS = {
     "f": types.float64, "s": types.float32, "i": types.int64, "n": types.int32, "t": types.int8, "u": types.uint64,
     "b": types.boolean,
 }  # fmt: skip
+ALLOCATING = {"copy", "empty", "zeros", "zeros_like"}
+"""Calls for which a kernel must count references. Without them it need not, and numba refuses to compile others."""
 WORDS = "kernels are compiled, once for this version: about 20 seconds of one core"
 
 _declared: list[tuple[Any, str]] = []
@@ -57,12 +63,13 @@ def kernel(arguments: str = "", fastmath: bool = True) -> Callable[[Any], Any]:
     """Make a decorator that compiles a function.
 
     ``arguments`` are the types that a kernel called from Python is compiled for ahead: a letter of ``LETTERS`` each,
-    then the number of axes of an array, as in "f3 i". A private one without them can be called by kernels only.
+    then the number of axes of an array, as in "f3 i". One without them is a part of others, called by kernels only.
     Without ``fastmath``, sums keep their order.
     """
 
     def decorate(function: Callable) -> Any:
-        options = OPTIONS | {"no_cpython_wrapper": not arguments and function.__name__.startswith("_")}
+        allocates = not ALLOCATING.isdisjoint(function.__code__.co_names)
+        options = OPTIONS | {"no_cpython_wrapper": not arguments, "_nrt": allocates}
         compiled = njit(**options if fastmath else options | {"fastmath": False})(function)
         compiled._cache = _Cache(function)
         if arguments:
@@ -98,9 +105,22 @@ def compile_modules(names: Iterable[str]) -> None:
     modules = {f"getagrip.{name}" for name in names}
     for module in modules:
         importlib.import_module(module)
-    for compiled, arguments in _declared:
-        if compiled.py_func.__module__ in modules:
-            compiled.compile(signature(arguments))
+    with _collecting_no_garbage():
+        for compiled, arguments in _declared:
+            if compiled.py_func.__module__ in modules:
+                compiled.compile(signature(arguments))
+
+
+@contextmanager
+def _collecting_no_garbage() -> Iterator[None]:
+    """Leave garbage for later: numba makes many objects that stay; looking through them takes a tenth of its time."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 def signature(arguments: str) -> tuple[Any, ...]:
@@ -116,8 +136,8 @@ def folder() -> Path:
     total = hashlib.sha256(repr((numba.__version__, sys.version_info[:2], sys.platform)).encode())
     for name in ("compiling", *(name for group in (*GROUPS, RARE) for name in group)):
         total.update(Path(__file__).parent.joinpath(*name.split(".")).with_suffix(".py").read_bytes())
-    user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "getagrip" / "kernels"
-    return (Path(config.CACHE_DIR) if config.CACHE_DIR else user) / total.hexdigest()[:16]
+    kept = Path(config.CACHE_DIR) if config.CACHE_DIR else cache_folder() / "kernels"
+    return kept / total.hexdigest()[:16]
 
 
 def mark_file() -> Path:

@@ -22,7 +22,7 @@ def cleaned(text: str, kept: str = "") -> str:
 
 def legible(text: str) -> str:
     """Replace bytes of file names that are no UTF-8, so that a page or a table can hold the text."""
-    return "".join("\ufffd" if "\ud800" <= letter <= "\udfff" else letter for letter in text)
+    return re.sub("[\ud800-\udfff]", "\ufffd", text)
 
 
 class GetagripError(Exception):

@@ -13,8 +13,12 @@ from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
 from getagrip.fitting.observation import CROP, observe
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.kernels.silhouette import mismatch, pack, silhouettes, unpack
+from getagrip.kernels import silhouette
+from getagrip.kernels.silhouette import pack, silhouettes, unpack
+from helpers.parts import callable_part
 from helpers.terms import MESHES
+
+mismatch = callable_part(silhouette.mismatch)
 
 SIZE = 300
 CAMERA = np.array([[560.0, 0.0, 148.0], [0.0, 570.0, 152.0], [0.0, 0.0, 1.0]])

@@ -10,13 +10,14 @@ from getagrip.datasets.synthetic import shapes
 from getagrip.fitting.energy.mask import SilhouetteMesh
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.kernels.silhouette import (
-    PLANES,
-    project,
-    rasterise,
-    silhouette_edges,
-)
+from getagrip.kernels import silhouette
+from getagrip.kernels.silhouette import PLANES
 from helpers.clips import box
+from helpers.parts import callable_part
+
+project, rasterise, silhouette_edges = (
+    callable_part(part) for part in (silhouette.project, silhouette.rasterise, silhouette.silhouette_edges)
+)
 
 SEEDS = st.integers(0, 2**32 - 1)
 """Random numbers come from numpy, not from hypothesis, which loves the round ones: pixel centres exactly on an edge."""

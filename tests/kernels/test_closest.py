@@ -10,9 +10,13 @@ from numpy import ndarray
 
 from getagrip.datasets.synthetic import shapes
 from getagrip.geometry.mesh import Mesh
-from getagrip.kernels.closest import SLACK, FaceGrid, screen, signed_distance
+from getagrip.kernels import closest
+from getagrip.kernels.closest import SLACK, FaceGrid
 from helpers import reference_kernels as reference
+from helpers.parts import callable_part
 from helpers.posed_meshes import MESHES, SEEDS, pose
+
+screen, signed_distance = callable_part(closest.screen), callable_part(closest.signed_distance)
 
 
 def _corners(mesh: Mesh) -> tuple[ndarray, ndarray]:

@@ -9,12 +9,15 @@ from hypothesis import strategies as st
 from numpy import ndarray
 
 from getagrip.kernels import contour
-from getagrip.kernels.silhouette import (
-    pack,
-    unpack,
-)
+from getagrip.kernels.silhouette import pack, unpack
 from helpers import reference_kernels as reference
+from helpers.parts import callable_part
 from helpers.posed_meshes import MESHES, SEEDS, SIZE, WHICH, blobs, outlined
+
+sample_contour, sample_field, match_boundary, accumulate = (
+    callable_part(part)
+    for part in (contour.sample_contour, contour.sample_field, contour.match_boundary, contour.accumulate)
+)
 
 
 @pytest.mark.compiles
@@ -24,7 +27,7 @@ def test_contour_points(which: str, seed: int, step: float, zoom: float) -> None
     uvz[:2] /= zoom  # positions are those of the crop, the mask is that of the level
     _, valid = blobs(seed)
     points, lines = np.zeros((7, 1500)), np.empty((12, edges.shape[1]))
-    n = contour.sample_contour(uvz, edges, edges.shape[1], zoom, step, bits, pack(valid), lines, points)
+    n = sample_contour(uvz, edges, edges.shape[1], zoom, step, bits, pack(valid), lines, points)
     expected = reference.sample_contour(uvz.T, edges.T, zoom, step, unpack(bits, SIZE), valid)
     assert n == expected.shape[1]
     np.testing.assert_allclose(points[:5, :n], expected[:5], rtol=1e-9, atol=1e-9)
@@ -37,7 +40,7 @@ def test_contour_points_lie_on_the_contour_and_face_outward(seed: int) -> None:
     uvz, edges, bits = outlined(MESHES["mug"], seed)
     points = np.zeros((7, 1500))
     everywhere, lines = pack(np.ones((SIZE, SIZE), bool)), np.empty((12, edges.shape[1]))
-    n = contour.sample_contour(uvz, edges, edges.shape[1], 1.0, 1.0, bits, everywhere, lines, points)
+    n = sample_contour(uvz, edges, edges.shape[1], 1.0, 1.0, bits, everywhere, lines, points)
     within = np.all((points[:2, :n] > 1.0) & (points[:2, :n] < SIZE - 1.0), axis=0)
     at, normal = points[:2, :n][:, within], points[3:5, :n][:, within]
     np.testing.assert_allclose(np.linalg.norm(normal, axis=0), 1.0)
@@ -62,7 +65,7 @@ def test_distances_are_looked_up_between_pixels(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     points, field = _points(rng, n), rng.normal(size=(128, 128)).astype(np.float32)
     expected = reference.sample_field(points[:, :n], field, 0.5, 2.0, 0.3)
-    contour.sample_field(points, n, field, 0.5, 2.0, 0.3)
+    sample_field(points, n, field, 0.5, 2.0, 0.3)
     # The kernel stops short of the last row and column by a millionth of a pixel.
     np.testing.assert_allclose(points[:, :n], expected, rtol=1e-4, atol=1e-4)
 
@@ -73,7 +76,7 @@ def test_observed_points_take_hold_of_the_contour(seed: int, n: int) -> None:
     points = _points(rng, n)
     targets = np.column_stack([rng.uniform(0, 256, (20, 2)), _points(rng, 20)[3:5, :20].T, rng.uniform(1, 4, 20)])
     matched = np.empty((7, 20))
-    value = contour.match_boundary(points, n, targets, 6400.0, 0.7, 2.0, matched)
+    value = match_boundary(points, n, targets, 6400.0, 0.7, 2.0, matched)
     expected, expected_value = reference.match_boundary(points[:, :n], targets, 6400.0, 0.7, 2.0)
     np.testing.assert_allclose(matched, expected, rtol=1e-9, atol=1e-9)
     assert value == pytest.approx(expected_value)
@@ -85,7 +88,7 @@ def test_normal_equations(seed: int, n: int) -> None:
     points = _points(rng, n)
     centre, K = np.array([0.0, 0.0, 0.4]) + rng.normal(0.0, 0.1, 3), np.array([400.0, 380.0, 120.0, 130.0])
     g, H = np.zeros(7), np.zeros((7, 7))
-    contour.accumulate(points, n, centre, K, g, H)
+    accumulate(points, n, centre, K, g, H)
     expected_g, expected_H = reference.normal_equations(points[:, :n], centre, K)
     np.testing.assert_allclose(g, expected_g, rtol=1e-9, atol=1e-6)
     np.testing.assert_allclose(np.triu(H), np.triu(expected_H), rtol=1e-9, atol=1e-6)

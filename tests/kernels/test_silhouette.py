@@ -9,17 +9,14 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy import ndarray
 
-from getagrip.kernels.silhouette import (
-    NEAR,
-    mismatch,
-    pack,
-    project,
-    silhouettes,
-    unpack,
-)
+from getagrip.kernels import silhouette
+from getagrip.kernels.silhouette import NEAR, pack, silhouettes, unpack
 from helpers import reference_kernels as reference
 from helpers.clips import box
-from helpers.posed_meshes import MESHES, SEEDS, SIZE, WHICH, outlined, pose, soup, tables
+from helpers.parts import callable_part
+from helpers.posed_meshes import MESHES, SEEDS, SIZE, WHICH, outlined, pose, project, soup, tables
+
+mismatch = callable_part(silhouette.mismatch)
 
 
 @given(WHICH, SEEDS)

@@ -24,7 +24,7 @@ NOISE = 4.0
 
 
 def fine(image: UInt8[ndarray, "H W 3"], inside: Float32[ndarray, "H W"], zoom: float) -> Bool[ndarray, "H W"]:
-    """Draw the border anew around which ``inside`` has signed distances [px of the smaller size].
+    """Draw the border anew, near the one that signed distances give [px of the smaller size].
 
     ``zoom``: how many times larger the image is.
     """

@@ -146,33 +146,31 @@ def distance_to(target: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:
     return np.sqrt(np.rint(rounded * rounded))  # OpenCV's last bits differ from process to process
 
 
-@kernel("b2 b2 s2 f f2")
-def _boundary(observed, valid, field, zoom, targets):
+def _boundary(
+    observed: Bool[ndarray, "s s"],
+    valid: Bool[ndarray, "s s"],
+    field: Float32[ndarray, "s s"],
+    zoom: float,
+    targets: Float[ndarray, "Q 5"],
+) -> None:
     """Spread the targets over the pixels of the object that touch visible background; unused ones get length 0."""
-    size = len(observed)
-    rows, cols = np.empty(size * size, np.int64), np.empty(size * size, np.int64)
-    n = 0
-    for i in range(1, size - 1):
-        for j in range(1, size - 1):
-            if observed[i, j] and (
-                (valid[i - 1, j] and not observed[i - 1, j])
-                or (valid[i + 1, j] and not observed[i + 1, j])
-                or (valid[i, j - 1] and not observed[i, j - 1])
-                or (valid[i, j + 1] and not observed[i, j + 1])
-            ):
-                rows[n], cols[n] = i, j
-                n += 1
-    for q in range(len(targets)):
-        for k in range(5):
-            targets[q, k] = 0.0
-    used = min(n, len(targets))
-    for q in range(used):
-        k = (2 * q + 1) * n // (2 * used)
-        i, j = rows[k], cols[k]
+    background, touching = valid & ~observed, np.zeros_like(observed)
+    touching[1:-1, 1:-1] = background[:-2, 1:-1] | background[2:, 1:-1] | background[1:-1, :-2] | background[1:-1, 2:]
+    pixels = np.argwhere(touching & observed)
+    n, used = len(pixels), min(len(pixels), len(targets))
+    chosen = (2 * np.arange(used) + 1) * n // (2 * max(used, 1))
+    targets[:, :4], targets[:, 4] = 0.0, np.where(np.arange(len(targets)) < used, zoom * n / max(used, 1), 0.0)
+    _place(np.ascontiguousarray(pixels[chosen]), field, zoom, targets)
+
+
+@kernel("i2 s2 f f2")
+def _place(pixels, field, zoom, targets):
+    """Fill in position and outward normal of the targets on pixels (n, 2)."""
+    for q in range(len(pixels)):
+        i, j = pixels[q, 0], pixels[q, 1]
         gx, gy = field[i, j + 1] - field[i, j - 1], field[i + 1, j] - field[i - 1, j]
         norm = np.sqrt(gx * gx + gy * gy) + 1e-12
         gx, gy = gx / norm, gy / norm
         d = field[i, j]  # from the pixel's centre to the contour itself
         targets[q, 0], targets[q, 1] = (j + 0.5) * zoom - d * gx, (i + 0.5) * zoom - d * gy
         targets[q, 2], targets[q, 3] = gx, gy
-        targets[q, 4] = zoom * n / used

@@ -217,7 +217,7 @@ def signed_distance(x, y, z, corners, normals, face, origin, spacing):
     least, nearest, part, seen, seen_before = np.inf, -1, 0, -1, -1
     dx, dy, dz = 0.0, 0.0, 0.0
     for node in range(8):
-        f = int(face[i + (node & 1), j + (node >> 1 & 1), k + (node >> 2)])
+        f = np.int64(face[i + (node & 1), j + (node >> 1 & 1), k + (node >> 2)])
         if f in (nearest, seen, seen_before):
             continue
         seen, seen_before = f, seen

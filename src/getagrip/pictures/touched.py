@@ -157,5 +157,7 @@ def _of_own_hand(view: View) -> Float[ndarray, "T"]:
     in_object = se3.transform(se3.inverse(T_hand_obj), hand.vertices)
     of_hand = moving_distance(in_object, np.broadcast_to(surface, (len(in_object), *surface.shape)), faces)
     in_hand = se3.transform(T_hand_obj, fine([grasped], GAP_VERTICES)[0].vertices)
-    of_object = moving_distance(in_hand, *close_holes(hand.vertices, hand.faces), REACH)
-    return np.asarray(np.minimum(of_hand.min(axis=1), of_object.min(axis=1)))
+    least = of_hand.min(axis=1)  # farther vertices of the object change nothing
+    reach = min(REACH, max(float(least.max()), 0.0))
+    of_object = moving_distance(in_hand, *close_holes(hand.vertices, hand.faces), reach)
+    return np.asarray(np.minimum(least, of_object.min(axis=1)))

@@ -110,10 +110,10 @@ def _evaluate(
         for n in range(N):
             count = sample_contour(uvz[n], edge[n], n_edges[n], zoom, step, bits[n], valid[n], lines, points)
             sample_field(points, count, field[n], FIELD / CROP, step / zoom, delta)
-            accumulate(points, count, centre[b, n], K[n], g[b, n], H[b, n])
             if coverage > 0.0:
                 match_boundary(points, count, targets[n], gate, coverage, delta, matched)
-                accumulate(matched, targets.shape[1], centre[b, n], K[n], g[b, n], H[b, n])
+            for some, many in ((points, count), (matched, targets.shape[1] if coverage > 0.0 else 0)):
+                accumulate(some, many, centre[b, n], K[n], g[b, n], H[b, n])
             for i in range(1, 7):
                 for j in range(i):
                     H[b, n, i, j] = H[b, n, j, i]
