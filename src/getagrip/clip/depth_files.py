@@ -49,9 +49,10 @@ def read_depth(clip: Clip) -> Depth | None:
     if clip.folder is None:
         return None
     if not os.path.lexists(clip.folder / DEPTH):
-        if DEPTH in files.read_json(clip.folder / "clip.json"):
+        about = clip.folder / "clip.json"  # a clip that is being made has none
+        if about.is_file() and DEPTH in files.read_json(about):
             expected = f"the description of a folder {DEPTH}, or left out"
-            raise InputError(clip.folder / "clip.json", DEPTH, "no such folder", expected)
+            raise InputError(about, DEPTH, "no such folder", expected)
         return None
     source = read_source(clip.folder / "clip.json")
     names = [depth_file(clip.folder, frame) for frame in clip.frames]
