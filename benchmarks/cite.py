@@ -9,6 +9,8 @@
                                              METHOD=TABLE: of one that was run on exact input only
     {{ methods COLUMN }}                     a column of all methods, by set of clips
     {{ leaderboard }}                        every method on every real motion, and what others printed
+    {{ motions }}                            the default on every real motion, and the probability fitted without it
+    {{ printed FILE }}                       others' numbers by part of a benchmark, in each column, with their sources
     {{ made TABLE }}                         at which commit, when, by which command
 
 Keys of rows are their labels in small letters, with "-" for what is neither letter nor digit. An unknown key is a
@@ -24,6 +26,7 @@ from fnmatch import fnmatch
 
 from benchmarks import store
 from benchmarks.store import Cell, Column, Row
+from getagrip.experiments import published
 
 PLACE = re.compile(r"\{\{ (.+?) \}\}")
 WRITTEN = re.compile(r"<!-- \{\{ (.+?) \}\} -->(.*?)<!-- end -->", re.DOTALL)
@@ -62,9 +65,12 @@ MOTIONS = {
     "ARCTIC's motion": ("arctic-methods", ""),
     "DexYCB": ("dexycb-methods", ""),
     "ten new objects": ("dexycb-other-final", "-exact"),
-    "ARCTIC, estimated hands": ("arctic-estimated-methods", ""),
+    "HOT3D's and TACO's samples": ("samples-hot3d-taco-methods", ""),
+    "ARCTIC, estimated hands": ("arctic-motion-methods", ""),
 }
 """Real motion, the table of it, and the end of its rows' keys."""
+PARTS_OF = {"ARCTIC's motion": "arctic", "DexYCB": "dexycb", "ARCTIC, estimated hands": "arctic"}
+"""Those that the probability is fitted to, by their names in its table (``benchmarks.left_out``)."""
 
 
 def fill(text: str) -> str:
@@ -222,6 +228,24 @@ def leaderboard() -> str:
     return grid(["method", "by", "given", *MOTIONS, "s", "runs on", "licence"], lines)
 
 
+def motions() -> str:
+    """The default on each real motion, with the probability's AUROC and ECE there, fitted to all and without it."""
+    columns = ("clips", "iou", "add", "add_sym", "sca_add_sym", "right_in_camera", "seconds")
+    fits = store.read("probability-left-out") if "probability-left-out" in store.names() else None
+    lines, heads = [], ["IOU", "ADD", "ADD sym.", "SCA-ADD sym.", "in the camera", "s"]
+    for label, (name, suffix) in MOTIONS.items():
+        found = store.read(name)
+        row = found.row(f"soft-hinge{suffix}")
+        cells = [shown(found.column(key), row.get(key)) for key in columns]
+        for words in ("fitted-to-all", "fitted-without-it"):
+            part = PARTS_OF.get(label)
+            fit = _row(fits, f"{part}-in-the-hand-{words}") if fits and part else None
+            texts = [shown(fits.column(key), fit.get(key)) for key in ("auroc", "ece")] if fits and fit else []
+            cells.append(" / ".join(texts) or ("–" if part else "no part in it"))
+        lines.append([label, *cells, str(found.made.get("commit", "–"))])
+    return grid(["motion", "clips", *heads, "AUROC / ECE", "without it", "commit"], lines)
+
+
 def _row(table: store.Table, key: str) -> Row | None:
     return next((row for row in table.rows if store.key_of(row) == key), None)
 
@@ -243,5 +267,7 @@ DIRECTIVES: dict[str, Callable[..., str]] = {
     "inputs": inputs,
     "methods": methods,
     "leaderboard": leaderboard,
+    "motions": motions,
+    "printed": lambda name: "\n".join(published.lines(published.read(name), {})),
     "made": made,
 }

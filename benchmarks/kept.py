@@ -1,6 +1,6 @@
 """Calibrate what is kept: ``python -m benchmarks.kept ROWS``.
 
-ROWS is a file of ``benchmarks.kept_rows``, or several joined. Its training part gives ``checks/kept.py``: the
+ROWS is a file of ``benchmarks.kept_rows``, or several joined. Its training part gives ``checks/calibrated.json`` the
 probability for estimated hands, and for each kind of input the thresholds of ``checks.keeping``. The validation part is
 held against them: ``results/kept.json``; how many of it are right, by evidence: ``results/evidence-validation.json``.
 Nothing is reconstructed.
@@ -8,7 +8,6 @@ Nothing is reconstructed.
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,10 +21,10 @@ from numpy import ndarray
 
 from benchmarks import store
 from benchmarks.kept_rows import SEEDS, Row, read
-from benchmarks.probability import entry
+from benchmarks.probability import stored, write
 from benchmarks.reliability import auroc, auroc_interval, calibration_error, fit_weights, least_error
 from benchmarks.timing import circumstances
-from getagrip.checks.calibrated import CALIBRATIONS
+from getagrip.checks.calibrated import CALIBRATIONS, FILE
 from getagrip.checks.calibration import Calibration, Where
 from getagrip.checks.keeping import SHARES, InputKind, Keeping, least_kept, least_of_sets
 from getagrip.checks.signs import ESTIMATED_SIGNS
@@ -34,7 +33,6 @@ from getagrip.fitting.options import Options
 from getagrip.io.code import stamp
 from getagrip.probability import HOLDS, Probability
 
-SOURCE = Path(__file__).resolve().parents[1] / "src/getagrip/checks/kept.py"
 METHOD = Options().method
 Kept = Mapping[tuple[InputKind, Where], Keeping]
 KEPT = 0.95
@@ -108,26 +106,13 @@ def of_part(rows: Sequence[Row], part: str, where: Where) -> Results:
     return Results([row for row in rows if row["part"] == part and not row["serious"]], where)
 
 
-def source(estimated: Mapping[Where, Calibration], keeping: Kept) -> str:
-    """Return the module that holds the calibrations."""
-    made = next(iter(estimated.values())).made
-    fitted = "".join(map(entry, estimated.values()))
-    kept = "".join(f"    {key!r}: {_literal(one)},\n" for key, one in keeping.items())
-    return (
-        '"""The probability for estimated hands, and thresholds by kind of input; written by ``python -m '
-        f'benchmarks.kept``.\n\nMade {made}.\n"""\n\n'
-        "from getagrip.checks.calibration import Calibration, Weight, Where\n"
-        "from getagrip.checks.keeping import InputKind, Keeping\n\n"
-        f"ESTIMATED: dict[tuple[str, Where], Calibration] = {{\n{fitted}}}\n"
-        '"""By method, and by where poses are right."""\n'
-        f"KEEPING: dict[tuple[InputKind, Where], Keeping] = {{\n{kept}}}\n"
-        '"""By kind of input, and by where poses are right."""\n'
-    )
-
-
-def _literal(one: Keeping) -> str:
-    least, sets = (", ".join(f"{key!r}: {p:.4g}" for key, p in part.items()) for part in (one.least, one.sets))
-    return f"Keeping({{{least}}}, {{{sets}}})"
+def thresholds(keeping: Kept) -> list[dict[str, object]]:
+    """The thresholds as ``calibrated.json`` holds them."""
+    return [
+        {"input": kind, "where": where}
+        | {part: {f"{key}": float(f"{p:.4g}") for key, p in least.items()} for part, least in vars(one).items()}
+        for (kind, where), one in keeping.items()
+    ]
 
 
 HEADER = (
@@ -217,8 +202,7 @@ def main(file: Path) -> None:
     """Fit, and write both down."""
     rows = read(file)
     estimated, keeping = calibrated(rows, stamp())
-    SOURCE.write_text(source(estimated, keeping), encoding="utf-8")
-    subprocess.run([sys.executable, "-m", "ruff", "format", "-q", SOURCE], check=True)
+    write(FILE, estimated=stored(estimated.values()), keeping=thresholds(keeping))
     makers = ", ".join(sorted({row["made"] for row in rows}))
     counts = [len(of_part(rows, part, "hand").rows) for part in SEEDS]
     notes = (

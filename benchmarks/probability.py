@@ -2,20 +2,20 @@
 
 DEXYCB and YCB are the folders of the dataset and of its models. Signs of results go into OUT/results.csv
 (``signed_results``); rows that are there are kept, so that an interrupted run goes on where it stopped. After a change
-of the method another OUT is to be named. The training part is fitted (``checks/calibrated.py``), once to what is right
-in the hand and once to what is right in the camera; the test part is held against it: ``results/probability-*.json``
-and docs/images/reliability.png.
+of the method another OUT is to be named. The training part is fitted (``checks/calibrated.json``), once to what is
+right in the hand and once to what is right in the camera; the test part is held against it:
+``results/probability-*.json`` and docs/images/reliability.png.
 """
 
 from __future__ import annotations
 
-import subprocess
+import json
+import re
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, astuple, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from textwrap import wrap
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,6 +28,7 @@ from benchmarks.signed_results import Row, cases, collect
 from benchmarks.store import Table
 from benchmarks.timing import circumstances
 from getagrip.batch.executor import cores
+from getagrip.checks.calibrated import FILE
 from getagrip.checks.calibration import Calibration, Where
 from getagrip.checks.signs import SIGNS
 from getagrip.experiments.comparison import resamples
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 METHOD = Options().method
-SOURCE = Path(__file__).resolve().parents[1] / "src/getagrip/checks/calibrated.py"
+NUMBERS = re.compile(r'\[[-\d.e,\s]*\]|\{\s*"\d[^{}]*\}')
 SECTION, PICTURE = "probability", "reliability.png"
 RIGHT: dict[Where, str] = {"hand": "right", "camera": "right-in-camera"}
 """The column that says what is right."""
@@ -89,40 +90,25 @@ def of(results: Results, key: str) -> list[str]:
     return sorted({row[key] for row in results.rows})
 
 
-def source(calibrations: Sequence[Calibration]) -> str:
-    """The module that holds the calibrations."""
-    return f'''"""What signs count; written by ``python -m benchmarks.probability``.
+def stored(calibrations: Iterable[Calibration]) -> dict[str, object]:
+    """The calibrations as ``calibrated.json`` holds them."""
 
-Made {calibrations[0].made}.
-"""
+    def short(*numbers: float) -> list[float]:
+        return [float(f"{number:.5g}") for number in numbers]
 
-from getagrip.checks.calibration import Calibration, Weight, Where
+    return {
+        METHOD: [
+            asdict(one)
+            | {"bias": short(one.bias)[0], "weights": {name: short(*astuple(w)) for name, w in one.weights.items()}}
+            for one in calibrations
+        ]
+    }
 
-CALIBRATIONS: dict[tuple[str, Where], Calibration] = {{
-{"".join(map(entry, calibrations))}}}
-"""By method, and by where poses are right."""
-'''
 
-
-def entry(calibration: Calibration) -> str:
-    """Of one calibration in that module."""
-    weights = "\n".join(
-        f'            "{name}": Weight({w.weight:.5g}, {w.low:.5g}, {w.high:.5g}),'
-        for name, w in calibration.weights.items()
-    )
-    data = "\n".join(f'            "{part}"' for part in wrap(calibration.data, 90, drop_whitespace=False))
-    return f'''    ("{METHOD}", "{calibration.where}"): Calibration(
-        where="{calibration.where}",
-        weights={{
-{weights}
-        }},
-        bias={calibration.bias:.5g},
-        data=(
-{data}
-        ),
-        made="{calibration.made}",
-    ),
-'''
+def write(file: Path, **parts: object) -> None:
+    """Replace parts of ``calibrated.json``; lists of numbers take a line."""
+    text = json.dumps(json.loads(file.read_text(encoding="utf-8")) | parts, indent=1)
+    file.write_text(NUMBERS.sub(lambda one: " ".join(one[0].split()), text) + "\n", encoding="utf-8")
 
 
 def tables(rows: Results, calibrations: Mapping[Where, Calibration], flagged: Results) -> dict[str, Table]:
@@ -235,8 +221,7 @@ def report(rows: Results) -> None:
     flagged, rows = rows.only(serious="1"), rows.only(serious="0")
     train, made = rows.only(part="train"), stamp()
     calibrations = {where: calibrated(Results(train.rows, where), made) for where in RIGHT}
-    SOURCE.write_text(source([*calibrations.values()]), encoding="utf-8")
-    subprocess.run([sys.executable, "-m", "ruff", "format", "-q", SOURCE], check=True)
+    write(FILE, measured=stored(calibrations.values()))
     draw(rows.only(part="validation"), calibrations, store.ROOT / "docs/images" / PICTURE)
     how = circumstances("python -m benchmarks.probability OUT DEXYCB YCB")
     for name, made_table in tables(rows, calibrations, flagged).items():

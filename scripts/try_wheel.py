@@ -1,11 +1,12 @@
 """Install a wheel into a fresh environment and use it there, far from the clone: ``python scripts/try_wheel.py WHEEL``.
 
-Runs ``getagrip doctor``, ``getagrip demo`` and the Python of README; ends with the seconds of processor time that the
-first result took, kernels compiled. Where packages come from is pip's own configuration.
+Runs ``getagrip demo``, the Python of README, the cells of the notebook and ``getagrip doctor``; says how many seconds
+of processor time the first result took, kernels compiled. Where packages come from is pip's own configuration.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -14,7 +15,8 @@ import tempfile
 import venv
 from pathlib import Path
 
-README = Path(__file__).resolve().parents[1] / "README.md"
+ROOT = Path(__file__).resolve().parents[1]
+README, NOTEBOOK = ROOT / "README.md", ROOT / "examples" / "getagrip.ipynb"
 
 
 def main(wheel: Path) -> None:
@@ -46,6 +48,9 @@ def main(wheel: Path) -> None:
         assert blocks
         for block in blocks:
             run("python", "-c", block)
+        cells = json.loads(NOTEBOOK.read_text("utf-8"))["cells"]
+        run("python", "-c", "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"))
+        assert (Path(scratch) / "mug-in-hand" / "about.json").is_file()
         run("getagrip", "doctor")
 
 

@@ -8,6 +8,7 @@ import traceback
 from collections.abc import Collection, Iterable, Sequence
 from contextlib import nullcontext, redirect_stdout
 from difflib import get_close_matches
+from io import TextIOWrapper
 from typing import Annotated, Any, get_args, get_origin
 
 # Commands share their work between processes, one for each core. Said before numpy is loaded, which reads it once.
@@ -53,6 +54,9 @@ DESCRIPTION = (
 BENCH = "Compare methods on a dataset, or on a folder of clips: the paper's tables, with intervals."
 
 
+IMPORT = "Import datasets; or hands, masks, depth, cameras or segments into clips."
+
+
 def commands(imports: Any, figures: Any) -> Any:
     """Make the union of all commands, in the order of use: to try it, input, reconstruction, results, research.
 
@@ -65,7 +69,12 @@ def commands(imports: Any, figures: Any) -> Any:
         | Annotated[Label, subcommand("label")]
         | Annotated[NewClip, subcommand("clip new")]
         | Annotated[Annotate, subcommand("annotate")]
-        | Annotated[imports, subcommand("import", description="Import datasets, hands or masks.")]
+        | Annotated[
+            imports,
+            subcommand(
+                "import", description="Import datasets; or hands, masks, depth, cameras or segments into clips."
+            ),
+        ]
         | Annotated[EpicCandidates, subcommand("epic candidates")]
         | Annotated[Reconstruct, subcommand("reconstruct")]
         | Annotated[Refine, subcommand("refine")]
@@ -99,10 +108,16 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _open_closed_output() -> None:
-    """Let output that is closed (``>&-``) go nowhere; else printing fails, or a file that is opened takes its place."""
+    """Let output that is closed (``>&-``) go nowhere; else printing fails, or a file that is opened takes its place.
+
+    Letters that an output lacks, as that of a Windows console, are written as escapes.
+    """
     for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:
+        stream = getattr(sys, name)
+        if stream is None:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
+        elif isinstance(stream, TextIOWrapper) and stream.errors == "strict":
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _run(args: Sequence[str]) -> int:

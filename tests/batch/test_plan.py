@@ -40,6 +40,20 @@ def test_clips_that_share_a_name_fail_and_no_others(tmp_path: Path) -> None:
         assert len({outcome.message for outcome in plan.failed}) == 5
 
 
+@pytest.mark.parametrize(("folds", "left"), [(False, ["Mug", "cup", "mug"]), (True, ["cup"])])
+def test_where_case_makes_no_other_file_names_that_differ_in_it_alone_are_shared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folds: bool, left: list[str]
+) -> None:
+    """As on Windows and macOS."""
+    monkeypatch.setattr("getagrip.batch.plan.FOLDS_CASE", folds)
+    clip, masks = small_clip()
+    for folder, name in enumerate(("Mug", "cup", "mug")):
+        write_clip(replace(clip, name=name), masks, tmp_path / str(folder))
+    with Plan([tmp_path]) as found:
+        assert [name for name, _ in found] == left
+        assert len(found.failed) == 3 - len(left)
+
+
 def test_a_clip_that_is_named_twice_counts_once(tmp_path: Path) -> None:
     clip, masks = small_clip()
     for name in ("mug", "cup"):

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
-from runpy import run_path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.kept import HEADER, calibrated, lines, source
+from benchmarks.kept import HEADER, calibrated, lines, thresholds
 from benchmarks.kept_rows import END, Row, read
+from benchmarks.probability import stored, write
 from getagrip.batch.keep import HIGHEST, LOWEST, Keep
-from getagrip.checks.calibrated import CALIBRATIONS
+from getagrip.checks.calibrated import CALIBRATIONS, FILE, KEEPING, read_calibrated
 from getagrip.checks.keeping import SHARES, Keeping, kind_of_input, least_kept, least_of_sets
-from getagrip.checks.kept import KEEPING
 from getagrip.checks.signs import HAND_SIGNS
 from getagrip.errors import UsageError
 from getagrip.probability import Probability
@@ -164,19 +164,17 @@ def made_rows(n: int, seed: int) -> list[Row]:
     return rows
 
 
-def test_what_was_calibrated_is_written_as_a_module_and_held_against_validation(tmp_path: Path) -> None:
+def test_what_was_calibrated_is_written_and_held_against_validation(tmp_path: Path) -> None:
     rows = made_rows(900, 0)
     estimated, keeping = calibrated(rows, "today")
-    path = tmp_path / "kept.py"
-    path.write_text(source(estimated, keeping), encoding="utf-8")
-    module = run_path(str(path))
-    assert module["KEEPING"].keys() == keeping.keys() == KEEPING.keys()
-    assert module["KEEPING"]["joints", "hand"].sets == pytest.approx(keeping["joints", "hand"].sets, rel=1e-3)
+    path = Path(shutil.copy(FILE, tmp_path))
+    write(path, estimated=stored(estimated.values()), keeping=thresholds(keeping))
+    exact, fitted, least = read_calibrated(path)
+    assert exact == CALIBRATIONS
+    assert least.keys() == keeping.keys() == KEEPING.keys()
+    assert least["joints", "hand"].sets == pytest.approx(keeping["joints", "hand"].sets, rel=1e-3)
     for where in estimated:
-        found = [
-            one.probability(rows[1]["signs"]).value
-            for one in (module["ESTIMATED"]["soft-hinge", where], estimated[where])
-        ]
+        found = [one.probability(rows[1]["signs"]).value for one in (fitted["soft-hinge", where], estimated[where])]
         assert found[0] == pytest.approx(found[1], abs=1e-3)
     table = [dict(zip(("label", *HEADER), line, strict=True)) for line in lines(rows, estimated, keeping)]
     depth = next(line for line in table if line["label"] == "validation, in the hand, depth")

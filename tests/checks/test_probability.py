@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import csv
+import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from runpy import run_path
 
 import numpy as np
 import pytest
@@ -14,10 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks import signed_results
-from benchmarks.probability import RIGHT, Results, calibrated, source
+from benchmarks.probability import RIGHT, Results, calibrated, stored, write
 from getagrip.checks import Solved
-from getagrip.checks.calibrated import CALIBRATIONS
-from getagrip.checks.kept import ESTIMATED
+from getagrip.checks.calibrated import CALIBRATIONS, ESTIMATED, FILE, read_calibrated
 from getagrip.checks.signs import (
     HAND_SIGNS,
     SIGNS,
@@ -36,7 +35,7 @@ from getagrip.clip.depth import Depth, DepthSource
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.finding import Finding
-from getagrip.fitting.judge import probabilities, probability_right, uncalibrated
+from getagrip.fitting.judge import WRONG_EVIDENCE, probabilities, probability_right, uncalibrated
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 from getagrip.metrics.symmetry import find_symmetries
@@ -272,8 +271,8 @@ def table(file: Path, columns: tuple[str, ...]) -> Path:
 def test_both_are_fitted_to_the_same_results_and_read_back(tmp_path: Path) -> None:
     rows = signed_results.read(table(tmp_path / "results.csv", signed_results.COLUMNS))
     fitted = [calibrated(Results(rows, where), "today") for where in RIGHT]
-    (tmp_path / "calibrated.py").write_text(source(fitted), encoding="utf-8")
-    back = run_path(str(tmp_path / "calibrated.py"))["CALIBRATIONS"]
+    write(path := Path(shutil.copy(FILE, tmp_path)), measured=stored(fitted))
+    back = read_calibrated(path)[0]
     assert [*back] == [("soft-hinge", "hand"), ("soft-hinge", "camera")]
     first, second = (sign.name for sign in SIGNS[:2])
     for there, made in zip(back.values(), fitted, strict=True):
@@ -304,3 +303,24 @@ def test_an_assumed_mesh_extrapolates_the_probability_of_estimated_hands() -> No
     assert right["measured"].value == right["assumed"].value
     assert (right["measured"].beyond, right["assumed"].beyond) == ((), ("assumed mesh",))
     assert right["measured"].keep > right["assumed"].keep == 0.0
+
+
+@pytest.mark.parametrize("check", WRONG_EVIDENCE)
+def test_nothing_is_promised_of_results_with_wrong_evidence(check: str) -> None:
+    clip, _ = synthesise("box", 0, SceneOptions(frames=3))
+    clip = replace(clip, provenance={"hands": estimated("by a network")})
+    weights = ESTIMATED["soft-hinge", "hand"].weights
+    best = {name: weight.high if weight.weight > 0.0 else weight.low for name, weight in weights.items()}
+    found = Finding(check, False, 3.0, 1.6, "depth is off")
+    before, after = (probabilities(clip, Options(), best, some, {"depth"})["hand"] for some in ((), (found,)))
+    assert before is not None
+    assert after is not None
+    assert before.keep >= 0.95
+    assert (after.value, after.keep, after.beyond) == (before.value, 0.0, (check,))
+
+
+def test_estimated_hands_without_joints_are_no_extrapolation() -> None:
+    without = joint_error(mug())
+    for calibration in ESTIMATED.values():
+        assert not calibration.weights["joint-error"].beyond(without), "a limit is rounded in its file"
+        assert calibration.weights["joint-error"].beyond(without + 0.01)

@@ -11,7 +11,7 @@ import pytest
 from getagrip.checks import INPUT_CHECKS, Evidence, examine
 from getagrip.checks.evidence import Glitches
 from getagrip.checks.frame_order import Lateness, lateness
-from getagrip.checks.hand_side import bend
+from getagrip.checks.plausibility import bend
 from getagrip.clip import Clip, Masks, write_clip
 from getagrip.errors import GetagripError
 from getagrip.experiments.changes import Wrong
@@ -179,11 +179,11 @@ def test_every_mistake_has_its_case() -> None:
 
 
 def test_a_mirrored_hand_bends_the_other_way() -> None:
-    right, left = mug("right")[0], mug("left")[0]
-    towards_palm = bend(right.hand, "right")
-    assert towards_palm == pytest.approx(bend(left.hand, "left"), abs=1e-6)
-    assert bend(right.hand, "left") == pytest.approx(-towards_palm)
-    assert np.isnan(bend(replace(right.hand, joints=None), "right"))
+    right, left = (Evidence(*mug(side)) for side in ("right", "left"))
+    assert bend(right) == pytest.approx(bend(left), abs=1e-6)
+    wrong, bare = replace(right.clip, side="left"), replace(right.clip, hand=replace(right.clip.hand, joints=None))
+    assert bend(replace(right, clip=wrong)) == pytest.approx(-bend(right))
+    assert np.isnan(bend(replace(right, clip=bare)))
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -165,6 +166,10 @@ def test_disparities_objects_and_missing_descriptions_are_errors(tmp_path: Path)
     del fields[DEPTH]
     (folder / "clip.json").write_text(json.dumps(fields))
     with pytest.raises(InputError, match="what the images in the folder depth are"):
+        with_evidence(read_clip(folder))
+    describe(folder)
+    shutil.rmtree(folder / DEPTH)
+    with pytest.raises(InputError, match="the description of a folder depth, or left out"):
         with_evidence(read_clip(folder))
 
 

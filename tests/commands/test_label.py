@@ -80,7 +80,11 @@ def test_what_is_labelled_is_solved_once_and_exported(videos: Path, run: Run, mo
     ((words, shape),) = solved
     assert shape == reconstruction.Shape("cup", 90.0)
     assert words[:3] == ["clip", "new", "videos/a.mp4"]
-    assert "2 strokes and outlines on 2 frames, 2 changes in 0.0 min" in out
+    assert "draft-a-1-6-left: 2 strokes and outlines on 2 frames, 2 changes in 0.0 min" in out
+    assert "in all: 2 strokes and outlines on 2 frames, 2 changes in 0.0 min" in out
+    head, row = (videos.parent / "out" / "effort.csv").read_text("utf-8").splitlines()
+    assert head == "grasp,drawn,frames,changes,active_s"
+    assert row.startswith("draft-a-1-6-left,2,2,2,0.")
     assert exported[0] == exported[1] == ((Path("out/results/draft-a-1-6-left"),), "bop", Path("out/bop"))
     written = json.loads((videos.parent / "out" / "labels-draft-a-1-6-left.json").read_text("utf-8"))
     assert set(written["frames"]) == {"0", "5"}

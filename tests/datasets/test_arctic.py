@@ -6,6 +6,7 @@ templates.
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 
 from getagrip.batch.imports import import_clips
-from getagrip.clip import read_clip, read_masks
+from getagrip.clip import read_clip, read_masks, write_clip
 from getagrip.datasets import arctic, cutting, tracks
 from getagrip.datasets.arctic import Arctic
 from getagrip.errors import InputError, UsageError
@@ -125,6 +126,28 @@ def test_whole_sequences_are_not_cut_where_the_joint_turns(root: Path, mano: Pat
     assert [(clip.side, len(clip), masks) for clip, masks in found] == [("left", FRAMES, None), ("right", FRAMES, None)]
     assert segment(found[1][0], CUT.definition)[1] == [(TAKEN, OPENED - 1)]
     assert found[1][0].provenance["first_frame"] == OFFSET
+
+
+@pytest.mark.slow
+def test_a_template_may_hold_vertices_twice_and_unused_ones(root: Path, mano: Path, tmp_path: Path) -> None:
+    folder = root / "meta" / "object_vtemplates" / "ball"
+    lines = (folder / "mesh.obj").read_text().splitlines()
+    first = next(n for n, line in enumerate(lines) if line.startswith("v "))
+    on_axis = ["v 0 0 55", "v 0 0 55.0000001", "v 0 0 60", "v 0 5 55", "v 5 0 55"]
+    faces = [line for line in lines if line.startswith("f ")]
+    count = sum(line.startswith("v ") for line in lines)
+    fin = [f"f {count + 1} {count + 4} {count + 5}", f"f {count + 2} {count + 5} {count + 4}"]
+    (folder / "mesh.obj").write_text("\n".join([*lines[:first], *_vertices(lines), *on_axis, *faces, *fin]))
+    parts = json.loads((folder / "parts.json").read_text())
+    (folder / "parts.json").write_text(json.dumps([*parts, 0, 1, 0, 0, 1]))
+    (made, masks), *_ = clips(root, mano)
+    clip = read_clip(write_clip(made, masks, tmp_path / "clip"))
+    assert clip.truth.joint.moves.sum() > 10
+    assert clip.truth.joint.moves.shape == (len(clip.mesh.vertices),) == (count + 3,)
+
+
+def _vertices(lines: list[str]) -> list[str]:
+    return [line for line in lines if line.startswith("v ")]
 
 
 def test_neutral_frames_are_of_the_shape_alone() -> None:

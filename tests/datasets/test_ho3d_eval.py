@@ -13,7 +13,9 @@ import pytest
 
 from getagrip.clip import read_clip, read_masks
 from getagrip.clip.depth_sources import HO3D_UNIT
+from getagrip.evaluation.metric import METRICS
 from getagrip.experiments.other_masks import WithMasks, without_depth
+from getagrip.experiments.published import ALL, read
 from getagrip.experiments.sources.ho3d import Ho3dEval
 from helpers.command_line import Run
 from helpers.held_ball import FRAMES
@@ -64,6 +66,23 @@ def test_rows_are_masks_and_columns_the_field_s(root: Path, tmp_path: Path, run:
     page = (out / "ho3d-eval.md").read_text()
     assert "| ADD AUC | ADD-S AUC | AR | AR without VSD | MSSD | MSPD | VSD |" in page
     assert "SCA" not in page.split("<details>")[0]
+    beside = [line.split(" | ") for line in page.split("Beside printed numbers:")[1].splitlines()]
+    last = {row[0].removeprefix("| "): row[-2:] for row in beside}  # SM1, and the mean over all
+    assert last["ADD AUC: soft-hinge, given masks"] == [f"{100 * float(rows[0]['add_cam_auc']):.1f}", "– |"]
+    assert last["ADD AUC: Point2Pose"] == ["63.2", "80.6 |"]
+
+
+def test_printed_numbers_are_of_columns_of_ours_and_their_means_are_right() -> None:
+    labels = {metric.label for metric in METRICS.working().values() if metric.group == "recall"}
+    for system in read("ho3d_published.json").values():
+        assert {*system.columns} <= labels
+        assert system.source
+        assert system.given
+        assert all(len(row) == len(system.columns) for row in system.rows.values())
+        for column in system.columns:
+            numbers = [system.number(part, column) for part in system.rows if part != ALL]
+            if numbers and not np.isnan(numbers).any():
+                assert system.number(ALL, column) == pytest.approx(np.mean(numbers), abs=0.11)
 
 
 @pytest.mark.slow

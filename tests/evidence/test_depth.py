@@ -67,7 +67,7 @@ def test_depth_of_another_unit_is_found_and_not_used() -> None:
     depth = with_depth("realsense")[2]
     for factor in (0.3048, 3.28):  # feet for metres, and the other way round
         wrong = replace(depth, z=factor * depth.z)
-        assert "depth-unit" in findings(evidence(wrong))
+        assert findings(evidence(wrong)) == {"depth-unit"}, "what is not used does not count little"
         assert DepthImages().terms(problem(wrong)) is None
         free = replace(wrong, source=replace(wrong.source, scale="clip"))
         assert DepthImages().terms(problem(free)) is not None

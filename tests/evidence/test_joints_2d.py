@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from getagrip.checks import Evidence, examine, input_checks
-from getagrip.clip import Clip, Masks, other_evidence
+from getagrip.clip import Clip, Masks, other_evidence, with_masks
 from getagrip.datasets.synthetic.noise import NOISE, perturbed
 from getagrip.evidence.joints_2d import HandJoints2D
 from getagrip.experiments.simulated_evidence import (
@@ -19,6 +19,8 @@ from getagrip.experiments.simulated_evidence import (
     true_joints,
 )
 from getagrip.fitting.hand_refinement import refine_hand
+from getagrip.fitting.options import Options
+from getagrip.fitting.problem import prepare
 from getagrip.fitting.seen_joints import ELSEWHERE, SeenJoints, share_elsewhere
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
@@ -78,6 +80,57 @@ def test_joints_of_something_else_are_recognised_and_left_out(made: tuple[Clip, 
         assert (SeenJoints.of(clip, masks) is None) == wrong
         _, findings = examine(input_checks(), Evidence(clip, masks))
         assert ("joints-elsewhere" in {one.check for one in findings}) == wrong
+
+
+FINGERS_EXCHANGED = {
+    "thumb and index": np.r_[0, 5:9, 1:5, 9:21],
+    "little finger first": np.r_[0, 17:21, 13:17, 9:13, 5:9, 1:5],
+    "MANO's order": np.r_[0, 5:8, 9:12, 17:20, 13:16, 1:4, 4, 8, 12, 16, 20],
+}
+
+
+@pytest.mark.parametrize("order", FINGERS_EXCHANGED.values(), ids=FINGERS_EXCHANGED)
+def test_joints_in_another_order_are_left_out_though_they_lie_on_the_hand(
+    made: tuple[Clip, Masks], order: np.ndarray
+) -> None:
+    clip, masks = SimulatedJoints("lab")(*made, 0)
+    assert clip.hand.joints_2d is not None
+    assert SeenJoints.of(clip, masks) is not None
+    other = replace(clip, hand=replace(clip.hand, joints_2d=clip.hand.joints_2d[:, order]))
+    assert share_elsewhere(other, masks) < ELSEWHERE
+    assert SeenJoints.of(other, masks) is None
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("order", "contradict its pixels or its skeleton"),
+        ("nowhere", "contradict its pixels or its skeleton"),
+        ("unsure", "confidence above 0 in less than two frames"),
+        ("skeleton", "have no joints in 3D"),
+        ("elsewhere", ""),
+        ("none", ""),
+    ],
+)
+def test_a_hand_that_is_refined_without_its_joints_says_why(made: tuple[Clip, Masks], fault: str, words: str) -> None:
+    clip, masks = SimulatedJoints("lab")(*perturbed(*made, NOISE["moderate"], 3), 0)
+    hand = clip.hand
+    assert hand.joints_2d is not None
+    assert hand.joints_2d_confidence is not None
+    changed = {
+        "order": {"joints_2d": hand.joints_2d[:, FINGERS_EXCHANGED["MANO's order"]]},
+        "nowhere": {"joints_2d": 1e300 * hand.joints_2d},
+        "unsure": {"joints_2d_confidence": 0.0 * hand.joints_2d_confidence},
+        "skeleton": {"joints": None},
+        "elsewhere": {"joints_2d": hand.joints_2d / np.array(clip.size)},
+        "none": {},
+    }
+    clip = with_masks(replace(clip, hand=replace(hand, **changed[fault])), masks)
+    problem = prepare(clip, Options(frames=4, inits=2))
+    found = Evidence(problem.clip, problem.input_masks, joints_left_out=problem.trust.joints_left_out)
+    _, findings = examine(HandJoints2D.result_checks, found)
+    assert [one.check for one in findings] == (["joints-left-out"] if words else [])
+    assert all(words in one.message for one in findings)
 
 
 def test_masks_that_show_no_hand_tell_nothing_of_joints(made: tuple[Clip, Masks]) -> None:

@@ -12,7 +12,7 @@ from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError
 from getagrip.experiments.changes import UNCHANGED, EstimatedHands, Noisy, ScaleFree, ScaleKnown, TrueHands
-from getagrip.provenance import estimated
+from getagrip.provenance import estimated, kind_of_hands
 from helpers.scenes import SHORT, scene
 
 
@@ -45,5 +45,6 @@ def test_estimated_hands_stay_and_true_ones_get_errors() -> None:
     change = EstimatedHands(NOISE["estimated"])
     expected = Noisy(NOISE["estimated"])(clip, masks, 0)[0].hand.T_cam_hand
     np.testing.assert_array_equal(change(clip, masks, 0)[0].hand.T_cam_hand, expected)
+    assert kind_of_hands(EstimatedHands(NOISE["strong"])(clip, masks, 0)[0].provenance) == "estimated"
     own = replace(clip, provenance={**clip.provenance, "hands": estimated("by a network")})
     assert change(own, masks, 0) == (own, masks)

@@ -130,6 +130,36 @@ def test_a_process_that_is_killed_leaves_a_dataset_that_goes_on(scene: Scene, tm
     assert at > total // 3  # the last ends are after the last file
 
 
+@pytest.mark.slow
+def test_two_processes_add_to_one_dataset(scene: Scene, tmp_path: Path) -> None:
+    """In whatever order their turns come: every clip once, and rows, records and totals agree."""
+    folder, names = tmp_path / "set", ["a", "bb", "ccc", "dddd", "eeeee"]
+    processes = []
+    for own in (names[:4], names[:0:-1]):  # three clips are both processes' own
+        if (process := os.fork()) == 0:
+            status = 1
+            try:
+                dataset = Dataset.of(folder)
+                for name in own:
+                    dataset.add(named(scene, name, "mug" if name == "bb" else "box"))
+                status = 0
+            finally:
+                os._exit(status)
+        processes.append(process)
+    assert [os.waitpid(process, 0)[1] for process in processes] == [0, 0]
+    dataset = Dataset.of(folder)
+    assert sorted(str(record["clip"]) for record in dataset.records) == names
+    rows, info = columns(folder), json.loads((folder / "meta" / "info.json").read_text())
+    assert [info[f"total_{what}"] for what in ("episodes", "frames", "tasks")] == [5, 15, 2]
+    assert rows["index"].tolist() == list(range(15))
+    assert rows["episode_index"].tolist() == [n for n in range(5) for _ in range(3)]
+    mugs = [n for n, record in enumerate(dataset.records) if record["clip"] == "bb"]
+    assert {*rows["task_index"][np.isin(rows["episode_index"], mugs)]}.isdisjoint(
+        rows["task_index"][~np.isin(rows["episode_index"], mugs)]
+    )
+    assert {path.name for path in folder.iterdir()} == {"data", "meta"}
+
+
 def test_what_does_not_belong_is_refused(scene: Scene, tmp_path: Path) -> None:
     folder = tmp_path / "set"
     Dataset.of(folder).add(named(scene, "a"))

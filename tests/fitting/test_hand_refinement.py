@@ -21,6 +21,7 @@ from getagrip.fitting.problem import prepare
 from getagrip.geometry import se3
 from getagrip.geometry.depth import covered
 from getagrip.kernels.silhouette import unpack
+from getagrip.provenance import estimated
 
 CONSTANT = Noise(hand_bias_deg=8.0, hand_bias_mm=10.0)
 
@@ -104,6 +105,21 @@ def smaller(masks: Masks, by: int) -> Masks:
     kernel = np.ones((2 * by + 1, 2 * by + 1), np.uint8)
     hand = np.stack([cv2.erode(m.view(np.uint8), kernel, borderValue=0) for m in masks.hand]).view(bool)
     return Masks(masks.object, hand, hand)
+
+
+@pytest.mark.parametrize(("degrees", "kind"), [(2.0, "measured"), (8.0, "estimated")])
+def test_a_measured_hand_that_its_pixels_turn_far_is_refined_as_an_estimate(
+    made: tuple[Clip, Masks], degrees: float, kind: str
+) -> None:
+    clip, masks = off(made[0], Noise(hand_bias_deg=degrees)), made[1]
+    refined, _ = refine_hand(clip, masks)
+    assert refined is not None
+    assert refined.kind == kind
+    source = {"hands": estimated("by a network")}
+    as_estimate, _ = refine_hand(replace(clip, provenance=clip.provenance | source), masks)
+    assert as_estimate is not None
+    same = np.array_equal(as_estimate.T_cam_hand, refined.T_cam_hand)
+    assert same == (kind == "estimated")
 
 
 @pytest.mark.parametrize("by", [2, 3])

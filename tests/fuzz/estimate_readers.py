@@ -19,12 +19,15 @@ from getagrip.hands import mano
 from getagrip.hands.trackers import Request, Tracker
 from getagrip.hands.trackers import read as read_hands
 from getagrip.hands.trackers.dynhamr import DynHaMR
+from getagrip.hands.trackers.egohandkit import EgoHandKit
+from getagrip.hands.trackers.egovision import EgoVision
 from getagrip.hands.trackers.frankmocap import FrankMocap
 from getagrip.hands.trackers.hamer import HaMeR, WiLoR
 from getagrip.hands.trackers.hawor import HaWoR
 from getagrip.hands.trackers.joints import Joints, Soma
 from getagrip.hands.trackers.landmarks import Landmarks
 from getagrip.hands.trackers.mano_parameters import ManoParameters
+from getagrip.hands.trackers.v2d import V2D
 from getagrip.io import arrays
 from helpers import camera_files, estimator_files, mask_files, other_estimators
 from helpers.estimator_files import Known, hamer_record, write_npz
@@ -145,6 +148,10 @@ READERS: dict[str, Reader] = {
     "hands hawor world": hands(HaWoR(), lambda folder, known: other_estimators.hawor_folder(folder, known, None)),
     "hands dynhamr": hands(DynHaMR(), lambda folder, known: other_estimators.dynhamr_file(folder, known, None)),
     "hands fasthamer": hands(HaMeR(), other_estimators.fasthamer_files),
+    "hands v2d result": hands(V2D(), other_estimators.v2d_result),
+    "hands egovision": hands(EgoVision(), other_estimators.egovision_file),
+    "hands egohandkit": hands(EgoHandKit(), other_estimators.egohandkit_pickle),
+    "hands egohandkit v1": hands(EgoHandKit(), other_estimators.egohandkit_results),
     "hands v2d": hands(HaMeR(), other_estimators.v2d_tracks),
     "hands soma": hands(Soma(), soma),
     "hands mediapipe": hands(Landmarks(), other_estimators.mediapipe_files),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +34,13 @@ def write_json(path: Path, content: Any) -> Path:
 
 def translation(known: Known) -> ndarray:
     """The translations with which a camera of another focal length shows the hand where the clip's does."""
-    u = K[:2, 2] + K[0, 0] * known.t[:, :2] / known.t[:, 2:]
-    z = known.t[:, 2:] * FOCAL / K[0, 0]
+    return by_other_camera(known.t)
+
+
+def by_other_camera(points: ndarray) -> ndarray:
+    """Points (T, 3) that a camera of another focal length sees where the clip's does, as many pixels to the metre."""
+    u = K[:2, 2] + K[0, 0] * points[:, :2] / points[:, 2:]
+    z = points[:, 2:] * FOCAL / K[0, 0]
     return np.hstack([z * (u - CENTRE) / FOCAL, z])
 
 
@@ -116,6 +122,77 @@ def v2d_tracks(place: Path, known: Known) -> Path:
         for track, right in ((2, False), (3, True)):
             record = {"track_id": track, "is_right": right, "frame_idx": n, "image_size": list(SIZE)}
             write_json(place / str(track) / f"{frame}.json", {**record, "camera": camera, "mano": mano})
+    return place
+
+
+def v2d_result(place: Path, known: Known) -> Path:
+    """V2D's result, as ``write_result_bundle`` makes it, of a hand that is half as large again, and farther away."""
+    count, scale = len(known.R), 1.5
+    raw = [known.raw(n) for n in range(count)]
+    hand = {
+        "betas": known.betas[0], "wrist_orient_in_camera": se3.log_so3(np.array([R for R, _ in raw])),
+        "finger_pose": se3.log_so3(np.array([fingers for _, fingers in raw])),
+        "wrist_trans_in_camera": scale * translation(known), "scale": np.full(count, scale),
+        "is_valid": np.ones(count, dtype=bool),
+    }  # fmt: skip
+    arrays = {"camera_intrinsics": np.array([FOCAL, FOCAL, *CENTRE], dtype=np.float32)}
+    arrays["camera_to_world_transform"] = np.tile(np.eye(4), (count, 1, 1))
+    for side in ("left", "right"):
+        there = float(side == known.side)
+        arrays |= {f"hand_{side}_{key}": (value * there).astype(value.dtype) for key, value in hand.items()}
+    (place / "result").mkdir()
+    write_npz(place / "result" / "result.npz", arrays)
+    return place
+
+
+def egovision_file(place: Path, known: Known) -> Path:
+    """ego-vision's result, whose frames without a hand are NaN."""
+    rng = np.random.default_rng(5)
+    count = len(known.R)
+    T_world_cam = se3.rigid(se3.exp_so3(rng.normal(scale=0.4, size=(count, 3))), rng.normal(size=(count, 3)))
+    at = known.joints[:, 0]
+    moved = by_other_camera(at)
+    joints = se3.transform(T_world_cam, known.joints - at[:, None] + moved[:, None])
+    hand = {"joints_world": joints, "mano_pose": np.zeros((count, 96)), "infilled": np.arange(count) == 1}
+    none = {"joints_world": np.full((count, 21, 3), np.nan), "infilled": np.zeros(count, dtype=bool)}
+    K_own = np.tile([[FOCAL, 0.0, CENTRE[0]], [0.0, FOCAL, CENTRE[1]], [0.0, 0.0, 1.0]], (count, 1, 1))
+    sides = {side: hand if side == known.side else none for side in ("left", "right")}
+    result = {"episode_id": "episode", "fps": 30.0, "camera_trajectory": T_world_cam, "intrinsics": K_own}
+    return write_json(place / "result.json", result | {"hands_world": sides, "metadata": {"vggt_seq_length": 64}})
+
+
+def _egohandkit_hands(known: Known, n: int) -> list[tuple[dict[str, Any], ndarray, dict[str, Any]]]:
+    """The known hand and one of the other side, of the network HaWoR, as ``BackendOutputInstance`` has them."""
+    R, fingers = known.raw(n)
+    mano = {"global_orient": R[None], "hand_pose": fingers, "betas": known.betas[n]}
+    meta = {"backend": "hawor", "img_focal": FOCAL, "img_center": list(CENTRE), "segment_range": [0, 3]}
+    right = int(known.side == "right")
+    own = ({**mano, "is_right": right}, translation(known)[n], meta)
+    return [own, ({**mano, "is_right": 1 - right}, own[1] + [0.2, 0.0, 0.0], meta)]
+
+
+def egohandkit_pickle(place: Path, known: Known) -> Path:
+    """EgoHandKit's ``<name>_hawor.pkl``."""
+    results = {}
+    for n, frame in enumerate(FRAMES[: len(known.R)]):
+        mano, t, meta = (list(each) for each in zip(*_egohandkit_hands(known, n), strict=True))
+        content = {"mano": mano, "cam_trans": t, "backend_meta": meta, "tracked_ids": [1, 0], "tracked_time": [0, 0]}
+        results[f"images/clip/{frame}.jpg"] = content | {"extra_data": [[[0.0, 0.0, 1.0]] * 21] * 2, "shot": 0}
+    (place / "clip_hawor.pkl").write_bytes(pickle.dumps(results))
+    (place / "pass1_raw.pkl").write_bytes(pickle.dumps([{"frame_idx": 0, "left_bbox": None}]))
+    return place
+
+
+def egohandkit_results(place: Path, known: Known) -> Path:
+    """EgoHandKit's ``final/results.pkl``, its first image without a hand."""
+    frames = [{"frame_idx": 0, "img_path": "images/clip/000006.jpg", "timestamp_ns": None, "hands": []}]
+    for n, frame in enumerate(FRAMES[: len(known.R)]):
+        each = _egohandkit_hands(known, n)
+        hands = [{"track_id": 1, "handedness": "right", "mano": m, "cam_trans": t, "meta": meta} for m, t, meta in each]
+        frames.append({"frame_idx": n + 1, "img_path": f"images/clip/{frame}.jpg", "hands": hands})
+    (place / "final").mkdir()
+    results = {"schema_version": "egohand.results.v1", "backend": "hawor", "frames": frames}
+    (place / "final" / "results.pkl").write_bytes(pickle.dumps(results))
     return place
 
 

@@ -107,7 +107,9 @@ def test_what_is_written_like_a_file_is_read_as_it_was(tmp_path: Path, moved: An
     track = Track(poses.names, clip.hand.T_cam_hand @ turned, turned, 1.0, np.ones(4))
     folder = tmp_path / "out"
     folder.mkdir()
-    again = read_poses(write_like(place, track, folder), clip)
+    for _ in range(2):  # a call may be repeated
+        written = write_like(place, track, folder)
+    again = read_poses(written, clip)
     np.testing.assert_allclose(again.T_hand_obj, turned, atol=1e-7)
     assert again.names == poses.names
     assert again.found.all()
@@ -124,6 +126,56 @@ def test_frames_without_a_pose_are_held_still_in_the_hand_and_said(tmp_path: Pat
     assert evaluate(found, clip, masks).metrics_of_fitted
     free = poses_of(tmp_path / "some.npz", "theirs", replace(clip, scale="free"), masks)
     assert any("scale 1 is a guess" in note for note in free.notes)
+
+
+@pytest.mark.parametrize("kind", ["npz", "npy", "null.json", "by-name.json", "folder", "bop.csv"])
+def test_a_matrix_of_nan_is_a_lost_frame(tmp_path: Path, moved: Any, kind: str, refused: Refused) -> None:
+    clip, masks, result = moved
+
+    def written(lost: list[int]) -> Path:
+        T = clip.hand.T_cam_hand @ result.T_hand_obj
+        T[lost] = np.nan
+        path, named = tmp_path / f"{len(lost)}.{kind}", dict(zip(clip.frames, T, strict=True))
+        texts = {name: None if np.isnan(each).any() else each.tolist() for name, each in named.items()}
+        match kind:
+            case "npz":
+                arrays.write(path, {"T_cam_obj": T})
+            case "npy":
+                np.save(path, T)
+            case "null.json":
+                path.write_text(json.dumps([*texts.values()]))
+            case "by-name.json":
+                path.write_text(json.dumps(texts))
+            case "folder":
+                path.mkdir()
+                for name, each in named.items():
+                    np.savetxt(path / f"{name}.txt", each[:3])
+            case _:
+                rows = [f"1,{n},1,1,{_words(each[:3, :3])},{_words(1e3 * each[:3, 3])}" for n, each in named.items()]
+                path.write_text(BOP_HEAD + "\n".join(rows))
+        return path
+
+    poses = read_poses(written([1, 3]), clip)
+    assert poses.found.tolist() == [True, False, True, False]
+    np.testing.assert_allclose(poses.T_hand_obj, result.T_hand_obj[[0, 0, 2, 2]], atol=1e-7)
+    refused(lambda: poses_of(written([0, 1, 2, 3]), "theirs", clip, masks), "pose")
+
+
+def _words(values: np.ndarray) -> str:
+    return " ".join(f"{x:.9g}" for x in values.ravel())
+
+
+def test_rounded_rotations_are_made_exact_and_scaled_ones_refused(tmp_path: Path, moved: Any, refused: Refused) -> None:
+    clip, masks, result = moved
+    T = clip.hand.T_cam_hand @ result.T_hand_obj
+    path = tmp_path / "T.txt"
+    np.savetxt(path, T[:, :3].reshape(4, 12), fmt="%.2f")  # a line of 12 for each frame
+    found = read_poses(path, clip).T_hand_obj
+    assert se3.is_rigid(found, 1e-12).all()
+    assert np.degrees(se3.angle_between(found[:, :3, :3], result.T_hand_obj[:, :3, :3])).max() < 1.0
+    T[:, :3, :3] *= 1.05
+    np.save(tmp_path / "T.npy", T)
+    refused(lambda: poses_of(tmp_path / "T.npy", "theirs", clip, masks), "no rigid motion")
 
 
 def test_what_is_wrong_is_named(tmp_path: Path, moved: Any, refused: Refused) -> None:
@@ -151,6 +203,7 @@ def test_what_is_wrong_is_named(tmp_path: Path, moved: Any, refused: Refused) ->
         refused(lambda path=path: poses_of(path, "theirs", clip, masks), str(path), words)
     texts = {
         "a.txt": ("1 2 3", "3 numbers"),
+        "tum.txt": ("0 0 0 1 0 0 0 1\n" * 8, "quaternions"),
         "b.txt": ("1 x", "no number"),
         "c.json": ('"x"', "a list of matrices"),
         "d.json": ('{"10": [[1]]}', "4x4"),

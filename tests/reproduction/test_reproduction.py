@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from getagrip.errors import InputError
-from getagrip.io.files import read_json
+from getagrip.io.files import read_json, write_json
 from getagrip.reproduction import arctic, epic
-from getagrip.reproduction.tables import ALL, PaperTable, published, write
+from getagrip.reproduction.tables import ALL, PaperTable, bench_values, published, write
 from helpers.arctic_files import write_arctic
 from helpers.command_line import Run
 from helpers.held_ball import write_mano
@@ -78,6 +78,7 @@ def test_all_that_is_missing_is_named_first(tmp_path: Path, run: Run, needs: dic
     status, said, told = run("reproduce", name, tmp_path, "--out", tmp_path / "out")
     assert (status, said) == (2, "")
     assert all(need.source in told and need.what in told for need in needs.values())
+    assert len(told.splitlines()) > len(needs)  # a line each
     assert not (tmp_path / "out").exists()
 
 
@@ -88,6 +89,21 @@ def test_several_folders_hold_what_is_needed_together(tmp_path: Path, run: Run) 
     assert epic.NEEDS["mano"].source in told
     assert epic.NEEDS["visor"].source not in told
     assert epic.found(epic.NEEDS, [root, tmp_path / "elsewhere"])["mano"] == tmp_path / "elsewhere"
+
+
+def test_visor_is_found_as_it_is_downloaded(tmp_path: Path) -> None:
+    folder = tmp_path / "2v6cgv1x04ol22qp9rm9x2j6a7" / "GroundTruth-SparseAnnotations" / "annotations" / "train"
+    folder.mkdir(parents=True)
+    assert epic.NEEDS["visor"].find([tmp_path]) is None
+    (folder / "P01_01.json").write_text("{}")
+    assert epic.NEEDS["visor"].find([tmp_path]) == tmp_path / "2v6cgv1x04ol22qp9rm9x2j6a7"
+
+
+def test_clips_of_one_category_are_a_row_of_their_own(tmp_path: Path) -> None:
+    row = {"row": "paper", "failed": 0, "values": {"IOU": {"mean": 0.5}}}
+    page = {"tables": [{"table": "all", "clips": 1, "rows": [row]}], "clips": [{"category": "mug"}]}
+    write_json(tmp_path / "bench.json", page)
+    assert bench_values(tmp_path / "bench.json", "paper", {"IOU": "IOU"}) == {ALL: {"IOU": 50.0}, "mug": {"IOU": 50.0}}
 
 
 @pytest.mark.parametrize("number", published())

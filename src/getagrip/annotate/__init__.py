@@ -1,6 +1,6 @@
 """A local web page on which people mark stable grasps and label frames.
 
-``tasks`` says what to look through; ``footage``, ``video`` and ``decoding`` show its frames. What people enter are
+``tasks`` says what to look through; ``footage`` and ``video`` show its frames. What people enter are
 ``marks`` (where a grasp is) and ``keyframes`` (joints and polygons on some of its frames): ``versions`` keeps every
 change that was ever made of them, ``store`` puts them into a file. ``labelling`` makes ``labels`` of a grasp's key
 frames and has ``drafting`` fill in the frames between, in the ``background``: ``clicked_hands`` and ``steadied_hands``

@@ -11,12 +11,12 @@ from getagrip.errors import GetagripError
 
 
 class CancelledError(Exception):
-    """Raised within work that is not wanted any more."""
+    """Raised within work that was cancelled."""
 
 
 @dataclass
 class BackgroundJob:
-    """A piece of work, and how far it is."""
+    """A piece of work and its progress."""
 
     what: str
     """In a word: "propagate", "files"."""
@@ -29,7 +29,7 @@ class BackgroundJob:
     stop: Event = field(default_factory=Event)
 
     def report(self, done: int, total: int) -> None:
-        """Say how far it is. Raises ``CancelledError`` where it is to stop."""
+        """Note the progress. Raises ``CancelledError`` once the work was cancelled."""
         self.done, self.total = done, total
         if self.stop.is_set():
             raise CancelledError
@@ -52,7 +52,7 @@ class Background:
         self._lock = Lock()
 
     def start(self, key: str, what: str, work: Work) -> None:
-        """Begin work on something, and end what is being done to it."""
+        """Start work on something, and cancel what is in progress on it."""
         job = BackgroundJob(what)
         with self._lock:
             if (old := self._jobs.get(key)) is not None:
@@ -61,7 +61,7 @@ class Background:
         self._pool.submit(_run, job, work)
 
     def cancel(self, key: str) -> None:
-        """End what is being done to something."""
+        """Cancel the work on something."""
         if (job := self._jobs.get(key)) is not None:
             job.stop.set()
 

@@ -66,7 +66,7 @@ class Colours(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Counts by where the pixels are: an image in cells."""
+    """Counts of pixels by cell of the image."""
 
     size: tuple[int, int]
     counts: Float32[ndarray, "2 cells"]
@@ -115,7 +115,7 @@ def likelier(
 
 
 def edges(image: Image) -> Float32[ndarray, "h w"]:
-    """Return what a border costs by the pixel [1/px]."""
+    """Return the cost of a border per pixel [1/px]."""
     values = image.astype(np.float32)
     change = np.zeros(image.shape[:2], np.float32)
     right, down = values[:, 1:] - values[:, :-1], values[1:] - values[:-1]

@@ -81,7 +81,7 @@ def check(name: str) -> None:
 
 
 def run(name: str, values: Mapping[str, Sequence[object]], out: Path) -> None:
-    """Run an estimator, in the folder of its script; it writes into ``out``, which is there.
+    """Run an estimator, in the folder of its script; it writes into ``out``, which must exist.
 
     ``values`` are those of the names in its words. Raises ``UsageError`` with the last line that it printed where it
     fails or writes nothing.

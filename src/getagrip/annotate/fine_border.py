@@ -14,8 +14,9 @@ NEAR = 2.5
 """The border moves by less than this [px of the smaller size]."""
 SURE = 0.8
 """Pixels farther from it than this count for their side's colours [px of the smaller size]."""
-RADIUS = 8.0
-"""Half side of the squares in which colours are averaged [px of the smaller size]."""
+RADIUS = 4.0
+"""Half side of the squares in which colours are averaged: small, but from wherever the border may be they reach both
+sides [px of the smaller size]."""
 SMOOTH = 0.5
 """Standard deviation of the Gaussian that smooths the border [px of the smaller size]."""
 NOISE = 4.0
@@ -23,7 +24,7 @@ NOISE = 4.0
 
 
 def fine(image: UInt8[ndarray, "H W 3"], inside: Float32[ndarray, "H W"], zoom: float) -> Bool[ndarray, "H W"]:
-    """Draw the border anew around which ``inside`` has signed distances [px of the smaller size].
+    """Draw the border anew, near the one that signed distances give [px of the smaller size].
 
     ``zoom``: how many times larger the image is.
     """

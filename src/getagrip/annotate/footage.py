@@ -39,7 +39,7 @@ class Footage(Protocol):
 
     @property
     def frames(self) -> int:
-        """N."""
+        """Number of frames, N."""
 
     @property
     def fps(self) -> float:
@@ -115,7 +115,7 @@ class Cache(Generic[Kept]):
         return self.images.get(index)
 
     def put(self, index: int, image: Kept) -> None:
-        """Keep an image, and forget those that were not wanted for longest."""
+        """Keep an image, and drop those that have not been asked for the longest."""
         if index in self.images:
             self.cached_bytes -= self.weigh(self.images.pop(index))
         self.cached_bytes += self.weigh(image)
@@ -148,7 +148,7 @@ class ImageFolder:
 
     @property
     def frames(self) -> int:
-        """How many images there are."""
+        """Number of images."""
         return len(self.paths)
 
     def time(self, index: int) -> float:

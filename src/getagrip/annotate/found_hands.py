@@ -63,7 +63,7 @@ class FoundHands:
 
     @cached_property
     def word(self) -> str:
-        """Changes when the files do."""
+        """A checksum that changes when the files do."""
         there = sorted(self.folder.rglob("*")) if self.folder.is_dir() else []
         about = [(each.name, each.stat().st_size, each.stat().st_mtime_ns) for each in there]
         return sha256(repr(about).encode()).hexdigest()[:16] if about else ""

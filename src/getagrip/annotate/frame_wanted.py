@@ -1,4 +1,4 @@
-"""The frame on which a person should draw next: the first, the last, then the one that mends most."""
+"""The frame on which a person should draw next: the first, the last, then the one that helps most."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def frame_wanted(confidence: Mapping[int, float], drawn: Collection[int], first:
     """Return the frame from ``first`` to ``last`` on which it helps most to draw; None where nothing is asked for.
 
     ``confidence`` is that of the frames' masks; frames without one are about to be filled in. Of what a frame is unsure
-    of, a drawn one at a distance d mends the share 1 - d / D, D being its distance from the frames drawn before.
+    of, a drawn one at a distance d resolves the share 1 - d / D, D being its distance from the frames drawn before.
     """
     if not drawn:
         return first
@@ -34,9 +34,9 @@ def frame_wanted(confidence: Mapping[int, float], drawn: Collection[int], first:
         for n in frames[~np.isin(frames, stretch.keys)]:
             sides = [np.abs(key - (n if len(stretch.keys) == 2 else frames)) for key in stretch.keys]
             beyond = sides[0] if len(sides) == 1 else np.where(frames < n, *sides)
-            mended = float(
+            resolved = float(
                 (unsure[frames - first] * np.clip(1.0 - np.abs(frames - n) / np.maximum(beyond, 1), 0, 1)).sum()
             )
-            if mended > most:
-                best, most = int(n), mended
+            if resolved > most:
+                best, most = int(n), resolved
     return best

@@ -122,7 +122,7 @@ class Labelling:
             self.store.keyframes.apply(change, blank, replaced)
 
     def propagate(self, grasp: Grasp) -> None:
-        """Begin to make the drafts that are not up to date. Raises ``RefusedError`` where there is nothing."""
+        """Begin to fill in what is out of date. Raises ``RefusedError`` where there is nothing to fill in."""
         basis, value = self._basis(grasp, self._own(grasp)), self.labels(grasp)
         if not any(basis.values()):
             raise RefusedError("nothing to fill in yet: click joints, or draw a polygon around the object, on a frame")
@@ -142,7 +142,7 @@ class Labelling:
         self._start(grasp, "reconstruct", lambda job: self.solve(grasp, shape, job))
 
     def solve(self, grasp: Grasp, shape: reconstruction.Shape, job: BackgroundJob) -> str:
-        """Write the files, make a clip of them and reconstruct it; what is said of it.
+        """Write the files, make a clip of them and reconstruct it; return the outcome in words.
 
         Raises ``GetagripError``, ``CancelledError``.
         """
@@ -207,7 +207,7 @@ class Labelling:
         return None if grasp.whole is None else self.out / f"segments-{grasp.name}.json"
 
     def close(self) -> None:
-        """End what is being done."""
+        """Cancel all work."""
         self.background.close()
 
     def _start(self, grasp: Grasp, what: str, work: Work) -> None:

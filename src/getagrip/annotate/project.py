@@ -215,7 +215,7 @@ class Project:
         return [mark for mark in self.store.marks.standing(annotator=annotator) if mark.task in self.tasks]
 
     def agreement(self) -> dict[str, object]:
-        """Return the agreement of people."""
+        """Return the agreement of every two annotators."""
         return {"pairs": [asdict(one) for one in agreement.agreements(self.known())]}
 
     def exported(self, kind: str, annotator: object) -> str:

@@ -94,7 +94,7 @@ class Server(QuietServer):
 
     @property
     def url(self) -> str:
-        """Address of the page, for who may open it."""
+        """Address of the page, with the token that opens it."""
         return f"http://{LOOPBACK}:{self.server_port}/?token={self.token}"
 
     def admits(self, token: str) -> bool:

@@ -1,4 +1,4 @@
-"""Hands between clicked frames moved to where the footage shows them: a head shakes in ways that no spline knows.
+"""Hands between clicked frames, moved to where the footage shows them: no spline predicts how a head shakes.
 
 Points of the hand's surface that are visible on a clicked frame are followed to the next one, and back, by optical
 flow (Lucas, Kanade, IJCAI 1981; pyramids after Bouguet). In each frame in between, the turn, the size and the shift in

@@ -34,7 +34,7 @@ class RefusedError(GetagripError):
 
 
 class State(Protocol):
-    """Somebody's, of a task; a frozen dataclass."""
+    """One annotator's state of a task; a frozen dataclass."""
 
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 

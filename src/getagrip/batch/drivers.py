@@ -41,7 +41,7 @@ class Drivers:
         self._leaving = threading.Event()
 
     def join(self) -> None:
-        """Enter this process, and let its heart beat; strike off those that were killed."""
+        """Enter this process, start its heartbeat, and remove the drivers that were killed."""
         self._strike_off_dead()
         row = (self.id, self._machine, os.getpid(), _born(os.getpid()))
         self._db.execute("INSERT INTO drivers VALUES (?, ?, ?, ?, 0)", row)
@@ -49,12 +49,12 @@ class Drivers:
         threading.Thread(target=self._beat, daemon=True).start()
 
     def rest(self) -> None:
-        """Let the heart stop."""
+        """End the heartbeat."""
         self._leaving.set()
         _HERE.discard(self.id)
 
     def leave(self) -> None:
-        """Strike this process off, and those that have died meanwhile."""
+        """Remove this process, and the drivers that have died meanwhile."""
         self._strike_off_dead()
         self._db.execute("DELETE FROM drivers WHERE id = ?", (self.id,))
 

@@ -158,7 +158,7 @@ def _duration(minutes: float) -> str:
 
 
 def shown(bar: Progress, work: Callable[..., R], job: Named) -> R:
-    """Do the work on a clip in this process, with a bar for it."""
+    """Do the work on a clip in this process, with a progress bar."""
     stage = bar.add_task("", total=1.0)
     try:
         return work(job, partial(show_stage, bar, stage, job.name))

@@ -46,17 +46,27 @@ class Ended(Generic[J, R]):
     """Host name of the process."""
 
 
+@dataclass(frozen=True)
+class Submitted(Generic[J]):
+    """A job that a cluster is to do, or has at work."""
+
+    job: J
+    attempt: int
+    tries: int = 1
+    """Number of times that it was sent: a lost worker or task is no attempt."""
+
+
 class Executor(Protocol[J, R]):
     """Does jobs, several at once. What the work raises, ``wait`` raises."""
 
     @property
     def capacity(self) -> int:
-        """How many more jobs it can begin now."""
+        """Number of jobs that can start now."""
         ...
 
     @property
     def busy(self) -> int:
-        """How many jobs are at work."""
+        """Number of jobs at work."""
         ...
 
     def submit(self, job: J, attempt: int) -> None:

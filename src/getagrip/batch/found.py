@@ -1,6 +1,6 @@
 """The segments of one uncut clip, found and written as clips, unless what is there is good.
 
-Beside the clips stands a record of what they were made from, written last: what is done is seen from it and from them.
+A record of what the clips were made from is written last, beside them: both together show what is done.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Literal
 
 from getagrip.batch.entries import Entry
 from getagrip.batch.job import Outcome, Progress, failure
-from getagrip.batch.kept import OTHER, damaged, difference
+from getagrip.batch.validity import OTHER, damaged, difference
 from getagrip.clip import input_sha256, read_clip, read_masks
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options
@@ -78,7 +78,7 @@ def find_one(job: FindJob, progress: Progress = lambda *_: None) -> DetectedClip
 
 
 def lost(job: FindJob, why: str) -> DetectedClip | Outcome:
-    """Make the outcome of a clip that no process could do."""
+    """Make the outcome of a clip whose process died."""
     return Outcome(job.name, "failed", why)
 
 

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from getagrip.batch.kept import good_result, made_by
+from getagrip.batch.validity import good_result, made_by
 from getagrip.clip import input_sha256, read_clip
 from getagrip.errors import GetagripError, InputError, cleaned
 from getagrip.finding import Finding

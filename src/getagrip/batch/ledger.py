@@ -7,7 +7,6 @@ made again from them.
 from __future__ import annotations
 
 import json
-import os
 import sqlite3
 import time
 from collections.abc import Iterable, Iterator
@@ -31,6 +30,7 @@ from getagrip.batch.entries import (
 from getagrip.errors import GetagripError
 from getagrip.io import databases
 from getagrip.io.storage import Place
+from getagrip.io.user_folders import state_folder
 
 
 class Ledger(Entries):
@@ -68,7 +68,7 @@ class Ledger(Entries):
             self._db.close()
 
     def expect(self, names: Iterable[str], failed: Iterable[Entry]) -> None:
-        """Enter what is to be done, where it has no entry, and what cannot be: paths that give no clip.
+        """Enter tasks that have no entry, and paths that give no clip.
 
         Their names have a slash, as no clip's has. They take the place of those of earlier calls.
         """
@@ -104,7 +104,7 @@ class Ledger(Entries):
             return Entry(**{**vars(entry), "state": "open" if entry.state == "failed" else entry.state})
 
     def end(self, entry: Entry) -> None:
-        """Write what has become of a task of ours, unless another driver has taken us for dead and it over.
+        """Write the outcome of this driver's task, unless another one took this for dead and the task over.
 
         Of one whose result was ``kept``, what is known of its making stays.
         """
@@ -165,11 +165,6 @@ class Ledger(Entries):
                 if self._db.in_transaction:
                     self._db.execute("ROLLBACK")
                 raise
-
-
-def state_folder() -> Path:
-    """Return the user's own folder for what is neither input nor result."""
-    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "getagrip"
 
 
 def ledger_folder(out: Place, value: Path | None) -> Path:

@@ -12,11 +12,11 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import chdir, contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
-from getagrip.batch.executor import DIES, TRIES, Ended, check_code, cores
+from getagrip.batch.executor import DIES, TRIES, Ended, Submitted, check_code, cores
 from getagrip.batch.limits import Limits
 from getagrip.batch.processes import Processes
 from getagrip.errors import UsageError
@@ -32,15 +32,6 @@ LOOK_EVERY = 2.0
 """Seconds after which we ask again how large the cluster is."""
 STORE = 100 * 2**20
 """Bytes of a local cluster's object store: clips and results do not pass through it."""
-
-
-@dataclass(frozen=True)
-class _Submitted(Generic[J]):
-    """A job at work."""
-
-    job: J
-    attempt: int
-    tries: int = 1
 
 
 class RayExecutor(Generic[J, R]):
@@ -67,24 +58,24 @@ class RayExecutor(Generic[J, R]):
         task = self._ray.remote(num_cpus=1, max_retries=0)(_do)
         how = self._ray.put((work, limits, prepare, plugins.fingerprint(), os.getcwd()))
         self._start: Callable[[J], object] = lambda job: task.remote(how, job)
-        self._at_work: dict[object, _Submitted[J]] = {}
+        self._at_work: dict[object, Submitted[J]] = {}
         self._cpus, self._looked = 0, -LOOK_EVERY
 
     @property
     def capacity(self) -> int:
-        """For how many more jobs; there is always room for one, which waits for a cluster that grows."""
+        """Number of jobs that can start now; at least one, which waits for a cluster that grows."""
         if self._workers is None and time.monotonic() - self._looked >= LOOK_EVERY:
             self._cpus, self._looked = int(self._ray.cluster_resources().get("CPU", 0)), time.monotonic()
         return (self._workers or max(1, self._cpus)) - self.busy
 
     @property
     def busy(self) -> int:
-        """Jobs at work."""
+        """Number of jobs at work."""
         return len(self._at_work)
 
     def submit(self, job: J, attempt: int) -> None:
         """Send a job to the cluster."""
-        self._at_work[self._start(job)] = _Submitted(job, attempt)
+        self._at_work[self._start(job)] = Submitted(job, attempt)
 
     def wait(self, nap: float | None) -> list[Ended[J, R]]:
         """Wait for the jobs that end next; none, when the ``nap`` is over [s] or no job is running."""
@@ -109,7 +100,7 @@ class RayExecutor(Generic[J, R]):
         if self._ours:
             self._ray.shutdown()
 
-    def _ended(self, ref: object, submitted: _Submitted[J]) -> Ended[J, R] | None:
+    def _ended(self, ref: object, submitted: Submitted[J]) -> Ended[J, R] | None:
         """Return the end of a job; None where its worker was lost and the job has been sent again."""
         try:
             ended = self._ray.get(ref)

@@ -11,17 +11,17 @@ import math
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Generic, TypeVar
 from uuid import uuid4
 
-from getagrip.batch.executor import DIES, TRIES, Ended, check_code, shared_out
-from getagrip.batch.ledger import state_folder
+from getagrip.batch.executor import DIES, TRIES, Ended, Submitted, check_code, shared_out
 from getagrip.batch.limits import Limits
 from getagrip.batch.processes import Processes
 from getagrip.errors import GetagripError, UsageError
 from getagrip.io import extras, plugins
 from getagrip.io.terminal import report
+from getagrip.io.user_folders import state_folder
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -36,15 +36,6 @@ MEMORY = 3.0
 """GB for a job where it has no limit; a task gets one more."""
 LOOK_EVERY = 1.0
 """Seconds between looks at what has ended."""
-
-
-@dataclass(frozen=True)
-class _Submitted(Generic[J]):
-    """A job that is to be done, or at work."""
-
-    job: J
-    attempt: int
-    tries: int = 1
 
 
 class SlurmExecutor(Generic[J, R]):
@@ -68,25 +59,25 @@ class SlurmExecutor(Generic[J, R]):
             name="getagrip", cpus_per_task=1, timeout_min=math.ceil(seconds / 60.0),
             mem_gb=math.ceil((limits.gigabytes or MEMORY) + 1.0),
         )  # fmt: skip
-        self._collected: list[_Submitted[J]] = []
-        self._at_work: dict[Any, list[_Submitted[J]]] = {}
+        self._collected: list[Submitted[J]] = []
+        self._at_work: dict[Any, list[Submitted[J]]] = {}
         self._lost = 0
 
     @property
     def capacity(self) -> int:
-        """For how many more jobs; none while more than half of the tasks are at work, so that arrays are not small."""
+        """Number of jobs that can start now; 0 while more than half of the tasks work, so that arrays are large."""
         if len(self._at_work) > self._workers // 2:
             return 0
         return (self._workers - len(self._at_work)) * BUNDLE - len(self._collected)
 
     @property
     def busy(self) -> int:
-        """Jobs at work."""
+        """Number of jobs at work."""
         return len(self._collected) + sum(map(len, self._at_work.values()))
 
     def submit(self, job: J, attempt: int) -> None:
         """Put a job into the next array."""
-        self._collected.append(_Submitted(job, attempt))
+        self._collected.append(Submitted(job, attempt))
 
     def wait(self, nap: float | None) -> list[Ended[J, R]]:
         """Wait for the jobs that end next; none, when the ``nap`` is over [s] or no job is running."""
@@ -131,7 +122,7 @@ class SlurmExecutor(Generic[J, R]):
             ) from error
         self._at_work |= dict(zip(tasks, bundles, strict=True))
 
-    def _ended(self, task: Any, bundle: list[_Submitted[J]]) -> list[Ended[J, R]]:
+    def _ended(self, task: Any, bundle: list[Submitted[J]]) -> list[Ended[J, R]]:
         try:
             ends = task.result()
         except self._errors:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import os
 import sqlite3
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,8 @@ from getagrip.io.storage import ARCHIVE, Place, Remote, place
 
 OUR_FILES = ("index.html", "summary.csv", "ledger.sqlite", "ledger.sqlite-wal", "ledger.sqlite-shm", "clips")
 """Files beside the results in their folder: no clip may have these names."""
+FOLDS_CASE = sys.platform in ("win32", "darwin")
+"""True where names that differ in the case of letters only are, as a rule, of one file."""
 
 
 class Plan:
@@ -30,7 +33,7 @@ class Plan:
         self.remote = any(isinstance(path, Remote) for path in paths)
         """True if some lie in an object store."""
         self._db = sqlite3.connect("")  # a temporary file, and that only where it does not fit into the cache
-        self._db.execute("CREATE TABLE found (place INTEGER PRIMARY KEY, name TEXT, folder BLOB)")
+        self._db.execute("CREATE TABLE found (place INTEGER PRIMARY KEY, name TEXT, file TEXT, folder BLOB)")
         for name, clip in _named_clips(paths, self.failed):
             if name not in shard:
                 continue
@@ -40,20 +43,21 @@ class Plan:
                 )
                 self.failed.append(_failure(name, clip, known))
                 continue
-            self._db.execute("INSERT INTO found (name, folder) VALUES (?, ?)", (name, os.fsencode(str(clip))))
-        self._db.execute("CREATE INDEX by_name ON found (name)")
+            row = (name, name.casefold() if FOLDS_CASE else name, os.fsencode(str(clip)))
+            self._db.execute("INSERT INTO found (name, file, folder) VALUES (?, ?, ?)", row)
+        self._db.execute("CREATE INDEX by_file ON found (file)")
         self._sort_out_namesakes()
 
     def _sort_out_namesakes(self) -> None:
         """Leave each clip once, and of clips that share a name none."""
-        shared = "SELECT name FROM found GROUP BY name HAVING count(*) > 1"
-        for (name,) in self._db.execute(shared).fetchall():
+        shared = "SELECT file, min(name) FROM found GROUP BY file HAVING count(*) > 1"
+        for file, name in self._db.execute(shared).fetchall():
             clips = dict[Place, tuple[int, Place]]()
-            for n, folder in self._db.execute("SELECT place, folder FROM found WHERE name = ? ORDER BY place", (name,)):
+            for n, folder in self._db.execute("SELECT place, folder FROM found WHERE file = ? ORDER BY place", (file,)):
                 clip = place(os.fsdecode(folder))
                 clips.setdefault(_resolved(clip), (n, clip))
             (kept, first), *others = clips.values()
-            self._db.execute("DELETE FROM found WHERE name = ? AND (? OR place != ?)", (name, bool(others), kept))
+            self._db.execute("DELETE FROM found WHERE file = ? AND (? OR place != ?)", (file, bool(others), kept))
             alike = [clip for _, clip in others]
             for clip, other in zip([first, *alike], [*alike[:1], *[first] * len(alike)], strict=False):
                 expected = f"a name of its own: {other} has the same, and so would their results"

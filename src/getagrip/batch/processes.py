@@ -36,12 +36,12 @@ class Processes(Generic[J, R]):
 
     @property
     def capacity(self) -> int:
-        """For how many more jobs."""
+        """Number of jobs that can start now."""
         return self.workers - self.busy
 
     @property
     def busy(self) -> int:
-        """Jobs at work."""
+        """Number of jobs at work."""
         return len(self._at_work())
 
     def submit(self, job: J, attempt: int) -> None:

@@ -115,7 +115,7 @@ def write_summary(ledger: Entries | None, out: Place, keep: Keep = ALL) -> list[
 
 
 def write_table(ledger: Entries | None, results: Place, path: Path, keep: Keep = ALL) -> Counter[str]:
-    """Write the table of all clips; how many are in each state."""
+    """Write the table of all clips; return how many are in each state."""
     states = Counter[str]()
     with files.new_text(path) as file:
         table = CsvTable(file)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from getagrip.cameras import colmap, lines, phones, slam
+from getagrip.cameras import colmap, phones, slam
 from getagrip.cameras.camera_path import CameraPath
 from getagrip.errors import InputError, UsageError
 
@@ -22,8 +22,8 @@ FORMATS: dict[str, Callable[[Path], CameraPath | None]] = {
     "hawor (SLAM/hawor_slam_w_scale_*.npz, or traj in an .npz, as of DROID-SLAM)": slam.read_hawor,
     "arkit (frames' .json with cameraPoseARFrame)": phones.read_arkit,
     "aria (closed_loop_trajectory.csv)": phones.read_aria,
-    "tum (lines of 8 numbers)": lines.read_tum,
-    "kitti (lines of 12 numbers)": lines.read_kitti,
+    "tum (lines of 8 numbers)": slam.read_tum,
+    "kitti (lines of 12 numbers)": slam.read_kitti,
 }
 
 

@@ -1,10 +1,12 @@
-"""Paths that ViPE, MegaSaM, DROID-SLAM and HaWoR's SLAM write as ``.npz``: camera to world.
+"""Paths of SLAM programs, camera to world: ``.npz`` files, or lines of numbers.
 
 - **ViPE** (``vipe_results``): ``pose/<video>.npz`` with ``data`` (N, 4, 4) and ``inds`` (N,), numbers of images from 0;
   ``intrinsics/<video>.npz`` likewise, (N, 4): fx, fy, cx, cy [px]. About metric.
 - **MegaSaM**: ``cam_c2w`` (N, 4, 4), ``intrinsic`` (3, 3) of the size of ``images`` or ``depths``. Not metric.
 - **HaWoR**: ``traj`` (N, 7), place and quaternion (x, y, z, w), with ``scale``, ``img_focal``, ``img_center``: metric.
   A ``traj`` without a scale, as of DROID-SLAM, is not.
+- **TUM** (RGB-D benchmark; evo, ORB-SLAM): lines of time, place, quaternion (x, y, z, w). Metric or not.
+- **KITTI** (odometry): lines of the upper three rows, row by row. Metric or not.
 """
 
 from __future__ import annotations
@@ -12,11 +14,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Float, Shaped
 from numpy import ndarray
 
 from getagrip.cameras.camera_path import CameraPath, Pinhole
 from getagrip.errors import InputError
+from getagrip.geometry import se3
 from getagrip.hands.trackers.hawor import slam_poses
 from getagrip.io import arrays, files
 
@@ -82,3 +85,39 @@ def _inds(path: Path, record: dict[str, Shaped[ndarray, "..."]]) -> list[int]:
     if inds is None or inds.ndim != 1 or inds.dtype.kind not in "iu" or len(inds) != len(record["data"]):
         raise InputError(path, "inds", "no such array" if inds is None else str(inds.shape), "a number for each pose")
     return [int(n) for n in inds]
+
+
+LARGEST = 256 * 2**20
+
+
+def read_tum(path: Path) -> CameraPath | None:
+    """Read lines of 8 numbers; None for another file."""
+    rows = _numbers(path, 8)
+    if rows is None:
+        return None
+    T = se3.rigid(se3.from_quaternion(rows[:, [7, 4, 5, 6]]), rows[:, 1:4])
+    return CameraPath("lines as of TUM's benchmark", path, T, times=rows[:, 0])
+
+
+def read_kitti(path: Path) -> CameraPath | None:
+    """Read lines of 12 numbers; None for another file."""
+    rows = _numbers(path, 12)
+    if rows is None:
+        return None
+    matrices = rows.reshape(-1, 3, 4)
+    return CameraPath("lines as of KITTI's", path, se3.rigid(matrices[:, :, :3], matrices[:, :, 3]))
+
+
+def _numbers(path: Path, count: int) -> Float[ndarray, "n count"] | None:
+    """Read a file whose lines are all of ``count`` numbers, comments apart; None for another one."""
+    if not path.is_file() or path.suffix.lower() not in (".txt", ".csv", ".tum", ".kitti", ".traj", ""):
+        return None
+    text = files.read_bytes(path, LARGEST).decode(errors="replace").replace(",", " ")
+    lines = [line.split() for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    if not lines or any(len(words) != count for words in lines):
+        return None
+    try:
+        rows = np.array(lines, dtype=float)
+    except ValueError:
+        return None
+    return rows if np.isfinite(rows).all() else None

@@ -31,7 +31,7 @@ PER_REGION = 6
 
 @dataclass(frozen=True)
 class Glitches:
-    """The frames of tracker glitches (``fitting.hand_jumps``).
+    """The frames of tracker glitches (``fitting.tracker_glitches``).
 
     Attributes:
         frames: names of those frames.
@@ -49,7 +49,8 @@ class Glitches:
     def __str__(self) -> str:
         where, more = "frame" if len(self.frames) == 1 else "frames", len(self.frames) - NAMED
         names = ", ".join(self.frames[:NAMED]) + (f" and {more} more" if more > 0 else "")
-        return f"the hand leaves its path and returns (tracker glitch), and was interpolated: {where} {names}"
+        what = "the hand leaves its path and returns (tracker glitch), and was flipped back or interpolated"
+        return f"{what}: {where} {names}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +69,7 @@ class Evidence:
             none.
         deformed_mm: the same in millimetres.
         hand_differing: share of the hand's seen pixels that differ from its silhouette; NaN where that is not known.
+        joints_left_out: whether the hand's 2D joints did not count where it was refined.
         misfit: how much farther contours are from those of the masks than the object's own mesh would leave them.
         other_size: how many times as large the object seems to be, where its size was said to be known, and what
             share of the energy that saves; NaN where it was not looked at.
@@ -83,13 +85,14 @@ class Evidence:
     deformed: float = np.nan
     deformed_mm: float = np.nan
     hand_differing: float = np.nan
+    joints_left_out: bool = False
     misfit: float = np.nan
     scale_check: tuple[float, float] = (np.nan, np.nan)
     glitches: Glitches | None = None
 
     @property
     def glitch_share(self) -> float:
-        """Share of the clip's frames in which the hand jumps; NaN where none was looked for."""
+        """Share of the clip's frames with a tracker glitch; NaN where none was looked for."""
         return np.nan if self.glitches is None else self.glitches.share
 
     @property
@@ -177,26 +180,32 @@ class Evidence:
         return self.iou
 
     @cached_property
+    def posed(self) -> Float[ndarray, "T V 3"]:
+        """Vertices of the found object before the camera [m]."""
+        assert self.T_hand_obj is not None
+        T_cam_obj = self.clip.hand.T_cam_hand @ self.T_hand_obj
+        return np.asarray(se3.transform(T_cam_obj, self.scale * self.clip.mesh.vertices))
+
+    @cached_property
     def to_object(self) -> Float[ndarray, "T P"]:
         """Signed distances [m] of points of the hand to the found object, negative inside."""
-        assert self.T_hand_obj is not None
-        hand, mesh = self.clip.hand, self.clip.mesh
-        some = frame_indices(hand.vertices.shape[1], POINTS)
-        points = se3.transform(se3.inverse(self.T_hand_obj), hand.vertices[:, some])
-        vertices = np.broadcast_to(self.scale * mesh.vertices, (len(points), *mesh.vertices.shape))
-        return moving_distance(points, vertices, mesh.faces)
+        return self._distance(frame_indices(self.clip.hand.vertices.shape[1], POINTS))
 
     @cached_property
     def region_distance(self) -> Float[ndarray, "T R"]:
         """Signed distance [m] of each contact region of the hand to the found object, negative inside."""
-        assert self.T_hand_obj is not None
-        hand, mesh = self.clip.hand, self.clip.mesh
-        some = [ids[frame_indices(len(ids), PER_REGION)] for ids in hand.regions.values() if len(ids)]
-        points = se3.transform(se3.inverse(self.T_hand_obj), hand.vertices[:, np.concatenate(some)])
-        vertices = np.broadcast_to(self.scale * mesh.vertices, (len(points), *mesh.vertices.shape))
-        distance = moving_distance(points, vertices, mesh.faces)
+        some = [ids[frame_indices(len(ids), PER_REGION)] for ids in self.clip.hand.regions.values() if len(ids)]
         ends = np.cumsum([len(ids) for ids in some])[:-1]
-        return np.stack([part.min(axis=1) for part in np.split(distance, ends, axis=1)], axis=1)
+        parts = np.split(self._distance(np.concatenate(some)), ends, axis=1)
+        return np.stack([part.min(axis=1) for part in parts], axis=1)
+
+    def _distance(self, ids: Int[ndarray, "n"]) -> Float[ndarray, "T n"]:
+        """Measure the signed distances [m] of vertices of the hand to the found object, negative inside."""
+        assert self.T_hand_obj is not None
+        mesh, points = self.clip.mesh, se3.transform(se3.inverse(self.T_hand_obj), self.clip.hand.vertices[:, ids])
+        return moving_distance(
+            points, np.broadcast_to(self.scale * mesh.vertices, (len(points), *mesh.vertices.shape)), mesh.faces
+        )
 
     @cached_property
     def in_front(self) -> tuple[float, float]:

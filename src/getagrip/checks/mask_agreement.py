@@ -13,7 +13,6 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.checks.evidence import Evidence
-from getagrip.geometry import se3
 from getagrip.geometry.depth import covered
 
 UNKNOWN = float("nan")
@@ -43,18 +42,15 @@ def mean_iou(it: Evidence) -> float:
 
 def agreement(it: Evidence) -> float:
     """Correlate the differences between mask and silhouette in successive frames, median; 0 where none follow."""
-    assert it.T_hand_obj is not None
-    posed = se3.transform(it.clip.hand.T_cam_hand @ it.T_hand_obj, it.scale * it.clip.mesh.vertices)
-    shown = np.flatnonzero(it.mask_area > 0)
-    each = [_difference(it, int(n), posed[n]) for n in shown]
+    each = [_difference(it, int(n)) for n in np.flatnonzero(it.mask_area > 0)]
     alike = [_correlation(a, b) for a, b in pairwise(each)]
     return float(np.median(alike)) if alike else 0.0
 
 
-def _difference(it: Evidence, n: int, posed: Float[ndarray, "V 3"]) -> Float[ndarray, "g g"]:
+def _difference(it: Evidence, n: int) -> Float[ndarray, "g g"]:
     """Pixels of the mask alone less those of the silhouette alone, outside ignored ones, in cells about the mask."""
     mask, ignored = it.masks.object[n], it.masks.ignore[n]
-    silhouette = covered(posed, it.clip.mesh.faces, it.clip.K[n], it.clip.size)
+    silhouette = covered(it.posed[n], it.clip.mesh.faces, it.clip.K[n], it.clip.size)
     rows, columns = np.nonzero(mask ^ (silhouette & (mask | ~ignored)))
     half = float(np.max(it.boxes[n, 2:] - it.boxes[n, :2]))
     across, down = (

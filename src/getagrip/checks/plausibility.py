@@ -1,16 +1,20 @@
-"""Sizes and distances that cannot be far from usual while a hand holds an object."""
+"""Forms, sizes and distances that cannot be far from usual while a hand holds an object, and the side of a hand."""
 
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
 
 from getagrip.checks.evidence import Evidence
+from getagrip.geometry.mesh import face_areas
+from getagrip.metrics.contact import close_holes
 
 UNKNOWN = float("nan")
 
 
 def size_input(it: Evidence) -> float:
-    """Return the mesh's diameter, where that is the object's, in sizes of the hand."""
+    """Return the mesh's diameter in sizes of the hand, where the object's size is known."""
     return it.clip.mesh.diameter / it.hand_size if it.clip.scale == "known" else UNKNOWN
 
 
@@ -20,7 +24,7 @@ def found_size(it: Evidence) -> float:
 
 
 def mask_size(it: Evidence) -> float:
-    """Return the diameter that the masks show, in diameters of the mesh, where that is the object's."""
+    """Return the diameter that the masks show in diameters of the mesh, where the object's size is known."""
     return it.apparent_size / it.clip.mesh.diameter if it.clip.scale == "known" else UNKNOWN
 
 
@@ -70,3 +74,45 @@ def hand_off_pixels(it: Evidence) -> float:
 def hand_off_ignored(it: Evidence) -> float:
     """Measure how far the hand is off the ignored pixels near it, where these are taken for its own."""
     return it.hand_differing if it.masks.hand is None else UNKNOWN
+
+
+def hole_share(it: Evidence) -> float:
+    """Compute the share of the holes in the area of mesh and holes together; holes are closed by fans."""
+    mesh = it.clip.mesh
+    area = face_areas(*close_holes(mesh.vertices, mesh.faces))
+    return float(area[len(mesh.faces) :].sum() / area.sum())
+
+
+def extents(it: Evidence) -> list[float]:
+    """Return the sides of the box around the mesh along its principal axes, as shares of the largest; it comes last."""
+    about = it.clip.mesh.vertices - it.clip.mesh.vertices.mean(axis=0)
+    _, axes = np.linalg.eigh(np.cov(about.T))
+    sides = np.sort(np.ptp(about @ axes, axis=0))
+    return np.asarray(sides / sides[-1]).tolist()
+
+
+WRIST, INDEX, MIDDLE, PINKY = 0, 5, 9, 17
+"""Indices among the 21 joints: the wrist, and the first joints of three fingers."""
+ROOTS, TIPS = np.array([5, 9, 13, 17]), np.array([8, 12, 16, 20])
+
+
+def bend(it: Evidence) -> float:
+    """Measure how far the fingers bend towards the palm of a hand of the clip's side, median over frames [degrees].
+
+    Negative where they would bend backwards: it is the other hand. NaN for hands without joints.
+
+    Seen with the palm in front and the fingers up, a right hand's index lies to the right of its little finger; so
+    little finger to index, crossed with wrist to fingers, points out of the palm, where bent fingers go.
+    """
+    joints = it.clip.hand.joints
+    if joints is None:
+        return UNKNOWN
+    along = _unit(joints[:, MIDDLE] - joints[:, WRIST])
+    out = _unit(np.cross(joints[:, INDEX] - joints[:, PINKY], along))
+    fingers = (joints[:, TIPS] - joints[:, ROOTS]).mean(axis=1)
+    angle = np.degrees(np.arctan2(np.sum(fingers * out, axis=1), np.abs(np.sum(fingers * along, axis=1))))
+    return float(np.median(angle if it.clip.side == "right" else -angle))
+
+
+def _unit(v: Float[ndarray, "T 3"]) -> Float[ndarray, "T 3"]:
+    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-12))

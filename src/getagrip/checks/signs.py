@@ -177,7 +177,7 @@ NAMES = (
     *(sign.name for sign in HAND_SIGNS),
 )  # fmt: skip
 ESTIMATED_SIGNS = tuple(sign for sign in (*SIGNS, *HAND_SIGNS) if sign.name in NAMES)
-"""Signs that count where hands are estimated (``checks.kept``): few, since more were worse for other objects."""
+"""Signs that count where hands are estimated (``checks.calibrated``): few, since more were worse for other objects."""
 
 
 def read_signs(it: Solved) -> dict[str, float]:

@@ -22,7 +22,7 @@ FRAMES, POINTS = 5, 200
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Solved(Evidence):
-    """In the frames that were fitted together; ``clip`` has the hand that the poses are relative to.
+    """A fitted clip at the frames that were fitted together; its hand is the one that the poses are relative to.
 
     Attributes:
         T_hand_obj: (T, 4, 4) poses that were found.
@@ -111,6 +111,6 @@ class Solved(Evidence):
 
     @property
     def hand_turn(self) -> float:
-        """By how much it was turned, mean over frames [rad]."""
+        """Rotation of the hand by the refinement, mean over frames [rad]."""
         T, value = self.clip.hand.T_cam_hand, self.T_cam_hand_input
         return float(se3.angle_between(T[:, :3, :3], value[:, :3, :3]).mean())

@@ -6,10 +6,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from getagrip.checks import frame_order, mask_agreement, mesh_form, plausibility, regrasp
+from getagrip.checks import frame_order, mask_agreement, plausibility, regrasp
 from getagrip.checks.check import Check, millimetres, of_diameter, percent
 from getagrip.checks.evidence import Evidence
-from getagrip.checks.hand_side import bend
 from getagrip.clip import intrinsics, modalities
 from getagrip.finding import Finding
 from getagrip.io import plugins
@@ -73,20 +72,20 @@ CAUSES = (
 
 _INPUT: tuple[Check, ...] = (
     Check(
-        "mesh-holes", lambda it: mesh_form.hole_share(it.clip.mesh), high=0.15, shown=percent,
+        "mesh-holes", plausibility.hole_share, high=0.15, shown=percent,
         fault="holes are {value} of the mesh's surface",
         advice="are faces missing? Close the mesh, or give a thin shell its two sides",
     ),
     Check(
-        "mesh-open", lambda it: mesh_form.hole_share(it.clip.mesh), high=0.01, serious=False, shown=percent,
+        "mesh-open", plausibility.hole_share, high=0.01, serious=False, shown=percent,
         fault="the mesh is open, by {value} of its surface", advice="what is inside it is a guess; close it",
     ),
     Check(
-        "mesh-flat", lambda it: float(mesh_form.extents(it.clip.mesh)[0]), low=0.005, shown=percent,
+        "mesh-flat", lambda it: plausibility.extents(it)[0], low=0.005, shown=percent,
         fault="the mesh's thickness is {value} of its length", advice="the mesh has no volume: add its thickness",
     ),
     Check(
-        "mesh-needle", lambda it: float(mesh_form.extents(it.clip.mesh)[1]), low=0.015, shown=percent,
+        "mesh-needle", lambda it: plausibility.extents(it)[1], low=0.015, shown=percent,
         fault="the mesh's width is {value} of its length",
         advice="is it stretched along one axis, or another object's?",
     ),
@@ -129,7 +128,7 @@ _INPUT: tuple[Check, ...] = (
         advice="give one camera for all frames, unless the lens zooms",
     ),
     Check(
-        "hand-side", lambda it: bend(it.clip.hand, it.clip.side), low=-5.0, shown="{:.3g} degrees".format,
+        "hand-side", plausibility.bend, low=-5.0, shown="{:.3g} degrees".format,
         fault="the fingers bend by {value} towards the palm that such a hand would have",
         advice="it is the other hand, or a mirrored one: correct \"side\" in clip.json, or the hand",
     ),

@@ -108,10 +108,8 @@ class Depth(ArrayData):
         return found
 
 
-def windows(
-    clip: Clip, masks: Masks, size: tuple[int, int], side: int = SIDE
-) -> tuple[Int[ndarray, "T 2"], Int[ndarray, "T"]]:
-    """Return corner and stride of windows of ``side`` samples about hand and object, in depth images of a ``size``."""
+def windows(clip: Clip, masks: Masks, size: tuple[int, int]) -> tuple[Int[ndarray, "T 2"], Int[ndarray, "T"]]:
+    """Return corner and stride of windows of ``SIDE`` samples about hand and object, in depth images of a ``size``."""
     uv = project(clip.K, se3.transform(clip.hand.T_cam_hand, clip.hand.vertices))
     boxes = bounding_boxes(masks.object)
     seen = (boxes[:, 2] > boxes[:, 0])[:, None]
@@ -119,17 +117,15 @@ def windows(
     high = np.where(seen, np.maximum(uv.max(axis=1), boxes[:, 2:]), uv.max(axis=1))
     low, high = np.clip(low, 0, clip.size), np.clip(high, 0, clip.size)
     zoom = np.array(size) / np.array(clip.size)
-    stride = np.maximum(np.ceil(MARGIN * ((high - low) * zoom).max(axis=1) / side), 1.0).astype(int)
-    corner = np.floor((low + high) / 2.0 * zoom - stride[:, None] * side / 2.0).astype(int)
+    stride = np.maximum(np.ceil(MARGIN * ((high - low) * zoom).max(axis=1) / SIDE), 1.0).astype(int)
+    corner = np.floor((low + high) / 2.0 * zoom - stride[:, None] * SIDE / 2.0).astype(int)
     return corner, stride
 
 
-def sampled(
-    image: Float[ndarray, "h w"], corner: Int[ndarray, "2"], stride: int, side: int = SIDE
-) -> Float[ndarray, "n n"]:
+def sampled(image: Float[ndarray, "h w"], corner: Int[ndarray, "2"], stride: int) -> Float[ndarray, "n n"]:
     """Sample a depth image in a window; 0 beyond it."""
-    out = np.zeros((side, side))
-    columns, rows = corner[:, None] + stride * np.arange(side)
+    out = np.zeros((SIDE, SIDE))
+    columns, rows = corner[:, None] + stride * np.arange(SIDE)
     height, width = image.shape
     (left, right), (top, bottom) = np.searchsorted(columns, [0, width]), np.searchsorted(rows, [0, height])
     out[top:bottom, left:right] = image[rows[top:bottom, None], columns[left:right]]

@@ -46,7 +46,12 @@ def read_depth(clip: Clip) -> Depth | None:
     Raises ``InputError`` for images of several sizes or of another shape than the clip's, for negative depth, where no
     image has depth about hand and object, and where all is too far away for the unit.
     """
-    if clip.folder is None or not os.path.lexists(clip.folder / DEPTH):
+    if clip.folder is None:
+        return None
+    if not os.path.lexists(clip.folder / DEPTH):
+        if DEPTH in files.read_json(clip.folder / "clip.json"):
+            expected = f"the description of a folder {DEPTH}, or left out"
+            raise InputError(clip.folder / "clip.json", DEPTH, "no such folder", expected)
         return None
     source = read_source(clip.folder / "clip.json")
     names = [depth_file(clip.folder, frame) for frame in clip.frames]

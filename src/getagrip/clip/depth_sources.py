@@ -9,7 +9,7 @@ scaled.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +17,23 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip.depth import DEPTH, DepthSource
-from getagrip.clip.depth_files import SUFFIXES, cleaned, png_size, read_pixels, read_png16
+from getagrip.clip.depth_files import (
+    FARTHEST,
+    SUFFIXES,
+    check_shape,
+    cleaned,
+    depth_file,
+    png_size,
+    read_pixels,
+    read_png16,
+    source_fields,
+)
 from getagrip.clip.naming import check_numbers, frames_of, number_of
+from getagrip.clip.reading import ClipHeader
 from getagrip.errors import InputError, UsageError, unknown
 from getagrip.io import arrays, files
 from getagrip.io.files import plain
-from getagrip.io.images import read_colour_png
+from getagrip.io.images import read_colour_png, write_depth
 
 HO3D_UNIT = 0.00012498664727900177
 """Metres per unit of HO-3D's depth (``read_depth_img`` of its authors' code)."""
@@ -62,7 +73,7 @@ SOURCES: Mapping[str, DepthFormat] = {
     "dexycb": _sensor("aligned_depth_to_color_*.png"),
     "ho3d": _sensor("its colour-coded PNG", HO3D_UNIT, read_png=_ho3d),
     "arkit": _sensor("of an iPhone's LiDAR: PNG in mm, or arrays in metres", error=0.01),
-    "depth-anything-3": DepthFormat("exports/npz/results.npz", DepthSource("clip", "network")),
+    "depth-anything-3": DepthFormat("exports/npz/results.npz, or mini_npz", DepthSource("clip", "network")),
     "moge": DepthFormat("--maps: a folder for each image, with depth.exr", DepthSource("frame", "network")),
     "unidepth": DepthFormat("its depth as .npy or .npz", DepthSource("metric", "network")),
     "depth-pro": DepthFormat("an .npz for each image", DepthSource("metric", "network")),
@@ -94,30 +105,31 @@ def open_depth(path: Path, name: str, frames: Sequence[str], ask_first: str) -> 
     if name not in SOURCES:
         raise unknown("--from", name, SOURCES)
     form = SOURCES[name]
-    if path.is_file() and path.suffix in {".npz", ".npy"} and number_of(path.stem) is None:
-        return _stack(path, form, frames, ask_first)
-    if path.is_dir() and (path / "exports" / "npz" / "results.npz").is_file():
-        return _stack(path / "exports" / "npz" / "results.npz", form, frames, ask_first)
-    paths = _images(path) if path.is_dir() else [path] if path.is_file() else []
+    exported = [path / "exports" / kind / "results.npz" for kind in ("npz", "mini_npz")]
+    paths = [one for one in (path, *exported) if one.is_file()][:1] or (_images(path) if path.is_dir() else [])
     if not paths:
         got = "no depth image" if path.exists() else "no such file or folder"
-        raise InputError(path, "", got, f"{name}'s {form.takes}")
+        raise InputError(path, "", got, f"files of {name}: {form.takes}")
+    if len(paths) == 1 and paths[0].suffix in {".npz", ".npy"} and number_of(paths[0].stem) is None:
+        return _stack(paths[0], form, frames, ask_first)
     names = [each.parent.name if each.stem == DEPTH else each.stem for each in paths]
     rows = _rows(path, names, frames, ask_first)
 
     def read(n: int) -> tuple[Path, Float[ndarray, "h w"], float]:
         of_frame = paths[rows[n]]
-        if of_frame.suffix == ".png":
+        if of_frame.suffix.lower() == ".png":
             return of_frame, form.read_png(of_frame), form.source.unit
-        return of_frame, read_pixels(of_frame), form.floats
+        image = read_pixels(of_frame)
+        whole = image.max() > FARTHEST and np.array_equal(image, np.floor(image))  # a sensor's PNG, saved as an array
+        return of_frame, image, form.source.unit if whole else form.floats
 
-    beside = paths[rows[min(rows)]].parent / "fov.json"
-    return DepthReader(read, sorted(rows), _focal_of_view(beside) if beside.is_file() else np.nan)
+    return DepthReader(read, sorted(rows), _focal_of_view(paths[rows[min(rows)]]))
 
 
 def _images(folder: Path) -> list[Path]:
     inside = sorted(one for sub in folder.iterdir() if sub.is_dir() for one in sub.glob(f"{DEPTH}.*"))
     alone = sorted(one for one in folder.iterdir() if one.is_file())
+    alone = [one for one in alone if DEPTH in one.stem.lower()] or alone  # DexYCB's labels are arrays beside it
     for some in (inside, alone):
         for suffix in reversed(SUFFIXES):  # numbers with fractions rather than pictures of them
             found = [one for one in some if one.suffix.lower() == suffix]
@@ -175,26 +187,32 @@ def _rows(path: Path, names: Sequence[str], frames: Sequence[str], ask_first: st
 
 
 def _focal_of_view(path: Path) -> float:
-    """Return the focal length of MoGe's ``fov.json`` [widths of the image]; NaN where it does not say."""
-    angle = files.read_json(path).get("fov_x")
-    if not isinstance(angle, int | float) or not 0.0 < angle < 180.0:
+    """Return the focal length in MoGe's ``fov.json`` beside an image, or in ``fov`` of MegaSaM's arrays.
+
+    In widths of the image; NaN where neither says.
+    """
+    beside, angle = path.with_name("fov.json"), np.array(np.nan)
+    if beside.is_file():
+        angle = np.asarray(files.read_json(beside).get("fov_x"))
+    elif path.suffix == ".npz":
+        angle = arrays.read(path, {"fov"}.__contains__).get("fov", angle)
+    if angle.size != 1 or angle.dtype.kind not in "fi" or not 0.0 < angle.item() < 180.0:
         return np.nan
-    return float(0.5 / np.tan(np.radians(angle) / 2.0))
+    return float(0.5 / np.tan(np.radians(angle.item()) / 2.0))
 
 
-def check_camera(reader: DepthReader, K: Float[ndarray, "T 3 3"], width: int) -> str:
+def check_camera(reader: DepthReader, source: DepthSource, K: Float[ndarray, "T 3 3"], width: int) -> str:
     """Say that a program saw another field of view than the clip's camera has; empty where it did not."""
     ratio = reader.focal * width / float(np.median(K[:, 0, 0]))
     if not abs(ratio - 1.0) > OTHER_CAMERA:
         return ""
-    return (
-        f"the program assumed {ratio:.2f} times the clip's focal length: its distances may be off as much; "
-        "give it the clip's, or import with --scale clip"
-    )
+    off, else_by = ("distances", ", or import with --scale clip") if source.scale == "metric" else ("relief", "")
+    said = f"the program assumed {ratio:.2f} times the clip's focal length: its {off} may be off as much; "
+    return f"{said}give it the clip's{else_by}"
 
 
 def chosen_source(name: str, scale: str | None, unit: float | None, error: float | None) -> DepthSource:
-    """Return what a format's numbers are, as far as the user does not say otherwise. Raises ``UsageError``."""
+    """Return the measure of a format's numbers, or the one that the user states. Raises ``UsageError``."""
     source = SOURCES[name].source
     if error is not None and not 0.0 < error < 1.0:
         raise UsageError(f"--error must be a share of the distance, above 0 and below 1 (got {error})")
@@ -206,3 +224,56 @@ def chosen_source(name: str, scale: str | None, unit: float | None, error: float
         source.unit if unit is None else unit,
         source.error if error is None else error,
     )
+
+
+LARGEST = 65534
+"""Largest number of a 16-bit image that is a distance."""
+MIDDLE = 16384
+"""Numbers with fractions are written so that the first image's median is this."""
+
+
+def add_depth(
+    header: ClipHeader,
+    reader: DepthReader,
+    source: DepthSource,
+    said: str,
+    unit: float | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Write ``depth/`` of a clip, and what it is and where it is from into its ``clip.json``. Raises ``InputError``.
+
+    ``unit`` is that of the files, where the user states it [m].
+    """
+    older = (depth_file(header.folder, frame) for frame in header.frames if overwrite)
+    there = tuple(Path(name).name for name in older if name is not None)
+    whence = header.fields["provenance"] | {DEPTH: said}
+    with files.new_folder(header.folder / DEPTH, there) as new:
+        found = _write(reader, header.frames, header.size, unit, new)
+        with files.new_file(header.folder / "clip.json") as part:
+            stored = source_fields(replace(source, unit=found))
+            files.write_json(part, header.changed({DEPTH: stored, "provenance": whence}))
+
+
+def _write(
+    reader: DepthReader, frames: Sequence[str], size: tuple[int, int], stated: float | None, folder: Path
+) -> float:
+    """Write the images, one at a time in memory, and return the unit of their numbers. Raises ``InputError``.
+
+    Whole numbers stay as they are.
+    """
+    unit, written, path = 0.0, 0.0, folder
+    for n in reader.known:
+        path, image, one = reader.read(n)
+        check_shape(path, image, size)
+        one = one if stated is None else stated
+        if not unit:
+            whole = bool(np.all(image == np.floor(image))) and image.max() <= LARGEST
+            middle = float(np.median(image[image > 0.0])) if image.any() else 0.0
+            unit = one if whole or not middle else one * middle / MIDDLE
+        numbers = np.rint(image * (one / unit))
+        numbers[numbers > LARGEST] = 0.0  # farther than anything near a hand
+        written += float(numbers.sum())
+        write_depth(folder / f"{frames[n]}.png", numbers.astype(np.uint16))
+    if not written:
+        raise InputError(path, "", "0 in all images", "distances, 0 for none")
+    return unit

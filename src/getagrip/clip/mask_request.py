@@ -75,8 +75,8 @@ class MaskRequest:
     def places(self, source: Path, names: Sequence[str]) -> dict[int, int]:
         """Match images to frames by their file names, for the frames that have one.
 
-        Raises ``UsageError`` where they seem to be counted from another start, and ``InputError`` for a second one of a
-        frame, and where there is none of any.
+        Raises ``UsageError`` where they seem to be counted from another start, and ``InputError`` where a frame has
+        two, or none has one.
         """
         chosen = [k for k, name in enumerate(names) if self._is_meant(name)]
         if names and not chosen:

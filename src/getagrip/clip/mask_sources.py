@@ -6,7 +6,7 @@
   ``.npy`` or ``.npz`` (``array_masks``), or of LabelMe's ``.json`` (``json_masks``);
 - ``.json``: COCO's ``images``, ``annotations`` (polygons or run lengths) and ``categories``, YouTube-VIS's ``videos``
   and SA-V's ``masklet`` (``json_masks``);
-- ``.pkl`` or ``.npy``: SAM 2's ``video_segments`` (``video_segments``);
+- ``.pkl`` or ``.npy``: SAM 2's ``video_segments`` (``array_masks``);
 - ``.npz`` or ``.npy``: ``object`` (T, H, W) and perhaps ``ignore`` and ``hand``, or ``labels`` (T, H, W) of whole
   numbers; ``frames`` (T,) names or numbers of them, or all of the wanted ones in order; or an array for each frame.
 
@@ -23,14 +23,13 @@ from pathlib import Path
 from jaxtyping import Int
 from numpy import ndarray
 
-from getagrip.clip.array_masks import npy, npy_folder, npz
+from getagrip.clip.array_masks import holds_objects, npy, npy_folder, npz, video_segments
 from getagrip.clip.data import FrameMasks
 from getagrip.clip.json_masks import coco, label_me, masklets, youtube_vis
 from getagrip.clip.label_choice import LabelChoice, read_labels
 from getagrip.clip.mask_request import MOST_NAMED, MaskReader, MaskRequest, without_object
 from getagrip.clip.segments import union
 from getagrip.clip.soft_edges import Load, sharpened
-from getagrip.clip.video_segments import holds_objects, video_segments
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 

@@ -143,7 +143,7 @@ def check_camera_poses(path: Path, T_world_cam: Float[ndarray, "T 4 4"], frames:
 def check_poses(
     path: Path, key: str, T_cam: Float[ndarray, "T 4 4"], centres: Float[ndarray, "T 3"], what: str
 ) -> None:
-    """Raise ``InputError`` for motions that are not rigid, or that put ``centres`` nowhere before the camera."""
+    """Raise ``InputError`` for motions that are not rigid, or that put a centre behind the camera or too far away."""
     with np.errstate(over="ignore", invalid="ignore"):
         rigid = se3.is_rigid(T_cam)
         posed = se3.transform(T_cam, centres[:, None])[:, 0]

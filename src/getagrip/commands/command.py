@@ -49,7 +49,7 @@ class Command:
         raise NotImplementedError
 
     def check(self) -> None:
-        """Raise ``UsageError`` where what it writes has no place, before any work is done."""
+        """Raise ``UsageError``, before any work is done, where an output cannot be written."""
         from getagrip.io import files
 
         if isinstance(out := getattr(self, "out", None), Remote):
@@ -61,7 +61,7 @@ class Command:
 
 
 class ClipJob(Protocol):
-    """Something to do with a clip."""
+    """The work of a command on one clip."""
 
     @property
     def clip(self) -> Path: ...

@@ -129,7 +129,7 @@ def _died(job: ResultJob | OtherJob) -> Evaluated:
 
 
 def evaluate_one(job: ResultJob) -> Evaluated:
-    """Evaluate a result; failures are returned, not raised. Raises nothing."""
+    """Evaluate a result; failures are returned, not raised."""
     from getagrip.batch.job import failure
     from getagrip.evaluation import evaluate_result
 

@@ -1,4 +1,4 @@
-"""``getagrip evaluate --poses``, ``--meshes``: what another system says of clips."""
+"""``getagrip evaluate --poses``, ``--meshes``: another system's poses or meshes of clips."""
 
 from __future__ import annotations
 

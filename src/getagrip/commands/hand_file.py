@@ -43,7 +43,7 @@ class HandFile:
         return HandFile(path, arrays.frame_numbers(path, stored), K, side, from_arrays(path, stored))
 
     def at(self, frames: tuple[str, ...], side: Side, first: int | None) -> Hands:
-        """Return the hands in those of the frames that have one.
+        """Return the hands of those frames that have one.
 
         ``first`` is the number of the first frame's hand, where hands are counted from another start. Raises
         ``InputError``, and ``UsageError`` where hands seem to be counted from another start.

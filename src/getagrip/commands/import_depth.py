@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias, get_args
 
 from tyro.conf import Positional, arg
 
 from getagrip.clip.depth import DEPTH
-from getagrip.clip.depth_sources import SOURCES, check_camera, chosen_source, open_depth
-from getagrip.clip.depth_writing import add_depth
+from getagrip.clip.depth_sources import SOURCES, add_depth, check_camera, chosen_source, open_depth
 from getagrip.clip.naming import renumbered
 from getagrip.clip.reading import read_header
 from getagrip.commands.command import Command
 from getagrip.errors import UsageError
-from getagrip.io.arguments import Flag
+from getagrip.io.arguments import Flag, one_of
 from getagrip.io.terminal import report, say
 
 WARNED = 3
 """Exit status where depth is written, and something seems to be wrong with it."""
+Scale = Literal["metric", "clip", "frame"]
 if TYPE_CHECKING:
     Format: TypeAlias = str
 else:  # the choices of --from, as the table has them
@@ -40,9 +40,7 @@ class ImportDepth(Command):
     clip: Annotated[Path, arg(metavar="CLIP")]
     """The clip's folder."""
     source: Format
-    scale: Annotated[Literal["metric", "clip", "frame"] | None, arg(help_behavior_hint="(default: as its program)")] = (
-        None
-    )
+    scale: Annotated[Scale | None, one_of(*get_args(Scale)), arg(help_behavior_hint="(default: as its program)")] = None
     """Measure of the numbers: metres; metres times a factor of the clip, or of each frame."""
     unit: Annotated[float | None, arg(metavar="M", help_behavior_hint="(default: as its program)")] = None
     """Metres that 1 in the files stands for."""
@@ -68,7 +66,7 @@ class ImportDepth(Command):
         said = f"from {self.path.name}, {self.source}"
         add_depth(header, reader, source, said, unit=self.unit, overwrite=self.overwrite)
         say(f"{target}: depth of {len(reader.known)} of {len(frames)} frames")
-        warning = check_camera(reader, header.K, header.size[0])
+        warning = check_camera(reader, source, header.K, header.size[0])
         if len(reader.known) < len(frames):
             missing = [name for n, name in enumerate(header.frames) if n not in reader.known]
             report(f"warning: no depth in {len(missing)} of {len(frames)} frames (first: {missing[0]})")

@@ -48,7 +48,7 @@ class ImportMasks(Command):
     against them."""
     first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
     """The number that the masks give to the first frame, if they count from another start."""
-    images: str = ""
+    images: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: all)")] = ""
     """Folder (take1) or pattern of names (cam1_*) of the images to use, if there are several for a frame."""
     overwrite: Flag = False
     """Replace masks that are there already."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from tyro.conf import Positional, arg
 
@@ -26,8 +26,23 @@ if TYPE_CHECKING:
     from getagrip.annotate.reconstruction import Shape
     from getagrip.annotate.tasks import Task
 
-PAUSE = 60.0
+PAUSE = 30.0
 """Longer pauses between two changes are not counted as work [s]."""
+EFFORT = "effort.csv"
+
+
+class Effort(NamedTuple):
+    """The work that a grasp's labels were: what stands drawn, all changes, and their time without pauses [s]."""
+
+    grasp: str
+    drawn: int
+    frames: int
+    changes: int
+    active_s: float
+
+    def __str__(self) -> str:
+        what = f"{counted(self.drawn, 'stroke or outline', 'strokes and outlines')} on {counted(self.frames, 'frame')}"
+        return f"{self.grasp}: {what}, {counted(self.changes, 'change')} in {self.active_s / 60:.1f} min without pauses"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +77,7 @@ class Label(Command):
         from getagrip.annotate.reconstruction import Shape
         from getagrip.annotate.store import Store
         from getagrip.commands.annotate import DATABASE, serve
+        from getagrip.io import files
 
         found, failed = self._tasks()
         for n, task in enumerate(found, start=1):
@@ -75,16 +91,19 @@ class Label(Command):
             if not self.no_page:
                 size = {} if self.size_mm is None else {"size-mm": f"{self.size_mm:g}"}
                 serve(project, self.port, DRAFTER, {"mesh": self.object, **size})
-            solved = []
+            solved, efforts = [], []
             for grasp in project.labelled():
                 shape = Shape(self.object, self.size_mm)
                 if self._does(grasp.name, partial(_solve, project, grasp, shape)):
                     solved.append(self.out / "results" / grasp.name)
-                    say(_effort(project, grasp))
+                    efforts.append(_effort(project, grasp))
+                    say(str(efforts[-1]))
         finally:
             project.close()
         if solved:
             folder = self.out / self.to
+            files.write_csv(self.out / EFFORT, [Effort._fields, *efforts])
+            say(str(Effort("in all", *(sum(each) for each in list(zip(*efforts, strict=True))[1:]))))
             failed += Export(results=tuple(solved), to=self.to, out=folder, overwrite=True, debug=self.debug).run()
             say(f"{folder}: the labels of {counted(len(solved), 'grasp')}")
         return int(failed > 0)
@@ -159,8 +178,8 @@ def _solve(project: Project, grasp: Grasp, shape: Shape) -> None:
             say(project.labelling.solve(grasp, shape, JobOnBar(bar, grasp.name)))
 
 
-def _effort(project: Project, grasp: Grasp) -> str:
-    """Say how much work a grasp's labels were: what was drawn, and how long it took."""
+def _effort(project: Project, grasp: Grasp) -> Effort:
+    """Measure how much work a grasp's labels were."""
     times = project.store.keyframes.times(grasp.mark.mark, grasp.mark.annotator)
     gaps = [(b - a).total_seconds() for a, b in pairwise(times)]
     worked = sum(gap for gap in gaps if gap <= PAUSE)
@@ -168,5 +187,4 @@ def _effort(project: Project, grasp: Grasp) -> str:
     drawn = sum(
         len(shapes) for frame in frames for shapes in (frame.object, frame.front, frame.on, frame.off) if shapes
     )
-    what = f"{counted(drawn, 'stroke or outline', 'strokes and outlines')} on {counted(len(frames), 'frame')}"
-    return f"{grasp.name}: {what}, {counted(len(times), 'change')} in {worked / 60:.1f} min without pauses"
+    return Effort(grasp.name, drawn, len(frames), len(times), round(worked, 1))

@@ -80,7 +80,7 @@ class NewClip(Command):
     """Masks, as for import masks, which can add them later."""
     mask_first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: START)")] = None
     """The number that the masks give to frame START."""
-    mask_images: str = ""
+    mask_images: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: all)")] = ""
     """Folder, or pattern of names, of the mask images to use, if there are several for a frame."""
     object: Labels = ()
     """Labels of the object in the masks."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,10 +15,25 @@ from getagrip.errors import UsageError
 from getagrip.fitting.options import Options, PriorsFile
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from jaxtyping import Float
+    from numpy import ndarray
+
+    from getagrip.clip import Clip
+    from getagrip.probability import Probability
     from getagrip.result import Reconstruction
 
 REFINED = "refined"
 """Folder, in that of the results, of the poses in the other system's format."""
+CHANGES = "changes.csv"
+"""Table beside it of what changed."""
+HEADS = (
+    "clip", "iou_before", "iou_after", "moved_mm", "turned_deg", "right_in_hand_before", "right_in_hand_after",
+    "right_in_camera_before", "right_in_camera_after",
+)  # fmt: skip
+SAME, OTHER = 0.03, 0.2
+"""Poses nearer than this are one solution, and farther apart than this they cannot both be right [diameters]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,8 +45,8 @@ class Refine(Command):
     clips: Annotated[tuple[Path, ...], arg(metavar="CLIP...", help_behavior_hint="(required)")] = ()
     """The clips: folders, folders of clips, or patterns in quotes."""
     out: Annotated[Path, arg(metavar="DIR")]
-    """Folder of the results: a folder for each clip, and DIR/refined/<clip> with the refined poses in the format of
-    PATH."""
+    """Folder of the results: a folder for each clip, DIR/refined/<clip> with the refined poses in the format of PATH,
+    and changes.csv."""
     first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
     """The number that PATH gives to the clip's first frame, if it counts from another start."""
     options: Annotated[Options, arg(name="")] = field(default_factory=Options)
@@ -52,12 +68,15 @@ class Refine(Command):
         changes = [made for name, folder in named if (made := self._written(name, folder, refined)) is not None]
         if changes:
             _print(changes)
+            files.write_csv(self.out / CHANGES, [HEADS, *(one.cells for one in changes)])
+            print(self.out / CHANGES)
         return status
 
     def _written(self, name: str, folder: Path, refined: Path) -> Change | None:
         """Write the refined poses of a clip; return what changed, None where there is no result."""
         from getagrip.clip import find_masks, read_clip
         from getagrip.evaluation.other_poses import poses_of
+        from getagrip.geometry import se3
         from getagrip.io import files
         from getagrip.object_poses.at_frames import only_file, place_in, read_poses
         from getagrip.object_poses.writing import Track, write_like
@@ -70,13 +89,21 @@ class Refine(Command):
         clip = whole.take(whole.index_of(after.frames))
         place = place_in(self.poses, clip.name)
         before = poses_of(place, place.stem, whole, find_masks(whole), self.first).take(whole.index_of(after.frames))
-        if not is_result(place):
+        if is_result(place):
+            own, _ = read_result(place)
+            before = replace(
+                before, probability_right=own.probability_right,
+                probability_right_in_camera=own.probability_right_in_camera,
+            )  # fmt: skip
+        else:
             names = read_poses(place, whole, self.first).names
             T_cam_hand = clip.hand.T_cam_hand if after.T_cam_hand is None else after.T_cam_hand
             names = tuple(names[n] for n in whole.index_of(after.frames))
-            track = Track(names, T_cam_hand @ after.T_hand_obj, after.T_hand_obj, after.scale, after.iou)
+            T_cam_obj = T_cam_hand @ after.T_hand_obj
+            T_hand_obj = se3.inverse(clip.hand.T_cam_hand) @ T_cam_obj  # in the clip's hand, as in the file
+            track = Track(names, T_cam_obj, T_hand_obj, after.scale, after.iou)
             write_like(only_file(place), track, files.folder_inside(refined, clip.name))
-        return Change.of(name, before, after)
+        return Change.of(name, clip, before, after)
 
 
 @dataclass(frozen=True)
@@ -87,16 +114,22 @@ class Change:
         iou: mean overlap with the masks, before and after.
         moved: median shift of the object's origin in the hand [m].
         turned: median rotation of the object in the hand [rad].
+        right: how probable it is that the poses are right in the hand, and in the camera, before and after, in words.
     """
 
     clip: str
     iou: tuple[float, float]
     moved: float
     turned: float
-    after: Reconstruction
+    right: tuple[str, str, str, str]
+
+    @property
+    def cells(self) -> list[object]:
+        """Those of its line in ``CHANGES``."""
+        return [self.clip, *self.iou, 1e3 * self.moved, math.degrees(self.turned), *self.right]
 
     @staticmethod
-    def of(name: str, before: Reconstruction, after: Reconstruction) -> Change:
+    def of(name: str, clip: Clip, before: Reconstruction, after: Reconstruction) -> Change:
         """Compare two results in the same frames."""
         import numpy as np
 
@@ -106,7 +139,46 @@ class Change:
         moved = np.median(np.linalg.norm(T[:, :3, 3] - S[:, :3, 3], axis=1))
         turned = np.median(se3.angle_between(T[:, :3, :3], S[:, :3, :3]))
         iou = float(np.nanmean(before.iou)), float(np.nanmean(after.iou))
-        return Change(name, iou, float(moved), float(turned), after)
+        in_camera = [clip.hand.T_cam_hand if one.T_cam_hand is None else one.T_cam_hand for one in (before, after)]
+        apart = (
+            _apart(clip, (before, after), (T, S)),
+            _apart(clip, (before, after), (in_camera[0] @ T, in_camera[1] @ S)),
+        )
+        right = (
+            *_right(before.probability_right, after.probability_right, apart[0]),
+            *_right(before.probability_right_in_camera, after.probability_right_in_camera, apart[1]),
+        )
+        return Change(name, iou, float(moved), float(turned), right)
+
+
+def _apart(clip: Clip, results: Sequence[Reconstruction], poses: Sequence[Float[ndarray, "T 4 4"]]) -> float:
+    """Compute how far the first result's vertices are from the second's, up to symmetries [diameters]."""
+    from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
+    from getagrip.metrics.symmetry import find_symmetries
+
+    first, second = (ObjectTrack(T, result.scale) for T, result in zip(poses, results, strict=True))
+    symmetry = best_symmetry(clip.mesh, first, second, find_symmetries(clip.mesh))
+    errors = pose_errors(clip.mesh, first, second, symmetry)
+    return float(errors.add.mean()) / errors.diameter
+
+
+def _right(before: Probability | None, after: Probability | None, apart: float) -> tuple[str, str]:
+    """Say how probable it is that poses are right, before and after.
+
+    Only our results have a calibrated probability. Others' poses have ours where they are the same solution, and at
+    most the rest where both cannot be right.
+    """
+    from getagrip.probability import percent
+
+    said = "-" if before is None else percent(before.value)
+    if after is None:
+        return said, "-"
+    if before is None and apart <= SAME:
+        said = percent(after.value)
+    elif before is None and apart >= OTHER:
+        rest = percent(1.0 - after.value)
+        said = rest if rest.startswith("<") else f"at most {rest}"
+    return said, percent(after.value)
 
 
 def _print(changes: list[Change]) -> None:
@@ -115,16 +187,17 @@ def _print(changes: list[Change]) -> None:
     from rich.text import Text
 
     from getagrip.errors import cleaned
-    from getagrip.io.terminal import console, plain_table
-    from getagrip.probability import percent
+    from getagrip.io.terminal import console, plain_table, report
 
-    table = plain_table()
-    for heading in ("clip", "IOU before", "after", "moved", "turned", "right in the hand", "in the camera"):
+    table, heads = plain_table(), ("right in the hand before", "after", "in the camera before", "after")
+    for heading in ("clip", "IOU before", "after", "moved", "turned", *heads):
         table.add_column(heading, justify="left" if heading == "clip" else "right")
     for one in changes:
-        right = (one.after.probability_right, one.after.probability_right_in_camera)
         table.add_row(
             Text(cleaned(one.clip)), f"{one.iou[0]:.2f}", f"{one.iou[1]:.2f}", f"{1e3 * one.moved:.0f} mm",
-            f"{np.degrees(one.turned):.0f} deg", *("-" if each is None else percent(each.value) for each in right),
+            f"{np.degrees(one.turned):.0f} deg", *one.right,
         )  # fmt: skip
     console().print(table)
+    for one in changes:
+        if one.iou[0] == 0.0:
+            report(f"{cleaned(one.clip)}: no given pose meets the masks; are they inverse, or in another frame?")

@@ -92,7 +92,7 @@ def find_in_clips(options: Segment) -> int:
 
 
 def find_one(job: SegmentJob, progress: Progress = lambda *_: None) -> SegmentedClip | Outcome:
-    """Find the segments of one clip; failures are returned, not raised. Raises nothing."""
+    """Find the segments of one clip; failures are returned, not raised."""
     from getagrip.batch.job import failure
     from getagrip.clip import read_clip, segment_files
     from getagrip.clip.reading import read_header

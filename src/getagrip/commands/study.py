@@ -52,7 +52,7 @@ class Study(GraspCommand):
 
 
 def study_one(job: SegmentJob, progress: Progress = lambda *_: None) -> list[StudiedGrasp] | Outcome:
-    """Measure the grasps of one clip; failures are returned, not raised. Raises nothing."""
+    """Measure the grasps of one clip; failures are returned, not raised."""
     from getagrip.batch.job import failure
     from getagrip.clip import read_clip
     from getagrip.grasps.study import study_grasp

@@ -24,7 +24,9 @@ from getagrip.datasets.dataset import Dataset, Draft, Missing, Note, Part
 from getagrip.datasets.tracks import Piece, Source, Track
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
-from getagrip.geometry.mesh_files import checked_mesh
+from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.mesh_files import checked_mesh, used_vertices
+from getagrip.geometry.obj import DECIMALS
 from getagrip.grasps.cut import FIRST_FRAME, Cut, as_listed
 from getagrip.grasps.definition import FEWEST, GraspOptions
 from getagrip.grasps.lists import BETWEEN, ListedGrasp
@@ -182,7 +184,10 @@ def known_clip(
     """
     angle = 0.0 if track.articulation is None else float(track.articulation.mean())
     mesh = track.object(angle)
-    joint = track.joint and replace(track.joint, angle=angle)
+    joint = track.joint
+    if joint is not None:  # its vertices are those that a file of the mesh keeps apart
+        mesh = Mesh(mesh.vertices.round(DECIMALS), mesh.faces)
+        joint = replace(joint, angle=angle, moves=joint.moves[used_vertices(mesh.vertices, mesh.faces)[0]])
     return Clip(
         name=name or track.name,
         category=track.category,

@@ -58,7 +58,7 @@ class Comparison:
 
     @property
     def reach(self) -> float:
-        """Up to where distances between hand and object must be exact [m]."""
+        """Distance up to which distances of hand and object must be exact [m]."""
         return max(MAX_DISTANCE, *(contact.threshold + 1e-3 for contact in self.contacts))
 
     @property
@@ -68,12 +68,12 @@ class Comparison:
 
     @property
     def distances(self) -> ContactDistances:
-        """Between the reconstructed object and the hand that the clip gives."""
+        """Distances between the reconstructed object and the clip's hand."""
         raise NotImplementedError
 
     @property
     def sides(self) -> Sequence[Side]:
-        """Those whose points are the same ones in all frames."""
+        """Sides whose points are the same in all frames."""
         return SIDES
 
     @property
@@ -113,7 +113,7 @@ class Comparison:
 
     @cached_property
     def true_distances(self) -> ContactDistances:
-        """Between the true object and the true hand."""
+        """Distances between the true object and the true hand."""
         if self.clip.truth is None:
             raise MissingPartError
         clip = self.clip
@@ -157,7 +157,7 @@ class Comparison:
 
     @property
     def symmetries(self) -> Symmetries:
-        """Those of the clip's mesh."""
+        """Symmetries of the clip's mesh."""
         return _symmetries(self.clip.mesh.vertices.tobytes(), self.clip.mesh.faces.tobytes())
 
     @property

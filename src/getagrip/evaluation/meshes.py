@@ -87,7 +87,7 @@ def read_meshes(
 
     Files are named like the frames, or by the same numbers; those of other frames are passed over; ``first`` is the
     number of the first frame's, where they are counted from another start. Raises ``InputError`` where no file is named
-    like a frame, ``UsageError`` where they seem to be counted from another start.
+    like a frame or none can be read, ``UsageError`` where they seem to be counted from another start.
     """
     named: dict[int, list[Path]] = {}
     paths = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES]
@@ -114,6 +114,8 @@ def read_meshes(
         faces += len(mesh.faces)
         if faces > MOST_FACES:
             raise InputError(folder, "", f"meshes of more than {MOST_FACES} faces in all", "fewer; decimate them")
+    if len(errors) == len(named):  # as in another unit or frame: the first says what is wrong with all
+        raise errors[0]
     return meshes, errors
 
 

@@ -54,7 +54,7 @@ class Metric:
     """True if the mean over frames is given, too."""
 
     def key(self, contact: ContactDefinition) -> str:
-        """Return its key in JSON, by a definition of contact."""
+        """Return its key in JSON under a definition of contact."""
         return f"{self.name}_{contact.key}" if self.by_contact else self.name
 
     def text(self, value: float) -> str:

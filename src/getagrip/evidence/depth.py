@@ -47,6 +47,13 @@ def hand_ratio(it: Evidence) -> float:
     return hand_ratio_of(samples_of(it.clip, it.masks, depth, MOST[64]))
 
 
+def is_of_another_unit(depth: Depth, samples: DepthSamples) -> bool:
+    """Return whether metric depth shows the hand so far away, or so near, that it is not used."""
+    from getagrip.fitting.depth_samples import hand_ratio_of
+
+    return depth.source.scale == "metric" and bool(abs(np.log(hand_ratio_of(samples))) > np.log(UNIT))  # not of NaN
+
+
 def missing(it: Evidence) -> float:
     """Measure the share of the visible surface of object and hand that has no depth."""
     return _shares(it)[0]
@@ -67,13 +74,19 @@ def _shares(it: Evidence) -> tuple[float, float]:
 
 
 def misfit(it: Evidence) -> float:
-    """Measure how far depth is off the surfaces that were found, its own scale apart, in what it may err by."""
+    """Measure how far depth is off the surfaces that were found, its own scale apart, in what it may err by.
+
+    NaN of depth that is not used.
+    """
     depth = DepthImages().of(it.clip)
     if depth is None or it.T_hand_obj is None:
         return np.nan
-    from getagrip.fitting.depth_samples import deviation_at
+    from getagrip.fitting.depth_samples import deviation_at, samples_of
 
-    return deviation_at(it.clip, it.masks, depth, it.T_hand_obj, it.scale)
+    samples = samples_of(it.clip, it.masks, depth, MOST[128])
+    if is_of_another_unit(depth, samples):
+        return np.nan
+    return deviation_at(it.clip, samples, depth.source, it.T_hand_obj, it.scale)
 
 
 class DepthImages(Modality[Depth]):
@@ -122,7 +135,7 @@ class DepthImages(Modality[Depth]):
         depth = self.of(problem.clip)
         if depth is None:
             return None
-        from getagrip.fitting.depth_samples import errors_of, hand_ratio_of, samples_of
+        from getagrip.fitting.depth_samples import errors_of, samples_of
         from getagrip.fitting.energy.depth import DepthTerm, Solid
 
         clip, centre = problem.clip, problem.clip.mesh.centre
@@ -131,7 +144,7 @@ class DepthImages(Modality[Depth]):
         def samples(most: int) -> DepthSamples:
             return samples_of(clip, problem.masks, depth, most)
 
-        if depth.source.scale == "metric" and abs(np.log(hand_ratio_of(samples(MOST[64])))) > np.log(UNIT):
+        if is_of_another_unit(depth, samples(MOST[64])):
             return None
         meshes = {level: decimate(clip.mesh, faces) for level, faces in FACES.items()}
         solids = {level: Solid.of(mesh.vertices[None] - centre, mesh.faces) for level, mesh in meshes.items()}

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.checks import Check
+from getagrip.checks import Check, Evidence
 from getagrip.checks.check import percent
 from getagrip.clip import Clip, Modality
 from getagrip.fitting.energy import Terms
@@ -41,6 +42,22 @@ class Joints2D(ArrayData):
         return Joints2D(self.points[index], self.confidence[index])
 
 
+def left_out(it: Evidence) -> float:
+    """Return 1 where the hand was refined without its 2D joints, for another reason than their place, else 0."""
+    return float(it.joints_left_out and not share_elsewhere(it.clip, it.masks) > ELSEWHERE)
+
+
+def why_left_out(it: Evidence) -> str:
+    """Say why 2D joints did not count."""
+    confidence = it.clip.hand.joints_2d_confidence
+    why = "contradict its pixels or its skeleton"
+    if it.clip.hand.joints is None:
+        why = "have no joints in 3D to compare with"
+    elif confidence is not None and np.count_nonzero(confidence.any(axis=1)) < 2:
+        why = "have a confidence above 0 in less than two frames"
+    return f"the hand's 2D joints {why}, and were left out"
+
+
 class HandJoints2D(Modality[Joints2D]):
     """Places of the hand's joints in the images. They are the hand's (``HandTrack.joints_2d``), and stay with it."""
 
@@ -50,6 +67,12 @@ class HandJoints2D(Modality[Joints2D]):
             "joints-elsewhere", lambda it: share_elsewhere(it.clip, it.masks), high=ELSEWHERE, serious=False,
             shown=percent, fault="{value} of the hand's 2D joints are neither on the hand nor on the object",
             advice="they were left out: are they of the other hand, or of images of another size?",
+        ),
+    )  # fmt: skip
+    result_checks = (
+        Check(
+            "joints-left-out", left_out, high=0.0, serious=False, fault=why_left_out,
+            advice="are they this hand's, in pixels of these images and in the order of hand.npz?",
         ),
     )  # fmt: skip
 

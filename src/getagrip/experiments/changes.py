@@ -26,7 +26,7 @@ from getagrip.geometry.depth import covered
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.render import Surface, true_masks
 from getagrip.geometry.warp import aligned
-from getagrip.provenance import kind_of_hands
+from getagrip.provenance import estimated, kind_of_hands
 
 Fault = Callable[[Bool[ndarray, "H W"], Float[ndarray, "2"]], Bool[ndarray, "H W"]]
 """From a mask that is not empty, and a direction (x, y) in the image, to a wrong one."""
@@ -71,13 +71,16 @@ class Noisy(Change):
 
 @dataclass(frozen=True)
 class EstimatedHands(Change):
-    """Hands with errors of an estimator: the clip's own where they are estimated, else displaced."""
+    """Hands with errors of an estimator, and its source: the clip's own where they are estimated, else displaced."""
 
     noise: Noise
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
-        measured = kind_of_hands(clip.provenance) == "measured"
-        return Noisy(self.noise)(clip, masks, seed) if measured else (clip, masks)
+        if kind_of_hands(clip.provenance) == "estimated":
+            return clip, masks
+        clip, masks = Noisy(self.noise)(clip, masks, seed)
+        source = {"hands": estimated("true hands, displaced")}
+        return replace(clip, provenance=clip.provenance | source), masks
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from getagrip.batch.entries import Entry
 from getagrip.batch.job import Outcome
 from getagrip.errors import UsageError, unknown
 from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_CAM
+from getagrip.experiments import published
 from getagrip.experiments.compared import Compared
 from getagrip.experiments.comparison import compare, groups
 from getagrip.experiments.hand_sources import HandSource, comparison
@@ -119,14 +120,20 @@ class GraspBenchmark(Benchmark[Scores]):
 
     def page(self, scores: Sequence[Scores]) -> Page | None:
         columns = self.compared.columns or self.source.columns
-        tables = compare(scores, self.variants, columns, lambda clip: self.source.part_of(clip.name, clip.category))
+        parts = {clip.name: self.source.part_of(clip.name, clip.category) for clip in scores if clip.scores}
+        tables = compare(scores, self.variants, columns, lambda clip: parts[clip.name])
         title = "Methods" if self.settings is None else self.settings.title
         about, settings = _about(self, scores), _settings(self, scores)
         texts = {".md": markdown(tables, title, about, settings), ".tex": latex(tables, title, about + settings)}
         rows = {"-clips.csv": clips_csv_rows(scores, self.variants), ".csv": csv_rows(tables)}
         plotted = (tables[0], title) if tables and self.settings is not None else None
         shown = terminal(tables[0]) if tables else ""
-        return Page(self.name, shown, texts, rows, as_json(tables, scores), plotted)
+        content = as_json(tables, scores)
+        if tables and (systems := self.source.published):
+            ours = {table.title: table for table in tables} if tables[1:] else {parts.popitem()[1]: tables[0]}
+            texts[".md"] += "\n".join(["", "Beside printed numbers:", "", *published.lines(systems, ours), ""])
+            content["published"] = {name: vars(system) for name, system in systems.items()}
+        return Page(self.name, shown, texts, rows, content, plotted)
 
 
 def _about(bench: GraspBenchmark, scores: Sequence[Scores]) -> list[str]:
@@ -183,8 +190,8 @@ def _initial_poses(bench: GraspBenchmark) -> str:
     if options.priors is not None:
         more = "no others" if options.priors_only else "then uniform"
         kind = f"{options.init} of {options.priors.path.name}, sha256 {options.priors.sha256[:12]}, {more}"
-    published = [v.method for v in bench.variants if v.system is None and method_of(v.method).as_published]
-    but = f", but for {' and '.join(dict.fromkeys(published))}" if published else ""
+    own = [v.method for v in bench.variants if v.system is None and method_of(v.method).as_published]
+    but = f", but for {' and '.join(dict.fromkeys(own))}" if own else ""
     free = f"{WITH_FREE_SCALE * options.inits} where the scale is free{but}"
     most = "at most " if options.priors_only else ""
     return f"{most}{options.inits} initial poses ({kind}{thorough}; {free})"

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from getagrip.batch.kept import kept_or_made, made_of
+from getagrip.batch.validity import kept_or_made, made_of
 from getagrip.clip import Clip, Masks, read_clip, read_masks
 from getagrip.datasets.synthetic.noise import NOISE, perturbed
 from getagrip.experiments.trial import ClipScores, Trial

@@ -77,9 +77,9 @@ def _noise_level(name: str) -> Setting:
     return Setting(name, change=Noisy(replace(NOISE[name], mask_ragged_px=0.0)))
 
 
-def _with(label: str, *evidence: Change) -> Setting:
-    """Name a change to estimated hands, at the level ``estimated`` where they are true; evidence is of true ones."""
-    return Setting(label, change=Several((*evidence, EstimatedHands(replace(NOISE["estimated"], mask_ragged_px=0.0)))))
+def _with(label: str, *evidence: Change, level: str = "estimated") -> Setting:
+    """Name a change to estimated hands, at a level of noise where they are true; evidence is of true ones."""
+    return Setting(label, change=Several((*evidence, EstimatedHands(replace(NOISE[level], mask_ragged_px=0.0)))))
 
 
 def _mask_noise(px: float) -> Setting:
@@ -223,6 +223,12 @@ ABLATIONS: dict[str, Ablation] = {
                 for joints in ("wild", "landmarks")
                 for level in USUAL
             ),
+            _with("strong, nothing new", level="strong"),
+            *(_with(f"strong, 2D joints; depth, {d}", JOINT, SimulatedDepth(d), level="strong") for d in USUAL),
+            *(
+                Setting(f"exact, size unknown; depth, {d}", change=Several((SimulatedDepth(d), ScaleFree())))
+                for d in USUAL
+            ),
         ),
         ("soft-hinge",),
     ),
@@ -285,10 +291,6 @@ ABLATIONS: dict[str, Ablation] = {
         (
             Setting("known", change=ScaleKnown()),
             Setting("free", change=ScaleFree()),
-            *(
-                Setting(f"free, depth {level}", change=Several((SimulatedDepth(level), ScaleFree())))
-                for level in ("mono", "realsense")
-            ),
         ),
     ),
     "sca": Ablation(

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.batch.kept import kept_or_made, made_of
+from getagrip.batch.validity import kept_or_made, made_of
 from getagrip.clip import Clip, read_clip, read_masks
 from getagrip.datasets.synthetic.noise import NOISE, Noise, perturbed
 from getagrip.errors import GetagripError

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from getagrip.batch.job import failure
-from getagrip.batch.kept import good_result, made_by
+from getagrip.batch.validity import good_result, made_by
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
 from getagrip.errors import InputError
 from getagrip.evaluation.metric import METRICS, REPLAY, SCA

@@ -138,7 +138,7 @@ def write_meta(
     splits: Mapping[str, str],
     frames: int,
 ) -> None:
-    """Write what says that all episodes are there: tasks and statistics, then ``info.json``."""
+    """Write what makes the dataset complete: tasks and statistics, then ``info.json``."""
     _write_tasks(folder / "meta" / "tasks.parquet", tasks)
     files.write_json(folder / "meta" / "stats.json", stats)
     info = _info(made, splits, frames, len(tasks))

@@ -1,9 +1,11 @@
 """A dataset of LeRobot of many results, an episode each, with files of its own; it can be continued.
 
 An episode's files are written aside and then moved to their place, since LeRobot reads all files of its folders, also
-half of one; ``meta/info.json`` is written last: what it does not count is written anew. So an end at any time loses the
-episode at work and no other. Each record in ``meta/episodes`` has the clip as ``clip`` and ``train`` or ``test`` as
-``split``; ``splits`` in ``info.json`` has the ranges of both, with commas where there are several.
+half of one; ``meta/info.json`` is written last: what it does not count is written anew. So an end at any time loses
+the episode at work and no other. Several processes may add to one: each waits for its turn, and then counts on from
+what the others have added (where the system has no locks, one at a time may). Each record in ``meta/episodes`` has
+the clip as ``clip`` and ``train`` or ``test`` as ``split``; ``splits`` in ``info.json`` has the ranges of both, with
+commas where there are several.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from numpy import ndarray
 from getagrip.errors import InputError
 from getagrip.export.lerobot import CHUNK_SIZE, EPISODES, Episode, write_meta
 from getagrip.export.scene import Scene
-from getagrip.io import extras, files, leftovers
+from getagrip.io import extras, files, leftovers, locks
 
 
 @dataclass
@@ -43,27 +45,32 @@ class Dataset:
     @staticmethod
     def of(folder: Path) -> Dataset:
         """Open the dataset in a folder, or begin one. Raises ``InputError`` for other things."""
-        made, path = Dataset(folder), folder / "meta" / "info.json"
+        made = Dataset(folder)
         if folder.is_dir():
             leftovers.sweep(folder)
+        made._catch_up()
+        if not made.info and folder.exists() and {one.name for one in folder.iterdir()} - {"data", "meta", "videos"}:
+            raise InputError(folder, "", "other files", "a dataset of LeRobot, or a new folder")
+        return made
+
+    def _catch_up(self) -> None:
+        """Read the episodes that are there and not known yet. Raises ``InputError``."""
+        path = self.folder / "meta" / "info.json"
         if not path.exists():
-            if folder.exists() and {one.name for one in folder.iterdir()} - {"data", "meta", "videos"}:
-                raise InputError(folder, "", "other files", "a dataset of LeRobot, or a new folder")
-            return made
+            return
         parquet = extras.load("pyarrow.parquet", "lerobot")
-        made.info = files.read_json(files.inside(folder, "meta/info.json", "", "the dataset's description"))
-        total = made.info.get("total_episodes")
+        self.info = files.read_json(files.inside(self.folder, "meta/info.json", "", "the dataset's description"))
+        total = self.info.get("total_episodes")
         try:
-            for number in range(int(str(total))):
+            for number in range(len(self.records), int(str(total))):
                 place = {"chunk_index": number // CHUNK_SIZE, "file_index": number % CHUNK_SIZE}
-                source = files.inside(folder, EPISODES.format(**place), "", "an episode's record")
+                source = files.inside(self.folder, EPISODES.format(**place), "", "an episode's record")
                 (record,) = parquet.read_table(source).to_pylist()
-                made.records.append({key: _arrays(key, value) for key, value in record.items()})
-                made.tasks += [task for task in record["tasks"] if task not in made.tasks]
+                self.records.append({key: _arrays(key, value) for key, value in record.items()})
+                self.tasks += [task for task in record["tasks"] if task not in self.tasks]
         except (OSError, ValueError, KeyError, TypeError) as error:
             expected = "a dataset that this program wrote"
             raise InputError(path, "total_episodes", f"{total} and {error}", expected) from error
-        return made
 
     @property
     def clips(self) -> set[str]:
@@ -71,7 +78,7 @@ class Dataset:
         return {str(record.get("clip", "")) for record in self.records}
 
     def tests(self, clips: Collection[str], share: float) -> set[str]:
-        """Choose which of some clips are for tests, so that they are a share of all, with those that are there.
+        """Choose test clips among new ones, so that a ``share`` of all clips, old ones included, is for tests.
 
         By the checksums of their names, whatever their order. What is there stays what it is.
         """
@@ -80,21 +87,29 @@ class Dataset:
         return {*new[: max(0, round(share * (len(self.records) + len(new))) - there)]}
 
     def add(self, scene: Scene, split: str = "train") -> int:
-        """Add a scene as the last episode, of ``train`` or ``test``, and return its number.
+        """Add a scene as the last episode, of ``train`` or ``test``, and return its number; or that which it has.
 
         Raises ``InputError`` where its rate or its features differ from the dataset's, and as ``Episode.of``.
         """
-        made, number = Episode.of(scene), len(self.records)
+        made = Episode.of(scene)
+        files.folder_inside(self.folder, "meta")
+        with locks.holding(self.folder):
+            self._catch_up()
+            clips = [record.get("clip") for record in self.records]
+            return clips.index(scene.name) if scene.name in clips else self._append(made, scene.name, split)
+
+    def _append(self, made: Episode, clip: str, split: str) -> int:
+        """Write an episode behind the last one, with the folder locked."""
+        number = len(self.records)
         if self.info and (self.info["fps"], self.info["features"]) != (made.fps, made.features):
             got = f"{made.fps} frames per second, {', '.join(sorted(made.features))}"
             of = self.info["features"]
             expected = f"{self.info['fps']}, {', '.join(sorted(of))}, images of one size, as the other episodes have"
-            raise InputError(Path(scene.name), "", got, expected)
-        files.folder_inside(self.folder, "meta")
+            raise InputError(Path(clip), "", got, expected)
         tasks = self.tasks if made.task in self.tasks else [*self.tasks, made.task]
         begin = int(self.records[-1]["dataset_to_index"]) if self.records else 0
         with leftovers.workplace(self.folder) as work:
-            record = made.write(work, number, begin, tasks.index(made.task), {"clip": scene.name, "split": split})
+            record = made.write(work, number, begin, tasks.index(made.task), {"clip": clip, "split": split})
             for path in filter(Path.is_file, sorted(work.rglob("*"))):
                 place = path.relative_to(work)
                 path.replace(files.folder_inside(self.folder, *place.parent.parts) / place.name)

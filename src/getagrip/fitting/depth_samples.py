@@ -115,13 +115,13 @@ def hand_ratio_of(samples: DepthSamples) -> float:
 
 
 def deviation_at(
-    clip: Clip, masks: Masks, depth: Depth, T_hand_obj: Float[ndarray, "T 4 4"], scale: float, most: int = 60
+    clip: Clip, samples: DepthSamples, source: DepthSource, T_hand_obj: Float[ndarray, "T 4 4"], scale: float
 ) -> float:
     """Return how far depth is off an object in the given hand, root mean square, in what it may err by."""
     T, mesh = clip.hand.T_cam_hand @ T_hand_obj, decimate(clip.mesh, 500)
     centre = se3.transform(T, scale * clip.mesh.centre[None, None])[:, 0]
     poses = PosesInCamera(np.ascontiguousarray(T[None, :, :3, :3]), centre[None], np.array([scale]))
-    samples, errors = samples_of(clip, masks, depth, most), errors_of(depth.source)
     hand = Solid.of(clip.hand.vertices, clip.hand.faces)
-    term = DepthTerm(Solid.of(mesh.vertices[None] - clip.mesh.centre, mesh.faces), hand, samples, errors, 1.0)
+    solid = Solid.of(mesh.vertices[None] - clip.mesh.centre, mesh.faces)
+    term = DepthTerm(solid, hand, samples, errors_of(source), 1.0)
     return float(np.sqrt(term.squared_deviations(poses)[0] / (2.0 * INDEPENDENT)))

@@ -10,10 +10,9 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.checks import Solved
-from getagrip.checks.calibrated import CALIBRATIONS
+from getagrip.checks.calibrated import CALIBRATIONS, ESTIMATED, KEEPING
 from getagrip.checks.calibration import Where
 from getagrip.checks.keeping import InputKind, kind_of_input
-from getagrip.checks.kept import ESTIMATED, KEEPING
 from getagrip.clip import Clip
 from getagrip.finding import Finding
 from getagrip.fitting.every_frame import Track
@@ -37,6 +36,8 @@ object it is, of which there were none, so that its probability is carried over 
 APART = 0.14
 """Distance by which alternatives of a hand move the object in it [diameters]; a pose is right within 0.1. Chosen on
 training clips."""
+WRONG_EVIDENCE = "depth-elsewhere", "depth-misfit"
+"""Findings that next to no result of the calibration had: with them no share of right results can be promised."""
 UNSOLVED = 0.03
 """Spread of an object in an estimated hand that was not solved with it [m]: the measured errors (docs/datasets.md)."""
 
@@ -53,7 +54,7 @@ def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: 
         problem.clip, problem.input_masks, sampled.T_hand_obj[0], scale, whole.iou,
         outliers=whole.outliers, deformed=deformed / input_clip.mesh.diameter, deformed_mm=1e3 * scale * deformed,
         candidates=Candidates(sampled.T_hand_obj, found.poses.scale, found.energy), axis=found.axis,
-        hand_differing=problem.trust.hand_differing,
+        hand_differing=problem.trust.hand_differing, joints_left_out=problem.trust.joints_left_out,
         T_cam_hand_input=input_clip.hand.T_cam_hand[input_clip.index_of(problem.clip.frames)],
         misfit=misfit(problem.observation, found.terms["mask"] / len(problem.clip)),
         spread=pose_spread(problem, found), hand_spread=_hand_spread(input_clip, problem, found),
@@ -102,8 +103,11 @@ def probabilities(
     """
     kind = kind_of_input(kind_of_hands(clip.provenance), terms)
     found = {where: probability_right(options, signs, findings, where, terms, kind) for where in get_args(Where)}
+    beyond = [finding.check for finding in findings if finding.check in WRONG_EVIDENCE]
     if kind != "measured" and is_assumed(clip.provenance.get("mesh")):  # these were calibrated on exact meshes
-        kept = (right and replace(right, beyond=("assumed mesh", *right.beyond)) for right in found.values())
+        beyond.insert(0, "assumed mesh")
+    if beyond:
+        kept = (right and replace(right, beyond=(*beyond, *right.beyond)) for right in found.values())
     else:
         kept = (right and KEEPING[kind, where].applied(right) for where, right in found.items())
     in_hand, in_camera = kept

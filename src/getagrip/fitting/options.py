@@ -111,7 +111,7 @@ class SearchOptions(NamedFields):
     """Search two to three times as long; only methods that fit all frames together do."""
     hands: Annotated[Hands, switch("as-given"), arg(name="given-hands", help_behavior_hint="")] = "corrected"
     """Do not refine the hands (as-given). By default (corrected) they are aligned to the hand's pixels (masks/hand,
-    else masks/ignore) where they disagree, and tracker glitches are interpolated."""
+    else masks/ignore) where they disagree, and tracker glitches are repaired."""
     masks: Annotated[MaskUse, switch("as-given"), arg(name="given-masks", help_behavior_hint="")] = "checked"
     """Use all masks (as-given). By default (checked) soft-hinge and one-dof leave out outlier masks, those that
     contradict the masks of other frames."""

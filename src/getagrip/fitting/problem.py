@@ -56,10 +56,11 @@ class Trust:
     """The trust in the inputs of a problem.
 
     Attributes:
-        hand_corrected: whether the hand was refined by its own pixels.
+        hand_refined: whether the hand was refined by its own pixels.
         hand_differing: share of the hand's visible pixels that differ from its silhouette; NaN where it is not known.
         hand_drawn: whether the drawn hand stands in for missing ignore masks.
         hand_lifted: whether the hand was lifted from 2D points, at an assumed size.
+        joints_left_out: whether the hand has 2D joints that did not count where it was refined.
         mesh_fitted: whether the mesh was warped to the masks.
         outliers: names of frames with outlier masks, which are left out (``outlier_masks``).
         outlier_threshold: pixels by which a mask may differ from the predicted silhouette.
@@ -69,6 +70,7 @@ class Trust:
     hand_differing: float = np.nan
     hand_drawn: bool = False
     hand_lifted: bool = False
+    joints_left_out: bool = False
     mesh_fitted: bool = False
     outliers: tuple[str, ...] = ()
     outlier_threshold: float = np.inf
@@ -252,8 +254,8 @@ def _prepared(
     if correction is not None:
         clip = clip.with_hand_at(correction.T_cam_hand)
         notes.append(str(correction))
-        if correction.joints is None and clip.hand.joints_2d is not None and clip.hand.joints is not None:
-            notes.append("2D joints of the hand contradict its pixels, and were left out")
+        if correction.kind != kind_of_hands(clip.provenance):
+            notes.append("the hand counts as estimated, since it was turned farther than measured hands are off")
     hand_drawn = options.occlusion and not masks.say_what_hides
     if hand_drawn:
         masks = occluded_by_hand(clip, masks)
@@ -267,8 +269,11 @@ def _prepared(
     return Problem(
         clip=clip, masks=masks, observation=observation, surface=surface.result(),
         options=options, prior_poses=initial[0], notes=tuple(notes), threads=threads,
-        trust=Trust(correction is not None, differing, hand_drawn, hand_lifted=lifted),
-        refinement=correction if kind_of_hands(clip.provenance) == "estimated" else None,
+        trust=Trust(
+            correction is not None, differing, hand_drawn, hand_lifted=lifted,
+            joints_left_out=correction is not None and correction.joints is None and clip.hand.joints_2d is not None,
+        ),
+        refinement=correction if correction is not None and correction.kind == "estimated" else None,
     )  # fmt: skip
 
 

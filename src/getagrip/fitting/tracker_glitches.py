@@ -1,12 +1,14 @@
 """Frames in which the given hand jumps away and back: a tracker flips it, loses it, or takes another for it.
 
-Kept are those frames for which the least is
+In each frame the hand may be as given, or flipped: by half a turn about one of its axes. Kept are those frames, each
+with one of these four hands, for which the least is
 
-    sum_(i, j) d(i, j) + price * (number of frames left out),
+    sum_(i, j) d(i, j) + price * (number of frames left out) + FLIP * price * (number of flips),
 
 over neighbours i < j among them, with d(i, j) how far the hand's surface moves from i to j (root mean square). So a
-frame is left out where the detour by it is longer than the price, and k in a row where it is longer than k prices. In
-the frames left out the hand is put between its neighbours.
+frame is left out where the detour by it is longer than the price, and k in a row where it is longer than k prices; one
+in which the hand is on its path but for a flip costs less. In the frames left out the hand is put between its
+neighbours.
 """
 
 from __future__ import annotations
@@ -28,6 +30,10 @@ TIMES = 4.0
 """The price where hands are fast, in the step from frame to frame that two thirds of the steps exceed."""
 AT_ENDS, FEW = 2.0, 3
 """Price at an end, in the steps that follow; number of these that count, and most frames left out there."""
+FLIP = 0.25
+"""Price of a flip, in that of a frame."""
+FLIPS = se3.exp_so3(np.pi * np.eye(4)[:, 1:])
+"""The hand as given, and by half a turn about each of its axes."""
 LONGEST = 30
 """Most frames from one that is kept to the next."""
 POINTS = 16
@@ -35,7 +41,7 @@ POINTS = 16
 
 
 def repair_hand(clip: Clip, options: Options) -> tuple[Clip, Glitches | None]:
-    """Interpolate the hand in frames with tracker glitches; also return those frames.
+    """Flip the hand back, or interpolate it, in frames with tracker glitches; also return those frames.
 
     The clip stays unchanged, without such frames (None), where the options say that hands are as given.
     Rotations are interpolated along the shortest path, the hand's middle along a line; before the first frame that is
@@ -43,36 +49,44 @@ def repair_hand(clip: Clip, options: Options) -> tuple[Clip, Glitches | None]:
     """
     if options.hands == "as-given" or options.as_published:
         return clip, None
-    kept = frames_without_glitch(clip.hand)
-    moved = np.setdiff1d(np.arange(len(clip)), kept)
+    kept, flip = frames_without_glitch(clip.hand)
+    moved = np.setdiff1d(np.arange(len(clip)), kept[flip == 0])
     if not len(moved) or len(kept) < 2:
         return clip, Glitches((), len(clip))
     T, middle = clip.hand.T_cam_hand.copy(), clip.hand.vertices.mean(axis=(0, 1))
+    T[kept[flip > 0]] = (T[kept] @ _about(middle)[flip])[flip > 0]
+    left_out = np.setdiff1d(moved, kept)
     known = PosesInHand(T[None, kept, :3, :3], se3.transform(T[kept], middle[None])[None, :, 0], np.ones(1))
-    between = interpolated(known, kept, moved)
-    T[moved] = se3.rigid(between.R[0], between.centre[0] - between.R[0] @ middle)
+    between = interpolated(known, kept, left_out)
+    T[left_out] = se3.rigid(between.R[0], between.centre[0] - between.R[0] @ middle)
     return clip.with_hand_at(T), Glitches(tuple(clip.frames[n] for n in moved), len(clip))
 
 
-def frames_without_glitch(hand: HandTrack) -> Int[ndarray, "n"]:
-    """Return the frames without a glitch."""
+def frames_without_glitch(hand: HandTrack) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+    """Return the frames without a glitch, but for a flip, and which of ``FLIPS`` puts the hand on its path there."""
     steps = steps_of(hand)
     if not steps:
-        return np.arange(len(hand.T_cam_hand))
-    price = max(LEAST, TIMES * float(np.quantile(steps[0], 1 / 3)))
-    N = len(steps[0]) + 1
-    # Of the best choice that ends with a frame: at first, with it alone.
-    cost, before = at_the_start(steps[0], price), np.full(N, -1)
+        return np.arange(len(hand.T_cam_hand)), np.zeros(len(hand.T_cam_hand), int)
+    given = steps[0][:, 0, 0]
+    shortest = np.minimum(steps[0][:, 0].min(axis=1), steps[0][:, :, 0].min(axis=1))
+    price = max(LEAST, TIMES * float(np.quantile(shortest, 1 / 3)))
+    N, flips = len(given) + 1, FLIP * price * np.minimum(np.arange(len(FLIPS)), 1)
+    # Of the best choice that ends with a frame, and a flip there: at first, with it alone.
+    cost = at_the_start(given, price)[:, None] + flips
+    before = np.full((N, len(FLIPS), 2), -1)
     for n in range(1, N):
         gaps = np.arange(min(n, len(steps)))
-        costs = cost[n - 1 - gaps] + price * gaps + [steps[gap][n - 1 - gap] for gap in gaps]
-        best = int(np.argmin(costs))
-        if costs[best] < cost[n]:
-            cost[n], before[n] = costs[best], n - 1 - best
-    kept = [int(np.argmin(cost + at_the_start(steps[0][::-1], price)[::-1]))]
-    while before[kept[-1]] >= 0:
-        kept.append(int(before[kept[-1]]))
-    return np.array(kept[::-1])
+        costs = (cost[n - 1 - gaps] + price * gaps[:, None])[:, :, None] + [steps[gap][n - 1 - gap] for gap in gaps]
+        for k, through in enumerate(np.moveaxis(costs, 2, 0)):
+            gap, flip = np.unravel_index(np.argmin(through), through.shape)
+            if through[gap, flip] + flips[k] < cost[n, k]:
+                cost[n, k], before[n, k] = through[gap, flip] + flips[k], (n - 1 - gap, flip)
+    at_end = cost + at_the_start(given[::-1], price)[::-1, None]
+    kept = [np.array(np.unravel_index(np.argmin(at_end), at_end.shape))]
+    while before[*kept[-1]][0] >= 0:
+        kept.append(before[*kept[-1]])
+    frames, flip = np.array(kept[::-1]).T
+    return frames, flip
 
 
 def at_the_start(steps: Float[ndarray, "n"], price: float) -> Float[ndarray, "n+1"]:
@@ -87,9 +101,24 @@ def at_the_start(steps: Float[ndarray, "n"], price: float) -> Float[ndarray, "n+
     return cost
 
 
-def steps_of(hand: HandTrack) -> list[Float[ndarray, "_"]]:
-    """Compute how far the hand's surface moves [m] from each frame to the next, to the next but one, and so on."""
+def steps_of(hand: HandTrack) -> list[Float[ndarray, "_ 4 4"]]:
+    """Compute how far the hand's surface moves [m] from each frame to the next, to the next but one, and so on.
+
+    From each of ``FLIPS`` to each.
+    """
     template = hand.vertices.mean(axis=0)
-    posed = se3.transform(hand.T_cam_hand, template[frame_indices(len(template), POINTS)][None])
-    gaps = range(1, min(LONGEST, len(posed) - 1) + 1)
-    return [np.sqrt(np.square(posed[gap:] - posed[:-gap]).sum(axis=-1).mean(axis=-1)) for gap in gaps]
+    some = template[frame_indices(len(template), POINTS)]
+    posed = se3.transform(hand.T_cam_hand[:, None] @ _about(template.mean(axis=0)), some)
+    X = posed.reshape(len(posed), len(FLIPS), -1) / np.sqrt(len(some))
+    squares = np.square(X).sum(axis=-1)
+
+    def steps(gap: int) -> Float[ndarray, "_ 4 4"]:
+        between = squares[:-gap, :, None] + squares[gap:, None] - 2.0 * X[:-gap] @ np.swapaxes(X[gap:], 1, 2)
+        return np.sqrt(np.maximum(between, 0.0))
+
+    return [steps(gap) for gap in range(1, min(LONGEST, len(X) - 1) + 1)]
+
+
+def _about(middle: Float[ndarray, "3"]) -> Float[ndarray, "4 4 4"]:
+    """Return ``FLIPS`` about the hand's middle."""
+    return se3.rigid(FLIPS, middle - FLIPS @ middle)

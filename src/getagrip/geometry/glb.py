@@ -1,7 +1,7 @@
-"""Binary glTF (.glb): the triangles of its scene, which is all of it that is about shape.
+"""Binary glTF (.glb): the triangles of its scene; the rest is ignored.
 
-Our own, since trimesh decodes every mesh of a file, shown or not, before anything can be counted. Each array is looked
-at where it lies in the file, and copied once it is known how many are wanted in all.
+Trimesh decodes every mesh of a file, shown or not, before anything can be counted. Here arrays are viewed in the file,
+and copied once it is known how many are wanted in all.
 """
 
 from __future__ import annotations

@@ -79,13 +79,12 @@ class Mesh(ArrayData):
     @cached_property
     def vertex_areas(self) -> Float[ndarray, "V"]:
         """A third of the area of the faces around each vertex [m2]."""
-        corners = self.vertices[self.faces]
-        areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        areas = face_areas(self.vertices, self.faces)
         return np.bincount(self.faces.ravel(), np.repeat(areas / 3.0, 3), minlength=len(self.vertices))
 
     @cached_property
     def light(self) -> Mesh:
-        """The mesh with about ``MOST_FACES`` at most."""
+        """The mesh, simplified to about ``MOST_FACES`` faces if it has more."""
         return clustered(self, MOST_FACES)
 
     def stands_for(self, whole: Mesh, done: str) -> list[str]:
@@ -98,6 +97,12 @@ class Mesh(ArrayData):
         """Signed volume [m3]; positive for a closed mesh wound outward."""
         a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
         return float(np.sum(a * np.cross(b, c)) / 6.0)
+
+
+def face_areas(vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]) -> Float[ndarray, "F"]:
+    """Compute the area of each face [m2]."""
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
 
 
 def vertex_normals(vertices: Float[ndarray, "*batch V 3"], faces: Int[ndarray, "F 3"]) -> Float[ndarray, "*batch V 3"]:

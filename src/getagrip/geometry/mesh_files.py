@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.glb import parse_glb
-from getagrip.geometry.mesh import Mesh, merged
+from getagrip.geometry.mesh import Mesh, face_areas, merged
 from getagrip.geometry.obj import obj_content, parse_obj
 from getagrip.geometry.ply import parse_ply
 from getagrip.io import files
@@ -86,21 +86,27 @@ def checked_mesh(path: Path, vertices: Float[ndarray, "..."], faces: Int[ndarray
     if faces.min() < 0 or faces.max() >= len(vertices):
         bad = faces.min() if faces.min() < 0 else faces.max()
         raise InputError(path, "faces", f"the vertex index {bad}", f"0 to {len(vertices) - 1}, counted from 0")
-    used, remapped = np.unique(merged(vertices)[faces], return_inverse=True)  # formats like .stl repeat vertices
-    vertices, faces = vertices[used], remapped.reshape(faces.shape)
+    used, faces = used_vertices(vertices, faces)
+    vertices = vertices[used]
     extent = float(np.ptp(vertices, axis=0).max())
     check_size(path, "vertices", extent, "the object", OTHER_UNITS)
     away = float(np.abs(vertices.mean(axis=0)).max())
     if away > FARTHEST:
         expected = f"at most {FARTHEST:g} m: so far off, as in a map, its shape has too few digits; move it"
         raise InputError(path, "vertices", f"an object {away:.4g} m from its origin", expected)
-    corners = vertices[faces]
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    bad = np.flatnonzero(area < 1e-12 * extent**2)
+    bad = np.flatnonzero(face_areas(vertices, faces) < 1e-12 * extent**2)
     if bad.size:
         raise InputError(path, "faces", f"{bad.size} faces without area (first: {bad[0]})", "triangles with an area")
     mesh = Mesh(vertices, faces)
     return Mesh(mesh.vertices, mesh.faces[:, ::-1].copy()) if mesh.is_closed and mesh.volume < 0 else mesh
+
+
+def used_vertices(
+    vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]
+) -> tuple[Int[ndarray, "U"], Int[ndarray, "F 3"]]:
+    """Return the vertices that faces need, one at each place, and the faces of these: formats like .stl repeat them."""
+    used, remapped = np.unique(merged(vertices)[faces], return_inverse=True)
+    return used, remapped.reshape(faces.shape)
 
 
 def with_area(vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]) -> Int[ndarray, "..."]:
@@ -112,9 +118,8 @@ def with_area(vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]) -> In
     if not are_triangles or faces.min() < 0 or faces.max() >= len(vertices):
         return faces
     with np.errstate(invalid="ignore", over="ignore"):
-        a, b, c = np.moveaxis(vertices[faces], 1, 0)
-        doubled = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-        return faces[doubled > 1e-11 * np.ptp(vertices[faces.ravel()], axis=0).max(initial=0.0) ** 2]
+        least = 5e-12 * np.ptp(vertices[faces.ravel()], axis=0).max(initial=0.0) ** 2
+        return faces[face_areas(vertices, faces) > least]
 
 
 def check_size(path: Path, key: str, extent: float, what: str, units: str = "") -> None:

@@ -1,4 +1,4 @@
-"""Wavefront .obj files: the vertices and the faces, which is all of them that is about shape."""
+"""Wavefront .obj files: the vertices and the faces; the rest is ignored."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from getagrip.errors import InputError
 from getagrip.geometry.polygons import triangles
 from getagrip.io import files
 
+DECIMALS = 8
+"""Digits of coordinates [m] in files that are written."""
 MOST = 2**22
 """Vertices, and triangles."""
 LONGEST_LINE = 2**20
@@ -45,7 +47,7 @@ def parse_obj(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[nd
 
 def obj_content(vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]) -> bytes:
     """Write plain triangles as an OBJ file, to 1e-8 m."""
-    points = "v %.8f %.8f %.8f\n" * len(vertices) % tuple(vertices.ravel().tolist())
+    points = f"v {' '.join([f'%.{DECIMALS}f'] * 3)}\n" * len(vertices) % tuple(vertices.ravel().tolist())
     corners = "f %d %d %d\n" * len(faces) % tuple((faces + 1).ravel().tolist())
     return (points + corners).encode()
 

@@ -25,7 +25,7 @@ AT_ONCE = 2**18
 
 @dataclass
 class Effort:
-    """How many more tests a file may take."""
+    """Number of further tests that a file may take."""
 
     left: int
 

@@ -100,7 +100,7 @@ def interactions(segments: Sequence[Segment]) -> Iterator[Int[ndarray, "n"]]:
 def static_runs(
     T_world_obj: Float[ndarray, "T 4 4"], vertices: Float[ndarray, "V 3"], touched: Bool[ndarray, "T"]
 ) -> Iterator[tuple[int, int]]:
-    """Yield first and last of each run of frames in which an untouched object stays where it is at first."""
+    """Yield the first and last frame of each run in which the untouched object stays where the run began."""
     first = 0
     while first < len(T_world_obj):
         length = _still(T_world_obj[first:], vertices, touched[first:])

@@ -39,7 +39,7 @@ TIMES: Float[ndarray, "S"] = np.linspace(-MARGIN, 1.0 + MARGIN, 81)
 
 @dataclass(frozen=True)
 class Measure:
-    """Something measured in every frame.
+    """A quantity that is measured in every frame.
 
     Attributes:
         label: name in tables and figures.

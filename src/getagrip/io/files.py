@@ -104,8 +104,11 @@ def read_json(path: Path) -> Json:
     return content
 
 
-def read_any_json(path: Path) -> object:
-    """Read a JSON file. Raises ``InputError``, also for duplicate keys and for NaN or infinite numbers."""
+def read_any_json(path: Path, *, nan: bool = False) -> object:
+    """Read a JSON file. Raises ``InputError``, also for duplicate keys and for infinite numbers and, but ``nan``, NaN.
+
+    Python writes NaN for numbers that are missing.
+    """
 
     def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
         out = dict(pairs)
@@ -116,7 +119,7 @@ def read_any_json(path: Path) -> object:
 
     def number(text: str) -> float:
         value = float(text)
-        if not math.isfinite(value):
+        if not (math.isfinite(value) or (nan and text == "NaN")):
             raise InputError(path, "", f"the number {shown(text)}", "finite numbers")
         return value
 
@@ -185,7 +188,7 @@ def write_json(path: Path, content: Mapping[str, object] | Sequence[object]) -> 
 
 
 def to_json(content: Mapping[str, object] | Sequence[object]) -> str:
-    """Write a JSON object or list as ``write_json`` does."""
+    """Write a JSON object or list as a text, as ``write_json`` does into a file."""
     return legible(json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False))
 
 

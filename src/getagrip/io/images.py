@@ -97,7 +97,7 @@ def decoded(path: Path, key: str, content: bytes, largest: int) -> UInt8[ndarray
 
 
 def write_image(path: Path, image: UInt8[ndarray, "H W"] | UInt8[ndarray, "H W 3"]) -> None:
-    """Write a grey or RGB image as PNG or JPEG, by the suffix. Raises ``OSError``, on a full disk for one.
+    """Write a grey or RGB image as PNG or JPEG, by the suffix. Raises ``OSError``, as on a full disk.
 
     ``cv2.imwrite`` only returns False then.
     """

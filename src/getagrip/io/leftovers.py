@@ -47,7 +47,7 @@ def restore(folder: Path) -> None:
 
 
 def sweep(parent: Path) -> list[Path]:
-    """Remove this user's workplaces whose writers no longer live, and return them. A replaced folder returns."""
+    """Remove this user's workplaces whose writers are dead, and return them; restore folders being replaced."""
     swept = []
     for folder in parent.glob(f"{PREFIX}*") if locks.KNOWN else ():
         if folder.is_symlink() or not folder.is_dir():

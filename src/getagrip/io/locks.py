@@ -18,7 +18,7 @@ KNOWN = fcntl is not None
 
 @contextmanager
 def holding(path: Path) -> Iterator[None]:
-    """Hold the lock of a file or folder, for which it waits; or none, where it cannot be had."""
+    """Hold the lock of a file or folder, after waiting for it; go on without where it cannot be locked."""
     lock = locked(path, wait=True)
     try:
         yield

@@ -131,7 +131,7 @@ class Remote:
         _write(folder, contents)
 
     def fetch(self, names: Sequence[str], limit: int, folder: Path) -> None:
-        """Copy objects below it by name, at once, each of at most ``limit`` bytes; those that are not there are not."""
+        """Copy objects below it by name, in parallel, each of at most ``limit`` bytes; missing ones are skipped."""
         with self._named():
             fs, root = self._opened()
             paths = [f"{root}/{name}" for name in names]

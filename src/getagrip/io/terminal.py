@@ -28,7 +28,7 @@ PLAIN_WIDTH = 70
 
 
 class Silence(io.TextIOBase):
-    """Standard output of ``--quiet``: nothing of what is printed appears, and no progress bar."""
+    """Standard output under ``--quiet``, which shows neither text nor progress bars."""
 
     def writable(self) -> bool:
         return True

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.geometry import se3
-from getagrip.geometry.mesh import Mesh, decimate
+from getagrip.geometry.mesh import Mesh, decimate, face_areas
 
 MEAN, WORST = 0.015, 0.06
 """Largest mean and largest single distance between the rotated and the resting surface [diameters]."""
@@ -156,9 +156,7 @@ def surface_points(mesh: Mesh, count: int) -> Float[ndarray, "count 3"]:
 
 def surface_places(mesh: Mesh, count: int) -> tuple[Int[ndarray, "count"], Float[ndarray, "count 2"]]:
     """Return the face of each of the ``surface_points``, and their position along its first two edges."""
-    corners = mesh.vertices[mesh.faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    filled = np.cumsum(area)
+    filled = np.cumsum(face_areas(mesh.vertices, mesh.faces))
     face = np.searchsorted(filled, (np.arange(count) + 0.5) / count * filled[-1])
     # The plastic number's low-discrepancy sequence, folded into the triangle.
     u = (0.5 + np.outer(np.arange(count), [0.7548776662466927, 0.5698402909980532])) % 1.0
@@ -173,8 +171,7 @@ def at_places(mesh: Mesh, face: Int[ndarray, "n"], along: Float[ndarray, "n 2"])
 
 def _moments(mesh: Mesh) -> tuple[Float[ndarray, "3"], Float[ndarray, "3 3"]]:
     """Centre [m] and second moment [m2] of a surface, exactly."""
-    corners = mesh.vertices[mesh.faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    corners, area = mesh.vertices[mesh.faces], face_areas(mesh.vertices, mesh.faces)
     centre = np.average(corners.mean(axis=1), axis=0, weights=area)
     # Over a triangle the mean of x x^T is (a a^T + b b^T + c c^T + s s^T) / 12, s = a + b + c.
     x = corners - centre

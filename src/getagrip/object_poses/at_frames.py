@@ -20,6 +20,8 @@ from getagrip.result import is_result, read_result
 
 FIRST = "--first"
 """The option of ``evaluate`` and ``refine`` that states the number of the first frame's pose."""
+ROUNDED = 0.02
+"""Tolerance of rotations that were rounded, as to two decimals: the nearest ones are taken."""
 FROM_HAND = 0.5
 """Largest distance of an object's middle from the origin of the hand frame [m]."""
 
@@ -69,7 +71,9 @@ def read_poses(place: Path, clip: Clip, first: int | None = None) -> PosesAtFram
     """
     poses = _of_result(place) if place.is_dir() and is_result(place) else read_pose_file(only_file(place))
     rows, frames = _rows(poses, clip, first)
-    index = np.array(sorted(rows))
+    index = np.array(sorted(n for n, row in rows.items() if not np.isnan(poses.T[row]).any()), dtype=int)
+    if not len(index):
+        raise InputError(poses.path, "", "a matrix of NaN in every frame of the clip", "a pose in one of them")
     scale = 1.0 if poses.scale is None else poses.scale
     T_hand_obj = _in_hand(poses, poses.T[[rows[n] for n in index]], scale, clip, index)
     nearest = np.abs(np.arange(len(clip))[:, None] - index).argmin(axis=1)
@@ -120,6 +124,8 @@ def _in_hand(
 ) -> Float[ndarray, "n 4 4"]:
     """Convert poses to the clip's hand frame. Raises ``InputError`` for what can be no pose there."""
     T_cam_hand = clip.hand.T_cam_hand[index]
+    rounded = se3.is_rigid(T, ROUNDED)
+    T[rounded, :3, :3] = se3.nearest_rotation(T[rounded, :3, :3])
     centres = np.tile(scale * clip.mesh.centre, (len(T), 1))
     if not poses.in_hand:
         check_poses(poses.path, "T_cam_obj", T, centres, "the object")

@@ -6,11 +6,11 @@
   ``cam_t_m2c`` [mm]);
 - ``.npz``, or ``.json`` with the same keys: ``T_cam_obj`` or ``T_hand_obj`` (T, 4, 4), and perhaps ``scale`` and
   ``frames`` (names or numbers);
-- ``.npy`` (T, 4, 4), ``.txt`` with 16 numbers for each frame, in any number of lines;
+- ``.npy`` (T, 4, 4), ``.txt`` with 16 numbers for each frame, in any number of lines, or 12 in a line of each;
 - a folder of ``.txt``, ``.npy`` or ``.json`` files of one matrix each, named like the frames.
 
 Matrices are in metres, from the object's frame to the camera's (x right, y down, z forward), unless they are called
-``T_hand_obj``.
+``T_hand_obj``. A matrix of NaN, or null in JSON, is a frame that was lost.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ MOST_POSES = 1_000_000
 """In a text file, bounds its memory."""
 COLUMNS = ("scene_id", "im_id", "obj_id", "score", "R", "t")
 LAST_ROW = (0.0, 0.0, 0.0, 1.0)
+LOST = np.full((4, 4), np.nan)
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,7 @@ class PoseFile:
 
     path: Path
     T: Float[ndarray, "n 4 4"]
+    """NaN in frames that were lost."""
     names: tuple[str, ...] | None
     """Names of the frames, or their numbers; None where the file does not name them."""
     in_hand: bool = False
@@ -89,7 +91,8 @@ def _folder(folder: Path) -> PoseFile:
 
 
 def _text(path: Path) -> ndarray:
-    words = re.finditer(rb"[^\s,]+", files.read_bytes(path, LARGEST))  # one by one: a list takes 30 times the file
+    content = files.read_bytes(path, LARGEST)
+    words = re.finditer(rb"[^\s,]+", content)  # one by one: a list takes 30 times the file
     numbers = (float(word[0].decode("utf-8", "replace")) for word in words)
     try:
         values = np.fromiter(islice(numbers, 16 * MOST_POSES + 1), float)
@@ -97,6 +100,12 @@ def _text(path: Path) -> ndarray:
         raise InputError(path, "", f"a text that is no number ({error})", "16 numbers for each frame") from error
     if len(values) > 16 * MOST_POSES:
         raise InputError(path, "", f"more than {MOST_POSES} poses", f"at most {MOST_POSES}")
+    wide = len(content.lstrip()[:4096].partition(b"\n")[0].replace(b",", b" ").split())
+    if len(values) == 12 or (wide == 12 and len(values) % 12 == 0):
+        return values.reshape(-1, 3, 4)
+    if wide in (7, 8):
+        got = f"lines of {wide} numbers"
+        raise InputError(path, "", got, "16 for each frame, a 4x4 matrix: quaternions have no agreed order")
     if not len(values) or len(values) % 16:
         raise InputError(path, "", f"{len(values)} numbers", "16 for each frame")
     return values.reshape(-1, 4, 4)
@@ -105,14 +114,14 @@ def _text(path: Path) -> ndarray:
 def _json(path: Path) -> PoseFile:
     content = files.read_any_json(path)
     if isinstance(content, list):
-        return PoseFile(path, _matrices(path, "", content), None)
+        return PoseFile(path, _matrices(path, "", [LOST.tolist() if each is None else each for each in content]), None)
     if not isinstance(content, dict) or not content:
         raise InputError(path, "", files.shown(content), "a list of matrices, or a matrix for each frame")
     if {"T_cam_obj", "T_hand_obj"} & content.keys():
         return _record(path, content)
     if all(isinstance(value, list) and value and isinstance(value[0], dict) for value in content.values()):
         return _bop_truth(path, content)
-    T = [_matrices(path, name, value) for name, value in content.items()]
+    T = [LOST[None] if value is None else _matrices(path, name, value) for name, value in content.items()]
     several = next((name for name, each in zip(content, T, strict=True) if len(each) != 1), None)
     if several is not None:
         raise InputError(path, files.plain(several), "several matrices", "one for each frame")
@@ -155,9 +164,11 @@ def _bop_results(path: Path) -> PoseFile:
                 )
         score, T = _numbers(path, where, row["score"], 1)[0], np.eye(4)
         T[:3, :3], T[:3, 3] = (
-            _numbers(path, where, row["R"], 9).reshape(3, 3),
-            1e-3 * _numbers(path, where, row["t"], 3),
+            _numbers(path, where, row["R"], 9, "nan").reshape(3, 3),
+            1e-3 * _numbers(path, where, row["t"], 3, "nan"),
         )
+        if np.isnan(T).any():
+            continue
         image = str(row["im_id"])
         if image not in best or score > best[image][0]:
             best[image] = score, T
@@ -184,18 +195,21 @@ def _bop_truth(path: Path, content: Json) -> PoseFile:
     return PoseFile(path, T, tuple(content), by_place=True)
 
 
-def _numbers(path: Path, where: str, text: str | None, count: int) -> Float[ndarray, "n"]:
+def _numbers(path: Path, where: str, text: str | None, count: int, unless: str = "") -> Float[ndarray, "n"]:
+    """Read numbers, which are finite ``unless`` all of them are this word."""
+    words = (text or "").split()
     try:
-        values = np.array([float(word) for word in (text or "").split()])
+        values = np.array([float(word) for word in words])
     except ValueError:
         values = np.array([])
-    if len(values) != count or not np.isfinite(values).all():
+    lost = {word.lower() for word in words} == {unless}
+    if len(values) != count or not (lost or np.isfinite(values).all()):
         raise InputError(path, where, files.shown(text), f"{count} number{'s' if count > 1 else ''}")
     return values
 
 
 def _matrices(path: Path, key: str, value: object) -> Float[ndarray, "n 4 4"]:
-    """Finite matrices of four rows and columns; a last row that a file leaves out is added."""
+    """Matrices of four rows and columns, finite or all NaN; a last row that a file leaves out is added."""
     found = arrays.from_lists(value)
     values = np.array("") if found is None else found
     if values.dtype.kind in "fiu" and values.shape[-1:] == (16,):
@@ -207,7 +221,10 @@ def _matrices(path: Path, key: str, value: object) -> Float[ndarray, "n 4 4"]:
         shape = files.shown(value) if not isinstance(value, ndarray) else f"{value.dtype} of shape {value.shape}"
         raise InputError(path, key, shape, "a 4x4 matrix of numbers for each frame")
     values = values.reshape(-1, 4, 4).astype(float)
-    return arrays.floats(path, {key: values}, key, values.shape)
+    lost = np.isnan(values[:, :3]).all(axis=(1, 2))
+    arrays.floats(path, {key: np.where(lost[:, None, None], np.eye(4), values)}, key, values.shape)
+    values[lost] = np.nan
+    return values
 
 
 def row_of_each(names: Sequence[str], found: Sequence[int | None], path: Path) -> dict[int, int]:

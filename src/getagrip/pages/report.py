@@ -191,7 +191,7 @@ def _plots(view: View, per_frame: Mapping[str, Sequence[float]]) -> list[dict[st
 
 
 def gap_plot(values: Float[ndarray, "T"]) -> Json:
-    """Compute the curve of distances [m], which takes time."""
+    """Compute the curve of distances [m], which is slow."""
     line = _line("gap", 1e3 * values, HAND_LINE)
     return {"title": "gap of hand and object", "unit": "mm", "lines": [line], "upTo": (0, 0)}
 

@@ -115,7 +115,7 @@ class Library:
             return False
 
     def page(self) -> bytes:
-        """Return the page, which asks for all else."""
+        """Return the HTML page, which requests everything else."""
         data = {"entries": [entry.label for entry in self.entries], "first": self.first}
         return document("getagrip view", "viewer.html", SCRIPTS, data, asks=True).encode()
 
@@ -134,7 +134,7 @@ class Library:
         return self._frames.submit(lambda: self._opened(n)[column].frame(rank, frame)).result()
 
     def gap(self, n: int, column: int) -> dict[str, object]:
-        """Return the curve of a column that takes time."""
+        """Return the curve of a column that is slow to compute."""
         view = self._shown(n, column).view
         if not view.posed:
             return {}

@@ -1,4 +1,4 @@
-"""The page of ``getagrip view`` over HTTP, for who knows its whole address.
+"""The page of ``getagrip view`` over HTTP, for whoever knows its whole address.
 
 Every path begins with a secret, new at each start: other users of the machine and pages of other sites that a browser
 has open do not know it. What follows is the name of a method of ``Library`` with whole numbers: no path names a file.

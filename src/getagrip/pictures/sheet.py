@@ -48,10 +48,9 @@ class Sheet:
             (x / self.width, 1.0 - (top + height) / self.height, width / self.width, height / self.height)
         )
 
-    def tile(self, x: float, top: float, side: float, size: int | None = None) -> Axes:
-        """Add square axes without ticks, which count pixels of a picture of ``size`` (default: the tile's own)."""
-        size = size or self.pixels(side)
-        axes = self.axes(x, top, side, side)
+    def tile(self, x: float, top: float, side: float) -> Axes:
+        """Add square axes without ticks, which count pixels."""
+        size, axes = self.pixels(side), self.axes(x, top, side, side)
         axes.set(xticks=[], yticks=[], xlim=(0, size), ylim=(size, 0), facecolor=PAPER)
         return axes
 

@@ -18,7 +18,7 @@ BLANK, OBSERVED, IGNORED = (244, 244, 241), (126, 158, 184), (216, 200, 186)
 
 
 def letters() -> AbstractContextManager[None]:
-    """Give figures drawn within the project's font and its colours for text and axes."""
+    """Set the project's font, and its colours of text and axes, for figures that are drawn within."""
     from matplotlib import rc_context
 
     style: dict[Any, Any] = {

@@ -21,8 +21,9 @@ NEEDS = {
         "EPIC-Grasps' table", ("epicgrasps_2431.csv", "code_epichor/image_sets/epicgrasps_2431.csv"), AUTHORS
     ),
     "visor": Need(
-        "VISOR's annotations, sparse and dense, with frame_mapping.json", ("visor", "VISOR"),
-        "https://doi.org/10.5523/bris.2v6cgv1x04ol22qp9rm9x2j6a7", ("*.json", "*.zip", "*/*.json", "*/*.zip"),
+        "VISOR's annotations, sparse and dense, with frame_mapping.json",
+        ("visor", "VISOR", "2v6cgv1x04ol22qp9rm9x2j6a7"), "https://doi.org/10.5523/bris.2v6cgv1x04ol22qp9rm9x2j6a7",
+        ("*.json", "*.zip", "*/*.json", "*/*.zip", "*/*/*.zip", "*/*/*/*.json"),
     ),
     "frames": Need(
         "EPIC-KITCHENS' images", ("EPIC-KITCHENS", "images", "frames"),
@@ -76,9 +77,8 @@ class ReproduceEpic(Reproduce):
         good = self.step("import epic", Import[ImportEpic](dataset=epic, out=clips, share=self.share, debug=self.debug))
         hamer, frankmocap = (HANDS[name].find(self.roots) for name in ("hamer", "frankmocap"))
         if hamer is None:
-            report(
-                f"next: run an estimator on {clips}/*/frames, and call this again.\nmissing: {HANDS['hamer'].advice}"
-            )
+            report(f"missing: {HANDS['hamer'].advice}")
+            report(f"next: run an estimator on {clips}/*/frames, and call this again")
             return 1
         hands = ImportHands(
             paths=(hamer,), source="hamer", trackers=Trackers(), clips=clips, mano=there["mano"], debug=self.debug

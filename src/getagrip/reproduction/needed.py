@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from getagrip.errors import UsageError
+from getagrip.io.terminal import report
 
 AUTHORS = "https://github.com/zhifanzhu/objects-along-hit"
 
@@ -43,9 +44,11 @@ MANO = Need(
 
 
 def found(needs: dict[str, Need], roots: Sequence[Path]) -> dict[str, Path]:
-    """Return the place of each. Raises ``UsageError``, which lists all that are missing."""
+    """Return the place of each. Raises ``UsageError`` where some are missing; where to get each is printed before."""
     places = {name: need.find(roots) for name, need in needs.items()}
-    if missing := [need.advice for name, need in needs.items() if places[name] is None]:
+    if missing := [need for name, need in needs.items() if places[name] is None]:
+        for need in missing:
+            report(f"missing: {need.advice}")
         where = ", ".join(map(str, roots)) or "ROOT, which names no folder"
-        raise UsageError("\n  ".join([f"missing in {where}:", *missing]))
+        raise UsageError(f"missing in {where}: {', '.join(need.what for need in missing)}")
     return {name: place for name, place in places.items() if place is not None}

@@ -161,7 +161,7 @@ class Reconstruction(ArrayData):
         )  # fmt: skip
 
     def made_of(self, clip: Clip, masks: Masks | None) -> Self:
-        """Return this result, which from here on knows its inputs, for ``plot`` and ``show``; no copy or file does."""
+        """Keep the inputs in this result, for ``plot`` and ``show``, and return it; copies and files lack them."""
         self.__dict__["_inputs"] = clip, masks
         return self
 
@@ -170,7 +170,7 @@ class Reconstruction(ArrayData):
 
     @property
     def inputs(self) -> tuple[Clip, Masks | None] | None:
-        """The clip and masks that ``reconstruct`` made it of; None for one that was read, or changed since."""
+        """The clip and masks that ``reconstruct`` used; None for a result that was read, or changed since."""
         return self.__dict__.get("_inputs")
 
     def plot(self, clip: Clip | None = None, masks: Masks | None = None) -> Figure:

@@ -61,7 +61,7 @@ class Anchor:
         return self.found.at(np.array([side])), row
 
     def near_at(self, earlier: bool) -> Paths | None:
-        """Return the paths of the neighbour before or after it at its end there, if it was searched with them."""
+        """Return the paths of the neighbour before or after it, at the frame that they share; None without any."""
         at = np.array([0 if earlier else -1])
         return next((one.paths.at(at) for one in self.near if one.earlier == earlier), None)
 

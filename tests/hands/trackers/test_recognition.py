@@ -55,6 +55,9 @@ WITH_MANO: dict[str, tuple[str, str, Write]] = {
     "WiLoR-mini": ("wilor", "WiLoR-mini", of_mini("wilor_preds")),
     "fasthamer": ("hamer", "fasthamer", lambda place, known, _: forged.fasthamer_files(place, known)),
     "V2D": ("hamer", "V2D", lambda place, known, _: forged.v2d_tracks(place, known)),
+    "V2D's result": ("v2d", "V2D's result", lambda place, known, _: forged.v2d_result(place, known)),
+    "EgoHandKit": ("egohandkit", "results", lambda place, known, _: forged.egohandkit_pickle(place, known)),
+    "EgoHandKit, v1": ("egohandkit", "results", lambda place, known, _: forged.egohandkit_results(place, known)),
     "HaWoR, cam_space": ("hawor", "cam_space", lambda place, known, _: forged.hawor_cam_space(place, known)),
     "HaWoR, world": ("hawor", "in the world", forged.hawor_folder),
     "Dyn-HaMR": ("dynhamr", "Dyn-HaMR", forged.dynhamr_file),
@@ -75,7 +78,7 @@ def told_and_read(path: Path, name: str, words: str, side: Side, folder: Path | 
 @pytest.mark.slow
 def test_parameters_of_mano(tmp_path: Path, mano_folder: Path, source: str, side: Side) -> None:
     name, words, write = WITH_MANO[source]
-    frames = 1 if source == "Dyn-HaMR" else 3  # which has one shape for all frames
+    frames = 1 if source in ("Dyn-HaMR", "V2D's result") else 3  # which have one shape for all frames
     known = Known(side, mano_folder, frames)
     hands = told_and_read(write(tmp_path, known, mano_folder), name, words, side, mano_folder, frames)
     np.testing.assert_allclose(joints_of(hands), known.joints, atol=2e-6)
@@ -105,6 +108,34 @@ def test_joints_in_somas_layout(tmp_path: Path, side: Side) -> None:
     path = write_npz(tmp_path / "egohand.npz", {"joints": forged.soma_joints(known.joints)})
     hands = told_and_read(path, "soma", "SOMA", side, None)
     np.testing.assert_allclose(joints_of(hands), as_plain_joints(tmp_path, known), atol=1e-9)
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.slow
+def test_egovision(tmp_path: Path, side: Side) -> None:
+    known = Known(side, None)
+    path = forged.egovision_file(tmp_path, known)
+    hands = told_and_read(path, "egovision", "ego-vision", side, None)
+    np.testing.assert_allclose(joints_of(hands), as_plain_joints(tmp_path, known), atol=1e-6)
+    assert "filled in" in str(hands.provenance["hands_focal"])  # the second frame's, a guess of a network
+    with pytest.raises(InputError, match=r"no (left|right) hand in the clip's frames"):
+        read([path], TRACKERS["egovision"], request("left" if side == "right" else "right"))
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.slow
+def test_joints_of_egohandkit(tmp_path: Path, side: Side) -> None:
+    pa = pytest.importorskip("pyarrow", reason="the extra lerobot is not installed")
+    from pyarrow import parquet
+
+    known = Known(side, None)
+    joints = pa.list_(pa.list_(pa.float32(), 3), 21)
+    rows = [None, *known.joints.astype(np.float32).tolist()]
+    columns = {f"{one}_joints_3d": pa.array(rows if one == side else [None] * 4, joints) for one in SIDES}
+    path = tmp_path / "hand_tracking.parquet"
+    parquet.write_table(pa.table({"frame_idx": [5, 6, 7, 8], **columns}), path)
+    hands = told_and_read(path, "egohandkit", "joints", side, None)
+    np.testing.assert_allclose(joints_of(hands), as_plain_joints(tmp_path, known), atol=1e-5)
 
 
 @pytest.mark.parametrize("side", SIDES)

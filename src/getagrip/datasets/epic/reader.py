@@ -52,7 +52,7 @@ class EpicGrasps(Dataset):
     and --metric."""
     metric: OptionalFolder = None
     """With --timelines: similarities that make EPIC-Fields' worlds metric, with z up, one <video>.json per video."""
-    focal: Annotated[float | None, arg(metavar="PX", help_behavior_hint="(default: a guess)")] = None
+    focal: Annotated[float | None, arg(metavar="PX", help_behavior_hint="(default: assumed)")] = None
     """The focal length, instead of --cameras, in pixels of images 854 wide."""
     errata: bool = True
     """Apply the errata beside the table (<CSV>_errata.csv), if there are any. The paper's table does not apply them."""

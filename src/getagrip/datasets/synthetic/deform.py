@@ -1,4 +1,4 @@
-"""Smooth deformations of objects: the CAD model of a category has not the shape of the object in hand."""
+"""Smooth deformations of objects: a category's CAD model does not have the shape of the object in the hand."""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
     from getagrip.batch.share import Share
     from getagrip.datasets.dataset import Dataset
+    from getagrip.experiments.published import Published
     from getagrip.experiments.settings import Ablation
 
 
@@ -42,6 +44,12 @@ class Ho3dEval(Recorded):
     @property
     def columns(self) -> tuple[Literal["recall"], ...]:
         return ("recall",)
+
+    @property
+    def published(self) -> Mapping[str, Published]:
+        from getagrip.experiments.published import read
+
+        return read("ho3d_published.json")
 
     def part_of(self, clip: str, category: str) -> str:
         """Return the sequence."""
@@ -71,8 +79,7 @@ class Ho3dEval(Recorded):
     def samples(self, clips: Path, debug: bool, share: Share | None = None) -> tuple[list[Sample], list[Outcome]]:
         """Import the sequences, and the depth images of those that have them."""
         from getagrip.clip.depth import DEPTH
-        from getagrip.clip.depth_sources import SOURCES, open_depth
-        from getagrip.clip.depth_writing import add_depth
+        from getagrip.clip.depth_sources import SOURCES, add_depth, open_depth
         from getagrip.clip.reading import read_header
 
         found, failed = super().samples(clips, debug, share)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
@@ -16,6 +16,7 @@ from getagrip.io.arguments import meant, one_of, parsed
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
     from getagrip.batch.share import Share
+    from getagrip.experiments.published import Published
     from getagrip.experiments.settings import Ablation
 
 Split = Literal["train", "validation", "all"]
@@ -99,6 +100,11 @@ class ClipSource:
     def compared(self) -> Ablation | None:
         """The settings that are compared on it, where these are not methods."""
         return None
+
+    @property
+    def published(self) -> Mapping[str, Published]:
+        """Numbers that others printed for its parts, by system."""
+        return {}
 
     def part_of(self, clip: str, category: str) -> str:
         """Return the part that a clip is of, of those with a table each."""

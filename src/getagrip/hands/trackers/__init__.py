@@ -20,6 +20,8 @@ from keyword import iskeyword
 from getagrip.errors import UsageError, unknown
 from getagrip.hands.trackers.dynhamr import DynHaMR
 from getagrip.hands.trackers.egodex import EgoDex
+from getagrip.hands.trackers.egohandkit import EgoHandKit
+from getagrip.hands.trackers.egovision import EgoVision
 from getagrip.hands.trackers.estimates import Estimates, Request
 from getagrip.hands.trackers.frankmocap import FrankMocap
 from getagrip.hands.trackers.hamer import HaMeR, WiLoR
@@ -31,6 +33,7 @@ from getagrip.hands.trackers.mano_parameters import ManoParameters
 from getagrip.hands.trackers.reading import CHOSEN, EXTRAPOLATED, Hands, read
 from getagrip.hands.trackers.recognition import recognise
 from getagrip.hands.trackers.tracker import Tracker
+from getagrip.hands.trackers.v2d import V2D
 from getagrip.io import plugins
 from getagrip.io.plugins import Table
 
@@ -56,6 +59,9 @@ _TRACKERS: dict[str, Tracker] = {
     "mano": ManoParameters(),
     "dynhamr": DynHaMR(),
     "egodex": EgoDex(),
+    "egohandkit": EgoHandKit(),
+    "egovision": EgoVision(),
+    "v2d": V2D(),
     "lerobot": LeRobot(),
     "soma": Soma(),
     "joints": Joints(),

@@ -102,7 +102,8 @@ class HaMeR(Demo):
         if suffix == ".npy":
             return "joints of HaMeR's demo" if stem.endswith(hamer_demo.JOINTS) else ""
         placed = sample.keys & {"pred_cam", "pred_cam_t_full", "cam_trans", "cam_t"}
-        if not placed or not sample.has("global_orient", "hand_pose") or "wilor_preds" in sample.keys:
+        others = sample.keys & {"wilor_preds", "backend_meta", "schema_version"}  # WiLoR-mini's, EgoHandKit's
+        if not placed or others or not sample.has("global_orient", "hand_pose"):
             return ""
         kinds = {"hamer_preds": "hamer-mini's", "cam_t": "fasthamer's", "track_id": "V2D's hand tracks, HaMeR's"}
         return next((kinds[key] for key in kinds if key in sample.keys), "HaMeR's (or WiLoR's)") + " records"

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -44,7 +44,8 @@ class LeRobot(Tracker):
     """Episode of the dataset."""
 
     def recognises(self, sample: Sample) -> str:
-        return "a dataset of LeRobot" if sample.path.suffix.lower() == ".parquet" else ""
+        other = sample.path.name == "hand_tracking.parquet"  # EgoHandKit's
+        return "a dataset of LeRobot" if sample.path.suffix.lower() == ".parquet" and not other else ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
         """Read the hand in those of the episode's frames that the clip has."""
@@ -68,19 +69,12 @@ class LeRobot(Tracker):
 
     def _episode(self, paths: Sequence[Path]) -> tuple[Path, Float[ndarray, "T n"]]:
         """Read the column of the episode, from the first file that has it; raises ``UsageError`` without a column."""
-        parquet = extras.load("pyarrow.parquet", "lerobot", paths[0].name)
-        columns = {}
+        columns = list[str]()
         for path in paths:
-            if path.stat().st_size > LARGEST:
-                raise InputError(path, "", f"{path.stat().st_size} bytes", f"at most {LARGEST}")
-            try:
-                file = parquet.ParquetFile(path)
-                columns = {name: file.schema_arrow.field(name).type for name in file.schema_arrow.names}
-                if self.column is None or self.column not in columns:
-                    continue
-                table = file.read([self.column, *[name for name in INDICES if name in columns]]).to_pydict()
-            except (OSError, ValueError, KeyError) as error:
-                raise InputError(path, "", f"a damaged file ({error})", "Parquet of LeRobot") from error
+            columns = columns_of(path)
+            if self.column is None or self.column not in columns:
+                continue
+            table = read_columns(path, [self.column, *[name for name in INDICES if name in columns]])
             rows = [n for n, of in enumerate(table.get(INDICES[0], [])) if of == self.episode]
             if rows:
                 try:
@@ -95,6 +89,34 @@ class LeRobot(Tracker):
         if self.column not in columns:
             raise unknown("--column", self.column, columns)
         raise InputError(paths[0], INDICES[0], f"no row of episode {self.episode}", "an episode of the dataset")
+
+
+def columns_of(path: Path) -> list[str]:
+    """Return the names of a Parquet file's columns. Raises as ``read_columns`` does."""
+    return list(_opened(path).schema_arrow.names)
+
+
+def read_columns(path: Path, names: Sequence[str]) -> dict[str, list[Any]]:
+    """Read columns of a Parquet file. Raises ``InputError``, and ``UsageError`` without pyarrow."""
+    file = _opened(path)
+    missing = next((name for name in names if name not in file.schema_arrow.names), None)
+    if missing is not None:
+        raise InputError(path, missing, "no such column", f"one of {', '.join(file.schema_arrow.names)}")
+    try:
+        return dict(file.read(list(names)).to_pydict())
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(path, "", f"a damaged file ({error})", "Parquet") from error
+
+
+def _opened(path: Path) -> Any:
+    """Open a Parquet file."""
+    parquet = extras.load("pyarrow.parquet", "lerobot", path.name)
+    if path.stat().st_size > LARGEST:
+        raise InputError(path, "", f"{path.stat().st_size} bytes", f"at most {LARGEST}")
+    try:
+        return parquet.ParquetFile(path)
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(path, "", f"a damaged file ({error})", "Parquet") from error
 
 
 INDICES = ("episode_index", "frame_index")

@@ -88,7 +88,7 @@ def read(path: Path) -> Record:
     if suffix == ".npz":
         return arrays.read(path, lambda _: True)
     if suffix == ".json":
-        return _record(path, files.read_any_json(path))
+        return _record(path, files.read_any_json(path, nan=True))
     if suffix in {".pkl", ".pickle"}:
         content = files.read_bytes(path, pickles.LARGEST)
         return _record(path, pickles.read_any(path, content, "a pickled dictionary of arrays"))
@@ -210,7 +210,7 @@ def seen_joints(path: Path, record: Record, *leading: int) -> Float[ndarray, "*l
     """
     if "joints_2d" not in record:
         return None
-    value = arrays.from_lists(_without_none(record["joints_2d"]))
+    value = arrays.from_lists(without_none(record["joints_2d"]))
     if value is None or value.dtype.kind not in "fiu" or value.shape not in {(*leading, 21, 2), (*leading, 21, 3)}:
         given = files.shown(record["joints_2d"]) if value is None else f"the shape {value.shape}"
         raise InputError(path, "joints_2d", given, f"numbers of shape {(*leading, 21, 2)}, or 3 with the confidence")
@@ -225,8 +225,8 @@ def seen_joints(path: Path, record: Record, *leading: int) -> Float[ndarray, "*l
     return np.concatenate([np.where(there[..., None], value[..., :2], 0.0), confidence[..., None]], axis=-1)
 
 
-def _without_none(value: object) -> object:
+def without_none(value: object) -> object:
     """Replace missing values, JSON's null, by NaN in lists."""
     if isinstance(value, list):
-        return [_without_none(item) for item in value]
+        return [without_none(item) for item in value]
     return np.nan if value is None else value

@@ -38,7 +38,7 @@ SIDE, GAP, LABEL = 1.55, 0.06, 1.75
 
 @dataclass(frozen=True)
 class Row:
-    """A result, what it is called, and numbers about it."""
+    """A result, its label, and numbers about it."""
 
     name: str
     numbers: Sequence[str]

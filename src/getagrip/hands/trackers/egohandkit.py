@@ -1,0 +1,110 @@
+"""EgoHandKit's results: a pickle of MANO's parameters by image, or ``hand_tracking.parquet`` with joints.
+
+``<name>_<backend>.pkl`` holds for each image lists ``mano`` (with ``is_right``), ``cam_trans`` (3) and
+``backend_meta``, in HaMeR's conventions for each of its networks; ``final/results.pkl`` (``egohand.results.v1``) the
+same, as ``hands`` of each of ``frames``. HaWoR's translations are for the focal length ``img_focal`` in
+``backend_meta``, the others' for HaMeR's. The Parquet file holds joints before the camera [m], in OpenPose's order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from getagrip.clip.naming import frame_of
+from getagrip.errors import InputError
+from getagrip.hands.trackers import hamer, records
+from getagrip.hands.trackers.egodex import MOST_FRAMES
+from getagrip.hands.trackers.estimates import Estimate, Estimates, Request
+from getagrip.hands.trackers.joint_checks import check_before_camera
+from getagrip.hands.trackers.lerobot import read_columns
+from getagrip.hands.trackers.recognition import Sample
+from getagrip.hands.trackers.records import numbers
+from getagrip.hands.trackers.tracker import Tracker, frames_of_images, no_name, only_file
+from getagrip.provenance import estimated
+
+TABLE = "hand_tracking.parquet"
+DEPTH = estimated("EgoHandKit's joints before its camera, as the file has them")
+
+
+@dataclass(frozen=True)
+class EgoHandKit(Tracker):
+    """The hands of EgoHandKit's run, of any of its networks."""
+
+    name = "EgoHandKit"
+    takes = "its run's folder, *_hawor.pkl and the like, results.pkl or hand_tracking.parquet"
+    looks_for = "mano, cam_trans and backend_meta by image, results.pkl, hand_tracking.parquet"
+    layouts = ("final/results.pkl", "results.pkl", *(f"*_{name}.pkl" for name in ("hawor", "hamer", "htm", "wilor")))
+
+    def recognises(self, sample: Sample) -> str:
+        if sample.path.name == TABLE:
+            return "EgoHandKit's joints"
+        named = str(sample.record.get("schema_version", "")).startswith("egohand.results")
+        return "EgoHandKit's results" if named or sample.has("mano", "cam_trans", "backend_meta") else ""
+
+    def read(self, paths: Sequence[Path], request: Request) -> Estimates:
+        """Read the hand of the requested side in those of the images that the clip has."""
+        path = only_file(paths, "hands")
+        if path.suffix.lower() == ".parquet":
+            return _joints(path, request)
+        images = _by_image(path, records.read(path))
+        request.check_numbers(path, [Path(name).stem for name in images])
+        frames = {name: frame_of(Path(name).stem, request.frames) for name in images}
+        if all(frame is None for frame in frames.values()):
+            raise no_name(paths, next(iter(images), path.name), request)
+        found = [
+            hamer.estimate(path, frame, one, request)
+            for name, frame in frames.items()
+            if frame is not None
+            for hand in images[name]
+            for one in hamer.of_side(path, hand, request.side)
+        ]
+        return Estimates(request.side, tuple(found))
+
+
+def _by_image(path: Path, record: records.Record) -> dict[str, list[dict[str, Any]]]:
+    """Return the hands of each image as HaMeR's records. Raises ``InputError``."""
+    images: dict[str, list[dict[str, Any]]] = {}
+    try:
+        if "frames" in record:
+            listed = {str(frame["img_path"]): frame["hands"] for frame in record["frames"]}
+            parts = {name: [(one["mano"], one["cam_trans"], one["meta"]) for one in of] for name, of in listed.items()}
+        else:
+            parts = {
+                str(name): list(zip(of["mano"], of["cam_trans"], of["backend_meta"], strict=True))
+                for name, of in record.items()
+            }
+        for name, hands in parts.items():
+            images[name] = []
+            for mano, t, meta in hands:
+                focal = {"scaled_focal_length": meta["img_focal"]} if "img_focal" in meta else {}
+                images[name].append({**mano, "pred_cam_t_full": t, **focal})
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(path, "", f"other records ({error!r})", "mano, cam_trans and backend_meta by image") from error
+    return images
+
+
+def _joints(path: Path, request: Request) -> Estimates:
+    """Read the joints of a side from the Parquet file. Raises ``InputError``, and ``UsageError`` without pyarrow."""
+    key = f"{request.side}_joints_3d"
+    table: Mapping[str, list[Any]] = read_columns(path, ["frame_idx", key])
+    there = [row for row, value in enumerate(table[key]) if value is not None]
+    if not there:
+        return Estimates(request.side, ())
+    joints = numbers(path, {key: [table[key][row] for row in there]}, key, (len(there), 21, 3))
+    indices = numbers(path, table, "frame_idx", (len(table[key]),)).astype(int)
+    if indices.min() < 0 or indices.max() >= MOST_FRAMES:
+        got = f"{indices.min()} to {indices.max()}"
+        raise InputError(path, "frame_idx", got, f"indices of the images, from 0 and below {MOST_FRAMES}")
+    check_before_camera(path, joints)
+    frames = frames_of_images(path, {}, int(indices.max()) + 1, request)
+    found = [
+        Estimate(path, frame, DEPTH, None, hand)
+        for row, hand in zip(there, np.asarray(joints), strict=True)
+        if (frame := frames[indices[row]]) is not None
+    ]
+    return Estimates(request.side, tuple(found), scale="the joints, as EgoHandKit has them")
