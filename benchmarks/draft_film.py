@@ -1,4 +1,4 @@
-"""The film of docs/draft.md, docs/images/draft.webp: from a phone's video to hand and mug in 3D, with each step's seconds.
+"""The film of docs/draft.md, docs/images/draft.webp: from a phone's video to hand and mug in 3D, with the seconds.
 
     python -m benchmarks.draft_film
 
@@ -28,26 +28,38 @@ from getagrip.film import font
 from getagrip.geometry.render import render_rgb
 from getagrip.landmarks.masks import BONES
 from getagrip.pictures.shown import View
-from getagrip.pictures.stills import steady_windows, turned
-from getagrip.pictures.style import BLANK, FAINT, FOUND, HAND, HAND_LINE, IGNORED, INK, OBJECT, OBSERVED, PAPER_RGB
-from getagrip.pictures.tiles import mask_lines
+from getagrip.pictures.stills import steady_windows
+from getagrip.pictures.style import (
+    BLANK,
+    FAINT,
+    FOUND,
+    HAND,
+    HAND_LINE,
+    IGNORED,
+    INK,
+    OBJECT,
+    OBSERVED,
+    PAPER,
+    PAPER_RGB,
+)
+from getagrip.pictures.tiles import mask_lines, posed
 from getagrip.result import read_result
 
 MUG = Example("mug", "mug", 90)
 ASKED = (0, 89, 58)
 """Frames from 0, in the order in which the page asks for them."""
 PICTURE = ROOT / "docs" / "images" / "draft.webp"
-ZOOM, SIDE, TOP = 0.5, 400, 220
-"""Of the footage's size; side of the turned view, and height of the words above it [px]."""
+ZOOM, ROWS, SIDE, TOP = 0.5, slice(40, 560), 360, 160
+"""Of the footage's size, and its rows that are shown; side of the turned view, height of the words above it [px]."""
 EVERY, PAUSE, QUALITY = 3, 12, 62
 """Frames of which one is shown, pictures that stand still at the end, and WebP's quality."""
 SEEN = (216, 219, 222)
 """Colour of what the video shows, before anything is known of it."""
 STEPS = {
-    "The hand is found in every frame": ("the hand",),
-    "A person draws on three frames": ("the outlines",),
-    "The object's masks are made of all frames": ("all masks",),
-    "Hand and mug are reconstructed": ("the clip", "the reconstruction"),
+    "the hand is found in all frames": ("the hand",),
+    "a person draws on three frames": ("the outlines",),
+    "the object's masks in all frames": ("all masks",),
+    "hand and mug in 3D": ("the clip", "the reconstruction"),
 }
 """What is shown, and which of the timed steps it takes."""
 
@@ -79,7 +91,7 @@ class Film:
         for n in frames:
             yield self._page(2, n, self._silhouettes(n, OBSERVED, IGNORED))
         for n in (*frames, *[frames[-1]] * PAUSE):
-            yield self._page(3, n, self._reconstructed(n), turned(self.view, n, self.crops, n))
+            yield self._page(3, n, self._reconstructed(n), posed(self.view, n, self.crops, n, from_side=True)[0])
 
     def _silhouettes(self, n: int, thing: Sequence[int] = SEEN, hand: Sequence[int] = SEEN) -> UInt8[ndarray, "h w 3"]:
         """Draw the masks of a frame, which stand for the footage."""
@@ -122,20 +134,26 @@ class Film:
         self, step: int, n: int, left: UInt8[ndarray, "h w 3"], turned: UInt8[ndarray, "n n 3"] | None = None
     ) -> UInt8[ndarray, "H W 3"]:
         """Set a picture beside the words of the steps, and the turned view below them."""
-        page = Image.new("RGB", (self.size[0] + SIDE, self.size[1]), "white")
+        left = left[ROWS]
+        page = Image.new("RGB", (left.shape[1] + SIDE, len(left)), PAPER)
         page.paste(Image.fromarray(left), (0, 0))
         if turned is not None:
-            page.paste(Image.fromarray(turned), (self.size[0], TOP))
+            page.paste(Image.fromarray(turned), (left.shape[1], TOP))
         draw = ImageDraw.Draw(page)
         draw.text((10, 10), f"frame {n + 1} of {len(self.view.clip)}", fill=FAINT, font=font(15))
-        x = self.size[0] + 16
-        for k, (words, seconds) in enumerate(zip(STEPS, self.seconds, strict=True)):
+        x = left.shape[1] + 14
+        took = [f"{seconds:.0f} s" for seconds in self.seconds]
+        took[1] = "by hand"
+        for k, words in enumerate(STEPS):
             colour = INK if k == step else FAINT
-            took = "" if k > step else "  a few strokes" if k == 1 else f"  {seconds:.0f} s"
-            draw.text((x, 24 + 38 * k), f"{k + 1}   {words}", fill=colour, font=font(14))
-            draw.text((page.width - 14, 24 + 38 * k + 17), took, fill=colour, font=font(13), anchor="ra")
-        under = "from the camera, and from the side" if turned is not None else ""
-        draw.text((x, TOP - 26), under, fill=INK, font=font(14))
+            draw.text((x, 12 + 28 * k), f"{k + 1}  {words}", fill=colour, font=font(14))
+            draw.text(
+                (page.width - 10, 12 + 28 * k), took[k] if k <= step else "", fill=colour, font=font(14), anchor="ra"
+            )
+        if turned is not None:
+            draw.text(
+                (x, 12 + 28 * len(STEPS)), "left: from the camera; below: from the side", fill=FAINT, font=font(13)
+            )
         return np.asarray(page)
 
 
@@ -146,7 +164,7 @@ def _strokes(frame: FrameLabels) -> list[tuple[Float[ndarray, "n 2"], str]]:
 
 def _line(picture: UInt8[ndarray, "h w 3"], points: Float[ndarray, "n 2"], colour: str, width: int) -> None:
     """Draw a line through points of the footage; a single one is a dot."""
-    at = np.round(8.0 * (ZOOM * points - 0.5)).astype(np.int32)[:, None]
+    at = np.round(8.0 * (ZOOM * np.concatenate([points, points[-1:]]) - 0.5)).astype(np.int32)[:, None]
     cv2.polylines(picture, [at], False, tuple(bytes.fromhex(colour[1:])), width, cv2.LINE_AA, 3)
 
 
