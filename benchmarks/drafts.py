@@ -14,7 +14,7 @@ from pathlib import Path
 from resource import RUSAGE_CHILDREN, getrusage
 from tempfile import TemporaryDirectory
 from types import SimpleNamespace
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -82,36 +82,57 @@ def example() -> dict[str, Table]:
     return {"draft-example": of_cells("The steps of docs/tape.md", header, *_rows(["tape"], _example))}
 
 
-def _example(_: str, video: Path) -> Rows:
+class Example(NamedTuple):
+    """What is reconstructed of a video: from its first frame on, from marks in ``POLYGONS``."""
+
+    name: str
+    mesh: str
+    """Kind of a built-in shape, or a file."""
+    frames: int
+    """How many."""
+
+    @property
+    def shown(self) -> Path:
+        """The marks of a few frames."""
+        return POLYGONS / f"{self.name}-shown.json"
+
+
+def _example(name: str, video: Path) -> Rows:
     """Run the commands of docs/tape.md; return a row for each step."""
     from trimesh.creation import annulus
 
-    rows = []
     with TemporaryDirectory() as temporary:
         folder = Path(temporary)
         annulus(*RING, sections=80).export(folder / "tape.obj")
-        made = folder / "draft" / "draft-tape-1-92-left"
-        shown = ("--side", "left", "--mesh", "tape.obj", "--hands", made / "hand.npz", "--masks", made / "masks")
-        labels_of = ("--import-labels", POLYGONS / "tape-shown.json", "--annotator", "draft")
-        for step, words in {
-            "the hand": ("draft", video, "--object", "tape.obj", "--interval", 1, 92, "--out", "draft", "--no-page"),
-            "the outlines": ("annotate", video, "--out", "draft", *labels_of),
-            "all masks": ("annotate", video, "--out", "draft", "--export"),
-            "the clip": (
-                *("clip", "new", video, "--interval", 1, 92, *shown),
-                *("--object", 1, "--ignore", 2, "--hand", 3, "--out", "clips/tape"),
-            ),
-            "the reconstruction": ("reconstruct", "clips/tape", "--out", "results"),
-            "the report": ("report", "results/tape"),
-        }.items():
-            before = getrusage(RUSAGE_CHILDREN).ru_utime
-            call = [sys.executable, "-m", "getagrip", *map(str, words)]
-            subprocess.run(call, cwd=folder, check=True, stdout=subprocess.DEVNULL)
-            rows.append([step, f"{getrusage(RUSAGE_CHILDREN).ru_utime - before:.0f}", ""])
-        with np.load(folder / "results" / "tape" / "result.npz") as result:
-            rows[-2][2] = f"{np.nanmean(result['iou']):.3f}"
+        rows = made_by(Example(name, "tape.obj", 92), video, folder)
         if KEEP in os.environ:
             shutil.copytree(folder, os.environ[KEEP])
+    return rows
+
+
+def made_by(it: Example, video: Path, folder: Path) -> Rows:
+    """Run the steps from a video to a report in a folder; return a row for each."""
+    rows, interval = [], ("--interval", 1, it.frames)
+    made = folder / "draft" / f"draft-{it.name}-1-{it.frames}-left"
+    shown = ("--side", "left", "--mesh", it.mesh, "--hands", made / "hand.npz", "--masks", made / "masks")
+    labels_of = ("--import-labels", it.shown, "--annotator", "draft")
+    for step, words in {
+        "the hand": ("draft", video, "--object", it.mesh, *interval, "--out", "draft", "--no-page"),
+        "the outlines": ("annotate", video, "--out", "draft", *labels_of),
+        "all masks": ("annotate", video, "--out", "draft", "--export"),
+        "the clip": (
+            *("clip", "new", video, *interval, *shown),
+            *("--object", 1, "--ignore", 2, "--hand", 3, "--out", f"clips/{it.name}"),
+        ),
+        "the reconstruction": ("reconstruct", f"clips/{it.name}", "--out", "results"),
+        "the report": ("report", f"results/{it.name}"),
+    }.items():
+        before = getrusage(RUSAGE_CHILDREN).ru_utime
+        call = [sys.executable, "-m", "getagrip", *map(str, words)]
+        subprocess.run(call, cwd=folder, check=True, stdout=subprocess.DEVNULL)
+        rows.append([step, f"{getrusage(RUSAGE_CHILDREN).ru_utime - before:.0f}", ""])
+    with np.load(folder / "results" / it.name / "result.npz") as result:
+        rows[-2][2] = f"{np.nanmean(result['iou']):.3f}"
     return rows
 
 

@@ -1,7 +1,7 @@
 """Install a wheel into a fresh environment and use it there, far from the clone: ``python scripts/try_wheel.py WHEEL``.
 
-Runs ``getagrip doctor``, ``getagrip demo``, the Python of README and the cells of the notebook; ends with the seconds
-of processor time that the first result took, kernels compiled. Where packages come from is pip's own configuration.
+Runs ``getagrip demo``, the Python of README, the cells of the notebook and ``getagrip doctor``; says how many seconds
+of processor time the first result took, kernels compiled. Where packages come from is pip's own configuration.
 """
 
 from __future__ import annotations

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from getagrip.batch.limits import Limits
 from getagrip.errors import UsageError
-from getagrip.io import files
+from getagrip.io import files, user_folders
 
 WITHOUT_POSIX = """
 import importlib, os, pkgutil, sys, tempfile
@@ -50,6 +51,20 @@ def test_letters_that_an_output_lacks_are_escaped() -> None:
     assert done.returncode == 0, done.stderr
     assert b"reconstruct" in done.stdout
     assert done.stdout.isascii()
+
+
+def test_a_user_without_a_home_is_asked_for_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a container that does not know the user."""
+
+    def home() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", home)
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    with pytest.raises(UsageError, match="missing HOME or XDG_CACHE_HOME"):
+        user_folders.cache_folder()
+    monkeypatch.setenv("XDG_CACHE_HOME", "kept")
+    assert user_folders.cache_folder() == Path("kept/getagrip")
 
 
 @pytest.mark.parametrize("platform", ["darwin", "win32"])

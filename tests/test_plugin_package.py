@@ -99,6 +99,22 @@ def test_a_modality_is_read_from_the_clip_and_counts(there: tuple[Path, Call]) -
     assert record["probability_right"] is None
 
 
+def test_a_term_on_the_hand_moves_it(there: tuple[Path, Call]) -> None:
+    folder, call = there
+    clip = read_clip(shutil.copytree(folder / "clips" / "plate-0", folder / "wrist" / "plate-0"))
+    assert clip.hand.joints is not None
+    joints = se3.transform(clip.hand.T_cam_hand, clip.hand.joints)
+    beside = joints + np.array([0.01, 0.0, 0.03])
+    rows = [",".join([name, *map(str, one.ravel())]) for name, one in zip(clip.frames, beside, strict=True)]
+    (folder / "beside.csv").write_text("\n".join(rows))
+    call("import", "hands", "--from", "csv", "beside.csv", "--clip", "wrist/plate-0", "--overwrite")
+    np.savez(folder / "wrist" / "plate-0" / "wrist.npz", frames=clip.frames, position=joints[:, 0])
+    call("reconstruct", "wrist", "--out", "with-wrist", "--inits", "2", "--workers", "1")
+    record = json.loads((folder / "with-wrist" / "plate-0" / "result.json").read_text())
+    before, after = record["hand_energy"]["wrist"]
+    assert after < 0.2 * before
+
+
 def test_a_result_says_which_packages_made_it(there: tuple[Path, Call]) -> None:
     folder, _ = there
     by = {}

@@ -24,6 +24,7 @@ from numba import config, njit, types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
 from getagrip.io import files, locks
+from getagrip.io.user_folders import cache_folder
 
 OPTIONS: dict[str, Any] = {
     "cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"},
@@ -135,8 +136,8 @@ def folder() -> Path:
     total = hashlib.sha256(repr((numba.__version__, sys.version_info[:2], sys.platform)).encode())
     for name in ("compiling", *(name for group in (*GROUPS, RARE) for name in group)):
         total.update(Path(__file__).parent.joinpath(*name.split(".")).with_suffix(".py").read_bytes())
-    user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "getagrip" / "kernels"
-    return (Path(config.CACHE_DIR) if config.CACHE_DIR else user) / total.hexdigest()[:16]
+    kept = Path(config.CACHE_DIR) if config.CACHE_DIR else cache_folder() / "kernels"
+    return kept / total.hexdigest()[:16]
 
 
 def mark_file() -> Path:

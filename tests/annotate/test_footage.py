@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import struct
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -38,6 +39,28 @@ def test_every_frame_is_the_one_written(tmp_path: Path, suffix: str, times: list
     for n in (0, 1, 30, FRAMES - 1):
         assert video.time(n) == pytest.approx((written[n] - written[0]) / 30, abs=2e-3)
     video.close()
+
+
+@pytest.mark.parametrize("pixels", ["yuv420p", "yuv420p10le"])
+def test_a_video_that_lies_on_its_side_is_shown_upright(tmp_path: Path, pixels: str) -> None:
+    """As phones write it: turned pixels, the turn in the track's matrix; of 8 bits or 10."""
+    upright = np.full((64, 48, 3), 20, np.uint8)
+    upright[:32, :24] = 230
+    path = tmp_path / "a.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, pixels
+        for _ in range(3):
+            image = np.ascontiguousarray(np.rot90(upright))
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        container.mux(stream.encode())
+    content = bytearray(path.read_bytes())
+    matrix = content.index(b"tkhd") + 44
+    content[matrix : matrix + 36] = struct.pack(">9i", 0, 1 << 16, 0, -1 << 16, 0, 0, 0, 0, 1 << 30)
+    path.write_bytes(content)
+    shown = Video(path).image(0)
+    assert shown.shape == upright.shape
+    assert np.abs(shown.astype(int) - upright).mean() < 6.0
 
 
 def test_a_container_that_mixes_up_times_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:

@@ -317,3 +317,10 @@ def test_nothing_is_promised_of_results_with_wrong_evidence(check: str) -> None:
     assert after is not None
     assert before.keep >= 0.95
     assert (after.value, after.keep, after.beyond) == (before.value, 0.0, (check,))
+
+
+def test_estimated_hands_without_joints_are_no_extrapolation() -> None:
+    without = joint_error(mug())
+    for calibration in ESTIMATED.values():
+        assert not calibration.weights["joint-error"].beyond(without), "a limit is rounded in its file"
+        assert calibration.weights["joint-error"].beyond(without + 0.01)

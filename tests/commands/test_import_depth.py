@@ -29,6 +29,27 @@ def realsense(root: Path) -> Path:
     return root
 
 
+def dexycb(root: Path) -> Path:
+    for name in NAMES:
+        np.savez_compressed(
+            root / f"labels_{name}.npz", seg=np.zeros((24, 32), np.uint8), joint_2d=np.zeros((1, 21, 2))
+        )
+    return realsense(root)
+
+
+def sensor_arrays(root: Path, dtype: type) -> Path:
+    for name, z in zip(NAMES, Z, strict=True):
+        np.save(root / f"{name}.npy", np.rint(1000 * z).astype(dtype))
+    return root
+
+
+def scanner_app(root: Path) -> Path:
+    for name, z in zip(NAMES, Z, strict=True):
+        cv2.imwrite(str(root / f"depth_{name}.PNG"), np.rint(1000 * z).astype(np.uint16))
+        cv2.imwrite(str(root / f"conf_{name}.PNG"), np.full(z.shape, 2, np.uint8))
+    return root
+
+
 def ho3d(root: Path) -> Path:
     for name, z in zip(NAMES, Z, strict=True):
         units = np.rint(z / HO3D_UNIT).astype(int)
@@ -69,7 +90,7 @@ def depth_pro(root: Path) -> Path:
 
 FORMATS: dict[str, tuple[Callable[[Path], Path], str]] = {
     "realsense": (realsense, "metric"),
-    "dexycb": (realsense, "metric"),
+    "dexycb": (dexycb, "metric"),
     "ho3d": (ho3d, "metric"),
     "arkit": (realsense, "metric"),
     "moge": (moge, "frame"),
@@ -106,6 +127,28 @@ def test_each_format_gives_its_distances(tmp_path: Path, clip: Path, name: str) 
     assert name in str(fields["provenance"][DEPTH])
 
 
+MORE: dict[str, tuple[str, Callable[[Path], Path]]] = {
+    "whole numbers in arrays": ("realsense", lambda root: sensor_arrays(root, np.uint16)),
+    "the same as floats": ("realsense", lambda root: sensor_arrays(root, np.float32)),
+    "confidence beside depth": ("arkit", scanner_app),
+    "the small export": (
+        "depth-anything-3",
+        lambda root: (depth_anything(root) / "exports" / "npz").rename(root / "exports" / "mini_npz") and root,
+    ),
+    "a folder with one file of all": ("unidepth", lambda root: unidepth(root).parent),
+}
+
+
+@pytest.mark.parametrize("case", MORE)
+def test_other_ways_in_which_they_are_written_give_the_same(tmp_path: Path, clip: Path, case: str) -> None:
+    name, make = MORE[case]
+    (tmp_path / "made").mkdir()
+    assert run(clip, make(tmp_path / "made"), name) == 0
+    found = z_of(clip)
+    np.testing.assert_allclose(found[found > 0.0], Z[found > 0.0], atol=6e-4)
+    assert (found > 0.0).sum() > 0.1 * Z.size
+
+
 def test_what_the_user_says_counts(tmp_path: Path, clip: Path) -> None:
     (tmp_path / "made").mkdir()
     path = depth_pro(tmp_path / "made")
@@ -125,7 +168,9 @@ def test_depth_there_is_kept_and_other_counts_are_refused(
     assert "2 images and no names of frames" in capsys.readouterr().err
     np.save(path, np.zeros_like(Z))
     assert run(clip, path, "unidepth") == 1
-    assert "0 in all images" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "0 in all images" in said
+    assert str(path) in said
     assert not (clip / DEPTH).exists()
     np.save(path, Z)
     assert run(clip, path, "unidepth") == 0
@@ -146,3 +191,20 @@ def test_another_field_of_view_and_missing_frames_are_said(
     said = capsys.readouterr().err
     assert "times the clip's focal length" in said
     assert "no depth in 1 of 3 frames (first: 0001)" in said
+    (tmp_path / "whole").mkdir()
+    moge(tmp_path / "whole")
+    assert run(clip, tmp_path / "whole", "moge", "--overwrite") == 0, "what lacks a frame can be replaced, too"
+
+
+@pytest.mark.parametrize(
+    ("scale", "words"), [("metric", "or import with --scale clip"), ("clip", "its relief may be off")]
+)
+def test_the_field_of_view_in_arrays_is_compared_and_the_advice_fits_the_scale(
+    tmp_path: Path, clip: Path, capsys: pytest.CaptureFixture[str], scale: str, words: str
+) -> None:
+    (tmp_path / "made").mkdir()
+    for fov, status in ((43.6, 0), (80.0, 3)):
+        for name, z in zip(NAMES, Z, strict=True):
+            np.savez(tmp_path / "made" / f"{name}.npz", depth=z.astype(np.float32), fov=np.float32(fov))
+        assert run(clip, tmp_path / "made", "unidepth", "--scale", scale, "--overwrite") == status
+        assert (words in capsys.readouterr().err) == (status == 3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,13 +10,14 @@ import numpy as np
 import pytest
 
 from getagrip.clip import Clip, Masks, write_clip
-from getagrip.commands.refine import Change, _print, _right
+from getagrip.commands.refine import REFINED, Change, Refine, _print, _right
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.other_poses import poses_of
 from getagrip.fitting.options import Options, PriorsFile
 from getagrip.fitting.pose_priors import APART, poses_for
 from getagrip.geometry import se3
 from getagrip.probability import Probability
+from getagrip.result import Reconstruction, write_result
 from helpers.command_line import Run
 from helpers.scenes import SMALL, scene
 
@@ -75,6 +77,10 @@ def test_flips_are_mended_and_written_in_the_same_format(tmp_path: Path, run: Ru
     )
     assert (before, after) == (0.0, 1.0)
     assert " ".join(out.split()).count("before") == 3  # IOU, and how probable it is in hand and camera
+    (line,) = csv.DictReader((tmp_path / "out" / "changes.csv").read_text().splitlines())
+    assert line["clip"] == clip.name
+    assert float(line["iou_before"]) < float(line["iou_after"])
+    assert line["right_in_hand_after"].endswith("%")
 
 
 def test_given_poses_are_as_probable_as_ours_if_they_are_the_same_and_else_at_most_the_rest() -> None:
@@ -92,6 +98,24 @@ def test_poses_of_another_frame_are_named(capsys: pytest.CaptureFixture[str]) ->
     told = "".join(capsys.readouterr())
     assert "mug: no given pose meets the masks" in told
     assert "cup: no given pose" not in told
+
+
+def test_poses_in_the_hand_come_back_in_the_clip_s_hand(tmp_path: Path, mug: tuple[Clip, Masks]) -> None:
+    clip, masks = mug
+    write_clip(clip, masks, tmp_path / "clips" / clip.name)
+    T_hand_obj = se3.inverse(clip.hand.T_cam_hand) @ clip.truth.T_cam_obj
+    np.savez(tmp_path / "poses.npz", T_hand_obj=T_hand_obj, frames=np.array(clip.frames))
+    moved = clip.hand.T_cam_hand @ se3.rigid(None, np.array([0.01, 0.0, 0.02]))  # the refined hand
+    result = replace(
+        Reconstruction.external(clip.name, "x", clip.frames, se3.inverse(moved) @ clip.truth.T_cam_obj, 1.0),
+        T_cam_hand=moved, iou=np.ones(len(clip)),
+    )  # fmt: skip
+    write_result(result, tmp_path / "out" / clip.name)
+    refine = Refine(poses=tmp_path / "poses.npz", clips=(tmp_path / "clips",), out=tmp_path / "out")
+    change = refine._written(clip.name, tmp_path / "clips" / clip.name, tmp_path / "out" / REFINED)
+    assert change is not None
+    with np.load(tmp_path / "out" / REFINED / clip.name / "poses.npz") as written:
+        np.testing.assert_allclose(written["T_hand_obj"], T_hand_obj, atol=1e-9)
 
 
 def test_another_start_cannot_be_named(tmp_path: Path, run: Run) -> None:

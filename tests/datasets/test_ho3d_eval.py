@@ -68,7 +68,7 @@ def test_rows_are_masks_and_columns_the_field_s(root: Path, tmp_path: Path, run:
     assert "SCA" not in page.split("<details>")[0]
     beside = [line.split(" | ") for line in page.split("Beside printed numbers:")[1].splitlines()]
     last = {row[0].removeprefix("| "): row[-2:] for row in beside}  # SM1, and the mean over all
-    assert last["ADD AUC: given masks"] == [f"{100 * float(rows[0]['add_cam_auc']):.1f}", "– |"]
+    assert last["ADD AUC: soft-hinge, given masks"] == [f"{100 * float(rows[0]['add_cam_auc']):.1f}", "– |"]
     assert last["ADD AUC: Point2Pose"] == ["63.2", "80.6 |"]
 
 

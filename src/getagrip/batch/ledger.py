@@ -7,7 +7,6 @@ made again from them.
 from __future__ import annotations
 
 import json
-import os
 import sqlite3
 import time
 from collections.abc import Iterable, Iterator
@@ -31,6 +30,7 @@ from getagrip.batch.entries import (
 from getagrip.errors import GetagripError
 from getagrip.io import databases
 from getagrip.io.storage import Place
+from getagrip.io.user_folders import state_folder
 
 
 class Ledger(Entries):
@@ -165,11 +165,6 @@ class Ledger(Entries):
                 if self._db.in_transaction:
                     self._db.execute("ROLLBACK")
                 raise
-
-
-def state_folder() -> Path:
-    """Return the user's own folder for what is neither input nor result."""
-    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "getagrip"
 
 
 def ledger_folder(out: Place, value: Path | None) -> Path:

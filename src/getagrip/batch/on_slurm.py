@@ -16,12 +16,12 @@ from typing import Any, Generic, TypeVar
 from uuid import uuid4
 
 from getagrip.batch.executor import DIES, TRIES, Ended, Submitted, check_code, shared_out
-from getagrip.batch.ledger import state_folder
 from getagrip.batch.limits import Limits
 from getagrip.batch.processes import Processes
 from getagrip.errors import GetagripError, UsageError
 from getagrip.io import extras, plugins
 from getagrip.io.terminal import report
+from getagrip.io.user_folders import state_folder
 
 J = TypeVar("J")
 R = TypeVar("R")

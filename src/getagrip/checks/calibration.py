@@ -21,6 +21,8 @@ from getagrip.probability import Probability
 Where = Literal["hand", "camera"]
 """The frame in which a pose is compared with the true one: that of the hand, or of the camera."""
 MEANING = "right: the mean distance of vertices (ADD) in the {}, up to symmetries, is below 10 % of the diameter"
+ROUNDED = 1e-4
+"""Share of a limit by which its rounding in the file may be off."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,8 @@ class Weight:
 
     def beyond(self, value: float) -> bool:
         """Return whether a value is worse than the range; never of a sign that does not count."""
-        return value > self.high if self.weight < 0.0 else self.weight > 0.0 and value < self.low
+        limit = self.high if self.weight < 0.0 else self.low
+        return (limit - value) * self.weight > abs(self.weight) * ROUNDED * abs(limit)
 
 
 @dataclass(frozen=True)

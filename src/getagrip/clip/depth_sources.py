@@ -17,7 +17,17 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip.depth import DEPTH, DepthSource
-from getagrip.clip.depth_files import SUFFIXES, check_shape, cleaned, png_size, read_pixels, read_png16, source_fields
+from getagrip.clip.depth_files import (
+    FARTHEST,
+    SUFFIXES,
+    check_shape,
+    cleaned,
+    depth_file,
+    png_size,
+    read_pixels,
+    read_png16,
+    source_fields,
+)
 from getagrip.clip.naming import check_numbers, frames_of, number_of
 from getagrip.clip.reading import ClipHeader
 from getagrip.errors import InputError, UsageError, unknown
@@ -63,7 +73,7 @@ SOURCES: Mapping[str, DepthFormat] = {
     "dexycb": _sensor("aligned_depth_to_color_*.png"),
     "ho3d": _sensor("its colour-coded PNG", HO3D_UNIT, read_png=_ho3d),
     "arkit": _sensor("of an iPhone's LiDAR: PNG in mm, or arrays in metres", error=0.01),
-    "depth-anything-3": DepthFormat("exports/npz/results.npz", DepthSource("clip", "network")),
+    "depth-anything-3": DepthFormat("exports/npz/results.npz, or mini_npz", DepthSource("clip", "network")),
     "moge": DepthFormat("--maps: a folder for each image, with depth.exr", DepthSource("frame", "network")),
     "unidepth": DepthFormat("its depth as .npy or .npz", DepthSource("metric", "network")),
     "depth-pro": DepthFormat("an .npz for each image", DepthSource("metric", "network")),
@@ -95,30 +105,31 @@ def open_depth(path: Path, name: str, frames: Sequence[str], ask_first: str) -> 
     if name not in SOURCES:
         raise unknown("--from", name, SOURCES)
     form = SOURCES[name]
-    if path.is_file() and path.suffix in {".npz", ".npy"} and number_of(path.stem) is None:
-        return _stack(path, form, frames, ask_first)
-    if path.is_dir() and (path / "exports" / "npz" / "results.npz").is_file():
-        return _stack(path / "exports" / "npz" / "results.npz", form, frames, ask_first)
-    paths = _images(path) if path.is_dir() else [path] if path.is_file() else []
+    exported = [path / "exports" / kind / "results.npz" for kind in ("npz", "mini_npz")]
+    paths = [one for one in (path, *exported) if one.is_file()][:1] or (_images(path) if path.is_dir() else [])
     if not paths:
         got = "no depth image" if path.exists() else "no such file or folder"
-        raise InputError(path, "", got, f"{name}'s {form.takes}")
+        raise InputError(path, "", got, f"files of {name}: {form.takes}")
+    if len(paths) == 1 and paths[0].suffix in {".npz", ".npy"} and number_of(paths[0].stem) is None:
+        return _stack(paths[0], form, frames, ask_first)
     names = [each.parent.name if each.stem == DEPTH else each.stem for each in paths]
     rows = _rows(path, names, frames, ask_first)
 
     def read(n: int) -> tuple[Path, Float[ndarray, "h w"], float]:
         of_frame = paths[rows[n]]
-        if of_frame.suffix == ".png":
+        if of_frame.suffix.lower() == ".png":
             return of_frame, form.read_png(of_frame), form.source.unit
-        return of_frame, read_pixels(of_frame), form.floats
+        image = read_pixels(of_frame)
+        whole = image.max() > FARTHEST and np.array_equal(image, np.floor(image))  # a sensor's PNG, saved as an array
+        return of_frame, image, form.source.unit if whole else form.floats
 
-    beside = paths[rows[min(rows)]].parent / "fov.json"
-    return DepthReader(read, sorted(rows), _focal_of_view(beside) if beside.is_file() else np.nan)
+    return DepthReader(read, sorted(rows), _focal_of_view(paths[rows[min(rows)]]))
 
 
 def _images(folder: Path) -> list[Path]:
     inside = sorted(one for sub in folder.iterdir() if sub.is_dir() for one in sub.glob(f"{DEPTH}.*"))
     alone = sorted(one for one in folder.iterdir() if one.is_file())
+    alone = [one for one in alone if DEPTH in one.stem.lower()] or alone  # DexYCB's labels are arrays beside it
     for some in (inside, alone):
         for suffix in reversed(SUFFIXES):  # numbers with fractions rather than pictures of them
             found = [one for one in some if one.suffix.lower() == suffix]
@@ -176,22 +187,28 @@ def _rows(path: Path, names: Sequence[str], frames: Sequence[str], ask_first: st
 
 
 def _focal_of_view(path: Path) -> float:
-    """Return the focal length of MoGe's ``fov.json`` [widths of the image]; NaN where it does not say."""
-    angle = files.read_json(path).get("fov_x")
-    if not isinstance(angle, int | float) or not 0.0 < angle < 180.0:
+    """Return the focal length in MoGe's ``fov.json`` beside an image, or in ``fov`` of MegaSaM's arrays.
+
+    In widths of the image; NaN where neither says.
+    """
+    beside, angle = path.with_name("fov.json"), np.array(np.nan)
+    if beside.is_file():
+        angle = np.asarray(files.read_json(beside).get("fov_x"))
+    elif path.suffix == ".npz":
+        angle = arrays.read(path, {"fov"}.__contains__).get("fov", angle)
+    if angle.size != 1 or angle.dtype.kind not in "fi" or not 0.0 < angle.item() < 180.0:
         return np.nan
-    return float(0.5 / np.tan(np.radians(angle) / 2.0))
+    return float(0.5 / np.tan(np.radians(angle.item()) / 2.0))
 
 
-def check_camera(reader: DepthReader, K: Float[ndarray, "T 3 3"], width: int) -> str:
+def check_camera(reader: DepthReader, source: DepthSource, K: Float[ndarray, "T 3 3"], width: int) -> str:
     """Say that a program saw another field of view than the clip's camera has; empty where it did not."""
     ratio = reader.focal * width / float(np.median(K[:, 0, 0]))
     if not abs(ratio - 1.0) > OTHER_CAMERA:
         return ""
-    return (
-        f"the program assumed {ratio:.2f} times the clip's focal length: its distances may be off as much; "
-        "give it the clip's, or import with --scale clip"
-    )
+    off, else_by = ("distances", ", or import with --scale clip") if source.scale == "metric" else ("relief", "")
+    said = f"the program assumed {ratio:.2f} times the clip's focal length: its {off} may be off as much; "
+    return f"{said}give it the clip's{else_by}"
 
 
 def chosen_source(name: str, scale: str | None, unit: float | None, error: float | None) -> DepthSource:
@@ -227,7 +244,8 @@ def add_depth(
 
     ``unit`` is that of the files, where the user states it [m].
     """
-    there = tuple(f"{name}.png" for name in header.frames) if overwrite else ()
+    older = (depth_file(header.folder, frame) for frame in header.frames if overwrite)
+    there = tuple(Path(name).name for name in older if name is not None)
     whence = header.fields["provenance"] | {DEPTH: said}
     with files.new_folder(header.folder / DEPTH, there) as new:
         found = _write(reader, header.frames, header.size, unit, new)
@@ -243,7 +261,7 @@ def _write(
 
     Whole numbers stay as they are.
     """
-    unit = written = 0.0
+    unit, written, path = 0.0, 0.0, folder
     for n in reader.known:
         path, image, one = reader.read(n)
         check_shape(path, image, size)
@@ -257,5 +275,5 @@ def _write(
         written += float(numbers.sum())
         write_depth(folder / f"{frames[n]}.png", numbers.astype(np.uint16))
     if not written:
-        raise InputError(folder, "", "0 in all images", "distances, 0 for none")
+        raise InputError(path, "", "0 in all images", "distances, 0 for none")
     return unit

@@ -143,7 +143,7 @@ def serve(project: Project, port: int | None, annotator: str = "", shape: Mappin
     from urllib.parse import urlencode
 
     from getagrip.annotate.server import Server, first_free, kept_token
-    from getagrip.batch.ledger import state_folder
+    from getagrip.io.user_folders import state_folder
 
     marks = sha256(os.fsencode(project.store.path.resolve())).hexdigest()[:16]
     token = kept_token(state_folder() / TOKENS / marks)  # not beside the marks: a folder may be a stranger's

@@ -66,7 +66,7 @@ class ImportDepth(Command):
         said = f"from {self.path.name}, {self.source}"
         add_depth(header, reader, source, said, unit=self.unit, overwrite=self.overwrite)
         say(f"{target}: depth of {len(reader.known)} of {len(frames)} frames")
-        warning = check_camera(reader, header.K, header.size[0])
+        warning = check_camera(reader, source, header.K, header.size[0])
         if len(reader.known) < len(frames):
             missing = [name for n, name in enumerate(header.frames) if n not in reader.known]
             report(f"warning: no depth in {len(missing)} of {len(frames)} frames (first: {missing[0]})")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -25,6 +26,12 @@ if TYPE_CHECKING:
 
 REFINED = "refined"
 """Folder, in that of the results, of the poses in the other system's format."""
+CHANGES = "changes.csv"
+"""Table beside it of what changed."""
+HEADS = (
+    "clip", "iou_before", "iou_after", "moved_mm", "turned_deg", "right_in_hand_before", "right_in_hand_after",
+    "right_in_camera_before", "right_in_camera_after",
+)  # fmt: skip
 SAME, OTHER = 0.03, 0.2
 """Poses nearer than this are one solution, and farther apart than this they cannot both be right [diameters]."""
 
@@ -38,8 +45,8 @@ class Refine(Command):
     clips: Annotated[tuple[Path, ...], arg(metavar="CLIP...", help_behavior_hint="(required)")] = ()
     """The clips: folders, folders of clips, or patterns in quotes."""
     out: Annotated[Path, arg(metavar="DIR")]
-    """Folder of the results: a folder for each clip, and DIR/refined/<clip> with the refined poses in the format of
-    PATH."""
+    """Folder of the results: a folder for each clip, DIR/refined/<clip> with the refined poses in the format of PATH,
+    and changes.csv."""
     first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
     """The number that PATH gives to the clip's first frame, if it counts from another start."""
     options: Annotated[Options, arg(name="")] = field(default_factory=Options)
@@ -61,12 +68,15 @@ class Refine(Command):
         changes = [made for name, folder in named if (made := self._written(name, folder, refined)) is not None]
         if changes:
             _print(changes)
+            files.write_csv(self.out / CHANGES, [HEADS, *(one.cells for one in changes)])
+            print(self.out / CHANGES)
         return status
 
     def _written(self, name: str, folder: Path, refined: Path) -> Change | None:
         """Write the refined poses of a clip; return what changed, None where there is no result."""
         from getagrip.clip import find_masks, read_clip
         from getagrip.evaluation.other_poses import poses_of
+        from getagrip.geometry import se3
         from getagrip.io import files
         from getagrip.object_poses.at_frames import only_file, place_in, read_poses
         from getagrip.object_poses.writing import Track, write_like
@@ -89,7 +99,9 @@ class Refine(Command):
             names = read_poses(place, whole, self.first).names
             T_cam_hand = clip.hand.T_cam_hand if after.T_cam_hand is None else after.T_cam_hand
             names = tuple(names[n] for n in whole.index_of(after.frames))
-            track = Track(names, T_cam_hand @ after.T_hand_obj, after.T_hand_obj, after.scale, after.iou)
+            T_cam_obj = T_cam_hand @ after.T_hand_obj
+            T_hand_obj = se3.inverse(clip.hand.T_cam_hand) @ T_cam_obj  # in the clip's hand, as in the file
+            track = Track(names, T_cam_obj, T_hand_obj, after.scale, after.iou)
             write_like(only_file(place), track, files.folder_inside(refined, clip.name))
         return Change.of(name, clip, before, after)
 
@@ -110,6 +122,11 @@ class Change:
     moved: float
     turned: float
     right: tuple[str, str, str, str]
+
+    @property
+    def cells(self) -> list[object]:
+        """Those of its line in ``CHANGES``."""
+        return [self.clip, *self.iou, 1e3 * self.moved, math.degrees(self.turned), *self.right]
 
     @staticmethod
     def of(name: str, clip: Clip, before: Reconstruction, after: Reconstruction) -> Change:

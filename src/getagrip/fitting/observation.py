@@ -84,7 +84,7 @@ def observe(
     targets = np.empty((len(observed), TARGETS, 5))
     for n, (s, c) in enumerate(zip(*levels[FIELD], strict=True)):
         field[n] = signed_distance(s, c) * (CROP / FIELD)
-        _boundary(s, c, field[n], targets[n])
+        _boundary(s, c, field[n], CROP / FIELD, targets[n])
     return Observation(
         crops=crops,
         K=np.stack([Kc[:, 0, 0], Kc[:, 1, 1], Kc[:, 0, 2], Kc[:, 1, 2]], axis=1),
@@ -147,7 +147,11 @@ def distance_to(target: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:
 
 
 def _boundary(
-    observed: Bool[ndarray, "s s"], valid: Bool[ndarray, "s s"], field: Float32[ndarray, "s s"], targets: ndarray
+    observed: Bool[ndarray, "s s"],
+    valid: Bool[ndarray, "s s"],
+    field: Float32[ndarray, "s s"],
+    zoom: float,
+    targets: Float[ndarray, "Q 5"],
 ) -> None:
     """Spread the targets over the pixels of the object that touch visible background; unused ones get length 0."""
     background, touching = valid & ~observed, np.zeros_like(observed)
@@ -155,7 +159,6 @@ def _boundary(
     pixels = np.argwhere(touching & observed)
     n, used = len(pixels), min(len(pixels), len(targets))
     chosen = (2 * np.arange(used) + 1) * n // (2 * max(used, 1))
-    zoom = CROP / len(field)
     targets[:, :4], targets[:, 4] = 0.0, np.where(np.arange(len(targets)) < used, zoom * n / max(used, 1), 0.0)
     _place(np.ascontiguousarray(pixels[chosen]), field, zoom, targets)
 

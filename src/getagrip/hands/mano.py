@@ -10,7 +10,6 @@ would be broken by it.
 from __future__ import annotations
 
 import hashlib
-import os
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -29,6 +28,7 @@ from getagrip.io import arrays, files, pickles
 from getagrip.io.choices import check_word
 from getagrip.io.files import Json
 from getagrip.io.pickles import Instance
+from getagrip.io.user_folders import cache_folder
 
 ARRAYS = {
     "v_template": (778, 3),
@@ -104,7 +104,7 @@ def load(path: str | Path, side: Side) -> Mano:
     check_word("side", side, Side)
     path = Path(path)
     content = files.read_bytes(path, pickles.LARGEST)
-    cache = _cache_folder() / f"mano-{hashlib.sha256(content).hexdigest()}.npz"
+    cache = cache_folder() / f"mano-{hashlib.sha256(content).hexdigest()}.npz"
     values = _read_cache(cache)
     if values is None:
         values = checked(path, read_pickle(path, content))
@@ -185,10 +185,6 @@ def regions(
 
 def _unit(v: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
     return np.asarray(v / np.linalg.norm(v, axis=1, keepdims=True))
-
-
-def _cache_folder() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "getagrip"
 
 
 def _read_cache(cache: Path) -> dict[str, ndarray] | None:

@@ -52,7 +52,7 @@ def _channel(path: Path, content: bytes, most: int) -> Float[ndarray, "H W"]:
     offsets, row = {}, 0
     for name, dtype in channels.items():  # of each line, all of one channel, then of the next
         offsets[name], row = row, row + dtype.itemsize * width
-    out, lines = np.empty((height, width)), LINES[compression]
+    out, lines = np.zeros((height, width)), LINES[compression]
     for at in struct.unpack_from(f"<{-(-height // lines)}q", content, start):
         y, size = struct.unpack_from("<ii", content, at)
         first = y - top

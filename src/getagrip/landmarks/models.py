@@ -14,7 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from getagrip.errors import InputError, UsageError
-from getagrip.io import files
+from getagrip.io import files, user_folders
 from getagrip.landmarks.nets import Nets, open_nets
 
 FILES = {
@@ -33,8 +33,7 @@ HOW = "getagrip doctor --fetch hands, or --models FOLDER with these files"
 def cache_folder() -> Path:
     """Return the folder of the files: ``GETAGRIP_MODELS``, else in the user's cache."""
     own = os.environ.get("GETAGRIP_MODELS")
-    cache = os.environ.get("XDG_CACHE_HOME")
-    return Path(own) if own else (Path(cache) if cache else Path.home() / ".cache") / "getagrip" / "models"
+    return Path(own) if own else user_folders.cache_folder() / "models"
 
 
 def missing(folder: Path | None = None) -> list[str]:

@@ -24,7 +24,7 @@ class Track:
     Attributes:
         names: how the format's other files call the frames.
         T_cam_obj: (T, 4, 4) [m].
-        T_hand_obj: (T, 4, 4) the same in the hand frame [m].
+        T_hand_obj: (T, 4, 4) the same in the clip's hand frame [m].
         scale: factor on the mesh.
         score: (T,) how good each is, for formats that say so; NaN: unknown.
     """
@@ -44,7 +44,7 @@ def write_like(place: Path, track: Track, folder: Path) -> Path:
     out = folder / place.name
     if place.is_dir():
         suffix = next(path.suffix.lower() for path in sorted(place.iterdir()) if path.suffix.lower() in ALONE)
-        out.mkdir()
+        files.folder_inside(folder, place.name)  # a call that is repeated finds it there
         for name, T in zip(track.names, track.T_cam_obj, strict=True):
             files.write_bytes(out / f"{name}{suffix}", _matrices(suffix, T))
         return out
