@@ -59,7 +59,7 @@ def errors(clip: Clip, T_cam_hand: ndarray) -> tuple[float, float]:
 
 
 def test_a_measured_hand_is_refined_less_and_not_solved_with_the_object() -> None:
-    clip = made()
+    clip = made(noise=replace(OFF, hand_bias_deg=4.0))
     alone = prepare(replace(clip, provenance=clip.provenance | {"hands": measured("a test")}), Options(frames=6))
     together = prepare(clip, Options(frames=6))
     assert alone.refinement is None

@@ -214,7 +214,8 @@ def signed_distance(x, y, z, corners, normals, face, origin, spacing):
     i = min(max(int((x - origin[0]) / spacing), 0), face.shape[0] - 2)
     j = min(max(int((y - origin[1]) / spacing), 0), face.shape[1] - 2)
     k = min(max(int((z - origin[2]) / spacing), 0), face.shape[2] - 2)
-    least, nearest, part, seen, seen_before = np.inf, -1, 0, -1, -1
+    none = np.int64(-1)
+    least, nearest, part, seen, seen_before = np.inf, none, 0, none, none
     dx, dy, dz = 0.0, 0.0, 0.0
     for node in range(8):
         f = np.int64(face[i + (node & 1), j + (node >> 1 & 1), k + (node >> 2)])
