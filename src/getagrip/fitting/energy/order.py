@@ -142,8 +142,9 @@ def _add(sign, ray, t, face, R, centre, unit, delta, error, g, H):
     Moving the object by the local 7-vector (v, w, l) changes t by ``n . (v + w x r + l r) / (n . ray)``, r the point
     from the object's centre, n the face's normal. Only the upper half of H is filled.
     """
-    e, f = face[1] - face[0], face[2] - face[0]
-    m0, m1, m2 = e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2], e[0] * f[1] - e[1] * f[0]
+    e0, e1, e2 = face[1, 0] - face[0, 0], face[1, 1] - face[0, 1], face[1, 2] - face[0, 2]
+    f0, f1, f2 = face[2, 0] - face[0, 0], face[2, 1] - face[0, 1], face[2, 2] - face[0, 2]
+    m0, m1, m2 = e1 * f2 - e2 * f1, e2 * f0 - e0 * f2, e0 * f1 - e1 * f0
     n0 = R[0, 0] * m0 + R[0, 1] * m1 + R[0, 2] * m2
     n1 = R[1, 0] * m0 + R[1, 1] * m1 + R[1, 2] * m2
     n2 = R[2, 0] * m0 + R[2, 1] * m1 + R[2, 2] * m2
