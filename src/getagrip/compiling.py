@@ -53,8 +53,9 @@ LETTERS = {
     "b": types.boolean,
 }  # fmt: skip
 ALLOCATING = {"copy", "empty", "zeros", "zeros_like"}
-"""Calls for which a kernel must count references. Without them it need not, and numba refuses to compile others."""
-WORDS = "kernels are compiled, once for this version: about 20 seconds of one core"
+"""Calls for which a kernel must count references. Without them it need not; numba refuses to compile one that allocates
+by other means, such as the difference of two arrays."""
+WORDS = "kernels are compiled, once for this version: about 15 seconds of one core"
 
 _declared: list[tuple[Any, str]] = []
 

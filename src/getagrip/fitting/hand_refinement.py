@@ -77,7 +77,7 @@ class HandRefinement:
         shared: (P,) the errors that all frames share (``HandErrors``).
         own: (N, P) those of each frame.
         joints: its joints as they were seen; None where they are not known.
-        kind: as what it was refined; a measured one may be found to be an estimate.
+        kind: the kind whose errors it was refined by; a hand given as measured may be found to be an estimate.
     """
 
     T_cam_hand: Float[ndarray, "N 4 4"]

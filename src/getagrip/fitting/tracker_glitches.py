@@ -104,7 +104,7 @@ def at_the_start(steps: Float[ndarray, "n"], price: float) -> Float[ndarray, "n+
 def steps_of(hand: HandTrack) -> list[Float[ndarray, "_ 4 4"]]:
     """Compute how far the hand's surface moves [m] from each frame to the next, to the next but one, and so on.
 
-    From each of ``FLIPS`` to each.
+    Each array is (frame, flip in it, flip in the later frame), flips by their index in ``FLIPS``.
     """
     template = hand.vertices.mean(axis=0)
     some = template[frame_indices(len(template), POINTS)]
