@@ -35,7 +35,11 @@ def test_hands_masks_and_marks_are_there(scene: Path, run: Run) -> None:
     assert status == 0, err
     assert "the left hand in 8 of 8 frames" in out
     assert "the object's mesh: --mesh cup --size-mm 90" in out
-    for words in ("left hand: in 8 of 8 frames", "the generic hand has the size", "a guess: the focal length"):
+    for words in (
+        "hands_side: left: it looks like a left hand in 8 of 8 frames",
+        "the generic hand has the size",
+        "a guess: the focal length",
+    ):
         assert words in err
     found = HandFile.of(scene.parent / "out" / "found" / "hand.npz")
     assert found.numbers == tuple(range(1, 9))

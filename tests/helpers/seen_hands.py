@@ -1,13 +1,14 @@
-"""Networks that see the hand of ``labelled_scene`` where it is in the first frame, whatever image they are given."""
+"""Networks that see the hand of ``labelled_scene`` where it is in the first frame, or in its mirror image."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from getagrip.landmarks import crops
 from getagrip.landmarks.crops import Crop
 from getagrip.landmarks.nets import Found, Nets
 from getagrip.landmarks.palms import Palm
-from helpers.labelled_scene import joints
+from helpers.labelled_scene import WIDTH, joints
 
 POINTS = np.array(joints(0))
 
@@ -26,4 +27,6 @@ class SceneNets(Nets):
         return [Palm(box, points, 0.9)] if self.hands else []  # type: ignore[attr-defined]
 
     def landmarks(self, image: np.ndarray, crop: Crop) -> Found:
-        return Found(POINTS, np.full((21, 3), np.nan), 0.95, 0.1)
+        own = crops.of_landmarks(POINTS)
+        in_mirror = abs(WIDTH - crop.middle[0] - own.middle[0]) < abs(crop.middle[0] - own.middle[0])
+        return Found(POINTS, np.full((21, 3), np.nan), 0.95, 0.9 if in_mirror else 0.1)

@@ -74,7 +74,7 @@ def test_the_side_is_the_majoritys() -> None:
     seen = [[hand(300.0, right=0.9 if n in (3, 4) else 0.2)] for n in range(20)]
     found = select(seen)
     assert found.side == "left"
-    assert "in 18 of 20 frames" in found.notes[0]
+    assert str(found.side_source) == "left: it looks like a left hand in 18 of 20 frames"
     assert found.rows == tuple(range(20))
     with pytest.raises(UsageError, match="no right hand"):
         select(seen, side="right")
@@ -86,7 +86,7 @@ def test_a_stated_side_overrules_all_frames_for_the_hand_at_the_object() -> None
     found = select(seen, side="right", boxes=box)
     assert (found.side, found.rows) == ("right", tuple(range(20)))
     np.testing.assert_allclose(found.points[:, :, 0].mean(), select(seen, boxes=box).points[:, :, 0].mean())
-    assert any(note.startswith("a guess: it looks like the other hand in 20 of 20") for note in found.notes)
+    assert any(note.startswith("a guess: it looks like a left hand in 20 of 20") for note in found.notes)
 
 
 def test_the_hand_nearest_to_the_object_is_taken() -> None:

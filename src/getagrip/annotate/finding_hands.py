@@ -25,9 +25,8 @@ from getagrip.hands.clicked_hands import SCALE
 from getagrip.hands.lifted_hands import LIFTED, hands_from_landmarks
 from getagrip.io import files
 from getagrip.io.images import write_mask
-from getagrip.landmarks import HandLandmarks, follow, hand_mask, look_again, select
+from getagrip.landmarks import HandLandmarks, Side, Sighting, compared, follow, hand_mask, look_again, select
 from getagrip.landmarks.nets import Nets
-from getagrip.landmarks.selecting import Side
 from getagrip.provenance import Provenance, Source, as_arrays, assumed, estimated
 
 THUMBNAIL = 24
@@ -55,9 +54,9 @@ class FoundHands:
 
 def of_landmarks(landmarks: HandLandmarks) -> Provenance:
     """Return the provenance of hands that are lifted from landmarks."""
-    words = "; ".join(landmarks.notes)
     return {
-        "hands": estimated(f"MediaPipe's landmarks, {LIFTED}; {words}"),
+        "hands": estimated("; ".join([f"MediaPipe's landmarks, {LIFTED}", *landmarks.notes])),
+        "hands_side": landmarks.side_source,
         "hands_focal": assumed("from the size of the generic hand and the focal length"),
         "hands_scale": assumed(SCALE),
     }
@@ -97,9 +96,14 @@ def find_landmarks(
     count = last - first + 1
     seen = follow(_Shot(footage, first).image, count, nets, on_frame)
     of_row = None if boxes is None else {n - first: box for n, box in boxes.items()}
-    return select(
-        seen, side, of_row, first + 1, lambda hand: look_again(lambda n: footage.image(first + n), hand, count, nets)
-    )
+
+    def image(n: int) -> UInt8[ndarray, "H W 3"]:
+        return footage.image(first + n)
+
+    def again(hand: Mapping[int, Sighting]) -> dict[int, Sighting]:
+        return look_again(image, hand, count, nets)
+
+    return select(seen, side, of_row, first + 1, again, lambda n, hand: compared(image(n), hand, nets))
 
 
 @dataclass

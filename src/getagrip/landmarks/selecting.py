@@ -2,14 +2,13 @@
 
 Sightings are linked from frame to frame into tracks. The hand is the track nearest to the object, if the object's place
 is known in some frame, otherwise the track with the most frames; tracks of its side that fill its gaps are added. The
-network classifies the side in each frame, wrongly in one of twenty, so the majority decides.
+side of a track is decided by many of its frames (``handedness``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -18,20 +17,22 @@ from numpy import ndarray
 from getagrip.errors import UsageError
 from getagrip.io.terminal import counted
 from getagrip.landmarks.following import Sighting
+from getagrip.landmarks.handedness import UNKNOWN, Handedness, Side, log_odds
+from getagrip.provenance import Source, measured
 
-Side = Literal["left", "right"]
+Odds = Callable[[int, Sighting], float]
 GAP = 10
 """Longest gap [frames] over which a hand is linked and later interpolated; longer gaps remain."""
 REACH = 1.0
 """Largest motion of a palm between successive frames that have it, in palm sizes."""
 SHORTEST = 4
-"""Least number of frames of a track."""
+"""Least number of frames of a track; half the frames of a clip of fewer than eight."""
 JUMP = 0.25
 """Largest distance of landmarks from the median of neighbouring frames, in hand sizes (root mean square)."""
 ABOUT = 3
 """Number of frames before and after for that median."""
-UNSURE = 0.02
-"""Least probability of either side in a frame, so that no single frame decides."""
+LOOKS = 20
+"""Number of frames of a track, spread evenly, that decide on its side."""
 OTHERS = 0.2
 """Share of frames with another hand of the same side from which on two people are assumed."""
 
@@ -47,6 +48,7 @@ class HandLandmarks:
         confidence: (T, 21) from 0 to 1; 0 where there are none.
         world: (T, 21, 3) the same about the hand's middle, in the camera's axes, of a hand of about mean size [m]; NaN
             in frames without.
+        side_source: how the side is known.
         notes: what was decided and what was left out, in words.
     """
 
@@ -54,6 +56,7 @@ class HandLandmarks:
     points: Float[ndarray, "T 21 2"]
     confidence: Float[ndarray, "T 21"]
     world: Float[ndarray, "T 21 3"]
+    side_source: Source
     notes: tuple[str, ...] = ()
 
     @property
@@ -67,20 +70,15 @@ class Track:
     """A hand that was linked from frame to frame."""
 
     seen: dict[int, Sighting] = field(default_factory=dict)
+    handedness: Handedness = UNKNOWN
 
     @property
     def last(self) -> int:
         return max(self.seen)
 
     @property
-    def right(self) -> float:
-        """Mean log odds of a right hand: frames that are sure count more."""
-        p = np.clip([each.right for each in self.seen.values()], UNSURE, 1.0 - UNSURE)
-        return float(np.average(np.log(p / (1.0 - p)), weights=[each.confidence for each in self.seen.values()]))
-
-    @property
     def side(self) -> Side:
-        return "right" if self.right >= 0.0 else "left"
+        return self.handedness.side
 
     def distance(self, boxes: Mapping[int, Float[ndarray, "4"]]) -> float:
         """Measure the mean distance of the landmarks from the object's boxes, in sizes of the hand.
@@ -115,7 +113,7 @@ def tracks(seen: Sequence[Sequence[Sighting]]) -> list[Track]:
                 used.add(k)
                 taken.add(i)
         out += [Track({n: hand}) for i, hand in enumerate(hands) if i not in taken]
-    return [track for track in out if len(track.seen) >= SHORTEST]
+    return [track for track in out if len(track.seen) >= min(SHORTEST, (len(seen) + 1) // 2)]
 
 
 def select(
@@ -124,8 +122,11 @@ def select(
     boxes: Mapping[int, Float[ndarray, "4"]] | None = None,
     counted_from: int = 1,
     again: Callable[[Mapping[int, Sighting]], dict[int, Sighting]] = dict,
+    odds: Odds = lambda _, hand: log_odds(hand),
 ) -> HandLandmarks:
     """Select the hand that holds the object. ``again`` looks for it once more where it is not sure (``second_look``).
+
+    ``odds`` are the log odds that a hand in a frame is a right one.
 
     ``side`` overrules the majority; ``boxes`` (left, top, width, height) [px] are where the object is in some frames.
     With both, a hand near the object that looks like the other one is taken, and said to be a guess. Notes give the
@@ -134,6 +135,10 @@ def select(
     Raises ``UsageError`` where there is no such hand.
     """
     found = tracks(seen)
+    looks = sorted((n, k) for k, track in enumerate(found) for n in _spread(track))  # footage is read forwards
+    all_odds = [(k, odds(n, found[k].seen[n])) for n, k in looks]
+    for k, track in enumerate(found):
+        track.handedness = Handedness(tuple(value for of, value in all_odds if of == k))
     stated = found if side is None else _of_side(found, side)
     if not stated and boxes is not None:  # the networks may take a hand seen from behind the object for the other one
         stated = [track for track in found if np.isfinite(track.distance(boxes))]
@@ -144,11 +149,8 @@ def select(
     majority = side or first.side
     hand, others = _completed(first, _of_side([track for track in found if track is not first], first.side))
     hand, flickering = _steady(again(hand))
-    shares = [each.right if majority == "right" else 1.0 - each.right for each in hand.values()]
-    wrong = sum(share < 0.5 for share in shares)
-    notes = [f"{majority} hand: {'as stated' if side else f'in {len(shares) - wrong} of {len(shares)} frames'}"]
-    if side is not None and first.side != side:
-        notes.append(f"a guess: it looks like the other hand in {wrong} of {len(shares)} frames")
+    as_stated = side in (None, first.side)
+    notes = [] if as_stated else [f"a guess: {first.handedness.words}, but the side is stated"]
     notes += [] if boxes is None else ["of the hands that were seen, the one nearest to the object"]
     if flickering:
         left_out = _ranges(flickering, counted_from)
@@ -163,7 +165,14 @@ def select(
             (it,) = [track.seen[n] for track in beside if n in track.seen][:1]
             which = f"chosen is the one {_place(hand[n])} in frame {n + counted_from}, not that {_place(it)}"
             notes.append(f"two hands in {counted(len(twice), 'frame')}: {which}; {overrules} overrules this")
-    return _as_arrays(majority, hand, len(seen), tuple(notes))
+    source = first.handedness.source if side is None else measured(f"{side}, as stated")
+    return HandLandmarks(majority, *_as_arrays(hand, len(seen)), source, tuple(notes))
+
+
+def _spread(track: Track) -> list[int]:
+    """Choose the frames that decide on a track's side."""
+    frames = sorted(track.seen)
+    return sorted({frames[i] for i in np.linspace(0, len(frames) - 1, LOOKS).round().astype(int)})
 
 
 def _place(hand: Sighting) -> str:
@@ -228,9 +237,11 @@ def _ranges(frames: Sequence[int], counted_from: int) -> str:
     return ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in numbers)
 
 
-def _as_arrays(side: Side, hand: Mapping[int, Sighting], count: int, notes: tuple[str, ...]) -> HandLandmarks:
+def _as_arrays(
+    hand: Mapping[int, Sighting], count: int
+) -> tuple[Float[ndarray, "T 21 2"], Float[ndarray, "T 21"], Float[ndarray, "T 21 3"]]:
     points, world = np.full((count, 21, 2), np.nan), np.full((count, 21, 3), np.nan)
     confidence = np.zeros((count, 21))
     for n, each in hand.items():
         points[n], world[n], confidence[n] = each.points, each.world, each.confidence
-    return HandLandmarks(side, points, confidence, world, notes)
+    return points, confidence, world

@@ -1,0 +1,84 @@
+"""Whether a hand is a left or a right one: by some of its sightings, and those of their mirror images.
+
+The network is less sure of left hands than of right ones, and of hands whose palm an object hides. Its bias cancels
+out, since each sighting is compared with one in the mirror image, where the hand must be one of the other side. What it
+says of the side is supported by how it sees the fingers in 3D: they bend towards the palm.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import UInt8
+from numpy import ndarray
+
+from getagrip.io.terminal import counted
+from getagrip.landmarks import crops
+from getagrip.landmarks.following import Sighting
+from getagrip.landmarks.nets import Nets
+from getagrip.provenance import Source, assumed, estimated
+
+BEND = 0.01
+"""Distance of the fingers from the plane of the palm that counts as much as odds of 1 : e [m]."""
+MOST = 4.0
+"""Largest log odds of either cue in a frame, so that no single frame decides."""
+DOUBTFUL = 1.0, 0.7
+"""Mean log odds of a side, and share of frames that look like it, below which a side is assumed."""
+
+Side = Literal["left", "right"]
+
+
+class Handedness(NamedTuple):
+    """What some frames say of a hand's side."""
+
+    odds: tuple[float, ...]
+    """Log odds of a right hand, in each of them."""
+
+    @property
+    def mean(self) -> float:
+        return float(np.mean(self.odds))
+
+    @property
+    def alike(self) -> int:
+        """Number of frames that look like this side."""
+        return sum((each >= 0.0) == (self.mean >= 0.0) for each in self.odds)
+
+    @property
+    def side(self) -> Side:
+        return "right" if self.mean >= 0.0 else "left"
+
+    @property
+    def words(self) -> str:
+        return f"it looks like a {self.side} hand in {self.alike} of {counted(len(self.odds), 'frame')}"
+
+    @property
+    def source(self) -> Source:
+        """How the side is known: assumed, where the frames hardly agree."""
+        least, share = DOUBTFUL
+        if abs(self.mean) < least or self.alike < share * len(self.odds):
+            other = "left" if self.side == "right" else "right"
+            return assumed(f"{self.side}, a guess, since {self.words} only; --side {other} overrules this")
+        return estimated(f"{self.side}: {self.words}")
+
+
+UNKNOWN = Handedness(())
+
+
+def log_odds(hand: Sighting) -> float:
+    """Compute how much a sighting speaks for a right hand, before the bias is removed."""
+    p = np.clip(hand.right, 1e-9, 1.0 - 1e-9)
+    wrist, index, pinky = hand.world[[0, 5, 17]]
+    normal = np.cross(index - wrist, pinky - wrist)  # out of the palm of a right hand, in axes with z ahead
+    fingers = hand.world[5:].reshape(4, 4, 3)
+    ahead = (fingers[:, 1:] - fingers[:, :1]).mean(axis=(0, 1)) @ normal / max(float(np.linalg.norm(normal)), 1e-9)
+    cues = np.array([np.log(p / (1.0 - p)), np.nan_to_num(ahead) / BEND])
+    return float(np.clip(cues, -MOST, MOST).sum())
+
+
+def compared(image: UInt8[ndarray, "H W 3"], hand: Sighting, nets: Nets) -> float:
+    """Compute the log odds that a hand in an image is a right one, from the image and its mirror image."""
+    crop = crops.of_landmarks(hand.points)
+    middle = np.array([image.shape[1] - crop.middle[0], crop.middle[1]])
+    mirrored = nets.landmarks(np.ascontiguousarray(image[:, ::-1]), crop._replace(middle=middle, angle=-crop.angle))
+    return 0.5 * (log_odds(hand) - log_odds(Sighting(*mirrored)))

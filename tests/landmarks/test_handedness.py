@@ -1,0 +1,85 @@
+"""The side of a hand: its bias cancels out in mirror images, and fingers bend to the palm from wherever they are seen."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from getagrip.hands import generic
+from getagrip.hands.clicked_hands import model_pose
+from getagrip.hands.pose_prior import PosePrior
+from getagrip.landmarks import Side, Sighting, compared
+from getagrip.landmarks.crops import Crop
+from getagrip.landmarks.handedness import Handedness, log_odds
+from getagrip.landmarks.nets import Found, Nets
+
+MIRROR = np.array([-1.0, 1.0, 1.0])
+WIDTH = 640
+IMAGE = np.zeros((480, WIDTH, 3), np.uint8)
+IMAGE[:, : WIDTH // 2] = 200
+
+
+def bent(side: Side) -> np.ndarray:
+    """Joints of a hand in the middle of its poses [m]."""
+    model = generic.load(side)
+    joints = model.with_shape().with_pose(model_pose(PosePrior.of(model).mean[None])[0]).joints
+    return np.asarray(joints - joints.mean(axis=0))
+
+
+def hand(world: np.ndarray, right: float = 0.5) -> Sighting:
+    return Sighting(world[:, :2] * 1000.0 + [300.0, 240.0], world, 0.9, right)
+
+
+class Biased(Nets):
+    """Networks that see the same hand in every image, and take it for a right one too often."""
+
+    def __init__(self, there: Sighting, bias: float) -> None:
+        super().__init__(lambda image: [], lambda image: [], "")
+        object.__setattr__(self, "there", there)
+        object.__setattr__(self, "bias", bias)
+
+    def landmarks(self, image: np.ndarray, crop: Crop) -> Found:
+        there: Sighting = self.there  # type: ignore[attr-defined]
+        mirrored = image[0, 0, 0] == 0
+        x = np.array([WIDTH, 0.0]) + there.points * MIRROR[:2] if mirrored else there.points
+        odds = np.log(there.right / (1.0 - there.right)) * (-1.0 if mirrored else 1.0) + self.bias  # type: ignore[attr-defined]
+        assert crop.middle[0] == pytest.approx(x[0, 0], abs=200.0)
+        return Found(x, there.world * MIRROR if mirrored else there.world, 0.9, float(1.0 / (1.0 + np.exp(-odds))))
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_fingers_bend_to_the_palm_from_every_view(side: Side) -> None:
+    world = bent(side)
+    sign = 1.0 if side == "right" else -1.0
+    values = [log_odds(hand(R.apply(world))) for R in Rotation.random(20, random_state=0)]
+    assert min(sign * np.array(values)) > 0.5
+    np.testing.assert_allclose(values, values[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("right", [0.02, 0.3, 0.9])
+def test_a_mirror_image_has_the_opposite_odds(right: float) -> None:
+    one = hand(bent("left"), right)
+    other = Sighting(one.points, one.world * MIRROR, 0.9, 1.0 - right)
+    assert log_odds(other) == pytest.approx(-log_odds(one))
+
+
+@pytest.mark.parametrize("bias", [0.0, 2.0, -2.0])
+def test_the_bias_of_the_networks_cancels_out(bias: float) -> None:
+    flat = bent("left") * np.array([1.0, 1.0, 0.0])
+    nets = Biased(hand(flat, 0.4), bias)
+    seen = Sighting(*nets.landmarks(IMAGE, Crop(hand(flat).points[0], 100.0, 0.0)))
+    assert compared(IMAGE, seen, nets) == pytest.approx(np.log(0.4 / 0.6))
+
+
+def test_what_hardly_agrees_is_an_assumption() -> None:
+    assert Handedness((-3.0,) * 9 + (0.5,)).source.basis == "estimated"
+    for odds in ((-0.4, -0.5, -0.6), (-9.0, 0.5, 0.5, -9.0)):
+        source = Handedness(odds).source
+        assert source.basis == "assumed"
+        assert source.text.startswith("left, a guess")
+        assert source.text.endswith("--side right overrules this")
+
+
+def test_hands_without_depths_are_judged_by_the_network_alone() -> None:
+    assert log_odds(Sighting(np.zeros((21, 2)), np.full((21, 3), np.nan), 0.9, 0.25)) == pytest.approx(np.log(1 / 3))
