@@ -157,3 +157,10 @@ def test_the_real_models_answer_as_known() -> None:
     loaded = models.load()
     assert nets.answers_as_known(loaded.hand)
     assert loaded.palms(np.zeros((480, 640, 3), np.uint8)) == []
+
+
+def test_dark_images_are_lightened_and_others_stay_as_they_are() -> None:
+    image = np.random.default_rng(0).uniform(0.0, 1.0, (64, 64, 3)).astype(np.float32)
+    np.testing.assert_array_equal(palms.lit(image), image)
+    np.testing.assert_allclose(palms.lit(0.2 * image), palms.lit(0.1 * image), rtol=1e-5)
+    assert palms.lit(np.zeros_like(image)).max() == 0.0

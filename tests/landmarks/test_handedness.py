@@ -1,4 +1,4 @@
-"""The side of a hand: its bias cancels out in mirror images, and fingers bend to the palm from wherever they are seen."""
+"""The side of a hand: the bias cancels out in mirror images, and fingers bend to the palm from every view."""
 
 from __future__ import annotations
 

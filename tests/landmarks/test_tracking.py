@@ -124,3 +124,28 @@ def test_long_gaps_stay_gaps_and_two_people_are_said() -> None:
 def test_no_hand_says_what_was_tried() -> None:
     with pytest.raises(UsageError, match="no hand: palms were looked for in 5 frames"):
         select([[] for _ in range(5)])
+
+
+def test_of_hands_seen_as_often_the_steadier_one_is_taken() -> None:
+    def waving(n: int) -> Sighting:
+        each = hand(900.0)
+        return each._replace(points=each.points + np.outer(np.arange(21) % 4, [8.0 * (n % 3), 0.0]))
+
+    seen = [[waving(n)] + ([hand(300.0)] if n else []) for n in range(20)]
+    assert np.nanmax(select(seen).points[..., 0]) < 600.0
+    assert np.nanmin(select([hands[: 1 + (n > 4)] for n, hands in enumerate(seen)]).points[..., 0]) > 600.0
+
+
+def test_a_palm_whose_square_shows_no_hand_is_looked_at_turned() -> None:
+    class Turned(Seeing):
+        def landmarks(self, image: np.ndarray, crop: Crop) -> Found:
+            found = super().landmarks(image, crop)
+            return found if crop.angle > 0.5 or len(self.asked) > 2 else found._replace(confidence=0.3)  # type: ignore[attr-defined]
+
+    (seen,) = follow(image, 1, Turned({0: [hand(300.0)]}, {0}))
+    np.testing.assert_allclose(seen[0].points, hand(300.0).points)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_a_short_clip_is_enough(count: int) -> None:
+    assert select([[hand(300.0)]] * count).rows == tuple(range(count))

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Float32, UInt8
 from numpy import ndarray
 
-from getagrip.landmarks.palms import MIDDLE_KNUCKLE, WRIST, Palm
+from getagrip.landmarks.palms import MIDDLE_KNUCKLE, WRIST, Palm, lit
 
 SIDE = 224
 """Side of the landmark network's input [px]."""
@@ -54,7 +54,7 @@ class Crop(NamedTuple):
         M = np.column_stack([self.axes * self.side / SIDE, self.to_image(np.zeros(2))])
         M[:, 2] += M[:, :2] @ [0.5, 0.5] - 0.5  # OpenCV's pixels have their middle at whole numbers
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        return np.asarray(cv2.warpAffine(image, M, (SIDE, SIDE), flags=flags), np.float32) / np.float32(255.0)
+        return lit(np.asarray(cv2.warpAffine(image, M, (SIDE, SIDE), flags=flags), np.float32) / np.float32(255.0))
 
     def near(self, other: Crop) -> bool:
         """Return whether both crops show the network nearly the same pixels."""

@@ -27,6 +27,8 @@ MEMORY = 10
 AROUND, LEAST_AROUND = 0.9, 0.33
 """Half the side of that search region, in sides of the hand's square, and its least value as a share of the image's
 shorter side."""
+TURNS = (-0.8, 0.8)
+"""Angles by which the square about a palm is turned, if no hand is seen in it [rad]."""
 SAME = 0.4
 """Distance, in palm sizes, below which two sightings are the same hand."""
 PALM = [0, 5, 9, 13, 17]
@@ -79,7 +81,8 @@ def follow(
         detected = [crop for crop in map(crops.of_palm, nets.palms(now)) if not any(map(crop.near, known))]
         before: list[Sighting] = next((hands for hands in reversed(seen[-MEMORY:]) if hands), [])
         lost = [crop for crop in _crops(before) if not any(map(crop.near, [*known, *detected]))]
-        seen.append(one_each([*followed, *_looked(now, [*detected, *_nearby(now, lost, nets)], nets)]))
+        around = [_turned(now, crop, nets) for crop in detected]
+        seen.append(one_each([*followed, *around, *_looked(now, _nearby(now, lost, nets), nets)]))
     for n in range(count - 2, -1, -1):
         again = [each for each in seen[n + 1] if not any(each.same(old) and old.confidence >= SURE for old in seen[n])]
         if again:
@@ -111,6 +114,15 @@ def _nearby(image: Image, where: Sequence[Crop], nets: Nets) -> list[Crop]:
 def _looked(image: Image, where: Sequence[Crop], nets: Nets) -> list[Sighting]:
     """Find the hands in some squares of an image."""
     return [Sighting(*nets.landmarks(image, crop)) for crop in where]
+
+
+def _turned(image: Image, crop: Crop, nets: Nets) -> Sighting:
+    """Find the hand in the square about a palm; where there is none, in that square turned: the detector errs."""
+    hand = Sighting(*nets.landmarks(image, crop))
+    if hand.confidence >= LEAST:
+        return hand
+    turned = (Sighting(*nets.landmarks(image, crop._replace(angle=crop.angle + turn))) for turn in TURNS)
+    return max([hand, *turned], key=lambda each: each.confidence)
 
 
 def one_each(hands: Sequence[Sighting]) -> list[Sighting]:

@@ -22,6 +22,9 @@ LEAST = 0.5
 """Probability of a palm."""
 OVERLAP = 0.3
 """Boxes with a larger intersection over union are of one palm."""
+BRIGHT, DARK, LIT, MOST = 0.98, 0.4, 0.8, 20.0
+"""An image is dark if this share of its values is below the second number. It is then scaled so that the share is below
+the third, but by no more than the fourth."""
 WRIST, MIDDLE_KNUCKLE = 0, 2
 """Two of the seven points."""
 
@@ -68,11 +71,17 @@ class Letterbox(NamedTuple):
         out = np.zeros((SIDE, SIDE, 3), np.float32)
         left, top = (round(float(x)) for x in self.shift)
         out[top : top + size[1], left : left + size[0]] = small[: SIDE - top, : SIDE - left] / np.float32(255.0)
-        return out
+        return lit(out)
 
     def back(self, points: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
         """Convert points of the square to the image [px]."""
         return np.asarray((points - self.shift) / self.scale)
+
+
+def lit(image: Float32[ndarray, "H W 3"]) -> Float32[ndarray, "H W 3"]:
+    """Lighten a dark image (0 to 1): the networks have not learnt such."""
+    high = float(np.quantile(image[::4, ::4], BRIGHT))
+    return image if high >= DARK else np.minimum(image * np.float32(LIT / max(high, LIT / MOST)), np.float32(1.0))
 
 
 def decoded(

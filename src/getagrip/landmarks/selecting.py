@@ -1,7 +1,8 @@
 """Selection of the hand that holds the object, of all hands in a clip: one side, in each frame one hand or none.
 
 Sightings are linked from frame to frame into tracks. The hand is the track nearest to the object, if the object's place
-is known in some frame, otherwise the track with the most frames; tracks of its side that fill its gaps are added. The
+is known in some frame, otherwise the track with the most frames; if others have about as many, the one whose shape
+changes least, since fingers that hold something hardly move. Tracks of its side that fill its gaps are added. The
 side of a track is decided by many of its frames (``handedness``).
 """
 
@@ -16,6 +17,7 @@ from numpy import ndarray
 
 from getagrip.errors import UsageError
 from getagrip.io.terminal import counted
+from getagrip.landmarks.crops import SIDE, of_landmarks
 from getagrip.landmarks.following import Sighting
 from getagrip.landmarks.handedness import UNKNOWN, Handedness, Side, log_odds
 from getagrip.provenance import Source, measured
@@ -33,6 +35,8 @@ ABOUT = 3
 """Number of frames before and after for that median."""
 LOOKS = 20
 """Number of frames of a track, spread evenly, that decide on its side."""
+ALIKE = 0.9
+"""Tracks of at least this share of the largest number of frames have about as many: the steadiest of them is chosen."""
 OTHERS = 0.2
 """Share of frames with another hand of the same side from which on two people are assumed."""
 
@@ -79,6 +83,15 @@ class Track:
     @property
     def side(self) -> Side:
         return self.handedness.side
+
+    @property
+    def bending(self) -> float:
+        """How much the hand changes its shape, as it is seen: in its own square, of side 1, the median over frames."""
+        hands = [each.points for each in self.seen.values()]
+        own = np.array([of_landmarks(points).from_image(points) / SIDE for points in hands])
+        own -= own.mean(axis=1, keepdims=True)
+        off = np.linalg.norm(own - np.median(own, axis=0), axis=-1)
+        return float(np.median(np.sqrt(np.mean(off**2, axis=-1))))
 
     def distance(self, boxes: Mapping[int, Float[ndarray, "4"]]) -> float:
         """Measure the mean distance of the landmarks from the object's boxes, in sizes of the hand.
@@ -145,7 +158,8 @@ def select(
     found = stated
     if not found:
         raise UsageError(_none(seen, side))
-    first = min(found, key=lambda track: (track.distance(boxes or {}), -_weight(track)))
+    often = ALIKE * max(map(_weight, found))
+    first = min(found, key=lambda track: (track.distance(boxes or {}), _weight(track) < often, track.bending))
     majority = side or first.side
     hand, others = _completed(first, _of_side([track for track in found if track is not first], first.side))
     hand, flickering = _steady(again(hand))
