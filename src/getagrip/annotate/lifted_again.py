@@ -2,7 +2,8 @@
 
 At first nothing is known but landmarks, and those of fingers that the object hides are guesses: often the hand is open
 beside the object. With the masks, landmarks on the background are left out, those on the object count less, and joints
-are kept where something hides or shows them (``hidden_joints``).
+are kept where something hides or shows them (``hidden_joints``). Where many landmarks are on the background or beside
+the image, the latter are left out, too, and so are the network's depths.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from getagrip.clip.reading import read_hand
 from getagrip.clip.writing import write_hand
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
+from getagrip.hands.clicked_hands import FEWEST
 from getagrip.hands.hidden_joints import SIDE, Hiding
 from getagrip.hands.lifted_hands import LIFTED, hands_from_landmarks
 from getagrip.hands.model import Side
@@ -31,12 +33,15 @@ LOOSENESS = 0.08
 """Standard deviation of each number of the fingers' pose from that of the grasp [rad]."""
 HIDDEN = 0.25
 """Factor on the confidence of landmarks that lie on the visible object: the network guesses them."""
+GUESSED = 0.4
+"""Share of landmarks on the background or beside the image above which a frame's hand is largely guessed."""
 
 
 class LabelMaps:
     """The label maps of a grasp's frames, reduced, as they are made one by one."""
 
     def __init__(self, size: tuple[int, int]) -> None:
+        self.size = size
         self.zoom = min(1.0, SIDE / max(size))
         self.small = max(2, round(size[0] * self.zoom)), max(2, round(size[1] * self.zoom))
         self.frames: dict[int, UInt8[ndarray, "h w"]] = {}
@@ -68,9 +73,14 @@ def lifted_again(
     points[at], world[at] = hand.joints_2d, se3.transform(hand.T_cam_hand, hand.joints)
     drawn = maps.at(every)
     hidden = Hiding.of(drawn != OBJECT, maps.zoom).at(points)[0] > 0.0
-    confidence = np.zeros((len(every), 21))
-    confidence[at] = hand.joints_2d_confidence * np.where(hidden[at], HIDDEN, 1.0)
     hiding = Hiding.of(drawn > 0, maps.zoom)
+    beside = ((points < 0.0) | (points > np.array(maps.size))).any(axis=-1)
+    guessed = (beside | (hiding.at(points)[0] > 0.0)).mean(axis=1) > GUESSED
+    world[guessed] = np.nan
+    enough = (~beside).sum(axis=1) >= FEWEST
+    left_out = beside & (guessed & enough)[:, None]
+    confidence = np.zeros((len(every), 21))
+    confidence[at] = (hand.joints_2d_confidence * np.where(hidden, HIDDEN, 1.0)[at]) * ~left_out[at]
     found = hands_from_landmarks(points, confidence, K, side, world, hiding, LOOSENESS)
     kept = np.isin(found.rows, at)
     rows = np.searchsorted(at, np.array(found.rows)[kept])
