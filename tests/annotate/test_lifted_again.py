@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from getagrip.annotate import lifted_again as lifting
 from getagrip.annotate.labels import HAND, OBJECT
 from getagrip.annotate.lifted_again import LabelMaps, lifted_again, write_lifted_again
 from getagrip.clip import HandTrack
@@ -59,6 +61,22 @@ def test_frames_and_landmarks_stay(value: int) -> None:
     assert lifted.joints is not None
     there = project(K, se3.transform(lifted.T_cam_hand, lifted.joints))
     assert np.median(np.linalg.norm(there - hand.joints_2d, axis=-1)) < 6.0
+
+
+def test_depths_of_hands_that_are_largely_guessed_are_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+    true = found_hand()
+    assert true.joints_2d is not None
+    turned = se3.rigid(se3.exp_so3(np.array([0.0, 0.9, 0.0])), np.zeros(3))
+    points = true.joints_2d.copy()
+    points[:, 12:] = [-400.0, 200.0]  # three fingers beside the image
+    wrong = replace(true, T_cam_hand=true.T_cam_hand @ turned, joints_2d=points)
+    off = []
+    for guessed in (lifting.GUESSED, 1.0):
+        monkeypatch.setattr(lifting, "GUESSED", guessed)
+        found, _ = lifted_again(wrong, FRAMES, K, "left", maps_of(HAND))
+        off.append(np.degrees(se3.angle_between(found.T_cam_hand[:, :3, :3], true.T_cam_hand[:, :3, :3])).max())
+    assert off[0] < 15.0
+    assert off[1] > 2.0 * off[0]
 
 
 def test_a_frame_without_a_map_is_empty() -> None:

@@ -9,7 +9,7 @@ import av
 import numpy as np
 import pytest
 
-from getagrip.annotate.finding_hands import is_cut
+from getagrip.annotate.finding_hands import is_cut, jumps
 from getagrip.annotate.store import Store
 from getagrip.clip.reading import read_hand
 from getagrip.commands.annotate import DATABASE
@@ -130,3 +130,18 @@ def test_motion_is_no_cut() -> None:
     assert not is_cut(image, np.roll(image, 5, axis=1))
     assert not is_cut(image, np.clip(image.astype(int) + 20, 0, 255).astype(np.uint8))
     assert is_cut(np.full_like(image, 30), image)
+
+
+def test_a_jump_within_a_scene_is_found_and_motion_is_none() -> None:
+    steady = [2.0 + np.sin(0.3 * n) for n in range(40)]
+    assert jumps(steady) == []
+    assert jumps([*steady[:20], 30.0, *steady[20:]]) == [21]
+    assert jumps([0.0] * 10 + [0.5] + [0.0] * 10) == []  # a still scene flickers
+    assert jumps([]) == jumps([9.0]) == []
+
+
+def test_one_frame_is_no_video(scene: Path, run: Run) -> None:
+    write_scene(scene, 1)
+    status, _, err = run(*DRAFT)
+    assert status == 2
+    assert "VIDEO must have two frames or more (got 1)" in err

@@ -6,8 +6,8 @@ the landmarks as ``joints_2d``, and ``masks/<number>.png``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +33,9 @@ THUMBNAIL = 24
 """Side of the reduced images in which cuts are detected [px]."""
 CUT = (25.0, 0.4)
 """Mean difference of two frames [of 255] and share of pixels whose colour changes; at a cut both are larger."""
+JUMP = (4.0, 1.0, 5)
+"""At a jump two frames differ more than this many times as much as any two of the frames before and after it, and by
+more than this mean difference [of 255]; the number of frames on each side."""
 BEYOND = 0.25
 """Factor on the confidence of landmarks outside the image."""
 
@@ -94,7 +97,8 @@ def find_landmarks(
     """
     first, last = interval
     count = last - first + 1
-    seen = follow(_Shot(footage, first).image, count, nets, on_frame)
+    shot = _Shot(footage, first)
+    seen = follow(shot.image, count, nets, on_frame)
     of_row = None if boxes is None else {n - first: box for n, box in boxes.items()}
 
     def image(n: int) -> UInt8[ndarray, "H W 3"]:
@@ -103,7 +107,9 @@ def find_landmarks(
     def again(hand: Mapping[int, Sighting]) -> dict[int, Sighting]:
         return look_again(image, hand, count, nets)
 
-    return select(seen, side, of_row, first + 1, again, lambda n, hand: compared(image(n), hand, nets))
+    found = select(seen, side, of_row, first + 1, again, lambda n, hand: compared(image(n), hand, nets))
+    said = [f"the picture jumps before frame {first + n + 1}: are frames missing?" for n in jumps(shot.apart)]
+    return replace(found, notes=(*found.notes, *said))
 
 
 @dataclass
@@ -114,6 +120,8 @@ class _Shot:
     first: int
     newest: int = -1
     before: UInt8[ndarray, "n n 3"] | None = None
+    apart: list[float] = field(default_factory=list)
+    """Mean difference of each two successive frames [of 255]."""
 
     def image(self, n: int) -> UInt8[ndarray, "H W 3"]:
         """Return a frame of the interval. Raises ``UsageError`` at a cut."""
@@ -128,6 +136,8 @@ class _Shot:
             if self.before is not None and is_cut(self.before, now):
                 parts = f"--interval {self.first + 1} {at - 1} or --interval {at} LAST"
                 raise UsageError(f"{self.footage.name(at - 1)}: the video is cut before this frame: choose {parts}")
+            if self.before is not None:
+                self.apart.append(float(np.abs(self.before.astype(float) - now).mean()))
             self.newest, self.before = n, now
         return image
 
@@ -136,6 +146,17 @@ def _thumbnail(image: UInt8[ndarray, "H W 3"]) -> UInt8[ndarray, "n n 3"]:
     import cv2
 
     return np.asarray(cv2.resize(image, (THUMBNAIL, THUMBNAIL), interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def jumps(apart: Sequence[float]) -> list[int]:
+    """Return the frames before which the picture jumps, from the difference of each two successive frames."""
+    times, least, about = JUMP
+    return [
+        n + 1
+        for n, each in enumerate(apart)
+        if each > least
+        and each > times * max([*apart[max(0, n - about) : n], *apart[n + 1 : n + 1 + about]], default=each)
+    ]
 
 
 def is_cut(one: UInt8[ndarray, "n n 3"], other: UInt8[ndarray, "n n 3"]) -> bool:

@@ -60,7 +60,7 @@ class Draft(Command):
     interval: Annotated[tuple[int, int] | None, arg(metavar="FIRST LAST", help_behavior_hint="(default: all)")] = None
     """The frames in which the object is held, counted from 1."""
     side: OptionalSide = None
-    """The hand that holds the object (default: the side that is detected in most frames)."""
+    """The hand that holds the object (default: what it looks like)."""
     object_box: Annotated[tuple[float, float, float, float] | None, BOX, arg(help_behavior_hint="")] = None
     """Box around the object in the first frame [px]. The hand nearest to it is used, and what stands out from the
     background in it is marked as the object."""
@@ -206,6 +206,8 @@ class Draft(Command):
 
     def _interval(self, footage: Footage) -> tuple[int, int]:
         """Return the first and last frame, from 0. Raises ``UsageError``."""
+        if footage.frames < 2:
+            raise UsageError(f"VIDEO must have two frames or more (got {footage.frames})")
         first, last = self.interval or (1, footage.frames)
         if not 1 <= first < last <= footage.frames or last - first >= MOST_FRAMES:
             allowed = f"two frames from 1 to {footage.frames}, the later one last, at most {MOST_FRAMES} apart"

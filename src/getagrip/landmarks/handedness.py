@@ -23,7 +23,7 @@ BEND = 0.01
 """Distance of the fingers from the plane of the palm that counts as much as odds of 1 : e [m]."""
 MOST = 4.0
 """Largest log odds of either cue in a frame, so that no single frame decides."""
-DOUBTFUL = 1.0, 0.7
+DOUBTFUL = 1.0, 0.8
 """Mean log odds of a side, and share of frames that look like it, below which a side is assumed."""
 
 Side = Literal["left", "right"]
