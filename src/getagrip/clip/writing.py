@@ -13,7 +13,8 @@ from getagrip.clip.data import Clip, Masks
 from getagrip.clip.hand_track import HandTrack
 from getagrip.clip.masks import with_masks
 from getagrip.clip.modality import modalities, with_evidence
-from getagrip.clip.reading import OTHER_HAND, VERSION
+from getagrip.clip.reading import VERSION
+from getagrip.clip.reading_arrays import OTHER_HAND
 from getagrip.clip.timeline import segment_fields
 from getagrip.clip.truth import Truth
 from getagrip.geometry.mesh_files import write_mesh
