@@ -73,10 +73,6 @@ def _difference(share: float) -> str:
     return "–" if math.isnan(share) else f"{100.0 * share:+.1f}".replace("-", "−")
 
 
-def _differences_interval(value: Estimate) -> str:
-    return "" if math.isnan(value.low) else f"[{_difference(value.low)}, {_difference(value.high)}]"
-
-
 def _seconds(value: float) -> str:
     return "–" if math.isnan(value) else f"{value:.2f}"
 
@@ -108,7 +104,8 @@ def _differences(table: Table, style: Style) -> list[list[str]]:
             cells = [style.text(f"{row.variant.label} − {row.variant.against}")]
             for column in columns:
                 value = row.differences[column.label]
-                cells.append(style.cell(_difference(value.mean), 0, _differences_interval(value)))
+                ends = f"[{_difference(value.low)}, {_difference(value.high)}]"
+                cells.append(style.cell(_difference(value.mean), 0, "" if math.isnan(value.low) else ends))
             rows.append(cells)
     return rows
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
@@ -36,7 +36,7 @@ def other_mesh(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip
 
 def reversed_hands(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
     """Reverse the hands in time: that of the last frame comes first."""
-    return _hands_of(clip, np.arange(len(clip))[::-1]), masks
+    return replace(clip, hand=clip.take(np.arange(len(clip))[::-1]).hand), masks
 
 
 def late_masks(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
@@ -176,11 +176,6 @@ MISTAKES: dict[str, Mistake] = {
     "mesh too small": mesh_too_small,
     "a third of the faces missing": missing_faces,
 }
-
-
-def _hands_of(clip: Clip, index: Int[ndarray, "T"]) -> Clip:
-    """Return the clip with the hands of other frames."""
-    return replace(clip, hand=clip.take(index).hand)
 
 
 def _stretched(clip: Clip, by: Float[ndarray, "3"]) -> Clip:
