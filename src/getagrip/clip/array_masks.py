@@ -57,10 +57,7 @@ def npz(path: Path, request: MaskRequest) -> MaskReader:
     if key == "labels":
         return _labels(path, lambda n: (path, key, stored[key][rows[n]]), rows, request)
     notes = Counter[str]()
-    loads = {}
-    for kind in kinds:
-        whole = _whole(lambda n, kind=kind: (path, kind, stored[kind][rows[n]]), rows, request.size, notes)
-        loads[kind] = sharpened(whole, rows, notes)
+    loads = {kind: _masks_of(path, kind, stored[kind], rows, request, notes) for kind in kinds}
 
     def read(n: int) -> FrameMasks:
         at = {kind: load(n)[1] != 0 for kind, load in loads.items()}
@@ -97,6 +94,12 @@ def _labels(source: Path, load: Numbers, frames: Mapping[int, int], request: Mas
     whole = _whole(load, frames, request.size, notes)
     sharp = sharpened(whole, frames, notes, choose.object, bool(choose.ignore or choose.hand))
     return MaskReader(source, lambda n: choose(*sharp(n)), frames.keys(), choose.others, notes)
+
+
+def _masks_of(
+    path: Path, key: str, stack: ndarray, rows: Mapping[int, int], request: MaskRequest, notes: Counter[str]
+) -> Load:
+    return sharpened(_whole(lambda n: (path, key, stack[rows[n]]), rows, request.size, notes), rows, notes)
 
 
 def _whole(load: Numbers, frames: Collection[int], size: tuple[int, int], notes: Counter[str]) -> Load:
