@@ -37,15 +37,15 @@ def test_a_setting_that_changes_nothing_shares_the_methods_results() -> None:
 
 
 def test_settings_that_are_alike_share_their_results_and_only_these() -> None:
-    every = [variant for name in ABLATIONS for variant in ablation_variants(name, ["soft-hinge"], Options())]
+    names = [name for name in ABLATIONS if name != "departures"]  # there the method changes, too
+    every = [variant for name in names for variant in ablation_variants(name, [], Options())]
     kinds = {(variant.folder, repr(variant.options), repr(variant.change)) for variant in every}
     assert (
         len(kinds)
         == len({folder for folder, _, _ in kinds})
         == len({(options, change) for _, options, change in kinds})
     )
-    inputs = {variant.step: variant.folder for variant in every if variant.folder.endswith("10-mm-8-deg")}
-    assert inputs == {"10 mm, 8°": "soft-hinge+hand-noise-10-mm-8-deg"}
+    assert "soft-hinge+hand-noise-10-mm-8-deg" in {v.folder for v in ablation_variants("inputs", [], Options())}
 
 
 def test_all_methods_but_the_slow_ones_where_none_is_named() -> None:

@@ -65,7 +65,7 @@ def ablation_variants(
         for setting in ablation.settings:
             options = replace(usual, **setting.options)
             same = options == usual and setting.change == UNCHANGED
-            folder = method if same else f"{method}+{_folder(name, setting)}"
+            folder = method if same else f"{method}+{_folder(name, setting, usual)}"
             against = f"{REFERENCE}, {setting.label}" if ablation.usual is None else f"{method}, {ablation.usual}"
             label, contact = f"{method}, {setting.label}", setting.contact or contacts[0]
             variants.append(Variant(label, folder, options, setting.change, contact, against, method, setting.label))
@@ -90,15 +90,16 @@ def by_contact(variants: Sequence[Variant], contacts: Sequence[ContactDefinition
     ]
 
 
-def _folder(name: str, setting: Setting) -> str:
+def _folder(name: str, setting: Setting, usual: Options) -> str:
     """Name the folder of a setting after the first ablation that has one with the same options and change."""
-    alike = [
-        f"{other}-{_slug(one.label)}"
-        for other, ablation in ABLATIONS.items()
-        for one in ablation.settings
-        if (one.options, one.change) == (setting.options, setting.change)
-    ]
-    return alike[0] if alike else f"{name}-{_slug(setting.label)}"
+
+    def changed(one: Setting) -> tuple[dict[str, object], Change]:
+        return {name: value for name, value in one.options.items() if value != getattr(usual, name)}, one.change
+
+    every = [(other, one) for other, ablation in ABLATIONS.items() for one in ablation.settings]
+    alike = [(other, one) for other, one in every if changed(one) == changed(setting)]
+    first, one = (alike or [(name, setting)])[0]
+    return f"{first}-{_slug(one.label)}"
 
 
 def _slug(label: str) -> str:
