@@ -236,9 +236,10 @@ def clips_csv_rows(scores: Sequence[Scores], variants: Sequence[Variant]) -> lis
     return lines
 
 
-def terminal(table: Table) -> RichTable:
-    """Make the table over all clips for a screen."""
+def terminal(table: Table, below: Sequence[str] = ()) -> RichTable:
+    """Make the table over all clips for a screen, with lines below it."""
     out = plain_table(title=_heading(table), title_justify="left")
+    out.caption, out.caption_justify = "\n".join(below), "left"
     out.add_column("")
     for heading in _headings(table)[1:]:
         out.add_column(heading.replace(" ", "\n").replace("SCA-", "SCA-\n", 1), justify="right", no_wrap=True)
