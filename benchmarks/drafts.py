@@ -42,7 +42,7 @@ HELD_BY_LEFT = ("bottle", "mug", "tape", "umbrella", "kitchen_plate")
 RING = (0.0415, 0.049, 0.048)
 """Radii and height of the roll of tape [m]."""
 KEEP = "GETAGRIP_KEEP"
-"""Environment variable: folder that keeps what the example makes, for its picture."""
+"""Environment variable: folder that keeps what the examples make, for pictures."""
 Rows = list[list[str]]
 """Of a table, from one video."""
 CLOSE = 20.0
@@ -69,19 +69,32 @@ def landmarks() -> dict[str, Table]:
 
 
 def example() -> dict[str, Table]:
-    """Time the tutorial's video."""
-    header = ["step", "CPU, s", "IOU"]
-    return {"draft-example": of_cells("The steps of docs/tape.md", header, *_rows(["tape"], _example))}
+    """Time the tutorial's video, and reconstruct the others."""
+    steps, missing = _rows([each.name for each in EXAMPLES[:1]], lambda name, video: _example(EXAMPLES[0], video))
+    first = [[EXAMPLES[0].name, *_sums(EXAMPLES[0], steps)]] if steps else []
+    others = {each.name: each for each in EXAMPLES[1:]}
+    rows, also = _rows(others, lambda name, video: [[name, *_sums(others[name], _example(others[name], video))]])
+    header = ["video", "frames", "drawn", "IOU", "CPU, s"]
+    return {
+        "draft-example": of_cells("The steps of docs/tape.md", ["step", "CPU, s", "IOU"], steps, missing),
+        "draft-results": of_cells("From four videos to 3D", header, [*first, *rows], [*missing, *also]),
+    }
 
 
 class Example(NamedTuple):
-    """What is reconstructed of a video: from its first frame on, from marks in ``POLYGONS``."""
+    """What is reconstructed of a video, from marks in ``POLYGONS``."""
 
     name: str
     mesh: str
     """Kind of a built-in shape, or a file."""
     frames: int
     """How many."""
+    first: int = 1
+    """The first of them, from 1."""
+
+    @property
+    def last(self) -> int:
+        return self.first + self.frames - 1
 
     @property
     def shown(self) -> Path:
@@ -89,23 +102,38 @@ class Example(NamedTuple):
         return POLYGONS / f"{self.name}-shown.json"
 
 
-def _example(name: str, video: Path) -> Rows:
+EXAMPLES = (
+    Example("tape", "tape.obj", 92),
+    Example("mug", "mug", 90),
+    Example("bottle", "bottle", 81, 54),
+    Example("umbrella", "umbrella", 90),
+)
+"""The tutorial's video, and others."""
+
+
+def _example(it: Example, video: Path) -> Rows:
     """Run the commands of docs/tape.md; return a row for each step."""
     from trimesh.creation import annulus
 
     with TemporaryDirectory() as temporary:
         folder = Path(temporary)
         annulus(*RING, sections=80).export(folder / "tape.obj")
-        rows = made_by(Example(name, "tape.obj", 92), video, folder)
+        rows = made_by(it, video, folder)
         if KEEP in os.environ:
-            shutil.copytree(folder, os.environ[KEEP])
+            shutil.copytree(folder, Path(os.environ[KEEP]) / it.name)
     return rows
+
+
+def _sums(it: Example, steps: Rows) -> list[str]:
+    """Return the cells of a video: frames, those that a person drew on, IOU, and the CPU time up to the result."""
+    drawn, cpu = len(labels.read(it.shown).frames), sum(float(row[1]) for row in steps[:-1])
+    return [str(it.frames), str(drawn), steps[-2][2], f"{cpu:.0f}"]
 
 
 def made_by(it: Example, video: Path, folder: Path) -> Rows:
     """Run the steps from a video to a report in a folder; return a row for each."""
-    rows, interval = [], ("--interval", 1, it.frames)
-    made = folder / "draft" / f"draft-{it.name}-1-{it.frames}-left"
+    rows, interval = [], ("--interval", it.first, it.last)
+    made = folder / "draft" / f"draft-{it.name}-{it.first}-{it.last}-left"
     shown = ("--side", "left", "--mesh", it.mesh, "--hands", made / "hand.npz", "--masks", made / "masks")
     labels_of = ("--import-labels", it.shown, "--annotator", "draft")
     for step, words in {
