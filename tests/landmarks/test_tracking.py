@@ -149,3 +149,14 @@ def test_a_palm_whose_square_shows_no_hand_is_looked_at_turned() -> None:
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_a_short_clip_is_enough(count: int) -> None:
     assert select([[hand(300.0)]] * count).rows == tuple(range(count))
+
+
+@pytest.mark.parametrize(
+    ("frame", "left", "words"),
+    [(0, 280.0, "nearest to the object"), (0, 900.0, "is the object's box right?"), (30, 280.0, "box decides nothing")],
+)
+def test_a_box_elsewhere_is_said(frame: int, left: float, words: str) -> None:
+    seen = [[hand(300.0)] if n < 10 else [] for n in range(40)]
+    note = select(seen, boxes={frame: np.array([left, 420.0, 60.0, 60.0])}).notes[0]
+    assert words in note
+    assert ("far off" in note) == (left > 800.0)

@@ -37,6 +37,8 @@ LOOKS = 20
 """Number of frames of a track, spread evenly, that decide on its side."""
 ALIKE = 0.9
 """Tracks of at least this share of the largest number of frames have about as many: the steadiest of them is chosen."""
+FAR = 0.6
+"""Distance from the object's box, in sizes of the hand, above which the hand is far from it."""
 OTHERS = 0.2
 """Share of frames with another hand of the same side from which on two people are assumed."""
 
@@ -165,7 +167,13 @@ def select(
     hand, flickering = _steady(again(hand))
     as_stated = side in (None, first.side)
     notes = [] if as_stated else [f"a guess: {first.handedness.words}, but the side is stated"]
-    notes += [] if boxes is None else ["of the hands that were seen, the one nearest to the object"]
+    if boxes is not None:
+        apart = first.distance(boxes)
+        near = "of the hands that were seen, the one nearest to the object"
+        far = f"{near}, but it is far off: is the object's box right?" if apart > FAR else near
+        notes.append(
+            far if np.isfinite(apart) else "the object's box decides nothing: there is no hand about that frame"
+        )
     if flickering:
         left_out = _ranges(flickering, counted_from)
         notes.append(f"left out, since they differ from the frames about them: {left_out}")
