@@ -19,6 +19,7 @@ SECTIONS = {
     "draft-clicks": drafts.clicks,
     "draft-landmarks": drafts.landmarks,
     "draft-example": drafts.example,
+    "draft-results": drafts.results,
 }
 
 
