@@ -23,7 +23,7 @@ BEND = 0.01
 """Distance of the fingers from the plane of the palm that counts as much as odds of 1 : e [m]."""
 MOST = 4.0
 """Largest log odds of either cue in a frame, so that no single frame decides."""
-DOUBTFUL = 1.0, 0.8
+SURE = 1.0, 0.8
 """Mean log odds of a side, and share of frames that look like it, below which a side is assumed."""
 
 Side = Literal["left", "right"]
@@ -55,7 +55,7 @@ class Handedness(NamedTuple):
     @property
     def source(self) -> Source:
         """How the side is known: assumed, where the frames hardly agree."""
-        least, share = DOUBTFUL
+        least, share = SURE
         if abs(self.mean) < least or self.alike < share * len(self.odds):
             other = "left" if self.side == "right" else "right"
             return assumed(f"{self.side}, a guess, since {self.words} only; --side {other} overrules this")
