@@ -22,6 +22,7 @@ Without a moving hand the hand's samples say what a is, as well as the given han
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -31,10 +32,12 @@ from getagrip.compiling import kernel
 from getagrip.fitting.energy.hand_term import ObjectWithHand
 from getagrip.fitting.energy.term import PosesInCamera, Quadratic, no_bound
 from getagrip.geometry.mesh import Mesh
-from getagrip.kernels.depth import cholesky, distances, forward, profile
+from getagrip.kernels.depth import add, distances, forward, prior_cost, profile
 
 TAIL = 2.5
 """c: errors count less and less beyond this many deviations."""
+RIGID = 3
+"""Errors of a clip that are no warps: g, h, a."""
 KAPPA = 20.0
 """Misfit of a frame at which depth counts half [squared deviations]."""
 MISSED = 0.1
@@ -57,6 +60,7 @@ class DepthErrors:
     frame: float
     relief: float
     apart: float
+    warp: float
 
 
 @dataclass(frozen=True)
@@ -83,6 +87,16 @@ class DepthSamples:
     relief: Float[ndarray, "N M"]
     weight: Float[ndarray, "N M"]
     input: Float[ndarray, "N M"]
+
+    @cached_property
+    def modes(self) -> Float[ndarray, "N M K"]:
+        """What errors that all frames share look like: relief, the hand, a factor, and warps about the samples' mean."""
+        x, y = np.moveaxis((2 * self.place + 1) / self.size - 1.0, -1, 0)
+        on_hand = np.arange(x.shape[1]) >= self.on_object[:, None]
+        warps = np.stack([x, y, x * x, x * y, y * y], axis=-1)
+        all_ = np.maximum(self.weight.sum(axis=1), 1e-9)[:, None]
+        warps -= (np.einsum("nm,nmk->nk", self.weight, warps) / all_)[:, None]
+        return np.concatenate([np.stack([self.relief, on_hand, np.ones_like(x)], axis=-1), warps], axis=-1)
 
     def take(self, index: Int[ndarray, "n"]) -> DepthSamples:
         """Return the samples of some of the frames."""
@@ -152,43 +166,46 @@ class DepthTerm:
             hand, solid = poses.hand, self.hand.about(poses.hand.middle)
         P = 14 if moves else 7
         q = replace(Quadratic.zero(poses, P), cross=np.zeros((B, N, P, N, P)))
-        of_clip, of_frame, left = np.zeros((B, 3)), np.zeros((B, N)), np.zeros((B, *s.log_z.shape))
+        modes = s.modes
+        of_clip, of_frame, left = np.zeros((B, modes.shape[2])), np.zeros((B, N)), np.zeros((B, *s.log_z.shape))
         apart = self.errors.apart if moves else np.hypot(self.errors.apart, FIXED_HAND)
         surface = 0.0 if moves else FIXED_SURFACE
         sigma = np.array([self.errors.noise, np.hypot(self.errors.noise, surface)])
-        priors = np.array([self.errors.relief, apart, self.errors.clip, self.errors.frame]) ** -2.0
+        e, warps = self.errors, modes.shape[2] - RIGID
+        priors = np.array([e.relief, apart, e.clip, *[e.warp] * warps, e.frame]) ** -2.0
         _evaluate(
             poses.R, poses.centre, poses.scale, o.vertices, o.planes, o.faces, o.closed,
             hand.R, hand.centre, hand.scale, solid.vertices, solid.planes, solid.faces, solid.closed, moves,
-            s.K, s.size, s.place, s.on_object, s.used, s.log_z, s.relief, s.weight, s.input,
+            s.K, s.size, s.place, s.on_object, s.used, s.log_z, modes, s.weight, s.input,
             priors, sigma, self.weight, EXACT * self.errors.noise, ROUNDS, bound,
             q.value, q.g, q.H, q.cross, of_clip, of_frame, left,
         )  # fmt: skip
         return q
 
 
-@kernel("f4 f3 f1 f3 f3 i2 b f4 f3 f1 f3 f3 i2 b b f2 i i3 i1 i1 f2 f2 f2 f2 f1 f1 f f i f1 f2 f3 f4 f5 f2 f2 f3")
+@kernel("f4 f3 f1 f3 f3 i2 b f4 f3 f1 f3 f3 i2 b b f2 i i3 i1 i1 f2 f3 f2 f2 f1 f1 f f i f1 f2 f3 f4 f5 f2 f2 f3")
 def _evaluate(
     R, centre, scale, vertices, planes, faces, closed,
     hand_R, hand_centre, hand_scale, hand_vertices, hand_planes, hand_faces, hand_closed, moves,
-    K, size, place, on_object, used, log_z, relief, weight, given,
+    K, size, place, on_object, used, log_z, modes, weight, given,
     priors, sigma, unit, exact, rounds, bound,
     value, g, H, cross, of_clip, of_frame, left,
 ):  # fmt: skip
     """Fill in value (B, N), g (B, N, P), H (B, N, P, P), cross (B, N, P, N, P).
 
-    Work space: of_clip (B, 3) g, h and a; of_frame (B, N) b_n; left (B, N, M) what is left of r, 0 where a ray misses.
+    Work space: of_clip (B, K) errors by ``modes``; of_frame (B, N) b_n; left (B, N, M) what is left of r, 0 where
+    a ray misses.
     """
     B, N = value.shape
-    M, P = log_z.shape[1], g.shape[2]
+    M, C, P = log_z.shape[1], modes.shape[2], g.shape[2]
     uvz, hand_uvz = np.empty((3, vertices.shape[2])), np.empty((3, hand_vertices.shape[2]))
     nearest, face = np.empty((size, size)), np.empty((size, size), np.int64)
-    r, u, w, on_hand, J = np.empty((N, M)), np.empty((N, M)), np.empty((N, M)), np.zeros((N, M)), np.empty((N, M, 7))
-    sums, A, tied = np.empty((N, 8)), np.empty((3, 3)), np.empty((N, 3, P))
+    r, u, w, J = np.empty((N, M)), np.empty((N, M)), np.empty((N, M)), np.empty((N, M, 7))
+    sums, A, tied = np.empty((N, C + 2)), np.empty((C, C)), np.empty((N, P, C))
     missed, sigmas = TAIL**2 * np.log1p((MISSED / (TAIL * sigma[0])) ** 2), np.full((N, M), sigma[0])
     most = KAPPA * N
     for n in range(N):
-        on_hand[n, on_object[n] :], sigmas[n, on_object[n] :] = 1.0, sigma[1]
+        sigmas[n, on_object[n] :] = sigma[1]
     for b in range(B):
         if not bound[b] >= 0.0:  # the step is rejected, whatever depth says
             continue
@@ -214,12 +231,12 @@ def _evaluate(
             value[b] = np.inf
             continue
         profile(
-            r, w, relief, on_hand, priors, sigmas, TAIL, rounds, exact, u, left[b], sums, A, of_clip[b], of_frame[b]
+            r, w, modes, priors, RIGID, sigmas, TAIL, rounds, exact, u, left[b], sums, A, of_clip[b], of_frame[b]
         )
-        shared = (priors[0] * of_clip[b, 0] ** 2 + priors[1] * of_clip[b, 1] ** 2 + priors[2] * of_clip[b, 2] ** 2) / N
+        shared = prior_cost(of_clip[b], priors, RIGID)[0] / N
         total = 0.0
         for n in range(N):
-            cost = shared + priors[3] * of_frame[b, n] ** 2
+            cost = shared + priors[C] * of_frame[b, n] ** 2
             for m in range(M):
                 if w[n, m] == 0.0:
                     left[b, n, m] = 0.0
@@ -230,19 +247,18 @@ def _evaluate(
             total += cost
         value[b] *= unit * most * np.log1p(total / most) / total
         slope = 2.0 * unit / (1.0 + total / most)
-        _derive(slope, J, u, left[b], relief, on_object, used, moves, priors[3], sums, A, tied, g[b], H[b], cross[b])
+        _derive(slope, J, u, left[b], modes, on_object, used, moves, sums, A, tied, g[b], H[b], cross[b])
 
 
 @kernel()
-def _derive(slope, J, u, left, relief, on_object, used, moves, prior, sums, A, tied, g, H, cross):
-    """Fill in g (N, P), H (N, P, P) and cross (N, P, N, P) of a hypothesis. Work space: tied (N, 3, P).
+def _derive(slope, J, u, left, modes, on_object, used, moves, sums, L, tied, g, H, cross):
+    """Fill in g (N, P), H (N, P, P) and cross (N, P, N, P) of a hypothesis. Work space: tied (N, P, K).
 
     Of the curvature at fixed errors of the images, profiling takes off ``F^T F`` in each frame, for its own error, and
     between all frames, for those of the clip.
     """
     N, P = g.shape
     F = np.empty(P)
-    L = cholesky(A)
     for n in range(N):
         F[:], tied[n] = 0.0, 0.0
         for m in range(used[n]):
@@ -254,27 +270,28 @@ def _derive(slope, J, u, left, relief, on_object, used, moves, prior, sums, A, t
                 wJ = w * J[n, m, p]
                 g[n, start + p] += slope * wJ * left[n, m]
                 F[start + p] += wJ
-                tied[n, 0, start + p] += wJ * relief[n, m]
-                tied[n, 1, start + p] += wJ * hand
+                add(tied[n, start + p], wJ, modes[n, m])
                 for q in range(p + 1):
                     H[n, start + p, start + q] += slope * wJ * J[n, m, q]
-        s = sums[n, 0] + prior
+        s = sums[n, len(L)]
         for p in range(P):
-            tied[n, 0, p], tied[n, 1, p], tied[n, 2, p] = forward(
-                *L, tied[n, 0, p] - sums[n, 1] * F[p] / s, tied[n, 1, p] - sums[n, 2] * F[p] / s, prior * F[p] / s
-            )
+            add(tied[n, p], -F[p] / s, sums[n])
+            forward(L, tied[n, p])
         for p in range(P):
             for q in range(p + 1):
-                H[n, p, q] -= slope * (F[p] * F[q] / s + _dot(tied[n], p, tied[n], q))
+                H[n, p, q] -= slope * (F[p] * F[q] / s + _dot(tied[n, p], tied[n, q]))
                 H[n, q, p] = H[n, p, q]
     for n in range(N):
         for o in range(n):
             for p in range(P):
                 for q in range(P):
-                    cross[n, p, o, q] = cross[o, q, n, p] = -slope * _dot(tied[n], p, tied[o], q)
+                    cross[n, p, o, q] = cross[o, q, n, p] = -slope * _dot(tied[n, p], tied[o, q])
 
 
 @kernel()
-def _dot(a, p, b, q):
-    """Product of column p of a (3, P) with column q of b."""
-    return a[0, p] * b[0, q] + a[1, p] * b[1, q] + a[2, p] * b[2, q]
+def _dot(a, b):
+    """Product of two vectors."""
+    total = 0.0
+    for k in range(len(a)):
+        total += a[k] * b[k]
+    return total
