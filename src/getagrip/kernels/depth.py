@@ -122,22 +122,20 @@ def _between(low, high, size):
 def profile(r, weight, modes, priors, rigid, sigma, tail, rounds, exact, u, left, sums, A, of_clip, of_frame):
     """Fit the errors of depth images to r (N, M) by iteratively reweighted least squares.
 
-    Minimises ``sum of weight tail^2 log(1 + (left / (tail sigma))^2)`` and of ``prior error^2``, where ``left`` (N, M)
-    is r without the errors: of_clip (K,) times ``modes`` (N, M, K), and of_frame (N,). ``priors`` are theirs (K + 1,),
-    sigma is that of each sample (N, M). The modes after the first ``rigid`` share a prior with heavy tails
-    (``prior_cost``). Ends after ``rounds``, or when no error changes by more than ``exact``. Fills in ``left``, the
-    weights ``u`` (N, M) of least squares, their ``sums`` (N, K + 2), and the factor A (K, K) of the normal matrix of
-    of_clip (``_factorise``).
+    Minimises ``sum of weight tail^2 log(1 + (left / (tail sigma))^2)`` and the ``prior_cost`` of the errors, where
+    ``left`` (N, M) is r without them: of_clip (K,) times ``modes`` (N, K, M), and of_frame (N,). sigma (N, M) is each
+    sample's. Ends after ``rounds``, or when no error changes by more than ``exact``. Fills in ``left``, the weights
+    ``u`` (N, M) of least squares, their ``sums`` (N, K + 2), and the factor A (K, K) of the normal matrix of of_clip
+    (``_factorise``).
     """
-    N, M, K = modes.shape
-    y = np.empty(K)
+    (N, M), K = r.shape, len(of_clip)
+    y, weighted = np.empty(K), np.empty(M)
     of_clip[:], of_frame[:] = 0.0, 0.0
     for n in range(N):
         for m in range(M):
             u[n, m] = weight[n, m] / sigma[n, m] ** 2
     for _ in range(rounds):
-        _normal(r, u, modes, priors, rigid, of_clip, sums, A, y)
-        _factorise(A)
+        _normal(r, u, modes, priors, rigid, of_clip, sums, A, y, weighted)
         forward(A, y)
         change = 0.0
         for k in range(K - 1, -1, -1):
@@ -147,27 +145,26 @@ def profile(r, weight, modes, priors, rigid, sigma, tail, rounds, exact, u, left
             change = max(change, abs(y[k] - of_clip[k]))
             of_clip[k] = y[k]
         for n in range(N):
-            b = sums[n, K + 1]
-            for k in range(K):
-                b -= sums[n, k] * of_clip[k]
-            b /= sums[n, K]
+            b = (sums[n, K + 1] - dot(of_clip, sums[n])) / sums[n, K]
             change = max(change, abs(b - of_frame[n]))
             of_frame[n] = b
             for m in range(M):
-                e = r[n, m] - b
-                for k in range(K):
-                    e -= modes[n, m, k] * of_clip[k]
-                left[n, m] = e
-                u[n, m] = weight[n, m] / (sigma[n, m] ** 2 + (e / tail) ** 2)
+                left[n, m] = r[n, m] - b
+            for k in range(K):
+                add(left[n], -of_clip[k], modes[n, k])
+            for m in range(M):
+                u[n, m] = weight[n, m] / (sigma[n, m] ** 2 + (left[n, m] / tail) ** 2)
         if change < exact:
             break
-    _normal(r, u, modes, priors, rigid, of_clip, sums, A, y)
-    _factorise(A)
+    _normal(r, u, modes, priors, rigid, of_clip, sums, A, y, weighted)
 
 
 @kernel()
 def prior_cost(of_clip, priors, rigid):
-    """Cost of the errors that all frames share, and the prior of squares that has the slope of the warps' (Student's t)."""
+    """Cost of the errors that all frames share, and the prior of squares whose slope is that of warps.
+
+    Warps are the errors after the first ``rigid``: Student's t. ``priors`` (K + 1,) are those of squares.
+    """
     total, warps = 0.0, 0.0
     for k in range(len(of_clip)):
         square = priors[k] * of_clip[k] ** 2
@@ -179,32 +176,29 @@ def prior_cost(of_clip, priors, rigid):
 
 
 @kernel()
-def _normal(r, u, modes, priors, rigid, of_clip, sums, A, y):
-    """Fill in the normal equations of of_clip, those of each of_frame eliminated: A (K, K) below its diagonal, y (K,).
+def _normal(r, u, modes, priors, rigid, of_clip, sums, A, y, weighted):
+    """Fill in the normal equations of of_clip, those of each of_frame eliminated: y (K,), and the factor of A (K, K).
 
-    The sums of a frame are those of u times each mode, of u and its prior, and of u r.
+    The sums of a frame are those of u times each mode, of u and its prior, and of u r. Work space: weighted (M,).
     """
-    N, M, K = modes.shape
-    A[:], y[:], sums[:] = 0.0, 0.0, 0.0
+    (N, M), K = r.shape, len(of_clip)
+    A[:], y[:] = 0.0, 0.0
     _, wide = prior_cost(of_clip, priors, rigid)
     for k in range(K):
         A[k, k] = priors[k] if k < rigid else wide
     for n in range(N):
-        sums[n, K] = priors[K]
+        sums[n, K], sums[n, K + 1] = priors[K], dot(u[n], r[n])
         for m in range(M):
-            w, e = u[n, m], u[n, m] * r[n, m]
-            if w == 0.0:
-                continue
-            sums[n, K] += w
-            sums[n, K + 1] += e
-            add(sums[n, :K], w, modes[n, m])
-            add(y, e, modes[n, m])
-            for k in range(K):
-                add(A[k, : k + 1], w * modes[n, m, k], modes[n, m])
+            sums[n, K] += u[n, m]
         for k in range(K):
+            for m in range(M):
+                weighted[m] = u[n, m] * modes[n, k, m]
+            sums[n, k] = dot(u[n], modes[n, k])
             f = sums[n, k] / sums[n, K]
-            y[k] -= f * sums[n, K + 1]
-            add(A[k, : k + 1], -f, sums[n])
+            y[k] += dot(weighted, r[n]) - f * sums[n, K + 1]
+            for o in range(k + 1):
+                A[k, o] += dot(weighted, modes[n, o]) - f * sums[n, o]
+    _factorise(A)
 
 
 @kernel()
@@ -231,3 +225,12 @@ def add(y, a, x):
     """Add a times x to y, as many of its numbers as y has."""
     for k in range(len(y)):
         y[k] += a * x[k]
+
+
+@kernel()
+def dot(x, y):
+    """Return the product of x with as many numbers of y."""
+    total = 0.0
+    for k in range(len(x)):
+        total += x[k] * y[k]
+    return total

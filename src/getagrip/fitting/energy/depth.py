@@ -32,7 +32,7 @@ from getagrip.compiling import kernel
 from getagrip.fitting.energy.hand_term import ObjectWithHand
 from getagrip.fitting.energy.term import PosesInCamera, Quadratic, no_bound
 from getagrip.geometry.mesh import Mesh
-from getagrip.kernels.depth import add, distances, forward, prior_cost, profile
+from getagrip.kernels.depth import add, distances, dot, forward, prior_cost, profile
 
 TAIL = 2.5
 """c: errors count less and less beyond this many deviations."""
@@ -47,7 +47,7 @@ FIXED_HAND, FIXED_SURFACE = 0.02, 0.015
 and what 0.28 rad do to a surface 5 cm from the middle, at arm's length."""
 ROUNDS = 12
 """Most iterations by which the image's errors are found (iteratively reweighted least squares)."""
-EXACT = 1e-3
+EXACT = 1e-2
 """They are found when none moves by more [deviations of the noise]."""
 
 
@@ -89,14 +89,14 @@ class DepthSamples:
     input: Float[ndarray, "N M"]
 
     @cached_property
-    def modes(self) -> Float[ndarray, "N M K"]:
-        """What errors that all frames share look like: relief, the hand, a factor, and warps about the samples' mean."""
-        x, y = np.moveaxis((2 * self.place + 1) / self.size - 1.0, -1, 0)
+    def modes(self) -> Float[ndarray, "N K M"]:
+        """What errors that all frames share look like: relief, the hand, a factor, and warps of the image."""
+        y, x = np.moveaxis((2 * self.place + 1) / self.size - 1.0, -1, 0)
         on_hand = np.arange(x.shape[1]) >= self.on_object[:, None]
-        warps = np.stack([x, y, x * x, x * y, y * y], axis=-1)
-        all_ = np.maximum(self.weight.sum(axis=1), 1e-9)[:, None]
-        warps -= (np.einsum("nm,nmk->nk", self.weight, warps) / all_)[:, None]
-        return np.concatenate([np.stack([self.relief, on_hand, np.ones_like(x)], axis=-1), warps], axis=-1)
+        warps = np.stack([x, y, x * x, x * y, y * y])
+        total = np.maximum(self.weight.sum(axis=1), 1e-9)  # of frames without samples
+        warps -= ((self.weight * warps).sum(axis=-1) / total)[..., None]  # else they were a factor as well
+        return np.stack([self.relief, on_hand, np.ones_like(x), *warps], axis=1)
 
     def take(self, index: Int[ndarray, "n"]) -> DepthSamples:
         """Return the samples of some of the frames."""
@@ -158,7 +158,17 @@ class DepthTerm:
         total = self(poses, no_bound(poses)).value.mean(axis=1) / self.weight
         return np.asarray(KAPPA * np.expm1(total / KAPPA))
 
+    def warp(self, poses: PosesInCamera) -> Float[ndarray, "B"]:
+        """Return how far the images are found to be warped, root mean square over samples [share of the distance]."""
+        of_clip, warps = self._fitted(poses, no_bound(poses))[1][:, RIGID:], self.samples.modes[:, RIGID:]
+        off = np.einsum("bk,nkm->bnm", of_clip, warps)
+        return np.sqrt(np.average(off.reshape(len(off), -1) ** 2, axis=1, weights=self.samples.weight.ravel()))
+
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
+        return self._fitted(poses, bound)[0]
+
+    def _fitted(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> tuple[Quadratic, Float[ndarray, "B K"]]:
+        """Return the term, and the errors that all frames share (``DepthSamples.modes``)."""
         (B, N), s, o = poses.centre.shape[:2], self.samples, self.object
         moves = isinstance(poses, ObjectWithHand)
         hand, solid = poses, self.hand
@@ -167,11 +177,11 @@ class DepthTerm:
         P = 14 if moves else 7
         q = replace(Quadratic.zero(poses, P), cross=np.zeros((B, N, P, N, P)))
         modes = s.modes
-        of_clip, of_frame, left = np.zeros((B, modes.shape[2])), np.zeros((B, N)), np.zeros((B, *s.log_z.shape))
+        of_clip, of_frame, left = np.zeros((B, modes.shape[1])), np.zeros((B, N)), np.zeros((B, *s.log_z.shape))
         apart = self.errors.apart if moves else np.hypot(self.errors.apart, FIXED_HAND)
         surface = 0.0 if moves else FIXED_SURFACE
         sigma = np.array([self.errors.noise, np.hypot(self.errors.noise, surface)])
-        e, warps = self.errors, modes.shape[2] - RIGID
+        e, warps = self.errors, modes.shape[1] - RIGID
         priors = np.array([e.relief, apart, e.clip, *[e.warp] * warps, e.frame]) ** -2.0
         _evaluate(
             poses.R, poses.centre, poses.scale, o.vertices, o.planes, o.faces, o.closed,
@@ -180,7 +190,7 @@ class DepthTerm:
             priors, sigma, self.weight, EXACT * self.errors.noise, ROUNDS, bound,
             q.value, q.g, q.H, q.cross, of_clip, of_frame, left,
         )  # fmt: skip
-        return q
+        return q, of_clip
 
 
 @kernel("f4 f3 f1 f3 f3 i2 b f4 f3 f1 f3 f3 i2 b b f2 i i3 i1 i1 f2 f3 f2 f2 f1 f1 f f i f1 f2 f3 f4 f5 f2 f2 f3")
@@ -197,7 +207,7 @@ def _evaluate(
     a ray misses.
     """
     B, N = value.shape
-    M, C, P = log_z.shape[1], modes.shape[2], g.shape[2]
+    M, C, P = log_z.shape[1], modes.shape[1], g.shape[2]
     uvz, hand_uvz = np.empty((3, vertices.shape[2])), np.empty((3, hand_vertices.shape[2]))
     nearest, face = np.empty((size, size)), np.empty((size, size), np.int64)
     r, u, w, J = np.empty((N, M)), np.empty((N, M)), np.empty((N, M)), np.empty((N, M, 7))
@@ -230,9 +240,7 @@ def _evaluate(
         if not there:
             value[b] = np.inf
             continue
-        profile(
-            r, w, modes, priors, RIGID, sigmas, TAIL, rounds, exact, u, left[b], sums, A, of_clip[b], of_frame[b]
-        )
+        profile(r, w, modes, priors, RIGID, sigmas, TAIL, rounds, exact, u, left[b], sums, A, of_clip[b], of_frame[b])
         shared = prior_cost(of_clip[b], priors, RIGID)[0] / N
         total = 0.0
         for n in range(N):
@@ -270,7 +278,7 @@ def _derive(slope, J, u, left, modes, on_object, used, moves, sums, L, tied, g, 
                 wJ = w * J[n, m, p]
                 g[n, start + p] += slope * wJ * left[n, m]
                 F[start + p] += wJ
-                add(tied[n, start + p], wJ, modes[n, m])
+                add(tied[n, start + p], wJ, modes[n, :, m])
                 for q in range(p + 1):
                     H[n, start + p, start + q] += slope * wJ * J[n, m, q]
         s = sums[n, len(L)]
@@ -279,19 +287,10 @@ def _derive(slope, J, u, left, modes, on_object, used, moves, sums, L, tied, g, 
             forward(L, tied[n, p])
         for p in range(P):
             for q in range(p + 1):
-                H[n, p, q] -= slope * (F[p] * F[q] / s + _dot(tied[n, p], tied[n, q]))
+                H[n, p, q] -= slope * (F[p] * F[q] / s + dot(tied[n, p], tied[n, q]))
                 H[n, q, p] = H[n, p, q]
     for n in range(N):
         for o in range(n):
             for p in range(P):
                 for q in range(P):
-                    cross[n, p, o, q] = cross[o, q, n, p] = -slope * _dot(tied[n, p], tied[o, q])
-
-
-@kernel()
-def _dot(a, b):
-    """Product of two vectors."""
-    total = 0.0
-    for k in range(len(a)):
-        total += a[k] * b[k]
-    return total
+                    cross[n, p, o, q] = cross[o, q, n, p] = -slope * dot(tied[n, p], tied[o, q])
