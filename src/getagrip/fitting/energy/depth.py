@@ -2,19 +2,21 @@
 
 At a sample, r = log z - log z' compares the distance z of the posed surface with the z' of the image, which errs by
 
-    r = a + b_n + g d + h + noise
+    r = a + b_n + g d + h + warp + noise
 
 a factor of the clip (a) and of the frame (b_n), a relief that is too flat or too deep (g, times the sample's own relief
-d), a hand that is off against the object (h, on the hand), and noise with heavy tails. Each of a, b_n, g, h has a prior
-of zero mean and a given deviation: that of a is small where depth is metric, and large where its scale is unknown. The
-energy is its minimum over all of them (they are *profiled out*): with Student's log for the noise,
+d), a hand that is off against the object (h, on the hand), a warp (a polynomial over the image, the same in all
+frames), and noise with heavy tails. Each has a prior of zero mean and a given deviation: that of a is small where depth
+is metric, and large where its scale is unknown; the warp's has heavy tails, so that one larger than hands are off costs
+little, and moves nothing. The energy is its minimum over all of them (they are *profiled out*): with Student's log for
+the noise,
 
-    Q = min  sum over n, i of w_ni c^2 log(1 + (r - a - b_n - g d - h)^2 / (c sigma)^2) + squares of the priors
+    Q = min  sum over n, i of w_ni c^2 log(1 + (r - a - b_n - g d - h - warp)^2 / (c sigma)^2) + costs of the priors
     E = weight * N kappa log(1 + Q / (N kappa))
 
-At the minimum the derivatives of Q by a, b_n, g and h vanish, so the gradient of Q is that at fixed ones; its curvature
-is less, and ties all frames to each other (Schur complement). The outer logarithm lets depth count the less the worse
-it fits at its best: that of another scene, or a warped one.
+At the minimum the derivatives of Q by the errors vanish, so the gradient of Q is that at fixed ones; its curvature is
+less, and ties all frames to each other (Schur complement). The outer logarithm lets depth count the less the worse it
+fits at its best: that of another scene.
 
 Without a moving hand the hand's samples say what a is, as well as the given hand is known: sigma is larger there.
 """
@@ -37,7 +39,7 @@ from getagrip.kernels.depth import add, distances, dot, forward, prior_cost, pro
 TAIL = 2.5
 """c: errors count less and less beyond this many deviations."""
 RIGID = 3
-"""Errors of a clip that are no warps: g, h, a."""
+"""Errors of a clip before its warp: g, h, a."""
 KAPPA = 20.0
 """Misfit of a frame at which depth counts half [squared deviations]."""
 MISSED = 0.1
@@ -53,7 +55,7 @@ EXACT = 1e-2
 
 @dataclass(frozen=True)
 class DepthErrors:
-    """Deviations of what a depth image may err by, as shares of the distance: sigma, a, b_n, h; and of relief: g."""
+    """Deviations of what a depth image may err by, as shares of the distance: sigma, a, b_n, h, warp; of relief: g."""
 
     noise: float
     clip: float
@@ -176,18 +178,17 @@ class DepthTerm:
             hand, solid = poses.hand, self.hand.about(poses.hand.middle)
         P = 14 if moves else 7
         q = replace(Quadratic.zero(poses, P), cross=np.zeros((B, N, P, N, P)))
-        modes = s.modes
-        of_clip, of_frame, left = np.zeros((B, modes.shape[1])), np.zeros((B, N)), np.zeros((B, *s.log_z.shape))
-        apart = self.errors.apart if moves else np.hypot(self.errors.apart, FIXED_HAND)
+        K, e = s.modes.shape[1], self.errors
+        of_clip, of_frame, left = np.zeros((B, K)), np.zeros((B, N)), np.zeros((B, *s.log_z.shape))
+        apart = e.apart if moves else np.hypot(e.apart, FIXED_HAND)
         surface = 0.0 if moves else FIXED_SURFACE
-        sigma = np.array([self.errors.noise, np.hypot(self.errors.noise, surface)])
-        e, warps = self.errors, modes.shape[1] - RIGID
-        priors = np.array([e.relief, apart, e.clip, *[e.warp] * warps, e.frame]) ** -2.0
+        sigma = np.array([e.noise, np.hypot(e.noise, surface)])
+        priors = np.array([e.relief, apart, e.clip, *[e.warp] * (K - RIGID), e.frame]) ** -2.0
         _evaluate(
             poses.R, poses.centre, poses.scale, o.vertices, o.planes, o.faces, o.closed,
             hand.R, hand.centre, hand.scale, solid.vertices, solid.planes, solid.faces, solid.closed, moves,
-            s.K, s.size, s.place, s.on_object, s.used, s.log_z, modes, s.weight, s.input,
-            priors, sigma, self.weight, EXACT * self.errors.noise, ROUNDS, bound,
+            s.K, s.size, s.place, s.on_object, s.used, s.log_z, s.modes, s.weight, s.input,
+            priors, sigma, self.weight, EXACT * e.noise, ROUNDS, bound,
             q.value, q.g, q.H, q.cross, of_clip, of_frame, left,
         )  # fmt: skip
         return q, of_clip
