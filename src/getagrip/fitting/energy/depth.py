@@ -92,7 +92,7 @@ class DepthSamples:
 
     @cached_property
     def modes(self) -> Float[ndarray, "N K M"]:
-        """What errors that all frames share look like: relief, the hand, a factor, and warps of the image."""
+        """Form of each error that all frames share: relief, the hand, a factor, and warps of the image."""
         y, x = np.moveaxis((2 * self.place + 1) / self.size - 1.0, -1, 0)
         on_hand = np.arange(x.shape[1]) >= self.on_object[:, None]
         warps = np.stack([x, y, x * x, x * y, y * y])
