@@ -161,7 +161,7 @@ def profile(r, weight, modes, priors, rigid, sigma, tail, rounds, exact, u, left
 
 @kernel()
 def prior_cost(of_clip, priors, rigid):
-    """Cost of the errors that all frames share, and the prior of squares whose slope is that of warps.
+    """Compute the cost of the errors that all frames share, and the prior of squares that has the slope of the warps'.
 
     Warps are the errors after the first ``rigid``: Student's t. ``priors`` (K + 1,) are those of squares.
     """
