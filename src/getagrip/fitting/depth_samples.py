@@ -35,7 +35,7 @@ def errors_of(source: DepthSource) -> DepthErrors:
         frame=free if source.scale == "frame" else 0.001 if sensor else 0.012,
         relief=0.02 if sensor else 0.15,
         apart=0.003 if sensor else 0.008,
-        warp=0.001 if sensor else 0.01,
+        warp=0.0003 if sensor else 0.01,
     )
 
 
