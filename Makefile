@@ -22,7 +22,7 @@ help:
 	@echo "make docs    build the documentation as a site: site/index.html"
 	@echo "make wheel   build dist/, install the wheel into a fresh environment without the clone, and use it there"
 	@echo "make results DEXYCB=DIR YCB=DIR [OTHER=DIR]   measure the tables of a release, in an hour at most on two cores"
-	@echo "make bench   measure speed, also against a peer, which it installs, into results/"
+	@echo "make bench   measure speed, into results/"
 	@echo "make lock    recompile requirements.lock from pyproject.toml"
 	@echo "make clean   remove the virtual environment and all caches"
 
@@ -70,7 +70,6 @@ results: $(VENV)/warm
 	$(BIN)/python -m benchmarks.release $(DEXYCB) $(YCB) $(if $(OTHER),--other $(OTHER))
 
 bench: $(VENV)/installed
-	$(PIP) install --no-build-isolation --editable '.[bench]'
 	$(BIN)/python -m benchmarks
 
 # uv is quick; pip steps in where only pip has been told of an index. Only wheels, pinned and hash-checked; the package itself is linked, built by the locked back end.

@@ -5,23 +5,13 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 
-from benchmarks import (
-    against_deodr,
-    batch,
-    cold_start,
-    drafts,
-    reconstruct_speed,
-    scaling,
-    segment_speed,
-    store,
-)
+from benchmarks import batch, cold_start, drafts, reconstruct_speed, scaling, segment_speed, store
 from benchmarks.timing import circumstances
 
 SECTIONS = {
     "reconstruct-speed": reconstruct_speed.tables,
     "cold-start": cold_start.tables,
     "two-threads": reconstruct_speed.two_threads,
-    "against-deodr": against_deodr.tables,
     "scaling": scaling.tables,
     "segment-speed": segment_speed.tables,
     "batch": batch.tables,

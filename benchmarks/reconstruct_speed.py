@@ -7,41 +7,50 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
+from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
 import numpy as np
 
-from benchmarks.problem import CLIPS, Problem, make, reconstruction
 from benchmarks.store import Table, of_cells
 from benchmarks.timing import timed, typical
-from getagrip.clip import write_clip
+from getagrip.clip import Clip, Masks, write_clip
+from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.evaluation import evaluate
+from getagrip.evaluation.metric import ADD_SYM_MM
+from getagrip.fitting.options import Options
 from getagrip.geometry.mesh import Mesh
 from getagrip.result import Reconstruction
 from getagrip.timelines.reconstruct import reconstruct
 
+CLIPS = (("mug", 0), ("pan", 0), ("kettle", 0), ("scissors", 0))
+"""Category and seed: a hollow object with a handle, a large one, one of several parts, a thin one."""
 REPEATS, IN_TURN = 15, 9
+DEFAULT = Options()
 
 
 def tables() -> dict[str, Table]:
     """Measure."""
     times, stages = [], []
-    problems = [make(category, seed) for category, seed in CLIPS]
-    for problem in problems:
-        call = reconstruction(problem.clip, problem.masks)
+    made = [synthesise(category, seed) for category, seed in CLIPS]
+    for clip, masks in made:
+        call = reconstruction(clip, masks)
         call()  # compiles, or loads what was compiled
         timing, results = timed(call, REPEATS)
-        name, faces = problem.clip.name, len(problem.clip.mesh.faces)
+        off = evaluate(results[0], clip, masks, wanted=(ADD_SYM_MM,)).metrics[ADD_SYM_MM.name] / clip.mesh.diameter
         times.append([
-            name, str(faces), _ms(median(timing.cpu)), _ms(min(timing.cpu)), _ms(median(timing.wall)),
-            f"{results[0].iou.mean():.3f}", f"{100 * problem.add(results[0].T_hand_obj):.1f}",
+            clip.name, str(len(clip.mesh.faces)), _ms(median(timing.cpu)), _ms(min(timing.cpu)),
+            _ms(median(timing.wall)), f"{results[0].iou.mean():.3f}", f"{0.1 * off:.1f}",
         ])  # fmt: skip
         split = typical([result.seconds for result in results])
-        stages.append([name, *map(_ms, split.values())])
+        stages.append([clip.name, *map(_ms, split.values())])
     columns = ["CPU median, ms", "CPU least, ms", "wall median, ms", "IOU", "ADD, % of diameter"]
     how = (
-        f"{len(problems[0].clip)} frames, {results[0].options['inits']} initial poses, all three terms, {REPEATS} runs "
+        f"{len(made[0][0])} frames, {results[0].options['inits']} initial poses, all three terms, {REPEATS} runs "
         "after one to warm up"
     )
     return {
@@ -49,15 +58,32 @@ def tables() -> dict[str, Table]:
         "reconstruct-speed-stages": of_cells(
             "Time of a reconstruction by stage, median CPU ms", ["clip", *split], stages, [how]
         ),
-        "reconstruct-speed-process": _fresh(problems[0]),
+        "reconstruct-speed-process": _fresh(*made[0]),
     }
 
 
-def _fresh(problem: Problem) -> Table:
+def reconstruction(
+    clip: Clip, masks: Masks, options: Options = DEFAULT, threads: int = 1
+) -> Callable[[], Reconstruction]:
+    """A call that reconstructs the clip as if it had just been read: meshes keep their tables, a new one has none.
+
+    The ``seconds`` of its results are processor time.
+    """
+
+    def call() -> Reconstruction:
+        marks = [("start", time.process_time())]
+        new = replace(clip, mesh=Mesh(clip.mesh.vertices, clip.mesh.faces))
+        result = reconstruct(new, masks, options, lambda stage, _: marks.append((stage, time.process_time())), threads)
+        return replace(result, seconds={stage: now - before for (_, before), (stage, now) in pairwise(marks)})
+
+    return call
+
+
+def _fresh(clip: Clip, masks: Masks) -> Table:
     """Start a process twice: with an empty cache of compiled kernels, then with the one that left behind."""
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
-        folder = write_clip(problem.clip, problem.masks, Path(scratch) / "clip")
+        folder = write_clip(clip, masks, Path(scratch) / "clip")
         environment = os.environ | {"NUMBA_CACHE_DIR": str(Path(scratch) / "cache")}
         for name in ("kernels compiled", "kernels from the cache"):
             timing, (output,) = timed(lambda: _child(folder, environment))
@@ -67,7 +93,7 @@ def _fresh(problem: Problem) -> Table:
             rows.append([name, *(f"{s:.2f}" for s in seconds), *(f"{m:.0f}" for m in memory)])
     header = ["", "process, wall s", "imports, CPU s", "reading, CPU s", "1st reconstruction, CPU s", "2nd, CPU s"]
     header += ["peak memory after imports, MB", "after reading, MB", "at the end, MB"]
-    return of_cells("A fresh process", header, rows, [f"on {problem.clip.name}"])
+    return of_cells("A fresh process", header, rows, [f"on {clip.name}"])
 
 
 def _child(folder: Path, environment: dict[str, str]) -> str:
@@ -79,20 +105,13 @@ def two_threads() -> dict[str, Table]:
     """What a second thread gains for a clip that is waited for: with one and with two, in turn."""
     rows = []
     for category, seed in CLIPS:
-        problem = make(category, seed)
-
-        def call(threads: int, problem=problem) -> Reconstruction:
-            mesh = Mesh(problem.clip.mesh.vertices, problem.clip.mesh.faces)  # has no tables yet
-            return reconstruct(replace(problem.clip, mesh=mesh), problem.masks, threads=threads)
-
-        same = np.array_equal(call(1).T_hand_obj, call(2).T_hand_obj)
-        one, two = list[float](), list[float]()
-        for _ in range(IN_TURN):
-            one += timed(lambda: call(1))[0].wall
-            two += timed(lambda: call(2))[0].wall
+        clip, masks = synthesise(category, seed)
+        calls = [reconstruction(clip, masks, threads=threads) for threads in (1, 2)]
+        same = np.array_equal(*(call().T_hand_obj for call in calls))
+        one, two = zip(*([timed(call)[0].wall[0] for call in calls] for _ in range(IN_TURN)), strict=True)
         ratio = median(b / a for a, b in zip(one, two, strict=True))
-        times = [f"{1e3 * median(wall):.0f}" for wall in (one, two)]
-        rows.append([problem.clip.name, *times, f"{ratio:.2f}", "yes" if same else "no"])
+        times = [_ms(median(wall)) for wall in (one, two)]
+        rows.append([clip.name, *times, f"{ratio:.2f}", "yes" if same else "no"])
     header = ["clip", "one thread, wall ms", "two, wall ms", "ratio", "the same to the bit"]
     return {"two-threads": of_cells("Two threads for one clip", header, rows)}
 

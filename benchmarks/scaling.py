@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.problem import reconstruction
-from benchmarks.store import ROOT, Table, of_cells, slug
+from benchmarks.reconstruct_speed import reconstruction
+from benchmarks.store import Table, of_cells, slug
 from benchmarks.timing import timed, typical
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
@@ -34,19 +34,9 @@ class Curve:
     stages: list[dict[str, float]]
     """The median of processor time by stage."""
 
-    @property
-    def exponents(self) -> list[float]:
-        """Slope between neighbouring sizes in the logarithms: 1 is linear, below is better."""
-        return list(np.diff(np.log(self.seconds)) / np.diff(np.log(self.sizes)))
-
-    @property
-    def overall(self) -> float:
-        """Slope from the smallest to the largest size."""
-        return float(np.log(self.seconds[-1] / self.seconds[0]) / np.log(self.sizes[-1] / self.sizes[0]))
-
 
 def tables() -> dict[str, Table]:
-    """Measure, and draw docs/images/scaling.png."""
+    """Measure."""
     long, long_masks = synthesise(CATEGORY, 0, SceneOptions(frames=max(FRAMES)))
     clip, masks = synthesise(CATEGORY, 0)
     fine = _subdivided(clip.mesh, max(FACES))
@@ -55,7 +45,6 @@ def tables() -> dict[str, Table]:
         _measure("initial poses", INITIAL_POSES, lambda n: reconstruction(clip, masks, Options(inits=n))),
         _measure("faces", FACES, lambda n: reconstruction(replace(clip, mesh=decimate(fine, n)), masks)),
     ]
-    _draw(curves)
     return {f"scaling-{slug(curve.name)}": _table(curve) for curve in curves}
 
 
@@ -81,37 +70,13 @@ def _subdivided(mesh: Mesh, faces: int) -> Mesh:
 
 
 def _table(curve: Curve) -> Table:
-    slopes = ["", *(f"{slope:.2f}" for slope in curve.exponents)]
+    slopes = np.diff(np.log(curve.seconds)) / np.diff(np.log(curve.sizes))
+    overall = np.log(curve.seconds[-1] / curve.seconds[0]) / np.log(curve.sizes[-1] / curve.sizes[0])
+    texts = ["", *(f"{slope:.2f}" for slope in slopes)]
     rows = [
         [f"{size:,}", f"{1e3 * seconds:.0f}", slope, *(f"{1e3 * part:.0f}" for part in spent.values())]
-        for size, seconds, slope, spent in zip(curve.sizes, curve.seconds, slopes, curve.stages, strict=True)
+        for size, seconds, slope, spent in zip(curve.sizes, curve.seconds, texts, curve.stages, strict=True)
     ]
-    found = (
-        f"cost grows as their number to the power {curve.overall:.2f} over the whole range, "
-        f"{max(curve.exponents):.2f} at most between neighbours"
-    )
+    found = f"cost grows as their number to the power {overall:.2f}, {slopes.max():.2f} at most between neighbours"
     header = [curve.name, "CPU, ms", "power", *curve.stages[0]]
     return of_cells(f"Cost by number of {curve.name}", header, rows, [found])
-
-
-def _draw(curves: list[Curve]) -> None:
-    """One panel a curve, logarithmic, with a line of slope 1 through the default size's cost."""
-    import matplotlib.pyplot as plt
-
-    figure, panels = plt.subplots(1, len(curves), figsize=(11, 3.6), sharey=True, constrained_layout=True)
-    for panel, curve in zip(panels, curves, strict=True):
-        sizes = np.array(curve.sizes, dtype=float)
-        panel.loglog(sizes, curve.seconds[0] * sizes / sizes[0], "--", color="0.6", label="linear")
-        panel.loglog(sizes, curve.seconds, "o-", color="#1f5a8a", label="measured")
-        panel.set_xticks(sizes, [f"{size:,}" for size in curve.sizes], fontsize=8)
-        panel.set_xlabel(curve.name)
-        panel.minorticks_off()
-        panel.grid(color="0.92")
-        panel.spines[["top", "right"]].set_visible(False)
-    ticks = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0]
-    panels[0].set_yticks(ticks, [f"{tick:g}" for tick in ticks])
-    panels[0].set_ylim(0.1, 24.0)
-    panels[0].set_ylabel("one reconstruction, CPU s")
-    panels[0].legend(frameon=False)
-    figure.savefig(ROOT / "docs/images" / "scaling.png", dpi=110)
-    plt.close(figure)

@@ -136,17 +136,9 @@ def run(case: Case) -> list[Row]:
         assert given.truth is not None
         off = 1e-3 * metrics[ADD_SYM_MM.name] / (given.mesh.diameter * given.truth.scale)
         right = [f"{metrics[metric.name]:.0f}" for metric in (ADD_SYM, ADD_SYM_CAM)]
-        what = [
-            case.dataset,
-            case.part,
-            condition,
-            case.clip,
-            *right,
-            f"{off:.4f}",
-            f"{any(f.serious for f in result.findings):d}",
-        ]
-        signs = [f"{result.signs[sign.name]:.6g}" for sign in SIGNS]
-        rows.append(dict(zip(COLUMNS, [*what, f"{seconds:.2f}", stamp(), *signs], strict=True)))
+        serious, signs = any(f.serious for f in result.findings), [f"{result.signs[sign.name]:.6g}" for sign in SIGNS]
+        what = case.dataset, case.part, condition, case.clip, *right, f"{off:.4f}", f"{serious:d}", f"{seconds:.2f}"
+        rows.append(dict(zip(COLUMNS, [*what, stamp(), *signs], strict=True)))
     return rows
 
 

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from getagrip.io.code import stamp
 
-LIBRARIES = ("numpy", "numba", "scipy", "deodr")
+LIBRARIES = ("numpy", "numba", "scipy")
 
 T = TypeVar("T")
 
@@ -26,9 +26,6 @@ class Timing:
 
     wall: list[float]
     cpu: list[float]
-
-    def __add__(self, other: Timing) -> Timing:
-        return Timing(self.wall + other.wall, self.cpu + other.cpu)
 
 
 def timed(call: Callable[[], T], repeats: int = 1) -> tuple[Timing, list[T]]:

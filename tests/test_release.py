@@ -88,7 +88,7 @@ def test_version_changelog_and_citations_agree() -> None:
 
 def test_the_extra_all_has_what_users_may_need() -> None:
     extras = PROJECT["optional-dependencies"]
-    assert extras["all"] == [f"getagrip[{','.join(sorted(set(extras) - {'all', 'bench'}))}]"]
+    assert extras["all"] == [f"getagrip[{','.join(sorted(set(extras) - {'all'}))}]"]
 
 
 def test_the_workflow_tries_every_python_that_is_classified() -> None:

@@ -10,7 +10,7 @@ import pytest
 from getagrip.annotate.labels import HAND, OBJECT
 from getagrip.annotate.lifted_again import LabelMaps, lifted_again, write_lifted_again
 from getagrip.clip import HandTrack
-from getagrip.clip.reading import read_hand
+from getagrip.clip.reading_arrays import read_hand
 from getagrip.clip.writing import write_hand
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3

@@ -24,10 +24,7 @@ from getagrip.checks.signs import (
     depth_images,
     energy_gap,
     joint_error,
-    mask_misfit,
-    off_axis_turn,
     penetration,
-    pose_spread,
     read_signs,
     solution_spread,
 )
@@ -149,13 +146,14 @@ def test_signs_of_the_truth_and_of_what_is_wrong() -> None:
     it = mug()
     away = replace(it, T_hand_obj=se3.rigid(None, np.array([0.0, 0.0, 0.1])) @ it.poses)
     assert contact_gap(it) < contact_gap(away)
-    assert mask_misfit(it) < mask_misfit(replace(it, misfit=2.0))
-    assert pose_spread(it) < pose_spread(replace(it, spread=0.1))
+    signs, worse = read_signs(it), read_signs(replace(it, misfit=2.0, spread=0.1))
+    assert signs["mask-misfit"] < worse["mask-misfit"]
+    assert signs["pose-spread"] < worse["pose-spread"]
     assert "pose-spread" not in read_signs(replace(it, spread=np.nan))
     shaken = it.poses @ se3.rigid(
         se3.exp_so3(0.3 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])), np.zeros(3)
     )
-    assert off_axis_turn(it) < off_axis_turn(replace(it, T_hand_obj=shaken))
+    assert signs["off-axis-turn"] < read_signs(replace(it, T_hand_obj=shaken))["off-axis-turn"]
 
 
 def test_a_rotation_about_the_axis_is_no_turn_besides_it() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from getagrip.annotate.finding_hands import is_cut
 from getagrip.annotate.store import Store
-from getagrip.clip.reading import read_hand
+from getagrip.clip.reading_arrays import read_hand
 from getagrip.commands.annotate import DATABASE
 from getagrip.commands.hand_file import HandFile
 from getagrip.io.images import read_png

@@ -14,7 +14,7 @@ import pytest
 
 from getagrip.annotate.store import Store
 from getagrip.clip import Clip
-from getagrip.clip.reading import read_hand
+from getagrip.clip.reading_arrays import read_hand
 from getagrip.commands.annotate import DATABASE
 from getagrip.commands.hand_file import HandFile
 from getagrip.io.images import read_png, write_mask

@@ -11,7 +11,7 @@ import pytest
 
 from getagrip.cli import main
 from getagrip.clip import read_clip, read_masks, write_clip
-from getagrip.clip.reading import read_hand
+from getagrip.clip.reading_arrays import read_hand
 from getagrip.clip.writing import write_hand
 from getagrip.geometry import se3
 from getagrip.hands import generic

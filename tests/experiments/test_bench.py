@@ -47,8 +47,9 @@ def test_a_run_writes_tables_and_goes_on_where_it_stopped(
     assert text.count("1 done, 1 already done") == 2
     with monkeypatch.context() as patch:  # all is there: nothing is reconstructed, no mask is read
         patch.setattr(trials, "read_masks", lambda _: pytest.fail("masks were read"))
-        status, text, _ = run(*call, "--methods", "one-dof", "static")
+        status, text, _ = run(*call, "--methods", "one-dof", "static", "--keep", "0.9")
     assert text.count("0 done, 2 already done") == 2
+    assert text.count("of 2 kept for 90 % right in the hand") == 2
 
     rows = list(csv.DictReader((out / "methods-clips.csv").read_text().splitlines()))
     names = ["box-right-0000", "can-right-0000"]

@@ -36,6 +36,18 @@ def test_a_setting_that_changes_nothing_shares_the_methods_results() -> None:
     assert {variant.folder for variant in ablation_variants("sca", ["static"], Options())} == {"static"}
 
 
+def test_settings_that_are_alike_share_their_results_and_only_these() -> None:
+    names = [name for name in ABLATIONS if name != "departures"]  # there the method changes, too
+    every = [variant for name in names for variant in ablation_variants(name, [], Options())]
+    kinds = {(variant.folder, repr(variant.options), repr(variant.change)) for variant in every}
+    assert (
+        len(kinds)
+        == len({folder for folder, _, _ in kinds})
+        == len({(options, change) for _, options, change in kinds})
+    )
+    assert "soft-hinge+hand-noise-10-mm-8-deg" in {v.folder for v in ablation_variants("inputs", [], Options())}
+
+
 def test_all_methods_but_the_slow_ones_where_none_is_named() -> None:
     usual = [name for name, method in METHODS.items() if not method.slow]
     assert [variant.folder for variant in method_variants([], Options())] == usual

@@ -16,7 +16,7 @@ from numpy import ndarray
 
 from getagrip.annotate.labels import OBJECT
 from getagrip.clip import HandTrack
-from getagrip.clip.reading import read_hand
+from getagrip.clip.reading_arrays import read_hand
 from getagrip.clip.writing import write_hand
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3

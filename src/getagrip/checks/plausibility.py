@@ -13,24 +13,9 @@ from getagrip.metrics.contact import close_holes
 UNKNOWN = float("nan")
 
 
-def size_input(it: Evidence) -> float:
-    """Return the mesh's diameter in sizes of the hand, where the object's size is known."""
-    return it.clip.mesh.diameter / it.hand_size if it.clip.scale == "known" else UNKNOWN
-
-
-def found_size(it: Evidence) -> float:
-    """Return the object's diameter at the resulting scale, where it was not known, in sizes of the hand."""
-    return it.scale * it.clip.mesh.diameter / it.hand_size if it.clip.scale == "free" else UNKNOWN
-
-
-def mask_size(it: Evidence) -> float:
-    """Return the diameter that the masks show in diameters of the mesh, where the object's size is known."""
-    return it.apparent_size / it.clip.mesh.diameter if it.clip.scale == "known" else UNKNOWN
-
-
-def seen_size(it: Evidence) -> float:
-    """Return the diameter that the masks show, in sizes of the hand, where the object's size is not known."""
-    return it.apparent_size / it.hand_size if it.clip.scale == "free" else UNKNOWN
+def of_scale(it: Evidence, scale: str, size: float) -> float:
+    """Return a relative size where the object's size is "known", or where it is "free"; elsewhere it says nothing."""
+    return size if it.clip.scale == scale else UNKNOWN
 
 
 def edge_share(it: Evidence) -> float:
@@ -64,16 +49,6 @@ def second_gap(it: Evidence) -> float:
     """
     regions = it.region_distance
     return 1e3 * float(np.median(np.maximum(np.sort(regions, axis=1)[:, 1], 0.0))) if regions.shape[1] > 1 else UNKNOWN
-
-
-def hand_off_pixels(it: Evidence) -> float:
-    """Measure the share of the hand's own pixels that differ from its silhouette, where its own pixels are known."""
-    return it.hand_differing if it.masks.hand is not None else UNKNOWN
-
-
-def hand_off_ignored(it: Evidence) -> float:
-    """Measure how far the hand is off the ignored pixels near it, where these are taken for its own."""
-    return it.hand_differing if it.masks.hand is None else UNKNOWN
 
 
 def hole_share(it: Evidence) -> float:

@@ -69,29 +69,6 @@ def contact_gap(it: Solved) -> float:
     return _logarithm(np.clip(it.region_distance, 0.0, FARTHEST).mean() / it.diameter, 3e-3)
 
 
-def depth_order(it: Solved) -> float:
-    """Measure the share of the visible pixels of hand or object in which the other one is in front.
-
-    The larger of the two.
-    """
-    return _logarithm(np.nanmax(it.in_front), 0.01)
-
-
-def pose_spread(it: Solved) -> float:
-    """Measure how far the object could still move with the same masks and contact, in its diameters."""
-    return _logarithm(it.spread, 1e-4)
-
-
-def mask_misfit(it: Solved) -> float:
-    """Return the misfit: how much worse the masks are explained than by the object's own mesh (``fitting.misfit``)."""
-    return _logarithm(it.misfit, 0.05)
-
-
-def mesh_deformation(it: Solved) -> float:
-    """Return how far the mesh was deformed to meet the masks, in its diameters."""
-    return it.deformed
-
-
 def size_shift(it: Solved) -> float:
     """Return the shift along the ray that the scale check implies, in the object's diameters.
 
@@ -100,29 +77,6 @@ def size_shift(it: Solved) -> float:
     centre = se3.transform(it.clip.hand.T_cam_hand @ it.poses, it.scale * it.clip.mesh.centre[None])
     away = np.linalg.norm(centre, axis=-1).mean()
     return _logarithm(np.nan_to_num(abs(it.scale_check[0] - 1.0)) * away / it.diameter, 0.02)
-
-
-def off_axis_turn(it: Solved) -> float:
-    """Measure the object's rotation besides that about the axis [rad]."""
-    return _logarithm(it.off_axis, 5e-3)
-
-
-def hand_shift(it: Solved) -> float:
-    """Return the refinement's shift of the hand, in diameters of the object, squared.
-
-    Corrections of the usual size succeed; those of hands that are far off leave much.
-    """
-    return (it.hand_shift / it.diameter) ** 2
-
-
-def hand_turn(it: Solved) -> float:
-    """Return the refinement's rotation of the hand [rad], squared."""
-    return it.hand_turn**2
-
-
-def hand_spread(it: Solved) -> float:
-    """Return the shift of the object in the hand that the evidence on the hand leaves open, in its diameters."""
-    return _logarithm(it.hand_spread / it.diameter, 0.01)
 
 
 def hand_misfit(it: Solved) -> float:
@@ -154,18 +108,18 @@ def _logarithm(value: float | Float[ndarray, ""], least: float) -> float:
 SIGNS: tuple[Sign, ...] = (
     Sign("energy-gap", energy_gap, 1),
     Sign("solution-spread", solution_spread, -1),
-    Sign("pose-spread", pose_spread, -1),
-    Sign("mask-misfit", mask_misfit, -1),
-    Sign("mesh-deformation", mesh_deformation, -1),
+    Sign("pose-spread", lambda it: _logarithm(it.spread, 1e-4), -1),  # that masks and contact leave [diameters]
+    Sign("mask-misfit", lambda it: _logarithm(it.misfit, 0.05), -1),  # of ``fitting.misfit``
+    Sign("mesh-deformation", lambda it: it.deformed, -1),  # to meet the masks [diameters]
     Sign("size-shift", size_shift, -1),
     Sign("contact-gap", contact_gap, -1),
-    Sign("depth-order", depth_order, -1),
-    Sign("off-axis-turn", off_axis_turn, -1),
-    Sign("hand-shift", hand_shift, -1),
-    Sign("hand-turn", hand_turn, -1),
+    Sign("depth-order", lambda it: _logarithm(np.nanmax(it.in_front), 0.01), -1),  # pixels with the other in front
+    Sign("off-axis-turn", lambda it: _logarithm(it.off_axis, 5e-3), -1),  # besides that about the axis [rad]
+    Sign("hand-shift", lambda it: (it.hand_shift / it.diameter) ** 2, -1),  # usual corrections succeed, large ones not
+    Sign("hand-turn", lambda it: it.hand_turn**2, -1),  # by the refinement [rad]
 )
 HAND_SIGNS: tuple[Sign, ...] = (
-    Sign("hand-spread", hand_spread, -1),
+    Sign("hand-spread", lambda it: _logarithm(it.hand_spread / it.diameter, 0.01), -1),  # that its evidence leaves
     Sign("hand-misfit", hand_misfit, -1),
     Sign("penetration", penetration, -1),
     Sign("joint-error", joint_error, -1),

@@ -8,20 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypedDict, cast
 
-import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip.data import Clip
-from getagrip.clip.hand_track import FINGERS, HandTrack, OtherHand
 from getagrip.clip.modality import modalities
 from getagrip.clip.per_frame import CAMERA, frame_names, intrinsics, times, world
-from getagrip.clip.plausible import FASTEST, SLOWEST, check_hand, check_in_view
-from getagrip.clip.reading_truth import read_truth
+from getagrip.clip.plausible import FASTEST, SLOWEST, check_in_view
+from getagrip.clip.reading_arrays import HANDS, OTHER_HAND, frames_with_hand, read_hand, read_other_hand, read_truth
 from getagrip.clip.timeline import Side, at_frames, read_segments
 from getagrip.errors import InputError
 from getagrip.geometry.mesh_files import read_mesh
-from getagrip.io import arrays, files
+from getagrip.io import files
 from getagrip.io.named import named
 from getagrip.provenance import Provenance, parse
 
@@ -33,11 +31,6 @@ OPTIONAL[4] = (*OPTIONAL[3], "depth")
 """Further keys of ``clip.json`` by its version."""
 CAMERA_KEYS = {1: CAMERA[:1], 2: CAMERA[:3], 3: CAMERA, 4: CAMERA}
 """Keys of ``camera`` by the version; only the first must be there."""
-HANDS = "the hands of a clip, as getagrip import hands writes them"
-OTHER_HAND = "other_hand.npz"
-"""The hand of the other side, in a clip's folder."""
-MOST_PALM_REGIONS, REGIONS_PER_VERTEX = 100, 8
-"""Limits of a hand: areas of the palm, and the mean number of regions that a vertex is in."""
 LARGEST_SIDE, LARGEST_IMAGE = 16384, 40_000_000
 """Plausible side [px] and number of pixels of an image; of video, 8K has the most."""
 
@@ -87,7 +80,7 @@ def read_clip(folder: str | Path) -> Clip:
     where = world(path, fields["camera"], frames)
     segments = read_segments(path, fields.get("segments", []), frames, where is not None)
     check_in_view(folder / "hand.npz", hand, K, size)
-    other = _other_hand(folder, frames, rows, K, size)
+    other = read_other_hand(folder, frames, rows, K, size)
     has_truth = (folder / "truth.npz").exists() or (folder / "truth.npz").is_symlink()
     return Clip(
         folder=folder,
@@ -229,94 +222,3 @@ def _size(path: Path, size: object) -> tuple[int, int]:
     if sides[0] * sides[1] > LARGEST_IMAGE:
         raise InputError(path, "size", files.shown(size), f"at most {LARGEST_IMAGE / 1e6:g} million pixels")
     return sides[0], sides[1]
-
-
-def frames_with_hand(path: Path, frames: tuple[str, ...]) -> Int[ndarray, "n"]:
-    """Return the indices of the frames of a ``hand.npz``: those that it names, else all.
-
-    Raises ``InputError``.
-
-    Numbers instead of names are passed over: in a hand file they are those of the footage.
-    """
-    stored = arrays.read(path, {"frames"}.__contains__).get("frames", np.arange(0))
-    if stored.dtype.kind != "U":
-        return np.arange(len(frames))
-    expected = "names of frames of the clip, in its order, each once"
-    try:
-        names = [str(name) for name in stored.ravel()]
-    except ValueError as error:  # code points that do not exist
-        raise InputError(path, "frames", "a damaged text", expected) from error
-    row_of = {name: row for row, name in enumerate(frames)}
-    unknown = next((name for name in names if name not in row_of), None)
-    if unknown is not None:
-        raise InputError(path, "frames", files.shown(unknown), expected)
-    rows = np.array([row_of[name] for name in names], dtype=int)
-    if stored.ndim != 1 or not rows.size or (np.diff(rows) <= 0).any():
-        raise InputError(path, "frames", f"{files.shown(' '.join(names)[:80])}", expected)
-    return rows
-
-
-def _other_hand(
-    folder: Path, frames: tuple[str, ...], rows: Int[ndarray, "n"], K: Float[ndarray, "n 3 3"], size: tuple[int, int]
-) -> OtherHand | None:
-    """Read the hand of the other side in the clip's frames ``rows``, where there is a file of it.
-
-    Raises ``InputError``.
-    """
-    path = folder / OTHER_HAND
-    if not path.exists() and not path.is_symlink():
-        return None
-    path = files.inside(folder, OTHER_HAND, "", HANDS)
-    named = frames_with_hand(path, frames)
-    hand = read_hand(path, len(named))
-    _, here, found = np.intersect1d(rows, named, return_indices=True)
-    if not len(here):
-        expected = "the hand in one of the frames at least in which hand.npz has the clip's own"
-        raise InputError(path, "frames", f"{len(named)} frames, and none of these", expected)
-    check_in_view(path, hand.take(found), K[here], size)
-    return OtherHand.at(hand.take(found), here, len(rows))
-
-
-def read_hand(path: Path, frames: int) -> HandTrack:
-    """Read the hands of a ``hand.npz`` of ``frames`` frames. Raises ``InputError``."""
-    named = ("vertices", "faces", "T_cam_hand", "joints", "joints_2d", "joints_2d_confidence")
-    stored = arrays.read(path, lambda key: key in named or key.startswith("region_"))
-    vertices = arrays.floats(path, stored, "vertices", (frames, -1, 3))
-    faces = arrays.indices(path, stored, "faces", vertices.shape[1], (-1, 3))
-    T_cam_hand = arrays.floats(path, stored, "T_cam_hand", (frames, 4, 4))
-    joints = arrays.floats(path, stored, "joints", (frames, 21, 3)) if "joints" in stored else None
-    seen = _joints_2d(path, stored, frames) if "joints_2d" in stored else (None, None)
-    hand = HandTrack(vertices, faces, T_cam_hand, _regions(path, stored, vertices.shape[1]), joints, *seen)
-    check_hand(path, hand)
-    return hand
-
-
-def _joints_2d(
-    path: Path, stored: dict[str, ndarray], frames: int
-) -> tuple[Float[ndarray, "T 21 2"], Float[ndarray, "T 21"]]:
-    """Joints as seen in the images, and their confidence; 1 where the file does not say."""
-    points = arrays.floats(path, stored, "joints_2d", (frames, 21, 2))
-    if "joints_2d_confidence" not in stored:
-        return points, np.ones((frames, 21))
-    confidence = arrays.floats(path, stored, "joints_2d_confidence", (frames, 21))
-    if confidence.min(initial=0.0) < 0.0 or confidence.max(initial=0.0) > 1.0:
-        bad = f"numbers from {confidence.min():.3g} to {confidence.max():.3g}"
-        raise InputError(path, "joints_2d_confidence", bad, "0 to 1")
-    return points, confidence
-
-
-def _regions(path: Path, stored: dict[str, ndarray], count: int) -> dict[str, Int[ndarray, "_"]]:
-    """Contact regions of a hand; they cannot be found from a bare mesh."""
-    missing = [f"region_{finger}" for finger in FINGERS if f"region_{finger}" not in stored]
-    if missing:
-        expected = f"{', '.join(missing)}: the vertex ids of each fingertip's pad"
-        raise InputError(path, missing[0], f"a mesh of {count} vertices without this region", expected)
-    palm = sorted(key.removeprefix("region_") for key in stored if key.startswith("region_palm_"))
-    if len(palm) > MOST_PALM_REGIONS:
-        raise InputError(path, "region_palm_...", f"{len(palm)} regions of the palm", f"at most {MOST_PALM_REGIONS}")
-    sizes = {key: stored[f"region_{key}"].size for key in (*FINGERS, *palm)}
-    if sum(sizes.values()) > REGIONS_PER_VERTEX * count:
-        key, size = max(sizes.items(), key=lambda item: item[1])
-        bad = f"{size} vertex ids, {sum(sizes.values())} with those of the other regions"
-        raise InputError(path, f"region_{key}", bad, f"at most {REGIONS_PER_VERTEX * count} for {count} vertices")
-    return {name: arrays.indices(path, stored, f"region_{name}", count, (-1,)) for name in (*FINGERS, *palm)}

@@ -13,7 +13,8 @@ from getagrip.clip.data import Clip, Masks
 from getagrip.clip.hand_track import HandTrack
 from getagrip.clip.masks import with_masks
 from getagrip.clip.modality import modalities, with_evidence
-from getagrip.clip.reading import OTHER_HAND, VERSION
+from getagrip.clip.reading import VERSION
+from getagrip.clip.reading_arrays import OTHER_HAND
 from getagrip.clip.timeline import segment_fields
 from getagrip.clip.truth import Truth
 from getagrip.geometry.mesh_files import write_mesh
@@ -75,7 +76,9 @@ def fill_folder(
     for modality in modalities():
         modality.write(complete, folder)
     if images is not None:
-        _write_images(folder / "frames", clip.frames, images)
+        (folder / "frames").mkdir()
+        for name, image in zip(clip.frames, images, strict=True):
+            write_image(folder / "frames" / f"{name}.jpg", image)
 
 
 def write_hand(hand: HandTrack, path: Path, extra: Mapping[str, Shaped[ndarray, "..."]] | None = None) -> None:
@@ -144,9 +147,3 @@ def _truth_arrays(clip: Clip, truth: Truth) -> dict[str, Shaped[ndarray, "..."]]
         axis = {"joint_point": joint.point, "joint_direction": joint.direction, "joint_angle": np.array(joint.angle)}
         out |= {"joint_moves": joint.moves, **axis}
     return out
-
-
-def _write_images(folder: Path, frames: tuple[str, ...], images: Iterable[UInt8[ndarray, "H W 3"]]) -> None:
-    folder.mkdir()
-    for name, image in zip(frames, images, strict=True):
-        write_image(folder / f"{name}.jpg", image)

@@ -12,7 +12,7 @@ from numpy import ndarray
 from getagrip.clip.intrinsics import intrinsics
 from getagrip.clip.naming import check_numbers, number_of, renumbered
 from getagrip.clip.plausible import check_intrinsics
-from getagrip.clip.reading import read_hand
+from getagrip.clip.reading_arrays import read_hand
 from getagrip.errors import InputError
 from getagrip.geometry.lens import Lens
 from getagrip.hands.model import Side

@@ -16,7 +16,8 @@ from tyro.conf import Positional, arg
 from getagrip.clip.intrinsics import camera_warning, intrinsics
 from getagrip.clip.naming import renumbered
 from getagrip.clip.plausible import check_in_view
-from getagrip.clip.reading import OTHER_HAND, ClipHeader, frames_with_hand, read_header
+from getagrip.clip.reading import ClipHeader, read_header
+from getagrip.clip.reading_arrays import OTHER_HAND, frames_with_hand
 from getagrip.clip.writing import WITHOUT_HAND, without_hand, write_hand, write_hand_at
 from getagrip.commands.command import Command, OptionalSide
 from getagrip.commands.import_many import import_many

@@ -68,7 +68,7 @@ class Report(Command):
                 if (path / "result.json").exists():
                     _, problem = report_one(ReportJob(path, None, self.request))
                     problems = [problem] if problem is not None else []
-                    written = [name for name in _files(self.request) if not problems]
+                    written = [] if problems else [PAGE, PICTURE, *[FILM] * self.request.mp4]
                 else:
                     problems = _folder(path, self.request, self.workers)
                     written = [INDEX]
@@ -184,8 +184,3 @@ def _folder(path: Path, request: ReportRequest, workers: int | None) -> list[Out
     tables = sorted(file.name for file in (*path.glob("*.md"), *path.glob(TABLE)))
     write_index(rows, path.resolve().name, tables, path / INDEX)
     return [problem for _, problem in ends if problem is not None]
-
-
-def _files(request: ReportRequest) -> list[str]:
-    """Return the names of the files written for a result that was named itself."""
-    return [PAGE, PICTURE, *[FILM] * request.mp4]

@@ -125,7 +125,7 @@ def read_motion(file: Path, note: Note) -> Motion | None:
         T_world_obj=poses[rows],
         mesh=mesh,
         joint=joint,
-        articulation=_angles(file, stored, T, rows),
+        articulation=arrays.floats(file, stored, "articulation", (T,))[rows] if "articulation" in stored else None,
         camera=_camera(file, stored, T, rows),
         provenance={
             "source": f"{file.name}, {subject}/{sequence}",
@@ -157,10 +157,6 @@ def _object(file: Path, value: Arrays) -> tuple[Mesh, Joint | None]:
     if length < 1e-6:
         raise InputError(file, "joint", "a direction of length 0", "a direction of the axis")
     return mesh, Joint(moves=part == 1, point=point, direction=direction / length)
-
-
-def _angles(file: Path, value: Arrays, T: int, rows: Int[ndarray, "n"]) -> Float[ndarray, "n"] | None:
-    return arrays.floats(file, value, "articulation", (T,))[rows] if "articulation" in value else None
 
 
 def _camera(file: Path, value: Arrays, T: int, rows: Int[ndarray, "n"]) -> PosedCamera | None:

@@ -127,7 +127,7 @@ class GraspBenchmark(Benchmark[Scores]):
         texts = {".md": markdown(tables, title, about, settings), ".tex": latex(tables, title, about + settings)}
         rows = {"-clips.csv": clips_csv_rows(scores, self.variants), ".csv": csv_rows(tables)}
         plotted = (tables[0], title) if tables and self.settings is not None else None
-        shown = terminal(tables[0]) if tables else ""
+        shown = terminal(tables[0], _kept(self, scores)) if tables else ""
         content = as_json(tables, scores)
         if tables and (systems := self.source.published):
             ours = {table.title: table for table in tables} if tables[1:] else {parts.popitem()[1]: tables[0]}

@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, HandTrack, Masks, read_clip
 from getagrip.clip.plausible import check_in_view, check_intrinsics
-from getagrip.clip.reading import read_hand
+from getagrip.clip.reading_arrays import read_hand
 from getagrip.errors import InputError, UsageError
 from getagrip.experiments.changes import Change
 from getagrip.experiments.settings import Ablation, Setting

@@ -48,9 +48,6 @@ class SegmentBenchmark(Benchmark[SequenceScores]):
         folder = files.folder_inside(results, noise)
         return [SequenceTrial(sample, folder, overwrite, noise, self.options) for sample in samples]
 
-    def line(self, scores: SequenceScores) -> str:
-        return f"{scores.name}: done again, since {scores.again}" if scores.again else ""
-
     def page(self, scores: Sequence[SequenceScores]) -> Page | None:
         scores = [one for one in scores if not one.failure]
         if not scores:

@@ -36,8 +36,6 @@ class SequenceScores(ClipScores):
     """By direction and way; empty where it failed."""
     seconds: float = 0.0
     """Time of the process for one direction [s]; the mean of both."""
-    again: str = ""
-    """Why it was made again, where what was there is no longer good."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,7 @@ class SequenceTrial(Trial[SequenceScores]):
             seconds.append(float(here["seconds"]))
             for variant in VARIANTS:
                 by[direction, variant] = matched(_spans(here["true"]), _spans(here[variant]))
-        return SequenceScores(self.name, by, float(np.mean(seconds)), again)
+        return SequenceScores(self.name, by, float(np.mean(seconds)), again=again)
 
 
 def reversed_in_time(clip: Clip, masks: Masks) -> tuple[Clip, Masks]:

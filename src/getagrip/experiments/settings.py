@@ -171,27 +171,6 @@ ABLATIONS: dict[str, Ablation] = {
             *map(_noise_level, ("moderate", "strong", "estimated")),
         ),
     ),
-    "inputs": Ablation(
-        "Errors of the input: none, or one of them; both methods with the same filters",
-        None,
-        INPUTS,
-    ),
-    "final": Ablation(
-        "Hands that are exact, off by 10 mm and 8°, or at the levels `strong` and `estimated`",
-        None,
-        INPUTS[:4],
-        (REFERENCE, "soft-hinge", "contact-consistency"),
-    ),
-    "final-evidence": Ablation(
-        "Estimated hands, with 2D joints and depth simulated as they usually are",
-        "nothing new",
-        (
-            _with("nothing new"),
-            _with("2D joints", JOINT),
-            *(_with(f"2D joints, {d}", JOINT, SimulatedDepth(d)) for d in USUAL),
-        ),
-        ("soft-hinge",),
-    ),
     "estimated-hands": Ablation(
         "Hands with the errors of estimates from images: as given, or refined against their own pixels",
         "none",
@@ -298,6 +277,27 @@ ABLATIONS: dict[str, Ablation] = {
         None,
         tuple(Setting(f"{d.side}, {d.distance}", contact=d) for d in CONTACT_DEFINITIONS),
         COMPARED,
+    ),
+    "inputs": Ablation(
+        "Errors of the input: none, or one of them; both methods with the same filters",
+        None,
+        INPUTS,
+    ),
+    "final": Ablation(
+        "Hands that are exact, off by 10 mm and 8°, or at the levels `strong` and `estimated`",
+        None,
+        INPUTS[:4],
+        (REFERENCE, "soft-hinge", "contact-consistency"),
+    ),
+    "final-evidence": Ablation(
+        "Estimated hands, with 2D joints and depth simulated as they usually are",
+        "nothing new",
+        (
+            _with("nothing new"),
+            _with("2D joints", JOINT),
+            *(_with(f"2D joints, {d}", JOINT, SimulatedDepth(d)) for d in USUAL),
+        ),
+        ("soft-hinge",),
     ),
     "wrong-input": Ablation(
         "Deliberate mistakes, and the findings of the checks",

@@ -73,10 +73,6 @@ def _difference(share: float) -> str:
     return "–" if math.isnan(share) else f"{100.0 * share:+.1f}".replace("-", "−")
 
 
-def _differences_interval(value: Estimate) -> str:
-    return "" if math.isnan(value.low) else f"[{_difference(value.low)}, {_difference(value.high)}]"
-
-
 def _seconds(value: float) -> str:
     return "–" if math.isnan(value) else f"{value:.2f}"
 
@@ -108,7 +104,8 @@ def _differences(table: Table, style: Style) -> list[list[str]]:
             cells = [style.text(f"{row.variant.label} − {row.variant.against}")]
             for column in columns:
                 value = row.differences[column.label]
-                cells.append(style.cell(_difference(value.mean), 0, _differences_interval(value)))
+                ends = f"[{_difference(value.low)}, {_difference(value.high)}]"
+                cells.append(style.cell(_difference(value.mean), 0, "" if math.isnan(value.low) else ends))
             rows.append(cells)
     return rows
 
@@ -239,9 +236,10 @@ def clips_csv_rows(scores: Sequence[Scores], variants: Sequence[Variant]) -> lis
     return lines
 
 
-def terminal(table: Table) -> RichTable:
-    """Make the table over all clips for a screen."""
+def terminal(table: Table, below: Sequence[str] = ()) -> RichTable:
+    """Make the table over all clips for a screen, with lines below it."""
     out = plain_table(title=_heading(table), title_justify="left")
+    out.caption, out.caption_justify = "\n".join(below), "left"
     out.add_column("")
     for heading in _headings(table)[1:]:
         out.add_column(heading.replace(" ", "\n").replace("SCA-", "SCA-\n", 1), justify="right", no_wrap=True)

@@ -39,9 +39,6 @@ class TimelineBenchmark(Benchmark[TimelineScores]):
             files.folder_inside(results, level)
         return [TimelineTrial(sample, results, overwrite, levels, self.options) for sample in samples]
 
-    def line(self, scores: TimelineScores) -> str:
-        return f"{scores.name}: done again, since {scores.again}" if scores.again else ""
-
     def page(self, scores: Sequence[TimelineScores]) -> Page | None:
         """Make the page; raise ``UsageError`` where no timeline has both a static segment and a stable grasp."""
         done = [one for one in scores if not one.failure]

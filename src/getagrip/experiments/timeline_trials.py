@@ -46,8 +46,6 @@ class TimelineScores(ClipScores):
     category: str = ""
     by: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """By level and way: ``segments``, ``jumps`` [m] and ``seconds`` of CPU, or ``failure``."""
-    again: str = ""
-    """Why it was made again, where what was there is no longer good."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,7 @@ class TimelineTrial(Trial[TimelineScores]):
             category = record["category"]
             if record["by"]:
                 by[level] = record["by"]
-        return TimelineScores(self.name, category, by, "; ".join(again))
+        return TimelineScores(self.name, category, by, again="; ".join(again))
 
 
 def _found(trial: TimelineTrial, level: str) -> dict[str, Any]:

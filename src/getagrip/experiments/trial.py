@@ -27,6 +27,8 @@ class ClipScores:
     name: str
     failure: str = field(default="", kw_only=True)
     trace: str = field(default="", kw_only=True)
+    again: str = field(default="", kw_only=True)
+    """Why it was made again, where what was there is no longer good."""
 
 
 S = TypeVar("S", bound=ClipScores)
@@ -92,7 +94,7 @@ class Benchmark(Generic[S]):
 
     def line(self, scores: S) -> str:
         """Describe the trial of a clip in words; empty where that needs none."""
-        return ""
+        return f"{scores.name}: done again, since {scores.again}" if scores.again else ""
 
     def entry(self, scores: S) -> Entry:
         """Make the ledger's entry of a clip."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from getagrip.evaluation.other_poses import OtherSystem
 from getagrip.experiments.changes import UNCHANGED, Change
-from getagrip.experiments.settings import ABLATIONS, COMPARED, CONTACTS, REFERENCE, Ablation
+from getagrip.experiments.settings import ABLATIONS, COMPARED, CONTACTS, REFERENCE, Ablation, Setting
 from getagrip.fitting.options import Options
 from getagrip.metrics.contact import ContactDefinition
 
@@ -57,7 +57,7 @@ def ablation_variants(
     """Make a variant of each method in each setting of an ablation, by default that of the name in ``ABLATIONS``.
 
     They are measured by each definition of contact, unless the ablation is about these. A setting that changes nothing
-    shares the method's own results.
+    shares the method's own results, one that another ablation has too shares that one's.
     """
     ablation, variants = ablation or ABLATIONS[name], []
     for method in methods or ablation.methods:
@@ -65,7 +65,7 @@ def ablation_variants(
         for setting in ablation.settings:
             options = replace(usual, **setting.options)
             same = options == usual and setting.change == UNCHANGED
-            folder = method if same else f"{method}+{name}-{_slug(setting.label)}"
+            folder = method if same else f"{method}+{_folder(name, setting, usual)}"
             against = f"{REFERENCE}, {setting.label}" if ablation.usual is None else f"{method}, {ablation.usual}"
             label, contact = f"{method}, {setting.label}", setting.contact or contacts[0]
             variants.append(Variant(label, folder, options, setting.change, contact, against, method, setting.label))
@@ -88,6 +88,18 @@ def by_contact(variants: Sequence[Variant], contacts: Sequence[ContactDefinition
         for variant in variants
         for contact in contacts
     ]
+
+
+def _folder(name: str, setting: Setting, usual: Options) -> str:
+    """Name the folder of a setting after the first ablation that has one with the same options and change."""
+
+    def changed(one: Setting) -> tuple[dict[str, object], Change]:
+        return {name: value for name, value in one.options.items() if value != getattr(usual, name)}, one.change
+
+    every = [(other, one) for other, ablation in ABLATIONS.items() for one in ablation.settings]
+    alike = [(other, one) for other, one in every if changed(one) == changed(setting)]
+    first, one = (alike or [(name, setting)])[0]
+    return f"{first}-{_slug(one.label)}"
 
 
 def _slug(label: str) -> str:

@@ -95,7 +95,7 @@ def replay(scene: Scene) -> Replay:
             data.mocap_quat[:] = at[:, 3:] / np.linalg.norm(at[:, 3:], axis=1, keepdims=True)
             data.eq_active[-1] = now < released
             library.mj_step(model, data)
-        found.append(_simulated(data))
+        found.append(se3.rigid(se3.from_quaternion(data.xquat[-1]), data.xpos[-1]))  # the object is the last body
     T = np.stack(found)
     away = se3.transform(T, scene.object.vertices[None]) - se3.transform(T_stage_obj, scene.object.vertices[None])
     assumed = f"friction {FRICTION:g}, density {DENSITY:g} kg/m^3, skin pressed in by {1e3 * PRESS:g} mm; {stage.words}"
@@ -153,8 +153,3 @@ def _model(
     data = library.MjData(model)
     library.mj_forward(model, data)
     return model, data
-
-
-def _simulated(data: Any) -> Float[ndarray, "4 4"]:
-    """Return the pose of the object, the last body."""
-    return se3.rigid(se3.from_quaternion(data.xquat[-1]), data.xpos[-1])

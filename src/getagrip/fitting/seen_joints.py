@@ -96,7 +96,7 @@ class SeenJoints:
             return None
         if masks is not None and share_elsewhere(clip, masks) > ELSEWHERE:
             return None
-        box = np.ptp(_projected(clip.K, hand), axis=1).max(axis=-1)
+        box = np.ptp(_image(clip.K, _in_camera(hand)), axis=1).max(axis=-1)
         hidden = np.zeros(confidence.shape, dtype=bool) if masks is None else _within(masks, points)
         seen = SeenJoints(
             HandErrors.of(hand).with_bends, clip.K, points, confidence, box[:, None] * np.where(hidden, HIDDEN, 1.0)
@@ -239,10 +239,6 @@ def _image(K: Float[ndarray, "N 3 3"], X: Float[ndarray, "N 21 3"]) -> Float[nda
 def _in_camera(hand: HandTrack) -> Float[ndarray, "N 21 3"]:
     assert hand.joints is not None
     return np.asarray(se3.transform(hand.T_cam_hand, hand.joints))
-
-
-def _projected(K: Float[ndarray, "N 3 3"], hand: HandTrack) -> Float[ndarray, "N 21 2"]:
-    return _image(K, _in_camera(hand))
 
 
 def _within(masks: Masks, points: Float[ndarray, "N 21 2"]) -> Bool[ndarray, "N 21"]:

@@ -83,7 +83,7 @@ def in_camera(motion: Motion, T_cam_hand: Float[ndarray, "N 4 4"]) -> PosesInCam
     seen = moved(motion.poses(), T_cam_hand)
     if seen.hand is None:
         return PosesInCamera(*_body(seen))
-    hand = HandInCamera(*_body(seen.hand), seen.hand.modes, seen.hand.frame.middle)
+    hand = HandInCamera(*_body(seen.hand), seen.hand.frame.middle)
     return ObjectWithHand(*_body(seen), hand, PosesInCamera(*_body(seen.hand.held)))
 
 

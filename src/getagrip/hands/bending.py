@@ -24,8 +24,6 @@ BONE_OF_JOINT = np.zeros((21, 5, 3))
 """Share by which each joint goes with each of the five fingers' three bones; of vertices: ``finger_weights``."""
 for _k in range(3):
     BONE_OF_JOINT[CHAINS[:, _k + 1], np.arange(5), _k] = 1.0
-CURLS = np.repeat(np.eye(5)[:, :, None], 3, axis=2)
-"""(5, 5, 3) modes of the fingers: the three joints of one finger bend alike, by 1 rad."""
 _SMOOTHINGS = 4
 
 
@@ -68,14 +66,6 @@ def bent(
     skeleton[:, CHAINS[:, 1:]] = se3.transform(turns, joints[:, CHAINS[:, 1:], None])[..., 0, :]
     _skin(vertices, np.ascontiguousarray(weights.reshape(-1, 15)), turns.reshape(-1, 15, 4, 4), moved)
     return moved, skeleton
-
-
-def bend_derivatives(joints: Float[ndarray, "T 21 3"], axes: Float[ndarray, "T 5 3"]) -> Float[ndarray, "T 21 3 5 3"]:
-    """Differentiate bent joints by the angles of ``bent`` [m/rad]; ``axes``: the ``hinges`` of the joints unbent."""
-    beyond = np.cumsum(BONE_OF_JOINT[..., ::-1], axis=-1)[..., ::-1]
-    arm = joints[:, :, None, None] - joints[:, CHAINS[:, :3]][:, None]
-    moved = np.cross(axes[:, None, :, None], arm) * beyond[..., None]
-    return np.asarray(np.moveaxis(moved, -1, 2))
 
 
 @kernel("f3 f2 f4 f3", fastmath=False)

@@ -108,7 +108,9 @@ def load(path: str | Path, side: Side) -> Mano:
     values = _read_cache(cache)
     if values is None:
         values = checked(path, read_pickle(path, content))
-        _write_cache(cache, values)
+        # A full or read-only disk costs only the time of reading the pickle again.
+        with suppress(OSError), files.new_file(cache) as part:
+            np.savez_compressed(part, **values)  # type: ignore[arg-type]
     return _hand(path, values, side)
 
 
@@ -200,12 +202,6 @@ def _read_cache(cache: Path) -> dict[str, ndarray] | None:
 @lru_cache(maxsize=2)  # one for each side: it is asked for at every clip
 def _cached(cache: Path, changed: int, size: int) -> dict[str, ndarray]:
     return checked(cache, dict(arrays.read(cache, ARRAYS.__contains__)))
-
-
-def _write_cache(cache: Path, content: dict[str, ndarray]) -> None:
-    # A full or read-only disk costs only the time of reading the pickle again.
-    with suppress(OSError), files.new_file(cache) as part:
-        np.savez_compressed(part, **content)  # type: ignore[arg-type]
 
 
 def read_pickle(path: Path, content: bytes) -> dict[str, object]:

@@ -40,7 +40,8 @@ def in_short(data: Any) -> str:
 def facts(data: Any) -> dict[str, str]:
     """Write each field of a dataclass in short; fields that are None or empty are left out."""
     values = {field.name: getattr(data, field.name) for field in fields(data)}
-    return {name: short(value) for name, value in values.items() if value is not None and not _is_empty(value)}
+    sized = str | list | tuple | Mapping
+    return {name: short(it) for name, it in values.items() if (it if isinstance(it, sized) else it is not None)}
 
 
 def short(value: object) -> str:
@@ -63,10 +64,6 @@ def short(value: object) -> str:
 def view(name: str) -> Callable[..., Any]:
     """Return a function of ``getagrip.notebook``, a layer above all data, which is loaded when something is shown."""
     return getattr(import_module("getagrip.notebook"), name)
-
-
-def _is_empty(value: object) -> bool:
-    return isinstance(value, str | list | tuple | Mapping) and not value
 
 
 def _array(value: np.ndarray | PackedMasks) -> str:

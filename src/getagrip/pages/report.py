@@ -125,7 +125,7 @@ def _summary(view: View, label: str, record: Json) -> Json:
         "status": result.message,
         "ambiguous": result.ambiguous,
         "findings": [{"serious": f.serious, "check": f.check, "message": f.message} for f in result.findings],
-        "notes": [*_segments(result), *(str(note) for note in result.notes), *_in_short(result)],
+        "notes": [*_segments(result), *map(str, result.notes), *[f"probability: {RIGHT}"] * bool(meanings(result))],
         "candidates": [{"energy": energy} for energy in result.candidates.energy.tolist()],
         "version": str(record.get("software", {}).get("getagrip", "")),
     }
@@ -150,11 +150,6 @@ def _probably(result: Reconstruction) -> list[dict[str, str]]:
         {"name": f"probability right {where}", "value": f"{right}{right.keeping}", "meaning": right.meaning}
         for where, right in result.probabilities.items()
     ]
-
-
-def _in_short(result: Reconstruction) -> list[str]:
-    """Explain the meaning, as a note."""
-    return [f"probability: {RIGHT}"] * bool(meanings(result))
 
 
 def _met(result: Reconstruction) -> list[dict[str, str]]:

@@ -17,18 +17,7 @@ from getagrip.geometry.depth import covered, depth_and_face
 from getagrip.geometry.render import Surface, render_rgb
 from getagrip.io.images import read_image
 from getagrip.pictures.shown import View
-from getagrip.pictures.style import (
-    AXIS,
-    BLANK,
-    FOUND,
-    HAND,
-    HAND_LINE,
-    HIDDEN,
-    IGNORED,
-    OBJECT,
-    OBSERVED,
-    PAPER_RGB,
-)
+from getagrip.pictures.style import AXIS, BLANK, FOUND, HAND, HAND_LINE, HIDDEN, IGNORED, OBJECT, OBSERVED, PAPER_RGB
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -32,7 +32,7 @@ def scene(seed: int, noise: float = 0.004) -> tuple[DepthSamples, PosesInCamera,
 
 
 def with_hand(of_object: PosesInCamera, hand: PosesInCamera) -> ObjectWithHand:
-    there = HandInCamera(*vars(hand).values(), np.zeros((1, N, 0)), MIDDLE)
+    there = HandInCamera(*vars(hand).values(), MIDDLE)
     return ObjectWithHand(*vars(of_object).values(), there, of_object)
 
 

@@ -28,7 +28,7 @@ def hands(problem: Problem, shift: np.ndarray, scale: float = 1.0) -> HandInCame
     T = problem.clip.hand.T_cam_hand
     middle = problem.clip.hand.vertices.mean(axis=(0, 1))
     centre = se3.transform(T, middle[None])[:, 0] + shift
-    return HandInCamera(T[None, :, :3, :3], centre[None], np.array([scale]), np.zeros((1, len(T), 0)), middle)
+    return HandInCamera(T[None, :, :3, :3], centre[None], np.array([scale]), middle)
 
 
 def with_object(hand: HandInCamera) -> ObjectWithHand:
@@ -78,7 +78,7 @@ def test_a_pixel_of_the_image_counts_as_much_as_one_of_the_object(problem: Probl
 def far_hand(problem: Problem) -> HandInCamera:
     """The hand of a frame, outside of the image."""
     hand = hands(problem, np.array([5.0, 0.0, 0.0]))
-    return replace(hand, R=hand.R[:, 2:3], centre=hand.centre[:, 2:3], modes=hand.modes[:, 2:3])
+    return replace(hand, R=hand.R[:, 2:3], centre=hand.centre[:, 2:3])
 
 
 def test_a_held_hand_has_no_such_energy(problem: Problem) -> None:

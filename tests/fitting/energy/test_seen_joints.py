@@ -36,30 +36,27 @@ def problem() -> Problem:
 
 
 def hands(problem: Problem, x: np.ndarray) -> HandInCamera:
-    """The hand of each row of x: its local vector of 7 + 5 numbers, the same in all frames."""
+    """The hand of each row of x: its local vector, the same in all frames."""
     T, middle = problem.clip.hand.T_cam_hand, problem.clip.hand.vertices.mean(axis=(0, 1))
     R = se3.exp_so3(x[:, None, 3:6]) @ T[:, :3, :3]
     centre = se3.transform(T, middle[None])[:, 0] + x[:, None, :3]
-    modes = np.broadcast_to(x[:, None, 7:], (len(x), len(T), 5)).copy()
-    return HandInCamera(R, centre, np.exp(x[:, 6]), modes, middle)
+    return HandInCamera(R, centre, np.exp(x[:, 6]), middle)
 
 
 def test_its_gradient_is_that_of_finite_differences(problem: Problem) -> None:
     term = next(term for term in evidence_on_hand(problem)(128, np.arange(4)) if term.name == "joints-2d")
     assert isinstance(term, OnHand)
     rng, step = np.random.default_rng(1), 1e-5
-    at = rng.normal(size=12) * np.repeat([0.01, 0.2, 0.1, 0.3], [3, 3, 1, 5])
+    at = rng.normal(size=7) * np.repeat([0.01, 0.2, 0.1], [3, 3, 1])
     start = hands(problem, at[None])
     found = term.term(start, no_bound(start))
-    for k in range(12):
+    for k in range(7):
         # A turn is in the camera frame, about the middle, from where the hand is.
         sides = []
         for sign in (-1.0, 1.0):
-            move = sign * step * np.eye(12)[k]
-            poses = HandInCamera(
-                se3.exp_so3(move[3:6]) @ start.R, start.centre + move[:3], start.scale * np.exp(move[6]),
-                start.modes + move[7:], start.middle,
-            )  # fmt: skip
+            move = sign * step * np.eye(7)[k]
+            turned, scale = se3.exp_so3(move[3:6]) @ start.R, start.scale * np.exp(move[6])
+            poses = HandInCamera(turned, start.centre + move[:3], scale, start.middle)
             sides.append(term.term(poses, no_bound(poses)).value[0])
         slope = (sides[1] - sides[0]) / (2.0 * step)
         np.testing.assert_allclose(found.g[0, :, k], slope, rtol=2e-3, atol=1e-3 * np.abs(found.g[0, :, k]).max())
@@ -83,15 +80,15 @@ def test_it_is_least_where_the_joints_are_seen(problem: Problem) -> None:
     exact = replace(problem, clip=seen_in(problem.clip))
     term = next(term for term in evidence_on_hand(exact)(64, np.arange(4)) if term.name == "joints-2d")
     assert isinstance(term, OnHand)
-    x = np.concatenate([np.zeros((1, 12)), 0.02 * np.eye(12)])
-    value = term.term(hands(exact, x), np.full(13, np.inf)).value.sum(axis=1)
+    x = np.concatenate([np.zeros((1, 7)), 0.02 * np.eye(7)])
+    value = term.term(hands(exact, x), np.full(8, np.inf)).value.sum(axis=1)
     assert np.all(value[1:] > value[0] + 1e-9)
 
 
 def test_joints_behind_the_camera_cost_infinitely_much(problem: Problem) -> None:
     term = next(term for term in evidence_on_hand(problem)(64, np.arange(4)) if term.name == "joints-2d")
     assert isinstance(term, OnHand)
-    behind = hands(problem, np.eye(12)[None, 2] * -5.0)
+    behind = hands(problem, np.eye(7)[None, 2] * -5.0)
     assert np.isinf(term.term(behind, no_bound(behind)).value).all()
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from getagrip.clip.reading import read_hand
+from getagrip.clip.reading_arrays import read_hand
 from getagrip.clip.writing import write_hand
 from getagrip.errors import InputError
 from getagrip.geometry.camera import project

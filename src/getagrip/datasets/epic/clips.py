@@ -15,7 +15,7 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, FrameMasks, HandTrack, Masks, Segment, World
 from getagrip.clip.plausible import check_intrinsics
-from getagrip.clip.reading import read_hand
+from getagrip.clip.reading_arrays import read_hand
 from getagrip.clip.timeline import at_frames
 from getagrip.clip.writing import without_hand
 from getagrip.datasets.dataset import Note

@@ -6,8 +6,7 @@ camera (``ObjectWithHand``) and answers by the local vector of each frame, or by
     0:7       the object in the camera: v_o, w_o, l_o (``se3``)
     7:14      the hand in the camera: v_h its middle shifts [m], w_h it turns about its middle [rad], l_h logarithm of
               its size
-    14:14+F   fingers: F modes, for whoever built the term
-    the last  the object in the input hand, by a 7-vector in the camera frame
+    14:21     the object in the input hand, by a 7-vector in the camera frame
 
 Four kinds of terms follow.
 
@@ -16,14 +15,13 @@ Four kinds of terms follow.
   still in the hand goes with it, by ``w_o = w_h`` and ``v_o = v_h + w_h x (c_o - c_h)``. That is the chain rule of the
   *parameters*, and the motion's (``motion.MovingHand``), not the term's: a term's derivatives take object and hand as
   free of each other.
-- **On the hand in the camera** (2D joints, hand masks, depth of the hand): a ``HandTerm``, of 7 + F numbers, wrapped in
+- **On the hand in the camera** (2D joints, hand masks, depth of the hand): a ``HandTerm``, of 7 numbers, wrapped in
   ``OnHand``. Any term on a rigid body serves as one, too: to it the hand is a body with a middle.
 - **On the object in the hand** (push, pull, contact): a ``Term`` made for the input hand, wrapped in ``InHand``. It
   sees the object relative to the input hand, so that a hand and an object that move together change nothing. If the
-  hand grows by s, that object shrinks by s about the hand's middle: distances count in the hand's own measure. Fingers
-  are the input's.
+  hand grows by s, that object shrinks by s about the hand's middle: distances count in the hand's own measure.
 - **On both** (depth up to an unknown scale, which hides which): a ``Term`` that reads ``poses.hand`` itself and answers
-  by the first 14 numbers, or 14 + F.
+  by the first 14 numbers.
 
 Terms that tie frames to each other have a ``Quadratic.cross``, on the hand as on the object. Where the hand is fixed
 (poses without one) ``InHand`` is the term within, and ``OnHand`` is a constant, taken as zero.
@@ -46,16 +44,10 @@ class HandInCamera(PosesInCamera):
     """The hand in the camera frame: ``X_cam = scale * R @ (X_hand - middle) + centre``.
 
     Attributes:
-        modes: (B, N, F) how much of each of F modes the fingers have; F = 0 where they keep their bends.
         middle: (3,) the point that the hand turns and grows about, in the hand frame [m].
     """
 
-    modes: Float[ndarray, "B N F"]
     middle: Float[ndarray, "3"]
-
-    @property
-    def size(self) -> int:
-        return 7 + self.modes.shape[-1]
 
     @property
     def T_cam_hand(self) -> Float[ndarray, "B N 4 4"]:
@@ -75,7 +67,7 @@ class ObjectWithHand(PosesInCamera):
 
     @property
     def size(self) -> int:
-        return 7 + self.hand.size + 7
+        return 21
 
 
 class HandTerm(Protocol):
@@ -85,7 +77,7 @@ class HandTerm(Protocol):
     def name(self) -> str: ...
 
     def __call__(self, poses: HandInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
-        """Evaluate by the hand's local vector of 7 + F numbers; ``bound`` as in ``Term``."""
+        """Evaluate by the hand's local vector of 7 numbers; ``bound`` as in ``Term``."""
         ...
 
 
@@ -102,8 +94,7 @@ class OnHand:
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
         if not isinstance(poses, ObjectWithHand):
             return Quadratic.zero(poses)
-        hand = self.term(poses.hand, bound)
-        return hand.within(7 + hand.g.shape[-1], first=7).within(poses.size)
+        return self.term(poses.hand, bound).within(poses.size, first=7)
 
 
 @dataclass(frozen=True)
@@ -119,4 +110,4 @@ class InHand:
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
         if not isinstance(poses, ObjectWithHand):
             return self.term(poses, bound)
-        return self.term(poses.in_hand, bound).within(poses.size, first=poses.size - 7)
+        return self.term(poses.in_hand, bound).within(poses.size, first=14)

@@ -33,8 +33,6 @@ class Method:
     """Raises ``GetagripError`` where nothing can be rendered."""
     has_axis: bool = False
     """True if its results have a latent axis."""
-    baseline: bool = False
-    """True for another system's method, to compare with."""
     slow: bool = False
     """True if it is so slow that benchmarks run it only where it is named."""
     checks_masks: bool = False
@@ -70,7 +68,7 @@ def _in(file: str, function: str = "fit") -> Fit:
 
 def _published(label: str, function: str, has_axis: bool = False) -> Method:
     """Make the paper's method to the letter."""
-    return Method(label, _in("paper", function), has_axis, baseline=True, slow=True, as_published=True)
+    return Method(label, _in("paper", function), has_axis, slow=True, as_published=True)
 
 
 OURS: Mapping[str, Method] = {
@@ -78,9 +76,9 @@ OURS: Mapping[str, Method] = {
     "soft-hinge": Method("soft hinge", _in("all_frames", "soft_hinge"), has_axis=True, checks_masks=True),
     "static": Method("Static", _in("all_frames", "static")),
     "dynamic": Method("Dynamic", _in("all_frames", "dynamic")),
-    "single-frame": Method("Single Frame", _in("single_frame"), baseline=True),
-    "homan": Method("HOMan", _in("homan"), baseline=True),
-    "contact-consistency": Method("contact consistency", _in("contact_consistency"), baseline=True),
+    "single-frame": Method("Single Frame", _in("single_frame")),
+    "homan": Method("HOMan", _in("homan")),
+    "contact-consistency": Method("contact consistency", _in("contact_consistency")),
     "paper": _published("1-DoF, the paper's", "fit", has_axis=True),
     "paper-static": _published("Static, the paper's", "static"),
     "paper-dynamic": _published("Dynamic, the paper's", "dynamic"),

@@ -71,14 +71,12 @@ class HandFrame(Protocol):
 class HandPoses(Batch):
     """The moved hand in the frame of the hand as given: ``X_given = R @ (scale * (X_hand - middle)) + centre``.
 
-    ``modes`` (B, N, F) tells how much of each of F modes the fingers have, ``held`` where the object would be if the
-    hand as given had it as the moved hand has it.
+    ``held`` is where the object would be if the hand as given had it as the moved hand has it.
     """
 
     R: Float[ndarray, "B N 3 3"]
     centre: Float[ndarray, "B N 3"]
     scale: Float[ndarray, "B"]
-    modes: Float[ndarray, "B N F"]
     held: PosesInHand
     frame: HandFrame
 

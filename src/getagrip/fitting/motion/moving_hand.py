@@ -16,10 +16,9 @@ from getagrip.geometry import se3
 
 Core = TypeVar("Core", bound=Motion)
 
-SHIFT, TURN, DEPTH, MODES = slice(0, 3), slice(3, 6), 6, 7
+SHIFT, TURN, DEPTH = slice(0, 3), slice(3, 6), 6
 """Positions of a frame's errors: shift in the hand frame [m], turn about the hand's middle [rad], shift along the
-camera's ray through the middle [m], then F modes of the fingers. The constant part has the logarithm of the hand's size
-besides, as its last."""
+camera's ray through the middle [m]. The constant part has the logarithm of the hand's size besides, as its last."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +29,8 @@ class HandPrior:
         middle: (3,) the point that the hand turns and grows about, in the hand frame [m].
         rays: (T, 3) unit vectors from the camera to the middle, in the hand frame, in all frames of a clip.
         frames: (N,) the frames that the motion has (indices into ``rays``).
-        constant: (8 + F,) standard deviations of the constant errors; zero keeps one fixed.
-        own: (7 + F,) those of each frame's own, without the size.
+        constant: (8,) standard deviations of the constant errors; zero keeps one fixed.
+        own: (7,) those of each frame's own, without the size.
         weight: twice the energy of one standard deviation [px^2].
         memory: frames of the clip after which the correlation of own errors has fallen to 1/e; zero: independent.
     """
@@ -69,7 +68,7 @@ class HandPrior:
         """
         wider = self.constant.copy(), self.own.copy()
         for deviation, errors in zip(wider, (constant[None], own), strict=True):
-            for part in (SHIFT, TURN, slice(DEPTH, MODES)):
+            for part in (SHIFT, TURN, slice(DEPTH, DEPTH + 1)):
                 squares = (errors[:, part] / deviation[part]) ** 2
                 deviation[part] *= np.sqrt(max(1.0, (freedom + squares.sum()) / (freedom + squares.size)))
         return replace(self, constant=wider[0], own=wider[1])
@@ -103,8 +102,8 @@ class MovingHand(Batch, Generic[Core]):
 
     Attributes:
         core: the motion in the moved hand.
-        constant: (B, 8 + F) errors that all frames share, the logarithm of the size last.
-        own: (B, N, 7 + F) each frame's own.
+        constant: (B, 8) errors that all frames share, the logarithm of the size last.
+        own: (B, N, 7) each frame's own.
         assumed: their prior.
     """
 
@@ -126,7 +125,7 @@ class MovingHand(Batch, Generic[Core]):
         held = self.core.poses()
         arm = (held.centre - assumed.middle) / size[:, None, None]
         held = PosesInHand(held.R, assumed.middle + arm, held.scale / size)
-        return HandPoses(se3.exp_so3(x[..., TURN]), assumed.middle + shift, size, x[..., MODES:], held, assumed)
+        return HandPoses(se3.exp_so3(x[..., TURN]), assumed.middle + shift, size, held, assumed)
 
     def poses(self) -> PosesInHand:
         held, hand = self.core.poses(), self._hand()
@@ -142,13 +141,12 @@ class MovingHand(Batch, Generic[Core]):
     def jacobian(self) -> tuple[Float[ndarray, "B N P S"], Float[ndarray, "B N P L"]]:
         shared, local = self.core.jacobian()
         hand, object_ = self._hand(), self.poses()
-        B, N, F = hand.modes.shape
-        size = np.zeros((B, N, 21 + F, 1))
-        size[..., -7:-4, 0], size[..., [13, -1], 0] = self.assumed.middle - hand.held.centre, [1.0, -1.0]
-        J = np.zeros((B, N, 21 + F, 7 + F))
+        B, N = hand.centre.shape[:2]
+        size = np.zeros((B, N, 21, 1))
+        size[..., 14:17, 0], size[..., [13, 20], 0] = self.assumed.middle - hand.held.centre, [1.0, -1.0]
+        J = np.zeros((B, N, 21, 7))
         J[..., 7:10, SHIFT], J[..., 7:10, DEPTH] = np.eye(3), self.assumed.rays[self.assumed.frames]
         J[..., 10:13, TURN] = se3.left_jacobian((self.constant[:, None, :-1] + self.own)[..., TURN])
-        J[..., 14 : 14 + F, MODES:] = np.eye(F)
         # An object that is still in the hand goes with it.
         J[..., :3, :] = J[..., 7:10, :] - se3.hat(object_.centre - hand.centre) @ J[..., 10:13, :]
         J[..., 3:6, :] = J[..., 10:13, :]
@@ -213,5 +211,5 @@ class MovingHand(Batch, Generic[Core]):
 def _carried(hand: HandPoses, J: Float[ndarray, "B N 7 k"]) -> Float[ndarray, "B N P k"]:
     """Local vectors of a motion of the object in the hand, with the hand fixed."""
     v, w, scale = J[..., :3, :], J[..., 3:6, :], J[..., 6:, :]
-    zero = np.zeros((*J.shape[:2], 7 + hand.modes.shape[-1], J.shape[-1]))
+    zero = np.zeros((*J.shape[:2], 7, J.shape[-1]))
     return np.concatenate([hand.R @ v, hand.R @ w, scale, zero, v / hand.scale[:, None, None, None], w, scale], axis=-2)

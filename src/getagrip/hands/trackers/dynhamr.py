@@ -20,14 +20,7 @@ from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands.model import MIRROR, Side
 from getagrip.hands.trackers import records
-from getagrip.hands.trackers.estimates import (
-    Estimate,
-    Estimates,
-    Parameters,
-    Request,
-    WeakPerspective,
-    mirror_rotation,
-)
+from getagrip.hands.trackers.estimates import Estimate, Estimates, Parameters, Request, WeakPerspective, mirror_rotation
 from getagrip.hands.trackers.hamer_demo import ROOT
 from getagrip.hands.trackers.hand import load_mano
 from getagrip.hands.trackers.recognition import Sample

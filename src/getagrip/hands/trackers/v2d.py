@@ -16,14 +16,7 @@ import numpy as np
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands.trackers import records
-from getagrip.hands.trackers.estimates import (
-    Estimate,
-    Estimates,
-    Parameters,
-    Request,
-    WeakPerspective,
-    mirror_rotation,
-)
+from getagrip.hands.trackers.estimates import Estimate, Estimates, Parameters, Request, WeakPerspective, mirror_rotation
 from getagrip.hands.trackers.recognition import Sample
 from getagrip.hands.trackers.records import numbers
 from getagrip.hands.trackers.tracker import Tracker, frames_of_images, only_file
