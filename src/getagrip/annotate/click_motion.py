@@ -1,4 +1,4 @@
-"""What moves with a clicked object, and not with its surroundings, in frames before and after the click.
+"""Pixels that move with a clicked object, and not with its surroundings, in frames before and after the click.
 
 The surroundings are what lies far from the click and the hand. The object moves as the pixels at the click and the hand
 do, or in a way of its own: of that, a pixel far from both motions is no evidence beyond ``OTHER``.

@@ -1,6 +1,6 @@
 """Segment the object from strokes, clicks or a box on one frame, by GrabCut; every stroke is obeyed.
 
-A click says little of the colours: what moves with it says more (``click_motion``).
+A click says little of the colours; pixels that move with it say more (``click_motion``).
 
 Rother, Kolmogorov, Blake, SIGGRAPH 2004. A stroke lies on the object ("on") or on what is not the object ("off"). If
 polygons are drawn on the frame as well, strokes correct them nearby, and they are kept elsewhere.
@@ -32,7 +32,7 @@ side; from a single click, no farther than the larger one."""
 CLICK = 0.05
 """Strokes of an extent less than this share are a click."""
 MOVES, STILL = 0.15, -1.5
-"""What has more than this share of the click's motion may be the object, what is below the second is the ground."""
+"""Pixels with more than this share of the click's motion may be the object's; below the second, the ground's."""
 NEAR = 0.12
 """Polygons are corrected within this share of the image's shorter side from a stroke."""
 ROUNDS = 5
