@@ -10,6 +10,8 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from resource import RUSAGE_CHILDREN, getrusage
@@ -28,7 +30,7 @@ from getagrip.annotate.carried_masks import Hands, Images
 from getagrip.annotate.footage import Footage
 from getagrip.annotate.labels import OBJECT, FrameLabels, Labels
 from getagrip.annotate.propagated_masks import propagate
-from getagrip.annotate.strokes import stroked
+from getagrip.annotate.strokes import key_masks
 from getagrip.annotate.video import Video
 
 DATA = ROOT / "shared" / "data"
@@ -200,7 +202,7 @@ def _masks(name: str, path: Path) -> Rows:
     """Return the cells of a video's row."""
     given, keys, video = _labels(name), KEYS[name], Video(path)
     try:
-        hand = found_hand(video, given)
+        hand = found_hand(path)
         timing, (scores,) = timed(lambda: held_back(given, keys, video.image, hand))
     finally:
         video.close()
@@ -214,10 +216,10 @@ def _clicks(name: str, path: Path) -> Rows:
     given, keys, video = _labels(name), KEYS[name], Video(path)
     drawn, rows = given.label_maps(), []
     try:
-        hand = found_hand(video, given)
+        hand = found_hand(path)
         for some in ((keys[len(keys) // 2],), keys):
             clicked = {n: FrameLabels(on=(_deepest(drawn[n] == OBJECT)[None],)) for n in some}
-            cut = {n: stroked(video.image(n), np.zeros_like(drawn[n]), clicked[n], hand(n)) for n in some}
+            cut = key_masks(replace(given, frames=clicked), video.image, hand)
             there = np.mean([iou(mask == OBJECT, drawn[n] == OBJECT) for n, mask in cut.items()])
             ious = list(held_back(given, keys, video.image, hand, cut).values())
             counts = f"{given.last - given.first + 1}", f"{there:.3f}", str(len(ious))
@@ -254,15 +256,19 @@ def iou(one: ndarray, other: ndarray) -> float:
     return float((one & other).sum() / max((one | other).sum(), 1))
 
 
-def found_hand(video: Video, given: Labels) -> Hands:
-    """Find the hand in the labels' frames, as ``getagrip draft`` does; nothing is known where there is none."""
+@cache
+def found_hand(path: Path) -> Hands:
+    """Find the hand in a video as ``getagrip draft`` does, once for all tables; nothing is known without one."""
     from getagrip.annotate.finding_hands import find_landmarks
     from getagrip.errors import GetagripError
     from getagrip.landmarks import hand_mask, load
 
+    given, video = _labels(path.stem), Video(path)
     try:
         found = find_landmarks(video, (given.first, given.last), load(None), given.side)
+        there = ((given.first + row, found.points[row]) for row in found.rows)
+        return {n: hand_mask(video.image(n), points) for n, points in there}.get
     except GetagripError:
         return lambda _: None
-    masks = {given.first + row: hand_mask(video.image(given.first + row), found.points[row]) for row in found.rows}
-    return masks.get
+    finally:
+        video.close()

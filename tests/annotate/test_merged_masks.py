@@ -8,7 +8,7 @@ from numpy import ndarray
 
 from getagrip.annotate.carried_masks import Carried, placed, signed_distance
 from getagrip.annotate.colour_cut import Colours, bins
-from getagrip.annotate.labels import OBJECT
+from getagrip.annotate.labels import FRONT, OBJECT
 from getagrip.annotate.merged_masks import merged
 from getagrip.annotate.shared_flow import SmallFrame
 
@@ -44,6 +44,16 @@ def test_where_two_masks_differ_the_keys_colours_decide(share: float) -> None:
         assert (found & true).sum() / (found | true).sum() > 0.95
         apart = 1.0 - (one & other).sum() / (one | other).sum()
         assert confidence == pytest.approx(1.0 - 4.0 * share * (1.0 - share) * apart**2)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.9])
+def test_what_is_in_front_comes_from_the_side_that_has_not_lost_its_way(share: float) -> None:
+    hand = box(70, 40, 95, 80)
+    sees, lost = carried(OUTSIDE | INSIDE), carried(OUTSIDE | GROUND, trust=0.01)
+    sees.inside[FRONT - 1], sees.known[hand] = signed_distance(hand), 0.0
+    both, _ = merged(sees, lost, share, FRAME, COLOURS)
+    found = placed(both, (0, 0), SIZE)[0][FRONT - 1] > 0
+    assert (found == hand).mean() > 0.99
 
 
 def test_what_lies_beyond_a_cut_does_not_count() -> None:

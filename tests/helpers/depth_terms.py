@@ -17,8 +17,8 @@ N = 3
 MIDDLE = np.array([0.01, -0.02, 0.03])
 """Of the hand, in its frame [m]."""
 OBJECT, HAND = shapes.mug(), box(0.09, 0.05, 0.08)
-METRIC = DepthErrors(noise=0.004, clip=0.004, frame=0.002, relief=0.05, apart=0.005)
-FREE = DepthErrors(noise=0.004, clip=1.0, frame=0.02, relief=0.15, apart=0.008)
+METRIC = DepthErrors(noise=0.004, clip=0.004, frame=0.002, relief=0.05, apart=0.005, warp=0.003)
+FREE = DepthErrors(noise=0.004, clip=1.0, frame=0.02, relief=0.15, apart=0.008, warp=0.01)
 
 
 def poses(rng: np.random.Generator) -> tuple[ndarray, ndarray]:

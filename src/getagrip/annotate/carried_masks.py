@@ -15,14 +15,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Bool, Float32, Int32, UInt8
 from numpy import ndarray
 
 from getagrip.annotate.colour_cut import Colours, Places, cut, edges, likelier
 from getagrip.annotate.labels import FRONT, HAND, OBJECT
 from getagrip.annotate.object_motion import Origins, moved, moves_with, own_motion
 from getagrip.annotate.seen_ground import RARE, Ground
-from getagrip.annotate.shared_flow import Part, SmallFrame, SmallFrames
+from getagrip.annotate.shared_flow import Part, SmallFrames
 
 Image = UInt8[ndarray, "H W 3"]
 Images = Callable[[int], Image]
@@ -99,19 +99,19 @@ def carry(
     towards = 1 if to > key else -1
     for frame in range(key + towards, to + towards, towards):
         seen = hand(frame)
-        shown = None if seen is None else _coloured_hand(_shrunk(seen, frames.size), frames[frame], colours)
+        shown = None if seen is None else _shrunk(seen, frames.size)
         now = _step(now, ground, frames, frame - towards, frame, shown, colours)
         yield now
 
 
-def _coloured_hand(hand: Bool[ndarray, "h w"], frame: SmallFrame, colours: Sequence[Colours]) -> Bool[ndarray, "h w"]:
+def _coloured_hand(
+    hand: Bool[ndarray, "h w"], at: Int32[ndarray, "h w"], colours: Sequence[Colours]
+) -> Bool[ndarray, "h w"]:
     """Return a hand that was found without those pixels that have the object's colours."""
     import cv2
 
-    if not hand.any():
-        return hand
-    own, skin = (each.counts[0][frame.bins] + RARE / 10.0 for each in (colours[0], colours[-1]))
-    return np.asarray(hand & (cv2.GaussianBlur(np.log(own / skin), (0, 0), 2.0) < NO_HAND))
+    own, skin = (each.counts[0][at] + RARE / 10.0 for each in (colours[0], colours[-1]))
+    return np.asarray(hand & (cv2.GaussianBlur(np.log(own / skin), (0, 0), 1.0) < NO_HAND))
 
 
 def key_colours(frames: SmallFrames, keys: Mapping[int, UInt8[ndarray, "H W"]]) -> list[Colours]:
@@ -174,7 +174,7 @@ def _step(
 
     inside = np.stack([moved(kind, old(*came), -float(FAR)) for kind in now.inside])
     if hand is not None:
-        inside[-1] = signed_distance(hand[rows, columns])
+        inside[-1] = signed_distance(_coloured_hand(hand[part], at, colours))
     hidden = is_hidden(inside)
     was_hidden = moved(is_hidden(now.inside).astype(np.float32), old(*came), 0.0) > 0.0
     inner = (inside[0] > INNER) & (off < BACK) & (inside[1:].max(axis=0) < -INNER) & ~was_hidden
@@ -204,7 +204,7 @@ def _step(
             likely = likelier(at, colours[n], Places.of(frames[before].bins[part], kind > 0, clear), came)
             if n == 0:
                 likely += moves + unlike
-            inside[n] = refined(b, inside[n], certain, likely, hidden if n == 0 else np.zeros_like(hidden))
+            inside[n] = refined(b, inside[n], certain, likely, hidden & (n == 0))
     known = np.where(hidden, REMEMBERED * known, np.where(off < BACK, np.maximum(known, SEEN), SEEN)).astype(np.float32)
     ground.renew(frames[frame].image, part, behind, inside.max(axis=0) < -CLEAR)
     return _cut(Carried(frame, (columns.start, rows.start), inside, known, trust, unlike))

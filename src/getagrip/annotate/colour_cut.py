@@ -15,8 +15,8 @@ from numpy import ndarray
 
 BINS = 12
 """Bins of lightness and of each of Lab's colours."""
-COLOURED = 100
-"""Range of Lab's two colours around grey; values outside count as its ends."""
+GREY, COLOURED = 8.0, 50.0
+"""Bins of Lab's two colours are even up to about the first, beside grey, then wider; the last ends at the second."""
 CELLS = 8
 """Cells in each direction of the image, by which the places of colours are counted."""
 BLUR = 0.7
@@ -39,7 +39,8 @@ def bins(image: Image) -> Int32[ndarray, "h w"]:
     import cv2
 
     levels = np.arange(256)
-    grey = np.clip((levels - 128 + COLOURED // 2) * BINS // COLOURED, 0, BINS - 1)
+    apart = np.arcsinh((levels - 127.5) / GREY) / np.arcsinh(COLOURED / GREY)
+    grey = np.clip(BINS * (1.0 + apart) / 2.0, 0, BINS - 1)
     table = np.stack([levels * BINS // 256, grey, grey], axis=-1).astype(np.uint8)[:, None]
     lab = cv2.LUT(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2LAB), table).astype(np.int32)
     return np.asarray((lab[..., 0] * BINS + lab[..., 1]) * BINS + lab[..., 2])

@@ -232,8 +232,11 @@ class Labelling:
         """Return the inputs of drafts of each kind now; empty where there are none."""
         first, last = grasp.extent
         frames = [(one, one.labels()) for one in own if first <= one.frame <= last]
-        masks = {
-            one.frame: [[shape.tolist() for shape in getattr(labelled, kind) or ()] for kind in SHAPES]
+        masks = {  # a click's depends on the frames that it is compared with
+            one.frame: [
+                *([shape.tolist() for shape in getattr(labelled, kind) or ()] for kind in SHAPES),
+                None if labelled.object is not None else [first, last],
+            ]
             for one, labelled in frames
             if labelled.object is not None or labelled.on
         }

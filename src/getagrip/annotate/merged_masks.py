@@ -1,8 +1,8 @@
 """Two masks of a frame, carried from the key before and the key after, merged into one.
 
 Where they differ the object has come into view since one of the keys, or was lost on the way from it. Which of the two
-it is shows in the colours: each connected part is the object's or not as a whole, by its mean colour in the keys and by
-how near and how sure its keys are. Then the border is drawn anew.
+it is shows in the colours: a cut decides, by those of the keys and by how near and how sure the keys are. Then the
+border is drawn anew.
 """
 
 from __future__ import annotations
@@ -24,11 +24,13 @@ from getagrip.annotate.carried_masks import (
     refined,
     signed_distance,
 )
-from getagrip.annotate.colour_cut import Colours, Places, likelier
+from getagrip.annotate.colour_cut import Colours, Places, cut, edges, likelier
 from getagrip.annotate.shared_flow import SmallFrame
 
 SIDE_WEIGHT = 0.5
 """Weight of the sides beside the colours' mean, in multiples of one ``BAND``."""
+SETTLED = 10.0
+"""Cost of a pixel on the other side than where both have it."""
 CERTAIN, ALIKE = 0.1, 0.2
 """Certainty of the merged border, when it is drawn anew, where the two differ, and where they are alike: from 0,
 colours alone, to 1. Near to a key it is that key's."""
@@ -46,9 +48,12 @@ def merged(
     ends = [np.add(each.corner, each.inside.shape[:0:-1]) for each in (one, other)]
     width, height = (np.maximum(*ends) - (left, top)).tolist()
     (a, known_a), (b, known_b) = (placed(each, (left, top), (width, height)) for each in (one, other))
-    weight_a, weight_b = (1.0 - share) * one.trust * known_a + 1e-6, share * other.trust * known_b + 1e-6
+    trust_a, trust_b = (1.0 - share) * one.trust, share * other.trust
+    weight_a, weight_b = trust_a * known_a + 1e-6, trust_b * known_b + 1e-6
     share_b = weight_b / (weight_a + weight_b)
     inside = (a + (b - a) * share_b).astype(np.float32)
+    front_a, front_b = (np.clip(each[1:], -2.0 * BAND, 2.0 * BAND) for each in (a, b))
+    inside[1:] = front_a + (front_b - front_a) * (trust_b + 1e-6) / (trust_a + trust_b + 2e-6)
     hidden = is_hidden(inside)
     shown_a, shown_b = known_a >= SEEN / 2.0, known_b >= SEEN / 2.0
     both = shown_a & shown_b & (inside[1:] <= 0).all(axis=0)
@@ -65,7 +70,7 @@ def merged(
         alike = ALIKE * np.exp(-np.square((a[0] - b[0]) / BAND)) * (shown_a & shown_b)
         nearest = np.square(np.maximum(weight_a, weight_b))
         certain = np.maximum(CERTAIN, np.maximum(alike, nearest)).astype(np.float32)
-        found = _decided(in_a, in_b, side_a + (side_b - side_a) * share_b, likely, hidden)
+        found = _decided(image, in_a, in_b, side_a + (side_b - side_a) * share_b, likely * ~hidden)
         inside[0] = _redrawn(image, at, found, certain, likely, colours[0], hidden)
     known = np.maximum(known_a, known_b)
     confidence = _confidence(agreement, share, one.trust, other.trust)
@@ -84,23 +89,15 @@ def _confidence(agreement: float, share: float, trust: float, other_trust: float
 
 
 def _decided(
+    image: UInt8[ndarray, "h w 3"],
     one: Bool[ndarray, "h w"],
     other: Bool[ndarray, "h w"],
     sides: Float32[ndarray, "h w"],
     likely: Float32[ndarray, "h w"],
-    hidden: Bool[ndarray, "h w"],
 ) -> Bool[ndarray, "h w"]:
-    """Return what is in both masks, and the connected parts of one of them that ``sides`` and colours speak for."""
-    import cv2
-
-    found = one & other
-    for only in (one & ~other, other & ~one):
-        count, parts, about, _ = cv2.connectedComponentsWithStats(only.astype(np.uint8), connectivity=4)
-        sums = [np.bincount(parts.ravel(), each.ravel(), count) for each in (likely * ~hidden, ~hidden, sides)]
-        score = sums[0] / np.maximum(sums[1], 1.0) + SIDE_WEIGHT * sums[2] / np.maximum(about[:, cv2.CC_STAT_AREA], 1)
-        score[0] = -1.0  # what is not in such a part
-        found |= (score > 0.0)[parts]
-    return np.asarray(found)
+    """Return what is in both masks, and what ``sides`` and colours speak for of what is in one of them."""
+    cost = np.where(one ^ other, -(likely + SIDE_WEIGHT * sides), np.where(one, -SETTLED, SETTLED))
+    return cut(cost.astype(np.float32), edges(image), np.add(one, other, dtype=np.float32) / 2.0)
 
 
 def _unlike(some: Sequence[Carried], corner: tuple[int, int], size: tuple[int, int]) -> Float32[ndarray, "h w"]:

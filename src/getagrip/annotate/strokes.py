@@ -1,5 +1,7 @@
 """Segment the object from strokes, clicks or a box on one frame, by GrabCut; every stroke is obeyed.
 
+A click says little of the colours; pixels that move with it say more (``click_motion``).
+
 Rother, Kolmogorov, Blake, SIGGRAPH 2004. A stroke lies on the object ("on") or on what is not the object ("off"). If
 polygons are drawn on the frame as well, strokes correct them nearby, and they are kept elsewhere.
 """
@@ -9,10 +11,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Float32, Int, UInt8
 from numpy import ndarray
 
 from getagrip.annotate.carried_masks import Hands, Image, Images
+from getagrip.annotate.click_motion import moves_with_click
 from getagrip.annotate.colour_cut import Colours, bins, likelier
 from getagrip.annotate.labels import HAND, OBJECT, FrameLabels, Labels
 from getagrip.errors import UsageError
@@ -28,6 +31,8 @@ LEAST, MOST = 0.25, 0.45
 side; from a single click, no farther than the larger one."""
 CLICK = 0.05
 """Strokes of an extent less than this share are a click."""
+MOVES, STILL = 0.15, -1.5
+"""Pixels with more than this share of the click's motion may be the object's; below the second, the ground's."""
 NEAR = 0.12
 """Polygons are corrected within this share of the image's shorter side from a stroke."""
 ROUNDS = 5
@@ -40,14 +45,28 @@ def key_masks(labels: Labels, image: Images, hand: Hands = lambda _: None) -> di
     for n in maps:
         frame = labels.frames[n]
         if frame.on or frame.off:
-            maps[n] = stroked(image(n), maps[n], frame, hand(n))
+            maps[n] = stroked(image(n), maps[n], frame, hand(n), _motion(labels, n, image, hand(n)))
     return maps
 
 
+def _motion(labels: Labels, n: int, image: Images, hand: Bool[ndarray, "h w"] | None) -> Float32[ndarray, "H W"] | None:
+    """Return what moves with the clicks on a frame; None where polygons or longer strokes say more."""
+    frame, shape = labels.frames[n], labels.size[::-1]
+    on = _painted(frame.on or (), shape)
+    if frame.object or not on.any() or max(map(np.ptp, np.nonzero(on))) >= CLICK * min(shape):
+        return None
+    seen = np.zeros(shape, bool) if hand is None else _resized(hand, shape)
+    return moves_with_click(image, n, (labels.first, labels.last), on, seen)
+
+
 def stroked(
-    image: Image, drawn: UInt8[ndarray, "H W"], frame: FrameLabels, hand: Bool[ndarray, "h w"] | None = None
+    image: Image,
+    drawn: UInt8[ndarray, "H W"],
+    frame: FrameLabels,
+    hand: Bool[ndarray, "h w"] | None = None,
+    motion: Float32[ndarray, "H W"] | None = None,
 ) -> UInt8[ndarray, "H W"]:
-    """Return a frame's label map, ``drawn`` so far by polygons, after its strokes."""
+    """Return a frame's label map, ``drawn`` so far by polygons, after its strokes; ``motion``: see ``click_motion``."""
     import cv2
 
     shape = drawn.shape
@@ -55,6 +74,9 @@ def stroked(
     seen = np.zeros(shape, bool) if hand is None else _resized(hand, shape)
     no_object = off | ((drawn != 0) & (drawn != OBJECT)) | (seen & (drawn != OBJECT))
     start = None
+    if motion is not None:
+        start = np.where(motion > MOVES, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
+        start[motion < STILL] = cv2.GC_BGD
     if (drawn == OBJECT).any():
         near = cv2.distanceTransform((~(on | off)).astype(np.uint8), cv2.DIST_L2, 3) < NEAR * min(shape)
         start = np.where(drawn == OBJECT, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)

@@ -33,8 +33,11 @@ MOST = {64: 40, 128: 60, 256: 100}
 UNIT = 2.0
 """Metric depth that shows the hand this many times as far away as it is given, or as near, is not used."""
 OFF = 1.6
-"""Usual deviation of depth from the surfaces that were found, at most [in what it may err by]; of the truth it is 0.6
-to 1.4 on training clips, and 1.4 to 2.1 where depth is warped by 30 %, 2.8 to 3.3 for that of another clip."""
+"""Usual deviation of depth from the surfaces that were found, its warp apart, at most [in what it may err by]; 0.4 to 1
+on training clips, 1 to 3.6 for depth of another clip."""
+WARPED = 0.03
+"""Usual warp over object and hand, at most [share of the distance]: at most 0.021 on training clips, 0.05 to 0.16 where
+depth is warped by 30 %, but for one of 36."""
 
 
 def hand_ratio(it: Evidence) -> float:
@@ -74,18 +77,27 @@ def _shares(it: Evidence) -> tuple[float, float]:
 
 
 def misfit(it: Evidence) -> float:
-    """Measure how far depth is off the surfaces that were found, its own scale apart, in what it may err by.
+    """Measure how far depth is off the surfaces that were found, its own scale and warp apart, in what it may err by.
 
     NaN of depth that is not used.
     """
+    return _off(it)[0]
+
+
+def warp(it: Evidence) -> float:
+    """Measure how far depth is found to be warped over object and hand [share of the distance]; NaN as ``misfit``."""
+    return _off(it)[1]
+
+
+def _off(it: Evidence) -> tuple[float, float]:
     depth = DepthImages().of(it.clip)
     if depth is None or it.T_hand_obj is None:
-        return np.nan
+        return np.nan, np.nan
     from getagrip.fitting.depth_samples import deviation_at, samples_of
 
     samples = samples_of(it.clip, it.masks, depth, MOST[128])
-    if is_of_another_unit(depth, samples):
-        return np.nan
+    if is_of_another_unit(depth, samples) or not samples.weight.any():
+        return np.nan, np.nan
     return deviation_at(it.clip, samples, depth.source, it.T_hand_obj, it.scale)
 
 
@@ -117,6 +129,15 @@ class DepthImages(Modality[Depth]):
             serious=False,
             fault="depth is off the surfaces that were found by {value} times what it may err by, and counted little",
             advice="is it of this clip? A wrong hand or mesh is off likewise",
+        ),
+        Check(
+            "depth-warped",
+            warp,
+            high=WARPED,
+            serious=False,
+            shown=percent,
+            fault="depth is warped by {value} over hand and object, which was left out",
+            advice="is it of this clip, and of a network that knows such scenes?",
         ),
     )
 

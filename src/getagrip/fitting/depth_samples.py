@@ -35,6 +35,7 @@ def errors_of(source: DepthSource) -> DepthErrors:
         frame=free if source.scale == "frame" else 0.001 if sensor else 0.012,
         relief=0.02 if sensor else 0.15,
         apart=0.003 if sensor else 0.008,
+        warp=0.0003 if sensor else 0.01,
     )
 
 
@@ -116,12 +117,15 @@ def hand_ratio_of(samples: DepthSamples) -> float:
 
 def deviation_at(
     clip: Clip, samples: DepthSamples, source: DepthSource, T_hand_obj: Float[ndarray, "T 4 4"], scale: float
-) -> float:
-    """Return how far depth is off an object in the given hand, root mean square, in what it may err by."""
+) -> tuple[float, float]:
+    """Return how far depth is off an object in the given hand, and how far it is warped, root mean squares.
+
+    The first in what it may err by, its warp apart; the second as a share of the distance.
+    """
     T, mesh = clip.hand.T_cam_hand @ T_hand_obj, decimate(clip.mesh, 500)
     centre = se3.transform(T, scale * clip.mesh.centre[None, None])[:, 0]
     poses = PosesInCamera(np.ascontiguousarray(T[None, :, :3, :3]), centre[None], np.array([scale]))
     hand = Solid.of(clip.hand.vertices, clip.hand.faces)
     solid = Solid.of(mesh.vertices[None] - clip.mesh.centre, mesh.faces)
     term = DepthTerm(solid, hand, samples, errors_of(source), 1.0)
-    return float(np.sqrt(term.squared_deviations(poses)[0] / (2.0 * INDEPENDENT)))
+    return float(np.sqrt(term.squared_deviations(poses)[0] / (2.0 * INDEPENDENT))), float(term.warp(poses)[0])

@@ -36,7 +36,7 @@ object it is, of which there were none, so that its probability is carried over 
 APART = 0.14
 """Distance by which alternatives of a hand move the object in it [diameters]; a pose is right within 0.1. Chosen on
 training clips."""
-WRONG_EVIDENCE = "depth-elsewhere", "depth-misfit"
+WRONG_EVIDENCE = "depth-elsewhere", "depth-misfit", "depth-warped"
 """Findings that next to no result of the calibration had: with them no share of right results can be promised."""
 UNSOLVED = 0.03
 """Spread of an object in an estimated hand that was not solved with it [m]: the measured errors (docs/datasets.md)."""

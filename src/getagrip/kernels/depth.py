@@ -7,6 +7,8 @@ import numpy as np
 from getagrip.compiling import kernel
 from getagrip.kernels.silhouette import project
 
+WARP_TAIL = 2.0
+"""Degrees of freedom of the errors that warp depth: nearly always small, and in wrong depth any."""
 LEAST_COSINE = 0.1
 """Samples whose ray meets the surface at a smaller cosine with its normal count as missed: they say where, not how far.
 """
@@ -117,97 +119,118 @@ def _between(low, high, size):
 
 
 @kernel()
-def profile(r, weight, relief, on_hand, priors, sigma, tail, rounds, exact, u, left, sums, A, of_clip, of_frame):
+def profile(r, weight, modes, priors, rigid, sigma, tail, rounds, exact, u, left, sums, A, of_clip, of_frame):
     """Fit the errors of depth images to r (N, M) by iteratively reweighted least squares.
 
-    Minimises ``sum of weight tail^2 log(1 + (left / (tail sigma))^2)`` and of ``prior error^2``, where ``left`` (N, M)
-    is r without the errors: of_clip (3,) times relief, on_hand and 1, and of_frame (N,). ``priors`` are theirs (4,),
-    sigma is that of each sample (N, M). Ends after ``rounds``, or when of_frame changes by less than ``exact``. Fills
-    in ``left``, the weights ``u`` (N, M) of least squares, their ``sums`` (N, 8), and the normal matrix A (3, 3) of
-    of_clip, below its diagonal.
+    Minimises ``sum of weight tail^2 log(1 + (left / (tail sigma))^2)`` and the ``prior_cost`` of the errors, where
+    ``left`` (N, M) is r without them: of_clip (K,) times ``modes`` (N, K, M), and of_frame (N,). sigma (N, M) is each
+    sample's. Ends after ``rounds``, or when no error changes by more than ``exact``. Fills in ``left``, the weights
+    ``u`` (N, M) of least squares, their ``sums`` (N, K + 2), and the factor A (K, K) of the normal matrix of of_clip
+    (``_factorise``).
     """
-    N, M = r.shape
-    y = np.empty(3)
+    (N, M), K = r.shape, len(of_clip)
+    y, weighted = np.empty(K), np.empty(M)
     of_clip[:], of_frame[:] = 0.0, 0.0
     for n in range(N):
         for m in range(M):
             u[n, m] = weight[n, m] / sigma[n, m] ** 2
     for _ in range(rounds):
-        _normal(r, u, relief, on_hand, priors, sums, A, y)
-        _solve(A, y, of_clip)
-        g, h, a, change = of_clip[0], of_clip[1], of_clip[2], 0.0
+        _normal(r, u, modes, priors, rigid, of_clip, sums, A, y, weighted)
+        forward(A, y)
+        change = 0.0
+        for k in range(K - 1, -1, -1):
+            for o in range(k + 1, K):
+                y[k] -= A[o, k] * y[o]
+            y[k] /= A[k, k]
+            change = max(change, abs(y[k] - of_clip[k]))
+            of_clip[k] = y[k]
         for n in range(N):
-            b = (sums[n, 5] - sums[n, 1] * g - sums[n, 2] * h - sums[n, 0] * a) / (sums[n, 0] + priors[3])
+            b = (sums[n, K + 1] - dot(of_clip, sums[n])) / sums[n, K]
             change = max(change, abs(b - of_frame[n]))
             of_frame[n] = b
             for m in range(M):
-                left[n, m] = r[n, m] - g * relief[n, m] - h * on_hand[n, m] - a - b
+                left[n, m] = r[n, m] - b
+            for k in range(K):
+                add(left[n], -of_clip[k], modes[n, k])
             for m in range(M):
                 u[n, m] = weight[n, m] / (sigma[n, m] ** 2 + (left[n, m] / tail) ** 2)
         if change < exact:
             break
-    _normal(r, u, relief, on_hand, priors, sums, A, y)
+    _normal(r, u, modes, priors, rigid, of_clip, sums, A, y, weighted)
 
 
 @kernel()
-def _normal(r, u, relief, on_hand, priors, sums, A, y):
-    """Fill in the normal equations of of_clip, those of each of_frame eliminated: A (3, 3) below its diagonal, y (3,).
+def prior_cost(of_clip, priors, rigid):
+    """Compute the cost of the errors that all frames share, and the prior of squares that has the slope of the warps'.
 
-    The sums over a frame's samples are those of u times 1, d, h, d d, d h, r, d r, h r, with d the relief and h 1 on
-    the hand, else 0.
+    Warps are the errors after the first ``rigid``: Student's t. ``priors`` (K + 1,) are those of squares.
     """
+    total, warps = 0.0, 0.0
+    for k in range(len(of_clip)):
+        square = priors[k] * of_clip[k] ** 2
+        if k < rigid:
+            total += square
+        else:
+            warps += square
+    return total + WARP_TAIL * np.log1p(warps / WARP_TAIL), priors[rigid] / (1.0 + warps / WARP_TAIL)
+
+
+@kernel()
+def _normal(r, u, modes, priors, rigid, of_clip, sums, A, y, weighted):
+    """Fill in the normal equations of of_clip, those of each of_frame eliminated: y (K,), and the factor of A (K, K).
+
+    The sums of a frame are those of u times each mode, of u and its prior, and of u r. Work space: weighted (M,).
+    """
+    (N, M), K = r.shape, len(of_clip)
     A[:], y[:] = 0.0, 0.0
-    A[0, 0], A[1, 1], A[2, 2] = priors[0], priors[1], priors[2]
-    for n in range(len(r)):
-        s = sd = sh = sdd = sdh = sr = sdr = shr = 0.0
-        for m in range(r.shape[1]):
-            w, d, e = u[n, m], relief[n, m], r[n, m]
-            h = w * on_hand[n, m]
-            s += w
-            sd += w * d
-            sh += h
-            sdd += w * d * d
-            sdh += h * d
-            sr += w * e
-            sdr += w * d * e
-            shr += h * e
-        sums[n, 0], sums[n, 1], sums[n, 2], sums[n, 3] = s, sd, sh, sdd
-        sums[n, 4], sums[n, 5], sums[n, 6], sums[n, 7] = sdh, sr, sdr, shr
-        w = s + priors[3]
-        A[0, 0] += sdd - sd * sd / w
-        A[1, 0] += sdh - sd * sh / w
-        A[1, 1] += sh - sh * sh / w
-        A[2, 0] += sd - sd * s / w
-        A[2, 1] += sh - sh * s / w
-        A[2, 2] += s - s * s / w
-        y[0] += sdr - sd * sr / w
-        y[1] += shr - sh * sr / w
-        y[2] += sr - s * sr / w
+    _, wide = prior_cost(of_clip, priors, rigid)
+    for k in range(K):
+        A[k, k] = priors[k] if k < rigid else wide
+    for n in range(N):
+        sums[n, K], sums[n, K + 1] = priors[K], dot(u[n], r[n])
+        for m in range(M):
+            sums[n, K] += u[n, m]
+        for k in range(K):
+            for m in range(M):
+                weighted[m] = u[n, m] * modes[n, k, m]
+            sums[n, k] = dot(u[n], modes[n, k])
+            f = sums[n, k] / sums[n, K]
+            y[k] += dot(weighted, r[n]) - f * sums[n, K + 1]
+            for o in range(k + 1):
+                A[k, o] += dot(weighted, modes[n, o]) - f * sums[n, o]
+    _factorise(A)
 
 
 @kernel()
-def _solve(A, y, x):
-    """Solve ``A x = y`` for a positive definite A (3, 3), of which the lower half is given."""
-    a, b, c, d, e, f = cholesky(A)
-    t0, t1, t2 = forward(a, b, c, d, e, f, y[0], y[1], y[2])
-    x[2] = t2 / f
-    x[1] = (t1 - e * x[2]) / d
-    x[0] = (t0 - b * x[1] - c * x[2]) / a
+def _factorise(A):
+    """Replace a positive definite A (K, K), of which the lower half is given, by the lower L of ``A = L L^T``."""
+    for k in range(len(A)):
+        for o in range(k + 1):
+            for j in range(o):
+                A[k, o] -= A[k, j] * A[o, j]
+            A[k, o] = np.sqrt(A[k, k]) if o == k else A[k, o] / A[o, o]
 
 
 @kernel()
-def cholesky(A):
-    """Return the lower triangle L of ``A = L L^T`` (3, 3), row by row within columns: L00, L10, L20, L11, L21, L22."""
-    a = np.sqrt(A[0, 0])
-    b, c = A[1, 0] / a, A[2, 0] / a
-    d = np.sqrt(A[1, 1] - b * b)
-    e = (A[2, 1] - b * c) / d
-    return a, b, c, d, e, np.sqrt(A[2, 2] - c * c - e * e)
+def forward(L, y):
+    """Replace y (K,) by the x of ``L x = y``."""
+    for k in range(len(y)):
+        for o in range(k):
+            y[k] -= L[k, o] * y[o]
+        y[k] /= L[k, k]
 
 
 @kernel()
-def forward(a, b, c, d, e, f, y0, y1, y2):
-    """Solve ``L t = y``, L as ``cholesky`` returns it."""
-    t0 = y0 / a
-    t1 = (y1 - b * t0) / d
-    return t0, t1, (y2 - c * t0 - e * t1) / f
+def add(y, a, x):
+    """Add a times x to y, as many of its numbers as y has."""
+    for k in range(len(y)):
+        y[k] += a * x[k]
+
+
+@kernel()
+def dot(x, y):
+    """Return the product of x with as many numbers of y."""
+    total = 0.0
+    for k in range(len(x)):
+        total += x[k] * y[k]
+    return total

@@ -1,4 +1,4 @@
-"""Whether a hand is a left or a right one: by some of its sightings, and those of their mirror images.
+"""The side of a hand, left or right, by some of its sightings, and those of their mirror images.
 
 The network is less sure of left hands than of right ones, and of hands whose palm an object hides. Its bias cancels
 out, since each sighting is compared with one in the mirror image, where the hand must be one of the other side. What it
@@ -30,7 +30,7 @@ Side = Literal["left", "right"]
 
 
 class Handedness(NamedTuple):
-    """What some frames say of a hand's side."""
+    """The evidence of some frames on a hand's side."""
 
     odds: tuple[float, ...]
     """Log odds of a right hand, in each of them."""
@@ -54,7 +54,7 @@ class Handedness(NamedTuple):
 
     @property
     def source(self) -> Source:
-        """How the side is known: assumed, where the frames hardly agree."""
+        """Source of the side: assumed, where the frames hardly agree."""
         least, share = SURE
         if abs(self.mean) < least or self.alike < share * len(self.odds):
             other = "left" if self.side == "right" else "right"

@@ -79,7 +79,7 @@ class Letterbox(NamedTuple):
 
 
 def lit(image: Float32[ndarray, "H W 3"]) -> Float32[ndarray, "H W 3"]:
-    """Lighten a dark image (0 to 1): the networks have not learnt such."""
+    """Scale a dark image (0 to 1) up: the networks have not learnt such."""
     high = float(np.quantile(image[::4, ::4], BRIGHT))
     return image if high >= DARK else np.minimum(image * np.float32(LIT / max(high, LIT / MOST)), np.float32(1.0))
 

@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy import ndarray
+from scipy.optimize import minimize
 
 from getagrip.fitting.energy import HandInCamera, ObjectWithHand, PosesInCamera, no_bound
 from getagrip.fitting.energy import depth as depth_term
-from getagrip.fitting.energy.depth import DepthErrors, DepthSamples, DepthTerm
+from getagrip.fitting.energy.depth import RIGID, DepthErrors, DepthSamples, DepthTerm
 from getagrip.geometry import se3
+from getagrip.kernels.depth import WARP_TAIL
 from helpers.depth_terms import FREE, METRIC, MIDDLE, N, poses, seen, term
 from helpers.terms import is_trustworthy
 
@@ -148,3 +150,41 @@ def test_an_object_behind_the_camera_is_no_solution() -> None:
     samples, of_object, _ = scene(7)
     behind = replace(of_object, centre=-of_object.centre)
     assert np.isinf(term(samples, METRIC)(behind, no_bound(behind)).value).all()
+
+
+def warped(samples: DepthSamples, by: float) -> DepthSamples:
+    """Depth that is ``by`` farther at one corner of the image, and as much nearer at the other one."""
+    return replace(samples, log_z=samples.log_z + by * (samples.modes[:, RIGID] + samples.modes[:, RIGID + 1]) / 2.0)
+
+
+@pytest.mark.parametrize("by", [-0.3, 0.03, 0.3])
+def test_a_warp_costs_no_more_than_its_prior(by: float) -> None:
+    samples, of_object, hand = scene(8)
+    there = with_hand(of_object, hand)
+    one, other = term(samples, METRIC), term(warped(samples, by), METRIC)
+    prior = WARP_TAIL * np.log1p(2.0 * (by / 2.0 / METRIC.warp) ** 2 / WARP_TAIL)
+    assert N * (other.squared_deviations(there) - one.squared_deviations(there))[0] < 1.2 * prior
+
+
+def test_warped_depth_hardly_turns_the_hand_and_is_said() -> None:
+    samples, _, _ = scene(9, noise=0.0)
+    of_object, hand = true_poses(9)
+
+    def turn(samples: DepthSamples, errors: DepthErrors) -> tuple[float, float]:
+        """How far depth alone turns the hand from where it is, and its warp."""
+        one = term(samples, errors)
+
+        def there(w: ndarray) -> ObjectWithHand:
+            step = np.zeros((N, 7))
+            step[:, 3:6] = w
+            return with_hand(of_object, turned(hand, step))
+
+        found = minimize(lambda w: one(there(w), np.array([np.inf])).value.sum(), np.zeros(3), method="Powell").x
+        return float(np.linalg.norm(found)), float(one.warp(there(found))[0])
+
+    (_, none), (moved, warp) = turn(samples, METRIC), turn(warped(samples, 0.3), METRIC)
+    stiff, _ = turn(warped(samples, 0.3), replace(METRIC, warp=1e-5))
+    assert moved < 0.03
+    assert moved < 0.2 * stiff
+    assert none < 0.003
+    assert warp > 0.03

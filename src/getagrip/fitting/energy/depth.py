@@ -2,19 +2,21 @@
 
 At a sample, r = log z - log z' compares the distance z of the posed surface with the z' of the image, which errs by
 
-    r = a + b_n + g d + h + noise
+    r = a + b_n + g d + h + warp + noise
 
 a factor of the clip (a) and of the frame (b_n), a relief that is too flat or too deep (g, times the sample's own relief
-d), a hand that is off against the object (h, on the hand), and noise with heavy tails. Each of a, b_n, g, h has a prior
-of zero mean and a given deviation: that of a is small where depth is metric, and large where its scale is unknown. The
-energy is its minimum over all of them (they are *profiled out*): with Student's log for the noise,
+d), a hand that is off against the object (h, on the hand), a warp (a polynomial over the image, the same in all
+frames), and noise with heavy tails. Each has a prior of zero mean and a given deviation: that of a is small where depth
+is metric, and large where its scale is unknown; the warp's has heavy tails, so that one larger than hands are off costs
+little, and moves nothing. The energy is its minimum over all of them (they are *profiled out*): with Student's log for
+the noise,
 
-    Q = min  sum over n, i of w_ni c^2 log(1 + (r - a - b_n - g d - h)^2 / (c sigma)^2) + squares of the priors
+    Q = min  sum over n, i of w_ni c^2 log(1 + (r - a - b_n - g d - h - warp)^2 / (c sigma)^2) + costs of the priors
     E = weight * N kappa log(1 + Q / (N kappa))
 
-At the minimum the derivatives of Q by a, b_n, g and h vanish, so the gradient of Q is that at fixed ones; its curvature
-is less, and ties all frames to each other (Schur complement). The outer logarithm lets depth count the less the worse
-it fits at its best: that of another scene, or a warped one.
+At the minimum the derivatives of Q by the errors vanish, so the gradient of Q is that at fixed ones; its curvature is
+less, and ties all frames to each other (Schur complement). The outer logarithm lets depth count the less the worse it
+fits at its best: that of another scene.
 
 Without a moving hand the hand's samples say what a is, as well as the given hand is known: sigma is larger there.
 """
@@ -22,6 +24,7 @@ Without a moving hand the hand's samples say what a is, as well as the given han
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -31,10 +34,12 @@ from getagrip.compiling import kernel
 from getagrip.fitting.energy.hand_term import ObjectWithHand
 from getagrip.fitting.energy.term import PosesInCamera, Quadratic, no_bound
 from getagrip.geometry.mesh import Mesh
-from getagrip.kernels.depth import cholesky, distances, forward, profile
+from getagrip.kernels.depth import add, distances, dot, forward, prior_cost, profile
 
 TAIL = 2.5
 """c: errors count less and less beyond this many deviations."""
+RIGID = 3
+"""Errors of a clip before its warp: g, h, a."""
 KAPPA = 20.0
 """Misfit of a frame at which depth counts half [squared deviations]."""
 MISSED = 0.1
@@ -44,19 +49,20 @@ FIXED_HAND, FIXED_SURFACE = 0.02, 0.015
 and what 0.28 rad do to a surface 5 cm from the middle, at arm's length."""
 ROUNDS = 12
 """Most iterations by which the image's errors are found (iteratively reweighted least squares)."""
-EXACT = 1e-3
+EXACT = 1e-2
 """They are found when none moves by more [deviations of the noise]."""
 
 
 @dataclass(frozen=True)
 class DepthErrors:
-    """Deviations of what a depth image may err by, as shares of the distance: sigma, a, b_n, h; and of relief: g."""
+    """Deviations of what a depth image may err by, as shares of the distance: sigma, a, b_n, h, warp; of relief: g."""
 
     noise: float
     clip: float
     frame: float
     relief: float
     apart: float
+    warp: float
 
 
 @dataclass(frozen=True)
@@ -83,6 +89,16 @@ class DepthSamples:
     relief: Float[ndarray, "N M"]
     weight: Float[ndarray, "N M"]
     input: Float[ndarray, "N M"]
+
+    @cached_property
+    def modes(self) -> Float[ndarray, "N K M"]:
+        """Form of each error that all frames share: relief, the hand, a factor, and warps of the image."""
+        y, x = np.moveaxis((2 * self.place + 1) / self.size - 1.0, -1, 0)
+        on_hand = np.arange(x.shape[1]) >= self.on_object[:, None]
+        warps = np.stack([x, y, x * x, x * y, y * y])
+        total = np.maximum(self.weight.sum(axis=1), 1e-9)  # of frames without samples
+        warps -= ((self.weight * warps).sum(axis=-1) / total)[..., None]  # else they were a factor as well
+        return np.stack([self.relief, on_hand, np.ones_like(x), *warps], axis=1)
 
     def take(self, index: Int[ndarray, "n"]) -> DepthSamples:
         """Return the samples of some of the frames."""
@@ -144,7 +160,17 @@ class DepthTerm:
         total = self(poses, no_bound(poses)).value.mean(axis=1) / self.weight
         return np.asarray(KAPPA * np.expm1(total / KAPPA))
 
+    def warp(self, poses: PosesInCamera) -> Float[ndarray, "B"]:
+        """Return how far the images are found to be warped, root mean square over samples [share of the distance]."""
+        of_clip, warps = self._fitted(poses, no_bound(poses))[1][:, RIGID:], self.samples.modes[:, RIGID:]
+        off = np.einsum("bk,nkm->bnm", of_clip, warps)
+        return np.sqrt(np.average(off.reshape(len(off), -1) ** 2, axis=1, weights=self.samples.weight.ravel()))
+
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
+        return self._fitted(poses, bound)[0]
+
+    def _fitted(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> tuple[Quadratic, Float[ndarray, "B K"]]:
+        """Return the term, and the errors that all frames share (``DepthSamples.modes``)."""
         (B, N), s, o = poses.centre.shape[:2], self.samples, self.object
         moves = isinstance(poses, ObjectWithHand)
         hand, solid = poses, self.hand
@@ -152,43 +178,45 @@ class DepthTerm:
             hand, solid = poses.hand, self.hand.about(poses.hand.middle)
         P = 14 if moves else 7
         q = replace(Quadratic.zero(poses, P), cross=np.zeros((B, N, P, N, P)))
-        of_clip, of_frame, left = np.zeros((B, 3)), np.zeros((B, N)), np.zeros((B, *s.log_z.shape))
-        apart = self.errors.apart if moves else np.hypot(self.errors.apart, FIXED_HAND)
+        K, e = s.modes.shape[1], self.errors
+        of_clip, of_frame, left = np.zeros((B, K)), np.zeros((B, N)), np.zeros((B, *s.log_z.shape))
+        apart = e.apart if moves else np.hypot(e.apart, FIXED_HAND)
         surface = 0.0 if moves else FIXED_SURFACE
-        sigma = np.array([self.errors.noise, np.hypot(self.errors.noise, surface)])
-        priors = np.array([self.errors.relief, apart, self.errors.clip, self.errors.frame]) ** -2.0
+        sigma = np.array([e.noise, np.hypot(e.noise, surface)])
+        priors = np.array([e.relief, apart, e.clip, *[e.warp] * (K - RIGID), e.frame]) ** -2.0
         _evaluate(
             poses.R, poses.centre, poses.scale, o.vertices, o.planes, o.faces, o.closed,
             hand.R, hand.centre, hand.scale, solid.vertices, solid.planes, solid.faces, solid.closed, moves,
-            s.K, s.size, s.place, s.on_object, s.used, s.log_z, s.relief, s.weight, s.input,
-            priors, sigma, self.weight, EXACT * self.errors.noise, ROUNDS, bound,
+            s.K, s.size, s.place, s.on_object, s.used, s.log_z, s.modes, s.weight, s.input,
+            priors, sigma, self.weight, EXACT * e.noise, ROUNDS, bound,
             q.value, q.g, q.H, q.cross, of_clip, of_frame, left,
         )  # fmt: skip
-        return q
+        return q, of_clip
 
 
-@kernel("f4 f3 f1 f3 f3 i2 b f4 f3 f1 f3 f3 i2 b b f2 i i3 i1 i1 f2 f2 f2 f2 f1 f1 f f i f1 f2 f3 f4 f5 f2 f2 f3")
+@kernel("f4 f3 f1 f3 f3 i2 b f4 f3 f1 f3 f3 i2 b b f2 i i3 i1 i1 f2 f3 f2 f2 f1 f1 f f i f1 f2 f3 f4 f5 f2 f2 f3")
 def _evaluate(
     R, centre, scale, vertices, planes, faces, closed,
     hand_R, hand_centre, hand_scale, hand_vertices, hand_planes, hand_faces, hand_closed, moves,
-    K, size, place, on_object, used, log_z, relief, weight, given,
+    K, size, place, on_object, used, log_z, modes, weight, given,
     priors, sigma, unit, exact, rounds, bound,
     value, g, H, cross, of_clip, of_frame, left,
 ):  # fmt: skip
     """Fill in value (B, N), g (B, N, P), H (B, N, P, P), cross (B, N, P, N, P).
 
-    Work space: of_clip (B, 3) g, h and a; of_frame (B, N) b_n; left (B, N, M) what is left of r, 0 where a ray misses.
+    Work space: of_clip (B, K) errors by ``modes``; of_frame (B, N) b_n; left (B, N, M) what is left of r, 0 where
+    a ray misses.
     """
     B, N = value.shape
-    M, P = log_z.shape[1], g.shape[2]
+    M, C, P = log_z.shape[1], modes.shape[1], g.shape[2]
     uvz, hand_uvz = np.empty((3, vertices.shape[2])), np.empty((3, hand_vertices.shape[2]))
     nearest, face = np.empty((size, size)), np.empty((size, size), np.int64)
-    r, u, w, on_hand, J = np.empty((N, M)), np.empty((N, M)), np.empty((N, M)), np.zeros((N, M)), np.empty((N, M, 7))
-    sums, A, tied = np.empty((N, 8)), np.empty((3, 3)), np.empty((N, 3, P))
+    r, u, w, J = np.empty((N, M)), np.empty((N, M)), np.empty((N, M)), np.empty((N, M, 7))
+    sums, A, tied = np.empty((N, C + 2)), np.empty((C, C)), np.empty((N, P, C))
     missed, sigmas = TAIL**2 * np.log1p((MISSED / (TAIL * sigma[0])) ** 2), np.full((N, M), sigma[0])
     most = KAPPA * N
     for n in range(N):
-        on_hand[n, on_object[n] :], sigmas[n, on_object[n] :] = 1.0, sigma[1]
+        sigmas[n, on_object[n] :] = sigma[1]
     for b in range(B):
         if not bound[b] >= 0.0:  # the step is rejected, whatever depth says
             continue
@@ -213,13 +241,11 @@ def _evaluate(
         if not there:
             value[b] = np.inf
             continue
-        profile(
-            r, w, relief, on_hand, priors, sigmas, TAIL, rounds, exact, u, left[b], sums, A, of_clip[b], of_frame[b]
-        )
-        shared = (priors[0] * of_clip[b, 0] ** 2 + priors[1] * of_clip[b, 1] ** 2 + priors[2] * of_clip[b, 2] ** 2) / N
+        profile(r, w, modes, priors, RIGID, sigmas, TAIL, rounds, exact, u, left[b], sums, A, of_clip[b], of_frame[b])
+        shared = prior_cost(of_clip[b], priors, RIGID)[0] / N
         total = 0.0
         for n in range(N):
-            cost = shared + priors[3] * of_frame[b, n] ** 2
+            cost = shared + priors[C] * of_frame[b, n] ** 2
             for m in range(M):
                 if w[n, m] == 0.0:
                     left[b, n, m] = 0.0
@@ -230,19 +256,18 @@ def _evaluate(
             total += cost
         value[b] *= unit * most * np.log1p(total / most) / total
         slope = 2.0 * unit / (1.0 + total / most)
-        _derive(slope, J, u, left[b], relief, on_object, used, moves, priors[3], sums, A, tied, g[b], H[b], cross[b])
+        _derive(slope, J, u, left[b], modes, on_object, used, moves, sums, A, tied, g[b], H[b], cross[b])
 
 
 @kernel()
-def _derive(slope, J, u, left, relief, on_object, used, moves, prior, sums, A, tied, g, H, cross):
-    """Fill in g (N, P), H (N, P, P) and cross (N, P, N, P) of a hypothesis. Work space: tied (N, 3, P).
+def _derive(slope, J, u, left, modes, on_object, used, moves, sums, L, tied, g, H, cross):
+    """Fill in g (N, P), H (N, P, P) and cross (N, P, N, P) of a hypothesis. Work space: tied (N, P, K).
 
     Of the curvature at fixed errors of the images, profiling takes off ``F^T F`` in each frame, for its own error, and
     between all frames, for those of the clip.
     """
     N, P = g.shape
     F = np.empty(P)
-    L = cholesky(A)
     for n in range(N):
         F[:], tied[n] = 0.0, 0.0
         for m in range(used[n]):
@@ -254,27 +279,19 @@ def _derive(slope, J, u, left, relief, on_object, used, moves, prior, sums, A, t
                 wJ = w * J[n, m, p]
                 g[n, start + p] += slope * wJ * left[n, m]
                 F[start + p] += wJ
-                tied[n, 0, start + p] += wJ * relief[n, m]
-                tied[n, 1, start + p] += wJ * hand
+                add(tied[n, start + p], wJ, modes[n, :, m])
                 for q in range(p + 1):
                     H[n, start + p, start + q] += slope * wJ * J[n, m, q]
-        s = sums[n, 0] + prior
+        s = sums[n, len(L)]
         for p in range(P):
-            tied[n, 0, p], tied[n, 1, p], tied[n, 2, p] = forward(
-                *L, tied[n, 0, p] - sums[n, 1] * F[p] / s, tied[n, 1, p] - sums[n, 2] * F[p] / s, prior * F[p] / s
-            )
+            add(tied[n, p], -F[p] / s, sums[n])
+            forward(L, tied[n, p])
         for p in range(P):
             for q in range(p + 1):
-                H[n, p, q] -= slope * (F[p] * F[q] / s + _dot(tied[n], p, tied[n], q))
+                H[n, p, q] -= slope * (F[p] * F[q] / s + dot(tied[n, p], tied[n, q]))
                 H[n, q, p] = H[n, p, q]
     for n in range(N):
         for o in range(n):
             for p in range(P):
                 for q in range(P):
-                    cross[n, p, o, q] = cross[o, q, n, p] = -slope * _dot(tied[n], p, tied[o], q)
-
-
-@kernel()
-def _dot(a, p, b, q):
-    """Product of column p of a (3, P) with column q of b."""
-    return a[0, p] * b[0, q] + a[1, p] * b[1, q] + a[2, p] * b[2, q]
+                    cross[n, p, o, q] = cross[o, q, n, p] = -slope * dot(tied[n, p], tied[o, q])

@@ -1,0 +1,69 @@
+"""Pixels that move with a clicked object, and not with its surroundings, in frames before and after the click.
+
+The surroundings are what lies far from the click and the hand. The object moves as the pixels at the click and the hand
+do, or in a way of its own: of that, a pixel far from both motions is no evidence beyond ``OTHER``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float32
+from numpy import ndarray
+
+from getagrip.annotate.carried_masks import BACK, Images
+from getagrip.annotate.object_motion import FLOW, flow, own_motion
+
+SIDE = 320
+"""Longer side of the images in which motion is looked at [px]."""
+STEPS = (-36, -24, -16, -8, -4, 4, 8, 16, 24, 36)
+"""Frames that are looked at, from the one of the click."""
+HERE, FAR = 0.05, 0.3
+"""Pixels nearer to the click are the object's, and those farther the surroundings', in shorter sides of the image."""
+BESIDE = 9
+"""Side of the square by which the hand is widened: its flow reaches beyond it [px]."""
+OTHER = 2.0
+"""Log ratio, by which a pixel moves rather as something of its own than as the object."""
+LEAST = 1.0
+"""Evidence at the click below which nothing has moved."""
+
+
+def moves_with_click(
+    images: Images, frame: int, interval: tuple[int, int], click: Bool[ndarray, "H W"], hand: Bool[ndarray, "H W"]
+) -> Float32[ndarray, "H W"] | None:
+    """Return the log ratio of the probabilities that a pixel moves with what was clicked, or with the surroundings.
+
+    It is in multiples of that at the click, but for the sign no less than 1 there. None where the click has not moved
+    in the frames of the ``interval``, ends included.
+    """
+    import cv2
+
+    def small(image: ndarray) -> ndarray:
+        return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+
+    shape = click.shape
+    size = tuple(max(16, round(length * min(1.0, SIDE / max(shape)))) for length in shape[::-1])
+    away = cv2.distanceTransform((small(click.astype(np.float32)) == 0).astype(np.uint8), cv2.DIST_L2, 3) / min(size)
+    held = small(hand.astype(np.float32)) > 0.5
+    here, around = away < HERE, cv2.dilate(held.astype(np.uint8), np.ones((BESIDE, BESIDE), np.uint8)) > 0
+    x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in size))
+    now, total = small(images(frame)), np.zeros(size[::-1], np.float32)
+    for other in (frame + step for step in STEPS if interval[0] <= frame + step <= interval[1]):
+        then = small(images(other))
+        back = flow(now, then)
+        came = x + back[..., 0], y + back[..., 1]
+        off = back + cv2.remap(flow(then, now), *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+        off = np.einsum("hwc,hwc->hw", off, off)
+        own, ground = (own_motion(x, y, came, each & (off < BACK**2)) for each in (here | held, (away > FAR) & ~around))
+        if own is None or ground is None:
+            continue
+        apart, still = (np.square(came[0] - each[0]) + np.square(came[1] - each[1]) for each in (own, ground))
+        noise = 1.0 + float(np.median(still[(away > FAR) & ~around]))
+        ratio = np.log1p(still / noise) - np.minimum(np.log1p(apart / FLOW**2), OTHER)
+        ratio = cv2.GaussianBlur((ratio / (1.0 + off / FLOW**2)).astype(np.float32), (0, 0), 2.0)
+        if np.median(ratio[here]) > 0.0:
+            total += ratio
+    at_click = float(np.median(total[here])) if here.any() else 0.0
+    if at_click < LEAST:
+        return None
+    whole = cv2.resize(total, shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return np.asarray(np.where(whole > 0.0, whole / at_click, whole), np.float32)
