@@ -34,6 +34,10 @@ from getagrip.metrics.pose import ObjectTrack, PoseErrors, best_symmetry, pose_e
 from getagrip.metrics.recall import SymmetricErrors
 from getagrip.metrics.symmetry import Symmetries, find_symmetries
 
+SHARED = 4
+"""Most ground truths whose distances are kept, the latest: of a clip, in all frames and in those fitted together."""
+_SHARED: dict[tuple[object, ...], ContactDistances] = {}
+
 
 class MissingPartError(Exception):
     """A part of a comparison that cannot be known here: metrics that are made of it are left out."""
@@ -113,14 +117,18 @@ class Comparison:
 
     @cached_property
     def true_distances(self) -> ContactDistances:
-        """Distances between the true object and the true hand."""
-        if self.clip.truth is None:
+        """Distances between the true object and the true hand; methods that are compared on a clip share them."""
+        clip, true = self.clip, self.true
+        if clip.truth is None:
             raise MissingPartError
-        clip = self.clip
-        (distances,) = contact_distances(
-            clip.mesh, [self.true], self.clip.truth.hand_vertices, clip.hand.faces, self.reach
-        )
-        return distances
+        arrays = clip.mesh.vertices, clip.mesh.faces, true.T_ref_obj, clip.truth.hand_vertices, clip.hand.faces
+        key = (*(array.tobytes() for array in arrays), true.scale, self.reach)
+        if (known := _SHARED.get(key)) is None:
+            (known,) = contact_distances(clip.mesh, [true], clip.truth.hand_vertices, clip.hand.faces, self.reach)
+            while len(_SHARED) >= SHARED:
+                _SHARED.pop(next(iter(_SHARED)))
+            _SHARED[key] = known
+        return known
 
     @cached_property
     def errors(self) -> PoseErrors:

@@ -219,24 +219,10 @@ class _ResultComparison(Comparison):
         track = self.predicted_in_camera
         return iou_of_poses(self.found, track.scale, track.T_ref_obj, self.clip.K, self.judged_masks)
 
-    @property
+    @cached_property
     def distances(self) -> ContactDistances:
-        return self._distances[0]
-
-    @cached_property
-    def true_distances(self) -> ContactDistances:
-        return self._distances[1] if len(self._distances) > 1 else super().true_distances
-
-    @cached_property
-    def _distances(self) -> list[ContactDistances]:
-        """Distances of the predicted object to the input hand, and of the true one to the true hand.
-
-        The latter are known where hand and mesh are the true ones.
-        """
-        clip, value = self.clip, self.clip.hand
-        same = clip.truth is not None and np.array_equal(clip.truth.hand_vertices, value.vertices)
-        tracks = [self.track, self.true] if same and self.found is clip.mesh else [self.track]
-        return contact_distances(self.found, tracks, value.vertices, value.faces, self.reach)
+        hand = self.clip.hand
+        return contact_distances(self.found, [self.track], hand.vertices, hand.faces, self.reach)[0]
 
 
 def clip_of(folder: Path, result: Reconstruction, record: Json, clips: str | Path | None) -> Clip:
