@@ -21,7 +21,7 @@ help:
 	@echo "make fuzz    change valid inputs of every reader for MINUTES=5, and keep what goes wrong as a test"
 	@echo "make docs    build the documentation as a site: site/index.html"
 	@echo "make wheel   build dist/, install the wheel into a fresh environment without the clone, and use it there"
-	@echo "make results DEXYCB=DIR YCB=DIR [OTHER=DIR]   measure the tables of a release, in an hour at most on two cores"
+	@echo "make results DEXYCB=DIR YCB=DIR [OTHER=DIR]   measure the tables of a release"
 	@echo "make bench   measure speed, into results/"
 	@echo "make lock    recompile requirements.lock from pyproject.toml"
 	@echo "make clean   remove the virtual environment and all caches"

@@ -1,4 +1,4 @@
-"""Measure the tables of a release, in an hour at most on two cores: ``python -m benchmarks.release DEXYCB YCB``.
+"""Measure the tables of a release: ``python -m benchmarks.release DEXYCB YCB``.
 
 DEXYCB and YCB are the folders of the dataset and of its models. The most important tables come first, and each is put
 into ``results/`` as soon as it is measured. Existing results in ``out/`` are kept, so the same call continues a run
@@ -21,7 +21,7 @@ DEXYCB = "getagrip bench dexycb --root DEXYCB --meshes YCB --out out/dexycb"
 BENCHES = {
     "dexycb-inputs": f"{DEXYCB} --ablation inputs",
     "dexycb-methods": DEXYCB,
-    "dexycb-evidence": f"{DEXYCB} --ablation evidence",
+    "dexycb-evidence": f"{DEXYCB} --ablation evidence --clips 24",
     "dexycb-hand-noise": f"{DEXYCB} --ablation hand-noise",
     "synthetic-methods": "getagrip bench synthetic --clips 99 --out out/synthetic",
     "dexycb-segments-none": "getagrip bench dexycb-segments --root DEXYCB --meshes YCB --clips 48 "
@@ -31,7 +31,7 @@ BENCHES = {
     "dexycb-other-final": "getagrip bench dexycb --root OTHER --meshes YCB --split all --out out/dexycb-other "
     "--ablation final",
     "dexycb-other-final-evidence": "getagrip bench dexycb --root OTHER --meshes YCB --split all --out out/dexycb-other "
-    "--ablation final-evidence",
+    "--ablation final-evidence --clips 48",
 }
 """By the name of the table that each makes.
 

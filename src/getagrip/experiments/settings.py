@@ -287,7 +287,6 @@ ABLATIONS: dict[str, Ablation] = {
         "Hands that are exact, off by 10 mm and 8°, or at the levels `strong` and `estimated`",
         None,
         INPUTS[:4],
-        (REFERENCE, "soft-hinge", "contact-consistency"),
     ),
     "final-evidence": Ablation(
         "Estimated hands, with 2D joints and depth simulated as they usually are",
