@@ -143,4 +143,6 @@ def main(out: Path, clips: Path, root: Path, meshes: Path, workers: int | None =
 
 
 if __name__ == "__main__":
+    if len(sys.argv) < 5:
+        sys.exit(__doc__)
     main(*map(Path, sys.argv[1:5]), *map(int, sys.argv[5:]))

@@ -229,4 +229,6 @@ def report(rows: Results) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) < 4:
+        sys.exit(__doc__)
     main(*map(Path, sys.argv[1:4]), int(sys.argv[4]) if len(sys.argv) > 4 else cores())
