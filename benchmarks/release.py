@@ -21,8 +21,7 @@ DEXYCB = "getagrip bench dexycb --root DEXYCB --meshes YCB --out out/dexycb"
 BENCHES = {
     "dexycb-inputs": f"{DEXYCB} --ablation inputs",
     "dexycb-methods": DEXYCB,
-    "dexycb-evidence": f"{DEXYCB} --ablation evidence --clips 24",
-    "dexycb-hand-noise": f"{DEXYCB} --ablation hand-noise",
+    "dexycb-wrong-evidence": f"{DEXYCB} --ablation wrong-evidence",
     "synthetic-methods": "getagrip bench synthetic --clips 99 --out out/synthetic",
     "dexycb-segments-none": "getagrip bench dexycb-segments --root DEXYCB --meshes YCB --clips 48 "
     "--out out/dexycb-segments",
@@ -35,8 +34,8 @@ BENCHES = {
 }
 """By the name of the table that each makes.
 
-Estimated for idle cores, in minutes of one: 21, 6, 25, 15, 8, 8, 6 and 22, and 6 for the imports. A row of a clip takes
-0.5 to 1 s, with other evidence 1.4 to 2.5 s (medians in ``results/``), a sequence 4 s in each direction.
+Estimated for two hardware threads of one core, in minutes: 31, 8, 6, 12, 4, 3, 20 and 7, and 4 for the imports. A row of
+a clip takes 2.6 s of a thread, with other evidence 4.2 s, evaluated and written.
 """
 
 

@@ -171,21 +171,12 @@ ABLATIONS: dict[str, Ablation] = {
             *map(_noise_level, ("moderate", "strong", "estimated")),
         ),
     ),
-    "estimated-hands": Ablation(
-        "Hands with the errors of estimates from images: as given, or refined against their own pixels",
-        "none",
-        (
-            Setting("none"),
-            replace(_noise_level("estimated"), label="as given", options={"hands": "as-given"}),
-            replace(_noise_level("estimated"), label="corrected", options={"hands": "corrected"}),
-        ),
-    ),
     "hand-refinement": Ablation(
         "Hands refined against their own pixels, or as given",
         "none, as given",
         tuple(
             replace(noise, label=f"{noise.label}, {word}", options={"hands": hands})
-            for noise in (Setting("none"), _hand_noise(10.0), _noise_level("moderate"), _noise_level("strong"))
+            for noise in (Setting("none"), _hand_noise(10.0), *map(_noise_level, ("moderate", "strong", "estimated")))
             for hands, word in (("as-given", "as given"), ("corrected", "corrected"))
         ),
         ("soft-hinge",),
@@ -208,6 +199,16 @@ ABLATIONS: dict[str, Ablation] = {
                 Setting(f"exact, size unknown; depth, {d}", change=Several((SimulatedDepth(d), ScaleFree())))
                 for d in USUAL
             ),
+        ),
+        ("soft-hinge",),
+    ),
+    "wrong-evidence": Ablation(
+        "Estimated hands, with other evidence that is wrong",
+        "nothing new",
+        (
+            _with("nothing new"),
+            *(_with(f"2D joints, {level}", SimulatedJoints(level)) for level in ("other hand", "shifted camera")),
+            _with("depth, mono-warped", SimulatedDepth("mono-warped")),
         ),
         ("soft-hinge",),
     ),
