@@ -25,11 +25,8 @@ from getagrip.hands.model import hand_track
 from getagrip.least_squares import Rules
 from helpers.terms import some_term
 
-B, N, F = 2, 4, 2
-CONSTANT, OWN = (
-    np.array([*[0.02] * 3, *[0.3] * 3, 0.03, *[0.5] * F, 0.1]),
-    np.array([*[0.01] * 3, *[0.1] * 3, 0.01, *[0.2] * F]),
-)
+B, N = 2, 4
+CONSTANT, OWN = np.repeat([0.02, 0.3, 0.03, 0.1], [3, 3, 1, 1]), np.repeat([0.01, 0.1, 0.01], [3, 3, 1])
 
 
 def hand_before_the_camera(rng: np.random.Generator) -> HandTrack:
@@ -65,12 +62,12 @@ def moving(
 
 
 def step_between(here: ObjectWithHand, there: ObjectWithHand) -> ndarray:
-    """The local vectors (B, N, 21 + F) that take one to the other."""
+    """The local vectors (B, N, 21) that take one to the other."""
     parts = []
     for a, b in ((here, there), (here.hand, there.hand), (here.in_hand, there.in_hand)):
         scale = np.broadcast_to(np.log(b.scale / a.scale)[:, None, None], (B, N, 1))
         parts += [b.centre - a.centre, se3.log_so3(b.R @ np.swapaxes(a.R, -1, -2)), scale]
-    return np.concatenate([*parts[:6], there.hand.modes - here.hand.modes, *parts[6:]], axis=-1)
+    return np.concatenate(parts, axis=-1)
 
 
 def placed(motion: MovingHand[Soft[Hinge]], T_cam_hand: ndarray) -> ObjectWithHand:
