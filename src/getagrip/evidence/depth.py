@@ -136,8 +136,8 @@ class DepthImages(Modality[Depth]):
             high=WARPED,
             serious=False,
             shown=percent,
-            fault="depth is warped by {value} over hand and object, which was left out",
-            advice="is it of this clip, and of a network that knows such scenes?",
+            fault="depth is warped by {value} over hand and object",
+            advice="of a network's it was left out; is it of this clip, and of a network that knows such scenes?",
         ),
     )
 

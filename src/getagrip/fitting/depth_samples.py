@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -25,6 +27,9 @@ EVERY = 2
 FAR = 0.25
 """Samples beyond the middle of their body by more are of something else [share of the distance]."""
 
+WARP, NO_WARP = 0.01, 1e-6
+"""Deviations of a warp's coefficients: a network's, and none of a sensor, whose depth tells how a hand is tilted."""
+
 
 def errors_of(source: DepthSource) -> DepthErrors:
     """Return what depth of a source may err by."""
@@ -35,7 +40,7 @@ def errors_of(source: DepthSource) -> DepthErrors:
         frame=free if source.scale == "frame" else 0.001 if sensor else 0.012,
         relief=0.02 if sensor else 0.15,
         apart=0.003 if sensor else 0.008,
-        warp=0.0003 if sensor else 0.01,
+        warp=NO_WARP if sensor else WARP,
     )
 
 
@@ -127,5 +132,5 @@ def deviation_at(
     poses = PosesInCamera(np.ascontiguousarray(T[None, :, :3, :3]), centre[None], np.array([scale]))
     hand = Solid.of(clip.hand.vertices, clip.hand.faces)
     solid = Solid.of(mesh.vertices[None] - clip.mesh.centre, mesh.faces)
-    term = DepthTerm(solid, hand, samples, errors_of(source), 1.0)
+    term = DepthTerm(solid, hand, samples, replace(errors_of(source), warp=WARP), 1.0)
     return float(np.sqrt(term.squared_deviations(poses)[0] / (2.0 * INDEPENDENT))), float(term.warp(poses)[0])
