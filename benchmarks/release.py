@@ -34,7 +34,7 @@ BENCHES = {
 }
 """By the name of the table that each makes.
 
-Estimated for two hardware threads of one core, in minutes: 31, 8, 6, 12, 4, 3, 20 and 7, and 4 for the imports. A row
+Estimated for the two CPUs of a small virtual machine, in minutes: 31, 8, 6, 12, 4, 3, 20 and 7, and 4 for the imports. A row
 of a clip takes 2.6 s of a thread, with other evidence 4.2 s, evaluated and written.
 """
 
