@@ -34,8 +34,8 @@ BENCHES = {
 }
 """By the name of the table that each makes.
 
-Estimated for the two CPUs of a small virtual machine, in minutes: 31, 8, 6, 12, 4, 3, 20 and 7, and 4 for the imports. A row
-of a clip takes 2.6 s of a thread, with other evidence 4.2 s, evaluated and written.
+Estimated for the two CPUs of a small virtual machine, in minutes: 31, 8, 6, 12, 4, 3, 20 and 7, and 4 for the imports.
+A row of a clip takes 2.6 s of a CPU, with other evidence 4.2 s, evaluated and written.
 """
 
 
