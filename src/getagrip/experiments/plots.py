@@ -61,7 +61,8 @@ def plot(table: Table, title: str, path: Path) -> None:
     for panel in panels[len(columns) :]:
         panel.axis("off")
     panels[len(columns)].legend(*panels[0].get_legend_handles_labels(), fontsize=9, frameon=False, loc="center left")
-    figure.suptitle(f"{title} ({counted(table.clips, 'clip')}, {100 * LEVEL:.0f} % intervals)", fontsize=10)
+    words = title.replace("`", "")
+    figure.suptitle(f"{words} ({counted(table.clips, 'clip')}, {100 * LEVEL:.0f} % intervals)", fontsize=10)
     with files.new_file(path) as part:
         figure.savefig(part, dpi=130)
     plt.close(figure)
