@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 from numpy import ndarray
 
 from getagrip.annotate import propagated_masks
+from getagrip.annotate.carried_masks import _coloured_hand
+from getagrip.annotate.colour_cut import Colours
 from getagrip.annotate.labels import FRONT, HAND, OBJECT
 from getagrip.annotate.propagated_masks import propagate, stretches
 from getagrip.errors import UsageError
@@ -162,6 +164,19 @@ def test_what_a_hand_uncovers_is_the_objects_if_its_colour_is(backwards: bool) -
 
 
 @pytest.mark.slow
+def test_a_found_hand_loses_pixels_of_unlikely_colours_at_its_border_and_has_no_holes_of_them() -> None:
+    """Bin 0 is the hand's colour, 1 hardly likelier on the object, 2 the object's."""
+    hand, at = np.zeros((40, 40), bool), np.ones((40, 40), np.int32)
+    hand[5:35, 5:35], at[5:35, 5:35] = True, 0
+    at[5:12, 15:25], at[18:22, 8:14], at[18:22, 24:32] = 1, 1, 2
+    own, skin = np.float32([[0.0, 0.0004, 0.1]] * 2), np.float32([[0.1, 0.0, 0.0]] * 2)
+    found = _coloured_hand(hand, at, [Colours(own), Colours(own), Colours(skin)])
+    assert not found[~hand].any()
+    assert not found[6:11, 17:23].any()
+    assert not found[19:21, 26:30].any()
+    assert found[18:22, 8:14].all()
+
+
 def test_a_hand_drawn_on_a_key_replaces_the_one_that_was_found() -> None:
     found = propagate(lambda n: held(n)[0], {0: held(0)[1]}, 0, 2, hand=lambda n: np.zeros(SIZE[::-1], bool))
     assert all(iou(labels == HAND, hand_of(n)) > 0.8 for n, labels, _ in found)

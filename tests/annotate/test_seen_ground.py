@@ -18,12 +18,27 @@ PART = slice(0, 80), slice(0, 100)
 X, Y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in IMAGE.shape[1::-1]))
 
 
+def shares(own: float, other: float = 0.0) -> np.ndarray:
+    return np.stack([np.full(LEFT.shape, share, np.float32) for share in (own, other)])
+
+
 def test_the_same_speaks_for_the_ground_and_another_colour_of_the_objects_against_it() -> None:
     ground = Ground.of_key(IMAGE, LEFT)
     for image, share, sign in ((IMAGE, 0.0, -1), (255 - IMAGE, 0.1, 1)):
-        unlike = ground.unlike(image, np.full(LEFT.shape, share, np.float32))
+        unlike = ground.unlike(image, shares(share), LEFT)
         assert np.median(sign * unlike[LEFT]) > 1.0
         assert (unlike[~LEFT] == 0.0).all()
+
+
+def test_a_new_colour_on_ground_that_is_else_unchanged_speaks_for_the_object() -> None:
+    """It does not where all of the ground has changed, and less where others have that colour."""
+    ground, there = Ground.of_key(IMAGE, LEFT), np.zeros_like(LEFT)
+    there[30:50, 20:40] = True
+    image = np.where(there[..., None], 255 - IMAGE, IMAGE)
+    new, others = (np.median(ground.unlike(image, shares(0.0, each), LEFT & ~there)[there]) for each in (0.0, 0.1))
+    assert new > 1.0
+    assert others < 0.0
+    assert abs(np.median(ground.unlike(255 - IMAGE, shares(0.0), LEFT)[there])) < 0.1
 
 
 def test_what_comes_into_view_is_not_seen_ground() -> None:

@@ -60,7 +60,8 @@ STIFF = 0.5
 CLEAR = 3.0
 """Pixels farther than this from all that is carried show the ground [px]."""
 NO_HAND = 0.5
-"""Pixels of the hand that was found are not the hand's where colours of the object are likelier by e to this."""
+"""Pixels of the hand that was found are not the hand's where colours of the object are likelier by e to this; at its
+border, where they are likelier at all."""
 
 KINDS = (OBJECT, FRONT, HAND)
 """Kinds that are carried; where several are, the last one is visible."""
@@ -111,7 +112,8 @@ def _coloured_hand(
     import cv2
 
     own, skin = (each.counts[0][at] + RARE / 10.0 for each in (colours[0], colours[-1]))
-    return np.asarray(hand & (cv2.GaussianBlur(np.log(own / skin), (0, 0), 1.0) < NO_HAND))
+    unlike = cv2.GaussianBlur(np.log(own / skin), (0, 0), 1.0)
+    return ~(_touching(~hand | (unlike > 0.0), ~hand) | (unlike > NO_HAND))
 
 
 def key_colours(frames: SmallFrames, keys: Mapping[int, UInt8[ndarray, "H W"]]) -> list[Colours]:
@@ -182,7 +184,7 @@ def _step(
     moves = np.zeros_like(off)
     with_ground = own_motion(x, y, came, (inside.max(axis=0) < -INNER) & (off < BACK) & ~was_hidden)
     behind = ground.moved(part, came if with_ground is None else with_ground)
-    unlike = behind.unlike(b, colours[0].counts[0][at])
+    unlike = behind.unlike(b, colours[0].counts[:, at], inside.max(axis=0) < -CLEAR)
     if own is not None:
         moves = moves_with(came, own, with_ground, off)
         inside[0] = moved(now.inside[0], old(*own), -float(FAR))

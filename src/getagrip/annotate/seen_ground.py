@@ -20,6 +20,9 @@ SAME = 0.15
 """Share of such pixels that are in the most frequent bin of their colours."""
 RARE = 0.01
 """Probability of a colour of which nothing is known."""
+CHANGED = 0.1, 3.0
+"""Share of the ground beside the object that shows something else than before: the first, and so many times the share
+far from it."""
 
 
 @dataclass
@@ -54,14 +57,21 @@ class Ground:
         self.image[part] = np.where(same[..., None], image[part], moved.image)
         self.seen[part] = moved.seen
 
-    def unlike(self, image: UInt8[ndarray, "h w 3"], share: Float32[ndarray, "h w"]) -> Float32[ndarray, "h w"]:
+    def unlike(
+        self, image: UInt8[ndarray, "h w 3"], shares: Float32[ndarray, "2 h w"], clear: Bool[ndarray, "h w"]
+    ) -> Float32[ndarray, "h w"]:
         """Return the log ratio of a pixel's probabilities on the object and on this ground, 0 where it was not seen.
 
-        ``share`` is the share of the object's pixels that have its colour.
+        ``shares`` are those of the object's pixels, and of the others, that have its colour. The less the ground has
+        changed where it is ``clear``, the more another colour speaks for the object, even a new one.
         """
         import cv2
 
         now, before = (cv2.GaussianBlur(each.astype(np.float32), (0, 0), 1.0) for each in (image, self.image))
         apart = np.subtract(now, before)
-        same = SAME * np.exp(-np.einsum("hwc,hwc->hw", apart, apart) / (2.0 * NOISE**2))
-        return np.asarray(self.seen * np.log((share + RARE) / (same + RARE)), np.float32)
+        same = np.exp(-np.einsum("hwc,hwc->hw", apart, apart) / (2.0 * NOISE**2))
+        known = clear & (self.seen > 0.5)
+        least, times = CHANGED
+        changed = min(1.0, least + times * (1.0 - float(same[known].mean()))) if known.any() else 1.0
+        own, other = shares + RARE
+        return np.asarray(self.seen * np.log(own / (SAME * same + changed * other)), np.float32)
