@@ -21,8 +21,8 @@ SAME = 0.15
 RARE = 0.01
 """Probability of a colour of which nothing is known."""
 CHANGED = 0.1, 3.0
-"""Share of the ground beside the object that shows something else than before: the first, and so many times the share
-far from it."""
+"""Share of the ground beside the object that shows something else than before: the first, and a multiple of the share
+far from it by the second."""
 
 
 @dataclass
