@@ -196,7 +196,11 @@ ABLATIONS: dict[str, Ablation] = {
             _with("strong, nothing new", level="strong"),
             *(_with(f"strong, 2D joints; depth, {d}", JOINT, SimulatedDepth(d), level="strong") for d in USUAL),
             *(
-                Setting(f"exact, size unknown; depth, {d}", change=Several((SimulatedDepth(d), ScaleFree())))
+                Setting(f"exact, {label}; depth, {d}", change=Several((SimulatedDepth(d), error)))
+                for label, error in (
+                    ("size unknown", ScaleFree()),
+                    ("masks off by 4 px", Noisy(Noise(mask_ragged_px=4.0))),
+                )
                 for d in USUAL
             ),
         ),
