@@ -169,7 +169,6 @@ ABLATIONS: dict[str, Ablation] = {
             ),
             _with("strong, nothing new", level="strong"),
             *(_with(f"strong, 2D joints; depth, {d}", JOINT, SimulatedDepth(d), level="strong") for d in USUAL),
-            *(replace(one, label=f"exact, {one.label}") for one in ROUGH),
             *(
                 Setting(f"exact, {one.label}; depth, {d}", change=Several((SimulatedDepth(d), one.change)))
                 for one in ROUGH
