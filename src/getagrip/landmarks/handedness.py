@@ -54,7 +54,7 @@ class Handedness(NamedTuple):
 
     @property
     def sure(self) -> bool:
-        """Whether the frames agree."""
+        """True if the frames agree."""
         least, share = SURE
         return abs(self.mean) >= least and self.alike >= share * len(self.odds)
 
