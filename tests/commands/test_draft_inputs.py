@@ -172,6 +172,14 @@ def test_what_does_not_fit_is_said_before_any_work(scene: Path, run: Run) -> Non
         assert not (scene / "a").exists()
 
 
+def test_an_object_that_is_neither_a_file_nor_a_kind_is_said_before_any_work(scene: Path, run: Run) -> None:
+    status, _, err = run(*DRAFT, "a", "--object", "ball")
+    assert status == 1
+    assert "ball: mesh: no such file; must be a triangle mesh" in err
+    assert "bowl, box" in err
+    assert not (scene / "a").exists()
+
+
 @pytest.mark.slow
 def test_grasps_are_found_and_marked(scene: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """The clip of the whole interval is searched as by ``segment``; frames of its grasps are those of the video."""

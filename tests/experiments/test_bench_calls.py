@@ -12,7 +12,7 @@ from getagrip.cli import main
 from getagrip.commands.bench import BENCHES
 from getagrip.datasets.synthetic.noise import NOISE
 from getagrip.datasets.synthetic.splits import PRESETS
-from getagrip.experiments.settings import ABLATIONS
+from getagrip.experiments.ablations import ABLATIONS
 from getagrip.experiments.timeline_trials import ALL, LEVELS
 from getagrip.experiments.trials import GraspTrial
 from helpers.command_line import Run

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from getagrip.experiments.ablations import ABLATIONS
 from getagrip.experiments.comparison import columns, compare, error_columns, groups
-from getagrip.experiments.settings import ABLATIONS
 from getagrip.experiments.tables import (
     CATEGORIES,
     DIFFERENCES,

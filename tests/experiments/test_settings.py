@@ -7,7 +7,7 @@ from dataclasses import asdict, fields
 
 import pytest
 
-from getagrip.experiments.settings import ABLATIONS
+from getagrip.experiments.ablations import ABLATIONS
 from getagrip.experiments.variants import ablation_variants, method_variants
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Departures, Options

@@ -89,6 +89,37 @@ def test_a_stated_side_overrules_all_frames_for_the_hand_at_the_object() -> None
     assert any(note.startswith("a guess: it looks like a left hand in 20 of 20") for note in found.notes)
 
 
+def test_a_stated_side_overrules_a_side_that_is_a_guess() -> None:
+    seen = [[hand(300.0, right=0.9 if n % 3 == 0 else 0.1)] for n in range(20)]
+    guessed = select(seen)
+    assert "--side right overrules this" in str(guessed.side_source)
+    found = select(seen, side="right")
+    assert (found.side, found.rows) == ("right", tuple(range(20)))
+    assert any(note.startswith("a guess: it looks like a left hand") for note in found.notes)
+
+
+def test_no_hand_about_the_frame_of_the_box_is_said_where_the_side_is_the_other() -> None:
+    seen = [[hand(300.0, right=0.05)] if n > 20 else [] for n in range(40)]
+    box = {0: np.array([250.0, 450.0, 100.0, 100.0])}
+    with pytest.raises(UsageError, match=r"none about the frame of the object's box .*begin --interval where one is"):
+        select(seen, side="right", boxes=box)
+
+
+def test_a_fingertip_that_looks_like_a_small_hand_is_none() -> None:
+    tip = FLAT[8] + np.array([300.0, 500.0])
+    small = Sighting(tip + 0.2 * FLAT, WORLD, 0.95, 0.9)
+    seen = [[small, *([] if 14 < n < 25 else [hand(300.0, confidence=0.7)])] for n in range(40)]
+    found = select(seen)
+    assert found.side == "left"
+    assert found.rows == (*range(15), *range(25, 40))
+    assert not any("two hands" in note for note in found.notes)
+
+
+def test_a_hand_that_is_seen_twice_is_one() -> None:
+    seen = [[hand(300.0), *([hand(320.0, right=0.9)] if n > 5 else [])] for n in range(20)]
+    assert not any("two hands" in note for note in select(seen).notes)
+
+
 def test_the_hand_nearest_to_the_object_is_taken() -> None:
     seen = [[hand(200.0, right=0.05)] + ([hand(900.0, right=0.95)] if n > 5 else []) for n in range(20)]
     assert select(seen).side == "left"

@@ -126,8 +126,6 @@ def _expected_size(it: Evidence) -> float:
 
     That is about the root of the area of a whole mask. The little that the hand leaves visible of an object may lie
     anywhere in it.
-
-    What little the hand leaves to see of an object may lie anywhere in it.
     """
     if it.clip.scale != "known":
         return 0.0

@@ -226,7 +226,8 @@ _RESULT: tuple[Check, ...] = (
     Check(
         "object-over-hand", lambda it: it.in_front[0], high=0.2, shown=percent,
         fault="the object is in front of the hand in {value} of the pixels that show the hand",
-        advice="hand and object are at the wrong distance: check the sizes of hand and mesh, and the hand's distance",
+        advice="hand and object are at the wrong distance: check the sizes of hand and mesh, and the hand's distance "
+        "and side",
     ),
     Check(
         "hand-over-object", lambda it: it.in_front[1], high=0.25, serious=False, shown=percent,

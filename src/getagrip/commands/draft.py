@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from getagrip.annotate.finding_hands import FoundHands
     from getagrip.annotate.footage import Footage
     from getagrip.annotate.labels import FrameLabels
+    from getagrip.annotate.reconstruction import Shape
     from getagrip.commands.draft_inputs import Stretch
 
 MOST_FRAMES = 3000
@@ -115,14 +116,13 @@ class Draft(Command):
     def run(self) -> int:
         """Find hands, write them, and serve the page.
 
-        Raises ``InputError`` for a video or models that cannot be read, ``UsageError`` where there is no hand or the
-        video is cut.
+        Raises ``InputError`` for a mesh, video or models that cannot be read, ``UsageError`` where there is no hand or
+        the video is cut.
         """
         from getagrip.annotate.drafted_grasps import Extent, find_grasps
         from getagrip.annotate.finding_hands import write_found
         from getagrip.annotate.labels import Labels as Drawn
         from getagrip.annotate.project import Project
-        from getagrip.annotate.reconstruction import Shape
         from getagrip.annotate.store import Store
         from getagrip.annotate.tasks import read_tasks
         from getagrip.annotate.written_files import write_labels
@@ -132,7 +132,7 @@ class Draft(Command):
 
         check_source("masks", self.masks)
         check_source("hands", self.hands)
-        shape = Shape(self.object, self.size_mm)
+        shape = self._shape()
         task = read_tasks(self.video, None)[0]
         self.folder.mkdir(parents=True, exist_ok=True)
         project = Project([task], Store(self.folder / DATABASE), self._lens)
@@ -199,6 +199,14 @@ class Draft(Command):
             nothing = f"nothing in the box stands out from the background in {stretch.footage.name(n)}"
             raise UsageError(f"--object-box: {nothing}; mark the object on the page")
         return {n: FrameLabels(object=tuple(shapes))}
+
+    def _shape(self) -> Shape:
+        """Return the object's mesh. It is read before minutes of work. Raises ``InputError``, ``UsageError``."""
+        from getagrip.annotate.reconstruction import Shape
+        from getagrip.commands.own_mesh import MeshOptions, own_mesh
+
+        own_mesh(MeshOptions(mesh=Path(self.object), size_mm=self.size_mm))
+        return Shape(self.object, self.size_mm)
 
     @property
     def _lens(self) -> Lens:

@@ -20,7 +20,7 @@ def _methods(_: str) -> str:
 
 def _ablations(_: str) -> str:
     """Return the names that an option takes, loaded only to show its help."""
-    from getagrip.experiments.settings import ABLATIONS
+    from getagrip.experiments.ablations import ABLATIONS
 
     return f"(one of {', '.join(ABLATIONS)}; default: none)"
 

@@ -13,11 +13,12 @@ from getagrip.batch.job import Outcome
 from getagrip.errors import UsageError, unknown
 from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_CAM
 from getagrip.experiments import published
+from getagrip.experiments.ablations import ABLATIONS
 from getagrip.experiments.compared import Compared
 from getagrip.experiments.comparison import compare, groups
 from getagrip.experiments.hand_sources import HandSource, comparison
 from getagrip.experiments.other_systems import system_of, system_variants
-from getagrip.experiments.settings import ABLATIONS, Ablation
+from getagrip.experiments.settings import Ablation
 from getagrip.experiments.sources import ClipSource, Sample
 from getagrip.experiments.tables import as_json, clips_csv_rows, csv_rows, latex, markdown, terminal
 from getagrip.experiments.trial import Benchmark, Page, Trial

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from getagrip.evaluation.other_poses import OtherSystem
+from getagrip.experiments.ablations import ABLATIONS
 from getagrip.experiments.changes import UNCHANGED, Change
-from getagrip.experiments.settings import ABLATIONS, COMPARED, CONTACTS, REFERENCE, Ablation, Setting
+from getagrip.experiments.settings import COMPARED, CONTACTS, REFERENCE, Ablation, Setting
 from getagrip.fitting.options import Options
 from getagrip.metrics.contact import ContactDefinition
 

@@ -31,6 +31,8 @@ TURNS = (-0.8, 0.8)
 """Angles by which the square about a palm is turned, if no hand is seen in it [rad]."""
 SAME = 0.4
 """Distance, in palm sizes, below which two sightings are the same hand."""
+SMALL = 0.5
+"""Size of what is taken for a hand, as a share of the hand that it is within, below which it is a part of that."""
 PALM = [0, 5, 9, 13, 17]
 """Wrist and knuckles."""
 
@@ -62,6 +64,12 @@ class Sighting(NamedTuple):
     def same(self, other: Sighting) -> bool:
         """Return whether both are of one hand."""
         return bool(np.linalg.norm(self.middle - other.middle) < SAME * max(self.size, other.size))
+
+    def part_of(self, other: Sighting) -> bool:
+        """Return whether this is less than half as large as another hand, and within it."""
+        low, high = other.points.min(axis=0), other.points.max(axis=0)
+        inside = np.all((low <= self.middle) & (self.middle <= high))
+        return bool(inside) and self.size < SMALL * other.size
 
 
 def follow(

@@ -53,10 +53,15 @@ class Handedness(NamedTuple):
         return f"it looks like a {self.side} hand in {self.alike} of {counted(len(self.odds), 'frame')}"
 
     @property
+    def sure(self) -> bool:
+        """True if the frames agree."""
+        least, share = SURE
+        return abs(self.mean) >= least and self.alike >= share * len(self.odds)
+
+    @property
     def source(self) -> Source:
         """Source of the side: assumed, where the frames hardly agree."""
-        least, share = SURE
-        if abs(self.mean) < least or self.alike < share * len(self.odds):
+        if not self.sure:
             other = "left" if self.side == "right" else "right"
             return assumed(f"{self.side}, a guess, since {self.words} only; --side {other} overrules this")
         return estimated(f"{self.side}: {self.words}")

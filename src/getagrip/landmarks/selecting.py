@@ -27,6 +27,8 @@ GAP = 10
 """Longest gap [frames] over which a hand is linked and later interpolated; longer gaps remain."""
 REACH = 1.0
 """Largest motion of a palm between successive frames that have it, in palm sizes."""
+GROWTH = 2.5
+"""Factor by which a hand's size changes less from one sighting to the next; 2.25 in the blur of the kitchen clip."""
 SHORTEST = 4
 """Least number of frames of a track; half the frames of a clip of fewer than eight."""
 JUMP = 0.25
@@ -95,6 +97,11 @@ class Track:
         off = np.linalg.norm(own - np.median(own, axis=0), axis=-1)
         return float(np.median(np.sqrt(np.mean(off**2, axis=-1))))
 
+    def part_of(self, other: Track) -> bool:
+        """Return whether this is a finger or knuckle of another hand that the networks take for a hand of its own."""
+        both = [(self.seen[n], other.seen[n]) for n in self.seen.keys() & other.seen.keys()]
+        return bool(both) and float(np.mean([each.part_of(whole) for each, whole in both])) > 0.5
+
     def distance(self, boxes: Mapping[int, Float[ndarray, "4"]]) -> float:
         """Measure the mean distance of the landmarks from the object's boxes, in sizes of the hand.
 
@@ -111,7 +118,7 @@ class Track:
 
 
 def tracks(seen: Sequence[Sequence[Sighting]]) -> list[Track]:
-    """Link sightings from frame to frame, the nearest first. Those of a few frames are left out."""
+    """Link sightings from frame to frame, the nearest first. Those of a few frames, and parts of hands are left out."""
     out: list[Track] = []
     for n, hands in enumerate(seen):
         open_ones = [track for track in out if n - track.last <= GAP]
@@ -123,12 +130,15 @@ def tracks(seen: Sequence[Sequence[Sighting]]) -> list[Track]:
         used: set[int] = set()
         taken: set[int] = set()
         for apart, k, i in pairs:
-            if apart < REACH and k not in used and i not in taken:
+            before = open_ones[k].seen[open_ones[k].last].size
+            alike = 1.0 / GROWTH < hands[i].size / before < GROWTH
+            if apart < REACH and alike and k not in used and i not in taken:
                 open_ones[k].seen[n] = hands[i]
                 used.add(k)
                 taken.add(i)
         out += [Track({n: hand}) for i, hand in enumerate(hands) if i not in taken]
-    return [track for track in out if len(track.seen) >= min(SHORTEST, (len(seen) + 1) // 2)]
+    out = [track for track in out if len(track.seen) >= min(SHORTEST, (len(seen) + 1) // 2)]
+    return [track for track in out if not any(map(track.part_of, out))]
 
 
 def select(
@@ -144,8 +154,8 @@ def select(
     ``odds`` are the log odds that a hand in a frame is a right one.
 
     ``side`` overrules the majority; ``boxes`` (left, top, width, height) [px] are where the object is in some frames.
-    With both, a hand near the object that looks like the other one is taken, and said to be a guess. Notes give the
-    first frame the number ``counted_from``.
+    Where no hand looks like that side, one is taken whose own side is a guess or, with both, the hand near the object;
+    this is said. Notes give the first frame the number ``counted_from``.
 
     Raises ``UsageError`` where there is no such hand.
     """
@@ -155,11 +165,12 @@ def select(
     for k, track in enumerate(found):
         track.handedness = Handedness(tuple(value for of, value in all_odds if of == k))
     stated = found if side is None else _of_side(found, side)
-    if not stated and boxes is not None:  # the networks may take a hand seen from behind the object for the other one
-        stated = [track for track in found if np.isfinite(track.distance(boxes))]
+    if not stated:  # the networks may take a hand seen from behind the object for the other one
+        at_object = [track for track in found if np.isfinite(track.distance(boxes or {}))]
+        stated = at_object or [track for track in found if not track.handedness.sure]
     found = stated
     if not found:
-        raise UsageError(_none(seen, side))
+        raise UsageError(_none(seen, side, boxes is not None))
     often = ALIKE * max(map(_weight, found))
     first = min(found, key=lambda track: (track.distance(boxes or {}), _weight(track) < often, track.bending))
     majority = side or first.side
@@ -181,10 +192,10 @@ def select(
         notes.append(f"no hand in the frames {gaps} (counted from 1)")
     opposite = [track for track in found if track.side != first.side]
     for beside, overrules in ((others, "--object-box"), (opposite, "--object-box or --side")):
-        twice = [n for n in hand if any(n in track.seen for track in beside)]
+        also = {n: [each for track in beside if (each := track.seen.get(n)) and not each.same(hand[n])] for n in hand}
+        twice = [n for n in hand if also[n]]
         if len(twice) > OTHERS * len(hand):
-            n = twice[0]
-            (it,) = [track.seen[n] for track in beside if n in track.seen][:1]
+            n, it = twice[0], also[twice[0]][0]
             which = f"chosen is the one {_place(hand[n])} in frame {n + counted_from}, not that {_place(it)}"
             notes.append(f"two hands in {counted(len(twice), 'frame')}: {which}; {overrules} overrules this")
     source = first.handedness.source if side is None else measured(f"{side}, as stated")
@@ -234,15 +245,15 @@ def _steady(hand: Mapping[int, Sighting]) -> tuple[dict[int, Sighting], list[int
     return kept, out
 
 
-def _none(seen: Sequence[Sequence[Sighting]], side: Side | None) -> str:
+def _none(seen: Sequence[Sequence[Sighting]], side: Side | None, boxed: bool) -> str:
     """Why there is no hand."""
     some = sum(bool(hands) for hands in seen)
     tried = f"palms were looked for in {counted(len(seen), 'frame')}, and hands followed in both directions"
     if side is not None and some:
-        remedy = (
-            f"leave out --side {side}, or mark the object by --object-box: the hand at it is taken for a {side} one"
-        )
-        return f"no {side} hand: {tried}; there are hands in {some}, of the other side ({remedy})"
+        box = "begin --interval where one is" if boxed else "mark the object by --object-box"
+        none = ", none about the frame of the object's box" if boxed else ""
+        remedy = f"leave out --side {side}, or {box}: the hand at it is taken for a {side} one"
+        return f"no {side} hand: {tried}; there are hands in {some}, of the other side{none} ({remedy})"
     advice = "Click joints in getagrip annotate; or use an estimator: --hands FILE"
     return f"no hand: {tried}; found in {some}. Is there a glove, blur, or a hand half out of view? {advice}"
 

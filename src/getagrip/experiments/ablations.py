@@ -1,0 +1,294 @@
+"""The ablations: settings that are compared with each other, as data."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from getagrip.datasets.synthetic.noise import NOISE, Noise
+from getagrip.experiments.changes import (
+    UNCHANGED,
+    Change,
+    EstimatedHands,
+    FlippedHands,
+    Gapped,
+    Noisy,
+    OtherObject,
+    ScaleFree,
+    ScaleKnown,
+    Several,
+    TrueHands,
+    Wrong,
+    WrongMasks,
+)
+from getagrip.experiments.settings import COMPARED, Ablation, Setting
+from getagrip.experiments.simulated_evidence import DEPTHS, JOINTS, SimulatedDepth, SimulatedJoints
+from getagrip.experiments.wrong_inputs import MISTAKES
+from getagrip.fitting.options import Departures
+from getagrip.metrics.contact import CONTACT_DEFINITIONS
+
+
+def _hand_noise(mm: float) -> Setting:
+    """Make a setting with a bias, and jitter of half its size correlated over a tenth of a second.
+
+    Both turn the hand by 0.8 degrees per millimetre.
+    """
+    deg = 0.8 * mm
+    noise = Noise(
+        hand_bias_mm=mm, hand_bias_deg=deg, hand_jitter_mm=mm / 2, hand_jitter_deg=deg / 2, jitter_memory_s=0.1
+    )
+    return Setting(f"{mm:g} mm, {deg:g}°", change=Noisy(noise))
+
+
+def _noise_level(name: str) -> Setting:
+    """Make a setting with the hands of a level of noise; the masks stay as they are."""
+    return Setting(name, change=Noisy(replace(NOISE[name], mask_ragged_px=0.0)))
+
+
+def _with(label: str, *evidence: Change, level: str = "estimated") -> Setting:
+    """Name a change to estimated hands, at a level of noise where they are true; evidence is of true ones."""
+    return Setting(label, change=Several((*evidence, EstimatedHands(replace(NOISE[level], mask_ragged_px=0.0)))))
+
+
+def _mask_noise(px: float) -> Setting:
+    return Setting(f"{px:g} px", change=Noisy(Noise(mask_ragged_px=px)))
+
+
+def _masks_off(px: float) -> Setting:
+    return replace(_mask_noise(px), label=f"masks off by {px:g} px")
+
+
+WRONG_MASKS = (("another object", 0.2), ("another object", 0.4), ("half", 0.2), ("runs over", 0.2))
+"""Faults of masks, and the share of the frames that have them."""
+
+
+def _wrong_masks(fault: str, share: float) -> Setting:
+    return Setting(f"{fault} in {100 * share:.0f} %", change=WrongMasks(fault, share))
+
+
+CATEGORY_MESHES = {
+    "category mesh": OtherObject(),
+    "category mesh, size unknown": Several((OtherObject(), ScaleFree())),
+    "category mesh, size unknown, hands moderate": Several(
+        (OtherObject(), ScaleFree(), Noisy(replace(NOISE["moderate"], mask_ragged_px=0.0)))
+    ),
+}
+"""Knowledge of an object without its own mesh; the last is the paper's own setting, footage without CADs."""
+
+
+ROUGH = _masks_off(4.0), Setting("size unknown", change=ScaleFree())
+"""Inputs that depth improves though hands are exact."""
+INPUTS = (
+    Setting("exact"),
+    _hand_noise(10.0),
+    _noise_level("strong"),
+    _noise_level("estimated"),
+    _masks_off(2.0),
+    ROUGH[0],
+    _wrong_masks("another object", 0.2),
+    ROUGH[1],
+    *(
+        Setting(label, change=CATEGORY_MESHES[label])
+        for label in ("category mesh", "category mesh, size unknown, hands moderate")
+    ),
+)
+"""The errors that are summed up in README; the first four are run on the test objects, too."""
+
+
+STEPS = {
+    "+ energy scale": "scale",
+    "+ optimiser": "optimiser",
+    "+ search": "search",
+    "+ axis start": "axis",
+    "+ choice": "choice",
+    "+ push": "push",
+    "+ pull": "pull",
+}
+"""Departures from the paper's method, in the order in which they are added up: the scale, without which no minimum is
+where the object is; then how the minimum is found; then the form of the terms.
+"""
+
+
+def _departures(count: int) -> Departures:
+    """Return the first ``count`` steps."""
+    return Departures(**dict.fromkeys(list(STEPS.values())[:count], True))
+
+
+JOINT, USUAL = SimulatedJoints("landmarks"), ("mono", "realsense")
+"""Evidence that users often have: 2D joints of landmarks; depth of a network, or of a sensor."""
+ABLATIONS: dict[str, Ablation] = {
+    "physical": Ablation(
+        "Weights of the physical terms, the paper's λ₂ = λ₃ without the focal length",
+        "0.1",
+        tuple(Setting(f"{weight:g}", {"push": weight, "pull": weight}) for weight in (0.0, 0.1, 1.0)),
+    ),
+    "occlusion": Ablation(
+        "Pixels occluded by the hand ignored (the paper's C_o)",
+        "on",
+        (Setting("off", {"occlusion": False}), Setting("on", {"occlusion": True})),
+    ),
+    "axis": Ablation(
+        "Place of the axis: through the origin of the hand frame, or anywhere",
+        "free",
+        (Setting("hand", {"axis": "hand"}), Setting("free", {"axis": "free"})),
+    ),
+    "inits": Ablation(
+        "Number of initial poses",
+        "50",
+        tuple(Setting(f"{count}", {"inits": count}) for count in (10, 25, 50, 100, 200)),
+    ),
+    "hand-noise": Ablation(
+        "Noise of the hand poses: a bias, and jitter of half its size",
+        "none",
+        (
+            Setting("none"),
+            *(_hand_noise(mm) for mm in (2.5, 5.0, 7.5, 10.0)),
+            *map(_noise_level, ("moderate", "strong", "estimated")),
+        ),
+    ),
+    "hand-refinement": Ablation(
+        "Hands refined against their own pixels, or as given",
+        "none, as given",
+        tuple(
+            replace(noise, label=f"{noise.label}, {word}", options={"hands": hands})
+            for noise in (Setting("none"), _hand_noise(10.0), *map(_noise_level, ("moderate", "strong", "estimated")))
+            for hands, word in (("as-given", "as given"), ("corrected", "corrected"))
+        ),
+        ("soft-hinge",),
+    ),
+    "evidence": Ablation(
+        "Estimated hands, with other evidence simulated at levels of errors (docs/datasets.md)",
+        "nothing new",
+        (
+            _with("nothing new"),
+            *(_with(f"2D joints, {level}", SimulatedJoints(level)) for level in JOINTS),
+            *(_with(f"depth, {level}", SimulatedDepth(level)) for level in DEPTHS),
+            *(
+                _with(f"2D joints, {joints}; depth, {level}", SimulatedJoints(joints), SimulatedDepth(level))
+                for joints in ("wild", "landmarks")
+                for level in USUAL
+            ),
+            _with("strong, nothing new", level="strong"),
+            *(_with(f"strong, 2D joints; depth, {d}", JOINT, SimulatedDepth(d), level="strong") for d in USUAL),
+            *(
+                Setting(f"exact, {one.label}; depth, {d}", change=Several((SimulatedDepth(d), one.change)))
+                for one in ROUGH
+                for d in USUAL
+            ),
+        ),
+        ("soft-hinge",),
+    ),
+    "wrong-evidence": Ablation(
+        "Estimated hands, with other evidence that is wrong",
+        "nothing new",
+        (
+            _with("nothing new"),
+            *(_with(f"2D joints, {level}", SimulatedJoints(level)) for level in ("other hand", "shifted camera")),
+            _with("depth, mono-warped", SimulatedDepth("mono-warped")),
+        ),
+        ("soft-hinge",),
+    ),
+    "hand-flips": Ablation(
+        "Hands that are flipped in some frames: repaired, or used",
+        "none, as given",
+        tuple(
+            Setting(f"{label}, {word}", {"hands": hands}, change)
+            for label, change in (
+                ("none", UNCHANGED),
+                *((f"{100 * p:.0f} %", FlippedHands(p)) for p in (0.1, 0.2, 0.4)),
+            )
+            for hands, word in (("as-given", "as given"), ("corrected", "repaired"))
+        ),
+        ("soft-hinge",),
+    ),
+    "true-hands": Ablation(
+        "Hands: as given, refined against their own pixels, or the true ones",
+        "as given",
+        (
+            Setting("as given", {"hands": "as-given"}),
+            Setting("corrected", {"hands": "corrected"}),
+            Setting("true", {"hands": "as-given"}, change=TrueHands()),
+        ),
+        ("one-dof", "soft-hinge"),
+    ),
+    "mask-noise": Ablation(
+        "Noise of the masks: distance of their contours from the true ones, root mean square",
+        "none",
+        (Setting("none"), *(_mask_noise(px) for px in (0.5, 1.0, 2.0, 4.0))),
+    ),
+    "mask-gaps": Ablation(
+        "Gaps between the masks of the object and of what hides it",
+        "none",
+        (Setting("none"), *(Setting(f"{px} px", change=Gapped(px)) for px in (1, 2, 3, 5))),
+    ),
+    "wrong-masks": Ablation(
+        "Masks that are wrong in some frames: left out, or used",
+        "none, as given",
+        tuple(
+            replace(fault, label=f"{fault.label}, {word}", options={"masks": masks})
+            for fault in (Setting("none"), *(_wrong_masks(*fault) for fault in WRONG_MASKS))
+            for masks, word in (("as-given", "as given"), ("checked", "checked"))
+        ),
+        ("soft-hinge",),
+    ),
+    "other-mesh": Ablation(
+        "A mesh of the category: fitted to the masks, or unchanged",
+        "own, as given",
+        tuple(
+            Setting(f"{label}, {word}", {"mesh": mesh}, change)
+            for label, change in ({"own": UNCHANGED} | CATEGORY_MESHES).items()
+            for mesh, word in (("as-given", "as given"), ("fitted", "fitted"))
+        ),
+        ("soft-hinge",),
+    ),
+    "scale": Ablation(
+        "Scale of the object",
+        "known",
+        (
+            Setting("known", change=ScaleKnown()),
+            Setting("free", change=ScaleFree()),
+        ),
+    ),
+    "sca": Ablation(
+        "Definition of contact: whose points, and at which distance",
+        None,
+        tuple(Setting(f"{d.side}, {d.distance}", contact=d) for d in CONTACT_DEFINITIONS),
+        COMPARED,
+    ),
+    "inputs": Ablation(
+        "Errors of the input: none, or one of them; both methods with the same filters",
+        None,
+        INPUTS,
+    ),
+    "final": Ablation(
+        "Hands that are exact, off by 10 mm and 8°, or at the levels `strong` and `estimated`",
+        None,
+        INPUTS[:4],
+    ),
+    "final-evidence": Ablation(
+        "Estimated hands, with 2D joints and depth simulated as they usually are",
+        "nothing new",
+        (
+            _with("nothing new"),
+            _with("2D joints", JOINT),
+            *(_with(f"2D joints, {d}", JOINT, SimulatedDepth(d)) for d in USUAL),
+        ),
+        ("soft-hinge",),
+    ),
+    "wrong-input": Ablation(
+        "Deliberate mistakes, and the findings of the checks",
+        "none",
+        (Setting("none"), *(Setting(mistake, change=Wrong(mistake)) for mistake in MISTAKES)),
+        ("soft-hinge",),
+    ),
+    "departures": Ablation(
+        "From the paper's method to ours: one departure more in each row",
+        "to the letter",
+        (
+            Setting("to the letter"),
+            *(Setting(label, {"departures": _departures(count)}) for count, label in enumerate(STEPS, start=1)),
+            # Hands as given, as in all rows: their correction has an ablation of its own.
+            Setting("+ soft hinge", {"method": "soft-hinge", "hands": "as-given"}),
+        ),
+        ("paper",),
+    ),
+}
