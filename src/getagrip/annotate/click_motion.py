@@ -7,10 +7,11 @@ do, or in a way of its own: of that, a pixel far from both motions is no evidenc
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, UInt8
 from numpy import ndarray
 
 from getagrip.annotate.carried_masks import BACK, Images
+from getagrip.annotate.colour_cut import Colours, bins, cut, edges, likelier
 from getagrip.annotate.object_motion import FLOW, flow, own_motion
 
 SIDE = 320
@@ -25,6 +26,14 @@ OTHER = 2.0
 """Log ratio, by which a pixel moves rather as something of its own than as the object."""
 LEAST = 1.0
 """Evidence at the click below which nothing has moved."""
+
+MOVES, STILL = 0.5, -1.5
+"""Pixels with more of the click's motion show the object's colours first; below the second, the ground's."""
+SHARE, CLEAR = 0.3, (-2.0, 0.75)
+"""Motion that is no evidence, and the least and the most log ratio: it reaches 1 at three times as much."""
+COLOUR, MOST = 1.5, 6.0
+"""Weight of the log ratio of colours, and the largest one."""
+ROUNDS = 3
 
 
 def moves_with_click(
@@ -67,3 +76,26 @@ def moves_with_click(
         return None
     whole = cv2.resize(total, shape[::-1], interpolation=cv2.INTER_LINEAR)
     return np.asarray(np.where(whole > 0.0, whole / at_click, whole), np.float32)
+
+
+def moving_part(
+    image: UInt8[ndarray, "h w 3"],
+    motion: Float32[ndarray, "h w"],
+    sure: Bool[ndarray, "h w"],
+    never: Bool[ndarray, "h w"],
+) -> Bool[ndarray, "h w"]:
+    """Return the object by its motion (``moves_with_click``) and by the colours of what moves so.
+
+    Motion stays evidence when the colours are counted again: a part in another colour is not lost.
+    """
+    at, edge = bins(image), edges(image)
+    moved = np.clip((motion - SHARE) / (2.0 * SHARE), *CLEAR)
+    found, known = ((motion > MOVES) & ~never) | sure, np.zeros_like(sure)
+    known[[0, -1]] = known[:, [0, -1]] = True
+    known |= found | never | (motion < STILL)
+    for _ in range(ROUNDS):
+        colours = np.clip(COLOUR * likelier(at, Colours.of(image, found, known)), -MOST, MOST)
+        object_ = np.where(sure, MOST, np.where(never, -MOST, colours + moved)).astype(np.float32)
+        found = cut(-object_, edge, (object_ > 0.0).astype(np.float32))
+        known = np.ones_like(sure)
+    return found

@@ -1,6 +1,6 @@
-"""Segment the object from strokes, clicks or a box on one frame, by GrabCut; every stroke is obeyed.
+"""Segment the object from strokes, clicks or a box on one frame; every stroke is obeyed.
 
-A click says little of the colours; pixels that move with it say more (``click_motion``).
+Strokes and boxes are completed by GrabCut, clicks by what moves with them (``click_motion``).
 
 Rother, Kolmogorov, Blake, SIGGRAPH 2004. A stroke lies on the object ("on") or on what is not the object ("off"). If
 polygons are drawn on the frame as well, strokes correct them nearby, and they are kept elsewhere.
@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Float32, Int, UInt8
 from numpy import ndarray
 
 from getagrip.annotate.carried_masks import Hands, Image, Images
-from getagrip.annotate.click_motion import moves_with_click
+from getagrip.annotate.click_motion import moves_with_click, moving_part
 from getagrip.annotate.colour_cut import Colours, bins, likelier
 from getagrip.annotate.labels import HAND, OBJECT, FrameLabels, Labels
 from getagrip.errors import UsageError
@@ -31,8 +31,6 @@ LEAST, MOST = 0.25, 0.45
 side; from a single click, no farther than the larger one."""
 CLICK = 0.05
 """Strokes of an extent less than this share are a click."""
-MOVES, STILL = 0.15, -1.5
-"""Pixels with more than this share of the click's motion may be the object's; below the second, the ground's."""
 NEAR = 0.12
 """Polygons are corrected within this share of the image's shorter side from a stroke."""
 ROUNDS = 5
@@ -74,14 +72,11 @@ def stroked(
     seen = np.zeros(shape, bool) if hand is None else _resized(hand, shape)
     no_object = off | ((drawn != 0) & (drawn != OBJECT)) | (seen & (drawn != OBJECT))
     start = None
-    if motion is not None:
-        start = np.where(motion > MOVES, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
-        start[motion < STILL] = cv2.GC_BGD
     if (drawn == OBJECT).any():
         near = cv2.distanceTransform((~(on | off)).astype(np.uint8), cv2.DIST_L2, 3) < NEAR * min(shape)
         start = np.where(drawn == OBJECT, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
         start[~near & (drawn == OBJECT)], start[~near & (drawn != OBJECT)] = cv2.GC_FGD, cv2.GC_BGD
-    found = _cut(image, on, no_object & ~on, start, _around(on | (drawn == OBJECT), shape))
+    found = _cut(image, on, no_object & ~on, start, _around(on | (drawn == OBJECT), shape), motion)
     out = np.where(drawn == OBJECT, 0, drawn).astype(np.uint8)
     out[found] = OBJECT
     out[off & (out == OBJECT)], out[on] = 0, OBJECT
@@ -150,8 +145,12 @@ def _cut(
     off: Bool[ndarray, "H W"],
     start: UInt8[ndarray, "H W"] | None,
     part: tuple[slice, slice],
+    motion: Float32[ndarray, "H W"] | None = None,
 ) -> Bool[ndarray, "H W"]:
-    """Return what GrabCut finds in a part of the image, from its labels or, without any, from the strokes' colours."""
+    """Return what is found in a part of the image: by motion, if that is known, else by GrabCut.
+
+    GrabCut begins with its labels or, without any, with the strokes' colours.
+    """
     import cv2
 
     out = np.zeros(on.shape, bool)
@@ -165,26 +164,42 @@ def _cut(
     sure, never = (
         cv2.resize(each[part].astype(np.uint8), size, interpolation=cv2.INTER_AREA) > 0 for each in (on, off)
     )
-    if start is None:
-        labels = np.full(size[::-1], cv2.GC_PR_BGD, np.uint8)
-        labels[[0, -1]] = labels[:, [0, -1]] = cv2.GC_BGD
-        labels[never], labels[sure] = cv2.GC_BGD, cv2.GC_FGD
-        unknown = labels == cv2.GC_PR_BGD
-        likely = likelier(bins(small), Colours.of(small, sure, ~unknown)) > 1.0
-        labels[likely & unknown] = cv2.GC_PR_FGD
+    if motion is None:
+        labels = None if start is None else cv2.resize(start[part], size, interpolation=cv2.INTER_NEAREST)
+        found = _grabbed(small, labels, sure, never)
     else:
-        labels = cv2.resize(start[part], size, interpolation=cv2.INTER_NEAREST)
-        labels[never], labels[sure] = cv2.GC_BGD, cv2.GC_FGD
-    front, back = (np.isin(labels, sides) for sides in ((cv2.GC_FGD, cv2.GC_PR_FGD), (cv2.GC_BGD, cv2.GC_PR_BGD)))
-    if not front.any() or not back.any():
-        return out
-    colours = np.zeros((1, 65)), np.zeros((1, 65))
-    cv2.setRNGSeed(0)  # GrabCut begins with k-means from random centres
-    labels = cv2.grabCut(small, labels, (0, 0, 0, 0), *colours, ROUNDS, cv2.GC_INIT_WITH_MASK)[0]
-    found = _touching(np.isin(labels, (cv2.GC_FGD, cv2.GC_PR_FGD)), sure)
+        found = moving_part(small, cv2.resize(motion[part], size, interpolation=cv2.INTER_AREA), sure, never)
+    found = _touching(found, sure)
     soft = cv2.GaussianBlur(found.astype(np.float32), (0, 0), 1.0)
     out[part] = cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
     return out & ~off
+
+
+def _grabbed(
+    image: UInt8[ndarray, "h w 3"],
+    labels: UInt8[ndarray, "h w"] | None,
+    sure: Bool[ndarray, "h w"],
+    never: Bool[ndarray, "h w"],
+) -> Bool[ndarray, "h w"]:
+    """Return what GrabCut finds; without labels it begins with the colours of what is sure."""
+    import cv2
+
+    if labels is None:
+        labels = np.full(sure.shape, cv2.GC_PR_BGD, np.uint8)
+        labels[[0, -1]] = labels[:, [0, -1]] = cv2.GC_BGD
+        labels[never], labels[sure] = cv2.GC_BGD, cv2.GC_FGD
+        unknown = labels == cv2.GC_PR_BGD
+        likely = likelier(bins(image), Colours.of(image, sure, ~unknown)) > 1.0
+        labels[likely & unknown] = cv2.GC_PR_FGD
+    else:
+        labels[never], labels[sure] = cv2.GC_BGD, cv2.GC_FGD
+    front, back = (np.isin(labels, sides) for sides in ((cv2.GC_FGD, cv2.GC_PR_FGD), (cv2.GC_BGD, cv2.GC_PR_BGD)))
+    if not front.any() or not back.any():
+        return np.zeros(sure.shape, bool)
+    colours = np.zeros((1, 65)), np.zeros((1, 65))
+    cv2.setRNGSeed(0)  # GrabCut begins with k-means from random centres
+    labels = cv2.grabCut(image, labels, (0, 0, 0, 0), *colours, ROUNDS, cv2.GC_INIT_WITH_MASK)[0]
+    return np.isin(labels, (cv2.GC_FGD, cv2.GC_PR_FGD))
 
 
 def _touching(mask: Bool[ndarray, "h w"], strokes: Bool[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
