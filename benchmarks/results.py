@@ -174,9 +174,10 @@ def printed(name: str, page: Path) -> Table:
     lines = [line for line in page.read_text(encoding="utf-8").splitlines() if line.startswith("|")]
     header, _, *body = ([cell.strip() for cell in line[1:-1].split("|")] for line in lines)
     notes = [note for line in (*before, *after) if (note := MADE.sub("", line))]
-    return replace(
-        store.of_cells(_title(name, title), header, body, notes), made=_made(name, "\n".join((*before, *after)))
-    )
+    table = store.of_cells(_title(name, title), header, body, notes)
+    units = {one.key: one.unit for one in store.read(name).columns} if name in store.names() else {}
+    columns = [replace(one, unit=one.unit or units.get(one.key, "")) for one in table.columns]
+    return replace(table, columns=columns, made=_made(name, "\n".join((*before, *after))))
 
 
 def _title(name: str, title: str) -> str:

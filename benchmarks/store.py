@@ -134,7 +134,7 @@ def of_cells(title: str, header: Sequence[str], lines: Sequence[Sequence[str]], 
 def _column(heading: str, cells: Sequence[str]) -> Column:
     """The column of a heading, whose last words may be its unit."""
     label, _, unit = heading.rpartition(", ")
-    if unit not in UNITS:
+    if not label or unit not in UNITS:
         label, unit = heading, ""
     key = COLUMN_KEYS.get(heading) or slug(heading, "_")
     return Column(key, label, unit, digits=max(map(_digits, cells)))
