@@ -19,6 +19,7 @@ from getagrip.fitting.solve import minimise
 from getagrip.fitting.surface import ObjectSurface
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
+from getagrip.metrics.contact import signed_distance
 from getagrip.timelines.reconstruct import reconstruct
 from helpers.clips import box
 from helpers.scenes import SMALL, scene, scores
@@ -40,6 +41,29 @@ def test_near_copies_of_a_better_hypothesis_are_dropped() -> None:
     np.testing.assert_array_equal(suppress_duplicates(motion.poses(), energy, box_surface(), keep=9), [1, 3, 2])
     np.testing.assert_array_equal(suppress_duplicates(motion.poses(), energy, box_surface(), keep=2), [1, 3])
     assert len(suppress_duplicates(motion.poses(), np.full(5, np.inf), box_surface(), keep=2)) == 0
+
+
+def test_the_distance_of_two_poses_is_that_of_points_to_the_posed_mesh() -> None:
+    surface, rng = box_surface(), np.random.default_rng(5)
+    mesh = box(0.1, 0.06, 0.04)
+    R = se3.exp_so3(rng.normal(size=(4, 2, 3)) * np.array([0.0, 0.05, 0.1, 1.0])[:, None, None])
+    centre, scale = rng.normal(size=(4, 2, 3)) * 0.004, np.array([1.0, 1.0, 1.1, 0.95])
+    found, near_ones = surface.rms_distance(R[0], centre[0], 1.05, R, centre, scale), 0
+    for n in range(4):
+        gaps = []
+        for k in range(2):
+            moved = 1.05 * surface.points @ R[0, k].T + centre[0, k]
+            own = (moved - centre[n, k]) @ R[n, k] / scale[n] + mesh.centre
+            gaps.append(signed_distance(own, mesh.vertices, mesh.faces))
+        exact = float(np.sqrt(np.mean(np.square(gaps))) / mesh.diameter)
+        assert found[n] <= exact + 1e-9
+        if np.abs(gaps).max() < 0.02:  # farther off it is a lower bound
+            near_ones += 1
+            assert found[n] == pytest.approx(exact, rel=1e-6, abs=1e-9)
+    assert near_ones >= 3
+    limit = float(np.median(found))
+    limited = surface.rms_distance(R[0], centre[0], 1.05, R, centre, scale, within=limit)
+    np.testing.assert_array_equal(limited, np.where(found <= limit, found, np.inf))
 
 
 @pytest.mark.parametrize("by", [FAR, NEAR])

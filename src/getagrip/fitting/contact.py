@@ -23,27 +23,46 @@ def solid(mesh: Mesh, centre: Float[ndarray, "3"]) -> FaceGrid:
     return FaceGrid.of(mesh.vertices[mesh.faces] - centre, margin=MARGIN)
 
 
-@kernel("f2 f3 f3 n3 f3 f1 f")
-def distances(points, corners, normals, face, distance, origin, spacing):
-    """Compute the unsigned distance of points (P, 3) in the frame of a ``FaceGrid`` to its mesh [m].
+@kernel("f2 f3 f2 f f4 f3 f1 f f3 f3 n3 f3 f1 f")
+def rms_distances(
+    points, R, centre, scale, others_R, others_centre, others_scale, within, corners, normals, face, distance, origin,
+    spacing,
+):  # fmt: skip
+    """Compute the root mean square distance of points (P, 3), posed in N frames, to C others' poses of a mesh [m].
 
-    Beyond the grid, where no face is known to be near, a lower bound: ``MARGIN`` and the distance to the grid.
+    Infinite where it is more than ``within``. The mesh is that of a ``FaceGrid``; beyond the grid, where no face is
+    known to be near, a distance is a lower bound: ``MARGIN`` and the distance to the grid.
     """
-    P = len(points)
-    local, rough, out = np.empty((P, 3)), np.empty(P), np.empty(P)
-    here = np.zeros((3, 3))
-    here[0, 0] = here[1, 1] = here[2, 2] = 1.0
-    screen(points, here, np.zeros(3), 1.0, distance, origin, spacing, local, rough)
-    for p in range(P):
-        if np.isfinite(rough[p]):
-            x, y, z = local[p, 0], local[p, 1], local[p, 2]
-            out[p] = abs(signed_distance(x, y, z, corners, normals, face, origin, spacing)[0])
-        else:
-            squared = 0.0
+    N, P = len(R), len(points)
+    most, out, moved = within * within * N * P, np.empty(len(others_scale)), np.empty((N, P, 3))
+    for n in range(N):
+        for p in range(P):
+            x, y, z = scale * points[p, 0], scale * points[p, 1], scale * points[p, 2]
             for k in range(3):
-                last = origin[k] + spacing * (distance.shape[k] - 1)
-                squared += max(max(origin[k] - local[p, k], local[p, k] - last), 0.0) ** 2
-            out[p] = MARGIN + np.sqrt(squared)
+                moved[n, p, k] = R[n, k, 0] * x + R[n, k, 1] * y + R[n, k, 2] * z + centre[n, k]
+    local, rough = np.empty((P, 3)), np.empty(P)
+    for c in range(len(out)):
+        total = 0.0
+        for n in range(N):
+            if total > most:
+                break
+            screen(
+                moved[n], others_R[c, n], others_centre[c, n], others_scale[c], distance, origin, spacing, local, rough
+            )
+            for p in range(P):
+                if np.isfinite(rough[p]):
+                    x, y, z = local[p, 0], local[p, 1], local[p, 2]
+                    gap = signed_distance(x, y, z, corners, normals, face, origin, spacing)[0]
+                else:
+                    squared = 0.0
+                    for k in range(3):
+                        last = origin[k] + spacing * (distance.shape[k] - 1)
+                        squared += max(max(origin[k] - local[p, k], local[p, k] - last), 0.0) ** 2
+                    gap = MARGIN + np.sqrt(squared)
+                total += gap * gap
+                if total > most:
+                    break
+        out[c] = np.inf if total > most else np.sqrt(total / (N * P))
     return out
 
 

@@ -197,7 +197,7 @@ def suppress_duplicates(
         if len(chosen) == keep or not np.isfinite(energy[b]):
             break
         here, others = (R[b], centre[b], float(scale[b])), (R[chosen], centre[chosen], scale[chosen])
-        copies = surface.rms_distance(*here, *others) <= SAME if chosen else np.zeros(0, dtype=bool)
+        copies = surface.rms_distance(*here, *others, SAME) <= SAME if chosen else np.zeros(0, dtype=bool)
         if half_turns and copies.any() and near(energy[[chosen[0], b]], ALIKE)[1]:
             copies &= ~surface.half_turned(R[b], R[chosen])
         if not copies.any():

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from getagrip.fitting.contact import distances, solid
+from getagrip.fitting.contact import rms_distances, solid
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh, decimate
 from getagrip.kernels.closest import FaceGrid
@@ -78,12 +78,14 @@ class ObjectSurface:
         others_R: Float[ndarray, "C N 3 3"],
         others_centre: Float[ndarray, "C N 3"],
         others_scale: Float[ndarray, "C"],
+        within: float = np.inf,
     ) -> Float[ndarray, "C"]:
         """Compute the root mean square distance of the posed surface from C other poses of it, in diameters.
 
-        A bottle that is rotated about its axis has not moved. Where the two are far apart, this is a lower bound.
+        A bottle that is rotated about its axis has not moved. Where the two are far apart, this is a lower bound, and
+        infinite where it is more than ``within``.
         """
-        placed = scale * self.points @ np.swapaxes(R, -1, -2) + centre[:, None]
-        back = (placed - others_centre[:, :, None]) @ others_R / others_scale[:, None, None, None]
-        gap = distances(np.ascontiguousarray(back.reshape(-1, 3)), *self.solid.tables).reshape(len(others_scale), -1)
-        return np.asarray(np.sqrt(np.mean(gap**2, axis=1)) / self.diameter)
+        arrays = map(np.ascontiguousarray, (R, centre, others_R, others_centre, others_scale))
+        at_R, at_centre, *others = arrays
+        found = rms_distances(self.points, at_R, at_centre, scale, *others, within * self.diameter, *self.solid.tables)
+        return np.asarray(found / self.diameter)
