@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,17 +22,18 @@ from getagrip.hands import generic
 from getagrip.hands.clicked_hands import model_pose
 from getagrip.hands.model import hand_track
 from getagrip.hands.pose_prior import PosePrior
+from getagrip.provenance import Provenance, Source, as_arrays, estimated, measured
 
 K = np.array([[500.0, 0.0, 160.0], [0.0, 500.0, 160.0], [0.0, 0.0, 1.0]])
 SIZE = (320, 320)
 FRAMES = np.array([3, 4, 5, 9, 10])
 
 
-def found_hand() -> HandTrack:
-    """A hand at rest, with its landmarks."""
+def found_hand(turn: Sequence[float] = (-0.5 * np.pi, 0.0, 0.0), tilt: Sequence[float] = (0.0, 0.0, 0.0)) -> HandTrack:
+    """A hand at rest, turned and then tilted, with its landmarks."""
     model = generic.load("left")
     q = np.tile(PosePrior.of(model).mean, (len(FRAMES), 1, 1, 1))
-    T = se3.rigid(se3.exp_so3(np.array([-0.5 * np.pi, 0.0, 0.0])), np.array([0.0, 0.0, 0.35]))
+    T = se3.rigid(se3.exp_so3(np.array(tilt)) @ se3.exp_so3(np.array(turn)), np.array([0.0, 0.0, 0.35]))
     hand = hand_track(
         model.with_shape(np.zeros(len(model.shape_names))).with_pose(model_pose(q)), np.tile(T, (5, 1, 1))
     )
@@ -77,6 +79,43 @@ def test_depths_of_hands_that_are_largely_guessed_are_not_believed(monkeypatch: 
         off.append(np.degrees(se3.angle_between(found.T_cam_hand[:, :3, :3], true.T_cam_hand[:, :3, :3])).max())
     assert off[0] < 15.0
     assert off[1] > 2.0 * off[0]
+
+
+def held_from_behind(tmp_path: Path, provenance: Provenance) -> tuple[Path, LabelMaps]:
+    """A left hand that the network takes for a right one, the farthest of whose joints an object hides: file, masks."""
+    true = found_hand(tilt=[0.0, 0.9, 0.0])
+    assert true.joints is not None
+    assert true.joints_2d is not None
+    X = se3.transform(true.T_cam_hand, true.joints)
+    far, maps = np.argsort(X[0, :, 2]), LabelMaps(SIZE)
+    for frame, points in zip(FRAMES, true.joints_2d, strict=True):
+        drawn = np.zeros(SIZE[::-1], np.uint8)
+        for joints, value in ((far[:9], HAND), (far[-9:], OBJECT)):
+            for x, y in points[joints].round().astype(int):
+                drawn[max(0, y - 9) : y + 10, max(0, x - 9) : x + 10] = value
+        maps.add(int(frame), drawn)
+    mirrored = X * [1.0, 1.0, -1.0] + [0.0, 0.0, 2.0 * X[..., 2].mean()]
+    seen = replace(true, joints=se3.transform(se3.inverse(true.T_cam_hand), mirrored))
+    write_hand(
+        seen, tmp_path / "found.npz", {"frames": FRAMES + 1, "K": K, "side": np.array("right")} | as_arrays(provenance)
+    )
+    return tmp_path / "found.npz", maps
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("side", [estimated("right: it looks like one"), measured("right, as stated")])
+def test_the_object_decides_on_the_side_unless_it_is_stated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], side: Source
+) -> None:
+    found, maps = held_from_behind(tmp_path, {"hands": estimated(lifting.LIFTED), "hands_side": side})
+    write_lifted_again(found, tmp_path / "out.npz", "right", 3, 10, maps)
+    written = np.load(tmp_path / "out.npz")
+    assert str(written["side"]) == ("right" if side.basis == "measured" else "left")
+    said = "".join(capsys.readouterr())
+    assert ("--side right overrules this" in said) == (side.basis != "measured")
+    order, frames = lifting.order(read_hand(tmp_path / "out.npz", 5), FRAMES, K, maps)
+    assert frames == len(FRAMES)
+    assert (order > 0.0) == (side.basis != "measured")
 
 
 def test_a_frame_without_a_map_is_empty() -> None:

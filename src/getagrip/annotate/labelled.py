@@ -23,7 +23,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.depth import covered
 from getagrip.geometry.lens import Lens
 from getagrip.hands.clicked_hands import SCALE, ClickedHands, hands_from_clicks
-from getagrip.io import files
+from getagrip.io import arrays, files
 from getagrip.io.images import write_image
 from getagrip.provenance import Source, as_arrays, assumed, estimated
 
@@ -120,9 +120,14 @@ def command(labels: Labels, out: Path, segments: Path | None = None) -> str:
 
 
 def clip_words(labels: Labels, out: Path, video: str, segments: Path | None = None) -> list[str]:
-    """Return the words of that call after the program's name, but for the mesh and the clip's folder."""
+    """Return the words of that call after the program's name, but for the mesh and the clip's folder.
+
+    The side is that of the hand in ``out``, which may be another one than the labels' (``lifted_again``).
+    """
+    hand = out / "hand.npz"
+    side = str(arrays.read(hand, {"side"}.__contains__).get("side", labels.side)) if hand.is_file() else labels.side
     return [
-        *("clip", "new", video, "--interval", str(labels.first + 1), str(labels.last + 1), "--side", labels.side),
+        *("clip", "new", video, "--interval", str(labels.first + 1), str(labels.last + 1), "--side", side),
         *("--hands", str(out / "hand.npz"), "--masks", str(out / "masks")),
         *("--object", str(OBJECT), "--ignore", str(FRONT), "--hand", str(HAND)),
         *(() if segments is None else ("--segments", str(segments))),

@@ -4,6 +4,9 @@ At first nothing is known but landmarks, and those of fingers that the object hi
 beside the object. With the masks, landmarks on the background are left out, those on the object count less, and joints
 are kept where something hides or shows them (``hidden_joints``). Where many landmarks are on the background or beside
 the image, the latter are left out, too, and so are the network's depths.
+
+A left hand and the right hand that is its mirror image in depth have nearly the same landmarks. The object decides: the
+joints that it hides are farther from the camera than those that are seen.
 """
 
 from __future__ import annotations
@@ -15,19 +18,20 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
-from getagrip.annotate.labels import OBJECT
+from getagrip.annotate.labels import HAND, OBJECT
 from getagrip.clip import HandTrack
 from getagrip.clip.reading_arrays import read_hand
 from getagrip.clip.writing import write_hand
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
+from getagrip.geometry.camera import project
 from getagrip.hands.clicked_hands import FEWEST
 from getagrip.hands.hidden_joints import SIDE, Hiding
 from getagrip.hands.lifted_hands import LIFTED, hands_from_landmarks
 from getagrip.hands.model import Side
 from getagrip.io import arrays
-from getagrip.io.terminal import report
-from getagrip.provenance import from_arrays, of_provenance
+from getagrip.io.terminal import counted, report
+from getagrip.provenance import Source, as_arrays, assumed, from_arrays, of_provenance
 
 LOOSENESS = 0.08
 """Standard deviation of each number of the fingers' pose from that of the grasp [rad]."""
@@ -35,6 +39,13 @@ HIDDEN = 0.25
 """Factor on the confidence of landmarks that lie on the visible object: the network guesses them."""
 GUESSED = 0.4
 """Share of landmarks on the background or beside the image above which a frame's hand is largely guessed."""
+ORDER = 0.01
+"""Joints that the object hides are nearer than those that are seen, by at least this, of a hand of the wrong side, and
+farther by as much of one of the right side [m]."""
+WITHIN = 0.02
+"""Distance of these joints from the border of the mask that they lie in, in sizes of the hand."""
+FEWEST_FRAMES, FEWEST_JOINTS = 5, 2
+"""Least number of frames that decide on a side, and in each of them of joints of either kind."""
 
 
 class LabelMaps:
@@ -60,9 +71,16 @@ class LabelMaps:
 
 
 def lifted_again(
-    hand: HandTrack, frames: Int[ndarray, "n"], K: Float[ndarray, "3 3"], side: Side, maps: LabelMaps
+    hand: HandTrack,
+    frames: Int[ndarray, "n"],
+    K: Float[ndarray, "3 3"],
+    side: Side,
+    maps: LabelMaps,
+    mirrored: bool = False,
 ) -> tuple[HandTrack, Int[ndarray, "k"]]:
     """Fit a grasp's hand, of rising ``frames``, to its ``joints_2d`` again; also return the rows that have one.
+
+    Depths are those of ``hand``; where it is of the other side, its mirror image's (``mirrored``).
 
     Raises ``UsageError`` as ``hands_from_landmarks`` does, and for a hand without ``joints_2d``.
     """
@@ -71,6 +89,7 @@ def lifted_again(
     at, every = frames - frames[0], np.arange(frames[0], frames[-1] + 1)
     points, world = np.full((len(every), 21, 2), np.nan), np.full((len(every), 21, 3), np.nan)
     points[at], world[at] = hand.joints_2d, se3.transform(hand.T_cam_hand, hand.joints)
+    world[..., 2] *= -1.0 if mirrored else 1.0
     drawn = maps.at(every)
     hidden = Hiding.of(drawn != OBJECT, maps.zoom).at(points)[0] > 0.0
     hiding = Hiding.of(drawn > 0, maps.zoom)
@@ -89,24 +108,65 @@ def lifted_again(
     return replace(lifted, joints_2d=seen, joints_2d_confidence=sure), rows
 
 
+def order(hand: HandTrack, frames: Int[ndarray, "n"], K: Float[ndarray, "3 3"], maps: LabelMaps) -> tuple[float, int]:
+    """Measure how much farther away joints are that the object hides than those that are seen [m].
+
+    Returns the mean of the frames that have both, and their number.
+    """
+    assert hand.joints is not None
+    joints, drawn = se3.transform(hand.T_cam_hand, hand.joints), maps.at(frames)
+    points = project(K, joints)
+    least = WITHIN * np.ptp(points, axis=1).max(axis=1)[:, None]
+    hidden, seen = (Hiding.of(drawn != of, maps.zoom).at(points)[0] > least for of in (OBJECT, HAND))
+    both = np.minimum(hidden.sum(axis=1), seen.sum(axis=1)) >= FEWEST_JOINTS
+    if not both.any():
+        return 0.0, 0
+    behind, before = (np.average(joints[both, :, 2], axis=1, weights=some[both]) for some in (hidden, seen))
+    return float(np.mean(behind - before)), int(both.sum())
+
+
+def decided(order: float, frames: int) -> bool:
+    """Return whether an order of joints decides on a hand's side."""
+    return frames >= FEWEST_FRAMES and abs(order) >= ORDER
+
+
 def write_lifted_again(found: Path, out: Path, side: Side, first: int, last: int, maps: LabelMaps) -> None:
     """Write a found hand file to ``out``, its hands lifted again in the frames ``first`` to ``last``, from 0.
 
-    Where they cannot be, they stay as they are, and it is said; an estimator's own hands stay, too. Raises
-    ``InputError`` for a malformed file.
+    They become hands of the other side where only that agrees with what the object hides (``order``), unless ``side``
+    is stated; this is said. Where hands cannot be lifted, they stay as they are, and it is said; an estimator's own
+    hands stay, too. Raises ``InputError`` for a malformed file.
     """
     content = arrays.read(found, lambda key: key in {"frames", "K", "side"} or of_provenance(key))
     numbers = arrays.frame_numbers(found, content)
     if numbers is None:
         raise InputError(found, "frames", "no such key", "the numbers of its frames")
-    frames = np.array(numbers) - 1
+    frames, known = np.array(numbers) - 1, from_arrays(found, content)
     rows = np.flatnonzero((first <= frames) & (frames <= last))
     hand, frames = read_hand(found, len(numbers)).take(rows), frames[rows]
     try:
-        if LIFTED not in str(from_arrays(found, content).get("hands")):
+        if LIFTED not in str(known.get("hands")):
             raise UsageError("they are an estimator's")
-        hand, kept = lifted_again(hand, frames, arrays.floats(found, content, "K", (3, 3)), side, maps)
-        frames = frames[kept]
+        K, turned = arrays.floats(found, content, "K", (3, 3)), str(content.get("side", side)) != side
+        lifted, kept = lifted_again(hand, frames, K, side, maps, turned)
+        off, count = order(lifted, frames[kept], K, maps)
+        stated = turned or ("hands_side" in known and known["hands_side"].basis == "measured")
+        if decided(off, count) and off < 0.0 and not stated:
+            other: Side = "left" if side == "right" else "right"
+            mirrored, rows = lifted_again(hand, frames, K, other, maps, mirrored=True)
+            better, count = order(mirrored, frames[rows], K, maps)
+            if decided(better, count) and better > 0.0:
+                known = known | {"hands_side": _guessed(other, side, better, off, count)}
+                report(f"hands_side: {known['hands_side']}")
+                lifted, kept, side = mirrored, rows, other
+        hand, frames = lifted, frames[kept]
     except UsageError as error:
         report(f"hands: as they were found: {error}")
-    write_hand(hand, out, content | {"frames": frames + 1})
+    write_hand(hand, out, content | as_arrays(known) | {"frames": frames + 1, "side": np.array(side)})
+
+
+def _guessed(side: Side, other: Side, order: float, order_of_other: float, frames: int) -> Source:
+    """Return the source of a side that what the object hides has decided on."""
+    where = f"{1e3 * order:.0f} mm behind those that are seen, of a {other} one {-1e3 * order_of_other:.0f} mm before"
+    of = f"the joints of a {side} hand that the object hides are {where} them, in {counted(frames, 'frame')}"
+    return assumed(f"{side}, a guess, since {of}; it looks like a {other} one: --side {other} overrules this")
