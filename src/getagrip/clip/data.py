@@ -248,10 +248,16 @@ class Clip(ArrayData):
         return np.array([place[name] for name in frames], dtype=np.int64)
 
     def with_hand_at(
-        self, T_cam_hand: Float[ndarray, "T 4 4"] | None, T_cam_other: Float[ndarray, "T 4 4"] | None = None
+        self,
+        T_cam_hand: Float[ndarray, "T 4 4"] | None,
+        T_cam_other: Float[ndarray, "T 4 4"] | None = None,
+        scale: float = 1.0,
     ) -> Clip:
-        """Return the clip with its hands at other poses, such as those of a result; None leaves a hand in place."""
-        hand, other = self.hand, self.other_hand
+        """Return the clip with its hands at other poses, such as those of a result; None leaves a hand in place.
+
+        ``scale`` is a factor on the size of the clip's own hand, about the origin of its frame.
+        """
+        hand, other = self.hand if scale == 1.0 else self.hand.scaled(scale), self.other_hand
         if T_cam_hand is not None:
             hand = replace(hand, T_cam_hand=T_cam_hand)
         if T_cam_other is not None and other is not None:

@@ -59,6 +59,12 @@ class HandTrack(ArrayData):
             needed = "vertex ids of the pad of each fingertip"
             raise UsageError(f"missing {', '.join(missing)} in HandTrack.regions: {needed}")
 
+    def scaled(self, factor: float) -> HandTrack:
+        """Return the hand in another size, about the origin of its frame."""
+        return replace(
+            self, vertices=factor * self.vertices, joints=None if self.joints is None else factor * self.joints
+        )
+
     def take(self, index: Int[ndarray, "n"]) -> HandTrack:
         """Return the hand in some of the frames, in the given order."""
         optional = (self.joints, self.joints_2d, self.joints_2d_confidence)

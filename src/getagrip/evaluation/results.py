@@ -157,7 +157,8 @@ def evaluate(
     if masks is not None:
         check_masks(clip, masks)
     index, whole_mesh, clip = clip.index_of(result.frames), clip.mesh, clip.light()
-    clip, masks = clip.take(index).with_hand_at(result.T_cam_hand), None if masks is None else masks.take(index)
+    clip = clip.take(index).with_hand_at(result.T_cam_hand, scale=result.hand_scale)
+    masks = None if masks is None else masks.take(index)
     found, track = clip.warped(result.warp).mesh, ObjectTrack(result.T_hand_obj, result.scale)
     it = _ResultComparison(clip, masks, track, found, contacts=tuple(contacts))
     symmetry = None if clip.truth is None else it.symmetries.describe()

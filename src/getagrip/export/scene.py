@@ -111,7 +111,11 @@ class Scene:
         Raises ``InputError`` where the frames are not the clip's.
         """
         index = clip.index_of(result.frames)
-        some = clip.take(index).warped(result.warp).with_hand_at(result.T_cam_hand, result.T_cam_other_hand)
+        some = (
+            clip.take(index)
+            .warped(result.warp)
+            .with_hand_at(result.T_cam_hand, result.T_cam_other_hand, result.hand_scale)
+        )
         return Scene(
             name=clip.name,
             method=result.method,

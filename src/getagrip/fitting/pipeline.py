@@ -24,6 +24,7 @@ from getagrip.compiling import WORDS, compile_once
 from getagrip.errors import UsageError
 from getagrip.finding import Finding
 from getagrip.fitting.every_frame import Track
+from getagrip.fitting.hand_size import at_object_size, beside_hand, is_beside
 from getagrip.fitting.options import Options
 from getagrip.fitting.solved_hand import SolvedHand
 from getagrip.fitting.tracker_glitches import repair_hand
@@ -179,6 +180,7 @@ def run(
     if masks is not None:
         check_masks(clip, masks)
         clip = with_masks(clip, masks)
+    clip = beside_hand(clip, options)
     compile_once(lambda: progress and progress(WORDS, 0.0))
     with threadpool_limits(1, user_api="blas"):
         clock = Clock(progress, steps.stages)
@@ -189,7 +191,8 @@ def run(
         answer = steps.fit_all_frames(prepared, found, clock)
         judgement = steps.judge(prepared, found, answer)
         clock("check of the result")
-    return _result(source.original, source.notes, options, answer, judgement, clock.seconds())
+    result = _result(source.original, source.notes, options, answer, judgement, clock.seconds())
+    return at_object_size(result, source.original)
 
 
 def repair(clip: Clip, options: Options, threads: int = 1) -> Input:
@@ -210,7 +213,7 @@ def _result(
     """Make the result, with all that is known about how it was found."""
     track, scale, energy = answer.track, float(answer.scale[0]), float(answer.energy[0])
     guesses = {}
-    if clip.scale == "free":
+    if clip.scale == "free" and not is_beside(clip):
         guesses["scale"] = SCALE_GUESSED.format(scale)
     if answer.warp is not None:
         guesses["shape"] = SHAPE_GUESSED

@@ -17,6 +17,7 @@ from numpy import ndarray
 from getagrip.clip import Clip
 from getagrip.datasets.synthetic.categories import CATEGORIES, Kind
 from getagrip.fitting.energy import Energy, InHand, PosesInCamera, Quadratic, Term
+from getagrip.fitting.hand_size import SPREAD, is_beside
 from getagrip.fitting.surface import HALF_TURNS, ObjectSurface
 from getagrip.geometry import se3
 from getagrip.provenance import is_assumed
@@ -93,14 +94,15 @@ class UprightTerm:
 
 
 def usual_of(clip: Clip) -> Energy:
-    """Return the terms of an unmeasured object's size and upright axis; no terms for others."""
+    """Return the terms of an unmeasured object's size and upright axis, or of a hand's size beside it; none else."""
     kind = kind_of(clip)
+    spread = SPREAD if is_beside(clip) else None if kind is None else kind.spread
 
     def terms(level: int, index: Int[ndarray, "n"]) -> list[Term]:
-        if kind is None:
+        if spread is None:
             return []
-        size = SizeTerm(kind.spread)
-        if not kind.opens_up:
+        size = SizeTerm(spread)
+        if kind is None or not kind.opens_up:
             return [size]
         axes = usual_rotations(clip)[: len(kind.grips), :, 2]
         in_camera = axes @ np.swapaxes(clip.hand.T_cam_hand[index, :3, :3], 1, 2)

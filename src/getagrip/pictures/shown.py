@@ -49,7 +49,8 @@ class View:
     def size_in_words(self) -> list[str]:
         """Knowledge and assumptions about the object's size and shape."""
         size = f"scale {self.result.scale:.3f} is a guess" if self.clip.scale == "free" else "scale known"
-        return [size, *["shape is a guess"] * (self.result.warp is not None)]
+        hand = [f"hand scaled by {self.result.hand_scale:.3f}"] * (self.result.hand_scale != 1.0)
+        return [size, *hand, *["shape is a guess"] * (self.result.warp is not None)]
 
     def called(self, segment: Segment) -> tuple[str, ...]:
         """Return the name of a segment, and a short one."""
@@ -103,7 +104,7 @@ class View:
     def of(result: Reconstruction, clip: Clip, masks: Masks | None) -> View:
         """Make the view of a result with a clip and masks at its frames, its hand and mesh as they are to be drawn."""
         light = clip.light()
-        seen = light.warped(result.warp).with_hand_at(result.T_cam_hand, result.T_cam_other_hand)
+        seen = light.warped(result.warp).with_hand_at(result.T_cam_hand, result.T_cam_other_hand, result.hand_scale)
         return View(seen, masks, result, light.mesh)
 
     def image_file(self, n: int) -> Path | None:

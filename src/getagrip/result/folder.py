@@ -79,6 +79,8 @@ def _arrays(result: Reconstruction) -> dict[str, Shaped[ndarray, "..."]]:
     }
     if result.T_cam_hand is not None:
         out["T_cam_hand"] = result.T_cam_hand
+    if result.hand_scale != 1.0:
+        out["hand_scale"] = np.array(result.hand_scale)
     if result.hand_covariance is not None:
         out["hand_covariance"] = result.hand_covariance
     if result.hand_alternatives is not None:

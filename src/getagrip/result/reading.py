@@ -27,7 +27,8 @@ MOST_WARPED = 10.0
 """Coefficients of a warp are about 1 or 0; far more would be no shape of a mesh."""
 ARRAYS = (
     "T_hand_obj", "T_cam_hand", "T_cam_other_hand", "scale", "frames", "frame_kind", "iou", *AXIS,
-    "candidate_T_hand_obj", "candidate_scale", "candidate_energy", "hand_covariance", "hand_alternatives", *WARP,
+    "candidate_T_hand_obj", "candidate_scale", "candidate_energy", "hand_scale", "hand_covariance", "hand_alternatives",
+    *WARP,
 )  # fmt: skip
 """Arrays of ``result.npz``."""
 OPTIONAL: Json = {
@@ -121,6 +122,7 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, Json]:
             folder / "result.json", fields["probability_right_in_camera"], "probability_right_in_camera"
         ),
         T_cam_hand=_rigid(path, stored, "T_cam_hand", (T, 4, 4)) if "T_cam_hand" in stored else None,
+        hand_scale=float(_scales(path, stored, "hand_scale", ())) if "hand_scale" in stored else 1.0,
         hand_alternatives=_alternatives(path, stored),
         hand_covariance=arrays.floats(path, stored, "hand_covariance", (6, 6)) if "hand_covariance" in stored else None,
         hand_energy=_hand_energy(folder / "result.json", fields["hand_energy"]),
