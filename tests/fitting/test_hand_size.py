@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from getagrip.clip import Clip, Segment
-from getagrip.fitting.hand_size import at_object_size, beside_hand, is_beside
+from getagrip.fitting.hand_size import at_object_size, beside_hand
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 from getagrip.provenance import assumed, measured
@@ -49,7 +49,7 @@ def test_a_hand_of_another_size_is_scaled_to_the_object(by: float, tmp_path: Pat
 def test_only_hands_of_assumed_size_and_objects_of_known_size_are_scaled() -> None:
     clip, _ = scene("mug", 1, SMALL)
     lifted = replace(clip, provenance=LIFTED)
-    assert is_beside(beside_hand(lifted, Options()))
+    assert beside_hand(lifted, Options()).size_beside_hand
     whole = (Segment("grasp", 0, len(clip) - 1, clip.side),)
     others = [
         clip, replace(clip, provenance={"hands_scale": measured("by a scanner")}), replace(lifted, scale="free"),
@@ -64,7 +64,7 @@ def test_only_hands_of_assumed_size_and_objects_of_known_size_are_scaled() -> No
 def test_what_is_scaled_looks_the_same() -> None:
     clip, masks = scene("mug", 1, SMALL)
     beside = beside_hand(replace(clip, provenance=LIFTED), Options())
-    found = reconstruct(replace(beside, provenance={}), masks, Options())
+    found = reconstruct(replace(beside, size_beside_hand=False), masks, Options())
     scaled = at_object_size(found, beside)
 
     def posed(result: Reconstruction) -> tuple[np.ndarray, np.ndarray]:

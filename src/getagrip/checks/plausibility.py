@@ -18,6 +18,11 @@ def of_scale(it: Evidence, scale: str, size: float) -> float:
     return size if it.clip.scale == scale else UNKNOWN
 
 
+def lifted_hand(it: Evidence) -> float:
+    """Return how many times as large as a mean hand a lifted one is, where its size follows from the object's."""
+    return 1.0 / it.scale if it.clip.size_beside_hand else UNKNOWN
+
+
 def edge_share(it: Evidence) -> float:
     """Measure the share of the image's edge that the masks cover, median over frames; all of it for the background."""
     each = [(mask[[0, -1]].mean(), mask[:, [0, -1]].mean()) for mask in it.masks.object]

@@ -255,6 +255,11 @@ _RESULT: tuple[Check, ...] = (
         fault="the object was found to be {value} times as large as the hand",
         advice="a free scale needs masks and hands that agree; give the size if you know it",
     ),
+    Check(
+        "hand-size", plausibility.lifted_hand, low=0.7, high=1.35,
+        fault="by the object's size the hand would be {value} times as large as a mean one",
+        advice="check the object's size and its mesh: is it the kind of object? Are the hand's joints right?",
+    ),
 )  # fmt: skip
 
 

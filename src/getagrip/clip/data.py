@@ -159,6 +159,8 @@ class Clip(ArrayData):
         provenance: where the data comes from, by topic. Results repeat what is assumed.
         evidence: data of modalities that is in memory, by the modality's name. A modality that is not named is read
             from the folder when it is needed; one that is None is not used, even if the folder has its files.
+        size_beside_hand: True within a fit in which the object's own size is known, but free beside a hand whose size
+            follows from it (``fitting/hand_size``).
         left_out: names of frames that were removed because the object is not visible in them or their mask is unknown
             (``observed_frames``).
     """
@@ -181,6 +183,7 @@ class Clip(ArrayData):
     folder: Path | None = None
     provenance: Provenance = field(default_factory=dict)
     evidence: Mapping[str, PerFrame | None] = field(default_factory=dict)
+    size_beside_hand: bool = False
     left_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

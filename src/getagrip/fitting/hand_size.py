@@ -15,15 +15,12 @@ from numpy import ndarray
 
 from getagrip.clip import Clip
 from getagrip.fitting.options import Options
-from getagrip.provenance import Provenance, assumed, is_assumed, measured
+from getagrip.provenance import assumed, is_assumed
 from getagrip.result import Reconstruction
 
 SPREAD = 0.1
 """Standard deviation of the logarithm of a lifted hand's size: adults' hands have 0.07."""
-_SIZES: Provenance = {
-    "scale": measured("the mesh's"),
-    "hands_scale": assumed("it follows from the object's, which is known"),
-}
+FOLLOWS = assumed("it follows from the object's, which is known")
 
 
 def beside_hand(clip: Clip, options: Options) -> Clip:
@@ -34,17 +31,12 @@ def beside_hand(clip: Clip, options: Options) -> Clip:
     follows = clip.scale == "known" and is_assumed(clip.provenance.get("hands_scale"))
     if not follows or clip.segments or options.as_published:
         return clip
-    return replace(clip, scale="free", provenance=clip.provenance | _SIZES)
-
-
-def is_beside(clip: Clip) -> bool:
-    """Return whether the object's size is free only since the hand's is assumed."""
-    return clip.scale == "free" and clip.provenance.get("scale") == _SIZES["scale"]
+    return replace(clip, scale="free", size_beside_hand=True, provenance=clip.provenance | {"hands_scale": FOLLOWS})
 
 
 def at_object_size(result: Reconstruction, clip: Clip) -> Reconstruction:
     """Scale the result of a clip ``beside_hand`` about the camera until the object has its own size."""
-    if not is_beside(clip):
+    if not clip.size_beside_hand:
         return result
     size, T_cam_hand = 1.0 / result.scale, result.T_cam_hand
     if T_cam_hand is None:

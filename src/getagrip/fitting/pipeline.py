@@ -24,7 +24,7 @@ from getagrip.compiling import WORDS, compile_once
 from getagrip.errors import UsageError
 from getagrip.finding import Finding
 from getagrip.fitting.every_frame import Track
-from getagrip.fitting.hand_size import at_object_size, beside_hand, is_beside
+from getagrip.fitting.hand_size import at_object_size, beside_hand
 from getagrip.fitting.options import Options
 from getagrip.fitting.solved_hand import SolvedHand
 from getagrip.fitting.tracker_glitches import repair_hand
@@ -213,7 +213,7 @@ def _result(
     """Make the result, with all that is known about how it was found."""
     track, scale, energy = answer.track, float(answer.scale[0]), float(answer.energy[0])
     guesses = {}
-    if clip.scale == "free" and not is_beside(clip):
+    if clip.scale == "free" and not clip.size_beside_hand:
         guesses["scale"] = SCALE_GUESSED.format(scale)
     if answer.warp is not None:
         guesses["shape"] = SHAPE_GUESSED

@@ -17,7 +17,7 @@ from numpy import ndarray
 from getagrip.clip import Clip
 from getagrip.datasets.synthetic.categories import CATEGORIES, Kind
 from getagrip.fitting.energy import Energy, InHand, PosesInCamera, Quadratic, Term
-from getagrip.fitting.hand_size import SPREAD, is_beside
+from getagrip.fitting.hand_size import SPREAD
 from getagrip.fitting.surface import HALF_TURNS, ObjectSurface
 from getagrip.geometry import se3
 from getagrip.provenance import is_assumed
@@ -96,7 +96,7 @@ class UprightTerm:
 def usual_of(clip: Clip) -> Energy:
     """Return the terms of an unmeasured object's size and upright axis, or of a hand's size beside it; none else."""
     kind = kind_of(clip)
-    spread = SPREAD if is_beside(clip) else None if kind is None else kind.spread
+    spread = SPREAD if clip.size_beside_hand else None if kind is None else kind.spread
 
     def terms(level: int, index: Int[ndarray, "n"]) -> list[Term]:
         if spread is None:
