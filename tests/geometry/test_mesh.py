@@ -15,12 +15,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from getagrip.errors import UsageError
-from getagrip.fitting.contact import distances, solid
 from getagrip.geometry import polygons, se3
 from getagrip.geometry.mesh import Mesh, decimate, edge_table, merged, vertex_normals
 from getagrip.geometry.mesh_files import SUFFIXES, read_mesh, write_mesh
 from getagrip.geometry.obj import parse_obj
 from getagrip.geometry.subdivide import fine
+from getagrip.metrics.contact import signed_distance
 from helpers.clips import box
 
 triangles = st.permutations(range(6)).map(lambda order: order[:3])
@@ -156,7 +156,7 @@ def test_thin_parts_stay_where_they_are_when_decimated() -> None:
     mesh = fine([sheet, Mesh(sheet.vertices @ turn.T, sheet.faces)], 4500)[0]
     few = decimate(mesh, 1000)
     assert len(few.faces) <= 1000
-    off = np.abs(distances(mesh.vertices, *solid(few, np.zeros(3)).tables))
+    off = np.abs(signed_distance(mesh.vertices, few.vertices, few.faces))
     assert off.mean() < 0.0001
     assert off.max() < 0.003
 
