@@ -22,7 +22,7 @@ BENCHES = {
     "dexycb-inputs": f"{DEXYCB} --ablation inputs",
     "dexycb-methods": DEXYCB,
     "dexycb-wrong-evidence": f"{DEXYCB} --ablation wrong-evidence",
-    "synthetic-methods": "getagrip bench synthetic --clips 99 --out out/synthetic",
+    "synthetic-methods": "getagrip bench synthetic --clips 66 --out out/synthetic",
     "dexycb-segments-none": "getagrip bench dexycb-segments --root DEXYCB --meshes YCB --clips 48 "
     "--out out/dexycb-segments",
     "dexycb-timelines-exact": "getagrip bench dexycb-timelines --root DEXYCB --meshes YCB --preset exact "
