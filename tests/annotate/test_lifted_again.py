@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from getagrip.annotate import lifted_again as lifting
-from getagrip.annotate.labels import HAND, OBJECT
+from getagrip.annotate.labelled import clip_words
+from getagrip.annotate.labels import HAND, OBJECT, Labels
 from getagrip.annotate.lifted_again import LabelMaps, lifted_again, write_lifted_again
 from getagrip.clip import HandTrack
 from getagrip.clip.reading_arrays import read_hand
@@ -22,7 +23,7 @@ from getagrip.hands import generic
 from getagrip.hands.clicked_hands import model_pose
 from getagrip.hands.model import hand_track
 from getagrip.hands.pose_prior import PosePrior
-from getagrip.provenance import Provenance, Source, as_arrays, estimated, measured
+from getagrip.provenance import Provenance, Source, as_arrays, assumed, estimated, measured
 
 K = np.array([[500.0, 0.0, 160.0], [0.0, 500.0, 160.0], [0.0, 0.0, 1.0]])
 SIZE = (320, 320)
@@ -107,13 +108,19 @@ def held_from_behind(tmp_path: Path, provenance: Provenance) -> tuple[Path, Labe
 def test_the_object_decides_on_the_side_unless_it_is_stated(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], side: Source
 ) -> None:
-    found, maps = held_from_behind(tmp_path, {"hands": estimated(lifting.LIFTED), "hands_side": side})
+    found, maps = held_from_behind(tmp_path, {"hands_scale": assumed("a mean hand's"), "hands_side": side})
     write_lifted_again(found, tmp_path / "out.npz", "right", 3, 10, maps)
     written = np.load(tmp_path / "out.npz")
     assert str(written["side"]) == ("right" if side.basis == "measured" else "left")
     said = "".join(capsys.readouterr())
     assert ("--side right overrules this" in said) == (side.basis != "measured")
-    order, frames = lifting.order(read_hand(tmp_path / "out.npz", 5), FRAMES, K, maps)
+    labels = Labels("a.mp4", SIZE, "right", 30.0, 3, 10, {})
+    words = clip_words(labels, tmp_path, "a.mp4")
+    assert words[words.index("--side") + 1] == "right"  # there is no hand.npz yet
+    (tmp_path / "out.npz").rename(tmp_path / "hand.npz")
+    words = clip_words(labels, tmp_path, "a.mp4")
+    assert words[words.index("--side") + 1] == str(written["side"])
+    order, frames = lifting.order(read_hand(tmp_path / "hand.npz", 5), FRAMES, K, maps)
     assert frames == len(FRAMES)
     assert (order > 0.0) == (side.basis != "measured")
 

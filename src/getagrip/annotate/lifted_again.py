@@ -27,11 +27,11 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands.clicked_hands import FEWEST
 from getagrip.hands.hidden_joints import SIDE, Hiding
-from getagrip.hands.lifted_hands import LIFTED, hands_from_landmarks
+from getagrip.hands.lifted_hands import hands_from_landmarks
 from getagrip.hands.model import Side
 from getagrip.io import arrays
 from getagrip.io.terminal import counted, report
-from getagrip.provenance import Source, as_arrays, assumed, from_arrays, of_provenance
+from getagrip.provenance import Source, as_arrays, assumed, from_arrays, is_assumed, of_provenance
 
 LOOSENESS = 0.08
 """Standard deviation of each number of the fingers' pose from that of the grasp [rad]."""
@@ -145,7 +145,7 @@ def write_lifted_again(found: Path, out: Path, side: Side, first: int, last: int
     rows = np.flatnonzero((first <= frames) & (frames <= last))
     hand, frames = read_hand(found, len(numbers)).take(rows), frames[rows]
     try:
-        if LIFTED not in str(known.get("hands")):
+        if not is_assumed(known.get("hands_scale")):
             raise UsageError("they are an estimator's")
         K, turned = arrays.floats(found, content, "K", (3, 3)), str(content.get("side", side)) != side
         lifted, kept = lifted_again(hand, frames, K, side, maps, turned)

@@ -15,6 +15,7 @@ from getagrip.geometry.camera import project
 from getagrip.hands.trackers import read
 from getagrip.hands.trackers.joints import Joints
 from getagrip.hands.trackers.landmarks import Landmarks
+from getagrip.provenance import is_assumed
 from helpers.estimator_files import FRAMES, SIZE, K, Known, write_npz
 from helpers.tracked_hands import joints_of, request
 
@@ -50,6 +51,7 @@ def test_landmarks_become_the_hand(tmp_path: Path, kind: str) -> None:
     assert hands.track.joints_2d is not None
     np.testing.assert_allclose(hands.track.joints_2d, POINTS, atol=1e-6)
     assert "generic hand has the size of a mean one" in str(hands.provenance["hands_scale"])
+    assert is_assumed(hands.provenance["hands_scale"])
 
 
 def test_joints_of_another_reader_keep_theirs(tmp_path: Path) -> None:

@@ -128,6 +128,7 @@ class Estimates:
             only, or the left one's own.
         scale: where the size comes from, in words; empty where it is that of the shape parameters or of the generic
             hand.
+        scale_assumed: True where nothing tells the size of the hand.
         warning: possible error, in words; empty where there is none.
     """
 
@@ -135,6 +136,7 @@ class Estimates:
     hands: tuple[Estimate, ...]
     left_model: Literal["mirrored", "own"] = "mirrored"
     scale: str = ""
+    scale_assumed: bool = False
     warning: str = ""
 
 

@@ -104,7 +104,7 @@ def lifted(path: Path, seen: Float[ndarray, "T 21 3"], request: Request, side_as
     )
     scale = SCALE + (f"; that it is the {request.side} hand is a guess" if side_assumed else "")
     scale += "; coordinates up to 1 taken as shares of the image" if shares else ""
-    return Estimates(request.side, tuple(hands), scale=scale)
+    return Estimates(request.side, tuple(hands), scale=scale, scale_assumed=True)
 
 
 def _count(path: Path, rows: records.Record) -> int:

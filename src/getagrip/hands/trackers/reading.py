@@ -86,10 +86,11 @@ def read(paths: Sequence[Path], tracker: Tracker, request: Request) -> Hands:
         check_in_hand(first.path, "betas", made.vertices, "a hand")
         check_poses(first.path, "T_cam_hand", made.T_cam_hand, made.vertices.mean(axis=1), "the hand")
     size = "MANO's shape parameters, as estimated" if request.mano else "the estimator's joints, or the mean hand"
+    size_of = assumed if estimates.scale_assumed else estimated
     provenance: Provenance = {
         "hands": estimated(f"{tracker.name}: {what}"),
         "hands_focal": depths,
-        "hands_scale": estimated(estimates.scale or f"{size}; {ONE_CAMERA}"),
+        "hands_scale": size_of(estimates.scale or f"{size}; {ONE_CAMERA}"),
     }
     if chosen:
         provenance[CHOSEN] = chosen
