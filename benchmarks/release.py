@@ -34,8 +34,8 @@ BENCHES = {
 }
 """By the name of the table that each makes.
 
-Estimated for the two CPUs of a small virtual machine, in minutes: 31, 8, 6, 12, 4, 3, 20 and 7, and 4 for the imports.
-A row of a clip takes 2.6 s of a CPU, with other evidence 4.2 s, evaluated and written.
+Minutes on a small virtual machine whose two CPUs are threads of one core, from a part of the clips: 35, 9, 8, 13, 5, 5,
+20 and 7, and 4 for the imports. A row of a clip takes 2.6 s of a CPU, with other evidence 4.2 s, evaluated and written.
 """
 
 
