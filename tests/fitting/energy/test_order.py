@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
 from getagrip.clip import Masks
-from getagrip.fitting.energy import PosesInCamera, no_bound
+from getagrip.fitting.energy import PosesInCamera, no_bound, order
 from getagrip.fitting.energy.order import HandOrder, OrderTerm, corners_of
 from getagrip.geometry import se3
 from getagrip.geometry.depth import depth_and_face
@@ -106,3 +107,15 @@ def test_the_true_pose_costs_less_than_one_before_or_behind_the_hand() -> None:
     term = OrderTerm(corners_of(clip.mesh), hand, np.ones(len(T)), cap=1.0)
     value = term(poses, no_bound(poses)).value.sum(axis=1)
     assert value[0] < value[1] < value[2]
+
+
+@pytest.mark.parametrize("near", [1, 4, 30])
+def test_what_lies_well_within_a_mask_is_what_erosion_leaves(near: int) -> None:
+    rng = np.random.default_rng(near)
+    mask = cv2.GaussianBlur(rng.random((40, 60)), (0, 0), 6.0) > 0.48
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * near + 1, 2 * near + 1))
+    v, u = np.indices(mask.shape).reshape(2, -1)
+    left = cv2.erode(mask.astype(np.uint8), disc).astype(bool)
+    np.testing.assert_array_equal(order._well_within(mask, u, v, disc > 0), left.ravel())
+    whole = np.ones_like(mask)
+    assert order._well_within(whole, u, v, disc > 0).all()  # what is beyond the image is unknown

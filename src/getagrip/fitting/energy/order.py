@@ -59,6 +59,7 @@ class HandOrder:
         height, width = masks.object.shape[1:]
         for n, X in enumerate(position):
             near = max(1, round(MARGIN * K[n, 0, 0] / max(float(X[:, 2].mean()), 1e-3)))
+            near = min(near, width, height)
             disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * near + 1, 2 * near + 1))
             depth, _ = depth_and_face(whole[n], hand.faces, K[n], (width, height))
             u, v = np.floor(np.nan_to_num(project(K[n], X), posinf=-1.0, neginf=-1.0)).astype(int).T
@@ -81,9 +82,13 @@ def _well_within(
 
     Eroding all of a large image takes a hundred times as long.
     """
-    around = np.pad(mask, len(disc) // 2, constant_values=True)
-    discs = np.lib.stride_tricks.sliding_window_view(around, disc.shape)[v, u]
-    return np.asarray((discs | ~disc).all(axis=(1, 2)))
+    near, out = len(disc) // 2, np.zeros(len(u), dtype=bool)
+    for n, (x, y) in enumerate(zip(u.tolist(), v.tolist(), strict=True)):
+        left, top = max(x - near, 0), max(y - near, 0)
+        part = mask[top : y + near + 1, left : x + near + 1]
+        rows, cols = slice(top - y + near, None), slice(left - x + near, None)
+        out[n] = part[disc[rows, cols][: part.shape[0], : part.shape[1]]].all()
+    return out
 
 
 def corners_of(mesh: Mesh) -> Float[ndarray, "F 3 3"]:
