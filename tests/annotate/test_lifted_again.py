@@ -125,6 +125,19 @@ def test_the_object_decides_on_the_side_unless_it_is_stated(
     assert (order > 0.0) == (side.basis != "measured")
 
 
+@pytest.mark.slow
+def test_a_side_that_is_chosen_later_is_obeyed_or_refused(tmp_path: Path) -> None:
+    looks = {"hands_side": estimated("right: it looks like one")}
+    found, maps = held_from_behind(tmp_path, looks | {"hands_scale": assumed("a mean hand's")})
+    write_lifted_again(found, tmp_path / "out.npz", "left", 3, 10, maps)
+    written = np.load(tmp_path / "out.npz")
+    assert str(written["side"]) == "left"
+    assert str(written["provenance_hands_side"]) == "left, as stated"
+    found, maps = held_from_behind(tmp_path, looks | {"hands_scale": estimated("by a network")})
+    with pytest.raises(UsageError, match="draft again with --side left"):
+        write_lifted_again(found, tmp_path / "other.npz", "left", 3, 10, maps)
+
+
 def test_a_frame_without_a_map_is_empty() -> None:
     assert maps_of(HAND).at(np.array([4, 7])).any(axis=(1, 2)).tolist() == [True, False]
 

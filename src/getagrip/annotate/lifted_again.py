@@ -31,7 +31,7 @@ from getagrip.hands.lifted_hands import hands_from_landmarks
 from getagrip.hands.model import Side
 from getagrip.io import arrays
 from getagrip.io.terminal import counted, report
-from getagrip.provenance import Source, as_arrays, assumed, from_arrays, is_assumed, of_provenance
+from getagrip.provenance import Source, as_arrays, assumed, from_arrays, is_assumed, measured, of_provenance
 
 LOOSENESS = 0.08
 """Standard deviation of each number of the fingers' pose from that of the grasp [rad]."""
@@ -130,12 +130,40 @@ def decided(order: float, frames: int) -> bool:
     return frames >= FEWEST_FRAMES and abs(order) >= ORDER
 
 
+def other_side(
+    hand: HandTrack,
+    frames: Int[ndarray, "n"],
+    K: Float[ndarray, "3 3"],
+    side: Side,
+    maps: LabelMaps,
+    off: tuple[float, int],
+) -> tuple[HandTrack, Int[ndarray, "k"], Side, Source] | None:
+    """Lift a hand as one of the other side, if only that agrees with what the object hides; ``off`` is its ``order``.
+
+    Returns the hand, its rows, that side and its source.
+    """
+    if not (decided(*off) and off[0] < 0.0):
+        return None
+    other: Side = "left" if side == "right" else "right"
+    try:
+        lifted, rows = lifted_again(hand, frames, K, other, maps, mirrored=True)
+    except UsageError:  # no such hand looks like the landmarks
+        return None
+    better, count = order(lifted, frames[rows], K, maps)
+    if not (decided(better, count) and better > 0.0):
+        return None
+    where = f"{1e3 * better:.0f} mm behind those that are seen, of a {side} one {-1e3 * off[0]:.0f} mm before"
+    of = f"the joints of a {other} hand that the object hides are {where} them, in {counted(count, 'frame')}"
+    source = assumed(f"{other}, a guess, since {of}; it looks like a {side} one: --side {side} overrules this")
+    return lifted, rows, other, source
+
+
 def write_lifted_again(found: Path, out: Path, side: Side, first: int, last: int, maps: LabelMaps) -> None:
     """Write a found hand file to ``out``, its hands lifted again in the frames ``first`` to ``last``, from 0.
 
-    They become hands of the other side where only that agrees with what the object hides (``order``), unless ``side``
-    is stated; this is said. Where hands cannot be lifted, they stay as they are, and it is said; an estimator's own
-    hands stay, too. Raises ``InputError`` for a malformed file.
+    They become hands of the other side where only that agrees with what the object hides, unless ``side`` is stated;
+    this is said. Where hands cannot be lifted, they stay as they are, and it is said; an estimator's own hands stay,
+    too. Raises ``InputError`` for a malformed file, ``UsageError`` for hands of another side that stay.
     """
     content = arrays.read(found, lambda key: key in {"frames", "K", "side"} or of_provenance(key))
     numbers = arrays.frame_numbers(found, content)
@@ -144,29 +172,25 @@ def write_lifted_again(found: Path, out: Path, side: Side, first: int, last: int
     frames, known = np.array(numbers) - 1, from_arrays(found, content)
     rows = np.flatnonzero((first <= frames) & (frames <= last))
     hand, frames = read_hand(found, len(numbers)).take(rows), frames[rows]
+    overruled = str(content.get("side", side)) != side
+    if overruled:
+        known = known | {"hands_side": measured(f"{side}, as stated")}
     try:
         if not is_assumed(known.get("hands_scale")):
             raise UsageError("they are an estimator's")
-        K, turned = arrays.floats(found, content, "K", (3, 3)), str(content.get("side", side)) != side
-        lifted, kept = lifted_again(hand, frames, K, side, maps, turned)
-        off, count = order(lifted, frames[kept], K, maps)
-        stated = turned or ("hands_side" in known and known["hands_side"].basis == "measured")
-        if decided(off, count) and off < 0.0 and not stated:
-            other: Side = "left" if side == "right" else "right"
-            mirrored, rows = lifted_again(hand, frames, K, other, maps, mirrored=True)
-            better, count = order(mirrored, frames[rows], K, maps)
-            if decided(better, count) and better > 0.0:
-                known = known | {"hands_side": _guessed(other, side, better, off, count)}
-                report(f"hands_side: {known['hands_side']}")
-                lifted, kept, side = mirrored, rows, other
+        K = arrays.floats(found, content, "K", (3, 3))
+        lifted, kept = lifted_again(hand, frames, K, side, maps, overruled)
+        stated = "hands_side" in known and known["hands_side"].basis == "measured"
+        off = order(lifted, frames[kept], K, maps)
+        if not stated and (turned := other_side(hand, frames, K, side, maps, off)) is not None:
+            lifted, kept, side, source = turned
+            known = known | {"hands_side": source}
+            report(f"hands_side: {source}")
         hand, frames = lifted, frames[kept]
     except UsageError as error:
+        if overruled:
+            raise UsageError(
+                f"the hands that were found are not {side} ones: draft again with --side {side}"
+            ) from error
         report(f"hands: as they were found: {error}")
     write_hand(hand, out, content | as_arrays(known) | {"frames": frames + 1, "side": np.array(side)})
-
-
-def _guessed(side: Side, other: Side, order: float, order_of_other: float, frames: int) -> Source:
-    """Return the source of a side that what the object hides has decided on."""
-    where = f"{1e3 * order:.0f} mm behind those that are seen, of a {other} one {-1e3 * order_of_other:.0f} mm before"
-    of = f"the joints of a {side} hand that the object hides are {where} them, in {counted(frames, 'frame')}"
-    return assumed(f"{side}, a guess, since {of}; it looks like a {other} one: --side {other} overrules this")

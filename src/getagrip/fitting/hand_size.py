@@ -19,7 +19,7 @@ from getagrip.provenance import assumed, is_assumed
 from getagrip.result import Reconstruction
 
 SPREAD = 0.1
-"""Standard deviation of the logarithm of a lifted hand's size: adults' hands have 0.07."""
+"""Standard deviation of the logarithm of a lifted hand's size. Assumed; 0.1 to 0.6 do alike (docs/trials.md)."""
 FOLLOWS = assumed("it follows from the object's, which is known")
 
 

@@ -94,9 +94,14 @@ class UprightTerm:
 
 
 def usual_of(clip: Clip) -> Energy:
-    """Return the terms of an unmeasured object's size and upright axis, or of a hand's size beside it; none else."""
+    """Return the terms of an unmeasured object's upright axis, and of a size that is drawn to the usual or known one.
+
+    No terms for others.
+    """
     kind = kind_of(clip)
-    spread = SPREAD if clip.size_beside_hand else None if kind is None else kind.spread
+    spread = None if kind is None else kind.spread
+    if clip.size_beside_hand:
+        spread = SPREAD
 
     def terms(level: int, index: Int[ndarray, "n"]) -> list[Term]:
         if spread is None:

@@ -91,7 +91,8 @@ class Reconstruction(ArrayData):
         probability_right_in_camera: probability that the poses are right relative to the camera.
         T_cam_hand: (T, 4, 4) pose of the repaired and refined hand, hand frame to camera frame [m]. ``T_hand_obj`` and
             the axis are relative to it. None if the clip's hand is unchanged.
-        hand_scale: factor on the size of the clip's hand, about the origin of its frame.
+        hand_scale: factor on the size of the clip's hand, about the origin of its frame; 1 but for a hand that was
+            lifted from 2D points and whose size follows from the object's.
         hand_covariance: (6, 6) of the error that all frames of ``T_cam_hand`` share, in the hand frame: shift of the
             hand's middle [m], turn about it [rad]; None if hand and object were not solved together.
         hand_alternatives: (M, 4, 4) where the hand may be instead, as poses in the hand frame, in pairs along the
