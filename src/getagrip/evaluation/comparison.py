@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -34,9 +35,11 @@ from getagrip.metrics.pose import ObjectTrack, PoseErrors, best_symmetry, pose_e
 from getagrip.metrics.recall import SymmetricErrors
 from getagrip.metrics.symmetry import Symmetries, find_symmetries
 
-SHARED = 4
-"""Most ground truths whose distances are kept, the latest: of a clip, in all frames and in those fitted together."""
-_SHARED: dict[tuple[object, ...], ContactDistances] = {}
+V = TypeVar("V")
+
+SHARED = 8
+"""Most results of a ground truth that are kept, the latest: of a clip, in all frames and in those fitted together."""
+_SHARED: dict[tuple[object, ...], Any] = {}
 
 
 class MissingPartError(Exception):
@@ -121,14 +124,11 @@ class Comparison:
         clip, true = self.clip, self.true
         if clip.truth is None:
             raise MissingPartError
-        arrays = clip.mesh.vertices, clip.mesh.faces, true.T_ref_obj, clip.truth.hand_vertices, clip.hand.faces
-        key = (*(array.tobytes() for array in arrays), true.scale, self.reach)
-        if (known := _SHARED.get(key)) is None:
-            (known,) = contact_distances(clip.mesh, [true], clip.truth.hand_vertices, clip.hand.faces, self.reach)
-            while len(_SHARED) >= SHARED:
-                _SHARED.pop(next(iter(_SHARED)))
-            _SHARED[key] = known
-        return known
+        hand, mesh = clip.truth.hand_vertices, clip.mesh
+        return _shared(
+            lambda: contact_distances(mesh, [true], hand, clip.hand.faces, self.reach)[0],
+            mesh.vertices, mesh.faces, true.T_ref_obj, true.scale, hand, clip.hand.faces, self.reach,
+        )  # fmt: skip
 
     @cached_property
     def errors(self) -> PoseErrors:
@@ -216,7 +216,8 @@ class Comparison:
     @cached_property
     def contact_pairs(self) -> ContactPairs:
         """Vertices of the true hand and the nearest of the true object."""
-        return ContactPairs.of(self.hand_in_camera[1], self.object_in_camera[1])
+        hand, object_ = self.hand_in_camera[1], self.object_in_camera[1]
+        return _shared(lambda: ContactPairs.of(hand, object_), hand, object_)
 
     def contact(self, definition: ContactDefinition) -> StableContact:
         """Measure the stable contact of the reconstruction."""
@@ -255,6 +256,17 @@ class Comparison:
         if self.masks is None:
             raise MissingPartError
         return self.masks if self.masks.say_what_hides else occluded_by_hand(self.clip, self.masks)
+
+
+def _shared(compute: Callable[[], V], *inputs: ndarray | float) -> V:
+    """Compute something of the ground truth once for all methods that are compared on a clip: ``inputs`` tell it."""
+    key = tuple(part.tobytes() if isinstance(part, ndarray) else part for part in inputs)
+    if key not in _SHARED:
+        while len(_SHARED) >= SHARED:
+            _SHARED.pop(next(iter(_SHARED)))
+        _SHARED[key] = compute()
+    found: V = _SHARED[key]
+    return found
 
 
 @lru_cache(maxsize=32)

@@ -204,12 +204,14 @@ class _ResultComparison(Comparison):
 
     track: ObjectTrack
     found: Mesh
+    part_of: tuple[_ResultComparison, Int[ndarray, "n"]] | None = None
+    """The comparison of more frames that this one was taken from, and the indices of its frames there."""
 
     def take(self, index: Int[ndarray, "n"]) -> _ResultComparison:
         """Return the comparison in some of the frames."""
         masks = None if self.masks is None else self.masks.take(index)
         track = ObjectTrack(self.track.T_ref_obj[index], self.track.scale)
-        return replace(self, clip=self.clip.take(index), masks=masks, track=track)
+        return replace(self, clip=self.clip.take(index), masks=masks, track=track, part_of=(self, index))
 
     @property
     def predicted(self) -> ObjectTrack:
@@ -222,6 +224,9 @@ class _ResultComparison(Comparison):
 
     @cached_property
     def distances(self) -> ContactDistances:
+        if self.part_of is not None:
+            whole, index = self.part_of
+            return whole.distances.take(index)
         hand = self.clip.hand
         return contact_distances(self.found, [self.track], hand.vertices, hand.faces, self.reach)[0]
 

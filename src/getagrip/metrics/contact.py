@@ -16,7 +16,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from functools import cached_property, lru_cache
+from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -40,6 +41,9 @@ FARTHEST = 1e5
 LARGEST_MM = 50.0
 """Largest threshold that anybody may ask for [mm]."""
 AREA_POINTS = 2000
+SURFACES = 64
+"""Most surfaces whose search trees are kept, of at most ``FACES`` faces each: hands of the latest frames, 50 MB."""
+FACES = 2000
 _POINTS: dict[Side, str] = {"object": "object vertices", "hand": "hand vertices", "area": "object points by area"}
 
 
@@ -103,6 +107,10 @@ class ContactDistances:
     hand: Float[ndarray, "T Vh"]
     area: Float[ndarray, "T P"]
 
+    def take(self, index: Int[ndarray, "n"]) -> ContactDistances:
+        """Return those of some of the frames."""
+        return ContactDistances(self.object[index], self.hand[index], self.area[index])
+
     def contact(self, side: Side, threshold: float) -> Bool[ndarray, "T _"]:
         """Return the points in contact: signed distance at most ``threshold`` [m]."""
         distance: ndarray = getattr(self, side)
@@ -165,41 +173,77 @@ def moving_distance(
     be the same as before, is not computed again. Raises ``GetagripError`` for coordinates beyond all scenes, at which
     libigl's search would run out of its memory.
     """
-    import igl
-
     if not max(np.abs(points).max(initial=0.0), np.abs(vertices).max(initial=0.0)) < FARTHEST:
         raise GetagripError(f"distances of points more than {FARTHEST:g} m away, or of no number, are not computed")
 
     closed = bool(np.all(edge_table(faces)[:, 3] < len(faces)))  # else one can get inside without crossing the surface
     inside, least = np.zeros(points.shape[1], dtype=bool), np.full(points.shape[1], -np.inf)
     out = np.full(points.shape[:2], np.inf)
-    tree, winding, moved = igl.AABB(), igl.FastWindingNumberBVH(), np.inf
-    old_tree = old_winding = True
+    moved, here = np.inf, None
     for n, (x, surface) in enumerate(zip(points, vertices, strict=True)):
         if n > 0:
             moved = np.linalg.norm(surface - vertices[n - 1], axis=1).max()
             step = x - points[n - 1]
             least -= np.sqrt(np.einsum("pk,pk->p", step, step)) + moved + 1e-9
         if moved > 0.0:
-            old_tree = old_winding = True
+            here = None
         sides = np.maximum(surface.min(axis=0) - x, x - surface.max(axis=0))
         outside = np.maximum(np.maximum(sides[:, 0], sides[:, 1]), sides[:, 2])  # the bounding box, by so much
         boxed = outside <= 0.0
         unsure = np.flatnonzero(boxed & ((least <= 0.0) | (not closed)))
         if unsure.size:
-            if old_winding:
-                winding.init(surface, faces)
-                old_winding = False
-            inside[unsure] = np.abs(winding.winding_number(x[unsure])) > 0.5
+            here = here or _Surface.of(surface, faces)
+            inside[unsure] = here.encloses(x[unsure])
         inside &= boxed
         asked = np.flatnonzero((outside <= max_distance) & (inside | (least <= max_distance)))
         if asked.size:
-            if old_tree:
-                tree.init(surface, faces)
-                old_tree = False
-            least[asked] = np.sqrt(tree.squared_distance(surface, faces, x[asked])[0])
+            here = here or _Surface.of(surface, faces)
+            least[asked] = here.distance(x[asked])
             out[n, asked] = np.where(inside[asked], -least[asked], least[asked])
     return out
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """A surface at rest and its search trees, each made when it is first needed."""
+
+    vertices: Float[ndarray, "V 3"]
+    faces: Int[ndarray, "F 3"]
+
+    @staticmethod
+    def of(vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]) -> _Surface:
+        """Return a surface; results that are compared on a clip share those of its hand."""
+        vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
+        return _kept(vertices.tobytes(), faces.tobytes()) if len(faces) <= FACES else _Surface(vertices, faces)
+
+    def distance(self, points: Float[ndarray, "P 3"]) -> Float[ndarray, "P"]:
+        """Compute the distance of points [m], without a sign."""
+        return np.sqrt(self._tree.squared_distance(self.vertices, self.faces, points)[0])
+
+    def encloses(self, points: Float[ndarray, "P 3"]) -> Bool[ndarray, "P"]:
+        """Return the points inside, by their winding numbers."""
+        return np.abs(self._winding.winding_number(points)) > 0.5
+
+    @cached_property
+    def _tree(self) -> Any:
+        import igl
+
+        tree = igl.AABB()
+        tree.init(self.vertices, self.faces)
+        return tree
+
+    @cached_property
+    def _winding(self) -> Any:
+        import igl
+
+        winding = igl.FastWindingNumberBVH()
+        winding.init(self.vertices, self.faces)
+        return winding
+
+
+@lru_cache(maxsize=SURFACES)
+def _kept(vertices: bytes, faces: bytes) -> _Surface:
+    return _Surface(np.frombuffer(vertices).reshape(-1, 3), np.frombuffer(faces, np.int64).reshape(-1, 3))
 
 
 def close_holes(
