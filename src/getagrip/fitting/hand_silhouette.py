@@ -159,7 +159,7 @@ class HandSilhouette:
         silhouettes = _contours(in_camera, self.errors.tracked, self.edges, self.mask, 0)[3]
         return replace(self, mask=self.mask.grown_to(silhouettes))
 
-    @property
+    @cached_property
     def with_bends(self) -> HandSilhouette:
         """Silhouette whose fingers may bend."""
         return replace(self, errors=self.errors.with_bends)

@@ -14,6 +14,7 @@ Two empty sets have IOU 0, as in the authors' code: a hand that never touches is
 
 from __future__ import annotations
 
+import atexit
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -244,6 +245,9 @@ class _Surface:
 @lru_cache(maxsize=SURFACES)
 def _kept(vertices: bytes, faces: bytes) -> _Surface:
     return _Surface(np.frombuffer(vertices).reshape(-1, 3), np.frombuffer(faces, np.int64).reshape(-1, 3))
+
+
+atexit.register(_kept.cache_clear)  # libigl's bindings report trees that outlive them as leaks
 
 
 def close_holes(

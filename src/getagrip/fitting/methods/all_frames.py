@@ -139,17 +139,27 @@ def one_dof(problem: Problem, on_stage: OnStage) -> MethodResult:
 
     ``methods.paper`` is the paper's method itself.
 
-    The mesh is fitted by the same step as the soft hinge's, so that the two differ in the motion alone.
+    The mesh is fitted by the same step as the soft hinge's, so that the two differ in the motion alone; but that takes
+    its coarse stages, so it is left out where frames that deviate a little from the hinge explain the masks already.
     """
-    warp, search = None, search_of(problem, on_stage)
-    if problem.options.mesh == "fitted":
+    search, warp = search_of(problem, on_stage), None
+    rough = rough_hinge(problem, search)
+    around = replace(rough, motion=Soft.around(rough.motion.base, rough.motion.poses(), COARSE_RIDGE))
+    if problem.options.mesh == "fitted" and shape_of(problem, search, around) is not None:
         quiet = replace(search, on_stage=lambda stage: None)
         warp = shape_of(problem, quiet, rough_fit(problem, quiet, NOTHING))
-    problem = problem.warped(warp)
-    search, energy = replace(search, surface=problem.surface), energy_alone(problem)
-    motion = search.coarse(hinge_of(problem, search.relax(initial_of(problem), energy)), energy).motion
-    found, hand = fine_fit_with_hand(problem, search, search.at_all_frames(motion), energy_alone)
+    if warp is not None:
+        problem = problem.warped(warp)
+        search = replace(search, surface=problem.surface)
+        rough = rough_hinge(problem, search)
+    found, hand = fine_fit_with_hand(problem, search, search.at_all_frames(rough.motion), energy_alone)
     return replace(result_of(found, found.motion, energy_alone), warp=warp, hand=hand)
+
+
+def rough_hinge(problem: Problem, search: Search) -> Solution[Hinge]:
+    """Run the coarse stages with a hinge."""
+    energy = energy_alone(problem)
+    return search.coarse(hinge_of(problem, search.relax(initial_of(problem), energy)), energy)
 
 
 def static(problem: Problem, on_stage: OnStage) -> MethodResult:

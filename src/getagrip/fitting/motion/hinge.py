@@ -78,6 +78,11 @@ class Hinge(Batch):
         R = se3.exp_so3(mean[:, 0]) @ base.R
         return Hinge(R, centre, base.log_scale, point, direction, angle, base.free_scale, free_location, ANGLE_RIDGE)
 
+    @property
+    def base(self) -> Fixed:
+        """The base pose, in all frames."""
+        return Fixed(self.R, self.centre, self.log_scale, self.angle.shape[1], self.free_scale)
+
     def _swung(self) -> tuple[Float[ndarray, "B N 3 3"], Float[ndarray, "B N 3"]]:
         turn = se3.exp_so3(self.angle[..., None] * self.direction[:, None])
         arm = turn @ (self.centre - self.point)[:, None, :, None]
