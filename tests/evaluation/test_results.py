@@ -187,6 +187,21 @@ def test_some_frames_of_a_clip(scene: tuple[Clip, Masks], tmp_path: Path) -> Non
     assert np.isnan(ev.evaluate_result(one).metrics["sca_object_0mm"])
 
 
+def test_the_fitted_frames_of_a_result_score_as_by_themselves(scene: tuple[Clip, Masks]) -> None:
+    result, fitted = perfect(scene[0]), np.array([0, 1, 3])
+    kinds = ["sampled" if n in fitted else "interpolated" for n in range(FRAMES)]
+    off = se3.rigid(t=np.linspace(0.0, 0.01, FRAMES)[:, None] * [1.0, 0.0, 0.0])
+    result = replace(result, T_hand_obj=off @ result.T_hand_obj, frame_kind=tuple(kinds))
+    alone = replace(
+        result, T_hand_obj=result.T_hand_obj[fitted], frames=tuple(result.frames[n] for n in fitted),
+        frame_kind=("sampled",) * len(fitted), iou=result.iou[fitted],
+    )  # fmt: skip
+    found, expected = ev.evaluate(result, *scene).metrics_of_fitted, ev.evaluate(alone, *scene).metrics
+    assert found.keys() == expected.keys()
+    for key, value in expected.items():
+        assert found[key] == pytest.approx(value, nan_ok=True), key
+
+
 @pytest.mark.slow
 def test_without_truth_or_masks(scene: tuple[Clip, Masks], tmp_path: Path) -> None:
     clip, masks = scene

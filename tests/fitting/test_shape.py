@@ -10,6 +10,7 @@ import pytest
 
 from getagrip.clip import Clip, Masks, with_masks
 from getagrip.datasets.synthetic.deform import misfit as unlike
+from getagrip.fitting.methods import all_frames
 from getagrip.fitting.methods.all_frames import coarse_energy, misfit_of, search_of
 from getagrip.fitting.misfit import misfit
 from getagrip.fitting.motion import Fixed, PosesInHand, Soft
@@ -133,3 +134,13 @@ def test_a_result_has_the_shape_and_says_so(tmp_path: Path, method: str) -> None
     assert true is not None
     assert true.clip.mesh == given.mesh
     assert "shape is a guess" in view.size_in_words
+
+
+@pytest.mark.slow
+def test_a_hinge_that_explains_the_masks_is_as_with_the_mesh_as_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    clip, masks = scene("mug", 0)
+    as_given = reconstruct(clip, masks, Options(method="one-dof", inits=8, mesh="as-given"))
+    monkeypatch.setattr(all_frames, "rough_fit", None)  # the soft fit of another shape is not even begun
+    fitted = reconstruct(clip, masks, Options(method="one-dof", inits=8))
+    np.testing.assert_array_equal(fitted.T_hand_obj, as_given.T_hand_obj)
+    assert fitted.energy == as_given.energy

@@ -12,6 +12,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.contact import (
+    FACES,
     MAX_DISTANCE,
     SIDES,
     close_holes,
@@ -124,6 +125,19 @@ def test_contact_does_not_depend_on_the_hand_frame_nor_on_where_the_scale_is(see
     for side in SIDES:
         near = np.minimum(getattr(here, side), getattr(there, side)) < MAX_DISTANCE
         np.testing.assert_allclose(getattr(here, side)[near], getattr(there, side)[near], atol=1e-7)
+
+
+@pytest.mark.parametrize("subdivisions", [3, 4])
+def test_a_surface_met_again_among_others_is_measured_as_before(subdivisions: int) -> None:
+    # Search trees of few faces are kept, by the surface's vertices and faces; those of many are not.
+    ball = sphere(1.0, subdivisions)
+    assert (len(ball.faces) <= FACES) == (subdivisions == 3)
+    points = np.random.default_rng(0).normal(scale=0.03, size=(200, 3))
+    inside_out = ball.faces[:, ::-1]
+    for radius in (0.03, 0.04, 0.03):
+        for faces in (ball.faces, inside_out):
+            found = signed_distance(points, radius * ball.vertices, faces)
+            np.testing.assert_allclose(found, np.linalg.norm(points, axis=1) - radius, atol=4e-4)
 
 
 def test_an_open_wrist_is_closed() -> None:
