@@ -42,7 +42,7 @@ class InputError(GetagripError):
     """A file is missing, malformed or holds impossible values (exit status 1).
 
     The message, on one line, reads ``<file>: <key> must be <expected> (got <given>)``, with advice behind a semicolon;
-    ``<file>: missing <key>``; or ``... cannot be used ...``, of what is expected to be none in such a place.
+    ``<file>: missing <key>``; or ``<key> cannot be used with ...``, if ``expected`` begins with "none with".
     """
 
     def __init__(self, path: str | Path, key: str, got: str, expected: str) -> None:

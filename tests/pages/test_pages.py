@@ -197,7 +197,7 @@ def test_the_index_sorts_filters_and_links(page: Any, folder: Path) -> None:
     page.get_by_role("button", name="worst frame").click()
     assert sets()[1::2] == ["moved", "good"]
     assert sets()[2].startswith("other: ")
-    assert "must be an unchanged clip" in sets()[2]
+    assert "reconstruct it again" in sets()[2]
     assert page.inner_text("#facts") == "3 of 4 results, 1 failed. Pictures show the frame of the lowest IOU."
     assert page.inner_text("tbody .badge.failed") == "failed"
     assert page.locator("tbody .value.by").nth(1).inner_text() == "40.0"

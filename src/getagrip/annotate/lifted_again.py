@@ -177,7 +177,7 @@ def write_lifted_again(found: Path, out: Path, side: Side, first: int, last: int
         known = known | {"hands_side": measured(f"{side}, as stated")}
     try:
         if not is_assumed(known.get("hands_scale")):
-            raise UsageError("they are an estimator's")
+            raise UsageError("an estimator's are not lifted again")
         K = arrays.floats(found, content, "K", (3, 3))
         lifted, kept = lifted_again(hand, frames, K, side, maps, overruled)
         stated = "hands_side" in known and known["hands_side"].basis == "measured"
@@ -192,5 +192,5 @@ def write_lifted_again(found: Path, out: Path, side: Side, first: int, last: int
             raise UsageError(
                 f"the hands that were found are not {side} ones: draft again with --side {side}"
             ) from error
-        report(f"hands: as they were found: {error}")
+        report(f"hands: unchanged: {error}")
     write_hand(hand, out, content | as_arrays(known) | {"frames": frames + 1, "side": np.array(side)})

@@ -90,7 +90,7 @@ def penetration(it: Solved) -> float:
 
 
 def joint_error(it: Solved) -> float:
-    """Return the error of the 2D joints, estimated from the clip, in shares of the hand's box; a hand's without any."""
+    """Return the logarithm of the 2D joints' error, in shares of the hand's box; without joints, ``NO_JOINTS``'."""
     return _logarithm(float(np.nan_to_num(it.joint_error, nan=NO_JOINTS)), 0.01)
 
 

@@ -49,7 +49,7 @@ def polygons(path: Path, key: str, value: object, size: tuple[int, int]) -> Bool
             raise InputError(path, key, bad, f"corners in or about the {width} x {height} image")
         drawn += int(np.prod(np.clip(np.ptp(points, axis=0), 1, size)))
         if drawn > MOST_DRAWN:
-            raise InputError(path, key, f"polygons of more than {MOST_DRAWN} pixels in all", "at most that")
+            raise InputError(path, key, "polygons of more pixels", f"at most {MOST_DRAWN} pixels in all")
         cv2.fillPoly(out, [np.round(256.0 * (points - 0.5)).astype(np.int32)], 1, shift=8)
     return out.astype(bool)
 

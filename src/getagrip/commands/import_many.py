@@ -23,11 +23,13 @@ class ImportJob:
 
     clip: Path
     command: Command | None
-    """None where there is nothing of this name."""
+    """None unless one file or folder is named like the clip."""
     source: Path
     target: Path
     """The file or folder that it makes; a clip that has it is done."""
     overwrite: bool
+    several: bool
+    """True if several are."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +58,8 @@ def import_many(
     def job(name: str, folder: Path) -> ImportJob:
         found = by_stem.get(name) or by_stem.get(folder.name) or []
         made = command(found[0], folder) if len(found) == 1 else None
-        several = source / (" and ".join(one.name for one in found) or name)
-        return ImportJob(folder, made, several, folder / target, overwrite)
+        place = source / (" and ".join(one.name for one in found) or name)
+        return ImportJob(folder, made, place, folder / target, overwrite, len(found) > 1)
 
     imported, failed = each_clip([clips], job, import_one, 1, debug)
     for each in imported:
@@ -77,7 +79,8 @@ def import_one(job: ImportJob, progress: Callable[[str, float], None] = lambda *
     said = io.StringIO()
     try:
         if job.command is None:
-            raise InputError(job.source, "", "no such file or folder", "one for the clip, and only one")
+            got = "several" if job.several else "no such file or folder"
+            raise InputError(job.source, "", got, "one file or folder named like the clip")
         with redirect_stdout(Silence()), redirect_stderr(said):
             job.command.run()
     except Exception as error:  # one clip's trouble must not end the others

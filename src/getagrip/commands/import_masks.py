@@ -18,7 +18,7 @@ from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.arguments import Flag
 from getagrip.io.images import write_mask
-from getagrip.io.terminal import report, say
+from getagrip.io.terminal import counted, report, say
 
 FEWEST = 2
 """Frames that show the object."""
@@ -94,9 +94,10 @@ def report_masks(reader: MaskReader, frames: tuple[str, ...], visible: int) -> i
         report(f"warning: {reader.source}: {note}: {count}")
     if missing := [name for n, name in enumerate(frames) if n not in reader.known]:
         some = f"no mask of {len(missing)} of {len(frames)} frames (first: {missing[0]})"
-        report(f"warning: {reader.source}: {some}; reconstruct puts the object of these between that of the others")
+        report(f"warning: {reader.source}: {some}; reconstruct interpolates their poses")
     if visible < FEWEST:
-        report(f"warning: {reader.source}: the object is visible in {visible} frame, reconstruct needs {FEWEST}")
+        seen = f"the object is visible in {counted(visible, 'frame')}; reconstruct needs {FEWEST}"
+        report(f"warning: {reader.source}: {seen}")
     for warning in reader.warnings:
         report(f"warning: {reader.source}: {warning}")
     return 3 if reader.warnings or visible < FEWEST else 0

@@ -155,7 +155,7 @@ def facing(R_cam_world: Float[ndarray, "3 3"], places: Float[ndarray, "T 3"], de
 
 
 def pinhole() -> tuple[Float[ndarray, "3 3"], tuple[int, int]]:
-    """Return its intrinsics, and the size of its images [px]."""
+    """Return the camera's intrinsics, and the size of its images [px]."""
     return np.array([[FOCAL, 0.0, SIZE[0] / 2.0], [0.0, FOCAL, SIZE[1] / 2.0], [0.0, 0.0, 1.0]]), SIZE
 
 

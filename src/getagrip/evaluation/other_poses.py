@@ -43,7 +43,7 @@ class OtherSystem:
 def poses_of(place: Path, name: str, clip: Clip, masks: Masks | None, first: int | None = None) -> Reconstruction:
     """Read the poses of a file or folder as a result; arguments and errors are those of ``read_poses``.
 
-    A frame without a pose has that of the nearest one that has, still in the hand, and counts as interpolated.
+    A frame without a pose has the nearest frame's, fixed in the hand, and counts as interpolated.
     """
     poses = read_poses(place, clip, first)
     scale = 1.0 if poses.scale is None else poses.scale

@@ -39,7 +39,7 @@ def with_kept_hands(clip: Clip, result: Path) -> Clip | None:
         if key not in stored:
             raise InputError(path, key, "nothing", "hands that bench --hands kept")
     if str(stored["clip_sha256"]) != input_sha256(clip.origin):
-        raise InputError(path, "clip_sha256", f"the checksum of another {clip.name}", "an unchanged clip; do it again")
+        raise InputError(path, "clip_sha256", f"another: {clip.name} has changed", "the clip's checksum; do it again")
     names = tuple(map(str, np.atleast_1d(stored["names"]).tolist()))
     K = arrays.floats(path, stored, "K", (len(names), 3, 3))
     return replace(clip.take(clip.index_of(names)), hand=read_hand(path, len(names)), K=K)

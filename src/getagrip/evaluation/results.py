@@ -250,8 +250,8 @@ def clip_of(folder: Path, result: Reconstruction, record: Json, clips: str | Pat
     if (own := with_kept_hands(clip, folder)) is not None:
         return own
     if record.get("input_sha256") != input_sha256(found):
-        got = f"the checksum of other masks, hands or mesh than those in {found}"
-        raise InputError(folder / "result.json", "input_sha256", got, "an unchanged clip; reconstruct it again")
+        got = "another: its masks, hands or mesh have changed"
+        raise InputError(folder / "result.json", "input_sha256", got, f"that of {found}; reconstruct it again")
     return clip
 
 

@@ -126,9 +126,9 @@ def _coarser(pixels: Bool[ndarray, "N s s"], size: int) -> Bool[ndarray, "N n n"
 
 
 def signed_distance(observed: Bool[ndarray, "s s"], valid: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:
-    """Compute the distance to the visible contour [px].
+    """Compute the signed distance to the visible contour [px], negative on the object.
 
-    To the object outside of it, minus that to background inside.
+    On hidden pixels it is the distance to the object, minus that to the background.
     """
     background = valid & ~observed
     to_object, to_background = distance_to(observed), distance_to(background)
@@ -138,7 +138,7 @@ def signed_distance(observed: Bool[ndarray, "s s"], valid: Bool[ndarray, "s s"])
 def distance_to(target: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:
     """Compute the distance of each pixel's centre to the nearest of the target [px], correctly rounded.
 
-    2 s without one.
+    2 s if the target is empty.
     """
     if not target.any():
         return np.full(target.shape, np.float32(2 * len(target)))

@@ -50,7 +50,7 @@ def usual_rotations(clip: Clip) -> Float[ndarray, "k 3 3"]:
 
 
 def opposite_turns(clip: Clip, surface: ObjectSurface) -> Float[ndarray, "k 3 3"]:
-    """Return the half turn that takes an unmeasured object's handle to its other side, if anything sticks out."""
+    """Return the half turn that swaps the sides of an unmeasured object's handle; none if nothing sticks out."""
     half = se3.exp_so3(np.array([[0.0, 0.0, np.pi]]))
     if kind_of(clip) is None or surface.moved_by(half)[0] < HALF_TURNS[1]:
         return half[:0]

@@ -119,10 +119,10 @@ def _scene(file: _File) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
             vertices, corners = vertices + len(points), corners + len(points if ids is None else ids)
             parts.append((points, ids, is_strip, T_scene_node))
             if len(parts) > MOST_PARTS:
-                raise InputError(file.path, "nodes", f"more than {MOST_PARTS} parts of meshes", "at most that")
+                raise InputError(file.path, "nodes", f"more than {MOST_PARTS} parts of meshes", f"at most {MOST_PARTS}")
             if vertices > MOST or corners > 3 * MOST:
                 got = f"{vertices} vertices and {corners} corners of faces, or more"
-                raise InputError(file.path, "nodes", got, f"at most {MOST} and {3 * MOST}, of all nodes together")
+                raise InputError(file.path, "nodes", got, f"at most {MOST} vertices and {3 * MOST} corners")
     if not parts:
         return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
     first, found = 0, []

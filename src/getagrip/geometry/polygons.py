@@ -104,7 +104,7 @@ def _ears(path: Path, flat: Float[ndarray, "N 2"], effort: Effort) -> list[tuple
             effort.left -= 1 + (len(reflex) if few else 20 * FEW + len(flat) // 4)
         if effort.left < 0:
             got = f"concave polygons, one of {len(flat)} corners, that take too long to be cut"
-            raise InputError(path, "faces", got, "triangles: triangulate the mesh where it was made")
+            raise InputError(path, "faces", got, "triangles; triangulate the mesh first")
         if convex and few:
             convex = not any(_holds(at[a], at[n], at[c], at[r]) for r in reflex)
         elif convex:

@@ -48,7 +48,7 @@ def segments_of(
     Raises ``InputError`` for a clip without the camera's poses.
     """
     if clip.world is None:
-        raise InputError(clip.origin, "camera.T_world_cam", "no such key", "the world, in which objects lie still")
+        raise InputError(clip.origin, "camera.T_world_cam", "no such key", "the camera's poses in the world")
     assert clip.truth is not None  # contact sets are made from it
     touched = {side: np.asarray(sets.any(axis=1)) for side, sets in contact.items()}
     T_world_obj = clip.world.T_world_cam @ clip.truth.T_cam_obj

@@ -146,7 +146,7 @@ def open_jpeg(path: Path, key: str, content: bytes) -> JpegImageFile:
     while (marker := _MARKER.search(content, at)) and content[marker.start() + 1] != LAST:
         scans += content[marker.start() + 1] == SCAN
         if scans > MOST_SCANS:
-            raise InputError(path, f"{key} scans".strip(), f"more than {MOST_SCANS}", "at most that")
+            raise InputError(path, f"{key} scans".strip(), f"more than {MOST_SCANS}", f"at most {MOST_SCANS}")
         length = int.from_bytes(content[marker.end() : marker.end() + 2], "big")
         at = marker.end() + max(length, 2)  # as libjpeg goes on; of a scan, before its coded data
     return JpegImageFile(io.BytesIO(content))

@@ -28,7 +28,7 @@ class NamedFields:
 def named(function: Callable[P, R]) -> Callable[P, R]:
     """Make a function raise ``UsageError`` for an unknown keyword argument, with the names most like it.
 
-    A field of the dataclass that the function takes as ``options`` is named in its place there.
+    Fields of the dataclass ``options`` are suggested as ``options=...(field=...)``.
     """
     known = [name for name in signature(function).parameters if not name.startswith("_")]
 

@@ -82,7 +82,7 @@ class Remote:
             except FileNotFoundError:
                 return None
         if len(content) > limit:
-            raise InputError(self.url, "", f"more than {limit} bytes", "at most that")
+            raise InputError(self.url, "", f"more than {limit} bytes", f"at most {limit} bytes")
         return bytes(content)
 
     def write(self, content: bytes) -> None:

@@ -115,7 +115,9 @@ def _rows(poses: PoseFile, clip: Clip, first: int | None) -> tuple[dict[int, int
     rows = row_of_each(poses.names, [frame_of(name, frames) for name in poses.names], poses.path)
     if not rows:
         shown = f"{files.plain(frames[0])} to {files.plain(frames[-1])}"
-        raise InputError(poses.path, "", f"no pose of the clip's frames ({files.plain(poses.names[0])}, ...)", shown)
+        raise InputError(
+            poses.path, "", f"no pose of the clip's frames, only of {files.plain(poses.names[0])}, ...", shown
+        )
     return rows, frames
 
 

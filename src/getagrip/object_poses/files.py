@@ -97,7 +97,7 @@ def _text(path: Path) -> ndarray:
     try:
         values = np.fromiter(islice(numbers, 16 * MOST_POSES + 1), float)
     except ValueError as error:
-        raise InputError(path, "", f"a text that is no number ({error})", "16 numbers for each frame") from error
+        raise InputError(path, "", f"a text that is no number ({error})", "12 or 16 numbers for each frame") from error
     if len(values) > 16 * MOST_POSES:
         raise InputError(path, "", f"more than {MOST_POSES} poses", f"at most {MOST_POSES}")
     wide = len(content.lstrip()[:4096].partition(b"\n")[0].replace(b",", b" ").split())

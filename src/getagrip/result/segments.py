@@ -102,9 +102,9 @@ def _read(path: Path, key: str, value: object) -> SegmentResult:
 
 
 def _numbers(path: Path, key: str, value: object) -> dict[str, float]:
-    """Numbers by name; none where there is no object."""
+    """Read numbers by name; none where the entry is missing."""
     if value is not None and not isinstance(value, dict):
-        raise InputError(path, key, shown(value), "an object")
+        raise InputError(path, key, shown(value), "a JSON object")
     return read_checks(path, value or {}, key)
 
 

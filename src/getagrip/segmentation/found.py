@@ -238,7 +238,7 @@ def reconstructed(
 ) -> Reconstructed:
     """Return a fit in its segment, with the object still in the world before and after.
 
-    Where the fit was tried in those, too, the hand is where it has it, else where the clip has it.
+    There the hand's pose is the fit's if it was tried there, else the clip's.
     """
     frames = np.arange(first - still_before, last + 1 + still_after)
     inside = (fit.frames >= first) & (fit.frames <= last)

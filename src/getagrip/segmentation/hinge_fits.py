@@ -45,7 +45,7 @@ class HingeFit:
         T_cam_hand: (n, 4, 4) where it has the hand.
         misfit: (n,) mean distance of its contour from the mask's [px of the image], deviations from its own motion
             included; NaN where no mask shows the object.
-        expected: (n,) what a right fit leaves of that in perfect masks (``fitting.misfit``) [px].
+        expected: (n,) the misfit of a right fit to perfect masks (``fitting.misfit``) [px].
         scale: of the object.
     """
 

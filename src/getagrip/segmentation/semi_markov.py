@@ -146,7 +146,7 @@ def residual(distance: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
 
 
 def chosen(fits: Sequence[HingeFit], first: int, last: int, jitter: float) -> HingeFit:
-    """Return the fit that is best in a window, of those tried in all of it."""
+    """Return the fit of least cost in a window; a frame in which it was not tried costs ``NOT_TRIED``."""
     costs = []
     for one in fits:
         inside = (one.frames >= first) & (one.frames <= last)

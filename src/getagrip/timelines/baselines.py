@@ -95,7 +95,7 @@ def propagate(footage: Footage) -> Motion:
     """Run the authors' propagation. Raises ``InputError`` where no segment shows the object."""
     segments = [s for s in footage.clip.segments if footage.shown[s.rows].sum() > 1]
     if not segments:
-        raise InputError(footage.clip.origin, "segments", "none that shows the object in two frames", "one at least")
+        raise InputError(footage.clip.origin, "segments", "none", "one at least that shows the object in two frames")
     static = [n for n, s in enumerate(segments) if s.state == "static"]
     first = max(static or range(len(segments)), key=lambda n: len(segments[n]))
     last = len(segments) - 1

@@ -49,7 +49,7 @@ class Batch:
 class PosesInHand(Batch):
     """The posed object in the hand frame: ``X_hand = R @ (scale * (X_obj - c)) + centre``.
 
-    ``hand`` is the moved hand where it moves (``MovingHand``); the object is in the frame of the given one even then.
+    ``hand`` is the moved hand where it moves (``MovingHand``); the object stays in the input hand's frame.
     """
 
     R: Float[ndarray, "B N 3 3"]
@@ -71,7 +71,7 @@ class HandFrame(Protocol):
 class HandPoses(Batch):
     """The moved hand in the frame of the hand as given: ``X_given = R @ (scale * (X_hand - middle)) + centre``.
 
-    ``held`` is where the object would be if the hand as given had it as the moved hand has it.
+    ``held``: the object's poses if the input hand gripped it as the moved hand does.
     """
 
     R: Float[ndarray, "B N 3 3"]

@@ -16,7 +16,7 @@ Core = TypeVar("Core", bound=Motion)
 
 @dataclass(frozen=True)
 class Frozen(Batch, Generic[Core]):
-    """A motion of which only the per-frame parameters are to be found: S = 0, L as inside."""
+    """A motion of which only the per-frame parameters are to be found: S = 0, L as in ``core``."""
 
     core: Core
 

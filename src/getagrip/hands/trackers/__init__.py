@@ -90,9 +90,9 @@ def usable(taken: Iterable[str] = ()) -> dict[str, Tracker]:
 
 
 def choose(name: str, entry: Mapping[str, Tracker] = TRACKERS) -> Tracker:
-    """Return the tracker of a name, with its options as ``given``.
+    """Return the tracker ``name`` of ``entry``, with its options.
 
-    Raises ``UsageError`` for an unknown name, and for options that are given to another tracker.
+    Raises ``UsageError`` for an unknown name, and for options of another tracker.
     """
     if name not in entry:
         raise unknown("--from", name, entry)

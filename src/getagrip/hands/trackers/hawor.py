@@ -169,7 +169,7 @@ def length(path: Path, record: Record) -> int:
 
 
 def row(path: Path, record: Record, n: int, frames: int) -> Record:
-    """Return the parameters of one of its frames. Raises ``InputError``."""
+    """Return the parameters of frame ``n``. Raises ``InputError``."""
     shapes = {"init_root_orient": ((3, 3), (3,)), "init_hand_pose": ((15, 3, 3), (15, 3), (45,))}
     shapes |= {"init_trans": ((3,),), "init_betas": ((10,),)}
     return {key: numbers(path, record, key, *((frames, *s) for s in shapes[key]))[n] for key in KEYS}
