@@ -33,6 +33,10 @@ class UsageError(GetagripError):
     """The call itself is wrong (exit status 2)."""
 
 
+class MissingOptionError(UsageError):
+    """An option that the input needs is missing."""
+
+
 def unknown(what: str, got: object, known: Iterable[object]) -> UsageError:
     """Make the error for a name that is none of those known."""
     return UsageError(f"unknown {what} {got!r}; choose from {', '.join(map(str, known))}")

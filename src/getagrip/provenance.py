@@ -12,6 +12,7 @@ from numpy import ndarray
 
 from getagrip.errors import InputError
 from getagrip.io import files
+from getagrip.io.terminal import report, warn
 
 Basis = Literal["measured", "estimated", "assumed"]
 """From a sensor, the ground truth or the user; found by an algorithm; neither of these."""
@@ -82,9 +83,9 @@ def joined(sources: Iterable[Source]) -> Source:
     return Source("; ".join(dict.fromkeys(source.text for source in each)), weakest)
 
 
-def warn_of(topic: str, source: object) -> str:
-    """Return a line that names the source of something, marked as a warning where it is assumed."""
-    return f"{'warning: ' if is_assumed(source) else ''}{topic}: {source}"
+def report_source(topic: str, source: object) -> None:
+    """Print the source of something; a warning where it is assumed."""
+    (warn if is_assumed(source) else report)(f"{topic}: {source}")
 
 
 def as_arrays(provenance: Mapping[str, object]) -> dict[str, ndarray]:

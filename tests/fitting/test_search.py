@@ -19,7 +19,7 @@ from getagrip.fitting.solve import minimise
 from getagrip.fitting.surface import ObjectSurface
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.metrics.contact import signed_distance
+from getagrip.metrics.surface_distance import signed_distance
 from getagrip.timelines.reconstruct import reconstruct
 from helpers.clips import box
 from helpers.scenes import SMALL, scene, scores

@@ -20,7 +20,7 @@ from getagrip.geometry.mesh import Mesh, decimate, edge_table, merged, vertex_no
 from getagrip.geometry.mesh_files import SUFFIXES, read_mesh, write_mesh
 from getagrip.geometry.obj import parse_obj
 from getagrip.geometry.subdivide import fine
-from getagrip.metrics.contact import signed_distance
+from getagrip.metrics.surface_distance import signed_distance
 from helpers.clips import box
 
 triangles = st.permutations(range(6)).map(lambda order: order[:3])

@@ -11,17 +11,9 @@ from hypothesis.extra.numpy import array_shapes, arrays
 
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.metrics.contact import (
-    FACES,
-    MAX_DISTANCE,
-    SIDES,
-    close_holes,
-    contact_distances,
-    pairwise_iou,
-    signed_distance,
-    stable_contact_area,
-)
+from getagrip.metrics.contact import MAX_DISTANCE, SIDES, contact_distances, pairwise_iou, stable_contact_area
 from getagrip.metrics.pose import ObjectTrack
+from getagrip.metrics.surface_distance import FACES, close_holes, signed_distance
 
 sets = arrays(bool, array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=20))
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from getagrip.datasets.synthetic import shapes
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.metrics.contact import signed_distance
 from getagrip.metrics.pose import SUCCESS, ObjectTrack, best_symmetry, pose_errors
+from getagrip.metrics.surface_distance import signed_distance
 from getagrip.metrics.symmetry import Symmetries, find_symmetries, surface_points
 
 seeds = st.integers(0, 2**32 - 1)

@@ -15,7 +15,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import bounding_boxes
 from getagrip.geometry.depth import covered
 from getagrip.geometry.render import nearest_surface
-from getagrip.metrics.contact import moving_distance
+from getagrip.metrics.surface_distance import moving_distance
 
 POINTS = 400
 """Vertices of the hand whose distances to the object are measured."""

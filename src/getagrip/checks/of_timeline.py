@@ -100,16 +100,21 @@ class Examined:
     Attributes:
         checks: what was measured of the clip as a whole.
         of_segments: what was measured of each segment.
-        names: of the segments in findings: their state and first frame.
-        findings: what is unusual; those of segments begin with the segment's name.
-        failed: the segments whose masks are hardly met, in words; empty: none.
+        of_clip: findings about the clip as a whole.
+        own: those about each segment; they begin with the segment's name, its state and first frame.
+        failed: the segments that hardly meet their masks, in words; empty: none.
     """
 
     checks: dict[str, float]
     of_segments: tuple[dict[str, float], ...]
-    names: tuple[str, ...]
-    findings: tuple[Finding, ...]
+    of_clip: tuple[Finding, ...]
+    own: tuple[tuple[Finding, ...], ...]
     failed: str
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """All findings."""
+        return (*self.of_clip, *(one for some in self.own for one in some))
 
 
 def examine_timeline(
@@ -128,15 +133,15 @@ def examine_timeline(
     every = (*INPUT_CHECKS.working().values(), *RESULT_CHECKS.working().values(), JUMP)
     of_clip = [c for c in every if c.name not in (*WITH_HAND, *OF_MASKS)]
     checks, findings = examine(of_clip, whole)
-    of_segments, failed = [], []
-    names = tuple(f"{segment.state} from {clip.frames[segment.first]}" for segment in clip.segments)
-    for segment, name in zip(clip.segments, names, strict=True):
+    of_segments, own, failed = [], [], []
+    for segment in clip.segments:
+        name = f"{segment.state} from {clip.frames[segment.first]}"
         measured, found = _examine(segment, clip, whole)
         of_segments.append(measured)
-        findings += tuple(replace(one, message=f"{name}: {one.message}") for one in found)
+        own.append(tuple(replace(one, message=f"{name}: {one.message}") for one in found))
         if measured.get("mask-fit", 1.0) < LEAST_IOU:
             failed.append(f"{name} ({measured['mask-fit']:.2f})")
-    return Examined(checks, tuple(of_segments), names, findings, ", ".join(failed))
+    return Examined(checks, tuple(of_segments), findings, tuple(own), ", ".join(failed))
 
 
 def _examine(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:

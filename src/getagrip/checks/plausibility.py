@@ -8,7 +8,7 @@ from numpy import ndarray
 
 from getagrip.checks.evidence import Evidence
 from getagrip.geometry.mesh import face_areas
-from getagrip.metrics.contact import close_holes
+from getagrip.metrics.surface_distance import close_holes
 
 UNKNOWN = float("nan")
 

@@ -20,7 +20,7 @@ from getagrip.clip.mask_sources import open_masks
 from getagrip.clip.naming import number_of
 from getagrip.clip.plausible import check_in_view
 from getagrip.commands.hand_file import HandFile
-from getagrip.errors import InputError, UsageError, unknown
+from getagrip.errors import InputError, MissingOptionError, UsageError, unknown
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands.model import Side
@@ -130,9 +130,9 @@ def hands_of(path: Path, source: str | None, side: Side | None, stretch: Stretch
         raise unknown("--hands-from", source, TRACKERS)
     try:
         hands = read([path], TRACKERS[source], stretch.request(which_side))
-    except UsageError as error:
+    except MissingOptionError as error:
         advice = "getagrip import hands has this option: --out FILE there, --hands FILE here"
-        raise UsageError(f"{error} ({advice})" if str(error).startswith("missing --") else str(error)) from error
+        raise UsageError(f"{error} ({advice})") from error
     return as_found(path, hands, which_side, stretch)
 
 

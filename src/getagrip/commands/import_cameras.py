@@ -21,8 +21,8 @@ from getagrip.commands.command import Command
 from getagrip.errors import UsageError
 from getagrip.io import files
 from getagrip.io.arguments import Flag
-from getagrip.io.terminal import report, say
-from getagrip.provenance import Source, assumed, estimated, measured, warn_of
+from getagrip.io.terminal import report, say, warn
+from getagrip.provenance import Source, assumed, estimated, measured, report_source
 
 WARNED = 3
 """Exit status where the path is written and something about it is assumed or seems wrong."""
@@ -84,10 +84,10 @@ class ImportCameras(Command):
         with files.new_file(header.folder / "clip.json") as part:
             files.write_json(part, header.changed({"camera": camera, "provenance": provenance}))
         for topic, source in sources.items():
-            report(warn_of(topic, source))
+            report_source(topic, source)
         warnings = [*self._warnings(found, header), *filter(None, [camera_warning(K, header.size)])]
         for text in warnings:
-            report(f"warning: camera: {text}")
+            warn(f"camera: {text}")
         say(f"{header.folder / 'clip.json'}: the camera in {len(names)} frames, {_extent(poses):.2f} m from end to end")
         return WARNED if warnings or any(source.basis == "assumed" for source in sources.values()) else 0
 

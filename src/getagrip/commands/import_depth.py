@@ -15,7 +15,7 @@ from getagrip.clip.reading import read_header
 from getagrip.commands.command import Command
 from getagrip.errors import UsageError
 from getagrip.io.arguments import Flag, one_of
-from getagrip.io.terminal import report, say
+from getagrip.io.terminal import say, warn
 
 WARNED = 3
 """Exit status where depth is written, and something seems to be wrong with it."""
@@ -69,7 +69,7 @@ class ImportDepth(Command):
         warning = check_camera(reader, source, header.K, header.size[0])
         if len(reader.known) < len(frames):
             missing = [name for n, name in enumerate(header.frames) if n not in reader.known]
-            report(f"warning: no depth in {len(missing)} of {len(frames)} frames (first: {missing[0]})")
+            warn(f"no depth in {len(missing)} of {len(frames)} frames (first: {missing[0]})")
         if warning:
-            report(f"warning: {self.path}: {warning}")
+            warn(f"{self.path}: {warning}")
         return WARNED if warning else 0

@@ -27,8 +27,8 @@ from getagrip.hands.model import Side
 from getagrip.hands.trackers import CHOSEN, EXTRAPOLATED, Hands, Request, Tracker, choose, read, recognise, usable
 from getagrip.io import files
 from getagrip.io.arguments import Flag, OptionalFile, one_of
-from getagrip.io.terminal import report, say
-from getagrip.provenance import as_arrays, warn_of
+from getagrip.io.terminal import report, say, warn
+from getagrip.provenance import as_arrays, report_source
 
 PREFIX = "other_"
 """Prefix of the other hand's topics in a clip's provenance."""
@@ -185,12 +185,12 @@ class ImportHands(Command):
             write_hand_at(hands.track, header.frames, hands.found, hand)
             files.write_json(fields, header.changed({"provenance": known | provenance}))
         for key, text in provenance.items():
-            report(warn_of(key, text))
+            report_source(key, text)
         say(f"{target}: the {side} hand in {len(hands.found)} of {len(header.frames)} frames")
         if alone:
             some = _some(header.frames[row] for row in alone)
             left_out = f"{len(alone)} frames have the {side} hand only and are left out, as all without the clip's own"
-            report(f"warning: {left_out}: {some}")
+            warn(f"{left_out}: {some}")
         return _status(header.K, header.size, hands.warnings)
 
     def _into_file(self, new: NewFrames, out: Path) -> int:
@@ -253,10 +253,10 @@ def _fields(header: ClipHeader, hands: Hands) -> dict[str, object]:
 def _report(hands: Hands, frames: Sequence[str]) -> None:
     """Print where the hands come from, with a warning for what is guessed or missing."""
     for key, text in hands.provenance.items():
-        report(warn_of(key, text))
+        report_source(key, text)
     missing = [name for n, name in enumerate(frames) if n not in hands.found]
     if missing:
-        report(f"warning: no hand in {len(missing)} of {len(frames)} frames, skipped: {_some(missing)}")
+        warn(f"no hand in {len(missing)} of {len(frames)} frames, skipped: {_some(missing)}")
 
 
 def _warnings(hands: Hands, frames: int) -> tuple[str, ...]:
@@ -270,7 +270,7 @@ def _status(K: Float[ndarray, "T 3 3"], size: tuple[int, int], warnings: tuple[s
     camera = camera_warning(K, size)
     texts = [*(f"hands: {text}" for text in warnings), *([f"camera: {camera}"] if camera else [])]
     for text in texts:
-        report(f"warning: {text}")
+        warn(f"{text}")
     return WARNED if texts else 0
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from getagrip.commands.command import Command, each_clip
 from getagrip.errors import InputError
-from getagrip.io.terminal import Silence, counted, report, say
+from getagrip.io.terminal import Silence, counted, kept_warnings, report, say
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
@@ -64,7 +63,7 @@ def import_many(
     imported, failed = each_clip([clips], job, import_one, 1, debug)
     for each in imported:
         for text in each.warnings:
-            report(f"{each.clip}: {text}")
+            report(f"{each.clip}: warning: {text}")
     kept = sum(one.kept for one in imported)
     say(f"{counted(len(imported) - kept, 'clip')} imported, {kept} done already, {failed} failed")
     return 1 if failed else 3 if any(one.warnings for one in imported) else 0
@@ -76,14 +75,12 @@ def import_one(job: ImportJob, progress: Callable[[str, float], None] = lambda *
 
     if job.target.exists() and not job.overwrite:
         return Imported(job.clip.name, kept=True)
-    said = io.StringIO()
     try:
         if job.command is None:
             got = "several" if job.several else "no such file or folder"
             raise InputError(job.source, "", got, "one file or folder named like the clip")
-        with redirect_stdout(Silence()), redirect_stderr(said):
+        with redirect_stdout(Silence()), redirect_stderr(Silence()), kept_warnings() as warnings:
             job.command.run()
     except Exception as error:  # one clip's trouble must not end the others
         return failure(job.clip.name, error)
-    lines = said.getvalue().splitlines()
-    return Imported(job.clip.name, kept=False, warnings=tuple(line for line in lines if line.startswith("warning")))
+    return Imported(job.clip.name, kept=False, warnings=tuple(warnings))

@@ -18,7 +18,7 @@ from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.arguments import Flag
 from getagrip.io.images import write_mask
-from getagrip.io.terminal import counted, report, say
+from getagrip.io.terminal import counted, say, warn
 
 FEWEST = 2
 """Frames that show the object."""
@@ -91,15 +91,15 @@ class ImportMasks(Command):
 def report_masks(reader: MaskReader, frames: tuple[str, ...], visible: int) -> int:
     """Say which frames have no masks and what was made of others; returns 3 with a warning about them, else 0."""
     for note, count in reader.notes.items():
-        report(f"warning: {reader.source}: {note}: {count}")
+        warn(f"{reader.source}: {note}: {count}")
     if missing := [name for n, name in enumerate(frames) if n not in reader.known]:
         some = f"no mask of {len(missing)} of {len(frames)} frames (first: {missing[0]})"
-        report(f"warning: {reader.source}: {some}; reconstruct interpolates their poses")
+        warn(f"{reader.source}: {some}; reconstruct interpolates their poses")
     if visible < FEWEST:
         seen = f"the object is visible in {counted(visible, 'frame')}; reconstruct needs {FEWEST}"
-        report(f"warning: {reader.source}: {seen}")
+        warn(f"{reader.source}: {seen}")
     for warning in reader.warnings:
-        report(f"warning: {reader.source}: {warning}")
+        warn(f"{reader.source}: {warning}")
     return 3 if reader.warnings or visible < FEWEST else 0
 
 

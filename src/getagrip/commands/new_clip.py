@@ -21,7 +21,7 @@ from getagrip.geometry.distortion import Distortion
 from getagrip.geometry.lens import Lens
 from getagrip.io import files
 from getagrip.io.arguments import Flag, Folder, OptionalFile
-from getagrip.io.terminal import report
+from getagrip.io.terminal import warn
 
 if TYPE_CHECKING:
     from jaxtyping import Int, UInt8
@@ -279,21 +279,20 @@ def _check(made: Path, masks: bool, out: Path) -> None:
 def _summary(clip: Clip, new: NewClip, hands: Hands | None, out: Path) -> int:
     """Print what was made, what is a guess and what is missing; 3 where something is."""
     from getagrip.clip.intrinsics import camera_warning
-    from getagrip.provenance import is_assumed, warn_of
+    from getagrip.provenance import is_assumed, report_source
 
     print(f"{out}: {len(clip)} frames")
     if hands and len(hands.found) < len(clip):
         bare = len(clip) - len(hands.found)
-        print(
-            f"warning: no hand in {bare} of {len(clip)} frames, which are left out until they have one; "
-            f"getagrip import hands ... --clip {out} --overwrite",
-            file=sys.stderr,
+        warn(
+            f"no hand in {bare} of {len(clip)} frames, which are left out until they have one; "
+            f"getagrip import hands ... --clip {out} --overwrite"
         )
     for key, text in clip.provenance.items():
         if is_assumed(text):
-            report(warn_of(key, text))
+            report_source(key, text)
     if warning := camera_warning(clip.K, clip.size):
-        report(f"warning: camera: {warning}")
+        warn(f"camera: {warning}")
     missing = [key for key, there in (("masks", new.masks), ("hands", new.hands)) if there is None]
     for key in missing:
         print(f"missing: {key}: {LATER[key].format(out=out, video=new.video)}", file=sys.stderr)

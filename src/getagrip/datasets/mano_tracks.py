@@ -11,7 +11,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip import HandTrack
-from getagrip.errors import InputError, UsageError
+from getagrip.errors import InputError, MissingOptionError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands import mano
 from getagrip.hands.model import MIRROR, Side, hand_track, root_transform
@@ -24,7 +24,7 @@ FILES: dict[Side, str] = {"left": "MANO_LEFT.pkl", "right": "MANO_RIGHT.pkl"}
 def mano_folder(folder: Path | None, dataset: str) -> Path:
     """Return the folder with the user's MANO files. Raises ``UsageError`` where none is given or it holds none."""
     if folder is None:
-        raise UsageError(
+        raise MissingOptionError(
             f"missing --mano: {dataset} holds its hands as parameters of MANO; the folder of "
             f"{' and '.join(FILES.values())} (https://mano.is.tue.mpg.de)"
         )

@@ -113,7 +113,7 @@ class Judgement:
         right: how probable that is, in the hand and in the camera; None where it is not known.
         hand_alternatives: where the hand may be instead; None where it was not solved with the object.
         segments: what was found in each segment of a timeline.
-        failed: the segments whose masks are hardly met, in words; empty: none.
+        failed: the segments that hardly meet their masks, in words; empty: none.
     """
 
     checks: dict[str, float]
@@ -203,28 +203,18 @@ def repair(clip: Clip, options: Options, threads: int = 1) -> Input:
 
 
 def _result(
-    clip: Clip,
-    notes: tuple[str, ...],
-    options: Options,
-    answer: Answer,
-    judgement: Judgement,
-    seconds: dict[str, float],
+    clip: Clip, notes: tuple[str, ...], options: Options, answer: Answer, judged: Judgement, seconds: dict[str, float]
 ) -> Reconstruction:
     """Make the result, with all that is known about how it was found."""
-    track, scale, energy = answer.track, float(answer.scale[0]), float(answer.energy[0])
-    guesses = {}
-    if clip.scale == "free" and not clip.size_beside_hand:
-        guesses["scale"] = SCALE_GUESSED.format(scale)
-    if answer.warp is not None:
-        guesses["shape"] = SHAPE_GUESSED
-    status, message = _ending(answer, judgement.failed)
+    track, energy, guesses = answer.track, float(answer.energy[0]), _guesses(clip, answer)
+    status, message = _ending(answer, judged.failed)
     return Reconstruction(
         clip=clip.name,
         method=options.method,
         frames=track.frames,
         frame_kind=track.kind,
         T_hand_obj=track.T_hand_obj[0],
-        scale=scale,
+        scale=float(answer.scale[0]),
         iou=track.iou,
         axis=answer.axis,
         candidates=Candidates(track.T_hand_obj, answer.scale, answer.energy),
@@ -237,23 +227,33 @@ def _result(
         seed=options.seed,
         T_cam_hand=track.T_cam_hand if answer.hand_moved else None,
         hand_covariance=None if answer.hand is None else answer.hand.covariance,
-        hand_alternatives=judgement.hand_alternatives,
+        hand_alternatives=judged.hand_alternatives,
         hand_energy={} if answer.hand is None else dict(answer.hand.energy),
         T_cam_other_hand=answer.T_cam_other_hand,
         warp=answer.warp,
         notes=(*answer.notes, *guesses.values(), *notes),
         assumptions=assumptions(clip.provenance) | guesses,
-        findings=judgement.findings,
-        checks=judgement.checks,
-        signs=judgement.signs,
-        probability_right=judgement.right.get("hand"),
-        probability_right_in_camera=judgement.right.get("camera"),
-        segments=judgement.segments,
+        findings=judged.findings,
+        checks=judged.checks,
+        signs=judged.signs,
+        probability_right=judged.right.get("hand"),
+        probability_right_in_camera=judged.right.get("camera"),
+        segments=judged.segments,
     )
 
 
+def _guesses(clip: Clip, answer: Answer) -> dict[str, str]:
+    """Return what the fit had to assume, by topic."""
+    guesses = {}
+    if clip.scale == "free" and not clip.size_beside_hand:
+        guesses["scale"] = SCALE_GUESSED.format(float(answer.scale[0]))
+    if answer.warp is not None:
+        guesses["shape"] = SHAPE_GUESSED
+    return guesses
+
+
 def _ending(answer: Answer, failed: str) -> tuple[Status, str]:
-    """How it ended, in a word and a sentence; ``failed`` are segments whose masks are hardly met."""
+    """Return how it ended, in a word and a sentence; ``failed``: the segments that hardly meet their masks."""
     track = answer.track
     shown = np.count_nonzero(~np.isnan(track.iou)) + len(track.outliers)
     mean_iou = float(np.nansum(track.iou)) / shown  # an outlier mask is not explained

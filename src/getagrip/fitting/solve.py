@@ -84,7 +84,7 @@ def in_camera(motion: Motion, T_cam_hand: Float[ndarray, "N 4 4"]) -> PosesInCam
     if seen.hand is None:
         return PosesInCamera(*_body(seen))
     hand = HandInCamera(*_body(seen.hand), seen.hand.frame.middle)
-    return ObjectWithHand(*_body(seen), hand, PosesInCamera(*_body(seen.hand.held)))
+    return ObjectWithHand(*_body(seen), hand, PosesInCamera(*_body(seen.hand.grasped)))
 
 
 def _body(

@@ -30,7 +30,8 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.grasps.definition import RULES, Definition, Points, Rule
 from getagrip.io.choices import check_word
-from getagrip.metrics.contact import AREA_POINTS, close_holes, moving_distance
+from getagrip.metrics.contact import AREA_POINTS
+from getagrip.metrics.surface_distance import close_holes, moving_distance
 from getagrip.metrics.symmetry import at_places, surface_places
 
 BLOCK = 128

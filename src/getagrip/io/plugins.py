@@ -13,8 +13,7 @@ from importlib import metadata
 from typing import Any, Generic, TypeVar
 
 from getagrip.errors import UsageError
-from getagrip.io import code
-from getagrip.io.terminal import report
+from getagrip.io import code, terminal
 
 T = TypeVar("T")
 
@@ -60,7 +59,7 @@ def warn(words: str) -> None:
     from multiprocessing import parent_process
 
     if parent_process() is None:
-        report(f"warning: {words}")
+        terminal.warn(words)
 
 
 @dataclass(frozen=True)

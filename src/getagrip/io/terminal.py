@@ -6,6 +6,7 @@ import io
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import partial
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Literal, TypeAlias
@@ -40,6 +41,29 @@ class Silence(io.TextIOBase):
 def report(words: str) -> None:
     """Print a note, apart from the results; what files say in it moves no cursor."""
     print(cleaned(words), file=sys.stderr)
+
+
+_kept: ContextVar[list[str] | None] = ContextVar("_kept", default=None)
+"""Where warnings are kept instead of being printed."""
+
+
+def warn(words: str) -> None:
+    """Print a warning, or keep it, within ``kept_warnings``."""
+    kept = _kept.get()
+    if kept is None:
+        report(f"warning: {words}")
+    else:
+        kept.append(words)
+
+
+@contextmanager
+def kept_warnings() -> Iterator[list[str]]:
+    """Keep warnings in a list instead of printing them."""
+    token = _kept.set(warnings := [])
+    try:
+        yield warnings
+    finally:
+        _kept.reset(token)
 
 
 def say(words: str) -> None:

@@ -14,15 +14,8 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.geometry.mesh import Mesh
-from getagrip.metrics.contact import (
-    AREA_POINTS,
-    MAX_DISTANCE,
-    SIDES,
-    ContactDistances,
-    Side,
-    close_holes,
-    signed_distance,
-)
+from getagrip.metrics.contact import AREA_POINTS, MAX_DISTANCE, SIDES, ContactDistances, Side
+from getagrip.metrics.surface_distance import close_holes, signed_distance
 from getagrip.metrics.symmetry import at_places, surface_places
 
 

@@ -13,7 +13,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh, decimate, vertex_normals
 from getagrip.geometry.render import render_rgb
 from getagrip.geometry.subdivide import edge_length, fine, subdivided
-from getagrip.metrics.contact import close_holes, moving_distance
+from getagrip.metrics.surface_distance import close_holes, moving_distance
 from getagrip.pictures.looking import looking
 from getagrip.pictures.shown import View
 from getagrip.pictures.style import FOUND, PAPER_RGB

@@ -55,8 +55,7 @@ def judge_timeline(footage: Footage, chain: Chain, answer: TimelineAnswer) -> Ju
         if track is not None:
             signs = read_grasp_signs(track)
             evidence = other_evidence(track.solutions.problem.clip)
-            others = examined.names[:n] + examined.names[n + 1 :]
-            right = _probability(source.options, signs, examined.findings, others, evidence)
+            right = _probability(source.options, signs, (*examined.of_clip, *examined.own[n]), evidence)
             found = replace(found, signs=signs, probability_right=right)
         segments.append(found)
     return Judgement(examined.checks, examined.findings, segments=tuple(segments), failed=examined.failed)
@@ -83,15 +82,11 @@ def _segment_result(clip: Clip, segment: Segment, motion: Motion, iou: Float[nda
 
 
 def _probability(
-    options: Options,
-    signs: dict[str, float],
-    findings: Sequence[Finding],
-    others: Sequence[str],
-    evidence: Sequence[str],
+    options: Options, signs: dict[str, float], findings: Sequence[Finding], evidence: Sequence[str]
 ) -> Probability | None:
-    """How probable it is that a grasp is right; findings about the ``others``, segments by name, say nothing of it."""
-    names, elsewhere = {*INPUT_CHECKS}, tuple(f"{name}: " for name in others)
-    of_input = [one for one in findings if one.check in names and not one.message.startswith(elsewhere)]
+    """Compute how probable it is that a grasp is right, with the findings about it and about the clip."""
+    names = {*INPUT_CHECKS}
+    of_input = [one for one in findings if one.check in names]
     right = probability_right(options, signs, of_input, terms=evidence)
     return right and replace(right, meaning=MEANING)
 

@@ -31,7 +31,7 @@ from getagrip.grasps.definition import FEWEST, GraspOptions
 from getagrip.grasps.lists import BETWEEN
 from getagrip.io.arguments import Flag
 from getagrip.io.terminal import counted
-from getagrip.metrics.contact import signed_distance
+from getagrip.metrics.surface_distance import signed_distance
 
 if TYPE_CHECKING:
     from getagrip.geometry.render import Surface

@@ -71,13 +71,13 @@ class HandFrame(Protocol):
 class HandPoses(Batch):
     """The moved hand in the frame of the hand as given: ``X_given = R @ (scale * (X_hand - middle)) + centre``.
 
-    ``held``: the object's poses if the input hand gripped it as the moved hand does.
+    ``grasped``: the object's poses if the input hand gripped it as the moved hand does.
     """
 
     R: Float[ndarray, "B N 3 3"]
     centre: Float[ndarray, "B N 3"]
     scale: Float[ndarray, "B"]
-    held: PosesInHand
+    grasped: PosesInHand
     frame: HandFrame
 
 
@@ -92,7 +92,7 @@ def moved(poses: PosesInHand, T: Float[ndarray, "N 4 4"]) -> PosesInHand:
     R, t, hand = T[:, :3, :3], T[:, :3, 3], poses.hand
     if hand is not None:
         centre = (R @ hand.centre[..., None])[..., 0] + t
-        hand = replace(hand, R=R @ hand.R, centre=centre, held=moved(hand.held, T))
+        hand = replace(hand, R=R @ hand.R, centre=centre, grasped=moved(hand.grasped, T))
     return PosesInHand(R @ poses.R, (R @ poses.centre[..., None])[..., 0] + t, poses.scale, hand=hand)
 
 

@@ -122,15 +122,15 @@ class MovingHand(Batch, Generic[Core]):
         x, assumed = self.constant[:, None, :-1] + self.own, self.assumed
         shift = x[..., SHIFT] + x[..., DEPTH, None] * assumed.rays[assumed.frames]
         size = np.exp(self.constant[:, -1])
-        held = self.core.poses()
-        arm = (held.centre - assumed.middle) / size[:, None, None]
-        held = PosesInHand(held.R, assumed.middle + arm, held.scale / size)
-        return HandPoses(se3.exp_so3(x[..., TURN]), assumed.middle + shift, size, held, assumed)
+        grasped = self.core.poses()
+        arm = (grasped.centre - assumed.middle) / size[:, None, None]
+        grasped = PosesInHand(grasped.R, assumed.middle + arm, grasped.scale / size)
+        return HandPoses(se3.exp_so3(x[..., TURN]), assumed.middle + shift, size, grasped, assumed)
 
     def poses(self) -> PosesInHand:
-        held, hand = self.core.poses(), self._hand()
-        arm = hand.R @ (held.centre - self.assumed.middle)[..., None]
-        return PosesInHand(hand.R @ held.R, hand.centre + arm[..., 0], held.scale, hand=hand)
+        grasped, hand = self.core.poses(), self._hand()
+        arm = hand.R @ (grasped.centre - self.assumed.middle)[..., None]
+        return PosesInHand(hand.R @ grasped.R, hand.centre + arm[..., 0], grasped.scale, hand=hand)
 
     def rotated(self, R: Float[ndarray, "B 3 3"]) -> MovingHand[Core]:
         return replace(self, core=self.core.rotated(R))
@@ -143,7 +143,7 @@ class MovingHand(Batch, Generic[Core]):
         hand, object_ = self._hand(), self.poses()
         B, N = hand.centre.shape[:2]
         size = np.zeros((B, N, 21, 1))
-        size[..., 14:17, 0], size[..., [13, 20], 0] = self.assumed.middle - hand.held.centre, [1.0, -1.0]
+        size[..., 14:17, 0], size[..., [13, 20], 0] = self.assumed.middle - hand.grasped.centre, [1.0, -1.0]
         J = np.zeros((B, N, 21, 7))
         J[..., 7:10, SHIFT], J[..., 7:10, DEPTH] = np.eye(3), self.assumed.rays[self.assumed.frames]
         J[..., 10:13, TURN] = se3.left_jacobian((self.constant[:, None, :-1] + self.own)[..., TURN])
@@ -204,7 +204,7 @@ class MovingHand(Batch, Generic[Core]):
         return replace(self, core=core, own=own, assumed=self.assumed.at(new))
 
     def _free(self) -> tuple[Bool[ndarray, "C"], Bool[ndarray, "D"]]:
-        """Which errors are not held."""
+        """Mark the errors that are free."""
         return self.assumed.constant > 0.0, self.assumed.own > 0.0
 
 

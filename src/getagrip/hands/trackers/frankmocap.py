@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.errors import InputError, UsageError
+from getagrip.errors import InputError, MissingOptionError
 from getagrip.geometry import se3
 from getagrip.hands.model import Side, mirrored_pose
 from getagrip.hands.trackers.estimates import (
@@ -90,7 +90,7 @@ def mean_pose(folder: Path | None, side: Side) -> Float[ndarray, "45"]:
     model = load_mano(folder, "right")
     if model is None:
         what = "FrankMocap's poses are relative to the mean pose, which stands in them"
-        raise UsageError(f"missing --mano: the folder of your MANO files: {what}")
+        raise MissingOptionError(f"missing --mano: the folder of your MANO files: {what}")
     return mirrored_pose(model.mean) if side == "left" else model.mean
 
 

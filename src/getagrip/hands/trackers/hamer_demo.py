@@ -20,7 +20,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip.naming import frame_of
-from getagrip.errors import InputError, UsageError
+from getagrip.errors import InputError, MissingOptionError, UsageError
 from getagrip.geometry.obj import parse_obj
 from getagrip.hands.model import MIRROR, Side
 from getagrip.hands.trackers import records
@@ -100,7 +100,7 @@ def _hand(saved: Saved, frame: int, person: int, request: Request, only: Side | 
         origin, vertices = joints[0] - root, None
         joints = joints if side == "right" else (joints - origin) * MIRROR + origin
     else:
-        raise UsageError(
+        raise MissingOptionError(
             f"missing --mano: the folder of MANO_RIGHT.pkl: {saved.mesh} has no joints. "
             "Or run HaMeR's demo with --save_keypoints, too, and give both"
         )

@@ -26,7 +26,7 @@ from numpy import ndarray
 from tyro.conf import arg
 
 from getagrip.clip.naming import counted_elsewhere, frame_of
-from getagrip.errors import InputError, UsageError
+from getagrip.errors import InputError, MissingOptionError
 from getagrip.geometry import se3
 from getagrip.hands.trackers import records
 from getagrip.hands.trackers.dynhamr import before_camera, root_joint
@@ -98,7 +98,7 @@ class HaWoR(Tracker):
             return self.estimator_focal
         noted = next((folder / FOCAL for folder in path.parents[:3] if (folder / FOCAL).is_file()), None)
         if noted is None:
-            raise UsageError("missing --estimator-focal: the focal length that HaWoR was run with [px]")
+            raise MissingOptionError("missing --estimator-focal: the focal length that HaWoR was run with [px]")
         noted = files.inside(noted.parent, FOCAL, "", "a focal length")
         text = files.read_bytes(noted, 100).decode(errors="replace").strip()
         try:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import arg
 
-from getagrip.errors import InputError, UsageError
+from getagrip.errors import InputError, MissingOptionError
 from getagrip.hands.fit import ORDERS
 from getagrip.hands.trackers import hamer_demo, records
 from getagrip.hands.trackers.estimates import Estimate, Estimates, Request
@@ -51,7 +51,7 @@ class Joints(Tracker):
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
         """Read the joints in those of the file's frames that the clip has."""
         if self.order is None:
-            raise UsageError("missing --order (openpose, ho3d or auto): the order of the joints is in no file")
+            raise MissingOptionError("missing --order (openpose, ho3d or auto): the order of the joints is in no file")
         path = only_file(paths, "joints")
         record = records.read(path)
         return estimates(path, record, numbers(path, record, "joints", (-1, 21, 3)), self.order, request)

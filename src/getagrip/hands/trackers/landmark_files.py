@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.errors import InputError, UsageError
+from getagrip.errors import InputError, MissingOptionError
 from getagrip.hands.model import Side
 from getagrip.hands.trackers import records
 from getagrip.io import arrays
@@ -71,7 +71,7 @@ def read(paths: Sequence[Path], side: Side, swapped: bool | None) -> tuple[list[
     named = [] if len(paths) == 1 and not any(named[1:]) and len(named) > 1 else named
     in_mirror = [hand for seen in hands for hand in seen if hand.in_mirror and hand.side]
     if swapped is None and len({hand.side for hand in in_mirror}) > 1:
-        raise UsageError(
+        raise MissingOptionError(
             "missing --sides (named or swapped): MediaPipe names hands as in a mirror: in images that were not "
             "flipped, its Left is the right hand"
         )

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import arg
 
-from getagrip.errors import InputError, UsageError, unknown
+from getagrip.errors import InputError, MissingOptionError, unknown
 from getagrip.hands.trackers.estimates import Estimates, Request
 from getagrip.hands.trackers.joints import estimates
 from getagrip.hands.trackers.landmarks import lifted
@@ -85,7 +85,7 @@ class LeRobot(Tracker):
                     raise InputError(path, self.column, f"the shape {values.shape}", COUNTS)
                 return path, values
         if self.column is None:
-            raise UsageError(f"missing --column: the hand's numbers; choose from {', '.join(columns)}")
+            raise MissingOptionError(f"missing --column: the hand's numbers; choose from {', '.join(columns)}")
         if self.column not in columns:
             raise unknown("--column", self.column, columns)
         raise InputError(paths[0], INDICES[0], f"no row of episode {self.episode}", "an episode of the dataset")

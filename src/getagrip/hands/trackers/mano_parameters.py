@@ -17,7 +17,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import arg
 
-from getagrip.errors import UsageError
+from getagrip.errors import MissingOptionError
 from getagrip.geometry import se3
 from getagrip.hands.mano import Mano
 from getagrip.hands.trackers import records
@@ -56,7 +56,7 @@ class ManoParameters(Tracker):
         if self.pose is None or self.mean is None:
             missing = "--pose" if self.pose is None else "--mean"
             choices = "axis-angle, pca or matrix" if self.pose is None else "flat or mean"
-            raise UsageError(f"missing {missing} ({choices}): what MANO's pose numbers are is in no file")
+            raise MissingOptionError(f"missing {missing} ({choices}): what MANO's pose numbers are is in no file")
         path = only_file(paths, "parameters")
         record = records.read(path)
         hands = parameters(path, record, self.pose, self.mean, load_mano(request.mano, request.side))
@@ -96,5 +96,5 @@ def _flat(values: Float[ndarray, "T P"], encoding: Encoding, mean: Mean, model: 
         return values
     if model is None:
         what = "principal components" if encoding == "pca" else "the mean pose"
-        raise UsageError(f"missing --mano: the folder of your MANO files: {what} stand in them")
+        raise MissingOptionError(f"missing --mano: the folder of your MANO files: {what} stand in them")
     return model.pose(values, "pca" if encoding == "pca" else "axis_angle", flat_hand_mean=mean == "flat")

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from getagrip.errors import InputError, UsageError
+from getagrip.errors import InputError, MissingOptionError
 from getagrip.hands.trackers import records
 from getagrip.io import files
 
@@ -50,7 +50,7 @@ def recognise(paths: Sequence[Path], trackers: Mapping[str, Tracker]) -> tuple[s
         return next(iter(found.items()))
     if found:
         each = ", ".join(f"--from {name} ({words})" for name, words in found.items())
-        raise UsageError(f"missing --from: {paths[0]} may be of several programs: {each}")
+        raise MissingOptionError(f"missing --from: {paths[0]} may be of several programs: {each}")
     keys = sorted(_sample(paths).keys) if paths[0].exists() else []
     got = f"keys {files.shown(', '.join(keys))[1:-1]}" if keys else "names that are of no known program"
     known = "; ".join(f"{name}: {tracker.looks_for}" for name, tracker in trackers.items() if tracker.looks_for)
