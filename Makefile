@@ -72,7 +72,7 @@ results: $(VENV)/warm
 bench: $(VENV)/installed
 	$(BIN)/python -m benchmarks
 
-# uv is quick; pip steps in where only pip has been told of an index. Only wheels, pinned and hash-checked; the package itself is linked, built by the locked back end.
+# uv is quick; pip steps in where only pip is configured with an index. Only wheels, pinned and hash-checked; the package itself is linked, built by the locked back end.
 $(VENV)/installed: requirements.lock pyproject.toml | $(BIN)/python
 	$(PIP) install uv
 	$(BIN)/uv pip install --quiet --python $(BIN)/python --require-hashes --only-binary :all: -r requirements.lock \
@@ -85,7 +85,7 @@ $(BIN)/python:
 		|| { echo "getagrip needs Python 3.11 or later; name one: make PYTHON=python3.12 ..." >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
-# Compiled once here, not by every worker, into the user's cache. A failure is told but stops nothing: kernels are also compiled when first used.
+# Compiled once here, not by every worker, into the user's cache. A failure is reported but stops nothing: kernels are also compiled when first used.
 $(VENV)/warm: $(VENV)/installed
 	$(BIN)/getagrip doctor || echo "getagrip doctor found something wrong; see above" >&2
 	@touch $@

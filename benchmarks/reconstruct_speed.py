@@ -80,7 +80,7 @@ def reconstruction(
 
 
 def _fresh(clip: Clip, masks: Masks) -> Table:
-    """Start a process twice: with an empty cache of compiled kernels, then with the one that left behind."""
+    """Start a process twice: with an empty cache of compiled kernels, then with the one that the first filled."""
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
         folder = write_clip(clip, masks, Path(scratch) / "clip")

@@ -20,6 +20,7 @@ from pathlib import Path
 from benchmarks import cite, store
 from benchmarks.release import BENCHES
 from benchmarks.store import Cell, Column, Table
+from benchmarks.timing import machine
 from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS
 from getagrip.evaluation.metric import METRICS
 from getagrip.io.code import stamp
@@ -186,12 +187,15 @@ def _title(name: str, title: str) -> str:
 
 
 def _made(name: str, text: str) -> dict[str, str]:
-    """When, at which commit and by which command, as far as it is known."""
+    """When, at which commit, by which command and where, as far as it is known: output of today was made here."""
     how = MADE.search(text) or MADE.search(f"made {stamp()}")
     day, commit = how.groups() if how else (None, None)
     before = dict(store.read(name).made) if name in store.names() else {}
     command = BENCHES.get(name, before.get("command", ""))
-    return {key: value for key, value in (("date", day), ("commit", commit), ("command", command)) if value}
+    made = {key: value for key, value in (("date", day), ("commit", commit), ("command", command)) if value}
+    where = before.get("machine") if made.items() <= before.items() else None
+    where = where or (machine() if day == stamp().partition(",")[0] else None)
+    return made | ({"machine": where} if where else {})
 
 
 if __name__ == "__main__":

@@ -60,7 +60,7 @@ def _measure(name: str, sizes: tuple[int, ...], call_at: Callable[[int], Callabl
 
 
 def _subdivided(mesh: Mesh, faces: int) -> Mesh:
-    """The same surface in at least so many faces, each split in four as often as it takes."""
+    """The same surface in at least ``faces`` faces: all are split in four until there are enough."""
     import trimesh
 
     vertices, triangles = mesh.vertices, mesh.faces

@@ -84,7 +84,7 @@ def walk(rng: np.random.Generator, frames: int, numbers: int) -> Float[ndarray, 
 
 
 def thinned(vertices: Float[ndarray, "T V 3"], faces: ndarray, count: int) -> tuple[ndarray, ndarray]:
-    """A moving mesh with about so many vertices: the nearest ones to those of a decimated first frame."""
+    """A moving mesh thinned to about ``count`` vertices: those nearest to the vertices of a decimated first frame."""
     from scipy.spatial import cKDTree
 
     coarse = decimate(Mesh(vertices[0], faces), 2 * count - 4)

@@ -29,7 +29,7 @@ from getagrip.io.code import stamp
 from getagrip.timelines.reconstruct import reconstruct
 
 EVERY: dict[Split, tuple[int, int]] = {"train": (1, 3), "validation": (2, 5)}
-"""Of DexYCB's clips, and of the synthetic ones of each preset, every so many are used."""
+"""Step from one clip that is used to the next: among DexYCB's, and among the synthetic ones of each preset."""
 PRESETS = ("clean", "moderate", "strong", "estimated", "wild", "measured")
 Change = Callable[[Clip, Masks, int], tuple[Clip, Masks]]
 TEN = Noisy(Noise(hand_bias_mm=10.0, hand_bias_deg=8.0, hand_jitter_mm=5.0, hand_jitter_deg=4.0, jitter_memory_s=0.1))

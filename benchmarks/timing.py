@@ -44,19 +44,23 @@ def typical(parts: list[dict[str, float]]) -> dict[str, float]:
     return {name: median(part[name] for part in parts) for name in parts[0]}
 
 
+def machine() -> str:
+    """The processor of this machine, and the number of its cores."""
+    about = Path("/proc/cpuinfo")  # Linux
+    lines = about.read_text(encoding="utf-8").splitlines() if about.exists() else []
+    names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
+    return f"{(names or [platform.machine()])[0]}, {os.cpu_count()} cores"
+
+
 def circumstances(command: str) -> dict[str, str]:
     """When, by which code, where and how undisturbed a measurement is made: before it."""
     day, _, commit = stamp().partition(", commit ")
     there = {each.name: each.version for each in metadata.distributions()}
     versions = [f"{name} {there[name]}" for name in LIBRARIES if name in there]
-    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()  # Linux
-    processor = next(
-        (line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine()
-    )
     return {
         "date": day,
         "commit": commit,
         "command": command,
-        "machine": f"{processor}, {os.cpu_count()} cores, load before the run {os.getloadavg()[0]:.1f}",
+        "machine": f"{machine()}, load before the run {os.getloadavg()[0]:.1f}",
         "versions": ", ".join((f"Python {platform.python_version()}", *versions)),
     }

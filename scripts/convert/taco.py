@@ -38,7 +38,7 @@ VERTICES = 778
 RIDGE = 1e-3
 """Of y, beside the mean square of its coefficients, which is 1."""
 FOLLOWERS = 15
-"""A joint is placed by so many vertices, those that the bone's rotation explains best beside its parent's."""
+"""Number of vertices that place a joint: those that the bone's rotation explains best beside its parent's."""
 MOVES = 0.003
 """A vertex that does not follow the parent is at least so far from where it would be then, rms [m]."""
 LEAST_TURN = np.radians(5.0)
@@ -113,10 +113,10 @@ def flat_hand(
     A vertex that follows bone j is at x(t) = p(t) + B(t) l + A(t) y, with the place p and the rotation B of the
     parent's joint, the rotation A of the bone, the offset l of its joint from the parent's, and the vertex's own offset
     y from the joint. So l and y are linear least squares, from the wrist outwards. Along the axis of a joint that only
-    bends they are not told apart: a small ridge on y puts the joint in the middle of the vertices that follow it.
+    bends they cannot be separated: a small ridge on y puts the joint in the middle of the vertices that follow it.
 
     ``x`` are the moving vertices in the hand frame, ``wrist`` the place of the wrist joint there, ``pose`` rotation
-    vectors relative to the flat hand. None where some bone turns too little to be told.
+    vectors relative to the flat hand. None where some bone turns too little to place its joint.
     """
     T, V = x.shape[:2]
     A = _rotations(pose)

@@ -52,8 +52,6 @@ DESCRIPTION = (
 )
 
 BENCH = "Compare methods on a dataset, or on a folder of clips: the paper's tables, with intervals."
-
-
 IMPORT = "Import datasets; or hands, masks, depth, cameras or segments into clips."
 
 
@@ -69,12 +67,7 @@ def commands(imports: Any, figures: Any) -> Any:
         | Annotated[Label, subcommand("label")]
         | Annotated[NewClip, subcommand("clip new")]
         | Annotated[Annotate, subcommand("annotate")]
-        | Annotated[
-            imports,
-            subcommand(
-                "import", description="Import datasets; or hands, masks, depth, cameras or segments into clips."
-            ),
-        ]
+        | Annotated[imports, subcommand("import", description=IMPORT)]
         | Annotated[EpicCandidates, subcommand("epic candidates")]
         | Annotated[Reconstruct, subcommand("reconstruct")]
         | Annotated[Refine, subcommand("refine")]

@@ -17,7 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numba
 from numba import config, njit, types
@@ -26,7 +26,10 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLoca
 from getagrip.io import files, locks
 from getagrip.io.user_folders import cache_folder
 
-OPTIONS: dict[str, Any] = {
+if TYPE_CHECKING:
+    from numba.core.dispatcher import Dispatcher
+
+OPTIONS: dict[str, object] = {
     "cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"},
     "forceinline": True, "no_cfunc_wrapper": True,
 }  # fmt: skip
@@ -57,10 +60,10 @@ ALLOCATING = {"copy", "empty", "zeros", "zeros_like"}
 by other means, such as the difference of two arrays."""
 WORDS = "kernels are compiled, once for this version: about 15 seconds of one core"
 
-_declared: list[tuple[Any, str]] = []
+_declared: list[tuple[Dispatcher, str]] = []
 
 
-def kernel(arguments: str = "", fastmath: bool = True) -> Callable[[Any], Any]:
+def kernel(arguments: str = "", fastmath: bool = True) -> Callable[[Callable], Dispatcher]:
     """Make a decorator that compiles a function.
 
     ``arguments`` are the types that a kernel called from Python is compiled for ahead: a letter of ``LETTERS`` each,
@@ -68,7 +71,7 @@ def kernel(arguments: str = "", fastmath: bool = True) -> Callable[[Any], Any]:
     Without ``fastmath``, sums keep their order.
     """
 
-    def decorate(function: Callable) -> Any:
+    def decorate(function: Callable) -> Dispatcher:
         allocates = not ALLOCATING.isdisjoint(function.__code__.co_names)
         options = OPTIONS | {"no_cpython_wrapper": not arguments, "_nrt": allocates}
         compiled = njit(**options if fastmath else options | {"fastmath": False})(function)
@@ -124,7 +127,7 @@ def _collecting_no_garbage() -> Iterator[None]:
             gc.enable()
 
 
-def signature(arguments: str) -> tuple[Any, ...]:
+def signature(arguments: str) -> tuple[types.Type, ...]:
     """Return numba's types of arguments as ``kernel`` takes them."""
     return tuple(
         types.Array(LETTERS[word[0]], int(word[1:]), "C") if word[1:] else LETTERS[word] for word in arguments.split()
@@ -204,7 +207,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
 
     _impl_class = _Files
 
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
+    def load_overload(self, sig: object, target_context: object) -> object:
         try:
             return super().load_overload(sig, target_context)
         except Exception:  # a damaged file may raise anything
@@ -212,6 +215,6 @@ class _Cache(FunctionCache):  # type: ignore[misc]
                 self.flush()
             return None
 
-    def save_overload(self, sig: Any, data: Any) -> None:
+    def save_overload(self, sig: object, data: object) -> None:
         with suppress(Exception):  # likewise, or a full disk
             super().save_overload(sig, data)

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt, once for all: the damping loop over problems side by side, and the block-arrow system.
+"""Batched Levenberg-Marquardt: the damping loop over problems side by side, and the block-arrow system.
 
 What is minimised is the caller's: anything that has a cost, can be tried at a damped step, and can take over the trials
 that were better.

@@ -9,7 +9,7 @@ from functools import singledispatch
 from html import escape
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -93,7 +93,7 @@ def _inputs(result: Reconstruction, clip: Clip | None, masks: Masks | None) -> t
     return clip, find_masks(clip) if masks is None and clip.folder is not None else masks
 
 
-def table_and_picture(data: Any) -> str:
+def table_and_picture(data: object) -> str:
     """Write HTML of data: a table of what is in it, and a picture beside it where there is something to see."""
     rows = "".join(
         f'<tr><td style="text-align:left;color:#8a9096">{_in_html(name)}</td>'
@@ -107,7 +107,7 @@ def table_and_picture(data: Any) -> str:
 
 
 @singledispatch
-def described(data: Any) -> dict[str, str]:
+def described(data: object) -> dict[str, str]:
     """Describe data in rows of a name and a text."""
     return facts(data)
 
@@ -145,7 +145,7 @@ def _(evaluation: Evaluation) -> dict[str, str]:
 
 
 @singledispatch
-def picture(data: Any) -> Picture | None:
+def picture(data: object) -> Picture | None:
     """Draw data in a small picture; None where there is nothing to see."""
     return None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy import ndarray
@@ -41,7 +41,7 @@ class Source:
 TEXT, BASIS = "provenance_", "basis_"
 """Names of arrays in a hand file begin with these."""
 
-Provenance = dict[str, Any]
+Provenance = dict[str, object]
 """By topic (``camera``, ``scale``, ``hands``): ``Source``, or what else is known of it, as a JSON value."""
 
 
@@ -114,12 +114,12 @@ def from_arrays(path: Path, arrays: Mapping[str, ndarray]) -> dict[str, Source]:
     return out
 
 
-def parse(path: Path, entry: Mapping[str, Any], version: int) -> Provenance:
+def parse(path: Path, entry: Mapping[str, object], version: int) -> Provenance:
     """Read the provenance in a ``clip.json``. Raises ``InputError`` for a basis that there is not."""
     return {topic: _parsed(path, topic, value, version) for topic, value in entry.items()}
 
 
-def _parsed(path: Path, topic: str, value: Any, version: int) -> Any:
+def _parsed(path: Path, topic: str, value: object, version: int) -> object:
     if version < TYPED:
         return _of_old(value)
     if not isinstance(value, dict) or value.keys() != {"text", "basis"}:
@@ -130,6 +130,6 @@ def _parsed(path: Path, topic: str, value: Any, version: int) -> Any:
     return Source(value["text"], value["basis"])
 
 
-def _of_old(value: Any) -> Any:
+def _of_old(value: object) -> object:
     """Convert an entry of an older file, in which a word marked assumptions."""
     return assumed(value) if isinstance(value, str) and "guess" in value.lower() else value

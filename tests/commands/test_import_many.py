@@ -80,3 +80,16 @@ def test_calls_that_do_not_fit(tmp_path: Path, clips: Path, run: Run) -> None:
     assert (status, "--clip cannot be used with --clips" in err) == (2, True)
     status, _, err = run("import", "masks", "x")
     assert (status, "missing --clip or --clips" in err) == (2, True)
+
+
+def test_warnings_stand_beside_the_clip_and_several_sources_are_an_error(tmp_path: Path, clips: Path, run: Run) -> None:
+    frame = next((tmp_path / "masks" / "one" / "object").iterdir())
+    frame.unlink()
+    (tmp_path / "masks" / "two.zip").write_bytes(b"")
+    status, out, err = run("import", "masks", str(tmp_path / "masks"), "--clips", str(clips))
+    assert (status, "2 clips imported, 0 done already, 1 failed" in out) == (1, True)
+    assert any(line.startswith("one: warning: ") and "no mask of 1 of" in line for line in err.splitlines())
+    assert "two and two.zip must be one file or folder named like the clip (got several)" in err
+    (tmp_path / "masks" / "two.zip").unlink()
+    status, out, _ = run("import", "masks", str(tmp_path / "masks"), "--clips", str(clips), "--overwrite")
+    assert (status, "3 clips imported" in out) == (3, True)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import subprocess
+from dataclasses import replace
+from datetime import date
 from pathlib import Path
 
 import pytest
@@ -49,7 +51,7 @@ def two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_table_says_how_it_was_made_and_declares_its_columns(name: str, tmp_path: Path) -> None:
     table = store.read(name)
     keys = [column.key for column in table.columns]
-    assert {"date", "command"} <= set(table.made)
+    assert {"date", "command", "commit"} <= set(table.made)
     assert len(set(keys)) == len(keys)
     for row in (*table.rows, *table.differences):
         assert set(row) - {"label", "against"} <= set(keys)
@@ -160,6 +162,23 @@ def test_a_printed_table_becomes_data(tmp_path: Path) -> None:
     ]
     assert table.column("jump_mm").unit == "mm"
     assert table.made == {"date": "2026-11-24", "commit": "abc"}
+
+
+def test_a_table_names_the_machine_that_measured_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Output of today was made here; older output that is converted again keeps the machine that its table named."""
+    page, how = tmp_path / "methods.md", {"date": "2026-11-24", "commit": "abc", "command": BENCHES["dexycb-methods"]}
+
+    def machine(made: str) -> str | None:
+        page.write_text(f"# Methods\n\n|  | s |\n|---|---:|\n| one-dof | 1 |\n\n- 6 clips; made {made}, commit abc\n")
+        return results.printed("dexycb-methods", page).made.get("machine")
+
+    monkeypatch.setattr(results, "machine", lambda: "this one")
+    assert machine(date.today().isoformat()) == "this one"
+    assert machine("2026-11-24") is None
+    monkeypatch.setattr(store, "read", lambda name: replace(TABLE, made={**how, "machine": "another"}))
+    assert machine("2026-11-24") == "another"
+    assert machine("2026-11-23") is None
+    assert machine(date.today().isoformat()) == "this one"
 
 
 def test_a_release_measures_tables_that_are_kept() -> None:

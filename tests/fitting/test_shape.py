@@ -74,7 +74,7 @@ def test_a_motion_that_is_not_fitted_yet_is_no_reason_to_doubt_the_mesh() -> Non
     )
     rough = minimise(astray, mask_of(problem)(64, frames), clip.hand.T_cam_hand, 0)
     assert misfit(problem.observation, float(rough.terms["mask"][0]) / len(clip)) > 2.0 * MISFIT
-    assert misfit_of(problem, search_of(problem, lambda stage: None), rough) < MISFIT
+    assert misfit_of(problem, search_of(problem, lambda stage: None), rough.motion) < MISFIT
 
 
 def test_a_shape_that_is_nearly_the_meshs_own_is_believed_to_be(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -36,7 +36,7 @@ class RefusedError(GetagripError):
 class State(Protocol):
     """One annotator's state of a task; a frozen dataclass."""
 
-    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+    __dataclass_fields__: ClassVar[dict[str, Field[object]]]
 
     @property
     def task(self) -> str:

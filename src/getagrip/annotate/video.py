@@ -6,30 +6,22 @@ times, not by counting: so B-frames, start times other than zero and uneven rate
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from threading import Lock
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
-from getagrip.annotate.footage import LARGEST_SIDE, MOST_FRAMES, WIDEST, encoded
+from getagrip.annotate.footage import CACHE, LARGEST_SIDE, MOST_FRAMES, WIDEST, Cache, encoded
 from getagrip.clip.video import open_video, shown_width, upright
 from getagrip.datasets.epic.tables import VIDEO, numbering_rate
 from getagrip.errors import InputError
-
-if TYPE_CHECKING:
-    from av import VideoFrame
-
-from bisect import bisect_right
-from collections.abc import Callable, Iterator, Sequence
-from threading import Lock
-from typing import TYPE_CHECKING, Generic, TypeVar
-
-from getagrip.annotate.footage import CACHE, Cache
 
 if TYPE_CHECKING:
     from av import VideoFrame

@@ -10,7 +10,7 @@ from contextlib import closing
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from getagrip.batch.engine import Engine
 from getagrip.batch.job import Job, Outcome, load, reconstruct_one
@@ -122,11 +122,11 @@ class _Tally:
 def _work_off(plan: Plan, ledger: Ledger, out: Place, options: Options, batch: Batch, debug: bool) -> _Tally:
     """Do the clips, printing what becomes of each."""
     streamed = isinstance(out, Remote) or plan.remote
-    make: Callable[..., Any] = StreamedJob if streamed else Job
+    make: Callable[..., Job | StreamedJob] = StreamedJob if streamed else Job
     work: Callable[..., Outcome] = reconstruct_streamed if streamed else reconstruct_one
     per_clip = {"options": options, "overwrite": batch.overwrite, "threads": batch.threads}
     jobs = (make(name, clip, out / name, **per_clip) for name, clip in plan)
-    engine: Engine[Any, Outcome] = Engine(
+    engine: Engine[Job | StreamedJob, Outcome] = Engine(
         work=work, lost=_lost, entry=partial(entry_of, method=options.method, seed=options.seed),
         options=asdict(options), prepare=load,
     )  # fmt: skip

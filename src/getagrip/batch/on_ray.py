@@ -14,7 +14,8 @@ from collections.abc import Callable, Iterator
 from contextlib import chdir, contextmanager, nullcontext
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, Generic, TypeVar
+from types import ModuleType
+from typing import Generic, TypeVar
 
 from getagrip.batch.executor import DIES, TRIES, Ended, Submitted, check_code, cores
 from getagrip.batch.limits import Limits
@@ -50,7 +51,7 @@ class RayExecutor(Generic[J, R]):
         ``address`` is Ray's; None: that of ``RAY_ADDRESS``, else this machine. Raises ``UsageError`` where Ray is not
         installed or does not answer.
         """
-        self._ray: Any = extras.load("ray", "ray", "--engine ray")
+        self._ray = extras.load("ray", "ray", "--engine ray")
         self._ours = not self._ray.is_initialized()
         if self._ours:
             _connect(self._ray, workers, address or os.environ.get("RAY_ADDRESS"))
@@ -116,7 +117,7 @@ class RayExecutor(Generic[J, R]):
         return replace(ended, attempts=submitted.attempt)
 
 
-def _connect(ray: Any, workers: int | None, address: str | None) -> None:
+def _connect(ray: ModuleType, workers: int | None, address: str | None) -> None:
     """Connect to a cluster, or start one on this machine. Raises ``UsageError``."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no report to Ray's makers
     quiet = {"log_to_driver": False, "logging_level": "error"}

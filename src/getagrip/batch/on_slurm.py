@@ -12,7 +12,7 @@ import shutil
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 from uuid import uuid4
 
 from getagrip.batch.executor import DIES, TRIES, Ended, Submitted, check_code, shared_out
@@ -22,6 +22,9 @@ from getagrip.errors import GetagripError, UsageError
 from getagrip.io import extras, plugins
 from getagrip.io.terminal import report
 from getagrip.io.user_folders import state_folder
+
+if TYPE_CHECKING:
+    from submitit import Job
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -60,7 +63,7 @@ class SlurmExecutor(Generic[J, R]):
             mem_gb=math.ceil((limits.gigabytes or MEMORY) + 1.0),
         )  # fmt: skip
         self._collected: list[Submitted[J]] = []
-        self._at_work: dict[Any, list[Submitted[J]]] = {}
+        self._at_work: dict[Job, list[Submitted[J]]] = {}
         self._lost = 0
 
     @property
@@ -122,7 +125,7 @@ class SlurmExecutor(Generic[J, R]):
             ) from error
         self._at_work |= dict(zip(tasks, bundles, strict=True))
 
-    def _ended(self, task: Any, bundle: list[Submitted[J]]) -> list[Ended[J, R]]:
+    def _ended(self, task: Job, bundle: list[Submitted[J]]) -> list[Ended[J, R]]:
         try:
             ends = task.result()
         except self._errors:

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from getagrip.batch.executor import Start
     from getagrip.batch.ledger import Ledger
 
+    AnyStart = Start[Any, Any]
+    """The start of an executor of any tasks."""
+
 J = TypeVar("J", bound="Named")
 R = TypeVar("R")
 
@@ -86,7 +89,7 @@ class Share:
         if self.workers is not None and self.workers < 1:
             raise UsageError(f"--workers must be 1 or more (got {self.workers})")
 
-    def executor(self, count: int, few: int = FEW) -> Start[Any, Any] | None:
+    def executor(self, count: int, few: int = FEW) -> AnyStart | None:
         """Choose the executor of ``count`` tasks; None: this process, by default for a ``few`` without limits."""
         from getagrip.batch.executor import cores
 
@@ -155,7 +158,7 @@ class Batch:
             raise UsageError(f"--threads must be 1 or more (got {self.threads})")
 
 
-def _local(workers: int | None, address: str | None) -> Start[Any, Any]:
+def _local(workers: int | None, address: str | None) -> AnyStart:
     from getagrip.batch.executor import cores
     from getagrip.batch.processes import Processes
 
@@ -163,13 +166,13 @@ def _local(workers: int | None, address: str | None) -> Start[Any, Any]:
     return partial(Processes, workers or cores())
 
 
-def _ray(workers: int | None, address: str | None) -> Start[Any, Any]:
+def _ray(workers: int | None, address: str | None) -> AnyStart:
     from getagrip.batch.on_ray import RayExecutor
 
     return partial(RayExecutor, workers, address)
 
 
-def _slurm(workers: int | None, address: str | None) -> Start[Any, Any]:
+def _slurm(workers: int | None, address: str | None) -> AnyStart:
     from getagrip.batch.on_slurm import SlurmExecutor
 
     _without(address)
@@ -181,7 +184,7 @@ def _without(address: str | None) -> None:
         raise UsageError("--address cannot be used without --engine ray")
 
 
-ENGINES: dict[str, Callable[[int | None, str | None], Start[Any, Any]]] = {
+ENGINES: dict[str, Callable[[int | None, str | None], AnyStart]] = {
     "local": _local, "ray": _ray, "slurm": _slurm,
 }  # fmt: skip
 """By name: from the number of workers and the cluster's address, each None if not said, to the start of an executor."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -69,14 +69,16 @@ def read_epic_fields(path: Path) -> CameraPath | None:
     """Read a file of EPIC-Fields; None for another. Raises ``InputError``."""
     if path.suffix.lower() != ".json":
         return None
-    content: Any = files.read_any_json(path)
-    camera = content.get("camera") if isinstance(content, dict) else None
-    if not isinstance(camera, dict) or not isinstance(content.get("images"), dict):
+    content = files.read_any_json(path)
+    if not isinstance(content, dict):
+        return None
+    camera, poses = content.get("camera"), content.get("images")
+    if not isinstance(camera, dict) or not isinstance(poses, dict):
         return None
     try:
         size = int(camera["width"]), int(camera["height"])
         pinhole = _pinhole(str(camera["model"]), size, [float(value) for value in camera["params"]])
-        images = [Image(name, 0, tuple(map(float, pose))) for name, pose in content["images"].items()]
+        images = [Image(name, 0, tuple(map(float, pose))) for name, pose in poses.items()]
         if any(len(image.pose) != 7 for image in images):
             raise ValueError("7 numbers for each image")
     except (KeyError, TypeError, ValueError) as error:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -20,6 +19,7 @@ from getagrip.cameras.camera_path import CameraPath, Pinhole
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.io import files
+from getagrip.io.files import Json
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 LARGEST = 512 * 2**20
@@ -36,7 +36,7 @@ def read_arkit(path: Path) -> CameraPath | None:
         return None
     poses, names, pinhole = [], [], None
     for one in found:
-        content: Any = files.read_any_json(files.inside(path, one.name, "", "a frame of ARKit"))
+        content = files.read_any_json(files.inside(path, one.name, "", "a frame of ARKit"))
         if not isinstance(content, dict) or "cameraPoseARFrame" not in content:
             return None
         poses.append(_row(one, content, "cameraPoseARFrame", 16).reshape(4, 4) @ OPENGL)
@@ -81,7 +81,7 @@ def _camera_on_device(path: Path) -> Float[ndarray, "4 4"]:
     return se3.rigid(se3.from_quaternion(q), t)
 
 
-def _row(path: Path, content: dict[str, Any], key: str, count: int) -> Float[ndarray, "count"]:
+def _row(path: Path, content: Json, key: str, count: int) -> Float[ndarray, "count"]:
     try:
         values = np.array(content[key], dtype=float)
     except (ValueError, TypeError):

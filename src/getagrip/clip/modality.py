@@ -13,7 +13,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar, cast
 
 from getagrip.clip.data import Clip, PerFrame
 from getagrip.io.plugins import Table
@@ -23,11 +23,11 @@ if TYPE_CHECKING:  # the only upward look: what a modality answers with is defin
     from getagrip.fitting.energy import Terms
     from getagrip.fitting.problem import Problem
 
-D = TypeVar("D", bound=PerFrame)
+D_co = TypeVar("D_co", bound=PerFrame, covariant=True)
 
 
-class Modality(ABC, Generic[D]):
-    """One kind of evidence, whose data at the T frames of a clip is a ``D``."""
+class Modality(ABC, Generic[D_co]):
+    """One kind of evidence, whose data at the T frames of a clip is a ``D_co``."""
 
     name: ClassVar[str]
     """Key of its data in ``Clip.evidence``."""
@@ -41,7 +41,7 @@ class Modality(ABC, Generic[D]):
         """Yield the names of its files in a clip's folder that these frames need, each once: results depend on them."""
 
     @abstractmethod
-    def read(self, clip: Clip) -> D | None:
+    def read(self, clip: Clip) -> D_co | None:
         """Read and check the data of a clip's frames from its folder; None where it has none. Raises ``InputError``."""
 
     @abstractmethod
@@ -52,12 +52,12 @@ class Modality(ABC, Generic[D]):
         """Give terms on the object and on the hand, at the problem's frames; None where there is no data."""
         return None
 
-    def of(self, clip: Clip) -> D | None:
+    def of(self, clip: Clip) -> D_co | None:
         """Return the data that a clip has in memory."""
-        return cast("D | None", clip.evidence.get(self.name))
+        return cast("D_co | None", clip.evidence.get(self.name))
 
 
-OURS: Mapping[str, Modality[Any] | str] = {
+OURS: Mapping[str, Modality[PerFrame] | str] = {
     "object-masks": "getagrip.evidence.masks:ObjectMasks",
     "hand-masks": "getagrip.evidence.masks:HandMasks",
     "joints-2d": "getagrip.evidence.joints_2d:HandJoints2D",
@@ -72,15 +72,15 @@ MODALITIES = Table(
 """Every modality by its name, or where its class is, which is imported when it is first needed."""
 
 
-def modalities() -> tuple[Modality[Any], ...]:
+def modalities() -> tuple[Modality[PerFrame], ...]:
     """Return every modality of the table."""
     return tuple(_loaded(entry) if isinstance(entry, str) else entry for entry in MODALITIES.working().values())
 
 
 @cache
-def _loaded(entry: str) -> Modality[Any]:
+def _loaded(entry: str) -> Modality[PerFrame]:
     """Return the modality of a class named as ``module:class``."""
-    return cast(Modality[Any], resolve_name(entry)())
+    return cast(Modality[PerFrame], resolve_name(entry)())
 
 
 def with_evidence(clip: Clip) -> Clip:

@@ -1,4 +1,4 @@
-"""Hand occlusion, where no mask says so: the given hands, drawn over the object."""
+"""Hand occlusion where no mask shows it: the input hands, drawn over the object."""
 
 from __future__ import annotations
 

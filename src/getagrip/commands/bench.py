@@ -22,6 +22,9 @@ from getagrip.fitting.options import Options, SearchOptions
 from getagrip.io.arguments import Flag, Folder, OptionalFile
 
 if TYPE_CHECKING:
+    from getagrip.experiments.grasp_benchmark import GraspBenchmark
+    from getagrip.experiments.segment_benchmark import SegmentBenchmark
+    from getagrip.experiments.timeline_benchmark import TimelineBenchmark
     from getagrip.experiments.trial import Benchmark
 
 C = TypeVar("C", bound=ClipSource)
@@ -109,7 +112,7 @@ class BenchGrasps(Bench[C], Generic[C]):
 
     compared: Annotated[Compared, arg(name="")] = field(default_factory=Compared)
 
-    def benchmark(self) -> Benchmark[Any]:
+    def benchmark(self) -> GraspBenchmark:
         from getagrip.experiments.grasp_benchmark import GraspBenchmark
 
         return GraspBenchmark(self.source, self.options, self.compared)
@@ -119,7 +122,7 @@ class BenchGrasps(Bench[C], Generic[C]):
 class BenchSegments(Bench[DexYcbSequences]):
     """Find grasps in sequences."""
 
-    def benchmark(self) -> Benchmark[Any]:
+    def benchmark(self) -> SegmentBenchmark:
         from getagrip.experiments.segment_benchmark import SegmentBenchmark
 
         return SegmentBenchmark(self.source, self.options)
@@ -129,13 +132,13 @@ class BenchSegments(Bench[DexYcbSequences]):
 class BenchTimelines(Bench[T], Generic[T]):
     """Reconstruct timelines."""
 
-    def benchmark(self) -> Benchmark[Any]:
+    def benchmark(self) -> TimelineBenchmark:
         from getagrip.experiments.timeline_benchmark import TimelineBenchmark
 
         return TimelineBenchmark(self.source, self.options)
 
 
-BENCHES: tuple[tuple[Any, type[ClipSource]], ...] = (
+BENCHES: tuple[tuple[object, type[ClipSource]], ...] = (
     (BenchGrasps[Synthetic], Synthetic),
     (BenchGrasps[DexYcb], DexYcb),
     (BenchGrasps[Ho3dEval], Ho3dEval),
@@ -147,7 +150,7 @@ BENCHES: tuple[tuple[Any, type[ClipSource]], ...] = (
 """A line for each subcommand: what is run, and its source, whose fields are options."""
 
 
-def _subcommands() -> Any:
+def _subcommands() -> object:
     """Make a subcommand for each source."""
     kinds = [Annotated[bench, subcommand(source.dataset, description=source.__doc__)] for bench, source in BENCHES]
     return Union[tuple(kinds)]  # noqa: UP007

@@ -32,6 +32,7 @@ ClipsFolder = Annotated[
 ]
 Workers = Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core for more than 3 clips)")]
 OptionalSide = Annotated[Literal["left", "right"] | None, one_of("left", "right"), arg(help_behavior_hint="")]
+FirstNumber = Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")]
 Labels = Annotated[tuple[str, ...], arg(metavar="LABEL...", help_behavior_hint="")]
 
 
@@ -90,7 +91,7 @@ def each_clip(
     from getagrip.batch.plan import by_name
 
     if not paths:
-        raise UsageError("CLIP: name at least one clip")
+        raise UsageError("missing CLIP: name at least one clip")
     if workers is not None and workers < 1:
         raise UsageError(f"--workers must be 1 or more (got {workers})")
     clips, failed = by_name(paths)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Generic, TypeVar, Union
+from typing import Annotated, Generic, TypeVar, Union
 
 from tyro.conf import arg, subcommand
 
@@ -101,7 +101,7 @@ def _summary(dataset: type[Dataset]) -> str:
     return (dataset.__doc__ or "").partition("\n\nAttributes:")[0]
 
 
-def subcommands(name: str = "") -> Any:
+def subcommands(name: str = "") -> object:
     """Return the subcommands of ``import``: a dataset each, then what goes into clips.
 
     Behind a ``name`` that there is, nothing else of other packages is loaded. Raises ``UsageError`` where it cannot be.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from tyro.conf import arg
 
-from getagrip.commands.command import ClipsFolder, Command, Results
+from getagrip.commands.command import ClipsFolder, Command, FirstNumber, Results
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.arguments import Flag, OptionalFile, OptionalFolder, one_of
@@ -40,7 +40,7 @@ class Evaluate(Command):
     and --mesh-frame. The rows appear under the name of DIR."""
     mesh_frame: Annotated[Literal["camera", "hand"] | None, one_of("camera", "hand"), arg(help_behavior_hint="")] = None
     """The frame that the vertices of --meshes are in: the clip's camera frame, or its hand frame."""
-    first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
+    first: FirstNumber = None
     """The number that these files give to the clip's first frame, if they count from another start."""
     contact: Flag = False
     """Also print stable contact by nine definitions: within 0, 5 and 10 mm, each for the object's vertices, the hand's

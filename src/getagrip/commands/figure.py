@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from inspect import cleandoc
-from typing import Annotated, Any, Generic, TypeVar, Union
+from typing import Annotated, Generic, TypeVar, Union
 
 from tyro.conf import arg, subcommand
 
@@ -75,7 +75,7 @@ class DrawFigure(Command, Generic[K]):
         return 1 if problems else 0
 
 
-def _subcommands() -> Any:
+def _subcommands() -> object:
     """Make a subcommand for each kind."""
     kinds = [
         Annotated[DrawFigure[kind], subcommand(name, description=cleandoc(kind.__doc__ or ""))]  # type: ignore[valid-type]

@@ -18,7 +18,7 @@ from getagrip.geometry.lens import Lens
 from getagrip.hands.model import Side
 from getagrip.hands.trackers import Hands
 from getagrip.io import arrays
-from getagrip.provenance import Provenance, Source, from_arrays, measured, of_provenance
+from getagrip.provenance import Source, from_arrays, measured, of_provenance
 
 HAND_FIRST = "--hand-first"
 
@@ -31,7 +31,7 @@ class HandFile:
     numbers: tuple[int, ...] | None
     K: Float[ndarray, "3 3"] | None
     side: str | None
-    provenance: Provenance
+    provenance: dict[str, Source]
     """Sources of its hands."""
 
     @staticmethod

@@ -17,7 +17,7 @@ from getagrip.clip.naming import check_numbers, number_of, renumbered
 from getagrip.clip.per_frame import world
 from getagrip.clip.plausible import check_intrinsics
 from getagrip.clip.reading import ClipHeader, read_header
-from getagrip.commands.command import Command
+from getagrip.commands.command import Command, FirstNumber
 from getagrip.errors import UsageError
 from getagrip.io import files
 from getagrip.io.arguments import Flag
@@ -42,7 +42,7 @@ class ImportCameras(Command):
     """The file or folder."""
     clip: Annotated[Path, arg(metavar="CLIP")]
     """The clip's folder."""
-    first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
+    first: FirstNumber = None
     """The number that the files give to the first frame, if they count from another start."""
     start: Annotated[float | None, arg(metavar="S", help_behavior_hint="")] = None
     """The time that the file gives to time 0 of the clip, for files with times."""

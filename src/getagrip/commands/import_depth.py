@@ -12,7 +12,7 @@ from getagrip.clip.depth import DEPTH
 from getagrip.clip.depth_sources import SOURCES, add_depth, check_camera, chosen_source, open_depth
 from getagrip.clip.naming import renumbered
 from getagrip.clip.reading import read_header
-from getagrip.commands.command import Command
+from getagrip.commands.command import Command, FirstNumber
 from getagrip.errors import UsageError
 from getagrip.io.arguments import Flag, one_of
 from getagrip.io.terminal import say, warn
@@ -46,7 +46,7 @@ class ImportDepth(Command):
     """Metres that 1 in the files stands for."""
     error: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="(default: by its kind)")] = None
     """Error of distances, the factor apart, as a share of the distance."""
-    first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
+    first: FirstNumber = None
     """The number that the files give to the first frame, if they count from another start."""
     overwrite: Flag = False
     """Replace depth that is there already."""

@@ -19,7 +19,7 @@ from getagrip.clip.plausible import check_in_view
 from getagrip.clip.reading import ClipHeader, read_header
 from getagrip.clip.reading_arrays import OTHER_HAND, frames_with_hand
 from getagrip.clip.writing import WITHOUT_HAND, without_hand, write_hand, write_hand_at
-from getagrip.commands.command import Command, OptionalSide
+from getagrip.commands.command import Command, FirstNumber, OptionalSide
 from getagrip.commands.import_many import import_many
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.lens import Lens
@@ -78,7 +78,7 @@ class ImportHands(Command):
     mano: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: the generic hand)")] = None
     """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl."""
     new: Annotated[NewFrames, arg(name="")] = field(default_factory=NewFrames)
-    first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
+    first: FirstNumber = None
     """The number that the files give to the first frame, if they count from another start."""
     hold_ends: Flag = False
     """For a whole interaction: extrapolate the hand before the first and after the last frame in which it was found; it

@@ -12,7 +12,7 @@ from getagrip.clip.mask_request import MaskReader, MaskRequest
 from getagrip.clip.mask_sources import open_masks
 from getagrip.clip.naming import renumbered
 from getagrip.clip.reading import read_header
-from getagrip.commands.command import Command, Labels
+from getagrip.commands.command import Command, FirstNumber, Labels
 from getagrip.commands.import_many import import_many
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
@@ -46,7 +46,7 @@ class ImportMasks(Command):
     hand: Labels = ()
     """Labels of the hand that holds the object. Its pixels are ignored as well, and the clip's hands are refined
     against them."""
-    first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
+    first: FirstNumber = None
     """The number that the masks give to the first frame, if they count from another start."""
     images: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: all)")] = ""
     """Folder (take1) or pattern of names (cam1_*) of the images to use, if there are several for a frame."""

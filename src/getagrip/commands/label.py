@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from tyro.conf import Positional, arg
 
@@ -131,7 +131,7 @@ class Label(Command):
         opened = [self._does(path.name, partial(add, path)) for path in videos]
         return tasks, opened.count(False)
 
-    def _does(self, name: str, do: Callable[[], Any]) -> bool:
+    def _does(self, name: str, do: Callable[[], None]) -> bool:
         """Do something for a video and return True; report what is wrong and return False."""
         from getagrip.batch.clips import print_outcome
         from getagrip.batch.job import failure

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from getagrip.commands.command import Command, Labels, OptionalSide
+from getagrip.commands.command import Command, FirstNumber, Labels, OptionalSide
 from getagrip.commands.own_mesh import MeshOptions, own_mesh
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.distortion import Distortion
@@ -91,7 +91,7 @@ class NewClip(Command):
     against them."""
     hands: OptionalFile = None
     """A hand.npz, as import hands --out writes it; import hands can also add hands later."""
-    hand_first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
+    hand_first: FirstNumber = None
     """The number that --hands gives to the first frame, if it counts from another start."""
     segments: OptionalFile = None
     """Segments of the clip, as annotate writes them; import segments can add them later."""

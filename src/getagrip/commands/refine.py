@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from getagrip.batch.share import Batch
-from getagrip.commands.command import Command
+from getagrip.commands.command import Command, FirstNumber
 from getagrip.errors import UsageError
 from getagrip.fitting.options import Options, PriorsFile
 
@@ -47,7 +47,7 @@ class Refine(Command):
     out: Annotated[Path, arg(metavar="DIR")]
     """Folder of the results: a folder for each clip, DIR/refined/<clip> with the refined poses in the format of PATH,
     and changes.csv."""
-    first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
+    first: FirstNumber = None
     """The number that PATH gives to the clip's first frame, if it counts from another start."""
     options: Annotated[Options, arg(name="")] = field(default_factory=Options)
     batch: Annotated[Batch, arg(name="")] = field(default_factory=Batch)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import Any, Literal
+from functools import partial
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -181,7 +182,7 @@ TRUE_SCA = Metric(
 REPLAY = Metric("replay_stays", lambda _, __: _known(np.full(1, np.nan)), label="stays", decimals=0)
 """Share of the frames in which the object stays in the simulated hand; known where ``export.replay`` measured it."""
 
-BOP: Mapping[str, Any] = {"group": "recall", "needs_truth": True}
+_of_bop = partial(Metric, group="recall", needs_truth=True)
 _METRICS: tuple[Metric, ...] = (
     IOU,
     Metric("iou_soft", lambda it, _: it.iou.soft),
@@ -265,11 +266,11 @@ _METRICS: tuple[Metric, ...] = (
         label="ADD-S AUC", group="recall", needs_truth=True,
     ),
     REPLAY,
-    Metric("ar_cam", lambda it, _: np.mean([_mssd(it), _mspd(it), it.vsd_recall], axis=0), label="AR", **BOP),
-    Metric("ar_of_two_cam", lambda it, _: np.mean([_mssd(it), _mspd(it)], axis=0), label="AR without VSD", **BOP),
-    Metric("mssd_cam_recall", lambda it, _: _mssd(it), label="MSSD", **BOP),
-    Metric("mspd_cam_recall", lambda it, _: _mspd(it), label="MSPD", **BOP),
-    Metric("vsd_cam_recall", lambda it, _: it.vsd_recall, label="VSD", **BOP),
+    _of_bop("ar_cam", lambda it, _: np.mean([_mssd(it), _mspd(it), it.vsd_recall], axis=0), label="AR"),
+    _of_bop("ar_of_two_cam", lambda it, _: np.mean([_mssd(it), _mspd(it)], axis=0), label="AR without VSD"),
+    _of_bop("mssd_cam_recall", lambda it, _: _mssd(it), label="MSSD"),
+    _of_bop("mspd_cam_recall", lambda it, _: _mspd(it), label="MSPD"),
+    _of_bop("vsd_cam_recall", lambda it, _: it.vsd_recall, label="VSD"),
     Metric("frames_without_mesh", lambda it, _: float(sum(mesh is None for mesh in it.meshes)), "frames"),
     Metric("closed", lambda it, _: _closed(it)),
 )  # fmt: skip

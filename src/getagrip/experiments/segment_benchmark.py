@@ -30,7 +30,7 @@ from getagrip.io.tables import markdown_page
 from getagrip.io.terminal import counted
 
 HEADINGS = ("", "sequences", "grasps", "tIoU", "F1@.5", "F1@.7", "start", "end", "missed", "false")
-COLUMNS = ("sequence", "direction", "way", "true", "found", "tiou", "start", "end")
+COLUMNS = ("sequence", "direction", "variant", "true", "found", "tiou", "start", "end")
 """Columns of the table of sequences."""
 DRAWS = 400
 """Bootstrap resamples of F1, which is no mean."""

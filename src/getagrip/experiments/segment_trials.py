@@ -33,7 +33,7 @@ class SequenceScores(ClipScores):
     """The scores of a sequence."""
 
     by: dict[tuple[str, str], Matched] = field(default_factory=dict)
-    """By direction and way; empty where it failed."""
+    """By direction and variant; empty where it failed."""
     seconds: float = 0.0
     """Time of the process for one direction [s]; the mean of both."""
 

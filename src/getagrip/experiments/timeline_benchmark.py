@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from getagrip.errors import UsageError
 from getagrip.experiments.comparison import estimate
 from getagrip.experiments.sources import Sample
 from getagrip.experiments.sources.recorded import Timelines
-from getagrip.experiments.timeline_trials import ALL, LEVELS, TimelineScores, TimelineTrial
+from getagrip.experiments.timeline_trials import ALL, LEVELS, TimelineScores, TimelineTrial, VariantScores
 from getagrip.experiments.trial import Benchmark, Page, Trial
 from getagrip.fitting.options import Options
 from getagrip.io import files
@@ -58,7 +57,7 @@ class TimelineBenchmark(Benchmark[TimelineScores]):
             f"{self.source.title}: {len(whole)} of {len(done)} sequences, those with a static segment and a stable "
             "grasp",
             "static, between, grasp: per cent of segments whose mean ADD up to symmetries, in the camera frame, is "
-            "below 10 % of the diameter; grasp, ADD: without symmetries; a way that fails scores 0",
+            "below 10 % of the diameter; grasp, ADD: without symmetries; a variant that fails scores 0",
             "hands: exact, moderate and strong noise, masks exact; ragged: strong noise, and masks off by 1 px",
             "jump: median over links of how far the object moves from one segment to the next beyond its true motion",
             "SCA: mean over grasps, object vertices within 10 mm of the hand that was found",
@@ -72,7 +71,7 @@ class TimelineBenchmark(Benchmark[TimelineScores]):
 
 def _cells(scores: Sequence[TimelineScores], level: str, variant: str) -> list[str]:
     """Return a row's numbers as text."""
-    found: list[tuple[TimelineScores, dict[str, Any]]] = [(one, one.by[level][variant]) for one in scores]
+    found = [(one, one.by[level][variant]) for one in scores]
     cells = [_share(found, kind, "right_sym") for kind in ("static", "between", "grasp")]
     cells.append(_share(found, "grasp", "right"))
     cells.append(_share([(one, of) for one, of in found if "mug" in one.category], "grasp", "right_sym"))
@@ -83,7 +82,7 @@ def _cells(scores: Sequence[TimelineScores], level: str, variant: str) -> list[s
     return [*cells, f"{np.median(seconds):.1f}"]
 
 
-def _share(found: Sequence[tuple[TimelineScores, dict[str, Any]]], kind: str, key: str) -> str:
+def _share(found: Sequence[tuple[TimelineScores, VariantScores]], kind: str, key: str) -> str:
     """Per cent of the segments of a kind, with an interval; a failed timeline counts as one wrong segment."""
     values, subjects = [], []
     for one, of in found:

@@ -1,4 +1,4 @@
-"""One timeline of a benchmark, reconstructed every way at every level of noise: its poses, jumps and contact scored."""
+"""One timeline of a benchmark, reconstructed by every variant at every noise level: poses, jumps and contact scored."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Required, TypedDict
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +19,7 @@ from getagrip.errors import GetagripError
 from getagrip.experiments.trial import ClipScores, Trial
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
+from getagrip.io.files import Json
 from getagrip.metrics.contact import ContactDefinition, contact_distances, stable_contact
 from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
 from getagrip.metrics.symmetry import Symmetries, find_symmetries
@@ -39,13 +40,26 @@ KINDS = {"static": "static", "contact": "between", "free": "between", "grasp": "
 """Words for the states of segments in tables."""
 
 
+class VariantScores(TypedDict, total=False):
+    """The scores of a variant on a timeline, as its record has them."""
+
+    seconds: Required[float]
+    """CPU time."""
+    segments: Sequence[Json]
+    """The ``SegmentScore`` of each segment."""
+    jumps: Sequence[float]
+    """From each segment to the next [m]."""
+    failure: str
+    """Why there are neither."""
+
+
 @dataclass(frozen=True)
 class TimelineScores(ClipScores):
     """The scores of a timeline."""
 
     category: str = ""
-    by: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """By level and way: ``segments``, ``jumps`` [m] and ``seconds`` of CPU, or ``failure``."""
+    by: Mapping[str, Mapping[str, VariantScores]] = field(default_factory=dict)
+    """By level and variant."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +74,7 @@ class TimelineTrial(Trial[TimelineScores]):
         return TimelineScores(self.name, failure=why, trace=trace)
 
     def scores(self) -> TimelineScores:
-        by, category = dict[str, Any](), ""
+        by, category = dict[str, Mapping[str, VariantScores]](), ""
         of, again = made_of(self.sample.folder, self.options, *CODE), dict[str, None]()
         for level in self.levels:
             path = self.results / level / f"{self.name}.json"
@@ -72,14 +86,14 @@ class TimelineTrial(Trial[TimelineScores]):
         return TimelineScores(self.name, category, by, again="; ".join(again))
 
 
-def _found(trial: TimelineTrial, level: str) -> dict[str, Any]:
+def _found(trial: TimelineTrial, level: str) -> Json:
     """Return the scores of every variant at a level, for timelines with both a static segment and a grasp."""
     from getagrip.timelines.baselines import VARIANTS, reconstruct_with
 
     tracked = read_clip(trial.sample.folder)
     input_masks = read_masks(tracked)
     states = {segment.state for segment in tracked.segments}
-    by: dict[str, dict[str, Any]] = {}
+    by: dict[str, VariantScores] = {}
     if not {"static", "grasp"} <= states:
         return {"category": tracked.category, "by": by}
     symmetries = find_symmetries(tracked.mesh)

@@ -15,7 +15,6 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy import ndarray
@@ -24,6 +23,7 @@ from getagrip.errors import InputError
 from getagrip.export.lerobot import CHUNK_SIZE, EPISODES, Episode, write_meta
 from getagrip.export.scene import Scene
 from getagrip.io import extras, files, leftovers, locks
+from getagrip.io.files import Json
 
 
 @dataclass
@@ -38,8 +38,8 @@ class Dataset:
     """
 
     folder: Path
-    info: dict[str, Any] = field(default_factory=dict)
-    records: list[dict[str, Any]] = field(default_factory=list)
+    info: Json = field(default_factory=dict)
+    records: list[Json] = field(default_factory=list)
     tasks: list[str] = field(default_factory=list)
 
     @staticmethod
@@ -155,5 +155,5 @@ def _together(each: dict[str, ndarray]) -> dict[str, ndarray]:
     return {**known, "count": each["count"].sum(axis=0), **quantiles}
 
 
-def _arrays(key: str, value: Any) -> Any:
+def _arrays(key: str, value: object) -> object:
     return np.array(value) if key.startswith("stats/") else value

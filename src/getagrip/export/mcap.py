@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ def _object(title: str, **properties: object) -> dict[str, object]:
     return {"title": title, "type": "object", "properties": properties, "required": list(properties)}
 
 
-def _list(of: dict[str, Any], count: int = 0) -> dict[str, object]:
+def _list(of: Mapping[str, object], count: int = 0) -> dict[str, object]:
     return {"type": "array", "items": of} | ({"minItems": count, "maxItems": count} if count else {})
 
 
@@ -83,7 +83,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     return {FILE: f"JSON by Foxglove's schemas; {stage.words}; quaternions (x, y, z, w)", **about, **hands}
 
 
-def _messages(scene: Scene, stage: Stage, n: int, nanoseconds: int) -> Iterator[tuple[str, dict[str, Any], object]]:
+def _messages(scene: Scene, stage: Stage, n: int, nanoseconds: int) -> Iterator[tuple[str, dict[str, object], object]]:
     """Yield the topic, the schema and the content of each message of frame ``n``."""
     sec, nsec = divmod(nanoseconds, 10**9)
     now = {"timestamp": {"sec": sec, "nsec": nsec}}

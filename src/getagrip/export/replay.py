@@ -12,7 +12,8 @@ assumed. The displacement after releasing an object is a measure of grasps since
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -27,6 +28,9 @@ from getagrip.export.stage import Stage
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.io import extras
+
+if TYPE_CHECKING:
+    from mujoco import MjData, MjModel
 
 FRICTION = 1.0
 """Coefficient of friction of skin and object, assumed."""
@@ -120,8 +124,8 @@ def hand_parts(scene: Scene) -> tuple[list[Float[ndarray, "n 3"]], Float[ndarray
 
 
 def _model(
-    library: Any, parts: list[Float[ndarray, "n 3"]], object_: Mesh, T: Float[ndarray, "N 4 4"]
-) -> tuple[Any, Any]:
+    library: ModuleType, parts: list[Float[ndarray, "n 3"]], object_: Mesh, T: Float[ndarray, "N 4 4"]
+) -> tuple[MjModel, MjData]:
     """Make the model, its bodies where they begin: those of the hand, then the object; MuJoCo makes points convex."""
     spec = library.MjSpec()
     spec.option.timestep, spec.option.impratio = STEP, 10.0

@@ -69,7 +69,7 @@ def samples_of(clip: Clip, masks: Masks, depth: Depth, most: int) -> DepthSample
 
 
 def input_hand(clip: Clip, depth: Depth) -> Float[ndarray, "T n n"]:
-    """Render the distance of the given hand at the samples; infinite beside it."""
+    """Render the distance of the input hand at the samples; infinite beside it."""
     posed, side = se3.transform(clip.hand.T_cam_hand, clip.hand.vertices), depth.z.shape[1]
     K = depth.intrinsics(clip)
     return np.stack([depth_and_face(v, clip.hand.faces, k, (side, side))[0] for v, k in zip(posed, K, strict=True)])
@@ -80,7 +80,7 @@ def bodies_of(
 ) -> tuple[Bool[ndarray, "T n n"], Bool[ndarray, "T n n"]]:
     """Return which samples show the object and which the hand, without those at borders.
 
-    Without masks of the hand, the ignored pixels that the given hand covers (``drawn``) are taken for it.
+    Without masks of the hand, the ignored pixels that the input hand covers (``drawn``) are taken for it.
     """
     seen, hidden = depth.of_masks(masks.object, clip.size), depth.of_masks(masks.ignore, clip.size)
     hand = hidden & drawn if masks.hand is None else depth.of_masks(masks.hand, clip.size)
@@ -123,7 +123,7 @@ def hand_ratio_of(samples: DepthSamples) -> float:
 def deviation_at(
     clip: Clip, samples: DepthSamples, source: DepthSource, T_hand_obj: Float[ndarray, "T 4 4"], scale: float
 ) -> tuple[float, float]:
-    """Return how far depth is off an object in the given hand, and how far it is warped, root mean squares.
+    """Return how far depth is off an object in the input hand, and how far it is warped, root mean squares.
 
     The first in what it may err by, its warp apart; the second as a share of the distance.
     """

@@ -27,7 +27,7 @@ RIGID = 7
 
 @dataclass(frozen=True)
 class HandErrors:
-    """The given hand in N frames, and how errors x (N, P) change it.
+    """The input hand in N frames, and how errors x (N, P) change it.
 
     Attributes:
         given: the hand as it was given.

@@ -69,7 +69,7 @@ class HandRefinement:
 
     Attributes:
         T_cam_hand: (N, 4, 4) its poses.
-        turned: mean angle to the given poses [rad].
+        turned: mean angle to the input poses [rad].
         moved: mean distance of the hand's middle from where it was given [m].
         before, after: share of the hand's seen pixels that differed from its silhouette, and that still do.
         grown: by how much its masks were grown before, since they are too small all round [px of a crop of 128].
@@ -122,7 +122,7 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
 
     There is no correction where neither is known (without pixels the share is NaN), where its pixels ask for none, and
     where it cannot be made to agree with them: then they are not this hand's, or it is too far off. Pixels of the hand
-    are those of ``masks.hand``, else the ignored ones near the given hand. Where masks leave gaps (``mask_gaps``) the
+    are those of ``masks.hand``, else the ignored ones near the input hand. Where masks leave gaps (``mask_gaps``) the
     hand's may be too small all round, and are grown first.
     """
     seen, joints = HandSilhouette.of(clip, masks), SeenJoints.of(clip, masks)

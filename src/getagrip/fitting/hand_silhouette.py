@@ -33,14 +33,14 @@ MOST_POINTS = 200
 GROWTH = 0.7, 4.0
 """Masks are grown if they are too small all round by more than the first [px], and by no more than the second."""
 REACH = 16
-"""Ignored pixels farther than this from the given hand may be anything else [px]: a quarter of a hand."""
+"""Ignored pixels farther than this from the input hand may be anything else [px]: a quarter of a hand."""
 WRIST, MIDDLE = 0, 9
 """Joints: wrist, and knuckle of the middle finger."""
 
 
 @dataclass(frozen=True)
 class HandMask:
-    """The hand's own pixels in N frames, in crops about the given hand.
+    """The hand's own pixels in N frames, in crops about the input hand.
 
     Attributes:
         K: (N, 4) fx, fy, cx, cy of the crops [px].
@@ -49,7 +49,7 @@ class HandMask:
             hand, not other ignored pixels, and not those beyond its wrist, where an arm is. None in frames of which no
             pixel is known to be the hand's: nobody may have labelled it.
         field: (N, n, n) signed distance to the visible contour [px]; no pixels where it is not known (``with_field``).
-        grown: by how much the given masks were grown all round [px].
+        grown: by how much the input masks were grown all round [px].
     """
 
     K: Float[ndarray, "N 4"]

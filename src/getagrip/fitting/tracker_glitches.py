@@ -1,4 +1,4 @@
-"""Frames in which the given hand jumps away and back: a tracker flips it, loses it, or takes another for it.
+"""Detect and repair tracker glitches: flips, dropouts, identity swaps.
 
 In each frame the hand may be as given, or flipped: by half a turn about one of its axes. Kept are those frames, each
 with one of these four hands, for which the least is

@@ -18,8 +18,8 @@ Colour = tuple[float, float, float]
 """Red, green, blue in [0, 1]."""
 
 HIDES = 0.01
-"""Share of the held object's silhouette that another object must cover to count as in front of it. Less is noise of the
-poses, such as a keyboard that cuts into the mouse on it."""
+"""Share of the grasped object's silhouette that another object must cover to count as in front of it. Less is noise of
+the poses, such as a keyboard that cuts into the mouse on it."""
 LIGHT = np.array([-0.35, -0.6, -0.72])
 """Direction to the light in the camera frame: from above the left shoulder."""
 
@@ -42,9 +42,9 @@ def true_masks(
 ) -> tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"], Bool[ndarray, "H W"]]:
     """Render the object's visible pixels, those that say nothing about it, and the grasping hand's visible pixels.
 
-    Ignored is every pixel whose nearest surface is a hand, or another object that hides part of the held one; objects
-    that hide nothing are background, which does say where the held object is not. An object in front is ignored as
-    a whole, so that the ignored area does not betray the silhouette of what it hides.
+    Ignored is every pixel whose nearest surface is a hand, or another object that hides part of the grasped one;
+    objects that hide nothing are background, which does say where the grasped object is not. An object in front is
+    ignored as a whole, so that the ignored area does not betray the silhouette of what it hides.
     """
     part = nearest_surface([grasped, *hands, *others], K, size)  # 0: held, then hands, then others
     ignore = (part > 0) & (part <= len(hands))

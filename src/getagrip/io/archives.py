@@ -1,4 +1,4 @@
-"""Zip archives from strangers: neither listing their members nor unpacking these takes more memory than it should."""
+"""Untrusted zip archives: neither listing their members nor unpacking these takes more memory than it should."""
 
 from __future__ import annotations
 

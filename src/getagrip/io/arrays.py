@@ -1,4 +1,4 @@
-"""Arrays from strangers' ``.npz`` files, checked. No pickle is ever run; sizes are checked before memory is taken."""
+"""Arrays of untrusted ``.npz`` files, checked. No pickle is ever run; sizes are checked before memory is taken."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ class Brief:
         return str(view("table_and_picture")(self))
 
 
-def in_short(data: Any) -> str:
+def in_short(data: object) -> str:
     """Write a dataclass in at most ``LINES`` lines: arrays by kind and shape, long collections by their ends."""
     parts = [f"{name}={text}" for name, text in facts(data).items()]
     text = f"{type(data).__name__}({', '.join(parts)})"

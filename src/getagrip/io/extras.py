@@ -7,14 +7,14 @@ import json
 import re
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from types import ModuleType
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
 from getagrip.errors import UsageError
 
 
-def load(module: str, extra: str, option: str = "") -> Any:
+def load(module: str, extra: str, option: str = "") -> ModuleType:
     """Import a module of an extra of this package.
 
     Raises ``UsageError`` that says how to install it.

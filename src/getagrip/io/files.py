@@ -1,4 +1,4 @@
-"""Files from strangers, read within limits; folders written whole or not at all.
+"""Untrusted files, read within limits; folders written whole or not at all.
 
 Nothing here trusts what a file says about itself: sizes are checked before memory is taken, no pickle is ever run, and
 names found in files are used as paths only once they are known to stay inside their folder.

@@ -24,7 +24,7 @@ from getagrip.io.code import PACKAGE
 
 PLAIN = (type(None), bool, int, float, complex, str, bytes, np.generic, Path)
 """Types whose ``repr`` says all about a value."""
-PARTS: Mapping[type, Callable[[Any], Iterable[Any]]] = {
+PARTS: Mapping[type, Callable[[Any], Iterable[object]]] = {
     partial: lambda of: (of.func, of.args, of.keywords),
     MethodType: lambda of: (of.__func__, of.__self__),
     dict: lambda of: of.items(),

@@ -82,14 +82,14 @@ class PackedMasks(NDArrayOperatorsMixin):
     def __iter__(self) -> Iterator[Bool[ndarray, "H W"]]:
         return map(_unpacked, self._frames)
 
-    def __getitem__(self, index: Any) -> Any:
+    def __getitem__(self, index: Any) -> PackedMasks | ndarray | np.bool_:
         if isinstance(index, int | np.integer):
             return _unpacked(self._frames[index])
         if isinstance(index, slice) or (isinstance(index, ndarray) and index.ndim == 1):
             return PackedMasks([self._frames[n] for n in np.arange(len(self))[index]], self._size)
         return np.asarray(self)[index]
 
-    def any(self, axis: tuple[int, ...] | int | None = None, keepdims: bool = False) -> Any:
+    def any(self, axis: tuple[int, ...] | int | None = None, keepdims: bool = False) -> ndarray | np.bool_ | bool:
         """Reduce by logical or, as an array does."""
         if axis is None and not keepdims:
             return bool(self._shown.any())
@@ -102,13 +102,13 @@ class PackedMasks(NDArrayOperatorsMixin):
         """Frames with a pixel."""
         return np.array([frame.width > 0 for frame in self._frames], dtype=bool)
 
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> ndarray:
+    def __array__(self, dtype: np.dtype | None = None, copy: bool | None = None) -> ndarray:
         out = np.zeros(self.shape, dtype=bool)
         for n, mask in enumerate(self):
             out[n] = mask
         return out if dtype is None else out.astype(dtype)
 
-    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **named: Any) -> Any:
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: object, **named: object) -> object:
         whole = (np.asarray(each) if isinstance(each, PackedMasks) else each for each in inputs)
         return getattr(ufunc, method)(*whole, **named)
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any
 
 LOOPBACK = "127.0.0.1"
 PATIENCE = 60.0
@@ -28,7 +28,7 @@ class QuietServer(ThreadingHTTPServer):
     daemon_threads = True
     allow_reuse_address = os.name != "nt"  # where two servers would share a port
 
-    def handle_error(self, request: Any, client_address: Any) -> None:
+    def handle_error(self, request: object, client_address: object) -> None:
         """Say nothing of connections that end early."""
 
 
@@ -41,7 +41,7 @@ class Handler(BaseHTTPRequestHandler):
     wbufsize = -1  # an answer in one piece: in two, the second waits for the first to be acknowledged
     disable_nagle_algorithm = True
 
-    def send_json(self, content: dict[str, Any], status: HTTPStatus = HTTPStatus.OK) -> None:
+    def send_json(self, content: Mapping[str, object], status: HTTPStatus = HTTPStatus.OK) -> None:
         """Answer with JSON."""
         self.send(json.dumps(content, allow_nan=False).encode(), "application/json", status=status)
 
@@ -56,5 +56,5 @@ class Handler(BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(content)
 
-    def log_message(self, format: str, *args: Any) -> None:
+    def log_message(self, format: str, *args: object) -> None:
         """Print nothing for each request."""

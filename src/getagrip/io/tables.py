@@ -1,7 +1,7 @@
 """Tables in CSV, which a spreadsheet opens without running anything, and in Markdown.
 
 Spreadsheets take a text that begins with ``=``, ``+``, ``-``, ``@`` or a control character for a formula. Names come
-from strangers' files, so that such a text gets an apostrophe before it, which spreadsheets do not show and
+from untrusted files, so that such a text gets an apostrophe before it, which spreadsheets do not show and
 ``files.csv_rows`` takes away again. Numbers stay as they are.
 """
 

@@ -44,7 +44,7 @@ def report(words: str) -> None:
 
 
 _kept: ContextVar[list[str] | None] = ContextVar("_kept", default=None)
-"""Where warnings are kept instead of being printed."""
+"""The list that warnings are added to instead of being printed; None: they are printed."""
 
 
 def warn(words: str) -> None:
@@ -59,7 +59,8 @@ def warn(words: str) -> None:
 @contextmanager
 def kept_warnings() -> Iterator[list[str]]:
     """Keep warnings in a list instead of printing them."""
-    token = _kept.set(warnings := [])
+    warnings = list[str]()
+    token = _kept.set(warnings)
     try:
         yield warnings
     finally:

@@ -1,7 +1,7 @@
 """An HTML page in one file, with its styles, scripts and data: nothing is loaded, and nothing else may run.
 
-Names of clips and whatever else results hold may come from strangers. They are in the page as JSON whose ``<``, ``>``
-and ``&`` are escaped, and reach the screen as text only. The Content-Security-Policy names the hashes of our own
+Names of clips and whatever else results hold may come from untrusted files. They are in the page as JSON whose ``<``,
+``>`` and ``&`` are escaped, and reach the screen as text only. The Content-Security-Policy names the hashes of our own
 scripts and styles: the browser refuses any other, and every request.
 """
 

@@ -15,7 +15,6 @@ import re
 import secrets
 from collections.abc import Callable
 from http import HTTPStatus
-from typing import Any
 
 from getagrip.errors import GetagripError, UsageError
 from getagrip.io import files
@@ -24,7 +23,7 @@ from getagrip.pages.served import Library
 
 PORT = 8770
 """Port of the page, if that is free."""
-ASKED: dict[str, tuple[Callable[..., dict[str, Any]], int]] = {
+ASKED: dict[str, tuple[Callable[..., dict[str, object]], int]] = {
     "entry": (Library.entry, 1),
     "frame": (Library.frame, 4),
     "gap": (Library.gap, 2),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -75,12 +76,12 @@ class Sheet:
         """Draw colours and the meaning of each, side by side: as lines, dots or squares."""
         from matplotlib.lines import Line2D
 
-        looks: dict[str, dict[str, Any]] = {
-            "line": {"linewidth": 2.0},
-            "dots": {"linewidth": 2.0, "linestyle": (0, (1, 1.2))},
-            "square": {"linewidth": 0.0, "marker": "s", "markersize": 8.0},
+        drawn = {
+            "line": partial(Line2D, linewidth=2.0),
+            "dots": partial(Line2D, linewidth=2.0, linestyle=(0, (1, 1.2))),
+            "square": partial(Line2D, linewidth=0.0, marker="s", markersize=8.0),
         }
-        handles = [Line2D([], [], color=colour, **looks[style]) for colour, _ in entries]
+        handles = [drawn[style]([], [], color=colour) for colour, _ in entries]
         axes = self.axes(x, top, self.width - x - 0.1, 0.22)
         axes.set_axis_off()
         axes.legend(

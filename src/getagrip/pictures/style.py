@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
-from typing import Any
 
 PAPER, INK, FAINT, LINE = "#f4f4f1", "#2b2f33", "#8a9096", "#d9dad6"
 FOUND, AXIS, HIDDEN, TRUE, HAND_LINE = "#c8553d", "#2a9d8f", "#a8e0d5", "#6c757d", "#7b5ea7"
@@ -21,13 +20,14 @@ def letters() -> AbstractContextManager[None]:
     """Set the project's font, and its colours of text and axes, for figures that are drawn within."""
     from matplotlib import rc_context
 
-    style: dict[Any, Any] = {
-        "font.family": "DejaVu Sans",
-        "font.size": 8.5,
-        "text.color": INK,
-        "axes.edgecolor": LINE,
-        "axes.labelcolor": FAINT,
-        "xtick.color": FAINT,
-        "ytick.color": FAINT,
-    }
-    return rc_context(style)
+    return rc_context(
+        {
+            "font.family": "DejaVu Sans",
+            "font.size": 8.5,
+            "text.color": INK,
+            "axes.edgecolor": LINE,
+            "axes.labelcolor": FAINT,
+            "xtick.color": FAINT,
+            "ytick.color": FAINT,
+        }
+    )

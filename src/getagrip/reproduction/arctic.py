@@ -39,6 +39,7 @@ class ReproduceArctic(Reproduce):
         from getagrip.commands.stats import Stats
         from getagrip.commands.study import Study
         from getagrip.datasets.arctic import PAPER, Arctic
+        from getagrip.experiments.compared import Compared
         from getagrip.fitting.options import PriorsFile, SearchOptions
         from getagrip.reproduction.tables import ALL, PaperTable, bench_values, durations, on_clips
 
@@ -52,7 +53,7 @@ class ReproduceArctic(Reproduce):
             learn = LearnPoses(clips=(clips,), out=starts, as_folder=priors, way="axis-angle", debug=self.debug)
             good &= self.step("init learn", learn)
         search = SearchOptions(init="priors", priors=PriorsFile(priors), priors_only=True, hands="as-given")
-        compared = {"methods": (*PAPERS.values(), *OURS.values()), "contact": (0.0,)}
+        compared = Compared(methods=(*PAPERS.values(), *OURS.values()), contact=(0.0,))
         good &= self.bench("methods", search, compared)
         statistics, studied = self.out / "statistics.json", self.out / "study.json"
         good &= self.step("stats", Stats(source=str(clips), json=statistics))

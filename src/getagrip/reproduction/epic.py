@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from getagrip.io.terminal import report
 from getagrip.reproduction.needed import AUTHORS, MANO, Need, found
@@ -67,6 +67,7 @@ class ReproduceEpic(Reproduce):
         from getagrip.commands.datasets import Import, ImportEpic
         from getagrip.commands.import_hands import ImportHands, Trackers
         from getagrip.commands.stats import Stats
+        from getagrip.experiments.compared import Compared
         from getagrip.fitting.options import PriorsFile, SearchOptions
 
         there, clips, statistics = found(NEEDS, self.roots), self.out / "clips", self.out / "statistics"
@@ -85,10 +86,10 @@ class ReproduceEpic(Reproduce):
         )
         good &= self.step("import hands: HaMeR's", hands)
         search = SearchOptions(init="priors", priors=PriorsFile(there["priors"]), priors_only=True, hands="as-given")
-        runs: dict[str, dict[str, Any]] = {
-            "methods": {"methods": (*PAPERS.values(), *OURS.values())},
-            "physical": {"ablation": "physical", "methods": ("paper", "soft-hinge")},
-            "occlusion": {"ablation": "occlusion", "methods": ("paper", "soft-hinge")},
+        runs = {
+            "methods": Compared(methods=(*PAPERS.values(), *OURS.values())),
+            "physical": Compared(ablation="physical", methods=("paper", "soft-hinge")),
+            "occlusion": Compared(ablation="occlusion", methods=("paper", "soft-hinge")),
         }
         if frankmocap is None:
             report(f"left out: Table 4 and 9. Missing: {HANDS['frankmocap'].advice}")
@@ -96,7 +97,7 @@ class ReproduceEpic(Reproduce):
             files = self.out / "frankmocap"
             good &= not self._hand_files(frankmocap, files, there["mano"])
             sources = (f"frankmocap={files}", f"hamer={clips}")
-            runs["hands"] = {"hands": sources, "methods": ("paper", "homan", *OURS.values())}
+            runs["hands"] = Compared(hands=sources, methods=("paper", "homan", *OURS.values()))
         for name, compared in runs.items():
             good &= self.bench(name, search, compared)
         table = Stats(source="epic-grasps", csv=there["csv"], out=statistics, json=statistics / "stats.json")

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
@@ -18,6 +18,7 @@ from getagrip.io.arguments import Folder
 from getagrip.io.terminal import report
 
 if TYPE_CHECKING:
+    from getagrip.experiments.compared import Compared
     from getagrip.fitting.options import SearchOptions
     from getagrip.reproduction.tables import PaperTable
 
@@ -44,15 +45,14 @@ class Reproduce(Command):
         report(f"== {words}")
         return command.run() in (0, WARNED)
 
-    def bench(self, name: str, search: SearchOptions, compared: dict[str, Any]) -> bool:
+    def bench(self, name: str, search: SearchOptions, compared: Compared) -> bool:
         """Compare methods on the clips into ``bench/NAME.json``, and return whether nothing failed."""
         from getagrip.commands.bench import BenchGrasps
-        from getagrip.experiments.compared import Compared
         from getagrip.experiments.sources.source import ClipFolder
 
         bench = BenchGrasps[ClipFolder](
             source=ClipFolder(folder=self.out / "clips"), out=self.out / "bench", count=self.count, search=search,
-            json=self.page(name), compared=Compared(**compared), share=self.share, debug=self.debug,
+            json=self.page(name), compared=compared, share=self.share, debug=self.debug,
         )  # fmt: skip
         return self.step(f"bench: {name}", bench)
 

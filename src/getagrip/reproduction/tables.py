@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 from getagrip.experiments.tables import LATEX, MARKDOWN
 from getagrip.io import files
+from getagrip.io.files import Json
 from getagrip.io.tables import markdown_table
 from getagrip.io.terminal import counted
 
@@ -28,9 +28,9 @@ UNRANKED = ("avg", "std", "max", "clips", "static", "1-DoF")
 
 
 @cache
-def published() -> dict[str, Any]:
+def published() -> Json:
     """Read the paper's printed numbers: by table its title, columns, and groups of rows."""
-    content: dict[str, Any] = json.loads(resources.files(__package__).joinpath("published.json").read_text("utf-8"))
+    content: Json = json.loads(resources.files(__package__).joinpath("published.json").read_text("utf-8"))
     return content
 
 
@@ -164,7 +164,7 @@ def on_clips(page: Path) -> str:
     return "".join(f"On {counted(table['clips'], 'clip')}." for table in _tables_of(page)[:1])
 
 
-def _tables_of(page: Path) -> Sequence[Any]:
+def _tables_of(page: Path) -> Sequence[Json]:
     """Return the tables of a page; none where no clip gave a result."""
     return files.read_json(page)["tables"] if page.is_file() else ()
 

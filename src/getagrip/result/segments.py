@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from getagrip.clip.timeline import Side, State
 from getagrip.errors import InputError
 from getagrip.finding import read_checks
 from getagrip.geometry import se3
@@ -40,10 +42,10 @@ class SegmentResult(ArrayData):
         probability_right: probability that a grasp is right relative to the hand; None if unknown.
     """
 
-    state: str
+    state: State
     first: str
     last: str
-    side: str | None = None
+    side: Side | None = None
     iou: float | None = None
     by_masks: bool = False
     T_world_obj: Float[ndarray, "4 4"] | None = None
@@ -81,7 +83,9 @@ def read_segments(path: Path, value: list[object]) -> tuple[SegmentResult, ...]:
 
 def _read(path: Path, key: str, value: object) -> SegmentResult:
     if not isinstance(value, dict) or not all(isinstance(value.get(k), str) for k in ("state", "first", "last")):
-        raise InputError(path, key, shown(value), "an object with state, first and last")
+        raise InputError(path, key, shown(value), "a JSON object with state, first and last")
+    if value["state"] not in get_args(State):
+        raise InputError(path, f"{key}.state", shown(value["state"]), f"one of {', '.join(get_args(State))}")
     if value.get("side") not in (None, "left", "right"):
         raise InputError(path, f"{key}.side", shown(value["side"]), "left or right")
     iou = read_checks(path, {"iou": value.get("iou")}, key)["iou"]

@@ -85,7 +85,7 @@ def _carry(motion: Motion, footage: Footage, known: list[Segment]) -> None:
 
 
 def _with_hand(motion: Motion, footage: Footage, source: int, row: int) -> Float[ndarray, "4 4"]:
-    """Return the pose in the world of an object that goes with the given hand from one frame to another."""
+    """Return the object's pose in the world where it moves with the input hand from one frame to another."""
     T_cam_hand = footage.clip.hand.T_cam_hand
     T_hand_obj = se3.inverse(T_cam_hand[source]) @ motion.T_cam_obj[source]
     return np.asarray(footage.T_world_cam[row] @ T_cam_hand[row] @ T_hand_obj)

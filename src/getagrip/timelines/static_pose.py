@@ -73,9 +73,9 @@ def support_of(problem: Problem) -> Energy:
 
 
 def initial_poses(problem: Problem, start: Hypotheses | None) -> Fixed:
-    """Return the given poses, then uniform rotations on the ray through the first mask, as far as the mask is small.
+    """Return the poses of ``start``, then uniform rotations on the ray through the first mask.
 
-    A free scale begins where the object is as far away as the hand is on average.
+    These are as far away as the mask's size implies; with a free scale, as far as the hand is on average.
     """
     clip, inits = problem.clip, problem.options.inits
     assert clip.world is not None

@@ -7,7 +7,7 @@ import { STATES } from "./states.js";
 const REASONS = {
   "no stable grasp": "the hold changes all the time, or nothing is held",
   "out of view": "neither hand nor object is visible",
-  "other CAD": "the thing has not the shape of its kind",
+  "other CAD": "the object differs from its category's mesh",
 };
 const COMPARE = 1500; // ms after the last change until people are compared again
 

@@ -179,7 +179,7 @@ def _tracks(sequence: Sequence, models: Path, whole: bool, shortest: int, note: 
 
 
 def _masks(recording: Recording, hand: Hand, models: Path, n: int) -> FrameMasks:
-    """Render the held object's mask in frame n, and the ignored pixels (the hand, other objects with a mesh)."""
+    """Render the grasped object's mask in frame n, and the ignored pixels (the hand, other objects with a mesh)."""
     from getagrip.geometry.render import true_masks  # loads numba
 
     surfaces: dict[str, Surface] = {}

@@ -177,7 +177,7 @@ def bent_side(joints: Float[ndarray, "N 21 3"]) -> Side:
 
 
 def _read_folder(root: Path, folder: Path) -> Recording:
-    """Read a sequence of DexYCB's own layout, in the camera that sees most of the held object at the end."""
+    """Read a sequence of DexYCB's own layout, in the camera that sees most of the grasped object at the end."""
     path = folder / "meta.yml"
     if not (_is_name(folder.parent.name) and _is_name(folder.name)):
         raise InputError(path, "", "a folder name that cannot be part of a clip's", "<subject>/<sequence>")
@@ -218,7 +218,7 @@ def _read_folder(root: Path, folder: Path) -> Recording:
 
 
 def _best_camera(folder: Path, serials: list[str], grasped: int, frames: int) -> str:
-    """Choose the camera with the most pixels of the held object in the last frame, of those that are there."""
+    """Choose the camera with the most pixels of the grasped object in the last frame, of those that are there."""
     there = {serial: folder / serial for serial in serials if serial.isalnum() and (folder / serial).is_dir()}
     if not there:
         raise InputError(folder, "serials", f"no folder of any of {', '.join(map(plain, serials))}", "one at least")

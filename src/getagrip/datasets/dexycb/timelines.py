@@ -66,7 +66,7 @@ def _read(sequence: files.Sequence, others: Sequence[files.Sequence], models: Pa
 
 
 def _at_first(recording: files.Recording, models: Path) -> np.ndarray:
-    """Return the held object's vertices in the first frame in which it is known (V, 3) [m]."""
+    """Return the grasped object's vertices in the first frame in which it is known (V, 3) [m]."""
     poses = recording.objects[recording.grasped]
     return se3.transform(poses.T_cam_obj[int(np.argmax(poses.known))], ycb.mesh(models, recording.grasped).vertices)
 

@@ -60,7 +60,7 @@ class Scene:
     options: SceneOptions
 
     def surfaces(self, frame: int) -> tuple[Surface, list[Surface]]:
-        """Return the held object and the hands in the camera frame."""
+        """Return the grasped object and the hands in the camera frame."""
         clip, truth = self.clip, self.clip.truth
         assert truth is not None
         grasped = se3.transform(truth.T_cam_obj[frame], self.object.vertices)

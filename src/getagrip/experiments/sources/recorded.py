@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from getagrip.errors import GetagripError, UsageError
+from tyro.conf import arg
+
+from getagrip.errors import GetagripError, UsageError, unknown
 from getagrip.experiments.sources.source import ClipSource, Sample
 from getagrip.io import files
 from getagrip.io.arguments import OptionalFolder
@@ -17,19 +19,6 @@ if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
     from getagrip.batch.share import Share
     from getagrip.datasets.dataset import Dataset
-from typing import TYPE_CHECKING, Annotated, ClassVar
-
-from tyro.conf import arg
-
-from getagrip.errors import unknown
-
-if TYPE_CHECKING:
-    from getagrip.datasets.dataset import Dataset
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from getagrip.datasets.dataset import Dataset
-
 
 Preset = Annotated[str, arg(metavar="NAME")]
 

@@ -18,7 +18,8 @@ At the minimum the derivatives of Q by the errors vanish, so the gradient of Q i
 less, and ties all frames to each other (Schur complement). The outer logarithm lets depth count the less the worse it
 fits at its best: that of another scene.
 
-Without a moving hand the hand's samples say what a is, as well as the given hand is known: sigma is larger there.
+Without a moving hand the hand's samples say what a is, as accurately as the input hand is known: sigma is larger
+there.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ KAPPA = 20.0
 MISSED = 0.1
 """Error that a sample has whose ray misses the surface [share of the distance]."""
 FIXED_HAND, FIXED_SURFACE = 0.02, 0.015
-"""Error of the given hand's distance, the same in all frames, and of its surface [shares of the distance]: 13 to 18 mm,
+"""Error of the input hand's distance, the same in all frames, and of its surface [shares of the distance]: 13 to 18 mm,
 and what 0.28 rad do to a surface 5 cm from the middle, at arm's length."""
 ROUNDS = 12
 """Most iterations by which the image's errors are found (iteratively reweighted least squares)."""
@@ -77,7 +78,7 @@ class DepthSamples:
         log_z: (N, M) logarithm of the depth.
         relief: (N, M) how much farther they are than the mean of their frame, as a share.
         weight: (N, M) in how many independent samples each counts; 0 beyond ``used``.
-        input: (N, M) logarithm of the given hand's distance; NaN where the ray misses it.
+        input: (N, M) logarithm of the input hand's distance; NaN where the ray misses it.
     """
 
     K: Float[ndarray, "N 4"]

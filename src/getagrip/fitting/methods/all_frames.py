@@ -52,9 +52,9 @@ def soft_hinge(problem: Problem, on_stage: OnStage, more: EnergyOf | None = None
     search = search_of(problem, on_stage)
     rough, warp, ridge = rough_fit(problem, search, own(problem)), None, SOFT_RIDGE
     if problem.options.mesh == "fitted":
-        warp = shape_of(problem, search, rough)
+        warp = shape_of(problem, search, rough.motion)
     else:
-        ridge = stiffened(SOFT_RIDGE, misfit_of(problem, search, rough))
+        ridge = stiffened(SOFT_RIDGE, misfit_of(problem, search, rough.motion))
     if warp is not None:
         problem = problem.warped(warp)
         search = replace(search, surface=problem.surface)
@@ -71,7 +71,7 @@ def soft_hinges(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> 
     """Search for soft hinges; return the distinct ones, best first, with the mesh as it is."""
     search = search_of(problem, on_stage)
     rough = rough_fit(problem, search, more)
-    return fine_fit(problem, search, rough, stiffened(SOFT_RIDGE, misfit_of(problem, search, rough)), more)
+    return fine_fit(problem, search, rough, stiffened(SOFT_RIDGE, misfit_of(problem, search, rough.motion)), more)
 
 
 def rough_fit(problem: Problem, search: Search, more: Energy) -> Solution[Soft[Fixed]]:
@@ -113,20 +113,20 @@ def soft_hinge_of(
     return Soft.around(hinge_of(problem, motion), motion.poses(), ridge)
 
 
-def misfit_of(problem: Problem, search: Search, rough: Solution[Soft[Fixed]]) -> float:
+def misfit_of(problem: Problem, search: Search, rough: Soft[Fixed]) -> float:
     """Measure how badly the mesh explains the masks at its best.
 
     The fit is long enough, and without contact, so that nothing else adds to it.
     """
     frames = search.coarse_frames
     terms, T_cam_hand = mask_of(problem)(LEVEL, frames), problem.clip.hand.T_cam_hand[frames]
-    fitted = minimise(rough.motion, terms, T_cam_hand, ITERATIONS, threads=problem.threads)
+    fitted = minimise(rough, terms, T_cam_hand, ITERATIONS, threads=problem.threads)
     return misfit(problem.observation, float(fitted.terms["mask"].min()) / len(frames))
 
 
-def shape_of(problem: Problem, search: Search, rough: Solution[Soft[Fixed]]) -> Warp | None:
+def shape_of(problem: Problem, search: Search, rough: Soft[Fixed]) -> Warp | None:
     """Fit the mesh to the masks after the coarse stages; None where the mesh explains them."""
-    return own_shape(problem, rough.motion, search.coarse_frames, misfit_of(problem, search, rough))
+    return own_shape(problem, rough, search.coarse_frames, misfit_of(problem, search, rough))
 
 
 def soft_energy(problem: Problem) -> Energy:
@@ -144,10 +144,10 @@ def one_dof(problem: Problem, on_stage: OnStage) -> MethodResult:
     """
     search, warp = search_of(problem, on_stage), None
     rough = rough_hinge(problem, search)
-    around = replace(rough, motion=Soft.around(rough.motion.base, rough.motion.poses(), COARSE_RIDGE))
+    around = Soft.around(rough.motion.base, rough.motion.poses(), COARSE_RIDGE)
     if problem.options.mesh == "fitted" and shape_of(problem, search, around) is not None:
         quiet = replace(search, on_stage=lambda stage: None)
-        warp = shape_of(problem, quiet, rough_fit(problem, quiet, NOTHING))
+        warp = shape_of(problem, quiet, rough_fit(problem, quiet, NOTHING).motion)
     if warp is not None:
         problem = problem.warped(warp)
         search = replace(search, surface=problem.surface)

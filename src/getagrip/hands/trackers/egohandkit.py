@@ -8,10 +8,9 @@ same, as ``hands`` of each of ``frames``. HaWoR's translations are for the focal
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from getagrip.hands.trackers.estimates import Estimate, Estimates, Request
 from getagrip.hands.trackers.joint_checks import check_before_camera
 from getagrip.hands.trackers.lerobot import read_columns
 from getagrip.hands.trackers.recognition import Sample
-from getagrip.hands.trackers.records import numbers
+from getagrip.hands.trackers.records import Record, numbers
 from getagrip.hands.trackers.tracker import Tracker, frames_of_images, no_name, only_file
 from getagrip.provenance import estimated
 
@@ -66,9 +65,9 @@ class EgoHandKit(Tracker):
         return Estimates(request.side, tuple(found))
 
 
-def _by_image(path: Path, record: records.Record) -> dict[str, list[dict[str, Any]]]:
+def _by_image(path: Path, record: Record) -> dict[str, list[Record]]:
     """Return the hands of each image as HaMeR's records. Raises ``InputError``."""
-    images: dict[str, list[dict[str, Any]]] = {}
+    images: dict[str, list[Record]] = {}
     try:
         if "frames" in record:
             listed = {str(frame["img_path"]): frame["hands"] for frame in record["frames"]}
@@ -91,7 +90,7 @@ def _by_image(path: Path, record: records.Record) -> dict[str, list[dict[str, An
 def _joints(path: Path, request: Request) -> Estimates:
     """Read the joints of a side from the Parquet file. Raises ``InputError``, and ``UsageError`` without pyarrow."""
     key = f"{request.side}_joints_3d"
-    table: Mapping[str, list[Any]] = read_columns(path, ["frame_idx", key])
+    table = read_columns(path, ["frame_idx", key])
     there = [row for row, value in enumerate(table[key]) if value is not None]
     if not there:
         return Estimates(request.side, ())

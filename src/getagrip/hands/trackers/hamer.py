@@ -132,7 +132,7 @@ def people(path: Path, content: Record) -> list[Record]:
     return each
 
 
-def _in_hamers_words(hand: Any) -> Any:
+def _in_hamers_words(hand: object) -> Any:
     """Rename the keys of fasthamer's hands and of V2D's tracks, whose values are HaMeR's, to HaMeR's."""
     if not isinstance(hand, Mapping):
         return hand

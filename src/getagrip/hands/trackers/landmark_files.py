@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -21,6 +21,7 @@ from numpy import ndarray
 from getagrip.errors import InputError, MissingOptionError
 from getagrip.hands.model import Side
 from getagrip.hands.trackers import records
+from getagrip.hands.trackers.records import Record
 from getagrip.io import arrays
 
 MEDIAPIPE = ("hand_landmarks", "handLandmarks", "landmarks", "multi_hand_landmarks")
@@ -82,9 +83,9 @@ def read(paths: Sequence[Path], side: Side, swapped: bool | None) -> tuple[list[
     return named, chosen, bool(in_mirror) and swapped is None
 
 
-def _images(path: Path) -> list[tuple[str | None, Mapping[str, Any]]]:
+def _images(path: Path) -> list[tuple[str | None, Record]]:
     """Return the name of each image, None where there is none, and what the file has of it."""
-    content: Any = records.read(path)
+    content = records.read(path)
     by_image = records.by_image(content)
     if by_image:
         return [(Path(name).stem, _mapping(path, one)) for name, one in by_image.items()]
@@ -100,13 +101,13 @@ def _images(path: Path) -> list[tuple[str | None, Mapping[str, Any]]]:
     return found
 
 
-def _mapping(path: Path, value: object) -> Mapping[str, Any]:
+def _mapping(path: Path, value: object) -> Record:
     if not isinstance(value, Mapping):
         raise InputError(path, "", "a list of other things", "a record for each image")
     return value
 
 
-def _mediapipe(path: Path, content: Mapping[str, Any]) -> list[Seen]:
+def _mediapipe(path: Path, content: Record) -> list[Seen]:
     """Read MediaPipe's hands in an image; none where it is not of MediaPipe."""
     key = next((key for key in MEDIAPIPE if isinstance(content.get(key), list)), None)
     if key is None:
@@ -123,7 +124,7 @@ def _mediapipe(path: Path, content: Mapping[str, Any]) -> list[Seen]:
     return found
 
 
-def _label(value: Any) -> str:
+def _label(value: object) -> str:
     """Return the side that a hand's classification names, in small letters."""
     while isinstance(value, list) and value:
         value = value[0]
@@ -134,7 +135,7 @@ def _label(value: Any) -> str:
     return str(value).lower() if str(value).lower() in ("left", "right") else ""
 
 
-def _mmpose(path: Path, content: Mapping[str, Any]) -> list[Seen]:
+def _mmpose(path: Path, content: Record) -> list[Seen]:
     """Read the hands of the people in an image."""
     found = []
     for one in content.get("instances", [content] if "keypoints" in content else []):

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from jaxtyping import Float
@@ -24,6 +24,9 @@ from getagrip.hands.trackers.landmarks import lifted
 from getagrip.hands.trackers.recognition import Sample
 from getagrip.hands.trackers.tracker import Tracker, frames_of_images
 from getagrip.io import extras
+
+if TYPE_CHECKING:
+    from pyarrow.parquet import ParquetFile
 
 LARGEST = 2**30
 """Bytes of the largest file."""
@@ -96,7 +99,7 @@ def columns_of(path: Path) -> list[str]:
     return list(_opened(path).schema_arrow.names)
 
 
-def read_columns(path: Path, names: Sequence[str]) -> dict[str, list[Any]]:
+def read_columns(path: Path, names: Sequence[str]) -> dict[str, list[object]]:
     """Read columns of a Parquet file. Raises ``InputError``, and ``UsageError`` without pyarrow."""
     file = _opened(path)
     missing = next((name for name in names if name not in file.schema_arrow.names), None)
@@ -108,7 +111,7 @@ def read_columns(path: Path, names: Sequence[str]) -> dict[str, list[Any]]:
         raise InputError(path, "", f"a damaged file ({error})", "Parquet") from error
 
 
-def _opened(path: Path) -> Any:
+def _opened(path: Path) -> ParquetFile:
     """Open a Parquet file."""
     parquet = extras.load("pyarrow.parquet", "lerobot", path.name)
     if path.stat().st_size > LARGEST:

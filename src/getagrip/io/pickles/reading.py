@@ -1,4 +1,4 @@
-"""Dictionaries of arrays out of pickles from strangers, within bounds."""
+"""Dictionaries of arrays out of untrusted pickles, within bounds."""
 
 from __future__ import annotations
 
