@@ -81,6 +81,8 @@ def test_the_arrow_step_is_that_of_the_dense_system(S: int, L: int, tied: bool) 
     shared, local = arrow.solved()
     expected = -np.linalg.solve(dense, g[..., None])[..., 0]
     np.testing.assert_allclose(np.concatenate([shared, local.reshape(B, -1)], axis=1), expected, atol=1e-10)
+    if not tied:  # the covariance of what is shared is a block of the whole one
+        np.testing.assert_allclose(np.linalg.inv(arrow.reduced()), np.linalg.inv(dense)[:, :S, :S], atol=1e-10)
 
 
 def test_damping_raises_the_diagonal_alone() -> None:

@@ -220,6 +220,13 @@ class Arrow:
         shared = -np.linalg.solve(schur, reduced[..., None])[..., 0] if S else np.zeros_like(g_s)
         return shared, -(solved[..., S] + (solved[..., :S] @ shared[:, None, :, None])[..., 0])
 
+    def reduced(self) -> Float[ndarray, "B S S"]:
+        """Return the Hessian by the shared parameters, each frame's own at their best (Schur complement).
+
+        What ``cross`` ties is left out.
+        """
+        return self.H_ss - (self.H_sl @ np.linalg.solve(self.H_ll, np.swapaxes(self.H_sl, -1, -2))).sum(axis=1)
+
     def _loose_first(
         self, cross: Float[ndarray, "B N L N L"], tied: Bool[ndarray, "L"]
     ) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:

@@ -18,6 +18,7 @@ from getagrip.fitting.observation import CROP
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.solve import hessian
 from getagrip.geometry import se3
+from getagrip.least_squares import Arrow
 
 LEAST = 1e-6
 """Least certainty of a direction that the energy does not see (the spin of a bottle), as a share of the most
@@ -37,10 +38,10 @@ def pose_spread(problem: Problem, found: MethodResult) -> float:
     S = J_shared.shape[-1]
     if S == 0:
         return float("nan")
-    H, prior = hessian(motion, found.energy_of(problem)(CROP, frames), T_cam_hand)[0], motion.prior()
-    own = H[:, S:, S:] + prior.H + LEAST * np.eye(H.shape[-1] - S)
-    reduced = (H[:, :S, :S] - H[:, :S, S:] @ np.linalg.solve(own, H[:, S:, :S])).sum(axis=0)
-    certain, directions = np.linalg.eigh(reduced)
+    H, prior = hessian(motion, found.energy_of(problem)(CROP, frames), T_cam_hand), motion.prior()
+    arrow = Arrow.of(H, np.zeros(H.shape[:-1]), slice(S), slice(S, None))
+    arrow = arrow.plus(H_ll=prior.H + LEAST * np.eye(H.shape[-1] - S))
+    certain, directions = np.linalg.eigh(arrow.reduced()[0])
     if not certain[-1] > 0.0:  # no contour and no contact tells anything
         return float("nan")
     spread = directions / np.sqrt(np.maximum(certain, LEAST * certain[-1]))

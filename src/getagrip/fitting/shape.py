@@ -97,9 +97,8 @@ class _State:
         J[..., :7, :S], J[..., 7:, S : S + M], J[..., :7, S + M :] = seen[..., :S], np.eye(M), seen[..., S:]
         Jt = np.swapaxes(J, -1, -2)
         A, b = Jt @ self.H[active] @ J, (Jt @ self.g[active][..., None])[..., 0]
-        arrow = Arrow.of(A, b, slice(S + M), slice(S + M, None)).plus(H_ll=prior.H, g_l=prior.g)
-        arrow.H_ss[:, S:, S:] += self.stiffness
-        arrow.g_s[:, S:] += self.pull[active]
+        of_shape = np.pad(self.stiffness, (S, 0)), np.pad(self.pull[active], ((0, 0), (S, 0)))
+        arrow = Arrow.of(A, b, slice(S + M), slice(S + M, None)).plus(*of_shape, prior.H, prior.g)
         step, per_frame = arrow.step(damping, FLOOR)
         return replace(self, motion=motion.retract(step[:, :S], per_frame), weights=weights + step[:, S:])
 
