@@ -8,9 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from getagrip.clip import Clip, Segment
+from getagrip.clip import Clip, Segment, with_masks
 from getagrip.fitting.hand_size import at_object_size, beside_hand
+from getagrip.fitting.methods.all_frames import search_of
 from getagrip.fitting.options import Options
+from getagrip.fitting.problem import prepare
+from getagrip.fitting.schedule import THOROUGH, USUAL
 from getagrip.geometry import se3
 from getagrip.provenance import assumed, measured
 from getagrip.result import Reconstruction, read_result, write_result
@@ -25,6 +28,13 @@ def with_larger_hand(clip: Clip, by: float) -> Clip:
     T = clip.hand.T_cam_hand.copy()
     T[:, :3, 3] *= by
     return replace(clip, hand=replace(clip.hand.scaled(by), T_cam_hand=T))
+
+
+def test_beside_a_lifted_hand_the_search_is_long() -> None:
+    clip, masks = scene("mug", 1, SMALL)
+    for known, schedule in ((LIFTED, THOROUGH), ({}, USUAL)):
+        problem = prepare(with_masks(replace(clip, provenance=known), masks), Options())
+        assert search_of(problem, lambda stage: None).schedule == schedule
 
 
 @pytest.mark.slow

@@ -108,7 +108,8 @@ class SearchOptions(NamedFields):
     """Use only the poses of --priors, at most --inits of them, without evenly spread ones. The paper does so. A clip
     fails if --priors has no pose for its category and side."""
     thorough: Flag = False
-    """Search two to three times as long; only methods that fit all frames together do."""
+    """Search two to three times as long, as is always done beside a hand that was lifted from 2D; only methods that fit
+    all frames together do."""
     hands: Annotated[Hands, switch("as-given"), arg(name="given-hands", help_behavior_hint="")] = "corrected"
     """Do not refine the hands (as-given). By default (corrected) they are aligned to the hand's pixels (masks/hand,
     else masks/ignore) where they disagree, and tracker glitches are repaired."""

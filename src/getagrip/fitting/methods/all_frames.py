@@ -207,8 +207,8 @@ def steady(problem: Problem, energy: Energy) -> Energy:
 
 
 def search_of(problem: Problem, on_stage: OnStage) -> Search:
-    """Make the search on a clip, as long as the options say."""
-    schedule = THOROUGH if problem.options.thorough else USUAL
+    """Make the search on a clip, as long as the options say; longer beside a lifted hand, which tells little."""
+    schedule = THOROUGH if problem.options.thorough or problem.trust.hand_lifted else USUAL
     opposite = opposite_turns(problem.clip, problem.surface)
     return Search(problem.clip.hand.T_cam_hand, problem.surface, schedule, on_stage, problem.threads, opposite)
 
