@@ -137,7 +137,7 @@ def _column(heading: str, cells: Sequence[str]) -> Column:
     if not label or unit not in UNITS:
         label, unit = heading, ""
     key = COLUMN_KEYS.get(heading) or slug(heading, "_")
-    return Column(key, label, unit, digits=max(map(_digits, cells)))
+    return Column(key, label, unit, digits=max(map(_digits, cells), default=0))
 
 
 def _alike(cells: Sequence[Sequence[str]], labels: int) -> bool:
