@@ -270,7 +270,7 @@ def _status(K: Float[ndarray, "T 3 3"], size: tuple[int, int], warnings: tuple[s
     camera = camera_warning(K, size)
     texts = [*(f"hands: {text}" for text in warnings), *([f"camera: {camera}"] if camera else [])]
     for text in texts:
-        warn(f"{text}")
+        warn(text)
     return WARNED if texts else 0
 
 

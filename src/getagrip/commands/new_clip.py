@@ -279,7 +279,7 @@ def _check(made: Path, masks: bool, out: Path) -> None:
 def _summary(clip: Clip, new: NewClip, hands: Hands | None, out: Path) -> int:
     """Print what was made, what is a guess and what is missing; 3 where something is."""
     from getagrip.clip.intrinsics import camera_warning
-    from getagrip.provenance import is_assumed, report_source
+    from getagrip.provenance import is_assumed
 
     print(f"{out}: {len(clip)} frames")
     if hands and len(hands.found) < len(clip):
@@ -290,7 +290,7 @@ def _summary(clip: Clip, new: NewClip, hands: Hands | None, out: Path) -> int:
         )
     for key, text in clip.provenance.items():
         if is_assumed(text):
-            report_source(key, text)
+            warn(f"{key}: {text}")
     if warning := camera_warning(clip.K, clip.size):
         warn(f"camera: {warning}")
     missing = [key for key, there in (("masks", new.masks), ("hands", new.hands)) if there is None]

@@ -38,7 +38,7 @@ from getagrip.metrics.symmetry import Symmetries, find_symmetries
 V = TypeVar("V")
 
 SHARED = 8
-"""Most results of a ground truth that are kept, the latest: of a clip, in all frames and in those fitted together."""
+"""Number of values of ground truths that are kept, the latest: of a clip, in all frames and in fitted ones."""
 _SHARED: dict[tuple[object, ...], Any] = {}
 
 
@@ -259,7 +259,7 @@ class Comparison:
 
 
 def _shared(compute: Callable[[], V], *inputs: ndarray | float) -> V:
-    """Compute something of the ground truth once for all methods that are compared on a clip: ``inputs`` tell it."""
+    """Compute a value of the ground truth once for all methods compared on a clip; it depends on ``inputs`` alone."""
     key = tuple(part.tobytes() if isinstance(part, ndarray) else part for part in inputs)
     if key not in _SHARED:
         while len(_SHARED) >= SHARED:

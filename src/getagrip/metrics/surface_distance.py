@@ -54,25 +54,23 @@ def moving_distance(
     closed = bool(np.all(edge_table(faces)[:, 3] < len(faces)))  # else one can get inside without crossing the surface
     inside, least = np.zeros(points.shape[1], dtype=bool), np.full(points.shape[1], -np.inf)
     out = np.full(points.shape[:2], np.inf)
-    moved, here = np.inf, None
+    moved = np.inf
     for n, (x, surface) in enumerate(zip(points, vertices, strict=True)):
         if n > 0:
             moved = np.linalg.norm(surface - vertices[n - 1], axis=1).max()
             step = x - points[n - 1]
             least -= np.sqrt(np.einsum("pk,pk->p", step, step)) + moved + 1e-9
         if moved > 0.0:
-            here = None
+            here = _Surface.of(surface, faces)
         sides = np.maximum(surface.min(axis=0) - x, x - surface.max(axis=0))
         outside = np.maximum(np.maximum(sides[:, 0], sides[:, 1]), sides[:, 2])  # the bounding box, by so much
         boxed = outside <= 0.0
         unsure = np.flatnonzero(boxed & ((least <= 0.0) | (not closed)))
         if unsure.size:
-            here = here or _Surface.of(surface, faces)
             inside[unsure] = here.encloses(x[unsure])
         inside &= boxed
         asked = np.flatnonzero((outside <= max_distance) & (inside | (least <= max_distance)))
         if asked.size:
-            here = here or _Surface.of(surface, faces)
             least[asked] = here.distance(x[asked])
             out[n, asked] = np.where(inside[asked], -least[asked], least[asked])
     return out
