@@ -20,7 +20,7 @@ class SceneNets(Nets):
         super().__init__(lambda image: [], lambda image: [], "made up")
         object.__setattr__(self, "hands", hands)
 
-    def palms(self, image: np.ndarray) -> list[Palm]:
+    def palms(self, image: np.ndarray, fill: float = 1.0) -> list[Palm]:
         points = np.tile(POINTS[0], (7, 1))
         points[2] = POINTS[9]
         box = np.concatenate([POINTS[[0, 5, 17]].min(axis=0), POINTS[[0, 5, 17]].max(axis=0)])

@@ -33,8 +33,9 @@ def test_anchors_are_the_middles_of_cells() -> None:
 
 
 @pytest.mark.parametrize("size", [(720, 1280), (1920, 1080), (640, 640)])
-def test_a_palm_is_where_its_anchor_is(size: tuple[int, int]) -> None:
-    anchor, frame = 24 * 24 * 2 + (5 * 12 + 6) * 6, Letterbox.of(size)
+@pytest.mark.parametrize("fill", [1.0, 0.5])
+def test_a_palm_is_where_its_anchor_is(size: tuple[int, int], fill: float) -> None:
+    anchor, frame = 24 * 24 * 2 + (5 * 12 + 6) * 6, Letterbox.of(size, fill)
     (palm,) = palms.decoded(*output((anchor, 3.0)), frame)
     middle = np.array([6.5, 5.5]) / 12 * 192
     np.testing.assert_allclose((palm.box[:2] + palm.box[2:]) / 2, frame.back(middle), atol=1e-6)
@@ -51,10 +52,11 @@ def test_overlapping_palms_are_one_and_distant_ones_two() -> None:
     assert palms.decoded(*output(), Letterbox.of((192, 192))) == []
 
 
-def test_the_letterbox_keeps_places() -> None:
+@pytest.mark.parametrize("fill", [1.0, 0.5])
+def test_the_letterbox_keeps_places(fill: float) -> None:
     image = np.zeros((1280, 720, 3), np.uint8)
     image[630:650, 350:370] = 255
-    frame = Letterbox.of((720, 1280))
+    frame = Letterbox.of((720, 1280), fill)
     v, u = np.nonzero(frame.image(image)[..., 0] > 0.5)
     np.testing.assert_allclose(frame.back(np.array([u.mean() + 0.5, v.mean() + 0.5])), [360.0, 640.0], atol=4.0)
 

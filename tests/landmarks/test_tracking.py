@@ -11,6 +11,7 @@ from getagrip.errors import UsageError
 from getagrip.landmarks import crops
 from getagrip.landmarks.crops import Crop
 from getagrip.landmarks.following import Sighting, follow
+from getagrip.landmarks.handedness import log_odds, seen_mirrored
 from getagrip.landmarks.nets import Found, Nets
 from getagrip.landmarks.palms import Palm
 from getagrip.landmarks.selecting import select
@@ -33,7 +34,7 @@ class Seeing(Nets):
         object.__setattr__(self, "detected", detected)
         object.__setattr__(self, "asked", [])
 
-    def palms(self, image: np.ndarray) -> list[Palm]:
+    def palms(self, image: np.ndarray, fill: float = 1.0) -> list[Palm]:
         n = int(image[0, 0, 0])
         found = []
         for each in self.hands[n] if n in self.detected else []:  # type: ignore[attr-defined]
@@ -63,11 +64,49 @@ def test_a_hand_detected_once_is_followed_both_ways() -> None:
         np.testing.assert_allclose(each.points, hands[n][0].points)
 
 
+def test_a_hand_that_fills_the_image_is_detected_where_it_is_smaller() -> None:
+    class Large(Seeing):
+        """The detector misses hands that are large in its input."""
+
+        def palms(self, image: np.ndarray, fill: float = 1.0) -> list[Palm]:
+            asked.append((int(image[0, 0, 0]), fill))
+            return super().palms(image) if fill < 1.0 else []
+
+    asked: list[tuple[int, float]] = []
+    seen = follow(image, 4, Large({n: [hand(300.0)] for n in range(4)}, set(range(4))))
+    assert [len(each) for each in seen] == [1] * 4
+    assert [n for n, fill in asked if fill < 1.0] == [0]  # it is followed from there
+
+
 def test_a_hand_that_is_followed_and_detected_is_one() -> None:
     hands = {n: [hand(300.0)] for n in range(5)}
     nets = Seeing(hands, set(range(5)))
     assert [len(each) for each in follow(image, 5, nets)] == [1] * 5
     assert len(nets.asked) == 5  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("mends", [True, False])
+def test_a_hand_that_is_seen_mirrored_for_a_while_is_looked_for_again(mends: bool) -> None:
+    """Where it is not seen as one of its own side then either, the frames are left out."""
+    mirrored = range(11, 17)
+    seen = [[hand(300.0, right=0.9 if n in mirrored else 0.2)] for n in range(20)]
+
+    def again(hands: Mapping[int, Sighting], side: str) -> dict[int, Sighting]:
+        assert side == "left"
+        assert sorted(hands) == [n for n in range(20) if n not in mirrored]
+        return dict(hands) | {n: hand(300.0, right=0.2 if mends else 0.8) for n in mirrored}
+
+    found = select(seen, again=again)
+    assert found.rows == tuple(n for n in range(20) if mends or n not in mirrored)
+    assert any("of the other side: 12 to 17" in note for note in found.notes) != mends
+
+
+def test_no_hand_is_mirrored_in_half_of_its_frames_or_against_its_mirror_image() -> None:
+    half = {n: hand(300.0, right=0.9 if n < 10 else 0.05) for n in range(20)}
+    assert seen_mirrored(half, "left", lambda n, each: log_odds(each)) == []
+    some = {n: hand(300.0, right=0.9 if n < 6 else 0.05) for n in range(20)}
+    assert seen_mirrored(some, "left", lambda n, each: log_odds(each)) == list(range(6))
+    assert seen_mirrored(some, "left", lambda n, each: -1.0) == []
 
 
 def test_the_side_is_the_majoritys() -> None:

@@ -27,6 +27,8 @@ MEMORY = 10
 AROUND, LEAST_AROUND = 0.9, 0.33
 """Half the side of that search region, in sides of the hand's square, and its least value as a share of the image's
 shorter side."""
+SHRUNK = 0.5
+"""Share of the detector's input that an image without a palm fills next: it misses hands that fill its input."""
 TURNS = (-0.8, 0.8)
 """Angles by which the square about a palm is turned, if no hand is seen in it [rad]."""
 SAME = 0.4
@@ -86,7 +88,8 @@ def follow(
         expected = _crops(seen[-1]) if seen else []
         followed = _looked(now, expected, nets)
         known = [crop for crop, hand in zip(expected, followed, strict=True) if hand.confidence >= SURE]
-        detected = [crop for crop in map(crops.of_palm, nets.palms(now)) if not any(map(crop.near, known))]
+        palms = nets.palms(now) or ([] if known else nets.palms(now, SHRUNK))
+        detected = [crop for crop in map(crops.of_palm, palms) if not any(map(crop.near, known))]
         before: list[Sighting] = next((hands for hands in reversed(seen[-MEMORY:]) if hands), [])
         lost = [crop for crop in _crops(before) if not any(map(crop.near, [*known, *detected]))]
         around = [_turned(now, crop, nets) for crop in detected]

@@ -3,10 +3,14 @@
 The network is less sure of left hands than of right ones, and of hands whose palm an object hides. Its bias cancels
 out, since each sighting is compared with one in the mirror image, where the hand must be one of the other side. What it
 says of the side is supported by how it sees the fingers in 3D: they bend towards the palm.
+
+Where the side is known, frames in which the hand is seen as one of the other side are wrong (``seen_mirrored``).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from itertools import groupby
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -26,7 +30,12 @@ MOST = 4.0
 SURE = 1.0, 0.8
 """Mean log odds of a side, and share of frames that look like it, below which a side is assumed."""
 
+BESIDE = 2
+"""Number of frames before and after that decide with a frame whether it is seen mirrored."""
+
 Side = Literal["left", "right"]
+Odds = Callable[[int, Sighting], float]
+"""The log odds that a hand in a frame is a right one."""
 
 
 class Handedness(NamedTuple):
@@ -87,3 +96,19 @@ def compared(image: UInt8[ndarray, "H W 3"], hand: Sighting, nets: Nets) -> floa
     middle = np.array([image.shape[1] - crop.middle[0], crop.middle[1]])
     mirrored = nets.landmarks(np.ascontiguousarray(image[:, ::-1]), crop._replace(middle=middle, angle=-crop.angle))
     return 0.5 * (log_odds(hand) - log_odds(Sighting(*mirrored)))
+
+
+def seen_mirrored(hand: Mapping[int, Sighting], side: Side, odds: Odds) -> list[int]:
+    """Return the frames in which a hand is seen as one of the other side: some in a row, and less than half of all.
+
+    Seen from its edge a hand looks like its mirror image, with the thumb where the little finger is.
+    """
+    right, frames = (1.0 if side == "right" else -1.0), sorted(hand)
+    raw = [right * log_odds(hand[n]) for n in frames]
+    unlike = [float(np.median(raw[max(0, i - BESIDE) : i + BESIDE + 1])) < 0.0 for i in range(len(raw))]
+    out: list[int] = []
+    for other, run in groupby(zip(unlike, frames, strict=True), key=lambda each: each[0]):
+        some = [n for _, n in run]
+        if other and np.mean([right * odds(n, hand[n]) for n in some]) < 0.0:
+            out += some
+    return out if len(out) < len(frames) / 2 else []

@@ -52,9 +52,9 @@ class Nets:
     hand: Net
     runtime: str
 
-    def palms(self, image: UInt8[ndarray, "H W 3"]) -> list[Palm]:
-        """Detect the palms in an image."""
-        frame = Letterbox.of((image.shape[1], image.shape[0]))
+    def palms(self, image: UInt8[ndarray, "H W 3"], fill: float = 1.0) -> list[Palm]:
+        """Detect the palms in an image, whose longer side is ``fill`` of what the network sees."""
+        frame = Letterbox.of((image.shape[1], image.shape[0]), fill)
         boxes, logits = self.palm(frame.image(image))
         return palms.decoded(boxes.reshape(-1, 18), logits.ravel(), frame)
 

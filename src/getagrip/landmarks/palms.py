@@ -56,9 +56,9 @@ class Letterbox(NamedTuple):
     shift: Float[ndarray, "2"]
 
     @staticmethod
-    def of(size: tuple[int, int]) -> Letterbox:
-        """Make it for images of this width and height [px]."""
-        scale = SIDE / max(size)
+    def of(size: tuple[int, int], fill: float = 1.0) -> Letterbox:
+        """Make it for images of this width and height [px], whose longer side is ``fill`` of the square's."""
+        scale = fill * SIDE / max(size)
         return Letterbox(scale, (SIDE - scale * np.array(size, dtype=float)) / 2.0)
 
     def image(self, image: UInt8[ndarray, "H W 3"]) -> Float32[ndarray, "192 192 3"]:

@@ -19,10 +19,9 @@ from getagrip.errors import UsageError
 from getagrip.io.terminal import counted
 from getagrip.landmarks.crops import SIDE, of_landmarks
 from getagrip.landmarks.following import Sighting
-from getagrip.landmarks.handedness import UNKNOWN, Handedness, Side, log_odds
+from getagrip.landmarks.handedness import UNKNOWN, Handedness, Odds, Side, log_odds, seen_mirrored
 from getagrip.provenance import Source, measured
 
-Odds = Callable[[int, Sighting], float]
 GAP = 10
 """Longest gap [frames] over which a hand is linked and later interpolated; longer gaps remain."""
 REACH = 1.0
@@ -146,11 +145,12 @@ def select(
     side: Side | None = None,
     boxes: Mapping[int, Float[ndarray, "4"]] | None = None,
     counted_from: int = 1,
-    again: Callable[[Mapping[int, Sighting]], dict[int, Sighting]] = dict,
+    again: Callable[[Mapping[int, Sighting], Side], dict[int, Sighting]] = lambda hand, _: dict(hand),
     odds: Odds = lambda _, hand: log_odds(hand),
 ) -> HandLandmarks:
-    """Select the hand that holds the object. ``again`` looks for it once more where it is not sure (``second_look``).
+    """Select the hand that holds the object.
 
+    ``again`` looks for it once more where it is not sure (``second_look``), or is seen as one of the other side.
     ``odds`` are the log odds that a hand in a frame is a right one.
 
     ``side`` overrules the majority; ``boxes`` (left, top, width, height) [px] are where the object is in some frames.
@@ -175,8 +175,12 @@ def select(
     first = min(found, key=lambda track: (track.distance(boxes or {}), _weight(track) < often, track.bending))
     majority = side or first.side
     hand, others = _completed(first, _of_side([track for track in found if track is not first], first.side))
-    hand, flickering = _steady(again(hand))
     as_stated = side in (None, first.side)
+    if as_stated and (mirrored := seen_mirrored(hand, majority, odds)):
+        hand = {n: each for n, each in hand.items() if n not in mirrored}
+    hand = again(hand, first.side)
+    mirrored = seen_mirrored(hand, majority, odds) if as_stated else []
+    hand, flickering = _steady({n: each for n, each in hand.items() if n not in mirrored})
     notes = [] if as_stated else [f"a guess: {first.handedness.words}, but the side is stated"]
     if boxes is not None:
         apart = first.distance(boxes)
@@ -188,6 +192,8 @@ def select(
     if flickering:
         left_out = _ranges(flickering, counted_from)
         notes.append(f"left out, since they differ from the frames about them: {left_out}")
+    if mirrored:
+        notes.append(f"left out, since they look like a hand of the other side: {_ranges(mirrored, counted_from)}")
     if gaps := _ranges(sorted({*range(len(seen))} - {*hand}), counted_from):
         notes.append(f"no hand in the frames {gaps} (counted from 1)")
     opposite = [track for track in found if track.side != first.side]
