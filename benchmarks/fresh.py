@@ -27,15 +27,9 @@ def main(folder: str) -> dict[str, float]:
     reconstruct(clip, masks)
     first = time.process_time()
     reconstruct(clip, masks)
-    return {
-        "imports": imported,
-        "read": read - imported,
-        "first": first - read,
-        "second": time.process_time() - first,
-        "memory imports": memory_imported,
-        "memory read": memory_read,
-        "memory": peak_memory(),
-    }
+    memory = {"memory imports": memory_imported, "memory read": memory_read, "memory": peak_memory()}
+    seconds = [imported, read - imported, first - read, time.process_time() - first]
+    return dict(zip(("imports", "read", "first", "second"), seconds, strict=True)) | memory
 
 
 if __name__ == "__main__":

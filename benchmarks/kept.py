@@ -1,9 +1,9 @@
 """Calibrate what is kept: ``python -m benchmarks.kept ROWS``.
 
 ROWS is a file of ``benchmarks.kept_rows``, or several joined. Its training part gives ``checks/calibrated.json`` the
-probability for estimated hands, and for each kind of input the thresholds of ``checks.keeping``. The validation part is
-held against them: ``results/kept.json``; how many of it are right, by evidence: ``results/evidence-validation.json``.
-Nothing is reconstructed.
+probability for estimated hands, fitted with the synthetic part, and for each kind of input the thresholds of
+``checks.keeping``. The validation part is held against them: ``results/kept.json``; how many of it are right, by
+evidence: ``results/evidence-validation.json``. Nothing is reconstructed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from benchmarks import store
-from benchmarks.kept_rows import SEEDS, Row, read
+from benchmarks.kept_rows import SEEDS, SYNTHETIC, Row, read
 from benchmarks.probability import stored, write
 from benchmarks.reliability import auroc, auroc_interval, calibration_error, fit_weights, least_error
 from benchmarks.timing import circumstances
@@ -45,6 +45,8 @@ class Results:
 
     rows: Sequence[Row]
     where: Where
+    synthetic: Sequence[Row] = ()
+    """Results of synthetic clips to fit beside them. How often these are right is another matter: a bias of its own."""
 
     @property
     def right(self) -> Bool[ndarray, "n"]:
@@ -63,23 +65,32 @@ class Results:
 
     def only(self, **what: object) -> Results:
         """Those with some entries."""
-        return Results([row for row in self.rows if all(row[key] == value for key, value in what.items())], self.where)
+        rows = [row for row in self.rows if all(row[key] == value for key, value in what.items())]
+        return replace(self, rows=rows)
+
+    def without(self, category: str) -> Results:
+        """Those with objects of other categories."""
+        rows, synthetic = ([row for row in of if row["category"] != category] for of in (self.rows, self.synthetic))
+        return replace(self, rows=rows, synthetic=synthetic)
 
     @property
     def estimated(self) -> Results:
         """Those with estimated hands."""
-        return Results([row for row in self.rows if row["kind"] != "measured"], self.where)
+        return replace(self, rows=[row for row in self.rows if row["kind"] != "measured"])
 
     def fitted(self, made: str) -> Calibration:
         """Fit the weights of the signs."""
-        signs = np.array([[row["signs"][sign.name] for sign in ESTIMATED_SIGNS] for row in self.rows])
-        weights, bias = fit_weights(signs, self.right, [sign.direction for sign in ESTIMATED_SIGNS])
-        clips = len({row["clip"] for row in self.rows})
+        every = Results([*self.rows, *self.synthetic], self.where)
+        own = [[row["signs"][sign.name] for sign in ESTIMATED_SIGNS] for row in every.rows]
+        signs = np.column_stack([own, np.arange(len(own)) >= len(self.rows)])
+        weights, bias = fit_weights(signs, every.right, [*(sign.direction for sign in ESTIMATED_SIGNS), 0])
+        clips, more = (len({row["clip"] for row in of}) for of in (self.rows, self.synthetic))
         data = (
-            f"{len(self.rows)} results of {clips} training clips of DexYCB with hands off as estimates are, with and "
-            f"without 2D joints and depth, of which {100.0 * self.right.mean():.0f} % are right"
+            f"{len(self.rows)} results of {clips} training clips of DexYCB, of which {100.0 * self.right.mean():.0f} % "
+            f"are right, and {len(self.synthetic)} of {more} synthetic clips; hands off as estimates are, with and "
+            "without 2D joints and depth"
         )
-        named = {sign.name: weight for sign, weight in zip(ESTIMATED_SIGNS, weights, strict=True)}
+        named = {sign.name: weight for sign, weight in zip(ESTIMATED_SIGNS, weights[:-1], strict=True)}
         return Calibration(self.where, named, bias, data, made)
 
     def probability(self, calibration: Calibration) -> Float[ndarray, "n"]:
@@ -90,8 +101,7 @@ class Results:
         """Compute the probability of each by a fit without its own object."""
         of, out = np.array([row["category"] for row in self.rows]), np.empty(len(self.rows))
         for category in dict.fromkeys(of.tolist()):
-            rest = Results([row for row in self.rows if row["category"] != category], self.where).fitted("")
-            out[of == category] = self.only(category=category).probability(rest)
+            out[of == category] = self.only(category=category).probability(self.without(category).fitted(""))
         return out
 
     def keeping(self, probability: Float[ndarray, "n"]) -> Keeping:
@@ -102,8 +112,9 @@ class Results:
 
 
 def of_part(rows: Sequence[Row], part: str, where: Where) -> Results:
-    """Select the results of a part that have a probability."""
-    return Results([row for row in rows if row["part"] == part and not row["serious"]], where)
+    """Select the results of a part that have a probability, with the synthetic ones for fits."""
+    rows, synthetic = ([row for row in rows if row["part"] == of and not row["serious"]] for of in (part, SYNTHETIC))
+    return Results(rows, where, synthetic)
 
 
 def thresholds(keeping: Kept) -> list[dict[str, object]]:
@@ -209,17 +220,18 @@ def main(file: Path) -> None:
         f"{counts[0]} training and {counts[1]} validation results, by {makers}; none with a serious finding",
         "training results with estimated hands: by fits without their object; intervals: 95 %, clips drawn together",
     )
-    table = store.of_cells("What is kept", ("input", *HEADER), [*lines(rows, estimated, keeping)], notes)
-    table = replace(table, made=circumstances("python -m benchmarks.kept ROWS"))
-    print(store.write("kept", table).read_text(encoding="utf-8"))
     header = ("input", "clips", *(f"right in the {where}, %" for where in get_args(Where)))
     settings = (
         "hands: exact, or at the level estimated, their masks not ragged; 2D joints: landmarks; depth: mono, realsense",
         f"all validation clips, by {makers}; intervals: 95 %, over clips",
     )
-    table = store.of_cells("Evidence on hands", header, [*by_evidence(rows)], settings)
-    table = replace(table, made=circumstances("python -m benchmarks.kept ROWS"))
-    print(store.write("evidence-validation", table).read_text(encoding="utf-8"))
+    tables = {
+        "kept": store.of_cells("What is kept", ("input", *HEADER), [*lines(rows, estimated, keeping)], notes),
+        "evidence-validation": store.of_cells("Evidence on hands", header, [*by_evidence(rows)], settings),
+    }
+    made = circumstances("python -m benchmarks.kept ROWS")
+    for name, table in tables.items():
+        print(store.write(name, replace(table, made=made)).read_text(encoding="utf-8"))
 
 
 if __name__ == "__main__":

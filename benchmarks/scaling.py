@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,32 +23,21 @@ FACES = (200, 500, 1000, 2000, 5000, 10_000, 20_000)
 REPEATS = 3
 
 
-@dataclass(frozen=True)
-class Curve:
-    """Cost against one size, everything else as by default."""
-
-    name: str
-    sizes: tuple[int, ...]
-    seconds: list[float]
-    """Processor time, the least of the repetitions."""
-    stages: list[dict[str, float]]
-    """The median of processor time by stage."""
-
-
 def tables() -> dict[str, Table]:
     """Measure."""
     long, long_masks = synthesise(CATEGORY, 0, SceneOptions(frames=max(FRAMES)))
     clip, masks = synthesise(CATEGORY, 0)
     fine = _subdivided(clip.mesh, max(FACES))
-    curves = [
-        _measure("frames", FRAMES, lambda n: reconstruction(long, long_masks, Options(frames=n))),
-        _measure("initial poses", INITIAL_POSES, lambda n: reconstruction(clip, masks, Options(inits=n))),
-        _measure("faces", FACES, lambda n: reconstruction(replace(clip, mesh=decimate(fine, n)), masks)),
-    ]
-    return {f"scaling-{slug(curve.name)}": _table(curve) for curve in curves}
+    curves: tuple[tuple[str, tuple[int, ...], Callable[[int], Callable[[], Reconstruction]]], ...] = (
+        ("frames", FRAMES, lambda n: reconstruction(long, long_masks, Options(frames=n))),
+        ("initial poses", INITIAL_POSES, lambda n: reconstruction(clip, masks, Options(inits=n))),
+        ("faces", FACES, lambda n: reconstruction(replace(clip, mesh=decimate(fine, n)), masks)),
+    )
+    return {f"scaling-{slug(curve[0])}": _measure(*curve) for curve in curves}
 
 
-def _measure(name: str, sizes: tuple[int, ...], call_at: Callable[[int], Callable[[], Reconstruction]]) -> Curve:
+def _measure(name: str, sizes: tuple[int, ...], call_at: Callable[[int], Callable[[], Reconstruction]]) -> Table:
+    """Measure the cost against one size, everything else as by default: the least of the repetitions' CPU time."""
     seconds, stages = [], []
     for size in sizes:
         call = call_at(size)
@@ -56,7 +45,15 @@ def _measure(name: str, sizes: tuple[int, ...], call_at: Callable[[int], Callabl
         timing, results = timed(call, REPEATS)
         seconds.append(min(timing.cpu))
         stages.append(typical([result.seconds for result in results]))
-    return Curve(name, sizes, seconds, stages)
+    slopes = np.diff(np.log(seconds)) / np.diff(np.log(sizes))
+    overall = np.log(seconds[-1] / seconds[0]) / np.log(sizes[-1] / sizes[0])
+    texts = ["", *(f"{slope:.2f}" for slope in slopes)]
+    rows = [
+        [f"{size:,}", f"{1e3 * least:.0f}", slope, *(f"{1e3 * part:.0f}" for part in spent.values())]
+        for size, least, slope, spent in zip(sizes, seconds, texts, stages, strict=True)
+    ]
+    found = f"cost grows as their number to the power {overall:.2f}, {slopes.max():.2f} at most between neighbours"
+    return of_cells(f"Cost by number of {name}", [name, "CPU, ms", "power", *stages[0]], rows, [found])
 
 
 def _subdivided(mesh: Mesh, faces: int) -> Mesh:
@@ -67,16 +64,3 @@ def _subdivided(mesh: Mesh, faces: int) -> Mesh:
     while len(triangles) < faces:
         vertices, triangles = trimesh.remesh.subdivide(vertices, triangles)  # type: ignore[no-untyped-call]
     return Mesh(np.asarray(vertices), np.asarray(triangles, dtype=np.int64))
-
-
-def _table(curve: Curve) -> Table:
-    slopes = np.diff(np.log(curve.seconds)) / np.diff(np.log(curve.sizes))
-    overall = np.log(curve.seconds[-1] / curve.seconds[0]) / np.log(curve.sizes[-1] / curve.sizes[0])
-    texts = ["", *(f"{slope:.2f}" for slope in slopes)]
-    rows = [
-        [f"{size:,}", f"{1e3 * seconds:.0f}", slope, *(f"{1e3 * part:.0f}" for part in spent.values())]
-        for size, seconds, slope, spent in zip(curve.sizes, curve.seconds, texts, curve.stages, strict=True)
-    ]
-    found = f"cost grows as their number to the power {overall:.2f}, {slopes.max():.2f} at most between neighbours"
-    header = [curve.name, "CPU, ms", "power", *curve.stages[0]]
-    return of_cells(f"Cost by number of {curve.name}", header, rows, [found])

@@ -63,19 +63,14 @@ def sequence(frames: int) -> Clip:
     place = np.array([0.01, -0.045, 0.005]) + 0.01 * walk(rng, frames, 3)
     T_hand_obj = se3.rigid(se3.exp_so3(0.3 * walk(rng, frames, 3)), place)
     T_cam_hand = np.tile(se3.rigid(t=np.array([0.0, 0.0, 0.5])), (frames, 1, 1))
+    frames_of = tuple(f"{n:06d}" for n in range(frames))
+    K = np.tile([[600.0, 0.0, 320.0], [0.0, 600.0, 240.0], [0.0, 0.0, 1.0]], (frames, 1, 1))
+    hand = HandTrack(vertices, faces, T_cam_hand, {finger: np.array([n]) for n, finger in enumerate(FINGERS)})
+    truth = Truth(T_cam_hand @ T_hand_obj, 1.0, T_cam_hand, vertices)
     return Clip(
-        name="long",
-        category="mug",
-        side="right",
-        fps=30.0,
-        frames=tuple(f"{n:06d}" for n in range(frames)),
-        size=(640, 480),
-        K=np.tile([[600.0, 0.0, 320.0], [0.0, 600.0, 240.0], [0.0, 0.0, 1.0]], (frames, 1, 1)),
-        mesh=mug,
-        scale="known",
-        hand=HandTrack(vertices, faces, T_cam_hand, {finger: np.array([n]) for n, finger in enumerate(FINGERS)}),
-        truth=Truth(T_cam_hand @ T_hand_obj, 1.0, T_cam_hand, vertices),
-    )
+        name="long", category="mug", side="right", fps=30.0, frames=frames_of, size=(640, 480), K=K, mesh=mug,
+        scale="known", hand=hand, truth=truth,
+    )  # fmt: skip
 
 
 def walk(rng: np.random.Generator, frames: int, numbers: int) -> Float[ndarray, "T n"]:

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -66,27 +67,10 @@ class Case:
     make: Callable[[], tuple[Clip, Masks]]
 
 
-@dataclass(frozen=True)
-class ReadClip:
-    """The clip of a folder."""
-
-    folder: Path
-
-    def __call__(self) -> tuple[Clip, Masks]:
-        clip = read_clip(self.folder)
-        return clip, read_masks(clip)
-
-
-@dataclass(frozen=True)
-class Synthesised:
-    """A synthetic clip."""
-
-    preset: str
-    part: Split
-    number: int
-
-    def __call__(self) -> tuple[Clip, Masks]:
-        return synthesise(*split(self.part, self.preset)[self.number])
+def read_from(folder: Path) -> tuple[Clip, Masks]:
+    """Read a clip and its masks."""
+    clip = read_clip(folder)
+    return clip, read_masks(clip)
 
 
 def cases(clips: Path, root: Path, meshes: Path) -> list[Case]:
@@ -100,10 +84,11 @@ def _cases(clips: Path, root: Path, meshes: Path) -> Iterator[Case]:
     for part, (every, every_synthetic) in EVERY.items():
         found = DexYcb(split=part, root=root, meshes=meshes).samples(clips, False)[0]
         for sample in found[::every]:
-            yield Case("DexYCB", part, sample.name, tuple(CONDITIONS), ReadClip(sample.folder))
+            yield Case("DexYCB", part, sample.name, tuple(CONDITIONS), partial(read_from, sample.folder))
         for preset in PRESETS:
-            for number, (category, seed, _) in list(enumerate(split(part, preset)))[::every_synthetic]:
-                yield Case("synthetic", part, f"{category}-{seed}", (preset,), Synthesised(preset, part, number))
+            for category, seed, options in split(part, preset)[::every_synthetic]:
+                make = partial(synthesise, category, seed, options)
+                yield Case("synthetic", part, f"{category}-{seed}", (preset,), make)
 
 
 Row = dict[str, str]

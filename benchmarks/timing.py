@@ -21,8 +21,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Timing:
-    """Seconds of each repetition. On a busy machine wall time is longer than processor time; two threads would make
-    processor time the longer."""
+    """Seconds of each repetition. On a busy machine wall time is the longer, with two threads processor time."""
 
     wall: list[float]
     cpu: list[float]

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.kept import HEADER, calibrated, lines, thresholds
-from benchmarks.kept_rows import END, Row, read
+from benchmarks.kept import HEADER, calibrated, lines, of_part, thresholds
+from benchmarks.kept_rows import END, SYNTHETIC, Row, read
 from benchmarks.probability import stored, write
 from getagrip.batch.keep import HIGHEST, LOWEST, Keep
 from getagrip.checks.calibrated import CALIBRATIONS, FILE, KEEPING, read_calibrated
@@ -180,3 +180,14 @@ def test_what_was_calibrated_is_written_and_held_against_validation(tmp_path: Pa
     depth = next(line for line in table if line["label"] == "validation, in the hand, depth")
     assert float(depth["AUROC"].split()[0]) > 0.75
     assert float(depth["sets that hold it, %"].split()[0]) > 80.0
+
+
+def test_synthetic_results_move_weights_but_not_how_often_results_are_right() -> None:
+    rows = [row for row in made_rows(300, 0) if row["part"] == "train" and row["kind"] != "measured"]
+    more = [row | {"part": SYNTHETIC, "rank": {"hand": 1, "camera": 1}} for row in made_rows(600, 1)]
+    more += [row | {"part": SYNTHETIC} for row in made_rows(300, 2)]
+    alone, beside = (of_part([*rows, *some], "train", "hand") for some in ([], more))
+    assert len(beside.rows) == len(rows), "they are fitted only"
+    fitted = beside.fitted("")
+    assert beside.probability(fitted).mean() == pytest.approx(beside.right.mean(), abs=0.01)
+    assert fitted.weights["energy-gap"].weight != alone.fitted("").weights["energy-gap"].weight

@@ -26,8 +26,8 @@ SKIN, NO_SKIN = 3.5, 8.0
 which it is certainly not."""
 FEWEST = 20
 """Number of palm pixels that is enough to estimate the palm's colour."""
-LEAST_SPREAD = 6.0
-"""Least spread of the palm's colours [of 255]."""
+LEAST_SPREAD = np.array([20.0, 6.0, 6.0])
+"""Least spread of lightness, for light and shadow, and of the colours of the palm [of 255]."""
 ROUNDS = 3
 WEB = [0, 1, 2, 3, 5, 6]
 """The skin between thumb and index finger is within these."""
@@ -119,7 +119,6 @@ def _off(lab: Float[ndarray, "h w 3"], skin: Float[ndarray, "n 3"]) -> Float[nda
         return np.zeros(lab.shape[:2])
     middle = np.median(skin, axis=0)
     spread = np.maximum(1.48 * np.median(np.abs(skin - middle), axis=0), LEAST_SPREAD)
-    spread[0] *= 2.0  # light and shadow
     return np.sqrt(np.sum(((lab - middle) / spread) ** 2, axis=-1))
 
 
