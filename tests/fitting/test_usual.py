@@ -49,7 +49,7 @@ def test_energies_of_measured_objects_have_no_other_terms() -> None:
     clip, masks = unmeasured()
     more = {term.name for term in coarse_energy(prepare(with_masks(clip, masks), Options()))(64, np.arange(4))}
     assert named == {"mask", "push", "pull"}
-    assert more == named | {"size", "upright"}
+    assert more == named | {"size", "upright", "opening"}
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
@@ -90,7 +90,7 @@ def test_only_what_is_nearly_upside_down_costs() -> None:
 def test_a_mug_has_its_opening_on_the_thumb_s_side() -> None:
     clip, _ = unmeasured()
     terms = usual_of(clip)(64, np.arange(len(clip)))
-    assert [term.name for term in terms] == ["size", "upright"]
+    assert [term.name for term in terms] == ["size", "upright", "opening"]
     assert clip.truth is not None
     T, ones = clip.truth.T_cam_obj, np.ones(2)
     over = np.diag([1.0, -1.0, -1.0])
@@ -100,6 +100,21 @@ def test_a_mug_has_its_opening_on_the_thumb_s_side() -> None:
     assert not value[0].any()
     assert value[1].all()
     assert [one.name for one in usual_of(replace(clip, category="bottle"))(64, np.arange(2))] == ["size"]
+
+
+def test_a_mug_that_is_mirrored_in_depth_is_seen_from_below() -> None:
+    """Its silhouette stays, but for perspective; what it opens to does not."""
+    clip, _ = unmeasured()
+    opening = usual_of(clip)(64, np.arange(len(clip)))[2]
+    assert clip.truth is not None
+    T = clip.truth.T_cam_obj
+    ray = T[:, :3, 3] / np.linalg.norm(T[:, :3, 3], axis=1, keepdims=True)
+    in_depth = np.eye(3) - 2.0 * ray[:, :, None] * ray[:, None]
+    R = np.stack([T[:, :3, :3], in_depth @ T[:, :3, :3] @ np.diag([1.0, -1.0, 1.0])])
+    poses = PosesInCamera(R, np.tile(T[:, :3, 3], (2, 1, 1)), np.ones(2))
+    value = opening(poses, no_bound(poses)).value
+    assert not value[0].any()
+    assert value[1].all()
 
 
 @pytest.mark.parametrize("name", ["size", "upright"])

@@ -29,9 +29,9 @@ CHOICES = ("method", "inits", "init", "priors", "priors_only", "thorough", "seed
 """Options that leave a calibration valid; it was made with the usual values of all."""
 TERMS = (
     "total", "mask", "push", "pull", "consistency", "prior", "hand-mask", "joints-2d", "depth",
-    "order", "size", "upright",
+    "order", "size", "upright", "opening",
 )  # fmt: skip
-"""Names in the energy that was calibrated; the last three count only for inputs that are assumed, as which kind of
+"""Names in the energy that was calibrated; the last four count only for inputs that are assumed, as which kind of
 object it is, of which there were none, so that its probability is carried over to them."""
 APART = 0.14
 """Distance by which alternatives of a hand move the object in it [diameters]; a pose is right within 0.1. Chosen on

@@ -3,7 +3,8 @@
 A mesh of this package's own stands for an object that nobody has measured. Its search also starts from the grasps that
 are usual for the kind, turned about the object's upright axis, so that a handle is tried on every side of the hand. Its
 size is drawn to what is usual (``Kind.spread``), and its upright axis to where it usually points in the hand: the
-silhouette of a mug is nearly that of one upside down.
+silhouette of a mug is nearly that of one upside down. Vessels are seen from above: from below, the silhouette of a bowl
+whose rim is as far tilted is the same.
 """
 
 from __future__ import annotations
@@ -75,7 +76,10 @@ class SizeTerm:
 
 @dataclass(frozen=True)
 class UprightTerm:
-    """``weight / 2 * (min(0, max over k of axis_k . R z) / TILT)^2``, z the object's upright axis."""
+    """``weight / 2 * (min(0, max over k of axis_k . R z) / TILT)^2``, z the object's upright axis.
+
+    Called ``opening`` where the axis points to the camera.
+    """
 
     axes: Float[ndarray, "N k 3"]
     """Its usual directions in the camera frame."""
@@ -111,6 +115,8 @@ def usual_of(clip: Clip) -> Energy:
             return [size]
         axes = usual_rotations(clip)[: len(kind.grips), :, 2]
         in_camera = axes @ np.swapaxes(clip.hand.T_cam_hand[index, :3, :3], 1, 2)
-        return [size, InHand(UprightTerm(in_camera))]
+        from_above = -clip.hand.T_cam_hand[index, None, :3, 3]
+        from_above /= np.linalg.norm(from_above, axis=-1, keepdims=True)
+        return [size, InHand(UprightTerm(in_camera)), InHand(UprightTerm(from_above, name="opening"))]
 
     return terms
