@@ -214,10 +214,11 @@ def main(file: Path) -> None:
     rows = read(file)
     estimated, keeping = calibrated(rows, stamp())
     write(FILE, estimated=stored(estimated.values()), keeping=thresholds(keeping))
-    makers = ", ".join(sorted({row["made"] for row in rows}))
-    counts = [len(of_part(rows, part, "hand").rows) for part in SEEDS]
+    makers = ", ".join(sorted({row["made"] for row in rows if row["part"] in SEEDS}))
+    counts = [len(of_part(rows, part, "hand").rows) for part in (*SEEDS, SYNTHETIC)]
     notes = (
-        f"{counts[0]} training and {counts[1]} validation results, by {makers}; none with a serious finding",
+        f"{counts[0]} training and {counts[1]} validation results, by {makers}; beside them {counts[2]} of synthetic "
+        "clips in the fit for estimated hands; none with a serious finding",
         "training results with estimated hands: by fits without their object; intervals: 95 %, clips drawn together",
     )
     header = ("input", "clips", *(f"right in the {where}, %" for where in get_args(Where)))

@@ -44,10 +44,8 @@ ROWS, END = "rows.jsonl", "\t"
 ESTIMATED = Noisy(replace(NOISE["estimated"], mask_ragged_px=0.0))
 JOINTS = "landmarks", "wild", "lab"
 """Levels of the errors of 2D joints, by seed: results are to be kept at any of them."""
-SYNTHETIC = "synthetic"
-"""The part that is made here. DexYCB's training clips are few, and their wrong results are of 32 clips."""
-SCENES = range(300_000, 300_011)
-"""Seeds of the synthetic clips of each category."""
+SYNTHETIC, SCENES = "synthetic", range(300_000, 300_011)
+"""A part that is made here, and its seeds for each category: DexYCB's wrong training results are of 32 clips only."""
 SEEDS = {"train": 3, "validation": 1}
 """Draws of the errors of each clip; what does not err is reconstructed once."""
 Row = dict[str, Any]
