@@ -51,7 +51,7 @@ def test_what_was_lost_or_turned_is_seen_again(there: object) -> None:
     seen = {n: hand(n) for n in range(COUNT) if n not in doubtful}
     if callable(there):
         seen |= {n: there(n) for n in doubtful}
-    found = look_again(image, seen, COUNT, TurnedNets(), "left")
+    found = look_again(image, seen, COUNT, TurnedNets(), {})
     assert sorted(found) == list(range(COUNT))
     for n, each in found.items():
         np.testing.assert_allclose(each.points, hand(n).points, atol=1e-6)
@@ -60,7 +60,7 @@ def test_what_was_lost_or_turned_is_seen_again(there: object) -> None:
 
 def test_without_a_sure_run_nothing_changes() -> None:
     seen = {n: hand(n, 0.6) for n in range(COUNT)}
-    assert look_again(image, seen, COUNT, TurnedNets(), "left") == seen
+    assert look_again(image, seen, COUNT, TurnedNets(), {}) == seen
 
 
 def test_a_hand_that_has_gone_stays_gone() -> None:
@@ -69,7 +69,7 @@ def test_a_hand_that_has_gone_stays_gone() -> None:
             return Found(FLAT, WORLD, 0.02, 0.5)
 
     seen = {n: hand(n) for n in range(10)}
-    assert sorted(look_again(image, seen, COUNT, Nothing(), "left")) == list(range(10))
+    assert sorted(look_again(image, seen, COUNT, Nothing(), {})) == list(range(10))
 
 
 def test_of_two_views_the_one_of_the_hands_own_side_counts() -> None:
@@ -84,6 +84,7 @@ def test_of_two_views_the_one_of_the_hands_own_side_counts() -> None:
 
     seen = {n: hand(n) for n in range(COUNT) if n not in range(10, 15)}
     for side, shift in (("left", 0.0), ("right", 30.0)):
-        found = look_again(image, seen, COUNT, TwoNets(), side)  # type: ignore[arg-type]
+        sides = dict.fromkeys(range(10, 15), side)
+        found = look_again(image, seen, COUNT, TwoNets(), sides)  # type: ignore[arg-type]
         for n in range(10, 15):
             np.testing.assert_allclose(found[n].points, hand(n).points + shift, atol=1.0)

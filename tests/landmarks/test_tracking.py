@@ -91,8 +91,8 @@ def test_a_hand_that_is_seen_mirrored_for_a_while_is_looked_for_again(mends: boo
     mirrored = range(11, 17)
     seen = [[hand(300.0, right=0.9 if n in mirrored else 0.2)] for n in range(20)]
 
-    def again(hands: Mapping[int, Sighting], side: str) -> dict[int, Sighting]:
-        assert side == "left"
+    def again(hands: Mapping[int, Sighting], sides: Mapping[int, str]) -> dict[int, Sighting]:
+        assert sides == dict.fromkeys(mirrored, "left")
         assert sorted(hands) == [n for n in range(20) if n not in mirrored]
         return dict(hands) | {n: hand(300.0, right=0.2 if mends else 0.8) for n in mirrored}
 

@@ -104,8 +104,8 @@ def find_landmarks(
     def image(n: int) -> UInt8[ndarray, "H W 3"]:
         return footage.image(first + n)
 
-    def again(hand: Mapping[int, Sighting], its: Side) -> dict[int, Sighting]:
-        return look_again(image, hand, count, nets, its)
+    def again(hand: Mapping[int, Sighting], sides: Mapping[int, Side]) -> dict[int, Sighting]:
+        return look_again(image, hand, count, nets, sides)
 
     found = select(seen, side, of_row, first + 1, again, lambda n, hand: compared(image(n), hand, nets))
     said = [f"the picture jumps before frame {first + n + 1}: are frames missing?" for n in jumps(shot.apart)]

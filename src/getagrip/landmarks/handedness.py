@@ -109,6 +109,6 @@ def seen_mirrored(hand: Mapping[int, Sighting], side: Side, odds: Odds) -> list[
     out: list[int] = []
     for other, run in groupby(zip(unlike, frames, strict=True), key=lambda each: each[0]):
         some = [n for _, n in run]
-        if other and np.mean([right * odds(n, hand[n]) for n in some]) < 0.0:
+        if other and np.mean([right * odds(n, hand[n]) for n in some]) < -SURE[0]:
             out += some
     return out if len(out) < len(frames) / 2 else []

@@ -37,11 +37,11 @@ Image = UInt8[ndarray, "H W 3"]
 
 
 def look_again(
-    image: Callable[[int], Image], hand: Mapping[int, Sighting], count: int, nets: Nets, side: Side
+    image: Callable[[int], Image], hand: Mapping[int, Sighting], count: int, nets: Nets, sides: Mapping[int, Side]
 ) -> dict[int, Sighting]:
     """Return a hand's sightings in ``count`` frames, those in sure runs as they are; all, if there is no sure run.
 
-    What is seen again as a hand of the ``side`` counts more.
+    ``sides``: its side in frames in which it was seen as one of the other side. What shows its side counts more there.
     """
     sure = [n for run in _runs(hand) for n in run]
     if not sure:
@@ -52,7 +52,7 @@ def look_again(
         ends = [n for n in sure if n + step not in out and 0 <= n + step < count]
         found.append({})
         for end in ends:
-            found[-1] |= _extended(image, hand, out, end, step, count, nets, side)
+            found[-1] |= _extended(image, hand, out, end, step, count, nets, sides)
     for n in sorted({*found[0], *found[1]}):
         each = [part[n] for part in found if n in part]
         out[n] = max(each, key=lambda one: one.confidence)
@@ -88,7 +88,7 @@ def _extended(
     step: int,
     count: int,
     nets: Nets,
-    side: Side,
+    sides: Mapping[int, Side],
 ) -> dict[int, Sighting]:
     """Follow the hand from the end of a run to the next run, or until it is lost for long."""
     path = [crops.of_landmarks(known[n].points) for n in (end - step, end) if n in known]
@@ -98,22 +98,22 @@ def _extended(
     while 0 <= n < count and n not in known and lost < MEMORY:
         crop = crop._replace(middle=crop.middle + motion)
         as_expected = n in hand and _expected(crop, hand[n])
-        seen = hand[n] if as_expected else _seen(image(n), crop, shape, nets, side)
+        seen = hand[n] if as_expected else _seen(image(n), crop, shape, nets, sides.get(n))
         if seen is None:
             motion, lost = np.zeros(2), lost + 1
         else:
             own = crops.of_landmarks(seen.points)
             motion, lost = DECAY * (motion + own.middle - crop.middle), 0
             turned = (own.angle - crop.angle + np.pi) % (2.0 * np.pi) - np.pi
-            length, angle = crop.side ** (1.0 - GAIN) * own.side**GAIN, crop.angle + GAIN * turned
-            crop = Crop(own.middle, float(length), float(angle))
+            side, angle = crop.side ** (1.0 - GAIN) * own.side**GAIN, crop.angle + GAIN * turned
+            crop = Crop(own.middle, float(side), float(angle))
             shape += GAIN * (crop.from_image(seen.points) - shape)
             out[n] = seen
         n += step
     return out
 
 
-def _seen(image: Image, crop: Crop, shape: Float[ndarray, "21 2"], nets: Nets, side: Side) -> Sighting | None:
+def _seen(image: Image, crop: Crop, shape: Float[ndarray, "21 2"], nets: Nets, side: Side | None) -> Sighting | None:
     """Look where a hand is expected, in a ``shape`` [px of the square]; average what is alike, None without any."""
     squares = [crop._replace(side=size * crop.side, angle=crop.angle + turn) for size in SIZES for turn in ANGLES]
     looks = [Sighting(*nets.landmarks(image, square)) for square in squares]
@@ -125,8 +125,10 @@ def _seen(image: Image, crop: Crop, shape: Float[ndarray, "21 2"], nets: Nets, s
     bent = in_square - in_square.mean(axis=1, keepdims=True) - (shape - shape.mean(axis=0))
     off = np.sqrt(np.mean(np.sum(bent**2, axis=-1), axis=-1)) / crops.SIDE
     confidence = np.array([each.confidence for each in looks])
-    odds = np.array([log_odds(each) for each in looks]) * (1.0 if side == "right" else -1.0)
-    weights = confidence * np.exp(-0.5 * (off / ALIKE) ** 2) / (1.0 + np.exp(-odds)) + 1e-9
+    weights = confidence * np.exp(-0.5 * (off / ALIKE) ** 2) + 1e-9
+    if side is not None:
+        odds = np.array([log_odds(each) for each in looks]) * (1.0 if side == "right" else -1.0)
+        weights /= 1.0 + np.exp(-odds)
     mean = [np.average([getattr(each, key) for each in looks], axis=0, weights=weights) for key in ("points", "world")]
     right = float(np.average([each.right for each in looks], weights=weights))
     return Sighting(mean[0], mean[1], float(np.average(confidence, weights=weights)), right)

@@ -145,12 +145,13 @@ def select(
     side: Side | None = None,
     boxes: Mapping[int, Float[ndarray, "4"]] | None = None,
     counted_from: int = 1,
-    again: Callable[[Mapping[int, Sighting], Side], dict[int, Sighting]] = lambda hand, _: dict(hand),
+    again: Callable[[Mapping[int, Sighting], Mapping[int, Side]], dict[int, Sighting]] = lambda hand, _: dict(hand),
     odds: Odds = lambda _, hand: log_odds(hand),
 ) -> HandLandmarks:
     """Select the hand that holds the object.
 
-    ``again`` looks for it once more where it is not sure (``second_look``), or is seen as one of the other side.
+    ``again`` looks for it once more where it is not sure (``second_look``), or is seen as one of the other side: its
+    side in such frames is the second argument.
     ``odds`` are the log odds that a hand in a frame is a right one.
 
     ``side`` overrules the majority; ``boxes`` (left, top, width, height) [px] are where the object is in some frames.
@@ -176,10 +177,10 @@ def select(
     majority = side or first.side
     hand, others = _completed(first, _of_side([track for track in found if track is not first], first.side))
     as_stated = side in (None, first.side)
-    if as_stated and (mirrored := seen_mirrored(hand, majority, odds)):
-        hand = {n: each for n, each in hand.items() if n not in mirrored}
-    hand = again(hand, first.side)
     mirrored = seen_mirrored(hand, majority, odds) if as_stated else []
+    before = {n: each for n, each in hand.items() if n not in mirrored}
+    hand = again(before, dict.fromkeys(mirrored, first.side))
+    mirrored = [n for n in mirrored if n in seen_mirrored(hand, majority, odds)]
     hand, flickering = _steady({n: each for n, each in hand.items() if n not in mirrored})
     notes = [] if as_stated else [f"a guess: {first.handedness.words}, but the side is stated"]
     if boxes is not None:
