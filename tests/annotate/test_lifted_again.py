@@ -104,16 +104,18 @@ def held_from_behind(tmp_path: Path, provenance: Provenance) -> tuple[Path, Labe
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("side", [estimated("right: it looks like one"), measured("right, as stated")])
-def test_the_object_decides_on_the_side_unless_it_is_stated(
+@pytest.mark.parametrize(
+    "side", [assumed("right, a guess"), estimated("right: it looks like one"), measured("right, as stated")]
+)
+def test_the_object_decides_on_the_side_where_that_is_a_guess(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], side: Source
 ) -> None:
     found, maps = held_from_behind(tmp_path, {"hands_scale": assumed("a mean hand's"), "hands_side": side})
     write_lifted_again(found, tmp_path / "out.npz", "right", 3, 10, maps)
     written = np.load(tmp_path / "out.npz")
-    assert str(written["side"]) == ("right" if side.basis == "measured" else "left")
+    assert str(written["side"]) == ("left" if side.basis == "assumed" else "right")
     said = "".join(capsys.readouterr())
-    assert ("--side right overrules this" in said) == (side.basis != "measured")
+    assert ("--side right overrules this" in said) == (side.basis == "assumed")
     labels = Labels("a.mp4", SIZE, "right", 30.0, 3, 10, {})
     words = clip_words(labels, tmp_path, "a.mp4")
     assert words[words.index("--side") + 1] == "right"  # there is no hand.npz yet
@@ -122,7 +124,7 @@ def test_the_object_decides_on_the_side_unless_it_is_stated(
     assert words[words.index("--side") + 1] == str(written["side"])
     order, frames = lifting.order(read_hand(tmp_path / "hand.npz", 5), FRAMES, K, maps)
     assert frames == len(FRAMES)
-    assert (order > 0.0) == (side.basis != "measured")
+    assert (order > 0.0) == (side.basis == "assumed")
 
 
 @pytest.mark.slow

@@ -73,8 +73,8 @@ def test_the_bias_of_the_networks_cancels_out(bias: float) -> None:
 
 
 def test_what_hardly_agrees_is_an_assumption() -> None:
-    assert Handedness((-3.0,) * 9 + (0.5,)).source.basis == "estimated"
-    for odds in ((-0.4, -0.5, -0.6), (-9.0, 0.5, 0.5, -9.0)):
+    assert Handedness((-4.0,) * 9 + (0.5,)).source.basis == "estimated"
+    for odds in ((-2.4, -2.5, -2.6), (-9.0, 0.5, 0.5, -9.0)):
         source = Handedness(odds).source
         assert source.basis == "assumed"
         assert source.text.startswith("left, a guess")

@@ -110,7 +110,7 @@ def test_no_hand_is_mirrored_in_half_of_its_frames_or_against_its_mirror_image()
 
 
 def test_the_side_is_the_majoritys() -> None:
-    seen = [[hand(300.0, right=0.9 if n in (3, 4) else 0.2)] for n in range(20)]
+    seen = [[hand(300.0, right=0.9 if n in (3, 4) else 0.01)] for n in range(20)]
     found = select(seen)
     assert found.side == "left"
     assert str(found.side_source) == "left: it looks like a left hand in 18 of 20 frames"
@@ -138,7 +138,7 @@ def test_a_stated_side_overrules_a_side_that_is_a_guess() -> None:
 
 
 def test_no_hand_about_the_frame_of_the_box_is_said_where_the_side_is_the_other() -> None:
-    seen = [[hand(300.0, right=0.05)] if n > 20 else [] for n in range(40)]
+    seen = [[hand(300.0, right=0.01)] if n > 20 else [] for n in range(40)]
     box = {0: np.array([250.0, 450.0, 100.0, 100.0])}
     with pytest.raises(UsageError, match=r"none about the frame of the object's box .*begin --interval where one is"):
         select(seen, side="right", boxes=box)

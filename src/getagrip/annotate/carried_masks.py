@@ -63,6 +63,9 @@ NO_HAND = 0.5
 """Pixels of the hand that was found are not the hand's where colours of the object are likelier by e to this; at its
 border, where they are likelier at all."""
 
+MOST_OF_IT = 0.3
+"""If less is left of a found hand, colours do not tell it from the object: light has changed, say."""
+
 KINDS = (OBJECT, FRONT, HAND)
 """Kinds that are carried; where several are, the last one is visible."""
 
@@ -108,12 +111,13 @@ def carry(
 def _coloured_hand(
     hand: Bool[ndarray, "h w"], at: Int32[ndarray, "h w"], colours: Sequence[Colours]
 ) -> Bool[ndarray, "h w"]:
-    """Return a hand that was found without those pixels that have the object's colours."""
+    """Return a hand that was found without those pixels that have the object's colours; all of it if most have."""
     import cv2
 
     own, skin = (each.counts[0][at] + RARE / 10.0 for each in (colours[0], colours[-1]))
     unlike = cv2.GaussianBlur(np.log(own / skin), (0, 0), 1.0)
-    return ~(_touching(~hand | (unlike > 0.0), ~hand) | (unlike > NO_HAND))
+    found = ~(_touching(~hand | (unlike > 0.0), ~hand) | (unlike > NO_HAND))
+    return np.asarray(found if np.count_nonzero(found) > MOST_OF_IT * np.count_nonzero(hand) else hand)
 
 
 def key_colours(frames: SmallFrames, keys: Mapping[int, UInt8[ndarray, "H W"]]) -> list[Colours]:

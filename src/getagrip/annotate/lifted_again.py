@@ -5,8 +5,8 @@ beside the object. With the masks, landmarks on the background are left out, tho
 are kept where something hides or shows them (``hidden_joints``). Where many landmarks are on the background or beside
 the image, the latter are left out, too, and so are the network's depths.
 
-A left hand and the right hand that is its mirror image in depth have nearly the same landmarks. The object decides: the
-joints that it hides are farther from the camera than those that are seen.
+A left hand and the right hand that is its mirror image in depth have nearly the same landmarks. Where the side is a
+guess the object decides: the joints that it hides are farther from the camera than those that are seen.
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ def other_side(
 def write_lifted_again(found: Path, out: Path, side: Side, first: int, last: int, maps: LabelMaps) -> None:
     """Write a found hand file to ``out``, its hands lifted again in the frames ``first`` to ``last``, from 0.
 
-    They become hands of the other side where only that agrees with what the object hides, unless ``side`` is stated;
+    They become hands of the other side where ``side`` is a guess and only the other agrees with what the object hides;
     this is said. Where hands cannot be lifted, they stay as they are, and it is said; an estimator's own hands stay,
     too. Raises ``InputError`` for a malformed file, ``UsageError`` for hands of another side that stay.
     """
@@ -180,9 +180,8 @@ def write_lifted_again(found: Path, out: Path, side: Side, first: int, last: int
             raise UsageError("an estimator's are not lifted again")
         K = arrays.floats(found, content, "K", (3, 3))
         lifted, kept = lifted_again(hand, frames, K, side, maps, overruled)
-        stated = "hands_side" in known and known["hands_side"].basis == "measured"
         off = order(lifted, frames[kept], K, maps)
-        if not stated and (turned := other_side(hand, frames, K, side, maps, off)) is not None:
+        if is_assumed(known.get("hands_side")) and (turned := other_side(hand, frames, K, side, maps, off)) is not None:
             lifted, kept, side, source = turned
             known = known | {"hands_side": source}
             report(f"hands_side: {source}")
