@@ -32,7 +32,6 @@ SURE = 3.0, 0.8
 public videos the two whose side was wrong had 2.1 and 2.3, the others 2.2 to 7.4."""
 MIRRORED = 1.0
 """Mean log odds of the other side from which on frames in a row are seen mirrored."""
-
 BESIDE = 2
 """Number of frames before and after that decide with a frame whether it is seen mirrored."""
 

@@ -180,7 +180,7 @@ def select(
     mirrored = seen_mirrored(hand, majority, odds) if as_stated else []
     before = {n: each for n, each in hand.items() if n not in mirrored}
     hand = again(before, dict.fromkeys(mirrored, first.side))
-    mirrored = [n for n in mirrored if n in seen_mirrored(hand, majority, odds)]
+    mirrored = sorted({*mirrored} & {*seen_mirrored(hand, majority, odds)}) if mirrored else []
     hand, flickering = _steady({n: each for n, each in hand.items() if n not in mirrored})
     notes = [] if as_stated else [f"a guess: {first.handedness.words}, but the side is stated"]
     if boxes is not None:
