@@ -26,8 +26,10 @@ SKIN, NO_SKIN = 3.5, 8.0
 which it is certainly not."""
 FEWEST = 20
 """Number of palm pixels that is enough to estimate the palm's colour."""
-LEAST_SPREAD = np.array([20.0, 6.0, 6.0])
-"""Least spread of lightness, for light and shadow, and of the colours of the palm [of 255]."""
+LEAST_SPREAD = 6.0
+"""Least spread of the palm's colours [of 255]."""
+SHADOW = 20.0
+"""Least spread of lightness along bones: fingers may be in shadow [of 255]."""
 ROUNDS = 3
 WEB = [0, 1, 2, 3, 5, 6]
 """The skin between thumb and index finger is within these."""
@@ -104,21 +106,23 @@ def _labels(
     sure = (_capsules(colours.shape[:2], points, SURE * size) | palm).astype(bool) & ~not_hand
     lab = cv2.cvtColor(colours, cv2.COLOR_RGB2LAB).astype(float)
     on_palm = palm.astype(bool) & ~not_hand
-    off = _off(lab, lab[on_palm] if on_palm.sum() >= FEWEST else lab[sure])
+    skin = lab[on_palm] if on_palm.sum() >= FEWEST else lab[sure]
+    off, in_shadow = _off(lab, skin), _off(lab, skin, SHADOW)
     labels = np.full(colours.shape[:2], cv2.GC_BGD, np.uint8)
     possible = (maybe > 0) & ~not_hand & (off < NO_SKIN)
     labels[possible] = cv2.GC_PR_BGD
     labels[possible & (off < SKIN)] = cv2.GC_PR_FGD
-    labels[sure & (off < SKIN)] = cv2.GC_FGD
+    labels[sure & (in_shadow < SKIN)] = cv2.GC_FGD
     return labels
 
 
-def _off(lab: Float[ndarray, "h w 3"], skin: Float[ndarray, "n 3"]) -> Float[ndarray, "h w"]:
+def _off(lab: Float[ndarray, "h w 3"], skin: Float[ndarray, "n 3"], shadow: float = 0.0) -> Float[ndarray, "h w"]:
     """How many robust standard deviations a colour is from the skin's."""
     if not len(skin):
         return np.zeros(lab.shape[:2])
     middle = np.median(skin, axis=0)
     spread = np.maximum(1.48 * np.median(np.abs(skin - middle), axis=0), LEAST_SPREAD)
+    spread[0] = max(2.0 * spread[0], shadow)  # light and shadow
     return np.sqrt(np.sum(((lab - middle) / spread) ** 2, axis=-1))
 
 
