@@ -28,8 +28,11 @@ FEWEST = 20
 """Number of palm pixels that is enough to estimate the palm's colour."""
 LEAST_SPREAD = 6.0
 """Least spread of the palm's colours [of 255]."""
-SHADOW = 20.0
-"""Least spread of lightness along bones: fingers may be in shadow [of 255]."""
+SHADOW, COLOURED = 20.0, 0.8
+"""Least spread of lightness along bones, where fingers may be in shadow [of 255], for pixels with at least this share of
+the palm's colour: grey is something else."""
+GREY = 128.0
+"""Lab's two colours of grey, as OpenCV has them."""
 ROUNDS = 3
 WEB = [0, 1, 2, 3, 5, 6]
 """The skin between thumb and index finger is within these."""
@@ -112,7 +115,9 @@ def _labels(
     possible = (maybe > 0) & ~not_hand & (off < NO_SKIN)
     labels[possible] = cv2.GC_PR_BGD
     labels[possible & (off < SKIN)] = cv2.GC_PR_FGD
-    labels[sure & (in_shadow < SKIN)] = cv2.GC_FGD
+    colour, own = lab[..., 1:] - GREY, np.median(skin, axis=0)[1:] - GREY if len(skin) else np.zeros(2)
+    coloured = colour @ own > COLOURED * (own @ own)
+    labels[sure & ((off < SKIN) | coloured & (in_shadow < SKIN))] = cv2.GC_FGD
     return labels
 
 
