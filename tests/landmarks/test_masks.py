@@ -44,6 +44,17 @@ def test_what_hides_a_finger_is_not_the_hand() -> None:
     assert not (hand_mask(image, HAND, cup) & cup).any()
 
 
+def test_a_finger_in_shadow_is_the_hands_and_what_is_grey_is_not() -> None:
+    image, truth = drawn()
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]] + 0.5
+    tip = truth & (np.hypot(u - HAND[12][0], v - HAND[12][1]) < 30.0)
+    dark, grey = image.copy(), image.copy()
+    dark[tip] = (0.66 * dark[tip]).astype(np.uint8)
+    grey[tip] = dark[tip].mean(axis=-1, keepdims=True).astype(np.uint8)
+    assert (hand_mask(dark, HAND) & tip).sum() > 0.8 * tip.sum()
+    assert (hand_mask(grey, HAND) & tip).sum() < 0.3 * tip.sum()
+
+
 def test_a_hand_beside_the_image_has_no_mask() -> None:
     image, _ = drawn()
     assert not hand_mask(image, HAND + 5000.0).any()

@@ -28,9 +28,9 @@ FEWEST = 20
 """Number of palm pixels that is enough to estimate the palm's colour."""
 LEAST_SPREAD = 6.0
 """Least spread of the palm's colours [of 255]."""
-SHADOW, COLOURED = 20.0, 0.8
-"""Least spread of lightness along bones, where fingers may be in shadow [of 255], for pixels with at least this share of
-the palm's colour: grey is something else."""
+SHADOW, COLOURED = 20.0, 0.5
+"""Least spread of lightness along bones, where fingers may be in shadow [of 255], for pixels of at least this share of
+the palm's colour: grey has none."""
 GREY = 128.0
 """Lab's two colours of grey, as OpenCV has them."""
 ROUNDS = 3
