@@ -29,4 +29,4 @@ class SceneNets(Nets):
     def landmarks(self, image: np.ndarray, crop: Crop) -> Found:
         own = crops.of_landmarks(POINTS)
         in_mirror = abs(WIDTH - crop.middle[0] - own.middle[0]) < abs(crop.middle[0] - own.middle[0])
-        return Found(POINTS, np.full((21, 3), np.nan), 0.95, 0.9 if in_mirror else 0.1)
+        return Found(POINTS, np.full((21, 3), np.nan), 0.95, 0.99 if in_mirror else 0.01)
