@@ -177,6 +177,17 @@ def test_a_found_hand_loses_pixels_of_unlikely_colours_at_its_border_and_has_no_
     assert found[18:22, 8:14].all()
 
 
+def test_a_found_hand_of_the_objects_colours_stays_whole() -> None:
+    """An overexposed hand before a white box: colours tell nothing of most of it."""
+    hand, at = np.zeros((40, 40), bool), np.ones((40, 40), np.int32)
+    hand[5:35, 5:35], at[5:28, 5:35] = True, 2
+    own, skin = np.float32([[0.0, 0.0004, 0.1]] * 2), np.float32([[0.1, 0.1, 0.0]] * 2)
+    colours = [Colours(own), Colours(own), Colours(skin)]
+    np.testing.assert_array_equal(_coloured_hand(hand, at, colours), hand)
+    at[10:28, 5:35] = 1
+    assert 0.5 < _coloured_hand(hand, at, colours).sum() / hand.sum() < 0.9, "a part of it is the object's"
+
+
 def test_a_hand_drawn_on_a_key_replaces_the_one_that_was_found() -> None:
     found = propagate(lambda n: held(n)[0], {0: held(0)[1]}, 0, 2, hand=lambda n: np.zeros(SIZE[::-1], bool))
     assert all(iou(labels == HAND, hand_of(n)) > 0.8 for n, labels, _ in found)
