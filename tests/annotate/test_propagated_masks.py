@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from numpy import ndarray
 
 from getagrip.annotate import propagated_masks
-from getagrip.annotate.carried_masks import _coloured_hand
-from getagrip.annotate.colour_cut import Colours
+from getagrip.annotate.colour_cut import Colours, coloured_hand
 from getagrip.annotate.labels import FRONT, HAND, OBJECT
 from getagrip.annotate.propagated_masks import propagate, stretches
 from getagrip.errors import UsageError
@@ -170,7 +169,7 @@ def test_a_found_hand_loses_pixels_of_unlikely_colours_at_its_border_and_has_no_
     hand[5:35, 5:35], at[5:35, 5:35] = True, 0
     at[5:12, 15:25], at[18:22, 8:14], at[18:22, 24:32] = 1, 1, 2
     own, skin = np.float32([[0.0, 0.0004, 0.1]] * 2), np.float32([[0.1, 0.0, 0.0]] * 2)
-    found = _coloured_hand(hand, at, [Colours(own), Colours(own), Colours(skin)])
+    found = coloured_hand(hand, at, Colours(own), Colours(skin))
     assert not found[~hand].any()
     assert not found[6:11, 17:23].any()
     assert not found[19:21, 26:30].any()
@@ -182,10 +181,10 @@ def test_a_found_hand_of_the_objects_colours_stays_whole() -> None:
     hand, at = np.zeros((40, 40), bool), np.ones((40, 40), np.int32)
     hand[5:35, 5:35], at[5:28, 5:35] = True, 2
     own, skin = np.float32([[0.0, 0.0004, 0.1]] * 2), np.float32([[0.1, 0.1, 0.0]] * 2)
-    colours = [Colours(own), Colours(own), Colours(skin)]
-    np.testing.assert_array_equal(_coloured_hand(hand, at, colours), hand)
+    colours = Colours(own), Colours(skin)
+    np.testing.assert_array_equal(coloured_hand(hand, at, *colours), hand)
     at[10:28, 5:35] = 1
-    assert 0.5 < _coloured_hand(hand, at, colours).sum() / hand.sum() < 0.9, "a part of it is the object's"
+    assert 0.5 < coloured_hand(hand, at, *colours).sum() / hand.sum() < 0.9, "a part of it is the object's"
 
 
 def test_a_hand_drawn_on_a_key_replaces_the_one_that_was_found() -> None:

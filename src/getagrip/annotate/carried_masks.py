@@ -15,13 +15,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32, UInt8
+from jaxtyping import Bool, Float32, UInt8
 from numpy import ndarray
 
-from getagrip.annotate.colour_cut import Colours, Places, cut, edges, likelier
+from getagrip.annotate.colour_cut import Colours, Places, coloured_hand, cut, edges, likelier, touching
 from getagrip.annotate.labels import FRONT, HAND, OBJECT
 from getagrip.annotate.object_motion import Origins, moved, moves_with, own_motion
-from getagrip.annotate.seen_ground import RARE, Ground
+from getagrip.annotate.seen_ground import Ground
 from getagrip.annotate.shared_flow import Part, SmallFrames
 
 Image = UInt8[ndarray, "H W 3"]
@@ -59,12 +59,6 @@ STIFF = 0.5
 
 CLEAR = 3.0
 """Pixels farther than this from all that is carried show the ground [px]."""
-NO_HAND = 0.5
-"""Pixels of the hand that was found are not the hand's where colours of the object are likelier by e to this; at its
-border, where they are likelier at all."""
-
-MOST_OF_IT = 0.3
-"""If less is left of a found hand, colours do not tell it from the object: light has changed, say."""
 
 KINDS = (OBJECT, FRONT, HAND)
 """Kinds that are carried; where several are, the last one is visible."""
@@ -106,18 +100,6 @@ def carry(
         shown = None if seen is None else _shrunk(seen, frames.size)
         now = _step(now, ground, frames, frame - towards, frame, shown, colours)
         yield now
-
-
-def _coloured_hand(
-    hand: Bool[ndarray, "h w"], at: Int32[ndarray, "h w"], colours: Sequence[Colours]
-) -> Bool[ndarray, "h w"]:
-    """Return a hand that was found without those pixels that have the object's colours; all of it if most have."""
-    import cv2
-
-    own, skin = (each.counts[0][at] + RARE / 10.0 for each in (colours[0], colours[-1]))
-    unlike = cv2.GaussianBlur(np.log(own / skin), (0, 0), 1.0)
-    found = ~(_touching(~hand | (unlike > 0.0), ~hand) | (unlike > NO_HAND))
-    return np.asarray(found if np.count_nonzero(found) > MOST_OF_IT * np.count_nonzero(hand) else hand)
 
 
 def key_colours(frames: SmallFrames, keys: Mapping[int, UInt8[ndarray, "H W"]]) -> list[Colours]:
@@ -180,7 +162,7 @@ def _step(
 
     inside = np.stack([moved(kind, old(*came), -float(FAR)) for kind in now.inside])
     if hand is not None:
-        inside[-1] = signed_distance(_coloured_hand(hand[part], at, colours))
+        inside[-1] = signed_distance(coloured_hand(hand[part], at, colours[0], colours[-1]))
     hidden = is_hidden(inside)
     was_hidden = moved(is_hidden(now.inside).astype(np.float32), old(*came), 0.0) > 0.0
     inner = (inside[0] > INNER) & (off < BACK) & (inside[1:].max(axis=0) < -INNER) & ~was_hidden
@@ -258,17 +240,9 @@ def refined(
     start = np.clip(0.5 + inside[part] / (2.0 * BAND), 0.0, 1.0)
     found = np.zeros(inside.shape, bool)
     found[part] = cut(cost.astype(np.float32), edges(image[part]), start.astype(np.float32))
-    found = _touching(found, inside > 0)
+    found = touching(found, inside > 0)
     new = cv2.GaussianBlur(signed_distance(found), (0, 0), 0.7)
     return np.asarray(inside + (new - inside) * np.where(hidden, 0.0, 1.0 - STIFF * certain), np.float32)
-
-
-def _touching(mask: Bool[ndarray, "h w"], before: Bool[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
-    """Return the parts of a mask that overlap with what it was."""
-    import cv2
-
-    _, parts = cv2.connectedComponents(mask.astype(np.uint8))
-    return np.asarray(mask & np.isin(parts, np.unique(parts[before])))
 
 
 def signed_distance(mask: Bool[ndarray, "h w"], far: float = FAR) -> Float32[ndarray, "h w"]:

@@ -29,6 +29,13 @@ SMOOTH = 3.0
 """Cost of a border of one pixel where the image is smooth; ``SHARP`` of it where it has a strong edge."""
 SHARP = 0.15
 ROUNDS = 50
+NO_HAND = 0.5
+"""Pixels of the hand that was found are not the hand's where colours of the object are likelier by e to this; at its
+border, where they are likelier at all."""
+LEFT = 0.3
+"""If less than this share is left of a found hand, colours do not tell it from the object: light has changed, say."""
+UNSEEN = 1e-3
+"""Probability of a colour that neither of the two has."""
 
 Image = UInt8[ndarray, "h w 3"]
 Mask = Bool[ndarray, "h w"]
@@ -113,6 +120,27 @@ def likelier(
     if before is not None and came is not None:
         sides = sides + before.counts[:, _cells(before.size, *came) * BINS**3 + at]
     return np.asarray(np.log(sides[0] / sides[1]), np.float32)
+
+
+def coloured_hand(hand: Mask, at: Int32[ndarray, "h w"], own: Colours, skin: Colours) -> Mask:
+    """Return a hand that was found without those pixels that have the object's ``own`` colours; all of it if most have.
+
+    ``at``: the bins of the image's pixels.
+    """
+    import cv2
+
+    shares = (each.counts[0][at] + UNSEEN for each in (own, skin))
+    unlike = cv2.GaussianBlur(np.log(np.divide(*shares)), (0, 0), 1.0)
+    found = ~(touching(~hand | (unlike > 0.0), ~hand) | (unlike > NO_HAND))
+    return np.asarray(found if np.count_nonzero(found) > LEFT * np.count_nonzero(hand) else hand)
+
+
+def touching(mask: Mask, before: Mask) -> Mask:
+    """Return the parts of a mask that overlap with what it was."""
+    import cv2
+
+    _, parts = cv2.connectedComponents(mask.astype(np.uint8))
+    return np.asarray(mask & np.isin(parts, np.unique(parts[before])))
 
 
 def edges(image: Image) -> Float32[ndarray, "h w"]:
