@@ -21,7 +21,7 @@ USUAL_MISFIT, USUAL_IOU = 3.0, 0.9
 """A result that is better than both is not looked at."""
 BUILT_IN_MISFIT, BUILT_IN_IOU = 9.0, 0.85
 """A result of a built-in shape, which is not the object's, is looked at only if it is worse than one of these. Of 34
-grasps in videos eight right ones were between both limits, and one wrong one."""
+grasps in videos eight right ones were between the limits, and one wrong one."""
 GRID = 8
 """Cells of the square about a mask along either side, in which differences are summed: motion moves them by less."""
 ALIKE = 0.5
