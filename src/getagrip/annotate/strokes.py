@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, UInt8
+from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray
 
 from getagrip.annotate.carried_masks import Hands, Image, Images
 from getagrip.annotate.click_motion import moves_with_click, moving_part
-from getagrip.annotate.colour_cut import Colours, bins, likelier
+from getagrip.annotate.colour_cut import Colours, bins, likelier, touching
 from getagrip.annotate.labels import HAND, OBJECT, FrameLabels, Labels
 from getagrip.errors import UsageError
 
@@ -169,7 +169,7 @@ def _cut(
         found = _grabbed(small, labels, sure, never)
     else:
         found = moving_part(small, cv2.resize(motion[part], size, interpolation=cv2.INTER_AREA), sure, never)
-    found = _touching(found, sure)
+    found = _touched(found, sure)
     soft = cv2.GaussianBlur(found.astype(np.float32), (0, 0), 1.0)
     out[part] = cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
     return out & ~off
@@ -202,14 +202,11 @@ def _grabbed(
     return np.isin(labels, (cv2.GC_FGD, cv2.GC_PR_FGD))
 
 
-def _touching(mask: Bool[ndarray, "h w"], strokes: Bool[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
-    """Return the parts of a mask that a stroke touches; without strokes the largest one."""
+def _touched(mask: Bool[ndarray, "h w"], strokes: Bool[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
+    """Return the parts of a mask that a stroke touches; if it touches none, the largest one."""
     import cv2
 
-    count, parts, about, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
-    if count == 1:
-        return mask
-    kept: Int[ndarray, "k"] = np.unique(parts[strokes & mask])
-    if not kept.size:
-        kept = np.array([1 + int(about[1:, cv2.CC_STAT_AREA].argmax())])
-    return np.asarray(mask & np.isin(parts, kept))
+    if not mask.any() or (mask & strokes).any():
+        return touching(mask, strokes)
+    _, parts, about, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    return np.asarray(parts == 1 + int(about[1:, cv2.CC_STAT_AREA].argmax()))
