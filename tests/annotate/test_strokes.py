@@ -56,6 +56,19 @@ def test_a_box_finds_it_and_the_hand_is_not_the_object() -> None:
             boxed(image, box)
 
 
+def test_a_box_finds_parts_that_the_hand_separates_and_what_of_the_hand_looks_like_them() -> None:
+    """The found hand reaches between its fingers, too, where the object is seen."""
+    image, mask = scene()
+    hand, between = np.zeros(SIZE[::-1], bool), np.s_[58:62, 60:90]
+    hand[45:75, :120] = True
+    image[hand] = (220, 190, 160)
+    image[between] = (190, 60, 50)
+    found = boxed(image, (46, 26, 68, 68), hand)
+    assert iou(found == OBJECT, mask & (~hand | (image == (190, 60, 50)).all(axis=-1))) > 0.9
+    assert (found == OBJECT)[between].mean() > 0.7
+    assert (found == HAND)[45:55, :40].all()
+
+
 @given(
     on=st.lists(st.tuples(st.integers(5, 154), st.integers(5, 114)), min_size=1, max_size=3),
     off=st.tuples(st.integers(5, 154), st.integers(5, 114)),

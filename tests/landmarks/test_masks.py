@@ -14,10 +14,21 @@ HAND = 2.0 * POINTS
 RNG = np.random.default_rng(0)
 
 
-def drawn() -> tuple[np.ndarray, np.ndarray]:
+def fingers(x: float, y: float, tip: float) -> list[tuple[float, float]]:
+    """The joints of a stretched finger, from its knuckle upwards."""
+    return [(x + 0.1 * n * (x - 320.0), y + (tip - y) * n / 3.0) for n in range(4)]
+
+
+THUMB = [(265.0, 365.0), (235.0, 335.0), (215.0, 305.0), (200.0, 280.0)]
+KNUCKLES = (270.0, 280.0, 160.0), (305.0, 270.0, 140.0), (340.0, 275.0, 150.0), (372.0, 290.0, 190.0)
+OPEN = np.array([(320.0, 400.0), *THUMB, *(joint for each in KNUCKLES for joint in fingers(*each))])
+"""A hand whose palm is seen."""
+
+
+def drawn(hand: np.ndarray = HAND) -> tuple[np.ndarray, np.ndarray]:
     """An image of a hand before a table, and where the hand is."""
     mask = np.zeros(SHAPE, np.uint8)
-    at = np.round(HAND).astype(int)
+    at = np.round(hand).astype(int)
     for a, b in BONES:
         cv2.line(mask, tuple(at[a].tolist()), tuple(at[b].tolist()), 1, 18)
     cv2.fillConvexPoly(mask, cv2.convexHull(at[[0, 1, 5, 9, 13, 17]].astype(np.int32)), 1)
@@ -42,6 +53,19 @@ def test_what_hides_a_finger_is_not_the_hand() -> None:
     image[cup] = np.array([30, 120, 40], np.uint8)
     assert iou(hand_mask(image, HAND), truth & ~cup) > 0.85
     assert not (hand_mask(image, HAND, cup) & cup).any()
+
+
+def test_an_object_before_the_palm_is_not_the_hand_where_thumb_and_wrist_show_the_skin() -> None:
+    image, truth = drawn(OPEN)
+    arm = np.zeros(SHAPE, np.uint8)
+    cv2.line(arm, (320, 400), (320, 470), 1, 60)
+    image[(arm > 0) & ~truth] = image[truth][0]
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]] + 0.5
+    can = np.hypot(u - 325.0, v - 315.0) < 50.0
+    image[can] = np.array([40, 60, 150], np.uint8)
+    found = hand_mask(image, OPEN)
+    assert (found & can).sum() < 0.1 * can.sum()
+    assert (found & truth & ~can).sum() > 0.8 * (truth & ~can).sum()
 
 
 def test_a_finger_in_shadow_is_the_hands_and_what_is_grey_is_not() -> None:

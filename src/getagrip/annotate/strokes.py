@@ -16,7 +16,7 @@ from numpy import ndarray
 
 from getagrip.annotate.carried_masks import Hands, Image, Images
 from getagrip.annotate.click_motion import moves_with_click, moving_part
-from getagrip.annotate.colour_cut import Colours, bins, likelier, touching
+from getagrip.annotate.colour_cut import Colours, bins, coloured_hand, likelier, touching
 from getagrip.annotate.labels import HAND, OBJECT, FrameLabels, Labels
 from getagrip.errors import UsageError
 
@@ -35,6 +35,9 @@ NEAR = 0.12
 """Polygons are corrected within this share of the image's shorter side from a stroke."""
 ROUNDS = 5
 """Rounds of GrabCut."""
+OUTSIDE = 0.2
+"""If more than this share of a found hand is outside the object's box, its colours there tell which pixels in the box
+are the object's."""
 
 
 def key_masks(labels: Labels, image: Images, hand: Hands = lambda _: None) -> dict[int, UInt8[ndarray, "H W"]]:
@@ -98,9 +101,18 @@ def boxed(image: Image, box: Box, hand: Bool[ndarray, "h w"] | None = None) -> U
     seen = np.zeros(shape, bool) if hand is None else _resized(hand, shape)
     inside = np.zeros(shape, bool)
     inside[rows, columns] = True
-    start = np.where(inside & ~seen, cv2.GC_PR_FGD, cv2.GC_BGD).astype(np.uint8)
     around = _around(inside, shape, 0.15 * max(w, h))
-    found = _cut(image, np.zeros(shape, bool), seen | ~inside, start, around)
+
+    def cut(hand: Bool[ndarray, "H W"], sure: Bool[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
+        start = np.where(inside & ~hand, cv2.GC_PR_FGD, cv2.GC_BGD).astype(np.uint8)
+        return _cut(image, sure, hand | ~inside, start, around, hand=hand)
+
+    found = cut(seen, np.zeros(shape, bool))
+    if found.any() and np.count_nonzero(seen & ~inside) > OUTSIDE * np.count_nonzero(seen):
+        own, skin = (Colours.of(image, part, part) for part in (found, seen & ~inside))
+        hand = coloured_hand(seen, bins(image), own, skin)
+        found = cut(hand, seen & ~hand & inside)
+        seen = hand
     out = np.where(seen, HAND, 0).astype(np.uint8)
     out[found] = OBJECT
     return out
@@ -146,10 +158,11 @@ def _cut(
     start: UInt8[ndarray, "H W"] | None,
     part: tuple[slice, slice],
     motion: Float32[ndarray, "H W"] | None = None,
+    hand: Bool[ndarray, "H W"] | None = None,
 ) -> Bool[ndarray, "H W"]:
     """Return what is found in a part of the image: by motion, if that is known, else by GrabCut.
 
-    GrabCut begins with its labels or, without any, with the strokes' colours.
+    GrabCut begins with its labels or, without any, with the strokes' colours. Parts count as one across the ``hand``.
     """
     import cv2
 
@@ -169,7 +182,12 @@ def _cut(
         found = _grabbed(small, labels, sure, never)
     else:
         found = moving_part(small, cv2.resize(motion[part], size, interpolation=cv2.INTER_AREA), sure, never)
-    found = _touched(found, sure)
+    if hand is not None:
+        found = _largest(found, cv2.resize(hand[part].astype(np.uint8), size))
+    elif (found & sure).any():
+        found = touching(found, sure)
+    else:
+        found = _largest(found, np.zeros(found.shape, np.uint8))
     soft = cv2.GaussianBlur(found.astype(np.float32), (0, 0), 1.0)
     out[part] = cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
     return out & ~off
@@ -202,11 +220,12 @@ def _grabbed(
     return np.isin(labels, (cv2.GC_FGD, cv2.GC_PR_FGD))
 
 
-def _touched(mask: Bool[ndarray, "h w"], strokes: Bool[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
-    """Return the parts of a mask that a stroke touches; if it touches none, the largest one."""
+def _largest(mask: Bool[ndarray, "h w"], hand: UInt8[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
+    """Return the largest part of a mask; pieces that only the hand separates are one."""
     import cv2
 
-    if not mask.any() or (mask & strokes).any():
-        return touching(mask, strokes)
-    _, parts, about, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
-    return np.asarray(parts == 1 + int(about[1:, cv2.CC_STAT_AREA].argmax()))
+    if not mask.any():
+        return mask
+    between = cv2.dilate(hand, np.ones((3, 3), np.uint8)) > 0
+    _, parts = cv2.connectedComponents((mask | between).astype(np.uint8))
+    return np.asarray(mask & (parts == np.bincount(parts[mask]).argmax()))

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from av import VideoFrame
     from av.container import InputContainer
 
-FORMATS = "mov,mp4,matroska,webm,avi,mpegts"
+FORMATS = "mov,mp4,matroska,webm,avi,mpegts,gif"
 """Containers that are read. Not playlists, which can name other files."""
 
 
@@ -81,7 +81,8 @@ def open_video(path: Path) -> InputContainer:
         container = av.open(f"file:{path.resolve()}", options=options)
         stream = container.streams.video[0]
     except (FFmpegError, IndexError, OSError, ValueError) as error:
-        raise InputError(path, "", f"a file that does not decode as video ({error})", "a video") from error
+        allowed = f"a video ({FORMATS.replace(',', ', ')})"
+        raise InputError(path, "", f"a file that does not decode as video ({error})", allowed) from error
     if stream.codec_context is None:
         raise InputError(path, "", "a stream of an unknown kind", "a video")
     width, height = stream.width, stream.height

@@ -25,7 +25,10 @@ SKIN, NO_SKIN = 3.5, 8.0
 """Robust standard deviations from the palm's colour beyond which a pixel is no longer certainly the hand, and beyond
 which it is certainly not."""
 FEWEST = 20
-"""Number of palm pixels that is enough to estimate the palm's colour."""
+"""Number of pixels that is enough to estimate the colour of the palm, the thumb or the wrist."""
+ALIKE, OTHER = 8.0, 10.0
+"""Distances of Lab's two colours within which thumb and wrist are alike, and from which on the palm differs from them:
+an object is before it."""
 LEAST_SPREAD = 6.0
 """Least spread of the palm's colours [of 255]."""
 SHADOW, COLOURED = 20.0, 0.5
@@ -34,6 +37,7 @@ the palm's colour: grey has none."""
 GREY = 128.0
 """Lab's two colours of grey, as OpenCV has them."""
 ROUNDS = 3
+THUMB = [1, 2, 3, 4]
 WEB = [0, 1, 2, 3, 5, 6]
 """The skin between thumb and index finger is within these."""
 BONES = [(0, 1), *((a, a + 1) for k in range(5) for a in range(1 + 4 * k, 4 + 4 * k)), (0, 5), (0, 9), (0, 13), (0, 17)]
@@ -108,8 +112,9 @@ def _labels(
     palm = cv2.erode(palm, np.ones((3, 3), np.uint8), iterations=max(1, round(0.05 * size)))
     sure = (_capsules(colours.shape[:2], points, SURE * size) | palm).astype(bool) & ~not_hand
     lab = cv2.cvtColor(colours, cv2.COLOR_RGB2LAB).astype(float)
-    on_palm = palm.astype(bool) & ~not_hand
-    skin = lab[on_palm] if on_palm.sum() >= FEWEST else lab[sure]
+    skin = _skin(lab, points, size, palm.astype(bool) & ~not_hand, ~not_hand)
+    if not len(skin):
+        skin = lab[sure]
     off, in_shadow = _off(lab, skin), _off(lab, skin, SHADOW)
     labels = np.full(colours.shape[:2], cv2.GC_BGD, np.uint8)
     possible = (maybe > 0) & ~not_hand & (off < NO_SKIN)
@@ -119,6 +124,26 @@ def _labels(
     coloured = colour @ own > COLOURED * (own @ own)
     labels[sure & ((off < SKIN) | coloured & (in_shadow < SKIN))] = cv2.GC_FGD
     return labels
+
+
+def _skin(
+    lab: Float[ndarray, "h w 3"],
+    points: Float[ndarray, "21 2"],
+    size: float,
+    palm: Bool[ndarray, "h w"],
+    seen: Bool[ndarray, "h w"],
+) -> Float[ndarray, "n 3"]:
+    """Return the colours of the palm; of thumb and wrist where an object is before the palm; none of too few pixels."""
+    wrist = points[0] + 0.25 * (points[0] - points[9])
+    lines = [points[THUMB], np.stack([points[0], wrist])]
+    parts = [lab[seen & (_lines(lab.shape[:2], line, SURE * size) > 0)] for line in lines]
+    parts.append(lab[palm])
+    if min(map(len, parts)) < FEWEST:
+        return parts[-1] if len(parts[-1]) >= FEWEST else lab[:0, 0]
+    thumb, behind, middle = (np.median(part[:, 1:], axis=0) for part in parts)
+    alike = np.linalg.norm(thumb - behind) < ALIKE
+    covered = alike and min(np.linalg.norm(middle - each) for each in (thumb, behind)) > OTHER
+    return np.concatenate(parts[:2]) if covered else parts[-1]
 
 
 def _off(lab: Float[ndarray, "h w 3"], skin: Float[ndarray, "n 3"], shadow: float = 0.0) -> Float[ndarray, "h w"]:
@@ -133,12 +158,18 @@ def _off(lab: Float[ndarray, "h w 3"], skin: Float[ndarray, "n 3"], shadow: floa
 
 def _capsules(shape: Sequence[int], points: Float[ndarray, "21 2"], radius: float) -> UInt8[ndarray, "h w"]:
     """1 within a radius of a bone."""
+    out = np.zeros(tuple(shape), np.uint8)
+    for bone in BONES:
+        out |= _lines(shape, points[list(bone)], radius)
+    return out
+
+
+def _lines(shape: Sequence[int], points: Float[ndarray, "n 2"], radius: float) -> UInt8[ndarray, "h w"]:
+    """1 within a radius of the lines between successive points."""
     import cv2
 
     out = np.zeros(tuple(shape), np.uint8)
-    at = _whole(points)
-    for a, b in BONES:
-        cv2.line(out, tuple(at[a].tolist()), tuple(at[b].tolist()), 1, max(1, round(2.0 * radius)))
+    cv2.polylines(out, [_whole(points)], False, 1, max(1, round(2.0 * radius)))
     return out
 
 
