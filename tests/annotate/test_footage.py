@@ -20,7 +20,7 @@ from getagrip.annotate.tasks import open_footage, read_tasks
 from getagrip.annotate.video import Video
 from getagrip.datasets.epic.images import Video as EpicVideo
 from getagrip.errors import InputError
-from helpers.numbered_footage import BITS, FRAMES, number_in, write_images, write_video
+from helpers.numbered_footage import BITS, FRAMES, number_in, picture, write_images, write_video
 
 UNEVEN = [40 + n + n * n // 30 for n in range(FRAMES)]
 
@@ -39,6 +39,19 @@ def test_every_frame_is_the_one_written(tmp_path: Path, suffix: str, times: list
     for n in (0, 1, 30, FRAMES - 1):
         assert video.time(n) == pytest.approx((written[n] - written[0]) / 30, abs=2e-3)
     video.close()
+
+
+def test_a_gif_is_a_video(tmp_path: Path) -> None:
+    with av.open(str(tmp_path / "a.gif"), "w") as container:
+        stream = container.add_stream("gif", rate=10)
+        stream.width, stream.height, stream.pix_fmt = 32 * BITS, 64, "rgb8"
+        for n in range(12):
+            frame = av.VideoFrame.from_ndarray(picture(n), format="rgb24")
+            container.mux(stream.encode(frame.reformat(format="rgb8")))
+        container.mux(stream.encode())
+    video = Video(tmp_path / "a.gif")
+    assert video.frames == 12
+    assert [number_in(video.jpeg(n)) for n in (7, 0, 11, 3)] == [7, 0, 11, 3]
 
 
 @pytest.mark.parametrize("pixels", ["yuv420p", "yuv420p10le"])
