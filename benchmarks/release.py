@@ -30,7 +30,7 @@ BENCHES = {
     "dexycb-other-final": "getagrip bench dexycb --root OTHER --meshes YCB --split all --out out/dexycb-other "
     "--ablation final",
     "dexycb-other-final-evidence": "getagrip bench dexycb --root OTHER --meshes YCB --split all --out out/dexycb-other "
-    "--ablation final-evidence --clips 48",
+    "--ablation final-evidence --clips 48 --keep 0.95",
 }
 """By the name of the table that each makes.
 
