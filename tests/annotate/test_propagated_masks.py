@@ -162,26 +162,6 @@ def test_what_a_hand_uncovers_is_the_objects_if_its_colour_is(backwards: bool) -
         assert not (hand_of(order(n)) & (labels == OBJECT)).any()
 
 
-def passed(n: int) -> tuple[ndarray, ndarray]:
-    """A plank, and a hand that moves over it to the left; at first it covers the right half."""
-    image, labels = GROUND[: SIZE[1], : SIZE[0]].copy(), np.zeros(SIZE[::-1], np.uint8)
-    image[60:110, 30:150], labels[60:110, 30:150] = THING[60:110, :120], OBJECT
-    hand = slice(90 - 6 * n, 155 - 6 * n)
-    image[:, hand], labels[:, hand] = BAR[: SIZE[1], :65], HAND
-    return image, labels
-
-
-@pytest.mark.slow
-def test_what_comes_out_beyond_a_hand_is_the_objects_if_its_colour_is() -> None:
-    """Far from all that was seen of it: only the hand is between them."""
-    key = {0: np.where(passed(0)[1] == OBJECT, OBJECT, 0).astype(np.uint8)}
-    found = propagate(lambda n: passed(n)[0], key, 0, LAST, hand=lambda n: passed(n)[1] == HAND)
-    last, true = [labels for _, labels, _ in found][-1], passed(LAST)[1]
-    beyond = np.s_[:, 107:]
-    assert (true == OBJECT)[beyond].sum() > 2000
-    assert iou((last == OBJECT)[beyond], (true == OBJECT)[beyond]) > 0.8
-
-
 @pytest.mark.slow
 def test_a_found_hand_loses_pixels_of_unlikely_colours_at_its_border_and_has_no_holes_of_them() -> None:
     """Bin 0 is the hand's colour, 1 hardly likelier on the object, 2 the object's."""

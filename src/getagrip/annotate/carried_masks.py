@@ -50,8 +50,6 @@ CUT = 10.0
 
 SEEN = 0.2
 """Knowledge of a pixel that came into view after the key: its colour has decided."""
-NEW = 1.5 * SEEN
-"""Pixels that are less certain came into view after the key."""
 REMEMBERED = 0.95
 """Share of its knowledge that something hidden keeps from frame to frame."""
 INNER = 2.5
@@ -186,13 +184,12 @@ def _step(
     if _is_cut(frames[before].image[part], b, came):
         trust = 0.0
     certain = (known * np.where(was_hidden, 0.1, np.where(off < BACK, 1.0, 0.3))).astype(np.float32)
-    visible, seen_before = placed(now, (columns.start, rows.start), b.shape[1::-1])
+    visible = placed(now, (columns.start, rows.start), b.shape[1::-1])[0]
     top_most = ~is_hidden(visible)
     for n, kind in enumerate(visible):
         if (n < 2 or hand is None) and (kind > 0).any():
             clear = (np.abs(kind) > 1.0) & (top_most if n == 0 else kind > -FAR)
-            weight = seen_before if n == 0 else None  # else a guess would confirm itself from frame to frame
-            likely = likelier(at, colours[n], Places.of(frames[before].bins[part], kind > 0, clear, weight), came)
+            likely = likelier(at, colours[n], Places.of(frames[before].bins[part], kind > 0, clear), came)
             if n == 0:
                 likely += moves + unlike
             inside[n] = refined(b, inside[n], certain, likely, hidden & (n == 0))
@@ -227,15 +224,13 @@ def refined(
 ) -> Float32[ndarray, "h w"]:
     """Draw a border by colours: near to the expected one, freely where nothing is certain; its signed distances.
 
-    What is ``hidden`` stays as it is. What came into view beside it may be the object's, however far from the rest.
+    What is ``hidden`` stays as it is.
     """
     import cv2
 
     near = inside > -FAR
     if not near.any() or not (inside > 0).any():
         return inside
-    if hidden.any():
-        near |= (cv2.dilate(hidden.view(np.uint8), np.ones((2 * FAR + 1,) * 2, np.uint8)) > 0) & (certain < NEW)
     rows, columns = (slice(max(0, int(i.min()) - 1), int(i.max()) + 2) for i in np.nonzero(near))
     part = rows, columns
     prior = PRIOR * certain[part] * np.clip(inside[part] / BAND, -2.0, 2.0)
@@ -245,7 +240,7 @@ def refined(
     start = np.clip(0.5 + inside[part] / (2.0 * BAND), 0.0, 1.0)
     found = np.zeros(inside.shape, bool)
     found[part] = cut(cost.astype(np.float32), edges(image[part]), start.astype(np.float32))
-    found &= touching(found | hidden, inside > 0)
+    found = touching(found, inside > 0)
     new = cv2.GaussianBlur(signed_distance(found), (0, 0), 0.7)
     return np.asarray(inside + (new - inside) * np.where(hidden, 0.0, 1.0 - STIFF * certain), np.float32)
 

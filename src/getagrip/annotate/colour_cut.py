@@ -80,18 +80,16 @@ class Places(NamedTuple):
     counts: Float32[ndarray, "2 cells"]
 
     @staticmethod
-    def of(
-        at: Int32[ndarray, "h w"], inside: Mask, counted: Mask, weight: Float32[ndarray, "h w"] | None = None
-    ) -> Places:
-        """Count one image, given by the bins of its pixels, in which each counts with a ``weight``, by default 1."""
+    def of(at: Int32[ndarray, "h w"], inside: Mask, counted: Mask) -> Places:
+        """Count one image, given by the bins of its pixels."""
         height, width = inside.shape
         y, x = np.mgrid[:height, :width].astype(np.float32)
         at = _cells((width, height), x, y) * BINS**3 + at
         shape = CELLS, CELLS, BINS, BINS, BINS
-        sides = []
-        for side in (inside & counted, ~inside & counted):
-            counts = np.bincount(at[side], None if weight is None else weight[side], int(np.prod(shape)))
-            sides.append(_blurred(counts.astype(np.float32).reshape(shape)).ravel())
+        sides = [
+            _blurred(np.bincount(at[side], minlength=int(np.prod(shape))).astype(np.float32).reshape(shape)).ravel()
+            for side in (inside & counted, ~inside & counted)
+        ]
         return Places((width, height), np.stack(sides))
 
 
