@@ -110,9 +110,9 @@ def boxed(image: Image, box: Box, hand: Bool[ndarray, "h w"] | None = None) -> U
     found = cut(seen, np.zeros(shape, bool))
     if found.any() and np.count_nonzero(seen & ~inside) > OUTSIDE * np.count_nonzero(seen):
         own, skin = (Colours.of(image, part, part) for part in (found, seen & ~inside))
-        hand = coloured_hand(seen, bins(image), own, skin)
-        found = cut(hand, seen & ~hand & inside)
-        seen = hand
+        reached = seen
+        seen = coloured_hand(reached, bins(image), own, skin)
+        found = cut(seen, reached & ~seen & inside)
     out = np.where(seen, HAND, 0).astype(np.uint8)
     out[found] = OBJECT
     return out
@@ -182,12 +182,9 @@ def _cut(
         found = _grabbed(small, labels, sure, never)
     else:
         found = moving_part(small, cv2.resize(motion[part], size, interpolation=cv2.INTER_AREA), sure, never)
-    if hand is not None:
-        found = _largest(found, cv2.resize(hand[part].astype(np.uint8), size))
-    elif (found & sure).any():
-        found = touching(found, sure)
-    else:
-        found = _largest(found, np.zeros(found.shape, np.uint8))
+    across = np.zeros(found.shape, np.uint8) if hand is None else cv2.resize(hand[part].astype(np.uint8), size)
+    touched = hand is None and (found & sure).any()
+    found = touching(found, sure) if touched else _largest(found, across)
     soft = cv2.GaussianBlur(found.astype(np.float32), (0, 0), 1.0)
     out[part] = cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
     return out & ~off

@@ -29,6 +29,8 @@ FEWEST = 20
 ALIKE, OTHER = 8.0, 10.0
 """Distances of Lab's two colours within which thumb and wrist are alike, and from which on the palm differs from them:
 an object is before it."""
+WRIST = 0.25
+"""Length of the wrist, in lengths of the palm."""
 LEAST_SPREAD = 6.0
 """Least spread of the palm's colours [of 255]."""
 SHADOW, COLOURED = 20.0, 0.5
@@ -112,9 +114,8 @@ def _labels(
     palm = cv2.erode(palm, np.ones((3, 3), np.uint8), iterations=max(1, round(0.05 * size)))
     sure = (_capsules(colours.shape[:2], points, SURE * size) | palm).astype(bool) & ~not_hand
     lab = cv2.cvtColor(colours, cv2.COLOR_RGB2LAB).astype(float)
-    skin = _skin(lab, points, size, palm.astype(bool) & ~not_hand, ~not_hand)
-    if not len(skin):
-        skin = lab[sure]
+    shown = _skin(lab, points, size, palm.astype(bool) & ~not_hand, ~not_hand)
+    skin = lab[shown] if shown.sum() >= FEWEST else lab[sure]
     off, in_shadow = _off(lab, skin), _off(lab, skin, SHADOW)
     labels = np.full(colours.shape[:2], cv2.GC_BGD, np.uint8)
     possible = (maybe > 0) & ~not_hand & (off < NO_SKIN)
@@ -132,18 +133,17 @@ def _skin(
     size: float,
     palm: Bool[ndarray, "h w"],
     seen: Bool[ndarray, "h w"],
-) -> Float[ndarray, "n 3"]:
-    """Return the colours of the palm; of thumb and wrist where an object is before the palm; none of too few pixels."""
-    wrist = points[0] + 0.25 * (points[0] - points[9])
-    lines = [points[THUMB], np.stack([points[0], wrist])]
-    parts = [lab[seen & (_lines(lab.shape[:2], line, SURE * size) > 0)] for line in lines]
-    parts.append(lab[palm])
-    if min(map(len, parts)) < FEWEST:
-        return parts[-1] if len(parts[-1]) >= FEWEST else lab[:0, 0]
-    thumb, behind, middle = (np.median(part[:, 1:], axis=0) for part in parts)
-    alike = np.linalg.norm(thumb - behind) < ALIKE
-    covered = alike and min(np.linalg.norm(middle - each) for each in (thumb, behind)) > OTHER
-    return np.concatenate(parts[:2]) if covered else parts[-1]
+) -> Bool[ndarray, "h w"]:
+    """Return pixels that show the skin's colour: the palm's; thumb's and wrist's where an object is before the palm."""
+    behind = points[0] + WRIST * (points[0] - points[9])
+    lines = points[THUMB], np.stack([points[0], behind])
+    thumb, wrist = (seen & (_lines(lab.shape[:2], line, SURE * size) > 0) for line in lines)
+    if min(part.sum() for part in (thumb, wrist, palm)) < FEWEST:
+        return palm
+    colours = [np.median(lab[part][:, 1:], axis=0) for part in (thumb, wrist, palm)]
+    alike = np.linalg.norm(colours[0] - colours[1]) < ALIKE
+    covered = alike and min(np.linalg.norm(colours[2] - each) for each in colours[:2]) > OTHER
+    return thumb | wrist if covered else palm
 
 
 def _off(lab: Float[ndarray, "h w 3"], skin: Float[ndarray, "n 3"], shadow: float = 0.0) -> Float[ndarray, "h w"]:
