@@ -1,8 +1,9 @@
 """Collect what ``benchmarks.kept`` needs: ``python -m benchmarks.kept_rows OUT CLIPS DEXYCB YCB [WORKERS [MOST]]``.
 
-CLIPS is the folder of clips of ``bench dexycb``, imported where they are not, at most MOST of either part, evenly. A
-result is a line of OUT/rows.jsonl; those that are there are kept, so that an interrupted call goes on where it stopped.
-The first seed of either part comes first, so that what there is of it is a sample of everything.
+CLIPS is the folder of clips of ``bench dexycb``, imported where they are not, at most MOST of either part, evenly;
+CLIPS/real has those of ARCTIC with an estimator's hands, if any. A result is a line of OUT/rows.jsonl; those that are
+there are kept, so that an interrupted call goes on where it stopped. The first seed of either part comes first, so that
+what there is of it is a sample of everything.
 """
 
 from __future__ import annotations
@@ -46,22 +47,25 @@ JOINTS = "landmarks", "wild", "lab"
 """Levels of the errors of 2D joints, by seed: results are to be kept at any of them."""
 SYNTHETIC, SCENES = "synthetic", range(300_000, 300_011)
 """A part that is made here, and its seeds for each category: DexYCB's wrong training results are of 32 clips only."""
+REAL, REAL_APART = "real", "real, other objects"
+"""Parts of clips whose hands an estimator has found: with these objects, and with others."""
+REAL_OBJECTS = "box", "espressomachine", "laptop", "mixer", "phone", "waffleiron"
 SEEDS = {"train": 3, "validation": 1}
 """Draws of the errors of each clip; what does not err is reconstructed once."""
 Row = dict[str, Any]
 
 
-def conditions(seed: int) -> Mapping[str, Change]:
+def conditions(seed: int, hands: Change = ESTIMATED) -> Mapping[str, Change]:
     """Return what is done to a clip; evidence is of the true hand, so it comes before the hand's errors."""
     joints = SimulatedJoints(JOINTS[seed])
     mono, sensor = SimulatedDepth("mono"), SimulatedDepth("realsense")
     return {
         "exact": UNCHANGED,
         "exact, depth of a network": mono,
-        "estimated": ESTIMATED,
-        "2D joints": Several((joints, ESTIMATED)),
-        "2D joints, depth of a network": Several((joints, mono, ESTIMATED)),
-        "2D joints, depth of a sensor": Several((joints, sensor, ESTIMATED)),
+        "estimated": hands,
+        "2D joints": Several((joints, hands)),
+        "2D joints, depth of a network": Several((joints, mono, hands)),
+        "2D joints, depth of a sensor": Several((joints, sensor, hands)),
     }
 
 
@@ -102,6 +106,13 @@ def scenes(clips: Path, workers: int) -> Iterator[Case]:
         yield from (Case(folder, SYNTHETIC, each, draw) for each in estimated if (folder := folders[job]))
 
 
+def real(clips: Path) -> Iterator[Case]:
+    """Yield the cases of clips with an estimator's hands, each of one draw of the evidence's errors."""
+    for n, folder in enumerate(sorted(file.parent for file in clips.glob("*/clip.json"))):
+        part, draw = REAL if read_clip(folder).category in REAL_OBJECTS else REAL_APART, n % len(JOINTS)
+        yield from (Case(folder, part, each, draw) for each in conditions(draw) if not each.startswith("exact"))
+
+
 def scene(job: tuple[Path, int, str, int]) -> Path:
     """Make a synthetic clip, if it is not there; its motion is as measured in DexYCB."""
     clips, n, category, seed = job
@@ -120,7 +131,8 @@ def row(case: Case) -> Row | None:
     """Reconstruct a clip: its signs, and which of its candidates are right; None where that fails."""
     clip = read_clip(case.folder)
     try:
-        clip, masks = conditions(case.seed)[case.condition](clip, read_masks(clip), case.seed)
+        hands = UNCHANGED if case.part in (REAL, REAL_APART) else ESTIMATED
+        clip, masks = conditions(case.seed, hands)[case.condition](clip, read_masks(clip), case.seed)
         result = reconstruct(clip, masks, Options(every_frame=False))
     except Exception as error:  # one clip's trouble must not end the others
         print(f"{case}: {error}", file=sys.stderr)
@@ -169,7 +181,8 @@ def read(file: Path) -> list[Row]:
 def main(out: Path, clips: Path, root: Path, meshes: Path, workers: int | None = None, most: int = 1000) -> None:
     """Import the clips, and collect the rows."""
     workers = workers or cores()
-    collect(out, [*cases(clips, root, meshes, workers, most), *scenes(clips / SYNTHETIC, workers)], workers)
+    every = [*cases(clips, root, meshes, workers, most), *real(clips / REAL), *scenes(clips / SYNTHETIC, workers)]
+    collect(out, every, workers)
 
 
 if __name__ == "__main__":

@@ -46,10 +46,10 @@ def apart(clip: Clip, T_cam_hand: ndarray) -> tuple[float, float]:
     return np.degrees(se3.angle_between(T_cam_hand[:, :3, :3], true[:, :3, :3])).mean(), 1e3 * across.mean()
 
 
-@pytest.mark.parametrize("number", range(22))
+@pytest.mark.parametrize("number", range(27))
 @pytest.mark.slow
 def test_points_move_as_the_jacobian_says(made: tuple[Clip, Masks], number: int) -> None:
-    errors = HandErrors.of(made[0].hand).with_bends.take(np.arange(2))
+    errors = HandErrors.of(made[0].hand).with_fingers(sideways=True).take(np.arange(2))
     rng = np.random.default_rng(number)
     x = 0.02 * rng.standard_normal((2, errors.size))
     nearest = rng.integers(errors.tracked.vertices.shape[1], size=(2, 40))
@@ -70,7 +70,7 @@ def test_at_the_truth_hardly_a_pixel_differs(
     made: tuple[Clip, Masks],
 ) -> None:
     clip, masks = made
-    seen = HandSilhouette.of(clip, masks).with_field.with_bends
+    seen = HandSilhouette.of(clip, masks).with_field.with_fingers()
     value, g, H = seen(np.zeros((len(clip), seen.errors.size)))
     assert value.sum() < 0.03 * seen.mask.pixels  # resampled pixels, no more
     assert g.shape == (6, 22)
@@ -228,8 +228,9 @@ def test_frames_in_which_nobody_labelled_the_hand_say_nothing(made: tuple[Clip, 
     assert masks.hand is not None
     hand = masks.hand.copy()
     hand[[1, 3]] = False
-    seen = HandSilhouette.of(clip, Masks(masks.object, masks.ignore, hand)).with_field.with_bends
-    everywhere = HandSilhouette.of(off(clip, CONSTANT), Masks(masks.object, masks.ignore, hand)).with_field.with_bends
+    seen = HandSilhouette.of(clip, Masks(masks.object, masks.ignore, hand)).with_field.with_fingers()
+    everywhere = HandSilhouette.of(off(clip, CONSTANT), Masks(masks.object, masks.ignore, hand))
+    everywhere = everywhere.with_field.with_fingers()
     x = np.zeros((len(clip), seen.errors.size))
     for values in (*seen(x), *everywhere(x)):
         assert not values[[1, 3]].any()

@@ -8,7 +8,7 @@ mask shows the object, it is an outlier, or the method has no motion model for o
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -71,6 +71,8 @@ def at_every_frame(clip: Clip, problem: Problem, found: MethodResult, track: Tra
     """
     sampled = clip.index_of(problem.clip.frames)
     if problem.trust.hand_refined:
+        if problem.refinement is not None:
+            clip = replace(clip, hand=problem.refinement.with_fingers(clip.hand, sampled))
         clip = clip.with_hand_at(hand_between(clip.hand.T_cam_hand, problem.clip.hand.T_cam_hand, sampled))
     T, K, scale = len(clip), len(track.T_hand_obj), float(found.poses.scale[0])
     kind: list[FrameKind] = ["interpolated"] * T

@@ -4,7 +4,8 @@
 
 w turns the hand about its middle, s shifts it, both in the hand's frame. Its size and the bends of its 15 finger joints
 are off as well. Those only explain the silhouette: without them, wrong fingers would turn the palm, and a hand that is
-too large would come nearer. (One silhouette says nothing about depth unless the hand's size is known.)
+too large would come nearer. (One silhouette says nothing about depth unless the hand's size is known.) Where its joints
+were seen, whole fingers are off sideways, too; a silhouette alone hardly tells that from a turn of the palm.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ from numpy import ndarray
 
 from getagrip.clip import HandTrack
 from getagrip.geometry import se3
-from getagrip.hands.bending import CHAINS, bent, finger_weights, hinges
+from getagrip.hands.bending import CHAINS, bent, finger_weights, hinges, uprights
 
-TURN, SHIFT, SIZE, BENDS = slice(0, 3), slice(3, 6), 6, slice(7, 22)
-"""Position of each error among the numbers of a frame: [rad], [m], logarithm, [rad]."""
+TURN, SHIFT, SIZE, BENDS, SIDEWAYS = slice(0, 3), slice(3, 6), 6, slice(7, 22), slice(22, 27)
+"""Position of each error among the numbers of a frame: [rad], [m], logarithm, [rad], [rad]."""
 RIGID = 7
 """Number of errors without the fingers."""
 
@@ -33,26 +34,29 @@ class HandErrors:
         given: the hand as it was given.
         middle: (3,) the point that it turns about, in the hand frame [m].
         weights: (V, 5, 3) how far vertices go with each bone; None: the fingers keep their bends, and P is ``RIGID``.
+        sideways: whether they may turn sideways, too.
     """
 
     tracked: HandTrack
     middle: Float[ndarray, "3"]
     weights: Float[ndarray, "V 5 3"] | None
+    sideways: bool = False
 
     @staticmethod
     def of(hand: HandTrack) -> HandErrors:
         """Return the rigid errors of a hand."""
         return HandErrors(hand, hand.vertices.mean(axis=(0, 1)), None)
 
-    @property
-    def with_bends(self) -> HandErrors:
-        """All the errors that the hand can have; one without joints has rigid ones only."""
-        return self if self.tracked.joints is None else replace(self, weights=finger_weights(self.tracked))
+    def with_fingers(self, sideways: bool = False) -> HandErrors:
+        """Return all the errors that the hand can have; one without joints has rigid ones only."""
+        if self.tracked.joints is None:
+            return self
+        return replace(self, weights=finger_weights(self.tracked), sideways=sideways)
 
     @property
     def size(self) -> int:
         """How many numbers each frame has."""
-        return RIGID if self.weights is None else BENDS.stop
+        return RIGID if self.weights is None else SIDEWAYS.stop if self.sideways else BENDS.stop
 
     def take(self, index: Int[ndarray, "n"]) -> HandErrors:
         """Return the hand at some of its frames."""
@@ -67,7 +71,7 @@ class HandErrors:
         """Return vertices and joints in the refined hand's frame, with the size and the bends that fit best."""
         vertices, joints = self.tracked.vertices, self.tracked.joints
         if self.weights is not None and joints is not None:
-            vertices, joints = bent(vertices, joints, self.weights, x[:, BENDS].reshape(-1, 5, 3))
+            vertices, joints = bent(vertices, joints, self.weights, *_of_fingers(x))
         size = np.exp(x[:, SIZE, None, None])
         return (
             self.middle + size * (vertices - self.middle),
@@ -99,12 +103,25 @@ class HandErrors:
             return J
         in_hand = in_input @ turn
         moment = np.cross(X, in_hand)
-        axes = hinges(self.tracked.joints)  # those of a finger are parallel: bends do not turn them
-        beyond = np.cumsum(self.weights[..., ::-1], axis=-1)[..., ::-1]  # what moves with a joint
-        for f, chain in enumerate(CHAINS):
+
+        def turned(axis: Float[ndarray, "N 3"], through: Float[ndarray, "N k 3"]) -> Float[ndarray, "N M k"]:
             # Turning X about the axis a through p moves it by a x (X - p), along n by a . (X x n) - (a x p) . n.
-            about_origin = (moment @ axes[:, f, :, None])[..., 0]
-            offset = in_hand @ np.swapaxes(np.cross(axes[:, f, None], joints[:, chain[:3]]), 1, 2)
+            offset = in_hand @ np.swapaxes(np.cross(axis[:, None], through), 1, 2)
+            return np.asarray(moment @ axis[..., None] - offset)
+
+        # Hinges of a finger are parallel, so bends do not turn them; turning it sideways, which comes last, does.
+        aside = uprights(self.tracked.joints)
+        axes = (se3.exp_so3(_of_fingers(x)[1][..., None] * aside) @ hinges(self.tracked.joints)[..., None])[..., 0]
+        beyond = np.cumsum(self.weights[..., ::-1], axis=-1)[..., ::-1][nearest]  # what moves with a joint
+        for f, chain in enumerate(CHAINS):
             first = BENDS.start + 3 * f
-            J[..., first : first + 3] = beyond[nearest, f] * (about_origin[..., None] - offset)
+            J[..., first : first + 3] = beyond[..., f, :] * turned(axes[:, f], joints[:, chain[:3]])
+            if self.sideways:
+                J[..., SIDEWAYS.start + f] = beyond[..., f, 0] * turned(aside[:, f], joints[:, chain[:1]])[..., 0]
         return J
+
+
+def _of_fingers(x: Float[ndarray, "N P"]) -> tuple[Float[ndarray, "N 5 3"], Float[ndarray, "N 5"]]:
+    """Return bends, and turns sideways: zero where they are none of the errors."""
+    sideways = x[:, SIDEWAYS] if x.shape[1] > BENDS.stop else np.zeros((len(x), 5))
+    return x[:, BENDS].reshape(-1, 5, 3), sideways

@@ -12,15 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip import least_squares
-from getagrip.clip import Clip, Masks
+from getagrip.clip import Clip, HandTrack, Masks
 from getagrip.clip.sampling import frame_indices
-from getagrip.fitting.hand_errors import RIGID, TURN, HandErrors
+from getagrip.fitting.hand_errors import RIGID, SIZE, TURN, HandErrors
 from getagrip.fitting.hand_fit import AssumedErrors, HandFit
 from getagrip.fitting.hand_silhouette import HandSilhouette
 from getagrip.fitting.seen_joints import SeenJoints
@@ -29,8 +30,8 @@ from getagrip.provenance import HandsKind, kind_of_hands
 
 PIXEL = 0.03
 """Weight of a pixel against the prior: thirty of them, side by side along a contour, are as much as one fact."""
-_EACH = [3, 3, 1, 15]
-ASSUMED: Mapping[HandsKind, AssumedErrors] = {
+_EACH = [3, 3, 1, 20]
+_ASSUMED: Mapping[HandsKind, AssumedErrors] = {
     "measured": AssumedErrors(
         np.repeat([0.08, 0.008, 0.01, 0.2], _EACH), np.repeat([0.03, 0.003, 0.003, 0.1], _EACH), PIXEL
     ),
@@ -39,16 +40,20 @@ ASSUMED: Mapping[HandsKind, AssumedErrors] = {
     ),
 }
 """Assumed standard deviations of the errors that all frames share, and of each frame's own, which are taken as
-independent: turn about each axis [rad], shift along each [m], logarithm of the size, bend of each finger joint [rad].
+independent: turn about each axis [rad], shift along each [m], logarithm of the size, bend of each finger joint, turn of
+each finger sideways [rad].
 Those of estimates from images are measured (docs/datasets.md), but for the size, without which nothing tells the
 distance."""
+SIZE_BESIDE_JOINTS = 0.05
+"""Standard deviation of the size of an estimated hand whose joints are seen; 7 % are measured (docs/datasets.md)."""
 WORTH = 0.01
 """Share of the hand's visible pixels that a refinement must correct; less is noise of masks."""
 LEAST = 0.01, 0.002
 """Turn [rad] and shift [m] that joints must ask for where pixels ask for none; hands that were lifted from the same
 joints agree with them."""
-AGREE = 0.25
-"""Share of them that may still differ afterwards; otherwise the mask is another hand's."""
+AGREE, BESIDE_JOINTS = 0.25, 0.6
+"""Share of them that may still differ afterwards, without and with 2D joints that count; otherwise the mask is another
+hand's. Chosen on training clips."""
 SUSPICIOUS, CONTRADICTED = 0.12, 0.05
 """Joints with which more than the first share of the pixels differ are left out, if without them fewer do, by the
 second: they are another hand's, or another camera's."""
@@ -107,6 +112,19 @@ class HandRefinement:
         vertices, joints = errors.surface(x)
         return replace(errors, tracked=replace(errors.tracked, vertices=vertices, joints=joints), weights=None)
 
+    def with_fingers(self, hand: HandTrack, at: Int[ndarray, "N"]) -> HandTrack:
+        """Bend the fingers of a hand that has this one's frames ``at``; between them bends are interpolated.
+
+        They stay as they are where joints do not count (``_loose``): pixels alone tell too little of them.
+        """
+        if not _loose(self.kind, self.joints):
+            return hand
+        x = self.shared + self.own
+        every = np.stack([np.interp(np.arange(len(hand.T_cam_hand)), at, of_one) for of_one in x.T], axis=1)
+        every[:, :RIGID] = 0.0
+        vertices, joints = replace(self.seen.errors, tracked=hand).surface(every)
+        return replace(hand, vertices=vertices, joints=joints)
+
     def __str__(self) -> str:
         pixels = f"{100 * self.before:.0f} % of its pixels differed, {100 * self.after:.0f} % still do"
         grown = f" (grown by {self.grown:.1f} px: its masks are too small on all sides)" if self.grown else ""
@@ -115,6 +133,21 @@ class HandRefinement:
             f"the hand was refined against its own {by}{grown}: turned by {np.degrees(self.turned):.1f} degrees and "
             f"moved by {1e3 * self.moved:.1f} mm on average" + ("" if np.isnan(self.before) else f"; {pixels}")
         )
+
+
+def _loose(kind: HandsKind, joints: SeenJoints | None) -> bool:
+    """Tell whether 2D joints let size and fingers be far off: not of measured hands, nor of those lifted from them."""
+    return kind == "estimated" and joints is not None and joints.errors.sideways
+
+
+def assumed_errors(kind: HandsKind, joints: SeenJoints | None) -> AssumedErrors:
+    """Return the assumed errors of hands of a kind, whose joints are seen or not."""
+    assumed = _ASSUMED[kind]
+    if not _loose(kind, joints):
+        return assumed
+    bias = assumed.bias.copy()
+    bias[SIZE] = SIZE_BESIDE_JOINTS
+    return replace(assumed, bias=bias)
 
 
 def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[HandRefinement | None, float]:
@@ -138,25 +171,24 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
     if before < WORTH:
         return None, before
     seen, kind = seen.with_field, kind_of_hands(clip.provenance)
-    found, after = _fitted(_SeenHand(seen, joints), ASSUMED[kind], unrefined)
-    turned_far = np.linalg.norm(found.errors[:, TURN], axis=1).mean() > UNLIKE_MEASURED
-    if kind == "measured" and turned_far and not after > EXPLAINED * before:
-        kind = "estimated"
-        found, after = _fitted(_SeenHand(seen, joints), ASSUMED[kind], unrefined)
-    if joints is not None and after > SUSPICIOUS:
-        by_pixels, alone = _fitted(_SeenHand(seen, None), ASSUMED[kind], unrefined)
-        if after - alone > CONTRADICTED:
-            joints, found, after = None, by_pixels, alone
-    if after > AGREE or (before - after < WORTH and joints is None):
+    fitted = _Fitted.to(seen, joints, kind)
+    turned_far = np.linalg.norm(fitted.found.errors[:, TURN], axis=1).mean() > UNLIKE_MEASURED
+    if kind == "measured" and turned_far and not fitted.after > EXPLAINED * before:
+        fitted = _Fitted.to(seen, joints, "estimated")
+    if joints is not None and fitted.after > SUSPICIOUS:
+        by_pixels = _Fitted.to(seen, None, fitted.kind)
+        if fitted.after - by_pixels.after > CONTRADICTED:
+            fitted = by_pixels
+    found, joints, after = fitted.found, fitted.joints, fitted.after
+    if after > (BESIDE_JOINTS if _loose(fitted.kind, joints) else AGREE) or (before - after < WORTH and joints is None):
         return None, before
     T, T_input, middle = seen.errors.T_cam_hand(found.errors), clip.hand.T_cam_hand, seen.errors.middle[None]
     turned = se3.angle_between(T[:, :3, :3], T_input[:, :3, :3])
     moved = np.linalg.norm(se3.transform(T, middle) - se3.transform(T_input, middle), axis=-1)
     if not before - after >= WORTH and turned.mean() < LEAST[0] and moved.mean() < LEAST[1]:
         return None, before
-    seen = seen if found.own.shape[1] == RIGID else seen.with_bends
-    how = float(turned.mean()), float(moved.mean()), before, after, seen.mask.grown
-    return HandRefinement(T, *how, seen, found.shared, found.own, joints, kind), after
+    how = float(turned.mean()), float(moved.mean()), before, after, fitted.silhouette.mask.grown
+    return HandRefinement(T, *how, fitted.silhouette, found.shared, found.own, joints, fitted.kind), after
 
 
 @dataclass(frozen=True)
@@ -166,9 +198,9 @@ class _SeenHand:
     silhouette: HandSilhouette
     joints: SeenJoints | None
 
-    @property
-    def with_bends(self) -> _SeenHand:
-        return replace(self, silhouette=self.silhouette.with_bends)
+    def with_fingers(self, sideways: bool) -> _SeenHand:
+        joints = self.joints and replace(self.joints, errors=replace(self.joints.errors, sideways=sideways))
+        return _SeenHand(self.silhouette.with_fingers(sideways), joints)
 
     def take(self, index: Int[ndarray, "n"]) -> _SeenHand:
         return _SeenHand(self.silhouette.take(index), self.joints and self.joints.take(index))
@@ -185,23 +217,32 @@ class _SeenHand:
         return value, g, H
 
 
-def _fitted(seen: _SeenHand, assumed: AssumedErrors, unrefined: Float[ndarray, "N P"]) -> tuple[HandFit, float]:
-    """Return the fit, and the share of the hand's pixels that still differ; NaN where none is seen."""
-    found, silhouette = _minimised(seen, assumed, unrefined), seen.silhouette
-    if found.own.shape[1] > RIGID:
-        silhouette = silhouette.with_bends
-    return found, silhouette.share(found.errors)
+@dataclass(frozen=True)
+class _Fitted:
+    """Errors that were found, the silhouette that they move, and what was assumed of them."""
 
+    found: HandFit
+    silhouette: HandSilhouette
+    kind: HandsKind
+    joints: SeenJoints | None
 
-def _minimised(seen: _SeenHand, assumed: AssumedErrors, unrefined: Float[ndarray, "N P"]) -> HandFit:
-    """Minimise the cost: first by rigid errors alone, since bends, too, could explain a hand that is turned."""
-    rigid, few, all_frames = STEPS
-    found = least_squares.minimise(HandFit.of(seen, assumed, unrefined), rigid).state
-    seen = seen.with_bends
-    if seen.silhouette.errors.weights is None:
-        return found
-    spare = seen.silhouette.errors.size - RIGID
-    shared, own = np.pad(found.shared, (0, spare)), np.pad(found.own, ((0, 0), (0, spare)))
-    index = frame_indices(len(own), FEW)
-    some = least_squares.minimise(HandFit.of(seen.take(index), assumed, own[index], shared), few).state
-    return least_squares.minimise(HandFit.of(seen, assumed, own, some.shared), all_frames).state
+    @staticmethod
+    def to(silhouette: HandSilhouette, joints: SeenJoints | None, kind: HandsKind) -> _Fitted:
+        """Minimise the cost: first by rigid errors alone, since bends, too, could explain a hand that is turned."""
+        seen, assumed, (rigid, few, all_frames) = _SeenHand(silhouette, joints), assumed_errors(kind, joints), STEPS
+        unrefined = np.zeros((len(silhouette.errors.tracked.T_cam_hand), RIGID))
+        found = least_squares.minimise(HandFit.of(seen, assumed, unrefined), rigid).state
+        seen = seen.with_fingers(_loose(kind, joints))
+        if seen.silhouette.errors.weights is None:
+            return _Fitted(found, silhouette, kind, joints)
+        spare = seen.silhouette.errors.size - RIGID
+        shared, own = np.pad(found.shared, (0, spare)), np.pad(found.own, ((0, 0), (0, spare)))
+        index = frame_indices(len(own), FEW)
+        some = least_squares.minimise(HandFit.of(seen.take(index), assumed, own[index], shared), few).state
+        found = least_squares.minimise(HandFit.of(seen, assumed, own, some.shared), all_frames).state
+        return _Fitted(found, seen.silhouette, kind, joints)
+
+    @cached_property
+    def after(self) -> float:
+        """Share of the hand's pixels that still differ; NaN where none is seen."""
+        return self.silhouette.share(self.found.errors)

@@ -159,10 +159,9 @@ class HandSilhouette:
         silhouettes = _contours(in_camera, self.errors.tracked, self.edges, self.mask, 0)[3]
         return replace(self, mask=self.mask.grown_to(silhouettes))
 
-    @cached_property
-    def with_bends(self) -> HandSilhouette:
-        """Silhouette whose fingers may bend."""
-        return replace(self, errors=self.errors.with_bends)
+    def with_fingers(self, sideways: bool = False) -> HandSilhouette:
+        """Return a silhouette whose fingers may bend, and turn sideways."""
+        return replace(self, errors=self.errors.with_fingers(sideways))
 
     def take(self, index: Int[ndarray, "n"]) -> HandSilhouette:
         """Return some of the frames."""

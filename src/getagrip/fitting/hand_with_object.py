@@ -16,7 +16,7 @@ from numpy import ndarray
 
 from getagrip.fitting.energy import OnHand
 from getagrip.fitting.hand_errors import SHIFT, SIZE, TURN
-from getagrip.fitting.hand_refinement import ASSUMED, HandRefinement
+from getagrip.fitting.hand_refinement import HandRefinement, assumed_errors
 from getagrip.fitting.motion import HandPrior, Motion, MovingHand, moving_hand
 from getagrip.fitting.objective import energy_of_nat, evidence_on_hand, plus
 from getagrip.fitting.problem import EnergyOf, Problem
@@ -33,7 +33,6 @@ PRIOR = 0.5
 that its tails are heavier than a square's. Chosen on training clips."""
 TAIL = 2.0
 """Degrees of freedom of Student's t: a clip's shift, turn and depth may each be off by more than is assumed."""
-ESTIMATED = ASSUMED["estimated"]
 LEVEL, ITERATIONS, AGAIN = 128, 8, (4, 4)
 """Resolution [px]; most iterations, and those of each round under a prior that is as wide as the errors before."""
 
@@ -67,7 +66,8 @@ def solve_with_hand(problem: Problem, motion: M, energy_of: EnergyOf) -> tuple[S
 
 def _moving(refinement: HandRefinement, motion: M, nat: float) -> MovingHand[M]:
     """Put a motion into the refined hand."""
-    hand, (bias, jitter) = refinement.seen.errors.tracked, (ESTIMATED.bias, ESTIMATED.jitter)
+    assumed = assumed_errors("estimated", refinement.joints)
+    hand, bias, jitter = refinement.seen.errors.tracked, assumed.bias, assumed.jitter
     constant = np.concatenate([bias[SHIFT], bias[TURN], [DEPTH[0], bias[SIZE]]])
     own = np.concatenate([jitter[SHIFT], jitter[TURN], [DEPTH[1]]])
     a, b = refinement.shared, refinement.own

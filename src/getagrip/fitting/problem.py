@@ -252,7 +252,8 @@ def _prepared(
     if options.hands == "corrected" and not options.as_published:
         correction, differing = refine_hand(clip, masks, observation.has_gaps)
     if correction is not None:
-        clip = clip.with_hand_at(correction.T_cam_hand)
+        hand = correction.with_fingers(clip.hand, np.arange(len(clip)))
+        clip = replace(clip, hand=hand).with_hand_at(correction.T_cam_hand)
         notes.append(str(correction))
         if correction.kind != kind_of_hands(clip.provenance):
             notes.append("the hand counts as estimated, since it was turned farther than measured hands are off")

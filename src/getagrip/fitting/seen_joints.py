@@ -27,6 +27,7 @@ from getagrip.fitting.hand_fit import AssumedErrors, HandFit
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands.bending import BONE_OF_JOINT
+from getagrip.provenance import is_assumed
 
 TAIL = 4.0
 """Degrees of freedom of Student's t."""
@@ -50,7 +51,7 @@ ROUNDS, STEPS = 2, 12
 SHIFTS, CLOSE = 40, 1e-4
 """Most iterations for d, and the step that ends them [deviations]."""
 ASSUMED = AssumedErrors(
-    np.repeat([0.16, 0.015, 0.06, 0.2], [3, 3, 1, 15]), np.repeat([0.08, 0.006, 0.003, 0.1], [3, 3, 1, 15])
+    np.repeat([0.16, 0.015, 0.06, 0.2], [3, 3, 1, 20]), np.repeat([0.08, 0.006, 0.003, 0.1], [3, 3, 1, 20])
 )
 """Errors of the hand while those of the joints are estimated; wide, so that they are not taken for the joints'."""
 
@@ -96,11 +97,13 @@ class SeenJoints:
             return None
         if masks is not None and share_elsewhere(clip, masks) > ELSEWHERE:
             return None
+        lifted = is_assumed(clip.provenance.get("hands_scale"))  # it agrees with them
         box = np.ptp(_image(clip.K, _in_camera(hand)), axis=1).max(axis=-1)
         hidden = np.zeros(confidence.shape, dtype=bool) if masks is None else _within(masks, points)
         seen = SeenJoints(
-            HandErrors.of(hand).with_bends, clip.K, points, confidence, box[:, None] * np.where(hidden, HIDDEN, 1.0)
-        )
+            HandErrors.of(hand).with_fingers(sideways=not lifted), clip.K, points, confidence,
+            box[:, None] * np.where(hidden, HIDDEN, 1.0),
+        )  # fmt: skip
         if not np.isfinite(seen.cost_and_pull(_in_camera(hand))[0]).all():
             return None
         seen = seen.with_sizes_estimated()

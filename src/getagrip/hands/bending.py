@@ -54,12 +54,16 @@ def bent(
     joints: Float[ndarray, "T 21 3"],
     weights: Float[ndarray, "V 5 3"],
     angles: Float[ndarray, "T 5 3"],
+    sideways: Float[ndarray, "T 5"] | None = None,
 ) -> tuple[Float[ndarray, "T V 3"], Float[ndarray, "T 21 3"]]:
     """Bend each finger's joints further by ``angles`` [rad], thumb first; return vertices and joints.
 
     Fingers bend about an axis across the palm, the thumb towards the knuckle of the index finger or away from it.
+    Afterwards each is turned ``sideways``, about its first joint [rad].
     """
     turns = se3.rotation_about_line(joints[:, CHAINS[:, :3]], hinges(joints)[:, :, None], angles)
+    if sideways is not None:
+        turns[:, :, 0] = se3.rotation_about_line(joints[:, CHAINS[:, 0]], uprights(joints), sideways) @ turns[:, :, 0]
     for k in (1, 2):
         turns[:, :, k] = turns[:, :, k - 1] @ turns[:, :, k]
     moved, skeleton = np.empty_like(vertices), joints.copy()
@@ -94,6 +98,12 @@ def hinges(joints: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 5 3"]:
     along = joints[:, CHAINS[1:, 1]] - joints[:, CHAINS[1:, 0]]
     fingers = np.cross(along, palm[:, None])
     axes = np.concatenate([np.cross(thumb, ahead)[:, None], fingers], axis=1)
+    return np.asarray(axes / np.maximum(np.linalg.norm(axes, axis=-1, keepdims=True), 1e-12))
+
+
+def uprights(joints: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 5 3"]:
+    """Compute the unit axes about which fingers turn sideways: at right angles to hinges and first bones."""
+    axes = np.cross(joints[:, CHAINS[:, 1]] - joints[:, CHAINS[:, 0]], hinges(joints))
     return np.asarray(axes / np.maximum(np.linalg.norm(axes, axis=-1, keepdims=True), 1e-12))
 
 

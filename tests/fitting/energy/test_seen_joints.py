@@ -66,14 +66,14 @@ def test_its_gradient_is_that_of_finite_differences(problem: Problem) -> None:
 def test_by_the_hands_errors_its_gradient_is_that_of_finite_differences(problem: Problem) -> None:
     seen = SeenJoints.of(problem.clip, problem.input_masks)
     assert seen is not None
-    x = np.random.default_rng(2).normal(size=(4, 22)) * np.repeat([0.1, 0.005, 0.1, 0.2], [3, 3, 1, 15])
+    x = np.random.default_rng(2).normal(size=(4, 27)) * np.repeat([0.1, 0.005, 0.1, 0.2], [3, 3, 1, 20])
     _, g, H = seen(x)
-    for k in range(22):
-        step = 1e-5 * np.eye(22)[k]
+    for k in range(27):
+        step = 1e-5 * np.eye(27)[k]
         slope = (seen(x + step)[0] - seen(x - step)[0]) / 2e-5
         np.testing.assert_allclose(g[:, k], slope, rtol=2e-3, atol=1e-4 * np.abs(g).max())
     assert np.linalg.eigvalsh(H).min() > -1e-6 * np.abs(H).max()
-    np.testing.assert_allclose(seen.rigid(x[:, :7])[1], seen(np.pad(x[:, :7], ((0, 0), (0, 15))))[1][:, :7])
+    np.testing.assert_allclose(seen.rigid(x[:, :7])[1], seen(np.pad(x[:, :7], ((0, 0), (0, 20))))[1][:, :7])
 
 
 def test_it_is_least_where_the_joints_are_seen(problem: Problem) -> None:
