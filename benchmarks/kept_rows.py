@@ -181,7 +181,7 @@ def read(file: Path) -> list[Row]:
 def main(out: Path, clips: Path, root: Path, meshes: Path, workers: int | None = None, most: int = 1000) -> None:
     """Import the clips, and collect the rows."""
     workers = workers or cores()
-    every = [*cases(clips, root, meshes, workers, most), *real(clips / REAL), *scenes(clips / SYNTHETIC, workers)]
+    every = [*real(clips / REAL), *cases(clips, root, meshes, workers, most), *scenes(clips / SYNTHETIC, workers)]
     collect(out, every, workers)
 
 
