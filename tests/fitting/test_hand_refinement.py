@@ -19,9 +19,11 @@ from getagrip.fitting.hand_silhouette import SIZE, HandMask, HandSilhouette
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare
 from getagrip.geometry import se3
+from getagrip.geometry.camera import project
 from getagrip.geometry.depth import covered
+from getagrip.hands.bending import bent, finger_weights
 from getagrip.kernels.silhouette import unpack
-from getagrip.provenance import estimated
+from getagrip.provenance import assumed, estimated
 
 CONSTANT = Noise(hand_bias_deg=8.0, hand_bias_mm=10.0)
 
@@ -235,6 +237,63 @@ def test_frames_in_which_nobody_labelled_the_hand_say_nothing(made: tuple[Clip, 
     for values in (*seen(x), *everywhere(x)):
         assert not values[[1, 3]].any()
         assert values[[0, 2]].any()
+
+
+SPREAD = np.array([0.3, -0.25, -0.1, 0.15, 0.3])
+
+
+def other_fingers(made: tuple[Clip, Masks]) -> Clip:
+    """A hand turned by 12 degrees, 6 % too large, with fingers that are sideways; its true joints were seen."""
+    clip = made[0]
+    hand, joints = clip.hand, clip.hand.joints
+    assert joints is not None
+    seen = project(clip.K, se3.transform(hand.T_cam_hand, joints))
+    vertices, joints = bent(
+        hand.vertices, joints, finger_weights(hand), np.zeros((len(clip), 5, 3)), np.tile(SPREAD, (len(clip), 1))
+    )
+    wrong = replace(
+        off(clip, Noise(hand_bias_deg=12.0)).hand, vertices=1.06 * vertices, joints=1.06 * joints, joints_2d=seen,
+        joints_2d_confidence=np.ones(seen.shape[:2]),
+    )  # fmt: skip
+    return replace(clip, hand=wrong, provenance=clip.provenance | {"hands": estimated("by a network")})
+
+
+@pytest.mark.slow
+def test_beside_joints_wrong_fingers_do_not_keep_the_palm_from_turning(made: tuple[Clip, Masks]) -> None:
+    clip = other_fingers(made)
+    found, _ = refine_hand(clip, made[1])
+    lifted, _ = refine_hand(replace(clip, provenance=clip.provenance | {"hands_scale": assumed("")}), made[1])
+    assert found is not None
+    assert lifted is not None
+    turned = [apart(clip, one.T_cam_hand)[0] for one in (found, lifted)]
+    assert turned[0] < 0.4 * apart(clip, clip.hand.T_cam_hand)[0]
+    assert turned[0] < 0.7 * turned[1], "a hand that was lifted from joints has the fingers that it has"
+
+
+@pytest.mark.slow
+def test_contact_counts_with_the_fingers_as_refined_in_every_frame(made: tuple[Clip, Masks]) -> None:
+    clip, true = other_fingers(made), made[0].hand.joints
+    found, _ = refine_hand(clip, made[1])
+    assert found is not None
+    assert true is not None
+    every, given = np.arange(len(clip)), clip.hand.joints
+    refined = found.with_fingers(clip.hand, every)
+    assert refined.joints is not None
+    np.testing.assert_array_equal(refined.T_cam_hand, clip.hand.T_cam_hand)
+    prepared = prepare(with_masks(clip, made[1]), Options()).clip.hand
+    np.testing.assert_array_equal(prepared.vertices, refined.vertices)
+
+    def off_sideways(joints: ndarray) -> float:
+        bones = [np.diff(one[:, 1:].reshape(-1, 5, 4, 3)[:, :, :2], axis=2) for one in (joints, true)]
+        a, b = (one / np.linalg.norm(one, axis=-1, keepdims=True) for one in bones)
+        return float(np.linalg.norm(a - b, axis=-1).mean())
+
+    assert given is not None
+    assert off_sideways(refined.joints) < 0.7 * off_sideways(given)
+    some = found.take(every[::2]).with_fingers(clip.hand, every[::2])
+    assert some.joints is not None
+    np.testing.assert_allclose(some.joints[::2], refined.joints[::2], atol=1e-12)
+    np.testing.assert_allclose(some.joints[1], refined.joints[1], atol=0.01)
 
 
 def test_landmarks_of_the_images_stay_with_their_frames(made: tuple[Clip, Masks]) -> None:

@@ -17,7 +17,7 @@ from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands import generic
-from getagrip.hands.bending import bent, finger_weights
+from getagrip.hands.bending import bent, finger_weights, hinges
 from getagrip.hands.model import KNUCKLES
 from helpers.error_measures import ERROR_MEASURES, ErrorCurves, measure
 
@@ -128,6 +128,26 @@ def test_no_bend_is_no_change(made: tuple[Clip, Masks]) -> None:
     vertices, joints = bent(hand.vertices, hand.joints, finger_weights(hand), np.zeros((len(made[0]), 5, 3)))
     np.testing.assert_allclose(vertices, hand.vertices, atol=1e-12)
     np.testing.assert_allclose(joints, hand.joints, atol=1e-12)
+    still = np.zeros((len(made[0]), 5, 3)), np.zeros((len(made[0]), 5))
+    sideways = bent(hand.vertices, hand.joints, finger_weights(hand), *still)
+    np.testing.assert_array_equal(sideways[0], vertices)
+
+
+def test_fingers_turn_sideways_as_a_whole_at_right_angles_to_their_bends(made: tuple[Clip, Masks]) -> None:
+    hand = made[0].hand
+    assert hand.joints is not None
+    still, angle = np.zeros((len(made[0]), 5, 3)), np.full((len(made[0]), 5), 0.3)
+    joints = bent(hand.vertices, hand.joints, finger_weights(hand), still, angle)[1]
+    first, moved = (j[:, 1:].reshape(-1, 5, 4, 3) for j in (hand.joints, joints))
+    np.testing.assert_array_equal(first[:, :, 0], moved[:, :, 0])
+    shape = [np.linalg.norm(one[:, :, :, None] - one[:, :, None], axis=-1) for one in (first, moved)]
+    np.testing.assert_allclose(shape[0], shape[1], atol=1e-9)
+    a, b = (one[:, :, 1] - one[:, :, 0] for one in (first, moved))
+    cosine = np.sum(a * b, axis=-1) / np.linalg.norm(a, axis=-1) ** 2
+    np.testing.assert_allclose(cosine, np.cos(0.3), atol=1e-9)
+    out_of_plane = np.sum((b - a * cosine[..., None]) * hinges(hand.joints), axis=-1)
+    # The thumb's hinge is that of its first two bones.
+    np.testing.assert_allclose(np.abs(out_of_plane) / np.linalg.norm(a, axis=-1), np.sin(0.3), atol=1e-3)
 
 
 def test_fingers_without_joints_are_refused(made: tuple[Clip, Masks]) -> None:
