@@ -1,9 +1,9 @@
 """Calibrate what is kept: ``python -m benchmarks.kept ROWS``.
 
-ROWS is a file of ``benchmarks.kept_rows``, or several joined. Its training part gives ``checks/calibrated.json`` the
-probability for estimated hands, fitted with the synthetic part, and for each kind of input the thresholds of
-``checks.keeping``. The validation part is held against them: ``results/kept.json``; how many of it are right, by
-evidence: ``results/evidence-validation.json``. Nothing is reconstructed.
+ROWS is a file of ``benchmarks.kept_rows``, or several joined. Its training parts, with simulated and with real errors
+of hands, give ``checks/calibrated.json`` the probability for estimated hands, fitted with the synthetic part, and for
+each kind of input the thresholds of ``checks.keeping``, which hold for either. The other parts are held against them:
+``results/kept.json``; how many of validation are right: ``results/evidence-validation.json``. Nothing is reconstructed.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from benchmarks import store
-from benchmarks.kept_rows import SEEDS, SYNTHETIC, Row, read
+from benchmarks.kept_rows import REAL, REAL_APART, SEEDS, SYNTHETIC, Row, read
 from benchmarks.probability import stored, write
 from benchmarks.reliability import auroc, auroc_interval, calibration_error, fit_weights, least_error
 from benchmarks.timing import circumstances
 from getagrip.checks.calibrated import CALIBRATIONS, FILE
 from getagrip.checks.calibration import Calibration, Where
-from getagrip.checks.keeping import SHARES, InputKind, Keeping, least_kept, least_of_sets
+from getagrip.checks.keeping import SHARES, SIZES, InputKind, Keeping, least_kept, least_of_sets
 from getagrip.checks.signs import ESTIMATED_SIGNS
 from getagrip.experiments.comparison import LEVEL, resamples
 from getagrip.fitting.options import Options
@@ -105,15 +105,26 @@ class Results:
         return out
 
     def keeping(self, probability: Float[ndarray, "n"]) -> Keeping:
-        """Choose the thresholds."""
-        least = {share: least_kept(probability, self.right, share) for share in SHARES}
-        sets = least_of_sets(probability, self.rank, HOLDS)
+        """Choose the thresholds that hold with simulated and with real errors of hands."""
+        real, right, rank = np.array([row["part"] == REAL for row in self.rows]), self.right, self.rank
+        groups = [of for of in (~real, real) if of.any()]
+        least = {share: max(least_kept(probability[of], right[of], share) for of in groups) for share in SHARES}
+        each = [least_of_sets(probability[of], rank[of], HOLDS) for of in groups]
+        sets, last = dict[int, float](), float("inf")
+        for size in SIZES:
+            p = max(min((p for n, p in one.items() if n <= size), default=np.inf) for one in each)
+            if p < last:
+                sets[size] = last = p
         return Keeping({share: p for share, p in least.items() if np.isfinite(p)}, sets)
 
 
 def of_part(rows: Sequence[Row], part: str, where: Where) -> Results:
-    """Select the results of a part that have a probability, with the synthetic ones for fits."""
-    rows, synthetic = ([row for row in rows if row["part"] == of and not row["serious"]] for of in (part, SYNTHETIC))
+    """Select the results of a part that have a probability, with the synthetic ones for fits.
+
+    Real hands are for training, too; their camera is assumed, so that there is no probability in it.
+    """
+    parts = (part, REAL) if (part, where) == ("train", "hand") else (part,)
+    rows, synthetic = ([row for row in rows if row["part"] in of and not row["serious"]] for of in (parts, [SYNTHETIC]))
     return Results(rows, where, synthetic)
 
 
@@ -133,16 +144,20 @@ HEADER = (
 
 
 def lines(rows: Sequence[Row], fitted: Mapping[Where, Calibration], keeping: Kept) -> Iterator[list[str]]:
-    """Hold both parts against the calibrations; estimated hands of training by fits without their own object."""
-    for where, part in product(get_args(Where), ("train", "validation")):
-        of = of_part(rows, part, where)
-        measured, estimated = of.only(kind="measured"), of.estimated
-        if not measured.rows or not estimated.rows:
+    """Hold all parts against the calibrations; estimated hands of training by fits without their own object."""
+    for where, part in product(get_args(Where), ("train", REAL, "validation", REAL_APART)):
+        if where == "camera" and part in (REAL, REAL_APART):
             continue
-        p = estimated.without_own_object() if part == "train" else estimated.probability(fitted[where])
-        exact = measured.probability(CALIBRATIONS[METHOD, where])
+        of = of_part(rows, "train" if part == REAL else part, where)
+        measured, estimated = of.only(kind="measured", part=part), of.estimated
+        p = estimated.without_own_object() if part in ("train", REAL) else estimated.probability(fitted[where])
+        p, estimated = p[[row["part"] == part for row in estimated.rows]], estimated.only(part=part)
         label = f"{part}, in the {where}"
-        yield line(f"{label}, measured hands", measured, exact, keeping)
+        if measured.rows:
+            exact = measured.probability(CALIBRATIONS[METHOD, where])
+            yield line(f"{label}, measured hands", measured, exact, keeping)
+        if not estimated.rows:
+            continue
         yield line(f"{label}, estimated hands", estimated, p, keeping)
         for condition in dict.fromkeys(row["condition"] for row in estimated.rows):
             some = np.array([row["condition"] == condition for row in estimated.rows])

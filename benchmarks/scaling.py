@@ -14,6 +14,7 @@ from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.options import Options
 from getagrip.geometry.mesh import Mesh, decimate
+from getagrip.geometry.subdivide import edge_length, subdivided
 from getagrip.result import Reconstruction
 
 CATEGORY = "kettle"
@@ -27,7 +28,8 @@ def tables() -> dict[str, Table]:
     """Measure."""
     long, long_masks = synthesise(CATEGORY, 0, SceneOptions(frames=max(FRAMES)))
     clip, masks = synthesise(CATEGORY, 0)
-    fine = _subdivided(clip.mesh, max(FACES))
+    area = float(clip.mesh.vertex_areas.sum())
+    fine = Mesh(*subdivided(clip.mesh.vertices, clip.mesh.faces, edge_length(area, max(FACES))))
     curves: tuple[tuple[str, tuple[int, ...], Callable[[int], Callable[[], Reconstruction]]], ...] = (
         ("frames", FRAMES, lambda n: reconstruction(long, long_masks, Options(frames=n))),
         ("initial poses", INITIAL_POSES, lambda n: reconstruction(clip, masks, Options(inits=n))),
@@ -54,13 +56,3 @@ def _measure(name: str, sizes: tuple[int, ...], call_at: Callable[[int], Callabl
     ]
     found = f"cost grows as their number to the power {overall:.2f}, {slopes.max():.2f} at most between neighbours"
     return of_cells(f"Cost by number of {name}", [name, "CPU, ms", "power", *stages[0]], rows, [found])
-
-
-def _subdivided(mesh: Mesh, faces: int) -> Mesh:
-    """The same surface in at least ``faces`` faces: all are split in four until there are enough."""
-    import trimesh
-
-    vertices, triangles = mesh.vertices, mesh.faces
-    while len(triangles) < faces:
-        vertices, triangles = trimesh.remesh.subdivide(vertices, triangles)  # type: ignore[no-untyped-call]
-    return Mesh(np.asarray(vertices), np.asarray(triangles, dtype=np.int64))

@@ -13,7 +13,7 @@ from benchmarks.timing import timed
 from getagrip.clip import FINGERS, Clip, HandTrack, Truth
 from getagrip.datasets.synthetic import shapes
 from getagrip.geometry import se3
-from getagrip.geometry.mesh import Mesh, decimate
+from getagrip.geometry.mesh import decimate
 from getagrip.grasps.definition import RULES
 from getagrip.grasps.stable import PairwiseIou, contact_sets, stable_grasps
 from getagrip.hands import generic
@@ -22,7 +22,7 @@ FRAMES = 2000
 """Of the sequence whose contacts are timed."""
 LONG = 10_000
 """Frames whose intervals are timed."""
-HAND, OBJECT = 778, 500
+OBJECT = 500
 """Vertices."""
 REPEATS = 3
 
@@ -58,15 +58,16 @@ def sequence(frames: int) -> Clip:
     pose = np.zeros((frames, 5, 3, 3))
     pose[:, :4, :, 2] = (0.5 + 0.1 * np.sin(np.linspace(0.0, 40.0, frames)))[:, None, None]
     posed = generic.load("right").with_shape().with_pose(pose.reshape(frames, 45) + 0.03 * walk(rng, frames, 45))
-    vertices, faces = thinned(posed.vertices, posed.faces, HAND)
     mug = decimate(shapes.mug(), 2 * OBJECT)
     place = np.array([0.01, -0.045, 0.005]) + 0.01 * walk(rng, frames, 3)
     T_hand_obj = se3.rigid(se3.exp_so3(0.3 * walk(rng, frames, 3)), place)
     T_cam_hand = np.tile(se3.rigid(t=np.array([0.0, 0.0, 0.5])), (frames, 1, 1))
     frames_of = tuple(f"{n:06d}" for n in range(frames))
     K = np.tile([[600.0, 0.0, 320.0], [0.0, 600.0, 240.0], [0.0, 0.0, 1.0]], (frames, 1, 1))
-    hand = HandTrack(vertices, faces, T_cam_hand, {finger: np.array([n]) for n, finger in enumerate(FINGERS)})
-    truth = Truth(T_cam_hand @ T_hand_obj, 1.0, T_cam_hand, vertices)
+    hand = HandTrack(
+        posed.vertices, posed.faces, T_cam_hand, {finger: np.array([n]) for n, finger in enumerate(FINGERS)}
+    )
+    truth = Truth(T_cam_hand @ T_hand_obj, 1.0, T_cam_hand, posed.vertices)
     return Clip(
         name="long", category="mug", side="right", fps=30.0, frames=frames_of, size=(640, 480), K=K, mesh=mug,
         scale="known", hand=hand, truth=truth,
@@ -76,17 +77,6 @@ def sequence(frames: int) -> Clip:
 def walk(rng: np.random.Generator, frames: int, numbers: int) -> Float[ndarray, "T n"]:
     """Random walks of unit standard deviation at 1000 frames."""
     return np.cumsum(rng.normal(size=(frames, numbers)), axis=0) / np.sqrt(1000.0)
-
-
-def thinned(vertices: Float[ndarray, "T V 3"], faces: ndarray, count: int) -> tuple[ndarray, ndarray]:
-    """A moving mesh thinned to about ``count`` vertices: those nearest to the vertices of a decimated first frame."""
-    from scipy.spatial import cKDTree
-
-    coarse = decimate(Mesh(vertices[0], faces), 2 * count - 4)
-    ids, inverse = np.unique(cKDTree(vertices[0]).query(coarse.vertices)[1], return_inverse=True)
-    corners = inverse[coarse.faces]
-    whole = np.all(corners != np.roll(corners, 1, axis=1), axis=1)
-    return vertices[:, ids], corners[whole]
 
 
 def long_contacts(contact: Bool[ndarray, "T V"]) -> dict[str, Bool[ndarray, "N V"]]:

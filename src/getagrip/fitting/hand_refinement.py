@@ -45,7 +45,7 @@ each finger sideways [rad].
 Those of estimates from images are measured (docs/datasets.md), but for the size, without which nothing tells the
 distance."""
 SIZE_BESIDE_JOINTS = 0.05
-"""Standard deviation of the size of an estimated hand whose joints are seen; 7 % are measured (docs/datasets.md)."""
+"""Standard deviation of the size of an estimated hand whose joints are seen; chosen on real ones (docs/trials.md)."""
 WORTH = 0.01
 """Share of the hand's visible pixels that a refinement must correct; less is noise of masks."""
 LEAST = 0.01, 0.002
@@ -53,7 +53,7 @@ LEAST = 0.01, 0.002
 joints agree with them."""
 AGREE, BESIDE_JOINTS = 0.25, 0.6
 """Share of them that may still differ afterwards, without and with 2D joints that count; otherwise the mask is another
-hand's. Chosen on training clips."""
+hand's. Chosen on real estimates (docs/trials.md)."""
 SUSPICIOUS, CONTRADICTED = 0.12, 0.05
 """Joints with which more than the first share of the pixels differ are left out, if without them fewer do, by the
 second: they are another hand's, or another camera's."""
