@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 from numpy import ndarray
@@ -30,7 +31,7 @@ from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.datasets.tracks import subject_of
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_CAM, Metric
-from getagrip.experiments.changes import UNCHANGED, Change, Noisy, Several
+from getagrip.experiments.changes import UNCHANGED, Change, EstimatedHands, Several
 from getagrip.experiments.simulated_evidence import SimulatedDepth, SimulatedJoints
 from getagrip.experiments.sources import samples
 from getagrip.experiments.sources.recorded import DexYcb
@@ -42,7 +43,7 @@ from getagrip.timelines.reconstruct import reconstruct
 
 ROWS, END = "rows.jsonl", "\t"
 """The file, and what ends a row in it that was not cut off; no JSON has it."""
-ESTIMATED = Noisy(replace(NOISE["estimated"], mask_ragged_px=0.0))
+ESTIMATED = EstimatedHands(replace(NOISE["estimated"], mask_ragged_px=0.0))
 JOINTS = "landmarks", "wild", "lab"
 """Levels of the errors of 2D joints, by seed: results are to be kept at any of them."""
 SYNTHETIC, SCENES = "synthetic", range(300_000, 300_011)
@@ -55,17 +56,17 @@ SEEDS = {"train": 3, "validation": 1}
 Row = dict[str, Any]
 
 
-def conditions(seed: int, hands: Change = ESTIMATED) -> Mapping[str, Change]:
+def conditions(seed: int) -> Mapping[str, Change]:
     """Return what is done to a clip; evidence is of the true hand, so it comes before the hand's errors."""
     joints = SimulatedJoints(JOINTS[seed])
     mono, sensor = SimulatedDepth("mono"), SimulatedDepth("realsense")
     return {
         "exact": UNCHANGED,
         "exact, depth of a network": mono,
-        "estimated": hands,
-        "2D joints": Several((joints, hands)),
-        "2D joints, depth of a network": Several((joints, mono, hands)),
-        "2D joints, depth of a sensor": Several((joints, sensor, hands)),
+        "estimated": ESTIMATED,
+        "2D joints": Several((joints, ESTIMATED)),
+        "2D joints, depth of a network": Several((joints, mono, ESTIMATED)),
+        "2D joints, depth of a sensor": Several((joints, sensor, ESTIMATED)),
     }
 
 
@@ -108,8 +109,9 @@ def scenes(clips: Path, workers: int) -> Iterator[Case]:
 
 def real(clips: Path) -> Iterator[Case]:
     """Yield the cases of clips with an estimator's hands, each of one draw of the evidence's errors."""
-    for n, folder in enumerate(sorted(file.parent for file in clips.glob("*/clip.json"))):
-        part, draw = REAL if read_clip(folder).category in REAL_OBJECTS else REAL_APART, n % len(JOINTS)
+    for folder in sorted(file.parent for file in clips.glob("*/clip.json")):
+        part = REAL if read_clip(folder).category in REAL_OBJECTS else REAL_APART
+        draw = crc32(folder.name.encode()) % len(JOINTS)
         yield from (Case(folder, part, each, draw) for each in conditions(draw) if not each.startswith("exact"))
 
 
@@ -131,8 +133,7 @@ def row(case: Case) -> Row | None:
     """Reconstruct a clip: its signs, and which of its candidates are right; None where that fails."""
     clip = read_clip(case.folder)
     try:
-        hands = UNCHANGED if case.part in (REAL, REAL_APART) else ESTIMATED
-        clip, masks = conditions(case.seed, hands)[case.condition](clip, read_masks(clip), case.seed)
+        clip, masks = conditions(case.seed)[case.condition](clip, read_masks(clip), case.seed)
         result = reconstruct(clip, masks, Options(every_frame=False))
     except Exception as error:  # one clip's trouble must not end the others
         print(f"{case}: {error}", file=sys.stderr)

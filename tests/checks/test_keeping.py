@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.kept import HEADER, calibrated, lines, of_part, thresholds
-from benchmarks.kept_rows import END, SYNTHETIC, Row, read
+from benchmarks.kept_rows import END, REAL, SYNTHETIC, Row, read
 from benchmarks.probability import stored, write
 from getagrip.batch.keep import HIGHEST, LOWEST, Keep
 from getagrip.checks.calibrated import CALIBRATIONS, FILE, KEEPING, read_calibrated
@@ -180,6 +180,29 @@ def test_what_was_calibrated_is_written_and_held_against_validation(tmp_path: Pa
     depth = next(line for line in table if line["label"] == "validation, in the hand, depth")
     assert float(depth["AUROC"].split()[0]) > 0.75
     assert float(depth["sets that hold it, %"].split()[0]) > 80.0
+
+
+def test_thresholds_hold_for_real_hands_as_for_simulated_ones() -> None:
+    simulated = [row for row in made_rows(600, 0) if row["part"] == "train" and row["kind"] != "measured"]
+    real = [row | {"part": REAL} for row in made_rows(600, 4) if row["kind"] != "measured"]
+    wrong = [row | {"rank": {"hand": None, "camera": None}} for row in real]
+    for share in (0.8, 0.95):
+        least = []
+        for more in ([], real, wrong):
+            of = of_part([*simulated, *more], "train", "hand")
+            p = np.array([1.0 / (1.0 + np.exp(-row["signs"]["energy-gap"])) for row in of.rows])
+            keeping = of.keeping(p)
+            least.append(keeping.least.get(share, np.inf))
+            for rows in (simulated, more):
+                kept = [
+                    row["rank"]["hand"] == 1
+                    for row, x in zip(of.rows, p, strict=True)
+                    if row in rows and x >= least[-1]
+                ]
+                assert np.isinf(least[-1]) or not kept or np.mean(kept) >= share
+        assert least[0] <= least[1] < least[2] == np.inf
+        assert not keeping.sets, "no set of candidates holds what is never right"
+    assert of_part(real, "train", "camera").rows == [], "their camera is assumed"
 
 
 def test_synthetic_results_move_weights_but_not_how_often_results_are_right() -> None:

@@ -8,7 +8,7 @@ mask shows the object, it is an outlier, or the method has no motion model for o
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -20,7 +20,6 @@ from getagrip.fitting.motion import Frozen, Motion, PosesInHand, interpolated, p
 from getagrip.fitting.predicted_silhouette import NeighbourPrediction
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.solve import minimise
-from getagrip.fitting.solved_hand import hand_between
 from getagrip.result import FrameKind
 
 CHUNK = 30
@@ -70,10 +69,7 @@ def at_every_frame(clip: Clip, problem: Problem, found: MethodResult, track: Tra
     Masks that the clip does not have in memory are read from its folder, a few at a time.
     """
     sampled = clip.index_of(problem.clip.frames)
-    if problem.trust.hand_refined:
-        if problem.refinement is not None:
-            clip = replace(clip, hand=problem.refinement.with_fingers(clip.hand, sampled))
-        clip = clip.with_hand_at(hand_between(clip.hand.T_cam_hand, problem.clip.hand.T_cam_hand, sampled))
+    clip = problem.with_hand_found(clip)
     T, K, scale = len(clip), len(track.T_hand_obj), float(found.poses.scale[0])
     kind: list[FrameKind] = ["interpolated"] * T
     outliers = list(problem.trust.outliers)

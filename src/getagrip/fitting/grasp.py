@@ -53,7 +53,7 @@ def _prepare(source: Input) -> Prepared:
     """Choose frames, correct the hand, crop the masks; check the input."""
     problem = prepare(source.clip, source.options, source.threads)
     index = source.clip.index_of(problem.clip.frames)
-    clip = problem.clip.with_hand_at(source.clip.hand.T_cam_hand[index])
+    clip = replace(problem.clip, hand=source.clip.hand.take(index))
     checks, findings = examine(input_checks(), Evidence(clip, problem.input_masks, glitches=source.glitches))
     return Prepared(source, problem, clip, checks, findings)
 

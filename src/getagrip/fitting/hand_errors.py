@@ -31,10 +31,10 @@ class HandErrors:
     """The input hand in N frames, and how errors x (N, P) change it.
 
     Attributes:
-        given: the hand as it was given.
+        tracked: the hand as it was given.
         middle: (3,) the point that it turns about, in the hand frame [m].
         weights: (V, 5, 3) how far vertices go with each bone; None: the fingers keep their bends, and P is ``RIGID``.
-        sideways: whether they may turn sideways, too.
+        sideways: whether they may turn sideways, too; P is 27, else 22.
     """
 
     tracked: HandTrack
@@ -111,17 +111,18 @@ class HandErrors:
 
         # Hinges of a finger are parallel, so bends do not turn them; turning it sideways, which comes last, does.
         aside = uprights(self.tracked.joints)
-        axes = (se3.exp_so3(_of_fingers(x)[1][..., None] * aside) @ hinges(self.tracked.joints)[..., None])[..., 0]
+        axes, sideways = hinges(self.tracked.joints), _of_fingers(x)[1]
+        if sideways is not None:
+            axes = (se3.exp_so3(sideways[..., None] * aside) @ axes[..., None])[..., 0]
         beyond = np.cumsum(self.weights[..., ::-1], axis=-1)[..., ::-1][nearest]  # what moves with a joint
         for f, chain in enumerate(CHAINS):
             first = BENDS.start + 3 * f
             J[..., first : first + 3] = beyond[..., f, :] * turned(axes[:, f], joints[:, chain[:3]])
-            if self.sideways:
+            if sideways is not None:
                 J[..., SIDEWAYS.start + f] = beyond[..., f, 0] * turned(aside[:, f], joints[:, chain[:1]])[..., 0]
         return J
 
 
-def _of_fingers(x: Float[ndarray, "N P"]) -> tuple[Float[ndarray, "N 5 3"], Float[ndarray, "N 5"]]:
-    """Return bends, and turns sideways: zero where they are none of the errors."""
-    sideways = x[:, SIDEWAYS] if x.shape[1] > BENDS.stop else np.zeros((len(x), 5))
-    return x[:, BENDS].reshape(-1, 5, 3), sideways
+def _of_fingers(x: Float[ndarray, "N P"]) -> tuple[Float[ndarray, "N 5 3"], Float[ndarray, "N 5"] | None]:
+    """Return bends, and turns sideways where these are among the errors."""
+    return x[:, BENDS].reshape(-1, 5, 3), x[:, SIDEWAYS] if x.shape[1] > BENDS.stop else None

@@ -41,7 +41,7 @@ _ASSUMED: Mapping[HandsKind, AssumedErrors] = {
 }
 """Assumed standard deviations of the errors that all frames share, and of each frame's own, which are taken as
 independent: turn about each axis [rad], shift along each [m], logarithm of the size, bend of each finger joint, turn of
-each finger sideways [rad].
+each finger sideways, beside joints of an estimate [rad].
 Those of estimates from images are measured (docs/datasets.md), but for the size, without which nothing tells the
 distance."""
 SIZE_BESIDE_JOINTS = 0.05
@@ -51,9 +51,9 @@ WORTH = 0.01
 LEAST = 0.01, 0.002
 """Turn [rad] and shift [m] that joints must ask for where pixels ask for none; hands that were lifted from the same
 joints agree with them."""
-AGREE, BESIDE_JOINTS = 0.25, 0.6
-"""Share of them that may still differ afterwards, without and with 2D joints that count; otherwise the mask is another
-hand's. Chosen on real estimates (docs/trials.md)."""
+AGREE, BESIDE_JOINTS = 0.25, 0.4
+"""Share of them that may still differ afterwards; otherwise the mask is another hand's. Beside joints from which the
+fingers are known it is that of the finding ``hand-off-pixels``."""
 SUSPICIOUS, CONTRADICTED = 0.12, 0.05
 """Joints with which more than the first share of the pixels differ are left out, if without them fewer do, by the
 second: they are another hand's, or another camera's."""
@@ -108,22 +108,18 @@ class HandRefinement:
     def bent(self) -> HandErrors:
         """The hand where it was given, its fingers bent as its evidence says, and its rigid errors."""
         errors, x = self.seen.errors, self.shared + self.own
-        x[:, :RIGID] = 0.0
-        vertices, joints = errors.surface(x)
-        return replace(errors, tracked=replace(errors.tracked, vertices=vertices, joints=joints), weights=None)
+        return replace(errors, tracked=_with_fingers(errors, x), weights=None)
 
     def with_fingers(self, hand: HandTrack, at: Int[ndarray, "N"]) -> HandTrack:
-        """Bend the fingers of a hand that has this one's frames ``at``; between them bends are interpolated.
+        """Return a hand with its fingers bent as found; this refinement has its frames ``at``.
 
-        They stay as they are where joints do not count (``_loose``): pixels alone tell too little of them.
+        Between them bends are interpolated. Fingers stay as given where no joints were seen from which they are known.
         """
-        if not _loose(self.kind, self.joints):
+        if self.joints is None or not self.joints.loose:
             return hand
-        x = self.shared + self.own
-        every = np.stack([np.interp(np.arange(len(hand.T_cam_hand)), at, of_one) for of_one in x.T], axis=1)
-        every[:, :RIGID] = 0.0
-        vertices, joints = replace(self.seen.errors, tracked=hand).surface(every)
-        return replace(hand, vertices=vertices, joints=joints)
+        found, every = self.shared + self.own, np.arange(len(hand.T_cam_hand))
+        x = np.stack([np.interp(every, at, one) for one in found.T], axis=1)
+        return _with_fingers(replace(self.seen.errors, tracked=hand), x)
 
     def __str__(self) -> str:
         pixels = f"{100 * self.before:.0f} % of its pixels differed, {100 * self.after:.0f} % still do"
@@ -135,15 +131,16 @@ class HandRefinement:
         )
 
 
-def _loose(kind: HandsKind, joints: SeenJoints | None) -> bool:
-    """Tell whether 2D joints let size and fingers be far off: not of measured hands, nor of those lifted from them."""
-    return kind == "estimated" and joints is not None and joints.errors.sideways
+def _with_fingers(errors: HandErrors, x: Float[ndarray, "N P"]) -> HandTrack:
+    """Return a hand with the bends of its errors, and nothing else of them."""
+    vertices, joints = errors.surface(np.where(np.arange(x.shape[1]) < RIGID, 0.0, x))
+    return replace(errors.tracked, vertices=vertices, joints=joints)
 
 
 def assumed_errors(kind: HandsKind, joints: SeenJoints | None) -> AssumedErrors:
     """Return the assumed errors of hands of a kind, whose joints are seen or not."""
     assumed = _ASSUMED[kind]
-    if not _loose(kind, joints):
+    if joints is None or not joints.loose:
         return assumed
     bias = assumed.bias.copy()
     bias[SIZE] = SIZE_BESIDE_JOINTS
@@ -180,7 +177,8 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
         if fitted.after - by_pixels.after > CONTRADICTED:
             fitted = by_pixels
     found, joints, after = fitted.found, fitted.joints, fitted.after
-    if after > (BESIDE_JOINTS if _loose(fitted.kind, joints) else AGREE) or (before - after < WORTH and joints is None):
+    agree = BESIDE_JOINTS if joints is not None and joints.loose else AGREE
+    if after > agree or (before - after < WORTH and joints is None):
         return None, before
     T, T_input, middle = seen.errors.T_cam_hand(found.errors), clip.hand.T_cam_hand, seen.errors.middle[None]
     turned = se3.angle_between(T[:, :3, :3], T_input[:, :3, :3])
@@ -198,9 +196,10 @@ class _SeenHand:
     silhouette: HandSilhouette
     joints: SeenJoints | None
 
-    def with_fingers(self, sideways: bool) -> _SeenHand:
-        joints = self.joints and replace(self.joints, errors=replace(self.joints.errors, sideways=sideways))
-        return _SeenHand(self.silhouette.with_fingers(sideways), joints)
+    @property
+    def with_fingers(self) -> _SeenHand:
+        loose = self.joints is not None and self.joints.loose
+        return replace(self, silhouette=self.silhouette.with_fingers(sideways=loose))
 
     def take(self, index: Int[ndarray, "n"]) -> _SeenHand:
         return _SeenHand(self.silhouette.take(index), self.joints and self.joints.take(index))
@@ -232,7 +231,7 @@ class _Fitted:
         seen, assumed, (rigid, few, all_frames) = _SeenHand(silhouette, joints), assumed_errors(kind, joints), STEPS
         unrefined = np.zeros((len(silhouette.errors.tracked.T_cam_hand), RIGID))
         found = least_squares.minimise(HandFit.of(seen, assumed, unrefined), rigid).state
-        seen = seen.with_fingers(_loose(kind, joints))
+        seen = seen.with_fingers
         if seen.silhouette.errors.weights is None:
             return _Fitted(found, silhouette, kind, joints)
         spare = seen.silhouette.errors.size - RIGID

@@ -66,16 +66,22 @@ def _hand_spread(clip: Clip, problem: Problem, found: MethodResult) -> float:
     """Compute the standard deviation of the object in the hand that the hand's errors leave [m]."""
     if found.hand is None:
         return 0.0 if kind_of_hands(clip.provenance) == "measured" else UNSOLVED
-    return found.hand.spread(_in_hand(problem, found) - problem.clip.hand.vertices.mean(axis=(0, 1)))
+    return found.hand.spread(_in_hand(problem, found) - _middle(problem))
 
 
 def hand_alternatives(problem: Problem, found: MethodResult) -> Float[ndarray, "M 4 4"] | None:
     """Return where a hand that was solved with the object may be instead; None of another."""
     if found.hand is None:
         return None
-    middle = problem.clip.hand.vertices.mean(axis=(0, 1))
+    middle = _middle(problem)
     apart = APART * float(found.poses.scale[0]) * problem.surface.diameter
     return found.hand.alternatives(_in_hand(problem, found) - middle, middle, apart)
+
+
+def _middle(problem: Problem) -> Float[ndarray, "3"]:
+    """Return the point that a hand was solved about, in the hand [m]."""
+    assert problem.refinement is not None
+    return problem.refinement.seen.errors.tracked.vertices.mean(axis=(0, 1))
 
 
 def _in_hand(problem: Problem, found: MethodResult) -> Float[ndarray, "P 3"]:

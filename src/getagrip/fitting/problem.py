@@ -31,7 +31,7 @@ from getagrip.fitting.mask_gaps import GAP_SHARE
 from getagrip.fitting.motion import Motion, PosesInHand
 from getagrip.fitting.observation import Observation, observe
 from getagrip.fitting.options import WITH_FREE_SCALE, Options
-from getagrip.fitting.solved_hand import SolvedHand
+from getagrip.fitting.solved_hand import SolvedHand, hand_between
 from getagrip.fitting.surface import ObjectSurface
 from getagrip.geometry.warp import Warp
 from getagrip.io.terminal import counted
@@ -97,7 +97,7 @@ class Problem:
 
     Attributes:
         clip: the clip, in the frames that are used, all of its evidence in memory, its hand refined where its pixels
-            ask for it.
+            ask for it, and its fingers where joints were seen from which they are known.
         masks: its masks, in the same frames; they may ignore what the drawn hand covers besides (``input_masks``).
         observation: its masks as crops, with contours.
         surface: surface of the object.
@@ -155,6 +155,15 @@ class Problem:
         if self.refinement is None or not {*clip.frames} <= {*self.clip.frames}:
             return None
         return self.refinement.take(self.clip.index_of(clip.frames))
+
+    def with_hand_found(self, clip: Clip) -> Clip:
+        """Return a clip that has the problem's frames with the hand that was found in them, interpolated in others."""
+        if not self.trust.hand_refined:
+            return clip
+        at = clip.index_of(self.clip.frames)
+        if self.refinement is not None:
+            clip = replace(clip, hand=self.refinement.with_fingers(clip.hand, at))
+        return clip.with_hand_at(hand_between(clip.hand.T_cam_hand, self.clip.hand.T_cam_hand, at))
 
     def with_input_hand(self) -> Problem:
         """Return the problem with the hand where it was given."""

@@ -27,7 +27,7 @@ from getagrip.fitting.hand_fit import AssumedErrors, HandFit
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands.bending import BONE_OF_JOINT
-from getagrip.provenance import is_assumed
+from getagrip.provenance import is_assumed, kind_of_hands
 
 TAIL = 4.0
 """Degrees of freedom of Student's t."""
@@ -97,11 +97,12 @@ class SeenJoints:
             return None
         if masks is not None and share_elsewhere(clip, masks) > ELSEWHERE:
             return None
-        lifted = is_assumed(clip.provenance.get("hands_scale"))  # it agrees with them
+        lifted = is_assumed(clip.provenance.get("hands_scale"))  # from these joints, with which it agrees
+        loose = kind_of_hands(clip.provenance) == "estimated" and not lifted
         box = np.ptp(_image(clip.K, _in_camera(hand)), axis=1).max(axis=-1)
         hidden = np.zeros(confidence.shape, dtype=bool) if masks is None else _within(masks, points)
         seen = SeenJoints(
-            HandErrors.of(hand).with_fingers(sideways=not lifted), clip.K, points, confidence,
+            HandErrors.of(hand).with_fingers(sideways=loose), clip.K, points, confidence,
             box[:, None] * np.where(hidden, HIDDEN, 1.0),
         )  # fmt: skip
         if not np.isfinite(seen.cost_and_pull(_in_camera(hand))[0]).all():
@@ -115,6 +116,11 @@ class SeenJoints:
             self, errors=self.errors.take(index), K=self.K[index], points=self.points[index],
             confidence=self.confidence[index], box=self.box[index],
         )  # fmt: skip
+
+    @property
+    def loose(self) -> bool:
+        """Whether size and fingers may be far off: of an estimate that was not lifted from these joints."""
+        return self.errors.sideways
 
     @property
     def rigid(self) -> SeenJoints:

@@ -24,7 +24,6 @@ from getagrip.fitting.motion import placed
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem, prepare
 from getagrip.fitting.solve import in_camera
-from getagrip.fitting.solved_hand import hand_between
 
 METHOD = "soft-hinge"
 CHUNK = 30
@@ -78,10 +77,9 @@ def fit_hinge(
         raise NothingToFitError(str(error)) from error
     assert found.motion is not None
     found = replace(found, motion=found.motion.take(np.zeros(1, int)))
-    problem, part = problem.as_found(found), clip.take(around)
+    problem = problem.as_found(found)
+    part = problem.with_hand_found(clip.take(around))
     sampled = part.index_of(problem.clip.frames)
-    if problem.trust.hand_refined:
-        part = part.with_hand_at(hand_between(part.hand.T_cam_hand, problem.clip.hand.T_cam_hand, sampled))
     n = len(around)
     T_hand_obj, misfit, expected = np.tile(np.eye(4), (n, 1, 1)), np.full(n, np.nan), np.full(n, PIXEL)
     seen = np.flatnonzero(observed[around])
