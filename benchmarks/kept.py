@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from benchmarks import store
-from benchmarks.kept_rows import REAL, REAL_APART, SEEDS, SYNTHETIC, Row, read
+from benchmarks.kept_rows import REAL, REAL_APART, SYNTHETIC, Row, read
 from benchmarks.probability import stored, write
 from benchmarks.reliability import auroc, auroc_interval, calibration_error, fit_weights, least_error
 from benchmarks.timing import circumstances
@@ -37,6 +37,7 @@ METHOD = Options().method
 Kept = Mapping[tuple[InputKind, Where], Keeping]
 KEPT = 0.95
 """Share of right results in the table."""
+PARTS = ("train", REAL, "validation", REAL_APART)
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,11 @@ class Results:
     def rank(self) -> Float[ndarray, "n"]:
         """Which candidate is the first that is right; infinite where none is."""
         return np.array([row["rank"][self.where] or np.inf for row in self.rows])
+
+    @property
+    def clips(self) -> int:
+        """How many clips they are of."""
+        return len({row["clip"] for row in self.rows})
 
     @property
     def weights(self) -> Float[ndarray, "B n"]:
@@ -84,14 +90,12 @@ class Results:
         own = [[row["signs"][sign.name] for sign in ESTIMATED_SIGNS] for row in every.rows]
         signs = np.column_stack([own, np.arange(len(own)) >= len(self.rows)])
         weights, bias = fit_weights(signs, every.right, [*(sign.direction for sign in ESTIMATED_SIGNS), 0])
-        clips, more = (len({row["clip"] for row in of}) for of in (self.rows, self.synthetic))
-        data = (
-            f"{len(self.rows)} results of {clips} training clips of DexYCB, of which {100.0 * self.right.mean():.0f} % "
-            f"are right, and {len(self.synthetic)} of {more} synthetic clips; hands off as estimates are, with and "
-            "without 2D joints and depth"
-        )
-        named = {sign.name: weight for sign, weight in zip(ESTIMATED_SIGNS, weights[:-1], strict=True)}
-        return Calibration(self.where, named, bias, data, made)
+        named = {"train": "training clips of DexYCB", REAL: "clips of ARCTIC with an estimator's hands"}
+        counts = [f"{len(of.rows)} of {of.clips} {named[part]}" for part in named if (of := self.only(part=part)).rows]
+        right, more = f"{100.0 * self.right.mean():.0f} % of {len(self.rows)} results are right", len(self.synthetic)
+        data = f"{' and '.join(counts)} ({right}), and {more} synthetic ones, with and without 2D joints and depth"
+        by_sign = {sign.name: weight for sign, weight in zip(ESTIMATED_SIGNS, weights[:-1], strict=True)}
+        return Calibration(self.where, by_sign, bias, data, made)
 
     def probability(self, calibration: Calibration) -> Float[ndarray, "n"]:
         """Compute the probability of each."""
@@ -105,14 +109,15 @@ class Results:
         return out
 
     def keeping(self, probability: Float[ndarray, "n"]) -> Keeping:
-        """Choose the thresholds that hold with simulated and with real errors of hands."""
+        """Choose the thresholds: the stricter ones of those with simulated and with real errors of hands."""
         real, right, rank = np.array([row["part"] == REAL for row in self.rows]), self.right, self.rank
         groups = [of for of in (~real, real) if of.any()]
-        least = {share: max(least_kept(probability[of], right[of], share) for of in groups) for share in SHARES}
+        least = {share: max((least_kept(probability[of], right[of], share) for of in groups), default=np.inf)
+                 for share in SHARES}  # fmt: skip
         each = [least_of_sets(probability[of], rank[of], HOLDS) for of in groups]
         sets, last = dict[int, float](), float("inf")
         for size in SIZES:
-            p = max(min((p for n, p in one.items() if n <= size), default=np.inf) for one in each)
+            p = max((min((p for n, p in one.items() if n <= size), default=np.inf) for one in each), default=np.inf)
             if p < last:
                 sets[size] = last = p
         return Keeping({share: p for share, p in least.items() if np.isfinite(p)}, sets)
@@ -121,7 +126,7 @@ class Results:
 def of_part(rows: Sequence[Row], part: str, where: Where) -> Results:
     """Select the results of a part that have a probability, with the synthetic ones for fits.
 
-    Real hands are for training, too; their camera is assumed, so that there is no probability in it.
+    Real hands are for training, too; their camera is assumed, so that there is no probability in the camera.
     """
     parts = (part, REAL) if (part, where) == ("train", "hand") else (part,)
     rows, synthetic = ([row for row in rows if row["part"] in of and not row["serious"]] for of in (parts, [SYNTHETIC]))
@@ -145,7 +150,7 @@ HEADER = (
 
 def lines(rows: Sequence[Row], fitted: Mapping[Where, Calibration], keeping: Kept) -> Iterator[list[str]]:
     """Hold all parts against the calibrations; estimated hands of training by fits without their own object."""
-    for where, part in product(get_args(Where), ("train", REAL, "validation", REAL_APART)):
+    for where, part in product(get_args(Where), PARTS):
         if where == "camera" and part in (REAL, REAL_APART):
             continue
         of = of_part(rows, "train" if part == REAL else part, where)
@@ -229,11 +234,11 @@ def main(file: Path) -> None:
     rows = read(file)
     estimated, keeping = calibrated(rows, stamp())
     write(FILE, estimated=stored(estimated.values()), keeping=thresholds(keeping))
-    makers = ", ".join(sorted({row["made"] for row in rows if row["part"] in SEEDS}))
-    counts = [len(of_part(rows, part, "hand").rows) for part in (*SEEDS, SYNTHETIC)]
+    makers = ", ".join(sorted({row["made"] for row in rows if row["part"] != SYNTHETIC}))
+    counts = [sum(row["part"] == part and not row["serious"] for row in rows) for part in (*PARTS, SYNTHETIC)]
     notes = (
-        f"{counts[0]} training and {counts[1]} validation results, by {makers}; beside them {counts[2]} of synthetic "
-        "clips in the fit for estimated hands; none with a serious finding",
+        f"by {makers}: " + ", ".join(f"{n} {part}" for n, part in zip(counts, (*PARTS, SYNTHETIC), strict=True)),
+        "none with a serious finding; real: ARCTIC's hands as estimated; synthetic: in the fit only",
         "training results with estimated hands: by fits without their object; intervals: 95 %, clips drawn together",
     )
     header = ("input", "clips", *(f"right in the {where}, %" for where in get_args(Where)))

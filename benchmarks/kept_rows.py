@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 from zlib import crc32
 
 import numpy as np
@@ -54,6 +54,16 @@ REAL_OBJECTS = "box", "espressomachine", "laptop", "mixer", "phone", "waffleiron
 SEEDS = {"train": 3, "validation": 1}
 """Draws of the errors of each clip; what does not err is reconstructed once."""
 Row = dict[str, Any]
+
+
+class Keyed(Protocol):
+    """A case that its row is known by."""
+
+    @property
+    def key(self) -> tuple[object, ...]: ...
+
+
+C = TypeVar("C", bound=Keyed)
 
 
 def conditions(seed: int) -> Mapping[str, Change]:
@@ -160,17 +170,20 @@ def rank(result: Reconstruction, clip: Clip, candidates: Sequence[tuple[ndarray,
     return None
 
 
-def collect(out: Path, every: Sequence[Case], workers: int) -> None:
-    """Add the rows that are missing."""
-    out.mkdir(parents=True, exist_ok=True)
-    done = {(one["clip"], one["condition"], one["seed"]) for one in read(out / ROWS)}
+def collect(
+    file: Path, every: Sequence[C], by: Sequence[str], run: Callable[[C], Row | None], workers: int
+) -> list[Row]:
+    """Return the rows of all cases; those that a file lacks are added to it. ``by``: a case's key in its row."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    done = {tuple(one[key] for key in by) for one in read(file)}
     missing = [case for case in every if case.key not in done]
-    with (out / ROWS).open("a", encoding="utf-8") as stream:
-        for n, (case, new) in enumerate(in_processes(row, missing, workers), start=1):
+    with file.open("a", encoding="utf-8") as stream:
+        for n, (case, new) in enumerate(in_processes(run, missing, workers), start=1):
             if new is not None:
                 stream.write(f"\n{json.dumps(new)}{END}")
                 stream.flush()
             print(f"{n} of {len(missing)}:", *case.key, flush=True)
+    return read(file)
 
 
 def read(file: Path) -> list[Row]:
@@ -183,7 +196,7 @@ def main(out: Path, clips: Path, root: Path, meshes: Path, workers: int | None =
     """Import the clips, and collect the rows."""
     workers = workers or cores()
     every = [*real(clips / REAL), *cases(clips, root, meshes, workers, most), *scenes(clips / SYNTHETIC, workers)]
-    collect(out, every, workers)
+    collect(out / ROWS, every, ("clip", "condition", "seed"), row, workers)
 
 
 if __name__ == "__main__":

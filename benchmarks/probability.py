@@ -1,6 +1,6 @@
 """Calibrate the probabilities that a result is right: ``python -m benchmarks.probability OUT DEXYCB YCB [WORKERS]``.
 
-DEXYCB and YCB are the folders of the dataset and of its models. Signs of results go into OUT/results.csv
+DEXYCB and YCB are the folders of the dataset and of its models. Signs of results go into OUT/rows.jsonl
 (``signed_results``); rows that are there are kept, so that an interrupted run goes on where it stopped. After a change
 of the method another OUT is to be named. The training part is fitted (``checks/calibrated.json``), once to what is
 right in the hand and once to what is right in the camera; the test part is held against it:
@@ -16,15 +16,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from benchmarks import store
+from benchmarks.kept_rows import ROWS, Row, collect
 from benchmarks.reliability import auroc, auroc_interval, bins, calibration_error, fit_weights, least_error
-from benchmarks.signed_results import Row, cases, collect
+from benchmarks.signed_results import KEY, cases, row
 from benchmarks.store import Table
 from benchmarks.timing import circumstances
 from getagrip.batch.executor import cores
@@ -41,8 +42,6 @@ if TYPE_CHECKING:
 METHOD = Options().method
 NUMBERS = re.compile(r'\[[-\d.e,\s]*\]|\{\s*"\d[^{}]*\}')
 SECTION, PICTURE = "probability", "reliability.png"
-RIGHT: dict[Where, str] = {"hand": "right", "camera": "right-in-camera"}
-"""The column that says what is right."""
 HEADER = ("test clips", "results", "right, %", "mean probability, %", "AUROC", "ECE", "ECE if it were perfect")
 
 
@@ -57,22 +56,21 @@ class Results:
     @cached_property
     def right(self) -> Bool[ndarray, "n"]:
         """Which are right."""
-        return np.array([row[RIGHT[self.where]] == "1" for row in self.rows])
+        return np.array([row["right"][self.where] for row in self.rows])
 
     @cached_property
     def signs(self) -> Float[ndarray, "n S"]:
         """Their signs."""
-        return np.array([[float(row[sign.name]) for sign in SIGNS] for row in self.rows])
+        return np.array([[row["signs"][sign.name] for sign in SIGNS] for row in self.rows])
 
-    def only(self, **what: str) -> Results:
+    def only(self, **what: object) -> Results:
         """Those with some entries."""
         rows = [row for row in self.rows if all(row[key] == value for key, value in what.items())]
         return Results(rows, self.where)
 
     def probability(self, calibration: Calibration) -> Float[ndarray, "n"]:
         """How probable each is right."""
-        by_name = [{sign.name: float(row[sign.name]) for sign in SIGNS} for row in self.rows]
-        return np.array([calibration.probability(signs).value for signs in by_name])
+        return np.array([calibration.probability(row["signs"]).value for row in self.rows])
 
 
 def calibrated(train: Results, made: str) -> Calibration:
@@ -114,7 +112,7 @@ def write(file: Path, **parts: object) -> None:
 def tables(rows: Results, calibrations: Mapping[Where, Calibration], flagged: Results) -> dict[str, Table]:
     """One for right in the hand, one for right in the camera."""
     train, test = rows.only(part="train"), rows.only(part="validation")
-    minutes = sum(float(row["seconds"]) for row in rows.rows) / 60.0
+    minutes = sum(row["seconds"] for row in rows.rows) / 60.0
     about = (
         f"results of {' and '.join(of(rows, 'made'))}: {len(train.rows)} training and {len(test.rows)} test results; "
         f"reconstructing them took {minutes:.0f} minutes of one core"
@@ -210,7 +208,7 @@ def left_out(flagged: Results) -> str:
 
 def main(out: Path, root: Path, meshes: Path, workers: int) -> None:
     """Collect, fit, and put the measurements into the page."""
-    report(Results(collect(out / "results.csv", cases(out / "clips", root, meshes), workers)))
+    report(Results(collect(out / ROWS, cases(out / "clips", root, meshes), KEY, row, workers)))
 
 
 def report(rows: Results) -> None:
@@ -218,9 +216,9 @@ def report(rows: Results) -> None:
 
     Results with a serious finding have no probability, and are no part of either.
     """
-    flagged, rows = rows.only(serious="1"), rows.only(serious="0")
+    flagged, rows = rows.only(serious=True), rows.only(serious=False)
     train, made = rows.only(part="train"), stamp()
-    calibrations = {where: calibrated(Results(train.rows, where), made) for where in RIGHT}
+    calibrations = {where: calibrated(Results(train.rows, where), made) for where in get_args(Where)}
     write(FILE, measured=stored(calibrations.values()))
     draw(rows.only(part="validation"), calibrations, store.ROOT / "docs/images" / PICTURE)
     how = circumstances("python -m benchmarks.probability OUT DEXYCB YCB")

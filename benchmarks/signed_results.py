@@ -5,24 +5,23 @@ Every clip is reconstructed by the default method under each of ``CONDITIONS``.
 
 from __future__ import annotations
 
-import csv
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
-from getagrip.batch.executor import in_processes
-from getagrip.checks.signs import SIGNS
+from benchmarks.kept_rows import Row
 from getagrip.clip import Clip, Masks, read_clip, read_masks
 from getagrip.datasets.synthetic.noise import NOISE, Noise
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.splits import Split, split
 from getagrip.evaluation import evaluate
-from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_CAM, ADD_SYM_MM
+from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_CAM
 from getagrip.experiments.changes import UNCHANGED, Noisy, OtherObject, ScaleFree
 from getagrip.experiments.sources.recorded import DexYcb
 from getagrip.fitting.options import Options
@@ -63,14 +62,22 @@ class Case:
     dataset: str
     part: Split
     clip: str
-    conditions: tuple[str, ...]
+    condition: str
     make: Callable[[], tuple[Clip, Masks]]
 
+    @property
+    def key(self) -> tuple[str, ...]:
+        """What its row is known by: ``KEY``."""
+        return self.dataset, self.part, self.clip, self.condition
 
-def read_from(folder: Path) -> tuple[Clip, Masks]:
-    """Read a clip and its masks."""
+
+KEY = ("dataset", "part", "clip", "condition")
+
+
+def read_from(folder: Path, condition: str) -> tuple[Clip, Masks]:
+    """Read a clip and its masks, and change them."""
     clip = read_clip(folder)
-    return clip, read_masks(clip)
+    return CONDITIONS[condition](clip, read_masks(clip), 0)
 
 
 def cases(clips: Path, root: Path, meshes: Path) -> list[Case]:
@@ -83,83 +90,26 @@ def _cases(clips: Path, root: Path, meshes: Path) -> Iterator[Case]:
     """Clip by clip."""
     for part, (every, every_synthetic) in EVERY.items():
         found = DexYcb(split=part, root=root, meshes=meshes).samples(clips, False)[0]
-        for sample in found[::every]:
-            yield Case("DexYCB", part, sample.name, tuple(CONDITIONS), partial(read_from, sample.folder))
+        for sample, name in product(found[::every], CONDITIONS):
+            yield Case("DexYCB", part, sample.name, name, partial(read_from, sample.folder, name))
         for preset in PRESETS:
             for category, seed, options in split(part, preset)[::every_synthetic]:
                 make = partial(synthesise, category, seed, options)
-                yield Case("synthetic", part, f"{category}-{seed}", (preset,), make)
+                yield Case("synthetic", part, f"{category}-{seed}", preset, make)
 
 
-Row = dict[str, str]
-COLUMNS = (
-    "dataset", "part", "condition", "clip", "right", "right-in-camera", "off", "serious", "seconds", "made",
-    *(sign.name for sign in SIGNS),
-)  # fmt: skip
-"""Of a row; "right" and "off" (mean distance of vertices, in diameters) are in the hand; "serious" is whether a finding
-is.
-"""
-
-
-def run(case: Case) -> list[Row]:
-    """A row for each condition, none for one that fails."""
-    clip, masks = case.make()
-    rows = []
-    for condition in case.conditions:
-        start = time.process_time()
-        try:
-            changed = clip, masks
-            if case.dataset == "DexYCB":
-                changed = CONDITIONS[condition](clip, masks, 0)
-            result = reconstruct(*changed, Options(every_frame=False))
-        except Exception as error:  # one clip's trouble must not end the others
-            print(f"{case.clip}, {condition}: {error}", file=sys.stderr)
-            continue
-        seconds = time.process_time() - start
-        given = changed[0]
-        metrics = evaluate(result, given, None, wanted=(ADD_SYM, ADD_SYM_CAM, ADD_SYM_MM)).metrics
-        assert given.truth is not None
-        off = 1e-3 * metrics[ADD_SYM_MM.name] / (given.mesh.diameter * given.truth.scale)
-        right = [f"{metrics[metric.name]:.0f}" for metric in (ADD_SYM, ADD_SYM_CAM)]
-        serious, signs = any(f.serious for f in result.findings), [f"{result.signs[sign.name]:.6g}" for sign in SIGNS]
-        what = case.dataset, case.part, condition, case.clip, *right, f"{off:.4f}", f"{serious:d}", f"{seconds:.2f}"
-        rows.append(dict(zip(COLUMNS, [*what, stamp(), *signs], strict=True)))
-    return rows
-
-
-def collect(file: Path, every: Sequence[Case], workers: int, run: Callable[[Case], list[Row]] = run) -> list[Row]:
-    """The rows of all cases: those of the file, and those that are missing there, which are added to it.
-
-    Ends the program where the file has other columns: it was written by other code.
-    """
-    file.parent.mkdir(parents=True, exist_ok=True)
-    rows = read(file) if file.exists() else []
-    if not rows:
-        write([COLUMNS], file, "w")
-    done = {(row["dataset"], row["part"], row["clip"], row["condition"]) for row in rows}
-    missing = []
-    for case in every:
-        left = tuple(c for c in case.conditions if (case.dataset, case.part, case.clip, c) not in done)
-        missing += [replace(case, conditions=left)] if left else []
-    made = ((case, run(case)) for case in missing) if workers == 1 else in_processes(run, missing, workers)
-    for n, (case, new) in enumerate(made, start=1):
-        write([[row[column] for column in COLUMNS] for row in new or []], file, "a")
-        rows += new or []
-        print(f"{n} of {len(missing)}: {case.dataset}, {case.part}, {case.clip}", flush=True)
-    return rows
-
-
-def read(file: Path) -> list[Row]:
-    """The rows of a file; ends the program where it has other columns."""
-    with file.open(encoding="utf-8", newline="") as stream:
-        table = csv.DictReader(stream)
-        given = table.fieldnames or ()
-        if given and tuple(given) != COLUMNS:
-            sys.exit(f"{file}: columns must be {', '.join(COLUMNS)} (got {', '.join(given)}); name another OUT")
-        return list(table)
-
-
-def write(lines: Sequence[Sequence[str]], file: Path, mode: str) -> None:
-    """Lines of a table."""
-    with file.open(mode, encoding="utf-8", newline="") as stream:
-        csv.writer(stream).writerows(lines)
+def row(case: Case) -> Row | None:
+    """Reconstruct a clip: its signs, and where it is right; None where that fails."""
+    start = time.process_time()
+    try:
+        clip, masks = case.make()
+        result = reconstruct(clip, masks, Options(every_frame=False))
+    except Exception as error:  # one clip's trouble must not end the others
+        print(f"{case.key}: {error}", file=sys.stderr)
+        return None
+    seconds, metrics = time.process_time() - start, evaluate(result, clip, None, wanted=(ADD_SYM, ADD_SYM_CAM)).metrics
+    right = {"hand": metrics[ADD_SYM.name] > 0.5, "camera": metrics[ADD_SYM_CAM.name] > 0.5}
+    serious = any(finding.serious for finding in result.findings)
+    return dict(zip(KEY, case.key, strict=True)) | {
+        "right": right, "serious": serious, "seconds": seconds, "made": stamp(), "signs": result.signs,
+    }  # fmt: skip

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import csv
 import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks import signed_results
-from benchmarks.probability import RIGHT, Results, calibrated, stored, write
+from benchmarks.kept_rows import Row
+from benchmarks.probability import Results, calibrated, stored, write
 from getagrip.checks import Solved
 from getagrip.checks.calibrated import CALIBRATIONS, ESTIMATED, FILE, read_calibrated
+from getagrip.checks.calibration import Where
 from getagrip.checks.signs import (
     HAND_SIGNS,
     SIGNS,
@@ -253,22 +254,21 @@ def test_each_where_has_its_own_calibration(monkeypatch: pytest.MonkeyPatch) -> 
     assert probability_right(Options(), USUAL, (), "camera") is None
 
 
-def table(file: Path, columns: tuple[str, ...]) -> Path:
-    """Results of which "right" follows the first sign, and "right-in-camera" the second."""
-    rng = np.random.default_rng(0)
-    with file.open("w", encoding="utf-8", newline="") as stream:
-        out = csv.DictWriter(stream, columns, extrasaction="ignore")
-        out.writeheader()
-        for x in rng.normal(size=(60, len(SIGNS))):
-            right = {"right": int(x[0] > 0.0), "right-in-camera": int(x[1] < 0.0)}
-            about = dict.fromkeys(columns, "1") | {"part": "train", "dataset": "DexYCB"}
-            out.writerow(about | right | {sign.name: f"{v:.6g}" for sign, v in zip(SIGNS, x, strict=True)})
-    return file
+def results() -> list[Row]:
+    """Results that are right in the hand by the first sign, and in the camera by the second."""
+    numbers = np.random.default_rng(0).normal(size=(60, len(SIGNS)))
+    about = {"part": "train", "dataset": "DexYCB"}
+    return [
+        about | {
+            "right": {"hand": x[0] > 0.0, "camera": x[1] < 0.0},
+            "signs": dict(zip((sign.name for sign in SIGNS), x.tolist(), strict=True)),
+        }
+        for x in numbers
+    ]  # fmt: skip
 
 
 def test_both_are_fitted_to_the_same_results_and_read_back(tmp_path: Path) -> None:
-    rows = signed_results.read(table(tmp_path / "results.csv", signed_results.COLUMNS))
-    fitted = [calibrated(Results(rows, where), "today") for where in RIGHT]
+    fitted = [calibrated(Results(results(), where), "today") for where in get_args(Where)]
     write(path := Path(shutil.copy(FILE, tmp_path)), measured=stored(fitted))
     back = read_calibrated(path)[0]
     assert [*back] == [("soft-hinge", "hand"), ("soft-hinge", "camera")]
@@ -278,12 +278,6 @@ def test_both_are_fitted_to_the_same_results_and_read_back(tmp_path: Path) -> No
         assert there.probability(USUAL).value == pytest.approx(made.probability(USUAL).value, abs=1e-3)
         strongest = max(made.weights, key=lambda name: abs(made.weights[name].weight))
         assert strongest == {"hand": first, "camera": second}[made.where]
-
-
-def test_results_without_what_is_right_in_the_camera_are_refused(tmp_path: Path) -> None:
-    older = tuple(name for name in signed_results.COLUMNS if name != "right-in-camera")
-    with pytest.raises(SystemExit, match=r"right-in-camera.*another OUT"):
-        signed_results.collect(table(tmp_path / "results.csv", older), (), 1)
 
 
 def test_an_assumed_mesh_extrapolates_the_probability_of_estimated_hands() -> None:
