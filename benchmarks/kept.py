@@ -2,7 +2,7 @@
 
 ROWS is a file of ``benchmarks.kept_rows``, or several joined. Its training parts, with simulated and with real errors
 of hands, give ``checks/calibrated.json`` the probability for estimated hands, fitted with the synthetic part, and for
-each kind of input the thresholds of ``checks.keeping``, which hold for either. The other parts are held against them:
+each kind of input the thresholds of ``checks.keeping``. The other parts are held against them:
 ``results/kept.json``; how many of validation are right: ``results/evidence-validation.json``. Nothing is reconstructed.
 """
 
@@ -26,7 +26,7 @@ from benchmarks.reliability import auroc, auroc_interval, calibration_error, fit
 from benchmarks.timing import circumstances
 from getagrip.checks.calibrated import CALIBRATIONS, FILE
 from getagrip.checks.calibration import Calibration, Where
-from getagrip.checks.keeping import SHARES, SIZES, InputKind, Keeping, least_kept, least_of_sets
+from getagrip.checks.keeping import SHARES, InputKind, Keeping, least_kept, least_of_sets
 from getagrip.checks.signs import ESTIMATED_SIGNS
 from getagrip.experiments.comparison import LEVEL, resamples
 from getagrip.fitting.options import Options
@@ -109,17 +109,9 @@ class Results:
         return out
 
     def keeping(self, probability: Float[ndarray, "n"]) -> Keeping:
-        """Choose the thresholds: the stricter ones of those with simulated and with real errors of hands."""
-        real, right, rank = np.array([row["part"] == REAL for row in self.rows]), self.right, self.rank
-        groups = [of for of in (~real, real) if of.any()]
-        least = {share: max((least_kept(probability[of], right[of], share) for of in groups), default=np.inf)
-                 for share in SHARES}  # fmt: skip
-        each = [least_of_sets(probability[of], rank[of], HOLDS) for of in groups]
-        sets, last = dict[int, float](), float("inf")
-        for size in SIZES:
-            p = max((min((p for n, p in one.items() if n <= size), default=np.inf) for one in each), default=np.inf)
-            if p < last:
-                sets[size] = last = p
+        """Choose the thresholds."""
+        least = {share: least_kept(probability, self.right, share) for share in SHARES}
+        sets = least_of_sets(probability, self.rank, HOLDS)
         return Keeping({share: p for share, p in least.items() if np.isfinite(p)}, sets)
 
 
