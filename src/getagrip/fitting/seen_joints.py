@@ -43,8 +43,8 @@ BESIDE, ELSEWHERE = 0.08, 0.3
 are not this hand's."""
 WORST, MISPLACED = 0.1, 0.18
 """Joints whose lasting errors are larger are another hand's, too. Where two joints are farther off than the second
-through all of a clip, their order is another: right ones are at most 0.13 on training clips and 0.17 on validation
-clips, with two fingers exchanged they are 0.16 to 0.5, all but one above 0.19."""
+through all of a clip, their order is another: right ones are at most 0.16 on training clips; with two fingers exchanged
+half are above it, and the others do no harm (docs/trials.md)."""
 NOWHERE = 1e6
 """Coordinates from which on a joint counts as not seen [px]."""
 ROUNDS, STEPS = 2, 12
