@@ -25,7 +25,7 @@ class Keep:
 
     keep: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="(default: no result is marked)")] = None
     """Mark each result as kept or dropped, such that at least this share of the kept ones (0.5 to 0.98) is right.
-    Nothing is deleted. Calibrated with simulated errors of hands, and with a real estimator's."""
+    Nothing is deleted. Calibrated with simulated and with real errors of hands."""
     keep_in: Literal["hand", "camera"] = "hand"
     """Frame in which kept results must be right."""
 
