@@ -119,7 +119,7 @@ class SeenJoints:
 
     @property
     def loose(self) -> bool:
-        """Whether size and fingers may be far off: of an estimate that was not lifted from these joints."""
+        """True of the joints of an estimate that was not lifted from them: its size and fingers may be far off."""
         return self.errors.sideways
 
     @property
