@@ -29,6 +29,7 @@ def tables() -> dict[str, Table]:
     long, long_masks = synthesise(CATEGORY, 0, SceneOptions(frames=max(FRAMES)))
     clip, masks = synthesise(CATEGORY, 0)
     area = float(clip.mesh.vertex_areas.sum())
+    # As many vertices as there may be faces: more than enough of these, to be thinned.
     fine = Mesh(*subdivided(clip.mesh.vertices, clip.mesh.faces, edge_length(area, max(FACES))))
     curves: tuple[tuple[str, tuple[int, ...], Callable[[int], Callable[[], Reconstruction]]], ...] = (
         ("frames", FRAMES, lambda n: reconstruction(long, long_masks, Options(frames=n))),
