@@ -45,7 +45,7 @@ settings.load_profile("here")
 
 from getagrip.cli import main  # noqa: E402
 from getagrip.clip import write_clip  # noqa: E402
-from helpers.browser import chromium  # noqa: E402
+from helpers.browser import Chromium  # noqa: E402
 from helpers.clips import small_clip  # noqa: E402
 from helpers.command_line import Run  # noqa: E402
 from helpers.folders import FullDisk  # noqa: E402
@@ -88,10 +88,17 @@ def can_and_box(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def browser() -> Iterator[Any]:
-    """One for all tests of this process: it takes long to start."""
-    with chromium() as browser:
-        yield browser
+def chromium() -> Iterator[Chromium]:
+    """What starts a browser at the first test of this process that asks for one."""
+    made = Chromium()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def browser(chromium: Chromium) -> Any:
+    """A browser that answers, the same for all tests while it lives."""
+    return chromium.get()
 
 
 @pytest.fixture

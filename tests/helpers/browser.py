@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import suppress
 from typing import Any
 
 import pytest
@@ -27,16 +26,39 @@ READS_BACK = "GPU stall due to ReadPixels"
 """What it warns of then."""
 
 
-@contextmanager
-def chromium() -> Iterator[Any]:
-    """The browser, and patience with a page on a busy machine."""
-    from playwright.sync_api import expect, sync_playwright
+class Chromium:
+    """A browser for all tests of a process, since it takes long to start, and another once it or its driver has died."""
 
-    expect.set_options(timeout=PATIENCE)
-    with sync_playwright() as started:
-        browser = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", *WEBGL, *FEW_PROCESSES])
-        yield browser
-        browser.close()
+    def __init__(self) -> None:
+        self._started: Any = None
+        self._browser: Any = None
+
+    def get(self) -> Any:
+        """The browser that answers, with patience for a page on a busy machine."""
+        from playwright.sync_api import Error, expect, sync_playwright
+
+        if self._browser is not None:
+            try:
+                self._browser.new_context().close()
+            except Error:
+                self.close()
+        if self._browser is None:
+            expect.set_options(timeout=PATIENCE)
+            self._started = sync_playwright().start()
+            arguments = ["--no-sandbox", *WEBGL, *FEW_PROCESSES]
+            self._browser = self._started.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        return self._browser
+
+    def close(self) -> None:
+        """End the browser and its driver, whether or not they still live."""
+        from playwright.sync_api import Error
+
+        if self._browser is not None:
+            with suppress(Error):
+                self._browser.close()
+        if self._started is not None:
+            self._started.stop()
+        self._started = self._browser = None
 
 
 def expect(it: Any) -> Any:
