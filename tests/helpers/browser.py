@@ -27,7 +27,7 @@ READS_BACK = "GPU stall due to ReadPixels"
 
 
 class Chromium:
-    """A browser for all tests of a process, since it takes long to start, and another once it or its driver has died."""
+    """One browser for all tests of a process, as it takes long to start, and another once it or its driver has died."""
 
     def __init__(self) -> None:
         self._started: Any = None
@@ -70,7 +70,7 @@ def expect(it: Any) -> Any:
 
 def until(page: Any, condition: str) -> None:
     """Wait for JavaScript that says true. (Playwright's own wait compiles it in the page, which the page forbids.)"""
-    for _ in range(200):
+    for _ in range(PATIENCE // 50):
         if page.evaluate(condition):
             return
         page.wait_for_timeout(50)
