@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from getagrip.annotate import reconstruction
 from getagrip.annotate.versions import RefusedError
 from getagrip.annotate.written_files import write_labels
 from getagrip.clip import read_clip, read_masks
@@ -53,6 +54,23 @@ def test_frames_between_are_filled_in_and_again_after_a_correction(clicking: Cli
     assert clicking.work("propagate")["state"] == "done"
     between = clicking.project.drafts(clicking.about, again[-1]["seq"])["drafts"]
     assert {one["frame"] for one in between} == {*range(7, LAST)}  # those before the neighbour are as they were
+
+
+def test_a_stroke_is_asked_for_where_the_result_of_these_masks_does_not_meet_them(
+    clicking: Clicking, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    less = {n: 0.7 if 5 <= n <= 7 else 1.0 for n in range(FIRST, LAST + 1)}
+    monkeypatch.setattr(reconstruction, "reconstruct", lambda *_: "done")
+    monkeypatch.setattr(reconstruction, "iou_of", lambda _: less)
+    clicking.label(FIRST)
+    clicking.label(LAST)
+    assert clicking.work("propagate")["state"] == "done"
+    assert clicking.state()["wanted"] is None  # the masks themselves are sure
+    assert clicking.work("reconstruct", mesh="plate")["state"] == "done"
+    assert clicking.state()["wanted"] == 6
+    clicking.click(6, outlines=disc(6))
+    assert clicking.work("propagate")["state"] == "done"
+    assert clicking.state()["wanted"] is None  # nothing is known of these masks yet
 
 
 def test_too_few_labels_are_reported(clicking: Clicking) -> None:

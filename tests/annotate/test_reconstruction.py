@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from getagrip.annotate import reconstruction
@@ -12,6 +14,9 @@ from getagrip.annotate.background import BackgroundJob, CancelledError
 from getagrip.annotate.reconstruction import Shape, reconstruct, shape_of
 from getagrip.annotate.versions import RefusedError
 from getagrip.errors import GetagripError, UsageError
+from getagrip.result import write_result
+from helpers.clips import small_clip
+from helpers.true_result import true_result
 
 
 def test_what_the_page_says_of_the_mesh() -> None:
@@ -41,6 +46,15 @@ def test_folders_that_are_links_are_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / "out" / name).symlink_to(tmp_path / "elsewhere")
     with pytest.raises(UsageError, match="got a link"):
         reconstruct(["doctor"], Shape("plate", None), tmp_path / "out", "it", BackgroundJob("reconstruct"))
+
+
+def test_iou_of_a_result_is_that_of_frames_from_0(tmp_path: Path) -> None:
+    clip, _ = small_clip()
+    names, iou = tuple(f"{n + 11:06d}" for n in range(len(clip))), np.array([0.8, 0.4, 1.0])
+    written = write_result(replace(true_result(clip, None), frames=names, iou=iou), tmp_path / "it", "", {}, tmp_path)
+    assert reconstruction.iou_of(written) == {10: 0.8, 11: 0.4, 12: 1.0}
+    (written / "result.npz").write_bytes(b"PK nothing")
+    assert reconstruction.iou_of(written) == reconstruction.iou_of(tmp_path / "nothing") == {}
 
 
 def test_work_that_is_not_wanted_any_more_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from jaxtyping import Float
+from numpy import ndarray
 
 from getagrip.batch.clips import _Tally
 from getagrip.batch.job import Outcome
@@ -87,3 +89,21 @@ def test_strict_asks_for_a_probability_where_there_is_one(right: float | None, l
 def test_a_least_probability_is_a_probability(least: float) -> None:
     with pytest.raises(UsageError, match="--min-probability"):
         Batch(min_probability=least)
+
+
+def test_frames_in_a_row_that_are_met_less_than_the_others_are_named() -> None:
+    clip, masks = scene("mug", 2, SMALL)
+    usual = np.full(len(clip), 0.95)
+
+    def findings(iou: Float[ndarray, "T"]) -> tuple[Finding, ...]:
+        return examine([RESULT_CHECKS["uneven-mask-fit"]], Evidence(clip, masks, iou=iou))[1]
+
+    alone, some, unseen = usual.copy(), usual.copy(), usual.copy()
+    alone[3], some[2:5], unseen[:4] = 0.5, (0.8, 0.7, 0.8), np.nan
+    for even in (usual, 0.5 * usual, alone, unseen, np.full(len(clip), np.nan)):
+        assert findings(even) == ()
+    for uneven in (some, 0.5 * some):
+        (one,) = findings(uneven)
+        assert f"from frame {clip.frames[2]} to {clip.frames[4]} " in one.message
+        assert one.value == pytest.approx(0.8 / 0.95)
+        assert not one.serious

@@ -58,9 +58,9 @@ class Clicking:
         """All that there is to be clicked on a frame."""
         self.click(frame, joints={str(n): point for n, point in enumerate(joints(frame))}, outlines=disc(frame))
 
-    def work(self, what: str) -> dict[str, Any]:
+    def work(self, what: str, **about: Any) -> dict[str, Any]:
         """Have something done; the job once it is over."""
-        self.project.work(self.about | {"work": what})
+        self.project.work(self.about | {"work": what} | about)
         job = self.project.labelling.background.job(self.about["grasp"])
         assert job is not None
         for _ in range(3000):

@@ -12,6 +12,20 @@ FEW = 4
 """Frames that are asked for."""
 ENOUGH = 0.95
 """Masks as sure as this need no more."""
+LEAST_IOU = 1e-3
+"""A drawn mask counts as met by at least this IOU."""
+
+
+def as_met(confidence: Mapping[int, float], iou: Mapping[int, float], drawn: Collection[int]) -> Mapping[int, float]:
+    """Return the confidence of frames' masks, less where a result meets them less than those that a person drew.
+
+    ``iou`` is the result's with the masks; between the drawn frames it would be between theirs, if all were right.
+    """
+    known = sorted(n for n in drawn if n in iou)
+    if not known:
+        return confidence
+    usual = np.maximum(np.interp([*confidence], known, [iou[n] for n in known]), LEAST_IOU)
+    return {n: min(sure, iou.get(n, at) / at) for (n, sure), at in zip(confidence.items(), usual.tolist(), strict=True)}
 
 
 def frame_wanted(confidence: Mapping[int, float], drawn: Collection[int], first: int, last: int) -> int | None:

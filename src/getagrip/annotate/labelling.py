@@ -18,7 +18,7 @@ from numpy import ndarray
 from getagrip.annotate import keyframes, labels, reconstruction, versions
 from getagrip.annotate.background import Background, BackgroundJob, Work
 from getagrip.annotate.found_hands import DRAFTS, FOLDER, FoundHands
-from getagrip.annotate.frame_wanted import frame_wanted
+from getagrip.annotate.frame_wanted import as_met, frame_wanted
 from getagrip.annotate.grasp import Grasp
 from getagrip.annotate.keyframes import KeyFrame
 from getagrip.annotate.labelled_footage import checksum
@@ -46,6 +46,7 @@ class Labelling:
         self.store, self.out = store, out
         self.lens = lens if lens.is_set else Lens(guess_focal=True)
         self._found: dict[Path, FoundHands] = {}
+        self._iou: dict[str, tuple[object, dict[int, float]]] = {}  # of results, and the inputs of their masks
         self.background = Background()
 
     def found(self, grasp: Grasp) -> FoundHands:
@@ -64,6 +65,9 @@ class Labelling:
         keys = ("frame", "joints", "outlines", "hidden")
         basis = self._basis(grasp, own)
         sure = self.store.drafts.confidence(grasp.mark.mark, {word for *_, word in basis["masks"]})
+        drawn, (solved, iou) = self.labels(grasp).drawn, self._iou.get(grasp.mark.mark, (None, {}))
+        if solved == basis["masks"]:
+            sure = as_met(sure, iou, drawn)
         return {
             "grasp": grasp.mark.mark,
             "newest": newest,
@@ -75,7 +79,7 @@ class Labelling:
                 {key: getattr(one, key) for key in keys} | {"number": grasp.footage.number(one.frame)} for one in own
             ],
             "basis": basis,
-            "wanted": frame_wanted(sure, self.labels(grasp).drawn, *grasp.extent),
+            "wanted": frame_wanted(sure, drawn, *grasp.extent),
             "found": bool(self.found(grasp).joints),
             "drafts": self.store.drafts.newest(grasp.mark.mark),
             "job": None if job is None else job.status(),
@@ -148,12 +152,15 @@ class Labelling:
         """
         from getagrip.annotate.labelled import clip_words
 
-        value = self.labels(grasp)
+        value, basis = self.labels(grasp), self._basis(grasp, self._own(grasp))
         self._check_enough(grasp, value)
         job.message = "writing the files"
         self.write(grasp, value, job)
         words = clip_words(value, self.out / grasp.name, str(grasp.path), self._segments(grasp))
-        return reconstruction.reconstruct(words, shape, self.out, grasp.name, job)
+        said = reconstruction.reconstruct(words, shape, self.out, grasp.name, job)
+        iou = reconstruction.iou_of(reconstruction.result_folder(self.out, grasp.name))
+        self._iou[grasp.mark.mark] = basis["masks"], iou
+        return said
 
     def is_solved(self, grasp: Grasp) -> bool:
         """Return whether there is a result of the labels as they are now."""

@@ -9,11 +9,12 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isnan
 from pathlib import Path
 
 from getagrip.annotate.background import BackgroundJob, CancelledError
 from getagrip.annotate.versions import RefusedError
-from getagrip.errors import GetagripError
+from getagrip.errors import GetagripError, InputError
 from getagrip.io import files
 from getagrip.io.files import Json, shown
 
@@ -75,6 +76,20 @@ def reconstruct(new_clip: Sequence[str], shape: Shape, out: Path, name: str, job
         job.report(n, len(steps))
         said.append(run_command(words, job))
     return said[1]
+
+
+def iou_of(result: Path) -> dict[int, float]:
+    """Return a result's IOU with the masks of frames, from 0, whose files number them from 1.
+
+    Frames without a mask are left out; all are where the result does not read, which its report will say.
+    """
+    from getagrip.result import read_result
+
+    try:
+        found = read_result(result)[0]
+    except InputError:
+        return {}
+    return {int(name) - 1: x for name, x in zip(found.frames, found.iou.tolist(), strict=True) if not isnan(x)}
 
 
 def run_command(words: Sequence[str], job: BackgroundJob) -> str:

@@ -25,6 +25,7 @@ GRAVER = {
     "field-of-view": "principal-point",
     "mask-misfit": "large-mask-misfit",
     "poor-mask-fit": "mask-fit",
+    "uneven-mask-fit": "mask-fit",
 }
 """Checks that are not reported where a more severe check reports the same problem."""
 LEAST_IOU = 0.5
@@ -173,6 +174,11 @@ _RESULT: tuple[Check, ...] = (
         "worst-frame", lambda it: float(np.nanmin(it.overlaps)), low=0.4, serious=False,
         fault="in the worst frame the mask is met with an IOU of {value}",
         advice="look at the IOU over time in the report: is the mask of that frame right?",
+    ),
+    Check(
+        "uneven-mask-fit", mask_agreement.evenness, low=mask_agreement.UNEVEN, serious=False, shown=percent,
+        fault=mask_agreement.met_less,
+        advice="is a part of the object missing in these masks, or the hand wrong there?",
     ),
     Check(
         "many-outlier-masks", lambda it: it.outlier_share, high=0.3, shown=percent,

@@ -32,7 +32,9 @@ function nextStroke(outlined) {
   const at = state.labels.wanted ?? undefined, there = at === player.wanted;
   if (!outlined) return there ? "The hands were found; they are drawn in every frame. Paint strokes over the object: along it, and over each of its colours. The hand does not belong to it." : "Go to the first frame (Home), and paint a stroke over the object there.";
   if (busy() || at === undefined) return null;
-  return there ? "Paint over the object here, too; z, then a stroke, for what does not belong to it." : "Most is gained by a stroke on the frame that is named below.";
+  if (there) return "Paint over the object here, too; z, then a stroke, for what does not belong to it.";
+  const result = state.labels.job?.what === "reconstruct" && state.labels.job.state === "done" ? "The result is there: see below. " : "";
+  return `${result}Most is gained by a stroke on the frame that is named below.`;
 }
 
 function nextStep(joint) {
