@@ -95,8 +95,8 @@ def test_frames_in_a_row_that_are_met_less_than_the_others_are_named() -> None:
     clip, masks = scene("mug", 2, SMALL)
     usual = np.full(len(clip), 0.95)
 
-    def findings(iou: Float[ndarray, "T"]) -> tuple[Finding, ...]:
-        return examine([RESULT_CHECKS["uneven-mask-fit"]], Evidence(clip, masks, iou=iou))[1]
+    def findings(iou: Float[ndarray, "n"], frames: tuple[str, ...] | None = None) -> tuple[Finding, ...]:
+        return examine([RESULT_CHECKS["uneven-mask-fit"]], Evidence(clip, masks, iou=iou, iou_frames=frames))[1]
 
     alone, some, unseen = usual.copy(), usual.copy(), usual.copy()
     alone[3], some[2:5], unseen[:4] = 0.5, (0.8, 0.7, 0.8), np.nan
@@ -107,3 +107,5 @@ def test_frames_in_a_row_that_are_met_less_than_the_others_are_named() -> None:
         assert f"from frame {clip.frames[2]} to {clip.frames[4]} " in one.message
         assert one.value == pytest.approx(0.8 / 0.95)
         assert not one.serious
+    (one,) = findings(np.repeat(some, 2), tuple(f"every-{n}" for n in range(2 * len(clip))))
+    assert "from frame every-4 to every-9 " in one.message  # of more frames than those that were fitted together

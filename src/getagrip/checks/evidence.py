@@ -64,6 +64,7 @@ class Evidence:
         scale: the scale that was found.
         iou: (n,) overlap of rendered and observed mask, in these frames or more; NaN where no mask shows the object, or
             the mask is an outlier.
+        iou_frames: names of the frames of ``iou``; None: they are the clip's.
         outliers: names of the frames with outlier masks; None where none was checked.
         deformed: root mean square distance by which the fit has deformed the mesh, in diameters; NaN where there was
             none.
@@ -81,6 +82,7 @@ class Evidence:
     T_hand_obj: Float[ndarray, "T 4 4"] | None = None
     scale: float = 1.0
     iou: Float[ndarray, "n"] | None = None
+    iou_frames: tuple[str, ...] | None = None
     outliers: tuple[str, ...] | None = None
     deformed: float = np.nan
     deformed_mm: float = np.nan

@@ -64,7 +64,7 @@ def met_less(it: Evidence) -> str:
     worst, usual = int(by_median.argmin()), np.flatnonzero(by_median >= UNEVEN)
     first = int(usual[usual < worst].max(initial=-1)) + 1
     last = int(usual[usual > worst].min(initial=len(iou))) - 1
-    names = np.array(it.clip.frames)[~np.isnan(it.overlaps)]
+    names = np.array(it.iou_frames or it.clip.frames)[~np.isnan(it.overlaps)]
     some = f"masks from frame {names[first]} to {names[last]}"
     less, half = iou[first : last + 1].mean(), np.median(iou)
     return f"{some} are met with a mean IOU of {less:.2f}, half of all with {half:.2f} or more"

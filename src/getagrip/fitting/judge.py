@@ -52,7 +52,8 @@ def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: 
     deformed = 0.0 if found.warp is None else found.warp.displacement(input_clip.mesh)
     return Solved(
         problem.clip, problem.input_masks, sampled.T_hand_obj[0], scale, whole.iou,
-        outliers=whole.outliers, deformed=deformed / input_clip.mesh.diameter, deformed_mm=1e3 * scale * deformed,
+        iou_frames=whole.frames, outliers=whole.outliers,
+        deformed=deformed / input_clip.mesh.diameter, deformed_mm=1e3 * scale * deformed,
         candidates=Candidates(sampled.T_hand_obj, found.poses.scale, found.energy), axis=found.axis,
         hand_differing=problem.trust.hand_differing, joints_left_out=problem.trust.joints_left_out,
         T_cam_hand_input=input_clip.hand.T_cam_hand[input_clip.index_of(problem.clip.frames)],
