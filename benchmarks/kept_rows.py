@@ -46,7 +46,7 @@ ROWS, END = "rows.jsonl", "\t"
 ESTIMATED = EstimatedHands(replace(NOISE["estimated"], mask_ragged_px=0.0))
 JOINTS = "landmarks", "wild", "lab"
 """Levels of the errors of 2D joints, by seed: results are to be kept at any of them."""
-SYNTHETIC, SCENES = "synthetic", range(300_000, 300_006)
+SYNTHETIC, SCENES = "synthetic", range(300_000, 300_011)
 """A part that is made here, and its seeds for each category: DexYCB's wrong training results are of 32 clips only."""
 REAL, REAL_APART = "real", "real, other objects"
 """Parts of clips whose hands an estimator has found: with these objects, and with others."""

@@ -65,7 +65,7 @@ def met_less(it: Evidence) -> str:
     first = int(usual[usual < worst].max(initial=-1)) + 1
     last = int(usual[usual > worst].min(initial=len(iou))) - 1
     names = np.array(it.iou_frames or it.clip.frames)[~np.isnan(it.overlaps)]
-    some = f"masks from frame {names[first]} to {names[last]}"
+    some = f"masks from frame {names[first]} to {names[last]}" if first < last else f"masks about frame {names[first]}"
     less, half = iou[first : last + 1].mean(), np.median(iou)
     return f"{some} are met with a mean IOU of {less:.2f}, half of all with {half:.2f} or more"
 
