@@ -66,8 +66,7 @@ class Labelling:
         basis = self._basis(grasp, own)
         sure = self.store.drafts.confidence(grasp.mark.mark, {word for *_, word in basis["masks"]})
         drawn, (solved, iou) = self.labels(grasp).drawn, self._iou.get(grasp.mark.mark, (None, {}))
-        if solved == basis["masks"]:
-            sure = as_met(sure, iou, drawn)
+        met = as_met(sure, iou, drawn) if solved == basis["masks"] else sure
         return {
             "grasp": grasp.mark.mark,
             "newest": newest,
@@ -79,7 +78,7 @@ class Labelling:
                 {key: getattr(one, key) for key in keys} | {"number": grasp.footage.number(one.frame)} for one in own
             ],
             "basis": basis,
-            "wanted": frame_wanted(sure, drawn, *grasp.extent),
+            "wanted": frame_wanted(met, drawn, *grasp.extent),
             "found": bool(self.found(grasp).joints),
             "drafts": self.store.drafts.newest(grasp.mark.mark),
             "job": None if job is None else job.status(),

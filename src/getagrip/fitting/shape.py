@@ -21,6 +21,7 @@ from getagrip.fitting.motion import Fixed, Soft
 from getagrip.fitting.objective import DELTA, STEP
 from getagrip.fitting.problem import Problem
 from getagrip.fitting.solve import FLOOR, in_camera, minimise, seen_from_camera
+from getagrip.fitting.usual import kind_of
 from getagrip.geometry.warp import Warp, settled
 from getagrip.least_squares import Arrow
 
@@ -124,7 +125,10 @@ def own_shape(problem: Problem, motion: Soft[Fixed], index: Int[ndarray, "n"], m
     mesh, observation = problem.clip.mesh, problem.observation.take(index)
     coarse, radius = problem.surface.coarse, problem.surface.diameter / 2.0
     seen = observation, LEVEL, STEP[LEVEL], DELTA[LEVEL]
-    T_cam_hand, stiffness = problem.clip.hand.T_cam_hand[index], len(index) * _prior(problem.clip.scale == "known")
+    kind = kind_of(problem.clip)
+    stretch = STRETCH if kind is None else kind.stretch
+    T_cam_hand = problem.clip.hand.T_cam_hand[index]
+    stiffness = len(index) * _prior(stretch, problem.clip.scale == "known")
     undeformed = minimise(motion, [MaskTerm(SilhouetteMesh.of(coarse, mesh.centre), *seen)], T_cam_hand, ITERATIONS)
     start = np.zeros((len(undeformed.energy), len(MODES)))
     begun = _State(undeformed.motion, start, MaskByShape(coarse, mesh.centre, radius, *seen), stiffness, T_cam_hand)
@@ -139,11 +143,11 @@ def own_shape(problem: Problem, motion: Soft[Fixed], index: Int[ndarray, "n"], m
     return shape if shape.displacement(mesh) > LEAST * mesh.diameter else None
 
 
-def _prior(size_known: bool) -> Float[ndarray, "24 24"]:
+def _prior(stretch: float, size_known: bool) -> Float[ndarray, "24 24"]:
     """Return the stiffness of the modes in each frame [px^2]."""
     deviation = np.full(len(MODES), BEND)
-    deviation[STRETCHES] = STRETCH
+    deviation[STRETCHES] = stretch
     stiffness = np.diag(WEIGHT / deviation**2)
     if size_known:
-        stiffness[np.ix_(STRETCHES, STRETCHES)] += KNOWN * WEIGHT / STRETCH**2 / 9.0
+        stiffness[np.ix_(STRETCHES, STRETCHES)] += KNOWN * WEIGHT / stretch**2 / 9.0
     return stiffness
