@@ -103,7 +103,7 @@ class Kind:
     spread: float = 0.25
     """Standard deviation of the logarithm of its size, from one such object in a kitchen to another: a coarse guess."""
     stretch: float = 0.1
-    """The same of its stretches along x, y and z: bottles are slim, squat or flat."""
+    """Standard deviation of its stretches along x, y and z: bottles are slim, squat or flat."""
     opens_up: bool = False
     """True for a vessel or bottle, which is hardly ever held with its opening on the little finger's side."""
 
