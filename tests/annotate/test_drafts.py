@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from getagrip.annotate import reconstruction
+from getagrip.annotate import propagated_masks, reconstruction
 from getagrip.annotate.versions import RefusedError
+from getagrip.annotate.video import Video
 from getagrip.annotate.written_files import write_labels
 from getagrip.clip import read_clip, read_masks
+from getagrip.io.images import write_image
 from helpers.clicking import FIRST, LAST, Clicking, disc, filled, iou
 from helpers.clips import box
 from helpers.command_line import Run
@@ -59,7 +62,7 @@ def test_frames_between_are_filled_in_and_again_after_a_correction(clicking: Cli
 def test_a_stroke_is_asked_for_where_the_result_of_these_masks_does_not_meet_them(
     clicking: Clicking, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    less = {n: 0.7 if 5 <= n <= 7 else 1.0 for n in range(FIRST, LAST + 1)}
+    less = {f"{n + 1:06d}": 0.7 if 5 <= n <= 7 else 1.0 for n in range(FIRST, LAST + 1)}
     monkeypatch.setattr(reconstruction, "reconstruct", lambda *_: "done")
     monkeypatch.setattr(reconstruction, "iou_of", lambda _: less)
     clicking.label(FIRST)
@@ -92,6 +95,33 @@ def test_clicks_that_are_no_hand_are_reported_with_the_number_of_their_frame_and
     assert f"frame {FIRST + 1} " in job["message"]
     drafts = clicking.project.drafts(clicking.about, 0)["drafts"]
     assert [(one["kind"], one["frame"]) for one in drafts] == [("masks", n) for n in range(FIRST, LAST + 1)]
+
+
+@pytest.mark.slow
+def test_files_of_images_that_are_numbered_otherwise_make_a_clip(
+    scene_video: Path, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the numbers in their names, of which one is missing."""
+    monkeypatch.setattr(propagated_masks, "SIDE", 50.0)
+    images = tmp_path / "images"
+    images.mkdir()
+    with closing(Video(scene_video)) as video:
+        for n in range(video.frames):
+            write_image(images / f"picture-{n + 25 + (n > 5)}.png", video.image(n))
+    clicking = Clicking(images, tmp_path)
+    try:
+        for frame in (FIRST, LAST):
+            clicking.label(frame)
+        job = clicking.work("files")
+    finally:
+        clicking.project.close()
+    assert job["state"] == "done", job
+    words = job["message"].replace("MESH", "plate").replace("CLIP", str(tmp_path / "clip")).split()
+    status, _, err = run(*words[1:])
+    assert status == 0, err
+    clip = read_clip(tmp_path / "clip")
+    assert clip.frames == tuple(f"picture-{n + 25 + (n > 5)}" for n in range(FIRST, LAST + 1))
+    assert iou(read_masks(clip).object[-1], filled([circle(LAST)])) > 0.9
 
 
 @pytest.mark.slow

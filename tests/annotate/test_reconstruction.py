@@ -48,11 +48,11 @@ def test_folders_that_are_links_are_refused(tmp_path: Path, name: str) -> None:
         reconstruct(["doctor"], Shape("plate", None), tmp_path / "out", "it", BackgroundJob("reconstruct"))
 
 
-def test_iou_of_a_result_is_that_of_frames_from_0(tmp_path: Path) -> None:
+def test_iou_of_a_result_that_may_not_read(tmp_path: Path) -> None:
     clip, _ = small_clip()
-    names, iou = tuple(f"{n + 11:06d}" for n in range(len(clip))), np.array([0.8, 0.4, 1.0])
-    written = write_result(replace(true_result(clip, None), frames=names, iou=iou), tmp_path / "it", "", {}, tmp_path)
-    assert reconstruction.iou_of(written) == {10: 0.8, 11: 0.4, 12: 1.0}
+    result = replace(true_result(clip, None), iou=np.array([0.8, 0.4, 1.0]))
+    written = write_result(result, tmp_path / "it", "", {}, tmp_path)
+    assert reconstruction.iou_of(written) == dict(zip(clip.frames, (0.8, 0.4, 1.0), strict=True))
     (written / "result.npz").write_bytes(b"PK nothing")
     assert reconstruction.iou_of(written) == reconstruction.iou_of(tmp_path / "nothing") == {}
 

@@ -53,15 +53,16 @@ def make(
     overwrite: bool = False,
     done: Callable[[int], None] = lambda _: None,
     found: FoundHands | None = None,
+    number: Callable[[int], int] = lambda n: n + 1,
 ) -> Made:
     """Write ``out/hand.npz`` and ``out/masks/<number>.png``: ``OBJECT``, ``HAND``, ``FRONT`` for what hides it or may.
 
     The hand is fitted to the joints that were clicked; where none were, that which was ``found`` is lifted again.
 
-    ``image`` gives the footage's frames, from 0. Files number frames from 1, as ``clip new`` does. Where the lens is a
-    guess, or nothing is known of it, the files say that depth and size are guesses, too. ``done`` is called with the
-    number of masks that are written. Raises ``UsageError`` for labels that do not suffice, and where ``out`` exists and
-    is not to be replaced, or is not what this made before.
+    ``image`` gives the footage's frames, from 0, and ``number`` what files call them, as ``clip new`` does. Where
+    the lens is a guess, or nothing is known of it, the files say that depth and size are guesses, too. ``done`` is
+    called with the number of masks that are written. Raises ``UsageError`` for labels that do not suffice, and
+    where ``out`` exists and is not to be replaced, or is not what this made before.
     """
     K, camera = intrinsics(lens if lens.is_set else Lens(guess_focal=True), labels.size)
     seen = _unseen if found is None else found.mask
@@ -75,14 +76,14 @@ def make(
         drawn, maps = key_masks(labels, image, seen), LabelMaps(labels.size)
         for n, mask, sure in propagate(image, drawn, labels.first, labels.last, hand=seen):
             whole = beside_hand(mask) if hands is None else with_hand(mask, hands, n - labels.first, K)
-            write_image(new / "masks" / f"{n + 1:06d}.png", whole)
+            write_image(new / "masks" / f"{number(n):06d}.png", whole)
             maps.add(n, whole)
             confidence[n] = sure
             done(len(confidence))
         if hands is not None:
-            write_hand(hands.hand, new / "hand.npz", _extra(labels, hands, K, camera))
+            write_hand(hands.hand, new / "hand.npz", _extra(labels, hands, K, camera, number))
         elif found is not None:
-            write_lifted_again(found.path, new / "hand.npz", labels.side, labels.first, labels.last, maps)
+            write_lifted_again(found.path, new / "hand.npz", labels.side, labels.first, labels.last, maps, number)
     return Made(hands, confidence, command(labels, out))
 
 
@@ -134,7 +135,9 @@ def clip_words(labels: Labels, out: Path, video: str, segments: Path | None = No
     ]
 
 
-def _extra(labels: Labels, hands: ClickedHands, K: Float[ndarray, "3 3"], camera: Source) -> dict[str, ndarray]:
+def _extra(
+    labels: Labels, hands: ClickedHands, K: Float[ndarray, "3 3"], camera: Source, number: Callable[[int], int]
+) -> dict[str, ndarray]:
     """Return the fields of a hand file on its frames, its camera and its sources."""
     off = float(np.sqrt(np.nanmean(hands.residuals**2)))
     provenance = {
@@ -145,6 +148,6 @@ def _extra(labels: Labels, hands: ClickedHands, K: Float[ndarray, "3 3"], camera
         "hands_scale": assumed(SCALE),
         "camera": camera,
     }
-    numbers = np.arange(labels.first + 1, labels.last + 2)
+    numbers = np.array([number(n) for n in range(labels.first, labels.last + 1)])
     extra = {"frames": numbers, "K": K, "side": np.array(labels.side)}
     return extra | as_arrays(provenance)

@@ -158,7 +158,8 @@ class Labelling:
         words = clip_words(value, self.out / grasp.name, str(grasp.path), self._segments(grasp))
         said = reconstruction.reconstruct(words, shape, self.out, grasp.name, job)
         iou = reconstruction.iou_of(reconstruction.result_folder(self.out, grasp.name))
-        self._iou[grasp.mark.mark] = basis["masks"], iou
+        names = {grasp.footage.name(n): n for n in range(value.first, value.last + 1)}
+        self._iou[grasp.mark.mark] = basis["masks"], {names[name]: x for name, x in iou.items() if name in names}
         return said
 
     def is_solved(self, grasp: Grasp) -> bool:
@@ -205,6 +206,7 @@ class Labelling:
                 overwrite=True,
                 done=lambda masks: job.report(masks, frames),
                 found=self.found(grasp),
+                number=footage.number,
             )
         return command(replace(value, video=str(grasp.path)), out, self._segments(grasp))
 

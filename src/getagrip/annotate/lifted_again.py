@@ -11,6 +11,7 @@ guess the object decides: the joints that it hides are farther from the camera t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -158,9 +159,12 @@ def other_side(
     return lifted, rows, other, source
 
 
-def write_lifted_again(found: Path, out: Path, side: Side, first: int, last: int, maps: LabelMaps) -> None:
+def write_lifted_again(
+    found: Path, out: Path, side: Side, first: int, last: int, maps: LabelMaps, number: Callable[[int], int]
+) -> None:
     """Write a found hand file to ``out``, its hands lifted again in the frames ``first`` to ``last``, from 0.
 
+    ``number`` gives what frames are called there; in ``found`` they are counted from 1.
     They become hands of the other side where ``side`` is a guess and only the other agrees with what the object hides;
     this is said. Where hands cannot be lifted, they stay as they are, and it is said; an estimator's own hands stay,
     too. Raises ``InputError`` for a malformed file, ``UsageError`` for hands of another side that stay.
@@ -192,4 +196,8 @@ def write_lifted_again(found: Path, out: Path, side: Side, first: int, last: int
                 f"the hands that were found are not {side} ones: draft again with --side {side}"
             ) from error
         report(f"hands: unchanged: {error}")
-    write_hand(hand, out, content | as_arrays(known) | {"frames": frames + 1, "side": np.array(side)})
+    write_hand(
+        hand,
+        out,
+        content | as_arrays(known) | {"frames": np.array([*map(number, frames.tolist())]), "side": np.array(side)},
+    )

@@ -78,8 +78,8 @@ def reconstruct(new_clip: Sequence[str], shape: Shape, out: Path, name: str, job
     return said[1]
 
 
-def iou_of(result: Path) -> dict[int, float]:
-    """Return a result's IOU with the masks of frames, from 0, whose files number them from 1.
+def iou_of(result: Path) -> dict[str, float]:
+    """Return a result's IOU with the masks, by frame.
 
     Frames without a mask are left out; all are where the result does not read, which its report will say.
     """
@@ -89,7 +89,7 @@ def iou_of(result: Path) -> dict[int, float]:
         found = read_result(result)[0]
     except InputError:
         return {}
-    return {int(name) - 1: x for name, x in zip(found.frames, found.iou.tolist(), strict=True) if not isnan(x)}
+    return {name: x for name, x in zip(found.frames, found.iou.tolist(), strict=True) if not isnan(x)}
 
 
 def run_command(words: Sequence[str], job: BackgroundJob) -> str:
