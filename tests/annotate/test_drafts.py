@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -122,6 +123,21 @@ def test_files_of_images_that_are_numbered_otherwise_make_a_clip(
     clip = read_clip(tmp_path / "clip")
     assert clip.frames == tuple(f"picture-{n + 25 + (n > 5)}" for n in range(FIRST, LAST + 1))
     assert iou(read_masks(clip).object[-1], filled([circle(LAST)])) > 0.9
+
+
+def test_masks_of_epic_s_videos_are_named_by_place_as_a_clip_s_frames_are(scene_video: Path, tmp_path: Path) -> None:
+    """Not by EPIC's numbers, at 60 a second, which the page shows."""
+    video = tmp_path / "P01_01.mp4"
+    shutil.copy(scene_video, video)
+    clicking = Clicking(video, tmp_path)
+    try:
+        for frame in (FIRST, LAST):
+            clicking.label(frame)
+        assert clicking.work("files")["state"] == "done"
+    finally:
+        clicking.project.close()
+    names = [f"{n + 1:06d}.png" for n in range(FIRST, LAST + 1)]
+    assert sorted(path.name for path in tmp_path.glob("*/masks/*.png")) == names
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.annotate.frame_wanted import ENOUGH, FEW, as_met, frame_wanted
+from getagrip.annotate.frame_wanted import ENOUGH, FEW, LEAST_IOU, as_met, frame_wanted
 
 FIRST, LAST = 10, 60
 
@@ -43,7 +43,7 @@ def test_a_frame_that_is_drawn_is_not_asked_for_again(drawn: set[int], worst: in
     assert asked is None or (FIRST <= asked <= LAST and asked not in drawn)
 
 
-@given(st.sets(st.integers(FIRST, LAST), max_size=FEW), st.floats(0.01, 1.0), st.floats(0.0, 1.0))
+@given(st.sets(st.integers(FIRST, LAST), max_size=FEW), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
 def test_masks_are_less_sure_where_a_result_meets_them_less_than_drawn_ones(
     drawn: set[int], met: float, times: float
 ) -> None:
@@ -52,6 +52,6 @@ def test_masks_are_less_sure_where_a_result_meets_them_less_than_drawn_ones(
     assert as_met(sure, alike, drawn) == sure
     assert as_met(sure, {}, drawn) == sure
     less = {n: met if n in drawn else times * met for n in sure}
-    expected = min(0.98, times) if drawn else 0.98
+    expected = min(0.98, max(times * met, LEAST_IOU) / max(met, LEAST_IOU)) if drawn else 0.98
     found = as_met(sure, less, drawn)
     assert all(abs(found[n] - (0.98 if n in drawn else expected)) < 1e-9 for n in sure)

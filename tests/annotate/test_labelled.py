@@ -194,3 +194,15 @@ def test_grasps_of_long_names_that_are_alike_have_files_of_their_own() -> None:
     names = {grasp.name for grasp in grasps}
     assert len(names) == len(videos) * len(ends)
     assert all(is_plain_name(name) and len(name) < 120 for name in names)
+
+
+@pytest.mark.parametrize("names", [("cover", "picture-01"), ("a-01", "b-01")])
+def test_images_without_a_number_of_their_own_are_refused(tmp_path: Path, names: tuple[str, str]) -> None:
+    """A clip would not find their hands, or take those of others."""
+
+    def name(n: int) -> str:
+        return names[n] if n < len(names) else f"picture-{n:02d}"
+
+    with pytest.raises(UsageError, match=r"needs a number of its own .* \(got (cover|a-01)\)"):
+        make(labels_of(0, LAST), image, Lens(focal=FOCAL), tmp_path / "made", name=name)
+    assert not (tmp_path / "made").exists()

@@ -45,8 +45,9 @@ def found_hand(turn: Sequence[float] = (-0.5 * np.pi, 0.0, 0.0), tilt: Sequence[
     )
 
 
-def from_1(n: int) -> int:
-    return n + 1
+def numbers(first: int, last: int) -> dict[int, int]:
+    """Of frames whose images are numbered otherwise than by place."""
+    return {n: 2 * n + 25 for n in range(first, last + 1)}
 
 
 def maps_of(value: int) -> LabelMaps:
@@ -115,7 +116,7 @@ def test_the_object_decides_on_the_side_where_that_is_a_guess(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], side: Source
 ) -> None:
     found, maps = held_from_behind(tmp_path, {"hands_scale": assumed("a mean hand's"), "hands_side": side})
-    write_lifted_again(found, tmp_path / "out.npz", "right", 3, 10, maps, from_1)
+    write_lifted_again(found, tmp_path / "out.npz", "right", numbers(3, 10), maps)
     written = np.load(tmp_path / "out.npz")
     assert str(written["side"]) == ("left" if side.basis == "assumed" else "right")
     said = "".join(capsys.readouterr())
@@ -135,13 +136,13 @@ def test_the_object_decides_on_the_side_where_that_is_a_guess(
 def test_a_side_that_is_chosen_later_is_obeyed_or_refused(tmp_path: Path) -> None:
     looks = {"hands_side": estimated("right: it looks like one")}
     found, maps = held_from_behind(tmp_path, looks | {"hands_scale": assumed("a mean hand's")})
-    write_lifted_again(found, tmp_path / "out.npz", "left", 3, 10, maps, from_1)
+    write_lifted_again(found, tmp_path / "out.npz", "left", numbers(3, 10), maps)
     written = np.load(tmp_path / "out.npz")
     assert str(written["side"]) == "left"
     assert str(written["provenance_hands_side"]) == "left, as stated"
     found, maps = held_from_behind(tmp_path, looks | {"hands_scale": estimated("by a network")})
     with pytest.raises(UsageError, match="draft again with --side left"):
-        write_lifted_again(found, tmp_path / "other.npz", "left", 3, 10, maps, from_1)
+        write_lifted_again(found, tmp_path / "other.npz", "left", numbers(3, 10), maps)
 
 
 def test_a_frame_without_a_map_is_empty() -> None:
@@ -159,13 +160,13 @@ def test_files_keep_what_cannot_be_lifted_and_say_so(tmp_path: Path, capsys: pyt
     hand = found_hand()
     bare = HandTrack(hand.vertices, hand.faces, hand.T_cam_hand, hand.regions, hand.joints)
     write_hand(bare, tmp_path / "found.npz", {"frames": FRAMES + 1, "K": K})
-    write_lifted_again(tmp_path / "found.npz", tmp_path / "out.npz", "left", 4, 9, maps_of(HAND), from_1)
+    write_lifted_again(tmp_path / "found.npz", tmp_path / "out.npz", "left", numbers(4, 9), maps_of(HAND))
     assert "hands: unchanged" in "".join(capsys.readouterr())
-    assert np.load(tmp_path / "out.npz")["frames"].tolist() == [5, 6, 10]
+    assert np.load(tmp_path / "out.npz")["frames"].tolist() == [33, 35, 43]
     np.testing.assert_array_equal(read_hand(tmp_path / "out.npz", 3).vertices, hand.vertices[1:4])
 
 
 def test_a_file_without_frames_is_refused(tmp_path: Path) -> None:
     write_hand(found_hand(), tmp_path / "found.npz", {"K": K})
     with pytest.raises(InputError, match="frames"):
-        write_lifted_again(tmp_path / "found.npz", tmp_path / "out.npz", "left", 0, 9, maps_of(HAND), from_1)
+        write_lifted_again(tmp_path / "found.npz", tmp_path / "out.npz", "left", numbers(0, 9), maps_of(HAND))

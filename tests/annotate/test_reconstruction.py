@@ -14,7 +14,7 @@ from getagrip.annotate.background import BackgroundJob, CancelledError
 from getagrip.annotate.reconstruction import Shape, reconstruct, shape_of
 from getagrip.annotate.versions import RefusedError
 from getagrip.errors import GetagripError, UsageError
-from getagrip.result import write_result
+from getagrip.result import FrameKind, write_result
 from helpers.clips import small_clip
 from helpers.true_result import true_result
 
@@ -53,6 +53,10 @@ def test_iou_of_a_result_that_may_not_read(tmp_path: Path) -> None:
     result = replace(true_result(clip, None), iou=np.array([0.8, 0.4, 1.0]))
     written = write_result(result, tmp_path / "it", "", {}, tmp_path)
     assert reconstruction.iou_of(written) == dict(zip(clip.frames, (0.8, 0.4, 1.0), strict=True))
+    kind: tuple[FrameKind, ...] = ("sampled", "interpolated", "sampled")
+    unknown = replace(result, iou=np.array([0.8, np.nan, 1.0]), frame_kind=kind)
+    other = write_result(unknown, tmp_path / "other", "", {}, tmp_path)
+    assert reconstruction.iou_of(other) == {clip.frames[0]: 0.8, clip.frames[2]: 1.0}
     (written / "result.npz").write_bytes(b"PK nothing")
     assert reconstruction.iou_of(written) == reconstruction.iou_of(tmp_path / "nothing") == {}
 

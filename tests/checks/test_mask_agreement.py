@@ -99,7 +99,7 @@ def test_frames_in_a_row_that_are_met_less_than_the_others_are_named() -> None:
         return examine([RESULT_CHECKS["uneven-mask-fit"]], Evidence(clip, masks, iou=iou, iou_frames=frames))[1]
 
     alone, some, unseen = usual.copy(), usual.copy(), usual.copy()
-    alone[3], some[2:5], unseen[:4] = 0.5, (0.8, 0.7, 0.8), np.nan
+    alone[[0, 3, -1]], some[2:5], unseen[:4] = 0.5, (0.8, 0.7, 0.8), np.nan
     for even in (usual, 0.5 * usual, alone, unseen, np.full(len(clip), np.nan)):
         assert findings(even) == ()
     for uneven in (some, 0.5 * some):

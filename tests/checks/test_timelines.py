@@ -30,7 +30,7 @@ def test_nothing_is_found_where_all_is_right() -> None:
     assert (found.findings, found.failed) == ((), "")
     lies, comes, grasp = found.of_segments
     assert lies["floats"] == pytest.approx(0.0, abs=0.5)
-    assert {*comes} == {"mask-fit", "poor-mask-fit", "worst-frame", "object-distance", "mask-pixels"}
+    assert {*comes} == {"mask-fit", "poor-mask-fit", "worst-frame", "uneven-mask-fit", "object-distance", "mask-pixels"}
     assert {"frame-order", "contact-gap"} < {*grasp}
     assert "hand-side" in found.checks
 

@@ -99,7 +99,7 @@ def test_a_mug_has_its_opening_on_the_thumb_s_side() -> None:
     value = terms[1](poses, no_bound(poses)).value
     assert not value[0].any()
     assert value[1].all()
-    assert [one.name for one in usual_of(replace(clip, category="bottle"))(64, np.arange(2))] == ["size"]
+    assert [one.name for one in usual_of(replace(clip, category="can"))(64, np.arange(2))] == ["size"]
 
 
 def test_a_mug_that_is_mirrored_in_depth_is_seen_from_below() -> None:

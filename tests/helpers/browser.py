@@ -46,19 +46,23 @@ class Chromium:
             expect.set_options(timeout=PATIENCE)
             self._started = sync_playwright().start()
             arguments = ["--no-sandbox", *WEBGL, *FEW_PROCESSES]
-            self._browser = self._started.chromium.launch(executable_path=CHROMIUM, args=arguments)
+            try:
+                self._browser = self._started.chromium.launch(executable_path=CHROMIUM, args=arguments)
+            except Error:
+                self.close()
+                raise
         return self._browser
 
     def close(self) -> None:
         """End the browser and its driver, whether or not they still live."""
         from playwright.sync_api import Error
 
-        if self._browser is not None:
-            with suppress(Error):
-                self._browser.close()
-        if self._started is not None:
-            self._started.stop()
-        self._started = self._browser = None
+        started, browser, self._started, self._browser = self._started, self._browser, None, None
+        with suppress(Error):
+            if browser is not None:
+                browser.close()
+        if started is not None:
+            started.stop()
 
 
 def expect(it: Any) -> Any:

@@ -45,7 +45,7 @@ def find_grasps(labels: Labels, video: Path, footage: Footage, out: Path, shape:
     found_hands = FoundHands(out / FOLDER)
     make(
         labels, footage.image, Lens(guess_focal=True), made,
-        overwrite=True, found=found_hands, number=footage.number,
+        overwrite=True, found=found_hands, name=footage.name,
     )  # fmt: skip
     words = clip_words(labels, made, str(video))
     run_command([*words, *shape.options, "--out", str(clip), "--overwrite"], BackgroundJob("files"))

@@ -1,6 +1,6 @@
 """Hands that were found in a video before anybody clicked: joints in every frame, and the hand's masks.
 
-A folder ``found`` beside the marks holds ``hand.npz``, whose ``frames`` are numbers from 1 as in a clip and whose
+A folder ``found`` beside the marks holds ``hand.npz``, whose ``frames`` are places from 1 and whose
 ``joints_2d`` (T, 21, 2) [px] are drawn, and ``masks/<number>.png``, non-zero where the hand is visible. Both are
 optional.
 """

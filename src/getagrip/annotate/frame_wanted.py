@@ -13,7 +13,7 @@ FEW = 4
 ENOUGH = 0.95
 """Masks as sure as this need no more."""
 LEAST_IOU = 1e-3
-"""A drawn mask counts as met by at least this IOU."""
+"""A mask counts as met by at least this IOU."""
 
 
 def as_met(confidence: Mapping[int, float], iou: Mapping[int, float], drawn: Collection[int]) -> Mapping[int, float]:
@@ -25,7 +25,10 @@ def as_met(confidence: Mapping[int, float], iou: Mapping[int, float], drawn: Col
     if not known:
         return confidence
     usual = np.maximum(np.interp([*confidence], known, [iou[n] for n in known]), LEAST_IOU)
-    return {n: min(sure, iou.get(n, at) / at) for (n, sure), at in zip(confidence.items(), usual.tolist(), strict=True)}
+    return {
+        n: min(sure, max(iou.get(n, at), LEAST_IOU) / at)
+        for (n, sure), at in zip(confidence.items(), usual.tolist(), strict=True)
+    }
 
 
 def frame_wanted(confidence: Mapping[int, float], drawn: Collection[int], first: int, last: int) -> int | None:

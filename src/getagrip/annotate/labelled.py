@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +18,9 @@ from getagrip.annotate.propagated_masks import propagate
 from getagrip.annotate.steadied_hands import steadied
 from getagrip.annotate.strokes import key_masks
 from getagrip.clip.intrinsics import intrinsics
+from getagrip.clip.naming import number_of
 from getagrip.clip.writing import write_hand
+from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.depth import covered
 from getagrip.geometry.lens import Lens
@@ -53,18 +55,19 @@ def make(
     overwrite: bool = False,
     done: Callable[[int], None] = lambda _: None,
     found: FoundHands | None = None,
-    number: Callable[[int], int] = lambda n: n + 1,
+    name: Callable[[int], str] = lambda n: f"{n + 1:06d}",
 ) -> Made:
-    """Write ``out/hand.npz`` and ``out/masks/<number>.png``: ``OBJECT``, ``HAND``, ``FRONT`` for what hides it or may.
+    """Write ``out/hand.npz`` and ``out/masks/<name>.png``: ``OBJECT``, ``HAND``, ``FRONT`` for what hides it or may.
 
     The hand is fitted to the joints that were clicked; where none were, that which was ``found`` is lifted again.
 
-    ``image`` gives the footage's frames, from 0, and ``number`` what files call them, as ``clip new`` does. Where
-    the lens is a guess, or nothing is known of it, the files say that depth and size are guesses, too. ``done`` is
-    called with the number of masks that are written. Raises ``UsageError`` for labels that do not suffice, and
-    where ``out`` exists and is not to be replaced, or is not what this made before.
+    ``image`` gives the footage's frames, from 0, and ``name`` their names in a clip. Where the lens is a guess, or
+    nothing is known of it, the files say that depth and size are guesses, too. ``done`` is called with the number
+    of masks that are written. Raises ``UsageError`` for labels that do not suffice, for names without a number of
+    their own, and where ``out`` exists and is not to be replaced, or is not what this made before.
     """
     K, camera = intrinsics(lens if lens.is_set else Lens(guess_focal=True), labels.size)
+    numbers = _numbers(name, labels.first, labels.last)
     seen = _unseen if found is None else found.mask
     hands = None
     if labels.clicks or found is None or not found.path.is_file():
@@ -76,15 +79,26 @@ def make(
         drawn, maps = key_masks(labels, image, seen), LabelMaps(labels.size)
         for n, mask, sure in propagate(image, drawn, labels.first, labels.last, hand=seen):
             whole = beside_hand(mask) if hands is None else with_hand(mask, hands, n - labels.first, K)
-            write_image(new / "masks" / f"{number(n):06d}.png", whole)
+            write_image(new / "masks" / f"{name(n)}.png", whole)
             maps.add(n, whole)
             confidence[n] = sure
             done(len(confidence))
         if hands is not None:
-            write_hand(hands.hand, new / "hand.npz", _extra(labels, hands, K, camera, number))
+            write_hand(hands.hand, new / "hand.npz", _extra(labels, hands, K, camera, numbers))
         elif found is not None:
-            write_lifted_again(found.path, new / "hand.npz", labels.side, labels.first, labels.last, maps, number)
+            write_lifted_again(found.path, new / "hand.npz", labels.side, numbers, maps)
     return Made(hands, confidence, command(labels, out))
+
+
+def _numbers(name: Callable[[int], str], first: int, last: int) -> dict[int, int]:
+    """Return the numbers by which a clip finds the hands of frames, from their names."""
+    numbers = {n: number_of(name(n)) for n in range(first, last + 1)}
+    known = {n: number for n, number in numbers.items() if number is not None}
+    if len({*known.values()}) < len(numbers):
+        without = next((n for n, number in numbers.items() if number is None), first)
+        needs = "each image needs a number of its own at the end of its name"
+        raise UsageError(f"{needs} (got {files.plain(name(without))})")
+    return known
 
 
 def _unseen(_: int) -> None:
@@ -136,7 +150,7 @@ def clip_words(labels: Labels, out: Path, video: str, segments: Path | None = No
 
 
 def _extra(
-    labels: Labels, hands: ClickedHands, K: Float[ndarray, "3 3"], camera: Source, number: Callable[[int], int]
+    labels: Labels, hands: ClickedHands, K: Float[ndarray, "3 3"], camera: Source, numbers: Mapping[int, int]
 ) -> dict[str, ndarray]:
     """Return the fields of a hand file on its frames, its camera and its sources."""
     off = float(np.sqrt(np.nanmean(hands.residuals**2)))
@@ -148,6 +162,5 @@ def _extra(
         "hands_scale": assumed(SCALE),
         "camera": camera,
     }
-    numbers = np.array([number(n) for n in range(labels.first, labels.last + 1)])
-    extra = {"frames": numbers, "K": K, "side": np.array(labels.side)}
+    extra = {"frames": np.array([*numbers.values()]), "K": K, "side": np.array(labels.side)}
     return extra | as_arrays(provenance)

@@ -46,7 +46,7 @@ class Labelling:
         self.store, self.out = store, out
         self.lens = lens if lens.is_set else Lens(guess_focal=True)
         self._found: dict[Path, FoundHands] = {}
-        self._iou: dict[str, tuple[object, dict[int, float]]] = {}  # of results, and the inputs of their masks
+        self._iou: dict[str, tuple[object, dict[int, float]]] = {}  # of results, and the inputs of their drafts
         self.background = Background()
 
     def found(self, grasp: Grasp) -> FoundHands:
@@ -66,7 +66,7 @@ class Labelling:
         basis = self._basis(grasp, own)
         sure = self.store.drafts.confidence(grasp.mark.mark, {word for *_, word in basis["masks"]})
         drawn, (solved, iou) = self.labels(grasp).drawn, self._iou.get(grasp.mark.mark, (None, {}))
-        met = as_met(sure, iou, drawn) if solved == basis["masks"] else sure
+        met = as_met(sure, iou, drawn) if solved == basis else sure
         return {
             "grasp": grasp.mark.mark,
             "newest": newest,
@@ -159,7 +159,7 @@ class Labelling:
         said = reconstruction.reconstruct(words, shape, self.out, grasp.name, job)
         iou = reconstruction.iou_of(reconstruction.result_folder(self.out, grasp.name))
         names = {grasp.footage.name(n): n for n in range(value.first, value.last + 1)}
-        self._iou[grasp.mark.mark] = basis["masks"], {names[name]: x for name, x in iou.items() if name in names}
+        self._iou[grasp.mark.mark] = basis, {names[name]: x for name, x in iou.items() if name in names}
         return said
 
     def is_solved(self, grasp: Grasp) -> bool:
@@ -206,7 +206,7 @@ class Labelling:
                 overwrite=True,
                 done=lambda masks: job.report(masks, frames),
                 found=self.found(grasp),
-                number=footage.number,
+                name=footage.name,
             )
         return command(replace(value, video=str(grasp.path)), out, self._segments(grasp))
 

@@ -11,7 +11,7 @@ guess the object decides: the joints that it hides are farther from the camera t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -159,23 +159,21 @@ def other_side(
     return lifted, rows, other, source
 
 
-def write_lifted_again(
-    found: Path, out: Path, side: Side, first: int, last: int, maps: LabelMaps, number: Callable[[int], int]
-) -> None:
-    """Write a found hand file to ``out``, its hands lifted again in the frames ``first`` to ``last``, from 0.
+def write_lifted_again(found: Path, out: Path, side: Side, numbers: Mapping[int, int], maps: LabelMaps) -> None:
+    """Write a found hand file to ``out``, its hands lifted again.
 
-    ``number`` gives what frames are called there; in ``found`` they are counted from 1.
+    ``numbers`` are those of the frames of ``out``, by their places from 0; ``found`` counts places from 1.
     They become hands of the other side where ``side`` is a guess and only the other agrees with what the object hides;
     this is said. Where hands cannot be lifted, they stay as they are, and it is said; an estimator's own hands stay,
     too. Raises ``InputError`` for a malformed file, ``UsageError`` for hands of another side that stay.
     """
     content = arrays.read(found, lambda key: key in {"frames", "K", "side"} or of_provenance(key))
-    numbers = arrays.frame_numbers(found, content)
-    if numbers is None:
+    places = arrays.frame_numbers(found, content)
+    if places is None:
         raise InputError(found, "frames", "no such key", "the numbers of its frames")
-    frames, known = np.array(numbers) - 1, from_arrays(found, content)
-    rows = np.flatnonzero((first <= frames) & (frames <= last))
-    hand, frames = read_hand(found, len(numbers)).take(rows), frames[rows]
+    frames, known = np.array(places) - 1, from_arrays(found, content)
+    rows = np.flatnonzero(np.isin(frames, [*numbers]))
+    hand, frames = read_hand(found, len(places)).take(rows), frames[rows]
     overruled = str(content.get("side", side)) != side
     if overruled:
         known = known | {"hands_side": measured(f"{side}, as stated")}
@@ -196,8 +194,5 @@ def write_lifted_again(
                 f"the hands that were found are not {side} ones: draft again with --side {side}"
             ) from error
         report(f"hands: unchanged: {error}")
-    write_hand(
-        hand,
-        out,
-        content | as_arrays(known) | {"frames": np.array([*map(number, frames.tolist())]), "side": np.array(side)},
-    )
+    named = {"frames": np.array([numbers[n] for n in frames.tolist()]), "side": np.array(side)}
+    write_hand(hand, out, content | as_arrays(known) | named)

@@ -81,7 +81,8 @@ def reconstruct(new_clip: Sequence[str], shape: Shape, out: Path, name: str, job
 def iou_of(result: Path) -> dict[str, float]:
     """Return a result's IOU with the masks, by frame.
 
-    Frames without a mask are left out; all are where the result does not read, which its report will say.
+    Frames without a mask, and with an outlier mask, are left out; all are where the result does not read, which its
+    report will say.
     """
     from getagrip.result import read_result
 

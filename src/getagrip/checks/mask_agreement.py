@@ -2,7 +2,7 @@
 
 Where a right result differs from rough masks, it does so elsewhere in each frame. A wrong pose, hand, mesh or camera
 differs from exact masks at the same side of the object in successive frames. Where it meets most masks and some
-successive ones much less, it is these that lack a part, or their hands that are wrong.
+successive ones much less, these masks lack a part, or their hands are wrong.
 """
 
 from __future__ import annotations
@@ -60,14 +60,16 @@ def evenness(it: Evidence) -> float:
 
 def met_less(it: Evidence) -> str:
     """Name the frames about the least IOU that are met less than the others."""
-    by_median, iou = _by_median(it), it.overlaps[~np.isnan(it.overlaps)]
+    by_median = _by_median(it)
     worst, usual = int(by_median.argmin()), np.flatnonzero(by_median >= UNEVEN)
     first = int(usual[usual < worst].max(initial=-1)) + 1
-    last = int(usual[usual > worst].min(initial=len(iou))) - 1
+    last = int(usual[usual > worst].min(initial=len(by_median))) - 1
     names = np.array(it.iou_frames or it.clip.frames)[~np.isnan(it.overlaps)]
     some = f"masks from frame {names[first]} to {names[last]}" if first < last else f"masks about frame {names[first]}"
-    less, half = iou[first : last + 1].mean(), np.median(iou)
-    return f"{some} are met with a mean IOU of {less:.2f}, half of all with {half:.2f} or more"
+    half = float(np.nanmedian(it.overlaps))
+    less = half * float(by_median[first : last + 1].mean())
+    least = f"at worst {100.0 * by_median[worst]:.3g} % of the median one, {half:.2f}"
+    return f"{some} are met with a mean IOU of {less:.2f}, {least}"
 
 
 def _by_median(it: Evidence) -> Float[ndarray, "n"]:
@@ -75,7 +77,7 @@ def _by_median(it: Evidence) -> Float[ndarray, "n"]:
     iou = it.overlaps[~np.isnan(it.overlaps)]
     if len(iou) < 3:
         return np.ones(len(iou))
-    padded = np.pad(iou, 1, mode="edge")
+    padded = np.pad(iou, 1, mode="reflect")  # a first or last frame does not count alone, either
     return np.asarray(np.median([padded[:-2], iou, padded[2:]], axis=0) / max(np.median(iou), 1e-9))
 
 

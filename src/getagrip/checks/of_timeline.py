@@ -89,7 +89,7 @@ WITH_HAND = (
 FEWEST = 2
 """Frames that must show the object in a grasp."""
 UNSEEN_ADVICE = "there is no evidence for this grasp: are masks missing there, or is it another object's?"
-OF_MASKS = ("mask-fit", "poor-mask-fit", "worst-frame")
+OF_MASKS = ("mask-fit", "poor-mask-fit", "worst-frame", "uneven-mask-fit")
 """Checks of any segment's result."""
 
 
@@ -165,7 +165,8 @@ def _examine(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[str, f
         T_hand_obj = se3.inverse(by.hand.T_cam_hand) @ whole.clip.hand.T_cam_hand @ T_hand_obj
         masks = replace(masks, hand=None)
     seen_at = with_evidence(with_masks(by.take(rows), masks))
-    result = Evidence(seen_at, masks, T_hand_obj[rows], whole.scale, iou)
+    names = tuple(clip.frames[n] for n in segment.rows)
+    result = Evidence(seen_at, masks, T_hand_obj[rows], whole.scale, iou, names)
     checks = [c for c in RESULT_CHECKS.working().values() if c.name in OF_MASKS or (grasped and c.name in WITH_HAND)]
     checks += [*SEGMENT_CHECKS, *((STATIC, FLOATS) if segment.state == "static" else ())]
     there = [one for one in modalities() if one.of(seen_at) is not None]

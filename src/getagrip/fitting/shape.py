@@ -126,7 +126,7 @@ def own_shape(problem: Problem, motion: Soft[Fixed], index: Int[ndarray, "n"], m
     coarse, radius = problem.surface.coarse, problem.surface.diameter / 2.0
     seen = observation, LEVEL, STEP[LEVEL], DELTA[LEVEL]
     kind = kind_of(problem.clip)
-    stretch = STRETCH if kind is None else kind.stretch
+    stretch = STRETCH if kind is None or kind.stretch is None else kind.stretch
     T_cam_hand = problem.clip.hand.T_cam_hand[index]
     stiffness = len(index) * _prior(stretch, problem.clip.scale == "known")
     undeformed = minimise(motion, [MaskTerm(SilhouetteMesh.of(coarse, mesh.centre), *seen)], T_cam_hand, ITERATIONS)

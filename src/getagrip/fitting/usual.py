@@ -3,8 +3,8 @@
 A mesh of this package's own stands for an object that nobody has measured. Its search also starts from the grasps that
 are usual for the kind, turned about the object's upright axis, so that a handle is tried on every side of the hand. Its
 size is drawn to what is usual (``Kind.spread``), and its upright axis to where it usually points in the hand: the
-silhouette of a mug is nearly that of one upside down. Vessels are seen from above: from below, the silhouette of a bowl
-whose rim is as far tilted is the same.
+silhouette of a mug is nearly that of one upside down. Vessels and bottles are seen from above: tilted as far away from
+the camera as towards it, a bowl or a bottle has nearly the same silhouette.
 """
 
 from __future__ import annotations

@@ -102,8 +102,8 @@ class Kind:
     """Further ways, for clips whose grasps are to vary."""
     spread: float = 0.25
     """Standard deviation of the logarithm of its size, from one such object in a kitchen to another: a coarse guess."""
-    stretch: float = 0.1
-    """Standard deviation of its stretches along x, y and z: bottles are slim, squat or flat."""
+    stretch: float | None = None
+    """Standard deviation of its stretches along x, y and z, if not that of any mesh (``fitting.shape``)."""
     opens_up: bool = False
     """True for a vessel or bottle, which is hardly ever held with its opening on the little finger's side."""
 
@@ -125,7 +125,7 @@ CATEGORIES: dict[str, Kind] = {
         (Grip("palm", (0, 0, -0.02), (1, 0, 0), (0, 0, 1)),),
         (Grip("palm", (0, 0, 0.06), (1, 0, 0), (0, 0, 1)), Grip("palm", (0, 0, 0.03), (1, 0, 0), (0, 0, -1))),
         spread=0.5,
-        stretch=0.2,
+        stretch=0.2,  # they are slim, squat or flat
         opens_up=True,
     ),
     "bowl": Kind(shapes.bowl, (Grip("pinch", (0.072, 0, 0.055), (-0.25, 0, -1), (1, 0, 0)),), opens_up=True),
