@@ -42,10 +42,9 @@ def find_grasps(labels: Labels, video: Path, footage: Footage, out: Path, shape:
     Raises ``GetagripError`` where no clip can be made.
     """
     made, clip = files.folder_inside(out, FOLDER).parent / WHOLE, files.folder_inside(out, CLIPS) / WHOLE
-    found_hands = FoundHands(out / FOLDER)
     make(
         labels, footage.image, Lens(guess_focal=True), made,
-        overwrite=True, found=found_hands, name=footage.name,
+        overwrite=True, found=FoundHands(out / FOLDER), name=footage.name,
     )  # fmt: skip
     words = clip_words(labels, made, str(video))
     run_command([*words, *shape.options, "--out", str(clip), "--overwrite"], BackgroundJob("files"))

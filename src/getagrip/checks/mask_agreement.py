@@ -66,9 +66,9 @@ def met_less(it: Evidence) -> str:
     last = int(usual[usual > worst].min(initial=len(by_median))) - 1
     names = np.array(it.iou_frames or it.clip.frames)[~np.isnan(it.overlaps)]
     some = f"masks from frame {names[first]} to {names[last]}" if first < last else f"masks about frame {names[first]}"
-    half = float(np.nanmedian(it.overlaps))
-    less = half * float(by_median[first : last + 1].mean())
-    least = f"at worst {100.0 * by_median[worst]:.3g} % of the median one, {half:.2f}"
+    median = float(np.nanmedian(it.overlaps))
+    less = median * float(by_median[first : last + 1].mean())
+    least = f"at worst {100.0 * by_median[worst]:.3g} % of the median one, {median:.2f}"
     return f"{some} are met with a mean IOU of {less:.2f}, {least}"
 
 
