@@ -9,6 +9,8 @@ import pytest
 from numpy import ndarray
 from scipy.optimize import minimize
 
+from getagrip.clip.depth import DepthSource
+from getagrip.fitting.depth_samples import INDEPENDENT, errors_of
 from getagrip.fitting.energy import HandInCamera, ObjectWithHand, PosesInCamera, no_bound
 from getagrip.fitting.energy import depth as depth_term
 from getagrip.fitting.energy.depth import RIGID, DepthErrors, DepthSamples, DepthTerm
@@ -103,6 +105,15 @@ def test_an_unknown_scale_hardly_costs_and_a_metric_one_does() -> None:
 
     assert cost(FREE, 2.0) < 1.0 + cost(FREE, 1.0) + 30.0  # of a prior one wide
     assert cost(METRIC, 1.1) > 2.0 * cost(METRIC, 1.0)
+
+
+def test_an_object_nearer_than_a_sensor_shows_it_costs_more_than_errors_that_last() -> None:
+    """Of one deviation in each independent sample of 30 frames: else smooth errors that last draw it there."""
+    samples, _, _ = scene(5, noise=0.0)
+    of_object, _ = true_poses(5)
+    farther = replace(samples, log_z=samples.log_z - 0.05 + 0.03)
+    off = term(farther, errors_of(DepthSource("metric", "sensor"))).squared_deviations(of_object)[0]
+    assert N * off > 30 * INDEPENDENT
 
 
 def test_holes_say_nothing_and_other_samples_are_rejected_or_independent() -> None:
