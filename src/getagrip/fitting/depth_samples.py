@@ -34,8 +34,8 @@ WARP, NO_WARP = 0.01, 1e-6
 def errors_of(source: DepthSource) -> DepthErrors:
     """Return what depth of a source may err by.
 
-    A sensor's factor errs by more, but costs once a clip, and samples of all frames count as if they were independent:
-    else the object would leave the depth that is seen for smooth errors that last.
+    The factor of a sensor's depth errs by more than its deviation here. But its prior counts once a clip, and samples
+    of all frames count as independent: with a larger deviation, smooth errors that last would draw the object away.
     """
     sensor, free = source.source == "sensor", 1.0
     return DepthErrors(
