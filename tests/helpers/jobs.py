@@ -39,7 +39,7 @@ def patient(job: str) -> str:
 
 def slow_start() -> None:
     """Runs in another process before its first job: takes longer than the limit of a job is."""
-    time.sleep(1.0)
+    time.sleep(3.0)
 
 
 def greedy(gigabytes: float) -> str:
