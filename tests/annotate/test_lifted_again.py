@@ -98,7 +98,7 @@ def held_from_behind(tmp_path: Path, provenance: Provenance) -> tuple[Path, Labe
         drawn = np.zeros(SIZE[::-1], np.uint8)
         for joints, value in ((far[:9], HAND), (far[-9:], OBJECT)):
             for x, y in points[joints].round().astype(int):
-                drawn[max(0, y - 9) : y + 10, max(0, x - 9) : x + 10] = value
+                drawn[max(0, y - 14) : y + 15, max(0, x - 14) : x + 15] = value
         maps.add(int(frame), drawn)
     mirrored = X * [1.0, 1.0, -1.0] + [0.0, 0.0, 2.0 * X[..., 2].mean()]
     seen = replace(true, joints=se3.transform(se3.inverse(true.T_cam_hand), mirrored))

@@ -71,6 +71,20 @@ def test_many_frames_do_not_outvote_the_hands_size() -> None:
 
 
 @pytest.mark.slow
+def test_errors_of_landmarks_bring_the_hand_no_nearer() -> None:
+    """They make it larger in the image, and the more so, the more fingers and palm follow them."""
+    nearer = []
+    for seed in range(6):
+        X, rng = moving("left", seed)[0][::4], np.random.default_rng(seed)
+        seen, size = project(K, X), float(np.ptp(project(K, X[0]), axis=0).max())
+        errors = rng.normal(0.0, 0.06, (21, 2)) + rng.normal(0.0, 0.04, (len(X), 21, 2))
+        fits = [hands_from_landmarks(seen + by * errors, np.ones((len(X), 21)), K, "left") for by in (0.0, size)]
+        exact, off = (lifted_joints(fit)[..., 2].mean() for fit in fits)
+        nearer.append(np.log(exact / off))
+    assert np.mean(nearer) < 0.03
+
+
+@pytest.mark.slow
 def test_short_gaps_are_filled_and_long_ones_stay() -> None:
     X, _ = moving("right", 1)
     points, confidence = landmarks(X, 1), np.ones((T, 21))

@@ -34,7 +34,7 @@ from getagrip.io import arrays
 from getagrip.io.terminal import counted, report
 from getagrip.provenance import Source, as_arrays, assumed, from_arrays, is_assumed, measured, of_provenance
 
-LOOSENESS = 0.08
+LOOSENESS = 0.12
 """Standard deviation of each number of the fingers' pose from that of the grasp [rad]."""
 HIDDEN = 0.25
 """Factor on the confidence of landmarks that lie on the visible object: the network guesses them."""

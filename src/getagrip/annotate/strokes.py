@@ -86,21 +86,31 @@ def stroked(
     return out
 
 
+def window(box: Box, size: tuple[int, int]) -> tuple[slice, slice]:
+    """Return the rows and columns of a box in an image of ``size`` (width, height) [px].
+
+    Raises ``UsageError`` for a box more than a tenth of which is out of the image.
+    """
+    x, y, w, h = box
+    left, top, right, bottom = max(0.0, x), max(0.0, y), min(x + w, size[0]), min(y + h, size[1])
+    if w <= 0 or h <= 0 or max(0.0, right - left) * max(0.0, bottom - top) < 0.9 * w * h:
+        got = ",".join(f"{value:g}" for value in box)
+        raise UsageError(f"box must be X,Y,W,H within the upright image, {size[0]} x {size[1]} (got {got})")
+    return slice(round(top), round(bottom)), slice(round(left), round(right))
+
+
 def boxed(image: Image, box: Box, hand: Bool[ndarray, "h w"] | None = None) -> UInt8[ndarray, "H W"]:
     """Return the label map of a frame on which the object fills a box, ``HAND`` where the hand is seen.
 
-    Raises ``UsageError`` for a box that is not in the image.
+    Raises as ``window`` does.
     """
     import cv2
 
-    height, width = shape = image.shape[:2]
-    x, y, w, h = box
-    columns, rows = slice(max(0, round(x)), round(x + w)), slice(max(0, round(y)), round(y + h))
-    if w <= 0 or h <= 0 or not (x < width and y < height and columns.stop > 0 and rows.stop > 0):
-        raise UsageError(f"box must be X,Y,W,H within the {width} x {height} image (got {','.join(map(str, box))})")
-    seen = np.zeros(shape, bool) if hand is None else _resized(hand, shape)
+    shape = image.shape[:2]
     inside = np.zeros(shape, bool)
-    inside[rows, columns] = True
+    inside[window(box, (shape[1], shape[0]))] = True
+    w, h = box[2:]
+    seen = np.zeros(shape, bool) if hand is None else _resized(hand, shape)
     around = _around(inside, shape, 0.15 * max(w, h))
 
     def cut(hand: Bool[ndarray, "H W"], sure: Bool[ndarray, "H W"]) -> Bool[ndarray, "H W"]:

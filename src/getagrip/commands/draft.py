@@ -124,6 +124,7 @@ class Draft(Command):
         from getagrip.annotate.labels import Labels as Drawn
         from getagrip.annotate.project import Project
         from getagrip.annotate.store import Store
+        from getagrip.annotate.strokes import window
         from getagrip.annotate.tasks import read_tasks
         from getagrip.annotate.written_files import write_labels
         from getagrip.commands.annotate import DATABASE, serve
@@ -139,6 +140,8 @@ class Draft(Command):
         try:
             footage = project.footage(task)
             stretch = self._stretch(footage)
+            if self.object_box is not None:
+                window(self.object_box, footage.size)  # before a minute's search
             found = self._find(stretch)
             for key, source in found.provenance.items():
                 report(f"{key}: {source}")

@@ -33,8 +33,12 @@ from getagrip.hands.pose_prior import PosePrior
 LIFTED = "lifted to the generic hand"
 """Words in the provenance of hands that are made of landmarks alone, and can be made of them again."""
 NOISE = 0.009
-"""Standard deviation of a landmark, at the hand [m]."""
-LOOSENESS = 0.3
+"""Least standard deviation of a landmark, at the hand [m]; that of a first fit."""
+PER_RESIDUAL = 3.0
+"""Standard deviation beside the median residual of the first fit. Residuals are less than errors, and errors last, while
+each frame counts. Where errors are taken for less, fingers and palm follow them; errors make the hand larger in the
+image, so it comes nearer (docs/trials.md)."""
+LOOSENESS = 0.2
 """Standard deviation of each number of the fingers' pose from the mean one [rad]."""
 KEYS = 24
 """Largest number of frames that are fitted from scratch; the others start from interpolated poses."""
@@ -95,13 +99,15 @@ def hands_from_landmarks(
     keys = _keys(rows, confidence[rows].mean(axis=1))
     found = fitted(fit(keys))
     check_found(rows[keys].tolist(), found)
+    off = (_residuals(K, chains, found, clicks.y[keys]) / clicks.noise[keys])[clicks.there[keys]]
+    clicks = clicks._replace(noise=clicks.noise * max(1.0, PER_RESIDUAL * float(np.median(off))))
+    found, _ = fit(keys).near(found)
     first, last = int(rows[0]), int(rows[-1])
     T, q = between(rows[keys].tolist(), found.T, found.q, first, last)
     start = Guess(T[rows - first], q[rows - first], found.grasp, found.shape, chains.wrist)
     found, _ = fit(np.arange(len(rows))).near(start)
     check_found(rows.tolist(), found)
-    X, _ = joints_and_jacobian(chains, found.q, found.shape)
-    residuals = np.linalg.norm(project(K, se3.transform(found.T, X)) - clicks.y, axis=-1)
+    residuals = _residuals(K, chains, found, clicks.y)
     T, q = between(rows.tolist(), *_smoothed(rows, found.T, found.q), first, last)
     kept = np.flatnonzero(_bridged(rows, last - first + 1))
     posed = model.with_shape(found.shape).with_pose(model_pose(q[kept]))
@@ -121,6 +127,13 @@ def _clicks(
     noisy = Clicks.of(K, points)
     noise = noisy.noise * (NOISE / CLICK_NOISE) / np.sqrt(np.clip(confidence, LEAST, 1.0))
     return noisy._replace(noise=noise, depth=depth, depth_known=known)
+
+
+def _residuals(
+    K: Float[ndarray, "3 3"], chains: Chains, found: Guess, y: Float[ndarray, "n 21 2"]
+) -> Float[ndarray, "n 21"]:
+    X, _ = joints_and_jacobian(chains, found.q, found.shape)
+    return np.linalg.norm(project(K, se3.transform(found.T, X)) - y, axis=-1)
 
 
 def _without_beside(clicks: Clicks, hiding: Hiding) -> Clicks:
