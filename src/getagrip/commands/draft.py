@@ -124,7 +124,6 @@ class Draft(Command):
         from getagrip.annotate.labels import Labels as Drawn
         from getagrip.annotate.project import Project
         from getagrip.annotate.store import Store
-        from getagrip.annotate.strokes import window
         from getagrip.annotate.tasks import read_tasks
         from getagrip.annotate.written_files import write_labels
         from getagrip.commands.annotate import DATABASE, serve
@@ -140,8 +139,6 @@ class Draft(Command):
         try:
             footage = project.footage(task)
             stretch = self._stretch(footage)
-            if self.object_box is not None:
-                window(self.object_box, footage.size)  # before a minute's search
             found = self._find(stretch)
             for key, source in found.provenance.items():
                 report(f"{key}: {source}")
@@ -226,10 +223,13 @@ class Draft(Command):
         return first - 1, last - 1
 
     def _stretch(self, footage: Footage) -> Stretch:
-        """Return the interval and its camera. Raises ``UsageError``."""
+        """Return the interval and its camera. Raises ``UsageError``, also for a box beside the image."""
+        from getagrip.annotate.strokes import window
         from getagrip.commands.draft_inputs import Stretch
         from getagrip.commands.hand_file import HandFile, camera_of
 
+        if self.object_box is not None:
+            window(self.object_box, footage.size)
         of_file = self.hands is not None and self.hands_from is None and Path(self.hands).suffix == ".npz"
         own = HandFile.of(Path(self.hands)) if of_file and self.hands is not None else None
         lens = self.lens if own is not None and own.K is not None else self._lens

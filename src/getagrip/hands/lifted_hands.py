@@ -35,9 +35,9 @@ LIFTED = "lifted to the generic hand"
 NOISE = 0.009
 """Least standard deviation of a landmark, at the hand [m]; that of a first fit."""
 PER_RESIDUAL = 3.0
-"""Standard deviation beside the median residual of the first fit. Residuals are less than errors, and errors last, while
-each frame counts. Where errors are taken for less, fingers and palm follow them; errors make the hand larger in the
-image, so it comes nearer (docs/trials.md)."""
+"""Standard deviation beside the median residual of the first fit: residuals are less than errors. Where errors are
+taken for less, fingers and palm follow them, and as they make the hand larger in the image, it comes nearer
+(docs/trials.md)."""
 LOOSENESS = 0.2
 """Standard deviation of each number of the fingers' pose from the mean one [rad]."""
 KEYS = 24
