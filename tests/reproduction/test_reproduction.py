@@ -27,8 +27,9 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-def test_epic_grasps(tmp_path: Path, run: Run) -> None:
+def test_epic_grasps(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without hands the clips are made; with them all tables are; a second call keeps everything."""
+    monkeypatch.setattr("getagrip.fitting.methods.paper.ITERATIONS", 10)  # of 200: how good poses are is not looked at
     root, out = write_epic_paper(tmp_path / "root"), tmp_path / "out"
     call = ("reproduce", "epic-grasps", root, "--out", out, "--workers", 1)
     status, _, told = run(*call)
