@@ -13,7 +13,7 @@ from getagrip.checks.evidence import Evidence
 from getagrip.clip.sampling import frame_indices
 from getagrip.geometry import se3
 from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
-from getagrip.metrics.symmetry import Symmetries, find_symmetries, surface_points
+from getagrip.metrics.symmetry import find_symmetries, surface_points
 from getagrip.result import Axis, Candidates
 
 FRAMES, POINTS = 5, 200
@@ -87,12 +87,8 @@ class Solved(Evidence):
         first, other = (
             ObjectTrack(self.candidates.T_hand_obj[n, few], float(self.candidates.scale[n])) for n in (0, k)
         )
-        symmetry = best_symmetry(mesh, other, first, self._symmetries)
+        symmetry = best_symmetry(mesh, other, first, find_symmetries(mesh))
         return float(pose_errors(mesh, other, first, symmetry).add.mean()) / self.diameter
-
-    @cached_property
-    def _symmetries(self) -> Symmetries:
-        return find_symmetries(self.clip.mesh)
 
     @cached_property
     def off_axis(self) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -166,7 +166,7 @@ class Comparison:
     @property
     def symmetries(self) -> Symmetries:
         """Symmetries of the clip's mesh."""
-        return _symmetries(self.clip.mesh.vertices.tobytes(), self.clip.mesh.faces.tobytes())
+        return find_symmetries(self.clip.mesh)
 
     @property
     def scale_error(self) -> float:
@@ -267,9 +267,3 @@ def _shared(compute: Callable[[], V], *inputs: ndarray | float) -> V:
         _SHARED[key] = compute()
     found: V = _SHARED[key]
     return found
-
-
-@lru_cache(maxsize=32)
-def _symmetries(vertices: bytes, faces: bytes) -> Symmetries:
-    """Find the symmetries of a mesh, once for all the clips that hold it."""
-    return find_symmetries(Mesh(np.frombuffer(vertices).reshape(-1, 3), np.frombuffer(faces, np.int64).reshape(-1, 3)))

@@ -9,6 +9,7 @@ about more axes where those are not unique), each refined by a few steps of poin
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -61,7 +62,13 @@ class Symmetries:
 
 
 def find_symmetries(mesh: Mesh) -> Symmetries:
-    """Find the symmetries of a mesh; at least the identity."""
+    """Find the symmetries of a mesh, once for all clips that hold it; at least the identity."""
+    return _found(mesh.vertices.tobytes(), mesh.faces.tobytes())
+
+
+@lru_cache(maxsize=32)
+def _found(vertices: bytes, faces: bytes) -> Symmetries:
+    mesh = Mesh(np.frombuffer(vertices).reshape(-1, 3), np.frombuffer(faces, np.int64).reshape(-1, 3))
     surface = _Surface(decimate(mesh, FACES))
     centre, second_moment = _moments(mesh)
     moments, axes = np.linalg.eigh(second_moment)
