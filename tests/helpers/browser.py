@@ -65,6 +65,14 @@ class Chromium:
             started.stop()
 
 
+def close(profile: Any) -> None:
+    """Close a profile, unless the browser has died since a test's end: the next one gets another."""
+    from playwright.sync_api import Error
+
+    with suppress(Error):
+        profile.close()
+
+
 def expect(it: Any) -> Any:
     """Playwright's assertions, which wait until they hold."""
     from playwright.sync_api import expect

@@ -12,6 +12,7 @@ from getagrip.annotate import propagated_masks
 from getagrip.annotate.tasks import Task
 from getagrip.commands.annotate import DATABASE
 from helpers.annotation_page import Served
+from helpers.browser import close
 from helpers.labelling_page import FIRST, LAST, MARK
 
 
@@ -20,7 +21,7 @@ def context(browser: Any) -> Iterator[Any]:
     """A browser's profile: its tabs share what the page keeps."""
     made = browser.new_context(viewport={"width": 1300, "height": 860}, accept_downloads=True)
     yield made
-    made.close()
+    close(made)
 
 
 @pytest.fixture
