@@ -76,7 +76,7 @@ def test_a_box_on_the_object_is_enough_for_masks_of_all_frames(
         assert mask[5, 5] == 0
 
 
-@pytest.mark.parametrize("box", ["2000,2000,5,5", "300,100,30,30", "-9,100,30,30"])
+@pytest.mark.parametrize("box", ["2000,2000,5,5", "300,100,30,30", "-9,100,30,30", "nan,1,9,9"])
 def test_a_box_beside_the_image_is_refused_before_hands_are_looked_for(scene: Path, run: Run, box: str) -> None:
     assert scene.is_file()
     status, _, err = run(*DRAFT, "--object-box", box)

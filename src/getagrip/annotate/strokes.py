@@ -93,7 +93,7 @@ def window(box: Box, size: tuple[int, int]) -> tuple[slice, slice]:
     """
     x, y, w, h = box
     left, top, right, bottom = max(0.0, x), max(0.0, y), min(x + w, size[0]), min(y + h, size[1])
-    if w <= 0 or h <= 0 or max(0.0, right - left) * max(0.0, bottom - top) < 0.9 * w * h:
+    if not (w > 0.0 < h and max(0.0, right - left) * max(0.0, bottom - top) >= 0.9 * w * h):
         got = ",".join(f"{value:g}" for value in box)
         raise UsageError(f"box must be X,Y,W,H within the upright image, {size[0]} x {size[1]} (got {got})")
     return slice(round(top), round(bottom)), slice(round(left), round(right))
