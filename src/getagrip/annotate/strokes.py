@@ -95,7 +95,7 @@ def window(box: Box, size: tuple[int, int]) -> tuple[slice, slice]:
     left, top, right, bottom = max(0.0, x), max(0.0, y), min(x + w, size[0]), min(y + h, size[1])
     if not (w > 0.0 < h and max(0.0, right - left) * max(0.0, bottom - top) >= 0.9 * w * h):
         got = ",".join(f"{value:g}" for value in box)
-        raise UsageError(f"box must be X,Y,W,H within the upright image, {size[0]} x {size[1]} (got {got})")
+        raise UsageError(f"--object-box must be X,Y,W,H within the upright image, {size[0]} x {size[1]} (got {got})")
     return slice(round(top), round(bottom)), slice(round(left), round(right))
 
 
