@@ -86,11 +86,10 @@ def hands_from_clicks(
     value = Clicks.of(K, np.array([clicks[n] for n in keys], dtype=float))
     model = generic.load(side)
     chains, prior = Chains.of(model), PosePrior.of(model)
-    found = fitted(Fit(model, chains, prior, value))
+    fit = Fit(model, chains, prior, value)
+    found = fitted(fit)
     check_found(keys, found)
-    X, _ = joints_and_jacobian(chains, found.q, found.shape)
-    offset = project(K, se3.transform(found.T, X)) - value.y
-    residuals = np.where(value.there, np.linalg.norm(offset, axis=-1), np.nan)
+    residuals = fit.residuals(found)
     outliers = value.there & (residuals > OUTLIER * value.noise)
     T, q = between(keys, found.T, found.q, first, last)
     posed = model.with_shape(found.shape).with_pose(model_pose(q))
@@ -187,6 +186,12 @@ class Fit(NamedTuple):
         H[:, 96:, 96:] += share * np.diag(1.0 / self.model.shape_spread**2)
         g[:, 96:] += share * b / self.model.shape_spread
         return float(np.sum(costs) + np.sum(off**2) + self.repeats * (np.sum(p**2) + b @ b)), H, g
+
+    def residuals(self, guess: Guess) -> Float[ndarray, "n 21"]:
+        """Compute the distance of each joint from its click [px]; NaN where there is none."""
+        X, _ = joints_and_jacobian(self.chains, guess.q, guess.shape)
+        off = project(self.clicks.K, se3.transform(guess.T, X)) - self.clicks.y
+        return np.where(self.clicks.there, np.linalg.norm(off, axis=-1), np.nan)
 
     def near(self, guess: Guess) -> tuple[Guess, float]:
         """Fit the hands near a guess; also return their cost."""

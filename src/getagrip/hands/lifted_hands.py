@@ -3,7 +3,8 @@
 A network makes similar errors in similar frames, so its landmarks are not independent: for the hand's shape and grip,
 all frames together count as one. Otherwise they would outweigh the prior on the hand's size, and the hand would shrink
 to a few centimetres in front of the camera. Fingers may move further from their mean pose than in clicked frames,
-within the prior on poses, and the result is smoothed over time.
+within the prior on poses, and the result is smoothed over time. How large its errors are is estimated from the
+residuals of a first fit.
 
 Where masks are known, landmarks on pixels that show something else than the hand or the object are not used, and the
 joints are kept off these pixels (``hidden_joints``).
@@ -21,10 +22,9 @@ from numpy import ndarray
 from getagrip.clip import HandTrack
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
-from getagrip.geometry.camera import project
 from getagrip.hands import generic
 from getagrip.hands.clicked_hands import FEWEST, Fit, Guess, between, check_found, fitted, model_pose
-from getagrip.hands.fit import Chains, joints_and_jacobian
+from getagrip.hands.fit import Chains
 from getagrip.hands.hidden_joints import Hiding
 from getagrip.hands.model import Side, hand_track
 from getagrip.hands.placed_hands import CLICK_NOISE, Clicks
@@ -99,20 +99,20 @@ def hands_from_landmarks(
     keys = _keys(rows, confidence[rows].mean(axis=1))
     found = fitted(fit(keys))
     check_found(rows[keys].tolist(), found)
-    off = (_residuals(K, chains, found, clicks.y[keys]) / clicks.noise[keys])[clicks.there[keys]]
-    clicks = clicks._replace(noise=clicks.noise * max(1.0, PER_RESIDUAL * float(np.median(off))))
+    off = float(np.nanmedian(fit(keys).residuals(found) / clicks.noise[keys]))
+    clicks = clicks._replace(noise=clicks.noise * max(1.0, PER_RESIDUAL * off))
     found, _ = fit(keys).near(found)
     first, last = int(rows[0]), int(rows[-1])
     T, q = between(rows[keys].tolist(), found.T, found.q, first, last)
     start = Guess(T[rows - first], q[rows - first], found.grasp, found.shape, chains.wrist)
-    found, _ = fit(np.arange(len(rows))).near(start)
+    every = fit(np.arange(len(rows)))
+    found, _ = every.near(start)
     check_found(rows.tolist(), found)
-    residuals = _residuals(K, chains, found, clicks.y)
     T, q = between(rows.tolist(), *_smoothed(rows, found.T, found.q), first, last)
     kept = np.flatnonzero(_bridged(rows, last - first + 1))
     posed = model.with_shape(found.shape).with_pose(model_pose(q[kept]))
     hand = hand_track(posed, T[kept])
-    return LiftedHands(hand, tuple((kept + first).tolist()), np.where(clicks.there, residuals, np.nan), found.shape)
+    return LiftedHands(hand, tuple((kept + first).tolist()), every.residuals(found), found.shape)
 
 
 def _clicks(
@@ -127,13 +127,6 @@ def _clicks(
     noisy = Clicks.of(K, points)
     noise = noisy.noise * (NOISE / CLICK_NOISE) / np.sqrt(np.clip(confidence, LEAST, 1.0))
     return noisy._replace(noise=noise, depth=depth, depth_known=known)
-
-
-def _residuals(
-    K: Float[ndarray, "3 3"], chains: Chains, found: Guess, y: Float[ndarray, "n 21 2"]
-) -> Float[ndarray, "n 21"]:
-    X, _ = joints_and_jacobian(chains, found.q, found.shape)
-    return np.linalg.norm(project(K, se3.transform(found.T, X)) - y, axis=-1)
 
 
 def _without_beside(clicks: Clicks, hiding: Hiding) -> Clicks:
