@@ -3,7 +3,7 @@
 A network makes similar errors in similar frames, so its landmarks are not independent: for the hand's shape and grip,
 all frames together count as one. Otherwise they would outweigh the prior on the hand's size, and the hand would shrink
 to a few centimetres in front of the camera. Fingers may move further from their mean pose than in clicked frames,
-within the prior on poses, and the result is smoothed over time. How large its errors are is estimated from the
+within the prior on poses, and the result is smoothed over time. The size of the network's errors is estimated from the
 residuals of a first fit.
 
 Where masks are known, landmarks on pixels that show something else than the hand or the object are not used, and the
