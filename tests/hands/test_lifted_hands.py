@@ -49,7 +49,7 @@ def lifted_joints(found: LiftedHands) -> np.ndarray:
 def test_distance_and_joints_are_recovered(side: Side, seed: int) -> None:
     X, _ = moving(side, seed)
     world = X - X.mean(axis=1, keepdims=True)
-    found = hands_from_landmarks(landmarks(X, seed), np.ones((T, 21)), K, side, world)
+    found = hands_from_landmarks(landmarks(X, seed), np.ones((T, 21)), K, side, world[..., 2])
     assert found.rows == tuple(range(T))
     joints = lifted_joints(found)
     assert np.abs(joints[..., 2].mean(axis=1) / X[..., 2].mean(axis=1) - 1.0).max() < 0.1

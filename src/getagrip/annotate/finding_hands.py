@@ -38,6 +38,9 @@ JUMP = (4.0, 1.0, 5)
 more than this mean difference [of 255]; the number of frames on each side."""
 BEYOND = 0.25
 """Factor on the confidence of landmarks outside the image."""
+MOVING = 0.2
+"""Standard deviation of each number of the fingers' pose from the mean one, while a hand also reaches and lets go
+[rad]."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,7 @@ def lifted(
     """Fit 3D hands to landmarks of the frames from ``first`` on. Raises as ``hands_from_landmarks`` does."""
     beside = (landmarks.points < 0.0) | (landmarks.points > np.array(size))
     weights = landmarks.confidence * np.where(beside.any(axis=-1), BEYOND, 1.0)
-    fit = hands_from_landmarks(landmarks.points, weights, K, landmarks.side, landmarks.world)
+    fit = hands_from_landmarks(landmarks.points, weights, K, landmarks.side, landmarks.world[..., 2], looseness=MOVING)
     rows = np.array(fit.rows)
     assert fit.hand.joints is not None
     fitted = project(K, se3.transform(fit.hand.T_cam_hand, fit.hand.joints))

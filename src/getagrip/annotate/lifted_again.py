@@ -34,8 +34,6 @@ from getagrip.io import arrays
 from getagrip.io.terminal import counted, report
 from getagrip.provenance import Source, as_arrays, assumed, from_arrays, is_assumed, measured, of_provenance
 
-LOOSENESS = 0.12
-"""Standard deviation of each number of the fingers' pose from that of the grasp [rad]."""
 HIDDEN = 0.25
 """Factor on the confidence of landmarks that lie on the visible object: the network guesses them."""
 GUESSED = 0.4
@@ -88,20 +86,20 @@ def lifted_again(
     if hand.joints is None or hand.joints_2d is None or hand.joints_2d_confidence is None:
         raise UsageError("missing joints_2d: the landmarks")
     at, every = frames - frames[0], np.arange(frames[0], frames[-1] + 1)
-    points, world = np.full((len(every), 21, 2), np.nan), np.full((len(every), 21, 3), np.nan)
-    points[at], world[at] = hand.joints_2d, se3.transform(hand.T_cam_hand, hand.joints)
-    world[..., 2] *= -1.0 if mirrored else 1.0
+    points, depth = np.full((len(every), 21, 2), np.nan), np.full((len(every), 21), np.nan)
+    points[at] = hand.joints_2d
+    depth[at] = (-1.0 if mirrored else 1.0) * se3.transform(hand.T_cam_hand, hand.joints)[..., 2]
     drawn = maps.at(every)
     hidden = Hiding.of(drawn != OBJECT, maps.zoom).at(points)[0] > 0.0
     hiding = Hiding.of(drawn > 0, maps.zoom)
     beside = ((points < 0.0) | (points > np.array(maps.size))).any(axis=-1)
     guessed = (beside | (hiding.at(points)[0] > 0.0)).mean(axis=1) > GUESSED
-    world[guessed] = np.nan
+    depth[guessed] = np.nan
     enough = (~beside).sum(axis=1) >= FEWEST
     left_out = beside & (guessed & enough)[:, None]
     confidence = np.zeros((len(every), 21))
     confidence[at] = (hand.joints_2d_confidence * np.where(hidden, HIDDEN, 1.0)[at]) * ~left_out[at]
-    found = hands_from_landmarks(points, confidence, K, side, world, hiding, LOOSENESS)
+    found = hands_from_landmarks(points, confidence, K, side, depth, hiding)
     kept = np.isin(found.rows, at)
     rows = np.searchsorted(at, np.array(found.rows)[kept])
     lifted = found.hand.take(np.flatnonzero(kept))

@@ -2,9 +2,8 @@
 
 A network makes similar errors in similar frames, so its landmarks are not independent: for the hand's shape and grip,
 all frames together count as one. Otherwise they would outweigh the prior on the hand's size, and the hand would shrink
-to a few centimetres in front of the camera. Fingers may move further from their mean pose than in clicked frames,
-within the prior on poses, and the result is smoothed over time. The size of the network's errors is estimated from the
-residuals of a first fit.
+to a few centimetres in front of the camera. The result is smoothed over time. The size of the network's errors is
+estimated from the residuals of a first fit.
 
 Where masks are known, landmarks on pixels that show something else than the hand or the object are not used, and the
 joints are kept off these pixels (``hidden_joints``).
@@ -23,7 +22,7 @@ from getagrip.clip import HandTrack
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.hands import generic
-from getagrip.hands.clicked_hands import FEWEST, Fit, Guess, between, check_found, fitted, model_pose
+from getagrip.hands.clicked_hands import FEWEST, LOOSENESS, Fit, Guess, between, check_found, fitted, model_pose
 from getagrip.hands.fit import Chains
 from getagrip.hands.hidden_joints import Hiding
 from getagrip.hands.model import Side, hand_track
@@ -38,8 +37,6 @@ PER_RESIDUAL = 3.0
 """Standard deviation beside the median residual of the first fit: residuals are less than errors. Where errors are
 taken for less, fingers and palm follow them, and as they make the hand larger in the image, it comes nearer
 (docs/trials.md)."""
-LOOSENESS = 0.2
-"""Standard deviation of each number of the fingers' pose from the mean one [rad]."""
 KEYS = 24
 """Largest number of frames that are fitted from scratch; the others start from interpolated poses."""
 LEAST = 0.05
@@ -67,14 +64,15 @@ def hands_from_landmarks(
     confidence: Float[ndarray, "T 21"],
     K: Float[ndarray, "3 3"],
     side: Side,
-    world: Float[ndarray, "T 21 3"] | None = None,
+    depth: Float[ndarray, "T 21"] | None = None,
     hiding: Hiding | None = None,
     looseness: float = LOOSENESS,
 ) -> LiftedHands:
     """Fit the hand to landmarks [px], in this package's order.
 
-    ``world`` are the landmarks relative to the hand's middle, in the camera's axes [m], if the network estimates them;
-    only their depths are used, with a low weight. ``hiding`` says, for the T frames, where joints may be.
+    ``depth`` says how far each is beyond the hand's middle [m], if the network estimates it, NaN in frames where it is
+    unknown; it has a low weight. ``hiding`` says, for the T frames, where joints may be.
+    ``looseness`` is the standard deviation of each number of the fingers' pose from the mean one [rad].
 
     Raises ``UsageError`` where no frame has ``FEWEST`` landmarks, or no hand looks like them.
     """
@@ -83,8 +81,8 @@ def hands_from_landmarks(
     if not len(rows):
         raise UsageError(f"landmarks must be {FEWEST} at least in some frame (got {seen.sum(axis=1).max(initial=0)})")
     points_seen = np.where(seen[..., None], points, np.nan)[rows]
-    depth = np.full((len(rows), 21), np.nan) if world is None else world[rows, :, 2]
-    clicks = _clicks(K, points_seen, confidence[rows], depth)
+    depth_seen = np.full((len(rows), 21), np.nan) if depth is None else depth[rows]
+    clicks = _clicks(K, points_seen, confidence[rows], depth_seen)
     if hiding is not None:
         hiding = hiding.take(rows)
         clicks = _without_beside(clicks, hiding)

@@ -54,6 +54,54 @@ def test_landmarks_become_the_hand(tmp_path: Path, kind: str) -> None:
     assert is_assumed(hands.provenance["hands_scale"])
 
 
+def media_pipe(depths: np.ndarray, older: bool) -> dict[str, object]:
+    """An image's results, with world landmarks."""
+    shares = [{"x": x / SIZE[0], "y": y / SIZE[1], "z": 0.0} for x, y in POINTS[0]]
+    world = [{"x": 0.0, "y": 0.0, "z": z} for z in depths]
+    label = [{"classification": [{"label": "Right"}]}] if older else [[{"categoryName": "Right"}]]
+    if older:
+        hands = {"multi_hand_landmarks": [{"landmark": shares}], "multi_hand_world_landmarks": [{"landmark": world}]}
+        return {**hands, "multi_handedness": label}
+    return {"landmarks": [shares], "worldLandmarks": [world], "handedness": label}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["joints_2d", "MediaPipe", "older MediaPipe"])
+def test_world_landmarks_turn_the_hand(tmp_path: Path, kind: str) -> None:
+    """Depths of a hand that is mirrored in depth, whose joints look the same from afar, turn it the other way."""
+    off = []
+    for mirrored in (1.0, -1.0):
+        world = (KNOWN.joints - KNOWN.joints.mean(axis=1, keepdims=True)) * [1.0, 1.0, mirrored]
+        path = tmp_path / f"{FRAMES[0]}.json"
+        if kind == "joints_2d":
+            path.write_text(
+                json.dumps({"joints_2d": POINTS.tolist(), "world_landmarks": world.tolist(), "frames": list(FRAMES)})
+            )
+        else:
+            path.write_text(json.dumps(media_pipe(world[0, :, 2], kind.startswith("older"))))
+        found = joints_of(read([path], Landmarks("named"), request("right")))[0]
+        z, true = found[:, 2] - found[:, 2].mean(), KNOWN.joints[0, :, 2] - KNOWN.joints[0, :, 2].mean()
+        off.append(np.sqrt(np.mean((z - true) ** 2)))
+    assert off[0] < 0.5 * off[1]
+
+
+@pytest.mark.parametrize("bad", [np.zeros((3, 21, 2)), np.array("text"), 1e3 * KNOWN.joints])
+def test_other_world_landmarks_are_refused(tmp_path: Path, bad: np.ndarray) -> None:
+    content = {"joints_2d": POINTS, "world_landmarks": bad, "frames": np.array(FRAMES)}
+    with pytest.raises(InputError, match="world_landmarks"):
+        read([write_npz(tmp_path / "a.npz", content)], Landmarks(), request("right"))
+
+
+@pytest.mark.parametrize(
+    "world", [{}, [], [[{"z": 0.0}] * 20], [[{"x": 0.0}] * 21], [[{"z": 4.0}] * 20 + [{"z": 0.0}]]]
+)
+def test_world_landmarks_of_no_hand_are_refused(tmp_path: Path, world: object) -> None:
+    path = tmp_path / f"{FRAMES[0]}.json"
+    path.write_text(json.dumps(media_pipe(np.zeros(21), False) | {"worldLandmarks": world}))
+    with pytest.raises(InputError, match="world"):
+        read([path], Landmarks("named"), request("right"))
+
+
 def test_joints_of_another_reader_keep_theirs(tmp_path: Path) -> None:
     confidence = np.linspace(0.0, 1.0, 63).reshape(3, 21)
     content = {"joints": KNOWN.joints, "joints_2d": POINTS, "joints_2d_confidence": confidence}

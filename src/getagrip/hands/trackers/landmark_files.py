@@ -1,7 +1,8 @@
 """2D landmarks as trackers write them: MediaPipe's results and MMPose's (ViTPose's) predictions, as JSON.
 
 - **MediaPipe**: ``hand_landmarks`` (or ``landmarks``), for each hand 21 of ``{"x", "y"}`` as shares of the image's
-  sides, with ``handedness``; or ``multi_hand_landmarks`` and ``multi_handedness`` of its older interface.
+  sides, with ``handedness``; or ``multi_hand_landmarks`` and ``multi_handedness`` of its older interface. World
+  landmarks beside them, ``hand_world_landmarks`` and so on, give the depth of each about the hand's middle [m].
 - **MMPose**: ``instances`` with ``keypoints`` [px] and ``keypoint_scores``: COCO-WholeBody's 133, or a hand's 21.
 
 A file is of one image, named like it, or lists its images: records with ``frame``, ``frame_id`` or ``frame_index``, or
@@ -25,6 +26,9 @@ from getagrip.hands.trackers.records import Record
 from getagrip.io import arrays
 
 MEDIAPIPE = ("hand_landmarks", "handLandmarks", "landmarks", "multi_hand_landmarks")
+WORLD = (
+    "hand_world_landmarks", "handWorldLandmarks", "worldLandmarks", "world_landmarks", "multi_hand_world_landmarks",
+)  # fmt: skip
 HANDEDNESS = ("handedness", "handednesses", "multi_handedness")
 NAMED = ("frame", "frame_id", "frame_index", "image", "file_name")
 OTHER: dict[str, str] = {"left": "right", "right": "left"}
@@ -33,9 +37,9 @@ WHOLE_BODY = {133: {"left": slice(91, 112), "right": slice(112, 133)}}
 
 
 class Seen(NamedTuple):
-    """A hand in an image: (21, 3) x, y and confidence; its side, empty where no side is named."""
+    """A hand in an image: x, y, confidence and depth about its middle [m] (NaN: unknown); its side, empty if unnamed."""
 
-    points: Float[ndarray, "21 3"]
+    points: Float[ndarray, "21 4"]
     side: str
     in_mirror: bool = False
     """True if the side may be that of the mirrored image."""
@@ -57,7 +61,7 @@ def is_mmpose(keys: frozenset[str]) -> bool:
     return {"keypoints", "keypoint_scores"} <= keys
 
 
-def read(paths: Sequence[Path], side: Side, swapped: bool | None) -> tuple[list[str], Float[ndarray, "T 21 3"], bool]:
+def read(paths: Sequence[Path], side: Side, swapped: bool | None) -> tuple[list[str], Float[ndarray, "T 21 4"], bool]:
     """Read the landmarks of one side's hand: the names of images, or none where their order counts, and the points.
 
     Zeros where there is no such hand. ``swapped``: True if Left in the files means a right hand. Also return whether
@@ -76,7 +80,7 @@ def read(paths: Sequence[Path], side: Side, swapped: bool | None) -> tuple[list[
             "missing --sides (named or swapped): MediaPipe names hands as in a mirror: in images that were not "
             "flipped, its Left is the right hand"
         )
-    chosen = np.zeros((len(hands), 21, 3))
+    chosen = np.zeros((len(hands), 21, 4))
     for row, seen in enumerate(hands):
         if of_side := [hand.points for hand in seen if hand.may_be(side, swapped)]:
             chosen[row] = max(of_side, key=lambda points: float(points[:, 2].sum()))
@@ -113,15 +117,27 @@ def _mediapipe(path: Path, content: Record) -> list[Seen]:
     if key is None:
         return []
     labels = [_label(one) for one in next((content[k] for k in HANDEDNESS if isinstance(content.get(k), list)), [])]
-    found = []
+    of_world = next((key for key in WORLD if content.get(key) is not None), "")
+    world, found = content.get(of_world), []
+    if world is not None and not (isinstance(world, list) and len(world) == len(content[key])):
+        raise InputError(path, of_world, "another number of hands", f"as many as in {key}")
     for n, hand in enumerate(content[key]):
-        points = hand.get("landmark", hand.get("landmarks")) if isinstance(hand, Mapping) else hand
-        rows = points if isinstance(points, list) and all(isinstance(point, Mapping) for point in points) else []
-        values = arrays.from_lists([[point.get("x"), point.get("y")] for point in rows])
-        if values is None or values.shape != (21, 2) or values.dtype.kind not in "fiu" or not np.isfinite(values).all():
-            raise InputError(path, key, "another shape", "21 landmarks with x and y for each hand")
-        found.append(Seen(np.column_stack([values, np.ones(21)]), labels[n] if n < len(labels) else "", in_mirror=True))
+        xy, side = _values(path, key, hand, "xy"), labels[n] if n < len(labels) else ""
+        depth = np.full((21, 1), np.nan) if world is None else _values(path, of_world, world[n], "z")
+        found.append(Seen(np.column_stack([xy, np.ones(21), depth]), side, in_mirror=True))
     return found
+
+
+def _values(path: Path, key: str, hand: object, axes: str) -> Float[ndarray, "21 d"]:
+    """Read some coordinates of a hand's landmarks."""
+    points = hand.get("landmark", hand.get("landmarks")) if isinstance(hand, Mapping) else hand
+    rows = points if isinstance(points, list) and all(isinstance(point, Mapping) for point in points) else []
+    values = arrays.from_lists([[point.get(axis) for axis in axes] for point in rows])
+    if values is None or values.shape != (21, len(axes)) or values.dtype.kind not in "fiu":
+        raise InputError(path, key, "another shape", f"21 landmarks with {' and '.join(axes)} for each hand")
+    if not np.isfinite(values).all():
+        raise InputError(path, key, "a number that is not finite", "21 landmarks of finite numbers for each hand")
+    return values
 
 
 def _label(value: object) -> str:
@@ -144,7 +160,7 @@ def _mmpose(path: Path, content: Record) -> list[Seen]:
         count = 0 if keypoints is None else len(np.atleast_1d(keypoints))
         if keypoints is None or scores is None or keypoints.shape[1:] != (2,) or scores.shape != (count,):
             raise InputError(path, "keypoints", "another shape", "(N, 2), with keypoint_scores (N)")
-        points = np.column_stack([keypoints, np.clip(scores, 0.0, 1.0)]).astype(float)
+        points = np.column_stack([keypoints, np.clip(scores, 0.0, 1.0), np.full(count, np.nan)]).astype(float)
         if count == 21:
             found.append(Seen(points, ""))
         elif count in WHOLE_BODY:

@@ -1,9 +1,10 @@
 """2D landmarks of any tracker, as of MediaPipe, OpenPose, ViTPose or COCO-WholeBody, lifted to hands before the camera.
 
 One file for all frames: ``joints_2d`` (T, 21, 2) [px of the clip's images], or (T, 21, 3) with the confidence, or with
-``joints_2d_confidence`` (T, 21); NaN or null where not seen. All of these trackers have one order: wrist, then thumb,
-index, middle, ring and pinky, each from the palm to the tip. A .csv has ``frame``, ``x0``, ``y0`` to ``x20``, ``y20``,
-optionally ``c0`` to ``c20``. Or OpenPose's ``*_keypoints.json``, one for each image.
+``joints_2d_confidence`` (T, 21); NaN or null where not seen. ``world_landmarks`` (T, 21, 3) beside them, as of
+MediaPipe, are the same about the hand's middle, in the camera's axes [m]; their depths are used. All of these trackers
+have one order: wrist, then thumb, index, middle, ring and pinky, each from the palm to the tip. A .csv has ``frame``,
+``x0``, ``y0`` to ``x20``, ``y20``, optionally ``c0`` to ``c20``. Or OpenPose's ``*_keypoints.json``, one an image.
 """
 
 from __future__ import annotations
@@ -27,13 +28,16 @@ from getagrip.hands.trackers import landmark_files, records
 from getagrip.hands.trackers.estimates import Estimate, Estimates, Request
 from getagrip.hands.trackers.recognition import Sample
 from getagrip.hands.trackers.tracker import Tracker, frames_of_rows, only_file
-from getagrip.io import files
+from getagrip.io import arrays, files
 from getagrip.io.arguments import one_of
 from getagrip.provenance import assumed
 
 DEPTH = assumed("from the size of the generic hand and the clip's focal length")
 LARGEST_SHARE = 1.5
 """Coordinates up to here are shares of the image's sides, as MediaPipe gives them."""
+WORLD = "world_landmarks"
+DEEPEST = 0.5
+"""No landmark is farther from the hand's middle [m]."""
 OPENPOSE = "_keypoints"
 """At the end of the names of OpenPose's files."""
 
@@ -59,7 +63,7 @@ class Landmarks(Tracker):
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
         """Read the lifted hand in the clip's frames that have landmarks, or few frames between them."""
-        seen, path, side_assumed = np.zeros((len(request.frames), 21, 3)), paths[0], False
+        seen, path, side_assumed = np.zeros((len(request.frames), 21, 4)), paths[0], False
         keys = frozenset[str]() if path.suffix.lower() == ".csv" else Sample(path).keys
         if landmark_files.is_mediapipe(keys) or landmark_files.is_mmpose(keys):
             swapped = None if self.sides is None else self.sides == "swapped"
@@ -68,38 +72,55 @@ class Landmarks(Tracker):
         elif path.stem.endswith(OPENPOSE):
             read = [(path.stem.removesuffix(OPENPOSE), _openpose(path, request.side)) for path in paths]
             rows = {"frames": [name for name, _ in read]}
-            points = np.array([found for _, found in read])
+            points = _with(np.nan, np.array([found for _, found in read]))
         else:
             path = only_file(paths, "landmarks")
             rows = dict(_csv(path) if path.suffix.lower() == ".csv" else records.read(path))
             found = records.seen_joints(path, rows, _count(path, rows))
             if found is None:
                 raise InputError(path, "joints_2d", "no such key", "the landmarks (T, 21, 2) [px]")
-            points = found
+            points = _with(_depth(path, rows, found.shape) if WORLD in rows else np.nan, found)
         for row, frame in enumerate(frames_of_rows(path, rows, len(points), request)):
             if frame is not None:
                 seen[frame] = points[row]
         return lifted(path, seen, request, side_assumed)
 
 
-def lifted(path: Path, seen: Float[ndarray, "T 21 3"], request: Request, side_assumed: bool = False) -> Estimates:
-    """Lift landmarks in the clip's images, with their confidence, to hands; zeros where there is none.
+def _with(depth: Float[ndarray, "T 21"] | float, seen: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 21 4"]:
+    return np.concatenate([seen, np.broadcast_to(depth, seen.shape[:2])[..., None]], axis=-1)
 
-    Coordinates that are all small are shares of the image's sides.
+
+def _depth(path: Path, rows: records.Record, shape: tuple[int, ...]) -> Float[ndarray, "T 21"]:
+    """Read the depths of world landmarks, NaN where unknown. Raises ``InputError``."""
+    value = arrays.from_lists(records.without_none(rows[WORLD]))
+    if value is None or value.dtype.kind not in "fiu" or value.shape != shape:
+        given = files.shown(rows[WORLD]) if value is None else f"the shape {value.shape}"
+        raise InputError(path, WORLD, given, f"numbers of shape {shape}")
+    return np.asarray(value[..., 2], dtype=float)
+
+
+def lifted(path: Path, seen: Float[ndarray, "T 21 4"], request: Request, side_assumed: bool = False) -> Estimates:
+    """Lift landmarks in the clip's images to hands: x, y, confidence and depth about the hand's middle [m].
+
+    All are zero where there is no hand, depths NaN where unknown. Coordinates that are all small are shares of the
+    image's sides.
     """
     there = seen[..., 2] > 0.0
     if not there.any():
         return Estimates(request.side, ())
+    deepest = np.abs(seen[there][np.isfinite(seen[there][:, 3]), 3]).max(initial=0.0)
+    if deepest > DEEPEST:
+        raise InputError(path, WORLD, f"a depth of {deepest:.3g}", f"metres about the hand's middle, up to {DEEPEST}")
     shares = np.abs(seen[there][:, :2]).max() <= LARGEST_SHARE
     if shares:
-        seen = seen * [*request.size, 1.0]
+        seen = seen * [*request.size, 1.0, 1.0]
     K = request.K[0]
     as_seen = project(K, backproject(request.K, seen[..., :2]))
-    found = hands_from_landmarks(as_seen, seen[..., 2], K, request.side)
+    found = hands_from_landmarks(as_seen, seen[..., 2], K, request.side, seen[..., 3])
     assert found.hand.joints is not None
     joints = se3.transform(found.hand.T_cam_hand, found.hand.joints)
     hands = (
-        Estimate(path, frame, DEPTH, None, hand, seen=seen[frame])
+        Estimate(path, frame, DEPTH, None, hand, seen=seen[frame, :, :3])
         for frame, hand in zip(found.rows, joints, strict=True)
     )
     scale = SCALE + (f"; that it is the {request.side} hand is a guess" if side_assumed else "")

@@ -59,10 +59,10 @@ class LeRobot(Tracker):
         there = np.isfinite(values).all(axis=1) & (values != 0.0).any(axis=1)
         frames = frames_of_images(path, {}, len(values), request)
         if values.shape[1] == 42:
-            seen = np.zeros((len(request.frames), 21, 3))
+            seen = np.zeros((len(request.frames), 21, 4))
             for row, frame in enumerate(frames):
                 if frame is not None and there[row]:
-                    seen[frame] = np.column_stack([values[row].reshape(21, 2), np.ones(21)])
+                    seen[frame] = np.column_stack([values[row].reshape(21, 2), np.ones(21), np.full(21, np.nan)])
             return lifted(path, seen, request)
         named = {"frames": [request.frames[n] for row, n in enumerate(frames) if n is not None and there[row]]}
         rows = [row for row, n in enumerate(frames) if n is not None and there[row]]
