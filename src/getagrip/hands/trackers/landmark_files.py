@@ -37,7 +37,7 @@ WHOLE_BODY = {133: {"left": slice(91, 112), "right": slice(112, 133)}}
 
 
 class Seen(NamedTuple):
-    """A hand in an image: x, y, confidence and depth about its middle [m] (NaN: unknown); its side, empty if unnamed."""
+    """A hand in an image: x, y, confidence, depth about its middle [m] (NaN: unknown); its side, empty if unnamed."""
 
     points: Float[ndarray, "21 4"]
     side: str
