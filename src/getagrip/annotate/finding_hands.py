@@ -16,6 +16,7 @@ from numpy import ndarray
 
 from getagrip.annotate.footage import Footage
 from getagrip.annotate.found_hands import FOLDER
+from getagrip.annotate.lifted_again import DEPTH
 from getagrip.clip import HandTrack
 from getagrip.clip.writing import write_hand
 from getagrip.errors import InputError, UsageError
@@ -56,6 +57,8 @@ class FoundHands:
     K: Float[ndarray, "3 3"]
     provenance: Provenance
     """Provenance for a clip."""
+    depth: Float[ndarray, "n 21"] | None = None
+    """Depth of each joint as the network sees it, up to a frame's own distance [m]."""
 
 
 def of_landmarks(landmarks: HandLandmarks) -> Provenance:
@@ -77,12 +80,13 @@ def lifted(
     fit = hands_from_landmarks(landmarks.points, weights, K, landmarks.side, landmarks.world[..., 2], looseness=MOVING)
     rows = np.array(fit.rows)
     assert fit.hand.joints is not None
-    fitted = project(K, se3.transform(fit.hand.T_cam_hand, fit.hand.joints))
-    points = np.where(weights[rows][..., None] > 0.0, landmarks.points[rows], fitted)  # none between two with landmarks
+    joints, there = se3.transform(fit.hand.T_cam_hand, fit.hand.joints), weights[rows] > 0.0
+    points = np.where(there[..., None], landmarks.points[rows], project(K, joints))  # none between two with landmarks
+    depth = np.where(there.all(axis=1, keepdims=True), landmarks.world[rows, :, 2], joints[..., 2])
     hand = replace(fit.hand, joints_2d=points, joints_2d_confidence=weights[rows])
     seen = {row + first: landmarks.points[row] for row in landmarks.rows}
     known = of_landmarks(landmarks) | {"camera": camera}
-    return FoundHands(hand, landmarks.side, tuple((rows + first).tolist()), seen, K, known)
+    return FoundHands(hand, landmarks.side, tuple((rows + first).tolist()), seen, K, known, depth)
 
 
 def find_landmarks(
@@ -180,6 +184,7 @@ def write_found(
     with files.new_folder(folder, ("hand.npz", "masks") if folder.exists() else ()) as new:
         places = np.array(found.frames) + 1
         extra = {"frames": places, "K": found.K, "side": np.array(found.side)}
+        extra |= {} if found.depth is None else {DEPTH: found.depth}
         write_hand(found.hand, new / "hand.npz", extra | as_arrays(found.provenance))
         (new / "masks").mkdir()
         for count, (n, points) in enumerate(found.landmarks.items(), start=1):

@@ -34,6 +34,8 @@ from getagrip.io import arrays
 from getagrip.io.terminal import counted, report
 from getagrip.provenance import Source, as_arrays, assumed, from_arrays, is_assumed, measured, of_provenance
 
+DEPTH = "joints_depth"
+"""Depth of each joint as the network sees it (``FoundHands.depth``), in the files of found hands."""
 HIDDEN = 0.25
 """Factor on the confidence of landmarks that lie on the visible object: the network guesses them."""
 GUESSED = 0.4
@@ -76,10 +78,12 @@ def lifted_again(
     side: Side,
     maps: LabelMaps,
     mirrored: bool = False,
+    depth_seen: Float[ndarray, "n 21"] | None = None,
 ) -> tuple[HandTrack, Int[ndarray, "k"]]:
     """Fit a grasp's hand, of rising ``frames``, to its ``joints_2d`` again; also return the rows that have one.
 
-    Depths are those of ``hand``; where it is of the other side, its mirror image's (``mirrored``).
+    Depths of joints are those that the network saw or, where they are not known, those of ``hand``; where the hand is
+    of the other side, its mirror image's (``mirrored``).
 
     Raises ``UsageError`` as ``hands_from_landmarks`` does, and for a hand without ``joints_2d``.
     """
@@ -88,7 +92,8 @@ def lifted_again(
     at, every = frames - frames[0], np.arange(frames[0], frames[-1] + 1)
     points, depth = np.full((len(every), 21, 2), np.nan), np.full((len(every), 21), np.nan)
     points[at] = hand.joints_2d
-    depth[at] = (-1.0 if mirrored else 1.0) * se3.transform(hand.T_cam_hand, hand.joints)[..., 2]
+    depth_seen = se3.transform(hand.T_cam_hand, hand.joints)[..., 2] if depth_seen is None else depth_seen
+    depth[at] = -depth_seen if mirrored else depth_seen
     drawn = maps.at(every)
     hidden = Hiding.of(drawn != OBJECT, maps.zoom).at(points)[0] > 0.0
     hiding = Hiding.of(drawn > 0, maps.zoom)
@@ -136,6 +141,7 @@ def other_side(
     side: Side,
     maps: LabelMaps,
     off: tuple[float, int],
+    depth: Float[ndarray, "n 21"] | None = None,
 ) -> tuple[HandTrack, Int[ndarray, "k"], Side, Source] | None:
     """Lift a hand as one of the other side, if only that agrees with what the object hides; ``off`` is its ``order``.
 
@@ -145,7 +151,7 @@ def other_side(
         return None
     other: Side = "left" if side == "right" else "right"
     try:
-        lifted, rows = lifted_again(hand, frames, K, other, maps, mirrored=True)
+        lifted, rows = lifted_again(hand, frames, K, other, maps, True, depth)
     except UsageError:  # no such hand looks like the landmarks
         return None
     better, count = order(lifted, frames[rows], K, maps)
@@ -165,13 +171,15 @@ def write_lifted_again(found: Path, out: Path, side: Side, numbers: Mapping[int,
     this is said. Where hands cannot be lifted, they stay as they are, and it is said; an estimator's own hands stay,
     too. Raises ``InputError`` for a malformed file, ``UsageError`` for hands of another side that stay.
     """
-    content = arrays.read(found, lambda key: key in {"frames", "K", "side"} or of_provenance(key))
+    content = arrays.read(found, lambda key: key in {"frames", "K", "side", DEPTH} or of_provenance(key))
     places = arrays.frame_numbers(found, content)
     if places is None:
         raise InputError(found, "frames", "no such key", "the numbers of its frames")
     frames, known = np.array(places) - 1, from_arrays(found, content)
+    depth = arrays.floats(found, content, DEPTH, (len(places), 21)) if DEPTH in content else None
     rows = np.flatnonzero(np.isin(frames, [*numbers]))
     hand, frames = read_hand(found, len(places)).take(rows), frames[rows]
+    depth = None if depth is None else depth[rows]
     overruled = str(content.get("side", side)) != side
     if overruled:
         known = known | {"hands_side": measured(f"{side}, as stated")}
@@ -179,9 +187,10 @@ def write_lifted_again(found: Path, out: Path, side: Side, numbers: Mapping[int,
         if not is_assumed(known.get("hands_scale")):
             raise UsageError("an estimator's are not lifted again")
         K = arrays.floats(found, content, "K", (3, 3))
-        lifted, kept = lifted_again(hand, frames, K, side, maps, overruled)
+        lifted, kept = lifted_again(hand, frames, K, side, maps, overruled, depth)
         off = order(lifted, frames[kept], K, maps)
-        if is_assumed(known.get("hands_side")) and (turned := other_side(hand, frames, K, side, maps, off)) is not None:
+        turned = other_side(hand, frames, K, side, maps, off, depth) if is_assumed(known.get("hands_side")) else None
+        if turned is not None:
             lifted, kept, side, source = turned
             known = known | {"hands_side": source}
             report(f"hands_side: {source}")
@@ -193,4 +202,5 @@ def write_lifted_again(found: Path, out: Path, side: Side, numbers: Mapping[int,
             ) from error
         report(f"hands: unchanged: {error}")
     named = {"frames": np.array([numbers[n] for n in frames.tolist()]), "side": np.array(side)}
-    write_hand(hand, out, content | as_arrays(known) | named)
+    extra = {key: value for key, value in content.items() if key != DEPTH}
+    write_hand(hand, out, extra | as_arrays(known) | named)
