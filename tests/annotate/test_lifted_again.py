@@ -12,7 +12,7 @@ import pytest
 from getagrip.annotate import lifted_again as lifting
 from getagrip.annotate.labelled import clip_words
 from getagrip.annotate.labels import HAND, OBJECT, Labels
-from getagrip.annotate.lifted_again import LabelMaps, lifted_again, write_lifted_again
+from getagrip.annotate.lifted_again import DEPTH, LabelMaps, lifted_again, write_lifted_again
 from getagrip.clip import HandTrack
 from getagrip.clip.reading_arrays import read_hand
 from getagrip.clip.writing import write_hand
@@ -85,6 +85,25 @@ def test_depths_of_hands_that_are_largely_guessed_are_not_believed(monkeypatch: 
         off.append(np.degrees(se3.angle_between(found.T_cam_hand[:, :3, :3], true.T_cam_hand[:, :3, :3])).max())
     assert off[0] < 15.0
     assert off[1] > 2.0 * off[0]
+
+
+@pytest.mark.slow
+def test_depths_that_the_network_saw_count_and_not_those_of_the_first_fit(tmp_path: Path) -> None:
+    true = found_hand(tilt=[0.0, 0.6, 0.0])
+    assert true.joints is not None
+    X = se3.transform(true.T_cam_hand, true.joints)
+    wrong = replace(true, T_cam_hand=true.T_cam_hand @ se3.rigid(se3.exp_so3(np.array([0.0, 0.0, -0.9])), np.zeros(3)))
+    known = as_arrays({"hands_scale": assumed("a mean hand's"), "hands_side": measured("left, as stated")})
+    found = {"frames": FRAMES + 1, "K": K, "side": np.array("left")} | known
+    off = []
+    for depth in ({}, {DEPTH: X[..., 2]}):
+        write_hand(wrong, tmp_path / "found.npz", found | depth)
+        write_lifted_again(tmp_path / "found.npz", tmp_path / "out.npz", "left", numbers(3, 10), maps_of(HAND))
+        with np.load(tmp_path / "out.npz") as written:
+            assert DEPTH not in written
+            there = se3.transform(written["T_cam_hand"], written["joints"])
+        off.append(np.abs(there[..., 2] - there[..., 2].mean() - X[..., 2] + X[..., 2].mean()).mean())
+    assert off[1] < 0.5 * off[0]
 
 
 def held_from_behind(tmp_path: Path, provenance: Provenance) -> tuple[Path, LabelMaps]:
