@@ -82,7 +82,8 @@ def lifted(
     assert fit.hand.joints is not None
     joints, there = se3.transform(fit.hand.T_cam_hand, fit.hand.joints), weights[rows] > 0.0
     points = np.where(there[..., None], landmarks.points[rows], project(K, joints))  # none between two with landmarks
-    depth = np.where(there.all(axis=1, keepdims=True), landmarks.world[rows, :, 2], joints[..., 2])
+    depth = landmarks.world[rows, :, 2]
+    depth = np.where((there & np.isfinite(depth)).all(axis=1, keepdims=True), depth, joints[..., 2])
     hand = replace(fit.hand, joints_2d=points, joints_2d_confidence=weights[rows])
     seen = {row + first: landmarks.points[row] for row in landmarks.rows}
     known = of_landmarks(landmarks) | {"camera": camera}
