@@ -4,7 +4,7 @@ One file for all frames: ``joints_2d`` (T, 21, 2) [px of the clip's images], or 
 ``joints_2d_confidence`` (T, 21); NaN or null where not seen. ``world_landmarks`` (T, 21, 3) beside them, as of
 MediaPipe, are the same about the hand's middle, in the camera's axes [m]; their depths are used. All of these trackers
 have one order: wrist, then thumb, index, middle, ring and pinky, each from the palm to the tip. A .csv has ``frame``,
-``x0``, ``y0`` to ``x20``, ``y20``, optionally ``c0`` to ``c20``. Or OpenPose's ``*_keypoints.json``, one an image.
+``x0``, ``y0`` to ``x20``, ``y20``, optionally ``c0`` to ``c20``. Or OpenPose's ``*_keypoints.json``, one per image.
 """
 
 from __future__ import annotations
