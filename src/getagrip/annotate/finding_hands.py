@@ -58,7 +58,7 @@ class FoundHands:
     provenance: Provenance
     """Provenance for a clip."""
     depth: Float[ndarray, "n 21"] | None = None
-    """Depth of each joint as the network sees it, up to a frame's own distance [m]."""
+    """Depth of each joint as the network sees it, up to an offset of each frame [m]."""
 
 
 def of_landmarks(landmarks: HandLandmarks) -> Provenance:

@@ -72,26 +72,24 @@ class Landmarks(Tracker):
         elif path.stem.endswith(OPENPOSE):
             read = [(path.stem.removesuffix(OPENPOSE), _openpose(path, request.side)) for path in paths]
             rows = {"frames": [name for name, _ in read]}
-            points = _with(np.nan, np.array([found for _, found in read]))
+            points = np.insert(np.array([found for _, found in read]), 3, np.nan, axis=-1)
         else:
             path = only_file(paths, "landmarks")
             rows = dict(_csv(path) if path.suffix.lower() == ".csv" else records.read(path))
             found = records.seen_joints(path, rows, _count(path, rows))
             if found is None:
                 raise InputError(path, "joints_2d", "no such key", "the landmarks (T, 21, 2) [px]")
-            points = _with(_depth(path, rows, found.shape) if WORLD in rows else np.nan, found)
+            points = np.insert(found, 3, _depth(path, rows, found.shape), axis=-1)
         for row, frame in enumerate(frames_of_rows(path, rows, len(points), request)):
             if frame is not None:
                 seen[frame] = points[row]
         return lifted(path, seen, request, side_assumed)
 
 
-def _with(depth: Float[ndarray, "T 21"] | float, seen: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 21 4"]:
-    return np.concatenate([seen, np.broadcast_to(depth, seen.shape[:2])[..., None]], axis=-1)
-
-
 def _depth(path: Path, rows: records.Record, shape: tuple[int, ...]) -> Float[ndarray, "T 21"]:
     """Read the depths of world landmarks, NaN where unknown. Raises ``InputError``."""
+    if WORLD not in rows:
+        return np.full(shape[:2], np.nan)
     value = arrays.from_lists(records.without_none(rows[WORLD]))
     if value is None or value.dtype.kind not in "fiu" or value.shape != shape:
         given = files.shown(rows[WORLD]) if value is None else f"the shape {value.shape}"
