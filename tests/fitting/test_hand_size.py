@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from getagrip.clip import Clip, Segment, with_masks
-from getagrip.fitting.hand_size import at_object_size, beside_hand
+from getagrip.clip.depth import DEPTH, Depth
+from getagrip.experiments.simulated_evidence import SimulatedDepth
+from getagrip.fitting.hand_size import at_true_size, with_hand_size
 from getagrip.fitting.methods.all_frames import search_of
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare
@@ -59,23 +61,53 @@ def test_a_hand_of_another_size_is_scaled_to_the_object(by: float, tmp_path: Pat
 def test_only_hands_of_assumed_size_and_objects_of_known_size_are_scaled() -> None:
     clip, _ = scene("mug", 1, SMALL)
     lifted = replace(clip, provenance=LIFTED)
-    assert beside_hand(lifted, Options()).size_beside_hand
+    assert with_hand_size(lifted, Options()).size_beside_hand
     whole = (Segment("grasp", 0, len(clip) - 1, clip.side),)
     others = [
         clip, replace(clip, provenance={"hands_scale": measured("by a scanner")}), replace(lifted, scale="free"),
         replace(lifted, segments=whole),
     ]  # fmt: skip
     for other in others:
-        assert beside_hand(other, Options()) is other
-    assert beside_hand(lifted, Options(method="paper")) is lifted
+        assert with_hand_size(other, Options()) is other
+    assert with_hand_size(lifted, Options(method="paper")) is lifted
+
+
+@pytest.mark.parametrize("by", [0.8, 1.25])
+def test_a_sensor_shows_how_large_a_lifted_hand_is(by: float) -> None:
+    clip, masks = scene("mug", 1, SMALL)
+    seen, _ = SimulatedDepth("realsense")(clip, masks, 0)
+    lifted = with_masks(replace(with_larger_hand(seen, by), provenance=LIFTED, scale="free"), masks)
+    sized = with_hand_size(lifted, Options())
+    assert sized.hand_scale == pytest.approx(1.0 / by, rel=0.02)
+    again = clip.with_hand_at(sized.hand.T_cam_hand, scale=by * sized.hand_scale)
+    np.testing.assert_array_almost_equal(sized.hand.vertices, again.hand.vertices)
+    assert not sized.size_beside_hand
+    known = with_hand_size(replace(lifted, scale="known"), Options())
+    assert (known.scale, known.hand_scale) == ("known", sized.hand_scale)
+    for level, scale in (("realsense", "clip"), ("mono", "metric")):  # of no metre, of a network
+        other = SimulatedDepth(level)(lifted, masks, 0)[0].evidence[DEPTH]
+        assert isinstance(other, Depth)
+        other = replace(other, source=replace(other.source, scale=scale))
+        assert with_hand_size(replace(lifted, evidence={**lifted.evidence, DEPTH: other}), Options()).hand_scale == 1.0
+
+
+@pytest.mark.slow
+def test_beside_a_sensor_hand_and_object_have_their_own_sizes() -> None:
+    clip, masks = scene("mug", 1, SMALL)
+    seen, _ = SimulatedDepth("realsense")(clip, masks, 0)
+    wrong = with_larger_hand(seen, 1.2)
+    found = reconstruct(replace(wrong, provenance=LIFTED, scale="free"), masks, Options())
+    assert found.hand_scale == pytest.approx(1.0 / 1.2, rel=0.02)
+    assert found.scale == pytest.approx(1.0, rel=0.03)
+    assert scores(found, wrong, masks)["add_sym_mm"] < 5.0
 
 
 @pytest.mark.slow
 def test_what_is_scaled_looks_the_same() -> None:
     clip, masks = scene("mug", 1, SMALL)
-    beside = beside_hand(replace(clip, provenance=LIFTED), Options())
+    beside = with_hand_size(replace(clip, provenance=LIFTED), Options())
     found = reconstruct(replace(beside, size_beside_hand=False), masks, Options())
-    scaled = at_object_size(found, beside)
+    scaled = at_true_size(found, beside)
 
     def posed(result: Reconstruction) -> tuple[np.ndarray, np.ndarray]:
         hand = clip.with_hand_at(result.T_cam_hand, scale=result.hand_scale).hand

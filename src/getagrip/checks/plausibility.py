@@ -19,8 +19,10 @@ def of_scale(it: Evidence, scale: str, size: float) -> float:
 
 
 def lifted_hand(it: Evidence) -> float:
-    """Return how many times as large as a mean hand a lifted one is, where its size follows from the object's."""
-    return 1.0 / it.scale if it.clip.size_beside_hand else UNKNOWN
+    """Return how many times as large as a mean hand a lifted one is, where depth or the object's size tells it."""
+    if it.clip.size_beside_hand:
+        return 1.0 / it.scale
+    return UNKNOWN if it.clip.hand_scale == 1.0 else it.clip.hand_scale
 
 
 def edge_share(it: Evidence) -> float:

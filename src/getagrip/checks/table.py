@@ -263,8 +263,8 @@ _RESULT: tuple[Check, ...] = (
     ),
     Check(
         "hand-size", plausibility.lifted_hand, low=0.7, high=1.35,
-        fault="by the object's size the hand would be {value} times as large as a mean one",
-        advice="check the object's size and its mesh: is it the kind of object? Are the hand's joints right?",
+        fault="by the object's size, or by depth, the hand would be {value} times as large as a mean one",
+        advice="check the object's size and its mesh: is it the kind of object? Are the hand's joints and depth right?",
     ),
 )  # fmt: skip
 

@@ -161,6 +161,7 @@ class Clip(ArrayData):
             from the folder when it is needed; one that is None is not used, even if the folder has its files.
         size_beside_hand: True within a fit in which the object's own size is known, but free beside a hand whose size
             follows from it (``fitting/hand_size``).
+        hand_scale: factor by which the hand was scaled within a fit, to be where a sensor's depth shows it.
         left_out: names of frames that were removed because the object is not visible in them or their mask is unknown
             (``observed_frames``).
     """
@@ -184,6 +185,7 @@ class Clip(ArrayData):
     provenance: Provenance = field(default_factory=dict)
     evidence: Mapping[str, PerFrame | None] = field(default_factory=dict)
     size_beside_hand: bool = False
+    hand_scale: float = 1.0
     left_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -23,6 +23,8 @@ MARGIN = 1.1
 ERROR = {"sensor": 0.003, "network": 0.01}
 """Error of a surface's distance that is assumed where a clip does not say [share of the distance]: 2 mm and 8 mm at
 arm's length."""
+UNIT = 2.0
+"""Metric depth that shows the hand this many times as far away as it is given, or as near, is not used."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from numpy import ndarray
 from getagrip.checks.check import Check, percent
 from getagrip.checks.evidence import Evidence
 from getagrip.clip import Clip, Modality
-from getagrip.clip.depth import DEPTH, Depth
+from getagrip.clip.depth import DEPTH, UNIT, Depth
 from getagrip.clip.depth_files import depth_file, read_depth, write_depth
 from getagrip.fitting.energy import Term, Terms
 from getagrip.geometry.mesh import decimate
@@ -30,8 +30,6 @@ FACES = {64: 200, 128: 500, 256: 500}
 """Most faces of the object at each resolution."""
 MOST = {64: 40, 128: 60, 256: 100}
 """Samples of a body in a frame, at each resolution."""
-UNIT = 2.0
-"""Metric depth that shows the hand this many times as far away as it is given, or as near, is not used."""
 OFF = 1.6
 """Usual deviation of depth from the surfaces that were found, its warp apart, at most [in what it may err by]; 0.4 to 1
 on training clips, 1 to 3.6 for depth of another clip."""

@@ -1,8 +1,9 @@
-"""The size of a hand that was lifted from 2D, where the object's own is known: it follows from the object's.
+"""The size of a hand that was lifted from 2D, where a sensor's depth or the object's own size tells it.
 
 Such a hand has an assumed size, and its distance follows from that: a mug of known size would be elsewhere than the
-hand that holds it. To one camera a scene that is twice as large and twice as far away is the same. So the object's size
-is free beside the hand's in the fit, and what is found is scaled until the object has its own.
+hand that holds it. To one camera a scene that is twice as large and twice as far away is the same. So the hand is
+scaled about the camera until it is where a sensor's depth shows it. Without such depth the object's size is free beside
+the hand's in the fit, and what is found is scaled until the object has its own.
 """
 
 from __future__ import annotations
@@ -13,44 +14,75 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.clip import Clip
+from getagrip.clip import Clip, read_masks
+from getagrip.clip.depth import DEPTH, UNIT, Depth
+from getagrip.fitting.depth_samples import hand_ratio_of, samples_of
 from getagrip.fitting.options import Options
+from getagrip.fitting.problem import sampled
 from getagrip.provenance import assumed, is_assumed
 from getagrip.result import Reconstruction
 
 SPREAD = 0.1
 """Standard deviation of the logarithm of a lifted hand's size. Assumed; 0.1 to 0.6 do alike (docs/trials.md)."""
 FOLLOWS = assumed("it follows from the object's, which is known")
+SHOWN = assumed("it follows from the depth that a sensor shows")
+FRAMES, SAMPLES = 12, 100
+"""Frames in which depth is looked at, and samples of the hand in each."""
 
 
-def beside_hand(clip: Clip, options: Options) -> Clip:
-    """Return the clip with the object's size free where the hand's follows from it; else the clip as it is.
+def with_hand_size(clip: Clip, options: Options) -> Clip:
+    """Return the clip with a lifted hand where a sensor shows it, or else the object's size free beside the hand's.
 
-    Segments of timelines are solved without a hand, too, at the object's own size.
+    A clip without depth of a sensor, and whose object's size is not known, stays as it is; so do timelines, whose
+    segments are solved without a hand, too.
     """
-    follows = clip.scale == "known" and is_assumed(clip.provenance.get("hands_scale"))
-    if not follows or clip.segments or options.as_published:
+    if not is_assumed(clip.provenance.get("hands_scale")) or clip.segments or options.as_published:
+        return clip
+    size = shown_size(clip)
+    if not np.isnan(size):
+        hand = replace(clip.hand.scaled(size), T_cam_hand=_scaled(clip.hand.T_cam_hand, size))
+        return replace(clip, hand=hand, hand_scale=size, provenance=clip.provenance | {"hands_scale": SHOWN})
+    if clip.scale != "known":
         return clip
     return replace(clip, scale="free", size_beside_hand=True, provenance=clip.provenance | {"hands_scale": FOLLOWS})
 
 
-def at_object_size(result: Reconstruction, clip: Clip) -> Reconstruction:
-    """Scale the result of a clip ``beside_hand`` about the camera until the object has its own size."""
-    if not clip.size_beside_hand:
+def shown_size(clip: Clip) -> float:
+    """Return how many times as far away a sensor's depth shows the hand as it is given; NaN where it does not.
+
+    Raises ``InputError`` for masks and depth that cannot be read.
+    """
+    if not clip.evidence.get(DEPTH, clip.folder is not None and (clip.folder / DEPTH).exists()):
+        return np.nan
+    few = sampled(clip, FRAMES)
+    depth = few.evidence.get(DEPTH)
+    if not isinstance(depth, Depth) or (depth.source.scale, depth.source.source) != ("metric", "sensor"):
+        return np.nan
+    size = hand_ratio_of(samples_of(few, read_masks(few), depth, SAMPLES))
+    return size if abs(np.log(size)) < np.log(UNIT) else np.nan
+
+
+def at_true_size(result: Reconstruction, clip: Clip) -> Reconstruction:
+    """Return the result of a clip ``with_hand_size`` as one of the clip before: the object at its own size.
+
+    What was found is scaled about the camera, where the object's size is known and was free.
+    """
+    size = 1.0 / result.scale if clip.size_beside_hand else 1.0
+    if size * clip.hand_scale == 1.0:
         return result
-    size, T_cam_hand = 1.0 / result.scale, result.T_cam_hand
+    T_cam_hand = result.T_cam_hand
     if T_cam_hand is None:
         T_cam_hand = clip.hand.T_cam_hand[clip.index_of(result.frames)]
     axis, found, covariance = result.axis, result.candidates, result.hand_covariance
     units = np.array([size, size, size, 1.0, 1.0, 1.0])
     return replace(
         result,
-        scale=1.0,
+        scale=1.0 if clip.size_beside_hand else result.scale,
         T_hand_obj=_scaled(result.T_hand_obj, size),
         axis=None if axis is None else replace(axis, point=size * axis.point),
         candidates=replace(found, T_hand_obj=_scaled(found.T_hand_obj, size), scale=size * found.scale),
         T_cam_hand=_scaled(T_cam_hand, size),
-        hand_scale=size,
+        hand_scale=size * clip.hand_scale,
         hand_covariance=None if covariance is None else covariance * np.outer(units, units),
         hand_alternatives=None if result.hand_alternatives is None else _scaled(result.hand_alternatives, size),
     )

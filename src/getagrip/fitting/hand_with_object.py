@@ -22,6 +22,7 @@ from getagrip.fitting.objective import energy_of_nat, evidence_on_hand, plus
 from getagrip.fitting.problem import EnergyOf, Problem
 from getagrip.fitting.solve import evaluate, inverse_of_shared, minimise
 from getagrip.fitting.solved_hand import SolvedHand
+from getagrip.geometry import se3
 
 M = TypeVar("M", bound=Motion)
 
@@ -65,16 +66,26 @@ def solve_with_hand(problem: Problem, motion: M, energy_of: EnergyOf) -> tuple[S
 
 
 def _moving(refinement: HandRefinement, motion: M, nat: float) -> MovingHand[M]:
-    """Put a motion into the refined hand."""
-    assumed = assumed_errors("estimated", refinement.joints)
+    """Put a motion into the refined hand.
+
+    The distance of a lifted hand follows from its size: what looked like another size is another distance.
+    """
+    joints = refinement.joints
+    lifted = joints is not None and joints.of_known_size
+    assumed = assumed_errors("estimated", None if lifted else joints)
     hand, bias, jitter = refinement.seen.errors.tracked, assumed.bias, assumed.jitter
     constant = np.concatenate([bias[SHIFT], bias[TURN], [DEPTH[0], bias[SIZE]]])
     own = np.concatenate([jitter[SHIFT], jitter[TURN], [DEPTH[1]]])
     a, b = refinement.shared, refinement.own
+    size, farther = a[SIZE] + b[:, SIZE].mean(), np.zeros(len(b))
+    if lifted:
+        middle = se3.transform(hand.T_cam_hand, refinement.seen.errors.middle[None])[:, 0]
+        size, farther = 0.0, (np.exp(-size) - 1.0) * np.linalg.norm(middle, axis=1)
+    depth = farther.mean()
     return replace(
         MovingHand.around(motion, HandPrior.of(hand, constant, own, PRIOR * nat)),
-        constant=np.concatenate([a[SHIFT], a[TURN], [0.0, a[SIZE] + b[:, SIZE].mean()]])[None],
-        own=np.concatenate([b[:, SHIFT], b[:, TURN], np.zeros((len(b), 1))], axis=1)[None],
+        constant=np.concatenate([a[SHIFT], a[TURN], [depth, size]])[None],
+        own=np.concatenate([b[:, SHIFT], b[:, TURN], (farther - depth)[:, None]], axis=1)[None],
     )
 
 

@@ -24,7 +24,7 @@ from getagrip.compiling import WORDS, compile_once
 from getagrip.errors import UsageError
 from getagrip.finding import Finding
 from getagrip.fitting.every_frame import Track
-from getagrip.fitting.hand_size import at_object_size, beside_hand
+from getagrip.fitting.hand_size import at_true_size, with_hand_size
 from getagrip.fitting.options import Options
 from getagrip.fitting.solved_hand import SolvedHand
 from getagrip.fitting.tracker_glitches import repair_hand
@@ -180,7 +180,7 @@ def run(
     if masks is not None:
         check_masks(clip, masks)
         clip = with_masks(clip, masks)
-    clip = beside_hand(clip, options)
+    clip = with_hand_size(clip, options)
     compile_once(lambda: progress and progress(WORDS, 0.0))
     with threadpool_limits(1, user_api="blas"):
         clock = Clock(progress, steps.stages)
@@ -192,7 +192,7 @@ def run(
         judgement = steps.judge(prepared, found, answer)
         clock("check of the result")
     result = _result(source.original, source.notes, options, answer, judgement, clock.seconds())
-    return at_object_size(result, source.original)
+    return at_true_size(result, source.original)
 
 
 def repair(clip: Clip, options: Options, threads: int = 1) -> Input:

@@ -234,7 +234,7 @@ def prepare(clip: Clip, options: Options, threads: int = 1) -> Problem:
     if clip.scale == "free" and not options.as_published:
         options = replace(options, inits=WITH_FREE_SCALE * options.inits)
     initial = pose_priors.poses_for(clip, options)
-    clip = _sampled(clip, options.frames)
+    clip = sampled(clip, options.frames)
     with ThreadPoolExecutor(1) as pool:
         surface = pool.submit(ObjectSurface.of, clip.mesh)  # knows nothing of hands and masks
         if threads == 1:
@@ -287,8 +287,11 @@ def _prepared(
     )  # fmt: skip
 
 
-def _sampled(clip: Clip, frames: int) -> Clip:
-    """Return the frames that are used, with their evidence. That of other frames is read one by one, and not kept."""
+def sampled(clip: Clip, frames: int) -> Clip:
+    """Return the frames that are used, with their evidence. That of other frames is read one by one, and not kept.
+
+    Raises ``InputError`` as reading it does, and for fewer than two frames that show the object.
+    """
     if masks_in(clip) is None and len(clip) <= frames:
         clip = with_masks(clip, read_masks(clip))
     masks = masks_in(clip)

@@ -66,6 +66,7 @@ class SeenJoints:
         points: (N, 21, 2) where the joints were seen [px].
         confidence: (N, 21) how much each counts, 0 to 1.
         box: (N, 21) size of the hand's box [px]; of a hidden joint ``HIDDEN`` times that.
+        of_known_size: whether the hand was lifted from them at an assumed size, from which its distance follows.
         own, lasting: standard deviations [shares of the box].
         misplaced: how far all joints but one are off through all frames, at most [shares of the box].
     """
@@ -75,6 +76,7 @@ class SeenJoints:
     points: Float[ndarray, "N 21 2"]
     confidence: Float[ndarray, "N 21"]
     box: Float[ndarray, "N 21"]
+    of_known_size: bool = False
     own: float = FIRST
     lasting: float = FIRST
     misplaced: float = 0.0
@@ -97,13 +99,13 @@ class SeenJoints:
             return None
         if masks is not None and share_elsewhere(clip, masks) > ELSEWHERE:
             return None
-        lifted = is_assumed(clip.provenance.get("hands_scale"))  # from these joints, with which it agrees
-        loose = kind_of_hands(clip.provenance) == "estimated" and not lifted
+        loose = kind_of_hands(clip.provenance) == "estimated"
         box = np.ptp(_image(clip.K, _in_camera(hand)), axis=1).max(axis=-1)
         hidden = np.zeros(confidence.shape, dtype=bool) if masks is None else _within(masks, points)
         seen = SeenJoints(
             HandErrors.of(hand).with_fingers(sideways=loose), clip.K, points, confidence,
             box[:, None] * np.where(hidden, HIDDEN, 1.0),
+            of_known_size=is_assumed(clip.provenance.get("hands_scale")) and clip.hand_scale == 1.0,
         )  # fmt: skip
         if not np.isfinite(seen.cost_and_pull(_in_camera(hand))[0]).all():
             return None
@@ -119,7 +121,7 @@ class SeenJoints:
 
     @property
     def loose(self) -> bool:
-        """True of the joints of an estimate that was not lifted from them: its size and fingers may be far off."""
+        """True of the joints of an estimate: its size and fingers may be far off."""
         return self.errors.sideways
 
     @property

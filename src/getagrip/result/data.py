@@ -92,7 +92,7 @@ class Reconstruction(ArrayData):
         T_cam_hand: (T, 4, 4) pose of the repaired and refined hand, hand frame to camera frame [m]. ``T_hand_obj`` and
             the axis are relative to it. None if the clip's hand is unchanged.
         hand_scale: factor on the size of the clip's hand, about the origin of its frame; 1 but for a hand that was
-            lifted from 2D points and whose size follows from the object's.
+            lifted from 2D points and whose size follows from a sensor's depth or from the object's.
         hand_covariance: (6, 6) of the error that all frames of ``T_cam_hand`` share, in the hand frame: shift of the
             hand's middle [m], turn about it [rad]; None if hand and object were not solved together.
         hand_alternatives: (M, 4, 4) where the hand may be instead, as poses in the hand frame, in pairs along the
