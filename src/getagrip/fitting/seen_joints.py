@@ -27,7 +27,7 @@ from getagrip.fitting.hand_fit import AssumedErrors, HandFit
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands.bending import BONE_OF_JOINT
-from getagrip.provenance import is_assumed, kind_of_hands
+from getagrip.provenance import kind_of_hands
 
 TAIL = 4.0
 """Degrees of freedom of Student's t."""
@@ -66,7 +66,6 @@ class SeenJoints:
         points: (N, 21, 2) where the joints were seen [px].
         confidence: (N, 21) how much each counts, 0 to 1.
         box: (N, 21) size of the hand's box [px]; of a hidden joint ``HIDDEN`` times that.
-        of_known_size: whether the hand was lifted from them at an assumed size, from which its distance follows.
         own, lasting: standard deviations [shares of the box].
         misplaced: how far all joints but one are off through all frames, at most [shares of the box].
     """
@@ -76,7 +75,6 @@ class SeenJoints:
     points: Float[ndarray, "N 21 2"]
     confidence: Float[ndarray, "N 21"]
     box: Float[ndarray, "N 21"]
-    of_known_size: bool = False
     own: float = FIRST
     lasting: float = FIRST
     misplaced: float = 0.0
@@ -105,7 +103,6 @@ class SeenJoints:
         seen = SeenJoints(
             HandErrors.of(hand).with_fingers(sideways=loose), clip.K, points, confidence,
             box[:, None] * np.where(hidden, HIDDEN, 1.0),
-            of_known_size=is_assumed(clip.provenance.get("hands_scale")) and clip.hand_scale == 1.0,
         )  # fmt: skip
         if not np.isfinite(seen.cost_and_pull(_in_camera(hand))[0]).all():
             return None
