@@ -26,7 +26,7 @@ from getagrip.fitting.hand_fit import AssumedErrors, HandFit
 from getagrip.fitting.hand_silhouette import HandSilhouette
 from getagrip.fitting.seen_joints import SeenJoints
 from getagrip.geometry import se3
-from getagrip.provenance import HandsKind, is_assumed, kind_of_hands
+from getagrip.provenance import HandsKind, kind_of_hands
 
 PIXEL = 0.03
 """Weight of a pixel against the prior: thirty of them, side by side along a contour, are as much as one fact."""
@@ -172,8 +172,7 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
     turned_far = np.linalg.norm(fitted.found.errors[:, TURN], axis=1).mean() > UNLIKE_MEASURED
     if kind == "measured" and turned_far and not fitted.after > EXPLAINED * before:
         fitted = _Fitted.to(seen, joints, "estimated")
-    lifted = is_assumed(clip.provenance.get("hands_scale"))  # from these joints: they are no other hand's
-    if joints is not None and fitted.after > SUSPICIOUS and not lifted:
+    if joints is not None and fitted.after > SUSPICIOUS:
         by_pixels = _Fitted.to(seen, None, fitted.kind)
         if fitted.after - by_pixels.after > CONTRADICTED:
             fitted = by_pixels

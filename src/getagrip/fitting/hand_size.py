@@ -19,13 +19,13 @@ from getagrip.clip.depth import DEPTH, UNIT, Depth
 from getagrip.fitting.depth_samples import hand_ratio_of, samples_of
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import sampled
-from getagrip.provenance import assumed, is_assumed
+from getagrip.provenance import assumed, estimated, is_assumed
 from getagrip.result import Reconstruction
 
 SPREAD = 0.1
 """Standard deviation of the logarithm of a lifted hand's size. Assumed; 0.1 to 0.6 do alike (docs/trials.md)."""
 FOLLOWS = assumed("it follows from the object's, which is known")
-SHOWN = assumed("it follows from the depth that a sensor shows")
+SHOWN = estimated("from the distance at which a sensor's depth shows the hand")
 FRAMES, SAMPLES = 12, 100
 """Frames in which depth is looked at, and samples of the hand in each."""
 

@@ -22,7 +22,6 @@ from getagrip.fitting.objective import energy_of_nat, evidence_on_hand, plus
 from getagrip.fitting.problem import EnergyOf, Problem
 from getagrip.fitting.solve import evaluate, inverse_of_shared, minimise
 from getagrip.fitting.solved_hand import SolvedHand
-from getagrip.geometry import se3
 
 M = TypeVar("M", bound=Motion)
 
@@ -48,8 +47,7 @@ def solve_with_hand(problem: Problem, motion: M, energy_of: EnergyOf) -> tuple[S
     given, nat = problem.with_input_hand(), energy_of_nat(problem)
     frames, T_input = np.arange(len(given.clip)), given.clip.hand.T_cam_hand
     terms = plus(energy_of(given), evidence_on_hand(given))(LEVEL, frames)
-    of_assumed_size = problem.trust.hand_lifted and given.clip.hand_scale == 1.0
-    start = _moving(refinement, motion.take(np.zeros(1, int)), nat, of_assumed_size)
+    start = _moving(refinement, motion.take(np.zeros(1, int)), nat)
     found = minimise(start, terms, T_input, ITERATIONS)
     for iterations in AGAIN:
         assumed = start.assumed.widened(found.motion.constant[0], found.motion.own[0], TAIL)
@@ -66,25 +64,17 @@ def solve_with_hand(problem: Problem, motion: M, energy_of: EnergyOf) -> tuple[S
     return hand, found.motion.core.concatenate(motion.take(rest))
 
 
-def _moving(refinement: HandRefinement, motion: M, nat: float, of_assumed_size: bool) -> MovingHand[M]:
-    """Put a motion into the refined hand.
-
-    The distance of a hand ``of_assumed_size`` follows from that: what looked like another size is another distance.
-    """
-    assumed = assumed_errors("estimated", None if of_assumed_size else refinement.joints)
+def _moving(refinement: HandRefinement, motion: M, nat: float) -> MovingHand[M]:
+    """Put a motion into the refined hand."""
+    assumed = assumed_errors("estimated", refinement.joints)
     hand, bias, jitter = refinement.seen.errors.tracked, assumed.bias, assumed.jitter
     constant = np.concatenate([bias[SHIFT], bias[TURN], [DEPTH[0], bias[SIZE]]])
     own = np.concatenate([jitter[SHIFT], jitter[TURN], [DEPTH[1]]])
     a, b = refinement.shared, refinement.own
-    size, farther = a[SIZE] + b[:, SIZE].mean(), np.zeros(len(b))
-    if of_assumed_size:
-        middle = se3.transform(hand.T_cam_hand, refinement.seen.errors.middle[None])[:, 0]
-        size, farther = 0.0, (np.exp(-size) - 1.0) * np.linalg.norm(middle, axis=1)
-    depth = farther.mean()
     return replace(
         MovingHand.around(motion, HandPrior.of(hand, constant, own, PRIOR * nat)),
-        constant=np.concatenate([a[SHIFT], a[TURN], [depth, size]])[None],
-        own=np.concatenate([b[:, SHIFT], b[:, TURN], (farther - depth)[:, None]], axis=1)[None],
+        constant=np.concatenate([a[SHIFT], a[TURN], [0.0, a[SIZE] + b[:, SIZE].mean()]])[None],
+        own=np.concatenate([b[:, SHIFT], b[:, TURN], np.zeros((len(b), 1))], axis=1)[None],
     )
 
 

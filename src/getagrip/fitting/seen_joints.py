@@ -27,7 +27,7 @@ from getagrip.fitting.hand_fit import AssumedErrors, HandFit
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands.bending import BONE_OF_JOINT
-from getagrip.provenance import kind_of_hands
+from getagrip.provenance import is_assumed, kind_of_hands
 
 TAIL = 4.0
 """Degrees of freedom of Student's t."""
@@ -97,7 +97,8 @@ class SeenJoints:
             return None
         if masks is not None and share_elsewhere(clip, masks) > ELSEWHERE:
             return None
-        loose = kind_of_hands(clip.provenance) == "estimated"
+        lifted = is_assumed(clip.provenance.get("hands_scale"))  # from these joints, with which it agrees
+        loose = kind_of_hands(clip.provenance) == "estimated" and not lifted
         box = np.ptp(_image(clip.K, _in_camera(hand)), axis=1).max(axis=-1)
         hidden = np.zeros(confidence.shape, dtype=bool) if masks is None else _within(masks, points)
         seen = SeenJoints(
@@ -118,7 +119,7 @@ class SeenJoints:
 
     @property
     def loose(self) -> bool:
-        """True of the joints of an estimate: its size and fingers may be far off."""
+        """True of the joints of an estimate that was not lifted from them: its size and fingers may be far off."""
         return self.errors.sideways
 
     @property
