@@ -99,6 +99,7 @@ def test_beside_a_sensor_hand_and_object_have_their_own_sizes() -> None:
     found = reconstruct(replace(wrong, provenance=LIFTED, scale="free"), masks, Options())
     assert found.hand_scale == pytest.approx(1.0 / 1.2, rel=0.02)
     assert found.scale == pytest.approx(1.0, rel=0.03)
+    assert "hands_scale" not in found.assumptions
     assert scores(found, wrong, masks)["add_sym_mm"] < 5.0
 
 

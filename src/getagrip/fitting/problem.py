@@ -59,7 +59,7 @@ class Trust:
         hand_refined: whether the hand was refined by its own pixels.
         hand_differing: share of the hand's visible pixels that differ from its silhouette; NaN where it is not known.
         hand_drawn: whether the drawn hand stands in for missing ignore masks.
-        hand_lifted: whether the hand was lifted from 2D points, at an assumed size.
+        hand_lifted: whether the hand was lifted from 2D points, at an assumed size or one that depth tells.
         joints_left_out: whether the hand has 2D joints that did not count where it was refined.
         mesh_fitted: whether the mesh was warped to the masks.
         outliers: names of frames with outlier masks, which are left out (``outlier_masks``).
@@ -275,7 +275,7 @@ def _prepared(
     notes += [f"{topic}: {text}" for topic, text in assumptions(clip.provenance).items()]
     if observation.has_gaps:
         notes.append("masks leave gaps between the object and its occluders: pixels in gaps do not count")
-    lifted = is_assumed(clip.provenance.get("hands_scale"))
+    lifted = is_assumed(clip.provenance.get("hands_scale")) or clip.hand_scale != 1.0
     return Problem(
         clip=clip, masks=masks, observation=observation, surface=surface.result(),
         options=options, prior_poses=initial[0], notes=tuple(notes), threads=threads,
