@@ -84,6 +84,11 @@ def test_a_sensor_shows_how_large_a_lifted_hand_is(by: float) -> None:
     assert not sized.size_beside_hand
     known = with_hand_size(replace(lifted, scale="known"), Options())
     assert (known.scale, known.hand_scale) == ("known", sized.hand_scale)
+    depth = lifted.evidence[DEPTH]
+    assert isinstance(depth, Depth)
+    for z in (np.where(np.arange(depth.z.size).reshape(depth.z.shape) % 97 == 0, depth.z, 0.0), 1e3 * depth.z):
+        few = replace(lifted, evidence={**lifted.evidence, DEPTH: replace(depth, z=z)})  # three samples; millimetres
+        assert with_hand_size(few, Options()).hand_scale == 1.0
     for level, scale in (("realsense", "clip"), ("mono", "metric")):  # of no metre, of a network
         other = SimulatedDepth(level)(lifted, masks, 0)[0].evidence[DEPTH]
         assert isinstance(other, Depth)

@@ -21,7 +21,7 @@ from getagrip.geometry.mesh import decimate
 INDEPENDENT = 6.0
 """Independent samples of each body in a frame: its errors are smooth."""
 FEWEST = 20
-"""Samples of a body in a frame below which each counts as if there were that many; fewer do not tell a hand's size."""
+"""Samples of a body in a frame below which each counts as if there were that many."""
 EVERY = 2
 """One sample in two of a row, and of a column, is used; the others tell where borders are."""
 FAR = 0.25
@@ -117,11 +117,11 @@ def shares_of(clip: Clip, masks: Masks, depth: Depth) -> tuple[float, float]:
 
 
 def hand_ratio_of(samples: DepthSamples) -> float:
-    """Return how many times as far away depth shows the hand as it is given: the median; NaN of too few samples."""
+    """Return how many times as far away depth shows the hand as it is given: the median; NaN where it shows none."""
     on_hand = np.arange(samples.log_z.shape[1]) >= samples.on_object[:, None]
     off = (samples.log_z - samples.input)[on_hand & (samples.weight > 0.0)]
     off = off[np.isfinite(off)]
-    return float(np.exp(np.median(off))) if len(off) >= FEWEST else np.nan
+    return float(np.exp(np.median(off))) if len(off) else np.nan
 
 
 def deviation_at(

@@ -26,8 +26,8 @@ SPREAD = 0.1
 """Standard deviation of the logarithm of a lifted hand's size. Assumed; 0.1 to 0.6 do alike (docs/trials.md)."""
 FOLLOWS = assumed("it follows from the object's, which is known")
 SHOWN = estimated("from the distance at which a sensor's depth shows the hand")
-FRAMES, SAMPLES = 12, 100
-"""Frames in which depth is looked at, and samples of the hand in each."""
+FRAMES, SAMPLES, FEWEST = 12, 100, 20
+"""Frames in which depth is looked at; most samples of the hand in each; fewest in all that tell its size."""
 
 
 def with_hand_size(clip: Clip, options: Options) -> Clip:
@@ -58,8 +58,9 @@ def shown_size(clip: Clip) -> float:
     depth = few.evidence.get(DEPTH)
     if not isinstance(depth, Depth) or (depth.source.scale, depth.source.source) != ("metric", "sensor"):
         return np.nan
-    size = hand_ratio_of(samples_of(few, read_masks(few), depth, SAMPLES))
-    return size if abs(np.log(size)) < np.log(UNIT) else np.nan
+    samples = samples_of(few, read_masks(few), depth, SAMPLES)
+    size, on_hand = hand_ratio_of(samples), np.sum(samples.used - samples.on_object)
+    return size if on_hand >= FEWEST and abs(np.log(size)) < np.log(UNIT) else np.nan
 
 
 def at_true_size(result: Reconstruction, clip: Clip) -> Reconstruction:
