@@ -14,6 +14,7 @@ from getagrip.hands import generic
 from getagrip.hands.clicked_hands import FEWEST, ClickedHands, hands_from_clicks
 from getagrip.hands.fit import Chains, joints_and_jacobian
 from getagrip.hands.model import Side
+from getagrip.hands.placed_hands import Clicks, equations, projected
 from getagrip.hands.pose_prior import PosePrior
 
 K = np.array([[1500.0, 0.0, 960.0], [0.0, 1500.0, 540.0], [0.0, 0.0, 1.0]])
@@ -156,3 +157,20 @@ def test_what_cannot_be_fitted_is_refused() -> None:
     ):
         with pytest.raises(UsageError, match=words):
             hands_from_clicks(clicks, K, "right", 0, 40)
+
+
+def test_depths_of_a_turned_hand_bend_the_same_fingers() -> None:
+    """A plane over the image, added to the depths of joints, changes neither cost nor gradient."""
+    truth, rng = held("right", 2), np.random.default_rng(2)
+    model = generic.load("right")
+    q = np.tile(np.eye(3), (len(KEYS), 5, 1, 1))
+    X, J = joints_and_jacobian(Chains.of(model), q, np.zeros(len(model.shape_names)))
+    uv = projected(K, truth.T, X, J)[0]
+    clicks = Clicks.of(K, uv)._replace(depth_known=np.ones(len(KEYS), dtype=bool))
+    bent = rng.normal(scale=0.01, size=(len(KEYS), 21))
+    turned = bent + (uv - uv.mean(axis=1, keepdims=True)) @ [3e-4, -2e-4] + 0.1
+    assert np.ptp(turned - bent, axis=1).min() > 0.02
+    plain, same, none = (equations(clicks._replace(depth=depth), truth.T, X, J) for depth in (bent, turned, 0.0 * bent))
+    assert (np.abs(none[0] - plain[0]) > 0.1 * plain[0]).any()
+    for a, b in zip(plain, same, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-2, atol=1e-2 * np.abs(a).max())

@@ -21,7 +21,9 @@ from getagrip.least_squares import Rules, damped, minimise
 CLICK_NOISE = 0.005
 """Standard deviation of a click beside that of the joints themselves, at the hand [m]."""
 DEPTH_NOISE = 0.025
-"""Standard deviation of a network's depths of joints about the hand's middle [m]."""
+"""Standard deviation of a network's depths of joints about a plane [m]."""
+FLAT = 1e-3
+"""Joints as flat as this share of their variance in the image lie on a line."""
 OUTLIER = 2.5
 """Clicks beyond this number of standard deviations are outliers."""
 ROTATIONS = 48
@@ -44,7 +46,7 @@ class Clicks(NamedTuple):
     noise: Float[ndarray, "n 21"]
     """Standard deviation of each [px]."""
     depth: Float[ndarray, "n 21"]
-    """Distance of each beyond the middle of the hand, along the ray to it [m]; used where ``depth_known``."""
+    """Distance of each along the ray to the hand, up to a plane over the image [m]; used where ``depth_known``."""
     depth_known: Bool[ndarray, "n"]
 
     @staticmethod
@@ -77,7 +79,7 @@ def equations(
     g = (r.reshape(n, 1, 42) @ weighted)[:, 0]
     costs = OUTLIER**2 * np.sum(clicks.there * np.log1p(np.sum(r * r, axis=-1) / OUTLIER**2), axis=1)
     if clicks.depth_known.any():
-        _add_depths(clicks, T, X, J, costs, H, g)
+        _add_depths(clicks, T, X, J, uv, costs, H, g)
     return costs, H, g
 
 
@@ -99,20 +101,30 @@ def _add_depths(
     T: Float[ndarray, "n 4 4"],
     X: Float[ndarray, "n 21 3"],
     J: Float[ndarray, "n 21 3 D"],
+    uv: Float[ndarray, "n 21 2"],
     costs: Float[ndarray, "n"],
     H: Float[ndarray, "n D D"],
     g: Float[ndarray, "n D"],
 ) -> None:
-    """Add what joints that are nearer or farther than the hand's middle say of the way it is turned."""
+    """Add what depths of joints tell of the fingers; a network's hands are turned as a whole, so a plane is free."""
     rows = clicks.depth_known
     ray = np.einsum("ni,nij->nj", _rays(clicks)[rows], T[rows, :3, :3])[:, None]
     off, A = np.sum(X[rows] * ray, axis=-1), (ray[:, :, None] @ J[rows])[:, :, 0]
-    r = (off - off.mean(axis=1, keepdims=True) - clicks.depth[rows]) / DEPTH_NOISE
-    A = (A - A.mean(axis=1, keepdims=True)) / DEPTH_NOISE
+    r = _about_plane(uv[rows], (off - clicks.depth[rows])[..., None])[..., 0] / DEPTH_NOISE
+    A = _about_plane(uv[rows], A) / DEPTH_NOISE
     weighted = A / (1.0 + r[..., None] ** 2 / OUTLIER**2)
     costs[rows] += OUTLIER**2 * np.sum(np.log1p(r * r / OUTLIER**2), axis=1)
     H[rows] += np.swapaxes(weighted, 1, 2) @ A
     g[rows] += (r[:, None] @ weighted)[:, 0]
+
+
+def _about_plane(uv: Float[ndarray, "n 21 2"], values: Float[ndarray, "n 21 D"]) -> Float[ndarray, "n 21 D"]:
+    """Subtract the plane over the image that fits best."""
+    centred, apart = (each - each.mean(axis=1, keepdims=True) for each in (values, uv))
+    across = np.swapaxes(apart, 1, 2)
+    G = across @ apart
+    ridge = FLAT * np.trace(G, axis1=1, axis2=2)[:, None, None] * np.eye(2)  # of joints on a line
+    return np.asarray(centred - apart @ np.linalg.solve(G + ridge, across @ centred))
 
 
 def _rays(clicks: Clicks) -> Float[ndarray, "n 3"]:
