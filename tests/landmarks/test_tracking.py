@@ -15,6 +15,7 @@ from getagrip.landmarks.handedness import log_odds, seen_mirrored
 from getagrip.landmarks.nets import Found, Nets
 from getagrip.landmarks.palms import Palm
 from getagrip.landmarks.selecting import select
+from getagrip.provenance import is_assumed
 
 BASES = ((60, 20), (30, -25), (5, -30), (-15, -25), (-40, -15))
 FLAT = np.array([[0, 0], *([x * k / 4, -100 + y * k] for x, y in BASES for k in (1, 2, 3, 4))], dtype=float)
@@ -157,6 +158,20 @@ def test_a_fingertip_that_looks_like_a_small_hand_is_none() -> None:
 def test_a_hand_that_is_seen_twice_is_one() -> None:
     seen = [[hand(300.0), *([hand(320.0, right=0.9)] if n > 5 else [])] for n in range(20)]
     assert not any("two hands" in note for note in select(seen).notes)
+
+
+@pytest.mark.parametrize(("count", "side"), [(14, "right"), (8, "left")])
+def test_of_two_readings_of_a_hand_the_one_of_more_frames_is_taken_as_a_guess(count: int, side: str) -> None:
+    """The other one is nearer to the object, which decides between hands only."""
+    seen = [[*([hand(300.0)] if n < 12 else []), *([hand(320.0, right=0.9)] if n < count else [])] for n in range(20)]
+    box = {3: np.array([150.0, 400.0, 80.0, 80.0])}
+    found = select(seen, boxes=box)
+    other = "left" if side == "right" else "right"
+    assert found.side == side
+    assert is_assumed(found.side_source)
+    assert f"also looks like a hand of the other side; --side {other}" in str(found.side_source)
+    assert not any("two hands" in note for note in found.notes)
+    assert not is_assumed(select(seen, side="left", boxes=box).side_source)
 
 
 def test_the_hand_nearest_to_the_object_is_taken() -> None:

@@ -67,6 +67,17 @@ class Sighting(NamedTuple):
         """Return whether both are of one hand."""
         return bool(np.linalg.norm(self.middle - other.middle) < SAME * max(self.size, other.size))
 
+    def covers(self, other: Sighting) -> bool:
+        """Return whether at least half of the smaller of both outlines is within the other."""
+        import cv2
+
+        a, b = (cv2.convexHull(each.points.astype(np.float32)) for each in (self, other))
+        return cv2.intersectConvexConvex(a, b)[0] > 0.5 * min(cv2.contourArea(a), cv2.contourArea(b))
+
+    def apart(self, other: Sighting) -> bool:
+        """Return whether these are two hands."""
+        return not (self.same(other) or self.covers(other))
+
     def part_of(self, other: Sighting) -> bool:
         """Return whether this is less than half as large as another hand, and within it."""
         low, high = other.points.min(axis=0), other.points.max(axis=0)

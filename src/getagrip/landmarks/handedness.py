@@ -72,10 +72,12 @@ class Handedness(NamedTuple):
     @property
     def source(self) -> Source:
         """Source of the side: assumed, where the frames hardly agree."""
-        if not self.sure:
-            other = "left" if self.side == "right" else "right"
-            return assumed(f"{self.side}, a guess, since {self.words} only; --side {other} overrules this")
-        return estimated(f"{self.side}: {self.words}")
+        return estimated(f"{self.side}: {self.words}") if self.sure else self.guess(f"{self.words} only")
+
+    def guess(self, reason: str) -> Source:
+        """Return the source of a side that is assumed, for a reason."""
+        other = "left" if self.side == "right" else "right"
+        return assumed(f"{self.side}, a guess, since {reason}; --side {other} overrules this")
 
 
 UNKNOWN = Handedness(())

@@ -3,7 +3,8 @@
 Sightings are linked from frame to frame into tracks. The hand is the track nearest to the object, if the object's place
 is known in some frame, otherwise the track with the most frames; if others have about as many, the one whose shape
 changes least, since fingers that hold something hardly move. Tracks of its side that fill its gaps are added. The
-side of a track is decided by many of its frames (``handedness``).
+side of a track is decided by many of its frames (``handedness``). If the networks see one hand as a left and as a right
+one, in two tracks, the one with more frames is taken, and its side is a guess.
 """
 
 from __future__ import annotations
@@ -101,6 +102,12 @@ class Track:
         both = [(self.seen[n], other.seen[n]) for n in self.seen.keys() & other.seen.keys()]
         return bool(both) and float(np.mean([each.part_of(whole) for each, whole in both])) > 0.5
 
+    def read_otherwise(self, other: Track) -> int:
+        """Count the frames in which another track shows this hand as one of the other side, if it mostly does."""
+        common = self.seen.keys() & other.seen.keys()
+        covered = sum(self.seen[n].covers(other.seen[n]) for n in common)
+        return covered if self.side != other.side and covered > max(SHORTEST, 0.5 * len(common)) else 0
+
     def distance(self, boxes: Mapping[int, Float[ndarray, "4"]]) -> float:
         """Measure the mean distance of the landmarks from the object's boxes, in sizes of the hand.
 
@@ -174,6 +181,7 @@ def select(
         raise UsageError(_none(seen, side, boxes is not None))
     often = ALIKE * max(map(_weight, found))
     first = min(found, key=lambda track: (track.distance(boxes or {}), _weight(track) < often, track.bending))
+    first = max([first, *filter(first.read_otherwise, found)], key=_weight)
     majority = side or first.side
     hand, others = _completed(first, _of_side([track for track in found if track is not first], first.side))
     as_stated = side in (None, first.side)
@@ -199,13 +207,15 @@ def select(
         notes.append(f"no hand in the frames {gaps} (counted from 1)")
     opposite = [track for track in found if track.side != first.side]
     for beside, overrules in ((others, "--object-box"), (opposite, "--object-box or --side")):
-        also = {n: [each for track in beside if (each := track.seen.get(n)) and not each.same(hand[n])] for n in hand}
+        also = {n: [each for track in beside if (each := track.seen.get(n)) and each.apart(hand[n])] for n in hand}
         twice = [n for n in hand if also[n]]
         if len(twice) > OTHERS * len(hand):
             n, it = twice[0], also[twice[0]][0]
             which = f"chosen is the one {_place(hand[n])} in frame {n + counted_from}, not that {_place(it)}"
             notes.append(f"two hands in {counted(len(twice), 'frame')}: {which}; {overrules} overrules this")
-    source = first.handedness.source if side is None else measured(f"{side}, as stated")
+    source = measured(f"{side}, as stated") if side else first.handedness.source
+    if otherwise := max(map(first.read_otherwise, found)):
+        source = first.handedness.guess(f"in {counted(otherwise, 'frame')} it also looks like a hand of the other side")
     return HandLandmarks(majority, *_as_arrays(hand, len(seen)), source, tuple(notes))
 
 
