@@ -102,6 +102,15 @@ def test_a_hand_that_is_seen_mirrored_for_a_while_is_looked_for_again(mends: boo
     assert any("of the other side: 12 to 17" in note for note in found.notes) != mends
 
 
+@pytest.mark.parametrize("count", [9, 11])
+def test_a_hand_that_is_mostly_looked_for_again_is_said(count: int) -> None:
+    seen = [[hand(300.0)] if n < count else [] for n in range(20)]
+    found = select(seen, counted_from=31, again=lambda hands, _: {n: hand(300.0) for n in range(20)})
+    assert found.rows == tuple(range(20))
+    said = [note for note in found.notes if "seen at once in the frames 31 to 39, in 11 frames only where" in note]
+    assert bool(said) == (count == 9)
+
+
 def test_no_hand_is_mirrored_in_half_of_its_frames_or_against_its_mirror_image() -> None:
     half = {n: hand(300.0, right=0.9 if n < 10 else 0.05) for n in range(20)}
     assert seen_mirrored(half, "left", lambda n, each: log_odds(each)) == []

@@ -53,7 +53,7 @@ class Draft(Command):
     video: Annotated[Positional[Path], arg(metavar="VIDEO|FOLDER")]
     """The video of one shot, undistorted; or a folder of its images."""
     object: Annotated[str, arg(metavar="MESH|KIND")]
-    """The object in the hand: a mesh file, or the kind of a built-in shape, such as mug."""
+    """The object in the hand: a mesh file, or the kind of a built-in shape, such as mug or glass (no handle)."""
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: VIDEO-draft)")] = None
     """Folder of all files that are made; annotate can go on in it."""
     size_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: unknown)")] = None

@@ -218,9 +218,6 @@ class _Moves:
         What a change of the frame's angle undoes is left out: the angles are always the best ones. That they are to
         first order is enough (Kaufman, "A variable projection method for solving separable nonlinear least squares
         problems", 1975): the gradient of E is exact.
-
-        The angles are always the best ones. That they are to first order is enough (Kaufman, "A variable projection
-        method for solving separable nonlinear least squares problems", 1975): the gradient of E is exact.
         """
         hinge, size = self.hinge(x), self.start.size
         d = hinge.direction

@@ -70,8 +70,8 @@ def hands_from_landmarks(
 ) -> LiftedHands:
     """Fit the hand to landmarks [px], in this package's order.
 
-    ``depth`` says how far each is beyond the hand's middle [m], if the network estimates it, NaN in frames where it is
-    unknown; it has a low weight. ``hiding`` says, for the T frames, where joints may be.
+    ``depth`` is each one's along the ray, up to a plane over the image [m], if the network estimates it, NaN in frames
+    where it is unknown; it has a low weight. ``hiding`` says, for the T frames, where joints may be.
     ``looseness`` is the standard deviation of each number of the fingers' pose from the mean one [rad].
 
     Raises ``UsageError`` where no frame has ``FEWEST`` landmarks, or no hand looks like them.

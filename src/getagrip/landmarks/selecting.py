@@ -3,8 +3,8 @@
 Sightings are linked from frame to frame into tracks. The hand is the track nearest to the object, if the object's place
 is known in some frame, otherwise the track with the most frames; if others have about as many, the one whose shape
 changes least, since fingers that hold something hardly move. Tracks of its side that fill its gaps are added. The
-side of a track is decided by many of its frames (``handedness``). If the networks see one hand as a left and as a right
-one, in two tracks, the one with more frames is taken, and its side is a guess.
+side of a track is decided by many of its frames (``handedness``). Of two tracks of one hand, as a left and a right one,
+that with more frames is taken, and its side is a guess.
 """
 
 from __future__ import annotations
@@ -41,6 +41,8 @@ ALIKE = 0.9
 """Tracks of at least this share of the largest number of frames have about as many: the steadiest of them is chosen."""
 FAR = 0.6
 """Distance from the object's box, in sizes of the hand, above which the hand is far from it."""
+LITTLE = 0.5
+"""Share of the hand's frames in which it is seen without a second look, below which this is said."""
 OTHERS = 0.2
 """Share of frames with another hand of the same side from which on two people are assumed."""
 
@@ -199,8 +201,10 @@ def select(
             far if np.isfinite(apart) else "the object's box decides nothing: there is no hand about that frame"
         )
     if flickering:
-        left_out = _ranges(flickering, counted_from)
-        notes.append(f"left out, since they differ from the frames about them: {left_out}")
+        notes.append(f"left out, since they differ from the frames about them: {_ranges(flickering, counted_from)}")
+    if len(before) < LITTLE * len(hand):
+        rest = f"in {counted(len({*hand} - {*before}), 'frame')} only where it was expected: check those"
+        notes.append(f"seen at once in the frames {_ranges(sorted(before), counted_from)}, {rest}")
     if mirrored:
         notes.append(f"left out, since they look like a hand of the other side: {_ranges(mirrored, counted_from)}")
     if gaps := _ranges(sorted({*range(len(seen))} - {*hand}), counted_from):
