@@ -111,6 +111,15 @@ def test_a_hand_that_is_mostly_looked_for_again_is_said(count: int) -> None:
     assert bool(said) == (count == 9)
 
 
+@pytest.mark.parametrize("right", [0.01, 0.3])
+def test_what_a_second_look_sees_mirrored_is_left_out_where_the_side_is_sure(right: float) -> None:
+    seen = [[hand(300.0, right=right)] if n < 8 else [] for n in range(20)]
+    beyond = {n: hand(300.0, right=0.99) for n in range(8, 20)}
+    found = select(seen, again=lambda hands, _: dict(hands) | beyond)
+    assert found.rows == tuple(range(8 if right < 0.1 else 20))
+    assert any("of the other side: 9 to 20" in note for note in found.notes) == (right < 0.1)
+
+
 def test_no_hand_is_mirrored_in_half_of_its_frames_or_against_its_mirror_image() -> None:
     half = {n: hand(300.0, right=0.9 if n < 10 else 0.05) for n in range(20)}
     assert seen_mirrored(half, "left", lambda n, each: log_odds(each)) == []

@@ -32,6 +32,8 @@ SURE = 3.0, 0.8
 public videos the two whose side was wrong had 2.1 and 2.3, the others 2.2 to 7.4."""
 MIRRORED = 1.0
 """Mean log odds of the other side from which on frames in a row are seen mirrored."""
+MINOR = 0.5
+"""Share of a hand's frames that may be seen mirrored: else its side is the wrong one."""
 BESIDE = 2
 """Number of frames before and after that decide with a frame whether it is seen mirrored."""
 
@@ -102,8 +104,8 @@ def compared(image: UInt8[ndarray, "H W 3"], hand: Sighting, nets: Nets) -> floa
     return 0.5 * (log_odds(hand) - log_odds(Sighting(*mirrored)))
 
 
-def seen_mirrored(hand: Mapping[int, Sighting], side: Side, odds: Odds) -> list[int]:
-    """Return the frames in which a hand is seen as one of the other side: some in a row, and less than half of all.
+def seen_mirrored(hand: Mapping[int, Sighting], side: Side, odds: Odds, most: float = MINOR) -> list[int]:
+    """Return the frames in which a hand is seen as one of the other side: some in a row, less than ``most`` of all.
 
     Seen from its edge a hand looks like its mirror image, with the thumb where the little finger is.
     """
@@ -115,4 +117,4 @@ def seen_mirrored(hand: Mapping[int, Sighting], side: Side, odds: Odds) -> list[
         some = [n for _, n in run]
         if other and np.mean([right * odds(n, hand[n]) for n in some]) < -MIRRORED:
             out += some
-    return out if len(out) < len(frames) / 2 else []
+    return out if len(out) < most * len(frames) else []

@@ -20,7 +20,7 @@ from getagrip.errors import UsageError
 from getagrip.io.terminal import counted
 from getagrip.landmarks.crops import SIDE, of_landmarks
 from getagrip.landmarks.following import Sighting
-from getagrip.landmarks.handedness import UNKNOWN, Handedness, Odds, Side, log_odds, seen_mirrored
+from getagrip.landmarks.handedness import MINOR, UNKNOWN, Handedness, Odds, Side, log_odds, seen_mirrored
 from getagrip.provenance import Source, measured
 
 GAP = 10
@@ -190,7 +190,8 @@ def select(
     mirrored = seen_mirrored(hand, majority, odds) if as_stated else []
     before = {n: each for n, each in hand.items() if n not in mirrored}
     hand = again(before, dict.fromkeys(mirrored, first.side))
-    mirrored = sorted({*mirrored} & {*seen_mirrored(hand, majority, odds)}) if mirrored else []
+    still = seen_mirrored(hand, majority, odds, 1.0 if first.handedness.sure else MINOR) if as_stated else []
+    mirrored = sorted({*still} - {*before})
     hand, flickering = _steady({n: each for n, each in hand.items() if n not in mirrored})
     notes = [] if as_stated else [f"a guess: {first.handedness.words}, but the side is stated"]
     if boxes is not None:
