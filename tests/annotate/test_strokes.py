@@ -69,6 +69,20 @@ def test_a_box_finds_parts_that_the_hand_separates_and_what_of_the_hand_looks_li
     assert (found == HAND)[45:55, :40].all()
 
 
+def test_a_label_that_was_taken_for_the_hand_is_the_objects_in_a_box() -> None:
+    """Its colour is neither that of the rest of the object nor the hand's beyond the box."""
+    image, mask = scene()
+    hand, label = np.zeros(SIZE[::-1], bool), np.s_[48:72, 65:95]
+    hand[55:65, :60] = True
+    image[hand] = (220, 190, 160)
+    image[label] = (200, 160, 40)
+    hand[label] = True
+    found = boxed(image, (46, 26, 68, 68), hand)
+    assert (found == OBJECT)[label].mean() > 0.9
+    assert (found == HAND)[55:65, :45].all()
+    assert iou(found == OBJECT, mask & (image != (220, 190, 160)).any(axis=-1)) > 0.9
+
+
 @given(
     on=st.lists(st.tuples(st.integers(5, 154), st.integers(5, 114)), min_size=1, max_size=3),
     off=st.tuples(st.integers(5, 154), st.integers(5, 114)),

@@ -16,7 +16,7 @@ from numpy import ndarray
 
 from getagrip.annotate.carried_masks import Hands, Image, Images
 from getagrip.annotate.click_motion import moves_with_click, moving_part
-from getagrip.annotate.colour_cut import Colours, bins, coloured_hand, likelier, touching
+from getagrip.annotate.colour_cut import UNSEEN, Colours, bins, coloured_hand, likelier, touching
 from getagrip.annotate.labels import HAND, OBJECT, FrameLabels, Labels
 from getagrip.errors import UsageError
 
@@ -37,7 +37,7 @@ ROUNDS = 5
 """Rounds of GrabCut."""
 OUTSIDE = 0.2
 """If more than this share of a found hand is outside the object's box, its colours there tell which pixels in the box
-are the object's."""
+may be the object's: a label before the palm, say."""
 
 
 def key_masks(labels: Labels, image: Images, hand: Hands = lambda _: None) -> dict[int, UInt8[ndarray, "H W"]]:
@@ -117,11 +117,14 @@ def boxed(image: Image, box: Box, hand: Bool[ndarray, "h w"] | None = None) -> U
         start = np.where(inside & ~hand, cv2.GC_PR_FGD, cv2.GC_BGD).astype(np.uint8)
         return _cut(image, sure, hand | ~inside, start, around, hand=hand)
 
-    found = cut(seen, np.zeros(shape, bool))
-    if found.any() and np.count_nonzero(seen & ~inside) > OUTSIDE * np.count_nonzero(seen):
-        own, skin = (Colours.of(image, part, part) for part in (found, seen & ~inside))
+    outside = seen & ~inside
+    known = np.count_nonzero(outside) > OUTSIDE * np.count_nonzero(seen)
+    at, skin = bins(image), Colours.of(image, outside, outside)
+    unlike = inside & known & (skin.counts[0][at] < UNSEEN)
+    found = cut(seen & ~unlike, np.zeros(shape, bool))
+    if known and found.any():
         reached = seen
-        seen = coloured_hand(reached, bins(image), own, skin)
+        seen = coloured_hand(reached, at, Colours.of(image, found, found), skin)
         found = cut(seen, reached & ~seen & inside)
     out = np.where(seen, HAND, 0).astype(np.uint8)
     out[found] = OBJECT
