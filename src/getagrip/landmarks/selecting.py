@@ -191,7 +191,7 @@ def select(
     before = {n: each for n, each in hand.items() if n not in mirrored}
     hand = again(before, dict.fromkeys(mirrored, first.side))
     still = seen_mirrored(hand, majority, odds, 1.0 if first.handedness.sure else MINOR) if as_stated else []
-    most = len(still) >= MINOR * len(hand)  # a few are of more use than none, if nothing else made them doubtful
+    most = len(still) >= MINOR * len(hand)  # a few are of more use than none, where nothing else speaks against them
     mirrored = sorted({*still} - {*before} if most else {*still} & {*mirrored})
     hand, flickering = _steady({n: each for n, each in hand.items() if n not in mirrored})
     notes = [] if as_stated else [f"a guess: {first.handedness.words}, but the side is stated"]
