@@ -121,7 +121,7 @@ def _clicks(
 ) -> Clicks:
     """Landmarks as clicks, as noisy as landmarks are."""
     known = np.isfinite(depth).all(axis=1)
-    depth = np.where(known[:, None], depth - depth.mean(axis=1, keepdims=True), 0.0)
+    depth = np.where(known[:, None], depth, 0.0)
     noisy = Clicks.of(K, points)
     noise = noisy.noise * (NOISE / CLICK_NOISE) / np.sqrt(np.clip(confidence, LEAST, 1.0))
     return noisy._replace(noise=noise, depth=depth, depth_known=known)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import partial
@@ -152,3 +152,15 @@ def shown_progress(progress: Progressed, name: str) -> Iterator[Callable[[str, f
 def counted(number: int, thing: str, things: str = "") -> str:
     """Write a count, such as "1 clip" or "2 clips"; ``things`` is the plural where it takes more than an s."""
     return f"{number} {thing if number == 1 else things or f'{thing}s'}"
+
+
+def ranges(frames: Sequence[int], counted_from: int) -> str:
+    """Write which frames, such as "3 to 7, 12"; the first frame has the number ``counted_from``."""
+    runs: list[list[int]] = []
+    for n in frames:
+        if runs and n == runs[-1][1] + 1:
+            runs[-1][1] = n
+        else:
+            runs.append([n, n])
+    numbers = ((a + counted_from, b + counted_from) for a, b in runs)
+    return ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in numbers)

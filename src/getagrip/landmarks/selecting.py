@@ -17,7 +17,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.errors import UsageError
-from getagrip.io.terminal import counted
+from getagrip.io.terminal import counted, ranges
 from getagrip.landmarks.crops import SIDE, of_landmarks
 from getagrip.landmarks.following import Sighting
 from getagrip.landmarks.handedness import MINOR, UNKNOWN, Handedness, Odds, Side, log_odds, seen_mirrored
@@ -174,23 +174,21 @@ def select(
     all_odds = [(k, odds(n, found[k].seen[n])) for n, k in looks]
     for k, track in enumerate(found):
         track.handedness = Handedness(tuple(value for of, value in all_odds if of == k))
-    stated = found if side is None else _of_side(found, side)
-    if not stated:  # the networks may take a hand seen from behind the object for the other one
-        at_object = [track for track in found if np.isfinite(track.distance(boxes or {}))]
-        stated = at_object or [track for track in found if not track.handedness.sure]
-    found = stated
+    found = _candidates(found, side, boxes or {})
     if not found:
         raise UsageError(_none(seen, side, boxes is not None))
     often = ALIKE * max(map(_weight, found))
     first = min(found, key=lambda track: (track.distance(boxes or {}), _weight(track) < often, track.bending))
     first = max([first, *filter(first.read_otherwise, found)], key=_weight)
+    otherwise = max(map(first.read_otherwise, found))
     majority = side or first.side
     hand, others = _completed(first, _of_side([track for track in found if track is not first], first.side))
     as_stated = side in (None, first.side)
     mirrored = seen_mirrored(hand, majority, odds) if as_stated else []
     before = {n: each for n, each in hand.items() if n not in mirrored}
     hand = again(before, dict.fromkeys(mirrored, first.side))
-    still = seen_mirrored(hand, majority, odds, 1.0 if first.handedness.sure else MINOR) if as_stated else []
+    sure = first.handedness.sure and not otherwise
+    still = seen_mirrored(hand, majority, odds, 1.0 if sure else MINOR) if as_stated else []
     most = len(still) >= MINOR * len(hand)  # a few are of more use than none, where nothing else speaks against them
     mirrored = sorted({*still} - {*before} if most else {*still} & {*mirrored})
     hand, flickering = _steady({n: each for n, each in hand.items() if n not in mirrored})
@@ -203,13 +201,13 @@ def select(
             far if np.isfinite(apart) else "the object's box decides nothing: there is no hand about that frame"
         )
     if flickering:
-        notes.append(f"left out, since they differ from the frames about them: {_ranges(flickering, counted_from)}")
+        notes.append(f"left out, since they differ from the frames about them: {ranges(flickering, counted_from)}")
     if len(before) < LITTLE * len(hand):
         rest = f"in {counted(len({*hand} - {*before}), 'frame')} only where it was expected: check those"
-        notes.append(f"seen at once in the frames {_ranges(sorted(before), counted_from)}, {rest}")
+        notes.append(f"seen at once in the frames {ranges(sorted(before), counted_from)}, {rest}")
     if mirrored:
-        notes.append(f"left out, since they look like a hand of the other side: {_ranges(mirrored, counted_from)}")
-    if gaps := _ranges(sorted({*range(len(seen))} - {*hand}), counted_from):
+        notes.append(f"left out, since they look like a hand of the other side: {ranges(mirrored, counted_from)}")
+    if gaps := ranges(sorted({*range(len(seen))} - {*hand}), counted_from):
         notes.append(f"no hand in the frames {gaps} (counted from 1)")
     opposite = [track for track in found if track.side != first.side]
     for beside, overrules in ((others, "--object-box"), (opposite, "--object-box or --side")):
@@ -220,9 +218,19 @@ def select(
             which = f"chosen is the one {_place(hand[n])} in frame {n + counted_from}, not that {_place(it)}"
             notes.append(f"two hands in {counted(len(twice), 'frame')}: {which}; {overrules} overrules this")
     source = measured(f"{side}, as stated") if side else first.handedness.source
-    if otherwise := max(map(first.read_otherwise, found)):
+    if otherwise:
         source = first.handedness.guess(f"in {counted(otherwise, 'frame')} it also looks like a hand of the other side")
     return HandLandmarks(majority, *_as_arrays(hand, len(seen)), source, tuple(notes))
+
+
+def _candidates(found: list[Track], side: Side | None, boxes: Mapping[int, Float[ndarray, "4"]]) -> list[Track]:
+    """Return the tracks of a stated side; without one, or of no such side, those that may be the hand."""
+    stated = found if side is None else _of_side(found, side)
+    if stated:
+        return stated
+    # The networks may take a hand seen from behind the object for the other one.
+    at_object = [track for track in found if np.isfinite(track.distance(boxes))]
+    return at_object or [track for track in found if not track.handedness.sure]
 
 
 def _spread(track: Track) -> list[int]:
@@ -279,18 +287,6 @@ def _none(seen: Sequence[Sequence[Sighting]], side: Side | None, boxed: bool) ->
         return f"no {side} hand: {tried}; there are hands in {some}, of the other side{none} ({remedy})"
     advice = "Click joints in getagrip annotate; or use an estimator: --hands FILE"
     return f"no hand: {tried}; found in {some}. Is there a glove, blur, or a hand half out of view? {advice}"
-
-
-def _ranges(frames: Sequence[int], counted_from: int) -> str:
-    """Frames in words, as 3 to 7, 12."""
-    runs: list[list[int]] = []
-    for n in frames:
-        if runs and n == runs[-1][1] + 1:
-            runs[-1][1] = n
-        else:
-            runs.append([n, n])
-    numbers = ((a + counted_from, b + counted_from) for a, b in runs)
-    return ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in numbers)
 
 
 def _as_arrays(
