@@ -44,7 +44,10 @@ def root(tmp_path: Path, mano: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_rows_are_masks_and_columns_the_field_s(root: Path, tmp_path: Path, run: Run) -> None:
+def test_rows_are_masks_and_columns_the_field_s(
+    root: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("getagrip.metrics.recall.BALL", 20)  # of 500: how good poses are is not looked at
     out, masks = tmp_path / "out", tmp_path / "masks"
     source = Ho3dEval(root=root)
     (sample,), failed = source.samples(out / "clips", False)
@@ -54,7 +57,7 @@ def test_rows_are_masks_and_columns_the_field_s(root: Path, tmp_path: Path, run:
     (masks / "SM1").mkdir(parents=True)
     for frame, mask in zip(clip.frames, read_masks(clip).object, strict=True):  # numbered as XMem does
         cv2.imwrite(str(masks / "SM1" / f"{int(frame):05d}.png"), 255 * mask.astype(np.uint8))
-    call = ("bench", "ho3d-eval", "--root", root, "--masks", masks, "--out", out, "--workers", "1", "--inits", "4")
+    call = ("bench", "ho3d-eval", "--root", root, "--masks", masks, "--out", out, "--workers", "1", "--inits", "1")
     assert run(*call)[0] == 0
     rows = list(csv.DictReader((out / "ho3d-eval-clips.csv").read_text().splitlines()))
     settings = ["given masks", "given masks, no depth", "estimated masks", "estimated masks, no depth"]

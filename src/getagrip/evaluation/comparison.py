@@ -32,7 +32,7 @@ from getagrip.metrics.contact import (
 from getagrip.metrics.mask import MaskIou
 from getagrip.metrics.motion import ContactPairs
 from getagrip.metrics.pose import ObjectTrack, PoseErrors, best_symmetry, pose_errors
-from getagrip.metrics.recall import SymmetricErrors
+from getagrip.metrics.recall import PIXELS, SHARES, SymmetricErrors, recall
 from getagrip.metrics.symmetry import Symmetries, find_symmetries
 
 V = TypeVar("V")
@@ -185,6 +185,16 @@ class Comparison:
     def symmetric_errors(self) -> SymmetricErrors:
         """Errors of the object in the camera, the least over its symmetries."""
         return SymmetricErrors.of(self.clip.mesh, self.predicted_in_camera, self.true_in_camera, self.symmetries)
+
+    @cached_property
+    def mssd_recall(self) -> Float[ndarray, "T"]:
+        """BOP's recall of the largest distance in space."""
+        return recall(self.symmetric_errors.mssd(), SHARES * self.errors_cam.diameter)
+
+    @cached_property
+    def mspd_recall(self) -> Float[ndarray, "T"]:
+        """BOP's recall of the largest distance in the image."""
+        return recall(self.symmetric_errors.mspd(self.clip.K), PIXELS * self.clip.size[0] / 640)
 
     @cached_property
     def vsd_recall(self) -> Float[ndarray, "T"]:

@@ -124,14 +124,6 @@ def _known(values: Float[ndarray, "n"]) -> float:
     return mean_of(values)
 
 
-def _mssd(it: Comparison) -> Float[ndarray, "T"]:
-    return recall.recall(it.symmetric_errors.mssd(), recall.SHARES * it.errors_cam.diameter)
-
-
-def _mspd(it: Comparison) -> Float[ndarray, "T"]:
-    return recall.recall(it.symmetric_errors.mspd(it.clip.K), recall.PIXELS * it.clip.size[0] / 640)
-
-
 def _motion_deviation(it: Comparison) -> float:
     """Motion deviation of hand and object in stable contact; there is none without such contact."""
     hand, object_ = it.hand_in_camera[0], it.object_in_camera[0]
@@ -266,10 +258,10 @@ _METRICS: tuple[Metric, ...] = (
         label="ADD-S AUC", group="recall", needs_truth=True,
     ),
     REPLAY,
-    _of_bop("ar_cam", lambda it, _: np.mean([_mssd(it), _mspd(it), it.vsd_recall], axis=0), label="AR"),
-    _of_bop("ar_of_two_cam", lambda it, _: np.mean([_mssd(it), _mspd(it)], axis=0), label="AR without VSD"),
-    _of_bop("mssd_cam_recall", lambda it, _: _mssd(it), label="MSSD"),
-    _of_bop("mspd_cam_recall", lambda it, _: _mspd(it), label="MSPD"),
+    _of_bop("ar_cam", lambda it, _: np.mean([it.mssd_recall, it.mspd_recall, it.vsd_recall], axis=0), label="AR"),
+    _of_bop("ar_of_two_cam", lambda it, _: np.mean([it.mssd_recall, it.mspd_recall], axis=0), label="AR without VSD"),
+    _of_bop("mssd_cam_recall", lambda it, _: it.mssd_recall, label="MSSD"),
+    _of_bop("mspd_cam_recall", lambda it, _: it.mspd_recall, label="MSPD"),
     _of_bop("vsd_cam_recall", lambda it, _: it.vsd_recall, label="VSD"),
     Metric("frames_without_mesh", lambda it, _: float(sum(mesh is None for mesh in it.meshes)), "frames"),
     Metric("closed", lambda it, _: _closed(it)),
