@@ -11,6 +11,7 @@ import pytest
 
 from getagrip.annotate.finding_hands import is_cut, jumps
 from getagrip.annotate.store import Store
+from getagrip.clip import read_clip
 from getagrip.clip.reading_arrays import read_hand
 from getagrip.commands.annotate import DATABASE
 from getagrip.commands.hand_file import HandFile
@@ -34,7 +35,6 @@ def test_hands_masks_and_marks_are_there(scene: Path, run: Run) -> None:
     status, out, err = run(*DRAFT, "--size-mm", "90")
     assert status == 0, err
     assert "the left hand in 8 of 8 frames" in out
-    assert "the object's mesh: --mesh cup --size-mm 90" in out
     for words in (
         "hands_side: left: it looks like a left hand in 8 of 8 frames",
         "the generic hand has the size",
@@ -67,8 +67,13 @@ def test_a_box_on_the_object_is_enough_for_masks_of_all_frames(
     x, y = (middle(0) - RADIUS - 3.0).tolist()
     status, out, err = run(*DRAFT, "--object-box", f"{x},{y},{2 * RADIUS + 6},{2 * RADIUS + 6}")
     assert status == 0, err
-    assert "getagrip clip new" in out
-    (masks,) = (scene.parent / "out").glob("draft-*/masks")
+    made = scene.parent / "out"
+    (masks,) = made.glob("draft-*/masks")
+    name = masks.parent.name
+    assert f"{name}: IOU" in out
+    assert f"{Path('out/results') / name / 'report.html'}: the report" in out
+    assert (made / "results" / name / "report.html").is_file()
+    assert read_clip(made / "clips" / name).category == "cup"
     for n in range(8):
         mask = read_png(masks / f"{n + 1:06d}.png", (WIDTH, HEIGHT))
         x, y = middle(n).astype(int)

@@ -12,6 +12,7 @@ from getagrip.annotate.agreement import Agreement, agreements
 from getagrip.annotate.background import BackgroundJob
 from getagrip.annotate.marks import GRASP, Mark
 from getagrip.annotate.project import Project
+from getagrip.annotate.reconstruction import CLIPS, Shape, result_folder
 from getagrip.annotate.versions import RefusedError
 from getagrip.errors import GetagripError
 from getagrip.io import files
@@ -46,15 +47,34 @@ def write_labels(project: Project) -> int:
     return status
 
 
+def solve_labels(project: Project, extents: Sequence[tuple[int, int]], shape: Shape) -> int:
+    """Write the files of the labelled grasps of some extents, and reconstruct each; 1 where that failed of one."""
+    status = 0
+    for grasp in project.labelled():
+        if grasp.mark.interval not in extents:
+            continue
+        try:
+            with progress_bar(counted=True) as bar:
+                said = project.labelling.solve(grasp, shape, JobOnBar(bar, grasp.name))
+        except GetagripError as error:
+            report(f"{grasp.name}: {error}")
+            status = 1
+            continue
+        out, name = project.labelling.out, grasp.name
+        print(f"{said}\n{out / CLIPS / name}: the clip\n{result_folder(out, name) / 'report.html'}: the report")
+    return status
+
+
 class JobOnBar(BackgroundJob):
     """Work that a bar shows."""
 
     def __init__(self, bar: Progress, name: str) -> None:
         super().__init__("files")
-        self._bar, self._task = bar, bar.add_task(name, total=None)
+        self._bar, self._name, self._task = bar, name, bar.add_task(name, total=None)
 
     def report(self, done: int, total: int) -> None:
-        self._bar.update(self._task, completed=done, total=total)
+        description = ": ".join(filter(None, (self._name, self.message)))
+        self._bar.update(self._task, description=description, completed=done, total=total)
 
 
 def write_files(project: Project, out: Path) -> int:

@@ -85,8 +85,8 @@ class Draft(Command):
     """Mark the stable grasps that are found in the interval by fits to masks and hand, as segment --from-masks does.
     This needs --masks or --object-box."""
     no_page: Flag = False
-    """Write files only, without opening the page. With --object-box or --masks, also write masks of all frames and
-    print the command that makes a clip."""
+    """Do not open the page. With --object-box or --masks, make the masks of all frames and a clip, reconstruct it, and
+    draw its report."""
     models: OptionalFolder = None
     """Folder of the hand models (default: the cache; getagrip doctor --fetch hands)."""
     lens: Annotated[Lens, arg(name="")] = field(default_factory=Lens)
@@ -125,7 +125,7 @@ class Draft(Command):
         from getagrip.annotate.project import Project
         from getagrip.annotate.store import Store
         from getagrip.annotate.tasks import read_tasks
-        from getagrip.annotate.written_files import write_labels
+        from getagrip.annotate.written_files import solve_labels
         from getagrip.commands.annotate import DATABASE, serve
         from getagrip.commands.draft_inputs import check_source
         from getagrip.io.terminal import progress_bar
@@ -161,9 +161,7 @@ class Draft(Command):
                 if frames := _within(labels.frames, extent):
                     project.import_labels(replace(labels, first=extent[0], last=extent[1], frames=frames), DRAFTER)
             if self.no_page:
-                status = write_labels(project) if drawn else 0
-                print(f"options of clip new for the object's mesh: {' '.join(shape.options)}")
-                return status
+                return solve_labels(project, extents, shape) if drawn else 0
             print("the grasp is marked: mark the object on the page; it is reconstructed there")
             size = {} if self.size_mm is None else {"size-mm": f"{self.size_mm:g}"}
             serve(project, self.port, DRAFTER, {"mesh": self.object, **size})
