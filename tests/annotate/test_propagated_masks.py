@@ -95,6 +95,24 @@ def worst(found: dict[int, Scored]) -> tuple[float, float]:
     return min(each.iou for each in found.values()), min(each.confidence for each in found.values())
 
 
+def test_a_thing_that_jumps_is_found_where_the_hand_has_moved_to() -> None:
+    """Its flow is lost, as in a hammer's blow; the hand beside it is seen in every frame."""
+
+    def jumped(n: int) -> tuple[ndarray, ndarray]:
+        return drawn(0, 75.0 * (n > 1))
+
+    def hand(n: int) -> ndarray:
+        seen = np.zeros(SIZE[::-1], bool)
+        seen[10:40, 30 + 75 * (n > 1) : 60 + 75 * (n > 1)] = True
+        return seen
+
+    for seen, least, most in ((hand, 0.9, 1.0), (lambda _: None, 0.0, 0.5)):
+        found = [*propagate(lambda n: jumped(n)[0], {0: jumped(0)[1]}, 0, 3, hand=seen)]
+        scores = [iou(each.labels == OBJECT, jumped(each.frame)[1] == OBJECT) for each in found]
+        assert min(scores[:2]) > 0.9
+        assert least <= min(scores[2:]) <= max(scores[2:]) <= most
+
+
 @pytest.mark.slow
 def test_a_moving_thing_is_kept_between_two_keys(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(propagated_masks, "SIDE", 200.0)

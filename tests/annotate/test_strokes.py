@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy import ndarray
 
+from getagrip.annotate import strokes as strokes_of_annotate
 from getagrip.annotate.labels import FRONT, HAND, OBJECT, FrameLabels
 from getagrip.annotate.strokes import boxed, stroked
 from getagrip.errors import UsageError
@@ -81,6 +82,20 @@ def test_a_label_that_was_taken_for_the_hand_is_the_objects_in_a_box() -> None:
     assert (found == OBJECT)[label].mean() > 0.9
     assert (found == HAND)[55:65, :45].all()
     assert iou(found == OBJECT, mask & (image != (220, 190, 160)).any(axis=-1)) > 0.9
+
+
+def test_where_most_of_a_box_is_taken_its_own_colours_are_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
+    """GrabCut may take all of a box for the object where that is thin: its colours begin with all of it."""
+    image, mask = scene()
+    found, starts = strokes_of_annotate._grabbed, []
+
+    def all_at_first(small: ndarray, labels: ndarray, sure: ndarray, never: ndarray) -> ndarray:
+        starts.append(labels)
+        return ~never if len(starts) == 1 else found(small, labels, sure, never)
+
+    monkeypatch.setattr(strokes_of_annotate, "_grabbed", all_at_first)
+    assert iou(boxed(image, (5, 15, 150, 90)) == OBJECT, mask) > 0.95
+    assert len(starts) == 2
 
 
 @given(

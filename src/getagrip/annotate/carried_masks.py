@@ -12,6 +12,7 @@ affine motion). Pixels that come into view and were never seen are unknown, not 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -20,9 +21,9 @@ from numpy import ndarray
 
 from getagrip.annotate.colour_cut import Colours, Places, coloured_hand, cut, edges, likelier, touching
 from getagrip.annotate.labels import FRONT, HAND, OBJECT
-from getagrip.annotate.object_motion import Origins, moved, moves_with, own_motion
+from getagrip.annotate.object_motion import Origins, hand_step, moved, moves_with, own_motion
 from getagrip.annotate.seen_ground import Ground
-from getagrip.annotate.shared_flow import Part, SmallFrames
+from getagrip.annotate.shared_flow import STILL, Part, SmallFrames, Step
 
 Image = UInt8[ndarray, "H W 3"]
 Images = Callable[[int], Image]
@@ -56,6 +57,9 @@ INNER = 2.5
 """The flow of pixels of the object that are farther from its border than this is its own [px]."""
 STIFF = 0.5
 """Share by which a border that is certain moves less than colours would have it, so that errors do not add up."""
+
+FAST = 12
+"""Where the hand moves farther than this in a frame, the object is also looked for as far away [px]."""
 
 CLEAR = 3.0
 """Pixels farther than this from all that is carried show the ground [px]."""
@@ -95,10 +99,15 @@ def carry(
     now = _of_key(key, labels, frames)
     ground = Ground.of_key(frames[key].image, placed(now, (0, 0), frames.size)[0].max(axis=0) < -CLEAR)
     towards = 1 if to > key else -1
+    was = _seen(hand, key, frames)
     for frame in range(key + towards, to + towards, towards):
-        seen = hand(frame)
-        shown = None if seen is None else _shrunk(seen, frames.size)
-        now = _step(now, ground, frames, frame - towards, frame, shown, colours)
+        shown, before = _seen(hand, frame, frames), frame - towards
+        tried = []
+        for step in dict.fromkeys((STILL, hand_step(was, shown, FAST))):
+            behind = copy(ground)
+            tried.append((_step(now, behind, frames, before, frame, shown, colours, step), behind))
+        after, ground = max(tried, key=lambda one: one[0].trust)
+        now, was = after, shown
         yield now
 
 
@@ -124,6 +133,11 @@ def is_hidden(inside: Float32[ndarray, "3 h w"]) -> Bool[ndarray, "h w"]:
     return np.asarray(inside[1:].max(axis=0) > -1.5)
 
 
+def _seen(hand: Hands, frame: int, frames: SmallFrames) -> Bool[ndarray, "h w"] | None:
+    seen = hand(frame)
+    return None if seen is None else _shrunk(seen, frames.size)
+
+
 def _shrunk(mask: Bool[ndarray, "H W"], size: tuple[int, int]) -> Bool[ndarray, "h w"]:
     import cv2
 
@@ -138,8 +152,9 @@ def _step(
     frame: int,
     hand: Bool[ndarray, "H W"] | None,
     colours: Sequence[Colours],
+    step: Step = STILL,
 ) -> Carried:
-    """Return a mask in the next frame."""
+    """Return a mask in the next frame; ``step``: about how far the object has moved [px]."""
     import cv2
 
     if not now.inside.size:  # it is not visible
@@ -148,7 +163,7 @@ def _step(
     left, top = now.corner
     part = rows, columns = _around(now, frames.size)
     b, at = frames[frame].image[part], frames[frame].bins[part]
-    back, there = frames.flows(frame, before, part)
+    there, back = frames.flows(before, frame, part, step)
     x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in b.shape[1::-1]))
     came = x + back[..., 0], y + back[..., 1]
     round_trip = back + cv2.remap(there, *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)

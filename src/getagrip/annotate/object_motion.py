@@ -5,11 +5,15 @@ Lengths are in pixels of the size at which masks are propagated.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 from numpy import ndarray
 
 Image = UInt8[ndarray, "H W 3"]
+Box = tuple[float, float, float, float]
+"""Left, top, width and height [px]."""
 Origins = tuple[Float32[ndarray, "h w"], Float32[ndarray, "h w"]]
 """x and y of where each pixel was."""
 
@@ -21,6 +25,8 @@ FLOW = 1.5
 """Standard deviation of flow [px]."""
 MOST = 3.0
 """Largest logarithm of the ratio of the probabilities of two motions."""
+REACH = 0.5
+"""How far what a box shows may move from one frame to the next, in longer sides of the box."""
 
 
 def own_motion(
@@ -74,6 +80,14 @@ def moves_with(
     return np.asarray(cv2.GaussianBlur(np.clip((apart[0] - apart[1]) / noise, -MOST, MOST), (0, 0), 2.0), np.float32)
 
 
+def hand_step(before: Bool[ndarray, "h w"] | None, after: Bool[ndarray, "h w"] | None, fast: int) -> tuple[int, int]:
+    """Measure how far a hand has moved [px]: 0 if no farther than ``fast``, or where either mask is not known."""
+    if before is None or after is None or not before.any() or not after.any():
+        return 0, 0
+    y, x = (float(np.median(np.nonzero(after)[n]) - np.median(np.nonzero(before)[n])) for n in (0, 1))
+    return (round(x), round(y)) if np.hypot(x, y) > fast else (0, 0)
+
+
 def moved(
     values: Float32[ndarray, "h w"], old: tuple[Float32[ndarray, "H W"], Float32[ndarray, "H W"]], outside: float
 ) -> Float32[ndarray, "H W"]:
@@ -90,3 +104,23 @@ def flow(a: Image, b: Image) -> Float32[ndarray, "H W 2"]:
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     a, b = (cv2.cvtColor(np.ascontiguousarray(each), cv2.COLOR_RGB2GRAY) for each in (a, b))
     return np.asarray(search.calc(a, b, np.zeros((*a.shape, 2), np.float32)), np.float32)
+
+
+def followed_box(images: Callable[[int], Image], box: Box, first: int, to: int) -> Box:
+    """Follow what a box shows in a frame to a later one: where it looks most like that frame and the one before."""
+    import cv2
+
+    image = images(first)
+    start = corner = np.maximum(np.round(box[:2]).astype(int), 0)
+    w, h = np.minimum(np.round(np.add(box[:2], box[2:])).astype(int), image.shape[1::-1]) - start
+    near = round(REACH * max(w, h))
+    templates = [image[corner[1] :, corner[0] :][:h, :w]] * 2
+    for n in range(first + 1, to + 1):
+        image = images(n)
+        low = np.maximum(corner - near, 0)
+        around = image[low[1] : corner[1] + h + near, low[0] : corner[0] + w + near]
+        alike = np.sum([cv2.matchTemplate(around, each, cv2.TM_CCOEFF_NORMED) for each in templates], axis=0)
+        corner = low + cv2.minMaxLoc(alike)[3]
+        templates[1] = image[corner[1] :, corner[0] :][:h, :w]
+    x, y = (np.array(box[:2]) + corner - start).tolist()
+    return x, y, *box[2:]

@@ -53,7 +53,7 @@ class Ground:
         import cv2
 
         same = visible & (cv2.absdiff(image[part], moved.image) < 2.0 * NOISE).all(axis=-1)
-        self.image = image.copy()
+        self.image, self.seen = image.copy(), self.seen.copy()
         self.image[part] = np.where(same[..., None], image[part], moved.image)
         self.seen[part] = moved.seen
 

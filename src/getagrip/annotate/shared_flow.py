@@ -18,6 +18,9 @@ from getagrip.annotate.object_motion import flow
 
 Part = tuple[slice, slice]
 """Rows and columns."""
+Step = tuple[int, int]
+"""How far something moves, along x and y [px]."""
+STILL: Step = (0, 0)
 MOST = 1000
 """Pairs of frames of which flow is kept, about 0.3 MB each."""
 
@@ -53,12 +56,22 @@ class SmallFrames:
                 self._frames.popitem(last=False)
         return self._frames[n]
 
-    def flows(self, a: int, b: int, part: Part) -> tuple[Float32[ndarray, "h w 2"], Float32[ndarray, "h w 2"]]:
-        """Return flow from frame a to its neighbour b, and back, in a part of them [px]."""
+    def flows(
+        self, a: int, b: int, part: Part, step: Step = STILL
+    ) -> tuple[Float32[ndarray, "h w 2"], Float32[ndarray, "h w 2"]]:
+        """Return flow from frame a to its neighbour b, and back, in a part of them [px].
+
+        ``step``: how far what matters has moved from a to b, about [px]; flow finds what is left.
+        """
         import cv2
 
         key = (min(a, b), *(end for each in part for end in (each.start, each.stop)))
         height, width = (each.stop - each.start for each in part)
+        if step != STILL:
+            x, y = step
+            one, other = moved_by(self[a].image[part], step), self[b].image[part]
+            there, back = moved_by(flow(one, other), (-x, -y)), flow(other, one)
+            return there + np.array(step, np.float32), back - np.array(step, np.float32)
         if key in self._flows:
             up, down = (
                 cv2.resize(each.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
@@ -72,3 +85,11 @@ class SmallFrames:
                 small = (cv2.resize(each, half, interpolation=cv2.INTER_AREA) for each in (up, down))
                 self._flows[key] = tuple(each.astype(np.float16) for each in small)
         return (up, down) if a < b else (down, up)
+
+
+def moved_by(image: ndarray, step: Step) -> ndarray:
+    """Return an image whose content is moved by whole pixels, its border repeated."""
+    import cv2
+
+    M = np.array([[1.0, 0.0, step[0]], [0.0, 1.0, step[1]]])
+    return cv2.warpAffine(image, M, image.shape[1::-1], flags=cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)

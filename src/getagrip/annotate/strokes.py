@@ -18,10 +18,9 @@ from getagrip.annotate.carried_masks import Hands, Image, Images
 from getagrip.annotate.click_motion import moves_with_click, moving_part
 from getagrip.annotate.colour_cut import UNSEEN, Colours, bins, coloured_hand, likelier, touching
 from getagrip.annotate.labels import HAND, OBJECT, FrameLabels, Labels
+from getagrip.annotate.object_motion import Box
 from getagrip.errors import UsageError
 
-Box = tuple[float, float, float, float]
-"""Left, top, width and height [px]."""
 SIDE = 480
 """Largest side of the image part that GrabCut runs on [px]."""
 WIDTH = 0.008
@@ -38,6 +37,10 @@ ROUNDS = 5
 OUTSIDE = 0.2
 """If more than this share of a found hand is outside the object's box, its colours there tell which pixels in the box
 may be the object's: a label before the palm, say."""
+
+THIN = 0.35
+"""If more than this share of what is found in a box has colours that are likelier beside it, the object is so thin that
+most of the box is background: what has the other colours is the object."""
 
 
 def key_masks(labels: Labels, image: Images, hand: Hands = lambda _: None) -> dict[int, UInt8[ndarray, "H W"]]:
@@ -112,14 +115,24 @@ def boxed(image: Image, box: Box, hand: Bool[ndarray, "h w"] | None = None) -> U
     w, h = box[2:]
     seen = np.zeros(shape, bool) if hand is None else _resized(hand, shape)
     around = _around(inside, shape, 0.15 * max(w, h))
+    beside = np.zeros(shape, bool)
+    beside[around] = True
+    beside &= ~inside & ~seen
+    at = bins(image)
 
     def cut(hand: Bool[ndarray, "H W"], sure: Bool[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
-        start = np.where(inside & ~hand, cv2.GC_PR_FGD, cv2.GC_BGD).astype(np.uint8)
-        return _cut(image, sure, hand | ~inside, start, around, hand=hand)
+        free = inside & ~hand
+        likely = free & (likelier(at, Colours.of(image, free, free | beside)) > 0.0)
+        for first in (free, likely):
+            start = np.where(first, cv2.GC_PR_FGD, np.where(free, cv2.GC_PR_BGD, cv2.GC_BGD)).astype(np.uint8)
+            found = _cut(image, sure, ~free, start, around, hand=hand)
+            if not likely.any() or np.count_nonzero(found & ~likely) <= THIN * np.count_nonzero(found):
+                break
+        return found
 
     outside = seen & ~inside
     known = np.count_nonzero(outside) > OUTSIDE * np.count_nonzero(seen)
-    at, skin = bins(image), Colours.of(image, outside, outside)
+    skin = Colours.of(image, outside, outside)
     unlike = inside & known & (skin.counts[0][at] < UNSEEN)
     found = cut(seen & ~unlike, np.zeros(shape, bool))
     if known and found.any():

@@ -175,6 +175,7 @@ class Draft(Command):
         from getagrip.annotate.drafting import traced
         from getagrip.annotate.estimators import named
         from getagrip.annotate.labels import OBJECT, FrameLabels
+        from getagrip.annotate.object_motion import followed_box
         from getagrip.annotate.strokes import boxed
         from getagrip.commands.draft_inputs import estimated, masks_of
         from getagrip.io.terminal import progress_bar
@@ -190,9 +191,12 @@ class Draft(Command):
                 return masks_of(path, stretch, self.mask_object, self.mask_hand, update)
         if self.object_box is None:
             return {}
-        n = found.frames[0]
+        n, image = found.frames[0], stretch.footage.image
+        box = followed_box(image, self.object_box, stretch.first, n)
+        if n > stretch.first:
+            report(f"--object-box: followed to {stretch.footage.name(n)}, the first frame with a hand")
         hand = found_hands.FoundHands(self.folder / found_hands.FOLDER).mask(n)
-        shapes = traced(boxed(stretch.footage.image(n), self.object_box, hand) == OBJECT)
+        shapes = traced(boxed(image(n), box, hand) == OBJECT)
         if not shapes:
             nothing = f"nothing in the box stands out from the background in {stretch.footage.name(n)}"
             raise UsageError(f"--object-box: {nothing}; mark the object on the page")

@@ -1,0 +1,61 @@
+"""Motion of an object between frames: a box that is followed, a hand's step, flow beside a known step."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from numpy import ndarray
+
+from getagrip.annotate.object_motion import followed_box, hand_step
+from getagrip.annotate.shared_flow import SmallFrames
+
+SIZE, STEP = (160, 120), (9.0, 4.0)
+BOX = (30.0, 25.0, 40.0, 30.0)
+
+
+def texture(seed: int, height: int, width: int) -> ndarray:
+    rng = np.random.default_rng(seed)
+    return np.asarray(cv2.resize(rng.integers(0, 255, (height // 5, width // 5, 3), np.uint8), (width, height)))
+
+
+GROUND, THING = texture(0, *SIZE[::-1]), texture(1, 30, 40)
+
+
+def image(n: int) -> ndarray:
+    """A textured thing that crosses a textured ground."""
+    out, (x, y) = GROUND.copy(), place(n)
+    out[y : y + 30, x : x + 40] = THING
+    return out
+
+
+def place(n: int) -> tuple[int, int]:
+    return round(BOX[0] + STEP[0] * n), round(BOX[1] + STEP[1] * n)
+
+
+def test_a_box_is_followed() -> None:
+    assert followed_box(image, BOX, 2, 2) == BOX
+    there = followed_box(image, BOX, 0, 6)
+    assert np.abs(np.subtract(there[:2], place(6))).max() <= 3.0
+    assert there[2:] == BOX[2:]
+    assert followed_box(image, BOX, 0, 6) == there
+
+
+@pytest.mark.parametrize("frames", [(0, 1), (1, 0)])
+def test_flow_beside_a_known_step_is_that_step_where_the_thing_is(frames: tuple[int, int]) -> None:
+    step = (40, -20)
+    apart = {0: image(0), 1: np.roll(image(0), step[::-1], (0, 1))}
+    signed = step if frames == (0, 1) else (-step[0], -step[1])
+    part = slice(0, SIZE[1]), slice(0, SIZE[0])
+    x, y = (100, 60) if signed[0] < 0 else (50, 60)
+    there, back = SmallFrames(apart.__getitem__, SIZE).flows(*frames, part, signed)
+    np.testing.assert_allclose(there[y, x], signed, atol=0.5)
+    np.testing.assert_allclose(back[y + signed[1], x + signed[0]], np.negative(signed), atol=0.5)
+
+
+def test_a_step_of_a_hand_needs_both_masks() -> None:
+    one = np.zeros((20, 30), bool)
+    one[5:9, 3:9] = True
+    assert hand_step(one, np.roll(one, (6, 11), (0, 1)), 12) == (11, 6)
+    assert hand_step(one, np.roll(one, (6, 11), (0, 1)), 13) == (0, 0)
+    assert hand_step(one, None, 0) == hand_step(None, one, 0) == hand_step(one, np.zeros_like(one), 0) == (0, 0)
