@@ -39,7 +39,7 @@ the palm's colour: grey has none."""
 GREY = 128.0
 """Lab's two colours of grey, as OpenCV has them."""
 ROUNDS = 3
-THUMB = [1, 2, 3, 4]
+THUMB, TIPS = [1, 2, 3, 4], [8, 12, 16, 20]
 WEB = [0, 1, 2, 3, 5, 6]
 """The skin between thumb and index finger is within these."""
 BONES = [(0, 1), *((a, a + 1) for k in range(5) for a in range(1 + 4 * k, 4 + 4 * k)), (0, 5), (0, 9), (0, 13), (0, 17)]
@@ -134,16 +134,20 @@ def _skin(
     palm: Bool[ndarray, "h w"],
     seen: Bool[ndarray, "h w"],
 ) -> Bool[ndarray, "h w"]:
-    """Return pixels that show the skin's colour: the palm's; thumb's and wrist's where an object is before the palm."""
+    """Return pixels that show the skin's colour: the palm's; thumb's and wrist's where an object is before the palm.
+
+    Fingertips take the place of a wrist that is out of view.
+    """
     behind = points[0] + WRIST * (points[0] - points[9])
-    lines = points[THUMB], np.stack([points[0], behind])
-    thumb, wrist = (seen & (_lines(lab.shape[:2], line, SURE * size) > 0) for line in lines)
-    if min(part.sum() for part in (thumb, wrist, palm)) < FEWEST:
+    lines = points[THUMB], np.stack([points[0], behind]), *(points[[tip - 1, tip]] for tip in TIPS)
+    thumb, wrist, *tips = (seen & (_lines(lab.shape[:2], line, SURE * size) > 0) for line in lines)
+    other = wrist if wrist.sum() >= FEWEST else np.any(tips, axis=0)
+    if min(part.sum() for part in (thumb, other, palm)) < FEWEST:
         return palm
-    colours = [np.median(lab[part][:, 1:], axis=0) for part in (thumb, wrist, palm)]
+    colours = [np.median(lab[part][:, 1:], axis=0) for part in (thumb, other, palm)]
     alike = np.linalg.norm(colours[0] - colours[1]) < ALIKE
     covered = alike and min(np.linalg.norm(colours[2] - each) for each in colours[:2]) > OTHER
-    return thumb | wrist if covered else palm
+    return thumb | other if covered else palm
 
 
 def _off(lab: Float[ndarray, "h w 3"], skin: Float[ndarray, "n 3"], shadow: float = 0.0) -> Float[ndarray, "h w"]:
