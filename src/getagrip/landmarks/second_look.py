@@ -26,6 +26,9 @@ SIZES, ANGLES = (1.0, 1.4), (-0.5, -0.25, 0.0, 0.25, 0.5)
 """Squares to be looked at: factors of the expected side, and differences from the expected angle [rad]."""
 TURNED, APART, RATIO = 0.6, 0.5, 1.5
 """Largest differences from what is expected: angle [rad], distance in sides of the square, and factor of its side."""
+FLIP, NEAR = 0.4, 3
+"""Difference of the palm's area, over the square of its length, from which on it is turned over, and the most frames
+between two runs in which a hand cannot do that."""
 ALIKE = 0.06
 """Standard deviation of landmarks from those that are expected, in sides of the square (root mean square)."""
 GAIN = 0.2
@@ -43,7 +46,7 @@ def look_again(
 
     ``sides``: its side in frames in which it was seen as one of the other side. What shows its side counts more there.
     """
-    sure = [n for run in _runs(hand) for n in run]
+    sure = [n for run in _unflipped([*_runs(hand)], hand) for n in run]
     if not sure:
         return dict(hand)
     out = {n: hand[n] for n in sure}
@@ -63,7 +66,8 @@ def _runs(hand: Mapping[int, Sighting]) -> Iterator[list[int]]:
     """Yield the runs of successive frames in which the hand is sure and moves steadily."""
     run: list[int] = []
     for n in sorted(n for n, each in hand.items() if each.confidence >= SURE):
-        if run and (n > run[-1] + 1 or not _expected(crops.of_landmarks(hand[run[-1]].points), hand[n])):
+        before = hand[run[-1]].points if run else hand[n].points
+        if run and (n > run[-1] + 1 or not _expected(crops.of_landmarks(before), hand[n], before)):
             if len(run) >= LONG:
                 yield run
             run = []
@@ -72,12 +76,30 @@ def _runs(hand: Mapping[int, Sighting]) -> Iterator[list[int]]:
         yield run
 
 
-def _expected(crop: Crop, hand: Sighting) -> bool:
-    """Return whether a hand is about where and as it is expected."""
+def _unflipped(runs: list[list[int]], hand: Mapping[int, Sighting]) -> list[list[int]]:
+    """Leave out runs between which and a longer one the palm turns over at once: they see the hand mirrored."""
+    for run in sorted(runs, key=len):
+        beside = [other for other in runs if other is not run and len(other) >= len(run)]
+        ends = [(a[-1], b[0]) for other in beside for a, b in ((run, other), (other, run)) if 0 < b[0] - a[-1] <= NEAR]
+        if any(abs(_palm(hand[a].points) - _palm(hand[b].points)) > FLIP for a, b in ends):
+            runs = [one for one in runs if one is not run]
+    return runs
+
+
+def _palm(points: Float[ndarray, "21 2"]) -> float:
+    """Measure how much of the palm is seen: its area over the square of its length, below 0 from the other side."""
+    index, little = points[5] - points[0], points[17] - points[0]
+    area = float(index[0] * little[1] - index[1] * little[0])
+    return area / max(float(index @ index), float(little @ little), 1e-9)
+
+
+def _expected(crop: Crop, hand: Sighting, points: Float[ndarray, "21 2"]) -> bool:
+    """Return whether a hand is about where and as it is expected, its palm as that of ``points``."""
     own = crops.of_landmarks(hand.points)
     turned = abs((own.angle - crop.angle + np.pi) % (2.0 * np.pi) - np.pi)
     apart = float(np.linalg.norm(own.middle - crop.middle)) / crop.side
-    return turned < TURNED and apart < APART and 1.0 / RATIO < own.side / crop.side < RATIO
+    alike = 1.0 / RATIO < own.side / crop.side < RATIO and abs(_palm(hand.points) - _palm(points)) < FLIP
+    return turned < TURNED and apart < APART and alike
 
 
 def _extended(
@@ -97,7 +119,7 @@ def _extended(
     crop, lost, out, n = path[-1], 0, dict[int, Sighting](), end + step
     while 0 <= n < count and n not in known and lost < MEMORY:
         crop = crop._replace(middle=crop.middle + motion)
-        as_expected = n in hand and _expected(crop, hand[n])
+        as_expected = n in hand and _expected(crop, hand[n], shape)
         seen = hand[n] if as_expected else _seen(image(n), crop, shape, nets, sides.get(n))
         if seen is None:
             motion, lost = np.zeros(2), lost + 1
@@ -117,7 +139,7 @@ def _seen(image: Image, crop: Crop, shape: Float[ndarray, "21 2"], nets: Nets, s
     """Look where a hand is expected, in a ``shape`` [px of the square]; average what is alike, None without any."""
     squares = [crop._replace(side=size * crop.side, angle=crop.angle + turn) for size in SIZES for turn in ANGLES]
     looks = [Sighting(*nets.landmarks(image, square)) for square in squares]
-    looks = [each for each in looks if each.confidence >= LEAST and _expected(crop, each)]
+    looks = [each for each in looks if each.confidence >= LEAST and _expected(crop, each, shape)]
     if not looks:
         return None
     points = np.array([each.points for each in looks])
