@@ -96,14 +96,17 @@ def worst(found: dict[int, Scored]) -> tuple[float, float]:
 
 
 def test_a_thing_that_jumps_is_found_where_the_hand_has_moved_to() -> None:
-    """Its flow is lost, as in a hammer's blow; the hand beside it is seen in every frame."""
+    """Its flow is lost, as in a hammer's blow before a wall; the hand beside it is seen in every frame."""
 
     def jumped(n: int) -> tuple[ndarray, ndarray]:
-        return drawn(0, 75.0 * (n > 1))
+        image, labels = drawn(0, 100.0 * (n > 1))
+        wall = np.random.default_rng(n).normal(200.0, 3.0, image.shape)
+        image = np.where(labels[..., None] == OBJECT, image, wall).astype(np.uint8)
+        return cv2.blur(image, (15, 1)) if n > 1 else image, labels
 
     def hand(n: int) -> ndarray:
         seen = np.zeros(SIZE[::-1], bool)
-        seen[10:40, 30 + 75 * (n > 1) : 60 + 75 * (n > 1)] = True
+        seen[10:40, 30 + 100 * (n > 1) : 60 + 100 * (n > 1)] = True
         return seen
 
     for seen, least, most in ((hand, 0.9, 1.0), (lambda _: None, 0.0, 0.5)):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -56,6 +58,32 @@ def test_what_was_lost_or_turned_is_seen_again(there: object) -> None:
     for n, each in found.items():
         np.testing.assert_allclose(each.points, hand(n).points, atol=1e-6)
         assert each.confidence == pytest.approx(0.7 if n in doubtful else 0.95)
+
+
+def broad(n: int, width: float = 4.0) -> Sighting:
+    """A hand whose palm is seen; with a negative width, from its other side."""
+    there = hand(n)
+    return there._replace(points=there.points[0] + (there.points - there.points[0]) * [width, 1.0])
+
+
+def mirrored(n: int) -> Sighting:
+    return broad(n, -4.0)
+
+
+@pytest.mark.parametrize("flipped", [range(12), range(22, COUNT), range(10, 13)], ids=["first", "last", "few"])
+@pytest.mark.parametrize("again", [broad, mirrored], ids=["seen", "mirrored"])
+def test_a_palm_does_not_turn_over_at_once(flipped: range, again: Callable[[int], Sighting]) -> None:
+    """The longer run counts, however sure the other is; what is mirrored again is left out."""
+
+    class Same(TurnedNets):
+        def landmarks(self, image: np.ndarray, crop: Crop) -> Found:
+            return Found(*again(int(image[0, 0, 0])))
+
+    seen = {n: mirrored(n) if n in flipped else broad(n) for n in range(COUNT)}
+    found = look_again(image, seen, COUNT, Same(), {})
+    assert [*found] == [n for n in range(COUNT) if again is broad or n not in flipped]
+    for n, each in found.items():
+        np.testing.assert_allclose(each.points, broad(n).points, atol=1e-6)
 
 
 def test_without_a_sure_run_nothing_changes() -> None:

@@ -58,8 +58,8 @@ INNER = 2.5
 STIFF = 0.5
 """Share by which a border that is certain moves less than colours would have it, so that errors do not add up."""
 
-FAST = 12
-"""Where the hand moves farther than this in a frame, the object is also looked for as far away [px]."""
+LOST = 0.15
+"""Share of a mask's trust below which, after a frame, it is looked for as far away as the hand has moved."""
 
 CLEAR = 3.0
 """Pixels farther than this from all that is carried show the ground [px]."""
@@ -102,11 +102,12 @@ def carry(
     was = _seen(hand, key, frames)
     for frame in range(key + towards, to + towards, towards):
         shown, before = _seen(hand, frame, frames), frame - towards
-        tried = []
-        for step in dict.fromkeys((STILL, hand_step(was, shown, FAST))):
-            behind = copy(ground)
-            tried.append((_step(now, behind, frames, before, frame, shown, colours, step), behind))
-        after, ground = max(tried, key=lambda one: one[0].trust)
+        behind = copy(ground)
+        after = _step(now, ground, frames, before, frame, shown, colours)
+        if after.trust < LOST * now.trust and (step := hand_step(was, shown)) != STILL:
+            again = _step(now, behind, frames, before, frame, shown, colours, step)
+            if again.trust > after.trust:
+                after, ground = again, behind
         now, was = after, shown
         yield now
 

@@ -80,12 +80,12 @@ def moves_with(
     return np.asarray(cv2.GaussianBlur(np.clip((apart[0] - apart[1]) / noise, -MOST, MOST), (0, 0), 2.0), np.float32)
 
 
-def hand_step(before: Bool[ndarray, "h w"] | None, after: Bool[ndarray, "h w"] | None, fast: int) -> tuple[int, int]:
-    """Measure how far a hand has moved [px]: 0 if no farther than ``fast``, or where either mask is not known."""
+def hand_step(before: Bool[ndarray, "h w"] | None, after: Bool[ndarray, "h w"] | None) -> tuple[int, int]:
+    """Measure how far a hand has moved from one frame to the next [px], 0 where either mask is not known."""
     if before is None or after is None or not before.any() or not after.any():
         return 0, 0
     y, x = (float(np.median(np.nonzero(after)[n]) - np.median(np.nonzero(before)[n])) for n in (0, 1))
-    return (round(x), round(y)) if np.hypot(x, y) > fast else (0, 0)
+    return round(x), round(y)
 
 
 def moved(
