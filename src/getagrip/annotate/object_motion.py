@@ -26,7 +26,7 @@ FLOW = 1.5
 MOST = 3.0
 """Largest logarithm of the ratio of the probabilities of two motions."""
 REACH = 0.5
-"""How far what a box shows may move from one frame to the next, in longer sides of the box."""
+"""Longest step of what a box shows from one frame to the next, in longer sides of the box."""
 
 
 def own_motion(

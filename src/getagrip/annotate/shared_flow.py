@@ -19,7 +19,7 @@ from getagrip.annotate.object_motion import flow
 Part = tuple[slice, slice]
 """Rows and columns."""
 Step = tuple[int, int]
-"""How far something moves, along x and y [px]."""
+"""Steps along x and y [px]."""
 STILL: Step = (0, 0)
 MOST = 1000
 """Pairs of frames of which flow is kept, about 0.3 MB each."""
