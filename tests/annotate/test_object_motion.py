@@ -33,6 +33,15 @@ def place(n: int) -> tuple[int, int]:
     return round(BOX[0] + STEP[0] * n), round(BOX[1] + STEP[1] * n)
 
 
+def test_a_box_stays_where_all_looks_alike() -> None:
+    assert followed_box(lambda _: np.full((60, 80, 3), 90, np.uint8), (30.5, 20.0, 15.0, 12.0), 0, 2) == (
+        30.5,
+        20.0,
+        15.0,
+        12.0,
+    )
+
+
 def test_a_box_is_followed() -> None:
     assert followed_box(image, BOX, 2, 2) == BOX
     there = followed_box(image, BOX, 0, 6)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, partial
 from typing import NamedTuple
 
 import cv2
@@ -104,16 +104,17 @@ def test_a_thing_that_jumps_is_found_where_the_hand_has_moved_to() -> None:
         image = np.where(labels[..., None] == OBJECT, image, wall).astype(np.uint8)
         return cv2.blur(image, (15, 1)) if n > 1 else image, labels
 
-    def hand(n: int) -> ndarray:
+    def hand(step: int, n: int) -> ndarray:
         seen = np.zeros(SIZE[::-1], bool)
-        seen[10:40, 30 + 100 * (n > 1) : 60 + 100 * (n > 1)] = True
+        seen[10:40, 10 + step * (n > 1) : 30 + step * (n > 1)] = True
         return seen
 
-    for seen, least, most in ((hand, 0.9, 1.0), (lambda _: None, 0.0, 0.5)):
-        found = [*propagate(lambda n: jumped(n)[0], {0: jumped(0)[1]}, 0, 3, hand=seen)]
+    for step, least, most in ((100, 0.9, 1.0), (210, 0.0, 0.5), (0, 0.0, 0.5)):
+        found = [*propagate(lambda n: jumped(n)[0], {0: jumped(0)[1]}, 0, 3, hand=partial(hand, step))]
         scores = [iou(each.labels == OBJECT, jumped(each.frame)[1] == OBJECT) for each in found]
         assert min(scores[:2]) > 0.9
         assert least <= min(scores[2:]) <= max(scores[2:]) <= most
+        assert all((each.confidence > 0.3) == (step == 100) for each in found[2:])
 
 
 @pytest.mark.slow

@@ -98,6 +98,15 @@ def test_where_most_of_a_box_is_taken_its_own_colours_are_the_object(monkeypatch
     assert len(starts) == 2
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_an_object_whose_colours_are_those_of_its_ground_is_not_lost(seed: int) -> None:
+    _, mask = scene()
+    blots = np.random.default_rng(seed).integers(0, 256, (2, 12, 16, 3)).astype(np.uint8)
+    ground, thing = (cv2.resize(each, SIZE, interpolation=cv2.INTER_NEAREST) for each in blots)
+    found = boxed(np.where(mask[..., None], thing, ground).astype(np.uint8), (46, 26, 68, 68)) == OBJECT
+    assert (found & mask).sum() > 0.5 * mask.sum()
+
+
 @given(
     on=st.lists(st.tuples(st.integers(5, 154), st.integers(5, 114)), min_size=1, max_size=3),
     off=st.tuples(st.integers(5, 154), st.integers(5, 114)),

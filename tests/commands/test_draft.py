@@ -81,12 +81,12 @@ def test_a_box_on_the_object_is_enough_for_masks_of_all_frames(
         assert mask[5, 5] == 0
 
 
-@pytest.mark.parametrize("box", ["2000,2000,5,5", "300,100,30,30", "-9,100,30,30", "nan,1,9,9"])
+@pytest.mark.parametrize("box", ["2000,2000,5,5", "300,100,30,30", "-9,100,30,30", "nan,1,9,9", "9,9,0.4,30"])
 def test_a_box_beside_the_image_is_refused_before_hands_are_looked_for(scene: Path, run: Run, box: str) -> None:
     assert scene.is_file()
     status, _, err = run(*DRAFT, "--object-box", box)
     assert status == 2
-    assert f"320 x 240 (got {box})" in err
+    assert f"320 x 240, 4 pixels or more on either side (got {box})" in err
 
 
 def test_no_hand_and_no_models_are_said(scene: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
+import getagrip.annotate.drafted_grasps  # noqa: F401  (before its command is replaced)
 from getagrip.annotate.store import Store
 from getagrip.clip import Clip
 from getagrip.clip.reading_arrays import read_hand
@@ -71,6 +72,20 @@ def test_masks_of_files_become_those_of_the_draft(scene: Path, run: Run) -> None
     for n in range(FRAMES):
         found, given = mark(scene / "a", n) == 1, disc(n)
         assert (found & given).sum() > 0.95 * (found | given).sum()
+
+
+def test_masks_beside_the_hand_are_said_and_so_are_older_ones(scene: Path, run: Run) -> None:
+    for name, frames in (("late", (7, 8)), ("first", (1,)), ("next", (2,))):
+        (scene / name).mkdir()
+        for n in frames:
+            write_mask(scene / name / f"{n:06d}.png", disc(n - 1))
+    assert run(*DRAFT, "a", "--interval", "1", "4")[0] == 0
+    words = ("--hands", "a/found/hand.npz", "--masks")
+    status, _, err = run(*DRAFT, "b", *words, "late")
+    assert status == 1
+    assert "no mask is in the frames with a hand" in err
+    assert "already" not in run(*DRAFT, "c", *words, "first")[2]
+    assert "c has labels of 1 other frame already, which count, too" in run(*DRAFT, "c", *words, "next")[2]
 
 
 def test_an_estimator_is_run_and_its_masks_are_read(scene: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

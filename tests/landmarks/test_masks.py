@@ -72,6 +72,18 @@ def test_an_object_before_the_palm_is_not_the_hand_where_thumb_and_wrist_show_th
     assert (found & truth & ~can).sum() > 0.8 * (truth & ~can).sum()
 
 
+def test_an_object_before_thumb_and_fingertips_is_not_the_hand_where_the_wrist_is_out_of_view() -> None:
+    image, truth = drawn(OPEN)
+    can = np.zeros(SHAPE, np.uint8)
+    for line in ([1, 2, 3, 4], [7, 8], [11, 12], [15, 16], [19, 20]):
+        cv2.polylines(can, [OPEN[line].round().astype(np.int32)], False, 1, 50)
+    image[can > 0] = np.array([40, 60, 150], np.uint8)
+    image, truth, hides = image[:385], truth[:385], can[:385] > 0
+    found = hand_mask(image, OPEN)
+    assert (found & hides).sum() < 0.1 * hides.sum()
+    assert (found & truth & ~hides).sum() > 0.8 * (truth & ~hides).sum()
+
+
 def test_a_finger_in_shadow_is_the_hands_and_what_is_grey_is_not() -> None:
     image, truth = drawn()
     v, u = np.mgrid[: SHAPE[0], : SHAPE[1]] + 0.5

@@ -106,7 +106,7 @@ def carry(
         after = _step(now, ground, frames, before, frame, shown, colours)
         if after.trust < LOST * now.trust and (step := hand_step(was, shown)) != STILL:
             again = _step(now, behind, frames, before, frame, shown, colours, step)
-            if again.trust > after.trust:
+            if again.trust > after.trust and (again.inside[0] > 0.0).any():
                 after, ground = again, behind
         now, was = after, shown
         yield now

@@ -27,6 +27,8 @@ MOST = 3.0
 """Largest logarithm of the ratio of the probabilities of two motions."""
 REACH = 0.5
 """Longest step of what a box shows from one frame to the next, in longer sides of the box."""
+STAYS = 1e-4
+"""Correlation that outweighs a pixel of a box's step: where all looks alike it stays."""
 
 
 def own_motion(
@@ -120,7 +122,9 @@ def followed_box(images: Callable[[int], Image], box: Box, first: int, to: int) 
         low = np.maximum(corner - near, 0)
         around = image[low[1] : corner[1] + h + near, low[0] : corner[0] + w + near]
         alike = np.sum([cv2.matchTemplate(around, each, cv2.TM_CCOEFF_NORMED) for each in templates], axis=0)
-        corner = low + cv2.minMaxLoc(alike)[3]
+        y, x = np.indices(alike.shape, dtype=np.float32)
+        far = np.hypot(x - (corner - low)[0], y - (corner - low)[1])
+        corner = low + cv2.minMaxLoc(alike - STAYS * far)[3]
         templates[1] = image[corner[1] :, corner[0] :][:h, :w]
     x, y = (np.array(box[:2]) + corner - start).tolist()
     return x, y, *box[2:]

@@ -34,6 +34,8 @@ NEAR = 0.12
 """Polygons are corrected within this share of the image's shorter side from a stroke."""
 ROUNDS = 5
 """Rounds of GrabCut."""
+SMALLEST = 4.0
+"""Least width and height of a box [px]."""
 OUTSIDE = 0.2
 """If more than this share of a found hand is outside the object's box, its colours there tell which pixels in the box
 may be the object's: a label before the palm, say."""
@@ -41,6 +43,8 @@ may be the object's: a label before the palm, say."""
 THIN = 0.35
 """If more than this share of what is found in a box has colours that are likelier beside it, the object is so thin that
 most of the box is background: what has the other colours is the object."""
+ENOUGH = 0.5
+"""Unless less than this share of the pixels of those colours is found then."""
 
 
 def key_masks(labels: Labels, image: Images, hand: Hands = lambda _: None) -> dict[int, UInt8[ndarray, "H W"]]:
@@ -92,13 +96,14 @@ def stroked(
 def window(box: Box, size: tuple[int, int]) -> tuple[slice, slice]:
     """Return the rows and columns of a box in an image of ``size`` (width, height) [px].
 
-    Raises ``UsageError`` for a box more than a tenth of which is out of the image.
+    Raises ``UsageError`` for a box that is tiny, or more than a tenth of which is out of the image.
     """
     x, y, w, h = box
     left, top, right, bottom = max(0.0, x), max(0.0, y), min(x + w, size[0]), min(y + h, size[1])
-    if not (w > 0.0 < h and max(0.0, right - left) * max(0.0, bottom - top) >= 0.9 * w * h):
+    if not (min(w, h) >= SMALLEST and max(0.0, right - left) * max(0.0, bottom - top) >= 0.9 * w * h):
         got = ",".join(f"{value:g}" for value in box)
-        raise UsageError(f"--object-box must be X,Y,W,H within the upright image, {size[0]} x {size[1]} (got {got})")
+        within = f"the upright image, {size[0]} x {size[1]}, {SMALLEST:g} pixels or more on either side"
+        raise UsageError(f"--object-box must be X,Y,W,H within {within} (got {got})")
     return slice(round(top), round(bottom)), slice(round(left), round(right))
 
 
@@ -122,12 +127,17 @@ def boxed(image: Image, box: Box, hand: Bool[ndarray, "h w"] | None = None) -> U
 
     def cut(hand: Bool[ndarray, "H W"], sure: Bool[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
         free = inside & ~hand
+
+        def begun_with(some: Bool[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
+            start = np.where(some, cv2.GC_PR_FGD, np.where(free, cv2.GC_PR_BGD, cv2.GC_BGD)).astype(np.uint8)
+            return _cut(image, sure, ~free, start, around, hand=hand)
+
         likely = free & (likelier(at, Colours.of(image, free, free | beside)) > 0.0)
-        for first in (free, likely):
-            start = np.where(first, cv2.GC_PR_FGD, np.where(free, cv2.GC_PR_BGD, cv2.GC_BGD)).astype(np.uint8)
-            found = _cut(image, sure, ~free, start, around, hand=hand)
-            if not likely.any() or np.count_nonzero(found & ~likely) <= THIN * np.count_nonzero(found):
-                break
+        found = begun_with(free)
+        if np.count_nonzero(found & ~likely) > THIN * np.count_nonzero(found):
+            again = begun_with(likely)
+            if np.count_nonzero(again) > ENOUGH * np.count_nonzero(likely):
+                return again
         return found
 
     outside = seen & ~inside

@@ -21,6 +21,8 @@ from getagrip.io.terminal import counted, progress_bar, report
 if TYPE_CHECKING:
     from rich.progress import Progress
 
+    from getagrip.annotate.grasp import Grasp
+
 
 def write_labels(project: Project) -> int:
     """Write each labelled grasp's labels and, where they suffice, hand and masks; 1 where one could not be made."""
@@ -47,12 +49,12 @@ def write_labels(project: Project) -> int:
     return status
 
 
-def solve_labels(project: Project, extents: Sequence[tuple[int, int]], shape: Shape) -> int:
-    """Write the files of the labelled grasps of some extents, and reconstruct each; 1 where that failed of one."""
-    status = 0
-    for grasp in project.labelled():
-        if grasp.mark.interval not in extents:
-            continue
+def solve_labels(project: Project, grasps: Sequence[Grasp], shape: Shape) -> int:
+    """Write the files of labelled grasps, and reconstruct each; 1 where that failed of one, or there is none."""
+    if not grasps:
+        report("no mask is in the frames with a hand: nothing is reconstructed")
+    status = int(not grasps)
+    for grasp in grasps:
         try:
             with progress_bar(counted=True) as bar:
                 said = project.labelling.solve(grasp, shape, JobOnBar(bar, grasp.name))

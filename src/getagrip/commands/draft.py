@@ -14,7 +14,7 @@ from getagrip.commands.command import Command, Labels, OptionalSide
 from getagrip.errors import UsageError
 from getagrip.geometry.lens import Lens
 from getagrip.io.arguments import Flag, OptionalFolder
-from getagrip.io.terminal import report
+from getagrip.io.terminal import counted, report
 
 if TYPE_CHECKING:
     from getagrip.annotate.finding_hands import FoundHands
@@ -156,12 +156,16 @@ class Draft(Command):
                 grasps = find_grasps(labels, self.video, footage, self.folder, shape)
                 labels, extents = grasps.labels, grasps.extents or [whole]
                 report(grasps.said)
+            labelled = []
             for extent in extents:
                 project.mark_grasp(task, DRAFTER, extent, found.side)
                 if frames := _within(labels.frames, extent):
-                    project.import_labels(replace(labels, first=extent[0], last=extent[1], frames=frames), DRAFTER)
+                    own = replace(labels, first=extent[0], last=extent[1], frames=frames)
+                    labelled.append(project.import_labels(own, DRAFTER))
+                    if older := len(project.labelling.labels(labelled[-1]).frames) - len(frames):
+                        report(f"{self.folder} has labels of {counted(older, 'other frame')} already, which count, too")
             if self.no_page:
-                return solve_labels(project, extents, shape) if drawn else 0
+                return solve_labels(project, labelled, shape) if drawn else 0
             print("the grasp is marked: mark the object on the page; it is reconstructed there")
             size = {} if self.size_mm is None else {"size-mm": f"{self.size_mm:g}"}
             serve(project, self.port, DRAFTER, {"mesh": self.object, **size})

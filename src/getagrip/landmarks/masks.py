@@ -25,10 +25,10 @@ SKIN, NO_SKIN = 3.5, 8.0
 """Robust standard deviations from the palm's colour beyond which a pixel is no longer certainly the hand, and beyond
 which it is certainly not."""
 FEWEST = 20
-"""Number of pixels that is enough to estimate the colour of the palm, the thumb or the wrist."""
+"""Number of pixels that is enough to estimate the colour of the palm, the thumb, the wrist or the fingers."""
 ALIKE, OTHER = 8.0, 10.0
-"""Distances of Lab's two colours within which thumb and wrist are alike, and from which on the palm differs from them:
-an object is before it."""
+"""Distances of Lab's two colours within which thumb and wrist, or fingers, are alike, and from which on the palm is
+unlike them: an object is before it."""
 WRIST = 0.25
 """Length of the wrist, in lengths of the palm."""
 LEAST_SPREAD = 6.0
@@ -39,7 +39,7 @@ the palm's colour: grey has none."""
 GREY = 128.0
 """Lab's two colours of grey, as OpenCV has them."""
 ROUNDS = 3
-THUMB, TIPS = [1, 2, 3, 4], [8, 12, 16, 20]
+THUMB, KNUCKLES = [1, 2, 3, 4], [5, 9, 13, 17]
 WEB = [0, 1, 2, 3, 5, 6]
 """The skin between thumb and index finger is within these."""
 BONES = [(0, 1), *((a, a + 1) for k in range(5) for a in range(1 + 4 * k, 4 + 4 * k)), (0, 5), (0, 9), (0, 13), (0, 17)]
@@ -136,12 +136,12 @@ def _skin(
 ) -> Bool[ndarray, "h w"]:
     """Return pixels that show the skin's colour: the palm's; thumb's and wrist's where an object is before the palm.
 
-    Fingertips take the place of a wrist that is out of view.
+    Fingers take the place of a wrist that is not seen, but for their ends, which an object may hide.
     """
     behind = points[0] + WRIST * (points[0] - points[9])
-    lines = points[THUMB], np.stack([points[0], behind]), *(points[[tip - 1, tip]] for tip in TIPS)
-    thumb, wrist, *tips = (seen & (_lines(lab.shape[:2], line, SURE * size) > 0) for line in lines)
-    other = wrist if wrist.sum() >= FEWEST else np.any(tips, axis=0)
+    lines = points[THUMB], np.stack([points[0], behind]), *(points[knuckle : knuckle + 3] for knuckle in KNUCKLES)
+    thumb, wrist, *fingers = (seen & (_lines(lab.shape[:2], line, SURE * size) > 0) for line in lines)
+    other = wrist if wrist.sum() >= FEWEST else np.any(fingers, axis=0)
     if min(part.sum() for part in (thumb, other, palm)) < FEWEST:
         return palm
     colours = [np.median(lab[part][:, 1:], axis=0) for part in (thumb, other, palm)]
