@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import getagrip
+from getagrip.checks import RESULT_CHECKS, Evidence, examine
 from getagrip.clip import Clip, Masks, with_masks
 from getagrip.datasets.synthetic.categories import CATEGORIES, SHAPES
 from getagrip.datasets.synthetic.scene_options import SceneOptions
@@ -17,10 +18,20 @@ from getagrip.fitting.methods.all_frames import coarse_energy
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare
 from getagrip.fitting.surface import ObjectSurface
-from getagrip.fitting.usual import MIRROR, SizeTerm, UprightTerm, kind_of, opposite_turns, usual_of, usual_rotations
+from getagrip.fitting.usual import (
+    MIRROR,
+    SizeTerm,
+    UprightTerm,
+    kind_of,
+    opposite_turns,
+    turned_away,
+    usual_of,
+    usual_rotations,
+)
 from getagrip.geometry import se3
 from getagrip.provenance import Source, assumed
 from getagrip.timelines.reconstruct import reconstruct
+from helpers.clips import small_clip
 from helpers.scenes import SHORT, scene
 from helpers.terms import B, N, moved, random_poses
 
@@ -168,6 +179,22 @@ def test_the_handle_on_the_other_side_is_always_a_candidate() -> None:
     found = reconstruct(clip, masks, Options(inits=12)).candidates
     R = found.T_hand_obj[:, 0, :3, :3]
     assert (np.degrees(se3.angle_between(R[0].T @ R, opposite_turns(clip, surface_of(clip))[0])) < 60.0).any()
+
+
+def test_an_opening_that_points_away_from_the_camera_is_measured_and_said() -> None:
+    clip = unmeasured()[0]
+    T_cam_obj = np.tile(np.eye(4), (len(clip), 1, 1))
+    T_cam_obj[:, :3, 3] = 0.0, 0.0, 0.5
+    for tilt in (-40.0, 30.0):  # of the opening, z, from square to the ray, towards the camera below 0
+        T_cam_obj[:, :3, :3] = se3.exp_so3(np.array([np.radians(90.0 - tilt), 0.0, 0.0]))
+        T = se3.inverse(clip.hand.T_cam_hand) @ T_cam_obj
+        assert turned_away(clip, T) == pytest.approx(tilt)
+        findings = examine([RESULT_CHECKS["opening-away"]], Evidence(*small_clip(), turned_away=turned_away(clip, T)))[
+            1
+        ]
+        assert [*map(str, findings)] == [] if tilt < 0.0 else "by 30 degrees" in str(findings[0])
+    assert np.isnan(turned_away(replace(clip, category="plate"), T))
+    assert np.isnan(turned_away(replace(clip, scale="known"), T))
 
 
 def test_only_what_has_a_handle_has_an_opposite_side() -> None:

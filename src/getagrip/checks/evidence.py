@@ -74,6 +74,7 @@ class Evidence:
         misfit: how much farther contours are from those of the masks than the object's own mesh would leave them.
         other_size: how many times as large the object seems to be, where its size was said to be known, and what
             share of the energy that saves; NaN where it was not looked at.
+        turned_away: how far the opening of a built-in vessel points away from the camera [degrees]; NaN of all else.
         glitches: frames of tracker glitches, repaired in ``clip``; None where hands are used as given.
     """
 
@@ -90,6 +91,7 @@ class Evidence:
     joints_left_out: bool = False
     misfit: float = np.nan
     scale_check: tuple[float, float] = (np.nan, np.nan)
+    turned_away: float = np.nan
     glitches: Glitches | None = None
 
     @property

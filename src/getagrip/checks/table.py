@@ -256,6 +256,11 @@ _RESULT: tuple[Check, ...] = (
         advice="hands, mesh size or pose are off by about as much",
     ),
     Check(
+        "opening-away", lambda it: it.turned_away, high=15.0, serious=False,
+        fault="the object's opening points away from the camera, by {value} degrees",
+        advice="is it upside down? Tilted as far towards the camera it looks nearly the same: compare the candidates",
+    ),
+    Check(
         "result-size", lambda it: plausibility.of_scale(it, "free", it.scale * it.clip.mesh.diameter / it.hand_size),
         low=0.1, high=6.0,
         fault="the object was found to be {value} times as large as the hand",

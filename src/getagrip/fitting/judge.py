@@ -21,6 +21,7 @@ from getagrip.fitting.options import Options
 from getagrip.fitting.pose_spread import pose_spread
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.scale_check import scale_check
+from getagrip.fitting.usual import turned_away
 from getagrip.probability import Probability
 from getagrip.provenance import is_assumed, kind_of_hands
 from getagrip.result import Candidates
@@ -60,6 +61,7 @@ def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: 
         misfit=misfit(problem.observation, found.terms["mask"] / len(problem.clip)),
         spread=pose_spread(problem, found), hand_spread=_hand_spread(input_clip, problem, found),
         scale_check=scale_check(problem, found), joint_error=_joint_error(problem),
+        turned_away=turned_away(problem.clip, sampled.T_hand_obj[0]),
     )  # fmt: skip
 
 

@@ -58,6 +58,19 @@ def opposite_turns(clip: Clip, surface: ObjectSurface) -> Float[ndarray, "k 3 3"
     return half
 
 
+def turned_away(clip: Clip, T_hand_obj: Float[ndarray, "T 4 4"]) -> float:
+    """Measure how far the opening of an unmeasured vessel points away from the camera, median over frames [degrees].
+
+    NaN for all other objects.
+    """
+    kind = kind_of(clip)
+    if kind is None or not kind.opens_up:
+        return float("nan")
+    T = clip.hand.T_cam_hand @ T_hand_obj
+    away = T[:, :3, 3] / np.linalg.norm(T[:, :3, 3], axis=-1, keepdims=True)
+    return float(np.degrees(np.arcsin(np.clip(np.median(np.sum(T[:, :3, 2] * away, axis=-1)), -1.0, 1.0))))
+
+
 @dataclass(frozen=True)
 class SizeTerm:
     """``weight / 2 * (log(scale) / spread)^2`` in each frame."""
