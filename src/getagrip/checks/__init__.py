@@ -4,11 +4,11 @@
 training data (docs/checks.md). ``read_signs`` is what ``CALIBRATIONS`` (``calibrated``) make a probability of.
 """
 
-from getagrip.checks.check import Check
+from getagrip.checks.check import Check, examine
 from getagrip.checks.evidence import Evidence
 from getagrip.checks.signs import read_signs
 from getagrip.checks.solved import Solved
-from getagrip.checks.table import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, examine, input_checks, result_checks
+from getagrip.checks.table import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, input_checks, result_checks
 
 __all__ = [
     "INPUT_CHECKS",

@@ -1,14 +1,32 @@
-"""A check: what is measured, what is usual, and how a value is shown."""
+"""A check: what is measured, what is usual, how a value is shown; and how checks are run."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from getagrip.checks.evidence import Evidence
 from getagrip.finding import Finding
+from getagrip.io import plugins
+
+GRAVER = {
+    "mesh-open": "mesh-holes",
+    "frames-late": "frame-order",
+    "tracker-glitches": "many-tracker-glitches",
+    "other-size": "wrong-size",
+    "outlier-masks": "many-outlier-masks",
+    "mesh-deformed": "mesh-much-deformed",
+    "pixel-stretch": "principal-point",
+    "field-of-view": "principal-point",
+    "mask-misfit": "large-mask-misfit",
+    "poor-mask-fit": "mask-fit",
+    "uneven-mask-fit": "mask-fit",
+}
+"""Checks that are not reported where a more severe check reports the same problem."""
+MOST = 1e9
+"""JSON has no infinity."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +71,28 @@ class Check:
         fault = self.fault.format(value=self.shown(value)) if isinstance(self.fault, str) else self.fault(it)
         usual = f" (usual: at {least} {self.shown(limit)})" if limit else ""  # that there is usually none is plain
         return Finding(self.name, self.serious, value, limit, f"{fault}{usual}; {self.advice}")
+
+
+def examine(checks: Iterable[Check], it: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:
+    """Run checks: return the value of each, at most ``MOST`` in magnitude, and the findings.
+
+    That one of another package has raised is a finding, too.
+    """
+    measured: dict[str, float] = {}
+    found: list[Finding] = []
+    for check in checks:
+        try:
+            measured[check.name] = float(np.clip(check.measure(it), -MOST, MOST))
+            finding = check.finding(measured[check.name], it)
+        except Exception as error:
+            if (plugin := plugins.origin(check)) is None:
+                raise
+            measured[check.name] = np.nan
+            message = f"{plugin} failed: {type(error).__name__}: {error}"
+            finding = Finding(check.name, False, 0.0, 0.0, message)
+        found += [] if finding is None else [finding]
+    names = {finding.check for finding in found}
+    return measured, tuple(f for f in found if GRAVER.get(f.check) not in names)
 
 
 def percent(share: float) -> str:

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.checks.check import Check, millimetres, of_diameter, percent
+from getagrip.checks.check import Check, examine, millimetres, of_diameter, percent
 from getagrip.checks.evidence import Evidence, Glitches
-from getagrip.checks.table import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, examine
+from getagrip.checks.table import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS
 from getagrip.clip import Clip, Masks, Segment, modalities, with_evidence, with_masks
 from getagrip.clip.sampling import frame_indices
 from getagrip.finding import Finding

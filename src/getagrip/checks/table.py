@@ -2,32 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from getagrip.checks import frame_order, mask_agreement, plausibility, regrasp
 from getagrip.checks.check import Check, millimetres, of_diameter, percent
 from getagrip.checks.evidence import Evidence
 from getagrip.clip import intrinsics, modalities
-from getagrip.finding import Finding
-from getagrip.io import plugins
 from getagrip.io.plugins import Table
 
-GRAVER = {
-    "mesh-open": "mesh-holes",
-    "frames-late": "frame-order",
-    "tracker-glitches": "many-tracker-glitches",
-    "other-size": "wrong-size",
-    "outlier-masks": "many-outlier-masks",
-    "mesh-deformed": "mesh-much-deformed",
-    "pixel-stretch": "principal-point",
-    "field-of-view": "principal-point",
-    "mask-misfit": "large-mask-misfit",
-    "poor-mask-fit": "mask-fit",
-    "uneven-mask-fit": "mask-fit",
-}
-"""Checks that are not reported where a more severe check reports the same problem."""
 LEAST_IOU = 0.5
 """A result whose mean IOU is below this explains nothing, however well the minimisation ended."""
 
@@ -295,29 +277,3 @@ def result_checks() -> tuple[Check, ...]:
         *RESULT_CHECKS.working().values(),
         *(check for modality in modalities() for check in modality.result_checks),
     )
-
-
-MOST = 1e9
-"""JSON has no infinity."""
-
-
-def examine(checks: Iterable[Check], it: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:
-    """Run checks: return the value of each, at most ``MOST`` in magnitude, and the findings.
-
-    That one of another package has raised is a finding, too.
-    """
-    measured: dict[str, float] = {}
-    found: list[Finding] = []
-    for check in checks:
-        try:
-            measured[check.name] = float(np.clip(check.measure(it), -MOST, MOST))
-            finding = check.finding(measured[check.name], it)
-        except Exception as error:
-            if (plugin := plugins.origin(check)) is None:
-                raise
-            measured[check.name] = np.nan
-            message = f"{plugin} failed: {type(error).__name__}: {error}"
-            finding = Finding(check.name, False, 0.0, 0.0, message)
-        found += [] if finding is None else [finding]
-    names = {finding.check for finding in found}
-    return measured, tuple(f for f in found if GRAVER.get(f.check) not in names)
