@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,11 +38,8 @@ def write_labels(project: Project) -> int:
         value = project.labelling.labels(grasp)
         frames = counted(value.last - value.first + 1, "frame")
         print(f"{grasp.name}: making the hand and the masks of {frames} ...", flush=True)
-        try:
-            with progress_bar(counted=True) as bar:
-                command = project.labelling.write(grasp, value, JobOnBar(bar, grasp.name))
-        except GetagripError as error:
-            report(f"{grasp.name}: labels only: {error}")
+        command = _on_bar(grasp.name, partial(project.labelling.write, grasp, value), "labels only: ")
+        if command is None:
             status = 1
             continue
         made = project.labelling.out / grasp.name
@@ -53,18 +51,25 @@ def solve_labels(project: Project, grasps: Sequence[Grasp], shape: Shape) -> int
     """Write the files of labelled grasps, and reconstruct each; 1 where that failed of one, or there is none."""
     if not grasps:
         report("no mask is in the frames with a hand: nothing is reconstructed")
-    status = int(not grasps)
+    status, out = int(not grasps), project.labelling.out
     for grasp in grasps:
-        try:
-            with progress_bar(counted=True) as bar:
-                said = project.labelling.solve(grasp, shape, JobOnBar(bar, grasp.name))
-        except GetagripError as error:
-            report(f"{grasp.name}: {error}")
+        said = _on_bar(grasp.name, partial(project.labelling.solve, grasp, shape))
+        if said is None:
             status = 1
             continue
-        out, name = project.labelling.out, grasp.name
-        print(f"{said}\n{out / CLIPS / name}: the clip\n{result_folder(out, name) / 'report.html'}: the report")
+        result = result_folder(out, grasp.name)
+        print(f"{said}\n{out / CLIPS / grasp.name}: the clip\n{result / 'report.html'}: the report")
     return status
+
+
+def _on_bar(name: str, work: Callable[[BackgroundJob], str], prefix: str = "") -> str | None:
+    """Work on a grasp and show a bar. Returns the outcome in words, None after an error, which is reported."""
+    try:
+        with progress_bar(counted=True) as bar:
+            return work(JobOnBar(bar, name))
+    except GetagripError as error:
+        report(f"{name}: {prefix}{error}")
+        return None
 
 
 class JobOnBar(BackgroundJob):

@@ -161,8 +161,8 @@ class Draft(Command):
                 project.mark_grasp(task, DRAFTER, extent, found.side)
                 if frames := _within(labels.frames, extent):
                     own = replace(labels, first=extent[0], last=extent[1], frames=frames)
-                    labelled.append(project.import_labels(own, DRAFTER))
-                    if older := len(project.labelling.labels(labelled[-1]).frames) - len(frames):
+                    labelled.append(grasp := project.import_labels(own, DRAFTER))
+                    if older := len(project.labelling.labels(grasp).frames) - len(frames):
                         report(f"{self.folder} has labels of {counted(older, 'other frame')} already, which count, too")
             if self.no_page:
                 return solve_labels(project, labelled, shape) if drawn else 0
@@ -179,8 +179,7 @@ class Draft(Command):
         from getagrip.annotate.drafting import traced
         from getagrip.annotate.estimators import named
         from getagrip.annotate.labels import OBJECT, FrameLabels
-        from getagrip.annotate.object_motion import followed_box
-        from getagrip.annotate.strokes import boxed
+        from getagrip.annotate.strokes import boxed, followed_box
         from getagrip.commands.draft_inputs import estimated, masks_of
         from getagrip.io.terminal import progress_bar
 
