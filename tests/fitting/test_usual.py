@@ -189,10 +189,9 @@ def test_an_opening_that_points_away_from_the_camera_is_measured_and_said() -> N
         T_cam_obj[:, :3, :3] = se3.exp_so3(np.array([np.radians(90.0 - tilt), 0.0, 0.0]))
         T = se3.inverse(clip.hand.T_cam_hand) @ T_cam_obj
         assert turned_away(clip, T) == pytest.approx(tilt)
-        findings = examine([RESULT_CHECKS["opening-away"]], Evidence(*small_clip(), turned_away=turned_away(clip, T)))[
-            1
-        ]
-        assert [*map(str, findings)] == [] if tilt < 0.0 else "by 30 degrees" in str(findings[0])
+        given = Evidence(*small_clip(), turned_away=turned_away(clip, T))
+        said = [*map(str, examine([RESULT_CHECKS["opening-away"]], given)[1])]
+        assert said == [] if tilt < 0.0 else "by 30 degrees" in said[0]
     assert np.isnan(turned_away(replace(clip, category="plate"), T))
     assert np.isnan(turned_away(replace(clip, scale="known"), T))
 

@@ -58,7 +58,7 @@ def test_what_hides_a_finger_is_not_the_hand() -> None:
 
 @pytest.mark.parametrize("rows", [SHAPE[0], 385])
 def test_an_object_before_the_palm_is_not_the_hand_where_thumb_and_wrist_show_the_skin(rows: int) -> None:
-    """Or thumb and fingertips, where the wrist is out of view."""
+    """Or thumb and fingers, where the wrist is out of view."""
     image, truth = drawn(OPEN)
     arm = np.zeros(SHAPE, np.uint8)
     cv2.line(arm, (320, 400), (320, 470), 1, 60)

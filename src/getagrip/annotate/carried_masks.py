@@ -102,12 +102,12 @@ def carry(
     was = _seen(hand, key, frames)
     for frame in range(key + towards, to + towards, towards):
         shown, before = _seen(hand, frame, frames), frame - towards
-        behind = copy(ground)
+        ground_before = copy(ground)  # each step renews its own
         after = _step(now, ground, frames, before, frame, shown, colours)
         if after.trust < LOST * now.trust and (step := hand_step(was, shown)) != STILL:
-            again = _step(now, behind, frames, before, frame, shown, colours, step)
+            again = _step(now, ground_before, frames, before, frame, shown, colours, step)
             if again.trust > after.trust and (again.inside[0] > 0.0).any():
-                after, ground = again, behind
+                after, ground = again, ground_before
         now, was = after, shown
         yield now
 

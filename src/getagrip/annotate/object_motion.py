@@ -5,15 +5,11 @@ Lengths are in pixels of the size at which masks are propagated.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 from numpy import ndarray
 
 Image = UInt8[ndarray, "H W 3"]
-Box = tuple[float, float, float, float]
-"""Left, top, width and height [px]."""
 Origins = tuple[Float32[ndarray, "h w"], Float32[ndarray, "h w"]]
 """x and y of where each pixel was."""
 
@@ -25,10 +21,6 @@ FLOW = 1.5
 """Standard deviation of flow [px]."""
 MOST = 3.0
 """Largest logarithm of the ratio of the probabilities of two motions."""
-REACH = 0.5
-"""Longest step of what a box shows from one frame to the next, in longer sides of the box."""
-STAYS = 1e-4
-"""Correlation that outweighs a pixel of a box's step: where all looks alike it stays."""
 
 
 def own_motion(
@@ -106,25 +98,3 @@ def flow(a: Image, b: Image) -> Float32[ndarray, "H W 2"]:
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     a, b = (cv2.cvtColor(np.ascontiguousarray(each), cv2.COLOR_RGB2GRAY) for each in (a, b))
     return np.asarray(search.calc(a, b, np.zeros((*a.shape, 2), np.float32)), np.float32)
-
-
-def followed_box(images: Callable[[int], Image], box: Box, first: int, to: int) -> Box:
-    """Follow what a box shows in a frame to a later one: where it looks most like that frame and the one before."""
-    import cv2
-
-    image = images(first)
-    start = corner = np.maximum(np.round(box[:2]).astype(int), 0)
-    w, h = np.minimum(np.round(np.add(box[:2], box[2:])).astype(int), image.shape[1::-1]) - start
-    near = round(REACH * max(w, h))
-    templates = [image[corner[1] :, corner[0] :][:h, :w]] * 2
-    for n in range(first + 1, to + 1):
-        image = images(n)
-        low = np.maximum(corner - near, 0)
-        around = image[low[1] : corner[1] + h + near, low[0] : corner[0] + w + near]
-        alike = np.sum([cv2.matchTemplate(around, each, cv2.TM_CCOEFF_NORMED) for each in templates], axis=0)
-        y, x = np.indices(alike.shape, dtype=np.float32)
-        far = np.hypot(x - (corner - low)[0], y - (corner - low)[1])
-        corner = low + cv2.minMaxLoc(alike - STAYS * far)[3]
-        templates[1] = image[corner[1] :, corner[0] :][:h, :w]
-    x, y = (np.array(box[:2]) + corner - start).tolist()
-    return x, y, *box[2:]

@@ -65,13 +65,12 @@ class SmallFrames:
         """
         import cv2
 
+        if step != STILL:
+            one, other = moved_by(self[a].image[part], step), self[b].image[part]
+            there, back = moved_by(flow(one, other), (-step[0], -step[1])), flow(other, one)
+            return there + np.array(step, np.float32), back - np.array(step, np.float32)
         key = (min(a, b), *(end for each in part for end in (each.start, each.stop)))
         height, width = (each.stop - each.start for each in part)
-        if step != STILL:
-            x, y = step
-            one, other = moved_by(self[a].image[part], step), self[b].image[part]
-            there, back = moved_by(flow(one, other), (-x, -y)), flow(other, one)
-            return there + np.array(step, np.float32), back - np.array(step, np.float32)
         if key in self._flows:
             up, down = (
                 cv2.resize(each.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)

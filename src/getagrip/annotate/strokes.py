@@ -18,9 +18,10 @@ from getagrip.annotate.carried_masks import Hands, Image, Images
 from getagrip.annotate.click_motion import moves_with_click, moving_part
 from getagrip.annotate.colour_cut import UNSEEN, Colours, bins, coloured_hand, likelier, touching
 from getagrip.annotate.labels import HAND, OBJECT, FrameLabels, Labels
-from getagrip.annotate.object_motion import Box
 from getagrip.errors import UsageError
 
+Box = tuple[float, float, float, float]
+"""Left, top, width and height [px]."""
 SIDE = 480
 """Largest side of the image part that GrabCut runs on [px]."""
 WIDTH = 0.008
@@ -36,15 +37,18 @@ ROUNDS = 5
 """Rounds of GrabCut."""
 SMALLEST = 4.0
 """Least width and height of a box [px]."""
+REACH = 0.5
+"""Longest step of what a box shows from one frame to the next, in longer sides of the box."""
+STAYS = 1e-4
+"""Correlation that outweighs a pixel of a box's step: where all looks alike it stays."""
 OUTSIDE = 0.2
 """If more than this share of a found hand is outside the object's box, its colours there tell which pixels in the box
 may be the object's: a label before the palm, say."""
-
 THIN = 0.35
 """If more than this share of what is found in a box has colours that are likelier beside it, the object is so thin that
 most of the box is background: what has the other colours is the object."""
 ENOUGH = 0.5
-"""Unless less than this share of the pixels of those colours is found then."""
+"""That counts if more than this share of the pixels of those colours is found."""
 
 
 def key_masks(labels: Labels, image: Images, hand: Hands = lambda _: None) -> dict[int, UInt8[ndarray, "H W"]]:
@@ -105,6 +109,28 @@ def window(box: Box, size: tuple[int, int]) -> tuple[slice, slice]:
         within = f"the upright image, {size[0]} x {size[1]}, {SMALLEST:g} pixels or more on either side"
         raise UsageError(f"--object-box must be X,Y,W,H within {within} (got {got})")
     return slice(round(top), round(bottom)), slice(round(left), round(right))
+
+
+def followed_box(images: Images, box: Box, first: int, to: int) -> Box:
+    """Follow what a box shows in a frame to a later one: where it looks most like that frame and the one before."""
+    import cv2
+
+    image = images(first)
+    start = corner = np.maximum(np.round(box[:2]).astype(int), 0)
+    w, h = np.minimum(np.round(np.add(box[:2], box[2:])).astype(int), image.shape[1::-1]) - start
+    near = round(REACH * max(w, h))
+    templates = [image[corner[1] :, corner[0] :][:h, :w]] * 2
+    for n in range(first + 1, to + 1):
+        image = images(n)
+        low = np.maximum(corner - near, 0)
+        around = image[low[1] : corner[1] + h + near, low[0] : corner[0] + w + near]
+        alike = np.sum([cv2.matchTemplate(around, each, cv2.TM_CCOEFF_NORMED) for each in templates], axis=0)
+        y, x = np.indices(alike.shape, dtype=np.float32)
+        far = np.hypot(x - (corner - low)[0], y - (corner - low)[1])
+        corner = low + cv2.minMaxLoc(alike - STAYS * far)[3]
+        templates[1] = image[corner[1] :, corner[0] :][:h, :w]
+    x, y = (np.array(box[:2]) + corner - start).tolist()
+    return x, y, *box[2:]
 
 
 def boxed(image: Image, box: Box, hand: Bool[ndarray, "h w"] | None = None) -> UInt8[ndarray, "H W"]:

@@ -27,8 +27,8 @@ SIZES, ANGLES = (1.0, 1.4), (-0.5, -0.25, 0.0, 0.25, 0.5)
 TURNED, APART, RATIO = 0.6, 0.5, 1.5
 """Largest differences from what is expected: angle [rad], distance in sides of the square, and factor of its side."""
 FLIP, NEAR = 0.4, 3
-"""Difference of the palm's area, over the square of its length, from which on it is turned over, and the most frames
-from one run to the next in which a hand cannot do that."""
+"""A palm turns over where its area, over the square of its length, changes by more than the first; no hand does so
+within as many frames as the second."""
 ALIKE = 0.06
 """Standard deviation of landmarks from those that are expected, in sides of the square (root mean square)."""
 GAIN = 0.2
@@ -77,7 +77,7 @@ def _runs(hand: Mapping[int, Sighting]) -> Iterator[list[int]]:
 
 
 def _unflipped(runs: list[list[int]], hand: Mapping[int, Sighting]) -> list[list[int]]:
-    """Leave out runs between which and a longer one the palm turns over at once: they see the hand mirrored."""
+    """Leave out the shorter of two neighbouring runs if the palm turns over between them: it sees the hand mirrored."""
     for run in sorted(runs, key=len):
         beside = [other for other in runs if other is not run and len(other) >= len(run)]
         ends = [(a[-1], b[0]) for other in beside for a, b in ((run, other), (other, run)) if 0 < b[0] - a[-1] <= NEAR]
