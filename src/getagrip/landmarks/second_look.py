@@ -114,14 +114,13 @@ def _extended(
 ) -> dict[int, Sighting]:
     """Follow the hand from the end of a run to the next run, or until it is lost for long."""
     path = [crops.of_landmarks(known[n].points) for n in (end - step, end) if n in known]
-    before = known[end].points
-    shape = path[-1].from_image(before)
+    shape = path[-1].from_image(known[end].points)
     motion = np.zeros(2) if len(path) < 2 else path[1].middle - path[0].middle
     crop, lost, out, n = path[-1], 0, dict[int, Sighting](), end + step
     while 0 <= n < count and n not in known and lost < MEMORY:
         crop = crop._replace(middle=crop.middle + motion)
-        as_expected = n in hand and _expected(crop, hand[n], before)
-        seen = hand[n] if as_expected else _seen(image(n), crop, shape, before, nets, sides.get(n))
+        as_expected = n in hand and _expected(crop, hand[n], shape)
+        seen = hand[n] if as_expected else _seen(image(n), crop, shape, nets, sides.get(n))
         if seen is None:
             motion, lost = np.zeros(2), lost + 1
         else:
@@ -131,26 +130,16 @@ def _extended(
             side, angle = crop.side ** (1.0 - GAIN) * own.side**GAIN, crop.angle + GAIN * turned
             crop = Crop(own.middle, float(side), float(angle))
             shape += GAIN * (crop.from_image(seen.points) - shape)
-            out[n], before = seen, seen.points
+            out[n] = seen
         n += step
     return out
 
 
-def _seen(
-    image: Image,
-    crop: Crop,
-    shape: Float[ndarray, "21 2"],
-    before: Float[ndarray, "21 2"],
-    nets: Nets,
-    side: Side | None,
-) -> Sighting | None:
-    """Look where a hand is expected, in a ``shape`` [px of the square]; average what is alike, None without any.
-
-    ``before``: the landmarks of the last frame in which it was seen.
-    """
+def _seen(image: Image, crop: Crop, shape: Float[ndarray, "21 2"], nets: Nets, side: Side | None) -> Sighting | None:
+    """Look where a hand is expected, in a ``shape`` [px of the square]; average what is alike, None without any."""
     squares = [crop._replace(side=size * crop.side, angle=crop.angle + turn) for size in SIZES for turn in ANGLES]
     looks = [Sighting(*nets.landmarks(image, square)) for square in squares]
-    looks = [each for each in looks if each.confidence >= LEAST and _expected(crop, each, before)]
+    looks = [each for each in looks if each.confidence >= LEAST and _expected(crop, each, shape)]
     if not looks:
         return None
     points = np.array([each.points for each in looks])
