@@ -294,3 +294,23 @@ def test_what_cannot_be_propagated_is_refused() -> None:
     ):
         with pytest.raises(UsageError, match=words):
             list(propagate(lambda n: drawn(n)[0], keys, 0, LAST))
+
+
+def test_a_small_part_that_comes_off_is_something_else_unless_a_key_shows_it_apart() -> None:
+    """A disc of the thing's texture moves beside it, drawn with it on the key; from there on it moves away, or stays."""
+
+    def beside(gap: float, away: float, n: int) -> tuple[ndarray, ndarray]:
+        image, labels = drawn(n)
+        step = np.array([[1.0, 0.0, gap + away * n], [0.0, 1.0, 0.0]])
+        thing = cv2.warpAffine(cv2.warpAffine(THING, pose(n), SIZE, borderMode=cv2.BORDER_REFLECT), step, SIZE)
+        here = disc(gap + away * n, n) & (labels == 0)
+        return np.where(here[..., None], thing, image), np.where(here & (n == 0), np.uint8(OBJECT), labels)
+
+    def disc(offset: float, n: int) -> ndarray:
+        at = pose(n) @ np.array([256.0 + 50.0, 256.0, 1.0]) + [offset, 0.0]
+        return cv2.circle(np.zeros(SIZE[::-1], np.uint8), np.round(at).astype(int).tolist(), 9, 1, -1) > 0
+
+    for gap, away, least, most in ((0.0, 3.0, 0.0, 0.0), (24.0, 0.0, 0.5, 1.0)):
+        shown = carried((0,), partial(beside, gap, away))[LAST].labels == OBJECT
+        there = disc(gap + away * LAST, LAST) & (drawn(LAST)[1] == 0)
+        assert least <= shown[there].mean() <= most

@@ -31,6 +31,10 @@ SIDE = 200.0
 """Masks are carried at a size at which the object's longer side is about so long [px]."""
 ENOUGH = 1e6
 """Pixels up to which small images are enlarged for that."""
+SMALL = 0.1
+"""Share of the object's largest part below which another may be something else."""
+BESIDE = 9
+"""Side of a square about a pixel that is beside what it touches [px]."""
 
 
 class Propagated(NamedTuple):
@@ -166,4 +170,18 @@ def _propagated(
     visible = cv2.resize(np.minimum(inside[0], -inside[1:].max(axis=0)), whole.shape[1::-1])
     found = fine(whole, visible, whole.shape[1] / frames.size[0]).astype(np.float32)
     labels[cv2.resize(found, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5] = OBJECT
+    if not any(_apart(key).any() for key in keys.values()):
+        labels[_apart(labels)] = 0
     return Propagated(each.frame, labels, confidence)
+
+
+def _apart(labels: UInt8[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
+    """Return small parts of the object that nothing in front separates from the rest: something else of its colours."""
+    import cv2
+
+    covered = cv2.dilate((labels > OBJECT).astype(np.uint8), np.ones((BESIDE, BESIDE), np.uint8)) > 0
+    count, parts, stats, _ = cv2.connectedComponentsWithStats((labels == OBJECT).astype(np.uint8))
+    areas = stats[:, cv2.CC_STAT_AREA]
+    beside = np.bincount(parts[covered], minlength=count) > 0
+    small = areas < SMALL * areas[1:].max(initial=0)
+    return (small & ~beside & (np.arange(count) > 0))[parts]
