@@ -6,12 +6,14 @@ from fractions import Fraction
 from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 import pytest
 
 from getagrip.annotate.finding_hands import is_cut, jumps
 from getagrip.annotate.store import Store
-from getagrip.clip import read_clip
+from getagrip.clip import read_clip, with_evidence
+from getagrip.clip.depth import DEPTH
 from getagrip.clip.reading_arrays import read_hand
 from getagrip.commands.annotate import DATABASE
 from getagrip.commands.hand_file import HandFile
@@ -64,8 +66,15 @@ def test_a_box_on_the_object_is_enough_for_masks_of_all_frames(
 ) -> None:
     no_hand = np.zeros((HEIGHT, WIDTH), bool)  # the scene shows none
     monkeypatch.setattr("getagrip.annotate.finding_hands.hand_mask", lambda *_: no_hand)
-    x, y = (middle(0) - RADIUS - 3.0).tolist()
-    status, out, err = run(*DRAFT, "--object-box", f"{x},{y},{2 * RADIUS + 6},{2 * RADIUS + 6}")
+    x, y = (middle(1) - RADIUS - 3.0).tolist()
+    box = ("--object-box", f"{x},{y},{2 * RADIUS + 6},{2 * RADIUS + 6}", "--interval", "2", "8")
+    for n in range(8):
+        assert cv2.imwrite(str(scene.parent / f"depth_{n}.png"), np.full((HEIGHT, WIDTH), 600 + n, np.uint16))
+    depth = ("--depth", ".", "--depth-from", "realsense")
+    status, _, err = run(*DRAFT, *box, *depth)
+    assert status == 2
+    assert "missing --depth-first: the number of the depth image of frame 000002" in err
+    status, out, err = run(*DRAFT, *box, *depth, "--depth-first", "1")
     assert status == 0, err
     made = scene.parent / "out"
     (masks,) = made.glob("draft-*/masks")
@@ -73,8 +82,10 @@ def test_a_box_on_the_object_is_enough_for_masks_of_all_frames(
     assert f"{name}: IOU" in out
     assert f"{Path('out/results') / name / 'report.html'}: the report" in out
     assert (made / "results" / name / "report.html").is_file()
-    assert read_clip(made / "clips" / name).category == "cup"
-    for n in range(8):
+    clip = with_evidence(read_clip(made / "clips" / name))
+    assert clip.category == "cup"
+    assert [clip.evidence[DEPTH].image(row).max() for row in range(7)] == pytest.approx(0.6 + 0.001 * np.arange(1, 8))
+    for n in range(1, 8):
         mask = read_png(masks / f"{n + 1:06d}.png", (WIDTH, HEIGHT))
         x, y = middle(n).astype(int)
         assert mask[y, x] == 1

@@ -181,6 +181,9 @@ def test_what_does_not_fit_is_said_before_any_work(scene: Path, run: Run) -> Non
         ("--hands-from", "hamer"): "missing --hands FILE",
         ("--find-grasps",): "missing --masks or --object-box",
         ("--mask-object", "1"): "missing --masks FILE",
+        ("--depth", "."): "missing --depth-from NAME",
+        ("--depth-from", "realsense"): "missing --depth PATH",
+        ("--depth-first", "0"): "missing --depth PATH",
     }.items():
         status, _, err = run(*DRAFT, "a", *words)
         assert status == 2

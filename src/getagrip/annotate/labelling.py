@@ -44,6 +44,7 @@ class Labelling:
     def __init__(self, store: Store, lens: Lens, out: Path) -> None:
         """Write the files of grasps into ``out``; without a lens the focal length is assumed."""
         self.store, self.out = store, out
+        self.depth: reconstruction.DepthFiles | None = None
         self.lens = lens if lens.is_set else Lens(guess_focal=True)
         self._found: dict[Path, FoundHands] = {}
         self._iou: dict[str, tuple[object, dict[int, float]]] = {}  # of results, and the inputs of their drafts
@@ -156,7 +157,8 @@ class Labelling:
         job.message = "writing the files"
         self.write(grasp, value, job)
         words = clip_words(value, self.out / grasp.name, str(grasp.path), self._segments(grasp))
-        said = reconstruction.reconstruct(words, shape, self.out, grasp.name, job)
+        depth = () if self.depth is None else self.depth.words(value.first)
+        said = reconstruction.reconstruct(words, shape, self.out, grasp.name, job, depth)
         iou = reconstruction.iou_of(reconstruction.result_folder(self.out, grasp.name))
         names = {grasp.footage.name(n): n for n in range(value.first, value.last + 1)}
         self._iou[grasp.mark.mark] = basis, {names[name]: x for name, x in iou.items() if name in names}

@@ -23,6 +23,8 @@ CLIPS, RESULTS = "clips", "results"
 LONGEST = 1000
 """Characters of a path."""
 LARGEST_MM = 10_000.0
+WARNED = 3
+"""Exit status of a command that did its work, and warns of it."""
 ASKED = 0.3
 """How often it is asked whether the work is still wanted [s]."""
 
@@ -42,6 +44,22 @@ class Shape:
         return ["--mesh", self.mesh, *([] if self.size_mm is None else ["--size-mm", f"{self.size_mm:g}"])]
 
 
+@dataclass(frozen=True)
+class DepthFiles:
+    """Depth images of a video's frames."""
+
+    path: Path
+    form: str
+    """Name in ``clip.depth_sources.SOURCES``."""
+    zero: int | None
+    """Number that the files give to the video's first frame, below 0 too; None: they are numbered as its frames."""
+
+    def words(self, first: int) -> list[str]:
+        """Return the words of ``import depth`` but for the clip, whose first frame is the video's ``first``, from 0."""
+        number = [] if self.zero is None else ["--first", str(self.zero + first)]
+        return ["import", "depth", str(self.path.absolute()), "--from", self.form, *number, "--overwrite"]
+
+
 def shape_of(content: Json) -> Shape:
     """Parse a request's mesh. Raises ``RefusedError``."""
     mesh, size = content.get("mesh"), content.get("size_mm")
@@ -59,14 +77,18 @@ def result_folder(out: Path, name: str) -> Path:
     return out / RESULTS / name
 
 
-def reconstruct(new_clip: Sequence[str], shape: Shape, out: Path, name: str, job: BackgroundJob) -> str:
+def reconstruct(
+    new_clip: Sequence[str], shape: Shape, out: Path, name: str, job: BackgroundJob, depth: Sequence[str] = ()
+) -> str:
     """Make the clip with ``new_clip``, the words of ``clip new`` but for mesh and folder; reconstruct it, and report.
 
-    Returns what was said of it. Raises ``GetagripError`` with what a command said against it, ``CancelledError``.
+    ``depth``: the words of ``import depth`` but for the clip, if there is any. Returns what was said of it, warnings
+    about the clip first. Raises ``GetagripError`` with what a command said against it, ``CancelledError``.
     """
     clip, result = files.folder_inside(out, CLIPS) / name, files.folder_inside(out, RESULTS) / name
     steps = (
-        ("making the clip", [*new_clip, *shape.options, "--out", str(clip), "--overwrite"]),
+        ("making the clip", [*new_clip, *shape.options, "--out", str(clip), "--overwrite", "--quiet"]),
+        *([("adding depth", [*depth, "--clip", str(clip), "--quiet"])] if depth else []),
         ("reconstructing", ["reconstruct", str(clip), "--out", str(result.parent), "--overwrite", "--threads", "2"]),
         ("drawing the report", ["report", str(result)]),
     )
@@ -75,7 +97,7 @@ def reconstruct(new_clip: Sequence[str], shape: Shape, out: Path, name: str, job
         job.message = what
         job.report(n, len(steps))
         said.append(run_command(words, job))
-    return said[1]
+    return "\n".join(filter(None, said[:-1]))
 
 
 def iou_of(result: Path) -> dict[str, float]:
@@ -94,7 +116,7 @@ def iou_of(result: Path) -> dict[str, float]:
 
 
 def run_command(words: Sequence[str], job: BackgroundJob) -> str:
-    """Run a command; returns what it printed."""
+    """Run a command; returns what it printed. Raises ``GetagripError`` where it failed, not where it warned."""
     process = subprocess.Popen(
         [sys.executable, "-m", "getagrip", *words],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace",
@@ -110,6 +132,6 @@ def run_command(words: Sequence[str], job: BackgroundJob) -> str:
                 process.terminate()
                 process.communicate()
                 raise
-    if process.returncode:
+    if process.returncode not in (0, WARNED):
         raise GetagripError((err.strip() or out.strip() or "it ended early").removeprefix("getagrip: "))
     return "\n".join(filter(None, (out.strip(), err.strip())))

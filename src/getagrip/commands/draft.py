@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from getagrip.annotate.finding_hands import FoundHands
     from getagrip.annotate.footage import Footage
     from getagrip.annotate.labels import FrameLabels
-    from getagrip.annotate.reconstruction import Shape
+    from getagrip.annotate.reconstruction import DepthFiles, Shape
     from getagrip.commands.draft_inputs import Stretch
 
 MOST_FRAMES = 3000
@@ -81,6 +81,12 @@ class Draft(Command):
     run to make them."""
     hands_from: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")] = None
     """With --hands FILE: the program that wrote it, as for import hands --from."""
+    depth: Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")] = None
+    """Depth images of the video's frames, as for import depth. A sensor's tell the hand's distance and size."""
+    depth_from: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")] = None
+    """With --depth: the program or format of its files, as for import depth --from."""
+    depth_first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
+    """With --depth: the number that its files give to the first frame, if they count from another start."""
     find_grasps: Flag = False
     """Mark the stable grasps that are found in the interval by fits to masks and hand, as segment --from-masks does.
     This needs --masks or --object-box."""
@@ -106,12 +112,21 @@ class Draft(Command):
             "mask-object": (self.mask_object, self.masks),
             "mask-hand": (self.mask_hand, self.masks),
             "find-grasps": (self.find_grasps, self.masks or self.object_box),
+            "depth": (self.depth, self.depth_from),
+            "depth-from": (self.depth_from, self.depth),
+            "depth-first": (self.depth_first is not None, self.depth),
         }.items():
             if given and not needed:
                 missing = {"hands-from": "--hands FILE", "find-grasps": "--masks or --object-box"}
+                missing |= {"depth": "--depth-from NAME", "depth-from": "--depth PATH", "depth-first": "--depth PATH"}
                 raise UsageError(f"missing {missing.get(name, '--masks FILE')}: --{name} needs it")
         if self.masks == "sam2" and self.object_box is None:
             raise UsageError("missing --object-box: sam2 starts from a box about the object in the first frame")
+        for name, source in {"masks": self.masks, "hands": self.hands}.items():
+            if source is not None:
+                from getagrip.commands.draft_inputs import check_source
+
+                check_source(name, source)
 
     def run(self) -> int:
         """Find hands, write them, and serve the page.
@@ -127,11 +142,8 @@ class Draft(Command):
         from getagrip.annotate.tasks import read_tasks
         from getagrip.annotate.written_files import solve_labels
         from getagrip.commands.annotate import DATABASE, serve
-        from getagrip.commands.draft_inputs import check_source
         from getagrip.io.terminal import progress_bar
 
-        check_source("masks", self.masks)
-        check_source("hands", self.hands)
         shape = self._shape()
         task = read_tasks(self.video, None)[0]
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -139,6 +151,7 @@ class Draft(Command):
         try:
             footage = project.footage(task)
             stretch = self._stretch(footage)
+            project.labelling.depth = self._depth(stretch)
             found = self._find(stretch)
             for key, source in found.provenance.items():
                 report(f"{key}: {source}")
@@ -212,6 +225,13 @@ class Draft(Command):
 
         own_mesh(MeshOptions(mesh=Path(self.object), size_mm=self.size_mm))
         return Shape(self.object, self.size_mm)
+
+    def _depth(self, stretch: Stretch) -> DepthFiles | None:
+        from getagrip.commands.draft_inputs import depth_of
+
+        if self.depth is None or self.depth_from is None:
+            return None
+        return depth_of(self.depth, self.depth_from, self.depth_first, stretch)
 
     @property
     def _lens(self) -> Lens:

@@ -15,9 +15,11 @@ from getagrip.annotate.estimators import ESTIMATORS, check, named, run
 from getagrip.annotate.finding_hands import FoundHands
 from getagrip.annotate.footage import Footage
 from getagrip.annotate.labels import FrameLabels
+from getagrip.annotate.reconstruction import DepthFiles
+from getagrip.clip.depth_sources import SOURCES, open_depth
 from getagrip.clip.mask_request import MaskRequest
 from getagrip.clip.mask_sources import open_masks
-from getagrip.clip.naming import number_of
+from getagrip.clip.naming import number_of, renumbered
 from getagrip.clip.plausible import check_in_view
 from getagrip.commands.hand_file import HandFile
 from getagrip.errors import InputError, MissingOptionError, UsageError, unknown
@@ -65,15 +67,22 @@ def _number(name: str, n: int) -> int:
     return n + 1 if number is None else number
 
 
-def check_source(option: str, given: str | None) -> None:
+def check_source(option: str, given: str) -> None:
     """Raise ``UsageError`` for what is neither a file nor an estimator that is set up."""
-    if given is None:
-        return
     names = named(option)
     if given in names:
         check(given)
     elif not Path(given).exists():
         raise unknown(f"--{option}", given, [*names, "a file or folder that exists"])
+
+
+def depth_of(path: Path, form: str, first: int | None, stretch: Stretch) -> DepthFiles:
+    """Return depth images of a video's frames. Raises ``InputError`` and ``UsageError`` where they are not."""
+    names = stretch.names if first is None else renumbered(stretch.names, first, "--depth-first")
+    if form not in SOURCES:
+        raise unknown("--depth-from", form, SOURCES)
+    open_depth(path, form, names, "--depth-first" if first is None else "")
+    return DepthFiles(path, form, None if first is None else first - stretch.first)
 
 
 def estimated(name: str, stretch: Stretch, folder: Path, values: Mapping[str, Sequence[object]]) -> Path:
