@@ -209,6 +209,22 @@ def test_a_found_hand_of_the_objects_colours_stays_whole() -> None:
     assert 0.5 < coloured_hand(hand, at, *colours).sum() / hand.sum() < 0.9, "a part of it is the object's"
 
 
+def test_a_found_hand_that_is_coloured_as_the_object_is_not_taken_for_it_far_from_it() -> None:
+    """A hand reaches over a banana, say; then its other side is lit, and yellow."""
+
+    def lit(n: int) -> tuple[ndarray, ndarray]:
+        image, labels = drawn(n)
+        hand = np.zeros(SIZE[::-1], bool)
+        hand[110:125, 60:230] = True
+        bright = hand & (np.arange(SIZE[0]) > 170) & (n > 0)
+        image = np.where(hand[..., None], BAR[: SIZE[1], : SIZE[0]], image)
+        return np.where(bright[..., None], THING[: SIZE[1], : SIZE[0]], image), np.where(hand, np.uint8(HAND), labels)
+
+    keys = {0: np.where(lit(0)[1] == OBJECT, np.uint8(OBJECT), np.uint8(0))}
+    found = propagate(lambda n: lit(n)[0], keys, 0, 4, hand=lambda n: lit(n)[1] == HAND)
+    assert all((labels[112:123, 175:225] == HAND).mean() > 0.95 for _, labels, _ in found)
+
+
 def test_a_hand_drawn_on_a_key_replaces_the_one_that_was_found() -> None:
     found = propagate(lambda n: held(n)[0], {0: held(0)[1]}, 0, 2, hand=lambda n: np.zeros(SIZE[::-1], bool))
     assert all(iou(labels == HAND, hand_of(n)) > 0.8 for n, labels, _ in found)

@@ -61,6 +61,8 @@ STIFF = 0.5
 LOST = 0.15
 """Share of a mask's trust below which, after a frame, it is looked for as far away as the hand has moved."""
 
+REACH = 10.0
+"""Farther than this from where the object is expected, pixels of a found hand are not the object's, if alike [px]."""
 CLEAR = 3.0
 """Pixels farther than this from all that is carried show the ground [px]."""
 
@@ -178,7 +180,8 @@ def _step(
 
     inside = np.stack([moved(kind, old(*came), -float(FAR)) for kind in now.inside])
     if hand is not None:
-        inside[-1] = signed_distance(coloured_hand(hand[part], at, colours[0], colours[-1]))
+        coloured = coloured_hand(hand[part], at, colours[0], colours[-1])
+        inside[-1] = signed_distance(coloured | (hand[part] & (inside[0] < -REACH)))
     hidden = is_hidden(inside)
     was_hidden = moved(is_hidden(now.inside).astype(np.float32), old(*came), 0.0) > 0.0
     inner = (inside[0] > INNER) & (off < BACK) & (inside[1:].max(axis=0) < -INNER) & ~was_hidden
