@@ -19,8 +19,12 @@ WIDEST = 320
 """Largest side of the image that GrabCut runs on [px]."""
 SURE, MAYBE = 0.055, 0.17
 """Radii about bones, in sizes of the hand."""
+THICK = 0.25
+"""The second of these about the bones of the palm, which is thick where it is seen from its side."""
 ARM = (1.6, 0.34)
 """Length and half width of the forearm, in sizes of the hand."""
+WHOLE_ARM = 2.0
+"""Where more of the forearm may be, enlarged by this: skin there is not what the background looks like."""
 SKIN, NO_SKIN = 3.5, 8.0
 """Robust standard deviations from the palm's colour beyond which a pixel is no longer certainly the hand, and beyond
 which it is certainly not."""
@@ -68,12 +72,13 @@ def hand_mask(
     not_hand = np.zeros(small[::-1], dtype=bool)
     if other is not None:
         not_hand = cv2.resize(other[window].astype(np.uint8), small, interpolation=cv2.INTER_NEAREST) > 0
-    labels = _labels(colours, (points - low) * scale, (arm - low) * scale, size * scale, not_hand)
-    if (labels == cv2.GC_FGD).sum() < 10 or (labels == cv2.GC_BGD).sum() < 10:
+    labels, of_arm = _labels(colours, (points - low) * scale, (arm - low) * scale, size * scale, not_hand)
+    background = colours[(labels == cv2.GC_BGD) & ~of_arm]
+    if (labels == cv2.GC_FGD).sum() < 10 or len(background) < 10:
         return out
+    colours[of_arm] = background[np.random.default_rng(0).integers(0, len(background), np.count_nonzero(of_arm))]
     cv2.setRNGSeed(0)
-    background, foreground = np.zeros((1, 65)), np.zeros((1, 65))
-    cv2.grabCut(colours, labels, (0, 0, 0, 0), background, foreground, ROUNDS, cv2.GC_INIT_WITH_MASK)
+    cv2.grabCut(colours, labels, (0, 0, 0, 0), np.zeros((1, 65)), np.zeros((1, 65)), ROUNDS, cv2.GC_INIT_WITH_MASK)
     found = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
     whole = _connected(found)
     large = cv2.resize(whole.astype(np.float32), tuple((high - low).tolist()), interpolation=cv2.INTER_LINEAR)
@@ -102,11 +107,13 @@ def _labels(
     arm: Float[ndarray, "4 2"],
     size: float,
     not_hand: Bool[ndarray, "h w"],
-) -> UInt8[ndarray, "h w"]:
-    """Make GrabCut's label of each pixel."""
+) -> tuple[UInt8[ndarray, "h w"], Bool[ndarray, "h w"]]:
+    """Make GrabCut's label of each pixel, and find what may be more of the forearm among its background."""
     import cv2
 
     maybe = _capsules(colours.shape[:2], points, MAYBE * size)
+    for knuckle in (1, *KNUCKLES):
+        maybe |= _lines(colours.shape[:2], points[[0, knuckle]], THICK * size)
     for region in (points[PALM], points[WEB], arm):
         cv2.fillConvexPoly(maybe, _whole(cv2.convexHull(region.astype(np.float32))[:, 0]), 1)
     palm = np.zeros_like(maybe)
@@ -117,14 +124,17 @@ def _labels(
     shown = _skin(lab, points, size, palm.astype(bool) & ~not_hand, ~not_hand)
     skin = lab[shown] if shown.sum() >= FEWEST else lab[sure]
     off, in_shadow = _off(lab, skin), _off(lab, skin, SHADOW)
-    labels = np.full(colours.shape[:2], cv2.GC_BGD, np.uint8)
-    possible = (maybe > 0) & ~not_hand & (off < NO_SKIN)
-    labels[possible] = cv2.GC_PR_BGD
-    labels[possible & (off < SKIN)] = cv2.GC_PR_FGD
     colour, own = lab[..., 1:] - GREY, np.median(skin, axis=0)[1:] - GREY if len(skin) else np.zeros(2)
     coloured = colour @ own > COLOURED * (own @ own)
+    labels = np.full(colours.shape[:2], cv2.GC_BGD, np.uint8)
+    possible = (maybe > 0) & ~not_hand & ((off < NO_SKIN) | coloured)
+    labels[possible] = cv2.GC_PR_BGD
+    labels[possible & (off < SKIN)] = cv2.GC_PR_FGD
     labels[sure & ((off < SKIN) | coloured & (in_shadow < SKIN))] = cv2.GC_FGD
-    return labels
+    whole_arm = np.zeros_like(maybe)
+    middle = arm.mean(axis=0)
+    cv2.fillConvexPoly(whole_arm, _whole(middle + WHOLE_ARM * (arm - middle)), 1)
+    return labels, (labels == cv2.GC_BGD) & (off < SKIN) & ~not_hand & (whole_arm > 0)
 
 
 def _skin(
