@@ -51,7 +51,7 @@ SYNTHETIC, SCENES = "synthetic", range(300_000, 300_011)
 REAL, REAL_APART = "real", "real, other objects"
 """Parts of clips whose hands an estimator has found: with these objects, and with others."""
 REAL_OBJECTS = "box", "espressomachine", "laptop", "mixer", "phone", "waffleiron"
-SEEDS = {"train": 3, "validation": 1}
+SEEDS = {"train": 3, "validation": 3}
 """Draws of the errors of each clip; what does not err is reconstructed once."""
 Row = dict[str, Any]
 
@@ -150,10 +150,11 @@ def row(case: Case) -> Row | None:
         return None
     in_camera = [*zip(result.candidates.T_hand_obj, result.candidates.scale, strict=True)]
     in_hand = in_camera if result.hand_alternatives is None else [(T, result.scale) for T in result.in_hand]
+    terms, depth = {*result.energy, *result.hand_energy}, result.signs.get("depth-images", 0.0)
     return {
         "clip": clip.name, "subject": subject_of(clip.name), "category": clip.category, "part": case.part,
         "condition": case.condition, "seed": case.seed, "made": stamp(),
-        "kind": kind_of_input(kind_of_hands(clip.provenance), {*result.energy, *result.hand_energy}),
+        "kind": kind_of_input(kind_of_hands(clip.provenance), terms, depth),
         "serious": [finding.check for finding in result.findings if finding.serious],
         "signs": result.signs, "checks": result.checks, "hand_energy": result.hand_energy,
         "diameter": clip.mesh.diameter, "energy": result.candidates.energy.tolist(),

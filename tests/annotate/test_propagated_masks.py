@@ -313,7 +313,7 @@ def test_what_cannot_be_propagated_is_refused() -> None:
 
 
 def test_a_small_part_that_comes_off_is_something_else_unless_a_key_shows_it_apart() -> None:
-    """A disc of the thing's texture moves beside it, drawn with it on the key; from there on it moves away, or stays."""
+    """A disc of the thing's texture is drawn with it on the key; from there on it moves away, or with the thing."""
 
     def beside(gap: float, away: float, n: int) -> tuple[ndarray, ndarray]:
         image, labels = drawn(n)

@@ -129,12 +129,12 @@ def test_hands_are_measured_unless_their_source_says_otherwise() -> None:
 
 def test_the_kind_of_an_input_is_that_of_its_hands_and_of_the_evidence_that_counted() -> None:
     terms = {"total", "mask", "hand-mask"}
-    assert kind_of_input("measured", terms | {"depth", "joints-2d"}) == "measured"
-    assert kind_of_input("estimated", terms) == "estimated"
-    assert kind_of_input("estimated", terms | {"joints-2d"}) == "joints"
-    assert (
-        kind_of_input("estimated", terms | {"joints-2d", "depth"}) == kind_of_input("estimated", {"depth"}) == "depth"
-    )
+    assert kind_of_input("measured", terms | {"depth", "joints-2d"}, 2.0) == "measured"
+    assert kind_of_input("estimated", terms, 2.0) == "estimated", "depth that did not count"
+    assert kind_of_input("estimated", terms | {"joints-2d"}, 0.0) == "joints"
+    for sign, kind in ((1.0, "network"), (2.0, "sensor")):
+        assert kind_of_input("estimated", terms | {"joints-2d", "depth"}, sign) == kind
+        assert kind_of_input("estimated", {"depth"}, sign) == kind
 
 
 def test_rows_that_were_cut_off_count_as_missing(tmp_path: Path) -> None:
@@ -150,15 +150,15 @@ def test_rows_that_were_cut_off_count_as_missing(tmp_path: Path) -> None:
 def made_rows(n: int, seed: int) -> list[Row]:
     """Rows whose first sign says how probable a right result is, and the fewer candidates hold it the less it is."""
     rng = np.random.default_rng(seed)
-    kinds = [("exact", "measured"), ("estimated", "estimated"), ("2D joints", "joints"), ("depth", "depth")]
+    kinds = "measured", "estimated", "joints", "network", "sensor"
     rows = []
     for k in range(n):
         signs = dict(zip(USUAL, rng.normal(size=len(USUAL)), strict=True))
-        (condition, kind), odds = kinds[k % 4], 3.0 * signs["energy-gap"] + 2.0
+        kind, odds = kinds[k % 5], 3.0 * signs["energy-gap"] + 2.0
         rank = None if rng.random() < 0.03 else 1 if rng.random() < 1.0 / (1.0 + np.exp(-odds)) else 3
         rows.append({
-            "clip": f"{k % 30}", "category": f"{k % 5}", "part": ("train", "train", "validation")[k // 4 % 3],
-            "condition": condition, "kind": kind, "serious": [], "made": "today", "signs": signs,
+            "clip": f"{k % 30}", "category": f"{k % 7}", "part": ("train", "train", "validation")[k // 5 % 3],
+            "condition": kind, "kind": kind, "serious": [], "made": "today", "signs": signs,
             "rank": {"hand": rank, "camera": rank},
         })  # fmt: skip
     return rows
@@ -177,7 +177,7 @@ def test_what_was_calibrated_is_written_and_held_against_validation(tmp_path: Pa
         found = [one.probability(rows[1]["signs"]).value for one in (fitted["soft-hinge", where], estimated[where])]
         assert found[0] == pytest.approx(found[1], abs=1e-3)
     table = [dict(zip(("label", *HEADER), line, strict=True)) for line in lines(rows, estimated, keeping)]
-    depth = next(line for line in table if line["label"] == "validation, in the hand, depth")
+    depth = next(line for line in table if line["label"] == "validation, in the hand, network")
     assert float(depth["AUROC"].split()[0]) > 0.75
     assert float(depth["sets that hold it, %"].split()[0]) > 80.0
 

@@ -109,7 +109,7 @@ def test_a_palm_seen_from_its_side_is_thick_and_the_arm_is_no_background() -> No
         cv2.line(palm, *(np.round(hand[n]).astype(int).tolist() for n in (0, knuckle)), 1, 34)
     cv2.line(arm, (160, 215), (160, 480), 1, 64)
     skin = (palm | arm) > 0
-    image[skin] = ([205, 150, 120] + RNG.normal(0.0, 6.0, (*SHAPE, 3))).clip(0, 255).astype(np.uint8)[skin]
+    image[skin] = (np.array([205, 150, 120]) + RNG.normal(0.0, 6.0, (*SHAPE, 3))).clip(0, 255).astype(np.uint8)[skin]
     found = hand_mask(image, hand)
     assert (found & (palm > 0)).sum() > 0.95 * (palm > 0).sum()
     assert not (found & ~cv2.dilate((palm | arm), np.ones((9, 9), np.uint8)).astype(bool))[170:].any()

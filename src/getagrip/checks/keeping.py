@@ -22,8 +22,9 @@ from numpy import ndarray
 from getagrip.probability import Probability
 from getagrip.provenance import HandsKind
 
-InputKind = Literal["measured", "estimated", "joints", "depth"]
-"""Kind of a result's input: measured hands; estimated ones without further evidence, with 2D joints, with depth."""
+InputKind = Literal["measured", "estimated", "joints", "network", "sensor"]
+"""Kind of a result's input: measured hands; estimated ones without further evidence, with 2D joints, with a network's
+depth, with a sensor's."""
 SHARES = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98)
 """Shares that results are kept for."""
 SIZES = (1, 2, 3, 5, 7)
@@ -49,11 +50,13 @@ class Keeping:
         return replace(right, keep=keep, candidates=size)
 
 
-def kind_of_input(hands: HandsKind, evidence: Container[str]) -> InputKind:
-    """Return the kind of an input by its hands and the names of the terms that its evidence gave."""
+def kind_of_input(hands: HandsKind, evidence: Container[str], depth_images: float) -> InputKind:
+    """Return the kind of an input by its hands, the terms that its evidence gave, and the sign ``depth-images``."""
     if hands == "measured":
         return "measured"
-    return "depth" if "depth" in evidence else "joints" if "joints-2d" in evidence else "estimated"
+    if "depth" in evidence:
+        return "sensor" if depth_images > 1.0 else "network"
+    return "joints" if "joints-2d" in evidence else "estimated"
 
 
 def least_kept(probability: Float[ndarray, "n"], right: Bool[ndarray, "n"], share: float) -> float:

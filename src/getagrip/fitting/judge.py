@@ -110,7 +110,7 @@ def probabilities(
 
     ``terms`` are those of its energy and of its hand's.
     """
-    kind = kind_of_input(kind_of_hands(clip.provenance), terms)
+    kind = kind_of_input(kind_of_hands(clip.provenance), terms, signs.get("depth-images", 0.0))
     found = {where: probability_right(options, signs, findings, where, terms, kind) for where in get_args(Where)}
     beyond = [finding.check for finding in findings if finding.check in WRONG_EVIDENCE]
     if kind != "measured" and is_assumed(clip.provenance.get("mesh")):  # these were calibrated on exact meshes

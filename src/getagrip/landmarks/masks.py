@@ -24,7 +24,7 @@ THICK = 0.25
 ARM = (1.6, 0.34)
 """Length and half width of the forearm, in sizes of the hand."""
 WHOLE_ARM = 2.0
-"""Where more of the forearm may be, enlarged by this: skin there is not what the background looks like."""
+"""Enlargement of that area for more of the forearm: skin in it is not what the background looks like."""
 SKIN, NO_SKIN = 3.5, 8.0
 """Robust standard deviations from the palm's colour beyond which a pixel is no longer certainly the hand, and beyond
 which it is certainly not."""
