@@ -23,8 +23,6 @@ THICK = 0.25
 """The second of these about the bones of the palm, which is thick where it is seen from its side."""
 ARM = (1.6, 0.34)
 """Length and half width of the forearm, in sizes of the hand."""
-WHOLE_ARM = 2.0
-"""Enlargement of that area for more of the forearm: skin in it is not what the background looks like."""
 SKIN, NO_SKIN = 3.5, 8.0
 """Robust standard deviations from the palm's colour beyond which a pixel is no longer certainly the hand, and beyond
 which it is certainly not."""
@@ -72,11 +70,9 @@ def hand_mask(
     not_hand = np.zeros(small[::-1], dtype=bool)
     if other is not None:
         not_hand = cv2.resize(other[window].astype(np.uint8), small, interpolation=cv2.INTER_NEAREST) > 0
-    labels, of_arm = _labels(colours, (points - low) * scale, (arm - low) * scale, size * scale, not_hand)
-    background = colours[(labels == cv2.GC_BGD) & ~of_arm]
-    if (labels == cv2.GC_FGD).sum() < 10 or len(background) < 10:
+    labels = _labels(colours, (points - low) * scale, (arm - low) * scale, size * scale, not_hand)
+    if (labels == cv2.GC_FGD).sum() < 10 or (labels == cv2.GC_BGD).sum() < 10:
         return out
-    colours[of_arm] = background[np.random.default_rng(0).integers(0, len(background), np.count_nonzero(of_arm))]
     cv2.setRNGSeed(0)
     cv2.grabCut(colours, labels, (0, 0, 0, 0), np.zeros((1, 65)), np.zeros((1, 65)), ROUNDS, cv2.GC_INIT_WITH_MASK)
     found = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
@@ -107,8 +103,8 @@ def _labels(
     arm: Float[ndarray, "4 2"],
     size: float,
     not_hand: Bool[ndarray, "h w"],
-) -> tuple[UInt8[ndarray, "h w"], Bool[ndarray, "h w"]]:
-    """Make GrabCut's label of each pixel, and find what may be more of the forearm among its background."""
+) -> UInt8[ndarray, "h w"]:
+    """Make GrabCut's label of each pixel."""
     import cv2
 
     maybe = _capsules(colours.shape[:2], points, MAYBE * size)
@@ -131,10 +127,7 @@ def _labels(
     labels[possible] = cv2.GC_PR_BGD
     labels[possible & (off < SKIN)] = cv2.GC_PR_FGD
     labels[sure & ((off < SKIN) | coloured & (in_shadow < SKIN))] = cv2.GC_FGD
-    whole_arm = np.zeros_like(maybe)
-    middle = arm.mean(axis=0)
-    cv2.fillConvexPoly(whole_arm, _whole(middle + WHOLE_ARM * (arm - middle)), 1)
-    return labels, (labels == cv2.GC_BGD) & (off < SKIN) & ~not_hand & (whole_arm > 0)
+    return labels
 
 
 def _skin(
