@@ -330,3 +330,16 @@ def test_a_small_part_that_comes_off_is_something_else_unless_a_key_shows_it_apa
         shown = carried((0,), partial(beside, gap, away))[LAST].labels == OBJECT
         there = disc(gap + away * LAST, LAST) & (drawn(LAST)[1] == 0)
         assert least <= shown[there].mean() <= most
+
+
+def test_a_handle_that_is_joined_beyond_the_image_is_kept() -> None:
+    def leaving(n: int) -> tuple[ndarray, ndarray]:
+        labels, top = np.zeros((SIZE[1] + 80, SIZE[0]), np.uint8), 8 * n
+        labels[60:180, 40:120] = labels[60:140, 150:160] = labels[45:60, 40:160] = OBJECT
+        image = np.where(
+            labels[..., None] == OBJECT, THING[: labels.shape[0], : SIZE[0]], GROUND[: labels.shape[0], : SIZE[0]]
+        )
+        return image[top : top + SIZE[1]], labels[top : top + SIZE[1]]
+
+    found = carried((0,), leaving)[LAST]
+    assert (found.labels == OBJECT)[:70, 152:158].mean() > 0.9

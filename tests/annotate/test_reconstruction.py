@@ -11,8 +11,11 @@ import pytest
 
 from getagrip.annotate import reconstruction
 from getagrip.annotate.background import BackgroundJob, CancelledError
-from getagrip.annotate.reconstruction import Shape, reconstruct, shape_of
+from getagrip.annotate.reconstruction import DepthFiles, Shape, reconstruct, shape_of
 from getagrip.annotate.versions import RefusedError
+from getagrip.clip import read_clip, with_evidence, write_clip
+from getagrip.clip.depth import DEPTH
+from getagrip.clip.depth_sources import SOURCES, DepthReader
 from getagrip.errors import GetagripError, UsageError
 from getagrip.result import FrameKind, write_result
 from helpers.clips import small_clip
@@ -67,3 +70,21 @@ def test_work_that_is_not_wanted_any_more_is_ended(tmp_path: Path, monkeypatch: 
     job.stop.set()
     with pytest.raises(CancelledError):
         reconstruction.run_command(["doctor"], job)
+
+
+@pytest.mark.parametrize(
+    ("known", "wrong"), [((0, 3, 4, 6), ""), ((3, 4), "1 of 3 frames"), ((0,), "no depth image of any")]
+)
+def test_a_clip_takes_the_depth_of_its_own_frames(tmp_path: Path, known: tuple[int, ...], wrong: str) -> None:
+    """They are some of a video's frames, at other places, with gaps between."""
+    clip, masks = small_clip()
+    folder = write_clip(clip, masks, tmp_path / "clip")
+    frames = ("first", "second", "gap", clip.frames[0], clip.frames[1], "another", clip.frames[2])
+    reader = DepthReader(lambda row: (tmp_path, np.full((24, 32), 500.0 + row), 0.001), known)
+    said = DepthFiles(reader, frames, SOURCES["realsense"].source, "from here").add_to(folder)
+    assert wrong in said if wrong else not said
+    depth = with_evidence(read_clip(folder)).evidence[DEPTH]
+    assert (depth is None) == (known == (0,))
+    for n, row in enumerate((3, 4, 6)):
+        if depth is not None:
+            assert depth.image(n).max() == pytest.approx(0.5 + 0.001 * row if row in known else 0.0)

@@ -85,6 +85,9 @@ def test_a_box_on_the_object_is_enough_for_masks_of_all_frames(
     clip = with_evidence(read_clip(made / "clips" / name))
     assert clip.category == "cup"
     assert [clip.evidence[DEPTH].image(row).max() for row in range(7)] == pytest.approx(0.6 + 0.001 * np.arange(1, 8))
+    again, out, err = run(*DRAFT, *box)  # over it
+    assert again == 0, err
+    assert f"depth images of the earlier {made / 'clips' / name} are left out" in out.replace("out/", f"{made}/")
     for n in range(1, 8):
         mask = read_png(masks / f"{n + 1:06d}.png", (WIDTH, HEIGHT))
         x, y = middle(n).astype(int)

@@ -157,8 +157,7 @@ class Labelling:
         job.message = "writing the files"
         self.write(grasp, value, job)
         words = clip_words(value, self.out / grasp.name, str(grasp.path), self._segments(grasp))
-        depth = () if self.depth is None else self.depth.words(value.first)
-        said = reconstruction.reconstruct(words, shape, self.out, grasp.name, job, depth)
+        said = reconstruction.reconstruct(words, shape, self.out, grasp.name, job, self.depth)
         iou = reconstruction.iou_of(reconstruction.result_folder(self.out, grasp.name))
         names = {grasp.footage.name(n): n for n in range(value.first, value.last + 1)}
         self._iou[grasp.mark.mark] = basis, {names[name]: x for name, x in iou.items() if name in names}

@@ -107,11 +107,15 @@ def _filled(
     there = carry(frames, before, keys[before], last, colours, hand) if before < first else None
     back = list(carry(frames, after, keys[after], first, colours, hand))[::-1] if after > last else None
     if there is None or back is None:
-        yield from (_propagated(each, each.trust, keys, frames) for each in there or back or ())
-        return
-    for one, other in zip(there, back, strict=True):
-        share = (one.frame - before) / (after - before)
-        yield _propagated(*merged(one, other, share, frames[one.frame], colours), keys, frames)
+        made = ((each, each.trust) for each in there or back or ())
+    else:
+        shares = ((n - before) / (after - before) for n in range(first, last + 1))
+        both = zip(there, back, shares, strict=True)
+        made = (merged(one, other, share, frames[one.frame], colours) for one, other, share in both)
+    apart = any(_apart(labels).any() for labels in keys.values())
+    for each, confidence in made:
+        found = _propagated(each, confidence, keys, frames)
+        yield found if apart else found._replace(labels=np.where(_apart(found.labels), np.uint8(0), found.labels))
 
 
 def _unknown(_: int) -> None:
@@ -170,8 +174,6 @@ def _propagated(
     visible = cv2.resize(np.minimum(inside[0], -inside[1:].max(axis=0)), whole.shape[1::-1])
     found = fine(whole, visible, whole.shape[1] / frames.size[0]).astype(np.float32)
     labels[cv2.resize(found, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5] = OBJECT
-    if not any(_apart(key).any() for key in keys.values()):
-        labels[_apart(labels)] = 0
     return Propagated(each.frame, labels, confidence)
 
 
@@ -180,6 +182,7 @@ def _apart(labels: UInt8[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
     import cv2
 
     covered = cv2.dilate((labels > OBJECT).astype(np.uint8), np.ones((BESIDE, BESIDE), np.uint8)) > 0
+    covered[[0, -1]] = covered[:, [0, -1]] = True  # it may go on beyond the image
     count, parts, stats, _ = cv2.connectedComponentsWithStats((labels == OBJECT).astype(np.uint8))
     areas = stats[:, cv2.CC_STAT_AREA]
     beside = np.bincount(parts[covered], minlength=count) > 0

@@ -7,13 +7,16 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from math import isnan
 from pathlib import Path
 
 from getagrip.annotate.background import BackgroundJob, CancelledError
 from getagrip.annotate.versions import RefusedError
+from getagrip.clip.depth import DEPTH, DepthSource
+from getagrip.clip.depth_sources import DepthReader, add_depth, check_camera
+from getagrip.clip.reading import read_header
 from getagrip.errors import GetagripError, InputError
 from getagrip.io import files
 from getagrip.io.files import Json, shown
@@ -23,8 +26,6 @@ CLIPS, RESULTS = "clips", "results"
 LONGEST = 1000
 """Characters of a path."""
 LARGEST_MM = 10_000.0
-WARNED = 3
-"""Exit status of a command that did its work, and warns of it."""
 ASKED = 0.3
 """How often it is asked whether the work is still wanted [s]."""
 
@@ -48,16 +49,28 @@ class Shape:
 class DepthFiles:
     """Depth images of a video's frames."""
 
-    path: Path
-    form: str
-    """Name in ``clip.depth_sources.SOURCES``."""
-    zero: int | None
-    """Number that the files give to the video's first frame, below 0 too; None: they are numbered as its frames."""
+    reader: DepthReader
+    frames: Sequence[str]
+    """Names of the reader's frames."""
+    source: DepthSource
+    said: str
+    """Where they are from."""
 
-    def words(self, first: int) -> list[str]:
-        """Return the words of ``import depth`` but for the clip, whose first frame is the video's ``first``, from 0."""
-        number = [] if self.zero is None else ["--first", str(self.zero + first)]
-        return ["import", "depth", str(self.path.absolute()), "--from", self.form, *number, "--overwrite"]
+    def add_to(self, clip: Path) -> str:
+        """Add those of its frames to a clip; returns what is wrong with them, or nothing. Raises ``InputError``."""
+        header, places = read_header(clip), {self.frames[row]: row for row in self.reader.known}
+        rows = {n: places[name] for n, name in enumerate(header.frames) if name in places}
+        if not rows:
+            return f"there is no depth image of any frame of {clip.name}"
+        add_depth(
+            header,
+            replace(self.reader, read=lambda n: self.reader.read(rows[n]), known=[*rows]),
+            self.source,
+            self.said,
+        )
+        without = len(header.frames) - len(rows)
+        missing = f"{without} of {len(header.frames)} frames have no depth image" if without else ""
+        return "; ".join(filter(None, (missing, check_camera(self.reader, self.source, header.K, header.size[0]))))
 
 
 def shape_of(content: Json) -> Shape:
@@ -78,25 +91,30 @@ def result_folder(out: Path, name: str) -> Path:
 
 
 def reconstruct(
-    new_clip: Sequence[str], shape: Shape, out: Path, name: str, job: BackgroundJob, depth: Sequence[str] = ()
+    new_clip: Sequence[str], shape: Shape, out: Path, name: str, job: BackgroundJob, depth: DepthFiles | None = None
 ) -> str:
     """Make the clip with ``new_clip``, the words of ``clip new`` but for mesh and folder; reconstruct it, and report.
 
-    ``depth``: the words of ``import depth`` but for the clip, if there is any. Returns what was said of it, warnings
-    about the clip first. Raises ``GetagripError`` with what a command said against it, ``CancelledError``.
+    Returns what was said of it, warnings about the clip first. Raises ``GetagripError`` with what a command said
+    against it, ``CancelledError``.
     """
     clip, result = files.folder_inside(out, CLIPS) / name, files.folder_inside(out, RESULTS) / name
-    steps = (
-        ("making the clip", [*new_clip, *shape.options, "--out", str(clip), "--overwrite", "--quiet"]),
-        *([("adding depth", [*depth, "--clip", str(clip), "--quiet"])] if depth else []),
-        ("reconstructing", ["reconstruct", str(clip), "--out", str(result.parent), "--overwrite", "--threads", "2"]),
-        ("drawing the report", ["report", str(result)]),
-    )
+    solve = ["reconstruct", str(clip), "--out", str(result.parent), "--overwrite", "--threads", "2"]
+    lost = f"depth images of the earlier {clip} are left out" if depth is None and (clip / DEPTH).exists() else ""
+    steps: list[tuple[str, Callable[[], str]]] = [
+        (
+            "making the clip",
+            lambda: run_command([*new_clip, *shape.options, "--out", str(clip), "--overwrite", "--quiet"], job),
+        ),
+        ("adding depth", lambda: lost if depth is None else depth.add_to(clip)),
+        ("reconstructing", lambda: run_command(solve, job)),
+        ("drawing the report", lambda: run_command(["report", str(result)], job)),
+    ]
     said = []
-    for n, (what, words) in enumerate(steps):
+    for n, (what, work) in enumerate(steps):
         job.message = what
         job.report(n, len(steps))
-        said.append(run_command(words, job))
+        said.append(work())
     return "\n".join(filter(None, said[:-1]))
 
 
@@ -116,7 +134,7 @@ def iou_of(result: Path) -> dict[str, float]:
 
 
 def run_command(words: Sequence[str], job: BackgroundJob) -> str:
-    """Run a command; returns what it printed. Raises ``GetagripError`` where it failed, not where it warned."""
+    """Run a command; returns what it printed."""
     process = subprocess.Popen(
         [sys.executable, "-m", "getagrip", *words],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace",
@@ -132,6 +150,6 @@ def run_command(words: Sequence[str], job: BackgroundJob) -> str:
                 process.terminate()
                 process.communicate()
                 raise
-    if process.returncode not in (0, WARNED):
+    if process.returncode:
         raise GetagripError((err.strip() or out.strip() or "it ended early").removeprefix("getagrip: "))
     return "\n".join(filter(None, (out.strip(), err.strip())))

@@ -111,7 +111,12 @@ def _places(frames: tuple[str, ...]) -> tuple[dict[str, int], dict[int, list[int
 
 
 def renumbered(frames: Sequence[str], first: int, option: str) -> tuple[str, ...]:
-    """Return the names of frames where the first one has another number. Raises ``UsageError`` where they have none."""
+    """Return the names of frames where the first one has another number.
+
+    Raises ``UsageError`` where they have none, or where it would be below 0.
+    """
+    if first < 0:
+        raise UsageError(f"{option} must be 0 or more (got {first})")
     numbers = [number_of(name) for name in frames]
     known = [number for number in numbers if number is not None]
     if len(known) < len(frames):

@@ -81,8 +81,8 @@ def depth_of(path: Path, form: str, first: int | None, stretch: Stretch) -> Dept
     names = stretch.names if first is None else renumbered(stretch.names, first, "--depth-first")
     if form not in SOURCES:
         raise unknown("--depth-from", form, SOURCES)
-    open_depth(path, form, names, "--depth-first" if first is None else "")
-    return DepthFiles(path, form, None if first is None else first - stretch.first)
+    reader = open_depth(path, form, names, "--depth-first" if first is None else "")
+    return DepthFiles(reader, stretch.names, SOURCES[form].source, f"from {path.name}, {form}")
 
 
 def estimated(name: str, stretch: Stretch, folder: Path, values: Mapping[str, Sequence[object]]) -> Path:

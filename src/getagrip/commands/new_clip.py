@@ -254,7 +254,7 @@ def _write(
 
     visible = 0
     with files.new_folder(out, ("clip.json",) if overwrite else ()) as new:
-        fill_folder(new, clip, None, images)
+        fill_folder(new, replace(clip, folder=None), None, images)  # an older clip may be in its folder
         if masks:
             visible = write_masks(masks, clip.frames, new / "masks")
         if hands:
