@@ -235,8 +235,8 @@ def main(file: Path) -> None:
     )
     header = ("input", "results", *(f"right in the {where}, %" for where in get_args(Where)))
     settings = (
-        "hands: exact, or at the level estimated, their masks not ragged; 2D joints: landmarks, wild and lab, by draws of "
-        "all errors; depth: mono, realsense",
+        "hands: exact, or at the level estimated, their masks not ragged; 2D joints: landmarks, wild, lab, one a draw; "
+        "depth: mono, realsense",
         f"all 70 validation clips, by {makers}; intervals: 95 %, clips drawn together",
     )
     tables = {

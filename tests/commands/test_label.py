@@ -67,7 +67,7 @@ def test_what_is_labelled_is_solved_once_and_exported(videos: Path, run: Run, mo
     solved: list[Any] = []
     exported: list[Any] = []
 
-    def solve(words: list[str], shape: object, out: Path, name: str, _: object) -> str:
+    def solve(words: list[str], shape: object, out: Path, name: str, *_: object) -> str:
         solved.append((words, shape))
         files.write_json(reconstruction.result_folder(out, name) / "result.json", {})
         return "it is held"

@@ -54,7 +54,7 @@ class DepthFiles:
     """Names of the reader's frames."""
     source: DepthSource
     said: str
-    """Where they are from."""
+    """Source of the images, for the clip's provenance."""
 
     def add_to(self, clip: Path) -> str:
         """Add those of its frames to a clip; returns what is wrong with them, or nothing. Raises ``InputError``."""

@@ -154,7 +154,7 @@ def test_it_ends_in_a_reconstruction(
     page.fill("#mesh", "plate")
     page.fill("#size-mm", "180")
     page.click("#reconstruct")
-    expect(page.locator("#outcome")).to_have_text("reconstruct: done", timeout=30_000)
+    expect(page.locator("#outcome")).to_have_text("clip: done\nreconstruct: done", timeout=30_000)
     until(page, "document.getElementById('report').naturalWidth == 200")
     (clip,) = (tmp_path / "clips").iterdir()
     assert np.ptp(read_clip(clip).mesh.vertices, axis=0).max() == pytest.approx(0.18)
