@@ -74,6 +74,12 @@ def test_a_box_on_the_object_is_enough_for_masks_of_all_frames(
     status, _, err = run(*DRAFT, *box, *depth)
     assert status == 2
     assert "missing --depth-first: the number of the depth image of frame 000002" in err
+    (scene.parent / "narrow").mkdir()
+    assert cv2.imwrite(str(scene.parent / "narrow" / "2.png"), np.full((HEIGHT, WIDTH // 2), 600, np.uint16))
+    status, _, err = run(*DRAFT, *box, "--depth", "narrow", *depth[2:])
+    assert status == 1
+    assert f"{WIDTH // 2} x {HEIGHT}" in err
+    assert not (scene.parent / "out" / "found").exists(), "before any work"
     status, out, err = run(*DRAFT, *box, *depth, "--depth-first", "1")
     assert status == 0, err
     made = scene.parent / "out"

@@ -62,7 +62,7 @@ LOST = 0.15
 """Share of a mask's trust below which, after a frame, it is looked for as far away as the hand has moved."""
 
 REACH = 10.0
-"""Farther than this from where the object is expected, pixels of a found hand are not the object's, if alike [px]."""
+"""Pixels of a found hand stay the hand's, whatever their colours, farther than this from the expected object [px]."""
 CLEAR = 3.0
 """Pixels farther than this from all that is carried show the ground [px]."""
 

@@ -16,6 +16,7 @@ from getagrip.annotate.finding_hands import FoundHands
 from getagrip.annotate.footage import Footage
 from getagrip.annotate.labels import FrameLabels
 from getagrip.annotate.reconstruction import DepthFiles
+from getagrip.clip.depth_files import check_shape
 from getagrip.clip.depth_sources import SOURCES, open_depth
 from getagrip.clip.mask_request import MaskRequest
 from getagrip.clip.mask_sources import open_masks
@@ -77,11 +78,15 @@ def check_source(option: str, given: str) -> None:
 
 
 def depth_of(path: Path, form: str, first: int | None, stretch: Stretch) -> DepthFiles:
-    """Return depth images of a video's frames. Raises ``InputError`` and ``UsageError`` where they are not."""
+    """Return depth images of a video's frames. Raises ``InputError`` and ``UsageError`` where they are not.
+
+    The first of them is read, so that one that does not fit is refused before any work.
+    """
     names = stretch.names if first is None else renumbered(stretch.names, first, "--depth-first")
     if form not in SOURCES:
         raise unknown("--depth-from", form, SOURCES)
     reader = open_depth(path, form, names, "--depth-first" if first is None else "")
+    check_shape(*reader.read(reader.known[0])[:2], stretch.footage.size)
     return DepthFiles(reader, stretch.names, SOURCES[form].source, f"from {path.name}, {form}")
 
 

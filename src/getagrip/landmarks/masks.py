@@ -20,7 +20,7 @@ WIDEST = 320
 SURE, MAYBE = 0.055, 0.17
 """Radii about bones, in sizes of the hand."""
 THICK = 0.25
-"""The second of these about the bones of the palm, which is thick where it is seen from its side."""
+"""The larger radius about the bones of the palm, which is thick where it is seen from its side."""
 ARM = (1.6, 0.34)
 """Length and half width of the forearm, in sizes of the hand."""
 SKIN, NO_SKIN = 3.5, 8.0
