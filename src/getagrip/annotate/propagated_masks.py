@@ -31,7 +31,7 @@ SIDE = 200.0
 """Masks are carried at a size at which the object's longer side is about so long [px]."""
 ENOUGH = 1e6
 """Pixels up to which small images are enlarged for that."""
-SMALL = 0.1
+SMALL = 0.25
 """Share of the object's largest part below which another may be something else."""
 BESIDE = 9
 """Side of a square about a pixel that is beside what it touches [px]."""
@@ -182,9 +182,11 @@ def _apart(labels: UInt8[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
     import cv2
 
     covered = cv2.dilate((labels > OBJECT).astype(np.uint8), np.ones((BESIDE, BESIDE), np.uint8)) > 0
-    covered[[0, -1]] = covered[:, [0, -1]] = True  # it may go on beyond the image
     count, parts, stats, _ = cv2.connectedComponentsWithStats((labels == OBJECT).astype(np.uint8))
-    areas = stats[:, cv2.CC_STAT_AREA]
+    areas = np.where(np.arange(count) > 0, stats[:, cv2.CC_STAT_AREA], 0)
+    largest, edge = areas.argmax(), np.ones(labels.shape, bool)
+    edge[1:-1, 1:-1] = False
+    if (parts[edge] == largest).any() and areas[largest]:  # they may be joined beyond the image
+        covered |= edge
     beside = np.bincount(parts[covered], minlength=count) > 0
-    small = areas < SMALL * areas[1:].max(initial=0)
-    return (small & ~beside & (np.arange(count) > 0))[parts]
+    return ((areas > 0) & (areas < SMALL * areas[largest]) & ~beside)[parts]
