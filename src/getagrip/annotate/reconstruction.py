@@ -62,12 +62,8 @@ class DepthFiles:
         rows = {n: places[name] for n, name in enumerate(header.frames) if name in places}
         if not rows:
             return f"there is no depth image of any frame of {clip.name}"
-        add_depth(
-            header,
-            replace(self.reader, read=lambda n: self.reader.read(rows[n]), known=[*rows]),
-            self.source,
-            self.said,
-        )
+        own = replace(self.reader, read=lambda n: self.reader.read(rows[n]), known=[*rows])
+        add_depth(header, own, self.source, self.said)
         without = len(header.frames) - len(rows)
         missing = f"{without} of {len(header.frames)} frames have no depth image" if without else ""
         return "; ".join(filter(None, (missing, check_camera(self.reader, self.source, header.K, header.size[0]))))
@@ -99,13 +95,11 @@ def reconstruct(
     against it, ``CancelledError``.
     """
     clip, result = files.folder_inside(out, CLIPS) / name, files.folder_inside(out, RESULTS) / name
+    make = [*new_clip, *shape.options, "--out", str(clip), "--overwrite", "--quiet"]
     solve = ["reconstruct", str(clip), "--out", str(result.parent), "--overwrite", "--threads", "2"]
     lost = f"depth images of the earlier {clip} are left out" if depth is None and (clip / DEPTH).exists() else ""
     steps: list[tuple[str, Callable[[], str]]] = [
-        (
-            "making the clip",
-            lambda: run_command([*new_clip, *shape.options, "--out", str(clip), "--overwrite", "--quiet"], job),
-        ),
+        ("making the clip", lambda: run_command(make, job)),
         ("adding depth", lambda: lost if depth is None else depth.add_to(clip)),
         ("reconstructing", lambda: run_command(solve, job)),
         ("drawing the report", lambda: run_command(["report", str(result)], job)),
