@@ -1,8 +1,8 @@
 """The visible pixels of a hand, from its landmarks and the colours about them.
 
 Pixels of capsules along the bones are certainly the hand if they have the palm's colour (a finger behind the object has
-another). Pixels near the capsules, and the forearm behind the wrist, are possibly the hand; all others are background.
-GrabCut (Rother et al., SIGGRAPH 2004) decides the possible ones by colours and edges.
+another). Pixels near the capsules, and the forearm behind the wrist, are possibly the hand; all others, and much paler
+ones, are background. GrabCut (Rother et al., SIGGRAPH 2004) decides the possible ones by colours and edges.
 """
 
 from __future__ import annotations
@@ -40,6 +40,9 @@ SHADOW, COLOURED = 20.0, 0.5
 the palm's colour: grey has none."""
 GREY = 128.0
 """Lab's two colours of grey, as OpenCV has them."""
+PALE, FAINT, GLARE = 0.3, 9.0, 240.0
+"""Pixels of less than this share of the palm's colour are not the hand, if that differs from grey by at least so much and
+they are darker than glare, which has no colour [of 255]."""
 ROUNDS = 3
 THUMB, KNUCKLES = [1, 2, 3, 4], [5, 9, 13, 17]
 WEB = [0, 1, 2, 3, 5, 6]
@@ -121,12 +124,13 @@ def _labels(
     skin = lab[shown] if shown.sum() >= FEWEST else lab[sure]
     off, in_shadow = _off(lab, skin), _off(lab, skin, SHADOW)
     colour, own = lab[..., 1:] - GREY, np.median(skin, axis=0)[1:] - GREY if len(skin) else np.zeros(2)
-    coloured = colour @ own > COLOURED * (own @ own)
+    along, whole = colour @ own, own @ own
+    coloured, pale = along > COLOURED * whole, (along < PALE * whole) & (lab[..., 0] < GLARE)
     labels = np.full(colours.shape[:2], cv2.GC_BGD, np.uint8)
-    possible = (maybe > 0) & ~not_hand & ((off < NO_SKIN) | coloured)
+    possible = (maybe > 0) & ~not_hand & ~(pale & (whole > FAINT**2)) & ((off < NO_SKIN) | coloured)
     labels[possible] = cv2.GC_PR_BGD
     labels[possible & (off < SKIN)] = cv2.GC_PR_FGD
-    labels[sure & ((off < SKIN) | coloured & (in_shadow < SKIN))] = cv2.GC_FGD
+    labels[possible & sure & ((off < SKIN) | coloured & (in_shadow < SKIN))] = cv2.GC_FGD
     return labels
 
 
