@@ -7,6 +7,7 @@ sides are histograms: of the key frames, over the whole image, and of the frame 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -83,8 +84,8 @@ class Places(NamedTuple):
     def of(at: Int32[ndarray, "h w"], inside: Mask, counted: Mask) -> Places:
         """Count one image, given by the bins of its pixels."""
         height, width = inside.shape
-        y, x = np.mgrid[:height, :width].astype(np.float32)
-        at = _cells((width, height), x, y) * BINS**3 + at
+        y, x = np.mgrid[:height, :width]
+        at = (y * CELLS // height * CELLS + x * CELLS // width) * BINS**3 + at
         shape = CELLS, CELLS, BINS, BINS, BINS
         sides = [
             _blurred(np.bincount(at[side], minlength=int(np.prod(shape))).astype(np.float32).reshape(shape)).ravel()
@@ -93,11 +94,17 @@ class Places(NamedTuple):
         return Places((width, height), np.stack(sides))
 
 
-def _cells(size: tuple[int, int], x: Float32[ndarray, "h w"], y: Float32[ndarray, "h w"]) -> Int[ndarray, "h w"]:
-    column, row = (
-        np.clip(each * CELLS / length, 0, CELLS - 1).astype(np.int64) for each, length in zip((x, y), size, strict=True)
+def _cells(
+    size: tuple[int, int], x: Float32[ndarray, "h w"], y: Float32[ndarray, "h w"]
+) -> Iterator[tuple[Int[ndarray, "h w"], Float32[ndarray, "h w"]]]:
+    """Yield the four cells about each place, and their shares in it."""
+    (u, column), (v, row) = (
+        np.modf(np.clip(each * CELLS / length - 0.5, 0.0, CELLS - 1.001).astype(np.float32))
+        for each, length in zip((x, y), size, strict=True)
     )
-    return np.asarray(row * CELLS + column)
+    for i, across in enumerate((1 - u, u)):
+        for j, down in enumerate((1 - v, v)):
+            yield ((row + j) * CELLS + column + i).astype(np.int64), across * down
 
 
 def _blurred(counts: Float32[ndarray, "..."]) -> Float32[ndarray, "..."]:
@@ -118,7 +125,7 @@ def likelier(
     """
     sides = SHARED * keys.counts[:, at] + RARE * SHARED / BINS
     if before is not None and came is not None:
-        sides = sides + before.counts[:, _cells(before.size, *came) * BINS**3 + at]
+        sides = sum((share * before.counts[:, cell * BINS**3 + at] for cell, share in _cells(before.size, *came)), sides)
     return np.asarray(np.log(sides[0] / sides[1]), np.float32)
 
 
