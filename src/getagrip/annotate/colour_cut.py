@@ -125,7 +125,9 @@ def likelier(
     """
     sides = SHARED * keys.counts[:, at] + RARE * SHARED / BINS
     if before is not None and came is not None:
-        sides = sum((share * before.counts[:, cell * BINS**3 + at] for cell, share in _cells(before.size, *came)), sides)
+        sides = sum(
+            (share * before.counts[:, cell * BINS**3 + at] for cell, share in _cells(before.size, *came)), sides
+        )
     return np.asarray(np.log(sides[0] / sides[1]), np.float32)
 
 

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.clip import Clip
-from getagrip.datasets.synthetic.categories import CATEGORIES, Kind
+from getagrip.datasets.synthetic.categories import KINDS, Kind
 from getagrip.fitting.energy import Energy, InHand, PosesInCamera, Quadratic, Term
 from getagrip.fitting.hand_size import SPREAD
 from getagrip.fitting.surface import HALF_TURNS, ObjectSurface
@@ -36,7 +36,7 @@ MIRROR = np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
 def kind_of(clip: Clip) -> Kind | None:
     """Return the kind of a clip's object, if its kind is all that is known of its shape and size."""
     unmeasured = clip.scale == "free" and is_assumed(clip.provenance.get("mesh"))
-    return CATEGORIES.get(clip.category) if unmeasured else None
+    return KINDS.get(clip.category) if unmeasured else None
 
 
 def usual_rotations(clip: Clip) -> Float[ndarray, "k 3 3"]:

@@ -178,9 +178,18 @@ CATEGORIES: dict[str, Kind] = {
 }
 """The nine categories of EPIC-Grasps, then those of ARCTIC and others."""
 
+KINDS = CATEGORIES | {
+    "jar": Kind(shapes.jar, (_ROUND,), spread=0.4, stretch=0.2),
+    "pitcher": Kind(shapes.pitcher, (Grip("palm", (0.102, 0, 0.1), (-1, 0, 0), (0, 0, 1)),), opens_up=True),
+}
+"""These, and kinds of which no clips are made."""
+
 SHAPES: dict[str, Callable[[], Mesh]] = {
-    **{name: kind.make for name, kind in CATEGORIES.items()},
+    **{name: kind.make for name, kind in KINDS.items()},
+    "ball": shapes.ball,
+    "banana": shapes.banana,
+    "book": shapes.book,
     "tape": shapes.tape,
     "umbrella": shapes.umbrella,
 }
-"""All shapes that a clip can have by name: those of the categories, and others."""
+"""All shapes that a clip can have by name: those of kinds, and others, of which no grasp is usual."""

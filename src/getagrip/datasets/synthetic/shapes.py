@@ -119,6 +119,18 @@ def can(radius: float = 0.034, height: float = 0.11) -> Mesh:
     return loft(revolved([(r, z - height / 2) for r, z in profile], 26, 0.011))
 
 
+def jar(radius: float = 0.037, height: float = 0.105) -> Mesh:
+    """Make a closed jar: a straight body, and a lid of nearly its width."""
+    corners = scaled("0.5 0, 0.92 0, 1 0.03, 1 0.7, 0.94 0.76, 0.87 0.78, 0.9 0.8, 0.9 0.98, 0.5 1", radius, height)
+    return loft(revolved([(r, z - height / 2) for r, z in corners], 26, 0.011))
+
+
+def ball(radius: float = 0.035) -> Mesh:
+    """Make a ball."""
+    angles = np.linspace(0.06, np.pi - 0.06, 17).tolist()
+    return loft(revolved([(radius * np.sin(a), -radius * np.cos(a)) for a in angles], 32, radius))
+
+
 def glass(base: float = 0.029, rim: float = 0.038, height: float = 0.13, wall: float = 0.003) -> Mesh:
     """Make a tumbler, wider at the rim."""
     corners = [(r, z - height / 2) for r, z in _vessel(base, rim, height, wall)]
@@ -142,6 +154,15 @@ def mug(radius: float = 0.041, height: float = 0.095, wall: float = 0.004, reach
     path = [(radius + a, z) for a, z in scaled("0 0.8, 0.75 0.82, 1 0.52, 0.65 0.24, 0 0.26", reach, height)]
     rings = revolved(_vessel(0.95 * radius, radius, height, wall), 24, 0.016, focus=0.25)
     return loft(rings, [handle(path, 11, 0.0065, 0.0045)])
+
+
+def pitcher(radius: float = 0.06, height: float = 0.19, wall: float = 0.004, reach: float = 0.05) -> Mesh:
+    """Make a water jug with a long handle and, opposite, a spout."""
+    path = [(radius + a, z) for a, z in scaled("-0.02 0.87, 0.8 0.86, 1 0.55, 0.7 0.22, -0.1 0.2", reach, height)]
+    rings = revolved(_vessel(0.85 * radius, radius, height, wall), 28, 0.022, focus=0.25)
+    top = np.clip(4.0 * rings[..., 2] / height - 3.0, 0.0, 1.0)
+    rings[..., 0] -= 0.3 * radius * top * np.clip(-rings[..., 0] / radius, 0.0, 1.0) ** 4
+    return loft(rings, [handle(path, 12, 0.011, 0.007)])
 
 
 def cup(radius: float = 0.044, height: float = 0.066, wall: float = 0.003, reach: float = 0.026) -> Mesh:
@@ -193,6 +214,11 @@ def phone(size: tuple[float, float, float] = (0.074, 0.15, 0.0095)) -> Mesh:
     return slab(size, 9.0, 0.002, 48, 2)
 
 
+def book(size: tuple[float, float, float] = (0.13, 0.19, 0.02)) -> Mesh:
+    """Make a closed book."""
+    return slab(size, 14.0, 0.0015, 48, 2)
+
+
 def laptop(size: tuple[float, float, float] = (0.24, 0.30, 0.02)) -> Mesh:
     """Make a closed laptop."""
     return slab(size, 12.0, 0.004, 48, 2)
@@ -242,6 +268,17 @@ def tape(radius: float = 0.049, core: float = 0.0415, width: float = 0.048) -> M
     rings = revolved(corners, 32, 0.012)[:-1]
     ids = np.arange(rings.size // 3).reshape(rings.shape[:2])
     return Mesh(rings.reshape(-1, 3), walls(np.concatenate([ids, ids[:1]])))
+
+
+def banana(length: float = 0.18, thickness: float = 0.034) -> Mesh:
+    """Make a banana, its ends up."""
+    path = arc(scaled("-0.5 0.25, -0.44 0.15, -0.25 0.04, 0 0, 0.25 0.04, 0.44 0.18", length, length), 26)
+    half = (
+        thickness
+        / 2.0
+        * np.interp(np.linspace(0, 1, 26), [0, 0.1, 0.25, 0.5, 0.75, 1], [0.3, 0.35, 0.85, 1, 0.85, 0.25])
+    )
+    return loft(Tube(path, _Y, half, half, capped=True).sections())
 
 
 def umbrella(radius: float = 0.031, length: float = 0.27) -> Mesh:
