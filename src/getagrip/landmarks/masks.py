@@ -41,8 +41,8 @@ the palm's colour: grey has none."""
 GREY = 128.0
 """Lab's two colours of grey, as OpenCV has them."""
 PALE, FAINT, GLARE = 0.3, 9.0, 240.0
-"""Pixels of less than this share of the palm's colour are not the hand, if that differs from grey by at least so much and
-they are darker than glare, which has no colour [of 255]."""
+"""Pixels with less than this share of the palm's colour are not the hand, if that differs from grey by more than the
+second and they are darker than glare, which has no colour [of 255]."""
 ROUNDS = 3
 THUMB, KNUCKLES = [1, 2, 3, 4], [5, 9, 13, 17]
 WEB = [0, 1, 2, 3, 5, 6]
