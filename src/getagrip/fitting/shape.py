@@ -127,8 +127,9 @@ def own_shape(problem: Problem, motion: Soft[Fixed], index: Int[ndarray, "n"], m
     seen = observation, LEVEL, STEP[LEVEL], DELTA[LEVEL]
     kind = kind_of(problem.clip)
     stretch = STRETCH if kind is None or kind.stretch is None else kind.stretch
+    bend = BEND if kind is None or kind.bend is None else kind.bend
     T_cam_hand = problem.clip.hand.T_cam_hand[index]
-    stiffness = len(index) * _prior(stretch, problem.clip.scale == "known")
+    stiffness = len(index) * _prior(stretch, bend, problem.clip.scale == "known")
     undeformed = minimise(motion, [MaskTerm(SilhouetteMesh.of(coarse, mesh.centre), *seen)], T_cam_hand, ITERATIONS)
     start = np.zeros((len(undeformed.energy), len(MODES)))
     begun = _State(undeformed.motion, start, MaskByShape(coarse, mesh.centre, radius, *seen), stiffness, T_cam_hand)
@@ -143,9 +144,9 @@ def own_shape(problem: Problem, motion: Soft[Fixed], index: Int[ndarray, "n"], m
     return shape if shape.displacement(mesh) > LEAST * mesh.diameter else None
 
 
-def _prior(stretch: float, size_known: bool) -> Float[ndarray, "24 24"]:
+def _prior(stretch: float, bend: float, size_known: bool) -> Float[ndarray, "24 24"]:
     """Return the stiffness of the modes in each frame [px^2]."""
-    deviation = np.full(len(MODES), BEND)
+    deviation = np.full(len(MODES), bend)
     deviation[STRETCHES] = stretch
     stiffness = np.diag(WEIGHT / deviation**2)
     if size_known:

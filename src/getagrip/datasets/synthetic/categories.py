@@ -104,6 +104,8 @@ class Kind:
     """Standard deviation of the logarithm of its size, from one such object in a kitchen to another: a coarse guess."""
     stretch: float | None = None
     """Standard deviation of its stretches along x, y and z, if not that of any mesh (``fitting.shape``)."""
+    bend: float | None = None
+    """Standard deviation of its other deformations, as ``stretch``: small where sides are flat."""
     opens_up: bool = False
     """True for a vessel or bottle, which is hardly ever held with its opening on the little finger's side."""
 
@@ -156,6 +158,7 @@ CATEGORIES: dict[str, Kind] = {
         (Grip("palm", (0, -0.06, 0), (0, 1, 0), (0, 0, 1)),),
         (Grip("palm", (0, 0, 0.085), (0, 0, -1), (0, 1, 0)),),  # from above
         spread=0.5,
+        bend=0.005,
     ),
     "capsule_machine": Kind(capsule_machine, (Grip("palm", (-0.03, 0, 0), (1, 0, 0), (0, 0, 1)),)),
     "espresso_machine": Kind(
@@ -179,6 +182,7 @@ CATEGORIES: dict[str, Kind] = {
 """The nine categories of EPIC-Grasps, then those of ARCTIC and others."""
 
 KINDS = CATEGORIES | {
+    "book": Kind(shapes.book, (Grip("pinch", (0.06, 0, 0), (-1, 0, 0), (0, 0, -1)),), spread=0.4, bend=0.005),
     "jar": Kind(shapes.jar, (_ROUND,), spread=0.4, stretch=0.2),
     "pitcher": Kind(shapes.pitcher, (Grip("palm", (0.102, 0, 0.1), (-1, 0, 0), (0, 0, 1)),), opens_up=True),
 }
@@ -186,10 +190,6 @@ KINDS = CATEGORIES | {
 
 SHAPES: dict[str, Callable[[], Mesh]] = {
     **{name: kind.make for name, kind in KINDS.items()},
-    "ball": shapes.ball,
-    "banana": shapes.banana,
-    "book": shapes.book,
-    "tape": shapes.tape,
-    "umbrella": shapes.umbrella,
+    **{make.__name__: make for make in (shapes.ball, shapes.banana, shapes.tape, shapes.umbrella)},
 }
 """All shapes that a clip can have by name: those of kinds, and others, of which no grasp is usual."""
