@@ -79,6 +79,24 @@ def test_a_hand_that_fills_the_image_is_detected_where_it_is_smaller() -> None:
     assert [n for n, fill in asked if fill < 1.0] == [0]  # it is followed from there
 
 
+@pytest.mark.parametrize("at", [300.0, 3000.0])
+def test_a_small_hand_is_looked_for_about_the_object(at: float) -> None:
+    class Small(Seeing):
+        """The detector sees no hand unless a part of the image fills its input."""
+
+        def palms(self, image: np.ndarray, fill: float = 1.0) -> list[Palm]:
+            parts.append(image.shape)
+            return [] if len(image) == 1000 else super().palms(image, fill)
+
+    parts: list[tuple[int, ...]] = []
+    nets = Small({n: [hand(150.0, 250.0)] for n in range(4)}, {1})
+    frames = [np.full((1000, 1000, 3), n, np.uint8) for n in range(4)]
+    about = Crop(np.array([at, 250.0]), 300.0, 0.0)
+    seen = follow(frames.__getitem__, 4, nets, about=[about])
+    assert [len(each) for each in seen] == [1 if at == 300.0 else 0] * 4
+    assert parts.count((580, 630, 3)) == (2 if at == 300.0 else 0)  # until it is seen
+
+
 def test_a_hand_that_is_followed_and_detected_is_one() -> None:
     hands = {n: [hand(300.0)] for n in range(5)}
     nets = Seeing(hands, set(range(5)))

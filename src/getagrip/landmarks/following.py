@@ -86,11 +86,16 @@ class Sighting(NamedTuple):
 
 
 def follow(
-    image: Callable[[int], Image], count: int, nets: Nets, on_frame: Callable[[int], None] = lambda n: None
+    image: Callable[[int], Image],
+    count: int,
+    nets: Nets,
+    on_frame: Callable[[int], None] = lambda n: None,
+    about: Sequence[Crop] = (),
 ) -> list[list[Sighting]]:
     """Follow the hands over ``count`` frames; return each frame's, the most certain first.
 
-    ``on_frame`` is called before each frame.
+    ``on_frame`` is called before each frame. Small hands are looked for in squares ``about`` which one is expected, until
+    one is seen there.
     """
     seen: list[list[Sighting]] = []
     for n in range(count):
@@ -104,7 +109,9 @@ def follow(
         before: list[Sighting] = next((hands for hands in reversed(seen[-MEMORY:]) if hands), [])
         lost = [crop for crop in _crops(before) if not any(map(crop.near, [*known, *detected]))]
         around = [_turned(now, crop, nets) for crop in detected]
-        seen.append(one_each([*followed, *around, *_looked(now, _nearby(now, lost, nets), nets)]))
+        hands = one_each([*followed, *around, *_looked(now, _nearby(now, lost, nets), nets)])
+        about = [each for each in about if not any(_is_near(hand, each, now) for hand in hands)]
+        seen.append(one_each([*hands, *(_turned(now, crop, nets) for crop in _nearby(now, about, nets))]))
     for n in range(count - 2, -1, -1):
         again = [each for each in seen[n + 1] if not any(each.same(old) and old.confidence >= SURE for old in seen[n])]
         if again:
@@ -121,7 +128,7 @@ def _nearby(image: Image, where: Sequence[Crop], nets: Nets) -> list[Crop]:
     """Detect palms in enlarged parts of an image: the detector sees a whole image at only 192 pixels."""
     out = []
     for crop in where:
-        half = max(AROUND * crop.side, LEAST_AROUND * min(image.shape[:2]))
+        half = _reach(crop, image)
         low = np.maximum(np.floor(crop.middle - half), 0).astype(int)
         high = np.minimum(np.ceil(crop.middle + half), image.shape[1::-1]).astype(int)
         if (high - low).min() > crops.SIDE // 4:
@@ -131,6 +138,15 @@ def _nearby(image: Image, where: Sequence[Crop], nets: Nets) -> list[Crop]:
             )
             out += [crops.of_palm(palm) for palm in found]
     return out
+
+
+def _reach(crop: Crop, image: Image) -> float:
+    """Return half the side of the region about a square in which a hand is searched for."""
+    return max(AROUND * crop.side, LEAST_AROUND * min(image.shape[:2]))
+
+
+def _is_near(hand: Sighting, crop: Crop, image: Image) -> bool:
+    return bool(np.abs(hand.middle - crop.middle).max() < _reach(crop, image))
 
 
 def _looked(image: Image, where: Sequence[Crop], nets: Nets) -> list[Sighting]:
