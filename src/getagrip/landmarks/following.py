@@ -94,8 +94,8 @@ def follow(
 ) -> list[list[Sighting]]:
     """Follow the hands over ``count`` frames; return each frame's, the most certain first.
 
-    ``on_frame`` is called before each frame. Small hands are looked for in squares ``about`` which one is expected, until
-    one is seen there.
+    ``on_frame`` is called before each frame. Small hands are looked for in squares ``about`` which they are expected,
+    until one is seen there.
     """
     seen: list[list[Sighting]] = []
     for n in range(count):
