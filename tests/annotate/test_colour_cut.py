@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.annotate.colour_cut import BINS, bins
+from getagrip.annotate.colour_cut import BINS, CELLS, Colours, Places, bins, likelier
 
 
 def bin_of(lab: tuple[int, int, int]) -> tuple[int, int, int]:
@@ -27,3 +27,16 @@ def test_bins_rise_with_each_colour(light: int, a: int, b: int, more: int) -> No
 def test_colours_beside_grey_are_told_apart() -> None:
     """Skin, white cardboard and a beige floor are within a tenth of the range."""
     assert bin_of((160, 128, 122))[2] < bin_of((160, 128, 128))[2] < bin_of((160, 128, 134))[2]
+
+
+@given(seed=st.integers(0, 99))
+def test_what_places_say_of_a_colour_changes_steadily_and_in_a_cell_is_its_own(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    at, inside = rng.integers(0, 4, (80, 80)).astype(np.int32), rng.random((80, 80)) < 0.5
+    keys, places = Colours(np.zeros((2, BINS**3), np.float32)), Places.of(at, inside, np.ones((80, 80), bool))
+    x, y = np.meshgrid(np.arange(0.0, 80.0, 0.1, dtype=np.float32), np.float32([35.0, 45.0]))
+    said = likelier(np.zeros(x.shape, np.int32), keys, places, (x, y))
+    assert np.abs(np.diff(said)).max() < 0.1
+    middle = (np.arange(CELLS) + 0.5) * 80.0 / CELLS
+    counts = places.counts[:, (3 * CELLS + np.arange(CELLS)) * BINS**3] + 0.05 * 8.0 / BINS
+    np.testing.assert_allclose(np.interp(middle, x[0], said[0]), np.log(counts[0] / counts[1]), atol=0.01)

@@ -117,6 +117,19 @@ def test_a_thing_that_jumps_is_found_where_the_hand_has_moved_to() -> None:
         assert all((each.confidence > 0.3) == (step == 100) for each in found[2:])
 
 
+def test_a_side_that_comes_into_view_before_known_ground_is_the_objects() -> None:
+    """It turns beside a thumb, and shows more of itself in each frame."""
+
+    def turned(n: int) -> tuple[ndarray, ndarray]:
+        labels = np.zeros(SIZE[::-1], np.uint8)
+        labels[50:130, 60 : 110 + 7 * n] = OBJECT
+        image = np.where(labels[..., None] == OBJECT, THING[: SIZE[1], : SIZE[0]], GROUND[: SIZE[1], : SIZE[0]])
+        noise = np.random.default_rng(n).normal(0.0, 3.0, image.shape)
+        return np.clip(image + noise, 0, 255).astype(np.uint8), labels
+
+    assert worst(carried((0,), turned))[0] > 0.9
+
+
 @pytest.mark.slow
 def test_a_moving_thing_is_kept_between_two_keys(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(propagated_masks, "SIDE", 200.0)

@@ -202,8 +202,9 @@ def _step(
     trust = now.trust * (float(np.mean(off[border] < BACK)) if border.any() else 1.0)
     if _is_cut(frames[before].image[part], b, came):
         trust = 0.0
-    new_side = np.where(inside[0] < 0.0, np.minimum(1.0, 2.0 / (1.0 + np.exp(unlike))), 1.0)
-    certain = (known * new_side * np.where(was_hidden, 0.1, np.where(off < BACK, 1.0, 0.3))).astype(np.float32)
+    no_ground = (inside[0] < 0.0) & (unlike > 0.0)  # what was there: it may be a new side
+    kept = np.where(no_ground, 2.0 / (1.0 + np.exp(unlike)), 1.0)
+    certain = (known * kept * np.where(was_hidden, 0.1, np.where(off < BACK, 1.0, 0.3))).astype(np.float32)
     visible = placed(now, (columns.start, rows.start), b.shape[1::-1])[0]
     top_most = ~is_hidden(visible)
     for n, kind in enumerate(visible):
