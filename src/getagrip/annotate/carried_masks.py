@@ -21,7 +21,7 @@ from numpy import ndarray
 
 from getagrip.annotate.colour_cut import Colours, Places, coloured_hand, cut, edges, likelier, touching
 from getagrip.annotate.labels import FRONT, HAND, OBJECT
-from getagrip.annotate.object_motion import Origins, hand_step, moved, moves_with, own_motion
+from getagrip.annotate.object_motion import Origins, hand_step, is_cut, moved, moves_with, own_motion
 from getagrip.annotate.seen_ground import Ground
 from getagrip.annotate.shared_flow import STILL, Part, SmallFrames, Step
 
@@ -45,9 +45,6 @@ PRIOR, COLOUR, MOST = 4.0, 1.0, 3.0
 """Weights of being one ``BAND`` from the border, and of a colour that is e times likelier on one side, up to e^MOST."""
 BACK = 1.5
 """Flow there and back agrees if it ends so near to where it began [px]."""
-
-CUT = 10.0
-"""Median difference of pixels from those where flow says that they were; above it the video is cut [of 255]."""
 
 SEEN = 0.2
 """Knowledge of a pixel that came into view after the key: its colour has decided."""
@@ -200,7 +197,7 @@ def _step(
     known = in_view * moved(now.known, old(*came), 1.0)
     border = (np.abs(inside[0]) < 2.0) & ~hidden
     trust = now.trust * (float(np.mean(off[border] < BACK)) if border.any() else 1.0)
-    if _is_cut(frames[before].image[part], b, came):
+    if is_cut(frames[before].image[part], b, came):
         trust = 0.0
     no_ground = (inside[0] < 0.0) & (unlike > 0.0)  # what was there: it may be a new side
     kept = np.where(no_ground, 2.0 / (1.0 + np.exp(unlike)), 1.0)
@@ -217,14 +214,6 @@ def _step(
     known = np.where(hidden, REMEMBERED * known, np.where(off < BACK, np.maximum(known, SEEN), SEEN)).astype(np.float32)
     ground.renew(frames[frame].image, part, behind, inside.max(axis=0) < -CLEAR)
     return _cut(Carried(frame, (columns.start, rows.start), inside, known, trust, unlike))
-
-
-def _is_cut(before: Image, after: Image, came: Origins) -> bool:
-    """Return whether most of an image shows something else than the one before, wherever that was."""
-    import cv2
-
-    expected = cv2.remap(before, *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
-    return bool(np.median(cv2.absdiff(expected[::2, ::2], after[::2, ::2]).mean(axis=-1)) > CUT)
 
 
 def _around(now: Carried, size: tuple[int, int]) -> Part:
