@@ -21,7 +21,7 @@ from numpy import ndarray
 
 from getagrip.annotate.colour_cut import Colours, Places, coloured_hand, cut, edges, likelier, touching
 from getagrip.annotate.labels import FRONT, HAND, OBJECT
-from getagrip.annotate.object_motion import Origins, hand_step, is_cut, moved, moves_with, own_motion
+from getagrip.annotate.object_motion import hand_step, is_cut, moved, moves_with, own_motion
 from getagrip.annotate.seen_ground import Ground
 from getagrip.annotate.shared_flow import STILL, Part, SmallFrames, Step
 
