@@ -40,9 +40,9 @@ SHADOW, COLOURED = 20.0, 0.5
 the palm's colour: grey has none."""
 GREY = 128.0
 """Lab's two colours of grey, as OpenCV has them."""
-PALE, FAINT, GLARE = 0.3, 9.0, 240.0
+PALE, FAINT, GLARE = 0.3, 9.0, 245.0
 """Pixels with less than this share of the palm's colour are not the hand, if that differs from grey by more than the
-second and they are darker than glare, which has no colour [of 255]."""
+second and no channel is near the third, where overexposed skin loses its colour [of 255]."""
 ROUNDS = 3
 THUMB, KNUCKLES = [1, 2, 3, 4], [5, 9, 13, 17]
 WEB = [0, 1, 2, 3, 5, 6]
@@ -125,7 +125,7 @@ def _labels(
     off, in_shadow = _off(lab, skin), _off(lab, skin, SHADOW)
     colour, own = lab[..., 1:] - GREY, np.median(skin, axis=0)[1:] - GREY if len(skin) else np.zeros(2)
     along, whole = colour @ own, own @ own
-    coloured, pale = along > COLOURED * whole, (along < PALE * whole) & (lab[..., 0] < GLARE)
+    coloured, pale = along > COLOURED * whole, (along < PALE * whole) & (colours.max(axis=-1) < GLARE)
     labels = np.full(colours.shape[:2], cv2.GC_BGD, np.uint8)
     possible = (maybe > 0) & ~not_hand & ~(pale & (whole > FAINT**2)) & ((off < NO_SKIN) | coloured)
     labels[possible] = cv2.GC_PR_BGD
