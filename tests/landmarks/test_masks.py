@@ -99,10 +99,11 @@ def test_paper_among_the_fingers_is_not_the_hand_and_overexposed_skin_is() -> No
     image, truth = drawn(OPEN)
     image = (image + RNG.normal(0.0, 12.0, (*SHAPE, 3))).clip(0, 255).astype(np.uint8)  # as varied as in a video
     v, u = np.mgrid[: SHAPE[0], : SHAPE[1]] + 0.5
-    among, spot = np.hypot(u - 325.0, v - 225.0) < 45.0, truth & (np.hypot(u - 300.0, v - 300.0) < 25.0)
-    paper, lit = image.copy(), image.copy()
+    among = np.hypot(u - 325.0, v - 225.0) < 45.0
+    light = 1.0 + np.clip(2.0 - np.hypot(u - 300.0, v - 300.0) / 20.0, 0.0, 1.0)
+    spot, paper = truth & (light > 1.5), image.copy()
     paper[among] = (np.array([168, 157, 150]) + RNG.normal(0.0, 6.0, (among.sum(), 3))).astype(np.uint8)
-    lit[spot] = (np.array([252, 247, 242]) + RNG.uniform(-3.0, 3.0, (spot.sum(), 3))).astype(np.uint8)
+    lit = (image * np.where(truth, light, 1.0)[..., None]).clip(0, 255).astype(np.uint8)
     assert (hand_mask(paper, OPEN) & among).sum() < 0.1 * among.sum()
     assert (hand_mask(lit, OPEN) & spot).sum() > 0.8 * spot.sum()
 
