@@ -46,8 +46,9 @@ PRIOR, COLOUR, MOST = 4.0, 1.0, 3.0
 BACK = 1.5
 """Flow there and back agrees if it ends so near to where it began [px]."""
 
-SEEN = 0.2
-"""Knowledge of a pixel that came into view after the key: its colour has decided."""
+SEEN, UNCOVERED = 0.2, 0.15
+"""Knowledge of a pixel that came into view after the key: its colour has decided. The second: of one that something in
+front uncovered; if it is not taken for the object, its colour is not counted as the ground's."""
 REMEMBERED = 0.95
 """Share of its knowledge that something hidden keeps from frame to frame."""
 INNER = 2.5
@@ -199,11 +200,10 @@ def _step(
     trust = now.trust * (float(np.mean(off[border] < BACK)) if border.any() else 1.0)
     if is_cut(frames[before].image[part], b, came):
         trust = 0.0
-    no_ground = (inside[0] < 0.0) & (unlike > 0.0)  # what was there: it may be a new side
-    kept = np.where(no_ground, 2.0 / (1.0 + np.exp(unlike)), 1.0)
-    certain = (known * kept * np.where(was_hidden, 0.1, np.where(off < BACK, 1.0, 0.3))).astype(np.float32)
-    visible = placed(now, (columns.start, rows.start), b.shape[1::-1])[0]
-    top_most = ~is_hidden(visible)
+    new_side = np.where((inside[0] < 0.0) & (unlike > 0.0), 2.0 / (1.0 + np.exp(unlike)), 1.0)  # where it may be
+    certain = (known * new_side * np.where(was_hidden, 0.1, np.where(off < BACK, 1.0, 0.3))).astype(np.float32)
+    visible, known_before = placed(now, (columns.start, rows.start), b.shape[1::-1])
+    top_most = ~is_hidden(visible) & ((visible[0] > 0.0) | (known_before > (SEEN + UNCOVERED) / 2.0))
     for n, kind in enumerate(visible):
         if (n < 2 or hand is None) and (kind > 0).any():
             clear = (np.abs(kind) > 1.0) & (top_most if n == 0 else kind > -FAR)
@@ -211,7 +211,8 @@ def _step(
             if n == 0:
                 likely += moves + unlike
             inside[n] = refined(b, inside[n], certain, likely, hidden & (n == 0))
-    known = np.where(hidden, REMEMBERED * known, np.where(off < BACK, np.maximum(known, SEEN), SEEN)).astype(np.float32)
+    same = in_view & ((off < BACK) | (known < SEEN))
+    known = np.where(hidden, REMEMBERED * known, np.where(same, np.maximum(known, UNCOVERED), SEEN)).astype(np.float32)
     ground.renew(frames[frame].image, part, behind, inside.max(axis=0) < -CLEAR)
     return _cut(Carried(frame, (columns.start, rows.start), inside, known, trust, unlike))
 
