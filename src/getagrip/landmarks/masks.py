@@ -125,11 +125,12 @@ def _labels(
     off, in_shadow = _off(lab, skin), _off(lab, skin, SHADOW)
     colour, own = lab[..., 1:] - GREY, np.median(skin, axis=0)[1:] - GREY if len(skin) else np.zeros(2)
     along, whole = colour @ own, own @ own
-    coloured, pale = along > COLOURED * whole, (along < PALE * whole) & (colours.max(axis=-1) < GLARE)
+    coloured, glare = along > COLOURED * whole, colours.max(axis=-1) >= GLARE
+    pale = (along < PALE * whole) & ~glare
     labels = np.full(colours.shape[:2], cv2.GC_BGD, np.uint8)
     possible = (maybe > 0) & ~not_hand & ~(pale & (whole > FAINT**2)) & ((off < NO_SKIN) | coloured)
     labels[possible] = cv2.GC_PR_BGD
-    labels[possible & (off < SKIN)] = cv2.GC_PR_FGD
+    labels[possible & ((off < SKIN) | glare)] = cv2.GC_PR_FGD
     labels[possible & sure & ((off < SKIN) | coloured & (in_shadow < SKIN))] = cv2.GC_FGD
     return labels
 
