@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.annotate.colour_cut import BINS, CELLS, Colours, Places, bins, likelier
+from getagrip.annotate.colour_cut import BINS, CELLS, RARE, SHARED, Colours, Places, bins, likelier
 
 
 def bin_of(lab: tuple[int, int, int]) -> tuple[int, int, int]:
@@ -34,9 +34,9 @@ def test_what_places_say_of_a_colour_changes_steadily_and_in_a_cell_is_its_own(s
     rng = np.random.default_rng(seed)
     at, inside = rng.integers(0, 4, (80, 80)).astype(np.int32), rng.random((80, 80)) < 0.5
     keys, places = Colours(np.zeros((2, BINS**3), np.float32)), Places.of(at, inside, np.ones((80, 80), bool))
-    x, y = np.meshgrid(np.arange(0.0, 80.0, 0.1, dtype=np.float32), np.float32([35.0, 45.0]))
+    x, y = np.meshgrid(np.arange(0.0, 80.0, 0.1, dtype=np.float32), np.float32([34.5, 44.5]))
     said = likelier(np.zeros(x.shape, np.int32), keys, places, (x, y))
     assert np.abs(np.diff(said)).max() < 0.1
-    middle = (np.arange(CELLS) + 0.5) * 80.0 / CELLS
-    counts = places.counts[:, (3 * CELLS + np.arange(CELLS)) * BINS**3] + 0.05 * 8.0 / BINS
+    middle = (np.arange(CELLS) + 0.5) * 80.0 / CELLS - 0.5
+    counts = places.counts[:, (3 * CELLS + np.arange(CELLS)) * BINS**3] + RARE * SHARED / BINS
     np.testing.assert_allclose(np.interp(middle, x[0], said[0]), np.log(counts[0] / counts[1]), atol=0.01)

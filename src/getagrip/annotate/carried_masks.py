@@ -21,7 +21,7 @@ from numpy import ndarray
 
 from getagrip.annotate.colour_cut import Colours, Places, coloured_hand, cut, edges, likelier, touching
 from getagrip.annotate.labels import FRONT, HAND, OBJECT
-from getagrip.annotate.object_motion import hand_step, is_cut, moved, moves_with, own_motion
+from getagrip.annotate.object_motion import hand_step, moved, moves_with, own_motion, shows_other
 from getagrip.annotate.seen_ground import Ground
 from getagrip.annotate.shared_flow import STILL, Part, SmallFrames, Step
 
@@ -47,8 +47,8 @@ BACK = 1.5
 """Flow there and back agrees if it ends so near to where it began [px]."""
 
 SEEN, UNCOVERED = 0.2, 0.15
-"""Knowledge of a pixel that came into view after the key: its colour has decided. The second: of one that something in
-front uncovered; if it is not taken for the object, its colour is not counted as the ground's."""
+"""``SEEN``: knowledge of a pixel that came into view after the key: its colour has decided. ``UNCOVERED``: of one that
+something in front hid until then; unless it is taken for the object, its colour is not counted as the ground's."""
 REMEMBERED = 0.95
 """Share of its knowledge that something hidden keeps from frame to frame."""
 INNER = 2.5
@@ -198,9 +198,9 @@ def _step(
     known = in_view * moved(now.known, old(*came), 1.0)
     border = (np.abs(inside[0]) < 2.0) & ~hidden
     trust = now.trust * (float(np.mean(off[border] < BACK)) if border.any() else 1.0)
-    if is_cut(frames[before].image[part], b, came):
+    if shows_other(frames[before].image[part], b, came):
         trust = 0.0
-    new_side = np.where((inside[0] < 0.0) & (unlike > 0.0), 2.0 / (1.0 + np.exp(unlike)), 1.0)  # where it may be
+    new_side = np.where((inside[0] < 0.0) & (unlike > 0.0), 2.0 / (1.0 + np.exp(unlike)), 1.0)
     certain = (known * new_side * np.where(was_hidden, 0.1, np.where(off < BACK, 1.0, 0.3))).astype(np.float32)
     visible, known_before = placed(now, (columns.start, rows.start), b.shape[1::-1])
     top_most = ~is_hidden(visible) & ((visible[0] > 0.0) | (known_before > (SEEN + UNCOVERED) / 2.0))
@@ -211,8 +211,11 @@ def _step(
             if n == 0:
                 likely += moves + unlike
             inside[n] = refined(b, inside[n], certain, likely, hidden & (n == 0))
-    same = in_view & ((off < BACK) | (known < SEEN))
-    known = np.where(hidden, REMEMBERED * known, np.where(same, np.maximum(known, UNCOVERED), SEEN)).astype(np.float32)
+    known = np.where(
+        hidden,
+        np.maximum(REMEMBERED * known, np.minimum(known, SEEN)),
+        np.where(in_view & ((off < BACK) | (known < SEEN)), np.maximum(known, UNCOVERED), SEEN),
+    ).astype(np.float32)
     ground.renew(frames[frame].image, part, behind, inside.max(axis=0) < -CLEAR)
     return _cut(Carried(frame, (columns.start, rows.start), inside, known, trust, unlike))
 

@@ -85,7 +85,7 @@ class Places(NamedTuple):
         """Count one image, given by the bins of its pixels."""
         height, width = inside.shape
         y, x = np.mgrid[:height, :width]
-        at = (y * CELLS // height * CELLS + x * CELLS // width) * BINS**3 + at
+        at = (y * CELLS // max(height, CELLS) * CELLS + x * CELLS // max(width, CELLS)) * BINS**3 + at
         shape = CELLS, CELLS, BINS, BINS, BINS
         sides = [
             _blurred(np.bincount(at[side], minlength=int(np.prod(shape))).astype(np.float32).reshape(shape)).ravel()
@@ -99,7 +99,7 @@ def _cells(
 ) -> Iterator[tuple[Int[ndarray, "h w"], Float32[ndarray, "h w"]]]:
     """Yield the four cells about each place, and their shares in it."""
     (u, column), (v, row) = (
-        np.modf(np.clip(each * CELLS / length - 0.5, 0.0, CELLS - 1.001).astype(np.float32))
+        np.modf(np.clip((each + 0.5) * CELLS / max(length, CELLS) - 0.5, 0.0, CELLS - 1.001).astype(np.float32))
         for each, length in zip((x, y), size, strict=True)
     )
     for i, across in enumerate((1 - u, u)):
@@ -125,9 +125,8 @@ def likelier(
     """
     sides = SHARED * keys.counts[:, at] + RARE * SHARED / BINS
     if before is not None and came is not None:
-        sides = sum(
-            (share * before.counts[:, cell * BINS**3 + at] for cell, share in _cells(before.size, *came)), sides
-        )
+        for cell, share in _cells(before.size, *came):
+            sides = sides + share * before.counts[:, cell * BINS**3 + at]
     return np.asarray(np.log(sides[0] / sides[1]), np.float32)
 
 

@@ -27,7 +27,7 @@ from getagrip.hands.lifted_hands import LIFTED, hands_from_landmarks
 from getagrip.io import files
 from getagrip.io.images import write_mask
 from getagrip.landmarks import HandLandmarks, Side, Sighting, compared, follow, hand_mask, look_again, select
-from getagrip.landmarks.crops import Crop
+from getagrip.landmarks.crops import of_box
 from getagrip.landmarks.nets import Nets
 from getagrip.provenance import Provenance, Source, as_arrays, assumed, estimated
 
@@ -107,8 +107,7 @@ def find_landmarks(
     first, last = interval
     count = last - first + 1
     shot = _Shot(footage, first)
-    about = [Crop(box[:2] + box[2:] / 2.0, float(box[2:].max()), 0.0) for box in (boxes or {}).values()]
-    seen = follow(shot.image, count, nets, on_frame, about)
+    seen = follow(shot.image, count, nets, on_frame, [of_box(box) for box in (boxes or {}).values()])
     of_row = None if boxes is None else {n - first: box for n, box in boxes.items()}
 
     def image(n: int) -> UInt8[ndarray, "H W 3"]:

@@ -21,7 +21,7 @@ FLOW = 1.5
 """Standard deviation of flow [px]."""
 MOST = 3.0
 """Largest logarithm of the ratio of the probabilities of two motions."""
-CUT = 10.0
+OTHER = 10.0
 """Median difference of pixels from those where flow says that they were; above it the video is cut [of 255]."""
 
 
@@ -84,12 +84,12 @@ def hand_step(before: Bool[ndarray, "h w"] | None, after: Bool[ndarray, "h w"] |
     return round(x), round(y)
 
 
-def is_cut(before: Image, after: Image, came: Origins) -> bool:
+def shows_other(before: Image, after: Image, came: Origins) -> bool:
     """Return whether most of an image shows something else than the one before, wherever that was."""
     import cv2
 
     expected = cv2.remap(before, *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
-    return bool(np.median(cv2.absdiff(expected[::2, ::2], after[::2, ::2]).mean(axis=-1)) > CUT)
+    return bool(np.median(cv2.absdiff(expected[::2, ::2], after[::2, ::2]).mean(axis=-1)) > OTHER)
 
 
 def moved(

@@ -72,6 +72,11 @@ def of_palm(palm: Palm) -> Crop:
     return crop._replace(middle=crop.middle - crop.axes[:, 1] * ahead * float(high[1] - low[1]))
 
 
+def of_box(box: Float[ndarray, "4"]) -> Crop:
+    """Make the upright square about the middle of a box (left, top, width, height) [px]."""
+    return Crop(box[:2] + box[2:] / 2.0, float(box[2:].max()), 0.0)
+
+
 def of_landmarks(points: Float[ndarray, "21 2"]) -> Crop:
     """Make the crop about a detected hand, for the next frame."""
     ahead = 0.25 * (points[6] + points[14]) + 0.5 * points[10]

@@ -94,8 +94,8 @@ def follow(
 ) -> list[list[Sighting]]:
     """Follow the hands over ``count`` frames; return each frame's, the most certain first.
 
-    ``on_frame`` is called before each frame. Small hands are looked for in squares ``about`` which they are expected,
-    until one is seen there.
+    ``on_frame`` is called before each frame. Small hands are looked for around the squares ``about``, where they are
+    expected, until a hand is seen there.
     """
     seen: list[list[Sighting]] = []
     for n in range(count):
@@ -110,7 +110,7 @@ def follow(
         lost = [crop for crop in _crops(before) if not any(map(crop.near, [*known, *detected]))]
         around = [_turned(now, crop, nets) for crop in detected]
         hands = one_each([*followed, *around, *_looked(now, _nearby(now, lost, nets), nets)])
-        about = [each for each in about if not any(_is_near(hand, each, now) for hand in hands)]
+        about = [each for each in about if not any(_is_at(hand, each) for hand in hands)]
         seen.append(one_each([*hands, *(_turned(now, crop, nets) for crop in _nearby(now, about, nets))]))
     for n in range(count - 2, -1, -1):
         again = [each for each in seen[n + 1] if not any(each.same(old) and old.confidence >= SURE for old in seen[n])]
@@ -128,7 +128,7 @@ def _nearby(image: Image, where: Sequence[Crop], nets: Nets) -> list[Crop]:
     """Detect palms in enlarged parts of an image: the detector sees a whole image at only 192 pixels."""
     out = []
     for crop in where:
-        half = _reach(crop, image)
+        half = max(AROUND * crop.side, LEAST_AROUND * min(image.shape[:2]))
         low = np.maximum(np.floor(crop.middle - half), 0).astype(int)
         high = np.minimum(np.ceil(crop.middle + half), image.shape[1::-1]).astype(int)
         if (high - low).min() > crops.SIDE // 4:
@@ -140,13 +140,10 @@ def _nearby(image: Image, where: Sequence[Crop], nets: Nets) -> list[Crop]:
     return out
 
 
-def _reach(crop: Crop, image: Image) -> float:
-    """Return half the side of the region about a square in which a hand is searched for."""
-    return max(AROUND * crop.side, LEAST_AROUND * min(image.shape[:2]))
-
-
-def _is_near(hand: Sighting, crop: Crop, image: Image) -> bool:
-    return bool(np.abs(hand.middle - crop.middle).max() < _reach(crop, image))
+def _is_at(hand: Sighting, crop: Crop) -> bool:
+    """Return whether a hand is surely seen at a square, at most its own size beside it."""
+    apart = float(np.abs(hand.middle - crop.middle).max())
+    return hand.confidence >= SURE and apart < 0.5 * crop.side + hand.size
 
 
 def _looked(image: Image, where: Sequence[Crop], nets: Nets) -> list[Sighting]:

@@ -1,8 +1,9 @@
 """The visible pixels of a hand, from its landmarks and the colours about them.
 
 Pixels of capsules along the bones are certainly the hand if they have the palm's colour (a finger behind the object has
-another). Pixels near the capsules, and the forearm behind the wrist, are possibly the hand; all others, and much paler
-ones, are background. GrabCut (Rother et al., SIGGRAPH 2004) decides the possible ones by colours and edges.
+another). Pixels near the capsules, and the forearm behind the wrist, are possibly the hand, unless they have much less
+colour than the palm and are not overexposed; all others are background. GrabCut (Rother et al., SIGGRAPH 2004) decides
+the possible ones by colours and edges.
 """
 
 from __future__ import annotations
@@ -41,8 +42,9 @@ the palm's colour: grey has none."""
 GREY = 128.0
 """Lab's two colours of grey, as OpenCV has them."""
 PALE, FAINT, GLARE = 0.3, 9.0, 245.0
-"""Pixels with less than this share of the palm's colour are not the hand, if that differs from grey by more than the
-second and no channel is near the third, where overexposed skin loses its colour [of 255]."""
+"""Pixels with less than the first share of the palm's colour are not the hand, if this colour differs from grey by more
+than the second. Where a channel is at least the third [of 255], overexposed skin loses its colour: such pixels are
+probably the hand."""
 ROUNDS = 3
 THUMB, KNUCKLES = [1, 2, 3, 4], [5, 9, 13, 17]
 WEB = [0, 1, 2, 3, 5, 6]
@@ -125,10 +127,11 @@ def _labels(
     off, in_shadow = _off(lab, skin), _off(lab, skin, SHADOW)
     colour, own = lab[..., 1:] - GREY, np.median(skin, axis=0)[1:] - GREY if len(skin) else np.zeros(2)
     along, whole = colour @ own, own @ own
-    coloured, glare = along > COLOURED * whole, colours.max(axis=-1) >= GLARE
-    pale = (along < PALE * whole) & ~glare
+    coloured = along > COLOURED * whole
+    glare = (colours.max(axis=-1) >= GLARE) & ~coloured
+    pale = (along < PALE * whole) & (whole > FAINT**2) & ~glare
     labels = np.full(colours.shape[:2], cv2.GC_BGD, np.uint8)
-    possible = (maybe > 0) & ~not_hand & ~(pale & (whole > FAINT**2)) & ((off < NO_SKIN) | coloured)
+    possible = (maybe > 0) & ~not_hand & ~pale & ((off < NO_SKIN) | coloured)
     labels[possible] = cv2.GC_PR_BGD
     labels[possible & ((off < SKIN) | glare)] = cv2.GC_PR_FGD
     labels[possible & sure & ((off < SKIN) | coloured & (in_shadow < SKIN))] = cv2.GC_FGD

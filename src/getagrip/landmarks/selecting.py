@@ -279,14 +279,14 @@ def _steady(hand: Mapping[int, Sighting]) -> tuple[dict[int, Sighting], list[int
 def _none(seen: Sequence[Sequence[Sighting]], side: Side | None, boxed: bool) -> str:
     """Why there is no hand."""
     some = sum(bool(hands) for hands in seen)
-    closely = ", more closely about the object's box" if boxed else ""
-    tried = f"palms were looked for in {counted(len(seen), 'frame')}{closely}, and hands followed in both directions"
+    where = f"{counted(len(seen), 'frame')}{', also enlarged about the object' if boxed else ''}"
+    tried = f"palms were looked for in {where}, and hands were followed in both directions"
     if side is not None and some:
         box = "begin --interval where one is" if boxed else "mark the object by --object-box"
         none = ", none about the frame of the object's box" if boxed else ""
         remedy = f"leave out --side {side}, or {box}: the hand at it is taken for a {side} one"
         return f"no {side} hand: {tried}; there are hands in {some}, of the other side{none} ({remedy})"
-    advice = "" if boxed else "Mark the object by --object-box: small hands are looked for about it. "
+    advice = "" if boxed else "Mark the object by --object-box: then small hands are looked for about it. "
     advice += "Click joints in getagrip annotate; or use an estimator: --hands FILE"
     return f"no hand: {tried}; found in {some}. Is there a glove, blur, or a hand half out of view? {advice}"
 

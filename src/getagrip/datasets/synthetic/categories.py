@@ -105,7 +105,7 @@ class Kind:
     stretch: float | None = None
     """Standard deviation of its stretches along x, y and z, if not that of any mesh (``fitting.shape``)."""
     bend: float | None = None
-    """Standard deviation of its other deformations, as ``stretch``: small where sides are flat."""
+    """Standard deviation of its other deformations, if not that of any mesh: small where sides are flat."""
     opens_up: bool = False
     """True for a vessel or bottle, which is hardly ever held with its opening on the little finger's side."""
 
@@ -170,11 +170,11 @@ CATEGORIES: dict[str, Kind] = {
     ),
     "kettle": Kind(shapes.kettle, (Grip("palm", (0.127, 0, 0.085), (-1, 0, 0), (0, 0, 1)),), opens_up=True),
     "ketchup": Kind(shapes.ketchup, (Grip("palm", (0, 0, 0.02), (1, 0, 0), (0, 0, 1)),)),
-    "laptop": Kind(shapes.laptop, (Grip("pinch", (0.1, 0, 0), (-1, 0, 0), (0, 0, -1)),), spread=0.15),
+    "laptop": Kind(shapes.laptop, (Grip("pinch", (0.1, 0, 0), (-1, 0, 0), (0, 0, -1)),), spread=0.15, bend=0.005),
     "microwave": Kind(microwave, (Grip("palm", (0.151, 0.078, 0), (-1, -0.35, 0), (0, 0, 1)),)),
     "mixer": Kind(mixer, (Grip("palm", (0, 0, 0.084), (0, 0.5, -1), (1, 0, 0)),)),
     "notebook": Kind(notebook, (Grip("pinch", (0.055, 0, 0), (-1, 0, 0), (0, 0, -1)),)),
-    "phone": Kind(shapes.phone, (Grip("palm", (0, -0.01, 0), (0, 0, 1), (0, 1, 0)),), spread=0.12),
+    "phone": Kind(shapes.phone, (Grip("palm", (0, -0.01, 0), (0, 0, 1), (0, 1, 0)),), spread=0.12, bend=0.005),
     "scissors": Kind(shapes.scissors, (Grip("pinch", (-0.095, 0, 0), (1, 0, 0), (0, 0, -1)),)),
     "spoon": Kind(shapes.spoon, (Grip("pinch", (-0.06, 0, 0.009), (1, 0, 0), (0, 0, -1)),)),
     "waffle_iron": Kind(waffle_iron, (_BAR,), (_BAR_FROM_BELOW,)),
@@ -186,10 +186,10 @@ KINDS = CATEGORIES | {
     "jar": Kind(shapes.jar, (_ROUND,), spread=0.4, stretch=0.2),
     "pitcher": Kind(shapes.pitcher, (Grip("palm", (0.102, 0, 0.1), (-1, 0, 0), (0, 0, 1)),), opens_up=True),
 }
-"""These, and kinds of which no clips are made."""
+"""The categories, and kinds of which no synthetic clips are made."""
 
 SHAPES: dict[str, Callable[[], Mesh]] = {
     **{name: kind.make for name, kind in KINDS.items()},
     **{make.__name__: make for make in (shapes.ball, shapes.banana, shapes.tape, shapes.umbrella)},
 }
-"""All shapes that a clip can have by name: those of kinds, and others, of which no grasp is usual."""
+"""All shapes that a clip can have by name: those of ``KINDS``, and others that have no usual grasp."""

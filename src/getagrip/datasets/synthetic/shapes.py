@@ -1,4 +1,4 @@
-"""Procedural objects of everyday sizes: closed triangle meshes of 500 to 1400 faces, in metres, z up.
+"""Procedural objects of everyday sizes: closed triangle meshes of 400 to 1700 faces, in metres, z up.
 
 Origins are where category CADs have them: vessels at the middle of the base, bottles, cans and glasses at mid-height,
 pans on the handle, flat and thin things in their middle. Handles point along +x.
