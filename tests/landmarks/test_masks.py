@@ -108,6 +108,13 @@ def test_paper_among_the_fingers_is_not_the_hand_and_overexposed_skin_is() -> No
     assert (hand_mask(lit, OPEN) & spot).sum() > 0.8 * spot.sum()
 
 
+def test_in_a_video_of_hardly_any_colour_pale_pixels_may_be_the_hand() -> None:
+    image, truth = drawn()
+    grey = image.mean(axis=-1, keepdims=True)
+    dull = grey + 0.1 * (image - grey) + RNG.normal(0.0, 6.0, image.shape)
+    assert iou(hand_mask(dull.clip(0, 255).astype(np.uint8), HAND), truth) > 0.94
+
+
 def test_a_hand_beside_the_image_has_no_mask() -> None:
     image, _ = drawn()
     assert not hand_mask(image, HAND + 5000.0).any()

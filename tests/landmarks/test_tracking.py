@@ -79,22 +79,30 @@ def test_a_hand_that_fills_the_image_is_detected_where_it_is_smaller() -> None:
     assert [n for n, fill in asked if fill < 1.0] == [0]  # it is followed from there
 
 
-@pytest.mark.parametrize("at", [300.0, 3000.0])
-def test_a_small_hand_is_looked_for_about_the_object(at: float) -> None:
+@pytest.mark.parametrize(("at", "seen_at"), [(400.0, 300.0), (3000.0, None)])
+def test_a_small_hand_is_looked_for_about_the_object(at: float, seen_at: float | None) -> None:
+    """Also where a hand elsewhere is seen at once, and until it is seen itself."""
+    small, large = hand(300.0, 450.0), hand(900.0, 450.0)
+
     class Small(Seeing):
-        """The detector sees no hand unless a part of the image fills its input."""
+        """The detector sees the small hand only if a part of the image fills its input."""
 
         def palms(self, image: np.ndarray, fill: float = 1.0) -> list[Palm]:
-            parts.append(image.shape)
-            return [] if len(image) == 1000 else super().palms(image, fill)
+            n = int(image[0, 0, 0])
+            if len(image) == 1000:
+                return Seeing({n: [large]}, {n}).palms(image)
+            parts.append(n)
+            shift = np.array([at - 330.0, 120.0])
+            there = small._replace(points=small.points - shift)
+            return Seeing({n: [there]}, {1}).palms(image)
 
-    parts: list[tuple[int, ...]] = []
-    nets = Small({n: [hand(150.0, 250.0)] for n in range(4)}, {1})
+    parts: list[int] = []
     frames = [np.full((1000, 1000, 3), n, np.uint8) for n in range(4)]
-    about = Crop(np.array([at, 250.0]), 300.0, 0.0)
-    seen = follow(frames.__getitem__, 4, nets, about=[about])
-    assert [len(each) for each in seen] == [1 if at == 300.0 else 0] * 4
-    assert parts.count((580, 630, 3)) == (2 if at == 300.0 else 0)  # until it is seen
+    nets = Small({n: [small, large] for n in range(4)}, set())
+    seen = follow(frames.__getitem__, 4, nets, about=[Crop(np.array([at, 450.0]), 300.0, 0.0)])
+    found = [sorted({float(each.points[0, 0]) for each in hands}) for hands in seen]
+    assert found == [[900.0] if seen_at is None else [seen_at, 900.0]] * 4
+    assert set(parts) == (set() if seen_at is None else {0, 1})
 
 
 def test_a_hand_that_is_followed_and_detected_is_one() -> None:
