@@ -10,7 +10,7 @@ import pytest
 import getagrip
 from getagrip.checks import RESULT_CHECKS, Evidence, examine
 from getagrip.clip import Clip, Masks, with_masks
-from getagrip.datasets.synthetic.categories import CATEGORIES, SHAPES
+from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.energy import PosesInCamera, no_bound
 from getagrip.fitting.initial_poses import initial_poses
@@ -143,16 +143,6 @@ def test_derivatives(name: str) -> None:
         expected = (up - down) / (2.0 * h)
         np.testing.assert_allclose(found.g[..., k].sum(axis=1), expected, atol=1e-5 * np.abs(found.g).max())
     assert (np.linalg.eigvalsh(found.H) >= -1e-9 * np.abs(found.H).max()).all()
-
-
-@pytest.mark.parametrize("name", sorted({*SHAPES} - {*CATEGORIES}))
-def test_shapes_without_a_category_are_closed(name: str) -> None:
-    import trimesh
-
-    mesh = SHAPES[name]()
-    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    assert solid.is_watertight
-    assert solid.volume > 0.0
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Procedural objects of everyday sizes: closed triangle meshes of 400 to 1700 faces, in metres, z up.
+"""Procedural objects of everyday sizes: closed triangle meshes of 500 to 1400 faces, in metres, z up.
 
 Origins are where category CADs have them: vessels at the middle of the base, bottles, cans and glasses at mid-height,
 pans on the handle, flat and thin things in their middle. Handles point along +x.
@@ -159,7 +159,7 @@ def mug(radius: float = 0.041, height: float = 0.095, wall: float = 0.004, reach
 def pitcher(radius: float = 0.06, height: float = 0.19, wall: float = 0.004, reach: float = 0.05) -> Mesh:
     """Make a water jug with a long handle and, opposite, a spout."""
     path = [(radius + a, z) for a, z in scaled("-0.02 0.87, 0.8 0.86, 1 0.55, 0.7 0.22, -0.1 0.2", reach, height)]
-    rings = revolved(_vessel(0.85 * radius, radius, height, wall), 28, 0.022, focus=0.25)
+    rings = revolved(_vessel(0.85 * radius, radius, height, wall), 24, 0.028, focus=0.25)
     top = np.clip(4.0 * rings[..., 2] / height - 3.0, 0.0, 1.0)
     rings[..., 0] -= 0.3 * radius * top * np.clip(-rings[..., 0] / radius, 0.0, 1.0) ** 4
     return loft(rings, [handle(path, 12, 0.011, 0.007)])
@@ -272,12 +272,9 @@ def tape(radius: float = 0.049, core: float = 0.0415, width: float = 0.048) -> M
 
 def banana(length: float = 0.18, thickness: float = 0.034) -> Mesh:
     """Make a banana, its ends up."""
-    path = arc(scaled("-0.5 0.25, -0.44 0.15, -0.25 0.04, 0 0, 0.25 0.04, 0.44 0.18", length, length), 26)
-    half = (
-        thickness
-        / 2.0
-        * np.interp(np.linspace(0, 1, 26), [0, 0.1, 0.25, 0.5, 0.75, 1], [0.3, 0.35, 0.85, 1, 0.85, 0.25])
-    )
+    path = arc(scaled("-0.5 0.25, -0.44 0.15, -0.25 0.04, 0 0, 0.25 0.04, 0.44 0.18", length, length), 34)
+    along, radii = [0.0, 0.1, 0.25, 0.5, 0.75, 1.0], [0.3, 0.35, 0.85, 1.0, 0.85, 0.25]
+    half = thickness / 2.0 * np.interp(np.linspace(0.0, 1.0, 34), along, radii)
     return loft(Tube(path, _Y, half, half, capped=True).sections())
 
 
