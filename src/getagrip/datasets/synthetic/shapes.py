@@ -159,7 +159,7 @@ def mug(radius: float = 0.041, height: float = 0.095, wall: float = 0.004, reach
 def pitcher(radius: float = 0.06, height: float = 0.19, wall: float = 0.004, reach: float = 0.05) -> Mesh:
     """Make a water jug with a long handle and, opposite, a spout."""
     path = [(radius + a, z) for a, z in scaled("-0.02 0.87, 0.8 0.86, 1 0.55, 0.7 0.22, -0.1 0.2", reach, height)]
-    rings = revolved(_vessel(0.85 * radius, radius, height, wall), 24, 0.028, focus=0.25)
+    rings = revolved(_vessel(0.85 * radius, radius, height, wall), 22, 0.028, focus=0.25)
     top = np.clip(4.0 * rings[..., 2] / height - 3.0, 0.0, 1.0)
     rings[..., 0] -= 0.3 * radius * top * np.clip(-rings[..., 0] / radius, 0.0, 1.0) ** 4
     return loft(rings, [handle(path, 12, 0.011, 0.007)])
