@@ -192,9 +192,9 @@ def test_what_does_not_fit_is_said_before_any_work(scene: Path, run: Run) -> Non
 
 
 def test_an_object_that_is_neither_a_file_nor_a_kind_is_said_before_any_work(scene: Path, run: Run) -> None:
-    status, _, err = run(*DRAFT, "a", "--object", "ball")
+    status, _, err = run(*DRAFT, "a", "--object", "boat")
     assert status == 1
-    assert "ball: mesh: no such file; must be a triangle mesh" in err
+    assert "boat: mesh: no such file; must be a triangle mesh" in err
     assert "bowl, box" in err
     assert not (scene / "a").exists()
 

@@ -114,7 +114,7 @@ def test_only_a_clip_is_overwritten(made: Path, run: Run) -> None:
         (["--size-mm", "-1"], 2, "--size-mm"),
         (["--diameter-mm", "5"], 2, "--size-mm cannot be used with --diameter-mm"),
         (["--mesh", "nowhere.obj"], 1, "nowhere.obj"),
-        (["--mesh", "plates"], 1, "this package's shapes: bottle, bowl"),
+        (["--mesh", "plates"], 1, "this package's shapes: ball, banana, book, bottle"),
     ],
 )
 @pytest.mark.slow
