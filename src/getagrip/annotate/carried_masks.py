@@ -200,8 +200,9 @@ def _step(
     trust = now.trust * (float(np.mean(off[border] < BACK)) if border.any() else 1.0)
     if shows_other(frames[before].image[part], b, came):
         trust = 0.0
-    new_side = np.where((inside[0] < 0.0) & (unlike > 0.0), 2.0 / (1.0 + np.exp(unlike)), 1.0)
-    certain = (known * new_side * np.where(was_hidden, 0.1, np.where(off < BACK, 1.0, 0.3))).astype(np.float32)
+    # Where the known ground is no longer seen, a new side of the object may be.
+    as_ground = np.where((inside[0] < 0.0) & (unlike > 0.0), 2.0 / (1.0 + np.exp(unlike)), 1.0)
+    certain = (known * as_ground * np.where(was_hidden, 0.1, np.where(off < BACK, 1.0, 0.3))).astype(np.float32)
     visible, known_before = placed(now, (columns.start, rows.start), b.shape[1::-1])
     top_most = ~is_hidden(visible) & ((visible[0] > 0.0) | (known_before > (SEEN + UNCOVERED) / 2.0))
     for n, kind in enumerate(visible):
