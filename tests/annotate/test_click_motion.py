@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
+from getagrip.annotate.boxes import boxed, moving_in_box
 from getagrip.annotate.click_motion import moves_with_click
 from getagrip.annotate.labels import OBJECT, FrameLabels, Labels
 from getagrip.annotate.strokes import key_masks, stroked
@@ -77,3 +78,23 @@ def test_a_click_on_one_colour_finds_the_other_that_moves_with_it() -> None:
 
     assert overlap(key_masks(labels, lambda n: scene(n)[0], lambda _: hand)[n] == OBJECT) > 0.9
     assert overlap(stroked(image, np.zeros(SIZE[::-1], np.uint8), CLICK, hand) == OBJECT) < 0.7  # by colours alone
+
+
+@pytest.mark.slow
+def test_what_stays_with_the_ground_while_the_object_moves_is_not_the_object_in_a_box() -> None:
+    """A sleeve behind it, say, whose colour is one of the object's and nowhere beside the box."""
+    n, box = LAST // 2, (90.0, 60.0, 70.0, 70.0)
+    _, thing, hand = scene(n)
+
+    def image(at: int) -> ndarray:
+        seen, front, holding = scene(at)
+        behind = np.zeros(SIZE[::-1], bool)
+        behind[90:130, 130:160] = True
+        return np.where((behind & ~front & ~holding)[..., None], BLUE[: SIZE[1], : SIZE[0]], seen)
+
+    def overlap(labels: ndarray) -> float:
+        return float(((labels == OBJECT) & thing).sum() / ((labels == OBJECT) | thing).sum())
+
+    assert overlap(boxed(image(n), box, hand)) < 0.75
+    assert overlap(moving_in_box(image, n, (0, LAST), box, hand)) > 0.9
+    np.testing.assert_array_equal(moving_in_box(image, n, (n, n), box, hand), boxed(image(n), box, hand))

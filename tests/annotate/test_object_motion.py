@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
+from getagrip.annotate.boxes import followed_box
 from getagrip.annotate.object_motion import hand_step
 from getagrip.annotate.shared_flow import SmallFrames
-from getagrip.annotate.strokes import followed_box
 
 SIZE, STEP = (160, 120), (9.0, 4.0)
 BOX = (30.0, 25.0, 40.0, 30.0)

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from numpy import ndarray
 
 from getagrip.annotate import strokes as strokes_of_annotate
+from getagrip.annotate.boxes import boxed, empty_side
 from getagrip.annotate.labels import FRONT, HAND, OBJECT, FrameLabels
-from getagrip.annotate.strokes import boxed, stroked
+from getagrip.annotate.strokes import stroked
 from getagrip.errors import UsageError
 
 SIZE = (160, 120)
@@ -96,6 +97,19 @@ def test_where_most_of_a_box_is_taken_its_own_colours_are_the_object(monkeypatch
     monkeypatch.setattr(strokes_of_annotate, "_grabbed", all_at_first)
     assert iou(boxed(image, (5, 15, 150, 90)) == OBJECT, mask) > 0.95
     assert len(starts) == 2
+
+
+def test_the_side_at_which_a_box_is_empty_is_named() -> None:
+    box, found = (10.0, 20.0, 50.0, 40.0), np.zeros(SIZE[::-1], bool)
+    assert empty_side(found, box) is None
+    found[20:60, 10:60] = True
+    assert empty_side(found, box) is None
+    for side, part in (("left", np.s_[:, :25]), ("top", np.s_[:30]), ("right", np.s_[:, 45:]), ("bottom", np.s_[50:])):
+        less = found.copy()
+        less[part] = False
+        named, share = empty_side(less, box) or ("", 0.0)
+        assert named == side
+        assert share == pytest.approx({"left": 0.3, "top": 0.25, "right": 0.3, "bottom": 0.25}[side])
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -1,6 +1,6 @@
-"""Segment the object from strokes, clicks or a box on one frame; every stroke is obeyed.
+"""Segment the object from strokes or clicks on one frame; every stroke is obeyed.
 
-Strokes and boxes are completed by GrabCut, clicks by what moves with them (``click_motion``).
+Strokes are completed by GrabCut, clicks by what moves with them (``click_motion``).
 
 Rother, Kolmogorov, Blake, SIGGRAPH 2004. A stroke lies on the object ("on") or on what is not the object ("off"). If
 polygons are drawn on the frame as well, strokes correct them nearby, and they are kept elsewhere.
@@ -16,12 +16,9 @@ from numpy import ndarray
 
 from getagrip.annotate.carried_masks import Hands, Image, Images
 from getagrip.annotate.click_motion import moves_with_click, moving_part
-from getagrip.annotate.colour_cut import UNSEEN, Colours, bins, coloured_hand, likelier, touching
-from getagrip.annotate.labels import HAND, OBJECT, FrameLabels, Labels
-from getagrip.errors import UsageError
+from getagrip.annotate.colour_cut import Colours, bins, likelier, touching
+from getagrip.annotate.labels import OBJECT, FrameLabels, Labels
 
-Box = tuple[float, float, float, float]
-"""Left, top, width and height [px]."""
 SIDE = 480
 """Largest side of the image part that GrabCut runs on [px]."""
 WIDTH = 0.008
@@ -35,20 +32,6 @@ NEAR = 0.12
 """Polygons are corrected within this share of the image's shorter side from a stroke."""
 ROUNDS = 5
 """Rounds of GrabCut."""
-SMALLEST = 4.0
-"""Least width and height of a box [px]."""
-REACH = 0.5
-"""Longest step of what a box shows from one frame to the next, in longer sides of the box."""
-STAYS = 1e-4
-"""Correlation that outweighs a pixel of a box's step: where all looks alike it stays."""
-OUTSIDE = 0.2
-"""If more than this share of a found hand is outside the object's box, its colours there tell which pixels in the box
-may be the object's: a label before the palm, say."""
-THIN = 0.35
-"""If more than this share of what is found in a box has colours that are likelier beside it, the object is so thin that
-most of the box is background: what has the other colours is the object."""
-ENOUGH = 0.5
-"""That counts if more than this share of the pixels of those colours is found."""
 
 
 def key_masks(labels: Labels, image: Images, hand: Hands = lambda _: None) -> dict[int, UInt8[ndarray, "H W"]]:
@@ -67,7 +50,7 @@ def _motion(labels: Labels, n: int, image: Images, hand: Bool[ndarray, "h w"] | 
     on = _painted(frame.on or (), shape)
     if frame.object or not on.any() or max(map(np.ptp, np.nonzero(on))) >= CLICK * min(shape):
         return None
-    seen = np.zeros(shape, bool) if hand is None else _resized(hand, shape)
+    seen = np.zeros(shape, bool) if hand is None else resized(hand, shape)
     return moves_with_click(image, n, (labels.first, labels.last), on, seen)
 
 
@@ -83,100 +66,17 @@ def stroked(
 
     shape = drawn.shape
     on, off = (_painted(strokes, shape) for strokes in (frame.on or (), frame.off or ()))
-    seen = np.zeros(shape, bool) if hand is None else _resized(hand, shape)
+    seen = np.zeros(shape, bool) if hand is None else resized(hand, shape)
     no_object = off | ((drawn != 0) & (drawn != OBJECT)) | (seen & (drawn != OBJECT))
     start = None
     if (drawn == OBJECT).any():
         near = cv2.distanceTransform((~(on | off)).astype(np.uint8), cv2.DIST_L2, 3) < NEAR * min(shape)
         start = np.where(drawn == OBJECT, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
         start[~near & (drawn == OBJECT)], start[~near & (drawn != OBJECT)] = cv2.GC_FGD, cv2.GC_BGD
-    found = _cut(image, on, no_object & ~on, start, _around(on | (drawn == OBJECT), shape), motion)
+    found = cut_out(image, on, no_object & ~on, start, around(on | (drawn == OBJECT), shape), motion)
     out = np.where(drawn == OBJECT, 0, drawn).astype(np.uint8)
     out[found] = OBJECT
     out[off & (out == OBJECT)], out[on] = 0, OBJECT
-    return out
-
-
-def window(box: Box, size: tuple[int, int]) -> tuple[slice, slice]:
-    """Return the rows and columns of a box in an image of ``size`` (width, height) [px].
-
-    Raises ``UsageError`` for a box that is tiny, or more than a tenth of which is out of the image.
-    """
-    x, y, w, h = box
-    left, top, right, bottom = max(0.0, x), max(0.0, y), min(x + w, size[0]), min(y + h, size[1])
-    if not (min(w, h) >= SMALLEST and max(0.0, right - left) * max(0.0, bottom - top) >= 0.9 * w * h):
-        got = ",".join(f"{value:g}" for value in box)
-        within = f"the upright image, {size[0]} x {size[1]}, {SMALLEST:g} pixels or more on either side"
-        raise UsageError(f"--object-box must be X,Y,W,H within {within} (got {got})")
-    return slice(round(top), round(bottom)), slice(round(left), round(right))
-
-
-def followed_box(images: Images, box: Box, first: int, to: int) -> Box:
-    """Follow what a box shows in a frame to a later one: where it looks most like that frame and the one before."""
-    import cv2
-
-    image = images(first)
-    start = corner = np.maximum(np.round(box[:2]).astype(int), 0)
-    w, h = np.minimum(np.round(np.add(box[:2], box[2:])).astype(int), image.shape[1::-1]) - start
-    near = round(REACH * max(w, h))
-    templates = [image[corner[1] :, corner[0] :][:h, :w]] * 2
-    for n in range(first + 1, to + 1):
-        image = images(n)
-        low = np.maximum(corner - near, 0)
-        around = image[low[1] : corner[1] + h + near, low[0] : corner[0] + w + near]
-        alike = np.sum([cv2.matchTemplate(around, each, cv2.TM_CCOEFF_NORMED) for each in templates], axis=0)
-        y, x = np.indices(alike.shape, dtype=np.float32)
-        far = np.hypot(x - (corner - low)[0], y - (corner - low)[1])
-        corner = low + cv2.minMaxLoc(alike - STAYS * far)[3]
-        templates[1] = image[corner[1] :, corner[0] :][:h, :w]
-    x, y = (np.array(box[:2]) + corner - start).tolist()
-    return x, y, *box[2:]
-
-
-def boxed(image: Image, box: Box, hand: Bool[ndarray, "h w"] | None = None) -> UInt8[ndarray, "H W"]:
-    """Return the label map of a frame on which the object fills a box, ``HAND`` where the hand is seen.
-
-    Raises as ``window`` does.
-    """
-    import cv2
-
-    shape = image.shape[:2]
-    inside = np.zeros(shape, bool)
-    inside[window(box, (shape[1], shape[0]))] = True
-    w, h = box[2:]
-    seen = np.zeros(shape, bool) if hand is None else _resized(hand, shape)
-    around = _around(inside, shape, 0.15 * max(w, h))
-    beside = np.zeros(shape, bool)
-    beside[around] = True
-    beside &= ~inside & ~seen
-    at = bins(image)
-
-    def cut(hand: Bool[ndarray, "H W"], sure: Bool[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
-        free = inside & ~hand
-
-        def begun_with(some: Bool[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
-            start = np.where(some, cv2.GC_PR_FGD, np.where(free, cv2.GC_PR_BGD, cv2.GC_BGD)).astype(np.uint8)
-            return _cut(image, sure, ~free, start, around, hand=hand)
-
-        likely = free & (likelier(at, Colours.of(image, free, free | beside)) > 0.0)
-        found = begun_with(free)
-        if np.count_nonzero(found & ~likely) > THIN * np.count_nonzero(found):
-            again = begun_with(likely)
-            if np.count_nonzero(again) > ENOUGH * np.count_nonzero(likely):
-                return again
-        return found
-
-    outside = seen & ~inside
-    known = np.count_nonzero(outside) > OUTSIDE * np.count_nonzero(seen)
-    skin = Colours.of(image, outside, outside)
-    unlike = inside & known & (skin.counts[0][at] < UNSEEN)
-    found = cut(seen & ~unlike, np.zeros(shape, bool))
-    if known and found.any():
-        reached = seen
-        seen = coloured_hand(reached, at, Colours.of(image, found, found), skin)
-        found = cut(seen, reached & ~seen & inside)
-    out = np.where(seen, HAND, 0).astype(np.uint8)
-    out[found] = OBJECT
     return out
 
 
@@ -192,13 +92,13 @@ def _painted(strokes: Sequence[Float[ndarray, "_ 2"]], shape: tuple[int, ...]) -
     return np.asarray(out > 0)
 
 
-def _resized(mask: Bool[ndarray, "h w"], shape: tuple[int, ...]) -> Bool[ndarray, "H W"]:
+def resized(mask: Bool[ndarray, "h w"], shape: tuple[int, ...]) -> Bool[ndarray, "H W"]:
     import cv2
 
     return np.asarray(cv2.resize(mask.astype(np.float32), shape[1::-1], interpolation=cv2.INTER_LINEAR) > 0.5)
 
 
-def _around(mask: Bool[ndarray, "H W"], shape: tuple[int, ...], margin: float | None = None) -> tuple[slice, slice]:
+def around(mask: Bool[ndarray, "H W"], shape: tuple[int, ...], margin: float | None = None) -> tuple[slice, slice]:
     """Rows and columns around the marked pixels; all if none is marked."""
     if not mask.any():
         return slice(0, shape[0]), slice(0, shape[1])
@@ -213,7 +113,7 @@ def _around(mask: Bool[ndarray, "H W"], shape: tuple[int, ...], margin: float | 
     return rows, columns
 
 
-def _cut(
+def cut_out(
     image: Image,
     on: Bool[ndarray, "H W"],
     off: Bool[ndarray, "H W"],

@@ -189,10 +189,10 @@ class Draft(Command):
     def _drawn(self, stretch: Stretch, found: FoundHands) -> dict[int, FrameLabels]:
         """Return what is known of the object: masks that are given, or what stands out in the box. Raises as run."""
         from getagrip.annotate import found_hands
+        from getagrip.annotate.boxes import empty_side, followed_box, moving_in_box
         from getagrip.annotate.drafting import traced
         from getagrip.annotate.estimators import named
         from getagrip.annotate.labels import OBJECT, FrameLabels
-        from getagrip.annotate.strokes import boxed, followed_box
         from getagrip.commands.draft_inputs import estimated, masks_of
         from getagrip.io.terminal import progress_bar
 
@@ -212,10 +212,14 @@ class Draft(Command):
         if n > stretch.first:
             report(f"--object-box: followed to {stretch.footage.name(n)}, the first frame with a hand")
         hand = found_hands.FoundHands(self.folder / found_hands.FOLDER).mask(n)
-        shapes = traced(boxed(image(n), box, hand) == OBJECT)
+        object_ = moving_in_box(image, n, (stretch.first, stretch.last), box, hand) == OBJECT
+        shapes = traced(object_)
         if not shapes:
             nothing = f"nothing in the box stands out from the background in {stretch.footage.name(n)}"
             raise UsageError(f"--object-box: {nothing}; mark the object on the page")
+        if empty := empty_side(object_, box):
+            side, share = empty
+            report(f"--object-box: {100 * share:.0f} % of it is empty at the {side}: is a part of the object missing?")
         return {n: FrameLabels(object=tuple(shapes))}
 
     def _shape(self) -> Shape:
@@ -249,7 +253,7 @@ class Draft(Command):
 
     def _stretch(self, footage: Footage) -> Stretch:
         """Return the interval and its camera. Raises ``UsageError``, also for a box beside the image."""
-        from getagrip.annotate.strokes import window
+        from getagrip.annotate.boxes import window
         from getagrip.commands.draft_inputs import Stretch
         from getagrip.commands.hand_file import HandFile, camera_of
 
