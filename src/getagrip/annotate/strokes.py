@@ -99,7 +99,7 @@ def resized(mask: Bool[ndarray, "h w"], shape: tuple[int, ...]) -> Bool[ndarray,
 
 
 def around(mask: Bool[ndarray, "H W"], shape: tuple[int, ...], margin: float | None = None) -> tuple[slice, slice]:
-    """Rows and columns around the marked pixels; all if none is marked."""
+    """Return rows and columns around the marked pixels; all if none is marked."""
     if not mask.any():
         return slice(0, shape[0]), slice(0, shape[1])
     short, marked = min(shape[:2]), np.nonzero(mask)
