@@ -99,17 +99,32 @@ def test_where_most_of_a_box_is_taken_its_own_colours_are_the_object(monkeypatch
     assert len(starts) == 2
 
 
-def test_the_side_at_which_a_box_is_empty_is_named() -> None:
-    box, found = (10.0, 20.0, 50.0, 40.0), np.zeros(SIZE[::-1], bool)
-    assert empty_side(found, box) is None
-    found[20:60, 10:60] = True
-    assert empty_side(found, box) is None
-    for side, part in (("left", np.s_[:, :25]), ("top", np.s_[:30]), ("right", np.s_[:, 45:]), ("bottom", np.s_[50:])):
-        less = found.copy()
-        less[part] = False
-        named, share = empty_side(less, box) or ("", 0.0)
-        assert named == side
-        assert share == pytest.approx({"left": 0.3, "top": 0.25, "right": 0.3, "bottom": 0.25}[side])
+@pytest.mark.parametrize(
+    ("side", "part", "share"),
+    [
+        ("left", np.s_[:, :25], 0.3),
+        ("top", np.s_[:30], 0.25),
+        ("right", np.s_[:, 45:], 0.3),
+        ("bottom", np.s_[50:], 0.25),
+    ],
+)
+def test_the_side_at_which_a_box_is_empty_is_named(side: str, part: tuple[slice, slice], share: float) -> None:
+    box, labels = (10.0, 20.0, 50.0, 40.0), NOTHING.copy()
+    assert empty_side(labels, box) is None
+    labels[20:60, 15:55] = OBJECT  # a tenth is empty
+    assert empty_side(labels, box) is None
+    labels[20:60, 10:60] = OBJECT
+    assert empty_side(labels, box) is None
+    labels[part] = 0
+    assert empty_side(labels, box) == (side, pytest.approx(share))
+    labels[part] = HAND  # it hides the object there
+    assert empty_side(labels, box) is None
+
+
+def test_a_box_that_reaches_out_of_the_image_is_not_empty_there() -> None:
+    labels = NOTHING.copy()
+    labels[40:80, 120:157] = OBJECT
+    assert empty_side(labels, (120.0, 40.0, 44.0, 40.0)) is None
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -91,10 +91,13 @@ def test_a_box_on_the_object_is_enough_for_masks_of_all_frames(
     clip = with_evidence(read_clip(made / "clips" / name))
     assert clip.category == "cup"
     assert [clip.evidence[DEPTH].image(row).max() for row in range(7)] == pytest.approx(0.6 + 0.001 * np.arange(1, 8))
-    monkeypatch.setattr("getagrip.annotate.reconstruction.run_command", lambda *_: "")  # it was seen to work
+    commands: list[list[str]] = []
+    replaced = "getagrip.annotate.reconstruction.run_command"  # it was seen to work
+    monkeypatch.setattr(replaced, lambda words, _: commands.append([*words]) or "")
     wide = ("--object-box", f"{x},{y},{3 * RADIUS},{2 * RADIUS + 6}", *box[2:])
     again, out, err = run(*DRAFT, *wide)  # over it
     assert again == 0, err
+    assert [words[0] for words in commands if "--overwrite" in words] == ["clip", "reconstruct"]
     assert "--object-box: 31 % of it is empty at the right: is a part of the object missing?" in err
     assert f"depth images of the earlier {made / 'clips' / name} are left out" in out.replace("out/", f"{made}/")
     for n in range(1, 8):

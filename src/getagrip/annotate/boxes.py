@@ -31,8 +31,10 @@ ENOUGH = 0.5
 """That counts if more than this share of the pixels of those colours is found."""
 BORDER = 9
 """Side of the square by which what is found in a box is made narrower before its motion is measured [px]."""
+MUCH = 0.2
+"""Share of what is found in a box that is too much to be left out for its motion."""
 EMPTY = 0.15
-"""The object reaches all sides of its box, within this share of the box's width or height."""
+"""Object and hand reach all sides of the object's box, within this share of the box's width or height."""
 
 
 def window(box: Box, size: tuple[int, int]) -> tuple[slice, slice]:
@@ -74,9 +76,10 @@ def followed_box(images: Images, box: Box, first: int, to: int) -> Box:
 def moving_in_box(
     images: Images, n: int, interval: tuple[int, int], box: Box, hand: Bool[ndarray, "h w"] | None = None
 ) -> UInt8[ndarray, "H W"]:
-    """Return what ``boxed`` does, without that which stays with the ground while the object moves.
+    """Return what ``boxed`` does, without what stays with the ground while the object moves.
 
-    ``interval``: first and last frame, both included, whose motion is looked at.
+    Frames beyond the ``interval``, whose ends are included, are not looked at. If much would be left out, the object
+    lies still while the hand moves, or the ground is seen through it: then nothing is.
     """
     import cv2
 
@@ -84,9 +87,10 @@ def moving_in_box(
     found, seen = labels == OBJECT, labels == HAND
     inner = cv2.erode(found.astype(np.uint8), np.ones((BORDER, BORDER), np.uint8)) > 0
     motion = moves_with_click(images, n, interval, inner, seen) if inner.any() else None
-    if motion is None or not (found & (motion < STILL)).any():
+    if motion is None or not 0.0 < np.mean(motion[found] < STILL) < MUCH:
         return labels
-    return boxed(images(n), box, hand, found & (motion > MOVES), motion < STILL)
+    less = boxed(images(n), box, hand, found & (motion > MOVES), motion < STILL)
+    return less if np.count_nonzero(less == OBJECT) > (1.0 - MUCH) * np.count_nonzero(found) else labels
 
 
 def boxed(
@@ -102,7 +106,7 @@ def boxed(
         image: RGB.
         box: the object's [px].
         hand: visible pixels of the hand that was found, of any size; None: not known.
-        surely: pixels that are known to be the object's.
+        surely: pixels that are known to be the object's, unless they are the hand's, or apart from its largest part.
         ground: pixels that are known not to be the object's.
 
     Raises:
@@ -152,15 +156,17 @@ def boxed(
     return out
 
 
-def empty_side(found: Bool[ndarray, "H W"], box: Box) -> tuple[str, float] | None:
-    """Return the side at which most of a box is empty, with the share of its width or height; None if little is."""
-    rows, columns = (np.flatnonzero(found.any(axis)) for axis in (1, 0))
-    if not len(rows):
+def empty_side(labels: UInt8[ndarray, "H W"], box: Box) -> tuple[str, float] | None:
+    """Return the side of a box with the widest empty strip, and the strip's share of the box's width or height.
+
+    None up to a share of ``EMPTY``, and where nothing is labelled. Raises ``UsageError`` as ``window`` does.
+    """
+    inside = labels[window(box, (labels.shape[1], labels.shape[0]))] != 0
+    if not inside.any():
         return None
-    x, y, w, h = box
-    empty = {
-        "left": (columns[0] - x) / w, "top": (rows[0] - y) / h,
-        "right": (x + w - 1 - columns[-1]) / w, "bottom": (y + h - 1 - rows[-1]) / h,
-    }  # fmt: skip
-    side = max(empty, key=lambda each: empty[each])
-    return (side, float(empty[side])) if empty[side] > EMPTY else None
+    (top, bottom), (left, right) = (
+        (int(filled.argmax()) / len(filled), int(filled[::-1].argmax()) / len(filled))
+        for filled in (inside.any(axis=1), inside.any(axis=0))
+    )
+    share, side = max((left, "left"), (top, "top"), (right, "right"), (bottom, "bottom"))
+    return (side, share) if share > EMPTY else None

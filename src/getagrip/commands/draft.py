@@ -212,12 +212,12 @@ class Draft(Command):
         if n > stretch.first:
             report(f"--object-box: followed to {stretch.footage.name(n)}, the first frame with a hand")
         hand = found_hands.FoundHands(self.folder / found_hands.FOLDER).mask(n)
-        object_ = moving_in_box(image, n, (stretch.first, stretch.last), box, hand) == OBJECT
-        shapes = traced(object_)
+        labels = moving_in_box(image, n, (stretch.first, stretch.last), box, hand)
+        shapes = traced(labels == OBJECT)
         if not shapes:
             nothing = f"nothing in the box stands out from the background in {stretch.footage.name(n)}"
             raise UsageError(f"--object-box: {nothing}; mark the object on the page")
-        if empty := empty_side(object_, box):
+        if empty := empty_side(labels, box):
             side, share = empty
             report(f"--object-box: {100 * share:.0f} % of it is empty at the {side}: is a part of the object missing?")
         return {n: FrameLabels(object=tuple(shapes))}
