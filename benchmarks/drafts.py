@@ -26,6 +26,7 @@ from numpy import ndarray
 from benchmarks.store import ROOT, Table, of_cells
 from benchmarks.timing import timed
 from getagrip.annotate import labels
+from getagrip.annotate.boxes import Box, moving_in_box
 from getagrip.annotate.carried_masks import Hands, Images
 from getagrip.annotate.footage import Footage
 from getagrip.annotate.labels import OBJECT, FrameLabels, Labels
@@ -59,9 +60,9 @@ def masks() -> dict[str, Table]:
 
 
 def clicks() -> dict[str, Table]:
-    """Masks from one click on one frame, and from one on each frame that has an outline in ``masks``."""
-    header = ["clicks", "frames", "IOU where clicked", "held back", "mean IOU", "least IOU"]
-    return {"draft-clicks": of_cells("The object's masks from clicks", header, *_rows(KEYS, _clicks))}
+    """Masks from a box or a click on one frame, and from a click on each frame that has an outline in ``masks``."""
+    header = ["given", "frames", "IOU where given", "held back", "mean IOU", "least IOU"]
+    return {"draft-clicks": of_cells("The object's masks from a box, or from clicks", header, *_rows(KEYS, _clicks))}
 
 
 def landmarks() -> dict[str, Table]:
@@ -212,21 +213,32 @@ def _masks(name: str, path: Path) -> Rows:
 
 
 def _clicks(name: str, path: Path) -> Rows:
-    """Return the cells of a video's rows: a click in the middle of the outline, as deep inside as can be."""
+    """Return the cells of a video's rows: the outline's box, a click in its middle, as deep inside as can be."""
     given, keys, video = _labels(name), KEYS[name], Video(path)
-    drawn, rows = given.label_maps(), []
+    drawn, rows, middle = given.label_maps(), [], keys[len(keys) // 2]
     try:
         hand = found_hand(path)
-        for some in ((keys[len(keys) // 2],), keys):
+        box = _box(drawn[middle] == OBJECT)
+        found = moving_in_box(video.image, middle, (given.first, given.last), box, hand(middle)) == OBJECT
+        cuts = {"a box": {middle: np.where(found, np.uint8(OBJECT), np.uint8(0))}}
+        for some in ((middle,), keys):
             clicked = {n: FrameLabels(on=(_deepest(drawn[n] == OBJECT)[None],)) for n in some}
-            cut = key_masks(replace(given, frames=clicked), video.image, hand)
+            shown = f"{len(some)} click{'s' * (len(some) > 1)}"
+            cuts[shown] = key_masks(replace(given, frames=clicked), video.image, hand)
+        for shown, cut in cuts.items():
             there = np.mean([iou(mask == OBJECT, drawn[n] == OBJECT) for n, mask in cut.items()])
             ious = list(held_back(given, keys, video.image, hand, cut).values())
             counts = f"{given.last - given.first + 1}", f"{there:.3f}", str(len(ious))
-            rows.append([f"{name}: {len(some)}", *counts, f"{np.mean(ious):.3f}", f"{min(ious):.3f}"])
+            rows.append([f"{name}: {shown}", *counts, f"{np.mean(ious):.3f}", f"{min(ious):.3f}"])
     finally:
         video.close()
     return rows
+
+
+def _box(mask: Bool[ndarray, "H W"]) -> Box:
+    rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
+    left, top = float(columns[0]), float(rows[0])
+    return left, top, columns[-1] + 1.0 - left, rows[-1] + 1.0 - top
 
 
 def _deepest(mask: Bool[ndarray, "H W"]) -> Float[ndarray, "2"]:
