@@ -26,7 +26,7 @@ from numpy import ndarray
 from benchmarks.store import ROOT, Table, of_cells
 from benchmarks.timing import timed
 from getagrip.annotate import labels
-from getagrip.annotate.boxes import Box, moving_in_box
+from getagrip.annotate.boxes import moving_in_box
 from getagrip.annotate.carried_masks import Hands, Images
 from getagrip.annotate.footage import Footage
 from getagrip.annotate.labels import OBJECT, FrameLabels, Labels
@@ -214,11 +214,13 @@ def _masks(name: str, path: Path) -> Rows:
 
 def _clicks(name: str, path: Path) -> Rows:
     """Return the cells of a video's rows: the outline's box, a click in its middle, as deep inside as can be."""
+    import cv2
+
     given, keys, video = _labels(name), KEYS[name], Video(path)
     drawn, rows, middle = given.label_maps(), [], keys[len(keys) // 2]
     try:
         hand = found_hand(path)
-        box = _box(drawn[middle] == OBJECT)
+        box = cv2.boundingRect((drawn[middle] == OBJECT).astype(np.uint8))
         found = moving_in_box(video.image, middle, (given.first, given.last), box, hand(middle)) == OBJECT
         cuts = {"a box": {middle: np.where(found, np.uint8(OBJECT), np.uint8(0))}}
         for some in ((middle,), keys):
@@ -233,12 +235,6 @@ def _clicks(name: str, path: Path) -> Rows:
     finally:
         video.close()
     return rows
-
-
-def _box(mask: Bool[ndarray, "H W"]) -> Box:
-    rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
-    left, top = float(columns[0]), float(rows[0])
-    return left, top, columns[-1] + 1.0 - left, rows[-1] + 1.0 - top
 
 
 def _deepest(mask: Bool[ndarray, "H W"]) -> Float[ndarray, "2"]:

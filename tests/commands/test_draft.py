@@ -92,7 +92,7 @@ def test_a_box_on_the_object_is_enough_for_masks_of_all_frames(
     assert clip.category == "cup"
     assert [clip.evidence[DEPTH].image(row).max() for row in range(7)] == pytest.approx(0.6 + 0.001 * np.arange(1, 8))
     commands: list[list[str]] = []
-    replaced = "getagrip.annotate.reconstruction.run_command"  # it was seen to work
+    replaced = "getagrip.annotate.reconstruction.run_command"  # it has run above
     monkeypatch.setattr(replaced, lambda words, _: commands.append([*words]) or "")
     wide = ("--object-box", f"{x},{y},{3 * RADIUS},{2 * RADIUS + 6}", *box[2:])
     again, out, err = run(*DRAFT, *wide)  # over it

@@ -32,7 +32,7 @@ ENOUGH = 0.5
 BORDER = 9
 """Side of the square by which what is found in a box is made narrower before its motion is measured [px]."""
 MUCH = 0.2
-"""Share of what is found in a box that is too much to be left out for its motion."""
+"""Share of what is found in a box that is not left out for its motion."""
 EMPTY = 0.15
 """Object and hand reach all sides of the object's box, within this share of the box's width or height."""
 
@@ -63,8 +63,8 @@ def followed_box(images: Images, box: Box, first: int, to: int) -> Box:
     for n in range(first + 1, to + 1):
         image = images(n)
         low = np.maximum(corner - near, 0)
-        around = image[low[1] : corner[1] + h + near, low[0] : corner[0] + w + near]
-        alike = np.sum([cv2.matchTemplate(around, each, cv2.TM_CCOEFF_NORMED) for each in templates], axis=0)
+        nearby = image[low[1] : corner[1] + h + near, low[0] : corner[0] + w + near]
+        alike = np.sum([cv2.matchTemplate(nearby, each, cv2.TM_CCOEFF_NORMED) for each in templates], axis=0)
         y, x = np.indices(alike.shape, dtype=np.float32)
         far = np.hypot(x - (corner - low)[0], y - (corner - low)[1])
         corner = low + cv2.minMaxLoc(alike - STAYS * far)[3]
@@ -78,8 +78,8 @@ def moving_in_box(
 ) -> UInt8[ndarray, "H W"]:
     """Return what ``boxed`` does, without what stays with the ground while the object moves.
 
-    Frames beyond the ``interval``, whose ends are included, are not looked at. If much would be left out, the object
-    lies still while the hand moves, or the ground is seen through it: then nothing is.
+    Frames beyond the ``interval``, whose ends are included, are not looked at. Where much would be left out, nothing is:
+    the object lies still while the hand moves, or the ground is seen through it.
     """
     import cv2
 
@@ -87,10 +87,10 @@ def moving_in_box(
     found, seen = labels == OBJECT, labels == HAND
     inner = cv2.erode(found.astype(np.uint8), np.ones((BORDER, BORDER), np.uint8)) > 0
     motion = moves_with_click(images, n, interval, inner, seen) if inner.any() else None
-    if motion is None or not 0.0 < np.mean(motion[found] < STILL) < MUCH:
+    if motion is None or not (motion[found] < STILL).any():
         return labels
     less = boxed(images(n), box, hand, found & (motion > MOVES), motion < STILL)
-    return less if np.count_nonzero(less == OBJECT) > (1.0 - MUCH) * np.count_nonzero(found) else labels
+    return less if np.mean(less[found] == OBJECT) > 1.0 - MUCH else labels
 
 
 def boxed(
