@@ -78,8 +78,8 @@ def moving_in_box(
 ) -> UInt8[ndarray, "H W"]:
     """Return what ``boxed`` does, without what stays with the ground while the object moves.
 
-    Frames beyond the ``interval``, whose ends are included, are not looked at. If much would be left out, nothing is: the
-    object lies still while the hand moves, or the ground is seen through it.
+    Frames beyond the ``interval``, whose ends are included, are not looked at. Where much would be left out, nothing
+    is: the object lies still while the hand moves, or the ground is seen through it.
     """
     import cv2
 
