@@ -15,6 +15,10 @@ HOLDS = 0.9
 """Probability with which a result's set of candidates holds the right one."""
 LEAST = 0.01
 """Nearer to 0 or 1 than this, no number is shown: the calibration does not tell them apart."""
+ASSUMED_MESH = "assumed mesh"
+"""In ``beyond`` of a result whose mesh is not its object's."""
+LOOKS_RIGHT = 0.015
+"""Of the results with an assumed mesh most of those that look right are at least as probable (docs/draft.md)."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,13 @@ class Probability:
         kept = f"; kept where {100.0 * self.keep:.3g} % are to be right" if self.keep else ""
         held = f"; {self.candidates} candidates hold the right one" if self.candidates > 1 else ""
         return kept + held
+
+    @property
+    def by_eye(self) -> str:
+        """Say how a result with an assumed mesh probably looks, in which 10 % of the diameter is rare; else nothing."""
+        if ASSUMED_MESH not in self.beyond:
+            return ""
+        return f"probably {'right' if self.value >= LOOKS_RIGHT else 'wrong'} to the eye"
 
     def __str__(self) -> str:
         return percent(self.value) + (f" (extrapolated: {', '.join(self.beyond)})" if self.beyond else "")

@@ -74,11 +74,11 @@ def test_the_bias_of_the_networks_cancels_out(bias: float) -> None:
 
 def test_what_hardly_agrees_is_an_assumption() -> None:
     assert Handedness((-4.0,) * 9 + (0.5,)).source.basis == "estimated"
-    for odds in ((-2.4, -2.5, -2.6), (-9.0, 0.5, 0.5, -9.0)):
+    for odds, how in (((-2.4, -2.5, -2.6), "3 of 3 frames, but hardly"), ((-9.0, 0.5, 0.5, -9.0), "2 of 4 frames only")):
         source = Handedness(odds).source
         assert source.basis == "assumed"
         assert source.text.startswith("left, a guess")
-        assert source.text.endswith("--side right overrules this")
+        assert source.text.endswith(f"in {how}; --side right overrules this")
 
 
 def test_hands_without_depths_are_judged_by_the_network_alone() -> None:

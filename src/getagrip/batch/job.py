@@ -114,7 +114,8 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
     from getagrip.fitting.judge import uncalibrated
 
     known = ", ".join(f"{right} {where}" for where, right in result.probabilities.items())
-    probably = f", right with a probability of {known}" if known else ""
+    looks = "" if result.probability_right is None else result.probability_right.by_eye
+    probably = f", right with a probability of {known}{looks and f', {looks}'}" if known else ""
     if grasps := probabilities_of_grasps(result.segments):
         probably = f", {grasps}"
     if not known and (none := uncalibrated(job.options, result.findings, result.energy)):

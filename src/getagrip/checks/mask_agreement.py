@@ -20,9 +20,9 @@ from getagrip.provenance import is_assumed
 UNKNOWN = float("nan")
 USUAL_MISFIT, USUAL_IOU = 3.0, 0.9
 """A result that is better than both is not looked at."""
-BUILT_IN_MISFIT, BUILT_IN_IOU = 9.0, 0.85
-"""A result of a built-in shape, which is not the object's, is looked at only if it is worse than one of these. Of 34
-grasps in videos eight right ones were between the limits, and one wrong one."""
+BUILT_IN_IOU = 0.85
+"""A result of a built-in shape, which is not the object's, is looked at only if it is worse. Its contours are off in any
+case: in videos, IOU and hand tell by themselves what is wrong."""
 GRID = 8
 """Cells of the square about a mask along either side, in which differences are summed: motion moves them by less."""
 ALIKE = 0.5
@@ -35,9 +35,11 @@ UNEVEN = 0.9
 
 
 def misfit(it: Evidence) -> float:
-    """Return the contours' misfit to masks that agree with each other (``Evidence.misfit``); else NaN."""
-    usual = BUILT_IN_MISFIT if _built_in(it) else USUAL_MISFIT
-    return it.misfit if it.misfit > usual and agreement(it) > ALIKE else UNKNOWN
+    """Return the contours' misfit to masks that agree with each other (``Evidence.misfit``); else NaN.
+
+    It is NaN for a built-in shape, too.
+    """
+    return it.misfit if it.misfit > USUAL_MISFIT and not _built_in(it) and agreement(it) > ALIKE else UNKNOWN
 
 
 def mean_iou(it: Evidence) -> float:

@@ -22,7 +22,7 @@ from getagrip.fitting.pose_spread import pose_spread
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.scale_check import scale_check
 from getagrip.fitting.usual import turned_away
-from getagrip.probability import Probability
+from getagrip.probability import ASSUMED_MESH, Probability
 from getagrip.provenance import is_assumed, kind_of_hands
 from getagrip.result import Candidates
 
@@ -114,7 +114,7 @@ def probabilities(
     found = {where: probability_right(options, signs, findings, where, terms, kind) for where in get_args(Where)}
     beyond = [finding.check for finding in findings if finding.check in WRONG_EVIDENCE]
     if kind != "measured" and is_assumed(clip.provenance.get("mesh")):  # these were calibrated on exact meshes
-        beyond.insert(0, "assumed mesh")
+        beyond.insert(0, ASSUMED_MESH)
     if beyond:
         kept = (right and replace(right, beyond=(*beyond, *right.beyond)) for right in found.values())
     else:

@@ -74,7 +74,9 @@ class Handedness(NamedTuple):
     @property
     def source(self) -> Source:
         """Source of the side: assumed, where the frames hardly agree."""
-        return estimated(f"{self.side}: {self.words}") if self.sure else self.guess(f"{self.words} only")
+        if self.sure:
+            return estimated(f"{self.side}: {self.words}")
+        return self.guess(f"{self.words}{' only' if self.alike < len(self.odds) else ', but hardly'}")
 
     def guess(self, reason: str) -> Source:
         """Return the source of a side that is assumed, for a reason."""
