@@ -45,17 +45,22 @@ HELD_BY_LEFT = ("bottle", "mug", "tape", "umbrella", "kitchen_plate")
 """Videos, in all of which the left hand holds the object, and is in view in every frame."""
 RING = (0.0415, 0.049, 0.048)
 """Radii and height of the roll of tape [m]."""
+AGAIN = ("drawn again", "IOU with these", "both outlines")
+"""Columns of held-back frames that somebody else outlined: how many, and the IOU of masks and of the first outlines
+with the second ones."""
 KEEP = "GETAGRIP_KEEP"
 """Environment variable: folder that keeps what the examples make, for pictures."""
 Rows = list[list[str]]
 """Of a table, from one video."""
+LabelMaps = Mapping[int, UInt8[ndarray, "H W"]]
+"""Of some frames."""
 CLOSE = 20.0
 """Largest error of the landmarks of a clicked frame that counts as close [px]."""
 
 
 def masks() -> dict[str, Table]:
     """Masks from outlines on a few frames."""
-    header = ["video", "frames", "drawn", "held back", "mean IOU", "least IOU", "CPU s/frame"]
+    header = ["video", "frames", "drawn", "held back", "mean IOU", "least IOU", *AGAIN, "CPU s/frame"]
     return {"draft-masks": of_cells("The object's masks from outlines on a few frames", header, *_rows(KEYS, _masks))}
 
 
@@ -68,7 +73,8 @@ def clicks() -> dict[str, Table]:
 def landmarks() -> dict[str, Table]:
     """The hand, as it is found."""
     clicked = ["clicked", "within 20 px", "median, px"]
-    header = ["video", "frames", "with a hand, %", "right side", *clicked, "CPU ms/frame"]
+    again = ["within 20 px, clicked again", "median again, px", "both clicks, px"]
+    header = ["video", "frames", "with a hand, %", "right side", *clicked, *again, "CPU ms/frame"]
     return {"draft-landmarks": of_cells("The hand's landmarks", header, *_rows(HELD_BY_LEFT, _landmarks))}
 
 
@@ -180,6 +186,11 @@ def _labels(name: str) -> Labels:
     return labels.read(KITCHEN if name == "kitchen_plate" else POLYGONS / f"{name}.json")
 
 
+def _again(name: str) -> Labels:
+    """Return what somebody else, who saw the frames only, drew and clicked on some of them."""
+    return labels.read(POLYGONS / f"{name}-again.json")
+
+
 def _landmarks(name: str, path: Path) -> Rows:
     """Return the cells of a video's row: how often the left hand is found, and how far from clicked joints."""
     from getagrip.annotate.finding_hands import find_landmarks
@@ -190,13 +201,21 @@ def _landmarks(name: str, path: Path) -> Rows:
     video.close()
     footage = cast(Footage, SimpleNamespace(image=images.__getitem__, name=str))
     timing, (found,) = timed(lambda: find_landmarks(footage, (0, len(images) - 1), nets))
-    clicks = _labels(name).clicks if name == "kitchen_plate" else {}
-    off = [float(np.nanmedian(np.linalg.norm(found.points[n] - at, axis=-1))) for n, at in clicks.items()]
-    close = sum(each <= CLOSE for each in off)
-    errors = [str(len(off)), str(close), f"{np.nanmedian(off):.0f}"] if off else ["", "", ""]
+    errors = [""] * 6
+    if name == "kitchen_plate":
+        clicks, again = _labels(name).clicks, _again(name).clicks
+        found_in = dict(enumerate(found.points))
+        off, then, both = _apart(found_in, clicks), _apart(found_in, again), _apart(clicks, again)
+        counted = [(str(sum(each <= CLOSE for each in some)), f"{np.median(some):.0f}") for some in (off, then)]
+        errors = [str(len(off)), *counted[0], *counted[1], f"{np.median(both):.0f}"]
     rate, speed = 100.0 * len(found.rows) / len(images), 1e3 * timing.cpu[0] / len(images)
     right_side = "yes" if found.side == "left" else "no"
     return [[name, str(len(images)), f"{rate:.1f}", right_side, *errors, f"{speed:.0f}"]]
+
+
+def _apart(one: Mapping[int, Float[ndarray, "21 2"]], other: Mapping[int, Float[ndarray, "21 2"]]) -> list[float]:
+    """Return the median distance of joints in each frame of ``other`` [px]."""
+    return [float(np.nanmedian(np.linalg.norm(one[n] - at, axis=-1))) for n, at in other.items()]
 
 
 def _masks(name: str, path: Path) -> Rows:
@@ -204,12 +223,15 @@ def _masks(name: str, path: Path) -> Rows:
     given, keys, video = _labels(name), KEYS[name], Video(path)
     try:
         hand = found_hand(path)
-        timing, (scores,) = timed(lambda: held_back(given, keys, video.image, hand))
+        timing, (found,) = timed(lambda: held_back(given, keys, video.image, hand))
     finally:
         video.close()
-    frames, ious = given.last - given.first + 1, list(scores.values())
-    counts = [str(frames), str(len(keys)), str(len(ious))]
-    return [[name, *counts, f"{np.mean(ious):.3f}", f"{min(ious):.3f}", f"{timing.cpu[0] / frames:.2f}"]]
+    drawn, frames = given.label_maps(), given.last - given.first + 1
+    second = _again(name).label_maps()
+    counts = [str(frames), str(len(keys)), str(len(found))]
+    again = [str(len(second)), f"{np.mean(ious(found, second)):.3f}", f"{np.mean(ious(drawn, second)):.3f}"]
+    first = f"{np.mean(ious(found, drawn)):.3f}", f"{min(ious(found, drawn)):.3f}"
+    return [[name, *counts, *first, *again, f"{timing.cpu[0] / frames:.2f}"]]
 
 
 def _clicks(name: str, path: Path) -> Rows:
@@ -228,10 +250,9 @@ def _clicks(name: str, path: Path) -> Rows:
             shown = f"{len(some)} click{'s' * (len(some) > 1)}"
             cuts[shown] = key_masks(replace(given, frames=clicked), video.image, hand)
         for shown, cut in cuts.items():
-            there = np.mean([iou(mask == OBJECT, drawn[n] == OBJECT) for n, mask in cut.items()])
-            ious = list(held_back(given, keys, video.image, hand, cut).values())
-            counts = f"{given.last - given.first + 1}", f"{there:.3f}", str(len(ious))
-            rows.append([f"{name}: {shown}", *counts, f"{np.mean(ious):.3f}", f"{min(ious):.3f}"])
+            scores = ious(held_back(given, keys, video.image, hand, cut), drawn)
+            counts = f"{given.last - given.first + 1}", f"{np.mean(ious(cut, drawn)):.3f}", str(len(scores))
+            rows.append([f"{name}: {shown}", *counts, f"{np.mean(scores):.3f}", f"{min(scores):.3f}"])
     finally:
         video.close()
     return rows
@@ -246,22 +267,19 @@ def _deepest(mask: Bool[ndarray, "H W"]) -> Float[ndarray, "2"]:
 
 
 def held_back(
-    given: Labels,
-    keys: tuple[int, ...],
-    image: Images,
-    hand: Hands,
-    shown: Mapping[int, UInt8[ndarray, "H W"]] | None = None,
-) -> dict[int, float]:
-    """Propagate the masks ``shown``, by default what is drawn on ``keys``; return the IOU of the other drawn frames."""
-    drawn: Mapping[int, UInt8[ndarray, "H W"]] = given.label_maps()
+    given: Labels, keys: tuple[int, ...], image: Images, hand: Hands, shown: LabelMaps | None = None
+) -> dict[int, UInt8[ndarray, "H W"]]:
+    """Propagate the masks ``shown``, by default what is drawn on ``keys``; return those of the other drawn frames."""
+    drawn = given.label_maps()
     shown = {n: drawn[n] for n in keys} if shown is None else shown
     found = propagate(image, shown, given.first, given.last, hand=hand)
-    return {n: iou(mask == OBJECT, drawn[n] == OBJECT) for n, mask, _ in found if n in drawn and n not in keys}
+    return {n: mask for n, mask, _ in found if n in drawn and n not in keys}
 
 
-def iou(one: ndarray, other: ndarray) -> float:
-    """Intersection over union."""
-    return float((one & other).sum() / max((one | other).sum(), 1))
+def ious(one: LabelMaps, other: LabelMaps) -> list[float]:
+    """Intersection over union of the object, in each frame of both."""
+    both = [(one[n] == OBJECT, other[n] == OBJECT) for n in sorted(one.keys() & other.keys())]
+    return [float((a & b).sum() / max((a | b).sum(), 1)) for a, b in both]
 
 
 @cache

@@ -42,10 +42,10 @@ class Probability:
 
     @property
     def keeping(self) -> str:
-        """Say for which share of right results it is kept, and how many candidates hold the right one, if known."""
+        """Say for which share of right results it is kept, how many candidates hold the right one, and ``by_eye``."""
         kept = f"; kept where {100.0 * self.keep:.3g} % are to be right" if self.keep else ""
         held = f"; {self.candidates} candidates hold the right one" if self.candidates > 1 else ""
-        return kept + held
+        return kept + held + (self.by_eye and f"; {self.by_eye}")
 
     @property
     def by_eye(self) -> str:

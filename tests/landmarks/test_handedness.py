@@ -15,9 +15,7 @@ from getagrip.landmarks.handedness import Handedness, log_odds
 from getagrip.landmarks.nets import Found, Nets
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
-WIDTH = 640
-IMAGE = np.zeros((480, WIDTH, 3), np.uint8)
-IMAGE[:, : WIDTH // 2] = 200
+IMAGE = np.zeros((480, 640, 3), np.uint8)
 
 
 def bent(side: Side) -> np.ndarray:
@@ -41,11 +39,15 @@ class Biased(Nets):
 
     def landmarks(self, image: np.ndarray, crop: Crop) -> Found:
         there: Sighting = self.there  # type: ignore[attr-defined]
-        mirrored = image[0, 0, 0] == 0
-        x = np.array([WIDTH, 0.0]) + there.points * MIRROR[:2] if mirrored else there.points
-        odds = np.log(there.right / (1.0 - there.right)) * (-1.0 if mirrored else 1.0) + self.bias  # type: ignore[attr-defined]
-        assert crop.middle[0] == pytest.approx(x[0, 0], abs=200.0)
-        return Found(x, there.world * MIRROR if mirrored else there.world, 0.9, float(1.0 / (1.0 + np.exp(-odds))))
+        return self._said(there, np.log(there.right / (1.0 - there.right)))
+
+    def mirrored(self, image: np.ndarray, crop: Crop) -> Found:
+        there: Sighting = self.there  # type: ignore[attr-defined]
+        return self._said(there._replace(world=there.world * MIRROR), -np.log(there.right / (1.0 - there.right)))
+
+    def _said(self, there: Sighting, odds: float) -> Found:
+        right = 1.0 / (1.0 + np.exp(-(odds + self.bias)))  # type: ignore[attr-defined]
+        return Found(there.points, there.world, 0.9, float(right))
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
@@ -64,6 +66,22 @@ def test_a_mirror_image_has_the_opposite_odds(right: float) -> None:
     assert log_odds(other) == pytest.approx(-log_odds(one))
 
 
+def test_the_mirror_image_of_a_square_is_the_square_of_the_mirror_image() -> None:
+    image = np.random.default_rng(0).integers(0, 256, (90, 120, 3), dtype=np.uint8)
+    square = Crop(np.array([41.3, 60.8]), 50.0, 0.4)
+    over_there = square._replace(middle=np.array([120.0 - 41.3, 60.8]), angle=-0.4)
+    shown: list[np.ndarray] = []
+
+    def net(given: np.ndarray) -> list[np.ndarray]:
+        shown.append(given)
+        return [np.arange(63.0, dtype=np.float32), *np.full((2, 1), 0.5, np.float32), np.ones(63, np.float32)]
+
+    nets = Nets(net, net, "")
+    there, other = nets.mirrored(image, square), nets.landmarks(np.ascontiguousarray(image[:, ::-1]), over_there)
+    assert np.abs(shown[0] - shown[1]).mean() < 0.01
+    np.testing.assert_allclose(there.world, other.world)
+
+
 @pytest.mark.parametrize("bias", [0.0, 2.0, -2.0])
 def test_the_bias_of_the_networks_cancels_out(bias: float) -> None:
     flat = bent("left") * np.array([1.0, 1.0, 0.0])
@@ -74,7 +92,8 @@ def test_the_bias_of_the_networks_cancels_out(bias: float) -> None:
 
 def test_what_hardly_agrees_is_an_assumption() -> None:
     assert Handedness((-4.0,) * 9 + (0.5,)).source.basis == "estimated"
-    for odds, how in (((-2.4, -2.5, -2.6), "3 of 3 frames, but hardly"), ((-9.0, 0.5, 0.5, -9.0), "2 of 4 frames only")):
+    faint, mixed = ((-2.4, -2.5, -2.6), "3 of 3 frames, but hardly"), ((-9.0, 0.5, 0.5, -9.0), "2 of 4 frames only")
+    for odds, how in (faint, mixed):
         source = Handedness(odds).source
         assert source.basis == "assumed"
         assert source.text.startswith("left, a guess")

@@ -21,8 +21,8 @@ UNKNOWN = float("nan")
 USUAL_MISFIT, USUAL_IOU = 3.0, 0.9
 """A result that is better than both is not looked at."""
 BUILT_IN_IOU = 0.85
-"""A result of a built-in shape, which is not the object's, is looked at only if it is worse. Its contours are off in any
-case: in videos, IOU and hand tell by themselves what is wrong."""
+"""A result of a built-in shape, which is not the object's, is looked at only if it is worse. Its contours are always
+off: in videos, IOU and hand tell by themselves what is wrong."""
 GRID = 8
 """Cells of the square about a mask along either side, in which differences are summed: motion moves them by less."""
 ALIKE = 0.5

@@ -100,10 +100,7 @@ def log_odds(hand: Sighting) -> float:
 
 def compared(image: UInt8[ndarray, "H W 3"], hand: Sighting, nets: Nets) -> float:
     """Compute the log odds that a hand in an image is a right one, from the image and its mirror image."""
-    crop = crops.of_landmarks(hand.points)
-    middle = np.array([image.shape[1] - crop.middle[0], crop.middle[1]])
-    mirrored = nets.landmarks(np.ascontiguousarray(image[:, ::-1]), crop._replace(middle=middle, angle=-crop.angle))
-    return 0.5 * (log_odds(hand) - log_odds(Sighting(*mirrored)))
+    return 0.5 * (log_odds(hand) - log_odds(Sighting(*nets.mirrored(image, crops.of_landmarks(hand.points)))))
 
 
 def seen_mirrored(hand: Mapping[int, Sighting], side: Side, odds: Odds, most: float = MINOR) -> list[int]:

@@ -62,6 +62,10 @@ class Nets:
         """Detect the hand in a square of an image, if there is one."""
         return found(self.hand(crop.image(image)), crop)
 
+    def mirrored(self, image: UInt8[ndarray, "H W 3"], crop: Crop) -> Found:
+        """Detect the hand in the mirror image of a square, in whose axes it is then, about the same middle."""
+        return found(self.hand(np.ascontiguousarray(crop.image(image)[:, ::-1])), crop._replace(angle=-crop.angle))
+
 
 def found(outputs: list[Float32[ndarray, "..."]], crop: Crop) -> Found:
     """Convert the landmark network's outputs to the image."""

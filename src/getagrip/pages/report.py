@@ -147,7 +147,7 @@ def _segments(result: Reconstruction) -> list[str]:
 def _probably(result: Reconstruction) -> list[dict[str, str]]:
     """How probable it is that the result is right, where that is calibrated."""
     return [
-        {"name": f"probability right {where}", "value": f"{right}{right.keeping}{right.by_eye and f'; {right.by_eye}'}", "meaning": right.meaning}
+        {"name": f"probability right {where}", "value": f"{right}{right.keeping}", "meaning": right.meaning}
         for where, right in result.probabilities.items()
     ]
 
