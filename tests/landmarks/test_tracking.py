@@ -10,7 +10,7 @@ import pytest
 from getagrip.errors import UsageError
 from getagrip.landmarks import crops
 from getagrip.landmarks.crops import Crop
-from getagrip.landmarks.following import Sighting, follow
+from getagrip.landmarks.following import Sighting, follow, steady
 from getagrip.landmarks.handedness import log_odds, seen_mirrored
 from getagrip.landmarks.nets import Found, Nets
 from getagrip.landmarks.palms import Palm
@@ -235,6 +235,14 @@ def test_a_flip_is_left_out_and_said() -> None:
     found = select(seen)
     assert 7 not in found.rows
     assert any("differ from the frames about them: 8" in note for note in found.notes)
+
+
+def test_a_frame_alone_in_a_gap_counts_where_it_lies_between_both_ends() -> None:
+    ends = {n: hand(300.0 + 5 * n) for n in (*range(10), *range(21, 31))}
+    between, turned = hand(300.0 + 5 * 15), Sighting(np.array([375.0, 380.0]) - FLAT, WORLD, 0.9, 0.1)
+    assert steady(ends | {15: between})[1] == []
+    assert steady(ends | {14: turned, 15: turned}) == (ends, [14, 15])
+    assert steady({n: each for n, each in ends.items() if n < 10} | {15: turned})[1] == []  # it may have moved since
 
 
 def test_long_gaps_stay_gaps_and_two_people_are_said() -> None:

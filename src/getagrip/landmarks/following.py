@@ -6,7 +6,7 @@ hand, the sighting of higher network confidence is kept.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -35,6 +35,11 @@ SAME = 0.4
 """Distance, in palm sizes, below which two sightings are the same hand."""
 SMALL = 0.5
 """Size of what is taken for a hand, as a share of the hand that it is within, below which it is a part of that."""
+JUMP, ALONE = 0.25, 0.5
+"""Largest distance of landmarks from the median of neighbouring frames, in hand sizes (root mean square), and of those
+of a few frames alone from the straight line between the runs before and after."""
+ABOUT = 3
+"""Number of frames before and after for that median, and of the few frames."""
 PALM = [0, 5, 9, 13, 17]
 """Wrist and knuckles."""
 
@@ -167,3 +172,24 @@ def one_each(hands: Sequence[Sighting]) -> list[Sighting]:
         if each.confidence >= LEAST and not any(each.same(other) for other in out):
             out.append(each)
     return out
+
+
+def steady(hand: Mapping[int, Sighting]) -> tuple[dict[int, Sighting], list[int]]:
+    """Drop sightings that differ from those about them; also return the frames of the dropped ones."""
+    frames = np.array(sorted(hand), int)
+    runs = [run for run in np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1) if len(run) > ABOUT]
+    kept, out = {}, []
+    for n, each in hand.items():
+        about = [hand[m].points for m in range(n - ABOUT, n + ABOUT + 1) if m in hand]
+        before, after = [run[-1] for run in runs if run[-1] < n], [run[0] for run in runs if run[0] > n]
+        expected, most = each.points, JUMP
+        if len(about) > ABOUT:
+            expected = np.median(about, axis=0)
+        elif before and after:
+            share, most = (n - before[-1]) / (after[0] - before[-1]), ALONE
+            expected = (1.0 - share) * hand[before[-1]].points + share * hand[after[0]].points
+        if float(np.sqrt(np.mean(np.sum((each.points - expected) ** 2, axis=1)))) > most * each.size:
+            out.append(n)
+        else:
+            kept[n] = each
+    return kept, out

@@ -19,7 +19,7 @@ from numpy import ndarray
 from getagrip.errors import UsageError
 from getagrip.io.terminal import counted, ranges
 from getagrip.landmarks.crops import SIDE, of_landmarks
-from getagrip.landmarks.following import Sighting
+from getagrip.landmarks.following import Sighting, steady
 from getagrip.landmarks.handedness import MINOR, UNKNOWN, Handedness, Odds, Side, log_odds, seen_mirrored
 from getagrip.provenance import Source, measured
 
@@ -31,10 +31,6 @@ GROWTH = 2.5
 """Factor by which a hand's size changes less from one sighting to the next; 2.25 in the blur of the kitchen clip."""
 SHORTEST = 4
 """Least number of frames of a track; half the frames of a clip of fewer than eight."""
-JUMP = 0.25
-"""Largest distance of landmarks from the median of neighbouring frames, in hand sizes (root mean square)."""
-ABOUT = 3
-"""Number of frames before and after for that median."""
 LOOKS = 20
 """Number of frames of a track, spread evenly, that decide on its side."""
 ALIKE = 0.9
@@ -191,7 +187,7 @@ def select(
     still = seen_mirrored(hand, majority, odds, 1.0 if sure else MINOR) if as_stated else []
     most = len(still) >= MINOR * len(hand)  # a few are of more use than none, where nothing else speaks against them
     mirrored = sorted({*still} - {*before} if most else {*still} & {*mirrored})
-    hand, flickering = _steady({n: each for n, each in hand.items() if n not in mirrored})
+    hand, flickering = steady({n: each for n, each in hand.items() if n not in mirrored})
     notes = [] if as_stated else [f"a guess: {first.handedness.words}, but the side is stated"]
     if boxes is not None:
         apart = first.distance(boxes)
@@ -261,19 +257,6 @@ def _completed(first: Track, same_side: Sequence[Track]) -> tuple[dict[int, Sigh
         else:
             hand |= track.seen
     return dict(sorted(hand.items())), beside
-
-
-def _steady(hand: Mapping[int, Sighting]) -> tuple[dict[int, Sighting], list[int]]:
-    """Drop sightings that differ from their neighbours; also return the frames of the dropped ones."""
-    kept, out = {}, []
-    for n, each in hand.items():
-        about = [hand[m].points for m in range(n - ABOUT, n + ABOUT + 1) if m in hand]
-        off = each.points - np.median(about, axis=0)
-        if len(about) > ABOUT and float(np.sqrt(np.mean(np.sum(off**2, axis=1)))) > JUMP * each.size:
-            out.append(n)
-        else:
-            kept[n] = each
-    return kept, out
 
 
 def _none(seen: Sequence[Sequence[Sighting]], side: Side | None, boxed: bool) -> str:
