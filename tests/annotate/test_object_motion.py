@@ -51,6 +51,17 @@ def test_a_box_is_followed() -> None:
     assert followed_box(image, BOX, 0, 6) == there
 
 
+def test_a_box_about_a_plain_thing_leaves_the_ground_behind() -> None:
+    """Most of the texture in the box is the ground's, which stays."""
+
+    def image(n: int) -> ndarray:
+        out, corner = GROUND.copy(), (40 + 15 * n, 35 + 8 * n)
+        cv2.rectangle(out, corner, (corner[0] + 24, corner[1] + 18), (60, 200, 90), -1)
+        return out
+
+    assert np.abs(np.subtract(followed_box(image, (36.0, 31.0, 32.0, 26.0), 0, 1)[:2], (51, 39))).max() <= 2.0
+
+
 @pytest.mark.parametrize("frames", [(0, 1), (1, 0)])
 def test_flow_beside_a_known_step_is_that_step_where_the_thing_is(frames: tuple[int, int]) -> None:
     step = (40, -20)

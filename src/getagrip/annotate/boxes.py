@@ -21,6 +21,8 @@ REACH = 0.5
 """Longest step of what a box shows from one frame to the next, in longer sides of the box."""
 STAYS = 1e-4
 """Correlation that outweighs a pixel of a box's step: where all looks alike it stays."""
+UNLIKE = 64.0
+"""Difference of an object's colours [of 255] that outweighs a correlation of 1."""
 OUTSIDE = 0.2
 """If more than this share of a found hand is outside the object's box, its colours there tell which pixels in the box
 may be the object's: a label before the palm, say."""
@@ -52,22 +54,29 @@ def window(box: Box, size: tuple[int, int]) -> tuple[slice, slice]:
 
 
 def followed_box(images: Images, box: Box, first: int, to: int) -> Box:
-    """Follow what a box shows in a frame to a later one: where it looks most like that frame and the one before."""
+    """Follow a box from a frame to a later one: to where its object looks most like there, and like one frame before.
+
+    Raises ``UsageError`` as ``window`` does.
+    """
     import cv2
 
     image = images(first)
     start = corner = np.maximum(np.round(box[:2]).astype(int), 0)
     w, h = np.minimum(np.round(np.add(box[:2], box[2:])).astype(int), image.shape[1::-1]) - start
     near = round(REACH * max(w, h))
+    found = (boxed(image, box) == OBJECT)[corner[1] :, corner[0] :][:h, :w]
+    counts = found.astype(np.uint8) if found.any() else np.ones((h, w), np.uint8)
     templates = [image[corner[1] :, corner[0] :][:h, :w]] * 2
     for n in range(first + 1, to + 1):
         image = images(n)
         low = np.maximum(corner - near, 0)
         nearby = image[low[1] : corner[1] + h + near, low[0] : corner[0] + w + near]
-        alike = np.sum([cv2.matchTemplate(nearby, each, cv2.TM_CCOEFF_NORMED) for each in templates], axis=0)
-        y, x = np.indices(alike.shape, dtype=np.float32)
+        squares = [cv2.matchTemplate(nearby, each, cv2.TM_SQDIFF, mask=counts) for each in templates]
+        unlike = [np.sqrt(np.maximum(each, 0.0) / counts.sum()) / UNLIKE for each in squares]
+        alike = [cv2.matchTemplate(nearby, each, cv2.TM_CCOEFF_NORMED) for each in templates]
+        y, x = np.indices(alike[0].shape, dtype=np.float32)
         far = np.hypot(x - (corner - low)[0], y - (corner - low)[1])
-        corner = low + cv2.minMaxLoc(alike - STAYS * far)[3]
+        corner = low + cv2.minMaxLoc(np.sum(alike, axis=0) - np.sum(unlike, axis=0) - STAYS * far)[3]
         templates[1] = image[corner[1] :, corner[0] :][:h, :w]
     x, y = (np.array(box[:2]) + corner - start).tolist()
     return x, y, *box[2:]
