@@ -18,7 +18,7 @@ LEAST = 0.01
 ASSUMED_MESH = "assumed mesh"
 """In ``beyond`` of a result whose mesh is not its object's."""
 LOOKS_RIGHT = 0.015
-"""Of the results with an assumed mesh most of those that look right are at least as probable (docs/draft.md)."""
+"""Least probability of most results with an assumed mesh that look right (docs/draft.md)."""
 
 
 @dataclass(frozen=True)
@@ -42,17 +42,17 @@ class Probability:
 
     @property
     def keeping(self) -> str:
-        """Say for which share of right results it is kept, how many candidates hold the right one, and ``by_eye``."""
+        """Say for which share of right results it is kept, and how many candidates hold the right one, if known."""
         kept = f"; kept where {100.0 * self.keep:.3g} % are to be right" if self.keep else ""
         held = f"; {self.candidates} candidates hold the right one" if self.candidates > 1 else ""
-        return kept + held + (self.by_eye and f"; {self.by_eye}")
+        return kept + held
 
     @property
     def by_eye(self) -> str:
-        """Say how a result with an assumed mesh probably looks, in which 10 % of the diameter is rare; else nothing."""
+        """Say how a result with an assumed mesh, which is rarely within 10 % of the diameter, looks; else nothing."""
         if ASSUMED_MESH not in self.beyond:
             return ""
-        return f"probably {'right' if self.value >= LOOKS_RIGHT else 'wrong'} to the eye"
+        return f"probably looks {'right' if self.value >= LOOKS_RIGHT else 'wrong'}"
 
     def __str__(self) -> str:
         return percent(self.value) + (f" (extrapolated: {', '.join(self.beyond)})" if self.beyond else "")

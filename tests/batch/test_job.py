@@ -14,6 +14,7 @@ from getagrip.clip import input_sha256, write_clip
 from getagrip.finding import Finding
 from getagrip.fitting.options import Options
 from getagrip.io.files import to_json
+from getagrip.probability import ASSUMED_MESH, Probability
 from getagrip.result import Reconstruction, write_result
 from helpers.egg_and_mug import egg_and_mug, perfect
 
@@ -53,6 +54,15 @@ def test_why_there_is_no_probability_is_said(
     assert (outcome.state, f"{said}), " in outcome.message) == ("done", True)
     assert outcome.message.startswith("IOU ")
     assert ", no probability that it is right (none is calibrated " in outcome.message
+
+
+def test_how_a_result_of_an_assumed_mesh_looks_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = egg_and_mug()
+    folder = write_clip(*scene, tmp_path / "clip")
+    found = replace(perfect(scene[0]), probability_right=Probability(0.12, "", (ASSUMED_MESH,)), ambiguous=True)
+    monkeypatch.setattr("getagrip.timelines.reconstruct.reconstruct", lambda *_: found)
+    outcome = reconstruct_one(Job("egg-and-mug", folder, tmp_path / "out", Options(), overwrite=False))
+    assert " 12 % (extrapolated: assumed mesh) in the hand, probably looks right, ambiguous, " in outcome.message
 
 
 OWN = """

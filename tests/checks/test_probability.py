@@ -295,8 +295,8 @@ def test_an_assumed_mesh_extrapolates_the_probability_of_estimated_hands() -> No
     assert right["measured"].value == right["assumed"].value
     assert (right["measured"].beyond, right["assumed"].beyond) == ((), ("assumed mesh",))
     assert right["measured"].keep > right["assumed"].keep == 0.0
-    assert (right["measured"].by_eye, right["assumed"].by_eye) == ("", "probably right to the eye")
-    assert replace(right["assumed"], value=0.01).by_eye == "probably wrong to the eye"
+    assert (right["measured"].by_eye, right["assumed"].by_eye) == ("", "probably looks right")
+    assert replace(right["assumed"], value=0.01).by_eye == "probably looks wrong"
 
 
 @pytest.mark.parametrize("check", WRONG_EVIDENCE)

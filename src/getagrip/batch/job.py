@@ -114,15 +114,15 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
     from getagrip.fitting.judge import uncalibrated
 
     known = ", ".join(f"{right} {where}" for where, right in result.probabilities.items())
-    looks = "" if result.probability_right is None else result.probability_right.by_eye
-    probably = f", right with a probability of {known}{looks and f', {looks}'}" if known else ""
+    probably = f"right with a probability of {known}" if known else ""
     if grasps := probabilities_of_grasps(result.segments):
-        probably = f", {grasps}"
+        probably = grasps
     if not known and (none := uncalibrated(job.options, result.findings, result.energy)):
-        probably = f"{probably or ', no probability that it is right'} ({none})"
-    about = f"{probably}{', ambiguous' if result.ambiguous else ''}"
+        probably = f"{probably or 'no probability that it is right'} ({none})"
+    about = (f"IOU {result.mean_iou:.2f}", probably, result.looks, "ambiguous" * result.ambiguous)
+    said = ", ".join(filter(None, (*about, f"{result.seconds['total']:.1f} s", str(job.out))))
     again = f"done again, since {why}: " if why else ""
-    summary = f"{again}IOU {result.mean_iou:.2f}{about}, {result.seconds['total']:.1f} s, {job.out}; {result.message}"
+    summary = f"{again}{said}; {result.message}"
     return _outcome(job, "done", summary, result, checksum)
 
 

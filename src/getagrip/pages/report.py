@@ -122,7 +122,7 @@ def _summary(view: View, label: str, record: Json) -> Json:
     return {
         "label": label,
         "facts": [f"{clip.category} in {hand}", view.frames_in_words, *view.size_in_words],
-        "status": result.message,
+        "status": "; ".join(filter(None, (result.message, result.looks))),
         "ambiguous": result.ambiguous,
         "findings": [{"serious": f.serious, "check": f.check, "message": f.message} for f in result.findings],
         "notes": [*_segments(result), *map(str, result.notes), *[f"probability: {RIGHT}"] * bool(meanings(result))],

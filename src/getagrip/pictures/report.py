@@ -129,8 +129,7 @@ def _title(figure: Figure, view: View, metrics: Mapping[str, float], x: float, y
         *view.size_in_words,
     ]
     line = figure.text(x, y - 1.25 * step, "  ·  ".join(facts), color=FAINT, fontsize=9.5, va="top")
-    by_eye = "" if result.probability_right is None else result.probability_right.by_eye
-    said = "  ·  ".join(filter(None, (result.message, by_eye)))
+    said = "  ·  ".join(filter(None, (result.message, result.looks)))
     figure.text(x, y - 2.0 * step, said, color=INK, fontsize=9.5, va="top")
 
     numbers = [("IOU", f"{100 * result.mean_iou:.1f} %")]

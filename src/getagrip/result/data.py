@@ -198,6 +198,11 @@ class Reconstruction(ArrayData):
         return {where: right for where, right in each.items() if right is not None}
 
     @property
+    def looks(self) -> str:
+        """How it probably looks, where its mesh is assumed and no finding is serious; else empty."""
+        return "" if self.probability_right is None else self.probability_right.by_eye
+
+    @property
     def in_hand(self) -> Float[ndarray, "n T 4 4"]:
         """Poses in the hand; the first ``probability_right.candidates`` of them hold the right ones with 90 %.
 
