@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
 import cv2
 import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.annotate.boxes import followed_box
+from getagrip.annotate.boxes import Box, followed_boxes
+from getagrip.annotate.carried_masks import Images
+from getagrip.annotate.finding_hands import find_landmarks
+from getagrip.annotate.footage import Footage
 from getagrip.annotate.object_motion import hand_step
 from getagrip.annotate.shared_flow import SmallFrames
+from getagrip.landmarks import HandLandmarks, Sighting
+from getagrip.landmarks.nets import Nets
+from getagrip.provenance import measured
 
 SIZE, STEP = (160, 120), (9.0, 4.0)
 BOX = (30.0, 25.0, 40.0, 30.0)
@@ -34,6 +43,11 @@ def place(n: int) -> tuple[int, int]:
     return round(BOX[0] + STEP[0] * n), round(BOX[1] + STEP[1] * n)
 
 
+def followed_box(images: Images, box: Box, first: int, to: int) -> Box:
+    *_, last = followed_boxes(images, box, first, to)
+    return last
+
+
 def test_a_box_stays_where_all_looks_alike() -> None:
     assert followed_box(lambda _: np.full((60, 80, 3), 90, np.uint8), (30.5, 20.0, 15.0, 12.0), 0, 2) == (
         30.5,
@@ -49,6 +63,32 @@ def test_a_box_is_followed() -> None:
     assert np.abs(np.subtract(there[:2], place(6))).max() <= 3.0
     assert there[2:] == BOX[2:]
     assert followed_box(image, BOX, 0, 6) == there
+
+
+def test_the_box_is_followed_in_reduced_images_of_the_search_for_hands(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is passed on by frame, in pixels of the images: the hand that stays at the object is chosen by them."""
+    given: list[dict[int, ndarray]] = []
+
+    def select(seen: object, side: object, boxes: dict[int, ndarray], *_: object) -> HandLandmarks:
+        given.append(boxes)
+        return HandLandmarks("left", np.zeros((1, 21, 2)), np.zeros((1, 21)), np.zeros((1, 21, 3)), measured(""))
+
+    def follow(image: Images, count: int, *_: object) -> list[list[Sighting]]:
+        for n in range(count):
+            image(n)
+        return []
+
+    monkeypatch.setattr("getagrip.annotate.finding_hands.select", select)
+    monkeypatch.setattr("getagrip.annotate.finding_hands.follow", follow)
+    footage = cast(
+        Footage, SimpleNamespace(image=lambda n: cv2.resize(image(n - 3), None, fx=4, fy=4), size=(640, 480))
+    )
+    box = 4.0 * np.array(BOX)
+    find_landmarks(footage, (3, 9), Nets(lambda _: [], lambda _: [], ""), box=box)
+    np.testing.assert_array_equal(given[0][0], box)
+    assert np.abs(given[0][6][:2] - 4.0 * np.array(place(6))).max() <= 20.0
+    find_landmarks(footage, (3, 9), Nets(lambda _: [], lambda _: [], ""), box=np.array([120.0, 100.0, 160.0, 9.0]))
+    assert given[1].keys() == {0}  # too thin to be followed
 
 
 def test_a_box_about_a_plain_thing_leaves_the_ground_behind() -> None:

@@ -229,6 +229,14 @@ def test_the_hand_nearest_to_the_object_is_taken() -> None:
     assert select(seen, side="left", boxes=box).side == "left"
 
 
+def test_of_two_hands_at_the_object_the_one_that_stays_is_taken() -> None:
+    stays, leaves = [hand(300.0 + 20 * n) for n in range(20)], [hand(280.0 - 20 * n, right=0.95) for n in range(20)]
+    seen = [[one, other] for one, other in zip(stays, leaves, strict=True)]
+    box = np.array([200.0, 400.0, 80.0, 80.0])
+    assert select(seen, boxes={0: box}).side == "right"
+    assert select(seen, boxes={n: box + np.array([20.0 * n, 0.0, 0.0, 0.0]) for n in range(10)}).side == "left"
+
+
 def test_a_flip_is_left_out_and_said() -> None:
     seen = [[hand(300.0 + 5 * n)] for n in range(15)]
     seen[7] = [Sighting(np.array([335.0, 380.0]) - 0.8 * FLAT, WORLD, 0.9, 0.9)]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from jaxtyping import Bool, UInt8
 from numpy import ndarray
@@ -53,13 +55,17 @@ def window(box: Box, size: tuple[int, int]) -> tuple[slice, slice]:
     return slice(round(top), round(bottom)), slice(round(left), round(right))
 
 
-def followed_box(images: Images, box: Box, first: int, to: int) -> Box:
-    """Follow a box from a frame to a later one: to where its object looks most like there, and like one frame before.
+def followed_boxes(images: Images, box: Box, first: int, to: int) -> Iterator[Box]:
+    """Follow a box from a frame to a later one; yield it in each of them, the first included.
 
-    Raises ``UsageError`` as ``window`` does.
+    It moves to where its object looks most like in the first frame and in the one before. Raises ``UsageError`` after
+    the first as ``window`` does.
     """
     import cv2
 
+    yield box
+    if to <= first:
+        return
     image = images(first)
     start = corner = np.maximum(np.round(box[:2]).astype(int), 0)
     w, h = np.minimum(np.round(np.add(box[:2], box[2:])).astype(int), image.shape[1::-1]) - start
@@ -78,8 +84,8 @@ def followed_box(images: Images, box: Box, first: int, to: int) -> Box:
         far = np.hypot(x - (corner - low)[0], y - (corner - low)[1])
         corner = low + cv2.minMaxLoc(np.sum(alike, axis=0) - np.sum(unlike, axis=0) - STAYS * far)[3]
         templates[1] = image[corner[1] :, corner[0] :][:h, :w]
-    x, y = (np.array(box[:2]) + corner - start).tolist()
-    return x, y, *box[2:]
+        left, top = (np.array(box[:2]) + corner - start).tolist()
+        yield left, top, *box[2:]
 
 
 def moving_in_box(

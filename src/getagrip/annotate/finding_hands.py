@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
+from getagrip.annotate.boxes import SMALLEST, followed_boxes
 from getagrip.annotate.footage import Footage
 from getagrip.annotate.found_hands import FOLDER
 from getagrip.annotate.lifted_again import DEPTH
@@ -38,6 +39,8 @@ CUT = (25.0, 0.4)
 JUMP = (4.0, 1.0, 5)
 """At a jump two frames differ more than this many times as much as any two of the frames before and after it, and by
 more than this mean difference [of 255]; the number of frames on each side."""
+STAYS, SMALL = 60, (48.0, 960.0)
+"""Number of frames through which the object's box is followed, and the largest sides of box and image there [px]."""
 BEYOND = 0.25
 """Factor on the confidence of landmarks outside the image."""
 MOVING = 0.2
@@ -96,19 +99,22 @@ def find_landmarks(
     interval: tuple[int, int],
     nets: Nets,
     side: Side | None = None,
-    boxes: Mapping[int, Float[ndarray, "4"]] | None = None,
+    box: Float[ndarray, "4"] | None = None,
     on_frame: Callable[[int], None] = lambda n: None,
 ) -> HandLandmarks:
-    """Find the hand in the frames of an interval, from 0, both ends included. ``boxes`` as for ``select``, by frame.
+    """Find the hand in the frames of an interval, from 0, both ends included.
+
+    ``box``: of the object in the first of them (left, top, width, height) [px].
 
     Raises ``UsageError`` where there is no hand, or the video is cut within the interval, and ``InputError`` for a
     frame that does not decode.
     """
     first, last = interval
     count = last - first + 1
-    shot = _Shot(footage, first)
-    seen = follow(shot.image, count, nets, on_frame, [of_box(box) for box in (boxes or {}).values()])
-    of_row = None if boxes is None else {n - first: box for n, box in boxes.items()}
+    scale = 0.0 if box is None else min(1.0, SMALL[0] / float(box[2:].max()), SMALL[1] / max(footage.size))
+    shot = _Shot(footage, first, scale)
+    seen = follow(shot.image, count, nets, on_frame, [] if box is None else [of_box(box)])
+    boxes = None if box is None else _followed(shot, box)
 
     def image(n: int) -> UInt8[ndarray, "H W 3"]:
         return footage.image(first + n)
@@ -116,9 +122,18 @@ def find_landmarks(
     def again(hand: Mapping[int, Sighting], sides: Mapping[int, Side]) -> dict[int, Sighting]:
         return look_again(image, hand, count, nets, sides)
 
-    found = select(seen, side, of_row, first + 1, again, lambda n, hand: compared(image(n), hand, nets))
+    found = select(seen, side, boxes, first + 1, again, lambda n, hand: compared(image(n), hand, nets))
     said = [f"the picture jumps before frame {first + n + 1}: are frames missing?" for n in jumps(shot.apart)]
     return replace(found, notes=(*found.notes, *said))
+
+
+def _followed(shot: _Shot, box: Float[ndarray, "4"]) -> dict[int, Float[ndarray, "4"]]:
+    """Follow the object's box through the shot's first frames: of two hands at it, the one that stays holds it."""
+    left, top, width, height = (shot.scale * box).tolist()
+    if min(width, height) < SMALLEST:
+        return {0: box}
+    boxes = followed_boxes(shot.small.__getitem__, (left, top, width, height), 0, len(shot.small) - 1)
+    return {n: np.array(each) / shot.scale for n, each in enumerate(boxes)}
 
 
 @dataclass
@@ -127,6 +142,9 @@ class _Shot:
 
     footage: Footage
     first: int
+    scale: float
+    small: list[UInt8[ndarray, "h w 3"]] = field(default_factory=list)
+    """The first frames, reduced by ``scale`` where it is not 0."""
     newest: int = -1
     before: UInt8[ndarray, "n n 3"] | None = None
     apart: list[float] = field(default_factory=list)
@@ -148,7 +166,15 @@ class _Shot:
             if self.before is not None:
                 self.apart.append(float(np.abs(self.before.astype(float) - now).mean()))
             self.newest, self.before = n, now
+            if self.scale and n < STAYS:
+                self.small.append(_reduced(image, self.scale))
         return image
+
+
+def _reduced(image: UInt8[ndarray, "H W 3"], scale: float) -> UInt8[ndarray, "h w 3"]:
+    import cv2
+
+    return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _thumbnail(image: UInt8[ndarray, "H W 3"]) -> UInt8[ndarray, "n n 3"]:

@@ -189,7 +189,7 @@ class Draft(Command):
     def _drawn(self, stretch: Stretch, found: FoundHands) -> dict[int, FrameLabels]:
         """Return what is known of the object: masks that are given, or what stands out in the box. Raises as run."""
         from getagrip.annotate import found_hands
-        from getagrip.annotate.boxes import empty_side, followed_box, moving_in_box
+        from getagrip.annotate.boxes import empty_side, followed_boxes, moving_in_box
         from getagrip.annotate.drafting import traced
         from getagrip.annotate.estimators import named
         from getagrip.annotate.labels import OBJECT, FrameLabels
@@ -208,7 +208,7 @@ class Draft(Command):
         if self.object_box is None:
             return {}
         n, image = found.frames[0], stretch.footage.image
-        box = followed_box(image, self.object_box, stretch.first, n)
+        *_, box = followed_boxes(image, self.object_box, stretch.first, n)
         if n > stretch.first:
             report(f"--object-box: followed to {stretch.footage.name(n)}, the first frame with a hand")
         hand = found_hands.FoundHands(self.folder / found_hands.FOLDER).mask(n)
@@ -280,11 +280,11 @@ class Draft(Command):
         landmarks = None
         if name is None or self.side is None or "{boxes}" in ESTIMATORS[name].words:
             nets, interval = load(self.models), (stretch.first, stretch.last)
-            boxes = None if self.object_box is None else {stretch.first: np.array(self.object_box)}
+            box = None if self.object_box is None else np.array(self.object_box)
             with progress_bar() as bar:
                 job = bar.add_task("looking for hands", total=len(stretch.names))
                 update = lambda n: bar.update(job, completed=n)  # noqa: E731
-                landmarks = find_landmarks(stretch.footage, interval, nets, self.side, boxes, update)
+                landmarks = find_landmarks(stretch.footage, interval, nets, self.side, box, update)
             if name is None:
                 return lifted(landmarks, stretch.first, stretch.footage.size, stretch.K, stretch.camera)
         side = self.side or (landmarks.side if landmarks is not None else "right")
