@@ -234,7 +234,10 @@ def test_of_two_hands_at_the_object_the_one_that_stays_is_taken() -> None:
     seen = [[one, other] for one, other in zip(stays, leaves, strict=True)]
     box = np.array([200.0, 400.0, 80.0, 80.0])
     assert select(seen, boxes={0: box}).side == "right"
-    assert select(seen, boxes={n: box + np.array([20.0 * n, 0.0, 0.0, 0.0]) for n in range(10)}).side == "left"
+    boxes = {n: box + np.array([20.0 * n, 0.0, 0.0, 0.0]) for n in range(20)}
+    assert select(seen, boxes=boxes).side == "left"
+    later = [[one, hand(300.0 + 20 * n, right=0.95)] if n > 12 else [one] for n, one in enumerate(leaves)]
+    assert select(later, boxes=boxes).rows == tuple(range(20))  # one that comes later is not compared
 
 
 def test_a_flip_is_left_out_and_said() -> None:

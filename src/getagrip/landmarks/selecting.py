@@ -109,15 +109,17 @@ class Track:
     def distance(self, boxes: Mapping[int, Float[ndarray, "4"]]) -> float:
         """Measure the mean distance of the landmarks from the object's boxes, in sizes of the hand.
 
-        Infinite in other frames.
+        Infinite for a hand that is not seen about the frame of the first box.
         """
         apart = []
-        for n, (x, y, w, h) in boxes.items():
+        for n, (x, y, w, h) in sorted(boxes.items()):
             near = min(self.seen, key=lambda m: abs(m - n))
             if abs(near - n) <= GAP:
                 points = self.seen[near].points
                 off = points - np.clip(points, [x, y], [x + w, y + h])
                 apart.append(float(np.linalg.norm(off, axis=1).mean()) / self.seen[near].size)
+            elif not apart:
+                break
         return float(np.mean(apart)) if apart else np.inf
 
 
