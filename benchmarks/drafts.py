@@ -206,7 +206,7 @@ def _landmarks(name: str, path: Path) -> Rows:
         clicks, again = _labels(name).clicks, _again(name).clicks
         found_in = dict(enumerate(found.points))
         off, then, both = _apart(found_in, clicks), _apart(found_in, again), _apart(clicks, again)
-        counted = [(str(sum(each <= CLOSE for each in some)), f"{np.median(some):.0f}") for some in (off, then)]
+        counted = [(str(sum(each <= CLOSE for each in some)), f"{np.nanmedian(some):.0f}") for some in (off, then)]
         errors = [str(len(off)), *counted[0], *counted[1], f"{np.median(both):.0f}"]
     rate, speed = 100.0 * len(found.rows) / len(images), 1e3 * timing.cpu[0] / len(images)
     right_side = "yes" if found.side == "left" else "no"

@@ -129,6 +129,7 @@ def _(result: Reconstruction) -> dict[str, str]:
         "status": result.message,
         "mask IOU": f"{100 * result.mean_iou:.1f} %",
         **{f"probability right {where}": percent(one.value) for where, one in result.probabilities.items()},
+        **({"by eye": result.looks} if result.looks else {}),
         "scale": f"{result.scale:.4g}",
         **{f"finding: {finding.check}": finding.message for finding in result.findings},
         **{f"segment {n + 1}": f"{s.state}: {s.first} to {s.last}" for n, s in enumerate(result.segments)},

@@ -18,7 +18,7 @@ LEAST = 0.01
 ASSUMED_MESH = "assumed mesh"
 """In ``beyond`` of a result whose mesh is not its object's."""
 LOOKS_RIGHT = 0.015
-"""Least probability of most results with an assumed mesh that look right (docs/draft.md)."""
+"""Probability from which on a result with an assumed mesh probably looks right (docs/draft.md)."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,10 @@ class Probability:
 
     @property
     def by_eye(self) -> str:
-        """Say how a result with an assumed mesh, which is rarely within 10 % of the diameter, looks; else nothing."""
+        """Say how a result with an assumed mesh probably looks; empty for others.
+
+        Such a result is rarely within 10 % of the diameter.
+        """
         if ASSUMED_MESH not in self.beyond:
             return ""
         return f"probably looks {'right' if self.value >= LOOKS_RIGHT else 'wrong'}"

@@ -254,6 +254,14 @@ def test_a_frame_alone_in_a_gap_counts_where_it_lies_between_both_ends() -> None
     assert steady(ends | {15: between})[1] == []
     assert steady(ends | {14: turned, 15: turned}) == (ends, [14, 15])
     assert steady({n: each for n, each in ends.items() if n < 10} | {15: turned})[1] == []  # it may have moved since
+    assert steady({n + 40 * (n > 15): each for n, each in ends.items()} | {15: turned})[1] == []
+
+
+@pytest.mark.parametrize("step", [1, 2, 3])
+def test_a_hand_that_is_seen_now_and_then_is_kept(step: int) -> None:
+    lifted = {n: hand(300.0, 500.0 - 200.0 * float(np.sin(np.pi * (n - 10) / 40) ** 2)) for n in range(10, 51, step)}
+    still = {n: hand(300.0) for n in (*range(10), *range(51, 60))}
+    assert steady(still | lifted)[1] == []
 
 
 def test_long_gaps_stay_gaps_and_two_people_are_said() -> None:

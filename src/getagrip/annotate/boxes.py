@@ -24,7 +24,9 @@ REACH = 0.5
 STAYS = 1e-4
 """Correlation that outweighs a pixel of a box's step: where all looks alike it stays."""
 UNLIKE = 64.0
-"""Difference of an object's colours [of 255] that outweighs a correlation of 1."""
+"""Distance of an object's colours in RGB [of 442] (root mean square) that outweighs a correlation of 1."""
+LARGEST = 128
+"""Largest side of a box in the images in which it is followed [px]."""
 OUTSIDE = 0.2
 """If more than this share of a found hand is outside the object's box, its colours there tell which pixels in the box
 may be the object's: a label before the palm, say."""
@@ -56,25 +58,32 @@ def window(box: Box, size: tuple[int, int]) -> tuple[slice, slice]:
 
 
 def followed_boxes(images: Images, box: Box, first: int, to: int) -> Iterator[Box]:
-    """Follow a box from a frame to a later one; yield it in each of them, the first included.
+    """Follow what is seen in a box from a frame to a later one; yield it in each of them, the first included.
 
-    It moves to where its object looks most like in the first frame and in the one before. Raises ``UsageError`` after
-    the first as ``window`` does.
+    It moves to where the image is most like the box in the first frame and in the frame before, in pattern and in the
+    object's colours. Raises ``UsageError`` after the first as ``window`` does.
     """
     import cv2
 
     yield box
     if to <= first:
         return
-    image = images(first)
-    start = corner = np.maximum(np.round(box[:2]).astype(int), 0)
-    w, h = np.minimum(np.round(np.add(box[:2], box[2:])).astype(int), image.shape[1::-1]) - start
+    scale = min(1.0, LARGEST / max(box[2:]))
+
+    def small(n: int) -> Image:
+        return np.asarray(cv2.resize(images(n), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
+
+    image = small(first)
+    size = np.array(image.shape[1::-1])
+    start = corner = np.clip(np.round(scale * np.array(box[:2])).astype(int), 0, size - 1)
+    w, h = np.clip(np.round(scale * np.add(box[:2], box[2:])).astype(int), start + 1, size) - start
     near = round(REACH * max(w, h))
-    found = (boxed(image, box) == OBJECT)[corner[1] :, corner[0] :][:h, :w]
-    counts = found.astype(np.uint8) if found.any() else np.ones((h, w), np.uint8)
+    found = (boxed(images(first), box) == OBJECT).astype(np.uint8)
+    counts = cv2.resize(found, size.tolist(), interpolation=cv2.INTER_AREA)[corner[1] :, corner[0] :][:h, :w]
+    counts = counts if counts.any() else np.ones((h, w), np.uint8)
     templates = [image[corner[1] :, corner[0] :][:h, :w]] * 2
     for n in range(first + 1, to + 1):
-        image = images(n)
+        image = small(n)
         low = np.maximum(corner - near, 0)
         nearby = image[low[1] : corner[1] + h + near, low[0] : corner[0] + w + near]
         squares = [cv2.matchTemplate(nearby, each, cv2.TM_SQDIFF, mask=counts) for each in templates]
@@ -84,7 +93,7 @@ def followed_boxes(images: Images, box: Box, first: int, to: int) -> Iterator[Bo
         far = np.hypot(x - (corner - low)[0], y - (corner - low)[1])
         corner = low + cv2.minMaxLoc(np.sum(alike, axis=0) - np.sum(unlike, axis=0) - STAYS * far)[3]
         templates[1] = image[corner[1] :, corner[0] :][:h, :w]
-        left, top = (np.array(box[:2]) + corner - start).tolist()
+        left, top = (np.array(box[:2]) + (corner - start) / scale).tolist()
         yield left, top, *box[2:]
 
 

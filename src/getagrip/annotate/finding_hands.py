@@ -129,10 +129,12 @@ def find_landmarks(
 
 def _followed(shot: _Shot, box: Float[ndarray, "4"]) -> dict[int, Float[ndarray, "4"]]:
     """Follow the object's box through the shot's first frames: of two hands at it, the one that stays holds it."""
-    left, top, width, height = (shot.scale * box).tolist()
-    if min(width, height) < SMALLEST:
+    size = np.array(shot.small[0].shape[1::-1], dtype=float)
+    low, high = (np.clip(shot.scale * corner, 0.0, size) for corner in (box[:2], box[:2] + box[2:]))
+    if (high - low).min() < SMALLEST:
         return {0: box}
-    boxes = followed_boxes(shot.small.__getitem__, (left, top, width, height), 0, len(shot.small) - 1)
+    seen = (*low.tolist(), *(high - low).tolist())
+    boxes = followed_boxes(shot.small.__getitem__, seen, 0, len(shot.small) - 1)
     return {n: np.array(each) / shot.scale for n, each in enumerate(boxes)}
 
 

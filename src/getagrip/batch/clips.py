@@ -89,6 +89,8 @@ class _Tally:
         self.right: dict[str, float] = {}
         self.right_in_camera: dict[str, float] = {}
         """The probability of each that it is right."""
+        self.looks: dict[str, str] = {}
+        """How each with an assumed mesh probably looks."""
         self.verdicts: dict[str, str] = {}
         """The verdict of ``--keep`` on each: kept or dropped."""
 
@@ -99,6 +101,8 @@ class _Tally:
         self.flagged += [outcome.name] * any(finding.serious for finding in outcome.findings)
         if outcome.probability_right is not None:
             self.right[outcome.name] = outcome.probability_right.value
+            if by_eye := outcome.probability_right.by_eye:
+                self.looks[outcome.name] = by_eye
         if outcome.probability_right_in_camera is not None:
             self.right_in_camera[outcome.name] = outcome.probability_right_in_camera.value
 
@@ -113,10 +117,12 @@ class _Tally:
         print(f"{self.counts['done']} done, {self.counts['kept']} already done, {self.counts['failed']} failed")
         if self.flagged:
             print(f"{len(self.flagged)} with serious findings: {', '.join(sorted(self.flagged))}")
-        if self.right:
-            print(expected(self.right))
-        if self.right_in_camera:
-            print(expected(self.right_in_camera, "right in the camera"))
+        for by_eye, count in sorted(Counter(self.looks.values()).items()):
+            named = ", ".join(name for name in self.looks if self.looks[name] == by_eye)
+            print(f"{count} of {len(self.looks)} with an assumed mesh: {by_eye}: {named}")
+        for where, right in (("hand", self.right), ("camera", self.right_in_camera)):
+            if known := {name: value for name, value in right.items() if name not in self.looks}:
+                print(expected(known, f"right in the {where}"))
 
 
 def _work_off(plan: Plan, ledger: Ledger, out: Place, options: Options, batch: Batch, debug: bool) -> _Tally:
@@ -145,7 +151,7 @@ def _lost(job: Job | StreamedJob, why: str) -> Outcome:
     return Outcome(job.name, "failed", why)
 
 
-def expected(right: Mapping[str, float], what: str = "right in the hand") -> str:
+def expected(right: Mapping[str, float], what: str) -> str:
     """Count the results that are probably right, and name those likely wrong, by the probability of each."""
     wrong = sorted((name for name in right if right[name] < 0.5), key=lambda name: right[name])
     named = f"; likely wrong, worst first: {', '.join(wrong)}" if wrong else ""

@@ -37,9 +37,11 @@ SMALL = 0.5
 """Size of what is taken for a hand, as a share of the hand that it is within, below which it is a part of that."""
 JUMP, ALONE = 0.25, 0.5
 """Largest distance of landmarks from the median of neighbouring frames, in hand sizes (root mean square), and of those
-of a few frames alone from the straight line between the runs before and after."""
+of a few frames alone in a gap from the straight line between its ends."""
 ABOUT = 3
-"""Number of frames before and after for that median, and of the few frames."""
+"""Number of frames before and after for that median, and of the few frames; those so near to each other are no gap."""
+LONGEST = 30
+"""Length of a gap, in frames, beyond which the hand may have been anywhere in it."""
 PALM = [0, 5, 9, 13, 17]
 """Wrist and knuckles."""
 
@@ -177,7 +179,8 @@ def one_each(hands: Sequence[Sighting]) -> list[Sighting]:
 def steady(hand: Mapping[int, Sighting]) -> tuple[dict[int, Sighting], list[int]]:
     """Drop sightings that differ from those about them; also return the frames of the dropped ones."""
     frames = np.array(sorted(hand), int)
-    runs = [run for run in np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1) if len(run) > ABOUT]
+    runs = [run for run in np.split(frames, np.flatnonzero(np.diff(frames) > ABOUT) + 1) if len(run) > ABOUT]
+    within = {n for run in runs for n in run.tolist()}
     kept, out = {}, []
     for n, each in hand.items():
         about = [hand[m].points for m in range(n - ABOUT, n + ABOUT + 1) if m in hand]
@@ -185,7 +188,7 @@ def steady(hand: Mapping[int, Sighting]) -> tuple[dict[int, Sighting], list[int]
         expected, most = each.points, JUMP
         if len(about) > ABOUT:
             expected = np.median(about, axis=0)
-        elif before and after:
+        elif n not in within and before and after and after[0] - before[-1] <= LONGEST:
             share, most = (n - before[-1]) / (after[0] - before[-1]), ALONE
             expected = (1.0 - share) * hand[before[-1]].points + share * hand[after[0]].points
         if float(np.sqrt(np.mean(np.sum((each.points - expected) ** 2, axis=1)))) > most * each.size:

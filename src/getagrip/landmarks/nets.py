@@ -63,7 +63,7 @@ class Nets:
         return found(self.hand(crop.image(image)), crop)
 
     def mirrored(self, image: UInt8[ndarray, "H W 3"], crop: Crop) -> Found:
-        """Detect the hand in the mirror image of a square, in whose axes it is then, about the same middle."""
+        """Detect the hand in the mirror image of a square; it is found mirrored about the square's middle."""
         return found(self.hand(np.ascontiguousarray(crop.image(image)[:, ::-1])), crop._replace(angle=-crop.angle))
 
 

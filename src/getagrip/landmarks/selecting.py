@@ -192,7 +192,7 @@ def select(
     hand, flickering = steady({n: each for n, each in hand.items() if n not in mirrored})
     notes = [] if as_stated else [f"a guess: {first.handedness.words}, but the side is stated"]
     if boxes is not None:
-        apart = first.distance(boxes)
+        apart = first.distance(dict(sorted(boxes.items())[:1]))  # where the object is stated to be
         near = "of the hands that were seen, the one nearest to the object"
         far = f"{near}, but it is far off: is the object's box right?" if apart > FAR else near
         notes.append(
