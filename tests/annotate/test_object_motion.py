@@ -44,7 +44,7 @@ def place(n: int) -> tuple[int, int]:
 
 
 def followed_box(images: Images, box: Box, first: int, to: int) -> Box:
-    *_, last = followed_boxes(images, box, first, to)
+    *_, (last, _) = followed_boxes(images, box, first, to)
     return last
 
 

@@ -86,6 +86,18 @@ def test_a_palm_does_not_turn_over_at_once(flipped: range, again: Callable[[int]
         np.testing.assert_allclose(each.points, broad(n).points, atol=1e-6)
 
 
+def test_nor_does_it_turn_over_within_a_few_frames() -> None:
+    class Same(TurnedNets):
+        def landmarks(self, image: np.ndarray, crop: Crop) -> Found:
+            return Found(*broad(int(image[0, 0, 0]), 2.0))
+
+    before, last = COUNT - 2, COUNT - 1
+    turning = {before: broad(before, 0.5), last: broad(last, -1.5)}  # each step alone is possible
+    found = look_again(image, {n: broad(n, 2.0) for n in range(COUNT)} | turning, COUNT, Same(), {})
+    np.testing.assert_allclose(found[before].points, turning[before].points)
+    np.testing.assert_allclose(found[last].points, broad(last, 2.0).points, atol=1e-6)
+
+
 def test_without_a_sure_run_nothing_changes() -> None:
     seen = {n: hand(n, 0.6) for n in range(COUNT)}
     assert look_again(image, seen, COUNT, TurnedNets(), {}) == seen

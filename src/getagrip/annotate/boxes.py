@@ -57,15 +57,16 @@ def window(box: Box, size: tuple[int, int]) -> tuple[slice, slice]:
     return slice(round(top), round(bottom)), slice(round(left), round(right))
 
 
-def followed_boxes(images: Images, box: Box, first: int, to: int) -> Iterator[Box]:
+def followed_boxes(images: Images, box: Box, first: int, to: int) -> Iterator[tuple[Box, float]]:
     """Follow what is seen in a box from a frame to a later one; yield it in each of them, the first included.
 
     It moves to where the image is most like the box in the first frame and in the frame before, in pattern and in the
-    object's colours. Raises ``UsageError`` after the first as ``window`` does.
+    object's colours. With each box comes its correlation with the first frame. Raises ``UsageError`` after the first as
+    ``window`` does.
     """
     import cv2
 
-    yield box
+    yield box, 1.0
     if to <= first:
         return
     scale = min(1.0, LARGEST / max(box[2:]))
@@ -91,10 +92,11 @@ def followed_boxes(images: Images, box: Box, first: int, to: int) -> Iterator[Bo
         alike = [cv2.matchTemplate(nearby, each, cv2.TM_CCOEFF_NORMED) for each in templates]
         y, x = np.indices(alike[0].shape, dtype=np.float32)
         far = np.hypot(x - (corner - low)[0], y - (corner - low)[1])
-        corner = low + cv2.minMaxLoc(np.sum(alike, axis=0) - np.sum(unlike, axis=0) - STAYS * far)[3]
+        column, row = cv2.minMaxLoc(np.sum(alike, axis=0) - np.sum(unlike, axis=0) - STAYS * far)[3]
+        corner = low + np.array([column, row])
         templates[1] = image[corner[1] :, corner[0] :][:h, :w]
         left, top = (np.array(box[:2]) + (corner - start) / scale).tolist()
-        yield left, top, *box[2:]
+        yield (left, top, *box[2:]), float(alike[0][row, column])
 
 
 def moving_in_box(

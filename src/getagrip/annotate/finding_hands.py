@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,8 @@ JUMP = (4.0, 1.0, 5)
 more than this mean difference [of 255]; the number of frames on each side."""
 STAYS, SMALL = 60, (48.0, 960.0)
 """Number of frames through which the object's box is followed, and the largest sides of box and image there [px]."""
+LOST = 0.5
+"""Correlation of the box with the first frame below which it may be elsewhere."""
 BEYOND = 0.25
 """Factor on the confidence of landmarks outside the image."""
 MOVING = 0.2
@@ -135,7 +138,8 @@ def _followed(shot: _Shot, box: Float[ndarray, "4"]) -> dict[int, Float[ndarray,
         return {0: box}
     seen = (*low.tolist(), *(high - low).tolist())
     boxes = followed_boxes(shot.small.__getitem__, seen, 0, len(shot.small) - 1)
-    return {n: np.array(each) / shot.scale for n, each in enumerate(boxes)}
+    known = takewhile(lambda each: each[1] >= LOST, boxes)
+    return {n: np.array(each) / shot.scale for n, (each, _) in enumerate(known)}
 
 
 @dataclass

@@ -208,7 +208,7 @@ class Draft(Command):
         if self.object_box is None:
             return {}
         n, image = found.frames[0], stretch.footage.image
-        *_, box = followed_boxes(image, self.object_box, stretch.first, n)
+        *_, (box, _) = followed_boxes(image, self.object_box, stretch.first, n)
         if n > stretch.first:
             report(f"--object-box: followed to {stretch.footage.name(n)}, the first frame with a hand")
         hand = found_hands.FoundHands(self.folder / found_hands.FOLDER).mask(n)

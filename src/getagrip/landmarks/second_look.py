@@ -67,7 +67,8 @@ def _runs(hand: Mapping[int, Sighting]) -> Iterator[list[int]]:
     run: list[int] = []
     for n in sorted(n for n, each in hand.items() if each.confidence >= SURE):
         before = hand[run[-1]].points if run else hand[n].points
-        if run and (n > run[-1] + 1 or not _expected(crops.of_landmarks(before), hand[n], before)):
+        turned = any(abs(_palm(hand[n].points) - _palm(hand[m].points)) > FLIP for m in run[-NEAR:])
+        if run and (n > run[-1] + 1 or turned or not _expected(crops.of_landmarks(before), hand[n], before)):
             if len(run) >= LONG:
                 yield run
             run = []
@@ -113,9 +114,10 @@ def _extended(
     sides: Mapping[int, Side],
 ) -> dict[int, Sighting]:
     """Follow the hand from the end of a run to the next run, or until it is lost for long."""
-    path = [crops.of_landmarks(known[n].points) for n in (end - step, end) if n in known]
-    shape = path[-1].from_image(known[end].points)
-    motion = np.zeros(2) if len(path) < 2 else path[1].middle - path[0].middle
+    ending = [known[n].points for n in range(end - (NEAR - 1) * step, end + step, step) if n in known]
+    path = [crops.of_landmarks(points) for points in ending]
+    shape = np.median([crop.from_image(points) for crop, points in zip(path, ending, strict=True)], axis=0)
+    motion = np.zeros(2) if len(path) < 2 else path[-1].middle - path[-2].middle
     crop, lost, out, n = path[-1], 0, dict[int, Sighting](), end + step
     while 0 <= n < count and n not in known and lost < MEMORY:
         crop = crop._replace(middle=crop.middle + motion)
