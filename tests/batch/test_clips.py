@@ -6,8 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.batch.clips import expected
+from getagrip.batch.clips import _Tally, expected
+from getagrip.batch.job import Outcome
+from getagrip.batch.keep import Keep
 from getagrip.clip import input_sha256, write_clip
+from getagrip.probability import ASSUMED_MESH, Probability
 from getagrip.result import read_result, write_result
 from helpers.command_line import Run
 from helpers.egg_and_mug import egg_and_mug, perfect
@@ -23,6 +26,18 @@ def test_a_batch_is_summed_up_by_its_probabilities() -> None:
     text = expected({"a": 0.9, "b": 0.4, "c": 0.1, "d": 0.6})
     assert text.startswith("about 2 of 4 are right")
     assert text.endswith("worst first: c, b")
+
+
+def test_a_batch_counts_apart_how_results_of_assumed_meshes_look(capsys: pytest.CaptureFixture[str]) -> None:
+    tally = _Tally()
+    for name, value, beyond in (("a", 0.9, ()), ("b", 0.12, (ASSUMED_MESH,)), ("c", 0.01, (ASSUMED_MESH,))):
+        tally.add(Outcome(name, "done", "", probability_right=Probability(value, "", beyond)), Keep())
+    tally.print()
+    assert capsys.readouterr().out.splitlines()[1:] == [
+        "1 of 2 with an assumed mesh: probably looks right: b",
+        "1 of 2 with an assumed mesh: probably looks wrong: c",
+        "about 1 of 1 are right in the hand, by their probabilities",
+    ]
 
 
 def test_names_of_folders_move_no_cursor(clip_folder: Path, tmp_path: Path, run: Run) -> None:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from getagrip.landmarks import crops
 from getagrip.landmarks.crops import Crop
 from getagrip.landmarks.nets import Found, Nets
 from getagrip.landmarks.palms import Palm
-from helpers.labelled_scene import WIDTH, joints
+from helpers.labelled_scene import joints
 
 POINTS = np.array(joints(0))
 
@@ -27,6 +26,7 @@ class SceneNets(Nets):
         return [Palm(box, points, 0.9)] if self.hands else []  # type: ignore[attr-defined]
 
     def landmarks(self, image: np.ndarray, crop: Crop) -> Found:
-        own = crops.of_landmarks(POINTS)
-        in_mirror = abs(WIDTH - crop.middle[0] - own.middle[0]) < abs(crop.middle[0] - own.middle[0])
-        return Found(POINTS, np.full((21, 3), np.nan), 0.95, 0.99 if in_mirror else 0.01)
+        return Found(POINTS, np.full((21, 3), np.nan), 0.95, 0.01)
+
+    def mirrored(self, image: np.ndarray, crop: Crop) -> Found:
+        return self.landmarks(image, crop)._replace(right=0.99)

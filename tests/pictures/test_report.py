@@ -16,7 +16,7 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.pictures.report import TILES, report_figure, write_report
 from getagrip.pictures.shown import View
 from getagrip.pictures.style import AXIS, FOUND, TRUE
-from getagrip.probability import Probability
+from getagrip.probability import ASSUMED_MESH, Probability
 from getagrip.result import Axis
 from helpers.pictures import panel, pixels, pixels_of, read_picture, texts
 from helpers.scenes import scene_with_axis
@@ -31,7 +31,7 @@ def given() -> tuple[Clip, Masks, Axis]:
 def test_every_part_of_the_picture_is_drawn(tmp_path: Path) -> None:
     clip, masks, axis = given()
     metrics = {"add_mm": 1.25, "add_sym_mm": 1.0, "rotation_sym_deg": 2.0}
-    sure, unsure = Probability(0.996, ""), Probability(0.3, "")
+    sure, unsure = Probability(0.996, "", (ASSUMED_MESH,)), Probability(0.3, "")
     result = replace(true_result(clip, axis), probability_right=sure, probability_right_in_camera=unsure)
     figure = report_figure(result, clip, masks, metrics)
     assert len(figure.axes) == 3 * TILES + 2
@@ -40,6 +40,7 @@ def test_every_part_of_the_picture_is_drawn(tmp_path: Path) -> None:
         "input and fitted contour",
         "75.0 %",
         "> 99 %, 30 %",
+        f"{result.message}  ·  probably looks right",
         "1.2 mm",
         "2.0°",
         "angle of the object about the axis [°]",

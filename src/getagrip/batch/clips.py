@@ -151,7 +151,7 @@ def _lost(job: Job | StreamedJob, why: str) -> Outcome:
     return Outcome(job.name, "failed", why)
 
 
-def expected(right: Mapping[str, float], what: str) -> str:
+def expected(right: Mapping[str, float], what: str = "right in the hand") -> str:
     """Count the results that are probably right, and name those likely wrong, by the probability of each."""
     wrong = sorted((name for name in right if right[name] < 0.5), key=lambda name: right[name])
     named = f"; likely wrong, worst first: {', '.join(wrong)}" if wrong else ""
