@@ -46,8 +46,8 @@ HELD_BY_LEFT = ("bottle", "mug", "tape", "umbrella", "kitchen_plate")
 RING = (0.0415, 0.049, 0.048)
 """Radii and height of the roll of tape [m]."""
 AGAIN = ("drawn again", "IOU with these", "both outlines")
-"""Columns of held-back frames that somebody else outlined: how many, and the IOU of masks and of the first outlines
-with the second ones."""
+"""Columns of held-back frames that were outlined again: how many, and the IOU of masks and of the first outlines with
+the second ones."""
 KEEP = "GETAGRIP_KEEP"
 """Environment variable: folder that keeps what the examples make, for pictures."""
 Rows = list[list[str]]
@@ -187,7 +187,7 @@ def _labels(name: str) -> Labels:
 
 
 def _again(name: str) -> Labels:
-    """Return what somebody else, who saw the frames only, drew and clicked on some of them."""
+    """Return what was drawn and clicked again on some of the frames, from these alone."""
     return labels.read(POLYGONS / f"{name}-again.json")
 
 
