@@ -70,11 +70,7 @@ def followed_boxes(images: Images, box: Box, first: int, to: int) -> Iterator[tu
     if to <= first:
         return
     scale = min(1.0, LARGEST / max(box[2:]))
-
-    def small(n: int) -> Image:
-        return np.asarray(cv2.resize(images(n), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
-
-    image = small(first)
+    image = reduced(images(first), scale)
     size = np.array(image.shape[1::-1])
     start = corner = np.clip(np.round(scale * np.array(box[:2])).astype(int), 0, size - 1)
     w, h = np.clip(np.round(scale * np.add(box[:2], box[2:])).astype(int), start + 1, size) - start
@@ -84,7 +80,7 @@ def followed_boxes(images: Images, box: Box, first: int, to: int) -> Iterator[tu
     counts = counts if counts.any() else np.ones((h, w), np.uint8)
     templates = [image[corner[1] :, corner[0] :][:h, :w]] * 2
     for n in range(first + 1, to + 1):
-        image = small(n)
+        image = reduced(images(n), scale)
         low = np.maximum(corner - near, 0)
         nearby = image[low[1] : corner[1] + h + near, low[0] : corner[0] + w + near]
         squares = [cv2.matchTemplate(nearby, each, cv2.TM_SQDIFF, mask=counts) for each in templates]
@@ -97,6 +93,13 @@ def followed_boxes(images: Images, box: Box, first: int, to: int) -> Iterator[tu
         templates[1] = image[corner[1] :, corner[0] :][:h, :w]
         left, top = (np.array(box[:2]) + (corner - start) / scale).tolist()
         yield (left, top, *box[2:]), float(alike[0][row, column])
+
+
+def reduced(image: UInt8[ndarray, "H W 3"], scale: float) -> UInt8[ndarray, "h w 3"]:
+    """Reduce an image's width and height by a factor."""
+    import cv2
+
+    return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def moving_in_box(

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from getagrip.annotate.boxes import SMALLEST, followed_boxes
+from getagrip.annotate.boxes import SMALLEST, followed_boxes, reduced
 from getagrip.annotate.footage import Footage
 from getagrip.annotate.found_hands import FOLDER
 from getagrip.annotate.lifted_again import DEPTH
@@ -40,7 +40,7 @@ CUT = (25.0, 0.4)
 JUMP = (4.0, 1.0, 5)
 """At a jump two frames differ more than this many times as much as any two of the frames before and after it, and by
 more than this mean difference [of 255]; the number of frames on each side."""
-STAYS, SMALL = 60, (48.0, 960.0)
+FOLLOWED, SMALL = 60, (48.0, 960.0)
 """Number of frames through which the object's box is followed, and the largest sides of box and image there [px]."""
 LOST = 0.5
 """Correlation of the box with the first frame below which it may be elsewhere."""
@@ -114,10 +114,10 @@ def find_landmarks(
     """
     first, last = interval
     count = last - first + 1
-    scale = 0.0 if box is None else min(1.0, SMALL[0] / float(box[2:].max()), SMALL[1] / max(footage.size))
+    scale = None if box is None else min(1.0, SMALL[0] / float(box[2:].max()), SMALL[1] / max(footage.size))
     shot = _Shot(footage, first, scale)
     seen = follow(shot.image, count, nets, on_frame, [] if box is None else [of_box(box)])
-    boxes = None if box is None else _followed(shot, box)
+    boxes = None if box is None or scale is None else _followed(shot.small, scale, box)
 
     def image(n: int) -> UInt8[ndarray, "H W 3"]:
         return footage.image(first + n)
@@ -130,16 +130,18 @@ def find_landmarks(
     return replace(found, notes=(*found.notes, *said))
 
 
-def _followed(shot: _Shot, box: Float[ndarray, "4"]) -> dict[int, Float[ndarray, "4"]]:
-    """Follow the object's box through the shot's first frames: of two hands at it, the one that stays holds it."""
-    size = np.array(shot.small[0].shape[1::-1], dtype=float)
-    low, high = (np.clip(shot.scale * corner, 0.0, size) for corner in (box[:2], box[:2] + box[2:]))
+def _followed(
+    small: Sequence[UInt8[ndarray, "h w 3"]], scale: float, box: Float[ndarray, "4"]
+) -> dict[int, Float[ndarray, "4"]]:
+    """Follow the object's box through reduced frames: of two hands at it, the one that stays holds it."""
+    size = np.array(small[0].shape[1::-1], dtype=float)
+    low, high = (np.clip(scale * corner, 0.0, size) for corner in (box[:2], box[:2] + box[2:]))
     if (high - low).min() < SMALLEST:
         return {0: box}
     seen = (*low.tolist(), *(high - low).tolist())
-    boxes = followed_boxes(shot.small.__getitem__, seen, 0, len(shot.small) - 1)
+    boxes = followed_boxes(small.__getitem__, seen, 0, len(small) - 1)
     known = takewhile(lambda each: each[1] >= LOST, boxes)
-    return {n: np.array(each) / shot.scale for n, (each, _) in enumerate(known)}
+    return {n: np.array(each) / scale for n, (each, _) in enumerate(known)}
 
 
 @dataclass
@@ -148,9 +150,9 @@ class _Shot:
 
     footage: Footage
     first: int
-    scale: float
+    scale: float | None
+    """By which the first frames are reduced; None: they are not kept."""
     small: list[UInt8[ndarray, "h w 3"]] = field(default_factory=list)
-    """The first frames, reduced by ``scale`` where it is not 0."""
     newest: int = -1
     before: UInt8[ndarray, "n n 3"] | None = None
     apart: list[float] = field(default_factory=list)
@@ -172,15 +174,9 @@ class _Shot:
             if self.before is not None:
                 self.apart.append(float(np.abs(self.before.astype(float) - now).mean()))
             self.newest, self.before = n, now
-            if self.scale and n < STAYS:
-                self.small.append(_reduced(image, self.scale))
+            if self.scale is not None and n < FOLLOWED:
+                self.small.append(reduced(image, self.scale))
         return image
-
-
-def _reduced(image: UInt8[ndarray, "H W 3"], scale: float) -> UInt8[ndarray, "h w 3"]:
-    import cv2
-
-    return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _thumbnail(image: UInt8[ndarray, "H W 3"]) -> UInt8[ndarray, "n n 3"]:

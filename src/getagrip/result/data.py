@@ -199,7 +199,7 @@ class Reconstruction(ArrayData):
 
     @property
     def looks(self) -> str:
-        """How it probably looks, where it has a probability, an estimate's hands and an assumed mesh; else empty."""
+        """How it probably looks, where it has a probability, estimated hands and an assumed mesh; else empty."""
         return "" if self.probability_right is None else self.probability_right.by_eye
 
     @property
