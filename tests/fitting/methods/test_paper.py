@@ -16,6 +16,7 @@ from getagrip.fitting.methods import paper
 from getagrip.fitting.motion import Fixed
 from getagrip.fitting.options import Departures, Options
 from getagrip.fitting.problem import Problem, prepare
+from getagrip.fitting.solve import in_camera
 from getagrip.geometry.mesh import Mesh
 from getagrip.result import Status
 from getagrip.timelines.reconstruct import reconstruct
@@ -98,15 +99,19 @@ def test_the_iou_by_which_is_chosen_is_the_metrics(monkeypatch: pytest.MonkeyPat
     motion = Fixed(T[None, :3, :3], (T[:3, :3] @ clip.mesh.centre + T[:3, 3])[None], np.zeros(1), len(clip))
     still = replace(result, T_hand_obj=np.tile(T, (len(clip), 1, 1)))
     measured = evaluate(still, clip, masks, wanted=[IOU]).metrics["iou"]
-    assert paper.crop_iou(problem, motion)[0] == pytest.approx(measured, abs=0.01)
+    poses = in_camera(motion, problem.clip.hand.T_cam_hand)
+    assert paper.crop_iou(problem, poses)[0] == pytest.approx(measured, abs=0.01)
 
 
 def test_the_best_iou_is_chosen_not_the_least_energy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(paper, "ITERATIONS", 5)
     problem = small_problem(Options(method="paper", inits=8))
     found = paper.every_start(problem, paper.initial_of(problem), paper.energy_of(problem), lambda _: None)
-    by_iou = paper.crop_iou(problem, paper.chosen(problem, found).motion)
-    assert by_iou[0] == paper.crop_iou(problem, found.motion).max()
+    all_poses, best = (
+        in_camera(one.motion, problem.clip.hand.T_cam_hand) for one in (found, paper.chosen(problem, found))
+    )
+    by_iou = paper.crop_iou(problem, best)
+    assert by_iou[0] == paper.crop_iou(problem, all_poses).max()
     assert (np.diff(by_iou) <= 0.0).all()
     ours = replace(problem, options=replace(problem.options, departures=Departures(choice=True)))
     assert paper.chosen(ours, found).energy[0] == found.energy.min()
