@@ -56,9 +56,9 @@ M = TypeVar("M", bound=Motion)
 ITERATIONS = 200
 """Iterations of Adam; for Levenberg-Marquardt, which stops by itself, the limit."""
 RATE = 0.05
-"""Adam's, at the start [rad a step], falling to zero: of 0.01 with 50 iterations (the authors'), 0.03, 0.05 and 0.1 with
-100 to 200 the setting that ends at the truth most often where it is among the starts (synthetic mugs, pans and bottles),
-with at most 2 % more energy than any other from uniform starts (training clips of DexYCB)."""
+"""Adam's, at the start [rad a step], falling to zero. Of 0.01 with 50 iterations (the authors'), and 0.03, 0.05 and 0.1
+with 100 to 200, this ends at the truth most often where the truth is among the starts (synthetic mugs, pans, bottles),
+and has at most 2 % more energy than any other from uniform starts (training clips of DexYCB)."""
 ALONE_ITERATIONS = 50
 """HOMan's, of the object alone in each frame: those of its published code."""
 KEEP = 4
