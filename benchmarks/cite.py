@@ -6,7 +6,7 @@
     {{ table TABLE columns=A,B rows=GLOB }}  a table of some columns (all), of the rows that a glob names (all); words
                                              behind it: "interval", "difference" (of pairs), "notes"
     {{ inputs TABLE METHOD... }}             how often methods are right with each kind of input, in hand and camera;
-                                             METHOD=TABLE: of one that was run on exact input only
+                                             METHOD=TABLE: of one that has a table of its own
     {{ methods COLUMN }}                     a column of all methods, by set of clips
     {{ leaderboard }}                        every method on every real motion, and what others printed
     {{ motions }}                            the default on every real motion, and the probability fitted without it
@@ -179,9 +179,11 @@ def _best(column: Column, rows: Sequence[Row]) -> str | None:
 def inputs(name: str, *methods: str) -> str:
     """How often methods are right, in the hand and in the camera, with a row for each kind of input."""
     found, lines = store.read(name), []
-    rows = {str(row["label"]): row for row in found.rows}
+    rows, captions = {str(row["label"]): row for row in found.rows}, [made(name)]
     for method, of in (each.split("=") for each in methods if "=" in each):
-        rows[f"{method}, exact"] = store.read(of).row(method)
+        own = {str(row["label"]): row for row in store.read(of).rows}
+        rows |= {label: row for label, row in own.items() if label.startswith(f"{method}, ")}
+        captions.append(f"{METHODS[method]}: {made(of)}")
     methods = tuple(method.partition("=")[0] for method in methods)
     for setting, words in INPUTS.items():
         those = [rows.get(f"{method}, {setting}", {}) for method in methods]
@@ -191,9 +193,8 @@ def inputs(name: str, *methods: str) -> str:
             ]
             lines.append([words, str(next(row["clips"] for row in those if row)), *cells])
     labels = [METHODS[method] for method in methods]
-    return (
-        f"{grid(['input', 'clips', *labels, *(f'{label}, in the camera' for label in labels)], lines)}\n\n{made(name)}"
-    )
+    table = grid(["input", "clips", *labels, *(f"{label}, in the camera" for label in labels)], lines)
+    return "\n\n".join([table, *captions])
 
 
 def methods(column: str) -> str:
