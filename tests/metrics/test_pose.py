@@ -150,6 +150,15 @@ def test_a_cube_has_24_turns_and_a_ball_all() -> None:
     assert len(found.axes) == 3
 
 
+@pytest.mark.parametrize("height", [0.015, 0.12])
+def test_a_square_box_has_8_turns_however_its_cad_is_turned(height: float) -> None:
+    """Flat or long, two of its principal axes are not unique."""
+    box = trimesh.creation.box((0.05, 0.05, height)).subdivide().subdivide()
+    turn = se3.exp_so3(np.array([0.0, 0.0, 0.4]))
+    found = find_symmetries(Mesh(np.array(box.vertices) @ turn.T, np.array(box.faces)))
+    assert found.describe() == "90, 90, 180, 180, 180, 180, 180 degrees"
+
+
 @pytest.mark.slow
 def test_symmetries_map_the_surface_onto_itself() -> None:
     for mesh in (BOX, CAN, shapes.ketchup()):
