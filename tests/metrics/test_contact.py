@@ -157,13 +157,13 @@ def test_an_open_wrist_is_closed() -> None:
 
 
 def test_a_hand_is_closed_before_it_is_touched() -> None:
-    """What reaches out of its open wrist, short of the border's plane, is inside."""
+    """What lies under its open wrist is as deep inside as it is below the border's plane."""
     whole = sphere(0.04)
     opened = whole.faces[whole.vertices[whole.faces].mean(axis=1)[:, 2] < 0.03]
     held = ObjectTrack(se3.rigid(t=np.array([0.0, 0.0, 0.024]))[None], 1.0)
     (distances,) = contact_distances(sphere(0.004, 2), [held], whole.vertices[None], opened)
-    assert distances.object.max() < 0.0
-    assert distances.area.max() < 0.0
+    for deep in (distances.object, distances.area):
+        assert -0.005 < deep.max() < 0.0
 
 
 @given(sets)
