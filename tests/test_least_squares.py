@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from itertools import cycle
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip.least_squares import Arrow, Ending, Rules, damped, minimise
+from getagrip.least_squares import Arrow, Ending, Minimum, Rules, damped, minimise
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,59 @@ def test_endings() -> None:
     assert minimise(replace(start, flat=True), 30).endings == [Ending.STUCK]
     assert minimise(replace(start, flat=True), 30, Rules(rejections=np.inf, most=10.0)).endings == [Ending.STUCK]
     assert minimise(start, 30, Rules(tolerance=2.0)).endings == [Ending.CONVERGED]
+
+
+@dataclass(frozen=True)
+class Told:
+    """One problem whose trials gain the shares of the cost that are told, in turn; the dampings are written down."""
+
+    gains: Iterator[float]
+    cost: ndarray = field(default_factory=lambda: np.ones(1))
+    dampings: list[float] = field(default_factory=list)
+
+    def trial(self, active: ndarray, damping: ndarray) -> Told:
+        self.dampings.extend(damping)
+        return replace(self, cost=self.cost * (1.0 - next(self.gains)))
+
+    def accept(self, trial: Told, active: ndarray, better: ndarray) -> Told:
+        return trial if better[0] else self
+
+
+LARGE, SMALL, WORSE = 0.75, 0.25, -1.0
+RULES = Rules(tolerance=0.5, rejections=3, small_steps=2)
+
+
+@pytest.mark.parametrize(
+    ("gains", "ending", "steps"),
+    [
+        ([SMALL, LARGE], Ending.LIMIT, 12),  # small steps count in a row
+        ([SMALL, SMALL], Ending.CONVERGED, 2),
+        ([LARGE, SMALL, WORSE, SMALL], Ending.CONVERGED, 4),  # one that is not taken is no step
+        ([LARGE], Ending.LIMIT, 12),
+        ([RULES.tolerance], Ending.LIMIT, 12),  # as much as the tolerance is not small
+        ([WORSE], Ending.STUCK, 3),
+        ([0.0], Ending.STUCK, 3),  # no lower cost is no success
+        ([WORSE, WORSE, LARGE], Ending.LIMIT, 12),  # so do steps that are not taken
+        ([WORSE, WORSE, SMALL], Ending.CONVERGED, 6),
+    ],
+)
+def test_endings_are_told_by_steps_in_a_row(gains: list[float], ending: Ending, steps: int) -> None:
+    found: Minimum[Told] = minimise(Told(cycle(gains)), 12, RULES)
+    assert found.endings == [ending]
+    assert len(found.state.dampings) == steps
+    assert found.evaluations == 1 + steps
+
+
+@given(st.lists(st.sampled_from([LARGE, WORSE]), min_size=30, max_size=30))
+def test_damping_follows_success_and_failure_between_its_limits(gains: list[float]) -> None:
+    rules = Rules(damping=1.0, success=0.5, failure=4.0, least=0.125, most=64.0, rejections=np.inf)
+    state = minimise(Told(iter(gains)), 30, rules).state
+    expected = [1.0]
+    for gain in gains:
+        expected.append(expected[-1] * 4.0 if gain < 0.0 else max(expected[-1] * 0.5, 0.125))
+        if expected[-1] > 64.0:
+            break
+    assert state.dampings == expected[:-1]
 
 
 @pytest.mark.parametrize("S", [0, 1, 3])

@@ -165,8 +165,7 @@ def test_a_rotation_about_the_axis_is_no_turn_besides_it() -> None:
     assert replace(it, T_hand_obj=turned).off_axis > 0.1
 
 
-def test_signs_are_the_same_each_time() -> None:
-    assert read_signs(mug()) == read_signs(replace(mug()))
+def test_every_sign_of_a_whole_result_is_known() -> None:
     assert read_signs(mug()).keys() == DIRECTION.keys() | {sign.name for sign in HAND_SIGNS}
 
 

@@ -17,6 +17,8 @@ from getagrip.timelines.reconstruct import reconstruct
 from helpers.reconstructions import DEFAULT, found
 from helpers.scenes import SHORT, SMALL, scene
 
+SHIFTED = se3.rigid(None, np.array([0.1, -0.2, 0.05]))
+
 
 def posed(result: Reconstruction, mesh: Mesh) -> ndarray:
     """Vertices (T, V, 3) in the hand frame."""
@@ -60,7 +62,7 @@ def _reframed(clip: Clip, T_new_old: ndarray) -> Clip:
 @pytest.mark.parametrize(
     ("T", "tolerance"),
     [
-        (se3.rigid(None, np.array([0.1, -0.2, 0.05])), 2e-3),
+        (SHIFTED, 2e-3),
         (se3.rigid(se3.exp_so3(np.array([0.0, 0.0, np.pi / 2])), np.zeros(3)), 0.02),
     ],
     ids=["shifted", "turned"],
@@ -72,6 +74,16 @@ def test_the_frame_of_the_cad_does_not_matter(T: ndarray, tolerance: float) -> N
     other = _reframed(clip, T)
     a, b = found("kettle", 1), reconstruct(other, masks, DEFAULT)
     assert apart(posed(a, clip.mesh), posed(b, other.mesh)) < tolerance * clip.mesh.diameter
+
+
+@pytest.mark.slow
+def test_the_origin_of_the_cad_does_not_matter_at_a_free_size() -> None:
+    clip, masks = scene("kettle", 1)
+    free = replace(clip, scale="free", truth=None)
+    other = _reframed(free, SHIFTED)
+    a, b = reconstruct(free, masks, DEFAULT), reconstruct(other, masks, DEFAULT)
+    assert a.scale != 1.0
+    assert apart(posed(a, clip.mesh), posed(b, other.mesh)) < 2e-3 * clip.mesh.diameter
 
 
 @pytest.mark.parametrize("lie", ["half", "elsewhere", "everything"])

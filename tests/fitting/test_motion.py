@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip.fitting.motion import Fixed, Free, Frozen, Hinge, Motion, PosesInHand, Soft, tangents
+from getagrip.fitting.motion import Fixed, Free, Frozen, Hinge, Motion, PosesInHand, Soft, placed, tangents
 from getagrip.geometry import se3
 
 B, N = 3, 4
@@ -160,6 +160,16 @@ def test_poses_are_rigid_and_hypotheses_side_by_side(make: Callable[[np.random.G
     mixed = a.where(np.array([True, False, True]), b).poses()
     np.testing.assert_array_equal(mixed.R[[0, 2]], held.R[[0, 2]])
     np.testing.assert_array_equal(mixed.R[1], b.poses().R[1])
+
+
+@given(st.integers(0, 10**6))
+def test_a_mesh_is_placed_where_its_poses_have_it_at_any_scale(seed: int) -> None:
+    """``PosesInHand``'s own formula, and ``T_hand_obj`` of points that were scaled about the mesh's origin."""
+    rng = np.random.default_rng(seed)
+    poses, centre, points = free(rng, free_scale=True).poses(), rng.normal(size=3), rng.normal(size=(5, 3))
+    scale = poses.scale[:, None, None, None]
+    expected = scale * (points - centre) @ np.swapaxes(poses.R, -1, -2) + poses.centre[:, :, None]
+    np.testing.assert_allclose(se3.transform(placed(poses, centre), scale * points), expected, atol=1e-12)
 
 
 @EVERY

@@ -68,6 +68,14 @@ def test_what_creeps_is_not_static() -> None:
     assert list(static_runs(at, vertices, untouched)) == [(8, 19)]  # by then it is within 3 mm of where it stays
 
 
+@pytest.mark.parametrize(
+    ("touched", "runs"), [(0, [(1, 19)]), (9, [(0, 8), (10, 19)]), (19, [(0, 18)]), (3, [(4, 19)]), (16, [(0, 15)])]
+)
+def test_no_frame_of_a_static_run_is_touched(touched: int, runs: list[tuple[int, int]]) -> None:
+    still, vertices = np.tile(np.eye(4), (20, 1, 1)), box(0.1, 0.1, 0.1).vertices
+    assert list(static_runs(still, vertices, np.arange(20) == touched)) == runs
+
+
 def test_grasps_cover_what_they_overlap_and_the_clips_hand_the_other() -> None:
     listed = [
         Segment("static", 0, 10), Segment("contact", 10, 14), Segment("grasp", 14, 20, "right"),

@@ -45,7 +45,7 @@ def test_a_distance_field_of_nothing_is_far_away() -> None:
 @given(SEEDS)
 def test_borders_with_an_occluder_do_not_attract(seed: int) -> None:
     seen, valid = blobs(seed)
-    field = reference.distance_field(seen, valid)
+    field = observation.signed_distance(seen, valid)
     from scipy.ndimage import distance_transform_edt
 
     assert (field[seen] <= 0.5 - distance_transform_edt(~(valid & ~seen))[seen] + 1e-6).all()

@@ -11,7 +11,16 @@ from hypothesis.extra.numpy import array_shapes, arrays
 
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.metrics.contact import MAX_DISTANCE, SIDES, contact_distances, pairwise_iou, stable_contact_area
+from getagrip.metrics.contact import (
+    MAX_DISTANCE,
+    SIDES,
+    ContactDefinition,
+    ContactDistances,
+    contact_distances,
+    pairwise_iou,
+    stable_contact,
+    stable_contact_area,
+)
 from getagrip.metrics.pose import ObjectTrack
 from getagrip.metrics.surface_distance import FACES, close_holes, signed_distance
 
@@ -145,6 +154,28 @@ def test_an_open_wrist_is_closed() -> None:
     assert signed_distance(np.array([[0.0, 0.0, 0.02]]), vertices, faces)[0] < 0
     batched, _ = close_holes(np.stack([whole.vertices, 2 * whole.vertices]), opened)
     np.testing.assert_allclose(batched[1], 2 * batched[0])
+
+
+def test_a_hand_is_closed_before_it_is_touched() -> None:
+    """What lies under its open wrist is as deep inside as it is below the border's plane."""
+    whole = sphere(0.04)
+    opened = whole.faces[whole.vertices[whole.faces].mean(axis=1)[:, 2] < 0.03]
+    held = ObjectTrack(se3.rigid(t=np.array([0.0, 0.0, 0.024]))[None], 1.0)
+    (distances,) = contact_distances(sphere(0.004, 2), [held], whole.vertices[None], opened)
+    for deep in (distances.object, distances.area):
+        assert -0.005 < deep.max() < 0.0
+
+
+@given(sets)
+def test_stable_contact_is_that_of_the_points_within_the_threshold(contact: np.ndarray) -> None:
+    near, far = np.where(contact, 0.004, 0.006), np.full(contact.shape, 1.0)
+    for side in SIDES:
+        distances = ContactDistances(**dict.fromkeys(SIDES, far) | {side: near})
+        found = stable_contact(distances, ContactDefinition(side, 0.005))
+        np.testing.assert_array_equal(found.share, contact.mean(axis=1))
+        overlap = pairwise_iou(contact)
+        assert found.sca == pytest.approx(stable_contact_area(overlap), nan_ok=True)
+        assert found.diagonal == stable_contact_area(overlap, diagonal=True)
 
 
 def test_each_triangle_of_a_soup_is_a_hole_closed_over_its_middle() -> None:

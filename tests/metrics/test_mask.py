@@ -74,6 +74,16 @@ def test_ignored_pixels_do_not_count() -> None:
     np.testing.assert_array_equal(iou_of_poses(MUG, 1.0, T, np.stack([K] * 3), hidden).full, 1.0)
 
 
+@pytest.mark.parametrize("border", [(0.0, 120.0), (320.0, 120.0), (160.0, 0.0), (160.0, 240.0)])
+def test_pixels_beyond_the_image_do_not_count(border: tuple[float, float]) -> None:
+    """An object that the border cuts fits its own mask in the crop, of which a part lies beyond, as in the image."""
+    T = poses()
+    T[:, :3, 3] += 0.5 * np.linalg.inv(K) @ [*border, 1.0] - se3.transform(T, MUG.centre[None])[:, 0]
+    found = iou_of_poses(MUG, 1.0, T, np.stack([K] * 3), seen(T))
+    assert min(found.crop.min(), found.soft.min()) > 0.95
+    np.testing.assert_array_equal(found.full, 1.0)
+
+
 def test_a_prediction_outside_the_crop_scores_zero() -> None:
     T = poses()
     far = se3.rigid(t=np.array([10.0, 0.0, 0.0])) @ T

@@ -73,6 +73,11 @@ def test_contact_that_is_short_slides_or_is_missing_does_not_count() -> None:
     assert np.isnan(motion_deviation(some, body, hand[short], object_[short], TIME[short]))
     sliding = ContactPairs(np.tile(np.arange(T)[:, None], (1, hand.shape[1])), pairs.distance)
     assert np.isnan(motion_deviation(sliding, body, hand, object_, TIME))
+    for end in (0, -1):  # in one frame alone, far enough for the mean over pairs of frames
+        once = np.zeros(pairs.nearest.shape, int)
+        once[end] = np.argmax(np.linalg.norm(body - body[0], axis=1))
+        slid = motion_deviation(ContactPairs(once, pairs.distance), body, hand, object_, TIME)
+        assert np.isnan(slid), end
     apart = ContactPairs(pairs.nearest, pairs.distance + TOUCHING)
     assert np.isnan(contact_deviation(apart, hand, object_)).all()
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from getagrip.datasets.synthetic import shapes
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.metrics.pose import SUCCESS, ObjectTrack, best_symmetry, pose_errors
+from getagrip.metrics.pose import SUCCESS, ObjectTrack, PoseErrors, best_symmetry, pose_errors
 from getagrip.metrics.surface_distance import signed_distance
 from getagrip.metrics.symmetry import Symmetries, find_symmetries, surface_points
 
@@ -93,6 +93,22 @@ def test_one_bad_frame_fails_a_frame_but_not_the_sequence() -> None:
     assert errors.frame_success.mean() == pytest.approx(0.9)
 
 
+@pytest.mark.parametrize(
+    ("add", "success", "frames"),
+    [
+        ([0.0, 0.0, 0.0, 0.41], False, 0.75),  # most frames right, the mean is not
+        ([0.0, 0.12, 0.12, 0.12], True, 0.25),  # most wrong, the mean right
+        ([0.1, 0.1], False, 0.0),  # at the limit, which is no success
+    ],
+)
+def test_success_is_by_the_mean_over_frames(add: list[float], success: bool, frames: float) -> None:
+    """And by no other average: the frames' ADD is given in diameters."""
+    n = len(add)
+    errors = PoseErrors(np.array(add) * 0.5, np.zeros(n), np.zeros(n), diameter=0.5)
+    assert errors.success == success
+    assert errors.frame_success.mean() == frames
+
+
 def test_surface_points_are_spread_by_area() -> None:
     points = surface_points(CAN, 4000)
     assert np.abs(signed_distance(points, CAN.vertices, CAN.faces)).max() < 1e-9
@@ -132,6 +148,15 @@ def test_a_cube_has_24_turns_and_a_ball_all() -> None:
     found = find_symmetries(Mesh(np.array(ball.vertices), np.array(ball.faces)))
     assert found.describe() == "ball"
     assert len(found.axes) == 3
+
+
+@pytest.mark.parametrize("height", [0.015, 0.12])
+def test_a_square_box_has_8_turns_however_its_cad_is_turned(height: float) -> None:
+    """Flat or long, two of its principal axes are not unique."""
+    box = trimesh.creation.box((0.05, 0.05, height)).subdivide().subdivide()
+    turn = se3.exp_so3(np.array([0.0, 0.0, 0.4]))
+    found = find_symmetries(Mesh(np.array(box.vertices) @ turn.T, np.array(box.faces)))
+    assert found.describe() == "90, 90, 180, 180, 180, 180, 180 degrees"
 
 
 @pytest.mark.slow

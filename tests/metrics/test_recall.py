@@ -11,6 +11,8 @@ from getagrip.geometry.camera import project
 from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.pose import ObjectTrack
 from getagrip.metrics.recall import (
+    PIXELS,
+    SHARES,
     SymmetricErrors,
     all_symmetries,
     area_under_curve,
@@ -85,3 +87,10 @@ def test_add_s_is_the_mean_distance_to_the_nearest() -> None:
 
 def test_recall_counts_thresholds() -> None:
     np.testing.assert_allclose(recall(np.array([0.0, 0.12, 9.0]), np.array([0.1, 0.2])), [1.0, 0.5, 0.0])
+
+
+def test_thresholds_are_bops() -> None:
+    """Ten each, evenly up to half the diameter and 50 px; the last is no success."""
+    for thresholds, last in ((SHARES, 0.5), (PIXELS, 50.0)):
+        expected = [1.0, 0.8, 0.1, 0.0]
+        np.testing.assert_allclose(recall(last * np.array([0.0, 0.24, 0.94, 1.0]), thresholds), expected)

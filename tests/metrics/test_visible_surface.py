@@ -51,3 +51,8 @@ def test_rays_are_as_long_as_points_of_depth_one_are_far() -> None:
     u, v = np.meshgrid(np.arange(4) + 0.5, np.arange(5) + 0.5)
     points = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(K).T
     np.testing.assert_allclose(ray_lengths(K, (4, 5)), np.linalg.norm(points, axis=-1))
+
+
+def test_recall_is_over_bops_tolerances_and_thresholds() -> None:
+    np.testing.assert_allclose(SHARES, np.linspace(0.05, 0.5, 10))
+    assert recall(np.array([0.0, 0.12, 0.47, 0.5])) == pytest.approx((1.0 + 0.8 + 0.1) / 4)

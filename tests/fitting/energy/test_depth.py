@@ -13,7 +13,7 @@ from getagrip.clip.depth import DepthSource
 from getagrip.fitting.depth_samples import INDEPENDENT, errors_of
 from getagrip.fitting.energy import HandInCamera, ObjectWithHand, PosesInCamera, no_bound
 from getagrip.fitting.energy import depth as depth_term
-from getagrip.fitting.energy.depth import RIGID, DepthErrors, DepthSamples, DepthTerm
+from getagrip.fitting.energy.depth import MISSED, RIGID, TAIL, DepthErrors, DepthSamples, DepthTerm
 from getagrip.geometry import se3
 from getagrip.kernels.depth import WARP_TAIL
 from helpers.depth_terms import FREE, METRIC, MIDDLE, N, poses, seen, term
@@ -87,6 +87,57 @@ def test_curvature_can_be_trusted(moves: bool) -> None:
     whole = whole.reshape(N * P, N * P)
     np.testing.assert_allclose(whole, whole.T)
     assert np.linalg.eigvalsh(whole).min() > -1e-6 * np.abs(whole).max()
+
+
+@pytest.mark.parametrize("errors", [METRIC, FREE], ids=["metric", "free"])
+@pytest.mark.parametrize("moves", [False, True], ids=["object", "both"])
+def test_curvature_is_that_of_differences_where_depth_fits(errors: DepthErrors, moves: bool) -> None:
+    """Of all frames together, which the image's errors tie to each other; sizes are the same in all frames."""
+    samples, _, _ = scene(3, noise=0.0)
+    of_object, hand = true_poses(3)
+    one = term(replace(samples, log_z=samples.log_z - 0.05 + 1e-5), errors)
+    P, rng, h = 14 if moves else 7, np.random.default_rng(0), 1e-5
+
+    def at(step: ndarray) -> PosesInCamera:
+        once = np.where(np.arange(14) % 7 == 6, step / N, step)  # ``turned`` adds the frames' sizes up
+        there = turned(of_object, once[:, :7])
+        return with_hand(there, turned(hand, once[:, 7:])) if moves else there
+
+    found = one(at(np.zeros((N, 14))), np.array([np.inf]))
+    assert found.cross is not None
+    H = found.cross[0].copy()
+    for n in range(N):
+        H[n, :, n] += found.H[0, n]
+    for _ in range(5):
+        step = np.zeros((N, 14))
+        step[:, :P] = rng.normal(size=(N, P)) * np.tile([0.1, 0.1, 0.1, 1.0, 1.0, 1.0, 1.0], 2)[:P]
+        step[:, [6, 13]] = step[0, [6, 13]]
+        ahead, here, behind = (one(at(k * h * step), np.array([np.inf])).value.sum() for k in (1.0, 0.0, -1.0))
+        expected = np.einsum("np,npoq,oq->", step[:, :P], H, step[:, :P])
+        assert (ahead - 2.0 * here + behind) / h**2 == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize("moves", [False, True], ids=["object", "both"])
+def test_a_ray_that_misses_costs_as_much_as_its_sample_counts(moves: bool) -> None:
+    """Those of the input hand cost nothing, wherever it is."""
+    samples, of_object, hand = scene(2)
+    samples = replace(samples, input=np.full_like(samples.input, np.nan))
+    there, hand = (replace(body, centre=body.centre + np.array([2.0, 0.0, 0.0])) for body in (of_object, hand))
+    poses = with_hand(there, hand) if moves else there
+    on_object = np.arange(samples.weight.shape[1]) < samples.on_object[:, None]
+    count = samples.weight.sum(where=True if moves else on_object)
+    missed = TAIL**2 * np.log1p((MISSED / (TAIL * METRIC.noise)) ** 2)
+    assert N * term(samples, METRIC).squared_deviations(poses)[0] == pytest.approx(missed * count)
+
+
+@pytest.mark.parametrize("moves", [False, True], ids=["object", "both"])
+def test_depth_without_samples_says_nothing(moves: bool) -> None:
+    samples, of_object, hand = scene(2)
+    none = replace(samples, weight=0.0 * samples.weight, on_object=0 * samples.used, used=0 * samples.used)
+    there = with_hand(of_object, hand) if moves else of_object
+    found = term(none, METRIC)(there, no_bound(there))
+    for array in (found.value, found.g, found.H, found.cross):
+        np.testing.assert_array_equal(array, 0.0)
 
 
 def true_poses(seed: int) -> tuple[PosesInCamera, PosesInCamera]:

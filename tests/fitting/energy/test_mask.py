@@ -17,6 +17,7 @@ from getagrip.fitting.observation import CROP, LEVELS, Observation
 from getagrip.geometry.mesh import Mesh
 from getagrip.kernels.silhouette import pack, unpack
 from helpers import reference_kernels as reference
+from helpers.clips import box
 from helpers.drawn_masks import scene, smooth_energy
 from helpers.terms import MESHES, differences, hypotheses_are_independent, is_trustworthy, moved, random_poses
 
@@ -133,6 +134,22 @@ def test_observed_points_pull_an_object_that_overlaps_nothing() -> None:
     without = coarse(off, no_bound(off)).g[0, 0, :3]
     home = -np.array([1.0, 0.0, 0.0])
     assert -with_coverage @ home > abs(-without @ home)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_observed_points_reach_40_pixels_of_the_level(level: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thin rod beside itself is pulled home from within their reach and from no farther; 64 pixels end before."""
+    monkeypatch.setitem(MESHES, "rod", box(0.12, 0.003, 0.003))
+    term, truth = scene("rod", frames=1)
+    across = np.array([-truth.R[0, 0, 1, 0], truth.R[0, 0, 0, 0], 0.0]) / np.linalg.norm(truth.R[0, 0, :2, 0])
+    pixel = CROP / level * truth.centre[0, 0, 2] / term.observation.K[0, 0]
+    for shift, reached in ((5.0, True), (30.0 if level == 64 else 37.0, True), (46.0, False)):
+        off = moved(truth, np.array([*shift * pixel * across, 0.0, 0.0, 0.0, 0.0]))
+        with_coverage, without = (
+            replace(term, level=level, step=1.0, coverage=weight)(off, no_bound(off)).g[0, 0, :3] @ across
+            for weight in (1.0, 0.0)
+        )
+        assert (with_coverage > without) == reached
 
 
 def test_hypotheses_do_not_know_of_each_other() -> None:

@@ -7,16 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from getagrip.fitting.energy import PosesInCamera, no_bound
+from getagrip.fitting.energy import PosesInCamera, mask_by_shape, no_bound
 from getagrip.fitting.energy.mask import MaskTerm
 from getagrip.fitting.energy.mask_by_shape import MaskByShape
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.subdivide import subdivided
 from getagrip.geometry.warp import Warp
 from helpers.drawn_masks import scene, smooth_energy
+from helpers.parts import callable_part
 from helpers.terms import MESHES, moved
 
 RADIUS = 0.05
+unwarped = callable_part(mask_by_shape._unwarped)
 
 
 def by_shape(which: str, term: MaskTerm) -> MaskByShape:
@@ -48,6 +50,20 @@ def test_a_similarity_by_shape_is_one_by_pose() -> None:
     i, j = [1, 2, 0], [2, 0, 1]
     turned = linear[..., i, j] - linear[..., j, i]  # about the object's own axes
     np.testing.assert_allclose((off.R @ turned[..., None])[..., 0], g[..., 3:6])
+
+
+def test_places_are_traced_back_through_the_warp() -> None:
+    """Within 0.6 % of how far they were carried."""
+    rng, found = np.random.default_rng(0), np.empty(9)
+    for _ in range(20):
+        shape, places = rng.normal(0.0, 0.04, (9, 3)), rng.uniform(-0.6, 0.6, (50, 3))
+        carried = Warp.by(np.zeros(3), 1.0, shape).moved(places)
+        least = 6e-3 * np.abs(carried - places).max()
+        for place, at in zip(places, carried, strict=True):
+            unwarped(at, shape, found)
+            np.testing.assert_allclose(found[:3], place, atol=least)
+            x, y, z = found[:3]
+            np.testing.assert_allclose(found[3:], [x * x, x * y, x * z, y * y, y * z, z * z])
 
 
 @pytest.mark.slow
