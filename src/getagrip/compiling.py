@@ -23,7 +23,7 @@ import numba
 from numba import config, njit, types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
-from getagrip.io import files, locks
+from getagrip.io import files, locks, own_python
 from getagrip.io.user_folders import cache_folder
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ def _compile_side_by_side() -> None:
     with ThreadPoolExecutor(n - 1) as threads:
         ends = [
             threads.submit(
-                subprocess.run, [sys.executable, "-P", "-c", command, *names], env=os.environ | {"PYTHONPATH": paths},
+                subprocess.run, own_python.command("-c", command, *names), env=os.environ | {"PYTHONPATH": paths},
                 stdin=subprocess.DEVNULL, capture_output=True, check=True,
             )
             for names in shares

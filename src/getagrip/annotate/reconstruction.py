@@ -6,7 +6,6 @@ Each runs in a process of its own: the page stays quick meanwhile, and ending on
 from __future__ import annotations
 
 import subprocess
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import isnan
@@ -18,7 +17,7 @@ from getagrip.clip.depth import DEPTH, DepthSource
 from getagrip.clip.depth_sources import DepthReader, add_depth, check_camera
 from getagrip.clip.reading import read_header
 from getagrip.errors import GetagripError, InputError
-from getagrip.io import files
+from getagrip.io import files, own_python
 from getagrip.io.files import Json, shown
 
 CLIPS, RESULTS = "clips", "results"
@@ -130,7 +129,7 @@ def iou_of(result: Path) -> dict[str, float]:
 def run_command(words: Sequence[str], job: BackgroundJob) -> str:
     """Run a command; returns what it printed."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "getagrip", *words],
+        own_python.command("-m", "getagrip", *words),
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace",
     )  # fmt: skip
     while True:

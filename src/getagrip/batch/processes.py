@@ -14,6 +14,7 @@ from typing import Generic, TypeVar
 
 from getagrip.batch.executor import DIES, Ended
 from getagrip.batch.limits import Limits
+from getagrip.io import own_python
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -78,7 +79,7 @@ class _Process(Generic[J, R]):
         spawn = get_context("spawn")  # forked threads and locks of numerical libraries hang
         self.pipe, theirs = spawn.Pipe()
         self.process = spawn.Process(target=_serve, args=(theirs, work, limits, prepare))
-        with _one_thread_each():
+        with _environment():
             self.process.start()
         theirs.close()
         self.pid = self.process.pid or 0
@@ -170,10 +171,11 @@ def _end_with_parent() -> None:
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Have processes that start meanwhile run numba and BLAS on one thread: they read it when they load."""
-    before = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
+def _environment() -> Iterator[None]:
+    """Have processes that start meanwhile run numba and BLAS on one thread, and load nothing of the current folder."""
+    changed = dict.fromkeys(THREADS, "1") | own_python.SAFE
+    before = {name: os.environ.get(name) for name in changed}
+    os.environ.update(changed)
     try:
         yield
     finally:
