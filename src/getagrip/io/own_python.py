@@ -15,6 +15,11 @@ def command(*words: str) -> list[str]:
     return [sys.executable, "-P", *words]
 
 
+def imports_from_here() -> bool:
+    """Return whether this process itself imports from the current folder, as in a notebook: it is the user's own."""
+    return bool({"", os.getcwd()} & {*sys.path})
+
+
 def elsewhere() -> AbstractContextManager[None]:
-    """Leave the current folder for a while, unless this process itself imports from it, as in a notebook."""
-    return nullcontext() if {"", os.getcwd()} & {*sys.path} else chdir(os.sep)
+    """Leave the current folder for a while, unless it is the user's own."""
+    return nullcontext() if imports_from_here() else chdir(os.sep)
