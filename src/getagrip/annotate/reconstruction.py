@@ -22,6 +22,7 @@ from getagrip.io.files import Json, shown
 
 CLIPS, RESULTS = "clips", "results"
 """Folders beside the marks."""
+REPORT = ("report.html", "report.png")
 LONGEST = 1000
 """Characters of a path."""
 LARGEST_MM = 10_000.0
@@ -80,6 +81,18 @@ def shape_of(content: Json) -> Shape:
     return Shape(mesh.strip(), None if size is None else float(size))
 
 
+def report_files(result: Path) -> dict[str, bytes]:
+    """Read the files of a result's report by their names; links are none."""
+    return {
+        path.name: path.read_bytes() for name in REPORT if (path := result / name).is_file() and not path.is_symlink()
+    }
+
+
+def draw_report(result: Path, job: BackgroundJob) -> str:
+    """Write the report of a result. Raises ``GetagripError``, ``CancelledError``."""
+    return run_command(["report", str(result)], job)
+
+
 def result_folder(out: Path, name: str) -> Path:
     """Return the folder of a grasp's result."""
     return out / RESULTS / name
@@ -101,7 +114,7 @@ def reconstruct(
         ("making the clip", lambda: run_command(make, job)),
         ("adding depth", lambda: lost if depth is None else depth.add_to(clip)),
         ("reconstructing", lambda: run_command(solve, job)),
-        ("drawing the report", lambda: run_command(["report", str(result)], job)),
+        ("drawing the report", lambda: draw_report(result, job)),
     ]
     said = []
     for n, (what, work) in enumerate(steps):
