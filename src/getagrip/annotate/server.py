@@ -88,11 +88,11 @@ class Server(QuietServer):
         Without a ``token`` a new one is made.
         """
         self.project, self.token = project, token or secrets.token_urlsafe(18)
-        self.cookie = f"getagrip-{project.name}"
         try:
             super().__init__((LOOPBACK, port), _Handler)
         except (OSError, OverflowError) as error:
             raise UsageError(f"--port must be a free port (got {port}: {error})") from error
+        self.cookie = f"getagrip-{project.name}-{self.server_port}"  # a browser sends cookies to all ports
 
     @property
     def url(self) -> str:
