@@ -6,10 +6,14 @@ a method ``mine`` (docs/extending.md).
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from importlib import metadata
+from threading import current_thread, main_thread
+from types import FrameType
 from typing import Any, Generic, TypeVar
 
 from getagrip.errors import UsageError
@@ -62,6 +66,31 @@ def warn(words: str) -> None:
         terminal.warn(words)
 
 
+@contextmanager
+def tamed() -> Iterator[None]:
+    """Turn what is no ``Exception`` into one, as code of others may raise it; a Ctrl-C stays what it is."""
+    pressed = list[int]()
+
+    def note(number: int, frame: FrameType | None) -> None:
+        pressed.append(number)
+        signal.default_int_handler(number, frame)
+
+    noted = signal.getsignal(signal.SIGINT) is signal.default_int_handler and current_thread() is main_thread()
+    if noted:
+        signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    except (Exception, GeneratorExit):
+        raise
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt) and (pressed or not noted):
+            raise
+        raise RuntimeError(f"{type(error).__name__}: {error}") from error
+    finally:
+        if noted:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 @dataclass(frozen=True)
 class Plugin:
     """An object that other packages name: one of them, if all is right."""
@@ -83,8 +112,9 @@ class Plugin:
         if len(self.entries) > 1:
             raise UsageError(f"{self} have the same name: rename one, or uninstall its package")
         try:
-            return self.entries[0].load()
-        except (Exception, SystemExit) as error:
+            with tamed():
+                return self.entries[0].load()
+        except Exception as error:
             raise UsageError(f"{self} cannot be loaded: {type(error).__name__}: {error}") from error
 
 
