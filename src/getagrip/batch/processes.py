@@ -144,7 +144,7 @@ class _Process(Generic[J, R]):
 
 def _serve(pipe: Connection, work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None) -> None:
     """Do the jobs that come through the pipe, in the process, until it closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is left to the parent, which hands out no more jobs
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # also where signals cannot be blocked
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if prepare is not None:
         prepare()
@@ -172,15 +172,35 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _environment() -> Iterator[None]:
-    """Have processes that start meanwhile run numba and BLAS on one thread, and load nothing of the current folder."""
+    """Have processes that start meanwhile run numba and BLAS on one thread, and load nothing of the current folder.
+
+    They never hear a Ctrl-C, from their first instruction on: it is left to the parent, which hands out no more jobs.
+    """
     changed = dict.fromkeys(THREADS, "1") | own_python.SAFE
     before = {name: os.environ.get(name) for name in changed}
     os.environ.update(changed)
     try:
-        yield
+        with _without_interrupts():
+            yield
     finally:
         for name, value in before.items():
             if value is None:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Block the signal of a Ctrl-C in this thread: processes inherit that, and this one hears of it afterwards."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    from multiprocessing import resource_tracker
+
+    resource_tracker.ensure_running()  # a process of Python's own, whose start would unblock it
+    masked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, masked)

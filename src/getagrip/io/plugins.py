@@ -6,18 +6,15 @@ a method ``mine`` (docs/extending.md).
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from importlib import metadata
-from threading import current_thread, main_thread
-from types import FrameType
 from typing import Any, Generic, TypeVar
 
 from getagrip.errors import UsageError
-from getagrip.io import code, terminal
+from getagrip.io import code, interrupts, terminal
 
 T = TypeVar("T")
 
@@ -69,26 +66,15 @@ def warn(words: str) -> None:
 @contextmanager
 def tamed() -> Iterator[None]:
     """Turn what is no ``Exception`` into one, as code of others may raise it; a Ctrl-C stays what it is."""
-    pressed = list[int]()
-
-    def note(number: int, frame: FrameType | None) -> None:
-        pressed.append(number)
-        signal.default_int_handler(number, frame)
-
-    noted = signal.getsignal(signal.SIGINT) is signal.default_int_handler and current_thread() is main_thread()
-    if noted:
-        signal.signal(signal.SIGINT, note)
+    before = interrupts.times()
     try:
         yield
     except (Exception, GeneratorExit):
         raise
     except BaseException as error:
-        if isinstance(error, KeyboardInterrupt) and (pressed or not noted):
+        if interrupts.is_pressed(error, before):
             raise
         raise RuntimeError(f"{type(error).__name__}: {error}") from error
-    finally:
-        if noted:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @dataclass(frozen=True)

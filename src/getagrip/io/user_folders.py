@@ -51,11 +51,11 @@ def _is_safe(path: Path, last: bool) -> bool:
 
 def _is_private(group: int, owner: int) -> bool:
     """Return whether a group has its owner alone, as where each user has one of the same name."""
-    import grp
-    import pwd
-
     try:
+        import grp
+        import pwd
+
         of, name = grp.getgrgid(group), pwd.getpwuid(owner).pw_name
-    except KeyError:
+    except (ImportError, KeyError):
         return False
     return of.gr_name == name and {*of.gr_mem} <= {name}
