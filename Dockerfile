@@ -1,5 +1,7 @@
 # getagrip and its compiled kernels, without root: docker build -t getagrip .
 # docker run --rm -v "$PWD:/data" -u "$(id -u):$(id -g)" getagrip reconstruct CLIP --out results
+# The image holds copyleft beside MIT: x264 and x265 (GPL) within PyAV, CGAL (GPL) and TetGen (AGPL) within libigl. Whoever
+# passes it on must keep to these licences (docs/tutorial.md).
 FROM python:3.12-slim AS build
 WORKDIR /build
 COPY . .

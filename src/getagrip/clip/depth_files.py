@@ -29,7 +29,7 @@ or 32 pixels."""
 FARTHEST = 20.0
 """Distance beyond which metric depth of hand and object is in another unit [m]."""
 LEAST_UNIT, MOST_UNIT = 1e-12, 1e6
-"""What 1 may stand for [m]."""
+"""Bounds of the length that 1 stands for [m]."""
 SATURATED = 65535
 """No depth in 16-bit images, as 0 is."""
 KEYS = ("scale", "source", "unit", "error")

@@ -27,7 +27,7 @@ from getagrip.io import extras, files, leftovers, locks, numbers
 from getagrip.io.files import Json
 
 STATISTICS = ("min", "max", "mean", "std", "count", *(f"q{round(100 * q):02d}" for q in QUANTILES))
-"""What a record has of each feature that is no text."""
+"""Statistics in a record, of each feature that is no text."""
 
 
 @dataclass

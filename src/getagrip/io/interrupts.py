@@ -1,4 +1,4 @@
-"""Ctrl-C in the program: quiet whenever it comes, and told apart from what code of others raises."""
+"""Interrupts of the program by Ctrl-C: quiet whenever they come, and known from what code of others raises."""
 
 from __future__ import annotations
 
