@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -12,10 +13,9 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from numba import config
 
 from getagrip import compiling
-from getagrip.io import locks
+from getagrip.io import locks, user_folders
 from helpers.paths import ROOT
 
 CODE = """
@@ -84,14 +84,14 @@ def test_a_failure_is_left_to_the_clips(marked: Path, compiles: Callable[..., No
 
 
 def test_the_folder_depends_on_the_kernels_and_on_numba(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     folder = compiling.folder.__wrapped__
     before = folder()
     assert before.parent == tmp_path
     monkeypatch.setattr("numba.__version__", "0.0.0")
     assert folder() != before
     monkeypatch.undo()
-    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     assert folder() == before
     monkeypatch.setattr(compiling, "RARE", compiling.RARE[1:])  # other sources
     assert folder() != before
@@ -128,6 +128,60 @@ def test_a_kernel_is_compiled_once_and_again_where_its_file_is_damaged(tmp_path:
     for path in tmp_path.rglob("closest._spread*.nb?"):
         path.write_bytes(b"no pickle")
     assert [hits(), hits()] == [0, 1]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="other users are told apart in another way")
+@pytest.mark.parametrize("mode", [0o777, 0o770, 0o700])
+def test_kernels_are_not_read_where_others_can_write(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], mode: int
+) -> None:
+    monkeypatch.setattr(user_folders, "_is_private", lambda group, owner: False)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))
+    folder = compiling.folder.__wrapped__
+    mine = folder()
+    mine.parent.chmod(mode)
+    taken = folder()
+    assert (taken == mine) == (mode == 0o700)
+    assert taken.name == mine.name
+    assert folder() == taken  # as the processes that are started now
+    err = capsys.readouterr().err
+    assert err.count("\n") == (mode != 0o700)
+    assert err == "" or "other users can write there" in err
+    if mode != 0o700:
+        shutil.rmtree(taken.parent)
+
+
+def test_a_folder_in_a_sticky_one_is_ours_and_a_link_of_others_is_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    (tmp_path / "link").symlink_to("a")
+    (tmp_path / "a").chmod(0o1777)
+    assert user_folders.is_ours(tmp_path / "link" / "b")
+    assert user_folders.is_ours(tmp_path / "link" / "b" / "new")
+    assert not user_folders.is_ours(tmp_path / "a")
+    (tmp_path / "a").chmod(0o777)
+    assert not user_folders.is_ours(tmp_path / "link" / "b")
+    (tmp_path / "a").chmod(0o755)
+    here = os.lstat
+    owned = {tmp_path / "link": 65534}
+
+    def lstat(path: Path) -> os.stat_result:
+        about = here(path)
+        return os.stat_result((*about[:4], owned.get(Path(path), about.st_uid), *about[5:]))
+
+    monkeypatch.setattr(Path, "lstat", lstat)
+    assert not user_folders.is_ours(tmp_path / "link" / "b")
+    assert user_folders.is_ours(tmp_path / "a" / "b")
+
+
+def test_numba_takes_no_options_from_a_folder_that_was_sent(tmp_path: Path) -> None:
+    (tmp_path / ".numba_config.yaml").write_text("cache_dir: stranger\nopt: 1\n")
+    script = tmp_path.parent / "script.py"
+    script.write_text("from numba import config; import getagrip.compiling; print([config.CACHE_DIR, int(config.OPT)])")
+    env = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    done = subprocess.run([sys.executable, script], cwd=tmp_path, env=env, capture_output=True, text=True, check=True)
+    assert done.stdout == "['', 3]\n"
 
 
 @pytest.mark.compiles

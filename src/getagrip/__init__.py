@@ -12,6 +12,11 @@ The public names and their modules are listed in ``__init__.pyi``. Each is loade
 ``import getagrip`` takes no time.
 """
 
+from getagrip.io import interrupts
+
+if interrupts.is_program():  # before anything else takes time
+    interrupts.while_loading()
+
 import lazy_loader
 
 __version__ = "0.1.0"

@@ -40,6 +40,7 @@ from getagrip.commands.status import Status
 from getagrip.commands.study import Study
 from getagrip.commands.view import View
 from getagrip.errors import GetagripError, UsageError, cleaned, unknown
+from getagrip.io import interrupts
 from getagrip.io.arguments import PATHS
 from getagrip.io.choices import explain_all
 from getagrip.io.terminal import Silence
@@ -116,6 +117,7 @@ def _open_closed_output() -> None:
 def _run(args: Sequence[str]) -> int:
     try:
         command = _parsed(args)
+        interrupts.while_working()
         command.check()
         with redirect_stdout(Silence()) if command.quiet else nullcontext():
             return command.run()
@@ -123,7 +125,7 @@ def _run(args: Sequence[str]) -> int:
         raise
     except KeyboardInterrupt:
         print("interrupted; what was finished is kept", file=sys.stderr)
-        return 130
+        return interrupts.STATUS
     except (GetagripError, OSError) as error:
         if "--debug" in args:
             print(cleaned(traceback.format_exc(), "\n"), file=sys.stderr)

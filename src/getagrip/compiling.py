@@ -6,12 +6,15 @@ Python. There they outlast upgrades and new environments, and a kernel whose sou
 
 from __future__ import annotations
 
+import atexit
 import gc
 import hashlib
 import importlib
 import os
+import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
@@ -23,8 +26,8 @@ import numba
 from numba import config, njit, types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
-from getagrip.io import files, locks
-from getagrip.io.user_folders import cache_folder
+from getagrip.io import files, locks, own_python, plugins
+from getagrip.io.user_folders import cache_folder, is_ours
 
 if TYPE_CHECKING:
     from numba.core.dispatcher import Dispatcher
@@ -61,6 +64,10 @@ by other means, such as the difference of two arrays."""
 WORDS = "kernels are compiled, once for this version: about 15 seconds of one core"
 
 _declared: list[tuple[Dispatcher, str]] = []
+
+if not own_python.imports_from_here():  # numba takes options, as where it reads compiled code, from the current folder
+    config._config_fname = ""
+    config.reload_config()
 
 
 def kernel(arguments: str = "", fastmath: bool = True) -> Callable[[Callable], Dispatcher]:
@@ -136,12 +143,26 @@ def signature(arguments: str) -> tuple[types.Type, ...]:
 
 @cache
 def folder() -> Path:
-    """Return the folder of the compiled kernels: in ``NUMBA_CACHE_DIR``, else in the user's cache."""
+    """Return the folder of the compiled kernels: in ``NUMBA_CACHE_DIR``, else in the user's cache.
+
+    What lies there is run. Where others can write, a folder of this process and of those that it starts is taken.
+    """
     total = hashlib.sha256(repr((numba.__version__, sys.version_info[:2], sys.platform)).encode())
     for name in ("compiling", *(name for group in (*GROUPS, RARE) for name in group)):
         total.update(Path(__file__).parent.joinpath(*name.split(".")).with_suffix(".py").read_bytes())
-    kept = Path(config.CACHE_DIR) if config.CACHE_DIR else cache_folder() / "kernels"
-    return kept / total.hexdigest()[:16]
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    kept = (Path(named) if named else cache_folder() / "kernels") / total.hexdigest()[:16]
+    with suppress(OSError):  # before others make it
+        kept.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if is_ours(kept):
+        return kept
+    plugins.warn(
+        f"{kept}: other users can write there, so compiled kernels are neither read nor kept, and compiled in each "
+        "call; NUMBA_CACHE_DIR names another folder"
+    )
+    os.environ["NUMBA_CACHE_DIR"] = own = tempfile.mkdtemp(prefix="getagrip-kernels-")
+    atexit.register(shutil.rmtree, own, ignore_errors=True)
+    return Path(own) / kept.name
 
 
 def mark_file() -> Path:
@@ -167,7 +188,7 @@ def _compile_side_by_side() -> None:
     with ThreadPoolExecutor(n - 1) as threads:
         ends = [
             threads.submit(
-                subprocess.run, [sys.executable, "-P", "-c", command, *names], env=os.environ | {"PYTHONPATH": paths},
+                subprocess.run, own_python.command("-c", command, *names), env=os.environ | {"PYTHONPATH": paths},
                 stdin=subprocess.DEVNULL, capture_output=True, check=True,
             )
             for names in shares

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
-from getagrip.annotate import labels
+from getagrip.annotate import labels, reconstruction
 from getagrip.annotate.server import LARGEST_BODY, Server
 from helpers.annotation_page import ask
 from helpers.clicking import FIRST, LAST, TAB, VIDEO, Clicking, new
@@ -38,6 +39,39 @@ def test_labels_over_http(server: Server, clicking: Clicking) -> None:
     assert (status, image[:2]) == (200, b"\xff\xd8")
     status, _, answer = ask(server, "/api/unlabel", clicking.about | {"change": new(), "tab": TAB})
     assert (json.loads(answer)["undone"], json.loads(answer)["frame"]) == (True, 4)
+
+
+def test_a_report_is_one_that_was_drawn_here(
+    server: Server, clicking: Clicking, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project, drawn = clicking.project, list[Path]()
+    result = project.labelling.out / "results" / project._grasp(clicking.about).name
+    where = "&".join(f"{key}={value}" for key, value in clicking.about.items())
+
+    def draw(folder: Path, job: object) -> str:
+        drawn.append(folder)
+        for name in reconstruction.REPORT:
+            (folder / name).unlink(missing_ok=True)  # a link is replaced
+            (folder / name).write_text("ours")
+        return ""
+
+    monkeypatch.setattr(reconstruction, "draw_report", draw)
+    assert ask(server, f"/report.html?{where}")[0] == 409
+    assert not result.exists()
+    result.mkdir(parents=True)
+    (result / "result.json").touch()
+    (result / "report.html").write_text("<script>a stranger's</script>")
+    (tmp_path / "secret").write_text("secret")
+    (result / "report.png").symlink_to(tmp_path / "secret")
+    for name in ("report.html", "report.png", "report.html"):
+        status, head, content = ask(server, f"/{name}?{where}")
+        assert (status, content) == (200, b"ours")
+        assert "sandbox allow-scripts" in head["Content-Security-Policy"]
+        assert "allow-same-origin" not in head["Content-Security-Policy"]
+    assert drawn == [result]
+    result.rename(tmp_path / "moved")
+    result.symlink_to(tmp_path / "moved")
+    assert ask(server, f"/report.html?{where}")[0] == 400
 
 
 @pytest.mark.slow

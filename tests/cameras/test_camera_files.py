@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from contextlib import suppress
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from getagrip.cameras import CameraPath, read_path
 from getagrip.clip import read_clip, write_clip
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
+from getagrip.io import arrays
 from helpers.camera_files import FX, WRITERS, kitti, known, tum
 from helpers.clips import small_clip
 from helpers.command_line import Run
@@ -73,6 +75,45 @@ def test_poses_with_times(tmp_path: Path) -> None:
         found.at(["000004", "000005"], np.array([0.1, 0.2]), None)
     with pytest.raises(InputError, match="is --start right"):
         found.at(["000004", "000005"], np.array([0.1, 0.2]), 60.0)
+
+
+@pytest.mark.parametrize("source", WRITERS)
+@pytest.mark.parametrize("number", ["0", "-1e308", "1e400", "9" * 400, "nan", "[" * 5000])
+def test_impossible_numbers_are_refused_in_a_line(tmp_path: Path, source: str, number: str) -> None:
+    """In place of every number of a text, one after the other: an error that names the file, or another path."""
+    place = WRITERS[source][0](tmp_path, known())
+    for path in sorted(one for one in tmp_path.rglob("*") if one.is_file() and one.suffix not in (".bin", ".npz")):
+        content = path.read_text()
+        found = list(re.finditer(r"-?\d+\.?\d*(e[-+]?\d+)?", content))
+        for one in (*found[:16], *found[-16:]):
+            path.write_text(content[: one.start()] + number + content[one.end() :])
+            with suppress(InputError, UsageError):
+                read_path(place)
+        path.write_text(content)
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("1 EVIL 640 480 600 600 320 240", "a camera EVIL of 4 parameters"),
+        ("1 PINHOLE 640 480 600 600 320", "a camera PINHOLE of 3 parameters"),
+        ("1 PINHOLE 0 0 600 600 320 240", "a size in pixels"),
+        ("1 PINHOLE 640 480 nan 600 320 240", "focal lengths above 0"),
+        ("1 PINHOLE 640 480 -600 600 320 240", "focal lengths above 0"),
+    ],
+)
+def test_impossible_cameras_are_refused(tmp_path: Path, line: str, says: str) -> None:
+    place = WRITERS["COLMAP, text"][0](tmp_path, known())
+    next(tmp_path.rglob("cameras.txt")).write_text(f"{line}\n")
+    with pytest.raises(InputError, match=says):
+        read_path(place)
+
+
+def test_numbers_of_images_below_0_are_refused(tmp_path: Path) -> None:
+    place = WRITERS["ViPE"][0](tmp_path, known())
+    arrays.write(tmp_path / "pose" / "video.npz", {"data": known(), "inds": -np.arange(1, 6)})
+    with pytest.raises(InputError, match="inds must be a number from 0 on for each pose"):
+        read_path(place)
 
 
 def test_what_nobody_knows_is_refused(tmp_path: Path) -> None:

@@ -208,3 +208,47 @@ def test_the_field_of_view_in_arrays_is_compared_and_the_advice_fits_the_scale(
             np.savez(tmp_path / "made" / f"{name}.npz", depth=z.astype(np.float32), fov=np.float32(fov))
         assert run(clip, tmp_path / "made", "unidepth", "--scale", scale, "--overwrite") == status
         assert (words in capsys.readouterr().err) == (status == 3)
+
+
+def test_a_first_image_without_depth_costs_the_others_no_digits(tmp_path: Path, clip: Path) -> None:
+    (tmp_path / "made").mkdir()
+    path = unidepth(tmp_path / "made")
+    np.save(path, np.concatenate([np.zeros_like(Z[:1]), Z[1:]]).astype(np.float32))
+    assert run(clip, path, "unidepth") == 0
+    found = z_of(clip)
+    np.testing.assert_allclose(found[found > 0.0], Z[found > 0.0], atol=6e-4)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "more", "says"),
+    [
+        ([1e300 * Z[0]], (), "distances about"),
+        ([Z[0], 1e306 * Z[0]], (), "overflow"),
+        ([Z[0]], ("--unit", "1e-300"), "--unit must be metres"),
+        ([Z[0]], ("--unit", "nan"), "--unit must be metres"),
+        ([Z[0], np.repeat(np.repeat(Z[0], 2, 0), 2, 1)], (), "size must be 32 x 24, as the first image"),
+        ([Z[0].astype(np.complex64)], (), "numbers of shape (height, width)"),
+    ],
+)
+def test_impossible_distances_units_and_sizes_are_refused(
+    tmp_path: Path,
+    clip: Path,
+    capsys: pytest.CaptureFixture[str],
+    arrays: list[ndarray],
+    more: tuple[str, ...],
+    says: str,
+) -> None:
+    (tmp_path / "made").mkdir()
+    for name, array in zip(NAMES, arrays, strict=False):
+        np.save(tmp_path / "made" / f"{name}.npy", array)
+    status = run(clip, tmp_path / "made", "unidepth", *more)
+    err = capsys.readouterr().err
+    assert status in (1, 2)
+    assert says in err
+    assert not (clip / DEPTH).exists()
+
+
+def test_numbers_of_frames_below_0_are_refused(tmp_path: Path, clip: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.savez(tmp_path / "d.npz", depth=Z, frames=[-2, -1, 0])
+    assert run(clip, tmp_path / "d.npz", "unidepth") == 1
+    assert "frames must be 3 names or numbers of frames" in capsys.readouterr().err

@@ -8,6 +8,7 @@ import signal
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -158,6 +159,65 @@ def test_two_processes_add_to_one_dataset(scene: Scene, tmp_path: Path) -> None:
         rows["task_index"][~np.isin(rows["episode_index"], mugs)]
     )
     assert {path.name for path in folder.iterdir()} == {"data", "meta"}
+
+
+def in_info(change: Callable[[dict[str, Any]], object]) -> Callable[[Path], object]:
+    def damage(folder: Path) -> None:
+        content = json.loads((folder / "meta" / "info.json").read_text())
+        change(content)
+        (folder / "meta" / "info.json").write_text(json.dumps(content))
+
+    return damage
+
+
+def in_record(change: Callable[[dict[str, Any]], object], rows: int = 1) -> Callable[[Path], object]:
+    def damage(folder: Path) -> None:
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        (path,) = folder.glob("meta/episodes/*/*.parquet")
+        (record,) = parquet.read_table(path).to_pylist()
+        change(record)
+        parquet.write_table(pa.table({key: [value] * rows for key, value in record.items()}), path)
+
+    return damage
+
+
+DAMAGES: dict[str, Callable[[Path], object]] = {
+    "no rate": in_info(lambda info: info.pop("fps")), "no features": in_info(lambda info: info.pop("features")),
+    "a rate in words": in_info(lambda info: info.update(fps="30")),
+    "a count below 0": in_info(lambda info: info.update(total_episodes=-1)),
+    "another count": in_info(lambda info: info.update(total_episodes=2)),
+    "a feature without a shape": in_info(lambda info: info["features"]["action"].pop("shape")),
+    "another feature": in_info(lambda info: info["features"].update(force={"dtype": "float32", "shape": [3]})),
+    "no statistic": in_record(lambda record: record.pop("stats/action/mean")),
+    "a statistic in words": in_record(lambda record: record.update({"stats/action/mean": ["a"]})),
+    "a shorter statistic": in_record(lambda record: record["stats/action/mean"].pop()),
+    "a missing number": in_record(lambda record: record["stats/action/mean"].__setitem__(0, None)),
+    "no task": in_record(lambda record: record.pop("tasks")),
+    "no length": in_record(lambda record: record.pop("length")),
+    "another end": in_record(lambda record: record.update(dataset_to_index=1000)),
+    "two rows": in_record(lambda record: None, rows=2),
+    "no record": lambda folder: next(folder.glob("meta/episodes/*/*.parquet")).unlink(),
+    "no data": lambda folder: next(folder.glob("data/*/*.parquet")).unlink(),
+    "half a record": lambda folder: (path := next(folder.glob("meta/episodes/*/*.parquet"))).write_bytes(
+        path.read_bytes()[:500]),
+    "more data": lambda folder: (folder / "data" / "chunk-000" / "file-007.parquet").touch(),
+    "no description": lambda folder: (
+        (folder / "meta" / "info.json").unlink(), (folder / "data" / "chunk-000" / "file-001.parquet").touch()),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_dataset_is_refused_and_stays_as_it_is(scene: Scene, tmp_path: Path, damage: str) -> None:
+    folder = tmp_path / "set"
+    Dataset.of(folder).add(named(scene, "a"))
+    DAMAGES[damage](folder)
+    before = {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+    with pytest.raises(InputError) as caught:
+        Dataset.of(folder).add(named(scene, "bb"))
+    assert str(caught.value).startswith(str(folder))
+    assert {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()} == before
 
 
 def test_what_does_not_belong_is_refused(scene: Scene, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import trimesh
 
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.fitting.energy import Quadratic
+from getagrip.fitting.energy.term import PosesInCamera
 from getagrip.fitting.motion import Fixed
 from getagrip.fitting.options import Options
 from getagrip.fitting.schedule import FAR, NEAR, Rotations, Schedule, Stage

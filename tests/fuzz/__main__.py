@@ -39,13 +39,19 @@ class TimeUp(BaseException):
     """Ends a turn; no ``Exception``, which hypothesis would take for a finding."""
 
 
-def turn(place: Seed, number: int, known: set[str]) -> tuple[int, tuple[Finding, Changes] | None]:
-    """Try cases for some seconds; how many, and one that goes wrong in a way not ``known``, made small."""
-    end, tried = time.monotonic() + TURN, 0
+def turn(
+    place: Seed, number: int, known: set[str], cases: int | None = None
+) -> tuple[int, tuple[Finding, Changes] | None]:
+    """Try cases for some seconds, or a number of ``cases``.
+
+    Returns how many were tried, and one that goes wrong in a way not ``known``, made small.
+    """
+    end, tried = time.monotonic() + (TURN if cases is None else float("inf")), 0
     best: tuple[Finding, Changes] | None = None
 
     @settings(
-        max_examples=100, database=None, deadline=None, phases=(Phase.generate, Phase.shrink), print_blob=False,
+        max_examples=cases or 100, database=None, deadline=None, phases=(Phase.generate, Phase.shrink),
+        print_blob=False,
         suppress_health_check=list(HealthCheck), report_multiple_bugs=False,
     )  # fmt: skip
     @given(changes(place.changeable))
@@ -63,7 +69,7 @@ def turn(place: Seed, number: int, known: set[str]) -> tuple[int, tuple[Finding,
             best = found, case
         raise WrongError
 
-    for round_ in count():
+    for round_ in count() if cases is None else range(1):
         try:
             seed(1000 * number + round_)(attempt)()
         except (WrongError, Flaky, TimeUp):  # Flaky: it goes wrong now and then
@@ -79,7 +85,8 @@ def _size(case: Changes) -> int:
 def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="make fuzz", description=__doc__)
     parser.add_argument("--minutes", type=float, default=5.0)
-    parser.add_argument("--turns", type=int, default=None, help="of each reader, however long they take, not --minutes")
+    parser.add_argument("--turns", type=int, default=None, help="of each reader, in place of --minutes")
+    parser.add_argument("--cases", type=int, default=None, help=f"of a turn (default: as many as take {TURN:g} s)")
     parser.add_argument("--only", choices=[*READERS], action="append", help="these readers alone")
     parser.add_argument("--seed", type=int, default=None, help="(default: the time)")
     wanted = parser.parse_args(arguments)
@@ -103,7 +110,7 @@ def main(arguments: list[str]) -> int:
                     print(f"seed {first}: {total} cases of {len(tried)} readers, {found} findings")
                     print(", ".join(f"{name} {n}" for name, n in tried.items()))
                     return int(found > 0)
-                n, wrongly = turn(place, number, known[name])
+                n, wrongly = turn(place, number, known[name], wanted.cases)
                 tried[name] += n
                 if wrongly is not None:
                     found += 1

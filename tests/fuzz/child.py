@@ -20,7 +20,7 @@ from typing import Any
 from getagrip.errors import GetagripError
 
 SECONDS, MEGABYTES = 10.0, 1200
-"""Limits of a case: small inputs take milliseconds. Arrays of a file may have 512 MB, and be copied once."""
+"""Limits of a case, of processor time and memory: small inputs take milliseconds. Arrays of a file may have 512 MB, and be copied once."""
 CASES = 200
 """Of one process."""
 Read = Callable[[Path], object]
@@ -55,7 +55,7 @@ class Child:
         found: Finding | None
         try:
             self._pipe.send(None)
-            if self._pipe.poll(seconds):
+            if self._answers(seconds):
                 found = self._pipe.recv()
             else:
                 found = Finding(f"not done after {seconds:g} s", _stack(self._process.pid))
@@ -65,6 +65,14 @@ class Child:
         if found is not None or self._cases >= CASES:
             self.close()
         return found
+
+    def _answers(self, seconds: float) -> bool:
+        """Whether the process answers in so many seconds of a processor, or ten times as many on the wall."""
+        end, most = time.monotonic() + 10.0 * seconds, _spent(self._process.pid) + seconds
+        while not self._pipe.poll(min(seconds, 1.0)):
+            if time.monotonic() > end or _spent(self._process.pid) > most:
+                return False
+        return True
 
     def close(self) -> None:
         """End the process; another ``attempt`` starts a new one."""
@@ -84,6 +92,12 @@ class Child:
             self._process.start()
         theirs.close()
         self._cases = 0
+
+
+def _spent(pid: int) -> float:
+    """The processor time of a process [s]: others may keep the machine busy."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _stack_file(pid: int) -> Path:

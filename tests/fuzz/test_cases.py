@@ -35,6 +35,16 @@ def test_what_was_found_is_read_or_refused(case: Path, tmp_path: Path) -> None:
     assert found is None, f"{found.what}\n{found.details}"
 
 
+@pytest.mark.parametrize("name", READERS)
+@pytest.mark.slow
+def test_each_reader_has_a_turn(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of few cases, the same each time: it shows that ``make fuzz`` starts."""
+    monkeypatch.setattr(corpus, "CASES", tmp_path)
+    assert command.main(["--only", name, "--turns", "1", "--cases", "1", "--seed", "1"]) == 0, capsys.readouterr().out
+
+
 def refuses(folder: Path) -> None:
     raise InputError(folder, "", "nothing", "something")
 

@@ -21,6 +21,7 @@ from getagrip.experiments.hand_sources import HandSource, WithHands
 from getagrip.fitting.options import Options
 from getagrip.io import arrays
 from getagrip.pages.report import write_page
+from getagrip.pictures.shown import View
 from getagrip.result import SegmentResult, read_record, write_result
 from getagrip.segmentation.found import find_segments
 from getagrip.timelines.reconstruct import reconstruct

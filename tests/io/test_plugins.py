@@ -57,6 +57,7 @@ def test_names_are_known_and_objects_loaded_when_asked_for(install: Install, tmp
     [
         ("import nowhere", "ModuleNotFoundError: No module named 'nowhere'"),
         ("raise SystemExit(3)", "SystemExit: 3"),
+        ("class Stop(BaseException): pass\nraise Stop('here')", "Stop: here"),
         ("1 / 0", "ZeroDivisionError"),
         ("", "has no attribute 'TWELVE'"),
         ("TWELVE = 'dozen'", "must be an int (got 'dozen')"),

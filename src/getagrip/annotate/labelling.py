@@ -9,6 +9,7 @@ from contextlib import closing
 from dataclasses import asdict, replace
 from hashlib import sha256
 from pathlib import Path
+from threading import Lock
 from uuid import uuid4
 
 import numpy as np
@@ -48,6 +49,8 @@ class Labelling:
         self.lens = lens if lens.is_set else Lens(guess_focal=True)
         self._found: dict[Path, FoundHands] = {}
         self._iou: dict[str, tuple[object, dict[int, float]]] = {}  # of results, and the inputs of their drafts
+        self._reports: set[str] = set()  # checksums of the files of reports that were written here
+        self._reporting = Lock()
         self.background = Background()
 
     def found(self, grasp: Grasp) -> FoundHands:
@@ -158,7 +161,9 @@ class Labelling:
         self.write(grasp, value, job)
         words = clip_words(value, self.out / grasp.name, str(grasp.path), self._segments(grasp))
         said = reconstruction.reconstruct(words, shape, self.out, grasp.name, job, self.depth)
-        iou = reconstruction.iou_of(reconstruction.result_folder(self.out, grasp.name))
+        result = reconstruction.result_folder(self.out, grasp.name)
+        self._reports |= {*map(_sum, reconstruction.report_files(result).values())}
+        iou = reconstruction.iou_of(result)
         names = {grasp.footage.name(n): n for n in range(value.first, value.last + 1)}
         self._iou[grasp.mark.mark] = basis, {names[name]: x for name, x in iou.items() if name in names}
         return said
@@ -173,11 +178,22 @@ class Labelling:
         return bool(files.read_any_json(written) == now)
 
     def result_file(self, grasp: Grasp, name: str) -> bytes:
-        """Return the report of the grasp's result. Raises ``RefusedError`` where there is none."""
-        path = reconstruction.result_folder(self.out, grasp.name) / name
-        if not path.is_file():
+        """Return a file of the report of the grasp's result, as it was written here.
+
+        One that was not is drawn anew: it may be a stranger's. Raises ``RefusedError`` where there is no result,
+        ``GetagripError`` with what is wrong with it, or where a link takes its place.
+        """
+        result = reconstruction.result_folder(self.out, grasp.name)
+        if not (result / "result.json").is_file():
             raise RefusedError("there is no result of this grasp yet")
-        return path.read_bytes()
+        files.folder_inside(self.out, reconstruction.RESULTS, grasp.name)
+        with self._reporting:
+            found = reconstruction.report_files(result)
+            if name not in found or _sum(found[name]) not in self._reports:
+                reconstruction.draw_report(result, BackgroundJob("report"))
+                found = reconstruction.report_files(result)
+                self._reports |= {*map(_sum, found.values())}
+        return found[name]
 
     def write(self, grasp: Grasp, value: Labels, job: BackgroundJob) -> str:
         """Write ``labels-<name>.json``, and ``<name>/`` with hand and masks; the command that makes a clip of them.
@@ -302,6 +318,10 @@ class Labelling:
         if wrong is not None:
             raise wrong
         return ""
+
+
+def _sum(content: bytes) -> str:
+    return sha256(content).hexdigest()
 
 
 def _word(*content: object) -> str:

@@ -6,7 +6,6 @@ Each runs in a process of its own: the page stays quick meanwhile, and ending on
 from __future__ import annotations
 
 import subprocess
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import isnan
@@ -18,11 +17,12 @@ from getagrip.clip.depth import DEPTH, DepthSource
 from getagrip.clip.depth_sources import DepthReader, add_depth, check_camera
 from getagrip.clip.reading import read_header
 from getagrip.errors import GetagripError, InputError
-from getagrip.io import files
+from getagrip.io import files, own_python
 from getagrip.io.files import Json, shown
 
 CLIPS, RESULTS = "clips", "results"
 """Folders beside the marks."""
+REPORT = ("report.html", "report.png")
 LONGEST = 1000
 """Characters of a path."""
 LARGEST_MM = 10_000.0
@@ -81,6 +81,18 @@ def shape_of(content: Json) -> Shape:
     return Shape(mesh.strip(), None if size is None else float(size))
 
 
+def report_files(result: Path) -> dict[str, bytes]:
+    """Read the files of a result's report by their names; links are none."""
+    return {
+        path.name: path.read_bytes() for name in REPORT if (path := result / name).is_file() and not path.is_symlink()
+    }
+
+
+def draw_report(result: Path, job: BackgroundJob) -> str:
+    """Write the report of a result. Raises ``GetagripError``, ``CancelledError``."""
+    return run_command(["report", str(result)], job)
+
+
 def result_folder(out: Path, name: str) -> Path:
     """Return the folder of a grasp's result."""
     return out / RESULTS / name
@@ -102,7 +114,7 @@ def reconstruct(
         ("making the clip", lambda: run_command(make, job)),
         ("adding depth", lambda: lost if depth is None else depth.add_to(clip)),
         ("reconstructing", lambda: run_command(solve, job)),
-        ("drawing the report", lambda: run_command(["report", str(result)], job)),
+        ("drawing the report", lambda: draw_report(result, job)),
     ]
     said = []
     for n, (what, work) in enumerate(steps):
@@ -130,7 +142,7 @@ def iou_of(result: Path) -> dict[str, float]:
 def run_command(words: Sequence[str], job: BackgroundJob) -> str:
     """Run a command; returns what it printed."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "getagrip", *words],
+        own_python.command("-m", "getagrip", *words),
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace",
     )  # fmt: skip
     while True:

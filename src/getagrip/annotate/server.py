@@ -69,6 +69,8 @@ FILES = {"/grasps.csv": "csv", "/grasps.json": "json", "/segments.json": "segmen
 """Paths of files with an annotator's marks."""
 REPORTS = {"/report.png": "image/png", "/report.html": "text/html; charset=utf-8"}
 """Paths of the files of a grasp's result."""
+OF_REPORT = {"Content-Security-Policy": f"{OF_PAGE['Content-Security-Policy']}; sandbox allow-scripts"}
+"""Headers of a report: its scripts run as those of another site, so that they reach neither marks nor cookies."""
 OF_SCRIPTS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'"
 }
@@ -86,11 +88,11 @@ class Server(QuietServer):
         Without a ``token`` a new one is made.
         """
         self.project, self.token = project, token or secrets.token_urlsafe(18)
-        self.cookie = f"getagrip-{project.name}"
         try:
             super().__init__((LOOPBACK, port), _Handler)
         except (OSError, OverflowError) as error:
             raise UsageError(f"--port must be a free port (got {port}: {error})") from error
+        self.cookie = f"getagrip-{project.name}-{self.server_port}"  # a browser sends cookies to all ports
 
     @property
     def url(self) -> str:
@@ -222,7 +224,7 @@ class _Handler(Handler):
             self._send_file(text, "json", name)
         elif url.path in REPORTS:
             name = url.path.removeprefix("/")
-            self.send(project.result_file(asked, name), REPORTS[url.path], OF_PAGE)
+            self.send(project.result_file(asked, name), REPORTS[url.path], OF_REPORT)
         elif url.path in FILES:
             text = project.exported(FILES[url.path], asked.get("annotator"))
             self._send_file(text, url.path.rpartition(".")[2], f"{asked.get('annotator')}-{url.path[1:]}")

@@ -20,7 +20,7 @@ from getagrip.clip.reading import read_header
 from getagrip.datasets.dataset import Dataset, Draft, Part
 from getagrip.errors import InputError, UsageError
 from getagrip.grasps import lists
-from getagrip.io import files, leftovers
+from getagrip.io import files, leftovers, plugins
 from getagrip.io.terminal import counted, report
 
 WARNED = 3
@@ -147,7 +147,8 @@ def import_part(job: ImportJob) -> Imported:
 
 def _write(draft: Draft, folder: Path) -> Clip | None:
     """Write a clip and return it; None where nothing is left of it. Raises as ``Draft.make`` does."""
-    made = draft.make()
+    with plugins.tamed():
+        made = draft.make()
     if made is None:
         return None
     clip, masks = made

@@ -12,6 +12,7 @@ from getagrip.batch.validity import good_result, made_by
 from getagrip.clip import input_sha256, read_clip
 from getagrip.errors import GetagripError, InputError, cleaned
 from getagrip.finding import Finding
+from getagrip.io import plugins
 from getagrip.io.own_code import place
 from getagrip.probability import Probability
 from getagrip.result import Reconstruction, write_result
@@ -134,7 +135,8 @@ def _reconstructed(job: Job, progress: Progress | None) -> tuple[Reconstruction,
     from getagrip.timelines.reconstruct import reconstruct
 
     before = input_sha256(job.clip)
-    result = reconstruct(read_clip(job.clip), None, job.options, progress, job.threads)
+    with plugins.tamed():
+        result = reconstruct(read_clip(job.clip), None, job.options, progress, job.threads)
     if input_sha256(job.clip) != before:
         raise InputError(job.clip, "", "files that changed while they were read", "a clip that stays as it is")
     return result, before

@@ -21,7 +21,7 @@ from getagrip.batch.executor import DIES, TRIES, Ended, Submitted, check_code, c
 from getagrip.batch.limits import Limits
 from getagrip.batch.processes import Processes
 from getagrip.errors import UsageError
-from getagrip.io import extras, plugins
+from getagrip.io import extras, own_python, plugins
 from getagrip.io.terminal import report
 
 J = TypeVar("J")
@@ -54,7 +54,8 @@ class RayExecutor(Generic[J, R]):
         self._ray = extras.load("ray", "ray", "--engine ray")
         self._ours = not self._ray.is_initialized()
         if self._ours:
-            _connect(self._ray, workers, address or os.environ.get("RAY_ADDRESS"))
+            with own_python.elsewhere():  # Ray puts the current folder onto the path of its workers
+                _connect(self._ray, workers, address or os.environ.get("RAY_ADDRESS"))
         self._workers = workers
         task = self._ray.remote(num_cpus=1, max_retries=0)(_do)
         how = self._ray.put((work, limits, prepare, plugins.fingerprint(), os.getcwd()))

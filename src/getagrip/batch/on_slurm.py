@@ -8,6 +8,7 @@ that all machines see: it is the user's own, nobody else may write there.
 from __future__ import annotations
 
 import math
+import shlex
 import shutil
 import time
 from collections.abc import Callable
@@ -19,7 +20,7 @@ from getagrip.batch.executor import DIES, TRIES, Ended, Submitted, check_code, s
 from getagrip.batch.limits import Limits
 from getagrip.batch.processes import Processes
 from getagrip.errors import GetagripError, UsageError
-from getagrip.io import extras, plugins
+from getagrip.io import extras, own_python, plugins
 from getagrip.io.terminal import report
 from getagrip.io.user_folders import state_folder
 
@@ -57,7 +58,9 @@ class SlurmExecutor(Generic[J, R]):
         self._folder = state_folder() / "slurm" / uuid4().hex[:12]
         self._folder.mkdir(parents=True, mode=0o700)
         seconds = BUNDLE * limits.seconds + 600.0 if limits.seconds else HOURS * 3600.0
-        self._executor = submitit.AutoExecutor(folder=self._folder, cluster="slurm")
+        self._executor = submitit.AutoExecutor(
+            folder=self._folder, cluster="slurm", slurm_python=shlex.join(own_python.command())
+        )
         self._executor.update_parameters(
             name="getagrip", cpus_per_task=1, timeout_min=math.ceil(seconds / 60.0),
             mem_gb=math.ceil((limits.gigabytes or MEMORY) + 1.0),

@@ -14,6 +14,7 @@ from typing import Generic, TypeVar
 
 from getagrip.batch.executor import DIES, Ended
 from getagrip.batch.limits import Limits
+from getagrip.io import own_python
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -78,7 +79,7 @@ class _Process(Generic[J, R]):
         spawn = get_context("spawn")  # forked threads and locks of numerical libraries hang
         self.pipe, theirs = spawn.Pipe()
         self.process = spawn.Process(target=_serve, args=(theirs, work, limits, prepare))
-        with _one_thread_each():
+        with _environment():
             self.process.start()
         theirs.close()
         self.pid = self.process.pid or 0
@@ -143,7 +144,7 @@ class _Process(Generic[J, R]):
 
 def _serve(pipe: Connection, work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None) -> None:
     """Do the jobs that come through the pipe, in the process, until it closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is left to the parent, which hands out no more jobs
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # also where signals cannot be blocked
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if prepare is not None:
         prepare()
@@ -170,15 +171,36 @@ def _end_with_parent() -> None:
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Have processes that start meanwhile run numba and BLAS on one thread: they read it when they load."""
-    before = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
+def _environment() -> Iterator[None]:
+    """Have processes that start meanwhile run numba and BLAS on one thread, and load nothing of the current folder.
+
+    They never hear a Ctrl-C, from their first instruction on: it is left to the parent, which hands out no more jobs.
+    """
+    changed = dict.fromkeys(THREADS, "1") | own_python.SAFE
+    before = {name: os.environ.get(name) for name in changed}
+    os.environ.update(changed)
     try:
-        yield
+        with _without_interrupts():
+            yield
     finally:
         for name, value in before.items():
             if value is None:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Block the signal of a Ctrl-C in this thread: processes inherit that, and this one hears of it afterwards."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    from multiprocessing import resource_tracker
+
+    resource_tracker.ensure_running()  # a process of Python's own, whose start would unblock it
+    masked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, masked)

@@ -11,6 +11,7 @@ from pathlib import Path
 from getagrip.cameras import colmap, phones, slam
 from getagrip.cameras.camera_path import CameraPath
 from getagrip.errors import InputError, UsageError
+from getagrip.io import numbers
 
 __all__ = ["FORMATS", "CameraPath", "read_path"]
 
@@ -34,7 +35,8 @@ def read_path(path: Path) -> CameraPath:
     """
     if not path.exists():
         raise InputError(path, "", "no such file or folder", "a camera's path")
-    found = {name: one for name, read in FORMATS.items() if (one := read(path)) is not None}
+    with numbers.guarded(path):
+        found = {name: one for name, read in FORMATS.items() if (one := read(path)) is not None}
     if len(found) > 1:
         raise UsageError(f"{path}: may be of several programs ({', '.join(found)}); name the file")
     if not found:

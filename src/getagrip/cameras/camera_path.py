@@ -41,6 +41,12 @@ class Pinhole(NamedTuple):
         """Make it from focal lengths and principal point [px]."""
         return Pinhole(np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), size, distorted)
 
+    @property
+    def is_possible(self) -> bool:
+        """True if all numbers are finite, and focal lengths and size are above 0."""
+        focal = self.K[..., [0, 1], [0, 1]]
+        return bool(np.isfinite(self.K).all() and focal.min() > 0.0 and (self.size is None or min(self.size) > 0))
+
     def resized(self, size: tuple[int, int]) -> Float[ndarray, "3 3"]:
         """Return the intrinsics of the same images at another size; without a size of its own, as they are."""
         zoom = np.ones(2) if self.size is None else np.array(size) / self.size
@@ -77,6 +83,9 @@ class CameraPath(ArrayData):
         off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(initial=0.0)
         if not len(R) or not np.isfinite(self.T_world_cam).all() or off > 1e-2 or np.linalg.det(R).min() < 0.0:
             raise InputError(self.path, "", f"{len(R)} poses, {off:.2g} off rigid ones", "rigid poses of a camera")
+        if self.pinhole is not None and not self.pinhole.is_possible:
+            got = f"K {self.pinhole.K.tolist()} of images {self.pinhole.size}"
+            raise InputError(self.path, "camera", got, "one with focal lengths above 0 and a size in pixels")
 
     def scaled(self, metres: float) -> CameraPath:
         """Return the path with a length of ``metres`` for each unit."""

@@ -98,7 +98,9 @@ def _path(source: str, path: Path, images: list[Image], pinholes: dict[int, Pinh
 
 
 def _pinhole(model: str, size: tuple[int, int], params: list[float]) -> Pinhole:
-    """Convert a camera's parameters."""
+    """Convert a camera's parameters. Raises ``ValueError`` for a model that is not COLMAP's."""
+    if (model, len(params)) not in MODELS.values():
+        raise ValueError(f"a camera {files.plain(model)} of {len(params)} parameters")
     if model in ONE_FOCAL:
         f, cx, cy, *rest = params
         return Pinhole.of(f, f, cx, cy, size, any(rest) or "FISHEYE" in model)

@@ -81,7 +81,7 @@ def _camera_on_device(path: Path) -> Float[ndarray, "4 4"]:
     return se3.rigid(se3.from_quaternion(q), t)
 
 
-def _row(path: Path, content: Json, key: str, count: int) -> Float[ndarray, "count"]:
+def _row(path: Path, content: Json, key: str, count: int) -> Float[ndarray, "n"]:
     try:
         values = np.array(content[key], dtype=float)
     except (ValueError, TypeError):

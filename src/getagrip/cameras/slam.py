@@ -81,9 +81,10 @@ def _record(path: Path) -> dict[str, Shaped[ndarray, "..."]]:
 
 
 def _inds(path: Path, record: dict[str, Shaped[ndarray, "..."]]) -> list[int]:
-    inds = record.get("inds")
-    if inds is None or inds.ndim != 1 or inds.dtype.kind not in "iu" or len(inds) != len(record["data"]):
-        raise InputError(path, "inds", "no such array" if inds is None else str(inds.shape), "a number for each pose")
+    inds = arrays.names(record.get("inds"))
+    if inds is None or inds.dtype.kind not in "iu" or len(inds) != len(record["data"]):
+        got = files.shown(record["inds"]) if "inds" in record else "no such array"
+        raise InputError(path, "inds", got, "a number from 0 on for each pose")
     return [int(n) for n in inds]
 
 

@@ -82,8 +82,9 @@ def examine(checks: Iterable[Check], it: Evidence) -> tuple[dict[str, float], tu
     found: list[Finding] = []
     for check in checks:
         try:
-            measured[check.name] = float(np.clip(check.measure(it), -MOST, MOST))
-            finding = check.finding(measured[check.name], it)
+            with plugins.tamed():
+                measured[check.name] = float(np.clip(check.measure(it), -MOST, MOST))
+                finding = check.finding(measured[check.name], it)
         except Exception as error:
             if (plugin := plugins.origin(check)) is None:
                 raise

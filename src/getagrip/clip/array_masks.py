@@ -129,15 +129,15 @@ def _whole(load: Numbers, frames: Collection[int], size: tuple[int, int], notes:
     return labels
 
 
-def _rows(path: Path, arrays: Mapping[str, ndarray], count: int, request: MaskRequest) -> dict[int, int]:
+def _rows(path: Path, stored: Mapping[str, ndarray], count: int, request: MaskRequest) -> dict[int, int]:
     frames = request.frames
-    if "frames" not in arrays:
+    if "frames" not in stored:
         if count != len(frames):
             raise InputError(path, "frames", f"no such array, {count} masks", f"{len(frames)} masks, or their frames")
         return {n: n for n in range(count)}
-    names = arrays["frames"]
-    if names.dtype.kind not in "Uiu" or names.shape != (count,):
-        raise InputError(path, "frames", f"{names.dtype} of shape {names.shape}", f"{count} names or numbers")
+    names = arrays.names(stored["frames"])
+    if names is None or len(names) != count:
+        raise InputError(path, "frames", files.shown(stored["frames"]), f"{count} names, or numbers from 0 on")
     return request.places(path, [str(name) for name in names])
 
 
@@ -153,6 +153,9 @@ def video_segments(path: Path, request: MaskRequest) -> MaskReader:
     """
     value = pickles.read_file(path, WHAT, LARGEST)
     request.check_numbers(path, value)
+    below = next((name for name in value if isinstance(name, int) and name < 0), None)
+    if below is not None:
+        raise InputError(path, "", f"a frame {below}", f"{WHAT}, frames from 0 on")
     masks: dict[int, dict[str, ndarray]] = {}
     for name, of_frame in value.items():
         n = frame_of(name, request.frames)

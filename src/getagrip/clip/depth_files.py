@@ -28,6 +28,8 @@ STRETCH = 0.06
 or 32 pixels."""
 FARTHEST = 20.0
 """Distance beyond which metric depth of hand and object is in another unit [m]."""
+LEAST_UNIT, MOST_UNIT = 1e-12, 1e6
+"""Bounds of the length that 1 stands for [m]."""
 SATURATED = 65535
 """No depth in 16-bit images, as 0 is."""
 KEYS = ("scale", "source", "unit", "error")
@@ -112,7 +114,7 @@ def source_of(path: Path, stored: Json) -> DepthSource:
     for key, values in allowed.items():
         if stored.get(key) not in values:
             raise InputError(path, f"{DEPTH}.{key}", shown(stored.get(key)), " or ".join(values))
-    for key, most in {"unit": 1e6, "error": 1.0}.items():
+    for key, most in {"unit": MOST_UNIT, "error": 1.0}.items():
         value = stored.get(key, 1.0 if key == "error" else None)
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value <= most:
             raise InputError(path, f"{DEPTH}.{key}", shown(value), f"a number above 0, at most {most:g}")

@@ -19,6 +19,8 @@ from numpy import ndarray
 from getagrip.clip.depth import DEPTH, DepthSource
 from getagrip.clip.depth_files import (
     FARTHEST,
+    LEAST_UNIT,
+    MOST_UNIT,
     SUFFIXES,
     check_shape,
     cleaned,
@@ -31,7 +33,7 @@ from getagrip.clip.depth_files import (
 from getagrip.clip.naming import check_numbers, frames_of, number_of
 from getagrip.clip.reading import ClipHeader
 from getagrip.errors import InputError, UsageError, unknown
-from getagrip.io import arrays, files
+from getagrip.io import arrays, files, numbers
 from getagrip.io.files import plain
 from getagrip.io.images import read_colour_png, write_depth
 
@@ -104,7 +106,11 @@ def open_depth(path: Path, name: str, frames: Sequence[str], ask_first: str) -> 
     """
     if name not in SOURCES:
         raise unknown("--from", name, SOURCES)
-    form = SOURCES[name]
+    with numbers.guarded(path):
+        return _opened(path, SOURCES[name], name, frames, ask_first)
+
+
+def _opened(path: Path, form: DepthFormat, name: str, frames: Sequence[str], ask_first: str) -> DepthReader:
     exported = [path / "exports" / kind / "results.npz" for kind in ("npz", "mini_npz")]
     paths = [one for one in (path, *exported) if one.is_file()][:1] or (_images(path) if path.is_dir() else [])
     if not paths:
@@ -119,7 +125,8 @@ def open_depth(path: Path, name: str, frames: Sequence[str], ask_first: str) -> 
         of_frame = paths[rows[n]]
         if of_frame.suffix.lower() == ".png":
             return of_frame, form.read_png(of_frame), form.source.unit
-        image = read_pixels(of_frame)
+        with numbers.guarded(of_frame):
+            image = read_pixels(of_frame)
         whole = image.max() > FARTHEST and np.array_equal(image, np.floor(image))  # a sensor's PNG, saved as an array
         return of_frame, image, form.source.unit if whole else form.floats
 
@@ -216,8 +223,8 @@ def chosen_source(name: str, scale: str | None, unit: float | None, error: float
     source = SOURCES[name].source
     if error is not None and not 0.0 < error < 1.0:
         raise UsageError(f"--error must be a share of the distance, above 0 and below 1 (got {error})")
-    if unit is not None and not 0.0 < unit <= 1e3:
-        raise UsageError(f"--unit must be a number above 0 (got {unit})")
+    if unit is not None and not LEAST_UNIT <= unit <= 1e3:
+        raise UsageError(f"--unit must be metres that 1 stands for, {LEAST_UNIT:g} to 1000 (got {unit})")
     return DepthSource(
         scale or source.scale,  # type: ignore[arg-type]
         source.source,
@@ -229,7 +236,7 @@ def chosen_source(name: str, scale: str | None, unit: float | None, error: float
 LARGEST = 65534
 """Largest number of a 16-bit image that is a distance."""
 MIDDLE = 16384
-"""Numbers with fractions are written so that the first image's median is this."""
+"""Numbers with fractions are written so that the median of the first image with depth is this."""
 
 
 def add_depth(
@@ -261,19 +268,28 @@ def _write(
 
     Whole numbers stay as they are.
     """
-    unit, written, path = 0.0, 0.0, folder
+    unit, written, path, shape = 0.0, 0.0, folder, (0, 0)
     for n in reader.known:
         path, image, one = reader.read(n)
         check_shape(path, image, size)
-        one = one if stated is None else stated
-        if not unit:
-            whole = bool(np.all(image == np.floor(image))) and image.max() <= LARGEST
-            middle = float(np.median(image[image > 0.0])) if image.any() else 0.0
-            unit = one if whole or not middle else one * middle / MIDDLE
-        numbers = np.rint(image * (one / unit))
-        numbers[numbers > LARGEST] = 0.0  # farther than anything near a hand
-        written += float(numbers.sum())
-        write_depth(folder / f"{frames[n]}.png", numbers.astype(np.uint16))
+        if shape not in ((0, 0), image.shape):
+            got = f"{image.shape[1]} x {image.shape[0]} pixels"
+            raise InputError(path, "size", got, f"{shape[1]} x {shape[0]}, as the first image")
+        shape = image.shape
+        with numbers.guarded(path):
+            one = one if stated is None else stated
+            if not unit and image.any():
+                whole = bool(np.all(image == np.floor(image))) and image.max() <= LARGEST
+                middle = float(np.median(image[image > 0.0]))
+                unit = one if whole else one * (middle / MIDDLE)
+                if not LEAST_UNIT <= unit <= MOST_UNIT:
+                    raise InputError(
+                        path, "", f"distances about {one * middle:g} m", "distances of things near a camera"
+                    )
+            whole_numbers = np.rint(image * (one / (unit or one)))
+            whole_numbers[whole_numbers > LARGEST] = 0.0  # farther than anything near a hand
+            written += float(whole_numbers.sum())
+        write_depth(folder / f"{frames[n]}.png", whole_numbers.astype(np.uint16))
     if not written:
         raise InputError(path, "", "0 in all images", "distances, 0 for none")
     return unit

@@ -13,7 +13,7 @@ from numpy import ndarray
 from getagrip.clip.data import FrameMasks
 from getagrip.clip.naming import check_numbers, frames_of, stem_of
 from getagrip.errors import InputError, UsageError
-from getagrip.io import files
+from getagrip.io import files, numbers
 
 MOST_NAMED = 12
 """Labels that an error lists."""
@@ -44,7 +44,8 @@ class MaskReader:
     """Warnings about content that is probably not what was meant."""
 
     def __call__(self, n: int) -> FrameMasks | None:
-        return self.read(n) if n in self.known else None
+        with numbers.guarded(self.source):
+            return self.read(n) if n in self.known else None
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from getagrip.clip.mask_request import MOST_NAMED, MaskReader, MaskRequest, with
 from getagrip.clip.segments import union
 from getagrip.clip.soft_edges import Load, sharpened
 from getagrip.errors import InputError, UsageError
-from getagrip.io import files
+from getagrip.io import files, numbers
 
 LOSSY = {".jpg", ".jpeg", ".webp"}
 
@@ -41,6 +41,11 @@ def open_masks(path: Path, request: MaskRequest) -> MaskReader:
 
     Raises ``InputError`` where there are none, ``UsageError`` for labels.
     """
+    with numbers.guarded(path):
+        return _opened(path, request)
+
+
+def _opened(path: Path, request: MaskRequest) -> MaskReader:
     if path.is_dir():
         return _folder(path, request)
     if path.suffix in {".pkl", ".pickle", ".npy"} and path.is_file():

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from av import VideoFrame
     from av.container import InputContainer
+    from av.video.stream import VideoStream
 
 FORMATS = "mov,mp4,matroska,webm,avi,mpegts,gif"
 """Containers that are read. Not playlists, which can name other files."""
@@ -85,9 +86,10 @@ def open_video(path: Path) -> InputContainer:
         raise InputError(path, "", f"a file that does not decode as video ({error})", allowed) from error
     if stream.codec_context is None:
         raise InputError(path, "", "a stream of an unknown kind", "a video")
-    width, height = stream.width, stream.height
-    if not 0 < max(width, height) <= LARGEST_SIDE or width * height > LARGEST_IMAGE:
+    width, height = max(stream.width, shown_width(stream, stream.sample_aspect_ratio)), stream.height
+    if not _is_possible(width, height):
         raise InputError(path, "size", f"{width} x {height} pixels", f"at most {LARGEST_IMAGE / 1e6:g} million")
+    stream.codec_context.options = {"max_pixels": str(LARGEST_IMAGE)}  # of later frames, which may have another size
     stream.thread_type = "AUTO"
     return container
 
@@ -114,17 +116,23 @@ def frame_times(path: Path) -> Float[ndarray, "N"] | None:
     return np.array([float((tick - min(ticks)) * base) for tick in sorted(ticks)])
 
 
-def shown_width(frame: VideoFrame, aspect: Fraction | None) -> int:
+def shown_width(frame: VideoFrame | VideoStream, aspect: Fraction | None) -> int:
     """Return the width at which the pixels of a frame are square [px], before it is turned."""
     return max(1, round(frame.width * aspect)) if aspect else frame.width
 
 
+def _is_possible(width: int, height: int) -> bool:
+    return 0 < max(width, height) <= LARGEST_SIDE and width * height <= LARGEST_IMAGE
+
+
 def upright(frame: VideoFrame, aspect: Fraction | None) -> UInt8[ndarray, "H W 3"]:
-    """Return the RGB image of a frame as shown.
+    """Return the RGB image of a frame as shown. Raises ``ValueError`` for one that is too large.
 
     Pixels that are stored ``aspect`` times as wide as high become square.
     """
     width = shown_width(frame, aspect)
+    if not _is_possible(width, frame.height):
+        raise ValueError(f"a frame of {width} x {frame.height} pixels")
     wide = frame if width == frame.width else frame.reformat(width=width, height=frame.height)
     return np.rot90(np.asarray(wide.to_ndarray(format="rgb24"), np.uint8), round(frame.rotation / 90.0))
 

@@ -68,7 +68,7 @@ class Export(Command):
         from getagrip.evaluation.results import clip_of
         from getagrip.export import Scene, export
         from getagrip.export.lerobot_dataset import Dataset
-        from getagrip.io import files
+        from getagrip.io import files, plugins
         from getagrip.io.terminal import say
         from getagrip.result import read_result
 
@@ -101,7 +101,9 @@ class Export(Command):
                     say(f"{scene.name}: {said}")
                     continue
                 target = folder / f"export-{self.to}" if self.out is None else self.out / folder.resolve().name
-                say(str(export(scene, target, self.to, self.overwrite)))
+                with plugins.tamed():
+                    made = export(scene, target, self.to, self.overwrite)
+                say(str(made))
             except Exception as error:
                 trouble(path, error)
         return int(failed)

@@ -17,7 +17,7 @@ from getagrip.errors import InputError
 from getagrip.geometry.lens import Lens
 from getagrip.hands.model import Side
 from getagrip.hands.trackers import Hands
-from getagrip.io import arrays
+from getagrip.io import arrays, numbers
 from getagrip.provenance import Source, from_arrays, measured, of_provenance
 
 HAND_FIRST = "--hand-first"
@@ -48,6 +48,10 @@ class HandFile:
         ``first`` is the number of the first frame's hand, where hands are counted from another start. Raises
         ``InputError``, and ``UsageError`` where hands seem to be counted from another start.
         """
+        with numbers.guarded(self.path):
+            return self._at(frames, side, first)
+
+    def _at(self, frames: tuple[str, ...], side: Side, first: int | None) -> Hands:
         if self.side not in (None, side):
             raise InputError(self.path, "side", f"a {self.side} hand", f"a {side} hand, as --side says")
         sources = {"hands": f"from {self.path.name}", **self.provenance}

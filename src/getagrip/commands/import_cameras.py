@@ -19,7 +19,7 @@ from getagrip.clip.plausible import check_intrinsics
 from getagrip.clip.reading import ClipHeader, read_header
 from getagrip.commands.command import Command, FirstNumber
 from getagrip.errors import UsageError
-from getagrip.io import files
+from getagrip.io import files, numbers
 from getagrip.io.arguments import Flag
 from getagrip.io.terminal import report, say, warn
 from getagrip.provenance import Source, assumed, estimated, measured, report_source
@@ -63,11 +63,14 @@ class ImportCameras(Command):
             raise UsageError(f"{header.folder}: has camera.T_world_cam already; --overwrite replaces it")
         if self.metres is not None and not 0.0 < self.metres < 1e6:
             raise UsageError(f"--metres must be above 0 (got {self.metres:g})")
+        if self.start is not None and not np.isfinite(self.start):
+            raise UsageError(f"--start must be a time in seconds (got {self.start:g})")
         found = read_path(self.path)
         report(f"{self.path}: taken for {found.source}")
         names = header.frames if self.first is None else renumbered(header.frames, self.first, "--first")
         check_numbers(header.frames, found.names, self.path, "pose", "--first" if self.first is None else "")
-        poses, filled = found.scaled(self.metres or 1.0).at(names, _times(header), self.start)
+        with numbers.guarded(self.path):
+            poses, filled = found.scaled(self.metres or 1.0).at(names, _times(header), self.start)
         camera: dict[str, object] = {**header.fields["camera"], "T_world_cam": poses.tolist()}
         camera.pop("world_up", None), camera.pop("world_support", None)
         if found.up is not None:

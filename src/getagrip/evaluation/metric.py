@@ -289,7 +289,8 @@ def measure(
             on_metric(metric.name, done / len(wanted))
         for contact in it.contacts if metric.by_contact else it.contacts[:1]:
             try:
-                value = metric.of(it, contact)
+                with plugins.tamed():
+                    value = metric.of(it, contact)
             except MissingPartError:
                 continue
             except Exception as error:

@@ -11,6 +11,7 @@ commas where there are several.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from itertools import groupby
@@ -20,10 +21,13 @@ import numpy as np
 from numpy import ndarray
 
 from getagrip.errors import InputError
-from getagrip.export.lerobot import CHUNK_SIZE, EPISODES, Episode, write_meta
+from getagrip.export.lerobot import CHUNK_SIZE, DATA, EPISODES, QUANTILES, VIDEO, Episode, write_meta
 from getagrip.export.scene import Scene
-from getagrip.io import extras, files, leftovers, locks
+from getagrip.io import extras, files, leftovers, locks, numbers
 from getagrip.io.files import Json
+
+STATISTICS = ("min", "max", "mean", "std", "count", *(f"q{round(100 * q):02d}" for q in QUANTILES))
+"""Statistics in a record, of each feature that is no text."""
 
 
 @dataclass
@@ -54,23 +58,46 @@ class Dataset:
         return made
 
     def _catch_up(self) -> None:
-        """Read the episodes that are there and not known yet. Raises ``InputError``."""
+        """Read the episodes that are there and not known yet. Raises ``InputError`` where anything of them is damaged.
+
+        So nothing is added to a dataset that could not be finished.
+        """
         path = self.folder / "meta" / "info.json"
         if not path.exists():
+            self._refuse_others(path, 0)
             return
         parquet = extras.load("pyarrow.parquet", "lerobot")
         self.info = files.read_json(files.inside(self.folder, "meta/info.json", "", "the dataset's description"))
-        total = self.info.get("total_episodes")
-        try:
-            for number in range(len(self.records), int(str(total))):
-                place = {"chunk_index": number // CHUNK_SIZE, "file_index": number % CHUNK_SIZE}
-                source = files.inside(self.folder, EPISODES.format(**place), "", "an episode's record")
-                (record,) = parquet.read_table(source).to_pylist()
-                self.records.append({key: _arrays(key, value) for key, value in record.items()})
-                self.tasks += [task for task in record["tasks"] if task not in self.tasks]
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            expected = "a dataset that this program wrote"
-            raise InputError(path, "total_episodes", f"{total} and {error}", expected) from error
+        _check_info(path, self.info)
+        self._refuse_others(path, self.info["total_episodes"])
+        for number in range(len(self.records), self.info["total_episodes"]):
+            place = _place(number)
+            source = files.inside(self.folder, EPISODES.format(**place), "", "an episode's record")
+            files.inside(self.folder, DATA.format(**place), "", "an episode's data")
+            for name, feature in self.info["features"].items():
+                if feature["dtype"] == "video":
+                    files.inside(self.folder, VIDEO.format(video_key=name, **place), "", "an episode's video")
+            try:
+                with numbers.guarded(source):
+                    table = parquet.ParquetFile(source)
+                    if table.metadata.num_rows != 1:
+                        raise InputError(source, "", f"{table.metadata.num_rows} rows", "one, the episode's record")
+                    (record,) = table.read().to_pylist()
+                    record = {key: _arrays(key, value) for key, value in record.items()}
+            except OSError as error:
+                raise InputError(source, "", f"a damaged file ({error})", "an episode's record") from error
+            begin = self.records[-1]["dataset_to_index"] if self.records else 0
+            _check_record(source, record, self.info["features"], number, begin)
+            self.records.append(record)
+            self.tasks += [task for task in record["tasks"] if task not in self.tasks]
+
+    def _refuse_others(self, path: Path, total: int) -> None:
+        """Raise ``InputError`` for files of episodes that are not counted, but for one that was not finished."""
+        counted = {of.format(**_place(number)) for of in (DATA, EPISODES) for number in range(total + 1)}
+        for pattern in ("data/*/*.parquet", "meta/episodes/*/*.parquet"):
+            for found in sorted(self.folder.glob(pattern)):
+                if (name := found.relative_to(self.folder).as_posix()) not in counted:
+                    raise InputError(path, "total_episodes", f"{total}, and {files.plain(name)}", "the files' count")
 
     @property
     def clips(self) -> set[str]:
@@ -135,6 +162,44 @@ class Dataset:
     def _each(self, name: str, keys: list[str]) -> dict[str, ndarray]:
         """Return some statistics of a feature, for each episode."""
         return {key: np.array([np.asarray(one[f"stats/{name}/{key}"]) for one in self.records]) for key in keys}
+
+
+def _place(number: int) -> dict[str, int]:
+    """Return where the files of an episode are."""
+    return {"chunk_index": number // CHUNK_SIZE, "file_index": number % CHUNK_SIZE}
+
+
+def _check_info(path: Path, info: Json) -> None:
+    """Raise ``InputError`` for a description that is not as ``write_meta`` writes it."""
+    for key, kind in {"fps": int, "total_episodes": int, "features": dict}.items():
+        if type(info.get(key)) is not kind or (kind is int and info[key] < (key == "fps")):
+            got = files.shown(info[key]) if key in info else "no such key"
+            raise InputError(path, key, got, "as this program wrote it")
+    for name, feature in info["features"].items():
+        sides = feature.get("shape") if isinstance(feature, dict) else None
+        if not isinstance(sides, list) or not all(type(side) is int for side in sides) or "dtype" not in feature:
+            raise InputError(path, f"features.{files.plain(name)}", files.shown(feature), "its dtype and shape")
+
+
+def _check_record(path: Path, record: Json, features: Json, number: int, begin: int) -> None:
+    """Raise ``InputError`` for a record that is not that of an episode, which begins at the frame ``begin``."""
+    length, tasks = record.get("length"), record.get("tasks")
+    if type(length) is not int or length < 1:
+        raise InputError(path, "length", files.shown(length), "the episode's frames")
+    known = {"episode_index": number, "dataset_from_index": begin, "dataset_to_index": begin + length}
+    for key, value in known.items():
+        if record.get(key) != value:
+            raise InputError(path, key, files.shown(record.get(key)), str(value))
+    if not isinstance(tasks, list) or not all(isinstance(task, str) for task in tasks):
+        raise InputError(path, "tasks", files.shown(tasks), "texts")
+    for name, feature in features.items():
+        whole = (3, 1, 1) if feature["dtype"] == "video" else (math.prod(feature["shape"]),)
+        for of in STATISTICS if feature["dtype"] != "string" else ():
+            key, shape = f"stats/{name}/{of}", (1,) if of == "count" else whole
+            found = np.asarray(record.get(key))
+            if found.dtype.kind not in "iuf" or found.shape != shape or not np.isfinite(found).all():
+                got = "no such key" if key not in record else f"{found.dtype} of shape {found.shape}"
+                raise InputError(path, key, got, f"numbers of shape {shape}")
 
 
 def _grouped(keys: list[list[str]]) -> dict[str, list[str]]:

@@ -98,7 +98,7 @@ def from_lists(value: object) -> Shaped[ndarray, "..."] | None:
 
 
 def names(value: object) -> Shaped[ndarray, "n"] | None:
-    """Convert a list of short names or of whole numbers, or an array, to an array.
+    """Convert a list of short names or of whole numbers from 0 on, or an array, to an array.
 
     None for anything else.
 
@@ -107,6 +107,8 @@ def names(value: object) -> Shaped[ndarray, "n"] | None:
     if isinstance(value, list):
         value = np.array(value) if all(map(_is_name, value)) else None
     if not isinstance(value, ndarray) or value.ndim != 1 or value.dtype.kind not in "Uiu" or len(value) > MOST_NAMES:
+        return None
+    if value.dtype.kind == "i" and value.size and value.min() < 0:
         return None
     try:
         value.tolist()
@@ -153,6 +155,8 @@ def frame_numbers(path: Path, arrays: dict[str, ndarray]) -> tuple[int, ...] | N
     if array.dtype.kind not in "iu" or array.ndim != 1 or not 0 < len(array) <= MOST_NAMES:
         expected = f"the numbers of 1 to {MOST_NAMES} frames"
         raise InputError(path, "frames", f"{files.plain(str(array.dtype))} of shape {array.shape}", expected)
+    if array.min() < 0:
+        raise InputError(path, "frames", f"the number {array.min()}", "numbers of frames, from 0 on")
     numbers = tuple(array.tolist())
     if len({*numbers}) < len(numbers):
         raise InputError(path, "frames", "a frame twice", "each frame's number once")

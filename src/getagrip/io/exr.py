@@ -22,6 +22,8 @@ MAGIC, SINGLE_IMAGE = 20000630, 2
 LINES = {0: 1, 2: 1, 3: 16}
 """Lines of a block by the compression: none, ZIPS, ZIP."""
 TYPES: dict[int, np.dtype[np.floating]] = {1: np.dtype("<f2"), 2: np.dtype("<f4")}
+LARGEST_BLOCK, LARGEST = 32 * 2**20, 2**30
+"""Bytes of a block of lines, all channels of it, and of all blocks, unpacked."""
 PREFERRED = ("Z", "Y", "depth", "depth.Z", "R")
 """Channels that are taken where there are several."""
 
@@ -52,7 +54,11 @@ def _channel(path: Path, content: bytes, most: int) -> Float[ndarray, "H W"]:
     offsets, row = {}, 0
     for name, dtype in channels.items():  # of each line, all of one channel, then of the next
         offsets[name], row = row, row + dtype.itemsize * width
-    out, lines = np.zeros((height, width)), LINES[compression]
+    lines = LINES[compression]
+    if row * lines > LARGEST_BLOCK or row * height > LARGEST:
+        got = f"{len(channels)} channels of {width} x {height} pixels"
+        raise InputError(path, "channels", got, f"blocks of at most {LARGEST_BLOCK} bytes, {LARGEST} in all")
+    out = np.zeros((height, width))
     for at in struct.unpack_from(f"<{-(-height // lines)}q", content, start):
         y, size = struct.unpack_from("<ii", content, at)
         first = y - top
@@ -99,7 +105,8 @@ def _block(stored: bytes, size: int) -> bytes:
     inflated = np.frombuffer(zlib.decompressobj().decompress(stored, size + 1), np.uint8)
     if len(inflated) != size:
         raise ValueError("a block of another size")
-    values = (np.cumsum(inflated, dtype=np.int64) - 128 * np.arange(size)).astype(np.uint8)
+    values = np.cumsum(inflated, dtype=np.uint8)
+    values[1::2] ^= 128  # sums, of which 128 is taken off once for each byte, modulo 256
     out = np.empty(size, np.uint8)
     out[::2], out[1::2] = np.split(values, [(size + 1) // 2])
     return out.tobytes()

@@ -7,13 +7,14 @@ a method ``mine`` (docs/extending.md).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from importlib import metadata
 from typing import Any, Generic, TypeVar
 
 from getagrip.errors import UsageError
-from getagrip.io import code, terminal
+from getagrip.io import code, interrupts, terminal
 
 T = TypeVar("T")
 
@@ -62,6 +63,20 @@ def warn(words: str) -> None:
         terminal.warn(words)
 
 
+@contextmanager
+def tamed() -> Iterator[None]:
+    """Turn what is no ``Exception`` into one, as code of others may raise it; a Ctrl-C stays what it is."""
+    before = interrupts.times()
+    try:
+        yield
+    except (Exception, GeneratorExit):
+        raise
+    except BaseException as error:
+        if interrupts.is_pressed(error, before):
+            raise
+        raise RuntimeError(f"{type(error).__name__}: {error}") from error
+
+
 @dataclass(frozen=True)
 class Plugin:
     """An object that other packages name: one of them, if all is right."""
@@ -83,8 +98,9 @@ class Plugin:
         if len(self.entries) > 1:
             raise UsageError(f"{self} have the same name: rename one, or uninstall its package")
         try:
-            return self.entries[0].load()
-        except (Exception, SystemExit) as error:
+            with tamed():
+                return self.entries[0].load()
+        except Exception as error:
             raise UsageError(f"{self} cannot be loaded: {type(error).__name__}: {error}") from error
 
 

@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+import socket
+import threading
+import time
 from collections.abc import Mapping
+from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
 
 LOOPBACK = "127.0.0.1"
 PATIENCE = 60.0
 """A connection without requests is closed after so long [s]."""
+MOST = 64
+"""Connections at once, each with a thread: others wait."""
+RESTS = 2.0
+"""A connection without requests is closed after so long where others wait [s]."""
+LOOK_EVERY = 0.1
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'; base-uri 'none'",
@@ -23,10 +34,41 @@ OF_PAGE = {"Content-Security-Policy": "frame-ancestors 'none'; base-uri 'none'"}
 
 
 class QuietServer(ThreadingHTTPServer):
-    """A thread for each connection, none of which keeps the program from ending."""
+    """A thread for each of at most ``MOST`` connections, none of which keeps the program from ending."""
 
     daemon_threads = True
     allow_reuse_address = os.name != "nt"  # where two servers would share a port
+    request_queue_size = 512
+
+    def __init__(self, address: tuple[str, int], handler: type[Handler]) -> None:
+        """Listen. Raises ``OSError``, ``OverflowError``."""
+        self._rest_since: dict[object, float] = {}
+        """When each connection began to wait for a request; infinity while one is answered."""
+        self._ended = threading.Condition()
+        super().__init__(address, handler)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer a connection in a thread, once there is room for it."""
+        with self._ended:
+            while len(self._rest_since) >= MOST:
+                for other, since in self._rest_since.items():
+                    if time.monotonic() - since > RESTS:
+                        with suppress(OSError):  # it has ended by itself
+                            other.shutdown(socket.SHUT_RDWR)  # type: ignore[attr-defined]
+                self._ended.wait(LOOK_EVERY)
+            self.note(request, at_work=False)
+        super().process_request(request, client_address)
+
+    def note(self, request: object, at_work: bool) -> None:
+        """Note that a connection's request is answered now, or that it waits for the next."""
+        self._rest_since[request] = math.inf if at_work else time.monotonic()
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection."""
+        super().shutdown_request(request)
+        with self._ended:
+            self._rest_since.pop(request, None)
+            self._ended.notify()
 
     def handle_error(self, request: object, client_address: object) -> None:
         """Say nothing of connections that end early."""
@@ -35,11 +77,23 @@ class QuietServer(ThreadingHTTPServer):
 class Handler(BaseHTTPRequestHandler):
     """Answers in one piece each, and prints nothing."""
 
+    server: QuietServer
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "getagrip", ""
     timeout = PATIENCE
     wbufsize = -1  # an answer in one piece: in two, the second waits for the first to be acknowledged
     disable_nagle_algorithm = True
+
+    def handle_one_request(self) -> None:
+        """Wait for a request, and answer it."""
+        self.server.note(self.connection, at_work=False)
+        super().handle_one_request()
+
+    def parse_request(self) -> bool:
+        """Read the head of a request. Whoever sends it slowly still rests."""
+        whole = super().parse_request()
+        self.server.note(self.connection, at_work=True)
+        return whole
 
     def send_json(self, content: Mapping[str, object], status: HTTPStatus = HTTPStatus.OK) -> None:
         """Answer with JSON."""

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 import zipfile
 from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from getagrip.errors import InputError, UsageError
-from getagrip.io import files, user_folders
+from getagrip.io import files, own_python, user_folders
 from getagrip.landmarks.nets import Nets, open_nets
 
 FILES = {
@@ -82,7 +81,7 @@ def _download(folder: Path) -> Path:
     requirement = folder / "wheel.txt"
     requirement.write_text(f"{RELEASE} --hash=sha256:{expected}\n")
     options = ["--no-deps", "--only-binary", ":all:", "--platform", platform, "--python-version", python]
-    words = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet", "download", *options]
+    words = own_python.command("-m", "pip", "--disable-pip-version-check", "--quiet", "download", *options)
     words += ["--require-hashes", "-r", str(requirement), "--dest", str(folder)]
     done = subprocess.run(words, capture_output=True, text=True, errors="replace", check=False)
     wheels = sorted(folder.glob("*.whl"))

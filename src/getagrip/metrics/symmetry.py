@@ -161,7 +161,7 @@ def surface_points(mesh: Mesh, count: int) -> Float[ndarray, "count 3"]:
     return at_places(mesh, *surface_places(mesh, count))
 
 
-def surface_places(mesh: Mesh, count: int) -> tuple[Int[ndarray, "count"], Float[ndarray, "count 2"]]:
+def surface_places(mesh: Mesh, count: int) -> tuple[Int[ndarray, "n"], Float[ndarray, "n 2"]]:
     """Return the face of each of the ``surface_points``, and their position along its first two edges."""
     filled = np.cumsum(face_areas(mesh.vertices, mesh.faces))
     face = np.searchsorted(filled, (np.arange(count) + 0.5) / count * filled[-1])

@@ -136,6 +136,7 @@ def test_it_ends_in_a_reconstruction(
         if words[0] == "report":
             folder = Path(words[1])
             folder.mkdir(parents=True)
+            (folder / "result.json").touch()
             write_image(folder / "report.png", np.zeros((40, 200, 3), np.uint8))
             (folder / "report.html").write_text("<p>the report of a plate</p>")
         return f"{words[0]}: done"

@@ -274,7 +274,7 @@ def _whole(value: str | float, largest: int = 2**53) -> int:
     return number
 
 
-def _numbers(values: Sequence[float], count: int) -> Float[ndarray, "count"]:
+def _numbers(values: Sequence[float], count: int) -> Float[ndarray, "n"]:
     array = np.asarray(values, dtype=float)
     if array.shape != (count,) or not (np.abs(array) < LARGEST_NUMBER).all():
         raise ValueError(f"not {count} numbers below {LARGEST_NUMBER:g}")

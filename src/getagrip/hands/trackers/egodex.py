@@ -6,9 +6,12 @@ the wrist's end of the metacarpal bones, which are not used. ``confidences`` are
 
 from __future__ import annotations
 
+import math
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -21,14 +24,21 @@ from getagrip.hands.trackers.estimates import Estimate, Estimates, Request
 from getagrip.hands.trackers.joint_checks import check_before_camera
 from getagrip.hands.trackers.recognition import Sample
 from getagrip.hands.trackers.tracker import Tracker, frames_of_images, only_file
-from getagrip.io import extras
+from getagrip.io import extras, files
 from getagrip.provenance import estimated
+
+if TYPE_CHECKING:
+    from h5py import Dataset, Group
 
 PARTS = ("Knuckle", "IntermediateBase", "IntermediateTip", "Tip")
 FINGERS = ("Thumb", "IndexFinger", "MiddleFinger", "RingFinger", "LittleFinger")
 JOINTS = ["Hand", *(f"{finger}{part}" for finger in FINGERS for part in PARTS)]
 """Its names of this package's 21 joints, behind the side."""
 MOST_FRAMES = 200_000
+LARGEST_CHUNK = 32 * 2**20
+"""Bytes of a part of an array, unpacked."""
+PLAIN_FILTERS = (2, 3)
+"""HDF5's numbers of filters that keep the size: the order of bytes, and a checksum."""
 DEPTH = estimated("the headset's joints, before its own camera")
 
 
@@ -64,31 +74,49 @@ def joints_of(path: Path, side: Side) -> Float[ndarray, "T 21 3"]:
     try:
         with h5py.File(path, "r") as episode:
             T_world_cam = _poses(path, episode, "camera")
-            points = [_poses(path, episode, f"{side}{joint}")[:, :3, 3] for joint in JOINTS]
-    except (OSError, RuntimeError) as error:
+            points = [_poses(path, episode, f"{side}{joint}")[:, :3, 3].copy() for joint in JOINTS]
+    except (OSError, RuntimeError, KeyError, TypeError, ValueError, zlib.error) as error:
         raise InputError(path, "", f"a damaged file ({error})", "an HDF5 file of EgoDex") from error
     if len({len(each) for each in (T_world_cam, *points)}) > 1:
         raise InputError(path, "transforms", "arrays of different lengths", "one pose for each frame")
     return se3.transform(se3.inverse(T_world_cam), np.stack(points, axis=1))
 
 
-def _poses(path: Path, episode: object, name: str) -> Float[ndarray, "T 4 4"]:
-    """Read a joint's poses; a link to another file is no data of this one."""
-    key = f"transforms/{name}"
-    data = episode.get(key) if hasattr(episode, "get") and not _leads_out(episode, key) else None
-    shape: tuple[int, ...] = tuple(getattr(data, "shape", ()))
-    if data is None or len(shape) != 3 or shape[1:] != (4, 4) or not 0 < shape[0] <= MOST_FRAMES or data.external:
-        raise InputError(path, key, f"the shape {shape}" if shape else "no such array", "poses (N, 4, 4)")
+def _poses(path: Path, episode: Group, name: str) -> Float[ndarray, "T 4 4"]:
+    """Read a joint's poses: numbers that lie in this file."""
+    import h5py
+
+    key, data = f"transforms/{name}", episode
+    for part in key.split("/"):  # a soft link may lead to one that leads out
+        if not isinstance(data, h5py.Group) or not isinstance(data.get(part, getlink=True), h5py.HardLink):
+            raise InputError(path, key, "no such array", "poses (N, 4, 4)")
+        data = data[part]
+    shape: tuple[int, ...] = getattr(data, "shape", None) or ()
+    if len(shape) != 3 or shape[1:] != (4, 4) or not 0 < shape[0] <= MOST_FRAMES or data.dtype.kind not in "fiu":
+        got = f"{files.plain(str(getattr(data, 'dtype', 'a group')))} of shape {shape}"
+        raise InputError(path, key, got, f"poses (N, 4, 4), numbers, of at most {MOST_FRAMES} frames")
+    if data.external or data.is_virtual:
+        raise InputError(path, key, "an array of another file", "poses in this file")
+    _check_chunks(path, key, data)
     poses = np.asarray(data[()], dtype=float)
     if not np.isfinite(poses).all():
         raise InputError(path, key, "numbers that are not finite", "poses (N, 4, 4)")
     return poses
 
 
-def _leads_out(episode: object, key: str) -> bool:
-    """Return whether a name is a link out of the file."""
+def _check_chunks(path: Path, key: str, data: Dataset) -> None:
+    """Raise ``InputError`` for compressed parts that are larger than the array: HDF5 unpacks them whole."""
+    if data.chunks is None:
+        return
     import h5py
 
-    parts = key.split("/")
-    links = [episode.get("/".join(parts[:n]), getlink=True) for n in (1, 2)]  # type: ignore[attr-defined]
-    return any(isinstance(link, h5py.ExternalLink) for link in links)
+    stored, size = data.id.get_create_plist(), math.prod(data.chunks) * data.dtype.itemsize
+    filters = [stored.get_filter(n)[0] for n in range(stored.get_nfilters())]
+    if len({*filters}) < len(filters) or not {*filters} <= {h5py.h5z.FILTER_DEFLATE, *PLAIN_FILTERS}:
+        raise InputError(path, key, f"HDF5's filters {filters}", "plain or deflated numbers")
+    sizes = [size]
+    for n in range(data.id.get_num_chunks() if h5py.h5z.FILTER_DEFLATE in filters else 0):
+        packed = data.id.read_direct_chunk(data.id.get_chunk_info(n).chunk_offset)[1]
+        sizes.append(len(zlib.decompressobj().decompress(packed, LARGEST_CHUNK + 1)))
+    if max(sizes) > LARGEST_CHUNK:
+        raise InputError(path, key, f"a part of {max(sizes)} bytes", f"at most {LARGEST_CHUNK}")

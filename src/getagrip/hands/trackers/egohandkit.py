@@ -20,10 +20,10 @@ from getagrip.hands.trackers import hamer, records
 from getagrip.hands.trackers.egodex import MOST_FRAMES
 from getagrip.hands.trackers.estimates import Estimate, Estimates, Request
 from getagrip.hands.trackers.joint_checks import check_before_camera
-from getagrip.hands.trackers.lerobot import read_columns
 from getagrip.hands.trackers.recognition import Sample
 from getagrip.hands.trackers.records import Record, numbers
 from getagrip.hands.trackers.tracker import Tracker, frames_of_images, no_name, only_file
+from getagrip.io.parquet import read_columns
 from getagrip.provenance import estimated
 
 TABLE = "hand_tracking.parquet"
@@ -91,10 +91,12 @@ def _joints(path: Path, request: Request) -> Estimates:
     """Read the joints of a side from the Parquet file. Raises ``InputError``, and ``UsageError`` without pyarrow."""
     key = f"{request.side}_joints_3d"
     table = read_columns(path, ["frame_idx", key])
-    there = [row for row, value in enumerate(table[key]) if value is not None]
-    if not there:
+    there = np.flatnonzero(~np.isnan(table[key].reshape(len(table[key]), -1)).all(axis=1))
+    if not len(there):
         return Estimates(request.side, ())
-    joints = numbers(path, {key: [table[key][row] for row in there]}, key, (len(there), 21, 3))
+    if table[key].shape[1:] != (63,):
+        raise InputError(path, key, f"rows of {table[key].shape[1:]} numbers", "21 joints of 3 numbers")
+    joints = numbers(path, {key: table[key][there].reshape(-1, 21, 3)}, key, (len(there), 21, 3))
     indices = numbers(path, table, "frame_idx", (len(table[key]),)).astype(int)
     if indices.min() < 0 or indices.max() >= MOST_FRAMES:
         got = f"{indices.min()} to {indices.max()}"

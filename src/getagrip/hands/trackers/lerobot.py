@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
@@ -23,13 +23,7 @@ from getagrip.hands.trackers.joints import estimates
 from getagrip.hands.trackers.landmarks import lifted
 from getagrip.hands.trackers.recognition import Sample
 from getagrip.hands.trackers.tracker import Tracker, frames_of_images
-from getagrip.io import extras
-
-if TYPE_CHECKING:
-    from pyarrow.parquet import ParquetFile
-
-LARGEST = 2**30
-"""Bytes of the largest file."""
+from getagrip.io.parquet import columns_of, read_columns
 
 
 @dataclass(frozen=True)
@@ -77,13 +71,13 @@ class LeRobot(Tracker):
             columns = columns_of(path)
             if self.column is None or self.column not in columns:
                 continue
-            table = read_columns(path, [self.column, *[name for name in INDICES if name in columns]])
-            rows = [n for n, of in enumerate(table.get(INDICES[0], [])) if of == self.episode]
-            if rows:
-                try:
-                    values = np.array([table[self.column][n] for n in rows], dtype=float)
-                except (TypeError, ValueError) as error:
-                    raise InputError(path, self.column, "rows that are no numbers of one count", COUNTS) from error
+            if INDICES[0] not in columns:
+                continue
+            table = read_columns(
+                path, [self.column, *[name for name in INDICES if name in columns]], (INDICES[0], self.episode)
+            )
+            values = table[self.column]
+            if len(values):
                 if values.ndim != 2 or values.shape[1] not in (42, 63, 84, 126):
                     raise InputError(path, self.column, f"the shape {values.shape}", COUNTS)
                 return path, values
@@ -92,34 +86,6 @@ class LeRobot(Tracker):
         if self.column not in columns:
             raise unknown("--column", self.column, columns)
         raise InputError(paths[0], INDICES[0], f"no row of episode {self.episode}", "an episode of the dataset")
-
-
-def columns_of(path: Path) -> list[str]:
-    """Return the names of a Parquet file's columns. Raises as ``read_columns`` does."""
-    return list(_opened(path).schema_arrow.names)
-
-
-def read_columns(path: Path, names: Sequence[str]) -> dict[str, list[object]]:
-    """Read columns of a Parquet file. Raises ``InputError``, and ``UsageError`` without pyarrow."""
-    file = _opened(path)
-    missing = next((name for name in names if name not in file.schema_arrow.names), None)
-    if missing is not None:
-        raise InputError(path, missing, "no such column", f"one of {', '.join(file.schema_arrow.names)}")
-    try:
-        return dict(file.read(list(names)).to_pydict())
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(path, "", f"a damaged file ({error})", "Parquet") from error
-
-
-def _opened(path: Path) -> ParquetFile:
-    """Open a Parquet file."""
-    parquet = extras.load("pyarrow.parquet", "lerobot", path.name)
-    if path.stat().st_size > LARGEST:
-        raise InputError(path, "", f"{path.stat().st_size} bytes", f"at most {LARGEST}")
-    try:
-        return parquet.ParquetFile(path)
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(path, "", f"a damaged file ({error})", "Parquet") from error
 
 
 INDICES = ("episode_index", "frame_index")

@@ -23,6 +23,7 @@ from getagrip.hands.trackers.hand import track
 from getagrip.hands.trackers.joint_checks import MISFIT
 from getagrip.hands.trackers.records import listed
 from getagrip.hands.trackers.tracker import Tracker
+from getagrip.io import numbers
 from getagrip.io.images import read_png
 from getagrip.provenance import Provenance, Source, assumed, estimated, joined
 
@@ -69,6 +70,11 @@ def read(paths: Sequence[Path], tracker: Tracker, request: Request) -> Hands:
     ``InputError`` where there is no such file or hand, or none that can be one.
     """
     paths = listed(paths, tracker.layouts)
+    with numbers.guarded(paths[0]):
+        return _read(paths, tracker, request)
+
+
+def _read(paths: Sequence[Path], tracker: Tracker, request: Request) -> Hands:
     estimates = tracker.read(paths, request)
     if not estimates.hands:
         other = "left" if request.side == "right" else "right"

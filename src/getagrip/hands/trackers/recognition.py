@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from getagrip.errors import InputError, MissingOptionError
 from getagrip.hands.trackers import records
-from getagrip.io import files
+from getagrip.io import files, numbers
 
 if TYPE_CHECKING:
     from getagrip.hands.trackers.tracker import Tracker
@@ -65,7 +65,8 @@ def _recognised(paths: Sequence[Path], tracker: Tracker) -> str:
         if all(path.exists() for path in paths):
             return ""
         raise
-    return tracker.recognises(Sample(found[0]))
+    with numbers.guarded(found[0]):
+        return tracker.recognises(Sample(found[0]))
 
 
 def _sample(paths: Sequence[Path]) -> Sample:
