@@ -44,6 +44,16 @@ UNEXPLAINED = "failed: even the best pose has a mean mask IOU of only {:.2f}; th
 """The message of a result whose mean IOU is below ``LEAST_IOU``, however the minimisation ended."""
 PARTLY_UNEXPLAINED = "partly failed: low mask IOU in the segments {}"
 """The message of a result some of whose segments are below ``LEAST_IOU``."""
+CONVERGED_TO = "converged to {:.1f} mm: no farther would further iterations move the object"
+CUT_OFF = (
+    "stopped at the iteration limit: further iterations would move the object by {:.1f} mm; --thorough, in Python "
+    "Options(thorough=True), goes on longer"
+)
+"""The messages of a fit that ended at the iteration limit."""
+WITHIN = 1e-4
+"""A fit whose object further iterations would move by no more has converged [m]."""
+NEARLY = 0.01
+"""The same share of the diameter is little: a pose is right within 0.1."""
 
 P = TypeVar("P")
 F = TypeVar("F")
@@ -86,6 +96,7 @@ class Answer:
         T_cam_other_hand: (T, 4, 4) poses of a timeline's other hand.
         notes: what is to be known about it.
         hand: the hand as it was solved with the object; None where it was not.
+        cut_off: how far further iterations would move the object [m]; NaN where that is not known.
     """
 
     track: Track
@@ -100,6 +111,7 @@ class Answer:
     T_cam_other_hand: Float[ndarray, "T 4 4"] | None
     notes: tuple[str, ...]
     hand: SolvedHand | None = field(default=None, kw_only=True)
+    cut_off: float = field(default=float("nan"), kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -207,7 +219,7 @@ def _result(
 ) -> Reconstruction:
     """Make the result, with all that is known about how it was found."""
     track, energy, guesses = answer.track, float(answer.energy[0]), _guesses(clip, answer)
-    status, message = _ending(answer, judged.failed)
+    status, message = _ending(answer, judged.failed, clip.mesh.diameter)
     return Reconstruction(
         clip=clip.name,
         method=options.method,
@@ -252,8 +264,11 @@ def _guesses(clip: Clip, answer: Answer) -> dict[str, str]:
     return guesses
 
 
-def _ending(answer: Answer, failed: str) -> tuple[Status, str]:
-    """Return how it ended, in a word and a sentence; ``failed``: the segments that hardly meet their masks."""
+def _ending(answer: Answer, failed: str, diameter: float) -> tuple[Status, str]:
+    """Return how it ended, in a word and a sentence.
+
+    ``failed`` are the segments that hardly meet their masks, ``diameter`` is the mesh's [m].
+    """
     track = answer.track
     shown = np.count_nonzero(~np.isnan(track.iou)) + len(track.outliers)
     mean_iou = float(np.nansum(track.iou)) / shown  # an outlier mask is not explained
@@ -261,4 +276,9 @@ def _ending(answer: Answer, failed: str) -> tuple[Status, str]:
         return Status.MISFIT, UNEXPLAINED.format(mean_iou)
     if failed:
         return Status.PARTLY_FAILED, PARTLY_UNEXPLAINED.format(failed)
-    return answer.status, answer.status.sentence
+    if answer.status is not Status.LIMIT or np.isnan(answer.cut_off):
+        return answer.status, answer.status.sentence
+    if answer.cut_off <= NEARLY * answer.scale[0] * diameter:
+        status = Status.CONVERGED if answer.cut_off <= WITHIN else Status.LIMIT
+        return status, CONVERGED_TO.format(1e3 * max(answer.cut_off, WITHIN))
+    return Status.LIMIT, CUT_OFF.format(1e3 * answer.cut_off)
