@@ -96,7 +96,6 @@ def _fit_all_frames(prepared: Prepared, found: Found, clock: Clock) -> Answer:
         terms=result.terms,
         axis=None if result.axis is None or track.angle is None else replace(result.axis, angle=track.angle),
         warp=result.warp,
-        hand_moved=problem.trust.hand_refined or bool(source.glitches and source.glitches.frames),
         T_cam_other_hand=None,
         notes=problem.notes,
         hand=result.hand,

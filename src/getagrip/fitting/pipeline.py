@@ -92,7 +92,6 @@ class Answer:
         terms: energy of the best, per term.
         axis: axis of the best, where it has one, with its angles in these frames.
         warp: what was made of the mesh.
-        hand_moved: whether the hand is elsewhere than the clip has it.
         T_cam_other_hand: (T, 4, 4) poses of a timeline's other hand.
         notes: what is to be known about it.
         hand: the hand as it was solved with the object; None where it was not.
@@ -107,7 +106,6 @@ class Answer:
     terms: Mapping[str, float]
     axis: Axis | None
     warp: Warp | None
-    hand_moved: bool
     T_cam_other_hand: Float[ndarray, "T 4 4"] | None
     notes: tuple[str, ...]
     hand: SolvedHand | None = field(default=None, kw_only=True)
@@ -237,7 +235,7 @@ def _result(
         seconds=seconds,
         options=asdict(options),
         seed=options.seed,
-        T_cam_hand=track.T_cam_hand if answer.hand_moved else None,
+        T_cam_hand=track.T_cam_hand,
         hand_covariance=None if answer.hand is None else answer.hand.covariance,
         hand_alternatives=judged.hand_alternatives,
         hand_energy={} if answer.hand is None else dict(answer.hand.energy),

@@ -89,8 +89,9 @@ class Reconstruction(ArrayData):
         probability_right: probability that the poses are right relative to the hand (ADD, up to symmetries, below 10 %
             of the diameter); None if it is not calibrated for this kind of fit.
         probability_right_in_camera: probability that the poses are right relative to the camera.
-        T_cam_hand: (T, 4, 4) pose of the repaired and refined hand, hand frame to camera frame [m]. ``T_hand_obj`` and
-            the axis are relative to it. None if the clip's hand is unchanged.
+        T_cam_hand: (T, 4, 4) pose of the hand, repaired and refined where it was, hand frame to camera frame [m].
+            ``T_hand_obj`` and the axis are relative to it. None: the clip's, for poses from elsewhere and for results
+            of older versions.
         hand_scale: factor on the size of the clip's hand, about the origin of its frame; 1 but for a hand that was
             lifted from 2D points and whose size follows from a sensor's depth or from the object's.
         hand_covariance: (6, 6) of the error that all frames of ``T_cam_hand`` share, in the hand frame: shift of the
@@ -213,6 +214,17 @@ class Reconstruction(ArrayData):
             return self.candidates.T_hand_obj
         here = np.concatenate([np.eye(4)[None], se3.inverse(self.hand_alternatives)])
         return np.asarray(here[:, None] @ self.T_hand_obj)
+
+    @property
+    def T_cam_obj(self) -> Float[ndarray, "T 4 4"]:
+        """(T, 4, 4) pose of the object in each frame, object frame to camera frame [m].
+
+        Raises ``UsageError`` where ``T_cam_hand`` is not known.
+        """
+        if self.T_cam_hand is None:
+            hand = "clip.hand.T_cam_hand[clip.index_of(result.frames)] @ result.T_hand_obj"
+            raise UsageError(f"missing T_cam_hand: this result does not say where its hand is; compute {hand}")
+        return np.asarray(self.T_cam_hand @ self.T_hand_obj)
 
     def frames_of(self, *kinds: FrameKind) -> Int[ndarray, "n"]:
         """Return the indices of the frames of some kinds."""
