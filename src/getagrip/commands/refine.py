@@ -60,6 +60,7 @@ class Refine(Command):
 
         if self.options.init != "uniform":
             raise UsageError(f"--init {self.options.init} cannot be used with refine, which starts from PATH")
+        self.batch.keep.check(self.options)
         options = replace(self.options, init="poses", priors=PriorsFile(self.poses, first=self.first))
         status = reconstruct_clips(self.clips, self.out, options, self.batch, self.debug)
         refined = files.folder_inside(self.out, REFINED)
