@@ -112,9 +112,9 @@ class Right:
     """How probable it is that poses are right, before and after, as far as that is known.
 
     Attributes:
-        before: of the given poses.
-        at_most: a bound on that, where it is not known but cannot be more.
-        after: of the refined ones.
+        before: probability of the poses in PATH.
+        at_most: a bound on it, where it is not known.
+        after: probability of the refined poses.
     """
 
     before: float | None = None
@@ -123,7 +123,7 @@ class Right:
 
     @staticmethod
     def of(before: Probability | None, after: Probability | None, apart: float) -> Right:
-        """Tell it by how far the given poses are from the refined ones [diameters].
+        """Compute the probabilities; ``apart`` is how far the poses were moved [diameters].
 
         Only our results have a calibrated probability. Others' poses have ours where they are the same solution, and at
         most the rest where both cannot be right.
@@ -135,7 +135,7 @@ class Right:
 
     @property
     def said(self) -> tuple[str, str]:
-        """Say it in words, before and after."""
+        """Both probabilities in words, before and after."""
         from getagrip.probability import percent
 
         before, most, after = ("-" if one is None else percent(one) for one in (self.before, self.at_most, self.after))

@@ -1,4 +1,4 @@
-"""What the iteration limit has cut off: how far further iterations would move the object."""
+"""The distance by which further iterations, after the iteration limit, would move the object."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ CUT_OFF = (
 WITHIN = 1e-4
 """A fit whose object further iterations would move by no more has converged [m]."""
 NEARLY = 0.01
-"""The same share of the diameter is little: a pose is right within 0.1."""
+"""Share of the diameter up to which a fit at the iteration limit is near its end: a pose is right within 0.1."""
 
 P = TypeVar("P")
 F = TypeVar("F")
