@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.errors import UsageError
-from getagrip.io.array_data import ArrayData, as_array, check_ids
+from getagrip.io.array_data import ArrayData, as_array, check_finite, check_ids
 
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 
@@ -44,6 +44,8 @@ class HandTrack(ArrayData):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        for name in ("vertices", "T_cam_hand", "joints"):
+            check_finite(f"HandTrack.{name}", getattr(self, name))
         if (self.joints_2d is None) != (self.joints_2d_confidence is None):
             raise UsageError("HandTrack.joints_2d and HandTrack.joints_2d_confidence go together")
         count = self.vertices.shape[1]

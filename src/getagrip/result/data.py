@@ -16,6 +16,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.warp import Warp
 from getagrip.io.array_data import ArrayData
 from getagrip.io.brief import view
+from getagrip.io.named import named
 from getagrip.probability import Probability
 from getagrip.result.segments import SegmentResult
 
@@ -177,6 +178,7 @@ class Reconstruction(ArrayData):
         """The clip and masks that ``reconstruct`` used; None for a result that was read, or changed since."""
         return self.__dict__.get("_inputs")
 
+    @named
     def plot(self, clip: Clip | None = None, masks: Masks | None = None) -> Figure:
         """Draw the result: silhouettes, the axis in two views, angle and IOU over time; a notebook shows the figure.
 
@@ -185,6 +187,7 @@ class Reconstruction(ArrayData):
         """
         return view("plotted")(self, clip, masks)
 
+    @named
     def show(self, clip: Clip | None = None, masks: Masks | None = None, height: int = 820) -> Page:
         """Make the page of the result, which plays in 3D; a notebook shows it, ``height`` pixels high.
 
