@@ -259,7 +259,7 @@ class Status(Enum):
     """A word for programs, and a sentence that says what to do about it."""
 
     CONVERGED = "converged", "converged: further steps gain less than 0.1 % of the energy"
-    STUCK = "stuck", "stopped: no step lowers the energy any more"
+    STUCK = "stuck", "converged: no step lowers the energy any more"
     LIMIT = (
         "iteration-limit",
         "stopped at the iteration limit while the energy was still falling a little; --thorough goes on longer",
@@ -290,6 +290,8 @@ class Status(Enum):
         known = next((status for status in Status if status.sentence == sentence), None)
         if known is not None:
             return known
+        if sentence == "stopped: no step lowers the energy any more":
+            return Status.STUCK
         if sentence.startswith(("failed in part", "partly failed")):
             return Status.PARTLY_FAILED
         return Status.MISFIT if sentence.startswith("failed") else Status.EXTERNAL
