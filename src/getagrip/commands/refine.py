@@ -129,7 +129,7 @@ class Right:
         most the rest where both cannot be right.
         """
         if before is not None or after is None:
-            return Right(before and before.value, None, after and after.value)
+            return Right(None if before is None else before.value, None, None if after is None else after.value)
         same, most = apart <= SAME, 1.0 - after.value if apart >= OTHER else None
         return Right(after.value if same else None, most, after.value)
 
