@@ -185,15 +185,6 @@ class Draft(Command):
         finally:
             project.close()
 
-    def _say_sources(self, found: FoundHands) -> None:
-        """Print where the hands come from; guesses once: where a clip is made without the page, it prints them."""
-        from getagrip.provenance import is_assumed
-
-        solved = self.no_page and bool(self.masks or self.object_box)
-        for key, source in found.provenance.items():
-            if not (solved and is_assumed(source)):
-                report(f"{key}: {source}")
-
     def _drawn(self, stretch: Stretch, found: FoundHands) -> dict[int, FrameLabels]:
         """Return what is known of the object: masks that are given, or what stands out in the box. Raises as run."""
         from getagrip.annotate import found_hands
@@ -244,6 +235,15 @@ class Draft(Command):
         if self.depth is None or self.depth_from is None:
             return None
         return depth_of(self.depth, self.depth_from, self.depth_first, stretch)
+
+    def _say_sources(self, found: FoundHands) -> None:
+        """Print where the hands come from; guesses once: where a clip is made without the page, it prints them."""
+        from getagrip.provenance import is_assumed
+
+        solved = self.no_page and bool(self.masks or self.object_box)
+        for key, source in found.provenance.items():
+            if not (solved and is_assumed(source)):
+                report(f"{key}: {source}")
 
     @property
     def _lens(self) -> Lens:
