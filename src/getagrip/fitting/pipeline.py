@@ -44,7 +44,7 @@ UNEXPLAINED = "failed: even the best pose has a mean mask IOU of only {:.2f}; th
 """The message of a result whose mean IOU is below ``LEAST_IOU``, however the minimisation ended."""
 PARTLY_UNEXPLAINED = "partly failed: low mask IOU in the segments {}"
 """The message of a result some of whose segments are below ``LEAST_IOU``."""
-CONVERGED_TO = "converged to {:.1f} mm: no farther would further iterations move the object"
+CONVERGED_TO = "converged to {:.1f} mm: further iterations would move the object by no more"
 CUT_OFF = (
     "stopped at the iteration limit: further iterations would move the object by {:.1f} mm; --thorough, in Python "
     "Options(thorough=True), goes on longer"
