@@ -37,6 +37,10 @@ NAN = np.where(np.arange(len(CLIP))[:, None, None] == 1, np.nan, CLIP.hand.verti
         (lambda: RESULT.plot("report.png"), "clip of plot must be a Clip (got 'report.png')"),
         (lambda: RESULT.show(masks=CLIP), "masks of show must be Masks (got a value of type Clip)"),
         (lambda: RESULT.plot(maks=MASKS), "unknown argument of plot 'maks'; choose from masks"),
+        (
+            lambda: getagrip.HandTrack(CLIP.hand.vertices, CLIP.hand.faces, CLIP.hand.T_cam_hand),
+            "missing thumb, index, middle, ring, pinky in HandTrack.regions: vertex ids of the pad of each fingertip; ",
+        ),
         (lambda: replace(CLIP.hand, vertices=NAN), "HandTrack.vertices must be finite numbers (got "),
         (lambda: replace(CLIP.hand, T_cam_hand=np.full((len(CLIP), 4, 4), np.inf)), "HandTrack.T_cam_hand must be fin"),
         (lambda: replace(CLIP, K=np.full((len(CLIP), 3, 3), np.nan)), "Clip.K must be finite numbers (got "),
