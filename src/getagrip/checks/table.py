@@ -52,7 +52,7 @@ CAUSES = (
     "compare the contours in the report: mend masks that show a box, a shadow, the hand or only a part of the object; "
     "where the masks are right, the mesh or the hand's pose is wrong"
 )
-"""What to do about contours that are off the masks."""
+"""Advice on contours that are off the masks."""
 
 _INPUT: tuple[Check, ...] = (
     Check(
@@ -256,7 +256,7 @@ _RESULT: tuple[Check, ...] = (
     Check(
         "hand-size", plausibility.lifted_hand, low=0.7, high=1.35,
         fault="by the object's size, or by depth, the hand would be {value} times as large as a mean one",
-        advice="check the object's size and its mesh, which must be of its kind, and the hand's joints and depth",
+        advice="check the object's size, that the mesh is of such an object, and the hand's joints and depth",
     ),
 )  # fmt: skip
 
