@@ -51,7 +51,7 @@ def test_a_method_without_a_motion_cannot_go_on(fit: tuple[Problem, MethodResult
     [
         (0.0, Status.CONVERGED, "converged to 0.1 mm"),
         (1e-4, Status.CONVERGED, "converged to 0.1 mm"),
-        (9e-4, Status.LIMIT, "converged to 0.9 mm"),
+        (1.9e-3, Status.LIMIT, "converged to 1.9 mm"),
         (4e-3, Status.LIMIT, "stopped at the iteration limit: further iterations would move the object by 4.0 mm"),
         (float("nan"), Status.LIMIT, "stopped at the iteration limit"),
     ],

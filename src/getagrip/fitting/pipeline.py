@@ -52,7 +52,7 @@ CUT_OFF = (
 """The messages of a fit that ended at the iteration limit."""
 WITHIN = 1e-4
 """A fit whose object further iterations would move by no more has converged [m]."""
-NEARLY = 0.01
+NEARLY = 0.02
 """Share of the diameter up to which a fit at the iteration limit is near its end: a pose is right within 0.1."""
 
 P = TypeVar("P")
