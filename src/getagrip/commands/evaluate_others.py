@@ -109,7 +109,7 @@ def _clip_of(place: Path, where: Path | None, of_results: Folders) -> Path:
     if where is not None and _is_clip(where):
         return where
     named = _clip_named(place.stem if place.is_file() else place.name, where, of_results)
-    if named.is_dir():
+    if _is_clip(named):
         return named
     if len(of_results) == 1:
         return next(iter(of_results.values()))
