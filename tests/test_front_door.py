@@ -30,6 +30,10 @@ def test_the_root_has_what_it_lists() -> None:
         expected = inspect.isfunction if name in FUNCTIONS else inspect.isclass
         assert expected(getattr(getagrip, name))
     assert not hasattr(getagrip, "nonsense")
+    with pytest.raises(AttributeError, match=r"no attribute 'reconstuct'; choose from reconstruct"):
+        _ = getagrip.reconstuct
+    module = "import getagrip\ntry: getagrip.export\nexcept AttributeError as error: print(error)"
+    assert fresh(module).endswith("it is a module: import getagrip.export")
     assert getagrip.__version__.count(".") == 2
 
 

@@ -28,7 +28,7 @@ SHORT = """
 from functools import partial
 import getagrip
 full = getagrip.reconstruct
-getagrip.reconstruct = lambda clip, masks, options, **more: full(clip, masks, getagrip.Options(inits=4), **more)
+getagrip.reconstruct = lambda clip, masks, **more: full(clip, masks, getagrip.Options(inits=4), **more)
 small = getagrip.SceneOptions(frames=6, size=(640, 480), focal=600.0)
 getagrip.synthesise = partial(getagrip.synthesise, options=small)
 """
@@ -65,6 +65,19 @@ for each in ({", ".join(names)}):
     assert all(shown[name][1] > 500 for name in ("Clip", "Masks", "Reconstruction", "Page", "Evaluation"))
     assert shown["Figure"][2] > 10_000
     assert (tmp_path / "mug-in-hand" / "about.json").is_file()
+
+
+def test_the_table_keeps_its_width_beside_a_wide_picture() -> None:
+    html = true_result(small_clip()[0], None).made_of(*small_clip())._repr_html_()
+    assert "flex-wrap:wrap" in html
+    assert "flex:1 1 24em" in html
+    assert "flex:none" not in html
+
+
+def test_it_takes_the_default_search_and_the_wheel_s_test_asserts_its_error() -> None:
+    """A shorter one may miss the pose, and has no probability."""
+    assert "inits" not in NOTEBOOK.read_text(encoding="utf-8")
+    assert 'evaluation.metrics["add_mm"] < ' in (ROOT / "scripts" / "try_wheel.py").read_text(encoding="utf-8")
 
 
 def test_no_value_is_a_wall() -> None:

@@ -20,4 +20,19 @@ if interrupts.is_program():  # before anything else takes time
 import lazy_loader
 
 __version__ = "0.1.0"
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_public, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> object:
+    """Load a public name. Raises ``AttributeError`` with the names most like it, or with the module's import."""
+    if name in __all__ or name.startswith("__"):
+        return _public(name)
+    import difflib
+    import importlib.util
+
+    if not name.startswith("_") and importlib.util.find_spec(f"{__name__}.{name}") is not None:
+        advice = f"it is a module: import {__name__}.{name}"
+    else:
+        alike = difflib.get_close_matches(name, __all__) or __all__
+        advice = f"choose from {', '.join(alike)}"
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}; {advice}")

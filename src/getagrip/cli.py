@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import traceback
 from collections.abc import Collection, Iterable, Sequence
 from contextlib import nullcontext, redirect_stdout
 from difflib import get_close_matches
+from functools import reduce
+from inspect import cleandoc
 from io import TextIOWrapper
+from operator import or_
+from shutil import get_terminal_size
+from textwrap import wrap
 from typing import Annotated, Any, get_args, get_origin
 
 # Commands share their work between processes, one for each core. Said before numpy is loaded, which reads it once.
@@ -53,40 +59,67 @@ DESCRIPTION = (
 )
 
 BENCH = "Compare methods on a dataset, or on a folder of clips: the paper's tables, with intervals."
+FIGURE = "Draw figures of results, as the paper has them."
 IMPORT = "Import datasets; or hands, masks, depth, cameras or segments into clips."
+INDENT = 27
+"""Column in which ``--help`` explains the commands."""
 
 
-def commands(imports: Any, figures: Any) -> Any:
-    """Make the union of all commands, in the order of use: to try it, input, reconstruction, results, research.
+def groups(imports: Any, figures: Any) -> dict[str, tuple[Any, ...]]:
+    """Make all commands, by what they are for: the headings of ``--help``.
 
     ``imports`` is what ``import`` takes, ``figures`` what ``figure`` takes.
     """
-    return (
-        Annotated[Demo, subcommand("demo")]
-        | Annotated[Doctor, subcommand("doctor")]
-        | Annotated[Draft, subcommand("draft")]
-        | Annotated[Label, subcommand("label")]
-        | Annotated[NewClip, subcommand("clip new")]
-        | Annotated[Annotate, subcommand("annotate")]
-        | Annotated[imports, subcommand("import", description=IMPORT)]
-        | Annotated[EpicCandidates, subcommand("epic candidates")]
-        | Annotated[Reconstruct, subcommand("reconstruct")]
-        | Annotated[Refine, subcommand("refine")]
-        | Annotated[Status, subcommand("status")]
-        | Annotated[Evaluate, subcommand("evaluate")]
-        | Annotated[Report, subcommand("report")]
-        | Annotated[View, subcommand("view")]
-        | Annotated[figures, subcommand("figure", description="Draw figures of results, as the paper has them.")]
-        | Annotated[Export, subcommand("export")]
-        | Annotated[ReplayResults, subcommand("replay")]
-        | Annotated[Benches, subcommand("bench", description=BENCH)]
-        | Annotated[ReproduceEpic, subcommand("reproduce epic-grasps")]
-        | Annotated[ReproduceArctic, subcommand("reproduce arctic-grasps")]
-        | Annotated[Segment, subcommand("segment")]
-        | Annotated[Study, subcommand("study")]
-        | Annotated[Stats, subcommand("stats")]
-        | Annotated[LearnPoses, subcommand("init learn")]
-    )
+    return {
+        "Start": (Annotated[Demo, subcommand("demo")], Annotated[Doctor, subcommand("doctor")]),
+        "Video": (
+            Annotated[Draft, subcommand("draft")],
+            Annotated[Label, subcommand("label")],
+            Annotated[Annotate, subcommand("annotate")],
+            Annotated[NewClip, subcommand("clip new")],
+            Annotated[imports, subcommand("import", description=IMPORT)],
+        ),
+        "Solve": (
+            Annotated[Reconstruct, subcommand("reconstruct")],
+            Annotated[Refine, subcommand("refine")],
+            Annotated[Status, subcommand("status")],
+        ),
+        "Look": (
+            Annotated[View, subcommand("view")],
+            Annotated[Report, subcommand("report")],
+            Annotated[figures, subcommand("figure", description=FIGURE)],
+        ),
+        "Use": (Annotated[Export, subcommand("export")], Annotated[ReplayResults, subcommand("replay")]),
+        "Measure": (
+            Annotated[Evaluate, subcommand("evaluate")],
+            Annotated[Benches, subcommand("bench", description=BENCH)],
+            Annotated[ReproduceEpic, subcommand("reproduce epic-grasps")],
+            Annotated[ReproduceArctic, subcommand("reproduce arctic-grasps")],
+            Annotated[Segment, subcommand("segment")],
+            Annotated[Study, subcommand("study")],
+            Annotated[Stats, subcommand("stats")],
+            Annotated[LearnPoses, subcommand("init learn")],
+            Annotated[EpicCandidates, subcommand("epic candidates")],
+        ),
+    }
+
+
+def commands(imports: Any, figures: Any) -> Any:
+    """Make the union of all commands."""
+    return reduce(or_, (command for group in groups(imports, figures).values() for command in group))
+
+
+def overview() -> str:
+    """Write what ``getagrip --help`` prints: the commands under their headings."""
+    width = get_terminal_size().columns
+    lines = ["usage: getagrip COMMAND [-h] ...", "", *wrap(DESCRIPTION, width)]
+    for heading, group in groups(Command, Command).items():
+        lines += ["", heading]
+        for kind, about in map(get_args, group):
+            sentence = re.split(r"(?<=\.)\s", cleandoc(about.description or kind.__doc__), maxsplit=1)[0]
+            name = f"  {about.name}  ".ljust(INDENT)
+            lines += wrap(" ".join(sentence.split()), width, initial_indent=name, subsequent_indent=" " * INDENT)
+    return "\n".join([*lines, "", "getagrip COMMAND --help lists a command's options."])
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -148,6 +181,9 @@ def _parsed(args: Sequence[str]) -> Command:
     if list(args) == ["--version"]:
         print(f"getagrip {__version__}")
         sys.exit(0)
+    if not args or args[0] in {"-h", "--help"}:
+        print(overview(), file=sys.stdout if args else sys.stderr)
+        sys.exit(0 if args else 2)
     known: Any = commands(imports, figures)
     program, description = "getagrip", DESCRIPTION
     while parts := _by_name(known):  # its own command is enough, and several times as quick
@@ -186,11 +222,15 @@ def joined(words: Sequence[str], names: Collection[str], before: str = "") -> li
         if (name := " ".join(words[:length])) in names:
             return [name, *words[length:]]
     begun = [name for name in names if name.split()[0] == words[0]]
-    if begun and {"-h", "--help"} & {*words}:
+    asked = bool({"-h", "--help"} & {*words})
+    if asked and len(begun) == 1:
         return [begun[0], "--help"]
-    value = " ".join(words[:2]) if begun else words[0]
-    alike = [before + name for name in begun or _alike(value, names)]
-    print(f"getagrip: {cleaned(str(unknown('command', before + value, alike or names)))}", file=sys.stderr)
+    alike = [before + name for name in begun or _alike(words[0], names)]
+    if begun and (asked or len(words) == 1):
+        print(f"getagrip: incomplete command {words[0]!r}; choose from {', '.join(alike)}", file=sys.stderr)
+    else:
+        value = " ".join(words[:2]) if begun else words[0]
+        print(f"getagrip: {cleaned(str(unknown('command', before + value, alike or names)))}", file=sys.stderr)
     sys.exit(2)
 
 

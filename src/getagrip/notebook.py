@@ -97,13 +97,14 @@ def table_and_picture(data: object) -> str:
     """Write HTML of data: a table of what is in it, and a picture beside it where there is something to see."""
     rows = "".join(
         f'<tr><td style="text-align:left;color:#8a9096">{_in_html(name)}</td>'
-        f'<td style="text-align:left">{_in_html(text)}</td></tr>'
+        f'<td style="text-align:left;white-space:normal">{_in_html(text)}</td></tr>'
         for name, text in described(data).items()
     )
     seen = picture(data)
-    image = "" if seen is None else f'<img style="flex:none" alt="" src="{_address(seen)}">'
+    image = "" if seen is None else f'<img style="max-width:100%" alt="" src="{_address(seen)}">'
     title = f"<caption><b>{escape(type(data).__name__)}</b></caption>"
-    return f'<div style="display:flex;gap:16px;align-items:start"><table>{title}{rows}</table>{image}</div>'
+    table = f'<div style="flex:1 1 24em"><table>{title}{rows}</table></div>'  # a picture that is too wide goes below it
+    return f'<div style="display:flex;flex-wrap:wrap;gap:16px;align-items:start">{table}{image}</div>'
 
 
 @singledispatch

@@ -108,6 +108,7 @@ def test_marks_say_kept_or_dropped_and_nothing_where_none_is_asked_for() -> None
     assert verdicts == {"a": "kept", "b": "dropped", "c": "dropped"}
     assert keep.summary(verdicts).endswith("right in the hand; dropped: b, c")
     assert "1 of 3 (33 %) are kept" in keep.summary(verdicts)
+    assert keep.summary({f"{n:02d}": "dropped" for n in range(55)}).endswith("18, 19 and 35 more")
     assert Keep(0.95, "camera").verdict(unsure, sure) == "kept"
     for share in (0.49, 0.99, -1.0):
         with pytest.raises(UsageError, match=r"--keep must be 0.5 to 0.98"):

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from getagrip.cli import groups
 from getagrip.clip import read_clip, read_masks, write_clip
+from getagrip.commands.command import Command
 from getagrip.result import read_result
 from helpers.command_line import Run
 from helpers.folders import results_in
@@ -56,6 +58,10 @@ def test_help_is_there(run: Run, args: tuple[str, ...]) -> None:
         ("reconstruct", "a", "--out", "x", "--workers", "0"),
         ("reconstruct", "a", "--out", "x", "--seed", "-1"),
         ("reconstruct", "a", "--out", "x", "--color"),
+        ("reconstruct", "a", "--out", "x", "--keep", "0.95", "--inits", "10"),
+        ("reconstruct", "a", "--out", "x", "--keep", "0.95", "--method", "static"),
+        ("reconstruct", "a", "--out", "x", "--keep", "0.95", "--find-grasps"),
+        ("refine", "a", "--clips", "a", "--out", "x", "--keep", "0.95", "--given-hands"),
         ("reconstruct", "a", "--out", __file__),
         ("evaluate",),
         ("evaluate", "a", "--json", f"{__file__}/file.json"),
@@ -79,9 +85,11 @@ def test_wrong_calls_exit_with_2(run: Run, args: tuple[str, ...], tmp_path: Path
         ("recon dexall --out x", "unknown command 'recon'; choose from reconstruct"),
         ("sudy", "unknown command 'sudy'; choose from study"),
         ("cip new v.mp4", "unknown command 'cip'; choose from clip new"),
+        ("reproduce", "incomplete command 'reproduce'; choose from reproduce epic-grasps, reproduce arctic-grasps"),
+        ("reproduce --help", "incomplete command 'reproduce'; choose from reproduce epic-grasps, reproduce arctic"),
         ("clip --out x", "unknown command 'clip --out'; choose from clip new"),
         ("init lern", "unknown command 'init lern'; choose from init learn"),
-        ("e", "unknown command 'e'; choose from epic candidates, evaluate, export"),
+        ("e", "unknown command 'e'; choose from export, evaluate, epic candidates"),
         ("frobnicate", "unknown command 'frobnicate'; choose from demo, doctor, draft"),
         ("import dexicb root --out x", "unknown command 'import dexicb'; choose from import dexycb"),
         ("import frobnicate", "unknown command 'import frobnicate'; choose from hot3d, dexycb"),
@@ -210,6 +218,31 @@ def test_an_interrupt_leaves_no_traceback(can_and_box: Path, tmp_path: Path, mon
     status, _, err = run("reconstruct", can_and_box, "--out", tmp_path / "out")
     assert status == 130
     assert "interrupted" in err
+
+
+def test_commands_stand_under_headings(run: Run) -> None:
+    status, out, _ = run("--help")
+    headings = [line for line in out.splitlines() if line.istitle() and " " not in line]
+    assert (status, headings) == (0, ["Start", "Video", "Solve", "Look", "Use", "Measure"])
+    listed = [line[2:].split("  ")[0] for line in out.splitlines() if line.startswith("  ") and line[2] != " "]
+    named = [command.__metadata__[0].name for group in groups(Command, Command).values() for command in group]
+    assert listed == named
+    assert len({*named}) == len(named)
+
+
+def test_options_of_executors_stand_under_one_heading(run: Run) -> None:
+    for command in ("reconstruct", "refine", "import dexycb", "bench synthetic", "reproduce epic-grasps"):
+        before, _, executor = run(*command.split(), "--help")[1].partition("executor options")
+        for option in ("--workers", "--engine", "--address", "--shard", "--ledger", "--limit-seconds", "--limit-gb"):
+            listed = re.compile(rf"^\W*{option} ", re.MULTILINE)
+            assert listed.search(executor), command
+            assert not listed.search(before), command
+
+
+def test_a_night_s_work_without_probabilities_is_not_begun(run: Run, tmp_path: Path) -> None:
+    call = ("reconstruct", tmp_path / "clips", "--out", tmp_path / "out", "--keep", "0.95", "--inits", "10")
+    status, _, err = run(*call)
+    assert (status, "none is calibrated for fewer than 50 initial poses" in err) == (2, True)
 
 
 @pytest.mark.parametrize("words", ["clip new", "epic candidates", "init learn"])

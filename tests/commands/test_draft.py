@@ -86,6 +86,7 @@ def test_a_box_on_the_object_is_enough_for_masks_of_all_frames(
     (masks,) = made.glob("draft-*/masks")
     name = masks.parent.name
     assert f"{name}: IOU" in out
+    assert [(out + err).count(f"{guess}: ") for guess in ("hands_focal", "hands_scale", "camera")] == [1, 1, 1]
     assert f"{Path('out/results') / name / 'report.html'}: the report" in out
     assert (made / "results" / name / "report.html").is_file()
     clip = with_evidence(read_clip(made / "clips" / name))

@@ -20,14 +20,10 @@ def reference() -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_every_command_is_in_it(reference: dict[str, Any], run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "300")
-    usage = re.search(r"\{(.*)\}", run("--help")[1])
-    assert usage
+def test_every_command_is_in_it(reference: dict[str, Any], run: Run) -> None:
+    listed = re.findall(r"^  (\w[\w-]*(?: [\w-]+)?)  ", run("--help")[1], re.MULTILINE)
     names = list(reference["commands"]())
-    assert [name for name in names if name.split()[0] not in {"import", "figure", "bench"} or " " not in name] == usage[
-        1
-    ].split(",")
+    assert listed == [name for name in names if name.split()[0] not in {"import", "figure", "bench"} or " " not in name]
     assert {"import hands", "import hot3d", "figure gallery"} <= set(names)
     assert reference["help_of"]("clip new").startswith("usage: getagrip clip new ")
 

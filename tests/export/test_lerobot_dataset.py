@@ -68,7 +68,9 @@ def test_clips_stay_in_their_split_as_the_dataset_grows(scene: Scene, tmp_path: 
     assert len(tests) == 2
     assert tests == dataset.tests(names[::-1], 0.25)
     for name in sorted(names, key=lambda name: name in tests):
-        dataset.add(replace(named(scene, name), probability=0.75), "test" if name in tests else "train")
+        dataset.add(
+            replace(named(scene, name), probability=0.75, findings_serious=2), "test" if name in tests else "train"
+        )
     again = Dataset.of(tmp_path / "set")
     assert again.splits == {"train": "0:6", "test": "6:8"}
     assert again.tests(names, 0.25) == set()
@@ -77,6 +79,7 @@ def test_clips_stay_in_their_split_as_the_dataset_grows(scene: Scene, tmp_path: 
     assert json.loads((tmp_path / "set/meta/info.json").read_text())["splits"] == {"train": "0:6,8:9", "test": "6:8"}
     rows = columns(tmp_path / "set")
     assert {*rows["confidence"].tolist()} == {0.75, -1.0}
+    assert {*rows["findings_serious"].tolist()} == {2, 0}
     np.testing.assert_allclose(rows["mask_iou"][:3], np.nan_to_num(scene.iou, nan=-1.0))
     assert rows["interpolated"][:3].tolist() == [False, False, True]
 

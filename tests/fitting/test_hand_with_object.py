@@ -119,7 +119,8 @@ def test_an_exact_hand_stays_and_so_does_every_bit() -> None:
     clip = made(noise=None)
     options = Options(inits=5, every_frame=False)
     a, b = (reconstruct(clip, options=replace(options, hands=hands)) for hands in ("corrected", "as-given"))
-    assert a.T_cam_hand is None
+    assert a.T_cam_hand is not None
+    np.testing.assert_array_equal(a.T_cam_hand, clip.hand.T_cam_hand[clip.index_of(a.frames)])
     assert a.hand_covariance is None
     assert not a.hand_energy
     np.testing.assert_array_equal(a.candidates.T_hand_obj, b.candidates.T_hand_obj)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
@@ -270,6 +271,15 @@ def test_they_are_rows_beside_ours(tmp_path: Path, moved: Any, run: Run) -> None
     assert [sample["frames"] for sample in both] == [["000010", "000012"]] * 2
     assert both[0]["metrics"]["add_mm"] == pytest.approx(both[1]["metrics"]["add_mm"])
     assert run("evaluate", "--poses", theirs)[0] == 2
+    other = Path(shutil.copy(file, tmp_path / "other.npy"))
+    for poses in (theirs, other):  # the result names its clip
+        for clips in ((), ("--clips", tmp_path / "clips"), ("--clips", folder)):
+            assert run("evaluate", ours, "--poses", poses, *clips, "--json", tmp_path / "c.json")[::2] == (0, "")
+            samples = json.loads((tmp_path / "c.json").read_text())["samples"]
+            assert [sample["method"] for sample in samples] == [result.method, poses.stem]
+            assert samples[1]["metrics"]["add_mm"] == both[1]["metrics"]["add_mm"]
+    status, _, err = run("evaluate", "--poses", other, "--clips", tmp_path / "clips")
+    assert (status, f"which clip is {other} of? Name it: --clips CLIP" in err) == (2, True)
     assert run("evaluate", "--poses", tmp_path / "none", "--clips", folder)[0] == 1
 
 

@@ -80,6 +80,9 @@ def test_all_that_is_missing_is_named_first(tmp_path: Path, run: Run, needs: dic
     assert (status, said) == (2, "")
     assert all(need.source in told and need.what in told for need in needs.values())
     assert len(told.splitlines()) > len(needs)  # a line each
+    assert " or " not in told, "one place for each"
+    later = [need.what in told for need in epic.HANDS.values()]
+    assert later == [needs is epic.NEEDS] * 2, "before 100 GB are fetched"
     assert not (tmp_path / "out").exists()
 
 

@@ -97,6 +97,19 @@ def test_what_is_written_is_read(tmp_path_factory: Any, frames: int, candidates:
     assert record["software"]["numpy"] == np.__version__
 
 
+def test_the_object_in_the_camera_is_known_where_the_hand_is(tmp_path: Path) -> None:
+    result = small_result()
+    T_cam_hand = se3.rigid(se3.exp_so3(np.full((3, 3), 0.4)), np.array([0.1, 0.2, 0.9]))
+    folder = write_result(replace(result, T_cam_hand=T_cam_hand), tmp_path / "result")
+    expected = T_cam_hand @ result.T_hand_obj
+    np.testing.assert_array_equal(np.load(folder / "result.npz")["T_cam_obj"], expected)
+    np.testing.assert_array_equal(read_result(folder)[0].T_cam_obj, expected)
+    np.testing.assert_array_equal(read_result(folder)[0].take(np.array([2, 0])).T_cam_obj, expected[[2, 0]])
+    assert "T_cam_obj" not in np.load(write_result(result, tmp_path / "older") / "result.npz")
+    with pytest.raises(UsageError, match=r"missing T_cam_hand: .*; compute clip\.hand\.T_cam_hand"):
+        _ = read_result(tmp_path / "older")[0].T_cam_obj
+
+
 def test_numbers_that_json_lacks_become_null(tmp_path: Path) -> None:
     metrics = {"nan": float("nan"), "infinite": np.inf, "count": np.int64(3)}
     _, record = read_result(write_result(small_result(), tmp_path / "r", "sum", metrics))

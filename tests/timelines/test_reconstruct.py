@@ -36,8 +36,7 @@ def test_all_frames_are_answered(found: Reconstruction) -> None:
     assert clip.world is not None
     assert found.frames == clip.frames
     assert found.frame_kind == ("sampled",) * LIES + ("fitted",) * 2 + ("sampled",) * 8
-    hand = clip.hand.T_cam_hand if found.T_cam_hand is None else found.T_cam_hand
-    T_cam_obj = hand @ found.T_hand_obj
+    T_cam_obj = found.T_cam_obj
     off = se3.transform(T_cam_obj, clip.mesh.vertices[None]) - se3.transform(
         clip.truth.T_cam_obj, clip.mesh.vertices[None]
     )

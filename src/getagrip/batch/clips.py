@@ -34,11 +34,12 @@ def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batc
 
     Several calls may share a folder, at the same time or one after another: its ledger says who does what. Of more
     than one clip a summary is written, also after an interrupt. With ``strict`` also 1 where a check has found
-    something serious or a result is improbable. Raises ``UsageError`` where there is nothing to do, ``GetagripError``
-    where the ledger cannot be written.
+    something serious or a result is improbable. Raises ``UsageError`` where there is nothing to do, or no
+    result can be kept, ``GetagripError`` where the ledger cannot be written.
     """
     if not paths:
         raise UsageError("missing CLIP: name at least one clip")
+    batch.keep.check(options)
     share = batch.share
     with Plan(paths, share.shard) as plan:
         for outcome in plan.failed:

@@ -12,11 +12,14 @@ from getagrip.errors import UsageError
 from getagrip.probability import Probability
 
 if TYPE_CHECKING:
+    from getagrip.fitting.options import Options
     from getagrip.pages import IndexRow
     from getagrip.result import Reconstruction
 
 LOWEST, HIGHEST = 0.5, 0.98
 """Shares that results are calibrated for (``checks.keeping``)."""
+NAMED = 20
+"""Most results that are named in a line: the summary has them all."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,14 @@ class Keep:
     def __post_init__(self) -> None:
         if self.keep is not None and not LOWEST <= self.keep <= HIGHEST:
             raise UsageError(f"--keep must be {LOWEST:g} to {HIGHEST:g} (got {self.keep:g})")
+
+    def check(self, options: Options) -> None:
+        """Raise ``UsageError`` where results of these options have no probability: all of them would be dropped."""
+        if self.keep is not None:
+            from getagrip.fitting.judge import uncalibrated
+
+            if why := uncalibrated(options, ()):
+                raise UsageError(f"--keep needs the probability that results are right, and {why}")
 
     def verdict(self, in_hand: Probability | None, in_camera: Probability | None) -> str:
         """Return "kept" or "dropped"; empty where nothing is marked. Results without a probability are dropped."""
@@ -53,7 +64,8 @@ class Keep:
         """Sum up the verdicts of results by name, in a line."""
         dropped = sorted(name for name, verdict in verdicts.items() if verdict == "dropped")
         kept = len(verdicts) - len(dropped)
-        named = f"; dropped: {', '.join(dropped)}" if dropped else ""
+        more = f" and {len(dropped) - NAMED} more" if len(dropped) > NAMED else ""
+        named = f"; dropped: {', '.join(dropped[:NAMED])}{more}" if dropped else ""
         share = f"{kept} of {len(verdicts)} ({100.0 * kept / max(len(verdicts), 1):.0f} %) are kept"
         return f"{share}: at least {100.0 * (self.keep or 0.0):.3g} % of such are right in the {self.keep_in}{named}"
 

@@ -129,6 +129,8 @@ class Share:
                     pace.count(engine.entry(result).state)
 
 
+Executors = Annotated[Share, arg(name="executor", help="Where the work is done, and within which limits.")]
+"""The options of who does the tasks, under a heading of their own in ``--help``."""
 ALONE = Share()
 """All tasks, on this machine, any time and memory."""
 
@@ -149,7 +151,7 @@ class Batch:
     """With --strict, the least probability that poses are right in the hand, 0 to 1. Results without a probability
     pass, if no finding is serious."""
     keep: Annotated[Keep, arg(name="")] = field(default_factory=Keep)
-    share: Annotated[Share, arg(name="")] = field(default_factory=Share)
+    share: Executors = field(default_factory=Share)
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.min_probability <= 1.0:

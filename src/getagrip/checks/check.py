@@ -12,19 +12,21 @@ from getagrip.finding import Finding
 from getagrip.io import plugins
 
 GRAVER = {
-    "mesh-open": "mesh-holes",
-    "frames-late": "frame-order",
-    "tracker-glitches": "many-tracker-glitches",
-    "other-size": "wrong-size",
-    "outlier-masks": "many-outlier-masks",
-    "mesh-deformed": "mesh-much-deformed",
-    "pixel-stretch": "principal-point",
-    "field-of-view": "principal-point",
-    "mask-misfit": "large-mask-misfit",
-    "poor-mask-fit": "mask-fit",
-    "uneven-mask-fit": "mask-fit",
+    "mesh-open": ("mesh-holes",),
+    "frames-late": ("frame-order",),
+    "tracker-glitches": ("many-tracker-glitches",),
+    "other-size": ("wrong-size",),
+    "outlier-masks": ("many-outlier-masks",),
+    "mesh-deformed": ("mesh-much-deformed",),
+    "pixel-stretch": ("principal-point",),
+    "field-of-view": ("principal-point",),
+    "mask-misfit": ("large-mask-misfit", "poor-mask-fit", "mask-fit"),
+    "poor-mask-fit": ("mask-fit",),
+    "uneven-mask-fit": ("mask-fit",),
 }
-"""Checks that are not reported where a more severe check reports the same problem."""
+"""Checks that are not reported where a more severe check, one of these, reports the same problem."""
+OWN_MESH = "the shape is a guess: give the object's own mesh (draft, clip new: --object MESH)"
+"""The advice of checks that another mesh would mend, where the mesh is a built-in shape."""
 MOST = 1e9
 """JSON has no infinity."""
 
@@ -45,6 +47,8 @@ class Check:
     """True if the result is probably worthless; else it may be right."""
     shown: Callable[[float], str] = "{:.3g}".format
     """A value, and a limit, as people read it."""
+    of_shape: bool = False
+    """True if the object's own mesh would mend it, where the clip has a built-in shape."""
 
     @property
     def usual(self) -> str:
@@ -70,7 +74,8 @@ class Check:
         limit, least = (self.low, "least") if value < self.low else (self.high, "most")
         fault = self.fault.format(value=self.shown(value)) if isinstance(self.fault, str) else self.fault(it)
         usual = f" (usual: at {least} {self.shown(limit)})" if limit else ""  # that there is usually none is plain
-        return Finding(self.name, self.serious, value, limit, f"{fault}{usual}; {self.advice}")
+        advice = OWN_MESH if self.of_shape and it.shape_assumed else self.advice
+        return Finding(self.name, self.serious, value, limit, f"{fault}{usual}; {advice}")
 
 
 def examine(checks: Iterable[Check], it: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:
@@ -93,7 +98,7 @@ def examine(checks: Iterable[Check], it: Evidence) -> tuple[dict[str, float], tu
             finding = Finding(check.name, False, 0.0, 0.0, message)
         found += [] if finding is None else [finding]
     names = {finding.check for finding in found}
-    return measured, tuple(f for f in found if GRAVER.get(f.check) not in names)
+    return measured, tuple(f for f in found if names.isdisjoint(GRAVER.get(f.check, ())))
 
 
 def percent(share: float) -> str:

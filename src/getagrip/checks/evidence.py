@@ -16,6 +16,7 @@ from getagrip.geometry.camera import bounding_boxes
 from getagrip.geometry.depth import covered
 from getagrip.geometry.render import nearest_surface
 from getagrip.metrics.surface_distance import moving_distance
+from getagrip.provenance import is_assumed
 
 POINTS = 400
 """Vertices of the hand whose distances to the object are measured."""
@@ -93,6 +94,11 @@ class Evidence:
     scale_check: tuple[float, float] = (np.nan, np.nan)
     turned_away: float = np.nan
     glitches: Glitches | None = None
+
+    @property
+    def shape_assumed(self) -> bool:
+        """True if the mesh is one of the package's own shapes, and not the object's."""
+        return is_assumed(self.clip.provenance.get("mesh"))
 
     @property
     def glitch_share(self) -> float:

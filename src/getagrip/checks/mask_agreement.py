@@ -15,7 +15,6 @@ from numpy import ndarray
 
 from getagrip.checks.evidence import Evidence
 from getagrip.geometry.depth import covered
-from getagrip.provenance import is_assumed
 
 UNKNOWN = float("nan")
 USUAL_MISFIT, USUAL_IOU = 3.0, 0.9
@@ -39,7 +38,7 @@ def misfit(it: Evidence) -> float:
 
     It is NaN where they do not, and for a built-in shape.
     """
-    return it.misfit if it.misfit > USUAL_MISFIT and not _built_in(it) and agreement(it) > ALIKE else UNKNOWN
+    return it.misfit if it.misfit > USUAL_MISFIT and not it.shape_assumed and agreement(it) > ALIKE else UNKNOWN
 
 
 def mean_iou(it: Evidence) -> float:
@@ -47,12 +46,8 @@ def mean_iou(it: Evidence) -> float:
 
     It is NaN where they do not, or where contours are near: then the object is small in the image.
     """
-    iou, usual = float(np.nanmean(it.overlaps)), BUILT_IN_IOU if _built_in(it) else USUAL_IOU
+    iou, usual = float(np.nanmean(it.overlaps)), BUILT_IN_IOU if it.shape_assumed else USUAL_IOU
     return iou if iou < usual and not it.misfit <= USUAL_MISFIT and agreement(it) > ALIKE else UNKNOWN
-
-
-def _built_in(it: Evidence) -> bool:
-    return is_assumed(it.clip.provenance.get("mesh"))
 
 
 def evenness(it: Evidence) -> float:

@@ -67,13 +67,13 @@ SEGMENT_CHECKS = (
     Check(
         "mask-pixels", pixels, low=50.0,
         fault="even the largest mask has {value} pixels only, too few to locate the object",
-        advice="are these masks of the object? Give larger images",
+        advice="check that they are masks of the object, or give larger images",
     ),
 )  # fmt: skip
 STATIC = Check(
     "static-moves", drift, high=0.2, shown=percent,
     fault="the segment is static, but the masks move by {value} of their size against one pose",
-    advice="does the object move in some of these frames, or is the camera's motion wrong? Correct the segments",
+    advice="correct the segments where the object moves in these frames; else check the camera's motion",
 )  # fmt: skip
 
 
@@ -88,7 +88,7 @@ WITH_HAND = (
 """Checks that suppose a grasp, by the hand that holds the object."""
 FEWEST = 2
 """Frames that must show the object in a grasp."""
-UNSEEN_ADVICE = "there is no evidence for this grasp: are masks missing there, or is it another object's?"
+UNSEEN_ADVICE = "there is no evidence for this grasp: add masks there, or remove it if it is another object's"
 OF_MASKS = ("mask-fit", "poor-mask-fit", "worst-frame", "uneven-mask-fit")
 """Checks of any segment's result."""
 
@@ -221,7 +221,7 @@ def _surface_in_world(it: Evidence, some: Int[ndarray, "n"]) -> Float[ndarray, "
 JUMP = Check(
     "jump", jump, high=0.2, shown=of_diameter,
     fault="where segments meet, the object jumps by {value} more than it moves anywhere else",
-    advice="the pose in one of the two is probably wrong; are the segments right?",
+    advice="the pose in one of the two is probably wrong; check where the segments begin",
 )  # fmt: skip
 FLOATS = Check(
     "floats", height, low=-15.0, high=15.0, serious=False, shown=millimetres,

@@ -49,15 +49,16 @@ CAMERA_ADVICE = "give the camera of these images: K is scaled and cropped as the
 
 MISFIT = "contours are {value} times as far from the masks' as they would be with the object's own mesh"
 CAUSES = (
-    "is the hand's pose wrong, or the mesh another one? Do the masks show a box, a shadow, the hand, or only a part?"
+    "compare the contours in the report: mend masks that show a box, a shadow, the hand or only a part of the object; "
+    "where the masks are right, the mesh or the hand's pose is wrong"
 )
-"""Possible causes of contours that are off the masks."""
+"""Advice on contours that are off the masks."""
 
 _INPUT: tuple[Check, ...] = (
     Check(
         "mesh-holes", plausibility.hole_share, high=0.15, shown=percent,
         fault="holes are {value} of the mesh's surface",
-        advice="are faces missing? Close the mesh, or give a thin shell its two sides",
+        advice="close the mesh where faces are missing, or give a thin shell its two sides",
     ),
     Check(
         "mesh-open", plausibility.hole_share, high=0.01, serious=False, shown=percent,
@@ -70,7 +71,7 @@ _INPUT: tuple[Check, ...] = (
     Check(
         "mesh-needle", lambda it: plausibility.extents(it)[1], low=0.015, shown=percent,
         fault="the mesh's width is {value} of its length",
-        advice="is it stretched along one axis, or another object's?",
+        advice="check that it is this object's, and not stretched along one axis",
     ),
     Check(
         "object-size", lambda it: plausibility.of_scale(it, "known", it.clip.mesh.diameter / it.hand_size),
@@ -92,7 +93,7 @@ _INPUT: tuple[Check, ...] = (
     Check(
         "mask-at-edges", plausibility.edge_share, high=0.7, shown=percent,
         fault="the masks cover {value} of the image's edge",
-        advice="are these masks of the background, or of the whole image? Check their label",
+        advice="they look like masks of the background, or of the whole image: check their label",
     ),
     Check(
         "principal-point", lambda it: intrinsics.off_middle(it.clip.K, it.clip.size),
@@ -119,7 +120,8 @@ _INPUT: tuple[Check, ...] = (
     ),
     Check(
         "many-tracker-glitches", lambda it: it.glitch_share, high=0.3, shown=percent,
-        fault=lambda it: str(it.glitches), advice="is it the same hand in all frames? --given-hands uses it unchanged",
+        fault=lambda it: str(it.glitches),
+        advice="check that it is the same hand in all frames; --given-hands uses it unchanged",
     ),
     Check(
         "tracker-glitches", lambda it: it.glitch_share, high=0.0, serious=False,
@@ -146,25 +148,27 @@ _RESULT: tuple[Check, ...] = (
     Check(
         "mask-fit", lambda it: float(np.nanmean(it.overlaps)), low=0.7,
         fault="the masks are met with a mean IOU of {value}",
-        advice="is it the mesh of this object? Check mesh, masks and camera; more initial poses: --inits 200",
+        advice="check that the mesh is this object's, and masks and camera; --inits 200 tries more initial poses",
+        of_shape=True,
     ),
     Check(
         "poor-mask-fit", mask_agreement.mean_iou, low=0.9,
-        fault="masks that agree with each other are met with a mean IOU of {value}", advice=CAUSES,
+        fault="masks that agree with each other are met with a mean IOU of {value}",
+        advice="the masks are probably right: check the hand's poses, the mesh and the camera", of_shape=True,
     ),
     Check(
         "worst-frame", lambda it: float(np.nanmin(it.overlaps)), low=0.4, serious=False,
         fault="in the worst frame the mask is met with an IOU of {value}",
-        advice="look at the IOU over time in the report: is the mask of that frame right?",
+        advice="check that frame's mask; the report shows the IOU over time",
     ),
     Check(
         "uneven-mask-fit", mask_agreement.evenness, low=mask_agreement.UNEVEN, serious=False, shown=percent,
         fault=mask_agreement.met_less,
-        advice="is a part of the object missing in these masks, or the hand wrong there?",
+        advice="look at these frames: draw the part of the object that their masks lack, or correct the hand there",
     ),
     Check(
         "many-outlier-masks", lambda it: it.outlier_share, high=0.3, shown=percent,
-        fault=contradicting, advice="are they all of the same object? --given-masks uses all",
+        fault=contradicting, advice="check that they are all of the same object; --given-masks uses all",
     ),
     Check(
         "outlier-masks", lambda it: it.outlier_share, high=0.0, serious=False,
@@ -172,32 +176,33 @@ _RESULT: tuple[Check, ...] = (
     ),
     Check(
         "mesh-much-deformed", lambda it: it.deformed, high=0.06, shown=of_diameter,
-        fault=deformation, advice="is it the mesh of such an object? --given-mesh takes it as it is",
+        fault=deformation, advice="check that it is the mesh of such an object; --given-mesh takes it as it is",
+        of_shape=True,
     ),
     Check(
         "mesh-deformed", lambda it: it.deformed, high=0.0, serious=False,
         fault=deformation,
-        advice="it is not the object's own, or all masks are off alike; --given-mesh takes it as it is",
+        advice="it is not the object's own, or all masks are off alike; --given-mesh takes it as it is", of_shape=True,
     ),
     Check(
         "wrong-size", lambda it: it.scale_check[1], high=0.3, shown=percent, fault=rather,
-        advice="are mesh and hand as large as the real ones? For an unknown size: \"scale\": \"free\"",
+        advice="check that mesh and hand have their real sizes; an unknown size is \"scale\": \"free\"",
     ),
     Check(
         "other-size", lambda it: it.scale_check[1], high=0.15, serious=False, shown=percent, fault=rather,
-        advice="are mesh and hand as large as the real ones, and the hand as far away?",
+        advice="check that mesh and hand have their real sizes, and the hand its real distance",
     ),
     Check(
         "regrasp", regrasp.jump, high=0.06, serious=False, shown=percent, fault=regrasped,
-        advice="is it one stable grasp? Else cut the clip there",
+        advice="if it is not one stable grasp, cut the clip there",
     ),
     Check(
         "large-mask-misfit", mask_agreement.misfit, high=6.0, fault=MISFIT + ", and the masks agree with each other",
-        advice=CAUSES,
+        advice=CAUSES, of_shape=True,
     ),
     Check(
         "mask-misfit", lambda it: it.misfit, high=3.0, serious=False, fault=MISFIT,
-        advice=CAUSES + " Are they rough?",
+        advice=CAUSES, of_shape=True,
     ),
     Check(
         "hand-off-pixels", lambda it: it.hand_differing if it.masks.hand is not None else np.nan,
@@ -220,7 +225,7 @@ _RESULT: tuple[Check, ...] = (
     Check(
         "hand-over-object", lambda it: it.in_front[1], high=0.25, serious=False, shown=percent,
         fault="the hand is in front of the object in {value} of the object's mask",
-        advice="do the masks include what the hand hides, or the hand itself? Or is one at the wrong distance?",
+        advice="mend masks that include what the hand hides, or the hand itself; else one is at the wrong distance",
     ),
     Check(
         "second-gap", plausibility.second_gap, high=12.0, serious=False, shown=millimetres,
@@ -240,7 +245,7 @@ _RESULT: tuple[Check, ...] = (
     Check(
         "opening-away", lambda it: it.turned_away, high=15.0, serious=False,
         fault="the object's opening points away from the camera, by {value} degrees",
-        advice="is it upside down? Tilted as far towards the camera it looks nearly the same: compare the candidates",
+        advice="if it is upside down, take another candidate: tilted towards the camera it looks nearly the same",
     ),
     Check(
         "result-size", lambda it: plausibility.of_scale(it, "free", it.scale * it.clip.mesh.diameter / it.hand_size),
@@ -251,7 +256,7 @@ _RESULT: tuple[Check, ...] = (
     Check(
         "hand-size", plausibility.lifted_hand, low=0.7, high=1.35,
         fault="by the object's size, or by depth, the hand would be {value} times as large as a mean one",
-        advice="check the object's size and its mesh: is it the kind of object? Are the hand's joints and depth right?",
+        advice="check the object's size, that the mesh is of such an object, and the hand's joints and depth",
     ),
 )  # fmt: skip
 

@@ -17,7 +17,7 @@ from getagrip.clip.truth import Truth
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.warp import Warp
-from getagrip.io.array_data import ArrayData
+from getagrip.io.array_data import ArrayData, check_finite
 from getagrip.io.files import inside, shown
 from getagrip.io.packed_masks import PackedMask, PackedMasks
 from getagrip.provenance import Provenance
@@ -56,14 +56,19 @@ class Masks(ArrayData):
         object: (T, H, W) True where the object is visible. A frame with an unknown mask has no such pixel, and all of
             its pixels are ignored.
         ignore: (T, H, W) True where a pixel says nothing about the object: where the hand or another occluder is in
-            front of it. If no pixel of any frame is set, the clip's hand is rendered as the occluder.
+            front of it. If no pixel of any frame is set, as by default, the clip's hand is rendered as the occluder.
         hand: (T, H, W) True where the hand that holds the object is visible; None if unknown. A frame without such
             pixels says nothing about the hand.
     """
 
     object: Bool[ndarray, "T H W"]
-    ignore: Bool[ndarray, "T H W"]
+    ignore: Bool[ndarray, "T H W"] = None  # type: ignore[assignment]
     hand: Bool[ndarray, "T H W"] | None = None
+
+    def __post_init__(self) -> None:
+        if self.ignore is None:
+            object.__setattr__(self, "ignore", np.zeros_like(self.object, dtype=bool))
+        super().__post_init__()
 
     @staticmethod
     def of(frames: Iterable[FrameMasks]) -> Masks:
@@ -190,6 +195,8 @@ class Clip(ArrayData):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        for name in ("K", "times"):
+            check_finite(f"Clip.{name}", getattr(self, name))
         count = len(self.hand.vertices)
         if not self.frames:
             object.__setattr__(self, "frames", tuple(f"{n:06d}" for n in range(count)))

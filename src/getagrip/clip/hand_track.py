@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.errors import UsageError
-from getagrip.io.array_data import ArrayData, as_array, check_ids
+from getagrip.io.array_data import ArrayData, as_array, check_finite, check_ids
 
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 
@@ -37,13 +37,15 @@ class HandTrack(ArrayData):
     vertices: Float[ndarray, "T V 3"]
     faces: Int[ndarray, "F 3"]
     T_cam_hand: Float[ndarray, "T 4 4"]
-    regions: dict[str, Int[ndarray, "_"]]
+    regions: dict[str, Int[ndarray, "_"]] = field(default_factory=dict)
     joints: Float[ndarray, "T 21 3"] | None = None
     joints_2d: Float[ndarray, "T 21 2"] | None = None
     joints_2d_confidence: Float[ndarray, "T 21"] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        for name in ("vertices", "T_cam_hand", "joints"):
+            check_finite(f"HandTrack.{name}", getattr(self, name))
         if (self.joints_2d is None) != (self.joints_2d_confidence is None):
             raise UsageError("HandTrack.joints_2d and HandTrack.joints_2d_confidence go together")
         count = self.vertices.shape[1]
@@ -56,7 +58,8 @@ class HandTrack(ArrayData):
         object.__setattr__(self, "regions", regions)
         missing = [finger for finger in FINGERS if finger not in self.regions]
         if count and missing:  # without vertices it stands for hands that are still to come
-            needed = "vertex ids of the pad of each fingertip"
+            of_mano = "getagrip.hands.mano.load('MANO_RIGHT.pkl', 'right').model.regions has MANO's"
+            needed = f"vertex ids of the pad of each fingertip; {of_mano}"
             raise UsageError(f"missing {', '.join(missing)} in HandTrack.regions: {needed}")
 
     def scaled(self, factor: float) -> HandTrack:

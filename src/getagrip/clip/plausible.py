@@ -40,12 +40,6 @@ def check_clip(clip: Clip) -> None:
     if clip.other_hand is not None and clip.other_hand.known.any():
         known = np.flatnonzero(clip.other_hand.known)
         hands.append((clip.other_hand.track.take(known), clip.K[known]))
-    arrays = [("K", clip.K), ("mesh", mesh.vertices), ("times", clip.time)]
-    for hand, _ in hands:
-        arrays += [("vertices", hand.vertices), ("T_cam_hand", hand.T_cam_hand)]
-    for key, array in arrays:
-        if not np.isfinite(array).all():
-            raise InputError(path, key, "NaN or infinite numbers", "finite numbers")
     if not SLOWEST <= clip.fps <= FASTEST:
         raise InputError(path, "fps", f"{clip.fps:g}", f"frames per second, {SLOWEST:g} to {FASTEST:g}")
     if clip.times is not None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar, Union
 
 from tyro.conf import arg, subcommand
 
-from getagrip.batch.share import Share
+from getagrip.batch.share import Executors, Share
 from getagrip.commands.command import Command
 from getagrip.experiments.compared import Compared
 from getagrip.experiments.sources.ho3d import Ho3dEval
@@ -47,7 +47,7 @@ class Bench(Command, Generic[C]):
     overwrite: Flag = False
     """Recompute valid results, too. Damaged ones, and those of other inputs, options or code, always are."""
     search: Annotated[SearchOptions, arg(name="")] = field(default_factory=SearchOptions)
-    share: Annotated[Share, arg(name="")] = field(default_factory=Share)
+    share: Executors = field(default_factory=Share)
 
     @property
     def options(self) -> Options:

@@ -14,7 +14,7 @@ from typing import Annotated, Generic, TypeVar, Union
 from tyro.conf import arg, subcommand
 
 from getagrip.batch.imports import import_clips
-from getagrip.batch.share import Share
+from getagrip.batch.share import Executors, Share
 from getagrip.commands.command import Command
 from getagrip.commands.import_cameras import ImportCameras
 from getagrip.commands.import_depth import ImportDepth
@@ -90,7 +90,7 @@ class Import(Command, Generic[D]):
     dataset: Annotated[D, arg(name="")]
     out: Folder
     """Folder of the clips, one folder each. Existing clips are kept, unless they lack hands found now."""
-    share: Annotated[Share, arg(name="")] = field(default_factory=Share)
+    share: Executors = field(default_factory=Share)
 
     def run(self) -> int:
         return import_clips(self.dataset, self.out, self.debug, self.share)

@@ -153,8 +153,7 @@ class Draft(Command):
             stretch = self._stretch(footage)
             project.labelling.depth = self._depth(stretch)
             found = self._find(stretch)
-            for key, source in found.provenance.items():
-                report(f"{key}: {source}")
+            self._say_sources(found)
             with progress_bar() as bar:
                 job = bar.add_task("the hand's masks", total=len(found.landmarks))
                 made = write_found(self.folder, found, footage.image, lambda n: bar.update(job, completed=n))
@@ -236,6 +235,15 @@ class Draft(Command):
         if self.depth is None or self.depth_from is None:
             return None
         return depth_of(self.depth, self.depth_from, self.depth_first, stretch)
+
+    def _say_sources(self, found: FoundHands) -> None:
+        """Print where the hands come from; guesses once: where a clip is made without the page, it prints them."""
+        from getagrip.provenance import is_assumed
+
+        solved = self.no_page and bool(self.masks or self.object_box)
+        for key, source in found.provenance.items():
+            if not (solved and is_assumed(source)):
+                report(f"{key}: {source}")
 
     @property
     def _lens(self) -> Lens:

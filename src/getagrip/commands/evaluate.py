@@ -34,10 +34,11 @@ class Evaluate(Command):
     poses: Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")] = None
     """Another system's poses of the clip's mesh: one 4x4 for each frame (.npz, .npy, .json, .txt, or a file for each
     frame in a folder), or BOP's results (.csv). For many clips: a folder of such files or folders, named like the
-    clips. Needs --clips. The rows appear under the name of PATH."""
+    clips. They are of the clips that the results are of; without results it needs --clips. The rows appear under the
+    name of PATH."""
     meshes: OptionalFolder = None
-    """Another system's meshes, one for each frame, in metres: DIR/<clip>/<frame>.obj (.ply, .stl, .glb). Needs --clips
-    and --mesh-frame. The rows appear under the name of DIR."""
+    """Another system's meshes, one for each frame, in metres: DIR/<clip>/<frame>.obj (.ply, .stl, .glb). Needs
+    --mesh-frame, and without results --clips. The rows appear under the name of DIR."""
     mesh_frame: Annotated[Literal["camera", "hand"] | None, one_of("camera", "hand"), arg(help_behavior_hint="")] = None
     """The frame that the vertices of --meshes are in: the clip's camera frame, or its hand frame."""
     first: FirstNumber = None
@@ -53,8 +54,9 @@ class Evaluate(Command):
         if not self.results and self.meshes is None and self.poses is None:
             raise UsageError("missing RESULT: name at least one result, or --poses, or --meshes")
         other = "--poses" if self.poses is not None else "--meshes"
-        if (self.poses is not None or self.meshes is not None) and self.clips is None:
-            raise UsageError(f"missing --clips: {other} needs the clip, or the folder that holds the clips")
+        if (self.poses is not None or self.meshes is not None) and self.clips is None and not self.results:
+            needed = "the clip, or the folder that holds the clips, or a result of the clip"
+            raise UsageError(f"missing --clips: {other} needs {needed}")
         if self.meshes is not None and self.mesh_frame is None:
             raise UsageError("missing --mesh-frame: --meshes needs the frame of their vertices, camera or hand")
         if self.meshes is None and self.mesh_frame is not None:
@@ -80,14 +82,15 @@ class Evaluate(Command):
             except (InputError, OSError) as error:
                 problems.append(failure("", error))
         evaluations: list[Evaluation] = []
+        folders = self._folders_of_clips(jobs)
         with progress_bar() as bar:
             task = bar.add_task("results", total=len(jobs), visible=bool(jobs))
             for made, failed in each(evaluate_one, jobs, _died, lambda _: bar.advance(task)):
                 evaluations += [] if made is None else [made]
                 problems += failed
             frames = {made.clip: tuple(made.frames) for made in evaluations}
-            others = [] if self.meshes is None else mesh_jobs(self, frames)
-            others += [] if self.poses is None else pose_jobs(self, frames)
+            others = [] if self.meshes is None else mesh_jobs(self, frames, folders)
+            others += [] if self.poses is None else pose_jobs(self, frames, folders)
             of_others = bar.add_task("of other systems", total=len(others), visible=bool(others))
             for made, failed in each(evaluate_other, others, _died, lambda _: bar.advance(of_others)):
                 evaluations += [] if made is None else [made]
@@ -102,6 +105,20 @@ class Evaluate(Command):
         if self.json is not None:
             files.write_json(self.json, summary(evaluations))
         return 1 if problems else 0
+
+    def _folders_of_clips(self, jobs: list[ResultJob]) -> dict[str, Path]:
+        """Find the folders of the results' clips, by name, where another system's output is of them."""
+        from contextlib import suppress
+
+        from getagrip.evaluation.results import clip_folder
+        from getagrip.result import read_record
+
+        folders: dict[str, Path] = {}
+        for job in jobs if self.poses is not None or self.meshes is not None else []:
+            with suppress(InputError, OSError):  # evaluating the result says what is wrong with it
+                record = read_record(job.folder)
+                folders[record["clip"]] = clip_folder(job.folder, record, job.clips)
+        return folders
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,7 @@ from getagrip.batch.job import Outcome, failure
 from getagrip.clip import Clip, find_masks, read_clip
 from getagrip.clip.naming import number_of
 from getagrip.clip.reading import read_name
-from getagrip.errors import InputError
+from getagrip.errors import InputError, UsageError
 from getagrip.evaluation import evaluate, evaluate_meshes
 from getagrip.evaluation.meshes import MeshFrame, read_meshes
 from getagrip.evaluation.other_poses import poses_of
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
 Frames = Mapping[str, tuple[str, ...]]
 """By the names of clips: the frames to evaluate, where not all are."""
+Folders = Mapping[str, Path]
+"""By the names of clips: the folders of those that results are of."""
 
 
 @dataclass(frozen=True)
@@ -44,11 +47,13 @@ class OtherJob:
     """That of meshes; None for poses."""
 
 
-def mesh_jobs(options: Evaluate, frames: Frames) -> list[OtherJob]:
-    """Make a job for each clip with meshes: ``<clip>/<frame>.obj``, or those of one clip. Raises ``InputError``."""
+def mesh_jobs(options: Evaluate, frames: Frames, of_results: Folders = MappingProxyType({})) -> list[OtherJob]:
+    """Make a job for each clip with meshes: ``<clip>/<frame>.obj``, or those of one clip.
+
+    Raises ``InputError``, and ``UsageError`` where it is not known which clip they are of.
+    """
     root, where = options.meshes, options.clips
     assert root is not None
-    assert where is not None
     if not root.is_dir():
         raise InputError(root, "", "no such folder", "a folder of meshes, <clip>/<frame>.obj")
     inside = sorted(root.iterdir())
@@ -56,39 +61,73 @@ def mesh_jobs(options: Evaluate, frames: Frames) -> list[OtherJob]:
     folders = [root] if one else [path for path in inside if path.is_dir()]
     if not folders:
         raise InputError(root, "", "no meshes in it or in its folders", "<clip>/<frame>.obj")
-    the_clip = (where / "clip.json").is_file()
-    if the_clip and len(folders) > 1:
-        raise InputError(where, "", "one clip", f"the folder of the clips of {len(folders)} folders of meshes")
     how = root.resolve().name, frames, options.first, options.mesh_frame
-    return [OtherJob(folder, where if the_clip else where / folder.name, *how) for folder in folders]
+    if len(folders) == 1:
+        return [OtherJob(folders[0], _clip_of(folders[0], where, of_results), *how)]
+    if where is not None and _is_clip(where):
+        raise InputError(where, "", "one clip", f"the folder of the clips of {len(folders)} folders of meshes")
+    return [OtherJob(folder, _clip_named(folder.name, where, of_results), *how) for folder in folders]
 
 
-def pose_jobs(options: Evaluate, frames: Frames) -> list[OtherJob]:
+def pose_jobs(options: Evaluate, frames: Frames, of_results: Folders = MappingProxyType({})) -> list[OtherJob]:
     """Make a job for each clip with poses, of one clip or of many by name.
 
-    Raises ``InputError`` where there are none.
+    Raises ``InputError`` where there are none, and ``UsageError`` where it is not known which clip they are of.
     """
     root, where = options.poses, options.clips
     assert root is not None
-    assert where is not None
     method = root.resolve().stem if root.is_file() else root.resolve().name
     how = method, frames, options.first
     if not root.exists():
         raise InputError(root, "", "no such file or folder", "poses of the object")
-    if (where / "clip.json").is_file():
+    if where is not None and _is_clip(where):
         name, one = read_name(where), root
         if root.is_dir() and any((root / f"{name}{suffix}").exists() for suffix in ("", *SUFFIXES)):
             one = place_of(root, name)
         return [OtherJob(one, where, *how)]
     if root.is_file():
-        return [OtherJob(root, where / root.stem, *how)]
+        return [OtherJob(root, _clip_of(root, where, of_results), *how)]
     places = [path for path in sorted(root.iterdir()) if path.is_dir() or path.suffix.lower() in SUFFIXES]
     if not places:
         raise InputError(root, "", "no poses in it", f"<clip>/, or <clip> with one of {', '.join(SUFFIXES)}")
-    clips = [where / (path.name if path.is_dir() else path.stem) for path in places]
+    named = [path.name if path.is_dir() else path.stem for path in places]
+    clips = [_clip_named(name, where, of_results) for name in named]
     if len(frames) == 1 and not any(clip.exists() for clip in clips):  # files of single frames
-        return [OtherJob(root, where / next(iter(frames)), *how)]
+        return [OtherJob(root, _clip_named(next(iter(frames)), where, of_results), *how)]
     return [OtherJob(path, clip, *how) for path, clip in zip(places, clips, strict=True)]
+
+
+def _is_clip(folder: Path) -> bool:
+    return (folder / "clip.json").is_file()
+
+
+def _clip_of(place: Path, where: Path | None, of_results: Folders) -> Path:
+    """Return the clip that one file or folder is of: that of its name, else the only one that there are results of.
+
+    Raises ``UsageError`` where there is neither.
+    """
+    if where is not None and _is_clip(where):
+        return where
+    named = _clip_named(place.stem if place.is_file() else place.name, where, of_results)
+    if _is_clip(named):
+        return named
+    if len(of_results) == 1:
+        return next(iter(of_results.values()))
+    known = f"; the results are of {', '.join(sorted(of_results))}" if of_results else ""
+    raise UsageError(f"which clip is {place} of? Name it: --clips CLIP{known}")
+
+
+def _clip_named(name: str, where: Path | None, of_results: Folders) -> Path:
+    """Return the folder of a clip by its name: in ``--clips``, else that of a result, or one beside it.
+
+    Raises ``UsageError`` where neither is known.
+    """
+    if where is not None and (where / name).exists():
+        return where / name
+    beside = where or next((folder.parent for folder in of_results.values()), None)
+    if beside is None:
+        raise UsageError("missing --clips: no result says where its clip is")
+    return of_results.get(name, beside / name)
 
 
 def evaluate_other(job: OtherJob) -> tuple[Evaluation | None, list[Outcome]]:

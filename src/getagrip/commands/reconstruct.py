@@ -69,6 +69,10 @@ class Reconstruct(Command):
             raise UsageError(f"--method {self.options.method} cannot be used with --find-grasps: {allowed}")
         if not paths:
             raise UsageError("missing CLIP: name at least one clip")
+        if not self.cut_grasps and self.batch.keep.keep is not None:
+            only = "a timeline has a probability for each grasp only; cut the grasps with --cut-grasps"
+            raise UsageError(f"--keep cannot be used with --find-grasps: {only}")
+        self.batch.keep.check(self.options)
         share = self.batch.share
         clips, failed = by_name(paths)
         for outcome in failed:

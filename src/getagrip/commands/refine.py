@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from getagrip.probability import Probability
     from getagrip.result import Reconstruction
 
-REFINED = "refined"
+REFINED = "in-given-format"
 """Folder, in that of the results, of the poses in the other system's format."""
 CHANGES = "changes.csv"
 """Table beside it of what changed."""
 HEADS = (
-    "clip", "iou_before", "iou_after", "moved_mm", "turned_deg", "right_in_hand_before", "right_in_hand_after",
-    "right_in_camera_before", "right_in_camera_after",
+    "clip", "iou_before", "iou_after", "moved_mm", "turned_deg", "right_in_hand_before", "right_in_hand_before_at_most",
+    "right_in_hand_after", "right_in_camera_before", "right_in_camera_before_at_most", "right_in_camera_after",
 )  # fmt: skip
 SAME, OTHER = 0.03, 0.2
 """Poses nearer than this are one solution, and farther apart than this they cannot both be right [diameters]."""
@@ -45,8 +45,8 @@ class Refine(Command):
     clips: Annotated[tuple[Path, ...], arg(metavar="CLIP...", help_behavior_hint="(required)")] = ()
     """The clips: folders, folders of clips, or patterns in quotes."""
     out: Annotated[Path, arg(metavar="DIR")]
-    """Folder of the results: a folder for each clip, DIR/refined/<clip> with the refined poses in the format of PATH,
-    and changes.csv."""
+    """Folder of the results: a folder for each clip, DIR/in-given-format/<clip> with the refined poses in the
+    format of PATH, and changes.csv."""
     first: FirstNumber = None
     """The number that PATH gives to the clip's first frame, if it counts from another start."""
     options: Annotated[Options, arg(name="")] = field(default_factory=Options)
@@ -60,6 +60,7 @@ class Refine(Command):
 
         if self.options.init != "uniform":
             raise UsageError(f"--init {self.options.init} cannot be used with refine, which starts from PATH")
+        self.batch.keep.check(self.options)
         options = replace(self.options, init="poses", priors=PriorsFile(self.poses, first=self.first))
         status = reconstruct_clips(self.clips, self.out, options, self.batch, self.debug)
         refined = files.folder_inside(self.out, REFINED)
@@ -107,6 +108,43 @@ class Refine(Command):
 
 
 @dataclass(frozen=True)
+class Right:
+    """How probable it is that poses are right, before and after, as far as that is known.
+
+    Attributes:
+        before: probability of the poses in PATH.
+        at_most: a bound on it, where it is not known.
+        after: probability of the refined poses.
+    """
+
+    before: float | None = None
+    at_most: float | None = None
+    after: float | None = None
+
+    @staticmethod
+    def of(before: Probability | None, after: Probability | None, apart: float) -> Right:
+        """Compute the probabilities; ``apart`` is how far the poses were moved [diameters].
+
+        Only our results have a calibrated probability. Others' poses have ours where they are the same solution, and at
+        most the rest where both cannot be right.
+        """
+        if before is not None or after is None:
+            return Right(None if before is None else before.value, None, None if after is None else after.value)
+        same, most = apart <= SAME, 1.0 - after.value if apart >= OTHER else None
+        return Right(after.value if same else None, most, after.value)
+
+    @property
+    def said(self) -> tuple[str, str]:
+        """Both probabilities in words, before and after."""
+        from getagrip.probability import percent
+
+        before, most, after = ("-" if one is None else percent(one) for one in (self.before, self.at_most, self.after))
+        if self.at_most is not None:
+            before = most if most.startswith("<") else f"at most {most}"
+        return before, after
+
+
+@dataclass(frozen=True)
 class Change:
     """The change of a clip's poses.
 
@@ -114,19 +152,20 @@ class Change:
         iou: mean overlap with the masks, before and after.
         moved: median shift of the object's origin in the hand [m].
         turned: median rotation of the object in the hand [rad].
-        right: how probable it is that the poses are right in the hand, and in the camera, before and after, in words.
+        right: how probable it is that the poses are right in the hand, and in the camera.
     """
 
     clip: str
     iou: tuple[float, float]
     moved: float
     turned: float
-    right: tuple[str, str, str, str]
+    right: tuple[Right, Right] = (Right(), Right())
 
     @property
     def cells(self) -> list[object]:
         """Those of its line in ``CHANGES``."""
-        return [self.clip, *self.iou, 1e3 * self.moved, math.degrees(self.turned), *self.right]
+        right = [value for one in self.right for value in (one.before, one.at_most, one.after)]
+        return [self.clip, *self.iou, 1e3 * self.moved, math.degrees(self.turned), *right]
 
     @staticmethod
     def of(name: str, clip: Clip, before: Reconstruction, after: Reconstruction) -> Change:
@@ -145,8 +184,8 @@ class Change:
             _apart(clip, (before, after), (in_camera[0] @ T, in_camera[1] @ S)),
         )
         right = (
-            *_right(before.probability_right, after.probability_right, apart[0]),
-            *_right(before.probability_right_in_camera, after.probability_right_in_camera, apart[1]),
+            Right.of(before.probability_right, after.probability_right, apart[0]),
+            Right.of(before.probability_right_in_camera, after.probability_right_in_camera, apart[1]),
         )
         return Change(name, iou, float(moved), float(turned), right)
 
@@ -160,25 +199,6 @@ def _apart(clip: Clip, results: Sequence[Reconstruction], poses: Sequence[Float[
     symmetry = best_symmetry(clip.mesh, first, second, find_symmetries(clip.mesh))
     errors = pose_errors(clip.mesh, first, second, symmetry)
     return float(errors.add.mean()) / errors.diameter
-
-
-def _right(before: Probability | None, after: Probability | None, apart: float) -> tuple[str, str]:
-    """Say how probable it is that poses are right, before and after.
-
-    Only our results have a calibrated probability. Others' poses have ours where they are the same solution, and at
-    most the rest where both cannot be right.
-    """
-    from getagrip.probability import percent
-
-    said = "-" if before is None else percent(before.value)
-    if after is None:
-        return said, "-"
-    if before is None and apart <= SAME:
-        said = percent(after.value)
-    elif before is None and apart >= OTHER:
-        rest = percent(1.0 - after.value)
-        said = rest if rest.startswith("<") else f"at most {rest}"
-    return said, percent(after.value)
 
 
 def _print(changes: list[Change]) -> None:
@@ -195,7 +215,7 @@ def _print(changes: list[Change]) -> None:
     for one in changes:
         table.add_row(
             Text(cleaned(one.clip)), f"{one.iou[0]:.2f}", f"{one.iou[1]:.2f}", f"{1e3 * one.moved:.0f} mm",
-            f"{np.degrees(one.turned):.0f} deg", *one.right,
+            f"{np.degrees(one.turned):.0f} deg", *one.right[0].said, *one.right[1].said,
         )  # fmt: skip
     console().print(table)
     for one in changes:

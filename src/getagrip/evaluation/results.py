@@ -232,18 +232,8 @@ class _ResultComparison(Comparison):
 
 
 def clip_of(folder: Path, result: Reconstruction, record: Json, clips: str | Path | None) -> Clip:
-    """Find the clip that a result was made from."""
-    if clips is not None:
-        places = [Path(clips) / result.clip, Path(clips)]
-    else:
-        recorded = record.get("clip_folder")
-        places = [_recorded(recorded)] if isinstance(recorded, str) and recorded else []
-        places += [folder.parent / result.clip, folder.parent.parent / result.clip]
-    found = next((place for place in places if _is_file(place / "clip.json")), None)
-    if found is None:
-        where = " or ".join(str(place) for place in places)
-        expected = f"its folder at {where}; say where with --clips"
-        raise InputError(folder / "result.json", "clip", f"the clip {files.shown(result.clip)}", expected)
+    """Find and read the clip that a result was made from."""
+    found = clip_folder(folder, record, clips)
     clip = read_clip(found)
     if clip.name != result.clip:
         raise InputError(found / "clip.json", "name", files.shown(clip.name), f"{result.clip!r}, as {folder} says")
@@ -253,6 +243,23 @@ def clip_of(folder: Path, result: Reconstruction, record: Json, clips: str | Pat
         got = "another: its masks, hands or mesh have changed"
         raise InputError(folder / "result.json", "input_sha256", got, f"that of {found}; reconstruct it again")
     return clip
+
+
+def clip_folder(folder: Path, record: Json, clips: str | Path | None) -> Path:
+    """Find the folder of the clip that a result was made from. Raises ``InputError`` where there is none."""
+    name = record["clip"]
+    if clips is not None:
+        places = [Path(clips) / name, Path(clips)]
+    else:
+        recorded = record.get("clip_folder")
+        places = [_recorded(recorded)] if isinstance(recorded, str) and recorded else []
+        places += [folder.parent / name, folder.parent.parent / name]
+    found = next((place for place in places if _is_file(place / "clip.json")), None)
+    if found is None:
+        where = " or ".join(str(place) for place in places)
+        expected = f"its folder at {where}; say where with --clips"
+        raise InputError(folder / "result.json", "clip", f"the clip {files.shown(name)}", expected)
+    return found
 
 
 def _recorded(folder: str) -> Path:

@@ -66,13 +66,13 @@ class HandJoints2D(Modality[Joints2D]):
         Check(
             "joints-elsewhere", lambda it: share_elsewhere(it.clip, it.masks), high=ELSEWHERE, serious=False,
             shown=percent, fault="{value} of the hand's 2D joints are neither on the hand nor on the object",
-            advice="they were left out: are they of the other hand, or of images of another size?",
+            advice="they were left out; check that they are of this hand, and of images of this size",
         ),
     )  # fmt: skip
     result_checks = (
         Check(
             "joints-left-out", left_out, high=0.0, serious=False, fault=why_left_out,
-            advice="are they this hand's, in pixels of these images and in the order of hand.npz?",
+            advice="give this hand's, in pixels of these images and in the order of hand.npz",
         ),
     )  # fmt: skip
 

@@ -5,7 +5,8 @@ Each frame has the wrist's pose and the 21 joints (``observation.state``) and th
 commands: ``action`` is the state of the next frame. LeRobot takes frames as evenly spaced: ``timestamp`` is n / fps, at
 the clip's own rate as a whole number; ``time_s`` is when the frame was taken. Images, if there is one for every frame,
 are a video. ``confidence`` is the probability that the result is right relative to the hand, -1 where none is
-calibrated; ``mask_iou`` is how well each frame meets its mask, -1 where none shows the object.
+calibrated; ``findings_serious`` counts serious findings, of which a right result has none; ``mask_iou`` is how well
+each frame meets its mask, -1 where none shows the object.
 """
 
 from __future__ import annotations
@@ -194,6 +195,7 @@ def _columns(scene: Scene, stage: Stage) -> dict[str, Shaped[ndarray, "T ..."]]:
         **{name: T.reshape(count, 16).astype(np.float32) for name, T in scene.poses.items()},
         "time_s": scene.time,
         "confidence": np.full(count, -1.0 if scene.probability is None else scene.probability, dtype=np.float32),
+        "findings_serious": np.full(count, scene.findings_serious),
         "mask_iou": np.nan_to_num(scene.iou, nan=-1.0).astype(np.float32),
         "interpolated": np.array([kind == "interpolated" for kind in scene.frame_kind]),
         "frame_kind": np.array(scene.frame_kind, dtype=np.str_),

@@ -76,6 +76,7 @@ class Scene:
         image_files: (T,) files of the images; None where a frame has none.
         other_hand: of a timeline, the hand of the other side, in the frames in which it is known.
         probability: that the poses are right relative to the hand; None where that is not calibrated.
+        findings_serious: number of serious findings: with any the result is probably worthless.
     """
 
     name: str
@@ -103,6 +104,7 @@ class Scene:
     image_files: tuple[Path | None, ...] = ()
     other_hand: OtherHand | None = None
     probability: float | None = None
+    findings_serious: int = 0
 
     @staticmethod
     def of(result: Reconstruction, clip: Clip) -> Scene:
@@ -142,6 +144,7 @@ class Scene:
             image_files=tuple(some.image_file(n) for n in range(len(some))),
             other_hand=some.other_hand,
             probability=None if result.probability_right is None else result.probability_right.value,
+            findings_serious=sum(finding.serious for finding in result.findings),
         )
 
     @property

@@ -8,6 +8,7 @@ from getagrip.checks import Evidence, examine, input_checks, read_signs, result_
 from getagrip.clip import Clip
 from getagrip.errors import GetagripError, InputError
 from getagrip.finding import Finding
+from getagrip.fitting.cut_off import cut_off
 from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frames
 from getagrip.fitting.judge import hand_alternatives, probabilities, solved_of
 from getagrip.fitting.methods import METHODS
@@ -95,10 +96,10 @@ def _fit_all_frames(prepared: Prepared, found: Found, clock: Clock) -> Answer:
         terms=result.terms,
         axis=None if result.axis is None or track.angle is None else replace(result.axis, angle=track.angle),
         warp=result.warp,
-        hand_moved=problem.trust.hand_refined or bool(source.glitches and source.glitches.frames),
         T_cam_other_hand=None,
         notes=problem.notes,
         hand=result.hand,
+        cut_off=cut_off(problem, result),
     )
 
 

@@ -71,9 +71,7 @@ def at_true_size(result: Reconstruction, clip: Clip) -> Reconstruction:
     size = 1.0 / result.scale if clip.size_beside_hand else 1.0
     if size * clip.hand_scale == 1.0:
         return result
-    T_cam_hand = result.T_cam_hand
-    if T_cam_hand is None:
-        T_cam_hand = clip.hand.T_cam_hand[clip.index_of(result.frames)]
+    assert result.T_cam_hand is not None
     axis, found, covariance = result.axis, result.candidates, result.hand_covariance
     units = np.array([size, size, size, 1.0, 1.0, 1.0])
     return replace(
@@ -82,7 +80,7 @@ def at_true_size(result: Reconstruction, clip: Clip) -> Reconstruction:
         T_hand_obj=_scaled(result.T_hand_obj, size),
         axis=None if axis is None else replace(axis, point=size * axis.point),
         candidates=replace(found, T_hand_obj=_scaled(found.T_hand_obj, size), scale=size * found.scale),
-        T_cam_hand=_scaled(T_cam_hand, size),
+        T_cam_hand=_scaled(result.T_cam_hand, size),
         hand_scale=size * clip.hand_scale,
         hand_covariance=None if covariance is None else covariance * np.outer(units, units),
         hand_alternatives=None if result.hand_alternatives is None else _scaled(result.hand_alternatives, size),

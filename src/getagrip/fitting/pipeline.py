@@ -44,6 +44,16 @@ UNEXPLAINED = "failed: even the best pose has a mean mask IOU of only {:.2f}; th
 """The message of a result whose mean IOU is below ``LEAST_IOU``, however the minimisation ended."""
 PARTLY_UNEXPLAINED = "partly failed: low mask IOU in the segments {}"
 """The message of a result some of whose segments are below ``LEAST_IOU``."""
+CONVERGED_TO = "converged to {:.1f} mm: further iterations would move the object by no more"
+CUT_OFF = (
+    "stopped at the iteration limit: further iterations would move the object by {:.1f} mm; --thorough, in Python "
+    "Options(thorough=True), goes on longer"
+)
+"""The messages of a fit that ended at the iteration limit."""
+WITHIN = 1e-4
+"""A fit whose object further iterations would move by no more has converged [m]."""
+NEARLY = 0.02
+"""Share of the diameter up to which a fit at the iteration limit is near its end: a pose is right within 0.1."""
 
 P = TypeVar("P")
 F = TypeVar("F")
@@ -82,10 +92,10 @@ class Answer:
         terms: energy of the best, per term.
         axis: axis of the best, where it has one, with its angles in these frames.
         warp: what was made of the mesh.
-        hand_moved: whether the hand is elsewhere than the clip has it.
         T_cam_other_hand: (T, 4, 4) poses of a timeline's other hand.
         notes: what is to be known about it.
         hand: the hand as it was solved with the object; None where it was not.
+        cut_off: how far further iterations would move the object [m]; NaN where that is not known.
     """
 
     track: Track
@@ -96,10 +106,10 @@ class Answer:
     terms: Mapping[str, float]
     axis: Axis | None
     warp: Warp | None
-    hand_moved: bool
     T_cam_other_hand: Float[ndarray, "T 4 4"] | None
     notes: tuple[str, ...]
     hand: SolvedHand | None = field(default=None, kw_only=True)
+    cut_off: float = field(default=float("nan"), kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -207,7 +217,7 @@ def _result(
 ) -> Reconstruction:
     """Make the result, with all that is known about how it was found."""
     track, energy, guesses = answer.track, float(answer.energy[0]), _guesses(clip, answer)
-    status, message = _ending(answer, judged.failed)
+    status, message = _ending(answer, judged.failed, clip.mesh.diameter)
     return Reconstruction(
         clip=clip.name,
         method=options.method,
@@ -225,7 +235,7 @@ def _result(
         seconds=seconds,
         options=asdict(options),
         seed=options.seed,
-        T_cam_hand=track.T_cam_hand if answer.hand_moved else None,
+        T_cam_hand=track.T_cam_hand,
         hand_covariance=None if answer.hand is None else answer.hand.covariance,
         hand_alternatives=judged.hand_alternatives,
         hand_energy={} if answer.hand is None else dict(answer.hand.energy),
@@ -252,8 +262,11 @@ def _guesses(clip: Clip, answer: Answer) -> dict[str, str]:
     return guesses
 
 
-def _ending(answer: Answer, failed: str) -> tuple[Status, str]:
-    """Return how it ended, in a word and a sentence; ``failed``: the segments that hardly meet their masks."""
+def _ending(answer: Answer, failed: str, diameter: float) -> tuple[Status, str]:
+    """Return how it ended, in a word and a sentence.
+
+    ``failed`` are the segments that hardly meet their masks, ``diameter`` is the mesh's [m].
+    """
     track = answer.track
     shown = np.count_nonzero(~np.isnan(track.iou)) + len(track.outliers)
     mean_iou = float(np.nansum(track.iou)) / shown  # an outlier mask is not explained
@@ -261,4 +274,9 @@ def _ending(answer: Answer, failed: str) -> tuple[Status, str]:
         return Status.MISFIT, UNEXPLAINED.format(mean_iou)
     if failed:
         return Status.PARTLY_FAILED, PARTLY_UNEXPLAINED.format(failed)
-    return answer.status, answer.status.sentence
+    if answer.status is not Status.LIMIT or np.isnan(answer.cut_off):
+        return answer.status, answer.status.sentence
+    if answer.cut_off <= NEARLY * answer.scale[0] * diameter:
+        status = Status.CONVERGED if answer.cut_off <= WITHIN else Status.LIMIT
+        return status, CONVERGED_TO.format(1e3 * max(answer.cut_off, WITHIN))
+    return Status.LIMIT, CUT_OFF.format(1e3 * answer.cut_off)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 from numpy import ndarray
 
-from getagrip.io.array_data import ArrayData, check_ids
+from getagrip.io.array_data import ArrayData, check_finite, check_ids
 
 PAIRS = 50_000
 """Number of distances that are computed at once."""
@@ -37,6 +37,7 @@ class Mesh(ArrayData):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_finite("Mesh.vertices", self.vertices)
         check_ids("Mesh.faces", self.faces, len(self.vertices))
 
     @cached_property

@@ -15,7 +15,7 @@ from numpy import ndarray
 from getagrip.errors import UsageError
 from getagrip.io import files
 from getagrip.io.brief import Brief
-from getagrip.io.named import NamedFields
+from getagrip.io.named import NamedFields, check_kinds, kinds_of
 from getagrip.io.packed_masks import PackedMasks
 
 KINDS: dict[object, tuple[str, type, str]] = {
@@ -30,12 +30,14 @@ class ArrayData(NamedFields, Brief):  # noqa: PLW1641 - not hashable, as arrays 
     """Base of frozen dataclasses, made with ``eq=False``, whose arrays have jaxtyping's shapes for annotations.
 
     When one is made, numbers of another width are converted (float32 to float64). Any other type or shape raises
-    ``UsageError``; an axis has one length in all fields that name it. Objects of one class are equal where all their
-    fields hold the same values, NaN equal to NaN. Like arrays, they cannot be hashed.
+    ``UsageError``, and so does another value than a clip, a mesh or others of ``named.KINDS`` where one is due; an axis
+    has one length in all fields that name it. Objects of one class are equal where all their fields hold the same
+    values, NaN equal to NaN. Like arrays, they cannot be hashed.
     """
 
     def __post_init__(self) -> None:
         data: type = type(self)
+        check_kinds(f"{data.__name__}.{{}}", vars(self), _kinds(data))
         lengths: dict[str, int] = {}
         for name, kind, axes in _array_fields(data):
             if (value := getattr(self, name)) is not None:
@@ -86,6 +88,18 @@ def as_array(
         raise UsageError(f"{name} must be {called} of shape {expected} (got {value.dtype} of shape {value.shape})")
     lengths |= zip(axes, value.shape, strict=True)
     return value if isinstance(value, PackedMasks) else np.asarray(value, dtype)  # type: ignore[return-value]
+
+
+def check_finite(name: str, array: Float[ndarray, "..."] | None) -> None:
+    """Raise ``UsageError`` for NaN or infinite numbers in a field."""
+    if array is not None and not (finite := np.isfinite(array)).all():
+        bad = f"{np.count_nonzero(~finite)} NaN or infinite ones, first at {[*map(int, np.argwhere(~finite)[0])]}"
+        raise UsageError(f"{name} must be finite numbers (got {bad})")
+
+
+@cache
+def _kinds(data: type) -> dict[str, tuple[str, ...]]:
+    return kinds_of({field.name: field.type for field in fields(data)})
 
 
 @cache

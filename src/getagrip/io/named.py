@@ -1,15 +1,29 @@
-"""Names in calls: an unknown keyword argument raises an error that names the right one."""
+"""Arguments of calls: an unknown name or a value of another kind raises an error that says what is right."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
 from functools import wraps
 from inspect import signature
 from typing import ParamSpec, Self, TypeVar, get_args, get_type_hints
 
-from getagrip.errors import unknown
+from getagrip.errors import UsageError, unknown
+
+KINDS = {
+    "Clip": "a Clip; getagrip.read_clip(folder) reads one",
+    "Masks": "Masks; getagrip.read_masks(clip) reads those of a clip",
+    "Mesh": "a Mesh; getagrip.read_mesh(path) reads one, getagrip.Mesh(mesh.vertices, mesh.faces) makes one of a "
+    "trimesh.Trimesh, or of arrays",
+    "HandTrack": "a HandTrack; getagrip.HandTrack(vertices=...) makes one of arrays",
+    "Reconstruction": "a Reconstruction; getagrip.reconstruct makes one, getagrip.read_result(folder) reads one",
+    "Options": "Options, such as getagrip.Options(seed=1)",
+    "SceneOptions": "SceneOptions, such as getagrip.SceneOptions(frames=30)",
+    "Path": "a path: a text or a pathlib.Path",
+    "str": "a text",
+}
+"""The kinds of values that are checked, by the names of their classes, and how to get one."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -26,19 +40,48 @@ class NamedFields:
 
 
 def named(function: Callable[P, R]) -> Callable[P, R]:
-    """Make a function raise ``UsageError`` for an unknown keyword argument, with the names most like it.
+    """Make a function raise ``UsageError`` for an unknown keyword argument, and for an argument of another kind.
 
-    Fields of the dataclass ``options`` are suggested as ``options=...(field=...)``.
+    It suggests the names most like it, fields of the dataclass ``options`` as ``options=...(field=...)``.
     """
-    known = [name for name in signature(function).parameters if not name.startswith("_")]
+    parameters = signature(function).parameters
+    known = [name for name in parameters if not name.startswith("_") and name != "self"]
+    kinds = kinds_of({name: one.annotation for name, one in parameters.items()})
 
     @wraps(function)
     def call(*args: P.args, **named: P.kwargs) -> R:
         if not named.keys() <= {*known}:
             check_names(f"argument of {function.__name__}", named, [*known, *_options(function)])
+        check_kinds(f"{{}} of {function.__name__}", dict(zip(parameters, args, strict=False)) | named, kinds)
         return function(*args, **named)
 
     return call
+
+
+def kinds_of(annotations: Mapping[str, object]) -> dict[str, tuple[str, ...]]:
+    """Return the names of the classes that values may have, of those whose annotations name ``KINDS`` and None only."""
+    split = {name: tuple(str(hint).replace(" ", "").split("|")) for name, hint in annotations.items()}
+    return {name: kinds for name, kinds in split.items() if {*kinds} <= {*KINDS, "None"}}
+
+
+def check_kinds(where: str, given: Mapping[str, object], kinds: Mapping[str, tuple[str, ...]]) -> None:
+    """Raise ``UsageError`` for a value of another kind than its name may have.
+
+    ``where`` is how the error calls it, with its name for ``{}``.
+    """
+    for name, value in given.items():
+        if name not in kinds or _is(value, kinds[name]):
+            continue
+        expected = next(KINDS[kind] for kind in KINDS if kind in kinds[name])
+        got = repr(str(value)[:80]) if _is(value, ("str", "Path")) else f"a value of type {type(value).__name__}"
+        if any(_is(value, kinds[other]) and not _is(given.get(other), kinds[other]) for other in kinds):
+            expected = f"{expected.partition(';')[0]}; the order is {', '.join(kinds)}"
+        must_be, semicolon, advice = expected.partition(";")
+        raise UsageError(f"{where.format(name)} must be {must_be} (got {got}){semicolon}{advice}")
+
+
+def _is(value: object, kinds: tuple[str, ...]) -> bool:
+    return (value is None and "None" in kinds) or any(one.__name__ in kinds for one in type(value).__mro__)
 
 
 def check_names(what: str, given: Collection[str], known: Collection[str]) -> None:
@@ -56,6 +99,6 @@ def check_names(what: str, given: Collection[str], known: Collection[str]) -> No
 
 def _options(function: Callable[..., object]) -> list[str]:
     """List the fields of a function's options, as they are given in a call."""
-    hint = get_type_hints(function).get("options")
+    hint = get_type_hints(function).get("options") if "options" in signature(function).parameters else None
     made = next((one for one in get_args(hint) if isinstance(one, type) and is_dataclass(one)), None)
     return [] if made is None else [f"options={made.__name__}({field.name}=...)" for field in fields(made)]

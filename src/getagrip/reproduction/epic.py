@@ -72,7 +72,7 @@ class ReproduceEpic(Reproduce):
         from getagrip.experiments.compared import Compared
         from getagrip.fitting.options import PriorsFile, SearchOptions
 
-        there, clips, statistics = found(NEEDS, self.roots), self.out / "clips", self.out / "statistics"
+        there, clips, statistics = found(NEEDS, self.roots, HANDS.values()), self.out / "clips", self.out / "statistics"
         epic = ImportEpic(
             csv=there["csv"], visor=there["visor"], frames=there["frames"], cad=there["cad"], focal=FOCAL,
             priors=there["priors"],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,8 +34,8 @@ class Need:
     @property
     def advice(self) -> str:
         """Say what it is, how it has to be called, and where to get it."""
-        inside = f", with {' or '.join(self.holds)} in it" if self.holds else ""
-        return f"{self.what} ({' or '.join(self.places)}{inside}): {self.source}"
+        place = Path("ROOT", self.places[0], *self.holds[:1])  # other names that are found need not be made
+        return f"{self.what}: {self.source}; put it at {place.as_posix()}"
 
 
 MANO = Need(
@@ -43,12 +43,18 @@ MANO = Need(
 )
 
 
-def found(needs: dict[str, Need], roots: Sequence[Path]) -> dict[str, Path]:
-    """Return the place of each. Raises ``UsageError`` where some are missing; where to get each is printed before."""
+def found(needs: dict[str, Need], roots: Sequence[Path], later: Iterable[Need] = ()) -> dict[str, Path]:
+    """Return the place of each. Raises ``UsageError`` where some are missing; where to get each is printed before.
+
+    What is needed ``later`` is printed with it.
+    """
     places = {name: need.find(roots) for name, need in needs.items()}
     if missing := [need for name, need in needs.items() if places[name] is None]:
         for need in missing:
             report(f"missing: {need.advice}")
+        for need in later:
+            if need.find(roots) is None:
+                report(f"needed later: {need.advice}")
         where = ", ".join(map(str, roots)) or "ROOT, which names no folder"
         raise UsageError(f"missing in {where}: {', '.join(need.what for need in missing)}")
     return {name: place for name, place in places.items() if place is not None}

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from getagrip.batch.share import Share
+from getagrip.batch.share import Executors, Share
 from getagrip.commands.command import Command
 from getagrip.io.arguments import Folder
 from getagrip.io.terminal import report
@@ -38,7 +38,7 @@ class Reproduce(Command):
     """Folder of clips, results and tables. Called again with the same folder, it continues where it stopped."""
     count: Annotated[int | None, arg(name="clips", metavar="N", help_behavior_hint="(default: all)")] = None
     """Compare methods on N clips, evenly sampled: the paper's own methods take half a minute a clip each."""
-    share: Annotated[Share, arg(name="")] = field(default_factory=Share)
+    share: Executors = field(default_factory=Share)
 
     def step(self, words: str, command: Command) -> bool:
         """Run a verb, and return whether all of it succeeded."""

@@ -16,6 +16,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.warp import Warp
 from getagrip.io.array_data import ArrayData
 from getagrip.io.brief import view
+from getagrip.io.named import named
 from getagrip.probability import Probability
 from getagrip.result.segments import SegmentResult
 
@@ -89,8 +90,9 @@ class Reconstruction(ArrayData):
         probability_right: probability that the poses are right relative to the hand (ADD, up to symmetries, below 10 %
             of the diameter); None if it is not calibrated for this kind of fit.
         probability_right_in_camera: probability that the poses are right relative to the camera.
-        T_cam_hand: (T, 4, 4) pose of the repaired and refined hand, hand frame to camera frame [m]. ``T_hand_obj`` and
-            the axis are relative to it. None if the clip's hand is unchanged.
+        T_cam_hand: (T, 4, 4) pose of the hand, repaired and refined where it was, hand frame to camera frame [m].
+            ``T_hand_obj`` and the axis are relative to it. None: the clip's, for poses from elsewhere and for results
+            of older versions.
         hand_scale: factor on the size of the clip's hand, about the origin of its frame; 1 but for a hand that was
             lifted from 2D points and whose size follows from a sensor's depth or from the object's.
         hand_covariance: (6, 6) of the error that all frames of ``T_cam_hand`` share, in the hand frame: shift of the
@@ -176,6 +178,7 @@ class Reconstruction(ArrayData):
         """The clip and masks that ``reconstruct`` used; None for a result that was read, or changed since."""
         return self.__dict__.get("_inputs")
 
+    @named
     def plot(self, clip: Clip | None = None, masks: Masks | None = None) -> Figure:
         """Draw the result: silhouettes, the axis in two views, angle and IOU over time; a notebook shows the figure.
 
@@ -184,6 +187,7 @@ class Reconstruction(ArrayData):
         """
         return view("plotted")(self, clip, masks)
 
+    @named
     def show(self, clip: Clip | None = None, masks: Masks | None = None, height: int = 820) -> Page:
         """Make the page of the result, which plays in 3D; a notebook shows it, ``height`` pixels high.
 
@@ -213,6 +217,17 @@ class Reconstruction(ArrayData):
             return self.candidates.T_hand_obj
         here = np.concatenate([np.eye(4)[None], se3.inverse(self.hand_alternatives)])
         return np.asarray(here[:, None] @ self.T_hand_obj)
+
+    @property
+    def T_cam_obj(self) -> Float[ndarray, "T 4 4"]:
+        """(T, 4, 4) pose of the object in each frame, object frame to camera frame [m].
+
+        Raises ``UsageError`` where ``T_cam_hand`` is not known.
+        """
+        if self.T_cam_hand is None:
+            hand = "clip.hand.T_cam_hand[clip.index_of(result.frames)] @ result.T_hand_obj"
+            raise UsageError(f"missing T_cam_hand: this result does not say where its hand is; compute {hand}")
+        return np.asarray(self.T_cam_hand @ self.T_hand_obj)
 
     def frames_of(self, *kinds: FrameKind) -> Int[ndarray, "n"]:
         """Return the indices of the frames of some kinds."""
@@ -244,7 +259,7 @@ class Status(Enum):
     """A word for programs, and a sentence that says what to do about it."""
 
     CONVERGED = "converged", "converged: further steps gain less than 0.1 % of the energy"
-    STUCK = "stuck", "stopped: no step lowers the energy any more"
+    STUCK = "stuck", "converged: no step lowers the energy any more"
     LIMIT = (
         "iteration-limit",
         "stopped at the iteration limit while the energy was still falling a little; --thorough goes on longer",
@@ -275,6 +290,8 @@ class Status(Enum):
         known = next((status for status in Status if status.sentence == sentence), None)
         if known is not None:
             return known
+        if sentence == "stopped: no step lowers the energy any more":
+            return Status.STUCK
         if sentence.startswith(("failed in part", "partly failed")):
             return Status.PARTLY_FAILED
         return Status.MISFIT if sentence.startswith("failed") else Status.EXTERNAL

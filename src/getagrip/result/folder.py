@@ -78,7 +78,7 @@ def _arrays(result: Reconstruction) -> dict[str, Shaped[ndarray, "..."]]:
         "candidate_energy": result.candidates.energy,
     }
     if result.T_cam_hand is not None:
-        out["T_cam_hand"] = result.T_cam_hand
+        out |= {"T_cam_hand": result.T_cam_hand, "T_cam_obj": result.T_cam_obj}
     if result.hand_scale != 1.0:
         out["hand_scale"] = np.array(result.hand_scale)
     if result.hand_covariance is not None:

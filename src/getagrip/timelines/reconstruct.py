@@ -102,7 +102,6 @@ def _fit_all_frames(footage: Footage, chain: Chain, clock: Clock) -> TimelineAns
         terms={},
         axis=None,
         warp=None,
-        hand_moved=not np.array_equal(T_cam_hand, footage.source.original.hand.T_cam_hand),
         T_cam_other_hand=motion.T_cam_other_hand,
         notes=(*_notes_of_grasps(clip, motion, footage.some.notes), *footage.some.notes),
         motion=motion,
