@@ -17,9 +17,11 @@ from getagrip.io.arguments import Flag, OptionalFolder
 from getagrip.io.terminal import counted, report
 
 if TYPE_CHECKING:
+    from getagrip.annotate.drafted_grasps import DraftedGrasps
     from getagrip.annotate.finding_hands import FoundHands
     from getagrip.annotate.footage import Footage
     from getagrip.annotate.labels import FrameLabels
+    from getagrip.annotate.labels import Labels as DrawnLabels
     from getagrip.annotate.reconstruction import DepthFiles, Shape
     from getagrip.commands.draft_inputs import Stretch
 
@@ -90,6 +92,9 @@ class Draft(Command):
     find_grasps: Flag = False
     """Mark the stable grasps that are found in the interval by fits to masks and hand, as segment --from-masks does.
     This needs --masks or --object-box."""
+    all_frames: Flag = False
+    """Take all frames with the hand. By default, without --interval, the frames in which it reaches for the object or
+    leaves it are left out."""
     no_page: Flag = False
     """Do not open the page. With --object-box or --masks, make the masks of all frames and a clip, reconstruct it, and
     draw its report."""
@@ -120,6 +125,8 @@ class Draft(Command):
                 missing = {"hands-from": "--hands FILE", "find-grasps": "--masks or --object-box"}
                 missing |= {"depth": "--depth-from NAME", "depth-from": "--depth PATH", "depth-first": "--depth PATH"}
                 raise UsageError(f"missing {missing.get(name, '--masks FILE')}: --{name} needs it")
+        if self.all_frames and self.find_grasps:
+            raise UsageError("choose one of --all-frames and --find-grasps")
         if self.masks == "sam2" and self.object_box is None:
             raise UsageError("missing --object-box: sam2 starts from a box about the object in the first frame")
         for name, source in {"masks": self.masks, "hands": self.hands}.items():
@@ -134,7 +141,6 @@ class Draft(Command):
         Raises ``InputError`` for a mesh, video or models that cannot be read, ``UsageError`` where there is no hand or
         the video is cut.
         """
-        from getagrip.annotate.drafted_grasps import Extent, find_grasps
         from getagrip.annotate.finding_hands import write_found
         from getagrip.annotate.labels import Labels as Drawn
         from getagrip.annotate.project import Project
@@ -162,13 +168,14 @@ class Draft(Command):
             guessed = f", interpolated in {between} of them" if between > 0 else ""
             print(f"{made}: the {found.side} hand in {len(found.frames)} of {len(stretch.names)} frames{guessed}")
             drawn = self._drawn(stretch, found)
-            whole: Extent = (found.frames[0], found.frames[-1])
+            whole = (found.frames[0], found.frames[-1])
             labels = Drawn(self.video.name, footage.size, found.side, footage.fps, *whole, _within(drawn, whole))
             extents = [whole]
-            if self.find_grasps:
-                grasps = find_grasps(labels, self.video, footage, self.folder, shape)
+            if self.find_grasps or (drawn and self.interval is None and not self.all_frames):
+                grasps = self._grasps(stretch, found, labels, shape)
                 labels, extents = grasps.labels, grasps.extents or [whole]
-                report(grasps.said)
+                if grasps.said:
+                    report(grasps.said)
             labelled = []
             for extent in extents:
                 project.mark_grasp(task, DRAFTER, extent, found.side)
@@ -178,13 +185,28 @@ class Draft(Command):
                     if older := len(project.labelling.labels(grasp).frames) - len(frames):
                         report(f"{self.folder} has labels of {counted(older, 'other frame')} already, which count, too")
             if self.no_page:
-                return solve_labels(project, labelled, shape) if drawn else 0
+                if drawn:
+                    return solve_labels(project, labelled, shape)
+                report("nothing is reconstructed: give --object-box or --masks, or mark the object on the page")
+                return 0
             print("the grasp is marked: mark the object on the page; it is reconstructed there")
             size = {} if self.size_mm is None else {"size-mm": f"{self.size_mm:g}"}
             serve(project, self.port, DRAFTER, {"mesh": self.object, **size})
             return 0
         finally:
             project.close()
+
+    def _grasps(self, stretch: Stretch, found: FoundHands, labels: DrawnLabels, shape: Shape) -> DraftedGrasps:
+        """Find the frames of the grasps. Raises as run."""
+        from getagrip.annotate import found_hands
+        from getagrip.annotate.drafted_grasps import find_grasps, without_reach
+
+        joints = dict(zip(found.frames, found.hand.joints_2d if found.hand.joints_2d is not None else (), strict=False))
+        if self.find_grasps:
+            return find_grasps(labels, self.video, stretch.footage, self.folder, shape, joints)
+        hand = found_hands.FoundHands(self.folder / found_hands.FOLDER).mask
+        box = None if self.object_box is None or self.masks is not None else (stretch.first, self.object_box)
+        return without_reach(labels, stretch.footage.image, joints, hand, box)
 
     def _drawn(self, stretch: Stretch, found: FoundHands) -> dict[int, FrameLabels]:
         """Return what is known of the object: masks that are given, or what stands out in the box. Raises as run."""
