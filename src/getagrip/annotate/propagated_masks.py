@@ -133,7 +133,7 @@ def _until_lost(carried: Iterable[Carried], key: UInt8[ndarray, "H W"], frames: 
     shrinking: list[Carried] = []
     for each in carried:
         inside = each.inside[0] > 0.0
-        share = np.count_nonzero(inside) / max(area, 1.0)
+        share = np.count_nonzero(inside) / area if area else 1.0
         lost = lost or bool(share < VANISHED and not at_edge)
         if share > SHRUNK or len(shrinking) >= LONGEST or at_edge or lost:
             yield from (one._replace(trust=0.0) if lost else one for one in shrinking)

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 MOST_FRAMES = 3000
 """Largest number of frames of a draft: two networks are run on each."""
+LEAST_FILLED = 0.05
+"""Least share of its box that an object fills."""
 DRAFTER = "draft"
 """Name of the annotator whose marks a draft starts with."""
 
@@ -239,6 +241,10 @@ class Draft(Command):
         if not shapes:
             nothing = f"nothing in the box stands out from the background in {stretch.footage.name(n)}"
             raise UsageError(f"--object-box: {nothing}; mark the object on the page")
+        filled = float((labels == OBJECT).sum()) / (box[2] * box[3])
+        if filled < LEAST_FILLED:
+            little = f"what stands out in the box in {stretch.footage.name(n)} fills {100 * filled:.1f} % of it"
+            raise UsageError(f"--object-box: {little}: that is not the object; mark it on the page, or give --masks")
         if empty := empty_side(labels, box):
             side, share = empty
             report(f"--object-box: {100 * share:.0f} % of it is empty at the {side}: is a part of the object missing?")
