@@ -206,8 +206,9 @@ def select(
     most = len(still) >= MINOR * len(hand)  # a few are of more use than none, where nothing else speaks against them
     mirrored = sorted({*still} - {*before} if most else {*still} & {*mirrored})
     hand, flickering = steady({n: each for n, each in hand.items() if n not in mirrored})
-    notes = [f"left out: {PART}"] if parts else []
-    notes += [] if as_stated else [f"a guess: {first.handedness.words}, but the side is stated"]
+    notes = [f"left out: {PART}"] * parts + [f"a guess: {first.handedness.words}, but the side is stated"] * (
+        not as_stated
+    )
     if boxes is not None:
         apart = first.distance(dict(sorted(boxes.items())[:1]))  # where the object is stated to be
         near = "of the hands that were seen, the one nearest to the object"
