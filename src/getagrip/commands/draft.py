@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
 from getagrip.commands.command import Command, Labels, OptionalSide
-from getagrip.errors import UsageError
+from getagrip.errors import GetagripError, UsageError
 from getagrip.geometry.lens import Lens
 from getagrip.io.arguments import Flag, OptionalFolder
 from getagrip.io.terminal import counted, report
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from getagrip.annotate.labels import Labels as DrawnLabels
     from getagrip.annotate.reconstruction import DepthFiles, Shape
     from getagrip.commands.draft_inputs import Stretch
+    from getagrip.landmarks import HandLandmarks
 
 MOST_FRAMES = 3000
 """Largest number of frames of a draft: two networks are run on each."""
@@ -74,6 +75,8 @@ class Draft(Command):
     )
     """The object's masks: a file or folder, as for import masks; or the estimator that is run to make them
     (docs/estimators.md)."""
+    mask_word: Annotated[str | None, arg(metavar="WORD", help_behavior_hint="(default: KIND)")] = None
+    """With --masks sam3: what the object is, in a word or a few."""
     mask_object: Labels = ()
     """With --masks FILE: labels of the object. Not needed if there is only one."""
     mask_hand: Labels = ()
@@ -112,6 +115,11 @@ class Draft(Command):
         """Folder of all files."""
         return self.out or self.video.with_name(f"{self.video.stem}-draft")
 
+    @property
+    def _word(self) -> str | None:
+        """What the object is, in words: a mesh's file name says nothing."""
+        return self.mask_word or (self.object if not Path(self.object).suffix else None)
+
     def check(self) -> None:
         super().check()
         for name, (given, needed) in {
@@ -127,6 +135,10 @@ class Draft(Command):
                 missing = {"hands-from": "--hands FILE", "find-grasps": "--masks or --object-box"}
                 missing |= {"depth": "--depth-from NAME", "depth-from": "--depth PATH", "depth-first": "--depth PATH"}
                 raise UsageError(f"missing {missing.get(name, '--masks FILE')}: --{name} needs it")
+        if self.mask_word and self.masks != "sam3":
+            raise UsageError("missing --masks sam3: --mask-word needs it")
+        if self.masks == "sam3" and self.object_box is None and self._word is None:
+            raise UsageError("missing --mask-word or --object-box: sam3 starts from a word or a box about the object")
         if self.all_frames and self.find_grasps:
             raise UsageError("choose one of --all-frames and --find-grasps")
         if self.masks == "sam2" and self.object_box is None:
@@ -221,9 +233,10 @@ class Draft(Command):
         from getagrip.io.terminal import progress_bar
 
         if self.masks is not None:
-            path, size = Path(self.masks), stretch.footage.size
+            path = Path(self.masks)
             if self.masks in named("masks"):
-                values = {"box": self.object_box or (0.0, 0.0, *size), "object": [Path(self.object).stem]}
+                values: dict[str, Sequence[object]] = {} if self.object_box is None else {"box": self.object_box}
+                values |= {} if self._word is None else {"word": [self._word]}
                 path = estimated(self.masks, stretch, self.folder, values)
             with progress_bar() as bar:
                 job = bar.add_task("the object's masks", total=len(stretch.names))
@@ -294,32 +307,47 @@ class Draft(Command):
 
     def _find(self, stretch: Stretch) -> FoundHands:
         """Find the hand that holds the object, or read it. Raises as ``run`` does."""
-        import numpy as np
-
         from getagrip.annotate.estimators import ESTIMATORS, named
-        from getagrip.annotate.finding_hands import find_landmarks, lifted
-        from getagrip.commands.draft_inputs import boxes_file, estimated, hands_by, hands_of
-        from getagrip.io.terminal import progress_bar
-        from getagrip.landmarks import load
+        from getagrip.annotate.finding_hands import lifted
+        from getagrip.annotate.reach import followed
+        from getagrip.commands.draft_inputs import boxes_file, boxes_of, estimated, hands_by, hands_of
 
         name = self.hands if self.hands in named("hands") else None
         if self.hands is not None and name is None:
             return hands_of(Path(self.hands), self.hands_from, self.side, stretch)
-        landmarks = None
-        if name is None or self.side is None or "{boxes}" in ESTIMATORS[name].words:
-            nets, interval = load(self.models), (stretch.first, stretch.last)
-            box = None if self.object_box is None else np.array(self.object_box)
-            with progress_bar() as bar:
-                job = bar.add_task("looking for hands", total=len(stretch.names))
-                update = lambda n: bar.update(job, completed=n)  # noqa: E731
-                landmarks = find_landmarks(stretch.footage, interval, nets, self.side, box, update)
-            if name is None:
-                return lifted(landmarks, stretch.first, stretch.footage.size, stretch.K, stretch.camera)
-        side = self.side or (landmarks.side if landmarks is not None else "right")
-        values: dict[str, Sequence[object]] = {"side": [side]}
-        if landmarks is not None:
-            values["boxes"] = [boxes_file(landmarks, stretch, self.folder / "boxes.json").absolute()]
-        return hands_by(name, estimated(name, stretch, self.folder, values), side, stretch)
+        if name is None:
+            landmarks = self._landmarks(stretch)
+            return lifted(landmarks, stretch.first, stretch.footage.size, stretch.K, stretch.camera)
+        side, values, near = self.side, dict[str, Sequence[object]](), {}
+        if "{boxes}" in ESTIMATORS[name].words:  # it has a detector of its own, too
+            try:
+                landmarks = self._landmarks(stretch)
+                side = side or landmarks.side
+                values["boxes"] = [boxes_file(boxes_of(landmarks, stretch), self.folder / "boxes.json")]
+            except GetagripError as error:
+                report(f"{name} looks for the hand itself: {error}")
+        if self.object_box is not None:
+            followed_boxes = followed(stretch.footage.image, self.object_box, stretch.first, stretch.last)
+            near = {n: (x, y, x + w, y + h) for n, (x, y, w, h) in followed_boxes}
+            values["near"] = [boxes_file(stretch.numbered(near), self.folder / "object-boxes.json")]
+        if side is not None:
+            values["side"] = [side]
+        return hands_by(name, estimated(name, stretch, self.folder, values), side, stretch, near)
+
+    def _landmarks(self, stretch: Stretch) -> HandLandmarks:
+        """Find the hand's landmarks. Raises as ``run`` does."""
+        import numpy as np
+
+        from getagrip.annotate.finding_hands import find_landmarks
+        from getagrip.io.terminal import progress_bar
+        from getagrip.landmarks import load
+
+        nets, interval = load(self.models), (stretch.first, stretch.last)
+        box = None if self.object_box is None else np.array(self.object_box)
+        with progress_bar() as bar:
+            job = bar.add_task("looking for hands", total=len(stretch.names))
+            update = lambda n: bar.update(job, completed=n)  # noqa: E731
+            return find_landmarks(stretch.footage, interval, nets, self.side, box, update)
 
 
 def _within(drawn: Mapping[int, FrameLabels], extent: tuple[int, int]) -> dict[int, FrameLabels]:
