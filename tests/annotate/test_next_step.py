@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from getagrip.annotate.next_step import next_step
 from getagrip.annotate.reconstruction import Shape
 from getagrip.finding import Finding
+from getagrip.geometry import se3
 from getagrip.result import write_result
 from helpers.clips import small_clip
 from helpers.true_result import true_result
@@ -29,9 +33,31 @@ def test_the_next_step_is_a_frame_an_interval_a_mesh_and_a_command(tmp_path: Pat
     assert f"next: draw the object on frame 7, and reconstruct again, on the page: getagrip annotate '{video}'" in said(
         bad
     )
-    assert "--interval FIRST LAST if it is held only in some of 3 to 90" in said(bad)
+    assert "--interval FIRST LAST, if it is held only in some of the frames 3 to 90" in said(bad)
     assert "--object FILE, the object's own mesh: the shape of mug is a guess" in said(bad)
     assert "--object FILE" not in said(bad, Shape(str(mesh), None))
+    R = np.tile(np.eye(3), (40, 1, 1))
+    R[25:] = se3.exp_so3(np.array([0.0, 1.0, 0.0]))
+    names = tuple(f"{n:06d}" for n in range(3, 43))
+    jumps = Finding("regrasp", False, 20.0, 6.0, "it jumps")
+    long = replace(
+        result, frames=names, frame_kind=("sampled",) * 40, T_hand_obj=se3.rigid(R, np.zeros((40, 3))), iou=np.ones(40),
+        candidates=replace(result.candidates, T_hand_obj=se3.rigid(R, np.zeros((40, 3)))[None]), T_cam_hand=None,
+        axis=None, findings=(serious, jumps),
+    )  # fmt: skip
+    step = next_step(
+        write_result(long, tmp_path / "long", "", {}, tmp_path),
+        video,
+        out,
+        built_in,
+        7,
+        (),
+        (3, 42),
+        (10.0, 20.0, 5.2, 6.0),
+    )
+    found = re.search(r"--interval 3 (\d+) --object-box 10,20,5,6: about frame (\d+) the object jumps", step)
+    assert found is not None, step
+    assert abs(int(found[2]) - 28) <= 4
     lost = said(good, lost=(8, 9, 10, 12))
     assert "the object is lost in the frames 8 to 10, 12: nothing is known of it there\nnext: draw" in lost
     assert "--interval" not in lost

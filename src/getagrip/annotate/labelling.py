@@ -26,6 +26,7 @@ from getagrip.annotate.labelled_footage import checksum
 from getagrip.annotate.labels import SHAPES, Labels
 from getagrip.annotate.next_step import next_step
 from getagrip.annotate.propagated_masks import stretches
+from getagrip.annotate.reach import outlined
 from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import open_footage
 from getagrip.annotate.versions import RefusedError
@@ -168,11 +169,11 @@ class Labelling:
         met = {names[name]: x for name, x in iou.items() if name in names}
         self._iou[grasp.mark.mark] = basis, met
         wanted = frame_wanted(as_met(confidence, met, value.drawn), value.drawn, *grasp.extent)
-        number = grasp.footage.number
+        number, first = grasp.footage.number, outlined({n: one.object or () for n, one in value.frames.items()})
         step = next_step(
             reconstruction.result_folder(self.out, grasp.name), grasp.path, self.out, shape,
             None if wanted is None else number(wanted), [*map(number, lost_in(confidence))],
-            (number(value.first), number(value.last)),
+            (number(value.first), number(value.last)), first.get(value.first),
         )  # fmt: skip
         return "\n".join(filter(None, (said, step)))
 

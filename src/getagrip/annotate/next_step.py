@@ -6,19 +6,35 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
+from getagrip.annotate.boxes import Box
 from getagrip.annotate.reconstruction import Shape
+from getagrip.clip.naming import number_of
 from getagrip.errors import InputError
+from getagrip.geometry import se3
 from getagrip.io.terminal import ranges
-from getagrip.result import read_result
+from getagrip.result import Reconstruction, read_result
+
+ABOUT = 4
+"""A jump is the motion from so many frames before to so many after."""
+FEWEST = 10
+"""Frames before a jump of which a grasp is drafted, at least."""
 
 
 def next_step(
-    result: Path, video: Path, out: Path, shape: Shape, wanted: int | None, lost: Sequence[int], taken: tuple[int, int]
+    result: Path,
+    video: Path,
+    out: Path,
+    shape: Shape,
+    wanted: int | None,
+    lost: Sequence[int],
+    taken: tuple[int, int],
+    box: Box | None = None,
 ) -> str:
     """Say what to do about a result; empty where nothing speaks against it.
 
     Frames are numbers that the page shows: ``wanted``, on which it helps most to draw; ``lost``, in which nothing is
-    known of the object; ``taken``, the first and the last one. ``out`` is the folder of the marks of the ``video``.
+    known of the object; ``taken``, the first and the last one, in the first of which ``box`` is the object's. ``out``
+    is the folder of the marks of the ``video``.
     """
     try:
         found = read_result(result)[0]
@@ -33,10 +49,27 @@ def next_step(
         draw = f"draw the object on frame {wanted}" if wanted is not None else "correct the masks"
         steps = [f"{draw}, and reconstruct again, on the page: {page}"]
         if wrong:
-            steps.append(
-                f"draft it anew with --interval FIRST LAST if it is held only in some of {taken[0]} to {taken[1]}"
-            )
+            steps += _interval(found, taken, box)
         if wrong and not Path(shape.mesh).is_file():
             steps.append(f"with --object FILE, the object's own mesh: the shape of {shape.mesh} is a guess")
         said.append(f"next: {'; or '.join(steps)}")
     return "\n".join(said)
+
+
+def _interval(found: Reconstruction, taken: tuple[int, int], box: Box | None) -> list[str]:
+    """Say which frames to take: those before a jump in the hand, if there is one, unless they are few."""
+    if len(found.frames) < 3:
+        return []
+    if not any(finding.check == "regrasp" for finding in found.findings) or len(found.frames) <= 2 * ABOUT:
+        some = f"if it is held only in some of the frames {taken[0]} to {taken[1]}"
+        return [f"draft it anew with --interval FIRST LAST, {some}"]
+    R = found.T_hand_obj[:, :3, :3]
+    turns = se3.angle_between(R[2 * ABOUT :], R[: -2 * ABOUT])
+    at = int(turns.argmax()) + ABOUT
+    number = number_of(found.frames[at])
+    jump = taken[0] + at if number is None else number
+    first, last, begins = taken[0], jump - 1, "" if box is None else ",".join(f"{x:.0f}" for x in box)
+    if last - first < FEWEST:
+        first, last, begins = jump + 1, taken[1], "X,Y,W,H"
+    words = f"--interval {first} {last}" + (f" --object-box {begins}" if begins else "")
+    return [f"draft it anew with {words}: about frame {jump} the object jumps in the hand"]

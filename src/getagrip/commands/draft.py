@@ -55,8 +55,8 @@ BOX: PrimitiveConstructorSpec[tuple[float, ...] | None] = PrimitiveConstructorSp
 class Draft(Command):
     """Find the hand in a video, and open the page on which you mark the object. It is a draft: check the hands."""
 
-    video: Annotated[Positional[Path], arg(metavar="VIDEO|FOLDER")]
-    """The video of one shot, undistorted; or a folder of its images."""
+    video: Annotated[Positional[Path], arg(metavar="VIDEO|FOLDER|IMAGE")]
+    """The video of one shot, undistorted; or a folder of its images; or a single image."""
     object: Annotated[str, arg(metavar="MESH|KIND")]
     """The object in the hand: a mesh file, or the kind of a built-in shape, such as mug or glass (no handle)."""
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: VIDEO-draft)")] = None
@@ -165,7 +165,8 @@ class Draft(Command):
         from getagrip.io.terminal import progress_bar
 
         shape = self._shape()
-        task = read_tasks(self.video, None)[0]
+        video = self._source()
+        task = read_tasks(video, None)[0]
         self.folder.mkdir(parents=True, exist_ok=True)
         project = Project([task], Store(self.folder / DATABASE), self._lens)
         try:
@@ -183,13 +184,11 @@ class Draft(Command):
             print(f"{made}: the {found.side} hand in {len(found.frames)} of {len(stretch.names)} frames{guessed}")
             drawn = self._drawn(stretch, found)
             whole = (found.frames[0], found.frames[-1])
-            labels = Drawn(self.video.name, footage.size, found.side, footage.fps, *whole, _within(drawn, whole))
+            labels = Drawn(video.name, footage.size, found.side, footage.fps, *whole, _within(drawn, whole))
             extents = [whole]
             if self.find_grasps or (drawn and self.interval is None and not self.all_frames):
-                grasps = self._grasps(stretch, found, labels, shape)
+                grasps = self._grasps(stretch, found, labels, shape, video)
                 labels, extents = grasps.labels, grasps.extents or [whole]
-                if grasps.said:
-                    report(grasps.said)
             labelled = []
             for extent in extents:
                 project.mark_grasp(task, DRAFTER, extent, found.side)
@@ -210,17 +209,41 @@ class Draft(Command):
         finally:
             project.close()
 
-    def _grasps(self, stretch: Stretch, found: FoundHands, labels: DrawnLabels, shape: Shape) -> DraftedGrasps:
-        """Find the frames of the grasps. Raises as run."""
+    def _source(self) -> Path:
+        """Return the footage; of a single image, a folder with it twice, since a clip has two frames or more."""
+        from getagrip.annotate.footage import IMAGES
+        from getagrip.io import files
+
+        folder = self.video.is_dir()
+        names = sorted(path for path in self.video.iterdir() if path.name[0] != ".") if folder else [self.video]
+        images = [path for path in names if path.suffix.lower() in IMAGES and path.is_file()]
+        if len(images) != 1:
+            return self.video
+        (image,) = images
+        twice = files.folder_inside(self.folder, "image") / self.video.stem
+        twice.mkdir(parents=True, exist_ok=True)
+        for name in ("000001", "000002"):
+            files.write_bytes(twice / f"{name}{image.suffix}", files.read_bytes(image))
+        report("a single image: it is taken twice; nothing is known of motion")
+        return twice
+
+    def _grasps(
+        self, stretch: Stretch, found: FoundHands, labels: DrawnLabels, shape: Shape, video: Path
+    ) -> DraftedGrasps:
+        """Find the frames of the grasps, and say which. Raises as run."""
         from getagrip.annotate import found_hands
         from getagrip.annotate.drafted_grasps import find_grasps, without_reach
 
         joints = dict(zip(found.frames, found.hand.joints_2d if found.hand.joints_2d is not None else (), strict=False))
         if self.find_grasps:
-            return find_grasps(labels, self.video, stretch.footage, self.folder, shape, joints)
-        hand = found_hands.FoundHands(self.folder / found_hands.FOLDER).mask
-        box = None if self.object_box is None or self.masks is not None else (stretch.first, self.object_box)
-        return without_reach(labels, stretch.footage.image, joints, hand, box)
+            grasps = find_grasps(labels, video, stretch.footage, self.folder, shape, joints)
+        else:
+            hand = found_hands.FoundHands(self.folder / found_hands.FOLDER).mask
+            box = None if self.object_box is None or self.masks is not None else (stretch.first, self.object_box)
+            grasps = without_reach(labels, stretch.footage.image, joints, hand, box)
+        if grasps.said:
+            report(grasps.said)
+        return grasps
 
     def _drawn(self, stretch: Stretch, found: FoundHands) -> dict[int, FrameLabels]:
         """Return what is known of the object: masks that are given, or what stands out in the box. Raises as run."""

@@ -32,9 +32,9 @@ CHUNK = 30
 """Number of other frames that are read and fitted at once."""
 STAGES = ((128, 5), (256, 5))
 """Resolution [px] and iterations of their fit."""
-SMOOTH = 3e5
-"""Energy of a motion in the hand that bends [px^2 per (m per frame^2)^2], times what the square of the misfit is above
-1: masks that the object's own mesh meets tell each pose better than its neighbours do. Chosen on a video of a mug."""
+SMOOTH = 1e6
+"""Energy of a motion in the hand that bends [px^2 per (m per frame^2)^2], times what the misfit is above 1: masks that
+the object's own mesh meets tell each pose better than its neighbours do. Chosen on a video of a mug."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def at_every_frame(clip: Clip, problem: Problem, found: MethodResult, track: Tra
         NeighbourPrediction.by(problem, found.poses, sampled) if np.isfinite(problem.trust.outlier_threshold) else None
     )
     times = misfit(problem.observation, found.terms.get("mask", 0.0) / len(sampled))
-    smooth = SMOOTH * max(0.0, times**2 - 1.0)
+    smooth = SMOOTH * max(0.0, times - 1.0)
     shown = np.flatnonzero([name not in {*problem.clip.left_out, *outliers} for name in clip.frames])
     others = np.setdiff1d(shown, sampled)
     for index, part in _at(clip, problem, others, predicted):
