@@ -6,6 +6,8 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from getagrip.annotate.boxes import Box
 from getagrip.annotate.reconstruction import Shape
 from getagrip.clip.naming import number_of
@@ -14,8 +16,8 @@ from getagrip.geometry import se3
 from getagrip.io.terminal import ranges
 from getagrip.result import Reconstruction, read_result
 
-ABOUT = 4
-"""A jump is the motion from so many frames before to so many after."""
+SIZE = 0.04
+"""Half the size of an object whose motion in the hand is looked at [m]."""
 FEWEST = 10
 """Frames before a jump of which a grasp is drafted, at least."""
 
@@ -60,16 +62,21 @@ def _interval(found: Reconstruction, taken: tuple[int, int], box: Box | None) ->
     """Say which frames to take: those before a jump in the hand, if there is one, unless they are few."""
     if len(found.frames) < 3:
         return []
-    if not any(finding.check == "regrasp" for finding in found.findings) or len(found.frames) <= 2 * ABOUT:
+    if not any(finding.check == "regrasp" for finding in found.findings):
         some = f"if it is held only in some of the frames {taken[0]} to {taken[1]}"
         return [f"draft it anew with --interval FIRST LAST, {some}"]
-    R = found.T_hand_obj[:, :3, :3]
-    turns = se3.angle_between(R[2 * ABOUT :], R[: -2 * ABOUT])
-    at = int(turns.argmax()) + ABOUT
-    number = number_of(found.frames[at])
-    jump = taken[0] + at if number is None else number
-    first, last, begins = taken[0], jump - 1, "" if box is None else ",".join(f"{x:.0f}" for x in box)
+    sampled = found.frames_of("sampled")
+    points = se3.transform(found.T_hand_obj[sampled], SIZE * np.concatenate([np.eye(3), -np.eye(3)]))
+    n = int(np.square(points[1:] - points[:-1]).sum(axis=(1, 2)).argmax())
+    before, after = (_number(found, int(sampled[k]), taken[0]) for k in (n, n + 1))
+    first, last, begins = taken[0], before, "" if box is None else ",".join(f"{x:.0f}" for x in box)
     if last - first < FEWEST:
-        first, last, begins = jump + 1, taken[1], "X,Y,W,H"
+        first, last, begins = after, taken[1], "X,Y,W,H"
     words = f"--interval {first} {last}" + (f" --object-box {begins}" if begins else "")
-    return [f"draft it anew with {words}: about frame {jump} the object jumps in the hand"]
+    return [f"draft it anew with {words}: the object jumps in the hand between the frames {before} and {after}"]
+
+
+def _number(found: Reconstruction, index: int, first: int) -> int:
+    """Return the number of a result's frame, in its name; else its place, from that of the first one."""
+    number = number_of(found.frames[index])
+    return first + index if number is None else number
