@@ -8,7 +8,7 @@ import pytest
 
 from getagrip.annotate.drafted_grasps import without_reach
 from getagrip.annotate.labels import FrameLabels, Labels
-from getagrip.annotate.reach import followed, held_from
+from getagrip.annotate.reach import find_arrival, followed
 from helpers.labelled_scene import joints
 
 FRAMES, ARRIVES, LIFTS = 40, 12, 20
@@ -49,7 +49,7 @@ class Shot:
 
 def found(shot: Shot, frames: int = FRAMES) -> int | None:
     boxes = followed(shot.image, shot.box(0), 0, frames - 1)
-    return held_from(shot.image, boxes, {n: shot.joints(n) for n in range(frames)}, frames - 1)
+    return find_arrival(shot.image, boxes, {n: shot.joints(n) for n in range(frames)}, frames - 1)
 
 
 def test_a_reach_ends_where_the_hand_has_come_to_the_object() -> None:
@@ -59,7 +59,7 @@ def test_a_reach_ends_where_the_hand_has_come_to_the_object() -> None:
 
 
 @pytest.mark.parametrize("shot", [Shot(arrives=0), Shot(arrives=0, lifts=0)])
-def test_what_is_held_from_the_start_is_taken_whole(shot: Shot) -> None:
+def test_what_is_find_arrival_the_start_is_taken_whole(shot: Shot) -> None:
     assert found(shot) is None
 
 

@@ -17,7 +17,7 @@ from getagrip.annotate.found_hands import FOLDER, FoundHands
 from getagrip.annotate.labelled import clip_words, make
 from getagrip.annotate.labels import FRONT, HAND, OBJECT, FrameLabels, Labels
 from getagrip.annotate.propagated_masks import propagate
-from getagrip.annotate.reach import followed, held_from, outlined
+from getagrip.annotate.reach import find_arrival, followed, outlined
 from getagrip.annotate.reconstruction import CLIPS, Shape, run_command
 from getagrip.clip import read_clip
 from getagrip.clip.mask_request import MaskRequest
@@ -57,8 +57,8 @@ def without_reach(
     """
     known = outlined({n: frame.object or () for n, frame in labels.frames.items()})
     ahead = known.items() if box is None else followed(image, box[1], box[0], labels.last)
-    first = held_from(image, ahead, joints, labels.last)
-    last = held_from(image, [*known.items()][::-1], joints, labels.first)
+    first = find_arrival(image, ahead, joints, labels.last)
+    last = find_arrival(image, [*known.items()][::-1], joints, labels.first)
     extent = (labels.first if first is None else first, labels.last if last is None else last)
     if not labels.first <= extent[0] < extent[1] <= labels.last or extent == (labels.first, labels.last):
         return DraftedGrasps(labels, [(labels.first, labels.last)], "")

@@ -35,8 +35,8 @@ ENOUGH = 1e6
 SMALL = 0.25
 """Share of the object's largest part below which another may be something else."""
 VANISHED, SHRUNK, LONGEST = 0.05, 0.4, 60
-"""An object of less than the first share of its key's pixels is lost, from where it has less than the second, no more
-than so many frames before that."""
+"""An object of less than the first share of its key's pixels is lost, from where it has less than the second, at most
+this number of frames before."""
 BESIDE = 9
 """Side of a square about a pixel that is beside what it touches [px]."""
 

@@ -50,7 +50,7 @@ def outlined(shapes: Mapping[int, Polygons]) -> dict[int, Box]:
     return {n: (*each.min(axis=0).tolist(), *np.ptp(each, axis=0).tolist()) for n, each in points.items()}
 
 
-def held_from(
+def find_arrival(
     images: Images, boxes: Iterable[Placed], joints: Mapping[int, Float[ndarray, "21 2"]], end: int
 ) -> int | None:
     """Return the first frame in which the hand has come to an object that rests; None where it does not come to it.

@@ -117,7 +117,7 @@ class Draft(Command):
 
     @property
     def _word(self) -> str | None:
-        """What the object is, in words: a mesh's file name says nothing."""
+        """Return what the object is, in words, if it is known: a mesh's file name says nothing."""
         return self.mask_word or (self.object if not Path(self.object).suffix else None)
 
     def check(self) -> None:

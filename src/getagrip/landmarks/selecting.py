@@ -40,7 +40,7 @@ FAR = 0.6
 LITTLE = 0.5
 """Share of the hand's frames in which it is seen without a second look, below which this is said."""
 STILL, LONG = 0.1, 10
-"""A hand of so many frames whose middle stays within this share of its size does not move."""
+"""A hand does not move whose middle stays within this share of its size, in at least this number of frames."""
 OTHERS = 0.2
 """Share of frames with another hand of the same side from which on two people are assumed."""
 PART = "what looks like a hand in the object's box does not move, and is taken for a part of the object"
