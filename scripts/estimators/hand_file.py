@@ -73,6 +73,37 @@ def hand_frame(vertices, root, R, t, side):
     return flat, T
 
 
+def at_object(boxes, rights, side, near, last):
+    """The place among hands' boxes (n, 4) of the hand that holds the object, or None: corners x0, y0, x1, y1 [px].
+
+    ``rights`` (n,) are above 0.5 for right hands, ``side`` is the stated one or None. ``near`` is the object's box, if
+    it is known in this image: the hand nearest to it, of the stated side if one of that side is at it. Else of the
+    stated side that nearest to ``last``, the hand's box in the image before; else the largest.
+    """
+    boxes = np.asarray(boxes, dtype=float).reshape(-1, 4)
+    middle, size = 0.5 * (boxes[:, :2] + boxes[:, 2:]), boxes[:, 2:] - boxes[:, :2]
+    known = np.ones(len(boxes), dtype=bool)
+    if side is not None:
+        known = (np.asarray(rights) > 0.5) == (side == "right")
+    cost = -size.prod(axis=1)
+    if near is not None:
+        near = np.asarray(near, dtype=float)
+        gap = np.linalg.norm(np.maximum(0.0, np.maximum(near[:2] - boxes[:, 2:], boxes[:, :2] - near[2:])), axis=1)
+        at = known & (gap <= size.max(axis=1))
+        known = at if at.any() else np.ones(len(boxes), dtype=bool)
+        cost = 1e3 * gap + np.linalg.norm(middle - 0.5 * (near[:2] + near[2:]), axis=1)
+    elif last is not None:
+        cost = np.linalg.norm(middle - 0.5 * (np.asarray(last)[:2] + np.asarray(last)[2:]), axis=1)
+    return int(np.where(known, cost, np.inf).argmin()) if known.any() else None
+
+
+def side_of(rights, side):
+    """The stated side, else that of most of the hands that were taken; ``rights`` are above 0.5 for right ones."""
+    if side is not None or not len(rights):
+        return side
+    return "right" if np.mean(np.asarray(rights) > 0.5) > 0.5 else "left"
+
+
 def write(path, vertices, joints, T_cam_hand, faces, regions, side, frames, K, camera):
     """Write the file.
 

@@ -4,8 +4,9 @@
     python sam_masks.py sam3 FRAMES --text mug --out masks
 
 FRAMES is a folder of .jpg whose names are numbers; ``--box`` (left, top, width, height) [px] is about the object in the
-first. SAM 3 finds all objects of the text; the one nearest to the box is taken, without a box the largest. A .png is
-written for each frame, 255 where the object is.
+first. SAM 3 takes the box, the text or both, and the box alone where it finds nothing with the text; of several objects
+the one nearest to the box is taken, without a box the largest. A .png is written for each frame, 255 where the object
+is. Frames are kept in the computer's memory, not in the GPU's.
 """
 
 import argparse
@@ -23,8 +24,9 @@ def sam2(frames, box, text):
 
     if box is None:
         raise SystemExit("SAM 2 needs --box")
-    predictor = SAM2VideoPredictor.from_pretrained(SAM2)
-    state = predictor.init_state(str(frames))
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    predictor = SAM2VideoPredictor.from_pretrained(SAM2, device=device)
+    state = predictor.init_state(str(frames), offload_video_to_cpu=True)
     x, y, w, h = box
     predictor.add_new_points_or_box(state, frame_idx=0, obj_id=1, box=np.array([x, y, x + w, y + h], np.float32))
     for n, _, logits in predictor.propagate_in_video(state):
@@ -34,12 +36,24 @@ def sam2(frames, box, text):
 def sam3(frames, box, text):
     from sam3.model_builder import build_sam3_video_predictor
 
+    if box is None and text is None:
+        raise SystemExit("SAM 3 needs --box or --text")
     predictor = build_sam3_video_predictor()
-    session = predictor.handle_request({"type": "start_session", "resource_path": str(frames)})["session_id"]
-    ask = {"type": "add_prompt", "session_id": session, "frame_index": 0, "text": text}
-    first = predictor.handle_request(ask)["outputs"]
+    start = {"type": "start_session", "resource_path": str(frames), "offload_video_to_cpu": True}
+    session = predictor.handle_request(start)["session_id"]
+    height, width = cv2.imread(str(min(frames.glob("*.jpg"), key=lambda path: int(path.stem)))).shape[:2]
+    ask = {"type": "add_prompt", "session_id": session, "frame_index": 0}
+    about = {}
+    if box is not None:  # as shares of the image
+        x, y, w, h = np.array(box) / [width, height, width, height]
+        x0, y0, x1, y1 = np.clip([x, y, x + w, y + h], 0.0, 1.0).tolist()
+        about = {"bounding_boxes": [[x0, y0, x1 - x0, y1 - y0]], "bounding_box_labels": [1]}
+    first = predictor.handle_request(ask | about | ({} if text is None else {"text": text}))["outputs"]
+    if not len(first["out_obj_ids"]) and text is not None and about:
+        print(f"SAM 3 sees no {text} in the box: whatever is in it is taken")
+        first = predictor.handle_request(ask | about)["outputs"]
     if not len(first["out_obj_ids"]):
-        raise SystemExit(f"SAM 3 sees no {text} in the first frame")
+        raise SystemExit(f"SAM 3 sees {'nothing in the box' if about else f'no {text}'} in the first frame")
     chosen = first["out_obj_ids"][int(np.argmax([overlap(mask, box) for mask in first["out_binary_masks"]]))]
     for one in predictor.handle_stream_request({"type": "propagate_in_video", "session_id": session}):
         for key, mask in zip(one["outputs"]["out_obj_ids"], one["outputs"]["out_binary_masks"], strict=True):
@@ -61,7 +75,7 @@ def main():
     parser.add_argument("network", choices=("sam2", "sam3"))
     parser.add_argument("frames", type=Path)
     parser.add_argument("--box", type=float, nargs=4, metavar=("X", "Y", "W", "H"))
-    parser.add_argument("--text", default="object")
+    parser.add_argument("--text")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
     names = sorted((path.stem for path in args.frames.glob("*.jpg")), key=int)

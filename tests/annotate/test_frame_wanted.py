@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.annotate.frame_wanted import ENOUGH, FEW, LEAST_IOU, as_met, frame_wanted
+from getagrip.annotate.frame_wanted import ENOUGH, FEW, LEAST_IOU, as_met, frame_wanted, lost_in
 
 FIRST, LAST = 10, 60
 
@@ -20,6 +20,13 @@ def test_the_ends_are_asked_for_first() -> None:
     assert frame_wanted({}, [], FIRST, LAST) == FIRST
     assert frame_wanted({}, [20], FIRST, LAST) == LAST
     assert frame_wanted({}, [50], FIRST, LAST) == FIRST
+
+
+def test_where_the_object_is_lost_is_asked_for_before_all_else() -> None:
+    sure = dict.fromkeys(range(FIRST, LAST + 1), 0.9) | dict.fromkeys(range(30, LAST + 1), 0.0)
+    assert frame_wanted(sure, [FIRST], FIRST, LAST) == 30
+    assert frame_wanted(sure | {LAST: 1.0}, [FIRST, LAST], FIRST, LAST) in (30, LAST - 1)
+    assert lost_in(sure) == [*range(30, LAST + 1)]
 
 
 def test_the_middle_of_the_longest_unsure_part_is_asked_for() -> None:

@@ -14,9 +14,11 @@ from hypothesis import strategies as st
 from numpy import ndarray
 
 from getagrip.annotate import propagated_masks
+from getagrip.annotate.carried_masks import Carried
 from getagrip.annotate.colour_cut import Colours, coloured_hand
 from getagrip.annotate.labels import FRONT, HAND, OBJECT
-from getagrip.annotate.propagated_masks import propagate, stretches
+from getagrip.annotate.propagated_masks import _until_lost, propagate, stretches
+from getagrip.annotate.shared_flow import SmallFrames
 from getagrip.errors import UsageError
 
 SIZE = (240, 180)
@@ -115,6 +117,32 @@ def test_a_thing_that_jumps_is_found_where_the_hand_has_moved_to() -> None:
         assert min(scores[:2]) > 0.9
         assert least <= min(scores[2:]) <= max(scores[2:]) <= most
         assert all((each.confidence > 0.3) == (step == 100) for each in found[2:])
+
+
+@pytest.mark.parametrize(
+    ("left", "sides", "lost"),
+    [
+        (50, (40, 30, 20, 8, 4, 0), [3, 4, 5, 6]),  # it vanishes, from where it has shrunk
+        (50, (40, 30, 20, 25, 40, 40), []),  # it is seen edge-on
+        (0, (40, 30, 20, 8, 4, 0), []),  # it leaves the image
+    ],
+)
+def test_an_object_is_lost_where_it_vanishes_within_the_image(
+    left: int, sides: tuple[int, ...], lost: list[int]
+) -> None:
+    """What something in front hides is remembered: it does not vanish."""
+    key = np.zeros(SIZE[::-1], np.uint8)
+    key[20:60, left : left + 40] = OBJECT
+
+    def each(n: int, side: int) -> Carried:
+        inside = np.full((3, 40, 40), -1.0, np.float32)
+        inside[0, :side, :side] = 1.0
+        return Carried(n, (left, 20), inside, np.ones((40, 40), np.float32), 0.9, np.zeros((40, 40), np.float32))
+
+    frames = SmallFrames(lambda n: drawn(n)[0], SIZE)
+    found = [*_until_lost([each(n, side) for n, side in enumerate(sides, start=1)], key, frames)]
+    assert [one.frame for one in found] == [1, 2, 3, 4, 5, 6]
+    assert [one.frame for one in found if one.trust == 0.0] == lost
 
 
 def test_a_side_that_comes_into_view_before_known_ground_is_the_objects() -> None:

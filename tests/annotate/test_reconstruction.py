@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,26 @@ def test_a_command_that_fails_ends_it_with_its_words(tmp_path: Path) -> None:
     with pytest.raises(GetagripError, match=r"^.*nothing.mp4.*no such file"):
         reconstruct(["clip", "new", str(tmp_path / "nothing.mp4")], Shape("plate", None), tmp_path, "it", job)
     assert job.message == "making the clip"
+
+
+@pytest.mark.parametrize(
+    ("status", "printed", "said"),
+    [
+        (3, "getagrip: warning: no hand in 4 of 6 frames", "warning: no hand"),
+        (1, "warning: one\ngetagrip: and another", "^warning: one; and another$"),
+        (-9, "", "ended early"),
+    ],
+)
+def test_what_lacks_something_is_made_and_errors_are_one_line(
+    monkeypatch: pytest.MonkeyPatch, status: int, printed: str, said: str
+) -> None:
+    done = SimpleNamespace(returncode=status, communicate=lambda timeout: ("", printed))
+    monkeypatch.setattr(reconstruction.subprocess, "Popen", lambda *_, **__: done)
+    if status == 3:
+        assert said in reconstruction.run_command(["clip", "new"], BackgroundJob("reconstruct"))
+    else:
+        with pytest.raises(GetagripError, match=said):
+            reconstruction.run_command(["clip", "new"], BackgroundJob("reconstruct"))
 
 
 @pytest.mark.parametrize("name", [reconstruction.CLIPS, reconstruction.RESULTS])

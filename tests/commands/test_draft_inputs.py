@@ -146,7 +146,7 @@ def test_estimators_of_hands_are_told_side_boxes_and_camera(
     script(scene, f"{boxes}; assert boxes['{1:06d}'] == {box}\n{copy}", "hamer", monkeypatch)
     script(
         scene,
-        f"assert args[1:8] == '--side left --K 320.0 320.0 160.0 120.0'.split(), args\n{copy}",
+        f"assert args[1:6] == '--K 320.0 320.0 160.0 120.0'.split(), args\n{copy}",
         "wilor",
         monkeypatch,
     )
@@ -154,6 +154,18 @@ def test_estimators_of_hands_are_told_side_boxes_and_camera(
         status, _, err = run(*DRAFT, name, "--hands", name)
         assert status == 0, err
         assert len(HandFile.of(scene / name / "found" / "hand.npz").numbers or ()) == FRAMES
+    monkeypatch.setattr("getagrip.landmarks.load", lambda _: SceneNets(hands=False))
+    near = "json.loads(Path(args[args.index('--near') + 1]).read_text())['000001'] == [90, 70, 170, 150]"
+    alone = f"import json; assert '--boxes' not in args and '--side' not in args, args; assert {near}"
+    (scene / "masks").mkdir()
+    for n in range(FRAMES):
+        write_mask(scene / "masks" / f"{n + 1:06d}.png", disc(n))
+    about = ("--object-box", "90,70,80,80", "--masks", "masks")
+    for name in ("hamer", "wilor"):
+        script(scene, f"{alone}\n{copy}", name, monkeypatch)
+        status, _, err = run(*DRAFT, f"{name}-alone", "--hands", name, *about)
+        assert status == 0, err
+        assert ("hamer looks for the hand itself: no hand" in err) == (name == "hamer")
     known = Known("left", None, FRAMES)
     z = known.t[:, 2]
     record = {
@@ -166,6 +178,9 @@ def test_estimators_of_hands_are_told_side_boxes_and_camera(
     body = f"(out / '0').mkdir(); (out / '0' / '0_{FRAMES - 1}.json').write_text({text!r})"
     script(scene, body, "hawor", monkeypatch)
     monkeypatch.setattr("getagrip.landmarks.load", lambda _: pytest.fail("the side is stated"))
+    status, _, err = run(*DRAFT, "hawor-alone", "--hands", "hawor")
+    assert status == 0, err
+    assert HandFile.of(scene / "hawor-alone" / "found" / "hand.npz").side == "left"
     status, _, err = run(*DRAFT, "hawor", "--hands", "hawor", *SIDE)
     assert status == 0, err
     found = HandFile.of(scene / "hawor" / "found" / "hand.npz")
@@ -181,6 +196,8 @@ def test_what_does_not_fit_is_said_before_any_work(scene: Path, run: Run) -> Non
         ("--hands-from", "hamer"): "missing --hands FILE",
         ("--find-grasps",): "missing --masks or --object-box",
         ("--mask-object", "1"): "missing --masks FILE",
+        ("--mask-word", "mug"): "missing --masks sam3",
+        ("--find-grasps", "--all-frames", "--object-box", "9,9,9,9"): "choose one of --all-frames and --find-grasps",
         ("--depth", "."): "missing --depth-from NAME",
         ("--depth-from", "realsense"): "missing --depth PATH",
         ("--depth-first", "0"): "missing --depth PATH",

@@ -168,3 +168,27 @@ def test_terms_of_ones_own_count_in_every_frame(monkeypatch: pytest.MonkeyPatch)
     fitted = [n for n, kind in enumerate(result.frame_kind) if kind == "fitted"]
     assert len(fitted) == len(clip) - len(HIDDEN) - QUICK.frames
     assert moved[fitted, 0, 0].min() > 0.7 * ASIDE
+
+
+@pytest.mark.slow
+def test_where_the_mesh_does_not_meet_the_masks_the_other_frames_follow_their_neighbours(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A cup in place of the mug: each mask alone would tell a pose of its own."""
+    clip, masks = scene("mug", 2, LONGER)
+    wrong = replace(clip, mesh=scene("glass", 2, LONGER)[0].mesh)
+    options = replace(QUICK, mesh="as-given")
+
+    def bent() -> tuple[float, Reconstruction]:
+        result = reconstruct(wrong, masks, options)
+        R = result.T_hand_obj[:, :3, :3]
+        turns = R[1:] @ np.swapaxes(R[:-1], 1, 2)
+        return float(se3.angle_between(turns[1:], turns[:-1]).mean()), result
+
+    smooth, followed = bent()
+    monkeypatch.setattr(every_frame, "SMOOTH", 0.0)
+    rough, alone = bent()
+    sampled = alone.frames_of("sampled")
+    np.testing.assert_array_equal(followed.T_hand_obj[sampled], alone.T_hand_obj[sampled])
+    assert smooth < 0.8 * rough
+    assert followed.iou.mean() > alone.iou.mean() - 0.02

@@ -316,3 +316,18 @@ def test_a_box_elsewhere_is_said(frame: int, left: float, words: str) -> None:
     note = select(seen, boxes={frame: np.array([left, 420.0, 60.0, 60.0])}).notes[0]
     assert words in note
     assert ("far off" in note) == (left > 800.0)
+
+
+def test_what_lies_in_the_objects_box_and_does_not_move_is_no_hand() -> None:
+    """The trigger of a spray bottle that stands on the table."""
+    box = {0: np.array([230.0, 270.0, 160.0, 250.0])}
+    trigger = [[hand(300.0 + 2.0 * np.sin(n))] for n in range(20)]
+    with pytest.raises(UsageError, match="does not move, and is taken for a part of the object"):
+        select(trigger, boxes=box)
+    other = [[*each, hand(500.0 - 8.0 * n)] for n, each in enumerate(trigger)]
+    found = select(other, boxes=box)
+    assert found.points[3, 0, 0] == 500.0 - 24.0
+    assert any("left out: what looks like a hand in the object's box" in note for note in found.notes)
+    moving = [[hand(300.0 + 3.0 * n)] for n in range(20)]
+    assert select(moving, boxes={0: np.array([230.0, 270.0, 260.0, 250.0])}).rows == tuple(range(20))
+    assert select(trigger, boxes={0: np.array([300.0, 430.0, 160.0, 140.0])}).rows == tuple(range(20))

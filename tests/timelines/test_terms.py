@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from getagrip.fitting.energy import PosesInCamera, Term, no_bound
-from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
+from getagrip.fitting.energy.smoothness import SmoothnessTerm, TermInFrame, moments
 from getagrip.geometry import se3
-from getagrip.timelines.between import WorldTerm
 from getagrip.timelines.grasp_segment import Expected, LinkTerm
 from getagrip.timelines.static_pose import SupportTerm, hull_vertices, plane_in_camera
 from helpers.clips import box
@@ -88,7 +87,7 @@ def test_the_frame_of_the_world_does_not_matter() -> None:
     T_world_cam = se3.rigid(se3.exp_so3(rng.normal(size=(N, 3))), rng.normal(size=(N, 3)))
     T_new_world = se3.rigid(se3.exp_so3(rng.normal(size=3)), rng.normal(size=3))
     poses, inner = random_poses(rng), SmoothnessTerm(moments(VERTICES), 1e4)
-    one, other = (WorldTerm(inner, T)(poses, no_bound(poses)) for T in (T_world_cam, T_new_world @ T_world_cam))
+    one, other = (TermInFrame(inner, T)(poses, no_bound(poses)) for T in (T_world_cam, T_new_world @ T_world_cam))
     assert one.cross is not None
     assert other.cross is not None
     for a, b in ((one.value, other.value), (one.g, other.g), (one.H, other.H), (one.cross, other.cross)):
@@ -111,7 +110,7 @@ def test_a_term_in_the_world_sees_no_moving_camera() -> None:
     """Derivatives, frames tied to each other included; what stands still in the world is smooth."""
     rng = np.random.default_rng(4)
     T_world_cam = se3.rigid(se3.exp_so3(rng.normal(0.0, 0.1, (N, 3))), rng.normal(0.0, 0.01, (N, 3)))
-    term = WorldTerm(SmoothnessTerm(moments(VERTICES), 1e4), T_world_cam)
+    term = TermInFrame(SmoothnessTerm(moments(VERTICES), 1e4), T_world_cam)
     poses = random_poses(rng)
     local = term(poses, no_bound(poses))
     steps = np.zeros((N, 7))

@@ -25,6 +25,8 @@ STAYS = 1e-4
 """Correlation that outweighs a pixel of a box's step: where all looks alike it stays."""
 UNLIKE = 64.0
 """Distance of an object's colours in RGB [of 442] (root mean square) that outweighs a correlation of 1."""
+LOST = 0.5
+"""Correlation of a box with the first frame below which it may be elsewhere."""
 LARGEST = 128
 """Largest side of a box in the images in which it is followed [px]."""
 OUTSIDE = 0.2

@@ -1,15 +1,23 @@
-"""The stable grasps in a draft, found from the masks and the hand as ``segment --from-masks`` finds them."""
+"""The grasps in a draft: as ``segment --from-masks`` finds them by masks and hand, or all frames but the reach."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from jaxtyping import Float
+from numpy import ndarray
+
 from getagrip.annotate.background import BackgroundJob
+from getagrip.annotate.boxes import Box
+from getagrip.annotate.carried_masks import Hands, Images
 from getagrip.annotate.footage import Footage
 from getagrip.annotate.found_hands import FOLDER, FoundHands
 from getagrip.annotate.labelled import clip_words, make
 from getagrip.annotate.labels import FRONT, HAND, OBJECT, FrameLabels, Labels
+from getagrip.annotate.propagated_masks import propagate
+from getagrip.annotate.reach import find_arrival, followed, outlined
 from getagrip.annotate.reconstruction import CLIPS, Shape, run_command
 from getagrip.clip import read_clip
 from getagrip.clip.mask_request import MaskRequest
@@ -36,10 +44,53 @@ class DraftedGrasps:
     """Which they are, in words."""
 
 
-def find_grasps(labels: Labels, video: Path, footage: Footage, out: Path, shape: Shape) -> DraftedGrasps:
+def without_reach(
+    labels: Labels,
+    image: Images,
+    joints: Mapping[int, Float[ndarray, "21 2"]],
+    hand: Hands,
+    box: tuple[int, Box] | None = None,
+) -> DraftedGrasps:
+    """Return the frames in which hand and object move together (``reach``), as one grasp.
+
+    ``joints`` are the hand's [px], ``hand`` is where it is visible, ``box`` the object's in a frame before it is held.
+    """
+    known = outlined({n: frame.object or () for n, frame in labels.frames.items()})
+    ahead = known.items() if box is None else followed(image, box[1], box[0], labels.last)
+    first = find_arrival(image, ahead, joints, labels.last)
+    last = find_arrival(image, [*known.items()][::-1], joints, labels.first)
+    extent = (labels.first if first is None else first, labels.last if last is None else last)
+    if not labels.first <= extent[0] < extent[1] <= labels.last or extent == (labels.first, labels.last):
+        return DraftedGrasps(labels, [(labels.first, labels.last)], "")
+    why = {"reaches for it before": first, "leaves it after": last}
+    moves = " and ".join(words for words, frame in why.items() if frame is not None)
+    taken = f"frames {extent[0] + 1} to {extent[1] + 1} are taken, in which hand and object move together"
+    if not any(extent[0] <= n <= extent[1] for n in known) and known:
+        labels = replace(labels, frames=_carried(labels, image, hand, max(known), extent[0]))
+    return DraftedGrasps(labels, [extent], f"{taken}: the hand {moves}; --all-frames takes all")
+
+
+def _carried(labels: Labels, image: Images, hand: Hands, key: int, to: int) -> dict[int, FrameLabels]:
+    """Return the labels, and those of a key carried to a later frame."""
+    from getagrip.annotate.drafting import traced
+
+    *_, last = propagate(image, {key: labels.label_maps()[key]}, key, to, hand=hand)
+    found = FrameLabels(object=tuple(traced(last.labels == OBJECT)))
+    return labels.frames | {to: found} if found.object else dict(labels.frames)
+
+
+def find_grasps(
+    labels: Labels,
+    video: Path,
+    footage: Footage,
+    out: Path,
+    shape: Shape,
+    joints: Mapping[int, Float[ndarray, "21 2"]],
+) -> DraftedGrasps:
     """Find the grasps in the frames of labels, by a clip of all of them (``out/clips/whole``).
 
-    Raises ``GetagripError`` where no clip can be made.
+    Where none is stable, the frames in which hand and object move together are taken. Raises ``GetagripError`` where no
+    clip can be made.
     """
     made, clip = files.folder_inside(out, FOLDER).parent / WHOLE, files.folder_inside(out, CLIPS) / WHOLE
     make(
@@ -56,13 +107,17 @@ def find_grasps(labels: Labels, video: Path, footage: Footage, out: Path, shape:
         for a, b in found.grasps
     ]
     which = ", ".join(f"frames {a + 1} to {b + 1}" for a, b in extents)
+    request = MaskRequest(tuple(names), labels.size, (str(OBJECT),), (str(FRONT),), (str(HAND),))
+    labels = replace(labels, frames=_every_frame(made / "masks", request, labels))
     said = f"{counted(len(extents), 'stable grasp')} found: {which}; --interval FIRST LAST overrules this"
     if not extents:
-        said = "warning: no stable grasp found; the whole interval is marked: --interval FIRST LAST says where it is"
+        held = without_reach(labels, footage.image, joints, FoundHands(out / FOLDER).mask)
+        extents = held.extents
+        taken = held.said or "the whole interval is marked"
+        said = f"warning: no stable grasp found; {taken}; --interval FIRST LAST says where it is"
     if found.notes:
         said += f" ({'; '.join(found.notes)})"
-    request = MaskRequest(tuple(names), labels.size, (str(OBJECT),), (str(FRONT),), (str(HAND),))
-    return DraftedGrasps(replace(labels, frames=_every_frame(made / "masks", request, labels)), extents, said)
+    return DraftedGrasps(labels, extents, said)
 
 
 def _every_frame(path: Path, request: MaskRequest, labels: Labels) -> dict[int, FrameLabels]:

@@ -27,16 +27,19 @@ class Estimator:
     script: str
     """Its script, for the advice on how to set it up."""
     words: str
-    """Arguments of the script; a name in braces stands for values of the video, or a place to write to."""
+    """Arguments of the script; a name in braces stands for values of the video, or a place to write to. Without values
+    it is left out, with the option before it."""
     reader: str = ""
     """Tracker that reads its files (``import hands --from``); without one, they are masks or a hand file."""
 
 
 ESTIMATORS = {
     "sam2": Estimator("masks", "sam_masks.py sam2", "{images} --box {box} --out {out}"),
-    "sam3": Estimator("masks", "sam_masks.py sam3", "{images} --box {box} --text {object} --out {out}"),
-    "hamer": Estimator("hands", "hamer_hands.py", "{images} --side {side} --K {K} --boxes {boxes} --out {hand}"),
-    "wilor": Estimator("hands", "wilor.py", "{images} --side {side} --K {K} --out {hand}"),
+    "sam3": Estimator("masks", "sam_masks.py sam3", "{images} --box {box} --text {word} --out {out}"),
+    "hamer": Estimator(
+        "hands", "hamer_hands.py", "{images} --side {side} --K {K} --boxes {boxes} --near {near} --out {hand}"
+    ),
+    "wilor": Estimator("hands", "wilor.py", "{images} --side {side} --K {K} --near {near} --out {hand}"),
     "hawor": Estimator("hands", "hawor_hands.py", "{images} --K {K} --out {out}", "hawor"),
 }
 
@@ -90,7 +93,10 @@ def run(name: str, values: Mapping[str, Sequence[object]], out: Path) -> None:
     words = command(name) or []
     values = {**values, "out": [out.absolute()], "hand": [out.absolute() / "hand.npz"]}
     for word in ESTIMATORS[name].words.split():
-        words += map(str, values[word[1:-1]]) if word.startswith("{") else [word]
+        known = not word.startswith("{") or word[1:-1] in values
+        words += [word] if not word.startswith("{") else map(str, values.get(word[1:-1], ()))
+        if not known:
+            words.pop()  # its option
     where = next((Path(word).parent for word in words if word.endswith(".py")), None)
     report(f"{name}: {shlex.join(words)}")
     done = subprocess.run(words, cwd=where, capture_output=True, text=True, errors="replace", check=False)

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from getagrip.annotate.boxes import SMALLEST, followed_boxes, reduced
+from getagrip.annotate.boxes import LOST, SMALLEST, followed_boxes, reduced
 from getagrip.annotate.footage import Footage
 from getagrip.annotate.found_hands import FOLDER
 from getagrip.annotate.lifted_again import DEPTH
@@ -42,8 +42,6 @@ JUMP = (4.0, 1.0, 5)
 more than this mean difference [of 255]; the number of frames on each side."""
 FOLLOWED, SMALL = 60, (48.0, 960.0)
 """Number of frames through which the object's box is followed, and the largest sides of box and image there [px]."""
-LOST = 0.5
-"""Correlation of the box with the first frame below which it may be elsewhere."""
 BEYOND = 0.25
 """Factor on the confidence of landmarks outside the image."""
 MOVING = 0.2

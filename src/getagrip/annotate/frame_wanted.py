@@ -1,4 +1,4 @@
-"""The frame on which a person should draw next: the first, the last, then the one that helps most."""
+"""The frame on which a person should draw next: where the object is lost, the ends, then where it helps most."""
 
 from __future__ import annotations
 
@@ -31,6 +31,11 @@ def as_met(confidence: Mapping[int, float], iou: Mapping[int, float], drawn: Col
     }
 
 
+def lost_in(confidence: Mapping[int, float]) -> list[int]:
+    """Return the frames in which the object is lost (``propagated_masks``)."""
+    return sorted(n for n, sure in confidence.items() if sure == 0.0)
+
+
 def frame_wanted(confidence: Mapping[int, float], drawn: Collection[int], first: int, last: int) -> int | None:
     """Return the frame from ``first`` to ``last`` on which it helps most to draw; None where nothing is asked for.
 
@@ -39,6 +44,8 @@ def frame_wanted(confidence: Mapping[int, float], drawn: Collection[int], first:
     """
     if not drawn:
         return first
+    if lost := [n for n in lost_in(confidence) if first <= n <= last]:
+        return min(lost, key=lambda n: min(abs(n - key) for key in drawn))
     if len(drawn) == 1:
         (only,) = drawn
         return last if 2 * only < first + last else first

@@ -59,6 +59,8 @@ def make(
 ) -> Made:
     """Write ``out/hand.npz`` and ``out/masks/<name>.png``: ``OBJECT``, ``HAND``, ``FRONT`` for what hides it or may.
 
+    Frames in which the object is lost get no mask: it is unknown.
+
     The hand is fitted to the joints that were clicked; where none were, that which was ``found`` is lifted again.
 
     ``image`` gives the footage's frames, from 0, and ``name`` their names in a clip. Where the lens is a guess, or
@@ -79,7 +81,8 @@ def make(
         drawn, maps = key_masks(labels, image, seen), LabelMaps(labels.size)
         for n, mask, sure in propagate(image, drawn, labels.first, labels.last, hand=seen):
             whole = beside_hand(mask) if hands is None else with_hand(mask, hands, n - labels.first, K)
-            write_image(new / "masks" / f"{name(n)}.png", whole)
+            if sure > 0.0:
+                write_image(new / "masks" / f"{name(n)}.png", whole)
             maps.add(n, whole)
             confidence[n] = sure
             done(len(confidence))

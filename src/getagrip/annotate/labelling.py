@@ -9,7 +9,11 @@ from contextlib import closing
 from dataclasses import asdict, replace
 from hashlib import sha256
 from pathlib import Path
+<<<<<<< HEAD
 from threading import Lock
+=======
+from typing import TYPE_CHECKING
+>>>>>>> h-draft
 from uuid import uuid4
 
 import numpy as np
@@ -19,12 +23,14 @@ from numpy import ndarray
 from getagrip.annotate import keyframes, labels, reconstruction, versions
 from getagrip.annotate.background import Background, BackgroundJob, Work
 from getagrip.annotate.found_hands import DRAFTS, FOLDER, FoundHands
-from getagrip.annotate.frame_wanted import as_met, frame_wanted
+from getagrip.annotate.frame_wanted import as_met, frame_wanted, lost_in
 from getagrip.annotate.grasp import Grasp
 from getagrip.annotate.keyframes import KeyFrame
 from getagrip.annotate.labelled_footage import checksum
 from getagrip.annotate.labels import SHAPES, Labels
+from getagrip.annotate.next_step import next_step
 from getagrip.annotate.propagated_masks import stretches
+from getagrip.annotate.reach import outlined
 from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import open_footage
 from getagrip.annotate.versions import RefusedError
@@ -34,6 +40,9 @@ from getagrip.geometry.lens import Lens
 from getagrip.hands.clicked_hands import FEWEST
 from getagrip.io import files
 from getagrip.io.files import Json, shown
+
+if TYPE_CHECKING:
+    from getagrip.annotate.labelled import Made
 
 Basis = dict[str, list[tuple[int, int, str]]]
 """Inputs of the drafts of "masks" and "hand": first and last frame, and the kind of input, in a word."""
@@ -158,15 +167,23 @@ class Labelling:
         value, basis = self.labels(grasp), self._basis(grasp, self._own(grasp))
         self._check_enough(grasp, value)
         job.message = "writing the files"
-        self.write(grasp, value, job)
+        confidence = self._make(grasp, value, job).confidence
         words = clip_words(value, self.out / grasp.name, str(grasp.path), self._segments(grasp))
         said = reconstruction.reconstruct(words, shape, self.out, grasp.name, job, self.depth)
         result = reconstruction.result_folder(self.out, grasp.name)
         self._reports |= {*map(_sum, reconstruction.report_files(result).values())}
         iou = reconstruction.iou_of(result)
         names = {grasp.footage.name(n): n for n in range(value.first, value.last + 1)}
-        self._iou[grasp.mark.mark] = basis, {names[name]: x for name, x in iou.items() if name in names}
-        return said
+        met = {names[name]: x for name, x in iou.items() if name in names}
+        self._iou[grasp.mark.mark] = basis, met
+        wanted = frame_wanted(as_met(confidence, met, value.drawn), value.drawn, *grasp.extent)
+        number, first = grasp.footage.number, outlined({n: one.object or () for n, one in value.frames.items()})
+        step = next_step(
+            reconstruction.result_folder(self.out, grasp.name), grasp.path, self.out, shape,
+            None if wanted is None else number(wanted), [*map(number, lost_in(confidence))],
+            (number(value.first), number(value.last)), first.get(value.first),
+        )  # fmt: skip
+        return "\n".join(filter(None, (said, step)))
 
     def is_solved(self, grasp: Grasp) -> bool:
         """Return whether there is a result of the labels as they are now."""
@@ -200,6 +217,10 @@ class Labelling:
 
         Of a whole interaction also ``segments-<name>.json``. Raises ``RefusedError`` where segments overlap.
         """
+        return self._make(grasp, value, job).command
+
+    def _make(self, grasp: Grasp, value: Labels, job: BackgroundJob) -> Made:
+        """Write the files as ``write`` does, and return what they are made of."""
         from getagrip.annotate.labelled import command, make
 
         self.out.mkdir(parents=True, exist_ok=True)
@@ -215,7 +236,7 @@ class Labelling:
                 return footage.image(n)
 
             out = self.out / grasp.name
-            make(
+            made = make(
                 value,
                 image,
                 self.lens,
@@ -225,7 +246,7 @@ class Labelling:
                 found=self.found(grasp),
                 name=footage.name,
             )
-        return command(replace(value, video=str(grasp.path)), out, self._segments(grasp))
+        return replace(made, command=command(replace(value, video=str(grasp.path)), out, self._segments(grasp)))
 
     def _segments(self, grasp: Grasp) -> Path | None:
         """Return the file of a whole interaction's segments."""

@@ -7,7 +7,8 @@ one key is known from the other only. At last the border is drawn at the image's
 
 The confidence of a frame is the share that is expected to be right: of two, a pixel is lost if both are wrong, and
 hardly near to a key; it is 1 on keys. Of one only, before the first key, after the last and up to a cut, it is its
-trust: the share of the border for which flow there and back agrees, all steps since the key multiplied.
+trust: the share of the border for which flow there and back agrees, all steps since the key multiplied. It is 0 from
+where the object is lost.
 """
 
 from __future__ import annotations
@@ -33,6 +34,9 @@ ENOUGH = 1e6
 """Pixels up to which small images are enlarged for that."""
 SMALL = 0.25
 """Share of the object's largest part below which another may be something else."""
+VANISHED, SHRUNK, LONGEST = 0.05, 0.4, 60
+"""An object of less than the first share of its key's pixels is lost, from where it has less than the second, at most
+this number of frames before."""
 BESIDE = 9
 """Side of a square about a pixel that is beside what it touches [px]."""
 
@@ -44,7 +48,7 @@ class Propagated(NamedTuple):
     labels: UInt8[ndarray, "H W"]
     """0, ``OBJECT``, ``FRONT`` or ``HAND``."""
     confidence: float
-    """From 0, lost, to 1, as drawn."""
+    """From 0, lost: nothing is known of the object, to 1, as drawn."""
 
 
 class Stretch(NamedTuple):
@@ -104,8 +108,9 @@ def _filled(
     size = _working_size(keys)
     frames = SmallFrames(image, size)
     colours = key_colours(frames, keys)
-    there = carry(frames, before, keys[before], last, colours, hand) if before < first else None
-    back = list(carry(frames, after, keys[after], first, colours, hand))[::-1] if after > last else None
+    streams = [carry(frames, key, keys[key], to, colours, hand) for key, to in ((before, last), (after, first))]
+    there = _until_lost(streams[0], keys[before], frames) if before < first else None
+    back = list(_until_lost(streams[1], keys[after], frames))[::-1] if after > last else None
     if there is None or back is None:
         made = ((each, each.trust) for each in there or back or ())
     else:
@@ -116,6 +121,39 @@ def _filled(
     for each, confidence in made:
         found = _propagated(each, confidence, keys, frames)
         yield found if apart else found._replace(labels=np.where(_apart(found.labels), np.uint8(0), found.labels))
+
+
+def _until_lost(carried: Iterable[Carried], key: UInt8[ndarray, "H W"], frames: SmallFrames) -> Iterator[Carried]:
+    """Yield masks on their way from a key, with a trust of 0 from where the object is lost.
+
+    It is lost where it vanishes while neither something in front hides it nor the image ends, and from where it began
+    to: what is hidden is remembered (``carried_masks``), so that only a border that is wrong shrinks to nothing.
+    """
+    area, lost, at_edge = np.count_nonzero(key == OBJECT) * np.prod(frames.size) / key.size, False, False
+    shrinking: list[Carried] = []
+    for each in carried:
+        inside = each.inside[0] > 0.0
+        share = np.count_nonzero(inside) / area if area else 1.0
+        lost = lost or bool(share < VANISHED and not at_edge)
+        if share > SHRUNK or len(shrinking) >= LONGEST or at_edge or lost:
+            yield from (one._replace(trust=0.0) if lost else one for one in shrinking)
+            shrinking = []
+        if share > SHRUNK:
+            at_edge = _at_edge(each, inside, frames.size)
+        if lost or share > SHRUNK or at_edge:
+            yield each._replace(trust=0.0) if lost else each
+        else:
+            shrinking.append(each)
+    yield from shrinking
+
+
+def _at_edge(each: Carried, inside: Bool[ndarray, "h w"], size: tuple[int, int]) -> bool:
+    """Return whether the object reaches an edge of the image."""
+    if not inside.any():
+        return False
+    low = np.argwhere(inside).min(axis=0)[::-1] + each.corner
+    high = np.argwhere(inside).max(axis=0)[::-1] + each.corner
+    return bool((low <= 0).any() or (high >= np.array(size) - 1).any())
 
 
 def _unknown(_: int) -> None:

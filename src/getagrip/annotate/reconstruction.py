@@ -26,6 +26,8 @@ REPORT = ("report.html", "report.png")
 LONGEST = 1000
 """Characters of a path."""
 LARGEST_MM = 10_000.0
+MADE = (0, 3)
+"""Exit statuses of commands that have made what they were asked for, with something to be known about it or not."""
 ASKED = 0.3
 """How often it is asked whether the work is still wanted [s]."""
 
@@ -140,7 +142,10 @@ def iou_of(result: Path) -> dict[str, float]:
 
 
 def run_command(words: Sequence[str], job: BackgroundJob) -> str:
-    """Run a command; returns what it printed."""
+    """Run a command; returns what it printed. Raises ``GetagripError`` where it made nothing.
+
+    What lacks something is made, too: its exit status is ``MADE``, and what it lacks is among what it printed.
+    """
     process = subprocess.Popen(
         own_python.command("-m", "getagrip", *words),
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace",
@@ -156,6 +161,7 @@ def run_command(words: Sequence[str], job: BackgroundJob) -> str:
                 process.terminate()
                 process.communicate()
                 raise
-    if process.returncode:
-        raise GetagripError((err.strip() or out.strip() or "it ended early").removeprefix("getagrip: "))
+    if process.returncode not in MADE:
+        said = (err.strip() or out.strip() or "it ended early").splitlines()
+        raise GetagripError("; ".join(line.removeprefix("getagrip: ") for line in said))
     return "\n".join(filter(None, (out.strip(), err.strip())))

@@ -11,20 +11,25 @@ from tyro.conf import Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
 from getagrip.commands.command import Command, Labels, OptionalSide
-from getagrip.errors import UsageError
+from getagrip.errors import GetagripError, UsageError
 from getagrip.geometry.lens import Lens
 from getagrip.io.arguments import Flag, OptionalFolder
 from getagrip.io.terminal import counted, report
 
 if TYPE_CHECKING:
+    from getagrip.annotate.drafted_grasps import DraftedGrasps
     from getagrip.annotate.finding_hands import FoundHands
     from getagrip.annotate.footage import Footage
     from getagrip.annotate.labels import FrameLabels
+    from getagrip.annotate.labels import Labels as DrawnLabels
     from getagrip.annotate.reconstruction import DepthFiles, Shape
     from getagrip.commands.draft_inputs import Stretch
+    from getagrip.landmarks import HandLandmarks
 
 MOST_FRAMES = 3000
 """Largest number of frames of a draft: two networks are run on each."""
+LEAST_FILLED = 0.05
+"""Least share of its box that an object fills."""
 DRAFTER = "draft"
 """Name of the annotator whose marks a draft starts with."""
 
@@ -50,8 +55,8 @@ BOX: PrimitiveConstructorSpec[tuple[float, ...] | None] = PrimitiveConstructorSp
 class Draft(Command):
     """Find the hand in a video, and open the page on which you mark the object. It is a draft: check the hands."""
 
-    video: Annotated[Positional[Path], arg(metavar="VIDEO|FOLDER")]
-    """The video of one shot, undistorted; or a folder of its images."""
+    video: Annotated[Positional[Path], arg(metavar="VIDEO|FOLDER|IMAGE")]
+    """The video of one shot, undistorted; or a folder of its images; or a single image."""
     object: Annotated[str, arg(metavar="MESH|KIND")]
     """The object in the hand: a mesh file, or the kind of a built-in shape, such as mug or glass (no handle)."""
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: VIDEO-draft)")] = None
@@ -70,6 +75,8 @@ class Draft(Command):
     )
     """The object's masks: a file or folder, as for import masks; or the estimator that is run to make them
     (docs/estimators.md)."""
+    mask_word: Annotated[str | None, arg(metavar="WORD", help_behavior_hint="(default: KIND)")] = None
+    """With --masks sam3: what the object is, in a word or a few."""
     mask_object: Labels = ()
     """With --masks FILE: labels of the object. Not needed if there is only one."""
     mask_hand: Labels = ()
@@ -90,6 +97,9 @@ class Draft(Command):
     find_grasps: Flag = False
     """Mark the stable grasps that are found in the interval by fits to masks and hand, as segment --from-masks does.
     This needs --masks or --object-box."""
+    all_frames: Flag = False
+    """Take all frames with the hand. By default, without --interval, the frames in which it reaches for the object or
+    leaves it are left out."""
     no_page: Flag = False
     """Do not open the page. With --object-box or --masks, make the masks of all frames and a clip, reconstruct it, and
     draw its report."""
@@ -104,6 +114,11 @@ class Draft(Command):
     def folder(self) -> Path:
         """Folder of all files."""
         return self.out or self.video.with_name(f"{self.video.stem}-draft")
+
+    @property
+    def _word(self) -> str | None:
+        """Return what the object is, in words, if it is known: a mesh's file name says nothing."""
+        return self.mask_word or (self.object if not Path(self.object).suffix else None)
 
     def check(self) -> None:
         super().check()
@@ -120,6 +135,12 @@ class Draft(Command):
                 missing = {"hands-from": "--hands FILE", "find-grasps": "--masks or --object-box"}
                 missing |= {"depth": "--depth-from NAME", "depth-from": "--depth PATH", "depth-first": "--depth PATH"}
                 raise UsageError(f"missing {missing.get(name, '--masks FILE')}: --{name} needs it")
+        if self.mask_word and self.masks != "sam3":
+            raise UsageError("missing --masks sam3: --mask-word needs it")
+        if self.masks == "sam3" and self.object_box is None and self._word is None:
+            raise UsageError("missing --mask-word or --object-box: sam3 starts from a word or a box about the object")
+        if self.all_frames and self.find_grasps:
+            raise UsageError("choose one of --all-frames and --find-grasps")
         if self.masks == "sam2" and self.object_box is None:
             raise UsageError("missing --object-box: sam2 starts from a box about the object in the first frame")
         for name, source in {"masks": self.masks, "hands": self.hands}.items():
@@ -134,7 +155,6 @@ class Draft(Command):
         Raises ``InputError`` for a mesh, video or models that cannot be read, ``UsageError`` where there is no hand or
         the video is cut.
         """
-        from getagrip.annotate.drafted_grasps import Extent, find_grasps
         from getagrip.annotate.finding_hands import write_found
         from getagrip.annotate.labels import Labels as Drawn
         from getagrip.annotate.project import Project
@@ -145,7 +165,8 @@ class Draft(Command):
         from getagrip.io.terminal import progress_bar
 
         shape = self._shape()
-        task = read_tasks(self.video, None)[0]
+        video = self._source()
+        task = read_tasks(video, None)[0]
         self.folder.mkdir(parents=True, exist_ok=True)
         project = Project([task], Store(self.folder / DATABASE), self._lens)
         try:
@@ -161,13 +182,12 @@ class Draft(Command):
             guessed = f", interpolated in {between} of them" if between > 0 else ""
             print(f"{made}: the {found.side} hand in {len(found.frames)} of {len(stretch.names)} frames{guessed}")
             drawn = self._drawn(stretch, found)
-            whole: Extent = (found.frames[0], found.frames[-1])
-            labels = Drawn(self.video.name, footage.size, found.side, footage.fps, *whole, _within(drawn, whole))
+            whole = (found.frames[0], found.frames[-1])
+            labels = Drawn(video.name, footage.size, found.side, footage.fps, *whole, _within(drawn, whole))
             extents = [whole]
-            if self.find_grasps:
-                grasps = find_grasps(labels, self.video, footage, self.folder, shape)
+            if self.find_grasps or (drawn and self.interval is None and not self.all_frames):
+                grasps = self._grasps(stretch, found, labels, shape, video)
                 labels, extents = grasps.labels, grasps.extents or [whole]
-                report(grasps.said)
             labelled = []
             for extent in extents:
                 project.mark_grasp(task, DRAFTER, extent, found.side)
@@ -177,13 +197,52 @@ class Draft(Command):
                     if older := len(project.labelling.labels(grasp).frames) - len(frames):
                         report(f"{self.folder} has labels of {counted(older, 'other frame')} already, which count, too")
             if self.no_page:
-                return solve_labels(project, labelled, shape) if drawn else 0
+                if drawn:
+                    return solve_labels(project, labelled, shape)
+                report("nothing is reconstructed: give --object-box or --masks, or mark the object on the page")
+                return 0
             print("the grasp is marked: mark the object on the page; it is reconstructed there")
             size = {} if self.size_mm is None else {"size-mm": f"{self.size_mm:g}"}
             serve(project, self.port, DRAFTER, {"mesh": self.object, **size})
             return 0
         finally:
             project.close()
+
+    def _source(self) -> Path:
+        """Return the footage; of a single image, a folder with it twice, since a clip has two frames or more."""
+        from getagrip.annotate.footage import IMAGES
+        from getagrip.io import files
+
+        folder = self.video.is_dir()
+        names = sorted(path for path in self.video.iterdir() if path.name[0] != ".") if folder else [self.video]
+        images = [path for path in names if path.suffix.lower() in IMAGES and path.is_file()]
+        if len(images) != 1:
+            return self.video
+        (image,) = images
+        twice = files.folder_inside(self.folder, "image") / self.video.stem
+        twice.mkdir(parents=True, exist_ok=True)
+        for name in ("000001", "000002"):
+            files.write_bytes(twice / f"{name}{image.suffix}", files.read_bytes(image))
+        report("a single image: it is taken twice; nothing is known of motion")
+        return twice
+
+    def _grasps(
+        self, stretch: Stretch, found: FoundHands, labels: DrawnLabels, shape: Shape, video: Path
+    ) -> DraftedGrasps:
+        """Find the frames of the grasps, and say which. Raises as run."""
+        from getagrip.annotate import found_hands
+        from getagrip.annotate.drafted_grasps import find_grasps, without_reach
+
+        joints = dict(zip(found.frames, found.hand.joints_2d if found.hand.joints_2d is not None else (), strict=False))
+        if self.find_grasps:
+            grasps = find_grasps(labels, video, stretch.footage, self.folder, shape, joints)
+        else:
+            hand = found_hands.FoundHands(self.folder / found_hands.FOLDER).mask
+            box = None if self.object_box is None or self.masks is not None else (stretch.first, self.object_box)
+            grasps = without_reach(labels, stretch.footage.image, joints, hand, box)
+        if grasps.said:
+            report(grasps.said)
+        return grasps
 
     def _drawn(self, stretch: Stretch, found: FoundHands) -> dict[int, FrameLabels]:
         """Return what is known of the object: masks that are given, or what stands out in the box. Raises as run."""
@@ -196,9 +255,10 @@ class Draft(Command):
         from getagrip.io.terminal import progress_bar
 
         if self.masks is not None:
-            path, size = Path(self.masks), stretch.footage.size
+            path = Path(self.masks)
             if self.masks in named("masks"):
-                values = {"box": self.object_box or (0.0, 0.0, *size), "object": [Path(self.object).stem]}
+                values: dict[str, Sequence[object]] = {} if self.object_box is None else {"box": self.object_box}
+                values |= {} if self._word is None else {"word": [self._word]}
                 path = estimated(self.masks, stretch, self.folder, values)
             with progress_bar() as bar:
                 job = bar.add_task("the object's masks", total=len(stretch.names))
@@ -216,6 +276,10 @@ class Draft(Command):
         if not shapes:
             nothing = f"nothing in the box stands out from the background in {stretch.footage.name(n)}"
             raise UsageError(f"--object-box: {nothing}; mark the object on the page")
+        filled = float((labels == OBJECT).sum()) / (box[2] * box[3])
+        if filled < LEAST_FILLED:
+            little = f"what stands out in the box in {stretch.footage.name(n)} fills {100 * filled:.1f} % of it"
+            raise UsageError(f"--object-box: {little}: that is not the object; mark it on the page, or give --masks")
         if empty := empty_side(labels, box):
             side, share = empty
             report(f"--object-box: {100 * share:.0f} % of it is empty at the {side}: is a part of the object missing?")
@@ -274,32 +338,47 @@ class Draft(Command):
 
     def _find(self, stretch: Stretch) -> FoundHands:
         """Find the hand that holds the object, or read it. Raises as ``run`` does."""
-        import numpy as np
-
         from getagrip.annotate.estimators import ESTIMATORS, named
-        from getagrip.annotate.finding_hands import find_landmarks, lifted
-        from getagrip.commands.draft_inputs import boxes_file, estimated, hands_by, hands_of
-        from getagrip.io.terminal import progress_bar
-        from getagrip.landmarks import load
+        from getagrip.annotate.finding_hands import lifted
+        from getagrip.annotate.reach import followed
+        from getagrip.commands.draft_inputs import boxes_file, boxes_of, estimated, hands_by, hands_of
 
         name = self.hands if self.hands in named("hands") else None
         if self.hands is not None and name is None:
             return hands_of(Path(self.hands), self.hands_from, self.side, stretch)
-        landmarks = None
-        if name is None or self.side is None or "{boxes}" in ESTIMATORS[name].words:
-            nets, interval = load(self.models), (stretch.first, stretch.last)
-            box = None if self.object_box is None else np.array(self.object_box)
-            with progress_bar() as bar:
-                job = bar.add_task("looking for hands", total=len(stretch.names))
-                update = lambda n: bar.update(job, completed=n)  # noqa: E731
-                landmarks = find_landmarks(stretch.footage, interval, nets, self.side, box, update)
-            if name is None:
-                return lifted(landmarks, stretch.first, stretch.footage.size, stretch.K, stretch.camera)
-        side = self.side or (landmarks.side if landmarks is not None else "right")
-        values: dict[str, Sequence[object]] = {"side": [side]}
-        if landmarks is not None:
-            values["boxes"] = [boxes_file(landmarks, stretch, self.folder / "boxes.json").absolute()]
-        return hands_by(name, estimated(name, stretch, self.folder, values), side, stretch)
+        if name is None:
+            landmarks = self._landmarks(stretch)
+            return lifted(landmarks, stretch.first, stretch.footage.size, stretch.K, stretch.camera)
+        side, values, near = self.side, dict[str, Sequence[object]](), {}
+        if "{boxes}" in ESTIMATORS[name].words:  # it has a detector of its own, too
+            try:
+                landmarks = self._landmarks(stretch)
+                side = side or landmarks.side
+                values["boxes"] = [boxes_file(boxes_of(landmarks, stretch), self.folder / "boxes.json")]
+            except GetagripError as error:
+                report(f"{name} looks for the hand itself: {error}")
+        if self.object_box is not None:
+            followed_boxes = followed(stretch.footage.image, self.object_box, stretch.first, stretch.last)
+            near = {n: (x, y, x + w, y + h) for n, (x, y, w, h) in followed_boxes}
+            values["near"] = [boxes_file(stretch.numbered(near), self.folder / "object-boxes.json")]
+        if side is not None:
+            values["side"] = [side]
+        return hands_by(name, estimated(name, stretch, self.folder, values), side, stretch, near)
+
+    def _landmarks(self, stretch: Stretch) -> HandLandmarks:
+        """Find the hand's landmarks. Raises as ``run`` does."""
+        import numpy as np
+
+        from getagrip.annotate.finding_hands import find_landmarks
+        from getagrip.io.terminal import progress_bar
+        from getagrip.landmarks import load
+
+        nets, interval = load(self.models), (stretch.first, stretch.last)
+        box = None if self.object_box is None else np.array(self.object_box)
+        with progress_bar() as bar:
+            job = bar.add_task("looking for hands", total=len(stretch.names))
+            update = lambda n: bar.update(job, completed=n)  # noqa: E731
+            return find_landmarks(stretch.footage, interval, nets, self.side, box, update)
 
 
 def _within(drawn: Mapping[int, FrameLabels], extent: tuple[int, int]) -> dict[int, FrameLabels]:

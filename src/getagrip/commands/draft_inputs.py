@@ -33,6 +33,9 @@ from getagrip.io import files
 from getagrip.landmarks import HandLandmarks
 from getagrip.provenance import Source
 
+Corners = tuple[float, float, float, float]
+"""Left, top, right and bottom of a box [px]."""
+
 
 @dataclass(frozen=True)
 class Stretch:
@@ -48,6 +51,10 @@ class Stretch:
     def names(self) -> tuple[str, ...]:
         """Names of the frames in a clip."""
         return tuple(self.footage.name(n) for n in range(self.first, self.last + 1))
+
+    def numbered(self, boxes: Mapping[int, Corners]) -> dict[str, Corners]:
+        """Return boxes by the names of the images that ``write_images`` writes."""
+        return {f"{_number(self.names[n - self.first], n):06d}": box for n, box in boxes.items()}
 
     def request(self, side: Side, names: tuple[str, ...] | None = None) -> Request:
         """Make the request for the hand in all frames, under other names if these are given."""
@@ -115,14 +122,16 @@ def estimated(name: str, stretch: Stretch, folder: Path, values: Mapping[str, Se
     return out
 
 
-def boxes_file(landmarks: HandLandmarks, stretch: Stretch, path: Path) -> Path:
-    """Write the box about the landmarks of each frame, as HaMeR's script takes them [px]."""
-    boxes = {}
-    for row in landmarks.rows:
-        points, name = landmarks.points[row], f"{_number(stretch.names[row], stretch.first + row):06d}"
-        boxes[name] = [*points.min(axis=0).tolist(), *points.max(axis=0).tolist()]
-    files.write_json(path, boxes)
-    return path
+def boxes_of(landmarks: HandLandmarks, stretch: Stretch) -> dict[str, Corners]:
+    """Return the box about the landmarks of each frame."""
+    points = {stretch.first + row: landmarks.points[row] for row in landmarks.rows}
+    return stretch.numbered({n: (*each.min(axis=0).tolist(), *each.max(axis=0).tolist()) for n, each in points.items()})
+
+
+def boxes_file(boxes: Mapping[str, Corners], path: Path) -> Path:
+    """Write boxes, as the estimators' scripts take them; return the absolute path."""
+    files.write_json(path, dict(boxes))
+    return path.absolute()
 
 
 def hands_of(path: Path, source: str | None, side: Side | None, stretch: Stretch) -> FoundHands:
@@ -150,14 +159,35 @@ def hands_of(path: Path, source: str | None, side: Side | None, stretch: Stretch
     return as_found(path, hands, which_side, stretch)
 
 
-def hands_by(name: str, out: Path, side: Side, stretch: Stretch) -> FoundHands:
-    """Read what an estimator has written. Raises ``InputError``."""
-    if ESTIMATORS[name].reader == "hawor":  # counts from 0, a folder for each side
-        names = tuple(f"{n:06d}" for n in range(len(stretch.names)))
-        tracker = HaWoR(float(stretch.K[0, 0]))
-        path = out / ("0" if side == "left" else "1")
-        return as_found(path, read([path], tracker, stretch.request(side, names)), side, stretch)
-    return hands_of(out / "hand.npz", None, side, stretch)
+def hands_by(name: str, out: Path, side: Side | None, stretch: Stretch, near: Mapping[int, Corners]) -> FoundHands:
+    """Read what an estimator has written. Raises ``InputError``.
+
+    Without a side, of two hands the one that is nearer to the object's boxes in the frames of ``near``, else the one in
+    more frames.
+    """
+    if ESTIMATORS[name].reader != "hawor":
+        return hands_of(out / "hand.npz", None, side, stretch)
+    names = tuple(f"{n:06d}" for n in range(len(stretch.names)))  # it counts from 0, with a folder for each side
+    sides: tuple[Side, ...] = ("left", "right") if side is None else (side,)
+    found = []
+    for each in sides:
+        path = out / ("0" if each == "left" else "1")
+        if side is not None or path.is_dir():
+            hands = read([path], HaWoR(float(stretch.K[0, 0])), stretch.request(each, names))
+            found.append(as_found(path, hands, each, stretch))
+    if not found:
+        raise InputError(out, "", "no hand", "a folder 0 (left) or 1 (right)")
+    return min(found, key=lambda one: (_apart(one, near), -len(one.frames)))
+
+
+def _apart(hands: FoundHands, near: Mapping[int, Corners]) -> float:
+    """Return the mean distance of a hand's joints from the object's boxes [px]; infinite where it is not known."""
+    off = []
+    for n, (x0, y0, x1, y1) in near.items():
+        if n in hands.landmarks:
+            points = hands.landmarks[n]
+            off.append(float(np.linalg.norm(points - np.clip(points, [x0, y0], [x1, y1]), axis=1).mean()))
+    return float(np.mean(off)) if off else np.inf
 
 
 def as_found(path: Path, hands: Hands, side: Side, stretch: Stretch) -> FoundHands:

@@ -1,31 +1,40 @@
 """Extend a fit of the sampled frames to every frame of the clip.
 
 The parameters that frames share (axis, base pose, scale) stay fixed. In the other frames that show the object, the
-parameters of the frame (angle, deviations) start between its neighbours and are fitted to the frame's mask. Where no
-mask shows the object, it is an outlier, or the method has no motion model for other frames, poses are interpolated.
+parameters of the frame (angle, deviations) start between its neighbours and are fitted to the frame's mask, and to
+the neighbours: the object moves little in the hand from one frame to the next. Where no mask shows the object, it is an
+outlier, or the method has no motion model for other frames, poses are interpolated.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial, reduce
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.clip import Clip
+from getagrip.fitting.energy import Term
+from getagrip.fitting.energy.smoothness import BendingTerm, TermInFrame, moments
 from getagrip.fitting.image_iou import image_iou
+from getagrip.fitting.misfit import misfit
 from getagrip.fitting.motion import Frozen, Motion, PosesInHand, interpolated, placed
 from getagrip.fitting.predicted_silhouette import NeighbourPrediction
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.solve import minimise
+from getagrip.geometry import se3
 from getagrip.result import FrameKind
 
 CHUNK = 30
 """Number of other frames that are read and fitted at once."""
 STAGES = ((128, 5), (256, 5))
 """Resolution [px] and iterations of their fit."""
+SMOOTH = 1e6
+"""Energy of a motion in the hand that bends [px^2 per (m per frame^2)^2], times what the misfit is above 1: masks that
+the object's own mesh meets tell each pose better than its neighbours do. Chosen on a video of a mug."""
 
 
 @dataclass(frozen=True)
@@ -81,9 +90,16 @@ def at_every_frame(clip: Clip, problem: Problem, found: MethodResult, track: Tra
     predicted = (
         NeighbourPrediction.by(problem, found.poses, sampled) if np.isfinite(problem.trust.outlier_threshold) else None
     )
-    for index, part in _others(clip, problem, sampled):
+    times = misfit(problem.observation, found.terms.get("mask", 0.0) / len(sampled))
+    smooth = SMOOTH * max(0.0, times - 1.0)
+    shown = np.flatnonzero([name not in {*problem.clip.left_out, *outliers} for name in clip.frames])
+    others = np.setdiff1d(shown, sampled)
+    for index, part in _at(clip, problem, others, predicted):
         if found.motion is not None and found.energy_of is not None:
-            fitted = own_fit(part, found, sampled, index)
+            at = _beside(known, index)
+            near = PosesInHand(R[:, at], centre[:, at], found.poses.scale)
+            beside = partial(_tied, part, index, near, at, smooth) if smooth > 0.0 else None
+            fitted = own_fit(part, found, sampled, index, beside)
             poses = fitted.poses()
             angle[index] = _angle(fitted)
             for n in index:
@@ -92,12 +108,7 @@ def at_every_frame(clip: Clip, problem: Problem, found: MethodResult, track: Tra
             poses = interpolated(found.poses, sampled, index)
         R[:, index], centre[:, index], known[index] = poses.R, poses.centre, True
         iou[index] = image_iou(part.clip, part.masks, placed(poses, clip.mesh.centre)[0], scale)
-        if predicted is not None:
-            wrong = index[predicted.overlap(part, index).differing > problem.trust.outlier_threshold]
-            known[wrong], iou[wrong], angle[wrong] = False, np.nan, np.nan
-            for n in wrong:
-                kind[n] = "interpolated"
-            outliers += [clip.frames[n] for n in wrong]
+    outliers += [clip.frames[n] for n in others[~known[others]]]
     rest, there = np.flatnonzero(~known), np.flatnonzero(known)
     poses = interpolated(PosesInHand(R[:, there], centre[:, there], found.poses.scale), there, rest)
     R[:, rest], centre[:, rest] = poses.R, poses.centre
@@ -113,31 +124,70 @@ def at_every_frame(clip: Clip, problem: Problem, found: MethodResult, track: Tra
     return Track(clip.frames, tuple(kind), clip.hand.T_cam_hand, T_hand_obj, angle, iou, names)
 
 
-def own_fit(problem: Problem, found: MethodResult, sampled: Int[ndarray, "n"], index: Int[ndarray, "m"]) -> Motion:
+def own_fit(
+    problem: Problem,
+    found: MethodResult,
+    sampled: Int[ndarray, "n"],
+    index: Int[ndarray, "m"],
+    beside: Callable[[int], Term] | None = None,
+) -> Motion:
     """Fit the motions found at the frames ``sampled`` of a clip in the problem's frames, which are at ``index``.
 
-    Only what is each frame's own is fitted.
+    Only what is each frame's own is fitted; ``beside`` makes the term that ties a hypothesis to the frames
+    beside them.
     """
     assert found.motion is not None
     assert found.energy_of is not None
     motion: Frozen[Motion] = Frozen(found.motion.resampled(sampled, index))
     energy, everywhere = found.energy_of(problem), np.arange(len(index))
-    if len(motion.lengths()[1]):
-        for level, iterations in STAGES:
-            terms = energy(level, everywhere)
-            motion = minimise(motion, terms, problem.clip.hand.T_cam_hand, iterations).motion
+    for level, iterations in STAGES if len(motion.lengths()[1]) else ():
+        terms = energy(level, everywhere)
+        fitted = [
+            minimise(
+                motion.take(np.array([k])),
+                [*terms, *([] if beside is None else [beside(k)])],
+                problem.clip.hand.T_cam_hand,
+                iterations,
+            ).motion
+            for k in range(len(motion.poses().scale))
+        ]
+        motion = reduce(Frozen.concatenate, fitted)
     return motion.core
 
 
-def _others(clip: Clip, problem: Problem, sampled: Int[ndarray, "n"]) -> Iterator[tuple[Int[ndarray, "m"], Problem]]:
-    """Yield the frames beyond the sampled ones that show the object, a few at a time, each few spread over the clip."""
-    hidden = {*problem.clip.left_out, *problem.trust.outliers}
-    shown = np.flatnonzero([name not in hidden for name in clip.frames])
-    rest = np.setdiff1d(shown, sampled)
-    parts = -(-len(rest) // CHUNK)
-    for k in range(parts):
-        index = rest[k::parts]
-        yield index, problem.at(clip.take(index))
+def _beside(known: Bool[ndarray, "T"], index: Int[ndarray, "m"]) -> Int[ndarray, "n"]:
+    """Return the known frames among and beside others."""
+    at = np.flatnonzero(known)
+    return at[max(int(np.searchsorted(at, index[0])) - 2, 0) : int(np.searchsorted(at, index[-1])) + 2]
+
+
+def _tied(
+    problem: Problem,
+    index: Int[ndarray, "m"],
+    known: PosesInHand,
+    at: Int[ndarray, "n"],
+    weight: float,
+    hypothesis: int,
+) -> Term:
+    """Return the term by which the object's motion in the hand bends little, at and between known frames."""
+    mesh = problem.clip.mesh
+    spread = moments(mesh.vertices - mesh.centre)
+    term = BendingTerm(spread, weight, index, at, known.R[hypothesis], known.centre[hypothesis])
+    return TermInFrame(term, se3.inverse(problem.clip.hand.T_cam_hand))
+
+
+def _at(
+    clip: Clip, problem: Problem, others: Int[ndarray, "n"], predicted: NeighbourPrediction | None
+) -> Iterator[tuple[Int[ndarray, "m"], Problem]]:
+    """Yield other frames, a few neighbours at a time, without those whose masks are outliers."""
+    for some in np.array_split(others, -(-len(others) // CHUNK)) if len(others) else ():
+        index, part = some, problem.at(clip.take(some))
+        if predicted is not None:
+            wrong = predicted.overlap(part, some).differing > problem.trust.outlier_threshold
+            index = some[~wrong]
+            part = problem.at(clip.take(index)) if wrong.any() and len(index) else part
+        if len(index):
+            yield index, part
 
 
 def _angle(motion: Motion) -> Float[ndarray, "T"] | float:

@@ -39,8 +39,11 @@ FAR = 0.6
 """Distance from the object's box, in sizes of the hand, above which the hand is far from it."""
 LITTLE = 0.5
 """Share of the hand's frames in which it is seen without a second look, below which this is said."""
+STILL, LONG = 0.1, 10
+"""A hand does not move whose middle stays within this share of its size, in at least this number of frames."""
 OTHERS = 0.2
 """Share of frames with another hand of the same side from which on two people are assumed."""
+PART = "what looks like a hand in the object's box does not move, and is taken for a part of the object"
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,17 @@ class Track:
         """Return whether this is a finger or knuckle of another hand that the networks take for a hand of its own."""
         both = [(self.seen[n], other.seen[n]) for n in self.seen.keys() & other.seen.keys()]
         return bool(both) and float(np.mean([each.part_of(whole) for each, whole in both])) > 0.5
+
+    def belongs_to_object(self, boxes: Mapping[int, Float[ndarray, "4"]]) -> bool:
+        """Return whether it lies in the object's first box and does not move: a part of it that looks like a hand."""
+        if not boxes or len(self.seen) < LONG:
+            return False
+        x, y, w, h = boxes[min(boxes)]
+        points = np.array([each.points for each in self.seen.values()])
+        inside = ((points >= [x, y]) & (points <= [x + w, y + h])).all(axis=-1).mean()
+        middle = points.mean(axis=1)
+        moved = np.linalg.norm(middle - np.median(middle, axis=0), axis=-1).max()
+        return bool(inside > 0.9 and moved < STILL * np.median([each.size for each in self.seen.values()]))
 
     def read_otherwise(self, other: Track) -> int:
         """Count the frames in which another track shows this hand as one of the other side, if it mostly does."""
@@ -172,9 +186,11 @@ def select(
     all_odds = [(k, odds(n, found[k].seen[n])) for n, k in looks]
     for k, track in enumerate(found):
         track.handedness = Handedness(tuple(value for of, value in all_odds if of == k))
-    found = _candidates(found, side, boxes or {})
+    hands = [track for track in found if not track.belongs_to_object(boxes or {})]
+    parts = len(found) > len(hands)
+    found = _candidates(hands, side, boxes or {})
     if not found:
-        raise UsageError(_none(seen, side, boxes is not None))
+        raise UsageError(f"no hand: {PART}" if parts else _none(seen, side, boxes is not None))
     often = ALIKE * max(map(_weight, found))
     first = min(found, key=lambda track: (track.distance(boxes or {}), _weight(track) < often, track.bending))
     first = max([first, *filter(first.read_otherwise, found)], key=_weight)
@@ -190,7 +206,9 @@ def select(
     most = len(still) >= MINOR * len(hand)  # a few are of more use than none, where nothing else speaks against them
     mirrored = sorted({*still} - {*before} if most else {*still} & {*mirrored})
     hand, flickering = steady({n: each for n, each in hand.items() if n not in mirrored})
-    notes = [] if as_stated else [f"a guess: {first.handedness.words}, but the side is stated"]
+    notes = [f"left out: {PART}"] * parts + [f"a guess: {first.handedness.words}, but the side is stated"] * (
+        not as_stated
+    )
     if boxes is not None:
         apart = first.distance(dict(sorted(boxes.items())[:1]))  # where the object is stated to be
         near = "of the hands that were seen, the one nearest to the object"

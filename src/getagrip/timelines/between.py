@@ -7,15 +7,13 @@ two that disagree, as where a box was turned over unseen, is no motion.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from numpy import ndarray
 
 from getagrip.clip import Segment
-from getagrip.fitting.energy import PosesInCamera, Quadratic, Term
-from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
+from getagrip.fitting.energy.smoothness import SmoothnessTerm, TermInFrame, moments
 from getagrip.fitting.motion import Free
 from getagrip.fitting.objective import evidence_of
 from getagrip.fitting.problem import Problem
@@ -32,36 +30,11 @@ STAGES = ((128, 6), (256, 4))
 """Resolution [px] and iterations."""
 
 
-@dataclass(frozen=True)
-class WorldTerm:
-    """Another term, at poses in the world. Its derivatives are taken back to the camera's frame."""
-
-    term: Term
-    T_world_cam: Float[ndarray, "N 4 4"]
-
-    @property
-    def name(self) -> str:
-        return self.term.name
-
-    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
-        R = self.T_world_cam[:, :3, :3]
-        centre = se3.transform(self.T_world_cam, poses.centre[:, :, None])[:, :, 0]
-        found = self.term(PosesInCamera(R @ poses.R, np.asarray(centre), poses.scale), bound)
-        turn = np.zeros((len(R), 7, 7))
-        turn[:, :3, :3] = turn[:, 3:6, 3:6] = R
-        turn[:, 6, 6] = 1.0
-        back = np.swapaxes(turn, -1, -2)
-        cross = found.cross
-        if cross is not None:
-            cross = np.einsum("nji,bnjmk,mkl->bniml", turn, cross, turn, optimize=True)
-        return Quadratic(found.value, (back @ found.g[..., None])[..., 0], back @ found.H @ turn, cross)
-
-
-def smooth_in_world(problem: Problem) -> WorldTerm:
+def smooth_in_world(problem: Problem) -> TermInFrame:
     """Make the term by which the object's surface moves little in the world from each of the frames to the next."""
     mesh, world = problem.clip.mesh, problem.clip.world
     assert world is not None
-    return WorldTerm(SmoothnessTerm(moments(mesh.vertices - mesh.centre), SMOOTH), world.T_world_cam)
+    return TermInFrame(SmoothnessTerm(moments(mesh.vertices - mesh.centre), SMOOTH), world.T_world_cam)
 
 
 def fill_between(motion: Motion, footage: Footage, known: list[Segment]) -> None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.fitting.energy.term import PosesInCamera, Quadratic
+from getagrip.fitting.energy.term import PosesInCamera, Quadratic, Term
 from getagrip.geometry import se3
 
 
@@ -64,3 +64,84 @@ class SmoothnessTerm:
         cross[:, n, :, n + 1] = block
         cross[:, n + 1, :, n] = np.swapaxes(block, -1, -2)
         return Quadratic(value, g, H, cross)
+
+
+@dataclass(frozen=True)
+class BendingTerm:
+    """``weight * mean over vertices of |x''|^2``, summed over frames: the motion bends little, known frames included.
+
+    Attributes:
+        moments: as of ``SmoothnessTerm``.
+        weight: energy [px^2 per (m per frame^2)^2].
+        index: (N,) the frames of the poses, in their clip.
+        known: (n,) other frames, whose poses are fixed; there is one, or two of ``index``.
+        R, centre: the poses of these.
+    """
+
+    moments: Float[ndarray, "4 4"]
+    weight: float
+    index: Int[ndarray, "N"]
+    known: Int[ndarray, "n"]
+    R: Float[ndarray, "n 3 3"]
+    centre: Float[ndarray, "n 3"]
+    name: str = "bending"
+
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
+        (B, N), share = poses.centre.shape[:2], self.moments[:, 3:]
+        scale = poses.scale[:, None, None, None]
+        own, fixed = (scale * self.moments[:, :3] @ np.swapaxes(R, -1, -2) for R in (poses.R, self.R[None]))
+        by_step = np.empty((B, N, 4, 3, 7))
+        by_step[..., :3], by_step[..., 3:6], by_step[..., 6] = share[..., None] * np.eye(3), -se3.hat(own), own
+        J = by_step.reshape(B, N, 12, 7)
+        points = np.concatenate(
+            [own + share * poses.centre[:, :, None], fixed + share * self.centre[None, :, None]], axis=1
+        ).reshape(B, -1, 12)
+        bends = np.sqrt(self.weight) * second_differences(np.concatenate([self.index, self.known]))
+        bent, to_own = bends @ points, bends[:, :N]
+        value = np.repeat(np.sum(bent**2, axis=(1, 2))[:, None] / N, N, axis=1)
+        g = 2.0 * np.einsum("bnip,mn,bmi->bnp", J, to_own, bent, optimize=True)
+        pairs = 2.0 * to_own.T @ to_own
+        cross = np.einsum("nk,bnip,bkiq->bnpkq", pairs, J, J, optimize=True)
+        n = np.arange(N)
+        H = np.moveaxis(cross[:, n, :, n], 1, 0).copy()
+        cross[:, n, :, n] = 0.0
+        return Quadratic(value, g, H, cross)
+
+
+def second_differences(frames: Int[ndarray, "N"]) -> Float[ndarray, "M N"]:
+    """Return the matrix that takes values at frames, in any order, to second derivatives at those between two others.
+
+    Each is multiplied by the root of the time that it stands for, so that their squares sum to an integral.
+    """
+    order = np.argsort(frames)
+    before, after = np.diff(frames[order])[:-1].astype(float), np.diff(frames[order])[1:].astype(float)
+    span, rows = before + after, np.arange(len(before))
+    out = np.zeros((len(rows), len(frames)))
+    for k, factor in enumerate((1.0 / (before * span), -1.0 / (before * after), 1.0 / (after * span))):
+        out[rows, order[rows + k]] = 2.0 * factor * np.sqrt(span / 2.0)
+    return out
+
+
+@dataclass(frozen=True)
+class TermInFrame:
+    """Another term, at poses in another frame than the camera's. Its derivatives are taken back to the camera's."""
+
+    term: Term
+    T_frame_cam: Float[ndarray, "N 4 4"]
+
+    @property
+    def name(self) -> str:
+        return self.term.name
+
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
+        R = self.T_frame_cam[:, :3, :3]
+        centre = se3.transform(self.T_frame_cam, poses.centre[:, :, None])[:, :, 0]
+        found = self.term(PosesInCamera(R @ poses.R, np.asarray(centre), poses.scale), bound)
+        turn = np.zeros((len(R), 7, 7))
+        turn[:, :3, :3] = turn[:, 3:6, 3:6] = R
+        turn[:, 6, 6] = 1.0
+        back = np.swapaxes(turn, -1, -2)
+        cross = found.cross
+        if cross is not None:
+            cross = np.einsum("nji,bnjmk,mkl->bniml", turn, cross, turn, optimize=True)
+        return Quadratic(found.value, (back @ found.g[..., None])[..., 0], back @ found.H @ turn, cross)
