@@ -9,11 +9,8 @@ from contextlib import closing
 from dataclasses import asdict, replace
 from hashlib import sha256
 from pathlib import Path
-<<<<<<< HEAD
 from threading import Lock
-=======
 from typing import TYPE_CHECKING
->>>>>>> h-draft
 from uuid import uuid4
 
 import numpy as np
