@@ -6,9 +6,10 @@
     {{ table TABLE columns=A,B rows=GLOB }}  a table of some columns (all), of the rows that a glob names (all); words
                                              behind it: "interval", "difference" (of pairs), "notes"
     {{ inputs TABLE METHOD... }}             how often methods are right with each kind of input, in hand and camera;
-                                             METHOD=TABLE: of one that was run on exact input only
+                                             METHOD=TABLE: of one that has a table of its own
     {{ methods COLUMN }}                     a column of all methods, by set of clips
     {{ leaderboard }}                        every method on every real motion, and what others printed
+    {{ beside_paper }}                       the paper's Table 2, and its methods here, by its energy and by ours
     {{ motions }}                            the default on every real motion, and the probability fitted without it
     {{ printed FILE }}                       others' numbers by part of a benchmark, in each column, with their sources
     {{ made TABLE }}                         at which commit, when, by which command
@@ -27,6 +28,10 @@ from fnmatch import fnmatch
 from benchmarks import store
 from benchmarks.store import Cell, Column, Row
 from getagrip.experiments import published
+from getagrip.reproduction import arctic
+from getagrip.reproduction.arctic import BASELINES
+from getagrip.reproduction.reproduce import OURS
+from getagrip.reproduction.tables import published as paper_tables
 
 PLACE = re.compile(r"\{\{ (.+?) \}\}")
 WRITTEN = re.compile(r"<!-- \{\{ (.+?) \}\} -->(.*?)<!-- end -->", re.DOTALL)
@@ -62,13 +67,16 @@ CLIPS = {
 
 
 MOTIONS = {
-    "ARCTIC's motion": ("arctic-methods", ""),
-    "DexYCB": ("dexycb-methods", ""),
-    "ten new objects": ("dexycb-other-final", "-exact"),
-    "HOT3D's and TACO's samples": ("samples-hot3d-taco-methods", ""),
-    "ARCTIC, estimated hands": ("arctic-motion-methods", ""),
+    "ARCTIC's motion": (("arctic-methods", "arctic-paper-methods"), ""),
+    "DexYCB": (("dexycb-methods", "dexycb-paper-methods"), ""),
+    "ten new objects": (("dexycb-other-final",), "-exact"),
+    "HOT3D's and TACO's samples": (("samples-hot3d-taco-methods",), ""),
+    "ARCTIC, estimated hands": (("arctic-motion-methods",), ""),
 }
-"""Real motion, the table of it, and the end of its rows' keys."""
+"""Real motion, the tables of it, ours first, and the end of its rows' keys."""
+PAPERS = {group: (method, BASELINES.get(f"{group}, ours", OURS.get(f"{group}, ours", group.lower())))
+          for group, method in arctic.PAPERS.items()}  # fmt: skip
+"""The paper's methods by its energy, and ours that follow them, by the names of its tables."""
 PARTS_OF = {"ARCTIC's motion": "arctic", "DexYCB": "dexycb", "ARCTIC, estimated hands": "arctic"}
 """Those that the probability is fitted to, by their names in its table (``benchmarks.left_out``)."""
 
@@ -179,9 +187,11 @@ def _best(column: Column, rows: Sequence[Row]) -> str | None:
 def inputs(name: str, *methods: str) -> str:
     """How often methods are right, in the hand and in the camera, with a row for each kind of input."""
     found, lines = store.read(name), []
-    rows = {str(row["label"]): row for row in found.rows}
+    rows, captions = {str(row["label"]): row for row in found.rows}, [made(name)]
     for method, of in (each.split("=") for each in methods if "=" in each):
-        rows[f"{method}, exact"] = store.read(of).row(method)
+        own = {str(row["label"]): row for row in store.read(of).rows}
+        rows |= {label: row for label, row in own.items() if label.startswith(f"{method}, ")}
+        captions.append(f"{METHODS[method]}: {made(of)}")
     methods = tuple(method.partition("=")[0] for method in methods)
     for setting, words in INPUTS.items():
         those = [rows.get(f"{method}, {setting}", {}) for method in methods]
@@ -191,9 +201,8 @@ def inputs(name: str, *methods: str) -> str:
             ]
             lines.append([words, str(next(row["clips"] for row in those if row)), *cells])
     labels = [METHODS[method] for method in methods]
-    return (
-        f"{grid(['input', 'clips', *labels, *(f'{label}, in the camera' for label in labels)], lines)}\n\n{made(name)}"
-    )
+    table = grid(["input", "clips", *labels, *(f"{label}, in the camera" for label in labels)], lines)
+    return "\n\n".join([table, *captions])
 
 
 def methods(column: str) -> str:
@@ -209,23 +218,43 @@ def methods(column: str) -> str:
 
 def leaderboard() -> str:
     """ADD and SCA-ADD of each method on each real motion, with what it is given, its time, and what runs it."""
-    tables = {label: (store.read(name), suffix) for label, (name, suffix) in MOTIONS.items()}
+    tables = {label: ([*map(store.read, names)], suffix) for label, (names, suffix) in MOTIONS.items()}
     lines = []
-    for key in dict.fromkeys(store.key_of(row) for table, _ in tables.values() for row in table.rows):
-        rows = {label: _row(table, f"{key}{suffix}") for label, (table, suffix) in tables.items()}
-        if not any(rows.values()) or rows["DexYCB"] is None:
+    for key in dict.fromkeys(
+        store.key_of(row) for found, _ in tables.values() for table in found for row in table.rows
+    ):
+        rows = {label: _first(found, f"{key}{suffix}") for label, (found, suffix) in tables.items()}
+        if rows["DexYCB"] is None:
             continue
-        cells = [_both(tables[label][0], row) for label, row in rows.items()]
-        found = tables["DexYCB"][0]
-        seconds = shown(found.column("seconds"), rows["DexYCB"].get("seconds"))
+        cells = ["–" if found is None else _both(*found) for found in rows.values()]
+        table, row = rows["DexYCB"]
+        seconds = shown(table.column("seconds"), row.get("seconds"))
         lines.append([f"`{key}`", "here", "hands, masks, CAD, K", *cells, seconds, "one CPU core", "MIT"])
-    printed = store.read("beside-paper")
-    for row in printed.rows:
-        name, _, said = str(row["label"]).partition(", ARCTIC, ")
-        if said == "the paper":
-            cells = [_both(printed, row), *("–" for _ in list(MOTIONS)[1:])]
-            lines.append([name, "printed in the paper, Table 2", "the same, true hands", *cells, "–", "–", "–"])
+    for group in PAPERS:
+        cells = [" / ".join(_printed(group, "ADD", "SCA-ADD")), *("–" for _ in list(MOTIONS)[1:])]
+        lines.append([group, "printed in the paper, Table 2", "the same, true hands", *cells, "–", "–", "–"])
     return grid(["method", "by", "given", *MOTIONS, "s", "runs on", "licence"], lines)
+
+
+def beside_paper() -> str:
+    """The paper's Table 2 beside the same methods here, by its energy and by ours, on ARCTIC's motion and on DexYCB."""
+    columns = {"IOU": "iou", "SCA-IOU": "sca_iou_0_8", "ADD": "add", "SCA-ADD": "sca_add"}
+    lines = []
+    for group, (by_paper, by_us) in PAPERS.items():
+        lines.append([f"{group}, printed: ARCTIC", *_printed(group, *columns)])
+        for motion in ("ARCTIC's motion", "DexYCB"):
+            found = [*map(store.read, MOTIONS[motion][0])]
+            for whose, method in (("by the paper's energy", by_paper), ("ours", by_us)):
+                if (row := _first(found[::-1], method)) is not None:
+                    cells = [shown(row[0].column(key), row[1].get(key)) for key in columns.values()]
+                    lines.append([f"{group}, {whose}: {motion}", *cells])
+    return grid(["", *columns], lines)
+
+
+def _printed(group: str, *columns: str) -> list[str]:
+    """The paper's printed means of a method over all clips of ARCTIC."""
+    table = paper_tables()["Table 2"]
+    return [f"{table['groups'][group]['All'][table['columns'].index(column)]:.1f}" for column in columns]
 
 
 def motions() -> str:
@@ -233,7 +262,7 @@ def motions() -> str:
     columns = ("clips", "iou", "add", "add_sym", "sca_add_sym", "right_in_camera", "seconds")
     fits = store.read("probability-left-out") if "probability-left-out" in store.names() else None
     lines, heads = [], ["IOU", "ADD", "ADD sym.", "SCA-ADD sym.", "in the camera", "s"]
-    for label, (name, suffix) in MOTIONS.items():
+    for label, ((name, *_), suffix) in MOTIONS.items():
         found = store.read(name)
         row = found.row(f"soft-hinge{suffix}")
         cells = [shown(found.column(key), row.get(key)) for key in columns]
@@ -250,9 +279,14 @@ def _row(table: store.Table, key: str) -> Row | None:
     return next((row for row in table.rows if store.key_of(row) == key), None)
 
 
-def _both(table: store.Table, row: Row | None) -> str:
-    keys = ("add", "sca_add")
-    return "–" if row is None else " / ".join(shown(table.column(key), row.get(key)) for key in keys)
+def _first(tables: Sequence[store.Table], key: str) -> tuple[store.Table, Row] | None:
+    """The first table that has a row, and the row."""
+    found = ((table, _row(table, key)) for table in tables)
+    return next(((table, row) for table, row in found if row is not None), None)
+
+
+def _both(table: store.Table, row: Row) -> str:
+    return " / ".join(shown(table.column(key), row.get(key)) for key in ("add", "sca_add"))
 
 
 def made(name: str) -> str:
@@ -267,6 +301,7 @@ DIRECTIVES: dict[str, Callable[..., str]] = {
     "inputs": inputs,
     "methods": methods,
     "leaderboard": leaderboard,
+    "beside_paper": beside_paper,
     "motions": motions,
     "printed": lambda name: "\n".join(published.lines(published.read(name), {})),
     "made": made,

@@ -55,7 +55,8 @@ def test_all_methods_but_the_slow_ones_where_none_is_named() -> None:
 
 
 def test_departures_lead_step_by_step_from_the_paper_to_ours() -> None:
-    first, *between, last = [variant.options for variant in ablation_variants("departures", [], Options())]
+    printed, first, *between, last = [v.options for v in ablation_variants("departures", [], Options())]
+    assert printed == Options(method="paper", push=1e3 * first.push, pull=1e3 * first.pull)
     made = [sum(asdict(options.departures).values()) for options in between]
     assert first == Options(method="paper")
     assert made == list(range(1, len(fields(Departures)) + 1))

@@ -333,6 +333,23 @@ def test_meshes_of_a_system_without_a_cad_model_stand_under_our_result(made: Pat
     np.testing.assert_allclose(known[1:], evaluate(view.result, view.clip, view.masks).per_frame["iou"][1:], atol=0.01)
 
 
+def test_frames_are_drawn_of_which_every_system_has_a_mesh(made: Path, tmp_path: Path) -> None:
+    """Without such a frame they are spread evenly."""
+    (result,) = given(made, "true")
+    frames = result.read().result.frames
+    for name, known in {"first": frames[:1], "inner": frames[1:3], "late": frames[1:]}.items():
+        (tmp_path / name).mkdir()
+        for frame in known:
+            (tmp_path / name / f"{frame}.obj").write_text("v 0 0 .5\nv .1 0 .5\nv 0 .1 .5\nf 1 2 3\n")
+
+    def drawn(*names: str) -> set[str]:
+        kind = Ihoi(dpi=LINES, frames=2, meshes=tuple(f"{name}={tmp_path / name}" for name in names))
+        return texts(kind.draw([result], never)) & {*frames}
+
+    assert drawn("inner", "late") == {*frames[1:3]}
+    assert drawn("first", "late") == {frames[0], frames[-1]}
+
+
 @pytest.mark.parametrize("meshes", [(), ("iHOI",), ("iHOI=nowhere",)])
 def test_meshes_must_be_folders_with_names(meshes: tuple[str, ...]) -> None:
     with pytest.raises(UsageError, match="--meshes"):

@@ -103,8 +103,9 @@ STEPS = {
     "+ push": "push",
     "+ pull": "pull",
 }
-"""Departures from the paper's method, in the order in which they are added up: the scale, without which no minimum is
-where the object is; then how the minimum is found; then the form of the terms.
+"""Departures from the paper's method, in the order in which they are added up: the scale; how the minimum is found; the
+form of the terms. Before them stands the method in millimetres, a thousand times as much push and pull: one reading of
+the printed units.
 """
 
 
@@ -282,9 +283,10 @@ ABLATIONS: dict[str, Ablation] = {
     ),
     "departures": Ablation(
         "From the paper's method to ours: one departure more in each row",
-        "to the letter",
+        "as it is",
         (
-            Setting("to the letter"),
+            Setting("one reading of the printed units", {"push": 100.0, "pull": 100.0}),
+            Setting("as it is"),
             *(Setting(label, {"departures": _departures(count)}) for count, label in enumerate(STEPS, start=1)),
             # Hands as given, as in all rows: their correction has an ablation of its own.
             Setting("+ soft hinge", {"method": "soft-hinge", "hands": "as-given"}),

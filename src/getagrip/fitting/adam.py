@@ -13,6 +13,7 @@ parameters as ``solve.minimise``, which is far quicker.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -32,30 +33,50 @@ DECAY = (0.9, 0.999)
 """Decay rates of the first and the second moment: Adam's defaults."""
 
 
+@dataclass
+class Adam:
+    """Adam's two moments of the parameters of B hypotheses, and the steps that follow from them.
+
+    The rate falls to zero by half a cosine over all iterations.
+    """
+
+    unit: Float[ndarray, "P"]
+    """Length that is worth a radian, of each parameter."""
+    iterations: int
+    rate: float
+    """Length of the first step [rad]."""
+
+    def __post_init__(self) -> None:
+        self.done, self.mean, self.square = 0, np.zeros(1), np.zeros(1)
+
+    def step(self, g: Float[ndarray, "B P"]) -> Float[ndarray, "B P"]:
+        """Take a gradient into the moments, and return the step that follows."""
+        g = np.nan_to_num(self.unit * g)
+        now = 0.5 * self.rate * (1.0 + np.cos(np.pi * self.done / self.iterations))
+        self.done += 1
+        self.mean = DECAY[0] * self.mean + (1.0 - DECAY[0]) * g
+        self.square = DECAY[1] * self.square + (1.0 - DECAY[1]) * g**2
+        mean, square = self.mean / (1.0 - DECAY[0] ** self.done), self.square / (1.0 - DECAY[1] ** self.done)
+        return -now * self.unit * mean / (np.sqrt(square) + 1e-12)
+
+
 def descend(
     motion: M, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"], iterations: int, rate: float
 ) -> Solution[M]:
     """Take each of B hypotheses downhill, at ``rate`` [rad] a step to begin with; the best iterate of each."""
     shared, local = motion.lengths()
-    unit = np.where(np.concatenate([shared, np.tile(local, len(T_cam_hand))]), METRES, 1.0)
     B, S = len(motion.poses().scale), len(shared)
+    adam = Adam(np.where(np.concatenate([shared, np.tile(local, len(T_cam_hand))]), METRES, 1.0), iterations, rate)
     free = np.full(B, np.inf)
-    mean, square = np.zeros((B, len(unit))), np.zeros((B, len(unit)))
-    for k in range(iterations + 1):
+    best, least = motion, free
+    values = np.zeros((B, len(terms) + 1))
+    for _ in range(iterations + 1):
         state = evaluate(motion, terms, T_cam_hand, free)
-        cost = np.where(np.isnan(state.cost), np.inf, state.cost)
-        if k == 0:
-            best, least, values = motion, cost, state.values
-        else:
-            better = cost < least
-            best, least = motion.where(better, best), np.where(better, cost, least)
-            values = np.where(better[:, None], state.values, values)
+        better = state.cost < least
+        best, least = motion.where(better, best), np.where(better, state.cost, least)
+        values = np.where(better[:, None], state.values, values)
         g_shared, g_local = gradient(motion, state.local, T_cam_hand)
-        g = np.nan_to_num(unit * np.concatenate([g_shared, g_local.reshape(B, -1)], axis=1))
-        mean, square = DECAY[0] * mean + (1.0 - DECAY[0]) * g, DECAY[1] * square + (1.0 - DECAY[1]) * g**2
-        corrected = mean / (1.0 - DECAY[0] ** (k + 1)), square / (1.0 - DECAY[1] ** (k + 1))
-        now = 0.5 * rate * (1.0 + np.cos(np.pi * k / iterations))
-        step = -now * unit * corrected[0] / (np.sqrt(corrected[1]) + 1e-12)
+        step = adam.step(np.concatenate([g_shared, g_local.reshape(B, -1)], axis=1))
         motion = motion.retract(step[:, :S], step[:, S:].reshape(g_local.shape))
     names = [*(term.name for term in terms), "prior"]
     status = [Status.FINISHED if np.isfinite(energy) else Status.INVISIBLE for energy in least]

@@ -41,7 +41,7 @@ class PriorsFile:
 class Departures:
     """Ablation switches: each replaces one part of the paper's method by ours.
 
-    With none, it is the paper's to the letter.
+    With none, it is the paper's.
 
     With all of them it is ``one-dof`` with ``hands="as-given"``; but where the scale is free ``one-dof`` has twice as
     many initial poses, and gaps between the masks (``mask_gaps``) count as background here. Raises ``UsageError`` for a
@@ -49,11 +49,11 @@ class Departures:
 
     Attributes:
         scale: push is a mean over vertices, as pull is over fingers, and both weigh by the area of the masks
-            (``objective.contact_weights``), instead of a sum, and of 0.1 f per millimetre.
+            (``objective.contact_weights``), instead of a sum, and of 0.1 f per metre.
         push: mean depth of the contact vertices in the object (``PushTerm``), instead of the sum of the depths of the
             object's vertices behind the hand's tangent planes (``PaperPushTerm``).
-        pull: distance to the surface, at most 1 cm (``PullTerm``), instead of the signed height over a tangent plane of
-            the object (``PaperPullTerm``).
+        pull: distance to the surface, at most 1 cm (``PullTerm``), instead of the height over a tangent plane of the
+            object (``PaperPullTerm``).
         axis: axis and angles start from the data, by a coarse static and a coarse relaxed fit (``Search.relax``),
             instead of at the CAD's z-axis and at zero.
         optimiser: Levenberg-Marquardt (``solve.minimise``), instead of Adam (``adam.descend``).
@@ -74,7 +74,7 @@ class Departures:
             raise UsageError("missing departures.optimiser: the stages of departures.search are Levenberg-Marquardt's")
 
 
-TO_THE_LETTER = Departures()
+NO_DEPARTURE = Departures()
 """No departure."""
 
 
@@ -146,8 +146,8 @@ class Options(SearchOptions):
 
     method: Annotated[str, arg(metavar="METHOD", help_behavior_hint=_methods)] = "soft-hinge"
     """How the object may move in the hand. soft-hinge: about one axis, with small deviations; one-dof: about one axis
-    exactly; static: not at all; dynamic: freely in each frame. paper, paper-static and paper-dynamic are the paper's
-    own methods, reproduced exactly; they are slow. The others are baselines."""
+    exactly; static: not at all; dynamic: freely in each frame. paper and paper-... are the paper's own methods by its
+    energy and optimiser; they are slow. The others are baselines."""
     axis: Literal["free", "hand"] = "free"
     """Position of the latent axis of one-dof and soft-hinge: anywhere (free), or through the origin of the hand frame,
     as in the paper's Eq. 3 (hand)."""
@@ -164,7 +164,7 @@ class Options(SearchOptions):
     """Weight of E_pull, the paper's lambda_3 without the focal length."""
     occlusion: Annotated[bool, Suppress, Fixed] = True
     """Leave out pixels hidden by the hand (the paper's C_o)."""
-    departures: Annotated[Departures, Suppress, Fixed] = TO_THE_LETTER
+    departures: Annotated[Departures, Suppress, Fixed] = NO_DEPARTURE
     """Parts of the method ``paper`` that are replaced by ours; for ablations. Other methods do not use it."""
 
     @property
@@ -175,7 +175,7 @@ class Options(SearchOptions):
     def __post_init__(self) -> None:
         method_of(self.method)
         super().__post_init__()
-        if self.departures != TO_THE_LETTER and self.method != "paper":
+        if self.departures != NO_DEPARTURE and self.method != "paper":
             raise UsageError(f"departures cannot be used with method {self.method!r}, only with 'paper'")
         if self.frames < 2:
             raise UsageError(f"frames must be 2 or more (got {self.frames})")

@@ -37,7 +37,7 @@ class Reproduce(Command):
     out: Folder
     """Folder of clips, results and tables. Called again with the same folder, it continues where it stopped."""
     count: Annotated[int | None, arg(name="clips", metavar="N", help_behavior_hint="(default: all)")] = None
-    """Compare methods on N clips, evenly sampled: the paper's own method takes half a minute a clip."""
+    """Compare methods on N clips, evenly sampled: the paper's own methods take half a minute a clip each."""
     share: Executors = field(default_factory=Share)
 
     def step(self, words: str, command: Command) -> bool:

@@ -76,7 +76,7 @@ def test_pull_is_what_the_appendix_says(which: str) -> None:
             for region in np.split(term.hand.position[n, :20], 5):
                 between = region[:, None] - v_o
                 height = np.sum(between * n_o, axis=-1)
-                expected += height.ravel()[np.argmin(np.linalg.norm(between, axis=-1))] / 5
+                expected += abs(height.ravel()[np.argmin(np.linalg.norm(between, axis=-1))]) / 5
             assert value[b, n] == pytest.approx(100.0 * expected, abs=1e-4)
 
 
@@ -124,6 +124,17 @@ def test_pull_draws_the_object_back_that_leaves() -> None:
     local = pull_of(mesh, hand)(poses, no_bound(poses))
     assert (np.diff(local.value, axis=0) > 0.0).all()
     assert (local.g[..., 0] > 0.0).all()
+
+
+@given(st.sampled_from(sorted(MESHES)), st.integers(0, 10**6), st.floats(0.01, 100.0))
+@settings(max_examples=20)
+def test_neither_term_is_ever_below_zero(which: str, seed: int, size: float) -> None:
+    """Without this bound an object of free scale grows round the fingertips, and the energy falls without end."""
+    rng = np.random.default_rng(seed)
+    hand, poses = planes(rng), random_poses(rng, 2, FRAMES)
+    poses = PosesInCamera(poses.R, poses.centre, size * poses.scale)
+    for term in (push_of(MESHES[which], hand), pull_of(MESHES[which], hand)):
+        assert (term(poses, no_bound(poses)).value >= 0.0).all()
 
 
 def test_planes_touch_the_hand_wherever_the_camera_is() -> None:

@@ -1,22 +1,29 @@
-"""The paper's method: its start, its choice, and departures that lead from it to ours, one by one."""
+"""The paper's method: it ends at the truth; its start, its choice, departures that lead from it to ours; baselines."""
 
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from typing import Literal
 
 import numpy as np
 import pytest
+from numpy import ndarray
 
-from getagrip.clip import with_masks
+from getagrip import evaluation
+from getagrip.clip import FrameMasks, Masks, with_masks
+from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import UsageError
-from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import IOU
 from getagrip.fitting.initial_poses import initial_poses
-from getagrip.fitting.methods import paper
+from getagrip.fitting.methods import method_of, paper, single_frame
 from getagrip.fitting.motion import Fixed
 from getagrip.fitting.options import Departures, Options
 from getagrip.fitting.problem import Problem, prepare
+from getagrip.fitting.solve import evaluate, in_camera
+from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.render import true_masks
 from getagrip.result import Status
 from getagrip.timelines.reconstruct import reconstruct
 from helpers.clips import small_clip
@@ -65,6 +72,99 @@ def test_each_departure_can_be_made_alone(name: str, monkeypatch: pytest.MonkeyP
         assert result.energy != letter.energy
 
 
+def grasp_seen_from(focal: float, moves: bool, free: bool) -> tuple[Problem, ndarray]:
+    """Make a problem whose hand is as large in the image at any focal length, with the truth among its starts.
+
+    The true poses in the hand come second: all alike, or turned by up to 20 degrees about the CAD's z-axis.
+    """
+    clip, _ = synthesise("mug", 0, SceneOptions(frames=5, size=(320, 240), focal=300.0))
+    assert clip.truth is not None
+    T_cam_hand, K = clip.hand.T_cam_hand.copy(), clip.K.copy()
+    T_hand_obj = se3.inverse(T_cam_hand) @ clip.truth.T_cam_obj
+    about_z = np.array([0.0, 0.0, 0.35 * moves]) * np.linspace(-1.0, 1.0, len(clip))[:, None]
+    T_hand_obj = T_hand_obj[2] @ se3.rigid(se3.exp_so3(about_z))
+    T_cam_hand[:, 2, 3] *= focal / K[:, 0, 0]
+    K[:, [0, 1], [0, 1]] = focal
+    hand = se3.transform(T_cam_hand, clip.hand.vertices)
+    held = se3.transform(T_cam_hand @ T_hand_obj, clip.mesh.vertices)
+    masks = Masks.of(
+        FrameMasks(*true_masks((held[n], clip.mesh.faces), [(hand[n], clip.hand.faces)], [], K[n], clip.size))
+        for n in range(len(clip))
+    )
+    scale: Literal["known", "free"] = "free" if free else "known"
+    clip = replace(clip.with_hand_at(T_cam_hand), K=K, scale=scale, truth=None)
+    turned = se3.rigid(se3.exp_so3(np.array([[0.0, 0.0, 0.0], [1.5, 0.0, 0.0], [0.0, 1.5, 0.0]])))
+    problem = prepare(with_masks(clip, masks), Options(method="paper", inits=len(turned)))
+    return replace(problem, prior_poses=T_hand_obj[2] @ turned), T_hand_obj
+
+
+@pytest.mark.parametrize("focal", [500.0, 16_680.0, 50_000.0])
+@pytest.mark.parametrize("free", [False, True])
+@pytest.mark.parametrize("moves", [False, True])
+@pytest.mark.slow
+def test_it_ends_at_the_truth_that_is_among_its_starts(focal: float, free: bool, moves: bool) -> None:
+    """Push and pull in millimetres leave it; a height with a sign lets an object of free scale grow."""
+    problem, T_hand_obj = grasp_seen_from(focal, moves, free)
+    found = paper.fit(problem, lambda _: None)
+    assert found.motion is not None
+    assert paper.crop_iou(problem, in_camera(found.motion, problem.clip.hand.T_cam_hand))[0] >= 0.95
+    assert found.poses.scale[0] == pytest.approx(1.0, abs=0.1)
+    about = problem.clip.mesh.vertices - problem.clip.mesh.centre
+    vertices = found.poses.scale[0] * about @ np.swapaxes(found.poses.R[0], 1, 2) + found.poses.centre[0, :, None]
+    off = np.linalg.norm(vertices - se3.transform(T_hand_obj, problem.clip.mesh.vertices), axis=-1)
+    assert off.mean() < 0.1 * problem.clip.mesh.diameter
+
+
+@pytest.mark.parametrize("focal", [500.0, 50_000.0])
+def test_no_size_has_less_energy_than_the_true_one(focal: float) -> None:
+    """The object as large in the image: nearer to the camera and smaller, or farther and larger."""
+    problem, T_hand_obj = grasp_seen_from(focal, moves=False, free=True)
+    sizes = np.array([1.0, 0.3, 0.7, 1.4, 3.0, 20.0])
+    eye = se3.inverse(problem.clip.hand.T_cam_hand[2])[:3, 3]
+    true_centre = se3.transform(T_hand_obj[2], problem.clip.mesh.centre[None])[0]
+    nearer = eye + sizes[:, None] * (true_centre - eye)
+    for centre in (nearer, np.tile(true_centre, (len(sizes), 1))):
+        R = np.tile(T_hand_obj[2, :3, :3], (len(sizes), 1, 1))
+        motion = Fixed(R, centre, np.log(sizes), len(problem.clip), free_scale=True)
+        terms = paper.energy_of(problem)(256, np.arange(len(problem.clip)))
+        cost = evaluate(motion, terms, problem.clip.hand.T_cam_hand, np.full(len(sizes), np.inf)).cost
+        assert (cost > 0.0).all()
+        assert cost[0] == cost.min()
+
+
+@pytest.mark.parametrize("method", ["paper-static", "paper-dynamic", "paper-single-frame", "paper-homan"])
+@pytest.mark.slow
+def test_the_papers_baselines_have_its_energy_optimiser_and_choice(
+    method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(paper, "ITERATIONS", 60)
+    problem, T_hand_obj = grasp_seen_from(600.0, moves=False, free=False)
+    problem = replace(problem, options=replace(problem.options, method=method))
+    calls: list[str] = []
+    for name in ("paper_push_of", "paper_pull_of"):
+        term = getattr(paper, name)
+        monkeypatch.setattr(paper, name, lambda *args, term=term, name=name: calls.append(name) or term(*args))
+    found = method_of(method).fit(problem, lambda _: None)
+    assert {*calls} == {"paper_push_of", "paper_pull_of"}
+    assert found.status == Status.FINISHED
+    assert {"mask", "push", "pull"} <= {*found.terms}
+    centre = se3.transform(T_hand_obj, problem.clip.mesh.centre[None])[:, 0]
+    assert np.linalg.norm(found.poses.centre[0] - centre, axis=1).mean() < 0.15 * problem.clip.mesh.diameter
+
+
+def test_single_frames_know_nothing_of_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The pose of a frame is the same, whatever the other frames show."""
+    monkeypatch.setattr(paper, "ITERATIONS", 10)
+    problem, _ = grasp_seen_from(600.0, moves=True, free=False)
+    whole = paper.single_frame(problem, lambda _: None)
+    energy = paper.energy_of(problem)
+    start = single_frame.initial_of_frame(problem, 3)
+    alone = paper.chosen(
+        problem, paper.every_start(problem, start, energy, lambda _: None, np.array([3])), np.array([3])
+    )
+    np.testing.assert_array_equal(alone.motion.R[0], whole.poses.R[0, 3])
+
+
 def test_a_search_needs_its_optimiser() -> None:
     with pytest.raises(UsageError, match=r"missing departures\.optimiser"):
         Departures(search=True)
@@ -97,16 +197,20 @@ def test_the_iou_by_which_is_chosen_is_the_metrics(monkeypatch: pytest.MonkeyPat
     T = result.T_hand_obj[0]
     motion = Fixed(T[None, :3, :3], (T[:3, :3] @ clip.mesh.centre + T[:3, 3])[None], np.zeros(1), len(clip))
     still = replace(result, T_hand_obj=np.tile(T, (len(clip), 1, 1)))
-    measured = evaluate(still, clip, masks, wanted=[IOU]).metrics["iou"]
-    assert paper.crop_iou(problem, motion)[0] == pytest.approx(measured, abs=0.01)
+    measured = evaluation.evaluate(still, clip, masks, wanted=[IOU]).metrics["iou"]
+    poses = in_camera(motion, problem.clip.hand.T_cam_hand)
+    assert paper.crop_iou(problem, poses)[0] == pytest.approx(measured, abs=0.01)
 
 
 def test_the_best_iou_is_chosen_not_the_least_energy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(paper, "ITERATIONS", 5)
     problem = small_problem(Options(method="paper", inits=8))
     found = paper.every_start(problem, paper.initial_of(problem), paper.energy_of(problem), lambda _: None)
-    by_iou = paper.crop_iou(problem, paper.chosen(problem, found).motion)
-    assert by_iou[0] == paper.crop_iou(problem, found.motion).max()
+    all_poses, best = (
+        in_camera(one.motion, problem.clip.hand.T_cam_hand) for one in (found, paper.chosen(problem, found))
+    )
+    by_iou = paper.crop_iou(problem, best)
+    assert by_iou[0] == paper.crop_iou(problem, all_poses).max()
     assert (np.diff(by_iou) <= 0.0).all()
     ours = replace(problem, options=replace(problem.options, departures=Departures(choice=True)))
     assert paper.chosen(ours, found).energy[0] == found.energy.min()

@@ -1,4 +1,4 @@
-"""E_pull as the paper has it (appendix): heights of fingertips over tangent planes of the object, signed."""
+"""E_pull as the paper has it (appendix): heights of fingertips over tangent planes of the object."""
 
 from __future__ import annotations
 
@@ -15,14 +15,12 @@ from getagrip.fitting.energy.term import PosesInCamera, Quadratic
 
 @dataclass(frozen=True)
 class PaperPullTerm:
-    """``weight * mean over the five fingertips of <h - v, n_v>``, signed, of the pair (h, v) of least distance.
+    """``weight * mean over the five fingertips of |<h - v, n_v>|`` of the pair (h, v) of least distance.
 
     The paper writes ``min <h - v, n_v>`` over all pairs of a fingertip's and the object's vertices, and calls it "the
-    minimum distance of all pairs". The words are followed. The least *height* of all pairs is that over a plane of the
-    object's far side; it decreases without end as the object leaves, and sends it away. The authors' later code takes
-    nearest pairs, too.
-
-    The value may be negative, so in a list of terms this one comes first: ``bound`` counts on later terms not being so.
+    minimum distance of all pairs". The words are followed, as in the authors' later code, which takes the absolute
+    height of nearest pairs. A signed height has no lower bound: the least of all pairs is that over the object's far
+    side and sends the object away; that of the nearest pair lets an object of free scale grow round the fingertips.
     """
 
     vertices: Float[ndarray, "3 V"]
@@ -33,7 +31,7 @@ class PaperPullTerm:
     weight: Float[ndarray, "N"]
     """Energy per metre of mean height, per frame [px^2 / m]."""
     delta: float = 0.002
-    """Heights below this count as this in the curvature [m]."""
+    """Heights below this count as this in the curvature [m]; value and gradient are those of the term itself."""
     name: str = "pull"
 
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
@@ -77,12 +75,12 @@ def _evaluate(R, centre, scale, vertices, normals, hand, region, weight, delta, 
                 height = over
                 for k in range(3):
                     height -= scale[b] * normals[k, at] * vertices[k, at]
-                value[b, n] += unit * height
-                # It changes by -n . v - (r x n) . w + (height - r . n) l, as in ``contact.add_height``.
+                value[b, n] += unit * abs(height)
+                # The height changes by -n . v - (r x n) . w + (height - r . n) l, as in ``contact.add_height``.
                 a[0], a[1], a[2] = -n0, -n1, -n2
                 a[3], a[4], a[5] = r2 * n1 - r1 * n2, r0 * n2 - r2 * n0, r1 * n0 - r0 * n1
                 a[6] = height - over
-                add_plane(unit, unit / max(abs(height), delta), a, g[b, n], H[b, n])
+                add_plane(np.copysign(unit, height), unit / max(abs(height), delta), a, g[b, n], H[b, n])
             mirror_upper(H[b, n])
 
 

@@ -1,4 +1,4 @@
-"""Every method, by its name: ours, those after the paper's, the baselines, and the paper's to the letter.
+"""Every method, by its name: ours, those after the paper's, the baselines, and the paper's own.
 
 A method is a function from a ``Problem`` to a ``MethodResult``. A new one needs a file here and a line in ``METHODS``;
 a script adds its own with ``METHODS["name"] = Method(...)``, a package with an entry point. Loading the table costs
@@ -67,7 +67,7 @@ def _in(file: str, function: str = "fit") -> Fit:
 
 
 def _published(label: str, function: str, has_axis: bool = False) -> Method:
-    """Make the paper's method to the letter."""
+    """Make one of the paper's methods, by its own energy and optimiser."""
     return Method(label, _in("paper", function), has_axis, slow=True, as_published=True)
 
 
@@ -82,6 +82,8 @@ OURS: Mapping[str, Method] = {
     "paper": _published("1-DoF, the paper's", "fit", has_axis=True),
     "paper-static": _published("Static, the paper's", "static"),
     "paper-dynamic": _published("Dynamic, the paper's", "dynamic"),
+    "paper-single-frame": _published("Single Frame, the paper's", "single_frame"),
+    "paper-homan": _published("HOMan, by the paper's energy", "homan"),
 }
 """Those of the package, whatever a script adds or puts in their places."""
 METHODS = Table("methods", dict(OURS), "a Method", lambda _, it: isinstance(it, Method))

@@ -7,6 +7,8 @@ frame before ended; the best tracks; then objects and hands together, with smoot
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
@@ -15,13 +17,15 @@ from numpy import ndarray
 
 from getagrip.errors import GetagripError
 from getagrip.fitting.contact import spread_points
+from getagrip.fitting.energy import Energy
 from getagrip.fitting.initial_poses import initial_poses
 from getagrip.fitting.methods import OnStage, homan_refine
+from getagrip.fitting.methods.homan_refine import Refined
 from getagrip.fitting.motion import Fixed, Free, PosesInHand
-from getagrip.fitting.objective import mask_of
-from getagrip.fitting.problem import MethodResult, Problem
+from getagrip.fitting.objective import contact_of, mask_of
+from getagrip.fitting.problem import EnergyOf, MethodResult, Problem
 from getagrip.fitting.search import suppress_duplicates
-from getagrip.fitting.solve import minimise
+from getagrip.fitting.solve import Solution, minimise
 from getagrip.geometry import camera
 from getagrip.result import Status
 
@@ -35,20 +39,40 @@ BOX_POINTS = 64
 """Vertices that stand for the object where it is placed in a box."""
 
 
+@dataclass(frozen=True)
+class Way:
+    """The energy and the optimiser of the stages."""
+
+    contact: EnergyOf
+    """Push and pull."""
+    alone: Callable[[Problem, Fixed, int], Solution[Fixed]]
+    """Fits the object to its mask in one frame, in the camera frame."""
+    together: Callable[[Problem, Free, EnergyOf], Refined]
+    """Refines a track of the object together with the hand."""
+    badness: Callable[[Problem, Sequence[Refined]], Float[ndarray, "k"]]
+    """Ranks refined tracks, the best lowest."""
+
+
 def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
-    """Fit the object alone, and refine the best track together with the hand.
+    """Fit by our energy and optimiser. Raises ``GetagripError`` when nothing can be rendered."""
+    return by(OURS, problem, on_stage)
+
+
+def by(way: Way, problem: Problem, on_stage: OnStage) -> MethodResult:
+    """Fit the object alone, and refine the best tracks together with the hand.
 
     Raises ``GetagripError`` when nothing can be rendered.
     """
-    tracks, loss = object_tracks(problem)
+    tracks, loss = object_tracks(problem, way)
     chosen = suppress_duplicates(tracks.poses(), loss, problem.surface, TRACKS)
     if not len(chosen):
         raise GetagripError(Status.INVISIBLE.sentence)
     on_stage("coarse")
-    refined = [homan_refine.refine(problem, tracks.take(chosen[k : k + 1])) for k in range(len(chosen))]
+    refined = [way.together(problem, tracks.take(chosen[k : k + 1]), way.contact) for k in range(len(chosen))]
     energy = np.array([r.energy for r in refined])
     poses = reduce(PosesInHand.concatenate, [r.bodies.in_hand() for r in refined])
-    best = suppress_duplicates(poses, energy, problem.surface, TRACKS)
+    score = np.where(np.isfinite(energy), way.badness(problem, refined), np.inf)
+    best = suppress_duplicates(poses, score, problem.surface, TRACKS)
     if not len(best):
         raise GetagripError(Status.INVISIBLE.sentence)
     on_stage("finest")
@@ -56,13 +80,29 @@ def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
     return MethodResult(poses.take(best), energy[best], first.terms, first.status)
 
 
-def object_tracks(problem: Problem) -> tuple[Free, Float[ndarray, "B"]]:
+def _alone(problem: Problem, start: Fixed, n: int) -> Solution[Fixed]:
+    terms = mask_of(problem)(LEVEL, np.array([n]))
+    return minimise(start, terms, np.eye(4)[None], LATER if n else FIRST)
+
+
+def _contact(problem: Problem) -> Energy:
+    return contact_of(problem, problem.options.push, problem.options.pull)
+
+
+OURS = Way(
+    contact=_contact,
+    alone=_alone,
+    together=homan_refine.refine,
+    badness=lambda _, refined: np.array([r.energy for r in refined]),
+)
+
+
+def object_tracks(problem: Problem, way: Way = OURS) -> tuple[Free, Float[ndarray, "B"]]:
     """Track the object in the camera frame from each starting rotation, by E_mask alone.
 
     The second value is the mean of E_mask / area.
     """
     clip, area = problem.clip, problem.observation.area
-    mask_only = mask_of(problem)
     initial = initial_poses(clip, problem.masks, problem.inits, problem.options.seed, problem.prior_poses)
     vertices = clip.mesh.vertices - clip.mesh.centre
     points = np.exp(initial.log_scale[0]) * vertices[spread_points(vertices, BOX_POINTS)]
@@ -71,7 +111,7 @@ def object_tracks(problem: Problem) -> tuple[Free, Float[ndarray, "B"]]:
     rotations, centres, loss = [], [], np.zeros(len(R))
     for n, K in enumerate(clip.K):
         start = Fixed(R, in_box(R, points, K, boxes[n]), initial.log_scale, frames=1)
-        found = minimise(start, mask_only(LEVEL, np.array([n])), np.eye(4)[None], LATER if n else FIRST)
+        found = way.alone(problem, start, n)
         R = found.motion.R
         rotations.append(R)
         centres.append(found.motion.centre)

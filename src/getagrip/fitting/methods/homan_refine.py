@@ -14,14 +14,15 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip import least_squares
+from getagrip.fitting.adam import METRES, Adam
 from getagrip.fitting.contact import spread_points
 from getagrip.fitting.energy import PosesInCamera, Term, no_bound
 from getagrip.fitting.energy.interaction import InteractionTerm
 from getagrip.fitting.energy.reprojection import ReprojectionTerm
 from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
 from getagrip.fitting.motion import Free, PosesInHand
-from getagrip.fitting.objective import contact_of, mask_of
-from getagrip.fitting.problem import Problem
+from getagrip.fitting.objective import mask_of
+from getagrip.fitting.problem import EnergyOf, Problem
 from getagrip.fitting.solve import FLOOR, STATUS
 from getagrip.geometry import camera, se3
 from getagrip.least_squares import Arrow
@@ -59,6 +60,10 @@ class Bodies:
     def T_cam_hand(self) -> Float[ndarray, "N 4 4"]:
         """The hand, refined."""
         return se3.rigid(self.hand_R, self.hand_centre - (self.hand_R @ self.grip[..., None])[..., 0])
+
+    def in_camera(self) -> PosesInCamera:
+        """Return the object as the terms read it."""
+        return PosesInCamera(self.R[None], self.centre[None], np.array([self.scale]))
 
     def in_hand(self) -> PosesInHand:
         """Return the object in the refined hand."""
@@ -135,7 +140,7 @@ class JointEnergy:
             np.ascontiguousarray(turn @ bodies.R)[None], se3.transform(back, bodies.centre[:, None])[None, :, 0], scale
         )
         relations = (
-            (self.object_in_camera, PosesInCamera(bodies.R[None], bodies.centre[None], scale), J_object),
+            (self.object_in_camera, bodies.in_camera(), J_object),
             (self.hand_in_camera, PosesInCamera(bodies.hand_R[None], bodies.hand_centre[None], np.ones(1)), J_hand),
             (self.object_in_hand, relative, J_relative),
         )
@@ -153,11 +158,20 @@ class JointEnergy:
         return values, NormalEquations(g, H, cross)
 
 
-def refine(problem: Problem, track: Free) -> Refined:
-    """Refine object and hand, from one track of the object and the input hand."""
+def refine(problem: Problem, track: Free, contact: EnergyOf) -> Refined:
+    """Refine object and hand, from one track of the object and the input hand, by Levenberg-Marquardt."""
+    bodies = bodies_of(problem, track)
+    for level, iterations in STAGES:
+        refined = descend(joint_energy(problem, level, bodies, contact), bodies, iterations, track.free_scale)
+        bodies = refined.bodies
+    return refined
+
+
+def bodies_of(problem: Problem, track: Free) -> Bodies:
+    """Return object and hand as a track of the object and the input hand place them."""
     tracked = problem.clip.hand
     grip = tracked.vertices.mean(axis=1)
-    bodies = Bodies(
+    return Bodies(
         R=track.R[0],
         centre=track.centre[0],
         log_scale=float(track.log_scale[0]),
@@ -165,18 +179,13 @@ def refine(problem: Problem, track: Free) -> Refined:
         hand_centre=se3.transform(tracked.T_cam_hand, grip[:, None])[:, 0],
         grip=grip,
     )
-    for level, iterations in STAGES:
-        refined = descend(joint_energy(problem, level, bodies), bodies, iterations, track.free_scale)
-        bodies = refined.bodies
-    return refined
 
 
-def joint_energy(problem: Problem, level: int, bodies: Bodies) -> JointEnergy:
+def joint_energy(problem: Problem, level: int, bodies: Bodies, contact: EnergyOf) -> JointEnergy:
     """Build the terms at one resolution."""
-    clip, options, K = problem.clip, problem.options, problem.observation.K
+    clip, K = problem.clip, problem.observation.K
     everywhere = np.arange(len(clip))
     mask = mask_of(problem)(level, everywhere)
-    contact = contact_of(problem, options.push, options.pull)(level, everywhere)
     about_grip = clip.hand.vertices - bodies.grip[:, None]
     points = about_grip[:, spread_points(about_grip[0], REPROJECTED)]
     tracked = clip.hand.T_cam_hand
@@ -194,7 +203,7 @@ def joint_energy(problem: Problem, level: int, bodies: Bodies) -> JointEnergy:
             ReprojectionTerm(points, K, target, REPROJECT),
         ],
         object_in_hand=[
-            *contact,
+            *contact(problem)(level, everywhere),
             InteractionTerm(grip[:, 0], INTERACT),
         ],
         T_cam_hand=tracked,
@@ -233,3 +242,18 @@ def descend(energy: JointEnergy, bodies: Bodies, iterations: int, free_scale: bo
     found = least_squares.minimise(_State.of(energy, bodies, free_scale), iterations)
     values = found.state.values
     return Refined(found.state.bodies, sum(values.values()), values, STATUS[found.endings[0]])
+
+
+def descend_by_adam(energy: JointEnergy, bodies: Bodies, iterations: int, rate: float, free_scale: bool) -> Refined:
+    """Run Adam on all numbers of a track at once; the best iterate counts."""
+    N = len(bodies.R)
+    lengths = np.tile(np.arange(12) % 6 < 3, N)
+    steps = Adam(np.append(np.where(lengths, METRES, 1.0), 1.0), iterations, rate)
+    best = Refined(bodies, np.inf, {}, Status.INVISIBLE)
+    for _ in range(iterations + 1):
+        values, equations = energy(bodies)
+        if (cost := sum(values.values())) < best.energy:
+            best = Refined(bodies, cost, values, Status.FINISHED)
+        step = steps.step(np.append(equations.g[:, :12], equations.g[:, 12].sum()))
+        bodies = bodies.retract(step[:-1].reshape(N, 12), float(step[-1]) if free_scale else 0.0)
+    return best

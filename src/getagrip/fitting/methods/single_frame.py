@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Int
@@ -35,23 +35,43 @@ SCHEDULE = Schedule(
 """For one frame: no motion to find, so no relaxed fit."""
 REFIT_LEVEL, REFIT_ITERATIONS = 256, 15
 """At one scale, where it is free."""
-WORST = (Status.LIMIT, Status.STUCK, Status.CONVERGED)
+WORST = (Status.LIMIT, Status.STUCK, Status.CONVERGED, Status.FINISHED)
 """The status of the frames is the first of these that one of them has."""
 
 
+OfFrame = Callable[[Problem, int, Energy], Solution[Fixed]]
+"""From a problem, a frame and an energy to the solutions of that frame, best first."""
+Again = Callable[[Problem, int, Energy, Fixed], Solution[Fixed]]
+"""Likewise, from one start."""
+
+
 def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
+    """Fit the best pose of each frame by our energy and search.
+
+    Raises ``GetagripError`` when nothing can be rendered in some frame.
+    """
+    options = problem.options
+    return of_frames(problem, on_stage, energy_of(problem, options.push, options.pull), _best_of_frame, _again)
+
+
+def of_frames(
+    problem: Problem, on_stage: OnStage, energy: Energy, best_of_frame: OfFrame, again: Again
+) -> MethodResult:
     """Fit the best pose of each frame.
 
     A free scale is each frame's own first; then all are fitted again at the median.
 
     Raises ``GetagripError`` when nothing can be rendered in some frame.
     """
-    options = problem.options
-    energy = energy_of(problem, options.push, options.pull)
-    best = [_best_of_frame(problem, n, energy) for n in range(len(problem.clip))]
+    best = []
+    for n, frame in enumerate(problem.clip.frames):
+        try:
+            best.append(best_of_frame(problem, n, energy))
+        except GetagripError as error:
+            raise GetagripError(f"frame {frame}: {error}") from error
     on_stage("fine")
     if problem.clip.scale == "free":
-        best = _at_one_scale(problem, best, energy)
+        best = _at_one_scale(problem, best, energy, again)
     poses_by_frame = [found.motion.poses() for found in best]
     R, centre = np.stack([h.R[0, 0] for h in poses_by_frame]), np.stack([h.centre[0, 0] for h in poses_by_frame])
     status = [found.status[0] for found in best]
@@ -64,38 +84,48 @@ def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
     )
 
 
+def initial_of_frame(problem: Problem, n: int) -> Fixed:
+    """Return the initial poses of one frame."""
+    here = np.array([n])
+    masks = Masks(problem.masks.object[here], problem.masks.ignore[here])
+    return initial_poses(
+        problem.clip.take(here), masks, problem.inits, problem.options.seed, problem.prior_poses
+    )  # fmt: skip
+
+
 def _best_of_frame(problem: Problem, n: int, energy: Energy) -> Solution[Fixed]:
     """Find the best pose of one frame."""
-    clip, here = problem.clip, np.array([n])
 
     def of_frame(level: int, _: Int[ndarray, "1"]) -> Sequence[Term]:
-        return energy(level, here)
+        return energy(level, np.array([n]))
 
-    masks = Masks(problem.masks.object[here], problem.masks.ignore[here])
-    initial = initial_poses(clip.take(here), masks, problem.inits, problem.options.seed, problem.prior_poses)
-    search = Search(clip.hand.T_cam_hand[here], problem.surface, SCHEDULE, lambda _: None, problem.threads)
-    try:
-        motion = search.relax(initial, of_frame).core
-        return search.run(motion, of_frame)
-    except GetagripError as error:
-        raise GetagripError(f"frame {clip.frames[n]}: {error}") from error
+    T = problem.clip.hand.T_cam_hand[n : n + 1]
+    search = Search(T, problem.surface, SCHEDULE, lambda _: None, problem.threads)
+    motion = search.relax(initial_of_frame(problem, n), of_frame).core
+    return search.run(motion, of_frame)
 
 
-def _at_one_scale(problem: Problem, best: list[Solution[Fixed]], energy: Energy) -> list[Solution[Fixed]]:
+def _again(problem: Problem, n: int, energy: Energy, start: Fixed) -> Solution[Fixed]:
+    """Fit one frame from one start."""
+    T = problem.clip.hand.T_cam_hand[n : n + 1]
+    return minimise(start, energy(REFIT_LEVEL, np.array([n])), T, REFIT_ITERATIONS)
+
+
+def _at_one_scale(problem: Problem, best: list[Solution[Fixed]], energy: Energy, again: Again) -> list[Solution[Fixed]]:
     """Fit the frames again from equally large images at the median of their scales.
 
     Raises ``GetagripError`` where one cannot be rendered there.
     """
     poses_by_frame = [found.motion.poses() for found in best]
     scale = float(np.median([h.scale[0] for h in poses_by_frame]))
-    again = []
+    fitted = []
     for n, (h, T) in enumerate(zip(poses_by_frame, problem.clip.hand.T_cam_hand, strict=True)):
         eye = se3.inverse(T)[:3, 3]
         centre = eye + scale / h.scale[0] * (h.centre[:1, 0] - eye)
         start = Fixed(h.R[:1, 0], centre, np.full(1, np.log(scale)), frames=1)
-        again.append(minimise(start, energy(REFIT_LEVEL, np.array([n])), T[None], REFIT_ITERATIONS))
-        if again[-1].status[0] == Status.INVISIBLE:
+        fitted.append(again(problem, n, energy, start))
+        if fitted[-1].status[0] == Status.INVISIBLE:
             raise GetagripError(
                 f"frame {problem.clip.frames[n]}, at the median of all frames' scales: {Status.INVISIBLE.sentence}"
             )
-    return again
+    return fitted

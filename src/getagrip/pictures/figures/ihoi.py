@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 class Ihoi(Rows):
     """Our result, and under it the meshes that systems without a CAD model, as iHOI, reconstructed for each frame.
 
-    SCA is that of the hand's vertices: new meshes have no points in common.
+    Frames of which every system has a mesh are drawn, if any; else frames spread evenly over the clip. SCA is that of
+    the hand's vertices: new meshes have no points in common.
     """
 
     meshes: Annotated[tuple[str, ...], arg(metavar="NAME=DIR...", help_behavior_hint="")] = ()
@@ -55,7 +56,10 @@ class Ihoi(Rows):
             name, _, folder = text.partition("=")
             rows.append(self._row(name, Path(folder), views[0], contact, fail))
         under = "  ·  ".join([*about(views[0]), f"SCA: {contact.description}"])
-        return draw_rows(rows, views[0].clip.name, under, self.frames, self.dpi, with_hand=False)
+        meshes = zip(*(row.view.frame_meshes for row in rows if row.view.frame_meshes is not None), strict=True)
+        everywhere = np.array([None not in of_frame for of_frame in meshes])
+        among = np.flatnonzero(everywhere) if everywhere.any() else None
+        return draw_rows(rows, views[0].clip.name, under, self.frames, self.dpi, with_hand=False, among=among)
 
     def _row(self, name: str, folder: Path, ours: View, contact: ContactDefinition, fail: Fail) -> Row:
         """Make the row of a folder of meshes, in the frames of our result."""

@@ -118,12 +118,22 @@ def numbers(view: View, contact: ContactDefinition) -> list[str]:
     return texts + warnings(view)
 
 
-def draw_rows(rows: Sequence[Row], title: str, under: str, frames: int, dpi: int, with_hand: bool) -> Figure:
+def draw_rows(
+    rows: Sequence[Row],
+    title: str,
+    under: str,
+    frames: int,
+    dpi: int,
+    with_hand: bool,
+    among: Int[ndarray, "m"] | None = None,
+) -> Figure:
     """Draw the figure.
 
-    ``rows`` show the same frames, of which ``frames`` are drawn; the hand's contour where wanted.
+    ``rows`` show the same frames, of which ``frames`` are drawn, evenly of those in ``among`` or of all; the hand's
+    contour where wanted.
     """
-    chosen = np.array(evenly(frames, len(rows[0].view.result.frames)))
+    among = np.arange(len(rows[0].view.result.frames)) if among is None else among
+    chosen = among[evenly(frames, len(among))]
     width = LABEL + 2 * len(chosen) * (SIDE + GAP) + 0.25 + 0.1
     top = HEAD + 0.45
     sheet = Sheet.of(max(width, 7.0), top + len(rows) * (SIDE + GAP) + 0.45, dpi)
