@@ -182,3 +182,27 @@ def test_one_frame_is_no_video(scene: Path, run: Run) -> None:
     status, _, err = run(*DRAFT)
     assert status == 2
     assert "VIDEO must have two frames or more (got 1)" in err
+
+
+@pytest.mark.parametrize("footage", ["shot.jpg", "shots"])
+def test_a_single_image_is_taken(scene: Path, run: Run, footage: str) -> None:
+    (scene.parent / "shots").mkdir()
+    with av.open(str(scene)) as container:
+        image = next(container.decode(video=0)).to_ndarray(format="bgr24")
+    assert cv2.imwrite(str(scene.parent / "shot.jpg"), image)
+    assert cv2.imwrite(str(scene.parent / "shots" / "shot.jpg"), image)
+    status, out, err = run("draft", footage, *DRAFT[2:])
+    assert status == 0, err
+    assert "a single image: it is taken twice" in err
+    assert "the left hand in 2 of 2 frames" in out
+    assert "nothing is reconstructed: give --object-box or --masks" in err
+
+
+def test_a_mask_that_hardly_fills_its_box_is_refused(scene: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    labels = np.zeros((HEIGHT, WIDTH), np.uint8)
+    labels[100:106, 120:140] = 1
+    monkeypatch.setattr("getagrip.annotate.boxes.moving_in_box", lambda *_: labels)
+    status, _, err = run(*DRAFT, "--object-box", "90,70,80,80", "--interval", "1", "3")
+    assert status == 2
+    assert scene.is_file()
+    assert "what stands out in the box in 000001 fills 1.9 % of it: that is not the object" in err
