@@ -20,7 +20,10 @@ from typing import Any
 from getagrip.errors import GetagripError
 
 SECONDS, MEGABYTES = 10.0, 1200
-"""Limits of a case, of processor time and memory: small inputs take milliseconds. Arrays of a file may have 512 MB, and be copied once."""
+"""Limits of a case, of processor time and memory: small inputs take milliseconds.
+
+Arrays of a file may have 512 MB, and be copied once.
+"""
 CASES = 200
 """Of one process."""
 Read = Callable[[Path], object]

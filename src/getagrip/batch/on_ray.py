@@ -11,7 +11,7 @@ import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import chdir, contextmanager, nullcontext
+from contextlib import chdir, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from functools import lru_cache
 from types import ModuleType
@@ -20,7 +20,7 @@ from typing import Generic, TypeVar
 from getagrip.batch.executor import DIES, TRIES, Ended, Submitted, check_code, cores
 from getagrip.batch.limits import Limits
 from getagrip.batch.processes import Processes
-from getagrip.errors import UsageError
+from getagrip.errors import GetagripError, UsageError
 from getagrip.io import extras, own_python, plugins
 from getagrip.io.terminal import report
 
@@ -80,14 +80,23 @@ class RayExecutor(Generic[J, R]):
         self._at_work[self._start(job)] = Submitted(job, attempt)
 
     def wait(self, nap: float | None) -> list[Ended[J, R]]:
-        """Wait for the jobs that end next; none, when the ``nap`` is over [s] or no job is running."""
+        """Wait for the jobs that end next; none, when the ``nap`` is over [s] or no job is running.
+
+        Raises ``GetagripError`` where the cluster has died.
+        """
         if not self._at_work:
             time.sleep(nap or 0.0)
             return []
         refs = [*self._at_work]
-        if not self._ray.wait(refs, num_returns=1, timeout=nap)[0]:
-            return []
-        ready, _ = self._ray.wait(refs, num_returns=len(refs), timeout=0)  # all that have ended meanwhile, at once
+        try:
+            if not self._ray.wait(refs, num_returns=1, timeout=nap)[0]:
+                return []
+            ready, _ = self._ray.wait(refs, num_returns=len(refs), timeout=0)  # all that have ended meanwhile, at once
+        except self._ray.exceptions.RayError as error:
+            why = " ".join(str(error).split())
+            raise GetagripError(
+                f"Ray's cluster has died ({why}); what is done is kept, and the same call goes on"
+            ) from error
         ends = [self._ended(ref, self._at_work.pop(ref)) for ref in ready]
         lost = sum(ended is None for ended in ends)
         if lost:
@@ -98,7 +107,8 @@ class RayExecutor(Generic[J, R]):
         """Let all finish their jobs; a cluster that runs without us stays."""
         refs = [*self._at_work]
         if refs:
-            self._ray.wait(refs, num_returns=len(refs))
+            with suppress(self._ray.exceptions.RayError):  # of a cluster that has died
+                self._ray.wait(refs, num_returns=len(refs))
         if self._ours:
             self._ray.shutdown()
 

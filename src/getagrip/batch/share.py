@@ -6,7 +6,7 @@ These are options of several commands; what runs is loaded when it does.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
@@ -116,10 +116,12 @@ class Share:
         with its progress, which a bar shows. Raises ``UsageError`` as ``executor`` does, else as ``Engine.run``.
         """
         from getagrip.batch.engine import Pace, shown
+        from getagrip.batch.last_words import last_words
         from getagrip.io.terminal import progress_bar
 
         engine = replace(engine, executor=self.executor(count, few), limits=self.limits)
-        with progress_bar() as bar:
+        watched = last_words(ledger.path.parent, called) if self.engine == "ray" else nullcontext()
+        with watched, progress_bar() as bar:
             if stages:
                 engine = replace(engine, in_this=partial(shown, bar, engine.work))
             pace = Pace(bar, called, count)
