@@ -38,11 +38,10 @@ REFIT_LEVEL, REFIT_ITERATIONS = 256, 15
 WORST = (Status.LIMIT, Status.STUCK, Status.CONVERGED, Status.FINISHED)
 """The status of the frames is the first of these that one of them has."""
 
-
 OfFrame = Callable[[Problem, int, Energy], Solution[Fixed]]
 """From a problem, a frame and an energy to the solutions of that frame, best first."""
 Again = Callable[[Problem, int, Energy, Fixed], Solution[Fixed]]
-"""Likewise, from one start."""
+"""From a problem, a frame, an energy and one start to the solution of that frame."""
 
 
 def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
