@@ -182,8 +182,8 @@ def test_label_me_has_a_file_of_each_image(tmp_path: Path, refused: Callable[...
     read = open_masks(tmp_path, replace(REQUEST, hand=("hand:2",)))(1)
     assert read is not None
     assert read.hand is not None
-    write("frame_4", [{"label": "cup", "points": [[1, 1], [2, 2]], "shape_type": "circle"}])
-    refused(lambda: open_masks(tmp_path, REQUEST), "frame_4.json", "'circle'", "polygons and rectangles")
+    write("frame_4", [{"label": "cup", "points": [[1, 1], [2, 2]], "shape_type": "line"}])
+    refused(lambda: open_masks(tmp_path, REQUEST), "frame_4.json", "'line'", "one of polygon, rotation, rectangle")
 
 
 def test_masklets_are_of_every_fourth_frame(tmp_path: Path, refused: Callable[..., str]) -> None:

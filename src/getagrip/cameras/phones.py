@@ -31,7 +31,7 @@ TIME = "tracking_timestamp_us"
 
 def read_arkit(path: Path) -> CameraPath | None:
     """Read a folder of 3D Scanner App; None for another."""
-    found = sorted(path.glob("frame_*.json")) if path.is_dir() else []
+    found = files.listed(path, (".json",), "frame_*") if path.is_dir() else []
     if not found:
         return None
     poses, names, pinhole = [], [], None

@@ -29,7 +29,7 @@ SMALL = ("cam_c2w", "intrinsic", "traj", "scale", "img_focal", "img_center", "da
 
 def read_vipe(path: Path) -> CameraPath | None:
     """Read a folder of ViPE's results, or a file of its poses; None for another."""
-    found = [path] if path.is_file() and path.parent.name == "pose" else sorted((path / "pose").glob("*.npz"))
+    found = [path] if path.is_file() and path.parent.name == "pose" else files.listed(path / "pose", (".npz",))
     if not found or path.suffix not in ("", ".npz"):
         return None
     if len(found) > 1:

@@ -19,11 +19,11 @@ from numpy import ndarray
 from getagrip.clip.depth import DEPTH, DepthSource
 from getagrip.clip.depth_files import (
     FARTHEST,
+    MOST,
     SUFFIXES,
     check_shape,
     cleaned,
     depth_file,
-    png_size,
     read_pixels,
     read_png16,
     source_fields,
@@ -33,7 +33,7 @@ from getagrip.clip.reading import ClipHeader
 from getagrip.errors import InputError, UsageError, unknown
 from getagrip.io import arrays, files
 from getagrip.io.files import plain
-from getagrip.io.images import read_colour_png, write_depth
+from getagrip.io.images import png_size, read_colour_png, write_depth
 
 HO3D_UNIT = 0.00012498664727900177
 """Metres per unit of HO-3D's depth (``read_depth_img`` of its authors' code)."""
@@ -43,7 +43,7 @@ OTHER_CAMERA = 0.15
 
 def _ho3d(path: Path) -> Float[ndarray, "h w"]:
     """HO-3D's colours: red is the low byte, green the high one."""
-    colours = read_colour_png(path, png_size(path)).astype(float)
+    colours = read_colour_png(path, png_size(path, MOST)).astype(float)
     return colours[..., 0] + 256.0 * colours[..., 1]
 
 
@@ -127,8 +127,8 @@ def open_depth(path: Path, name: str, frames: Sequence[str], ask_first: str) -> 
 
 
 def _images(folder: Path) -> list[Path]:
-    inside = sorted(one for sub in folder.iterdir() if sub.is_dir() for one in sub.glob(f"{DEPTH}.*"))
-    alone = sorted(one for one in folder.iterdir() if one.is_file())
+    inside = [one for sub in files.folders_in(folder) for one in files.listed(sub, pattern=f"{DEPTH}.*")]
+    alone = files.listed(folder)
     alone = [one for one in alone if DEPTH in one.stem.lower()] or alone  # DexYCB's labels are arrays beside it
     for some in (inside, alone):
         for suffix in reversed(SUFFIXES):  # numbers with fractions rather than pictures of them

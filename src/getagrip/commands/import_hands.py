@@ -230,7 +230,7 @@ class ImportHands(Command):
         """Make the request; ``first`` is the number of the first frame's hand, where hands are counted differently."""
         if self.first is None:
             return Request(side, frames, K, size, self.mano)
-        return Request(side, renumbered(frames, self.first, "--first"), K, size, self.mano, ask_first="")
+        return Request(side, renumbered(frames, self.first, "--first"), K, size, self.mano, ask_first="", counted=True)
 
 
 if not TYPE_CHECKING:  # the choices of --from, and the options of each tracker, as the table has them

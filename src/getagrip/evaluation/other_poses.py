@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from getagrip.clip import Clip, Masks
+from getagrip.io import files
 from getagrip.metrics.mask import iou_of_poses
 from getagrip.object_poses.at_frames import place_of, read_poses
 from getagrip.result import FrameKind, Reconstruction, is_result, read_result
@@ -24,7 +25,7 @@ class OtherSystem:
     def inputs(self, clip: str) -> dict[str, Path]:
         """Return the files that hold the poses of a clip, by name. Raises ``InputError``."""
         place = place_of(self.root, clip)
-        inside = sorted(path for path in place.iterdir() if path.is_file()) if place.is_dir() else [place]
+        inside = files.listed(place) if place.is_dir() else [place]
         return {path.name: path for path in inside}
 
     def result(self, clip: Clip, masks: Masks | None, frames: Sequence[str]) -> Reconstruction:

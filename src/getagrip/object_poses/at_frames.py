@@ -85,7 +85,7 @@ def only_file(place: Path) -> Path:
     """Return a folder's one table of poses, where it has one; else the folder itself."""
     if not place.is_dir():
         return place
-    tables = sorted(path for path in place.iterdir() if path.suffix.lower() in (".csv", ".npz"))
+    tables = files.listed(place, (".csv", ".npz"))
     if len(tables) > 1:
         raise InputError(place, "", f"several files of poses, {tables[0].name}, {tables[1].name}", "one")
     return tables[0] if tables else place

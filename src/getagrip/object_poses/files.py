@@ -78,7 +78,7 @@ def read_pose_file(path: Path) -> PoseFile:
 
 def _folder(folder: Path) -> PoseFile:
     """Read a folder with a matrix in each file."""
-    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in ALONE)
+    paths = files.listed(folder, ALONE)
     if not paths:
         raise InputError(folder, "", "no poses in it", f"files named like the frames ({', '.join(ALONE)})")
     found = [read_pose_file(path) for path in paths]
