@@ -222,9 +222,9 @@ def _image(path: Path, key: str, array: ndarray, request: MaskRequest) -> ndarra
     if array.dtype.kind not in "biuf" or array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[0] != 1):
         expected = f"numbers or booleans of shape ({request.size[1]}, {request.size[0]})"
         raise InputError(path, key, f"{array.dtype} of shape {array.shape}", expected)
-    array = array.reshape(array.shape[-2:])
-    request.check_size(path, key, (array.shape[-1], array.shape[-2]))
-    return array
+    height, width = list(array.shape)[-2:]
+    request.check_size(path, key, (width, height))
+    return array.reshape(height, width)
 
 
 def holds_objects(path: Path) -> bool:

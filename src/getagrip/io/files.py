@@ -78,7 +78,8 @@ def listed(folder: Path, suffixes: Collection[str] = (), pattern: str = "*") -> 
 
 def folders_in(folder: Path) -> list[Path]:
     """List the folders in a folder, by name; but those that begin with a dot."""
-    return sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
+    inside = folder.iterdir() if folder.is_dir() else ()
+    return sorted(path for path in inside if path.is_dir() and not path.name.startswith("."))
 
 
 def inside(folder: Path, relative: str, key: str, what: str, source: Path | None = None) -> Path:

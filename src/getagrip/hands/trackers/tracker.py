@@ -5,7 +5,6 @@ A tracker subclasses ``Tracker`` in a file of its own. ``TRACKERS`` lists them.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -107,12 +106,7 @@ def frames_of_rows(path: Path, record: records.Record, count: int, request: Requ
         if names is None or len(names) != count:
             raise InputError(path, "frames", files.shown(record["frames"]), f"{count} names or numbers of frames")
         request.check_numbers(path, map(str, names))
-        found = [frame_of(str(name), request.frames) for name in names]
-        twice = next((n for n, often in Counter(found).items() if n is not None and often > 1), None)
-        if twice is not None:
-            got = f"{found.count(twice)} rows of frame {files.plain(request.frames[twice])}"
-            raise InputError(path, "frames", got, "one row for each frame")
-        return found
+        return [frame_of(str(name), request.frames) for name in names]
     rows = {row: n for n, row in rows_in_order(count, request.frames, path, "hand", request.counted).items()}
     return [rows.get(row) for row in range(count)]
 
