@@ -165,7 +165,7 @@ def test_depth_there_is_kept_and_other_counts_are_refused(
     path = unidepth(tmp_path / "made")
     np.save(path, Z[:2].astype(np.float32))
     assert run(clip, path, "unidepth") == 1
-    assert "2 images and no names of frames" in capsys.readouterr().err
+    assert "2 depth images without names" in capsys.readouterr().err
     np.save(path, np.zeros_like(Z))
     assert run(clip, path, "unidepth") == 1
     said = capsys.readouterr().err

@@ -5,8 +5,8 @@
 - **MegaSaM**: ``cam_c2w`` (N, 4, 4), ``intrinsic`` (3, 3) of the size of ``images`` or ``depths``. Not metric.
 - **HaWoR**: ``traj`` (N, 7), place and quaternion (x, y, z, w), with ``scale``, ``img_focal``, ``img_center``: metric.
   A ``traj`` without a scale, as of DROID-SLAM, is not.
-- **TUM** (RGB-D benchmark; evo, ORB-SLAM): lines of time, place, quaternion (x, y, z, w); those of EuRoC and VINS-Fusion,
-  with commas and times in ns, have w first; a table may name its columns. Metric or not.
+- **TUM** (RGB-D benchmark; evo, ORB-SLAM): lines of time, place, quaternion (x, y, z, w); w is first in those of EuRoC
+  and VINS-Fusion, which have commas and times in ns; a table may name its columns. Metric or not.
 - **KITTI** (odometry): lines of the upper three rows, row by row. Metric or not.
 """
 
@@ -45,9 +45,9 @@ def read_vipe(path: Path) -> CameraPath | None:
         lens = arrays.floats(beside, arrays.read(beside, SMALL.__contains__), "data", (-1, 4))
         if len(lens) != len(T):  # of some of the images
             lens = np.median(lens, axis=0)[None]
-        pinholes = tuple(
-            Pinhole.of(fx, fy, cx, cy, (round(2.0 * cx), round(2.0 * cy))) for fx, fy, cx, cy in lens.tolist()
-        )
+        sizes = np.rint(2.0 * lens[:, 2:]).astype(int)
+        each = zip(lens.tolist(), sizes.tolist(), strict=True)
+        pinholes = tuple(Pinhole.of(fx, fy, cx, cy, (w, h)) for (fx, fy, cx, cy), (w, h) in each)
     return CameraPath("ViPE's poses", pose, T, tuple(map(str, inds)), pinholes=pinholes, metric=True)
 
 

@@ -182,18 +182,19 @@ def rows_of_frames(
     return {n: of_frame[0] for n, of_frame in found.items()}
 
 
-def rows_in_order(count: int, frames: Sequence[str], source: object, what: str, counted: bool) -> dict[int, int]:
+def rows_in_order(count: int, frames: Sequence[str], source: Path, what: str, counted: bool) -> dict[int, int]:
     """Return the row of each frame among rows without names: of the clip's frames, or of a whole video.
 
-    Where the user has ``counted``, by ``--first``, frames have the numbers of their rows, from 0. Raises ``UsageError``
-    where rows are not as many as frames, or where a frame's row is not among them.
+    Where the user has ``counted``, by ``--first``, frames have the numbers of their rows, from 0. Raises ``InputError``
+    for fewer rows than frames, ``UsageError`` where it is not known which rows are meant, or where they are not there.
     """
+    got = f"{count} {what}s without names for {len(frames)} frames"
+    if count < len(frames):
+        raise InputError(source, "", got, f"one for each of the {len(frames)} frames, or names of their frames")
+    if not counted and count > len(frames):
+        which = f"--first N, the number of the first frame's {what}, counted from 0"
+        raise UsageError(f"{source}: {got}: missing {which}")
     if not counted:
-        if count != len(frames):
-            raise UsageError(
-                f"{source}: {count} {what}s without names for {len(frames)} frames: missing --first N, the number of "
-                f"the first frame's {what}, counted from 0"
-            )
         return {n: n for n in range(count)}
     rows = {n: int(number_of(frame) or 0) for n, frame in enumerate(frames)}
     if max(rows.values()) >= count:
