@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 
 from getagrip.cameras import CameraPath, read_path
 from getagrip.clip.intrinsics import camera_warning
-from getagrip.clip.naming import check_numbers, is_meant, number_of, renumbered, stem_of
+from getagrip.clip.naming import check_numbers, is_meant, renumbered, stem_of
 from getagrip.clip.per_frame import world
 from getagrip.clip.plausible import check_intrinsics
 from getagrip.clip.reading import ClipHeader, read_header
@@ -77,7 +77,7 @@ class ImportCameras(Command):
         names = header.frames if self.first is None else renumbered(header.frames, self.first, "--first")
         stems = [stem_of(name) for name in found.names if is_meant(name, self.images)]
         check_numbers(header.frames, stems, self.path, "pose", "" if counted else "--first")
-        how = names, _times(header), self.start, counted, self.images
+        how = names, header.times, self.start, counted, self.images
         poses, filled = found.scaled(self.metres or 1.0).at(*how)
         theirs = found.K_at(header.size, *how) if found.pinholes else None
         camera: dict[str, object] = {**header.fields["camera"], "T_world_cam": poses.tolist()}
@@ -139,15 +139,6 @@ class ImportCameras(Command):
             x, y = theirs[off.max(axis=1).argmax(), :2, 2]
             texts.append(f"principal point ({x:.4g}, {y:.4g}) px in the files, another in the clip: cropped images?")
         return texts
-
-
-def _times(header: ClipHeader) -> Float[ndarray, "T"]:
-    """Return the times of a clip's frames [s]: as stated, or at its rate by their numbers."""
-    if "times" in header.fields:
-        return np.array(header.fields["times"], dtype=float)
-    numbers = [number_of(name) for name in header.frames]
-    at = np.arange(len(numbers)) if None in numbers else np.array(numbers) - int(numbers[0] or 0)
-    return np.asarray(at / float(header.fields["fps"]))
 
 
 def _world(found: CameraPath, name: str, metres: float | None, filled: int, frames: int) -> Source:
