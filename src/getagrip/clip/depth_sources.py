@@ -28,7 +28,7 @@ from getagrip.clip.depth_files import (
     read_png16,
     source_fields,
 )
-from getagrip.clip.naming import check_numbers, is_meant, number_of, rows_in_order, rows_of_frames, stem_of
+from getagrip.clip.naming import check_numbers, meant, number_of, rows_in_order, rows_of_frames, stem_of
 from getagrip.clip.reading import ClipHeader
 from getagrip.errors import InputError, UsageError, unknown
 from getagrip.io import arrays, files
@@ -186,7 +186,7 @@ def _stack(
 
 
 def _rows(path: Path, names: Sequence[str], frames: Sequence[str], ask_first: str, images: str) -> dict[int, int]:
-    check_numbers(frames, [stem_of(name) for name in names if is_meant(name, images)], path, "depth image", ask_first)
+    check_numbers(frames, [stem_of(names[row]) for row in meant(names, images)], path, "depth image", ask_first)
     rows = rows_of_frames(names, frames, path, "depth image", images, "--images")
     if not rows:
         some = ", ".join(map(plain, names[:2]))

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Integer
 from numpy import ndarray
 
 from getagrip.clip.data import FrameMasks
-from getagrip.clip.naming import check_numbers, is_meant, rows_in_order, rows_of_frames, stem_of
+from getagrip.clip.naming import check_numbers, meant, rows_in_order, rows_of_frames, stem_of
 from getagrip.clip.plausible import check_shape
 from getagrip.errors import InputError
 from getagrip.io import files
@@ -110,7 +110,7 @@ class MaskRequest:
         Raises ``UsageError`` where they seem to be counted from another start, and ``InputError`` where a frame has
         two, or none has one.
         """
-        self.check_numbers(source, (stem_of(name) for name in names if is_meant(name, self.images)))
+        self.check_numbers(source, [stem_of(names[row]) for row in meant(names, self.images)])
         rows = rows_of_frames(names, self.frames, source, "mask", self.images, self.ask_images)
         if not rows:
             raise self.nothing(source, names)

@@ -86,7 +86,7 @@ def one_set(folder: Path, paths: Sequence[Path], images: str = "", option: str =
     ``option`` is that of the command line which chooses. Raises ``InputError`` for several of one number, as of colour
     and depth side by side, and ``UsageError`` where none is chosen.
     """
-    chosen = [path for path in paths if is_meant(path.name, images)]
+    chosen = [paths[row] for row in meant([path.name for path in paths], images)]
     if paths and not chosen:
         raise UsageError(f"{option} must be a pattern of names in {folder}, as {files.plain(paths[0].name)} is one")
     numbered: dict[int, dict[str, Path]] = {}
@@ -164,7 +164,7 @@ def rows_of_frames(
     ``what`` each is, in a word. ``images`` chooses among names, by a folder or a pattern, and ``option`` is that of the
     command line that does. Raises ``UsageError`` where none is chosen, and ``InputError`` for two of one frame.
     """
-    chosen = [row for row, name in enumerate(names) if is_meant(name, images)]
+    chosen = meant(names, images)
     if names and not chosen:
         some = f"a folder of {source}'s images or a pattern of their names, as {files.plain(names[0])}"
         raise UsageError(f"{option or '--images'} must be {some} (got {images!r})")
@@ -218,8 +218,16 @@ def check_one_image(source: Path, names: Sequence[str], found: Sequence[int | No
             raise InputError(source, "", f"a second image of frame {files.plain(frames[n])}, {both}", f"one{some}")
 
 
-def is_meant(name: str, images: str) -> bool:
-    """Return whether a name is in a folder, or like a pattern, that chooses among ``images``; all are without one."""
+def meant(names: Sequence[str], images: str) -> list[int]:
+    """Return which names are in a folder, or like a pattern, that chooses among ``images``; all without one.
+
+    A pattern that is a set's own, as ``*`` of ``000001`` beside ``000001_thumb``, chooses that set alone.
+    """
+    own = [row for row, name in enumerate(names) if images and pattern_of(name) == images]
+    return own or [row for row, name in enumerate(names) if _is_like(name, images)]
+
+
+def _is_like(name: str, images: str) -> bool:
     path, folder = PurePosixPath(name.replace("\\", "/")), images.strip("/")
     inside = f"/{folder}/" in f"/{path.parent}/"
     return not folder or inside or any(fnmatchcase(one, images) for one in (str(path), path.name, path.stem))

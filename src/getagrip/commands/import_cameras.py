@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 
 from getagrip.cameras import CameraPath, read_path
 from getagrip.clip.intrinsics import camera_warning
-from getagrip.clip.naming import check_numbers, is_meant, renumbered, stem_of
+from getagrip.clip.naming import check_numbers, renumbered, stem_of
 from getagrip.clip.per_frame import world
 from getagrip.clip.plausible import check_intrinsics
 from getagrip.clip.reading import ClipHeader, read_header
@@ -75,7 +75,7 @@ class ImportCameras(Command):
         found = self._found(header)
         counted = self.first is not None
         names = header.frames if self.first is None else renumbered(header.frames, self.first, "--first")
-        stems = [stem_of(name) for name in found.names if is_meant(name, self.images)]
+        stems = [stem_of(found.names[row]) for row in meant(found.names, self.images)]
         check_numbers(header.frames, stems, self.path, "pose", "" if counted else "--first")
         how = names, header.times, self.start, counted, self.images
         poses, filled = found.scaled(self.metres or 1.0).at(*how)
