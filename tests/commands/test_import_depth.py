@@ -16,6 +16,7 @@ from getagrip.clip import read_clip, with_evidence, write_clip
 from getagrip.clip.depth import DEPTH
 from getagrip.clip.depth_sources import HO3D_UNIT
 from helpers.clips import small_clip
+from helpers.command_line import Run
 from helpers.exr_files import exr
 
 NAMES = ("0000", "0001", "0002")
@@ -208,3 +209,27 @@ def test_the_field_of_view_in_arrays_is_compared_and_the_advice_fits_the_scale(
             np.savez(tmp_path / "made" / f"{name}.npz", depth=z.astype(np.float32), fov=np.float32(fov))
         assert run(clip, tmp_path / "made", "unidepth", "--scale", scale, "--overwrite") == status
         assert (words in capsys.readouterr().err) == (status == 3)
+
+
+@pytest.mark.parametrize("source", ["depth-anything-3", "realsense"])
+def test_numbers_that_grow_towards_the_camera_are_disparities(tmp_path: Path, run: Run, source: str) -> None:
+    """A network's are refused, a sensor's are said; depth behind the object is neither."""
+    clip, masks = small_clip()
+    folder = write_clip(clip, masks, tmp_path / "clip")
+    z = np.where(masks.object | masks.ignore, 0.5, 1.5)
+    for name, values in (("depth", z), ("inverse", 1.0 / z)):
+        np.savez(tmp_path / f"{name}.npz", depth=values.astype(np.float32))
+        call = ("import", "depth", tmp_path / f"{name}.npz", "--from", source, "--clip", folder, "--overwrite")
+        status, _, err = run(*call)
+        assert ("disparities (inverse depth)" in err) == (name == "inverse")
+        assert status == (0 if name == "depth" else 1 if source == "depth-anything-3" else 3)
+
+
+def test_megasam_s_file_and_numbered_stacks(tmp_path: Path, clip: Path) -> None:
+    K = np.array([[40.0, 0, 16], [0, 41, 12], [0, 0, 1]], np.float32)
+    np.savez(
+        tmp_path / "mug_sgd_cvd_hr.npz", depths=Z.astype(np.float16), intrinsic=K, cam_c2w=np.tile(np.eye(4), (3, 1, 1))
+    )
+    assert run(clip, tmp_path / "mug_sgd_cvd_hr.npz", "megasam") == 0
+    np.save(tmp_path / "clip01.npy", Z)
+    assert run(clip, tmp_path / "clip01.npy", "unidepth", "--overwrite") == 0

@@ -129,6 +129,8 @@ UNITS = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}
 """Units of time by their seconds."""
 EPOCH = (1e8, 1e10)
 """Times that may be since 1970 [s]."""
+STEPS = (1e-4, 10.0)
+"""Times from one pose to the next [s]."""
 NO_TURN, SMALL_TURN = 0.9999, 0.99
 """Real parts of quaternions of cameras that are hardly turned."""
 
@@ -141,7 +143,8 @@ def _unit_of_time(values: Float[ndarray, "n"]) -> tuple[float, bool]:
     if values[0] in (0.0, 1.0) and np.all(np.diff(values) == 1.0):
         return 1.0, True
     largest, step = float(np.abs(values).max()), float(np.median(steps))
-    since_1970 = next((unit for unit in UNITS if EPOCH[0] <= unit * largest <= EPOCH[1]), None)
+    usual = [unit for unit in UNITS if STEPS[0] <= unit * step <= STEPS[1]]
+    since_1970 = next((unit for unit in usual if EPOCH[0] <= unit * largest <= EPOCH[1]), None)
     if since_1970 is not None:
         return since_1970, False
     return min(UNITS, key=lambda unit: abs(np.log(max(step, 1e-9) * unit * 30.0))), False

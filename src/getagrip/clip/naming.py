@@ -73,8 +73,10 @@ def _set_of(name: str) -> tuple[str, int | None]:
     path = PurePosixPath(name.replace("\\", "/"))
     if task := _TASK.match(path.stem):
         return str(path.with_name(f"*-tag-{task[2]}-*")), number_in(path.stem)
-    number, stem = number_in(path.stem), without_codes(path.stem)
-    found = [each for each in re.finditer(r"\d{1,12}", stem) if number is None or int(each[0]) == number]
+    stem = without_codes(path.stem)
+    bare = _THING.sub("", stem)
+    bare = _PERSON.sub("", bare) if number_of(_PERSON.sub("", bare)) is not None else bare
+    found = list(re.finditer(r"\d{1,12}", bare))
     begin, end = found[-1].span() if found else (0, len(stem))
     pattern = re.sub(r"\d{4,}|\d+(?=\.\*)", "*", f"{stem[:begin]}*{stem[end:]}")
     return str(path.with_name(pattern)), int(found[-1][0]) if found else None

@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 
 from getagrip.cameras import CameraPath, read_path
 from getagrip.clip.intrinsics import camera_warning
-from getagrip.clip.naming import check_numbers, renumbered, stem_of
+from getagrip.clip.naming import check_numbers, meant, renumbered, stem_of
 from getagrip.clip.per_frame import world
 from getagrip.clip.plausible import check_intrinsics
 from getagrip.clip.reading import ClipHeader, read_header

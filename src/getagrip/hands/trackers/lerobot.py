@@ -111,9 +111,8 @@ class LeRobot(Tracker):
         shares = [_share_in_masks(half, frames, request) for half in halves]
         if abs(shares[0] - shares[1]) > CLEARLY_IN:
             return request.side if shares[0] > shares[1] else other, "by the hand's masks"
-        if values.shape[1] == 126 and (usual := np.isfinite(values).all(axis=1) & (values != 0.0).all(axis=1)).any():
-            some = [half[usual][:: max(1, int(usual.sum()) // TRIED)].reshape(-1, 21, 3) for half in halves]
-            off = {s: misfit(some[0], "openpose", s) + misfit(some[1], "openpose", opposite(s)) for s in SIDES}
+        if values.shape[1] == 126:
+            off = {side: _misfit(halves[0], side) + _misfit(halves[1], opposite(side)) for side in SIDES}
             first = min(SIDES, key=lambda side: off[side])
             if off[first] < CLEARLY * off[opposite(first)]:
                 return first, "by which hand fits"
@@ -250,6 +249,13 @@ def _frames(
     rows = {row: n for n, row in best.items()}
     said = f"{1 / step:.3g} rows a second, {1 / own:.3g} frames per second: matched by timestamp"
     return [rows.get(row) for row in range(count)], said
+
+
+def _misfit(values: Float[ndarray, "T 63"], side: Side) -> float:
+    """Measure how far the joints of a hand are off one of a side [m], in some rows that have them; 0 without any."""
+    there = values[np.isfinite(values).all(axis=1) & (values != 0.0).any(axis=1)]
+    some = there[frame_indices(len(there), TRIED)] if len(there) else there
+    return misfit(some.reshape(-1, 21, 3), "openpose", side) if len(some) else 0.0
 
 
 def _share_in_masks(values: Float[ndarray, "T n"], frames: Sequence[int | None], request: Request) -> float:
