@@ -28,7 +28,7 @@ UNIT = 2.0
 
 
 INVERSE = 0.85
-"""What is around the object is farther than this times its distance, by far for the most part; not in disparities."""
+"""Least distance of the pixels around the object [distances of the object]; below it, depth images are disparities."""
 FEWEST_SAMPLES = 20
 """Pixels of the object, and around it, from which on their distances are compared."""
 

@@ -177,7 +177,7 @@ def _stack(
             raise InputError(path, "frames", files.shown(stored["frames"]), f"{len(depth)} names or numbers of frames")
         rows = _rows(path, [str(name) for name in names], frames, ask_first, "")
     else:
-        rows = rows_in_order(len(depth), frames, path, "depth image", counted)
+        rows = rows_in_order(len(depth), frames, path, "depth image", counted, ask_first or "--first")
     focal, K = np.nan, stored.get("intrinsics", stored.get("intrinsic"))
     if K is not None and K.ndim in (2, 3) and K.shape[-2:] == (3, 3) and K.dtype.kind == "f" and len(K):
         focal = float(np.median(K[..., 0, 0])) / depth.shape[2]

@@ -118,7 +118,7 @@ class MaskRequest:
 
     def in_order(self, source: Path, count: int) -> dict[int, int]:
         """Match masks without names to frames. Raises ``UsageError`` as ``naming.rows_in_order`` does."""
-        return rows_in_order(count, self.frames, source, "mask", self.counted)
+        return rows_in_order(count, self.frames, source, "mask", self.counted, self.ask_first or "--first")
 
     def nothing(self, source: Path, names: Sequence[str]) -> InputError:
         """Make the error that there is no mask of any frame."""

@@ -184,24 +184,26 @@ def rows_of_frames(
     return {n: of_frame[0] for n, of_frame in found.items()}
 
 
-def rows_in_order(count: int, frames: Sequence[str], source: Path, what: str, counted: bool) -> dict[int, int]:
+def rows_in_order(
+    count: int, frames: Sequence[str], source: Path, what: str, counted: bool, option: str = "--first"
+) -> dict[int, int]:
     """Return the row of each frame among rows without names: of the clip's frames, or of a whole video.
 
-    Where the user has ``counted``, by ``--first``, frames have the numbers of their rows, from 0. Raises ``InputError``
+    Where the user has ``counted``, by an ``option``, frames have the numbers of their rows, from 0. Raises ``InputError``
     for fewer rows than frames, ``UsageError`` where it is not known which rows are meant, or where they are not there.
     """
     got = f"{count} {what}s without names for {len(frames)} frames"
     if count < len(frames):
         raise InputError(source, "", got, f"one for each of the {len(frames)} frames, or names of their frames")
     if not counted and count > len(frames):
-        which = f"--first N, the number of the first frame's {what}, counted from 0"
+        which = f"{option} N, the number of the first frame's {what}, counted from 0"
         raise UsageError(f"{source}: {got}: missing {which}")
     if not counted:
         return {n: n for n in range(count)}
     rows = {n: int(number_of(frame) or 0) for n, frame in enumerate(frames)}
     if max(rows.values()) >= count:
         raise UsageError(
-            f"--first must be such that the clip's frames are among {count} {what}s of {source}, counted from 0 "
+            f"{option} must be such that the clip's frames are among {count} {what}s of {source}, counted from 0 "
             f"(got {rows[0]}: the last frame's is number {rows[len(frames) - 1]})"
         )
     return rows
@@ -236,7 +238,7 @@ def _is_like(name: str, images: str) -> bool:
 
 
 def alternatives(names: Sequence[str]) -> list[str]:
-    """Folders, suffixes or patterns of names, whichever tell images of one frame apart; the first few."""
+    """List folders, suffixes or patterns of names, whichever tell images of one frame apart; the first few."""
     paths = [PurePosixPath(name.replace("\\", "/")) for name in names]
     for each in (
         {str(path.parent) for path in paths},

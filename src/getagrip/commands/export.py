@@ -38,7 +38,7 @@ class Export(Command):
     test_share: float = 0.0
     """With --one-dataset: share of the clips that are for tests, chosen by their names; the others are for training."""
     fps: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="(default: as the clip)")] = None
-    """Resample to so many evenly spaced frames per second: poses are interpolated, images are the nearest ones."""
+    """Resample to this rate, evenly [frames per second]: poses are interpolated, images are the nearest ones."""
     clips: ClipsFolder = None
     """A clip, or the folder that holds the clips by name."""
     overwrite: Flag = False

@@ -115,7 +115,7 @@ class Change:
         moved: median shift of the object's origin in the hand [m].
         turned: median rotation of the object in the hand [rad].
         right: how probable it is that the poses are right in the hand, and in the camera, before and after, in words.
-        notes: what is said of the given poses.
+        notes: remarks on the poses before.
     """
 
     clip: str

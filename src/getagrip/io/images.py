@@ -154,7 +154,7 @@ def open_jpeg(path: Path, key: str, content: bytes) -> JpegImageFile:
 
 
 def png_size(path: Path, most: int) -> tuple[int, int]:
-    """Return width and height as a PNG's head states them, at most so many pixels. Raises ``InputError``."""
+    """Return width and height as a PNG's head states them. Raises ``InputError`` above ``most`` pixels."""
     if not path.is_file():
         raise InputError(path, "", "no such file", "a PNG file")
     with path.open("rb") as stream:

@@ -107,7 +107,9 @@ def frames_of_rows(path: Path, record: records.Record, count: int, request: Requ
             raise InputError(path, "frames", files.shown(record["frames"]), f"{count} names or numbers of frames")
         request.check_numbers(path, map(str, names))
         return [frame_of(str(name), request.frames) for name in names]
-    rows = {row: n for n, row in rows_in_order(count, request.frames, path, "hand", request.counted).items()}
+    option = request.ask_first or "--first"
+    in_order = rows_in_order(count, request.frames, path, "hand", request.counted, option)
+    rows = {row: n for n, row in in_order.items()}
     return [rows.get(row) for row in range(count)]
 
 
@@ -116,7 +118,7 @@ def frames_of_images(path: Path, record: records.Record, count: int, request: Re
 
     These are counted from 0, and the video's frames from 1 where the request does not state the first one's number.
     """
-    if "frames" in record or request.counted or count == len(request.frames):
+    if "frames" in record or (count == len(request.frames) and not request.counted):
         return frames_of_rows(path, record, count, request)
     return [frame_of(str(n + 1 if request.ask_first else n), request.frames) for n in range(count)]
 
