@@ -189,8 +189,9 @@ def rows_in_order(
 ) -> dict[int, int]:
     """Return the row of each frame among rows without names: of the clip's frames, or of a whole video.
 
-    Where the user has ``counted``, by an ``option``, frames have the numbers of their rows, from 0. Raises ``InputError``
-    for fewer rows than frames, ``UsageError`` where it is not known which rows are meant, or where they are not there.
+    Where the user has ``counted``, by an ``option``, frames have the numbers of their rows, from 0. Raises
+    ``InputError`` for fewer rows than frames, ``UsageError`` where it is not known which rows are meant, or where they
+    are not there.
     """
     got = f"{count} {what}s without names for {len(frames)} frames"
     if count < len(frames):
