@@ -32,7 +32,7 @@ def test_a_path_comes_back(tmp_path: Path, source: str) -> None:
     if found.pinhole is not None:
         assert abs(found.pinhole.K[0, 0] - FX) < 1e-9
         assert found.pinhole.distorted == (source == "COLMAP, text")
-    assert (found.up is not None) == (source in ("ARKit", "Aria"))
+    assert (found.up is not None) == (source in ("ARKit", "Aria", "Record3D"))
     if found.names:
         poses, filled = found.at([f"{n:06d}" for n in (2, 3, 5)], np.zeros(3), None)
         np.testing.assert_allclose(poses, known()[[1, 2, 4]], atol=1e-9)

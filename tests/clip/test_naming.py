@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.clip.naming import frame_of, number_in
+from getagrip.clip.naming import frame_of, meant, number_in, pattern_of
 
 FRAMES = tuple(f"{n:06d}" for n in range(1, 31))
 
@@ -31,6 +31,11 @@ FRAMES = tuple(f"{n:06d}" for n in range(1, 31))
         ("frame_0000000743", 743),
         ("000743_0", 743),
         ("cam_01", 1),
+        ("000001_object0", 1),
+        ("000012_mask", 12),
+        ("000012_class_mug", 12),
+        ("clip2_mask_000743", 743),
+        ("task-41-annotation-101-by-1-tag-mug-0", 41),
     ],
 )
 def test_numbers_are_those_of_frames(name: str, number: int | None) -> None:
@@ -48,3 +53,18 @@ def test_a_hash_behind_the_name_changes_nothing(n: int, content: bytes, separato
 def test_dates_are_frames_where_frames_are_dates() -> None:
     assert frame_of("000001_20250131", ("20250131", "20250201")) == 0
     assert frame_of("cam0_1234567890123", ("234567890122", "234567890123")) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "pattern"),
+    [
+        ("rgb_000001.png", "rgb_*"),
+        ("cam0/000001_object1.png", "cam0/*_object1"),
+        ("000001_thumb.jpg", "*_thumb"),
+        ("1403636579.763555.png", "*.*"),
+        ("task-41-annotation-101-by-1-tag-mug-0.png", "*-tag-mug-*"),
+    ],
+)
+def test_sets_of_images_have_a_pattern(name: str, pattern: str) -> None:
+    assert pattern_of(name) == pattern
+    assert meant([name, "other.png"], pattern) == [0]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import base64
 import json
+import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from numpy import ndarray
@@ -182,8 +185,8 @@ def test_label_me_has_a_file_of_each_image(tmp_path: Path, refused: Callable[...
     read = open_masks(tmp_path, replace(REQUEST, hand=("hand:2",)))(1)
     assert read is not None
     assert read.hand is not None
-    write("frame_4", [{"label": "cup", "points": [[1, 1], [2, 2]], "shape_type": "circle"}])
-    refused(lambda: open_masks(tmp_path, REQUEST), "frame_4.json", "'circle'", "polygons and rectangles")
+    write("frame_4", [{"label": "cup", "points": [[1, 1], [2, 2]], "shape_type": "line"}])
+    refused(lambda: open_masks(tmp_path, REQUEST), "frame_4.json", "'line'", "one of polygon, rotation, rectangle")
 
 
 def test_masklets_are_of_every_fourth_frame(tmp_path: Path, refused: Callable[..., str]) -> None:
@@ -201,3 +204,96 @@ def test_masklets_are_of_every_fourth_frame(tmp_path: Path, refused: Callable[..
     refused(lambda: open_masks(path, MaskRequest(frames, SIZE)), "several, 0, 1", "--object")
     path.write_text(json.dumps(content | {"masklet_id": [0]}))
     refused(lambda: open_masks(path, MaskRequest(frames, SIZE)), "masklet_id")
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_polygon_in_another_is_a_hole_if_it_is_wound_the_other_way(tmp_path: Path, turned: bool) -> None:
+    outer, inner = [2, 2, 18, 2, 18, 12, 2, 12], [6, 5, 6, 9, 12, 9, 12, 5]
+    inner = [
+        each for corner in list(zip(inner[::2], inner[1::2], strict=True))[:: -1 if turned else 1] for each in corner
+    ]
+    images = [image(0, f"{FRAMES[0]}.jpg")]
+    path = write_coco(tmp_path / "c.json", images, [{"image_id": 0, "segmentation": [inner, outer]}])
+    reader = open_masks(path, REQUEST)
+    read = reader(0)
+    assert read is not None
+    assert read.object[7, 9] == turned
+    assert read.object[4, 4]
+    assert any("inside others" in note for note in reader.notes) == turned
+
+
+def test_label_me_s_pictures_circles_and_groups(tmp_path: Path) -> None:
+    content = cv2.imencode(".png", A[2:6, 3:9] * np.uint8(255))[1].tobytes()
+    picture = {"shape_type": "mask", "points": [[3, 2], [8, 5]], "mask": base64.b64encode(content).decode()}
+    hole = [{"points": [[2, 2], [18, 2], [18, 12], [2, 12]]}, {"points": [[6, 5], [6, 9], [12, 9], [12, 5]]}]
+    for shapes, inside, outside in (
+        ([picture], (2, 3), (6, 3)),
+        ([{"shape_type": "circle", "points": [[10, 7], [14, 7]]}], (7, 12), (7, 15)),
+        ([{**one, "group_id": 1} for one in hole], (4, 4), (7, 9)),
+    ):
+        about = {"imageWidth": SIZE[0], "imageHeight": SIZE[1]}
+        labelled = [{"label": "cup", "shape_type": "polygon", **one} for one in shapes]
+        (tmp_path / f"{FRAMES[0]}.json").write_text(json.dumps({"shapes": labelled, **about}))
+        read = seen(tmp_path, REQUEST)
+        assert read[inside]
+        assert not read[outside]
+
+
+def test_masks_of_half_size_are_resized_and_said(tmp_path: Path, refused: Callable[..., str]) -> None:
+    """In every kind of file; of another shape only where they are said to be stretched."""
+    half = A[::2, ::2]
+    images = [{**image(0, f"{FRAMES[0]}.jpg"), "width": 10, "height": 7}]
+    sources = [write_coco(tmp_path / "c.json", images, [{"image_id": 0, "segmentation": encoded(half, True)}])]
+    (tmp_path / "png").mkdir()
+    write_png(tmp_path / "png" / f"{FRAMES[0]}.png", 1 * half, 8, 0)
+    np.savez(tmp_path / "a.npz", object=half[None], frames=np.array(FRAMES[:1]))
+    (tmp_path / "s.pkl").write_bytes(pickle.dumps({3: {"cup": half}}))
+    for source in (*sources, tmp_path / "png", tmp_path / "a.npz", tmp_path / "s.pkl"):
+        chosen = ("1",) if source.name == "png" else ("cup",)
+        reader = open_masks(source, replace(REQUEST, object=chosen))
+        read = reader(0)
+        assert read is not None
+        np.testing.assert_array_equal(read.object, np.kron(half, np.ones((2, 2), bool)))
+        assert [*reader.notes] == ["masks of 10 x 7 pixels were resized to 20 x 14, in images"]
+    write_png(tmp_path / "png" / f"{FRAMES[0]}.png", 1 * half[:, :7], 8, 0)
+    square = replace(REQUEST, object=("1",))
+    refused(lambda: open_masks(tmp_path / "png", square)(0), "7 x 7 pixels", "--stretched")
+    assert seen(tmp_path / "png", replace(square, stretched=True)).shape == A.shape
+
+
+def test_sam_3_s_outputs_yolo_s_texts_and_cvat_s_labels(tmp_path: Path, refused: Callable[..., str]) -> None:
+    outputs = {n: {"out_obj_ids": np.array([4, 7]), "out_binary_masks": np.stack([A, B])} for n in (3, 4)}
+    (tmp_path / "s.pkl").write_bytes(pickle.dumps(outputs))
+    np.testing.assert_array_equal(seen(tmp_path / "s.pkl", replace(REQUEST, object=("7",))), B)
+    (tmp_path / "yolo").mkdir()
+    (tmp_path / "yolo" / f"{FRAMES[0]}.txt").write_text("1 0.15 0.15 0.45 0.15 0.45 0.43 0.15 0.43\n0 .9 .9 1 1 1 .9\n")
+    read = seen(tmp_path / "yolo", replace(REQUEST, object=("1",)))
+    assert read[3, 5]
+    assert not read[12:].any()
+    (tmp_path / "yolo" / f"{FRAMES[0]}.txt").write_text("1 0.5 0.5 0.2 0.2\n")
+    refused(lambda: open_masks(tmp_path / "yolo", REQUEST), "boxes are no masks")
+    for kind in ("SegmentationClass", "SegmentationObject"):
+        (tmp_path / "cvat" / kind).mkdir(parents=True)
+        picture = np.zeros((*A.shape, 3), np.uint8)
+        picture[A], picture[B] = (83, 50, 250), (245, 61, 61)
+        cv2.imwrite(str(tmp_path / "cvat" / kind / f"{FRAMES[0]}.png"), picture)
+    things = replace(REQUEST, object=("SegmentationObject",))
+    refused(lambda: open_masks(tmp_path / "cvat", things)(0), "several values, #3d3df5, #fa3253")
+    (tmp_path / "cvat" / "labelmap.txt").write_text(
+        "# label:color\nbackground:0,0,0::\nhand:61,61,245::\ncup:250,50,83::\n"
+    )
+    np.testing.assert_array_equal(seen(tmp_path / "cvat", REQUEST), A)
+    with pytest.raises(UsageError, match=r"missing --object; choose from the labels of .*: hand, cup"):
+        open_masks(tmp_path / "cvat", replace(REQUEST, object=()))
+
+
+def test_labels_that_are_in_no_frame_are_said(tmp_path: Path) -> None:
+    path = write_coco(
+        tmp_path / "c.json", [image(0, f"{FRAMES[0]}.jpg")], [{"image_id": 0, "segmentation": encoded(A, True)}]
+    )
+    assert open_masks(path, replace(REQUEST, hand=("glove",))).unmet == {"--hand glove"}
+    (tmp_path / "png").mkdir()
+    write_png(tmp_path / "png" / f"{FRAMES[0]}.png", 1 * A, 8, 0)
+    reader = open_masks(tmp_path / "png", replace(REQUEST, object=("1",), ignore=("5",)))
+    reader(0)
+    assert reader.unmet == {"--ignore 5"}

@@ -16,6 +16,7 @@ from getagrip.clip import read_clip, with_evidence, write_clip
 from getagrip.clip.depth import DEPTH
 from getagrip.clip.depth_sources import HO3D_UNIT
 from helpers.clips import small_clip
+from helpers.command_line import Run
 from helpers.exr_files import exr
 
 NAMES = ("0000", "0001", "0002")
@@ -165,7 +166,7 @@ def test_depth_there_is_kept_and_other_counts_are_refused(
     path = unidepth(tmp_path / "made")
     np.save(path, Z[:2].astype(np.float32))
     assert run(clip, path, "unidepth") == 1
-    assert "2 images and no names of frames" in capsys.readouterr().err
+    assert "2 depth images without names" in capsys.readouterr().err
     np.save(path, np.zeros_like(Z))
     assert run(clip, path, "unidepth") == 1
     said = capsys.readouterr().err
@@ -252,3 +253,27 @@ def test_numbers_of_frames_below_0_are_refused(tmp_path: Path, clip: Path, capsy
     np.savez(tmp_path / "d.npz", depth=Z, frames=[-2, -1, 0])
     assert run(clip, tmp_path / "d.npz", "unidepth") == 1
     assert "frames must be 3 names or numbers of frames" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("source", ["depth-anything-3", "realsense"])
+def test_numbers_that_grow_towards_the_camera_are_disparities(tmp_path: Path, run: Run, source: str) -> None:
+    """A network's are refused, a sensor's are said; depth behind the object is neither."""
+    clip, masks = small_clip()
+    folder = write_clip(clip, masks, tmp_path / "clip")
+    z = np.where(masks.object | masks.ignore, 0.5, 1.5)
+    for name, values in (("depth", z), ("inverse", 1.0 / z)):
+        np.savez(tmp_path / f"{name}.npz", depth=values.astype(np.float32))
+        call = ("import", "depth", tmp_path / f"{name}.npz", "--from", source, "--clip", folder, "--overwrite")
+        status, _, err = run(*call)
+        assert ("disparities (inverse depth)" in err) == (name == "inverse")
+        assert status == (0 if name == "depth" else 1 if source == "depth-anything-3" else 3)
+
+
+def test_megasam_s_file_and_numbered_stacks(tmp_path: Path, clip: Path) -> None:
+    K = np.array([[40.0, 0, 16], [0, 41, 12], [0, 0, 1]], np.float32)
+    np.savez(
+        tmp_path / "mug_sgd_cvd_hr.npz", depths=Z.astype(np.float16), intrinsic=K, cam_c2w=np.tile(np.eye(4), (3, 1, 1))
+    )
+    assert run(clip, tmp_path / "mug_sgd_cvd_hr.npz", "megasam") == 0
+    np.save(tmp_path / "clip01.npy", Z)
+    assert run(clip, tmp_path / "clip01.npy", "unidepth", "--overwrite") == 0

@@ -252,7 +252,7 @@ def test_folders_that_are_no_footage_are_refused_by_file(made: Path, capsys: pyt
         ({}, "no images in it"),
         ({"1.png": (64, 256)}, "must be at least 2"),
         ({"1.png": (64, 256), "2.png": (32, 256)}, "must be 256 x 64"),
-        ({"1.png": (64, 256), "1.jpg": (64, 256)}, "got another image of the name of 1.jpg"),
+        ({"1.png": (64, 256), "1.jpg": (64, 256)}, "got several images of one frame, 1.jpg and 1.png"),
     ]
     for content, words in cases:
         for old in folder.iterdir():

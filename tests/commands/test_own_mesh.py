@@ -46,3 +46,32 @@ def test_free_scale_needs_no_unit_and_known_scale_names_the_option(tmp_path: Pat
         read_mesh(path)
     with pytest.raises(UsageError, match="--unit cannot be used"):
         own_mesh(MeshOptions(Path("mug"), unit="mm"))
+
+
+def with_table(path: Path) -> Path:
+    """A tetrahedron of 0.1, and under it a sheet of 0.24."""
+    box(path, 0.1)
+    sheet = [(-0.12, -0.12), (0.12, -0.12), (0.12, 0.12), (-0.12, 0.12)]
+    corners = "".join(f"v {x} {y} -0.01\n" for x, y in sheet)
+    path.write_text(path.read_text() + corners + "f 5 6 7\nf 5 7 8\n")
+    return path
+
+
+def test_sizes_are_of_the_part_that_is_held(tmp_path: Path) -> None:
+    path = with_table(tmp_path / "scan.obj")
+    with pytest.raises(UsageError, match=r"2 separate parts, 0.24 x 0.24 x 0, 0.1 x 0.1 x 0.1.*--part N.*--size-mm"):
+        own_mesh(MeshOptions(path, 80.0))
+    one, all_of = (own_mesh(MeshOptions(path, 80.0, part=part)) for part in ("2", "all"))
+    assert np.ptp(one.mesh.vertices, axis=0).max() == pytest.approx(0.08)
+    assert len(one.mesh.faces) == 4
+    assert len(all_of.mesh.faces) == 6
+    assert "2 separate parts" in str(own_mesh(MeshOptions(path)).provenance["mesh"])
+    with pytest.raises(UsageError, match="--part must be 1 to 2"):
+        own_mesh(MeshOptions(path, 80.0, part="3"))
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_a_mark_before_the_first_vertex_changes_nothing(tmp_path: Path, encoding: str) -> None:
+    plain = box(tmp_path / "a.obj", 0.1, "v 0 0 0.05\n")
+    (tmp_path / "b.obj").write_text(plain.read_text(), encoding=encoding)
+    np.testing.assert_array_equal(read_mesh(tmp_path / "b.obj").vertices, read_mesh(plain).vertices)

@@ -279,3 +279,18 @@ def test_the_command_exports_results_and_names_what_it_cannot(clip_folder: Path,
     status, _, err = run("export", tmp_path / "results", "--to", "pdf")
     assert (status, all(name in err for name in FORMATS)) == (2, True)
     assert all(f"{name}:" in run("export", "--help")[1] for name in FORMATS)
+
+
+def test_uneven_frames_are_resampled(scene: Scene, capsys: pytest.CaptureFixture[str]) -> None:
+    """Poses are on the path between the frames, and no time is lost; even frames stay as they are."""
+    even = replace(scene, time=np.array([0.0, 0.101, 0.199]))
+    assert even.even(10.0) is even
+    assert capsys.readouterr().err == ""
+    uneven = replace(scene, time=np.array([0.0, 0.1, 0.5]))
+    made = uneven.even(10.0)
+    np.testing.assert_allclose(made.time, np.arange(6) / 10.0)
+    np.testing.assert_allclose(made.T_cam_hand[[0, 1, 5]], scene.T_cam_hand, atol=1e-9)
+    middle = made.T_cam_hand[3, :3, 3]
+    np.testing.assert_allclose(middle, scene.T_cam_hand[1:, :3, 3].mean(axis=0), atol=1e-9)
+    assert made.frame_kind[2:5] == ("interpolated",) * 3
+    assert "up to 300 ms off 10 a second" in capsys.readouterr().err

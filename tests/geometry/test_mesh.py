@@ -189,7 +189,6 @@ BROKEN: dict[str, tuple[str | bytes, str, str]] = {
     **{f"empty{s}": (b"", "faces" if s == ".obj" else "mesh", "") for s in SUFFIXES},
     **{f"noise{s}": (NOISE, "faces" if s == ".obj" else "mesh", "") for s in SUFFIXES},
     **{f"prose{s}": ("a mug of tea\n" * 20, "faces" if s == ".obj" else "mesh", "") for s in SUFFIXES},
-    "utf16.obj": ((TRIANGLE + "f 1 2 3\n").encode("utf-16"), "faces", "no faces"),
     "beyond.obj": (TRIANGLE + "f 1 2 9\n", "faces", "must be 1 to 3"),
     "beyond.ply": (PLY_HEADER.format(1) + "3 0 1 9\n", "faces", "must be 0 to 2"),
     "negative.ply": (PLY_HEADER.format(1) + "3 0 1 -1\n", "faces", "the vertex index -1"),

@@ -125,9 +125,26 @@ def kitti(place: Path, T: np.ndarray) -> Path:
     return place / "00.txt"
 
 
+def nerfstudio(place: Path, T: np.ndarray) -> Path:
+    lens = {"fl_x": FX, "fl_y": FY, "cx": CX, "cy": CY, "w": 640, "h": 480, "camera_model": "PINHOLE"}
+    each = zip(NAMES, T @ OPENGL, strict=True)
+    frames = [{"file_path": f"./images/{name}.png", "transform_matrix": pose.tolist()} for name, pose in each]
+    (place / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+    return place
+
+
+def record3d(place: Path, T: np.ndarray) -> Path:
+    T = T @ OPENGL
+    content = {"w": 640, "h": 480, "fps": 60, "K": [FX, 0, 0, 0, FY, 0, CX, CY, 1]}
+    content["poses"] = np.hstack([xyzw(T), T[:, :3, 3]]).tolist()
+    (place / "metadata.json").write_text(json.dumps(content))
+    return place
+
+
 WRITERS: dict[str, tuple[Callable[[Path, np.ndarray], Path], str, bool]] = {
     "COLMAP, text": (colmap_txt, "COLMAP", False), "COLMAP, binary": (colmap_bin, "COLMAP", False),
     "EPIC-Fields": (epic_fields, "EPIC-Fields", False), "ViPE": (vipe, "ViPE", True),
     "MegaSaM": (megasam, "MegaSaM", False), "HaWoR": (hawor, "HaWoR", True), "ARKit": (arkit, "ARKit", True),
     "Aria": (aria, "Aria", True), "TUM": (tum, "TUM", False), "KITTI": (kitti, "KITTI", False),
+    "nerfstudio": (nerfstudio, "nerfstudio", False), "Record3D": (record3d, "Record3D", True),
 }  # fmt: skip

@@ -13,16 +13,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from getagrip.clip import Clip, Masks, write_clip
+from getagrip.clip import Clip, Masks, read_clip, write_clip
 from getagrip.commands.evaluate import Evaluate
 from getagrip.commands.evaluate_others import pose_jobs
 from getagrip.errors import UsageError
 from getagrip.evaluation import evaluate
-from getagrip.evaluation.other_poses import poses_of
+from getagrip.evaluation.other_poses import misses, poses_of
 from getagrip.export import bop
 from getagrip.export.scene import Scene
 from getagrip.geometry import se3
+from getagrip.geometry.depth import covered
 from getagrip.io import arrays
+from getagrip.metrics.mask import iou_of_poses
 from getagrip.object_poses.at_frames import read_poses
 from getagrip.object_poses.files import read_pose_file
 from getagrip.object_poses.writing import Track, write_like
@@ -307,3 +309,46 @@ def test_files_of_single_frames_are_of_the_one_result(tmp_path: Path, moved: Any
     (job,) = pose_jobs(Evaluate(poses=tmp_path, clips=tmp_path / "clips"), {"mug": clip.frames})
     assert (job.folder, job.clip) == (tmp_path, tmp_path / "clips" / "mug")
     assert len(pose_jobs(Evaluate(poses=tmp_path, clips=tmp_path / "clips"), {})) == len(clip)
+
+
+CONVENTIONS: dict[str, Callable[[Any, Any], Any]] = {
+    "inverse": lambda T, _: se3.inverse(T),
+    "OpenGL": lambda T, _: np.diag([1.0, -1.0, -1.0, 1.0]) @ T,
+    "moved to its middle": lambda T, mesh: T @ se3.rigid(np.eye(3), mesh.centre),
+}
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS)
+def test_the_convention_that_meets_the_masks_is_named(tmp_path: Path, convention: str) -> None:
+    """Of an object off its origin, turned half about a tilted axis, so that its inverse pose is before the camera."""
+    clip, _ = small_clip(4)
+    mesh = replace(clip.mesh, vertices=clip.mesh.vertices + np.array([0.03, 0.02, 0.04]))
+    T = clip.truth.T_cam_obj.copy()
+    T[:, :3, :3] = se3.exp_so3(np.pi * np.array([0.8, 0.0, 0.6]))
+    seen = np.array([covered(se3.transform(M, mesh.vertices), mesh.faces, clip.K[0], clip.size) for M in T])
+    masks = Masks(seen, np.zeros_like(seen))
+    theirs = CONVENTIONS[convention](T, mesh)
+    clip = replace(clip, mesh=mesh)
+    iou = iou_of_poses(mesh, 1.0, theirs, clip.K, masks).full
+    if convention != "OpenGL" or (theirs[:, 2, 3] > 0).all():
+        text = misses(clip, masks, theirs, 1.0, iou)
+        assert (convention in text) == (iou.mean() < 0.5)
+    assert misses(clip, masks, T, 1.0, iou_of_poses(mesh, 1.0, T, clip.K, masks).full) == ""
+
+
+def test_one_of_several_poses_is_followed(tmp_path: Path) -> None:
+    """Scores change places from image to image; the masks, or the place before, tell which is the clip's."""
+    clip, masks = small_clip(4)
+    T, far = clip.truth.T_cam_obj, clip.truth.T_cam_obj.copy()
+    far[:, :3, 3] += [0.15, 0.05, 0.1]
+    rows = []
+    for n in range(4):
+        for score, M in ((0.9, T[n]), (0.85 + 0.1 * (n % 2), far[n])):
+            words = [" ".join(map(repr, (M[:3, :3]).ravel().tolist())), " ".join(map(repr, (1e3 * M[:3, 3]).tolist()))]
+            rows.append(f"1,{n},1,{score},{words[0]},{words[1]}\n")
+    (tmp_path / "x.csv").write_text(BOP_HEAD + "".join(rows))
+    for folder, some in (("with", masks), ("without", None)):
+        whole = read_clip(write_clip(clip, some, tmp_path / folder))
+        made = read_poses(tmp_path / "x.csv", whole)
+        np.testing.assert_allclose(clip.hand.T_cam_hand @ made.T_hand_obj, T, atol=1e-6)
+        assert "several poses in 4 of 4 images" in made.notes[0]

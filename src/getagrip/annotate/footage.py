@@ -13,8 +13,9 @@ import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
+from getagrip.clip.naming import one_set
 from getagrip.errors import InputError
-from getagrip.io.files import read_bytes
+from getagrip.io.files import listed, read_bytes
 from getagrip.io.images import decoded
 
 IMAGES = (".jpg", ".jpeg", ".png")
@@ -136,7 +137,7 @@ class ImageFolder:
     @staticmethod
     def open(folder: Path) -> ImageFolder:
         """Open the images of a folder. Raises ``InputError`` where there is none."""
-        paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGES and path.is_file())
+        paths = one_set(folder, listed(folder, IMAGES))
         if not 0 < len(paths) <= MOST_FRAMES:
             raise InputError(folder, "", f"{len(paths)} images in it", f"images ({', '.join(IMAGES)})")
         ends = [re.search(r"([0-9]{1,9})$", path.stem) for path in paths]

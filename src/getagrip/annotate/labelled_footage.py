@@ -18,7 +18,7 @@ def checksum(path: Path) -> str:
 
     Raises ``OSError``.
     """
-    found = sorted(each for each in path.iterdir() if each.is_file()) if path.is_dir() else [path]
+    found = files.listed(path) if path.is_dir() else [path]
     return _checksum(tuple((each, each.stat().st_size, each.stat().st_mtime_ns) for each in found), path.is_dir())
 
 

@@ -6,9 +6,10 @@ Each format is a function in one of these files, and a line in ``FORMATS``; it r
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
-from getagrip.cameras import colmap, phones, slam
+from getagrip.cameras import colmap, phones, slam, transforms
 from getagrip.cameras.camera_path import CameraPath
 from getagrip.errors import InputError, UsageError
 from getagrip.io import numbers
@@ -21,6 +22,8 @@ FORMATS: dict[str, Callable[[Path], CameraPath | None]] = {
     "vipe (pose/*.npz and intrinsics/*.npz)": slam.read_vipe,
     "megasam (cam_c2w in an .npz)": slam.read_megasam,
     "hawor (SLAM/hawor_slam_w_scale_*.npz, or traj in an .npz, as of DROID-SLAM)": slam.read_hawor,
+    "nerfstudio (transforms.json, as of Polycam, too)": transforms.read_nerfstudio,
+    "record3d (metadata.json)": transforms.read_record3d,
     "arkit (frames' .json with cameraPoseARFrame)": phones.read_arkit,
     "aria (closed_loop_trajectory.csv)": phones.read_aria,
     "tum (lines of 8 numbers)": slam.read_tum,
@@ -28,17 +31,22 @@ FORMATS: dict[str, Callable[[Path], CameraPath | None]] = {
 }
 
 
-def read_path(path: Path) -> CameraPath:
+def read_path(path: Path, quaternion: str = "") -> CameraPath:
     """Read a camera's path, in whatever format it is.
 
-    Raises ``InputError`` for damaged files and where no format fits, ``UsageError`` where several do.
+    ``quaternion``, ``xyzw`` or ``wxyz``, is the order of those in lines of numbers, where the user states it. Raises
+    ``InputError`` for damaged files and where no format fits, ``UsageError`` where several do.
     """
     if not path.exists():
         raise InputError(path, "", "no such file or folder", "a camera's path")
+    lines = {name: partial(slam.read_tum, quaternion=quaternion) for name in FORMATS if FORMATS[name] is slam.read_tum}
     with numbers.guarded(path):
-        found = {name: one for name, read in FORMATS.items() if (one := read(path)) is not None}
+        found = {name: one for name, read in (FORMATS | lines).items() if (one := read(path)) is not None}
+    if quaternion and not {*lines} & {*found}:
+        raise UsageError(f"--quaternion cannot be used with {path}: it has no lines of quaternions")
     if len(found) > 1:
         raise UsageError(f"{path}: may be of several programs ({', '.join(found)}); name the file")
     if not found:
-        raise InputError(path, "", "files of no known program", f"one of {', '.join(FORMATS)}")
+        expected = f"one of {', '.join(FORMATS)}; other paths can be written as lines of time x y z qx qy qz qw"
+        raise InputError(path, "", "files of no known program", expected)
     return next(iter(found.values()))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +16,6 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.cameras.camera_path import CameraPath, Pinhole
-from getagrip.clip.naming import stem_of
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.io import files
@@ -47,10 +47,18 @@ class Image(NamedTuple):
 
 def read(path: Path) -> CameraPath | None:
     """Read a model from its folder, or from one above it; None where there is none. Raises ``InputError``."""
-    folders = [path / place for place in PLACES] if path.is_dir() else [path.parent] * path.name.startswith("images.")
-    folder = next((one for one in folders for end in ("bin", "txt") if (one / f"images.{end}").is_file()), None)
-    if folder is None:
-        return None
+    folders = [path.parent] * path.name.startswith("images.")
+    if path.is_dir():
+        folders = [path / place for place in PLACES]
+        numbered = [one for one in files.folders_in(path / "sparse") if one.name.isdecimal() and one.name != "0"]
+        folders += sorted(numbered, key=lambda one: int(one.name))
+    models = [folder for folder in folders if any((folder / f"images.{end}").is_file() for end in ("bin", "txt"))]
+    found = [_model(folder) for folder in models]
+    return replace(found[0], others=tuple(found[1:])) if found else None
+
+
+def _model(folder: Path) -> CameraPath:
+    """Read the model in a folder. Raises ``InputError``."""
     suffix = "bin" if (folder / "images.bin").is_file() and (folder / "cameras.bin").is_file() else "txt"
     source = files.inside(folder, f"images.{suffix}", "", "COLMAP's images")
     of_cameras = files.inside(folder, f"cameras.{suffix}", "", "COLMAP's cameras")
@@ -59,7 +67,10 @@ def read(path: Path) -> CameraPath | None:
         if suffix == "bin":
             images, pinholes = list(_images_bin(content)), dict(_cameras_bin(cameras))
         else:
-            images, pinholes = list(_images_txt(content.decode())), dict(_cameras_txt(cameras.decode()))
+            images, pinholes = (
+                list(_images_txt(files.without_mark(content).decode())),
+                dict(_cameras_txt(files.without_mark(cameras).decode())),
+            )
     except (ValueError, IndexError, KeyError, OverflowError, struct.error) as error:
         raise InputError(source, "", f"a damaged file ({error})", "a model as COLMAP writes it") from error
     return _path(f"COLMAP's model ({suffix})", source, images, pinholes)
@@ -92,9 +103,11 @@ def _path(source: str, path: Path, images: list[Image], pinholes: dict[int, Pinh
         raise InputError(path, "", "no images", "a model with images")
     poses = np.array([image.pose for image in images])
     T_world_cam = se3.inverse(se3.rigid(se3.from_quaternion(poses[:, :4]), poses[:, 4:]))
-    names = tuple(stem_of(image.name) for image in images)
-    pinhole = pinholes.get(images[0].camera) if len({image.camera for image in images}) == 1 else None
-    return CameraPath(source, path, T_world_cam, names, pinhole=pinhole)
+    of_images = tuple(pinholes[image.camera] for image in images if image.camera in pinholes)
+    one = len({image.camera for image in images}) == 1
+    known = of_images if len(of_images) == len(images) else ()
+    names = tuple(image.name for image in images)
+    return CameraPath(source, path, T_world_cam, names, pinholes=known[:1] if one else known)
 
 
 def _pinhole(model: str, size: tuple[int, int], params: list[float]) -> Pinhole:

@@ -31,10 +31,10 @@ TIME = "tracking_timestamp_us"
 
 def read_arkit(path: Path) -> CameraPath | None:
     """Read a folder of 3D Scanner App; None for another."""
-    found = sorted(path.glob("frame_*.json")) if path.is_dir() else []
+    found = files.listed(path, (".json",), "frame_*") if path.is_dir() else []
     if not found:
         return None
-    poses, names, pinhole = [], [], None
+    poses, names, pinholes = [], [], list[Pinhole]()
     for one in found:
         content = files.read_any_json(files.inside(path, one.name, "", "a frame of ARKit"))
         if not isinstance(content, dict) or "cameraPoseARFrame" not in content:
@@ -42,10 +42,10 @@ def read_arkit(path: Path) -> CameraPath | None:
         poses.append(_row(one, content, "cameraPoseARFrame", 16).reshape(4, 4) @ OPENGL)
         names.append(one.stem)
         if "intrinsics" in content:
-            K = _row(one, content, "intrinsics", 9).reshape(3, 3)
-            pinhole = Pinhole(K, None)
+            pinholes.append(Pinhole(_row(one, content, "intrinsics", 9).reshape(3, 3), None))
     up = np.array([0.0, 1.0, 0.0])
-    return CameraPath("ARKit's poses", path, np.array(poses), tuple(names), pinhole=pinhole, metric=True, up=up)
+    known = tuple(pinholes) if len(pinholes) == len(poses) else ()
+    return CameraPath("ARKit's poses", path, np.array(poses), tuple(names), pinholes=known, metric=True, up=up)
 
 
 def read_aria(path: Path) -> CameraPath | None:
@@ -65,7 +65,7 @@ def read_aria(path: Path) -> CameraPath | None:
     T_world_device = se3.rigid(se3.from_quaternion(values[:, [7, 4, 5, 6]]), values[:, 1:4])
     T = T_world_device @ _camera_on_device(source.parent / "online_calibration.jsonl")
     up = None if down is None or not len(down) else -down.mean(axis=0) / np.linalg.norm(down.mean(axis=0))
-    return CameraPath("Aria's MPS, of camera-rgb", source, T, times=values[:, 0] / 1e6, metric=True, up=up)
+    return CameraPath("Aria's MPS, of camera-rgb", source, T, times=values[:, 0] / 1e6, metric=True, up=up, unit=1e-6)
 
 
 def _camera_on_device(path: Path) -> Float[ndarray, "4 4"]:

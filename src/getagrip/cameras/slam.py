@@ -5,12 +5,14 @@
 - **MegaSaM**: ``cam_c2w`` (N, 4, 4), ``intrinsic`` (3, 3) of the size of ``images`` or ``depths``. Not metric.
 - **HaWoR**: ``traj`` (N, 7), place and quaternion (x, y, z, w), with ``scale``, ``img_focal``, ``img_center``: metric.
   A ``traj`` without a scale, as of DROID-SLAM, is not.
-- **TUM** (RGB-D benchmark; evo, ORB-SLAM): lines of time, place, quaternion (x, y, z, w). Metric or not.
+- **TUM** (RGB-D benchmark; evo, ORB-SLAM): lines of time, place, quaternion (x, y, z, w); w is first in those of EuRoC
+  and VINS-Fusion, which have commas and times in ns; a table may name its columns. Metric or not.
 - **KITTI** (odometry): lines of the upper three rows, row by row. Metric or not.
 """
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +20,7 @@ from jaxtyping import Float, Shaped
 from numpy import ndarray
 
 from getagrip.cameras.camera_path import CameraPath, Pinhole
-from getagrip.errors import InputError
+from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands.trackers.hawor import slam_poses
 from getagrip.io import arrays, files
@@ -29,7 +31,7 @@ SMALL = ("cam_c2w", "intrinsic", "traj", "scale", "img_focal", "img_center", "da
 
 def read_vipe(path: Path) -> CameraPath | None:
     """Read a folder of ViPE's results, or a file of its poses; None for another."""
-    found = [path] if path.is_file() and path.parent.name == "pose" else sorted((path / "pose").glob("*.npz"))
+    found = [path] if path.is_file() and path.parent.name == "pose" else files.listed(path / "pose", (".npz",))
     if not found or path.suffix not in ("", ".npz"):
         return None
     if len(found) > 1:
@@ -38,12 +40,15 @@ def read_vipe(path: Path) -> CameraPath | None:
     record = arrays.read(pose, SMALL.__contains__)
     T, inds = arrays.floats(pose, record, "data", (-1, 4, 4)), _inds(pose, record)
     beside = pose.parent.parent / "intrinsics" / pose.name
-    pinhole = None
+    pinholes: tuple[Pinhole, ...] = ()
     if beside.is_file():
         lens = arrays.floats(beside, arrays.read(beside, SMALL.__contains__), "data", (-1, 4))
-        fx, fy, cx, cy = np.median(lens, axis=0).tolist()
-        pinhole = Pinhole.of(fx, fy, cx, cy, (round(2.0 * cx), round(2.0 * cy)))
-    return CameraPath("ViPE's poses", pose, T, tuple(map(str, inds)), pinhole=pinhole, metric=True)
+        if len(lens) != len(T):  # of some of the images
+            lens = np.median(lens, axis=0)[None]
+        sizes = np.rint(2.0 * lens[:, 2:]).astype(int)
+        each = zip(lens.tolist(), sizes.tolist(), strict=True)
+        pinholes = tuple(Pinhole.of(fx, fy, cx, cy, (w, h)) for (fx, fy, cx, cy), (w, h) in each)
+    return CameraPath("ViPE's poses", pose, T, tuple(map(str, inds)), pinholes=pinholes, metric=True)
 
 
 def read_megasam(path: Path) -> CameraPath | None:
@@ -52,11 +57,11 @@ def read_megasam(path: Path) -> CameraPath | None:
     if "cam_c2w" not in record:
         return None
     T = arrays.floats(path, record, "cam_c2w", (-1, 4, 4))
-    pinhole = None
+    pinholes: tuple[Pinhole, ...] = ()
     if "intrinsic" in record:
         K = arrays.floats(path, record, "intrinsic", (3, 3))
-        pinhole = Pinhole(K, (round(2.0 * K[0, 2]), round(2.0 * K[1, 2])))
-    return CameraPath("MegaSaM's poses", path, T, pinhole=pinhole)
+        pinholes = (Pinhole(K, (round(2.0 * K[0, 2]), round(2.0 * K[1, 2]))),)
+    return CameraPath("MegaSaM's poses", path, T, pinholes=pinholes)
 
 
 def read_hawor(path: Path) -> CameraPath | None:
@@ -67,13 +72,13 @@ def read_hawor(path: Path) -> CameraPath | None:
     record = _record(path)
     if "traj" not in record:
         return None
-    pinhole = None
+    pinholes: tuple[Pinhole, ...] = ()
     if "img_focal" in record and "img_center" in record:
         f, (cx, cy) = float(record["img_focal"]), np.asarray(record["img_center"], dtype=float).reshape(2)
-        pinhole = Pinhole.of(f, f, cx, cy, (round(2 * cx), round(2 * cy)))
+        pinholes = (Pinhole.of(f, f, cx, cy, (round(2 * cx), round(2 * cy))),)
     metric = "scale" in record
     source = "HaWoR's SLAM" if metric else "poses (traj), as of DROID-SLAM"
-    return CameraPath(source, path, slam_poses(path), pinhole=pinhole, metric=metric)
+    return CameraPath(source, path, slam_poses(path), pinholes=pinholes, metric=metric)
 
 
 def _record(path: Path) -> dict[str, Shaped[ndarray, "..."]]:
@@ -91,13 +96,74 @@ def _inds(path: Path, record: dict[str, Shaped[ndarray, "..."]]) -> list[int]:
 LARGEST = 256 * 2**20
 
 
-def read_tum(path: Path) -> CameraPath | None:
-    """Read lines of 8 numbers; None for another file."""
-    rows = _numbers(path, 8)
-    if rows is None:
+def read_tum(path: Path, quaternion: str = "") -> CameraPath | None:
+    """Read lines of a time, a place and a quaternion; None for another file.
+
+    The first line may name the columns. ``quaternion`` is ``xyzw`` or ``wxyz`` as the user states it; else the names,
+    commas as EuRoC has them, or a first pose without rotation tell. Raises ``UsageError`` where nothing does.
+    """
+    table = _table(path)
+    if table is None:
         return None
-    T = se3.rigid(se3.from_quaternion(rows[:, [7, 4, 5, 6]]), rows[:, 1:4])
-    return CameraPath("lines as of TUM's benchmark", path, T, times=rows[:, 0])
+    rows, heads, commas = table
+    columns = _columns(heads)
+    if columns is None and rows.shape[1] != 8:
+        return None
+    unit, counted = _unit_of_time(rows[:, 0 if columns is None else columns[0]])
+    stated, order = bool(quaternion), "as stated"
+    if columns is not None:
+        rows, order = rows[:, columns], "as named in it"
+        quaternion = quaternion or "xyzw"
+    elif not stated:
+        quaternion, order = _order(path, rows[0, 4:], commas, commas and unit == 1e-9)
+    w_last = rows[:, 4:] if quaternion == "xyzw" or (columns is not None and not stated) else rows[:, [5, 6, 7, 4]]
+    norms = np.linalg.norm(w_last, axis=1)
+    if abs(norms - 1.0).max() > 0.05:
+        raise InputError(path, "", f"quaternions of length {norms[abs(norms - 1.0).argmax()]:.3g}", "unit quaternions")
+    T = se3.rigid(se3.from_quaternion(w_last[:, [3, 0, 1, 2]]), rows[:, 1:4])
+    words = f"lines as of TUM's benchmark, quaternions {' '.join(quaternion)} {order}"
+    words += f", times in {UNITS[unit]}" if unit != 1.0 else ", counted from their first line" if counted else ""
+    return CameraPath(words, path, T, times=None if counted else unit * rows[:, 0], unit=unit)
+
+
+UNITS = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}
+"""Units of time by their seconds."""
+EPOCH = (1e8, 1e10)
+"""Times that may be since 1970 [s]."""
+STEPS = (1e-4, 10.0)
+"""Times from one pose to the next [s]."""
+NO_TURN, SMALL_TURN = 0.9999, 0.99
+"""Real parts of quaternions of cameras that are hardly turned."""
+
+
+def _unit_of_time(values: Float[ndarray, "n"]) -> tuple[float, bool]:
+    """Return the seconds of a unit of times, and whether they count lines: whole numbers are no seconds since 1970."""
+    steps = np.diff(np.sort(values))
+    if not len(steps) or not np.array_equal(values, np.round(values)):
+        return 1.0, False
+    if values[0] in (0.0, 1.0) and np.all(np.diff(values) == 1.0):
+        return 1.0, True
+    largest, step = float(np.abs(values).max()), float(np.median(steps))
+    usual = [unit for unit in UNITS if STEPS[0] <= unit * step <= STEPS[1]]
+    since_1970 = next((unit for unit in usual if EPOCH[0] <= unit * largest <= EPOCH[1]), None)
+    if since_1970 is not None:
+        return since_1970, False
+    return min(UNITS, key=lambda unit: abs(np.log(max(step, 1e-9) * unit * 30.0))), False
+
+
+def _order(path: Path, first: Float[ndarray, "4"], commas: bool, as_euroc: bool) -> tuple[str, str]:
+    """Return the order of quaternions by that of the first pose, and why. Raises ``UsageError`` where it is unclear."""
+    begins, ends = abs(first[0]), abs(first[3])
+    if ends >= SMALL_TURN:
+        return "xyzw", "by the first pose"
+    if begins >= NO_TURN or as_euroc:
+        return "wxyz", "as EuRoC's" if as_euroc else "by the first pose"
+    if begins >= SMALL_TURN or commas:
+        hint = "--quaternion xyzw (as TUM's) or wxyz, the order of its quaternions"
+        raise UsageError(
+            f"{path}: missing {hint}: its first pose is hardly turned with w first, half round with w last"
+        )
+    return "xyzw", "as TUM's, a guess"
 
 
 def read_kitti(path: Path) -> CameraPath | None:
@@ -111,14 +177,46 @@ def read_kitti(path: Path) -> CameraPath | None:
 
 def _numbers(path: Path, count: int) -> Float[ndarray, "n count"] | None:
     """Read a file whose lines are all of ``count`` numbers, comments apart; None for another one."""
+    table = _table(path)
+    return None if table is None or table[1] or table[0].shape[1] != count else table[0]
+
+
+def _table(path: Path) -> tuple[Float[ndarray, "n m"], list[str], bool] | None:
+    """Read lines of as many numbers each, the names of columns before them, and whether commas part them.
+
+    None for another file.
+    """
     if not path.is_file() or path.suffix.lower() not in (".txt", ".csv", ".tum", ".kitti", ".traj", ""):
         return None
-    text = files.read_bytes(path, LARGEST).decode(errors="replace").replace(",", " ")
-    lines = [line.split() for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    if not lines or any(len(words) != count for words in lines):
+    text = files.read_text(path, LARGEST)
+    lines, heads, commas = list[list[str]](), list[str](), False
+    for line in filter(str.strip, text.splitlines()):
+        words = re.sub(r"\[[^\]]*\]", "", line.lstrip("# ")).replace(",", " ").split()
+        if line.startswith("#") or (not lines and any(word[0].isalpha() for word in words)):
+            heads = [*heads, *words] if not lines and _columns(words) is None else words
+            continue
+        commas |= "," in line
+        lines.append(words)
+    if not lines or any(len(words) != len(lines[0]) for words in lines):
         return None
     try:
         rows = np.array(lines, dtype=float)
     except ValueError:
         return None
-    return rows if np.isfinite(rows).all() else None
+    named = _columns(heads)
+    return (rows, heads if named and max(named) < rows.shape[1] else [], commas) if np.isfinite(rows).all() else None
+
+
+def _columns(heads: list[str]) -> list[int] | None:
+    """Return the columns of time, x, y, z, and qx, qy, qz, qw by their names; None where these do not say."""
+    found: dict[str, int] = {}
+    for column, head in enumerate(heads):
+        name = head.lower()
+        if re.match(r"(time|stamp|ts\b|#?t$)", name):
+            found.setdefault("t", column)
+        elif re.fullmatch(r"(q|quat|orientation|rot)\w*[wxyz]", name):
+            found.setdefault(f"q{name[-1]}", column)
+        elif re.fullmatch(r"(t|p|pos|position|trans|translation)?_?(\w*_)?[xyz]", name):
+            found.setdefault(name[-1], column)
+    order = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
+    return [found[key] for key in order] if {*order} <= {*found} else None

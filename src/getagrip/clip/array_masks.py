@@ -3,7 +3,8 @@
 Whole numbers and booleans are labels. Of numbers with fractions, those from 0 to 1 are probabilities, of which half and
 more counts; where some are below 0, they are logits, of which those above 0 count.
 
-SAM 2's ``video_segments`` are ``{frame: {object: mask}}``, frames from 0, masks (1, H, W) or (H, W).
+SAM 2's ``video_segments`` are ``{frame: {object: mask}}``, frames from 0, masks (1, H, W) or (H, W). SAM 3's outputs
+are ``{frame: {"out_obj_ids": (N,), "out_binary_masks": (N, H, W)}}``.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from numpy import ndarray
 
 from getagrip.clip.data import FrameMasks
 from getagrip.clip.label_choice import LabelChoice
-from getagrip.clip.mask_request import MOST_NAMED, MaskReader, MaskRequest, without_object
-from getagrip.clip.naming import frame_of
+from getagrip.clip.mask_request import MaskReader, MaskRequest, without_object
+from getagrip.clip.naming import MOST_NAMED, frame_of
 from getagrip.clip.segments import union
 from getagrip.clip.soft_edges import Load, looked_at, sharpened
 from getagrip.errors import InputError, UsageError
@@ -51,7 +52,7 @@ def npz(path: Path, request: MaskRequest) -> MaskReader:
     width, height = request.size
     for name in kinds:
         expected = f"numbers or booleans of shape (n, H, W), as (n, {height}, {width})"
-        if stored[name].shape != (*stored[key].shape[:1], height, width):
+        if stored[name].ndim != 3 or stored[name].shape != stored[key].shape:
             raise InputError(path, name, f"{stored[name].dtype} of shape {stored[name].shape}", expected)
     rows = _rows(path, stored, len(stored[key]), request)
     if key == "labels":
@@ -60,7 +61,7 @@ def npz(path: Path, request: MaskRequest) -> MaskReader:
     loads = {kind: _masks_of(path, kind, stored[kind], rows, request, notes) for kind in kinds}
 
     def read(n: int) -> FrameMasks:
-        at = {kind: load(n)[1] != 0 for kind, load in loads.items()}
+        at = {kind: request.resized(load(n)[1] != 0, notes) for kind, load in loads.items()}
         return without_object(at["object"], at.get("ignore", np.zeros_like(at["object"])), at.get("hand"))
 
     return MaskReader(path, read, rows.keys(), notes=notes)
@@ -75,6 +76,8 @@ def npy(path: Path, request: MaskRequest) -> MaskReader:
 
 def npy_folder(folder: Path, paths: Sequence[Path], request: MaskRequest) -> MaskReader:
     """Open a folder with an ``.npy`` file of each frame, or an ``.npz`` file of one array. Raises ``InputError``."""
+    if len(paths) == 1 and is_stack(paths[0]):
+        return (npz if paths[0].suffix == ".npz" else npy)(paths[0], request)
     rows = request.places(folder, [path.name for path in paths])
 
     def load(n: int) -> tuple[Path, str, ndarray]:
@@ -89,31 +92,41 @@ def npy_folder(folder: Path, paths: Sequence[Path], request: MaskRequest) -> Mas
     return _labels(folder, load, rows, request)
 
 
+def is_stack(path: Path) -> bool:
+    """Return whether the only, or first, array of a file is of several images: three axes. Raises ``InputError``."""
+    if path.suffix == ".npy":
+        array = arrays.parse_npy(path, "", files.read_bytes(path, arrays.LARGEST))
+    else:
+        array = next(iter(arrays.read(path, lambda _: True).values()), np.zeros(0))
+    return array.ndim > 2 and array.size > array.shape[-1] * array.shape[-2]
+
+
 def _labels(source: Path, load: Numbers, frames: Mapping[int, int], request: MaskRequest) -> MaskReader:
     choose, notes = LabelChoice(request), Counter[str]()
-    whole = _whole(load, frames, request.size, notes)
+    whole = _whole(load, frames, request, notes)
     sharp = sharpened(whole, frames, notes, choose.object, bool(choose.ignore or choose.hand))
-    return MaskReader(source, lambda n: choose(*sharp(n)), frames.keys(), choose.others, notes)
+
+    def read(n: int) -> FrameMasks:
+        path, labels = sharp(n)
+        return choose(path, request.resized(labels, notes))
+
+    return MaskReader(source, read, frames.keys(), choose.others, choose.unmet, notes)
 
 
 def _masks_of(
     path: Path, key: str, stack: ndarray, rows: Mapping[int, int], request: MaskRequest, notes: Counter[str]
 ) -> Load:
-    return sharpened(_whole(lambda n: (path, key, stack[rows[n]]), rows, request.size, notes), rows, notes)
+    return sharpened(_whole(lambda n: (path, key, stack[rows[n]]), rows, request, notes), rows, notes)
 
 
-def _whole(load: Numbers, frames: Collection[int], size: tuple[int, int], notes: Counter[str]) -> Load:
+def _whole(load: Numbers, frames: Collection[int], request: MaskRequest, notes: Counter[str]) -> Load:
     """Make a loader of labels from arrays of any numbers."""
     samples = (load(n)[2] for n in looked_at(frames))
     logits = any(array.dtype.kind == "f" and array.size and array.min() < 0.0 for array in samples)
 
     def labels(n: int) -> tuple[Path, Int[ndarray, "H W"]]:
         path, key, array = load(n)
-        width, height = size
-        if array.dtype.kind not in "biuf" or array.shape not in {(height, width), (1, height, width)}:
-            expected = f"numbers or booleans of shape ({height}, {width})"
-            raise InputError(path, key, f"{array.dtype} of shape {array.shape}", expected)
-        array = array.reshape(height, width)
+        array = _image(path, key, array, request)
         if array.dtype.kind != "f":
             return path, array.astype(np.int64)
         least, most = float(array.min()), float(array.max())  # NaN where any is
@@ -130,11 +143,8 @@ def _whole(load: Numbers, frames: Collection[int], size: tuple[int, int], notes:
 
 
 def _rows(path: Path, stored: Mapping[str, ndarray], count: int, request: MaskRequest) -> dict[int, int]:
-    frames = request.frames
     if "frames" not in stored:
-        if count != len(frames):
-            raise InputError(path, "frames", f"no such array, {count} masks", f"{len(frames)} masks, or their frames")
-        return {n: n for n in range(count)}
+        return request.in_order(path, count)
     names = arrays.names(stored["frames"])
     if names is None or len(names) != count:
         raise InputError(path, "frames", files.shown(stored["frames"]), f"{count} names, or numbers from 0 on")
@@ -143,7 +153,9 @@ def _rows(path: Path, stored: Mapping[str, ndarray], count: int, request: MaskRe
 
 LARGEST = 512 * 2**20
 """Bytes of a file: 250 masks of 1920 x 1080."""
-WHAT = "SAM 2's video_segments, {frame: {object: mask}}"
+WHAT = "SAM 2's video_segments, {frame: {object: mask}}, or SAM 3's outputs of each frame"
+SAM3 = (("out_obj_ids", "out_binary_masks"), ("object_ids", "masks"))
+"""Keys of a frame's objects and of their masks: as SAM 3's predictor has them, and as transformers has."""
 
 
 def video_segments(path: Path, request: MaskRequest) -> MaskReader:
@@ -152,19 +164,14 @@ def video_segments(path: Path, request: MaskRequest) -> MaskReader:
     Raises ``InputError`` for malformed frames and where there is none of the wanted ones, ``UsageError`` for labels.
     """
     value = pickles.read_file(path, WHAT, LARGEST)
-    request.check_numbers(path, value)
     below = next((name for name in value if isinstance(name, int) and name < 0), None)
     if below is not None:
         raise InputError(path, "", f"a frame {below}", f"{WHAT}, frames from 0 on")
-    masks: dict[int, dict[str, ndarray]] = {}
-    for name, of_frame in value.items():
-        n = frame_of(name, request.frames)
-        if n is not None:
-            if not isinstance(of_frame, Mapping):
-                raise InputError(path, files.plain(name), files.shown(of_frame), WHAT)
-            masks[n] = {str(key): _mask(path, f"{name}.{key}", mask, request) for key, mask in of_frame.items()}
-    if not masks:
-        raise request.nothing(path, list(value))
+    names, masks = list(value), dict[int, dict[str, ndarray]]()
+    for n, row in request.places(path, names).items():
+        name = names[row]
+        of_frame = _objects(path, name, value[name])
+        masks[n] = {str(key): _mask(path, f"{name}.{key}", mask, request) for key, mask in of_frame.items()}
     there = sorted({key for of_frame in masks.values() for key in of_frame})
     chosen = request.object or tuple(there[:1])
     unknown = next((name for name in (*chosen, *request.ignore, *request.hand) if name not in there), None)
@@ -173,31 +180,54 @@ def video_segments(path: Path, request: MaskRequest) -> MaskReader:
         which = f"missing {option}" if unknown is None else f"unknown {option} {unknown!r}"
         raise UsageError(f"{which}; choose from the objects of {path}: {_some(there)}")
 
+    notes = Counter[str]()
+
     def read(n: int) -> FrameMasks:
         visible, hidden, hand = (
-            union([masks[n][name] for name in names if name in masks[n]], request.size)
+            union([request.resized(masks[n][name], notes) for name in names if name in masks[n]], request.size)
             for names in (chosen, request.ignore, request.hand)
         )
         return without_object(visible, hidden, hand if request.hand else None)
 
-    return MaskReader(path, read, masks.keys())
+    return MaskReader(path, read, masks.keys(), notes=notes)
+
+
+def _objects(path: Path, name: str, of_frame: object) -> Mapping[object, object]:
+    """Return the masks of a frame by object, of SAM 2 or of SAM 3. Raises ``InputError``."""
+    if not isinstance(of_frame, Mapping):
+        raise InputError(path, files.plain(name), files.shown(of_frame), WHAT)
+    found = next(((ids, masks) for ids, masks in SAM3 if ids in of_frame and masks in of_frame), None)
+    if found is None:
+        return of_frame
+    ids, masks = (of_frame[key] for key in found)
+    try:
+        return {str(int(one)): mask for one, mask in zip(ids, masks, strict=True)}
+    except (TypeError, ValueError) as error:
+        raise InputError(path, f"{files.plain(name)}.{found[0]}", files.shown(ids), "a number for each mask") from error
 
 
 def _mask(path: Path, key: str, value: object, request: MaskRequest) -> Bool[ndarray, "H W"]:
-    """One mask. Raises ``InputError``."""
-    width, height = request.size
-    expected = f"a mask of booleans, whole numbers or logits, ({height}, {width}) or (1, {height}, {width})"
-    if not isinstance(value, ndarray) or value.dtype.kind not in "biuf" or value.size != width * height:
-        got = f"{value.dtype} of shape {value.shape}" if isinstance(value, ndarray) else files.shown(value)
-        raise InputError(path, files.plain(key), got, expected)
-    if value.shape not in {(height, width), (1, height, width)}:
-        raise InputError(path, files.plain(key), f"the shape {value.shape}", expected)
+    """Check one mask. Raises ``InputError``."""
+    expected = "a mask of booleans, whole numbers or logits"
+    if not isinstance(value, ndarray):
+        raise InputError(path, files.plain(key), files.shown(value), expected)
+    value = _image(path, files.plain(key), value, request)
     if value.dtype.kind == "f":
         least, most = float(value.min()), float(value.max())  # NaN where any is
         if not (least < 0.0 or 0.0 <= least <= most <= 1.0) or np.isnan(most):
             raise InputError(path, files.plain(key), f"numbers from {least:g} to {most:g}", expected)
-        return np.asarray(value.reshape(height, width) >= (0.5 if least >= 0.0 else np.nextafter(0.0, 1.0)))
-    return np.asarray(value.reshape(height, width) != 0)
+        return np.asarray(value >= (0.5 if least >= 0.0 else np.nextafter(0.0, 1.0)))
+    return np.asarray(value != 0)
+
+
+def _image(path: Path, key: str, array: ndarray, request: MaskRequest) -> ndarray:
+    """Return numbers of an image (h, w), of whatever size. Raises ``InputError``."""
+    if array.dtype.kind not in "biuf" or array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[0] != 1):
+        expected = f"numbers or booleans of shape ({request.size[1]}, {request.size[0]})"
+        raise InputError(path, key, f"{array.dtype} of shape {array.shape}", expected)
+    height, width = list(array.shape)[-2:]
+    request.check_size(path, key, (width, height))
+    return array.reshape(height, width)
 
 
 def holds_objects(path: Path) -> bool:

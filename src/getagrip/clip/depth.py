@@ -27,6 +27,12 @@ UNIT = 2.0
 """Metric depth that shows the hand this many times as far away as it is given, or as near, is not used."""
 
 
+INVERSE = 0.85
+"""Least distance of the pixels around the object [distances of the object]; below it, depth images are disparities."""
+FEWEST_SAMPLES = 20
+"""Pixels of the object, and around it, from which on their distances are compared."""
+
+
 @dataclass(frozen=True)
 class DepthSource:
     """The source of a clip's depth images, and their measure: ``depth`` in ``clip.json``.
@@ -108,6 +114,27 @@ class Depth(ArrayData):
             (left, right), (top, bottom) = np.searchsorted(columns, [0, size[0]]), np.searchsorted(rows, [0, size[1]])
             found[n, top:bottom, left:right] = masks[n][rows[top:bottom, None], columns[left:right]]
         return found
+
+
+def behind(z: Float[ndarray, "h w"], seen: Bool[ndarray, "h w"], others: Bool[ndarray, "h w"]) -> float:
+    """Return how many times as far away as the object that is ``seen`` what is around it is, in a depth image.
+
+    ``others`` hide the object and do not count. NaN where too little is known of either.
+    """
+    rows, columns = np.nonzero(seen)
+    if not len(rows):
+        return np.nan
+    ends = [(int(at.min()), int(at.max()) + 1, (int(np.ptp(at)) + 2) // 2) for at in (rows, columns)]
+    box = tuple(slice(max(low - more, 0), high + more) for low, high, more in ends)
+    near, far = (z[box][mask & (z[box] > 0.0)] for mask in (seen[box], ~seen[box] & ~others[box]))
+    return float(np.median(far) / np.median(near)) if min(len(near), len(far)) >= FEWEST_SAMPLES else np.nan
+
+
+def behind_usually(depth: Depth, masks: Masks, size: tuple[int, int]) -> float:
+    """Return the median over frames of ``behind``; ``size`` is the masks' width and height."""
+    seen, others = depth.of_masks(masks.object, size), depth.of_masks(masks.ignore, size)
+    each = np.array([behind(*one) for one in zip(depth.z, seen, others, strict=True)])
+    return float(np.median(each[np.isfinite(each)])) if np.isfinite(each).any() else np.nan
 
 
 def windows(clip: Clip, masks: Masks, size: tuple[int, int]) -> tuple[Int[ndarray, "T 2"], Int[ndarray, "T"]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from getagrip.clip import plausible
 from getagrip.clip.data import Clip
 from getagrip.clip.depth import DEPTH, SIDE, Depth, DepthSource, sampled, windows
 from getagrip.clip.masks import masks_in, read_object_masks
@@ -18,14 +18,11 @@ from getagrip.errors import InputError
 from getagrip.io import arrays, files
 from getagrip.io.exr import read_channel
 from getagrip.io.files import Json, shown
-from getagrip.io.images import open_png
+from getagrip.io.images import open_png, png_size
 
 SUFFIXES = (".png", ".npy", ".npz", ".exr")
 MOST = 40_000_000
 """Pixels of an image."""
-STRETCH = 0.06
-"""Largest difference of a depth image's shape from that of the clip's images: networks round sides to multiples of 14
-or 32 pixels."""
 FARTHEST = 20.0
 """Distance beyond which metric depth of hand and object is in another unit [m]."""
 LEAST_UNIT, MOST_UNIT = 1e-12, 1e6
@@ -130,9 +127,7 @@ def source_fields(source: DepthSource) -> Json:
 def check_shape(path: Path, image: Float[ndarray, "h w"], size: tuple[int, int]) -> tuple[int, int]:
     """Return width and height of a depth image. Raises ``InputError`` for another shape than the clip's images have."""
     height, width = image.shape
-    if abs(np.log(width / height * size[1] / size[0])) > STRETCH:
-        expected = f"the shape of the clip's images, {size[0]} x {size[1]}: neither cropped nor turned"
-        raise InputError(path, "size", f"{width} x {height} pixels", expected)
+    plausible.check_shape(path, "size", (width, height), size)
     return width, height
 
 
@@ -161,22 +156,11 @@ def cleaned(path: Path, key: str, stored: ndarray) -> Float[ndarray, "h w"]:
 
 def read_png16(path: Path) -> Float[ndarray, "h w"]:
     """Read a 16-bit PNG of one channel. Raises ``InputError``."""
-    image, colours, bits = open_png(path, png_size(path))
+    image, colours, bits = open_png(path, png_size(path, MOST))
     if (colours, bits) != ("grey", 16):
         raise InputError(path, "channels", f"{bits} bit {colours}", "16 bit, one channel (grey)")
     values = np.array(image)
     return np.where(values == SATURATED, 0, values).astype(float)
-
-
-def png_size(path: Path) -> tuple[int, int]:
-    """Return width and height as a PNG's head states them. Raises ``InputError`` where it has none, or is too large."""
-    head = files.read_bytes(path)[:24]
-    if len(head) < 24 or head[:4] != b"\x89PNG":
-        raise InputError(path, "", "a damaged file, or no PNG", "a whole PNG file")
-    width, height = struct.unpack(">II", head[16:24])
-    if not 0 < width * height <= MOST:
-        raise InputError(path, "size", f"{width} x {height} pixels", f"at most {MOST} pixels")
-    return width, height
 
 
 def _npy(path: Path) -> Float[ndarray, "h w"]:

@@ -13,30 +13,32 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from numpy import ndarray
 
-from getagrip.clip.depth import DEPTH, DepthSource
+from getagrip.clip.depth import DEPTH, INVERSE, DepthSource, behind
 from getagrip.clip.depth_files import (
     FARTHEST,
     LEAST_UNIT,
+    MOST,
     MOST_UNIT,
     SUFFIXES,
     check_shape,
     cleaned,
     depth_file,
-    png_size,
     read_pixels,
     read_png16,
     source_fields,
 )
-from getagrip.clip.naming import check_numbers, frames_of, number_of
+from getagrip.clip.naming import check_numbers, meant, number_of, rows_in_order, rows_of_frames, stem_of
 from getagrip.clip.reading import ClipHeader
 from getagrip.errors import InputError, UsageError, unknown
 from getagrip.io import arrays, files, numbers
 from getagrip.io.files import plain
-from getagrip.io.images import read_colour_png, write_depth
+from getagrip.io.images import png_size, read_colour_png, write_depth
 
+MANY = ("depths",)
+"""Other names of the array of all depth images, as of MegaSaM."""
 HO3D_UNIT = 0.00012498664727900177
 """Metres per unit of HO-3D's depth (``read_depth_img`` of its authors' code)."""
 OTHER_CAMERA = 0.15
@@ -45,7 +47,7 @@ OTHER_CAMERA = 0.15
 
 def _ho3d(path: Path) -> Float[ndarray, "h w"]:
     """HO-3D's colours: red is the low byte, green the high one."""
-    colours = read_colour_png(path, png_size(path)).astype(float)
+    colours = read_colour_png(path, png_size(path, MOST)).astype(float)
     return colours[..., 0] + 256.0 * colours[..., 1]
 
 
@@ -78,6 +80,7 @@ SOURCES: Mapping[str, DepthFormat] = {
     "depth-anything-3": DepthFormat("exports/npz/results.npz, or mini_npz", DepthSource("clip", "network")),
     "moge": DepthFormat("--maps: a folder for each image, with depth.exr", DepthSource("frame", "network")),
     "unidepth": DepthFormat("its depth as .npy or .npz", DepthSource("metric", "network")),
+    "megasam": DepthFormat("its *_sgd_cvd_hr.npz", DepthSource("clip", "network")),
     "depth-pro": DepthFormat("an .npz for each image", DepthSource("metric", "network")),
 }
 """Each format by its name; ``--scale`` and ``--error`` of the command overrule what it says of itself."""
@@ -98,8 +101,12 @@ class DepthReader:
     focal: float = field(default=np.nan)
 
 
-def open_depth(path: Path, name: str, frames: Sequence[str], ask_first: str) -> DepthReader:
-    """Open the depth images of some frames.
+def open_depth(
+    path: Path, name: str, frames: Sequence[str], ask_first: str, images: str = "", counted: bool = False
+) -> DepthReader:
+    """Open the depth images of some frames; ``images`` chooses among several of one frame.
+
+    Where the user has ``counted``, by ``--first``, frames are numbered as the files count them.
 
     Raises ``InputError`` where there are none, ``UsageError`` for an unknown format, and where files seem to be counted
     from another start (``naming.check_numbers``).
@@ -107,19 +114,24 @@ def open_depth(path: Path, name: str, frames: Sequence[str], ask_first: str) -> 
     if name not in SOURCES:
         raise unknown("--from", name, SOURCES)
     with numbers.guarded(path):
-        return _opened(path, SOURCES[name], name, frames, ask_first)
+        return _opened(path, name, frames, ask_first, images, counted)
 
 
-def _opened(path: Path, form: DepthFormat, name: str, frames: Sequence[str], ask_first: str) -> DepthReader:
+def _opened(path: Path, name: str, frames: Sequence[str], ask_first: str, images: str, counted: bool) -> DepthReader:
+    form = SOURCES[name]
     exported = [path / "exports" / kind / "results.npz" for kind in ("npz", "mini_npz")]
     paths = [one for one in (path, *exported) if one.is_file()][:1] or (_images(path) if path.is_dir() else [])
     if not paths:
         got = "no depth image" if path.exists() else "no such file or folder"
         raise InputError(path, "", got, f"files of {name}: {form.takes}")
-    if len(paths) == 1 and paths[0].suffix in {".npz", ".npy"} and number_of(paths[0].stem) is None:
-        return _stack(paths[0], form, frames, ask_first)
-    names = [each.parent.name if each.stem == DEPTH else each.stem for each in paths]
-    rows = _rows(path, names, frames, ask_first)
+    if len(paths) == 1 and paths[0].suffix.lower() in {".npz", ".npy"}:
+        stored = _arrays(paths[0])
+        if number_of(paths[0].stem) is None or (DEPTH in stored and stored[DEPTH].squeeze().ndim > 2):
+            if images:
+                raise UsageError(f"--images cannot be used with {paths[0]}, an array of all images")
+            return _stack(paths[0], stored, form, frames, ask_first, counted)
+    names = [each.parent.name if each.stem == DEPTH else each.name for each in paths]
+    rows = _rows(path, names, frames, ask_first, images)
 
     def read(n: int) -> tuple[Path, Float[ndarray, "h w"], float]:
         of_frame = paths[rows[n]]
@@ -134,8 +146,8 @@ def _opened(path: Path, form: DepthFormat, name: str, frames: Sequence[str], ask
 
 
 def _images(folder: Path) -> list[Path]:
-    inside = sorted(one for sub in folder.iterdir() if sub.is_dir() for one in sub.glob(f"{DEPTH}.*"))
-    alone = sorted(one for one in folder.iterdir() if one.is_file())
+    inside = [one for sub in files.folders_in(folder) for one in files.listed(sub, pattern=f"{DEPTH}.*")]
+    alone = files.listed(folder)
     alone = [one for one in alone if DEPTH in one.stem.lower()] or alone  # DexYCB's labels are arrays beside it
     for some in (inside, alone):
         for suffix in reversed(SUFFIXES):  # numbers with fractions rather than pictures of them
@@ -145,13 +157,20 @@ def _images(folder: Path) -> list[Path]:
     return []
 
 
-def _stack(path: Path, form: DepthFormat, frames: Sequence[str], ask_first: str) -> DepthReader:
-    if path.suffix == ".npy":
-        stored = {DEPTH: arrays.parse_npy(path, "", files.read_bytes(path, arrays.LARGEST))}
-    else:
-        stored = arrays.read(path, {DEPTH, "frames", "intrinsics"}.__contains__)
+def _arrays(path: Path) -> dict[str, Shaped[ndarray, "..."]]:
+    """Read the arrays of a file that are depth, its frames or a camera. Raises ``InputError``."""
+    if path.suffix.lower() == ".npy":
+        return {DEPTH: arrays.parse_npy(path, "", files.read_bytes(path, arrays.LARGEST))}
+    stored = arrays.read(path, {DEPTH, *MANY, "frames", "intrinsics", "intrinsic"}.__contains__)
+    key = next((key for key in (DEPTH, *MANY) if key in stored), None)
+    return stored if key is None else {**stored, DEPTH: stored[key]}
+
+
+def _stack(
+    path: Path, stored: Mapping[str, ndarray], form: DepthFormat, frames: Sequence[str], ask_first: str, counted: bool
+) -> DepthReader:
     if DEPTH not in stored:
-        raise InputError(path, DEPTH, "no such array", "the depth of all frames")
+        raise InputError(path, DEPTH, "no such array", f"the depth of all frames, or {MANY[0]}")
     depth = stored[DEPTH]
     if depth.ndim == 4 and 1 in depth.shape[1::2]:
         depth = depth[:, 0] if depth.shape[1] == 1 else depth[..., 0]
@@ -164,28 +183,19 @@ def _stack(path: Path, form: DepthFormat, frames: Sequence[str], ask_first: str)
         names = arrays.names(stored["frames"])
         if names is None or len(names) != len(depth):
             raise InputError(path, "frames", files.shown(stored["frames"]), f"{len(depth)} names or numbers of frames")
-        rows = _rows(path, [str(name) for name in names], frames, ask_first)
-    elif len(depth) == len(frames):
-        rows = {n: n for n in range(len(frames))}
+        rows = _rows(path, [str(name) for name in names], frames, ask_first, "")
     else:
-        expected = f"{len(frames)} as the clip has, or an array frames with their names"
-        raise InputError(path, DEPTH, f"{len(depth)} images and no names of frames", expected)
-    focal, K = np.nan, stored.get("intrinsics")
-    if K is not None and K.ndim == 3 and K.shape[1:] == (3, 3) and K.dtype.kind == "f" and len(K):
-        focal = float(np.median(K[:, 0, 0])) / depth.shape[2]
+        rows = rows_in_order(len(depth), frames, path, "depth image", counted, ask_first or "--first")
+    focal, K = np.nan, stored.get("intrinsics", stored.get("intrinsic"))
+    if K is not None and K.ndim in (2, 3) and K.shape[-2:] == (3, 3) and K.dtype.kind == "f" and len(K):
+        focal = float(np.median(K[..., 0, 0])) / depth.shape[2]
     unit = form.floats if depth.dtype.kind == "f" else form.source.unit
     return DepthReader(lambda n: (path, cleaned(path, DEPTH, depth[rows[n]]), unit), sorted(rows), focal)
 
 
-def _rows(path: Path, names: Sequence[str], frames: Sequence[str], ask_first: str) -> dict[int, int]:
-    check_numbers(frames, names, path, "depth image", ask_first)
-    rows = dict[int, int]()
-    for row, n in enumerate(frames_of(names, frames)):
-        if n is not None and n in rows:
-            got = f"two images of frame {plain(frames[n])}: {plain(names[rows[n]])}, {plain(names[row])}"
-            raise InputError(path, "", got, "one")
-        if n is not None:
-            rows[n] = row
+def _rows(path: Path, names: Sequence[str], frames: Sequence[str], ask_first: str, images: str) -> dict[int, int]:
+    check_numbers(frames, [stem_of(names[row]) for row in meant(names, images)], path, "depth image", ask_first)
+    rows = rows_of_frames(names, frames, path, "depth image", images, "--images")
     if not rows:
         some = ", ".join(map(plain, names[:2]))
         got = f"no depth image of any of {len(frames)} frames among {some}"
@@ -216,6 +226,28 @@ def check_camera(reader: DepthReader, source: DepthSource, K: Float[ndarray, "T 
     off, else_by = ("distances", ", or import with --scale clip") if source.scale == "metric" else ("relief", "")
     said = f"the program assumed {ratio:.2f} times the clip's focal length: its {off} may be off as much; "
     return f"{said}give it the clip's{else_by}"
+
+
+def check_order(reader: DepthReader, masks: Mapping[int, tuple[ndarray, ndarray]], source: DepthSource) -> str:
+    """Say that numbers grow towards the camera, as disparities do; empty where they do not.
+
+    ``masks`` are the object's, and what hides it, in frames that are looked at. A sensor's numbers are in a known unit,
+    and may be right; raises ``InputError`` for a network's.
+    """
+    each, path = list[float](), Path()
+    for n, (seen, others) in masks.items():
+        path, z, _ = reader.read(n)
+        sides = zip(z.shape, seen.shape, strict=True)
+        rows, columns = (((np.arange(few) + 0.5) * many / few).astype(int) for few, many in sides)
+        each.append(behind(z, seen[rows[:, None], columns], others[rows[:, None], columns]))
+    known = np.array(each)[np.isfinite(each)]
+    if not len(known) or np.median(known) >= INVERSE:
+        return ""
+    got = f"numbers around the object of {np.median(known):.2f} times those on it, in {len(known)} frames looked at"
+    if source.source == "sensor":
+        return f"{got}: is something nearer than the object around it, or are these disparities (inverse depth)?"
+    expected = "distances, larger behind the object; these are disparities (inverse depth): use a model of depth"
+    raise InputError(path, "", got, f"{expected}, as Depth Anything 3, MoGe or UniDepth")
 
 
 def chosen_source(name: str, scale: str | None, unit: float | None, error: float | None) -> DepthSource:

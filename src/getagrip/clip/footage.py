@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
+from getagrip.clip.naming import one_set
 from getagrip.clip.reading import LARGEST_SIDE
 from getagrip.clip.video import frame_times, video_frames, video_info
 from getagrip.errors import InputError, UsageError
@@ -37,6 +38,7 @@ class Stretch:
         fps: frames per second.
         size: width and height as shown [px].
         rate: where ``fps`` comes from, where that is a guess.
+        chosen: pattern of the images' names, where a folder has several sets of them.
     """
 
     path: Path
@@ -46,12 +48,13 @@ class Stretch:
     fps: float
     size: tuple[int, int]
     rate: Source | None = None
+    chosen: str = ""
 
     def images(self) -> Iterator[UInt8[ndarray, "H W 3"]]:
         """Yield RGB images, one by one. Raises ``InputError`` where one has another size."""
         last = self.first + len(self.names) - 1
         shown: Iterable[UInt8[ndarray, "H W 3"]] = (
-            map(_image, images_of(self.path)[self.first - 1 : last])
+            map(_image, images_of(self.path, self.chosen)[self.first - 1 : last])
             if self.path.is_dir()
             else video_frames(self.path, self.first, last)
         )
@@ -62,29 +65,33 @@ class Stretch:
             yield image
 
 
-def size_and_rate(path: Path, fps: float | None) -> tuple[tuple[int, int], float]:
+def size_and_rate(path: Path, fps: float | None, chosen: str = "") -> tuple[tuple[int, int], float]:
     """Return width and height [px], and frames per second: as stated, else as the file says. Raises ``InputError``."""
     if fps is not None and not 0.1 <= fps <= 10_000.0:
         raise UsageError(f"--fps must be 0.1 to 10000 frames per second (got {fps:g})")
     if path.is_dir():
-        height, width = _image(images_of(path)[0]).shape[:2]
+        height, width = _image(images_of(path, chosen)[0]).shape[:2]
         return (width, height), fps or FOLDER_FPS
+    if chosen:
+        raise UsageError("--images cannot be used with a video; it is for folders of images")
     if fps is not None:
         raise UsageError("--fps cannot be used with a video, whose frames have times; it is for folders of images")
     info = video_info(path)
     return info.size, info.fps
 
 
-def stretch(path: Path, numbers: Int[ndarray, "T"], size: tuple[int, int], fps: float, stated: bool) -> Stretch:
+def stretch(
+    path: Path, numbers: Int[ndarray, "T"], size: tuple[int, int], fps: float, stated: bool, chosen: str = ""
+) -> Stretch:
     """Return the frames of these numbers, counted from 1. Raises ``InputError`` where there are fewer."""
     first, last = int(numbers[0]), int(numbers[-1])
     if path.is_dir():
-        paths = images_of(path)
+        paths = images_of(path, chosen)
         if len(paths) < last:
             raise InputError(path, "", f"{len(paths)} images", f"at least {last}, for the interval {first} to {last}")
         names = tuple(each.stem for each in paths[first - 1 : last])
         rate = None if stated else assumed(f"a guess: {fps:g} frames per second; --fps states it")
-        return Stretch(path, first, names, (numbers - 1) / fps, fps, size, rate)
+        return Stretch(path, first, names, (numbers - 1) / fps, fps, size, rate, chosen)
     times = frame_times(path)
     shown = (numbers - 1) / fps if times is None or len(times) < last else times[first - 1 : last]
     if np.abs(shown - shown[0] - (numbers - first) / fps).max() > EVEN:
@@ -92,21 +99,16 @@ def stretch(path: Path, numbers: Int[ndarray, "T"], size: tuple[int, int], fps: 
     return Stretch(path, first, tuple(f"{n:06d}" for n in numbers), shown, fps, size)
 
 
-def images_of(folder: Path) -> Sequence[Path]:
-    """List the images of a folder, in the order of the numbers in their names.
+def images_of(folder: Path, chosen: str = "", option: str = "--images") -> Sequence[Path]:
+    """List the images of a folder, in the order of the numbers in their names; those ``chosen`` by a pattern.
 
-    Raises ``InputError`` where there is none.
+    Raises ``InputError`` where there is none, and for several sets of images (``naming.one_set``), among which the
+    command's ``option`` chooses.
     """
-    paths = [path for path in folder.iterdir() if path.suffix.lower() in IMAGES and path.is_file()]
+    paths = files.listed(folder, IMAGES)
     if not paths:
         raise InputError(folder, "", "no images in it", f"a video, or a folder of images ({', '.join(IMAGES)})")
-    paths.sort(key=lambda path: (_natural(path.stem), path.name))
-    stems: dict[str, Path] = {}
-    for path in paths:
-        if path.stem in stems:
-            raise InputError(path, "", f"another image of the name of {stems[path.stem].name}", "one for each frame")
-        stems[path.stem] = path
-    return paths
+    return sorted(one_set(folder, paths, chosen, option), key=lambda path: (_natural(path.stem), path.name))
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import cast
+
+import numpy as np
 
 from getagrip.clip.mask_request import MaskReader, MaskRequest
 from getagrip.clip.region_masks import Region, region_masks
+from getagrip.clip.segments import Picture
 from getagrip.errors import InputError
 from getagrip.io import arrays, files
 
@@ -26,14 +32,13 @@ def coco(path: Path, content: Mapping[str, object], request: MaskRequest) -> Mas
     if len({*names}) < len(names):  # versions of one image
         names = [image["file_name"] for image in images]
     places = request.places(path, names)
-    for k in places.values():
-        check_size(path, f"images[{k}]", images[k].get("width"), images[k].get("height"), request)
+    sizes = {n: stated_size(path, f"images[{k}]", images[k], "width", "height", request) for n, k in places.items()}
     index = {images[k]["id"]: n for n, k in places.items()}
     regions: dict[int, list[Region]] = {n: [] for n in places}
     for key, item, labels in _annotations(path, content, "image_id"):
         if item["image_id"] in index:
-            one = Region(f"{key}.segmentation", labels, _thing(item), item.get("segmentation"))
-            regions[index[item["image_id"]]].append(one)
+            n = index[item["image_id"]]
+            regions[n].append(Region(f"{key}.segmentation", labels, _thing(item), item.get("segmentation"), sizes[n]))
     return region_masks(path, request, regions)
 
 
@@ -62,10 +67,14 @@ def youtube_vis(path: Path, content: Mapping[str, object], request: MaskRequest)
     return region_masks(path, request, regions)
 
 
-def check_size(path: Path, key: str, width: object, height: object, request: MaskRequest) -> None:
-    """Raise ``InputError`` for regions of images of another size."""
-    if (width, height) != request.size:
-        raise InputError(path, key, f"{files.shown(width)} x {files.shown(height)}", "{} x {}".format(*request.size))
+def stated_size(
+    path: Path, key: str, content: Mapping[str, object], width: str, height: str, request: MaskRequest
+) -> tuple[int, int]:
+    """Return the size that a file states of an image. Raises ``InputError`` for another shape than the clip's."""
+    sides = content.get(width), content.get(height)
+    if not all(type(side) is int and side > 0 for side in sides):
+        raise InputError(path, key, " x ".join(map(files.shown, sides)), "{} x {}".format(*request.size))
+    return request.check_size(path, key, sides)  # type: ignore[arg-type]
 
 
 def objects(path: Path, content: Mapping[str, object], key: str, needed: bool = True) -> list[files.Json]:
@@ -102,7 +111,9 @@ def _thing(item: Mapping[str, object]) -> str:
     return ""
 
 
-SHAPES = "polygons and rectangles; as COCO or as PNG others can be read, too"
+CORNERS = {"polygon": 0, "rotation": 0, "rectangle": 2, "circle": 2, "mask": 2}
+"""Points of LabelMe's and X-AnyLabeling's shapes; 0 for any number."""
+SHAPES = f"one of {', '.join(CORNERS)}; as COCO or as PNG others can be read, too"
 
 
 def label_me(source: Path, paths: Sequence[Path], request: MaskRequest) -> MaskReader:
@@ -111,25 +122,54 @@ def label_me(source: Path, paths: Sequence[Path], request: MaskRequest) -> MaskR
     for n, k in request.places(source, [path.name for path in paths]).items():
         path = paths[k]
         content = files.read_json(path)
-        check_size(path, "imageWidth", content.get("imageWidth"), content.get("imageHeight"), request)
-        regions[n] = [_shape(path, f"shapes[{i}]", item) for i, item in enumerate(objects(path, content, "shapes"))]
+        size = stated_size(path, "imageWidth", content, "imageWidth", "imageHeight", request)
+        shapes = objects(path, content, "shapes")
+        regions[n] = _grouped([_shape(path, f"shapes[{i}]", item, size) for i, item in enumerate(shapes)])
     return region_masks(source, request, regions)
 
 
-def _shape(path: Path, key: str, item: Mapping[str, object]) -> Region:
+def _grouped(found: Sequence[Region]) -> list[Region]:
+    """Join the polygons of a thing, as an outline and its hole: they have one ``group_id``."""
+    groups: dict[tuple[object, ...], list[Region]] = {}
+    for k, one in enumerate(found):
+        alone = not one.thing or not isinstance(one.content, list)
+        groups.setdefault((one.labels, one.thing, k if alone else -1), []).append(one)
+    return [
+        replace(of[0], content=[corners for one in of for corners in cast("list[object]", one.content)])
+        if len(of) > 1
+        else of[0]
+        for of in groups.values()
+    ]
+
+
+def _shape(path: Path, key: str, item: Mapping[str, object], size: tuple[int, int]) -> Region:
     label, group, kind = item.get("label"), item.get("group_id"), item.get("shape_type", "polygon")
     points = arrays.from_lists(item.get("points"))
-    if not isinstance(label, str) or kind not in ("polygon", "rectangle"):
+    if not isinstance(label, str) or kind not in CORNERS:
         raise InputError(path, key, files.shown(kind if isinstance(label, str) else label), f"a label, {SHAPES}")
     if points is None or points.dtype.kind not in "fi" or points.ndim != 2 or points.shape[1] != 2:
         raise InputError(path, f"{key}.points", files.shown(item.get("points")), "[[x, y], ...]")
-    corners = points.ravel().tolist()
+    if CORNERS[kind] not in (0, len(points)) or not np.isfinite(points).all():
+        raise InputError(path, f"{key}.points", f"{len(points)} points", f"{CORNERS[kind]} points")
+    content: object = [points.ravel().tolist()]
     if kind == "rectangle":
-        if len(points) != 2:
-            raise InputError(path, f"{key}.points", f"{len(points)} points", "two opposite corners")
         (x0, y0), (x1, y1) = points.tolist()
-        corners = [x0, y0, x1, y0, x1, y1, x0, y1]
-    return Region(f"{key}.points", (label,), "" if group is None else str(group), [corners], path)
+        content = [[x0, y0, x1, y0, x1, y1, x0, y1]]
+    elif kind == "circle":  # its middle, and a point of it
+        radius, angles = float(np.hypot(*(points[1] - points[0]))), np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
+        content = [(points[0] + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)).ravel().tolist()]
+    elif kind == "mask":
+        left, top = np.clip(points.min(axis=0), -1, max(size)).tolist()
+        content = Picture(_png(path, key, item.get("mask")), (round(left), round(top)))
+    return Region(f"{key}.points", (label,), "" if group is None else str(group), content, size, path)
+
+
+def _png(path: Path, key: str, text: object) -> bytes:
+    """Decode a mask's file. Raises ``InputError``."""
+    try:
+        return base64.b64decode(text if isinstance(text, str) else "-", validate=True)
+    except ValueError as error:
+        raise InputError(path, f"{key}.mask", files.shown(text), "a PNG in base64") from error
 
 
 def masklets(path: Path, content: Mapping[str, object], request: MaskRequest) -> MaskReader:
@@ -155,3 +195,25 @@ def masklets(path: Path, content: Mapping[str, object], request: MaskRequest) ->
         for n, k in places.items()
     }
     return region_masks(path, request, regions)
+
+
+def yolo(source: Path, paths: Sequence[Path], request: MaskRequest) -> MaskReader:
+    """Open YOLO's outlines, a text for each image: lines of a class's number and corners as shares of the sides.
+
+    Raises ``InputError``.
+    """
+    regions: dict[int, list[Region]] = {}
+    for n, k in request.places(source, [path.name for path in paths]).items():
+        regions[n] = []
+        for row, line in enumerate(files.read_text(paths[k]).splitlines(), start=1):
+            words = line.split()
+            try:
+                corners = np.array(words[1:], dtype=float).reshape(-1, 2) * request.size
+            except ValueError:
+                corners = np.zeros((0, 2))
+            if words and (len(corners) < 3 or not np.isfinite(corners).all()):
+                expected = "a class and at least three corners, x y x y x y; boxes are no masks"
+                raise InputError(paths[k], f"line {row}", files.shown(line), expected)
+            if words:
+                regions[n].append(Region(f"line {row}", (words[0],), "", [corners.ravel().tolist()], path=paths[k]))
+    return region_masks(source, request, regions)

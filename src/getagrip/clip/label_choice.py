@@ -14,7 +14,8 @@ from jaxtyping import Int
 from numpy import ndarray
 
 from getagrip.clip.data import FrameMasks
-from getagrip.clip.mask_request import MOST_NAMED, MaskRequest, without_object
+from getagrip.clip.mask_request import MaskRequest, without_object
+from getagrip.clip.naming import MOST_NAMED
 from getagrip.errors import InputError, UsageError
 from getagrip.io.images import open_png
 
@@ -33,26 +34,35 @@ class LabelChoice:
         self.hand = [label_value(text, "--hand") for text in request.hand]
         self.only: int | None = None
         self.others: set[str] = set()
+        named = {"--object": request.object, "--ignore": request.ignore, "--hand": request.hand}
+        self.unmet = {f"{option} {text}" for option, texts in named.items() for text in texts}
+
+    def _meet(self, labels: Int[ndarray, "H W"]) -> None:
+        """Note which of the labels that are named are in an image."""
+        for named in list(self.unmet):
+            if (labels == label_value(named.split(" ", 1)[1], named)).any():
+                self.unmet.discard(named)
 
     def __call__(self, path: Path, labels: Int[ndarray, "H W"]) -> FrameMasks:
         """Split an image into masks; raise ``InputError`` where no label is named and there are several."""
+        self._meet(labels)
         ignored = np.isin(labels, [*self.ignore, *self.hand])
         hand = np.isin(labels, self.hand) if self.hand else None
         if self.object:
             visible = np.isin(labels, self.object)
             if not visible.any() and len(self.others) < MOST_NAMED:
-                self.others.update(map(_label_name, np.unique(labels)[:MOST_NAMED].tolist()))
+                self.others.update(map(label_name, np.unique(labels)[:MOST_NAMED].tolist()))
             return without_object(visible, ignored, hand)
         visible = (labels != 0) & ~ignored
         there = np.unique(labels[visible])
         self.only = int(there[0]) if self.only is None and there.size else self.only
         if there.size > 1 or (there.size and there[0] != self.only):
-            some = ", ".join(map(_label_name, np.union1d(there, [self.only or there[0]])[:MOST_NAMED].tolist()))
+            some = ", ".join(map(label_name, np.union1d(there, [self.only or there[0]])[:MOST_NAMED].tolist()))
             raise InputError(path, "labels", f"several, {some}", "one, or the object's named by --object")
         return without_object(visible, ignored, hand)
 
 
-def _label_name(label: int) -> str:
+def label_name(label: int) -> str:
     return str(label) if label < 2**16 else f"#{label:06x}"
 
 

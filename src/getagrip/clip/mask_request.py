@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
-from jaxtyping import Bool
+import numpy as np
+from jaxtyping import Bool, Integer
 from numpy import ndarray
 
 from getagrip.clip.data import FrameMasks
-from getagrip.clip.naming import check_numbers, frames_of, stem_of
-from getagrip.errors import InputError, UsageError
+from getagrip.clip.naming import check_numbers, meant, rows_in_order, rows_of_frames, stem_of
+from getagrip.clip.plausible import check_shape
+from getagrip.errors import InputError
 from getagrip.io import files, numbers
 
-MOST_NAMED = 12
-"""Labels that an error lists."""
+RESIZED = "masks of {} x {} pixels were resized to {} x {}, in images"
+ROUNDED = 0.02
+"""Largest difference of a mask's shape from that of the images: sides are whole numbers."""
+MOST_PIXELS = 40_000_000
 
 
 def without_object(
@@ -38,6 +42,8 @@ class MaskReader:
     """The frames that have masks."""
     others: set[str] = field(default_factory=set)
     """Labels that were met so far in frames without the object, for an error about a label that is nowhere."""
+    unmet: set[str] = field(default_factory=set)
+    """Labels that were named, with their options, and not met so far."""
     notes: dict[str, int] = field(default_factory=dict)
     """Notes on how unusual content was read, with counts."""
     warnings: tuple[str, ...] = ()
@@ -64,10 +70,36 @@ class MaskRequest:
     """Those of the things that are the grasping hand; it need not be among the others."""
     ask_first: str = ""
     """The option that states the number of the first frame's mask, where it was not used."""
+    counted: bool = False
+    """True if it was used: frames are numbered as the masks' files count them."""
     images: str = ""
     """Which of the images are meant, where there are several of a frame: a folder, or a pattern of their names."""
     ask_images: str = "--images"
     """The option that says so."""
+
+    stretched: bool = False
+    """True if masks of another shape than the images are these images', stretched."""
+
+    def check_size(self, path: Path, key: str, size: tuple[int, int]) -> tuple[int, int]:
+        """Return the width and height of a mask. Raises ``InputError`` for another shape than the images have."""
+        if min(size) > 0 and size[0] * size[1] > MOST_PIXELS:
+            raise InputError(path, key, f"{size[0]} x {size[1]} pixels", f"at most {MOST_PIXELS} pixels")
+        if not self.stretched or min(size) < 1:
+            try:
+                check_shape(path, key, size, self.size, ROUNDED)
+            except InputError as error:
+                hint = "; --stretched takes them for the images, stretched (Roboflow's resize)"
+                raise InputError(path, key, error.got, f"{error.expected}{hint}") from error
+        return size
+
+    def resized(self, labels: Integer[ndarray, "h w"] | Bool[ndarray, "h w"], notes: Counter[str]) -> ndarray:
+        """Return a mask or labels at the images' size: of each pixel the nearest one's."""
+        (width, height), (h, w) = self.size, labels.shape
+        if (w, h) == self.size:
+            return labels
+        notes[RESIZED.format(w, h, width, height)] += 1
+        rows, columns = ((2 * np.arange(many) + 1) * few // (2 * many) for many, few in ((height, h), (width, w)))
+        return np.ascontiguousarray(labels[rows[:, None], columns])
 
     def check_numbers(self, source: Path, names: Iterable[str]) -> None:
         """Raise ``UsageError`` where masks seem to be counted from another start than frames."""
@@ -79,52 +111,18 @@ class MaskRequest:
         Raises ``UsageError`` where they seem to be counted from another start, and ``InputError`` where a frame has
         two, or none has one.
         """
-        chosen = [k for k, name in enumerate(names) if self._is_meant(name)]
-        if names and not chosen:
-            some = f"a folder of {source}'s images or a pattern of their names, as {files.plain(names[0])}"
-            raise UsageError(f"{self.ask_images} must be {some} (got {self.images!r})")
-        self.check_numbers(source, (stem_of(names[k]) for k in chosen))
-        found: dict[int, list[int]] = {}
-        for k, n in zip(chosen, frames_of((stem_of(names[k]) for k in chosen), self.frames), strict=True):
-            if n is not None:
-                found.setdefault(n, []).append(k)
-        several = next((n for n in sorted(found) if len(found[n]) > 1), None)
-        if several is not None:
-            first, second = (files.plain(names[k]) for k in found[several][:2])
-            alternatives = sorted(_alternatives([names[k] for of_frame in found.values() for k in of_frame]))[
-                :MOST_NAMED
-            ]
-            choice = (
-                f"; {self.ask_images} chooses: {' or '.join(map(files.plain, alternatives))}"
-                if len(alternatives) > 1
-                else ""
-            )
-            got = f"a second mask of frame {files.plain(self.frames[several])}, {second} beside {first}"
-            raise InputError(source, "", got, f"one{choice}")
-        if not found:
+        self.check_numbers(source, [stem_of(names[row]) for row in meant(names, self.images)])
+        rows = rows_of_frames(names, self.frames, source, "mask", self.images, self.ask_images)
+        if not rows:
             raise self.nothing(source, names)
-        return {n: of_frame[0] for n, of_frame in found.items()}
+        return rows
+
+    def in_order(self, source: Path, count: int) -> dict[int, int]:
+        """Match masks without names to frames. Raises ``UsageError`` as ``naming.rows_in_order`` does."""
+        return rows_in_order(count, self.frames, source, "mask", self.counted, self.ask_first or "--first")
 
     def nothing(self, source: Path, names: Sequence[str]) -> InputError:
         """Make the error that there is no mask of any frame."""
         some = ", ".join(map(files.plain, names[:2])) + (", ..." if len(names) > 2 else "")
         got = f"no mask of any of {len(self.frames)} frames" + (f" among {some}" if names else "")
         return InputError(source, "", got, f"masks named like the frames, as {files.plain(self.frames[0])}")
-
-    def _is_meant(self, name: str) -> bool:
-        name, folder = name.replace("\\", "/"), self.images.strip("/")
-        parent = str(PurePosixPath(name).parent)
-        return not folder or f"/{folder}/" in f"/{parent}/" or fnmatchcase(name, self.images)
-
-
-def _alternatives(names: Sequence[str]) -> set[str]:
-    """Folders, suffixes or beginnings of names, whichever tell images of one frame apart."""
-    paths = [PurePosixPath(name.replace("\\", "/")) for name in names]
-    for alternatives in (
-        {str(path.parent) for path in paths},
-        {f"*{path.suffix}" for path in paths},
-        {str(path.with_name(f"{path.stem.rstrip('0123456789')}*")) for path in paths},
-    ):
-        if len(alternatives) > 1:
-            return alternatives
-    return set()

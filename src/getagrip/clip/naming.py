@@ -8,14 +8,24 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from fnmatch import fnmatchcase
 from functools import lru_cache
+from pathlib import Path, PurePosixPath
 
-from getagrip.errors import UsageError
+from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 
 _NUMBER = re.compile(r"(\d{1,12})$")
 _PERSON = re.compile(r"_\d{1,2}$|_\d{1,2}_3dkeypoints$|_prediction_result$")
 """Suffixes that estimators add to an image's name: HaMeR a person's number, FrankMocap two words."""
+_THING = re.compile(
+    r"(?<=\d{3})[-_.](?:(?:object|obj|mask|instance|inst|segment)s?[-_]?(?:0|[1-9]\d{0,2})?"
+    r"|(?:class|label|tag)[-_][a-z]\w*)$",
+    re.IGNORECASE,
+)
+"""Suffixes of images of one thing each, as RectLabel's ``000001_object0``."""
+_TASK = re.compile(r"(.*task-\d+)-annotation-\d+(?:-by-\d+)?-tag-(.+)-\d+$")
+"""Label Studio's images: the number of the task, which is one image, and a label."""
 _ROBOFLOW = re.compile(r"_(?:jpe?g|png|webp|bmp|tiff?)\.rf\.[0-9A-Za-z]+$", re.IGNORECASE)
 _UUID = re.compile(r"(?:^|[-_. ])[0-9a-f]{8}(?:-?[0-9a-f]{4}){3}-?[0-9a-f]{12}$", re.IGNORECASE)
 _LAST = re.compile(r"(?:^|[-_. ])([0-9A-Za-z]+)$")
@@ -27,6 +37,8 @@ _DATES = 10_000_000
 """Numbers from here on may be dates, times, or hashes without a letter."""
 _LONGEST = 255
 """Letters of a file's name."""
+MOST_NAMED = 12
+"""Names that an error lists."""
 
 
 def stem_of(file_name: str) -> str:
@@ -46,9 +58,56 @@ def number_in(name: str) -> int | None:
 
     Without what is added behind it: a person by estimators, a hash, a size or a date by other programs.
     """
-    name = without_codes(name)
+    name = _THING.sub("", _TASK.sub(r"\1", without_codes(name)))
     number = number_of(_PERSON.sub("", name))
     return number_of(name) if number is None else number
+
+
+def pattern_of(name: str) -> str:
+    """Return a pattern for the names of a set of images, of which each frame has one: ``rgb_*``, ``*_object0``."""
+    return _set_of(name)[0]
+
+
+def _set_of(name: str) -> tuple[str, int | None]:
+    """Return the pattern of a name's set, and its number in there; a date or a time before it may be any."""
+    path = PurePosixPath(name.replace("\\", "/"))
+    if task := _TASK.match(path.stem):
+        return str(path.with_name(f"*-tag-{task[2]}-*")), number_in(path.stem)
+    stem = without_codes(path.stem)
+    bare = _THING.sub("", stem)
+    bare = _PERSON.sub("", bare) if number_of(_PERSON.sub("", bare)) is not None else bare
+    found = list(re.finditer(r"\d{1,12}", bare))
+    begin, end = found[-1].span() if found else (0, len(stem))
+    pattern = re.sub(r"\d{4,}|\d+(?=\.\*)", "*", f"{stem[:begin]}*{stem[end:]}")
+    return str(path.with_name(pattern)), int(found[-1][0]) if found else None
+
+
+def one_set(folder: Path, paths: Sequence[Path], images: str = "", option: str = "") -> list[Path]:
+    """Return the images of a folder that are ``images``, one for each number.
+
+    ``option`` is that of the command line which chooses. Raises ``InputError`` for several of one number, as of colour
+    and depth side by side, and ``UsageError`` where none is chosen.
+    """
+    chosen = [paths[row] for row in meant([path.name for path in paths], images)]
+    if paths and not chosen:
+        raise UsageError(f"{option} must be a pattern of names in {folder}, as {files.plain(paths[0].name)} is one")
+    numbered: dict[int, dict[str, Path]] = {}
+    for path in chosen:
+        pattern, number = _set_of(path.name)
+        if number is not None and not images:
+            numbered.setdefault(number, {}).setdefault(pattern, path)
+    both = next((list(of.values())[:2] for of in numbered.values() if len(of) > 1), None)
+    stems: dict[str, Path] = {}
+    for path in chosen if both is None else ():
+        if stems.setdefault(path.stem, path) != path:
+            both = [stems[path.stem], path]
+            break
+    if both is not None:
+        sets = alternatives([path.name for path in both])
+        choice = " or ".join(f"{option} {files.shown(one)}" for one in sets) if option else "a folder of its own"
+        got = f"several images of one frame, {' and '.join(files.plain(path.name) for path in both)}"
+        raise InputError(folder, "", got, f"one set of images; {choice}{' chooses' if option else ' for each set'}")
+    return chosen
 
 
 def without_codes(name: str) -> str:
@@ -88,7 +147,7 @@ def frames_of(names: Iterable[str], frames: Sequence[str]) -> Iterator[int | Non
 
 def _frame_at(name: str, places: tuple[dict[str, int], dict[int, list[int]]]) -> int | None:
     by_name, by_number = places
-    for candidate in (name, _PERSON.sub("", name), without_codes(name)):
+    for candidate in (name, _PERSON.sub("", name), without_codes(name), _THING.sub("", name)):
         if candidate in by_name:
             return by_name[candidate]
     date = number_of(name)
@@ -97,6 +156,99 @@ def _frame_at(name: str, places: tuple[dict[str, int], dict[int, list[int]]]) ->
         if len(same) == 1:
             return same[0]
     return None
+
+
+def rows_of_frames(
+    names: Sequence[str], frames: Sequence[str], source: Path, what: str, images: str = "", option: str = ""
+) -> dict[int, int]:
+    """Return the row of the one file, image or pose of each frame that has one, by their names.
+
+    ``what`` each is, in a word. ``images`` chooses among names, by a folder or a pattern, and ``option`` is that of the
+    command line that does. Raises ``UsageError`` where none is chosen, and ``InputError`` for two of one frame.
+    """
+    chosen = meant(names, images)
+    if names and not chosen:
+        some = f"a folder of {source}'s images or a pattern of their names, as {files.plain(names[0])}"
+        raise UsageError(f"{option or '--images'} must be {some} (got {images!r})")
+    found: dict[int, list[int]] = {}
+    for row, n in zip(chosen, frames_of((stem_of(names[row]) for row in chosen), frames), strict=True):
+        if n is not None:
+            found.setdefault(n, []).append(row)
+    several = next((n for n in sorted(found) if len(found[n]) > 1), None)
+    if several is not None:
+        first, second = (files.plain(names[row]) for row in found[several][:2])
+        got = f"a second {what} of frame {files.plain(frames[several])}, {second} beside {first}"
+        sets = alternatives([names[row] for of_frame in found.values() for row in of_frame])
+        choice = f"; {option} chooses: {' or '.join(map(files.plain, sets))}" if option and len(sets) > 1 else ""
+        raise InputError(source, "", got, f"one{choice}")
+    return {n: of_frame[0] for n, of_frame in found.items()}
+
+
+def rows_in_order(
+    count: int, frames: Sequence[str], source: Path, what: str, counted: bool, option: str = "--first"
+) -> dict[int, int]:
+    """Return the row of each frame among rows without names: of the clip's frames, or of a whole video.
+
+    Where the user has ``counted``, by an ``option``, frames have the numbers of their rows, from 0. Raises
+    ``InputError`` for fewer rows than frames, ``UsageError`` where it is not known which rows are meant, or where they
+    are not there.
+    """
+    got = f"{count} {what}s without names for {len(frames)} frames"
+    if count < len(frames):
+        raise InputError(source, "", got, f"one for each of the {len(frames)} frames, or names of their frames")
+    if not counted and count > len(frames):
+        which = f"{option} N, the number of the first frame's {what}, counted from 0"
+        raise UsageError(f"{source}: {got}: missing {which}")
+    if not counted:
+        return {n: n for n in range(count)}
+    rows = {n: int(number_of(frame) or 0) for n, frame in enumerate(frames)}
+    if max(rows.values()) >= count:
+        raise UsageError(
+            f"{option} must be such that the clip's frames are among {count} {what}s of {source}, counted from 0 "
+            f"(got {rows[0]}: the last frame's is number {rows[len(frames) - 1]})"
+        )
+    return rows
+
+
+def check_one_image(source: Path, names: Sequence[str], found: Sequence[int | None], frames: Sequence[str]) -> None:
+    """Raise ``InputError`` where two images are of one frame; an image may have several hands, by ``_PERSON``."""
+    images: dict[int, tuple[str, str]] = {}
+    for name, n in zip(names, found, strict=True):
+        path = PurePosixPath(name.replace("\\", "/"))
+        image = str(path.with_name(_PERSON.sub("", path.stem or path.name)))
+        if n is not None and (other := images.setdefault(n, (image, name)))[0] != image:
+            both = f"{files.plain(name)} beside {files.plain(other[1])}"
+            sets = alternatives([each for each, at in zip(names, found, strict=True) if at is not None])
+            some = f"; give the files of {' or '.join(map(files.plain, sets))}" if sets else ""
+            raise InputError(source, "", f"a second image of frame {files.plain(frames[n])}, {both}", f"one{some}")
+
+
+def meant(names: Sequence[str], images: str) -> list[int]:
+    """Return which names are in a folder, or like a pattern, that chooses among ``images``; all without one.
+
+    A pattern that is a set's own, as ``*`` of ``000001`` beside ``000001_thumb``, chooses that set alone.
+    """
+    own = [row for row, name in enumerate(names) if images and pattern_of(name) == images]
+    return own or [row for row, name in enumerate(names) if _is_like(name, images)]
+
+
+def _is_like(name: str, images: str) -> bool:
+    path, folder = PurePosixPath(name.replace("\\", "/")), images.strip("/")
+    inside = f"/{folder}/" in f"/{path.parent}/"
+    return not folder or inside or any(fnmatchcase(one, images) for one in (str(path), path.name, path.stem))
+
+
+def alternatives(names: Sequence[str]) -> list[str]:
+    """List folders, suffixes or patterns of names, whichever tell images of one frame apart; the first few."""
+    paths = [PurePosixPath(name.replace("\\", "/")) for name in names]
+    for each in (
+        {str(path.parent) for path in paths},
+        {f"*{path.suffix}" for path in paths},
+        {pattern_of(name) for name in names},
+    ):
+        if len(each) > 1:
+            return sorted(each)[:MOST_NAMED]
+    return []
 
 
 @lru_cache(maxsize=8)

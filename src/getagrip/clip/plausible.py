@@ -5,6 +5,7 @@ Errors name the mistake that usually leads to what they cannot be.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -73,6 +74,20 @@ def check_hand(path: Path, hand: HandTrack) -> None:
     check_poses(path, "T_cam_hand", hand.T_cam_hand, hand.vertices.mean(axis=1), "the hand")
     if hand.joints is not None:
         check_in_hand(path, "joints", hand.joints, "joints")
+
+
+STRETCH = 0.06
+"""Largest difference of an image's shape from that of the clip's images: networks round sides to multiples of 14 or 32
+pixels."""
+
+
+def check_shape(
+    path: Path, key: str, size: tuple[int, int], of_clip: tuple[int, int], stretch: float = STRETCH
+) -> None:
+    """Raise ``InputError`` for images (width, height) of another shape than the clip's, as cropped or turned ones."""
+    if min(size) < 1 or abs(math.log(size[0] / size[1] * of_clip[1] / of_clip[0])) > stretch:
+        expected = f"the shape of the clip's images, {of_clip[0]} x {of_clip[1]}: neither cropped nor turned"
+        raise InputError(path, key, f"{size[0]} x {size[1]} pixels", expected)
 
 
 def check_intrinsics(path: Path, K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> None:

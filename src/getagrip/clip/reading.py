@@ -8,11 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypedDict, cast
 
+import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip.data import Clip
 from getagrip.clip.modality import modalities
+from getagrip.clip.naming import number_of
 from getagrip.clip.per_frame import CAMERA, frame_names, intrinsics, times, world
 from getagrip.clip.plausible import FASTEST, SLOWEST, check_in_view
 from getagrip.clip.reading_arrays import HANDS, OTHER_HAND, frames_with_hand, read_hand, read_other_hand, read_truth
@@ -112,6 +114,15 @@ class ClipHeader:
     frames: tuple[str, ...]
     size: tuple[int, int]
     K: Float[ndarray, "T 3 3"]
+
+    @property
+    def times(self) -> Float[ndarray, "T"]:
+        """(T,) the times of the frames [s]: as stated, or at the clip's rate by their numbers."""
+        if "times" in self.fields:
+            return np.array(self.fields["times"], dtype=float)
+        numbers = [number_of(name) for name in self.frames]
+        at = np.arange(len(numbers)) if None in numbers else np.array(numbers) - int(numbers[0] or 0)
+        return np.asarray(at / float(self.fields["fps"]))
 
     def changed(self, new: Mapping[str, object]) -> dict[str, object]:
         """Return the content of ``clip.json``, in today's version, with some new fields."""

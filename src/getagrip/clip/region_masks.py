@@ -15,8 +15,9 @@ from jaxtyping import Bool
 from numpy import ndarray
 
 from getagrip.clip.data import FrameMasks
-from getagrip.clip.mask_request import MOST_NAMED, MaskReader, MaskRequest, without_object
-from getagrip.clip.segments import check_count, region, union, with_area
+from getagrip.clip.mask_request import MaskReader, MaskRequest, without_object
+from getagrip.clip.naming import MOST_NAMED
+from getagrip.clip.segments import check_count, own_size, region, union, with_area
 from getagrip.errors import InputError
 from getagrip.io import files
 
@@ -35,7 +36,9 @@ class Region:
     thing: str
     """Which of the things of that label it is of, in every frame; empty where the file does not say."""
     content: object
-    """Polygons or run lengths."""
+    """Polygons, run lengths or a picture."""
+    size: tuple[int, int] | None = None
+    """Width and height of its image; None for the clip's images'."""
     path: Path | None = None
     """Its file, where there are several."""
 
@@ -77,14 +80,23 @@ def region_masks(path: Path, request: MaskRequest, regions: Mapping[int, Sequenc
             content = with_area(one.content)
             if isinstance(one.content, list) and isinstance(content, list) and len(content) < len(one.content):
                 notes[NO_AREA] += len(one.content) - len(content)
-            yield region(one.path or path, one.key, content, request.size)
+            size = request.check_size(one.path or path, one.key, own_size(content) or one.size or request.size)
+            yield request.resized(region(one.path or path, one.key, content, size, notes), notes)
 
     def read(n: int) -> FrameMasks:
         frame = frames[n]
         return without_object(drawn(frame.object), drawn(frame.ignore), drawn(frame.hand) if request.hand else None)
 
-    everything = {one.name for of_frame in regions.values() for one in of_frame}
-    return MaskReader(path, read, frames.keys(), {*sorted(everything)[:MOST_NAMED]}, notes, warnings)
+    chosen = {"--object": request.object, "--ignore": request.ignore, "--hand": request.hand}
+    every = [one for of_frame in regions.values() for one in of_frame]
+    unmet = {
+        f"{option} {word}"
+        for option, words in chosen.items()
+        for word in words
+        if not any(one.is_of([word]) for one in every)
+    }
+    everything = {one.name for one in every}
+    return MaskReader(path, read, frames.keys(), {*sorted(everything)[:MOST_NAMED]}, unmet, notes, warnings)
 
 
 @dataclass(frozen=True)

@@ -7,38 +7,47 @@ Not pycocotools (2.0.11): runs that end early leave stray memory in its masks, a
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from getagrip.errors import InputError
 from getagrip.io import arrays, files
+from getagrip.io.images import decoded
 
 MOST_CORNERS = 100_000
 """Most corners of the polygons of one region."""
+MOST_NESTED = 1000
+"""Polygons of one region beyond which none is looked at as a hole."""
+CORNERS_LOOKED_AT = 16
+"""Corners of a polygon by which it is inside another one."""
+NESTED = "polygons inside others of their region were filled (holes are wound the other way)"
 MOST_DRAWN = 2**30
 """Pixels that are gone through for the regions of one kind in a frame, or for the polygons of one region."""
 
 
-def polygons(path: Path, key: str, value: object, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
+def polygons(
+    path: Path, key: str, value: object, size: tuple[int, int], notes: Counter[str] | None = None
+) -> Bool[ndarray, "H W"]:
     """Fill polygons [[x, y, x, y, ...], ...], clipped to the image.
 
     Raises ``InputError``.
 
-    Corners may leave the image by its own size, no further.
+    Corners may leave the image by its own size, no further. A polygon inside another one that is wound the other way
+    is a hole in it; ``notes`` count those that are wound the same way, and are filled.
     """
-    import cv2
 
     width, height = size
     if not isinstance(value, list) or not all(isinstance(corners, list) for corners in value):
         raise InputError(path, key, files.shown(value), "polygons, [[x, y, x, y, ...], ...]")
     if sum(map(len, value)) > 2 * MOST_CORNERS:
         raise InputError(path, key, f"{sum(map(len, value)) // 2} corners", f"at most {MOST_CORNERS}")
-    out = np.zeros((height, width), np.uint8)
-    drawn = 0
+    found, drawn = list[Float[ndarray, "n 2"]](), 0
     for corners in value:
         points = arrays.from_lists(corners)
         if points is None or points.dtype.kind not in "fi" or points.ndim != 1 or len(points) < 6 or len(points) % 2:
@@ -50,8 +59,47 @@ def polygons(path: Path, key: str, value: object, size: tuple[int, int]) -> Bool
         drawn += int(np.prod(np.clip(np.ptp(points, axis=0), 1, size)))
         if drawn > MOST_DRAWN:
             raise InputError(path, key, "polygons of more pixels", f"at most {MOST_DRAWN} pixels in all")
-        cv2.fillPoly(out, [np.round(256.0 * (points - 0.5)).astype(np.int32)], 1, shift=8)
+        found.append(points)
+    return _filled(found, size, Counter() if notes is None else notes)
+
+
+def _filled(found: list[Float[ndarray, "n 2"]], size: tuple[int, int], notes: Counter[str]) -> Bool[ndarray, "H W"]:
+    """Draw polygons, the largest first: a hole is inside one that was drawn and wound the other way."""
+    import cv2
+
+    out = np.zeros(size[::-1], np.uint8)
+    areas = [_signed_area(points) for points in found]
+    outer = list[int]()
+    for k in sorted(range(len(found)), key=lambda k: -abs(areas[k])):
+        corners = [np.round(256.0 * (found[k] - 0.5)).astype(np.int32)]
+        around = [n for n in outer if len(outer) <= MOST_NESTED and _is_inside(found[k], found[n])]
+        if not around or areas[k] * areas[around[-1]] > 0.0:
+            notes.update([NESTED] * bool(around))
+            cv2.fillPoly(out, corners, 1, shift=8)
+        else:
+            hole = np.zeros_like(out)
+            cv2.fillPoly(hole, corners, 1, shift=8)
+            cv2.polylines(hole, corners, True, 0, shift=8)  # the border is the region's
+            out[hole > 0] = 0
+        outer.append(k)
     return out.astype(bool)
+
+
+def _signed_area(points: Float[ndarray, "n 2"]) -> float:
+    """Compute the area of a polygon, below 0 if it is wound the other way."""
+    x, y = (points - points[0]).T
+    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2.0
+
+
+def _is_inside(points: Float[ndarray, "n 2"], outer: Float[ndarray, "m 2"]) -> bool:
+    """Return whether some corners of a polygon, and the middle of these, are all in another one."""
+    import cv2
+
+    if (points.min(axis=0) < outer.min(axis=0)).any() or (points.max(axis=0) > outer.max(axis=0)).any():
+        return False
+    border = outer.astype(np.float32)
+    some = points[np.linspace(0, len(points) - 1, min(len(points), CORNERS_LOOKED_AT)).astype(int)]
+    return all(cv2.pointPolygonTest(border, (float(x), float(y)), False) >= 0.0 for x, y in some)
 
 
 def run_lengths(path: Path, key: str, value: object, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
@@ -96,9 +144,45 @@ def _uncompressed(path: Path, key: str, text: str, pixels: int) -> list[int]:
     return counts
 
 
-def region(path: Path, key: str, value: object, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
-    """Decode a COCO ``segmentation``, of either kind. Raises ``InputError``."""
-    return (run_lengths if isinstance(value, dict) else polygons)(path, key, value, size)
+@dataclass(frozen=True)
+class Picture:
+    """A region as a PNG of its own box, as LabelMe has it.
+
+    Attributes:
+        content: the PNG's file.
+        corner: column and row of its first pixel in the image.
+    """
+
+    content: bytes
+    corner: tuple[int, int]
+
+    def pixels(self, path: Path, key: str, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
+        """Decode the region. Raises ``InputError`` where it is damaged or leaves the image."""
+        inside = decoded(path, key, self.content, max(size)).any(axis=2)
+        (x, y), (height, width) = self.corner, inside.shape
+        if min(x, y) < 0 or x + width > size[0] or y + height > size[1]:
+            got = f"{width} x {height} pixels from ({x}, {y}) on"
+            raise InputError(path, key, got, f"a mask inside the {size[0]} x {size[1]} image")
+        out = np.zeros(size[::-1], dtype=bool)
+        out[y : y + height, x : x + width] = inside
+        return out
+
+
+def region(
+    path: Path, key: str, value: object, size: tuple[int, int], notes: Counter[str] | None = None
+) -> Bool[ndarray, "H W"]:
+    """Decode a COCO ``segmentation`` of either kind, or a ``Picture``. Raises ``InputError``."""
+    if isinstance(value, Picture):
+        return value.pixels(path, key, size)
+    return run_lengths(path, key, value, size) if isinstance(value, dict) else polygons(path, key, value, size, notes)
+
+
+def own_size(value: object) -> tuple[int, int] | None:
+    """Return the width and height that run lengths state; None for other regions, and where they are malformed."""
+    stated = value.get("size") if isinstance(value, dict) else None
+    if not isinstance(stated, list) or len(stated) != 2 or not all(type(side) is int for side in stated):
+        return None
+    return stated[1], stated[0]
 
 
 def with_area(value: object) -> object:

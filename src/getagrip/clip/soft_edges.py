@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 from numpy import ndarray
 
 from getagrip.clip.sampling import frame_indices
@@ -72,12 +72,7 @@ def soft_maximum(path: Path, labels: Int[ndarray, "H W"], named: Sequence[int], 
     maximum = int(values.max())
     if maximum < LEAST_MAXIMUM:
         return None
-    inside = np.ones(values.shape, dtype=bool)
-    for axis in (0, 1):
-        same = np.diff(values, axis=axis) == 0
-        first, last = ((slice(None),) * axis + (cut,) for cut in (slice(1, None), slice(None, -1)))
-        inside[first] &= same
-        inside[last] &= same
+    inside = _inside(values)
     count, count_inside = np.bincount(values.ravel()), np.bincount(values[inside], minlength=maximum + 1)
     value = np.flatnonzero(count)
     area = count_inside[value] >= INSIDE * count[value]
@@ -93,6 +88,26 @@ def soft_maximum(path: Path, labels: Int[ndarray, "H W"], named: Sequence[int], 
         got = "a mask with soft edges, the only thing in the image"
         raise InputError(path, "labels", got, "--object for its maximum or for nothing, no --ignore and --hand")
     return maximum
+
+
+def areas(labels: Int[ndarray, "H W"]) -> list[int]:
+    """Return the values that are no background's and have areas of their own, not only edges."""
+    values, at, count = np.unique(labels, return_inverse=True, return_counts=True)
+    if len(values) < 3:
+        return [value for value in values.tolist() if value]
+    within = np.bincount(at.ravel()[_inside(labels).ravel()], minlength=len(values))
+    return [int(value) for value in values[(within >= INSIDE * count) & (within > 0)] if value]
+
+
+def _inside(values: Int[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
+    """Return which pixels have the value of all of their neighbours."""
+    inside = np.ones(values.shape, dtype=bool)
+    for axis in (0, 1):
+        same = np.diff(values, axis=axis) == 0
+        first, last = ((slice(None),) * axis + (cut,) for cut in (slice(1, None), slice(None, -1)))
+        inside[first] &= same
+        inside[last] &= same
+    return inside
 
 
 def _channels(labels: Int[ndarray, "H W"]) -> list[Int[ndarray, "H W"]]:

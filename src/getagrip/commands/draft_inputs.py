@@ -92,7 +92,7 @@ def depth_of(path: Path, form: str, first: int | None, stretch: Stretch) -> Dept
     names = stretch.names if first is None else renumbered(stretch.names, first, "--depth-first")
     if form not in SOURCES:
         raise unknown("--depth-from", form, SOURCES)
-    reader = open_depth(path, form, names, "--depth-first" if first is None else "")
+    reader = open_depth(path, form, names, "--depth-first" if first is None else "", counted=first is not None)
     check_shape(*reader.read(reader.known[0])[:2], stretch.footage.size)
     return DepthFiles(reader, stretch.names, SOURCES[form].source, f"from {path.name}, {form}")
 

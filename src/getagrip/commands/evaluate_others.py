@@ -20,6 +20,7 @@ from getagrip.evaluation.meshes import MeshFrame, read_meshes
 from getagrip.evaluation.other_poses import poses_of
 from getagrip.evaluation.results import Evaluation
 from getagrip.geometry import mesh_files
+from getagrip.io import files
 from getagrip.object_poses.at_frames import place_of
 from getagrip.object_poses.files import SUFFIXES
 
@@ -56,9 +57,7 @@ def mesh_jobs(options: Evaluate, frames: Frames, of_results: Folders = MappingPr
     assert root is not None
     if not root.is_dir():
         raise InputError(root, "", "no such folder", "a folder of meshes, <clip>/<frame>.obj")
-    inside = sorted(root.iterdir())
-    one = any(path.suffix.lower() in mesh_files.SUFFIXES for path in inside)
-    folders = [root] if one else [path for path in inside if path.is_dir()]
+    folders = [root] if files.listed(root, mesh_files.SUFFIXES) else files.folders_in(root)
     if not folders:
         raise InputError(root, "", "no meshes in it or in its folders", "<clip>/<frame>.obj")
     how = root.resolve().name, frames, options.first, options.mesh_frame
@@ -87,7 +86,7 @@ def pose_jobs(options: Evaluate, frames: Frames, of_results: Folders = MappingPr
         return [OtherJob(one, where, *how)]
     if root.is_file():
         return [OtherJob(root, _clip_of(root, where, of_results), *how)]
-    places = [path for path in sorted(root.iterdir()) if path.is_dir() or path.suffix.lower() in SUFFIXES]
+    places = sorted([*files.folders_in(root), *files.listed(root, SUFFIXES)])
     if not places:
         raise InputError(root, "", "no poses in it", f"<clip>/, or <clip> with one of {', '.join(SUFFIXES)}")
     named = [path.name if path.is_dir() else path.stem for path in places]

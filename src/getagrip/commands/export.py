@@ -37,6 +37,8 @@ class Export(Command):
     """With --to lerobot: --out is a dataset, made or continued, and each result an episode; clips in it are kept."""
     test_share: float = 0.0
     """With --one-dataset: share of the clips that are for tests, chosen by their names; the others are for training."""
+    fps: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="(default: as the clip)")] = None
+    """Resample to this rate, evenly [frames per second]: poses are interpolated, images are the nearest ones."""
     clips: ClipsFolder = None
     """A clip, or the folder that holds the clips by name."""
     overwrite: Flag = False
@@ -56,6 +58,8 @@ class Export(Command):
             raise UsageError(f"--test-share must be 0 to 1 (got {self.test_share:g})")
         if self.test_share and not self.one_dataset:
             raise UsageError("--test-share cannot be used without --one-dataset")
+        if self.fps is not None and not 0.1 <= self.fps <= 1000.0:
+            raise UsageError(f"--fps must be 0.1 to 1000 frames per second (got {self.fps:g})")
         FORMATS[self.to]  # which raises where it cannot be loaded
         if not self.results:
             raise UsageError("missing RESULT: name at least one result")
@@ -95,6 +99,7 @@ class Export(Command):
                     files.refuse_link(folder)
                 result, record = read_result(folder)
                 scene = Scene.of(result, clip_of(folder, result, record, self.clips))
+                scene = scene if self.fps is None else scene.even(self.fps)
                 if dataset is not None:
                     there, split = scene.name in dataset.clips, "test" if scene.name in tests else "train"
                     said = "there already" if there else f"episode {dataset.add(scene, split)}, {split}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -13,14 +13,14 @@ from tyro.conf import Positional, arg
 
 from getagrip.cameras import CameraPath, read_path
 from getagrip.clip.intrinsics import camera_warning
-from getagrip.clip.naming import check_numbers, number_of, renumbered
+from getagrip.clip.naming import check_numbers, meant, renumbered, stem_of
 from getagrip.clip.per_frame import world
 from getagrip.clip.plausible import check_intrinsics
 from getagrip.clip.reading import ClipHeader, read_header
 from getagrip.commands.command import Command, FirstNumber
 from getagrip.errors import UsageError
 from getagrip.io import files, numbers
-from getagrip.io.arguments import Flag
+from getagrip.io.arguments import Flag, one_of
 from getagrip.io.terminal import report, say, warn
 from getagrip.provenance import Source, assumed, estimated, measured, report_source
 
@@ -28,14 +28,19 @@ WARNED = 3
 """Exit status where the path is written and something about it is assumed or seems wrong."""
 APART = 0.02
 """Largest share by which focal lengths differ without a word."""
+OFF_CENTRE = 0.1
+"""Largest distance of principal points without a word [shares of the images' sides]."""
+STILL = 1e-9
+"""Largest change of a pose that is none [m, or entries of a rotation]."""
+Quaternion = Literal["xyzw", "wxyz"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImportCameras(Command):
     """Add the camera's path to a clip.
 
-    Recognised by their files: COLMAP, EPIC-Fields, ViPE, MegaSaM, DROID-SLAM, HaWoR, ARKit (3D Scanner App), Aria MPS,
-    TUM and KITTI lines.
+    Recognised by their files: COLMAP, EPIC-Fields, nerfstudio, ViPE, MegaSaM, DROID-SLAM, HaWoR, ARKit (3D Scanner
+    App), Record3D, Aria MPS, TUM, EuRoC and KITTI lines.
     """
 
     path: Annotated[Positional[Path], arg(metavar="PATH")]
@@ -46,6 +51,10 @@ class ImportCameras(Command):
     """The number that the files give to the first frame, if they count from another start."""
     start: Annotated[float | None, arg(metavar="S", help_behavior_hint="")] = None
     """The time that the file gives to time 0 of the clip, for files with times."""
+    images: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: all)")] = ""
+    """Folder (cam1) or pattern of names (cam1_*) of the images to use, if there are several for a frame."""
+    quaternion: Annotated[Quaternion | None, one_of("xyzw", "wxyz"), arg(help_behavior_hint="")] = None
+    """Order of the quaternions in lines of numbers, where the files do not tell it."""
     metres: Annotated[float | None, arg(metavar="M", help_behavior_hint="")] = None
     """Metres of a unit of length, for files whose scale is arbitrary."""
     intrinsics: Flag = False
@@ -65,12 +74,15 @@ class ImportCameras(Command):
             raise UsageError(f"--metres must be above 0 (got {self.metres:g})")
         if self.start is not None and not np.isfinite(self.start):
             raise UsageError(f"--start must be a time in seconds (got {self.start:g})")
-        found = read_path(self.path)
-        report(f"{self.path}: taken for {found.source}")
+        found = self._found(header)
+        counted = self.first is not None
         names = header.frames if self.first is None else renumbered(header.frames, self.first, "--first")
-        check_numbers(header.frames, found.names, self.path, "pose", "--first" if self.first is None else "")
+        stems = [stem_of(found.names[row]) for row in meant(found.names, self.images)]
+        check_numbers(header.frames, stems, self.path, "pose", "" if counted else "--first")
+        how = names, header.times, self.start, counted, self.images
         with numbers.guarded(self.path):
-            poses, filled = found.scaled(self.metres or 1.0).at(names, _times(header), self.start)
+            poses, filled = found.scaled(self.metres or 1.0).at(*how)
+            theirs = found.K_at(header.size, *how) if found.pinholes else None
         camera: dict[str, object] = {**header.fields["camera"], "T_world_cam": poses.tolist()}
         camera.pop("world_up", None), camera.pop("world_support", None)
         if found.up is not None:
@@ -78,42 +90,58 @@ class ImportCameras(Command):
         world(header.folder / "clip.json", camera, header.frames)
         sources = {"world": _world(found, self.path.name, self.metres, int(filled.sum()), len(names))}
         K = header.K
-        if found.pinhole is not None and self.intrinsics:
-            K = np.tile(found.pinhole.resized(header.size), (len(names), 1, 1))
+        if theirs is not None and self.intrinsics:
+            K = theirs
             check_intrinsics(self.path, K, header.size)
-            camera["K"] = K[0].tolist()
+            camera["K"] = K[0].tolist() if np.allclose(K, K[0], rtol=1e-9) else K.tolist()
             sources["camera"] = measured(f"{found.source}, {self.path.name}")
         provenance = header.fields["provenance"] | sources
         with files.new_file(header.folder / "clip.json") as part:
             files.write_json(part, header.changed({"camera": camera, "provenance": provenance}))
         for topic, source in sources.items():
             report_source(topic, source)
-        warnings = [*self._warnings(found, header), *filter(None, [camera_warning(K, header.size)])]
+        warnings = [*self._warnings(found, poses, theirs, header), *filter(None, [camera_warning(K, header.size)])]
         for text in warnings:
             warn(f"camera: {text}")
         say(f"{header.folder / 'clip.json'}: the camera in {len(names)} frames, {_extent(poses):.2f} m from end to end")
         return WARNED if warnings or any(source.basis == "assumed" for source in sources.values()) else 0
 
-    def _warnings(self, found: CameraPath, header: ClipHeader) -> list[str]:
-        """Say where the files' intrinsics do not fit the clip's."""
-        if found.pinhole is None:
-            return []
+    def _found(self, header: ClipHeader) -> CameraPath:
+        """Read the path, of several models that with the most of the clip's frames. Raises ``UsageError``."""
+        found = read_path(self.path, self.quaternion or "")
+        report(f"{self.path}: taken for {found.source}")
+        if found.others:
+            models = (found, *found.others)
+            counts = ", ".join(f"{one.path.parent} ({len(one.names)} images)" for one in models)
+            found = found.best(header.frames)
+            report(f"{self.path}: {len(models)} models, {counts}; {found.path.parent} is used, which has most frames")
+        if self.intrinsics and not found.pinholes:
+            raise UsageError(f"--intrinsics cannot be used with {self.path}: {found.source} have no intrinsics")
+        return found
+
+    def _warnings(
+        self, found: CameraPath, poses: Float[ndarray, "T 4 4"], theirs: Float[ndarray, "T 3 3"] | None,
+        header: ClipHeader,
+    ) -> list[str]:  # fmt: skip
+        """Say where the files' intrinsics do not fit the clip's, and of a camera that stands still by mistake."""
         texts = []
-        if found.pinhole.distorted:
+        if np.ptp(poses, axis=0).max() < STILL < np.ptp(found.T_world_cam, axis=0).max():
+            texts.append("it stands still in all frames, although the files' camera moves: are these its times?")
+        if any(one.distorted for one in found.pinholes):
             texts.append("the files' model has lens distortion: a clip is a pinhole (clip new --distortion)")
-        theirs, ours = found.pinhole.resized(header.size)[0, 0], float(np.median(header.K[:, 0, 0]))
-        if not self.intrinsics and abs(theirs / ours - 1.0) > APART:
-            texts.append(f"focal length {theirs:.5g} px in the files, {ours:.5g} px in the clip; --intrinsics takes it")
+        if theirs is None or self.intrinsics:
+            return texts
+        f, ours = theirs[:, 0, 0], header.K[:, 0, 0]
+        if (apart := abs(f / ours - 1.0)).max() > APART:
+            some = f"{f[0]:.5g} px" if np.ptp(f) < 1e-6 * f[0] else f"{f.min():.5g} to {f.max():.5g} px"
+            texts.append(
+                f"focal length {some} in the files, {ours[apart.argmax()]:.5g} px in the clip; --intrinsics takes it"
+            )
+        off = abs(theirs[:, :2, 2] - header.K[:, :2, 2]) / header.size
+        if off.max() > OFF_CENTRE:
+            x, y = theirs[off.max(axis=1).argmax(), :2, 2]
+            texts.append(f"principal point ({x:.4g}, {y:.4g}) px in the files, another in the clip: cropped images?")
         return texts
-
-
-def _times(header: ClipHeader) -> Float[ndarray, "T"]:
-    """Return the times of a clip's frames [s]: as stated, or at its rate by their numbers."""
-    if "times" in header.fields:
-        return np.array(header.fields["times"], dtype=float)
-    numbers = [number_of(name) for name in header.frames]
-    at = np.arange(len(numbers)) if None in numbers else np.array(numbers) - int(numbers[0] or 0)
-    return np.asarray(at / float(header.fields["fps"]))
 
 
 def _world(found: CameraPath, name: str, metres: float | None, filled: int, frames: int) -> Source:

@@ -6,15 +6,28 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias, get_args
 
+import numpy as np
+from numpy import ndarray
 from tyro.conf import Positional, arg
 
 from getagrip.clip.depth import DEPTH
-from getagrip.clip.depth_sources import SOURCES, add_depth, check_camera, chosen_source, open_depth
+from getagrip.clip.depth_files import check_shape
+from getagrip.clip.depth_sources import (
+    SOURCES,
+    DepthReader,
+    add_depth,
+    check_camera,
+    check_order,
+    chosen_source,
+    open_depth,
+)
 from getagrip.clip.naming import renumbered
-from getagrip.clip.reading import read_header
+from getagrip.clip.reading import ClipHeader, read_header
+from getagrip.clip.soft_edges import looked_at
 from getagrip.commands.command import Command, FirstNumber
 from getagrip.errors import UsageError
 from getagrip.io.arguments import Flag, one_of
+from getagrip.io.images import read_png
 from getagrip.io.terminal import say, warn
 
 WARNED = 3
@@ -48,6 +61,8 @@ class ImportDepth(Command):
     """Error of distances, the factor apart, as a share of the distance."""
     first: FirstNumber = None
     """The number that the files give to the first frame, if they count from another start."""
+    images: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: all)")] = ""
+    """Folder or pattern of names (cam1_*) of the files to use, if there are several for a frame."""
     overwrite: Flag = False
     """Replace depth that is there already."""
 
@@ -61,15 +76,32 @@ class ImportDepth(Command):
         if target.exists() and not self.overwrite:
             raise UsageError(f"{target}: exists already; --overwrite replaces it")
         frames = header.frames if self.first is None else renumbered(header.frames, self.first, "--first")
-        reader = open_depth(self.path, self.source, frames, "--first" if self.first is None else "")
+        ask_first, counted = ("--first", False) if self.first is None else ("", True)
+        reader = open_depth(self.path, self.source, frames, ask_first, self.images, counted)
         source = chosen_source(self.source, self.scale, self.unit, self.error)
+        check_shape(*reader.read(reader.known[0])[:2], header.size)
+        order = check_order(reader, _masks(header, reader), source)
         said = f"from {self.path.name}, {self.source}"
         add_depth(header, reader, source, said, unit=self.unit, overwrite=self.overwrite)
         say(f"{target}: depth of {len(reader.known)} of {len(frames)} frames")
-        warning = check_camera(reader, source, header.K, header.size[0])
+        warnings = [*filter(None, [check_camera(reader, source, header.K, header.size[0]), order])]
         if len(reader.known) < len(frames):
             missing = [name for n, name in enumerate(header.frames) if n not in reader.known]
             warn(f"no depth in {len(missing)} of {len(frames)} frames (first: {missing[0]})")
-        if warning:
+        for warning in warnings:
             warn(f"{self.path}: {warning}")
-        return WARNED if warning else 0
+        return WARNED if warnings else 0
+
+
+def _masks(header: ClipHeader, reader: DepthReader) -> dict[int, tuple[ndarray, ndarray]]:
+    """Read the masks of the object, and of what hides it, in some frames that have both these and depth."""
+    found = dict[int, tuple[ndarray, ndarray]]()
+    there = [n for n in reader.known if (header.folder / f"masks/object/{header.frames[n]}.png").is_file()]
+    for n in looked_at(there):
+        seen, others = (
+            read_png(header.folder / name, header.size) > 0 if (header.folder / name).is_file() else None
+            for name in (f"masks/{kind}/{header.frames[n]}.png" for kind in ("object", "ignore"))
+        )
+        if seen is not None:
+            found[n] = seen, np.zeros_like(seen) if others is None else others
+    return found

@@ -147,7 +147,7 @@ class ImportHands(Command):
             raise UsageError(f"{target}: exists already; --overwrite replaces it")
         side: Side = header.fields["side"]
         request = self._request(side, header.frames, header.K, header.size)
-        hands = read(self.paths, self.tracker, replace(request, hand_masks=_hand_masks(header)))
+        hands = read(self.paths, self.tracker, replace(request, hand_masks=_hand_masks(header), times=header.times))
         check_in_view(self.paths[0], hands.track, header.K[list(hands.found)], header.size)
         hands = hands.extrapolate_to_ends(header.frames) if self.hold_ends else hands
         if len(hands.found) < len(header.frames) and (header.folder / "truth.npz").exists():
@@ -171,7 +171,8 @@ class ImportHands(Command):
             raise UsageError(f"{target}: exists already; --overwrite replaces it")
         own = frames_with_hand(files.inside(header.folder, "hand.npz", "", "the clip's own hand first"), header.frames)
         side: Side = "left" if header.fields["side"] == "right" else "right"
-        hands = read(self.paths, self.tracker, self._request(side, header.frames, header.K, header.size))
+        request = replace(self._request(side, header.frames, header.K, header.size), times=header.times)
+        hands = read(self.paths, self.tracker, request)
         check_in_view(self.paths[0], hands.track, header.K[list(hands.found)], header.size)
         alone = sorted({*hands.found} - {*own.tolist()})
         if len(alone) == len(hands.found):
@@ -230,7 +231,7 @@ class ImportHands(Command):
         """Make the request; ``first`` is the number of the first frame's hand, where hands are counted differently."""
         if self.first is None:
             return Request(side, frames, K, size, self.mano)
-        return Request(side, renumbered(frames, self.first, "--first"), K, size, self.mano, ask_first="")
+        return Request(side, renumbered(frames, self.first, "--first"), K, size, self.mano, ask_first="", counted=True)
 
 
 if not TYPE_CHECKING:  # the choices of --from, and the options of each tracker, as the table has them

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from getagrip.commands.command import Command, each_clip
 from getagrip.errors import InputError
+from getagrip.io import files
 from getagrip.io.terminal import Silence, counted, kept_warnings, report, say
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def import_many(
     if not source.is_dir():
         raise InputError(source, "", "no such folder", "a folder with something named like each clip")
     by_stem: dict[str, list[Path]] = {}
-    for one in sorted(source.iterdir()):
+    for one in sorted([*files.listed(source), *files.folders_in(source)]):
         by_stem.setdefault(one.name if one.is_dir() else one.stem, []).append(one)
 
     def job(name: str, folder: Path) -> ImportJob:

@@ -50,6 +50,8 @@ class ImportMasks(Command):
     """The number that the masks give to the first frame, if they count from another start."""
     images: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: all)")] = ""
     """Folder (take1) or pattern of names (cam1_*) of the images to use, if there are several for a frame."""
+    stretched: Flag = False
+    """The masks are of images that were stretched to another shape, as Roboflow's resize does."""
     overwrite: Flag = False
     """Replace masks that are there already."""
 
@@ -78,7 +80,9 @@ class ImportMasks(Command):
             names = renumbered(names, self.first, "--first")
         ask_first = "--first" if self.first is None else ""
         labels = self.object, self.ignore, self.hand
-        reader = open_masks(self.path, MaskRequest(names, header.size, *labels, ask_first, self.images))
+        counted_by = ask_first, self.first is not None
+        request = MaskRequest(names, header.size, *labels, *counted_by, self.images, stretched=self.stretched)
+        reader = open_masks(self.path, request)
         whence = header.fields["provenance"] | {"masks": provenance(self.path, *labels, self.images)}
         with files.new_folder(target, ("object",) if self.overwrite else ()) as new:
             visible = write_masks(reader, header.frames, new)
@@ -98,9 +102,10 @@ def report_masks(reader: MaskReader, frames: tuple[str, ...], visible: int) -> i
     if visible < FEWEST:
         seen = f"the object is visible in {counted(visible, 'frame')}; reconstruct needs {FEWEST}"
         warn(f"{reader.source}: {seen}")
-    for warning in reader.warnings:
+    warnings = [*reader.warnings, *(f"no frame has a pixel of {named}" for named in sorted(reader.unmet))]
+    for warning in warnings:
         warn(f"{reader.source}: {warning}")
-    return 3 if reader.warnings or visible < FEWEST else 0
+    return 3 if warnings or visible < FEWEST else 0
 
 
 def write_masks(reader: MaskReader, frames: tuple[str, ...], folder: Path) -> int:

@@ -118,8 +118,9 @@ class Label(Command):
         """Return a task for each video that opens, and how many do not. Raises ``UsageError`` without any video."""
         from getagrip.annotate.tasks import Task, read_tasks
         from getagrip.annotate.video import SUFFIXES
+        from getagrip.io import files
 
-        videos = sorted(path for path in self.videos.iterdir() if path.suffix in SUFFIXES and path.is_file())
+        videos = files.listed(self.videos, {suffix.lower() for suffix in SUFFIXES})
         if not videos:
             raise UsageError(f"missing videos in {self.videos}: files that end in {', '.join(SUFFIXES)}")
         stems, tasks = Counter(path.stem.casefold() for path in videos), list[Task]()

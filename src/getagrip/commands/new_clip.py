@@ -100,6 +100,8 @@ class NewClip(Command):
     lens: Annotated[Lens, arg(name="")] = field(default_factory=Lens)
     """The camera. Not needed if the hand file has it."""
     distorted: Annotated[Distortion, arg(name="")] = field(default_factory=Distortion)
+    images: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: all)")] = ""
+    """Pattern of names of the images to use (rgb_*), if a folder has several sets of them."""
     fps: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="(default: 30)")] = None
     """Frames per second of a folder of images; a video has its frames' own times."""
     overwrite: Flag = False
@@ -126,7 +128,7 @@ class NewClip(Command):
             raise UsageError(f"{self.out}: exists already; --overwrite replaces it")
         if not files.is_plain_name(self.out.name):
             raise UsageError(f"--out must be a folder whose name can be the clip's (got {self.out})")
-        size, fps = size_and_rate(self.video, self.fps)
+        size, fps = size_and_rate(self.video, self.fps, self.images)
         print(f"video: {size[0]} x {size[1]}, {fps:.6g} frames per second")
         hands = None if self.hands is None else HandFile.of(self.hands)
         has = {
@@ -141,7 +143,7 @@ class NewClip(Command):
         if missing or self.interval is None or self.side is None:
             return 2
         numbers = _numbers(self.interval)
-        footage = stretch(self.video, numbers, size, fps, self.fps is not None)
+        footage = stretch(self.video, numbers, size, fps, self.fps is not None, self.images)
         names = footage.names
         K, camera = camera_of(self.lens, hands, size)
         images, camera = footage.images(), replace(camera, text=camera.text + self.distorted.words)
@@ -233,7 +235,7 @@ def _masks(new: NewClip, names: tuple[str, ...], size: tuple[int, int]) -> MaskR
         names = renumbered(names, new.mask_first, "--mask-first")
     ask_first = "--mask-first" if new.mask_first is None else ""
     labels = new.object, new.ignore, new.hand
-    request = MaskRequest(names, size, *labels, ask_first, new.mask_images, "--mask-images")
+    request = MaskRequest(names, size, *labels, ask_first, not ask_first, new.mask_images, "--mask-images")
     return open_masks(new.masks, request)
 
 

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 Unit = Literal["mm", "cm", "m", "in"]
 METRES: dict[Unit, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
+DEBRIS = 0.05
+"""Parts smaller than this do not count as things of their own [share of the mesh's size]."""
 FREE_SIZE = 0.1
 """Largest side that a mesh of free scale gets where its own is no hand-held object's in metres [m]."""
 
@@ -38,6 +40,9 @@ class MeshOptions:
     """Rescale the mesh to this largest distance between two of its points."""
     unit: Annotated[Unit | None, one_of("mm", "cm", "m", "in"), arg(help_behavior_hint="(default: m)")] = None
     """The unit of the mesh file."""
+    part: Annotated[str | None, arg(metavar="N|all", help_behavior_hint="")] = None
+    """The part of the mesh that is the object, if it has separate ones, as a scan has with its table: 1 is the largest.
+    all: all of them are."""
     known_scale: Flag = False
     """The mesh, in its unit, has the object's true size. Without this and without rescaling, the size is estimated."""
 
@@ -74,6 +79,7 @@ def own_mesh(request: MeshOptions) -> OwnMesh:
     Raises ``InputError`` for a file that is missing or no mesh, ``UsageError`` for sizes that make no sense.
     """
     from getagrip.geometry.mesh_files import checked_mesh, with_area
+    from getagrip.provenance import assumed
 
     if request.kind is not None and request.known_scale:
         own = f"this package's own {request.kind}, whose size is not that of the one in your video"
@@ -85,10 +91,13 @@ def own_mesh(request: MeshOptions) -> OwnMesh:
     kept = with_area(vertices, faces)  # generated meshes are full of slivers
     if len(kept) < len(faces):
         words += f", {counted(len(faces) - len(kept), 'face')} without area left out"
+    kept, words_of_part, guess = _part(vertices, kept, request)
+    words += words_of_part
     vertices, scale = _rescaled(vertices, kept, request)
     if request.unit is not None:
         words += f", in {request.unit}"
-    provenance = {"mesh": replace(shape, text=words)} | ({} if scale is None else {"scale": scale})
+    shape = assumed(words) if guess else replace(shape, text=words)
+    provenance = {"mesh": shape} | ({} if scale is None else {"scale": scale})
     sized = request.known_scale or request.size_mm is not None or request.diameter_mm is not None
     return OwnMesh(checked_mesh(request.path, vertices, kept), sized, provenance)
 
@@ -107,6 +116,44 @@ def _shape(request: MeshOptions) -> tuple[Float[ndarray, "..."], Int[ndarray, ".
         expected = f"a triangle mesh ({', '.join(SUFFIXES)}), or the name of one of this package's shapes: {kinds}"
         raise InputError(request.path, "mesh", "no such file", expected)
     return *parse_mesh(request.path), Source(request.path.name)
+
+
+def _part(
+    vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."], request: MeshOptions
+) -> tuple[Int[ndarray, "..."], str, bool]:
+    """Return the faces of the part that is the object, what is said of it, and whether that is a guess.
+
+    Raises ``UsageError`` where a size is stated and it is not known of which of several parts, small debris apart.
+    """
+    import numpy as np
+
+    from getagrip.geometry.mesh import separate_parts
+
+    if request.part is not None and not (request.part == "all" or (request.part.isdecimal() and int(request.part))):
+        raise UsageError(f"--part must be the number of a part, from 1, or all (got {request.part!r})")
+    usable = vertices.ndim == 2 and vertices.shape[1:] == (3,) and faces.shape[1:] == (3,) and faces.size
+    if not usable or not 0 <= faces.min() <= faces.max() < len(vertices) or not np.isfinite(vertices).all():
+        return faces, "", False  # checked_mesh says what is wrong
+    parts = separate_parts(vertices, faces)
+    sides = [np.ptp(vertices[faces[part].ravel()], axis=0) for part in parts]
+    whole = float(np.ptp(vertices[faces.ravel()], axis=0).max())
+    count = sum(side.max() >= DEBRIS * whole for side in sides)
+    listed = ", ".join(
+        " x ".join(f"{METRES[request.unit or 'm'] * each:.3g}" for each in side) for side in sides[:count]
+    )
+    if request.part is not None and request.part != "all":
+        number = int(request.part)
+        if number > len(parts):
+            raise UsageError(f"--part must be 1 to {len(parts)}, the parts of {request.path} (got {number})")
+        return faces[np.sort(parts[number - 1])], f", part {number} of {len(parts)}", False
+    if request.part == "all" or count < 2:
+        return faces, "", False
+    found = f"{count} separate parts, {listed} (sides [{'m' if request.unit else 'units of the file'}])"
+    if request.size_mm is not None or request.diameter_mm is not None:
+        option = "--size-mm" if request.size_mm is not None else "--diameter-mm"
+        way = f"{option} is of that; or take the others out of the file"
+        raise UsageError(f"{request.path}: {found}: missing --part N, the one that is held, or --part all; {way}")
+    return faces, f", {found}, all taken as the object: a guess; --part takes one", True
 
 
 def _rescaled(

@@ -153,6 +153,7 @@ class Change:
         moved: median shift of the object's origin in the hand [m].
         turned: median rotation of the object in the hand [rad].
         right: how probable it is that the poses are right in the hand, and in the camera.
+        notes: remarks on the poses before.
     """
 
     clip: str
@@ -160,6 +161,7 @@ class Change:
     moved: float
     turned: float
     right: tuple[Right, Right] = (Right(), Right())
+    notes: tuple[str, ...] = ()
 
     @property
     def cells(self) -> list[object]:
@@ -187,7 +189,7 @@ class Change:
             Right.of(before.probability_right, after.probability_right, apart[0]),
             Right.of(before.probability_right_in_camera, after.probability_right_in_camera, apart[1]),
         )
-        return Change(name, iou, float(moved), float(turned), right)
+        return Change(name, iou, float(moved), float(turned), right, before.notes[1:])
 
 
 def _apart(clip: Clip, results: Sequence[Reconstruction], poses: Sequence[Float[ndarray, "T 4 4"]]) -> float:
@@ -207,6 +209,7 @@ def _print(changes: list[Change]) -> None:
     from rich.text import Text
 
     from getagrip.errors import cleaned
+    from getagrip.evaluation.other_poses import MISSED
     from getagrip.io.terminal import console, plain_table, report
 
     table, heads = plain_table(), ("right in the hand before", "after", "in the camera before", "after")
@@ -219,5 +222,5 @@ def _print(changes: list[Change]) -> None:
         )  # fmt: skip
     console().print(table)
     for one in changes:
-        if one.iou[0] == 0.0:
-            report(f"{cleaned(one.clip)}: no given pose meets the masks; are they inverse, or in another frame?")
+        for note in one.notes or ([MISSED] if one.iou[0] == 0.0 else []):
+            report(f"{cleaned(one.clip)}: {note}")

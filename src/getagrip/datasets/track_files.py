@@ -49,7 +49,7 @@ from getagrip.grasps.definition import FEWEST, GraspOptions
 from getagrip.hands.fit import ORDERS
 from getagrip.hands.model import Side
 from getagrip.io import arrays
-from getagrip.io.files import inside, is_plain_name, shown
+from getagrip.io.files import inside, is_plain_name, listed, shown
 from getagrip.provenance import assumed, measured
 
 SIDES: tuple[Side, ...] = ("left", "right")
@@ -77,7 +77,7 @@ class Tracks(TrackedDataset):
 
     def sources(self) -> list[Source]:
         """List the file ``root``, or the files in a folder."""
-        files = [self.root] if self.root.is_file() else sorted(self.root.glob("*.npz"))
+        files = [self.root] if self.root.is_file() else listed(self.root, (".npz",))
         if not files:
             raise InputError(self.root, "", "no .npz file", "a file of tracks, or a folder of them")
         return [Source(file.stem, partial(_read, file)) for file in files]

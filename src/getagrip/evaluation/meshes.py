@@ -26,6 +26,7 @@ from getagrip.evaluation.results import Evaluation, evaluation
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import SUFFIXES, checked_mesh, parse_mesh, with_area
+from getagrip.io import files
 from getagrip.metrics.contact import ContactDistances, Side
 from getagrip.metrics.mask import MaskIou, iou_of_meshes
 from getagrip.metrics.meshes import mesh_distances
@@ -90,7 +91,7 @@ def read_meshes(
     like a frame or none can be read, ``UsageError`` where they seem to be counted from another start.
     """
     named: dict[int, list[Path]] = {}
-    paths = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES]
+    paths = files.listed(folder, SUFFIXES)
     frames = clip.frames if first is None else renumbered(clip.frames, first, "--first")
     check_numbers(frames, [path.stem for path in paths], folder, "mesh", "--first" if first is None else "")
     for path in paths:

@@ -7,10 +7,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
+from getagrip.clip.sampling import frame_indices
+from getagrip.geometry import se3
+from getagrip.io import files
 from getagrip.metrics.mask import iou_of_poses
 from getagrip.object_poses.at_frames import place_of, read_poses
+from getagrip.probability import percent
 from getagrip.result import FrameKind, Reconstruction, is_result, read_result
 
 
@@ -24,7 +30,7 @@ class OtherSystem:
     def inputs(self, clip: str) -> dict[str, Path]:
         """Return the files that hold the poses of a clip, by name. Raises ``InputError``."""
         place = place_of(self.root, clip)
-        inside = sorted(path for path in place.iterdir() if path.is_file()) if place.is_dir() else [place]
+        inside = files.listed(place) if place.is_dir() else [place]
         return {path.name: path for path in inside}
 
     def result(self, clip: Clip, masks: Masks | None, frames: Sequence[str]) -> Reconstruction:
@@ -58,8 +64,49 @@ def poses_of(place: Path, name: str, clip: Clip, masks: Masks | None, first: int
         )
     if poses.scale is None and clip.scale == "free":
         notes.append("the scale 1 is a guess: the poses say none, and the clip's mesh has no known size")
+    if masks is not None and (text := misses(clip, masks, clip.hand.T_cam_hand @ poses.T_hand_obj, scale, iou)):
+        notes.append(text)
+    notes += poses.notes
     unknown = {"total": float("nan")}
     return replace(
         Reconstruction.external(clip.name, name, clip.frames, poses.T_hand_obj, scale),
         frame_kind=kind, iou=iou, energy=unknown, seconds=unknown, notes=tuple(notes),
     )  # fmt: skip
+
+
+LOW_IOU, MET = 0.5, 0.6
+"""Mean overlap with the masks below which poses may be in another convention, and from which on one is theirs."""
+MISSED = "no given pose meets the masks: are they inverse, in another frame, of another mesh or of another instance?"
+LOOKED_AT = 6
+"""Frames in which conventions are tried."""
+
+
+def misses(clip: Clip, masks: Masks, T_cam_obj: Float[ndarray, "T 4 4"], scale: float, iou: Float[ndarray, "T"]) -> str:
+    """Say that poses miss the masks, and by which convention they would meet them; empty where they meet them."""
+    known = np.flatnonzero(np.isfinite(iou))
+    if not len(known) or (mean := float(iou[known].mean())) >= LOW_IOU:
+        return ""
+    some = known[frame_indices(len(known), LOOKED_AT)]
+    T, mesh, seen = T_cam_obj[some], clip.mesh, masks.take(some)
+    to_middle = se3.rigid(np.eye(3), -scale * mesh.centre)
+    to_mean = se3.rigid(np.eye(3), -scale * mesh.vertices.mean(axis=0))
+    turned = se3.exp_so3(np.array([np.pi / 2.0, 0.0, 0.0]))
+    conventions = {
+        "inverse (camera to object)": se3.inverse(T),
+        "of a camera that looks along -z (OpenGL)": np.diag([1.0, -1.0, -1.0, 1.0]) @ T,
+        "with rotations that are transposed": se3.rigid(np.swapaxes(T[:, :3, :3], 1, 2), T[:, :3, 3]),
+        "of the mesh moved to its middle": T @ to_middle,
+        "of the mesh moved to the mean of its vertices": T @ to_mean,
+        "of the mesh with y up instead of z": T @ se3.rigid(turned, np.zeros(3)),
+        "of the mesh with z up instead of y": T @ se3.rigid(turned.T, np.zeros(3)),
+    }
+    each = {
+        name: float(np.nanmean(iou_of_poses(mesh, scale, one, clip.K[some], seen).full))
+        for name, one in conventions.items()
+        if (se3.transform(one, scale * mesh.vertices)[..., 2] > 0.0).all()
+    }
+    best = max(each, key=lambda name: each[name], default="")
+    beginning = MISSED.partition(":")[0] if mean == 0.0 else f"the poses meet the masks by {percent(mean)} only"
+    if best and each[best] >= max(MET, mean + 0.2):
+        return f"{beginning}; they meet them by {percent(each[best])} if they are {best}"
+    return f"{beginning}:{MISSED.partition(':')[2]}"

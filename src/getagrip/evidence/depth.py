@@ -14,7 +14,7 @@ from numpy import ndarray
 from getagrip.checks.check import Check, percent
 from getagrip.checks.evidence import Evidence
 from getagrip.clip import Clip, Modality
-from getagrip.clip.depth import DEPTH, UNIT, Depth
+from getagrip.clip.depth import DEPTH, INVERSE, UNIT, Depth, behind_usually
 from getagrip.clip.depth_files import depth_file, read_depth, write_depth
 from getagrip.fitting.energy import Term, Terms
 from getagrip.geometry.mesh import decimate
@@ -53,6 +53,12 @@ def is_of_another_unit(depth: Depth, samples: DepthSamples) -> bool:
     from getagrip.fitting.depth_samples import hand_ratio_of
 
     return depth.source.scale == "metric" and bool(abs(np.log(hand_ratio_of(samples))) > np.log(UNIT))  # not of NaN
+
+
+def around(it: Evidence) -> float:
+    """Measure how many times as far away as the object what is around it is in depth images."""
+    depth = DepthImages().of(it.clip)
+    return np.nan if depth is None else behind_usually(depth, it.masks, it.clip.size)
 
 
 def missing(it: Evidence) -> float:
@@ -110,6 +116,11 @@ class DepthImages(Modality[Depth]):
             advice="check the depth's unit and scale, and the hand's distance",
         ),
         Check(
+            "depth-inverse", around, low=INVERSE,
+            fault="depth images show what is around the object {value} times as far away, and were not used",
+            advice="are these disparities (inverse depth)? Import depth",
+        ),
+        Check(
             "depth-missing", missing, high=0.9, serious=False, shown=percent,
             fault="{value} of the visible surface of object and hand have no depth", advice="is it of this clip?",
         ),
@@ -163,7 +174,8 @@ class DepthImages(Modality[Depth]):
         def samples(most: int) -> DepthSamples:
             return samples_of(clip, problem.masks, depth, most)
 
-        if is_of_another_unit(depth, samples(MOST[64])):
+        inverse = behind_usually(depth, problem.masks, clip.size) < INVERSE
+        if inverse or is_of_another_unit(depth, samples(MOST[64])):
             return None
         meshes = {level: decimate(clip.mesh, faces) for level, faces in FACES.items()}
         solids = {level: Solid.of(mesh.vertices[None] - centre, mesh.faces) for level, mesh in meshes.items()}

@@ -3,10 +3,10 @@
 Each frame has the wrist's pose and the 21 joints (``observation.state``) and the object's pose
 (``observation.environment_state``) in a frame that stands still, z up; quaternions are (w, x, y, z). A person gives no
 commands: ``action`` is the state of the next frame. LeRobot takes frames as evenly spaced: ``timestamp`` is n / fps, at
-the clip's own rate as a whole number; ``time_s`` is when the frame was taken. Images, if there is one for every frame,
-are a video. ``confidence`` is the probability that the result is right relative to the hand, -1 where none is
-calibrated; ``findings_serious`` counts serious findings, of which a right result has none; ``mask_iou`` is how well
-each frame meets its mask, -1 where none shows the object.
+the clip's own rate as a whole number, and uneven clips are resampled; ``time_s`` is the clip's own time. Images, if
+there is one for every frame, are a video. ``confidence`` is the probability that the result is right relative to the
+hand, -1 where none is calibrated; ``findings_serious`` counts serious findings, of which a right result has none;
+``mask_iou`` is how well each frame meets its mask, -1 where none shows the object.
 """
 
 from __future__ import annotations
@@ -60,6 +60,7 @@ class Episode(NamedTuple):
     def of(scene: Scene) -> Episode:
         """Make it. Raises ``UsageError`` without pyarrow or joints, ``InputError`` for unreadable images."""
         extras.load("pyarrow", "lerobot")
+        scene = scene.even(rate(scene))
         stage, pictures, fps = Stage.of(scene), Pictures.of(scene), rate(scene)
         columns = _columns(scene, stage)
         features: dict[str, object] = {
@@ -116,7 +117,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     """Write a dataset of one episode. Raises as ``Episode.of`` does."""
     made = Episode.of(scene)
     made.write(folder)
-    write_meta(folder, made, [made.task], made.stats, {"train": "0:1"}, len(scene.frames))
+    write_meta(folder, made, [made.task], made.stats, {"train": "0:1"}, len(made.columns["index"]))
     video = {VIDEO.format(video_key=CAMERA, **CHUNK): "the images, H.264, at the same fps"} if made.pictures else {}
     return {
         DATA.format(

@@ -16,6 +16,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy import ndarray
@@ -128,11 +129,7 @@ class Dataset:
     def _append(self, made: Episode, clip: str, split: str) -> int:
         """Write an episode behind the last one, with the folder locked."""
         number = len(self.records)
-        if self.info and (self.info["fps"], self.info["features"]) != (made.fps, made.features):
-            got = f"{made.fps} frames per second, {', '.join(sorted(made.features))}"
-            of = self.info["features"]
-            expected = f"{self.info['fps']}, {', '.join(sorted(of))}, images of one size, as the other episodes have"
-            raise InputError(Path(clip), "", got, expected)
+        self._check(made, clip)
         tasks = self.tasks if made.task in self.tasks else [*self.tasks, made.task]
         begin = int(self.records[-1]["dataset_to_index"]) if self.records else 0
         with leftovers.workplace(self.folder) as work:
@@ -144,6 +141,27 @@ class Dataset:
         write_meta(self.folder, made, tasks, self.statistics(), self.splits, int(str(record["dataset_to_index"])))
         self.tasks, self.info = tasks, {"fps": made.fps, "features": made.features}
         return number
+
+    def _check(self, made: Episode, clip: str) -> None:
+        """Raise ``InputError`` where an episode differs from those of the dataset: for what differs alone."""
+        if not self.info:
+            return
+        own = "; a dataset of its own (another --out) takes it"
+        if (fps := self.info["fps"]) != made.fps:
+            expected = f"{fps}, as of the dataset's other episodes: --fps {fps} resamples it{own}"
+            raise InputError(Path(clip), "", f"{made.fps} frames per second", expected)
+        theirs, there = self.info["features"], "the other episodes have"
+        missing, more = sorted({*theirs} - {*made.features}), sorted({*made.features} - {*theirs})
+        if missing or more:
+            got = " and ".join(
+                f"{word} {', '.join(some[:4])}" for word, some in (("no", missing), ("also", more)) if some
+            )
+            raise InputError(Path(clip), "", got, f"what {there}{own}")
+        other = next((name for name, feature in theirs.items() if feature != made.features[name]), None)
+        if other is not None:
+            shapes = (dict(one[other])["shape"] for one in (cast("Json", made.features), theirs))
+            got, expected = (" x ".join(map(str, shape)) for shape in shapes)
+            raise InputError(Path(clip), other, got, f"{expected}, as {there}{own}")
 
     @property
     def splits(self) -> dict[str, str]:

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
+from scipy.spatial.transform import Rotation, Slerp
 
 from getagrip.clip import Clip, OtherHand, World
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.io import files
+from getagrip.io.terminal import report
 from getagrip.result import FrameKind, Reconstruction
 
 OBJECT_COLOUR, HAND_COLOUR = (0.47, 0.60, 0.68), (0.86, 0.68, 0.58)
+UNEVEN = 0.5
+"""Frames that are no farther off even times are taken for even [steps]."""
 AXES = "camera frame of each image: x right, y down, z forward; X_cam = T_cam_obj @ X_obj; metres"
 
 
@@ -146,6 +150,45 @@ class Scene:
             probability=None if result.probability_right is None else result.probability_right.value,
             findings_serious=sum(finding.serious for finding in result.findings),
         )
+
+    def even(self, fps: float) -> Scene:
+        """Return the scene at evenly spaced times, and say so; as it is where its frames are no half step off these.
+
+        Poses between frames are interpolated; images, and what is known of a frame, are the nearest frame's.
+        """
+        if len(self.frames) < 2:
+            return self
+        there, count = self.time, round(float(self.time[-1] - self.time[0]) * fps) + 1
+        wanted = np.minimum(there[0] + np.arange(count) / fps, there[-1])
+        off = np.abs(there - there[0] - np.arange(len(there)) / fps).max()
+        if off <= UNEVEN / fps:
+            return self
+        near = np.abs(there - wanted[:, None]).argmin(axis=1)
+        between = np.abs(there[near] - wanted) > UNEVEN / fps / 5.0
+        report(f"{self.name}: frames are up to {1e3 * off:.0f} ms off {fps:g} a second: resampled to {count} even ones")
+
+        def vectors(values: Float[ndarray, "T ..."]) -> Float[ndarray, "n ..."]:
+            flat = values.reshape(len(values), -1)
+            columns = [np.interp(wanted, there, flat[:, k]) for k in range(flat.shape[1])]
+            return np.stack(columns, axis=1).reshape(count, *values.shape[1:])
+
+        def poses(T: Float[ndarray, "T 4 4"]) -> Float[ndarray, "n 4 4"]:
+            turned = Slerp(there, Rotation.from_matrix(T[:, :3, :3]))(wanted).as_matrix()
+            return se3.rigid(turned, vectors(T[:, :3, 3]))
+
+        kinds: list[FrameKind] = [self.frame_kind[n] for n in near]
+        for k in np.flatnonzero(between):
+            kinds[k] = "interpolated"
+        other = self.other_hand
+        return replace(
+            self, frames=tuple(self.frames[n] for n in near), time=wanted, fps=fps, T_cam_hand=poses(self.T_cam_hand),
+            T_hand_obj=poses(self.T_hand_obj), hand_vertices=vectors(self.hand_vertices),
+            joints=None if self.joints is None else vectors(self.joints), K=vectors(self.K), iou=self.iou[near],
+            frame_kind=tuple(kinds), angle=None if self.angle is None else vectors(self.angle),
+            world=None if self.world is None else replace(self.world, T_world_cam=poses(self.world.T_world_cam)),
+            image_files=tuple(self.image_files[n] for n in near) if self.image_files else (),
+            other_hand=None if other is None else other.take(near),
+        )  # fmt: skip
 
     @property
     def T_cam_obj(self) -> Float[ndarray, "T 4 4"]:

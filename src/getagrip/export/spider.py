@@ -24,6 +24,8 @@ IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
     """Write SPIDER's ``processed`` folder. Raises ``UsageError`` where joints are not known."""
+    if len(scene.frames) > 1:
+        scene = scene.even(1.0 / float(np.median(np.diff(scene.time))))
     stage = Stage.of(scene)
     joints = joints_on_stage(scene, stage, "spider")
     T_stage_obj, _ = stage.poses(scene)

@@ -210,8 +210,9 @@ def read_folder(folder: Path) -> Priors:
 def _parts(path: Path, init: Init) -> dict[str, Path]:
     """List the files that a user's choice is made of, by name. Raises ``InputError`` where there are none."""
     if init == "poses":
-        inside = [path, *sorted(path.glob("*")), *sorted(path.glob("*/*"))]
-        tracks = {str(p.relative_to(path)): p for p in inside if p.is_file() and p.suffix.lower() in SUFFIXES}
+        alone = [path] if path.is_file() and path.suffix.lower() in SUFFIXES else []
+        inside = [*alone, *(one for pattern in ("*", "*/*") for one in files.listed(path, SUFFIXES, pattern))]
+        tracks = {str(p.relative_to(path)): p for p in inside}
         if not tracks:
             raise InputError(path, "", "no poses", f"files of poses ({', '.join(SUFFIXES)})")
         return tracks

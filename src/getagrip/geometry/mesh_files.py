@@ -62,7 +62,7 @@ def _parse_stl(path: Path, content: bytes) -> tuple[Float[ndarray, "..."], Int[n
     kind, stream = "stl", io.BytesIO(content)  # without a path nothing beside the file is ever opened
     binary = len(content) >= 84 and len(content) == 84 + 50 * int.from_bytes(content[80:84], "little")
     if not binary:
-        kind, stream = "stl_ascii", io.BytesIO(content.decode("utf-8", "replace").encode())
+        kind, stream = "stl_ascii", io.BytesIO(files.without_mark(content).decode("utf-8", "replace").encode())
         if not stream.getvalue().lstrip().startswith(b"solid"):
             raise InputError(path, "mesh", "a file that does not parse", "a whole .stl file, binary or text")
     try:

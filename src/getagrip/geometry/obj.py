@@ -35,6 +35,7 @@ def parse_obj(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[nd
 
     Parts, materials, normals and textures are passed over. Raises ``InputError``, which names the line.
     """
+    content = files.without_mark(content)
     if len(content) > 8 * MOST:  # the shortest line of a vertex has 8 bytes
         _check_counts(path, content)
     vertices, faces = _plain(content) or _by_line(path, content)
@@ -87,7 +88,7 @@ def _numbers(text: bytes, kind: type) -> Shaped[ndarray, "n"]:
 
 def _by_line(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
     """Any file. Raises ``InputError``."""
-    text = content.decode("utf-8-sig", "replace")  # names and comments may be in any encoding
+    text = content.decode("utf-8", "replace")  # names and comments may be in any encoding
     vertices, counts, faces = array("d"), array("q"), array("q")
     lines = io.StringIO(text.replace("\\\r\n", " ").replace("\\\n", " "), newline=None)
     for number, line in enumerate(lines, start=1):

@@ -60,6 +60,7 @@ def parse_ply(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[nd
 
     Raises ``InputError``.
     """
+    content = files.without_mark(content)
     order, elements, start = _header(path, content)
     try:
         body = _Text(content[start:]) if order == "ascii" else _Binary(content, start, ORDERS[order])

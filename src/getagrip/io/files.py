@@ -6,6 +6,7 @@ names found in files are used as paths only once they are known to stay inside t
 
 from __future__ import annotations
 
+import codecs
 import csv
 import errno
 import hashlib
@@ -17,7 +18,7 @@ import re
 import secrets
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from pathlib import Path, PurePosixPath
@@ -32,6 +33,11 @@ Json = dict[str, Any]
 LARGEST_JSON = 64 * 2**20
 LARGEST_FILE = 2**30
 """Limits in bytes."""
+MARKS = (
+    (codecs.BOM_UTF32_LE, "utf-32"), (codecs.BOM_UTF32_BE, "utf-32"), (codecs.BOM_UTF8, "utf-8"),
+    (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"),
+)  # fmt: skip
+"""How texts begin that say how they are encoded."""
 FORBIDDEN = {*"/\\"} | ({*'<>:"|?*'} if os.name == "nt" else set())
 """Letters of no name here."""
 DEVICE = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])(\..*)?$", re.IGNORECASE)
@@ -59,6 +65,21 @@ def is_plain_name(name: str) -> bool:
     """
     plain = name.isprintable() and name == name.strip() and not name.startswith((".", "~")) and not FORBIDDEN & {*name}
     return plain and not name.endswith(".") and not DEVICE.match(name) and 0 < len(name.encode()) <= 200
+
+
+def listed(folder: Path, suffixes: Collection[str] = (), pattern: str = "*") -> list[Path]:
+    """List the files in a folder that end in one of some ``suffixes``, in any case, by name.
+
+    Files that begin with a dot are no content: other systems leave them beside each file, as ``._000001.jpg``.
+    """
+    found = (path for path in folder.glob(pattern) if not path.name.startswith("."))
+    return sorted(path for path in found if path.is_file() and (not suffixes or path.suffix.lower() in suffixes))
+
+
+def folders_in(folder: Path) -> list[Path]:
+    """List the folders in a folder, by name; but those that begin with a dot."""
+    inside = folder.iterdir() if folder.is_dir() else ()
+    return sorted(path for path in inside if path.is_dir() and not path.name.startswith("."))
 
 
 def inside(folder: Path, relative: str, key: str, what: str, source: Path | None = None) -> Path:
@@ -94,6 +115,19 @@ def read_bytes(path: Path, limit: int = LARGEST_FILE) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise InputError(path, "", f"a file that cannot be read ({error.strerror})", "a readable file") from error
+
+
+def without_mark(content: bytes) -> bytes:
+    """Return a text in UTF-8 without the mark that says how it is encoded, as Windows writes it: also from UTF-16."""
+    for mark, encoding in MARKS:
+        if content.startswith(mark):
+            return content[len(mark) :] if encoding == "utf-8" else content.decode(encoding, "replace").encode()
+    return content
+
+
+def read_text(path: Path, limit: int = LARGEST_FILE) -> str:
+    """Read a text of at most ``limit`` bytes, encoded as its mark says, else in UTF-8. Raises ``InputError``."""
+    return without_mark(read_bytes(path, limit)).decode(errors="replace")
 
 
 def read_json(path: Path) -> Json:
@@ -146,7 +180,7 @@ def csv_rows(path: Path, content: bytes, what: str) -> tuple[list[str], list[tup
     ``what`` the file should be, in words. Raises ``InputError`` for what is no CSV in UTF-8, and for ragged rows.
     """
     try:
-        lines = csv.reader(io.StringIO(content.decode("utf-8-sig"), newline=""), strict=True)
+        lines = csv.reader(io.StringIO(without_mark(content).decode(), newline=""), strict=True)
         heads = next(lines, [])
         rows = []
         for cells in filter(None, lines):

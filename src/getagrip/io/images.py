@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import io
 import re
+import struct
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -150,6 +151,20 @@ def open_jpeg(path: Path, key: str, content: bytes) -> JpegImageFile:
         length = int.from_bytes(content[marker.end() : marker.end() + 2], "big")
         at = marker.end() + max(length, 2)  # as libjpeg goes on; of a scan, before its coded data
     return JpegImageFile(io.BytesIO(content))
+
+
+def png_size(path: Path, most: int) -> tuple[int, int]:
+    """Return width and height as a PNG's head states them. Raises ``InputError`` above ``most`` pixels."""
+    if not path.is_file():
+        raise InputError(path, "", "no such file", "a PNG file")
+    with path.open("rb") as stream:
+        head = stream.read(24)
+    if len(head) < 24 or head[:4] != b"\x89PNG":
+        raise InputError(path, "", "a damaged file, or no PNG", "a whole PNG file")
+    width, height = struct.unpack(">II", head[16:24])
+    if not 0 < width * height <= most:
+        raise InputError(path, "size", f"{width} x {height} pixels", f"at most {most} pixels")
+    return width, height
 
 
 def read_png(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W"]:

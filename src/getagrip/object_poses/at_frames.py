@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,17 +10,20 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from getagrip.clip import Clip
-from getagrip.clip.naming import check_numbers, frame_of, number_of, renumbered
+from getagrip.clip import Clip, find_masks
+from getagrip.clip.naming import check_numbers, frame_of, number_of, renumbered, rows_in_order
 from getagrip.clip.plausible import check_poses
 from getagrip.errors import InputError
 from getagrip.geometry import se3
+from getagrip.geometry.camera import project
 from getagrip.io import files
 from getagrip.object_poses.files import SUFFIXES, PoseFile, read_pose_file, row_of_each
 from getagrip.result import is_result, read_result
 
 FIRST = "--first"
 """The option of ``evaluate`` and ``refine`` that states the number of the first frame's pose."""
+RANKS = 0.01
+"""Cost of a pose for each one of the same image that has a higher score [sizes of the object's mask]."""
 ROUNDED = 0.02
 """Tolerance of rotations that were rounded, as to two decimals: the nearest ones are taken."""
 FROM_HAND = 0.5
@@ -35,12 +39,14 @@ class PosesAtFrames:
         found: (T,) the frames that have one.
         scale: factor on the mesh; None where the source says none.
         names: what the source calls the frames, or would.
+        notes: how one of several poses of a frame was chosen, in words.
     """
 
     T_hand_obj: Float[ndarray, "T 4 4"]
     found: Bool[ndarray, "T"]
     scale: float | None
     names: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
 
 def place_of(root: Path, clip: str) -> Path:
@@ -75,17 +81,52 @@ def read_poses(place: Path, clip: Clip, first: int | None = None) -> PosesAtFram
     if not len(index):
         raise InputError(poses.path, "", "a matrix of NaN in every frame of the clip", "a pose in one of them")
     scale = 1.0 if poses.scale is None else poses.scale
-    T_hand_obj = _in_hand(poses, poses.T[[rows[n] for n in index]], scale, clip, index)
+    T, notes = poses.T[[rows[n] for n in index]], tuple[str, ...]()
+    if poses.candidates:
+        T, notes = _followed([poses.candidates[rows[n]] for n in index], scale, clip, index)
+    T_hand_obj = _in_hand(poses, T, scale, clip, index)
     nearest = np.abs(np.arange(len(clip))[:, None] - index).argmin(axis=1)
     names = tuple(poses.names[rows[n]] if poses.names and n in rows else name for n, name in enumerate(frames))
-    return PosesAtFrames(T_hand_obj[nearest], np.isin(np.arange(len(clip)), index), poses.scale, names)
+    return PosesAtFrames(T_hand_obj[nearest], np.isin(np.arange(len(clip)), index), poses.scale, names, notes)
+
+
+def _followed(
+    candidates: Sequence[Float[ndarray, "k 4 4"]], scale: float, clip: Clip, index: ndarray
+) -> tuple[Float[ndarray, "n 4 4"], tuple[str, ...]]:
+    """Follow one of several poses from frame to frame, near the masks where the clip has some; return it, and notes."""
+    masks = find_masks(clip)
+    size = scale * clip.mesh.diameter
+    centres = [se3.transform(T, np.tile(scale * clip.mesh.centre, (len(T), 1, 1)))[:, 0] for T in candidates]
+    costs = list[Float[ndarray, "k"]]()
+    for n, at in zip(index.tolist(), centres, strict=True):
+        rank = RANKS * np.arange(len(at))
+        rows, columns = np.nonzero(masks.object[n]) if masks is not None else (np.zeros(0), np.zeros(0))
+        if len(rows):
+            before = np.where(at[:, 2:] > 0.0, at, [0.0, 0.0, 1e-3])
+            off = project(clip.K[n], before) - [columns.mean() + 0.5, rows.mean() + 0.5]
+            rank = rank + np.linalg.norm(off, axis=1) / np.sqrt(len(rows))
+        costs.append(rank)
+    total, back = costs[0], list[ndarray]()
+    for n in range(1, len(centres)):
+        steps = np.linalg.norm(centres[n][None] - centres[n - 1][:, None], axis=2) / size + total[:, None]
+        back.append(steps.argmin(axis=0))
+        total = costs[n] + steps.min(axis=0)
+    row = [int(total.argmin())]
+    for of in reversed(back):
+        row.append(int(of[row[-1]]))
+    chosen = np.array([T[k] for T, k in zip(candidates, reversed(row), strict=True)])
+    several = [at for at in centres if len(at) > 1]
+    apart = 1e3 * max((float(np.ptp(at, axis=0).max()) for at in several), default=0.0)
+    by = "nearest to the masks" if masks is not None else "of the highest score"
+    said = f"several poses in {len(several)} of {len(index)} images, up to {apart:.0f} mm apart"
+    return chosen, (f"{said}: one was followed from image to image, {by}, a guess",) if several else ()
 
 
 def only_file(place: Path) -> Path:
     """Return a folder's one table of poses, where it has one; else the folder itself."""
     if not place.is_dir():
         return place
-    tables = sorted(path for path in place.iterdir() if path.suffix.lower() in (".csv", ".npz"))
+    tables = files.listed(place, (".csv", ".npz"))
     if len(tables) > 1:
         raise InputError(place, "", f"several files of poses, {tables[0].name}, {tables[1].name}", "one")
     return tables[0] if tables else place
@@ -102,10 +143,8 @@ def _of_result(folder: Path) -> PoseFile:
 def _rows(poses: PoseFile, clip: Clip, first: int | None) -> tuple[dict[int, int], tuple[str, ...]]:
     """Return the row of each of the clip's frames that has one, and the frames' names there. Raises ``InputError``."""
     if poses.names is None:
-        if len(poses.T) != len(clip):
-            expected = f"{len(clip)} as the clip has frames, or names of frames beside them"
-            raise InputError(poses.path, "", f"{len(poses.T)} poses without names", expected)
-        return {n: n for n in range(len(clip))}, clip.frames
+        frames = clip.frames if first is None else renumbered(clip.frames, first, FIRST)
+        return rows_in_order(len(poses.T), frames, poses.path, "pose", first is not None), clip.frames
     frames = clip.frames
     if poses.by_place and number_of(frames[0]) is None:
         frames = tuple(str(n) for n in range(len(clip)))

@@ -1,7 +1,7 @@
 """Poses in other systems' files: one 4x4 for each frame, in one file or in a file each, or BOP's results.
 
 - ``.csv``: BOP's results; ``R`` row by row and ``t`` [mm] bring the model into the camera frame, ``im_id`` is the
-  frame's number. Of several poses of an image that with the highest score counts;
+  frame's number. Of several poses of an image one is followed (``at_frames``);
 - ``.json``: a list of matrices, a dictionary with a matrix for each frame, or BOP's ``scene_gt`` (``cam_R_m2c``,
   ``cam_t_m2c`` [mm]);
 - ``.npz``, or ``.json`` with the same keys: ``T_cam_obj`` or ``T_hand_obj`` (T, 4, 4), and perhaps ``scale`` and
@@ -52,6 +52,8 @@ class PoseFile:
     in_hand: bool = False
     """True if the poses are in the clip's hand frame, not in the camera's."""
     scale: float | None = None
+    candidates: tuple[Float[ndarray, "k 4 4"], ...] = ()
+    """All poses of each row's image, where some images have several; empty where none has."""
     by_place: bool = False
     """True if numbers may stand for the places of frames that have no numbers, as in BOP's files."""
 
@@ -78,7 +80,7 @@ def read_pose_file(path: Path) -> PoseFile:
 
 def _folder(folder: Path) -> PoseFile:
     """Read a folder with a matrix in each file."""
-    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in ALONE)
+    paths = files.listed(folder, ALONE)
     if not paths:
         raise InputError(folder, "", "no poses in it", f"files named like the frames ({', '.join(ALONE)})")
     found = [read_pose_file(path) for path in paths]
@@ -152,7 +154,7 @@ def _bop_results(path: Path) -> PoseFile:
     heads, rows = files.csv_rows(path, files.read_bytes(path, LARGEST), "BOP's results as CSV in UTF-8")
     if not {*COLUMNS} <= {*heads}:
         raise InputError(path, "line 1", files.shown(heads), f"the columns {', '.join(COLUMNS)} of BOP's results")
-    best: dict[str, tuple[float, ndarray]] = {}
+    each: dict[str, list[tuple[float, ndarray]]] = {}
     seen: dict[str, set[str]] = {"scene_id": set(), "obj_id": set()}
     for at, row in rows:
         where = at.rstrip(", ")
@@ -170,11 +172,12 @@ def _bop_results(path: Path) -> PoseFile:
         if np.isnan(T).any():
             continue
         image = str(row["im_id"])
-        if image not in best or score > best[image][0]:
-            best[image] = score, T
-    if not best:
+        each.setdefault(image, []).append((score, T))
+    if not each:
         raise InputError(path, "", "no poses", "one for each frame")
-    return PoseFile(path, np.array([T for _, T in best.values()]), tuple(best), by_place=True)
+    ranked = [np.array([T for _, T in sorted(of, key=lambda one: -one[0])]) for of in each.values()]
+    several = tuple(ranked) if max(map(len, ranked)) > 1 else ()
+    return PoseFile(path, np.array([T[0] for T in ranked]), tuple(each), candidates=several, by_place=True)
 
 
 def _bop_truth(path: Path, content: Json) -> PoseFile:

@@ -43,7 +43,7 @@ def write_like(place: Path, track: Track, folder: Path) -> Path:
     """
     out = folder / place.name
     if place.is_dir():
-        suffix = next(path.suffix.lower() for path in sorted(place.iterdir()) if path.suffix.lower() in ALONE)
+        suffix = files.listed(place, ALONE)[0].suffix.lower()
         files.folder_inside(folder, place.name)  # a call that is repeated finds it there
         for name, T in zip(track.names, track.T_cam_obj, strict=True):
             files.write_bytes(out / f"{name}{suffix}", _matrices(suffix, T))

@@ -17,7 +17,7 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands import generic
 from getagrip.hands.model import Side
-from getagrip.hands.trackers import TRACKERS, Hands, Tracker, read, recognise
+from getagrip.hands.trackers import TRACKERS, Hands, Request, Tracker, read, recognise
 from getagrip.hands.trackers.egodex import FINGERS, PARTS
 from getagrip.hands.trackers.joints import Joints
 from getagrip.hands.trackers.landmarks import Landmarks
@@ -25,7 +25,7 @@ from getagrip.hands.trackers.lerobot import LeRobot
 from getagrip.hands.trackers.records import CONVERTS_HAWOR
 from getagrip.io import arrays
 from helpers import other_estimators as forged
-from helpers.estimator_files import FRAMES, Known, frankmocap_record, hamer_record, write_npz
+from helpers.estimator_files import FRAMES, SIZE, K, Known, frankmocap_record, hamer_record, write_npz
 from helpers.tracked_hands import SIDES, joints_of, request
 
 Write = Callable[[Path, Known, Path], Path]
@@ -246,3 +246,51 @@ def test_the_line_that_the_error_about_joblib_shows(tmp_path: Path, monkeypatch:
     exec(CONVERTS_HAWOR, {})
     found = arrays.read(tmp_path / "world_space_res.npz", lambda _: True)
     assert sorted(found) == ["pred_betas", "pred_hand_pose", "pred_rot", "pred_trans", "pred_valid"]
+
+
+def dataset(folder: Path, rows: np.ndarray, fps: float, names: list[str] | None = None) -> Path:
+    """A dataset of LeRobot with one episode and a column of hands."""
+    pa = pytest.importorskip("pyarrow", reason="the extra lerobot is not installed")
+    from pyarrow import parquet
+
+    (folder / "data" / "chunk-000").mkdir(parents=True)
+    (folder / "meta").mkdir()
+    columns = {"hands": rows.tolist(), "episode_index": [0] * len(rows), "timestamp": np.arange(len(rows)) / fps}
+    parquet.write_table(pa.table(columns), folder / "data" / "chunk-000" / "file-000.parquet")
+    features = {"hands": {"names": names}}
+    (folder / "meta" / "info.json").write_text(json.dumps({"fps": fps, "features": features}))
+    return folder
+
+
+@pytest.mark.parametrize("every", [1, 3])
+def test_rows_of_lerobot_are_matched_by_their_times(tmp_path: Path, every: int) -> None:
+    known = Known("right", None)
+    joints = np.repeat(known.joints[:1], 7, axis=0) + np.arange(7)[:, None, None] * [0.01, 0.0, 0.0]
+    folder = dataset(tmp_path / "set", joints[::every].reshape(-1, 63), 30.0 / every)
+    asked = Request(
+        "right", tuple(f"{n:06d}" for n in range(1, 8)), np.tile(K, (7, 1, 1)), SIZE, times=np.arange(7) / 30
+    )
+    hands = read([folder], LeRobot("hands"), asked)
+    assert hands.found == tuple(range(0, 7, every))
+    assert np.abs(joints_of(hands) - joints[::every]).max() < 0.02
+    assert ("matched by timestamp" in str(hands.provenance["hands_scale"])) == (every == 3)
+
+
+@pytest.mark.parametrize("first", ["left", "right"])
+def test_halves_of_both_hands_are_tested_named_or_asked_for(tmp_path: Path, first: Side) -> None:
+    right = Known("right", None).joints
+    left = right * [-1.0, 1.0, 1.0]
+    order = (left, right) if first == "left" else (right, left)
+    both = np.concatenate([each.reshape(3, 63) for each in order], axis=1)
+    hands = read([dataset(tmp_path / "a", both, 30.0)], LeRobot("hands"), request("right"))
+    assert np.abs(joints_of(hands) - right).max() < 0.01
+    assert f"the {first} hand first" in str(hands.provenance["hands_scale"])
+    flat = np.concatenate([(each @ K.T)[..., :2] / (each @ K.T)[..., 2:] for each in order], axis=1).reshape(3, 84)
+    with pytest.raises(UsageError, match="--halves left-first or right-first"):
+        read([dataset(tmp_path / "b", flat, 30.0)], LeRobot("hands"), request("right"))
+    names = [f"{side}_{n}" for side in (first, "right" if first == "left" else "left") for n in range(42)]
+    named = read([dataset(tmp_path / "c", flat, 30.0, names)], LeRobot("hands"), request("right")).track.joints_2d
+    stating = replace(LeRobot("hands"), halves=f"{first}-first")
+    stated = read([tmp_path / "b"], stating, request("right")).track.joints_2d
+    for each in (named, stated):
+        np.testing.assert_allclose(each, ((right @ K.T)[..., :2] / (right @ K.T)[..., 2:]), atol=1e-6)  # type: ignore[arg-type]

@@ -30,7 +30,7 @@ from getagrip.geometry import se3
 from getagrip.hands.fit import ORDERS
 from getagrip.hands.model import Side
 from getagrip.io import arrays
-from getagrip.io.files import is_plain_name, plain, shown
+from getagrip.io.files import is_plain_name, listed, plain, shown
 
 SIZE = (640, 480)
 """Width and height of DexYCB's images [px]."""
@@ -109,9 +109,9 @@ def find(root: Path) -> list[Sequence]:
 
     Raises ``InputError`` where there is none, and for packed files that are malformed.
     """
-    files = [root] if root.is_file() else sorted(root.glob("*.npz"))
-    if files:
-        return [sequence for file in files for sequence in _packed(file)]
+    packed = [root] if root.is_file() else listed(root, (".npz",))
+    if packed:
+        return [sequence for file in packed for sequence in _packed(file)]
     if not root.is_dir():
         raise InputError(root, "", "no such file or folder", "DexYCB's folder, or a packed file of its sequences")
     folders = [meta.parent for meta in sorted(root.glob("*/*/meta.yml"))]

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from getagrip.clip.naming import frame_of
 from getagrip.errors import InputError
 from getagrip.hands.trackers import hamer, records
 from getagrip.hands.trackers.egodex import MOST_FRAMES
@@ -22,7 +21,7 @@ from getagrip.hands.trackers.estimates import Estimate, Estimates, Request
 from getagrip.hands.trackers.joint_checks import check_before_camera
 from getagrip.hands.trackers.recognition import Sample
 from getagrip.hands.trackers.records import Record, numbers
-from getagrip.hands.trackers.tracker import Tracker, frames_of_images, no_name, only_file
+from getagrip.hands.trackers.tracker import Tracker, frames_of_images, frames_of_names, no_name, only_file
 from getagrip.io.parquet import read_columns
 from getagrip.provenance import estimated
 
@@ -51,8 +50,7 @@ class EgoHandKit(Tracker):
         if path.suffix.lower() == ".parquet":
             return _joints(path, request)
         images = _by_image(path, records.read(path))
-        request.check_numbers(path, [Path(name).stem for name in images])
-        frames = {name: frame_of(Path(name).stem, request.frames) for name in images}
+        frames = dict(zip(images, frames_of_names(path, list(images), request), strict=True))
         if all(frame is None for frame in frames.values()):
             raise no_name(paths, next(iter(images), path.name), request)
         found = [

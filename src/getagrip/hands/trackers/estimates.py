@@ -57,7 +57,9 @@ class Request:
         size: width and height of the clip's images [px].
         mano: folder of the user's MANO files.
         ask_first: the option that states the number of the first frame's hand; empty where it was used.
+        counted: True if it was used: frames are numbered as the hands' files count them.
         hand_masks: the image of the hand's mask in each frame, None where a frame has none; empty where no frame has.
+        times: (T,) the times of the frames [s]; None where they are not known.
     """
 
     side: Side
@@ -66,7 +68,9 @@ class Request:
     size: tuple[int, int]
     mano: Path | None = None
     ask_first: str = "--first"
+    counted: bool = False
     hand_masks: tuple[Path | None, ...] = ()
+    times: Float[ndarray, "T"] | None = None
 
     def check_numbers(self, source: Path, names: Iterable[str]) -> None:
         """Raise ``UsageError`` where hands seem to be counted from another start than frames."""

@@ -81,6 +81,9 @@ class Landmarks(Tracker):
                 raise InputError(path, "joints_2d", "no such key", "the landmarks (T, 21, 2) [px]")
             points = np.insert(found, 3, _depth(path, rows, found.shape), axis=-1)
         for row, frame in enumerate(frames_of_rows(path, rows, len(points), request)):
+            if frame is not None and seen[frame].any():
+                got = f"a second row of frame {files.plain(request.frames[frame])}, row {row}"
+                raise InputError(path, "frames", got, "one row for each frame, of one hand")
             if frame is not None:
                 seen[frame] = points[row]
         return lifted(path, seen, request, side_assumed)

@@ -46,9 +46,7 @@ def listed(paths: Sequence[Path], layouts: Sequence[str] = ()) -> list[Path]:
     found: list[Path] = []
     for path in paths:
         if path.is_dir():
-            files_of = _laid_out(path, layouts) or sorted(
-                each for each in path.iterdir() if each.suffix.lower() in known and each.is_file()
-            )
+            files_of = _laid_out(path, layouts) or files.listed(path, known)
             if not files_of:
                 raise InputError(
                     path, "", "a folder without such a file", f"files of an estimator ({', '.join(known)})"
@@ -56,7 +54,7 @@ def listed(paths: Sequence[Path], layouts: Sequence[str] = ()) -> list[Path]:
         elif path.exists():
             files_of = [path]
         else:  # a shell leaves a pattern as it is where nothing matches
-            files_of = sorted(Path(name) for name in glob.glob(str(path)))
+            files_of = sorted(Path(name) for name in glob.glob(str(path)) if not Path(name).name.startswith("."))
             got = "a pattern that matches no file" if glob.has_magic(str(path)) else "no such file or folder"
             if not files_of:
                 raise InputError(path, "", got, "an estimator's files")
@@ -68,8 +66,8 @@ def _laid_out(folder: Path, layouts: Sequence[str]) -> list[Path]:
     """List the files of the first pattern that matches any below a folder; links out of it are passed over."""
     root = folder.resolve()
     for pattern in layouts:
-        found = (one for one in folder.glob(pattern) if one.is_file() and one.resolve().is_relative_to(root))
-        if files_of := sorted(found):
+        found = files.listed(folder, pattern=pattern)
+        if files_of := [one for one in found if one.resolve().is_relative_to(root)]:
             return files_of
     return []
 

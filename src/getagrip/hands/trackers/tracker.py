@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from getagrip.clip.naming import frame_of, number_of
+from getagrip.clip.naming import check_one_image, frame_of, number_of, rows_in_order
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.trackers import records
 from getagrip.hands.trackers.estimates import Estimates, Request
@@ -59,6 +59,8 @@ def per_image(paths: Sequence[Path], request: Request) -> Iterator[tuple[Path, i
     found, other = False, ""
     if len(paths) > 1:
         request.check_numbers(paths[0].parent, [path.stem for path in paths])
+    names = [str(path) for path in paths]
+    check_one_image(paths[0].parent, names, [frame_of(path.stem, request.frames) for path in paths], request.frames)
     for path in paths:
         frame = frame_of(path.stem, request.frames)
         may_hold_many = path.suffix.lower() in KEYED and (len(paths) == 1 or number_of(path.stem) is None)
@@ -67,15 +69,24 @@ def per_image(paths: Sequence[Path], request: Request) -> Iterator[tuple[Path, i
         if not named and frame is not None:
             found = True
             yield path, frame, record
-        request.check_numbers(path, [Path(name).stem for name in named])
-        for name, content in named.items():
-            frame = frame_of(Path(name).stem, request.frames)
+        for (_, content), frame in zip(named.items(), frames_of_names(path, list(named), request), strict=True):
             if frame is not None:
                 found = True
                 yield path, frame, content
         other = other or next(iter(named), path.name)
     if not found:
         raise no_name(paths, other, request)
+
+
+def frames_of_names(path: Path, names: Sequence[str], request: Request) -> list[int | None]:
+    """Return the index of the frame of each image in a file, by its name; None for frames that the clip does not have.
+
+    Raises ``InputError`` for two images of one frame, ``UsageError`` where they are counted from another start.
+    """
+    request.check_numbers(path, [Path(name).stem for name in names])
+    found = [frame_of(Path(name).stem, request.frames) for name in names]
+    check_one_image(path, names, found, request.frames)
+    return found
 
 
 def no_name(paths: Sequence[Path], example: str, request: Request) -> InputError:
@@ -96,10 +107,10 @@ def frames_of_rows(path: Path, record: records.Record, count: int, request: Requ
             raise InputError(path, "frames", files.shown(record["frames"]), f"{count} names or numbers of frames")
         request.check_numbers(path, map(str, names))
         return [frame_of(str(name), request.frames) for name in names]
-    if count != len(request.frames):
-        expected = f"{len(request.frames)} as the clip has, or an array frames with their names"
-        raise InputError(path, "frames", f"{count} hands and no names of frames", expected)
-    return list(range(count))
+    option = request.ask_first or "--first"
+    in_order = rows_in_order(count, request.frames, path, "hand", request.counted, option)
+    rows = {row: n for n, row in in_order.items()}
+    return [rows.get(row) for row in range(count)]
 
 
 def frames_of_images(path: Path, record: records.Record, count: int, request: Request) -> list[int | None]:
@@ -107,10 +118,9 @@ def frames_of_images(path: Path, record: records.Record, count: int, request: Re
 
     These are counted from 0, and the video's frames from 1 where the request does not state the first one's number.
     """
-    if "frames" in record or count == len(request.frames):
+    if "frames" in record or (count == len(request.frames) and not request.counted):
         return frames_of_rows(path, record, count, request)
-    names = [str(n + 1 if request.ask_first else n) for n in range(count)]
-    return [frame_of(name, request.frames) for name in names]
+    return [frame_of(str(n + 1 if request.ask_first else n), request.frames) for n in range(count)]
 
 
 def only_file(paths: Sequence[Path], what: str) -> Path:
