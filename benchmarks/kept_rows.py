@@ -148,13 +148,19 @@ def row(case: Case) -> Row | None:
     except Exception as error:  # one clip's trouble must not end the others
         print(f"{case}: {error}", file=sys.stderr)
         return None
+    return {
+        "clip": clip.name, "subject": subject_of(clip.name), "category": clip.category, "part": case.part,
+        "condition": case.condition, "seed": case.seed, **described(result, clip),
+    }  # fmt: skip
+
+
+def described(result: Reconstruction, clip: Clip) -> Row:
+    """Return what a row keeps of a result: its kind of input, findings, signs, and which candidates are right."""
     in_camera = [*zip(result.candidates.T_hand_obj, result.candidates.scale, strict=True)]
     in_hand = in_camera if result.hand_alternatives is None else [(T, result.scale) for T in result.in_hand]
     terms, depth = {*result.energy, *result.hand_energy}, result.signs.get("depth-images", 0.0)
     return {
-        "clip": clip.name, "subject": subject_of(clip.name), "category": clip.category, "part": case.part,
-        "condition": case.condition, "seed": case.seed, "made": stamp(),
-        "kind": kind_of_input(kind_of_hands(clip.provenance), terms, depth),
+        "made": stamp(), "kind": kind_of_input(kind_of_hands(clip.provenance), terms, depth),
         "serious": [finding.check for finding in result.findings if finding.serious],
         "signs": result.signs, "checks": result.checks, "hand_energy": result.hand_energy,
         "diameter": clip.mesh.diameter, "energy": result.candidates.energy.tolist(),
