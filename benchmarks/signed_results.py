@@ -1,7 +1,7 @@
 """Results with their signs, and whether they are right: what ``benchmarks.probability`` is fitted to and tested on.
 
 Clips of thirty real objects, and some synthetic ones, are reconstructed by the default method under ``CONDITIONS``:
-each as it is and with hands at two levels of errors, and under some of the other conditions by turns.
+each as it is and with hands at two levels of errors, and under one of the other conditions by turns.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from getagrip.clip import Clip, Masks, read_clip, read_masks
 from getagrip.datasets.synthetic.noise import NOISE, Noise
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.splits import split
-from getagrip.datasets.tracks import subject_of
 from getagrip.experiments.changes import UNCHANGED, Noisy, OtherObject, OtherSize, ScaleFree, Several
 from getagrip.experiments.sources.recorded import DexYcb
 from getagrip.fitting.options import Options
@@ -30,9 +29,9 @@ from getagrip.timelines.reconstruct import reconstruct
 
 DEXYCB, OTHER, ARCTIC, SYNTHETIC = "DexYCB", "DexYCB, the ten others", "ARCTIC", "synthetic"
 """Names of the datasets."""
-PER_OBJECT = {DEXYCB: 12, OTHER: 12, ARCTIC: 4}
+PER_OBJECT = {DEXYCB: 7, OTHER: 7, ARCTIC: 3}
 """Most clips of an object, evenly spaced."""
-EVERY = 9
+EVERY = 12
 """Step from one synthetic clip of each preset to the next."""
 PRESETS = ("clean", "moderate", "strong", "wild", "measured")
 Change = Callable[[Clip, Masks, int], tuple[Clip, Masks]]
@@ -59,8 +58,7 @@ BY_TURNS: dict[str, Change] = {
     "other shape": OtherObject(),
     "10 mm, 8°, no hand pixels": unseen_hand,
 }
-"""Of these each clip gets every ``TURN``th, beginning with another one than the clip before."""
-TURN = 3
+"""Of these each clip gets one: the next."""
 CONDITIONS = ALWAYS | BY_TURNS
 
 
@@ -109,7 +107,7 @@ def _real(folders: dict[str, dict[str, Path]]) -> Iterator[Case]:
         for name, folder in clips.items():
             by_object[read_clip(folder).category].append(name)
         for n, name in enumerate(name for names in by_object.values() for name in evenly(names, PER_OBJECT[dataset])):
-            for condition in (*ALWAYS, *turns[n % TURN :: TURN]):
+            for condition in (*ALWAYS, turns[n % len(turns)]):
                 yield Case(dataset, name, condition, partial(read_from, clips[name], condition))
 
 
@@ -134,5 +132,5 @@ def row(case: Case) -> Row | None:
     except Exception as error:  # one clip's trouble must not end the others
         print(f"{case.key}: {error}", file=sys.stderr)
         return None
-    about = {"subject": subject_of(clip.name), "category": clip.category, "seconds": time.process_time() - start}
+    about = {"category": clip.category, "seconds": time.process_time() - start}
     return dict(zip(KEY, case.key, strict=True)) | about | described(result, clip)
