@@ -35,7 +35,7 @@ def tables() -> list[str]:
 def note(table: str, command: str) -> None:
     """Add a run to the list, as one that starts now. ``command`` is as pages print it, without own paths."""
     now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S")
-    row = {"label": f"{now}, {table}", "table": table, "commit": _commit(), "run": command}
+    row = {"label": f"{now}, {table}", "table": table, "commit": commit(), "run": command}
     found = _read()
     store.write(NAME, replace(found, rows=[*found.rows, row]), FOLDER)
 
@@ -46,7 +46,8 @@ def noted(table: str, commit: str) -> bool:
     return any(one.startswith(commit) or commit.startswith(one) for one in of)
 
 
-def _commit() -> str:
+def commit() -> str:
+    """Return the commit of the package's code."""
     return stamp().partition(", commit ")[2] or "unknown"
 
 
