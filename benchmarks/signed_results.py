@@ -1,6 +1,6 @@
 """Results with their signs, and whether they are right: what ``benchmarks.probability`` is fitted to and tested on.
 
-Clips of thirty real objects, and some synthetic ones, are reconstructed by the default method under ``CONDITIONS``:
+Clips of thirty real objects are reconstructed by the default method under ``CONDITIONS``:
 each as it is and with hands at two levels of errors, and under one of the other conditions by turns.
 """
 
@@ -20,20 +20,15 @@ from benchmarks.kept_rows import Row, described
 from getagrip.batch.share import Share
 from getagrip.clip import Clip, Masks, read_clip, read_masks
 from getagrip.datasets.synthetic.noise import NOISE, Noise
-from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.datasets.synthetic.splits import split
 from getagrip.experiments.changes import UNCHANGED, Noisy, OtherObject, OtherSize, ScaleFree, Several
 from getagrip.experiments.sources.recorded import DexYcb
 from getagrip.fitting.options import Options
 from getagrip.timelines.reconstruct import reconstruct
 
-DEXYCB, OTHER, ARCTIC, SYNTHETIC = "DexYCB", "DexYCB, the ten others", "ARCTIC", "synthetic"
+DEXYCB, OTHER, ARCTIC = "DexYCB", "DexYCB, the ten others", "ARCTIC"
 """Names of the datasets."""
-PER_OBJECT = {DEXYCB: 7, OTHER: 7, ARCTIC: 3}
+PER_OBJECT = {DEXYCB: 12, OTHER: 12, ARCTIC: 5}
 """Most clips of an object, evenly spaced."""
-EVERY = 12
-"""Step from one synthetic clip of each preset to the next."""
-PRESETS = ("clean", "moderate", "strong", "wild", "measured")
 Change = Callable[[Clip, Masks, int], tuple[Clip, Masks]]
 TEN = Noisy(Noise(hand_bias_mm=10.0, hand_bias_deg=8.0, hand_jitter_mm=5.0, hand_jitter_deg=4.0, jitter_memory_s=0.1))
 STRONG = Noisy(NOISE["strong"])
@@ -95,11 +90,11 @@ def cases(out: Path, root: Path, other: Path, meshes: Path, arctic: Path) -> lis
     for dataset, of, name in ((DEXYCB, root, "clips"), (OTHER, other, "other")):
         found, _ = DexYcb(split="all", root=of, meshes=meshes).samples(out / name, False, Share(workers=1))
         folders[dataset] = {sample.name: sample.folder for sample in found}
-    every = [*_real(folders), *_synthetic()]
+    every = [*_cases(folders)]
     return [every[n] for n in np.random.default_rng(0).permutation(len(every))]
 
 
-def _real(folders: dict[str, dict[str, Path]]) -> Iterator[Case]:
+def _cases(folders: dict[str, dict[str, Path]]) -> Iterator[Case]:
     """Clip by clip, object by object."""
     turns = [*BY_TURNS]
     for dataset, clips in folders.items():
@@ -114,13 +109,6 @@ def _real(folders: dict[str, dict[str, Path]]) -> Iterator[Case]:
 def evenly(names: Sequence[str], most: int) -> list[str]:
     """Return at most so many of them, evenly spaced."""
     return [names[n] for n in np.unique(np.linspace(0, len(names) - 1, min(most, len(names))).round().astype(int))]
-
-
-def _synthetic() -> Iterator[Case]:
-    """Training clips as their presets have them."""
-    for preset in PRESETS:
-        for category, seed, options in split("train", preset)[::EVERY]:
-            yield Case(SYNTHETIC, f"{category}-{seed}", preset, partial(synthesise, category, seed, options))
 
 
 def row(case: Case) -> Row | None:

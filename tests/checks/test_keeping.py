@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.kept import HEADER, calibrated, lines, of_part, thresholds
+from benchmarks.kept import HEADER, calibrated, lines, of_part
 from benchmarks.kept_rows import END, REAL, SYNTHETIC, Row, read
 from benchmarks.probability import stored, write
 from getagrip.batch.keep import HIGHEST, LOWEST, Keep
@@ -168,15 +168,16 @@ def test_what_was_calibrated_is_written_and_held_against_validation(tmp_path: Pa
     rows = made_rows(900, 0)
     estimated, keeping = calibrated(rows, "today")
     path = Path(shutil.copy(FILE, tmp_path))
-    write(path, estimated=stored(estimated.values()), keeping=thresholds(keeping))
+    write(path, keeping, estimated=stored(estimated.values()))
     exact, fitted, least = read_calibrated(path)
     assert exact == CALIBRATIONS
-    assert least.keys() == keeping.keys() == KEEPING.keys()
+    assert least.keys() == KEEPING.keys()
+    assert all(least["measured", where] == KEEPING["measured", where] for where in estimated), "these are not its"
     assert least["joints", "hand"].sets == pytest.approx(keeping["joints", "hand"].sets, rel=1e-3)
     for where in estimated:
         found = [one.probability(rows[1]["signs"]).value for one in (fitted["soft-hinge", where], estimated[where])]
         assert found[0] == pytest.approx(found[1], abs=1e-3)
-    table = [dict(zip(("label", *HEADER), line, strict=True)) for line in lines(rows, estimated, keeping)]
+    table = [dict(zip(("label", *HEADER), line, strict=True)) for line in lines(rows, estimated, KEEPING | keeping)]
     depth = next(line for line in table if line["label"] == "validation, in the hand, network")
     assert float(depth["AUROC"].split()[0]) > 0.75
     assert float(depth["sets that hold it, %"].split()[0]) > 80.0

@@ -79,6 +79,12 @@ def size_shift(it: Solved) -> float:
     return _logarithm(np.nan_to_num(abs(it.scale_check[0] - 1.0)) * away / it.diameter, 0.02)
 
 
+def seen_size(it: Solved) -> float:
+    """Measure how much of the object is seen: the side of a square of its mask's area at the hand, in its diameters."""
+    focal = np.sqrt(it.clip.K[:, 0, 0] * it.clip.K[:, 1, 1])
+    return _logarithm(np.median(np.sqrt(it.mask_area) * it.depth / focal) / it.diameter, 0.02)
+
+
 def hand_misfit(it: Solved) -> float:
     """Return the share of the hand's pixels that differ from its silhouette; where it is unknown, what is too much."""
     return _logarithm(float(np.nan_to_num(it.hand_differing, nan=UNSEEN)), 0.01)
@@ -117,6 +123,7 @@ SIGNS: tuple[Sign, ...] = (
     Sign("off-axis-turn", lambda it: _logarithm(it.off_axis, 5e-3), -1),  # besides that about the axis [rad]
     Sign("hand-shift", lambda it: (it.hand_shift / it.diameter) ** 2, -1),  # usual corrections succeed, large ones not
     Sign("hand-turn", lambda it: it.hand_turn**2, -1),  # by the refinement [rad]
+    Sign("seen-size", seen_size, 1),
 )
 HAND_SIGNS: tuple[Sign, ...] = (
     Sign("hand-spread", lambda it: _logarithm(it.hand_spread / it.diameter, 0.01), -1),  # that its evidence leaves
