@@ -10,7 +10,7 @@
     {{ objects TABLE METHOD }}               how often a method is right with each object, its size, and the errors
     {{ methods COLUMN }}                     a column of all methods, by set of clips
     {{ leaderboard }}                        every method on every real motion, and what others printed
-    {{ motions }}                            the default on every real motion, and the probability fitted without it
+    {{ motions }}                            the default on every real motion, and the probability without its objects
     {{ printed FILE }}                       others' numbers by part of a benchmark, in each column, with their sources
     {{ made TABLE }}                         at which commit, when, by which command
 
@@ -75,8 +75,8 @@ MOTIONS = {
     "ARCTIC, estimated hands": ("arctic-motion-methods", ""),
 }
 """Real motion, the table of it, and the end of its rows' keys."""
-PARTS_OF = {"ARCTIC's motion": "arctic", "DexYCB": "dexycb", "ARCTIC, estimated hands": "arctic"}
-"""Those that the probability is fitted to, by their names in its table (``benchmarks.left_out``)."""
+DATASETS = {"ARCTIC's motion": "arctic", "DexYCB": "dexycb", "ten other objects": "dexycb-the-ten-others"}
+"""Those that the probability is calibrated on, and their rows in its table."""
 
 
 def fill(text: str) -> str:
@@ -269,21 +269,20 @@ def leaderboard() -> str:
 
 
 def motions() -> str:
-    """The default on each real motion, with the probability's AUROC and ECE there, fitted to all and without it."""
-    columns = ("clips", "iou", "add", "add_sym", "add_sym_mm", "sca_add_sym", "right_in_camera", "seconds")
-    fits = store.read("probability-left-out") if "probability-left-out" in store.names() else None
+    """The default on each real motion, with the AUROC and ECE of the probability by objects left out."""
+    columns = ("clips", "iou", "add", RIGHT, ERROR, "sca_add_sym", "right_in_camera", "seconds")
+    fits = store.read("probability-hand")
     lines, heads = [], ["IOU", "ADD", "ADD sym.", ERROR_LABEL, "SCA-ADD sym.", "in the camera", "s"]
     for label, (name, suffix) in MOTIONS.items():
         found = store.read(name)
         row = found.row(f"soft-hinge{suffix}")
         cells = [shown(found.column(key), row.get(key)) for key in columns]
-        for words in ("fitted-to-all", "fitted-without-it"):
-            part = PARTS_OF.get(label)
-            fit = _row(fits, f"{part}-in-the-hand-{words}") if fits and part else None
-            texts = [shown(fits.column(key), fit.get(key)) for key in ("auroc", "ece")] if fits and fit else []
-            cells.append(" / ".join(texts) or ("–" if part else "no part in it"))
-        lines.append([label, *cells, str(found.made.get("commit", "–"))])
-    return grid(["motion", "clips", *heads, "AUROC / ECE", "without it", "commit"], lines)
+        fit = fits.row(DATASETS[label]) if label in DATASETS else None
+        probable = (
+            " / ".join(shown(fits.column(key), fit.get(key)) for key in ("auroc", "ece")) if fit else "no part in it"
+        )
+        lines.append([label, *cells, probable, str(found.made.get("commit", "–"))])
+    return grid(["motion", "clips", *heads, "AUROC / ECE", "commit"], lines)
 
 
 def _row(table: store.Table, key: str) -> Row | None:
@@ -291,7 +290,7 @@ def _row(table: store.Table, key: str) -> Row | None:
 
 
 def _both(table: store.Table, row: Row | None) -> str:
-    keys = ("add", "sca_add")
+    keys = [key for key in ("add", "sca_add", ERROR) if row and key in row]
     return "–" if row is None else " / ".join(shown(table.column(key), row.get(key)) for key in keys)
 
 

@@ -107,7 +107,7 @@ def _cases(folders: dict[str, dict[str, Path]]) -> Iterator[Case]:
 
 
 def evenly(names: Sequence[str], most: int) -> list[str]:
-    """Return at most so many of them, evenly spaced."""
+    """Return at most that number of them, evenly spaced."""
     return [names[n] for n in np.unique(np.linspace(0, len(names) - 1, min(most, len(names))).round().astype(int))]
 
 

@@ -3,7 +3,7 @@
 Of n results of the calibration that are at least as probable as t, w are wrong. A result of probability p is kept for a
 share s where (w + 1) / (n + 1) <= 1 - s at some t <= p: among results like those of the calibration the kept ones are
 right with at least that share. Probabilities of the calibration are those of a fit without the result's own object.
-Of measured hands, calibrated on exact input, no threshold is below the asked share.
+Of measured hands the rule holds for exact ones and for those of each level of errors: the largest threshold counts.
 
 A result's set of candidates is the smallest that holds the right one with 90 %, by the same rule among the results that
 no smaller set is enough for. Where even the largest is not enough there is none.
