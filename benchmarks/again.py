@@ -107,7 +107,7 @@ def main(words: Sequence[str]) -> int:
     found = dict(differences(before, [*csv.DictReader(made.read_text(encoding="utf-8").splitlines())]))
     how = store.read(asked.table).made
     print(
-        f"{asked.table}, {len(names)} clips, {len(before)} results, of {how.get('commit', 'an unknown commit')}:",
+        f"{asked.table}, clips: {len(names)}, results: {len(before)}, of {how.get('commit', 'an unknown commit')}:",
         end=" ",
     )
     print("equal" if not found else "not equal")

@@ -25,7 +25,7 @@ from benchmarks.kept_rows import REAL, REAL_APART, SYNTHETIC, Row, read
 from benchmarks.probability import stored, write
 from benchmarks.reliability import auroc, auroc_interval, calibration_error, fit_weights, least_error
 from benchmarks.timing import circumstances
-from getagrip.checks.calibrated import CALIBRATIONS, FILE, KEEPING
+from getagrip.checks.calibrated import CALIBRATIONS, CORRECTED, FILE, KEEPING
 from getagrip.checks.calibration import Calibration, Where
 from getagrip.checks.keeping import InputKind, Keeping
 from getagrip.checks.signs import ESTIMATED_SIGNS
@@ -38,6 +38,7 @@ METHOD = Options().method
 Kept = Mapping[tuple[InputKind, Where], Keeping]
 KEPT = 0.95
 """Share of right results in the table."""
+MEASURED = ("measured", "corrected")
 PARTS = ("train", REAL, "validation", REAL_APART)
 
 
@@ -56,9 +57,9 @@ class Results(probability.Results):
     @property
     def estimated(self) -> Results:
         """Those with estimated hands."""
-        return replace(self, rows=[row for row in self.rows if row["kind"] != "measured"])
+        return replace(self, rows=[row for row in self.rows if row["kind"] not in MEASURED])
 
-    def fitted(self, made: str) -> Calibration:
+    def fitted(self, made: str) -> probability.Fit:
         """Fit the weights of the signs."""
         every = Results([*self.rows, *self.synthetic], self.where)
         own = [[row["signs"][sign.name] for sign in ESTIMATED_SIGNS] for row in every.rows]
@@ -69,7 +70,7 @@ class Results(probability.Results):
         right, more = f"{100.0 * self.right.mean():.0f} % of {len(self.rows)} results are right", len(self.synthetic)
         data = f"{' and '.join(counts)} ({right}), and {more} synthetic ones, with and without 2D joints and depth"
         by_sign = {sign.name: weight for sign, weight in zip(ESTIMATED_SIGNS, weights[:-1], strict=True)}
-        return Calibration(self.where, by_sign, bias, data, made)
+        return {"estimated": Calibration(self.where, by_sign, bias, data, made)}
 
 
 def of_part(rows: Sequence[Row], part: str, where: Where) -> Results:
@@ -95,11 +96,16 @@ def lines(rows: Sequence[Row], fitted: Mapping[Where, Calibration], keeping: Kep
             continue
         of = of_part(rows, "train" if part == REAL else part, where)
         measured, estimated = of.only(kind="measured", part=part), of.estimated
-        p = estimated.without_own_object() if part in ("train", REAL) else estimated.probability(fitted[where])
+        p = (
+            estimated.without_own_object()
+            if part in ("train", REAL)
+            else estimated.probability({"estimated": fitted[where]})
+        )
         p, estimated = p[[row["part"] == part for row in estimated.rows]], estimated.only(part=part)
         label = f"{part}, in the {where}"
         if measured.rows:
-            exact = measured.probability(CALIBRATIONS[METHOD, where])
+            fit: probability.Fit = {"measured": CALIBRATIONS[METHOD, where], "corrected": CORRECTED[METHOD, where]}
+            exact = measured.probability(fit)
             yield line(f"{label}, measured hands", measured, exact, keeping)
         if not estimated.rows:
             continue
@@ -147,9 +153,9 @@ def calibrated(rows: Sequence[Row], made: str) -> tuple[Mapping[Where, Calibrati
     for where in get_args(Where):
         train = of_part(rows, "train", where)
         every = train.estimated
-        estimated[where] = every.fitted(made)
+        estimated[where] = every.fitted(made)["estimated"]
         fair, kinds = every.without_own_object(), np.array([row["kind"] for row in every.rows])
-        for kind in get_args(InputKind)[1:]:
+        for kind in get_args(InputKind)[len(MEASURED) :]:
             keeping[kind, where] = every.only(kind=kind).keeping(fair[kinds == kind])
     return estimated, keeping
 

@@ -23,6 +23,7 @@ from numpy import ndarray
 from getagrip.batch.executor import cores, in_processes
 from getagrip.batch.share import Share
 from getagrip.checks.keeping import kind_of_input
+from getagrip.checks.signs import was_corrected
 from getagrip.clip import Clip, read_clip, read_masks, write_clip
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.datasets.synthetic.noise import NOISE
@@ -160,7 +161,8 @@ def described(result: Reconstruction, clip: Clip) -> Row:
     in_hand = in_camera if result.hand_alternatives is None else [(T, result.scale) for T in result.in_hand]
     terms, depth = {*result.energy, *result.hand_energy}, result.signs.get("depth-images", 0.0)
     return {
-        "made": stamp(), "kind": kind_of_input(kind_of_hands(clip.provenance), terms, depth),
+        "made": stamp(),
+        "kind": kind_of_input(kind_of_hands(clip.provenance), terms, depth, was_corrected(result.signs)),
         "serious": [finding.check for finding in result.findings if finding.serious],
         "signs": result.signs, "checks": result.checks, "hand_energy": result.hand_energy,
         "diameter": clip.mesh.diameter, "energy": result.candidates.energy.tolist(),

@@ -18,7 +18,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -34,7 +34,7 @@ from getagrip.batch.executor import cores
 from getagrip.checks.calibrated import ESTIMATED, FILE, KEEPING
 from getagrip.checks.calibration import Calibration, Where
 from getagrip.checks.keeping import SHARES, InputKind, Keeping, least_kept, least_of_sets
-from getagrip.checks.signs import SIGNS
+from getagrip.checks.signs import CORRECTED_SIGNS, ESTIMATED_SIGNS, SIGNS, Sign
 from getagrip.experiments.comparison import resamples
 from getagrip.fitting.options import Options
 from getagrip.io.code import stamp
@@ -53,6 +53,31 @@ HEADER = (
     "results", "right, %", "mean probability, %", "AUROC", "ECE", "ECE if it were perfect", "kept, %",
     "right of kept, %",
 )  # fmt: skip
+
+
+RESERVE = 0.2
+"""Share of the errors that a threshold allows which is left for objects that were not in the calibration."""
+FEWEST = 50
+"""Least number of results that a threshold holds among."""
+RIDGE = 10.0
+"""Of the weights (``fit_weights``); with 3, as for estimated hands, objects left out are predicted worse."""
+Hands = Literal["measured", "corrected", "estimated"]
+Fit = Mapping[Hands, Calibration]
+"""A calibration for each kind of hands that was fitted."""
+SIGNS_OF: Mapping[Hands, Sequence[Sign]] = {
+    "measured": SIGNS, "corrected": CORRECTED_SIGNS, "estimated": ESTIMATED_SIGNS,
+}  # fmt: skip
+
+INPUTS_OF: Mapping[Hands, str] = {
+    "measured": "right inputs, and errors of hands, masks, size and shape",
+    "corrected": "hands with errors that the fit corrected",
+}
+
+
+def hands_of(row: Row) -> Hands:
+    """The hands of a result, which say by what calibration it has a probability."""
+    kind: InputKind = row["kind"]
+    return kind if kind in ("measured", "corrected") else "estimated"
 
 
 @dataclass(frozen=True)
@@ -95,21 +120,28 @@ class Results:
         """Those of other objects."""
         return replace(self, rows=[row for row in self.rows if row["category"] != category])
 
-    def fitted(self, made: str) -> Calibration:
-        """Fit the weights of the signs."""
-        signs = np.array([[row["signs"][sign.name] for sign in SIGNS] for row in self.rows])
-        weights, bias = fit_weights(signs, self.right, [sign.direction for sign in SIGNS])
+    def fitted(self, made: str) -> Fit:
+        """Fit the weights of the signs, of corrected hands apart."""
+        hands = [hands_of(row) for row in self.rows]
+        groups = {one: [row for row, of in zip(self.rows, hands, strict=True) if of == one] for one in {*hands}}
+        return {one: replace(self, rows=rows).fit(one, made) for one, rows in groups.items()}
+
+    def fit(self, hands: Hands, made: str) -> Calibration:
+        """Fit the weights of the signs to all of them."""
+        counted = SIGNS_OF[hands]
+        signs = np.array([[row["signs"][sign.name] for sign in counted] for row in self.rows])
+        weights, bias = fit_weights(signs, self.right, [sign.direction for sign in counted], RIDGE)
         data = (
             f"{len(self.rows)} results of {self.clips} clips of {len({*self.objects.tolist()})} objects of "
-            f"{' and '.join(of(self, 'dataset'))}, of which {100.0 * self.right.mean():.0f} % are right: right inputs, "
-            "and errors of hands, masks, size and shape"
+            f"{' and '.join(of(self, 'dataset'))}, of which {100.0 * self.right.mean():.0f} % are right: "
+            f"{INPUTS_OF[hands]}"
         )
-        by_sign = {sign.name: weight for sign, weight in zip(SIGNS, weights, strict=True)}
+        by_sign = {sign.name: weight for sign, weight in zip(counted, weights, strict=True)}
         return Calibration(self.where, by_sign, bias, data, made)
 
-    def probability(self, calibration: Calibration) -> Float[ndarray, "n"]:
+    def probability(self, fit: Fit) -> Float[ndarray, "n"]:
         """Compute the probability of each."""
-        return np.array([calibration.probability(row["signs"]).value for row in self.rows])
+        return np.array([fit[hands_of(row)].probability(row["signs"]).value for row in self.rows])
 
     def without_own_object(self) -> Float[ndarray, "n"]:
         """Compute the probability of each by a fit without its own object."""
@@ -118,9 +150,9 @@ class Results:
             out[of == category] = self.only(category=category).probability(self.without(category).fitted(""))
         return out
 
-    def keeping(self, probability: Float[ndarray, "n"]) -> Keeping:
-        """Choose the thresholds."""
-        least = {share: least_kept(probability, self.right, share) for share in SHARES}
+    def keeping(self, probability: Float[ndarray, "n"], reserve: float = 0.0) -> Keeping:
+        """Choose the thresholds, with some share of the errors that they allow in reserve."""
+        least = {share: least_kept(probability, self.right, share + reserve * (1.0 - share)) for share in SHARES}
         sets = least_of_sets(probability, self.rank, HOLDS)
         return Keeping({share: p for share, p in least.items() if np.isfinite(p)}, sets)
 
@@ -144,20 +176,36 @@ def judged(results: Results) -> Judged:
     p, kept = np.empty(len(results.rows)), np.zeros(len(results.rows), dtype=bool)
     for category in dict.fromkeys(results.objects.tolist()):
         own, others = results.objects == category, results.without(category)
-        p[own] = results.only(category=category).probability(others.fitted(""))
-        least = thresholds(others, others.without_own_object()).least.get(KEPT, np.inf)
-        kept[own] = p[own] >= least
+        mine = results.only(category=category)
+        p[own] = mine.probability(others.fitted(""))
+        by_kind = thresholds(others, others.without_own_object())
+        kept[own] = p[own] >= [by_kind[row["kind"]].least.get(KEPT, np.inf) for row in mine.rows]
     return Judged(results, p, kept)
 
 
-def thresholds(results: Results, probability: Float[ndarray, "n"]) -> Keeping:
-    """The least probabilities that hold with exact hands and at each level of errors of hands (``ALWAYS``)."""
-    kinds = np.array([row["condition"] for row in results.rows])
-    each = [results.only(condition=kind).keeping(probability[kinds == kind]) for kind in ALWAYS]
-    shares = [share for share in SHARES if all(share in one.least for one in each)]
-    return Keeping(
-        {share: max(one.least[share] for one in each) for share in shares}, results.keeping(probability).sets
-    )
+def thresholds(results: Results, probability: Float[ndarray, "n"]) -> dict[InputKind, Keeping]:
+    """The thresholds for hands as they came, and for corrected ones.
+
+    Each holds among the results of its kind under each condition of ``ALWAYS`` that has ``FEWEST`` of them, with
+    ``RESERVE``. Of hands as they came, which may be wrong without a sign of it, none is below the share itself.
+    """
+    kinds, conditions = (np.array([row[key] for row in results.rows]) for key in ("kind", "condition"))
+    out = dict[InputKind, Keeping]()
+    for kind in dict.fromkeys(kinds.tolist()):
+        of_kind = [(kinds == kind) & (conditions == condition) for condition in ALWAYS]
+        each = [
+            results.only(kind=kind, condition=condition).keeping(probability[some], RESERVE)
+            for condition, some in zip(ALWAYS, of_kind, strict=True)
+            if some.sum() >= FEWEST
+        ]
+        shares = [share for share in SHARES if each and all(share in one.least for one in each)]
+        sets = results.only(kind=kind).keeping(probability[kinds == kind]).sets
+        least = {share: max(one.least[share] for one in each) for share in shares}
+        if kind == "measured":
+            least = {share: max(p, share) for share, p in least.items()}
+            sets = {size: max(p, HOLDS) for size, p in sets.items()}
+        out[kind] = Keeping(least, sets)
+    return out
 
 
 def of(results: Results, key: str) -> list[str]:
@@ -193,13 +241,12 @@ def write(file: Path, keeping: Mapping[tuple[InputKind, Where], Keeping] | None 
     file.write_text(NUMBERS.sub(lambda one: " ".join(one[0].split()), text) + "\n", encoding="utf-8")
 
 
-def tables(
-    rows: Sequence[Row], held: Mapping[Where, Judged], calibrations: Mapping[Where, Calibration]
-) -> dict[str, Table]:
+def tables(rows: Sequence[Row], held: Mapping[Where, Judged], fits: Mapping[Where, Fit]) -> dict[str, Table]:
     """One for right in the hand, one for right in the camera."""
     every = Results(rows)
+    commits = sorted({made.partition(", commit ")[2].split()[0] for made in of(every, "made")})
     about = (
-        f"results of {' and '.join(of(every, 'made'))}: {len(rows)} of {every.clips} clips of "
+        f"results of the code at {', '.join(commits)}: {len(rows)} of {every.clips} clips of "
         f"{len({*every.objects.tolist()})} objects; reconstructing them took "
         f"{sum(row['seconds'] for row in rows) / 60.0:.0f} minutes of one core",
         "each probability by a fit without its object, kept by thresholds of the others; intervals: 95 %, clips drawn "
@@ -211,13 +258,13 @@ def tables(
         estimated = replace(
             one.results, rows=[row for row in rows if row["kind"] == "estimated" and not row["serious"]]
         )
-        lines = [*_lines(one, calibrations[where]), *_of_estimated(estimated)]
+        lines = [*_lines(one, fits[where]), *_of_estimated(estimated)]
         title = f"Probability that a result is right in the {where}, by objects left out"
         out[f"{SECTION}-{where}"] = store.of_cells(title, ("", *HEADER), lines, about)
     return out
 
 
-def _lines(held: Judged, calibration: Calibration) -> Iterator[list[str]]:
+def _lines(held: Judged, fit: Fit) -> Iterator[list[str]]:
     """By condition, the most important first; by dataset; all, and all with their own object in the fit."""
     conditions = of(held.results, "condition")
     for condition in (*ALWAYS, *(each for each in conditions if each not in ALWAYS)):
@@ -225,14 +272,14 @@ def _lines(held: Judged, calibration: Calibration) -> Iterator[list[str]]:
     for dataset in of(held.results, "dataset"):
         yield total(dataset, held.only(dataset=dataset))
     yield total("all", held)
-    yield total("all, own object in the fit", replace(held, probability=held.results.probability(calibration)))
+    yield total("all, own object in the fit", replace(held, probability=held.results.probability(fit)))
 
 
 def _of_estimated(results: Results) -> Iterator[list[str]]:
     """Estimated hands, which have a probability of their own, of the objects that have no part in it."""
     others = results.only(dataset=OTHER)
     if others.rows:
-        p = others.probability(ESTIMATED[METHOD, results.where])
+        p = others.probability({"estimated": ESTIMATED[METHOD, results.where]})
         least = KEEPING["estimated", results.where].least.get(KEPT, np.inf)
         yield line("estimated hands, by their own calibration", Judged(others, p, p >= least))
 
@@ -319,14 +366,19 @@ def report(rows: Sequence[Row]) -> None:
 
     Results with a serious finding have no probability, and are no part of it.
     """
-    used, made = [row for row in rows if row["kind"] == "measured" and not row["serious"]], stamp()
-    calibrations = {where: Results(used, where).fitted(made) for where in get_args(Where)}
+    used, made = [row for row in rows if hands_of(row) != "estimated" and not row["serious"]], stamp()
+    fits = {where: Results(used, where).fitted(made) for where in get_args(Where)}
     held = {where: judged(Results(used, where)) for where in get_args(Where)}
-    keeping = {("measured", where): thresholds(one.results, one.probability) for where, one in held.items()}
-    write(FILE, keeping, measured=stored(calibrations.values()))
+    keeping: dict[tuple[InputKind, Where], Keeping] = {
+        (kind, where): least
+        for where, one in held.items()
+        for kind, least in thresholds(one.results, one.probability).items()
+    }
+    parts = {hands: stored(fit[hands] for fit in fits.values()) for hands in ("measured", "corrected")}
+    write(FILE, keeping, **parts)
     draw(held, store.ROOT / "docs/images" / PICTURE)
     how = circumstances(COMMAND)
-    for name, table in tables(rows, held, calibrations).items():
+    for name, table in tables(rows, held, fits).items():
         print(store.write(name, replace(table, made=how)))
 
 

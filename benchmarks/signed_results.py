@@ -82,7 +82,7 @@ def read_from(folder: Path, condition: str) -> tuple[Clip, Masks]:
 
 
 def cases(out: Path, root: Path, other: Path, meshes: Path, arctic: Path) -> list[Case]:
-    """All cases in a random order: what there is of an interrupted run is a sample of everything.
+    """All cases, those of ``ALWAYS`` first, in a random order: an interrupted run has a sample of everything.
 
     ``root`` and ``other`` are DexYCB's sequences, ``meshes`` its models, ``arctic`` a folder of clips.
     """
@@ -91,7 +91,8 @@ def cases(out: Path, root: Path, other: Path, meshes: Path, arctic: Path) -> lis
         found, _ = DexYcb(split="all", root=of, meshes=meshes).samples(out / name, False, Share(workers=1))
         folders[dataset] = {sample.name: sample.folder for sample in found}
     every = [*_cases(folders)]
-    return [every[n] for n in np.random.default_rng(0).permutation(len(every))]
+    mixed = [every[n] for n in np.random.default_rng(0).permutation(len(every))]
+    return sorted(mixed, key=lambda case: case.condition not in ALWAYS)
 
 
 def _cases(folders: dict[str, dict[str, Path]]) -> Iterator[Case]:

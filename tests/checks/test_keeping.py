@@ -14,7 +14,7 @@ from benchmarks.kept import HEADER, calibrated, lines, of_part
 from benchmarks.kept_rows import END, REAL, SYNTHETIC, Row, read
 from benchmarks.probability import stored, write
 from getagrip.batch.keep import HIGHEST, LOWEST, Keep
-from getagrip.checks.calibrated import CALIBRATIONS, FILE, KEEPING, read_calibrated
+from getagrip.checks.calibrated import CALIBRATIONS, CORRECTED, FILE, KEEPING, read_calibrated
 from getagrip.checks.keeping import SHARES, Keeping, kind_of_input, least_kept, least_of_sets
 from getagrip.checks.signs import HAND_SIGNS
 from getagrip.errors import UsageError
@@ -130,6 +130,8 @@ def test_hands_are_measured_unless_their_source_says_otherwise() -> None:
 def test_the_kind_of_an_input_is_that_of_its_hands_and_of_the_evidence_that_counted() -> None:
     terms = {"total", "mask", "hand-mask"}
     assert kind_of_input("measured", terms | {"depth", "joints-2d"}, 2.0) == "measured"
+    assert kind_of_input("measured", terms, 0.0, corrected=True) == "corrected"
+    assert kind_of_input("estimated", terms, 0.0, corrected=True) == "estimated"
     assert kind_of_input("estimated", terms, 2.0) == "estimated", "depth that did not count"
     assert kind_of_input("estimated", terms | {"joints-2d"}, 0.0) == "joints"
     for sign, kind in ((1.0, "network"), (2.0, "sensor")):
@@ -169,8 +171,8 @@ def test_what_was_calibrated_is_written_and_held_against_validation(tmp_path: Pa
     estimated, keeping = calibrated(rows, "today")
     path = Path(shutil.copy(FILE, tmp_path))
     write(path, keeping, estimated=stored(estimated.values()))
-    exact, fitted, least = read_calibrated(path)
-    assert exact == CALIBRATIONS
+    exact, corrected, fitted, least = read_calibrated(path)
+    assert (exact, corrected) == (CALIBRATIONS, CORRECTED)
     assert least.keys() == KEEPING.keys()
     assert all(least["measured", where] == KEEPING["measured", where] for where in estimated), "these are not its"
     assert least["joints", "hand"].sets == pytest.approx(keeping["joints", "hand"].sets, rel=1e-3)

@@ -275,7 +275,8 @@ def results(n: int = 60) -> list[Row]:
     numbers = np.random.default_rng(0).normal(size=(n, len(SIGNS)))
     return [
         {
-            "clip": f"{k}", "category": f"object {k % 5}", "dataset": "DexYCB", "condition": [*ALWAYS][k % len(ALWAYS)],
+            "clip": f"{k}", "category": f"object {k % 5}", "dataset": "DexYCB", "kind": "measured",
+            "condition": [*ALWAYS][k % len(ALWAYS)],
             "rank": {"hand": 1 if x[0] > 0.0 else None, "camera": 1 if x[1] < 0.0 else 2},
             "signs": dict(zip((sign.name for sign in SIGNS), x.tolist(), strict=True)),
         }
@@ -285,11 +286,12 @@ def results(n: int = 60) -> list[Row]:
 
 def test_both_are_fitted_to_the_same_results_and_read_back(tmp_path: Path) -> None:
     fitted = [Results(results(), where).fitted("today") for where in get_args(Where)]
-    write(path := Path(shutil.copy(FILE, tmp_path)), measured=stored(fitted))
+    write(path := Path(shutil.copy(FILE, tmp_path)), measured=stored(one["measured"] for one in fitted))
     back = read_calibrated(path)[0]
     assert [*back] == [("soft-hinge", "hand"), ("soft-hinge", "camera")]
     first, second = (sign.name for sign in SIGNS[:2])
-    for there, made in zip(back.values(), fitted, strict=True):
+    for there, fit in zip(back.values(), fitted, strict=True):
+        made = fit["measured"]
         assert (there.where, there.data) == (made.where, made.data)
         assert there.probability(USUAL).value == pytest.approx(made.probability(USUAL).value, abs=1e-3)
         strongest = max(made.weights, key=lambda name: abs(made.weights[name].weight))
@@ -308,11 +310,11 @@ def test_no_object_s_probability_comes_from_its_own_results() -> None:
 
 
 def test_thresholds_of_measured_hands_hold_at_every_level_of_their_errors() -> None:
-    rows = results(600)
+    rows = [row | {"kind": "corrected"} for row in results(600)]
     p = np.array([1.0 / (1.0 + np.exp(-3.0 * row["signs"]["energy-gap"])) for row in rows])
     worse = [row | {"rank": {"hand": None}} if row["condition"] == "strong" and p[k] < 0.97 else row
              for k, row in enumerate(rows)]  # fmt: skip
-    usual, careful = (thresholds(Results(some), p) for some in (rows, worse))
+    usual, careful = (thresholds(Results(some), p)["corrected"] for some in (rows, worse))
     assert {0.5, 0.9} <= careful.least.keys() <= usual.least.keys()
     assert all(careful.least[share] > usual.least[share] for share in careful.least)
     every = Results(worse)

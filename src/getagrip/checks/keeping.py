@@ -22,9 +22,10 @@ from numpy import ndarray
 from getagrip.probability import Probability
 from getagrip.provenance import HandsKind
 
-InputKind = Literal["measured", "estimated", "joints", "network", "sensor"]
-"""Kind of a result's input: measured hands; estimated ones without further evidence, with 2D joints, with a network's
-depth, with a sensor's."""
+InputKind = Literal["measured", "corrected", "estimated", "joints", "network", "sensor"]
+"""Kind of a result's input: measured hands, as they came or nearly so; measured ones that were solved with the object,
+since their evidence turned them far; estimated ones without further evidence, with 2D joints, with a network's depth,
+with a sensor's."""
 SHARES = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98)
 """Shares that results are kept for."""
 SIZES = (1, 2, 3, 5, 7)
@@ -50,10 +51,15 @@ class Keeping:
         return replace(right, keep=keep, candidates=size)
 
 
-def kind_of_input(hands: HandsKind, evidence: Container[str], depth_images: float) -> InputKind:
-    """Return the kind of an input by its hands, the terms that its evidence gave, and the sign ``depth-images``."""
+def kind_of_input(
+    hands: HandsKind, evidence: Container[str], depth_images: float, corrected: bool = False
+) -> InputKind:
+    """Return the kind of an input by its hands, the terms that its evidence gave, and the sign ``depth-images``.
+
+    ``corrected``: whether a measured hand was (``signs.was_corrected``).
+    """
     if hands == "measured":
-        return "measured"
+        return "corrected" if corrected else "measured"
     if "depth" in evidence:
         return "sensor" if depth_images > 1.0 else "network"
     return "joints" if "joints-2d" in evidence else "estimated"

@@ -6,7 +6,7 @@ what may be many times larger in one clip than in another is a logarithm.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +29,8 @@ UNSEEN = 0.4
 """Differing pixels of a hand of which none is seen."""
 NO_JOINTS = 0.15
 """Error of a given hand's joints, where none are seen [shares of its box]."""
+LEAST_SPREAD = 0.01
+"""Less of a hand's spread hardly counts [diameters]."""
 FARTHEST = 0.03
 """A region that does not touch counts as at most so far [m]."""
 
@@ -126,7 +128,9 @@ SIGNS: tuple[Sign, ...] = (
     Sign("seen-size", seen_size, 1),
 )
 HAND_SIGNS: tuple[Sign, ...] = (
-    Sign("hand-spread", lambda it: _logarithm(it.hand_spread / it.diameter, 0.01), -1),  # that its evidence leaves
+    Sign(
+        "hand-spread", lambda it: _logarithm(it.hand_spread / it.diameter, LEAST_SPREAD), -1
+    ),  # that its evidence leaves
     Sign("hand-misfit", hand_misfit, -1),
     Sign("penetration", penetration, -1),
     Sign("joint-error", joint_error, -1),
@@ -139,6 +143,15 @@ NAMES = (
 )  # fmt: skip
 ESTIMATED_SIGNS = tuple(sign for sign in (*SIGNS, *HAND_SIGNS) if sign.name in NAMES)
 """Signs that count where hands are estimated (``checks.calibrated``): few, since more were worse for other objects."""
+
+
+CORRECTED_SIGNS = (*SIGNS, *(sign for sign in HAND_SIGNS if sign.name in ("hand-spread", "hand-misfit", "penetration")))
+"""Signs that count where a measured hand was corrected."""
+
+
+def was_corrected(signs: Mapping[str, float]) -> bool:
+    """Say whether a measured hand was solved with the object, since its evidence turned it far: its spread is not 0."""
+    return signs.get("hand-spread", -np.inf) > np.log(LEAST_SPREAD) + 1e-6
 
 
 def read_signs(it: Solved) -> dict[str, float]:
