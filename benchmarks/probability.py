@@ -366,7 +366,8 @@ def report(rows: Sequence[Row]) -> None:
 
     Results with a serious finding have no probability, and are no part of it.
     """
-    used, made = [row for row in rows if hands_of(row) != "estimated" and not row["serious"]], stamp()
+    made, how = stamp(), circumstances(COMMAND)  # before anything is written
+    used = [row for row in rows if hands_of(row) != "estimated" and not row["serious"]]
     fits = {where: Results(used, where).fitted(made) for where in get_args(Where)}
     held = {where: judged(Results(used, where)) for where in get_args(Where)}
     keeping: dict[tuple[InputKind, Where], Keeping] = {
@@ -377,7 +378,6 @@ def report(rows: Sequence[Row]) -> None:
     parts = {hands: stored(fit[hands] for fit in fits.values()) for hands in ("measured", "corrected")}
     write(FILE, keeping, **parts)
     draw(held, store.ROOT / "docs/images" / PICTURE)
-    how = circumstances(COMMAND)
     for name, table in tables(rows, held, fits).items():
         print(store.write(name, replace(table, made=how)))
 
