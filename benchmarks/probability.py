@@ -186,7 +186,7 @@ def judged(results: Results) -> Judged:
 def thresholds(results: Results, probability: Float[ndarray, "n"]) -> dict[InputKind, Keeping]:
     """The thresholds for hands as they came, and for corrected ones.
 
-    Each holds among the results of its kind under each condition of ``ALWAYS`` that has ``FEWEST`` of them, with
+    Each holds among the results of those hands under each condition of ``ALWAYS`` that has ``FEWEST`` of them, with
     ``RESERVE``. Of hands as they came, which may be wrong without a sign of it, none is below the share itself.
     """
     kinds, conditions = (np.array([row[key] for row in results.rows]) for key in ("kind", "condition"))
