@@ -5,18 +5,20 @@
     {{ TABLE.ROW.COLUMN minus=ROW }}         its difference from that of another row
     {{ table TABLE columns=A,B rows=GLOB }}  a table of some columns (all), of the rows that a glob names (all); words
                                              behind it: "interval", "difference" (of pairs), "notes"
-    {{ inputs TABLE METHOD... }}             how often methods are right with each kind of input, in hand and camera;
-                                             METHOD=TABLE: of one that has a table of its own
+    {{ inputs TABLE METHOD... }}             how often methods are right with each kind of input, in hand and camera,
+                                             and their errors; METHOD=TABLE: of one that has a table of its own
+    {{ objects TABLE METHOD }}               how often a method is right with each object, its size, and the errors
     {{ methods COLUMN }}                     a column of all methods, by set of clips
     {{ leaderboard }}                        every method on every real motion, and what others printed
     {{ beside_paper }}                       the paper's Table 2, and its methods here, by its energy and by ours
-    {{ motions }}                            the default on every real motion, and the probability fitted without it
+    {{ motions }}                            the default on every real motion, and the probability without its objects
     {{ printed FILE }}                       others' numbers by part of a benchmark, in each column, with their sources
     {{ made TABLE }}                         at which commit, when, by which command
 
-Keys of rows are their labels in small letters, with "-" for what is neither letter nor digit. An unknown key is a
-``KeyError``. README is not built: there it is ``<!-- {{ ... }} -->text<!-- end -->``, and ``python -m
-benchmarks.results`` writes the text.
+Beside the share that is below 10 % of the diameter every table has the error in mm, where it was measured: a large
+object may be off by more. Keys of rows are their labels in small letters, with "-" for what is neither letter nor
+digit. An unknown key is a ``KeyError``. README is not built: there it is ``<!-- {{ ... }} -->text<!-- end -->``, and
+``python -m benchmarks.results`` writes the text.
 """
 
 from __future__ import annotations
@@ -24,10 +26,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from fnmatch import fnmatch
+from statistics import median
 
 from benchmarks import store
 from benchmarks.store import Cell, Column, Row
 from getagrip.experiments import published
+from getagrip.io.terminal import counted
 from getagrip.reproduction import arctic
 from getagrip.reproduction.arctic import BASELINES
 from getagrip.reproduction.reproduce import OURS
@@ -54,6 +58,9 @@ INPUTS = {
     "category mesh, size unknown, hands moderate": "the same, size unknown, hands off (`moderate`, assumed)",
 }
 """Settings of the ablations ``inputs`` and ``final``, in words."""
+RIGHT, ERROR = "add_sym", "add_sym_mm"
+"""Keys of the share of right results, and of their error: a column beside it, in every table that has both."""
+ERROR_LABEL, WITHIN_MM = "median error, mm", 15
 CLIPS = {
     "DexYCB": "dexycb-methods",
     "ARCTIC": "arctic-methods",
@@ -69,7 +76,7 @@ CLIPS = {
 MOTIONS = {
     "ARCTIC's motion": (("arctic-methods", "arctic-paper-methods"), ""),
     "DexYCB": (("dexycb-methods", "dexycb-paper-methods"), ""),
-    "ten new objects": (("dexycb-other-final",), "-exact"),
+    "ten other objects": (("dexycb-other-final",), "-exact"),
     "HOT3D's and TACO's samples": (("samples-hot3d-taco-methods",), ""),
     "ARCTIC, estimated hands": (("arctic-motion-methods",), ""),
 }
@@ -77,8 +84,8 @@ MOTIONS = {
 PAPERS = {group: (method, BASELINES.get(f"{group}, ours", OURS.get(f"{group}, ours", group.lower())))
           for group, method in arctic.PAPERS.items()}  # fmt: skip
 """The paper's methods by its energy, and ours that follow them, by the names of its tables."""
-PARTS_OF = {"ARCTIC's motion": "arctic", "DexYCB": "dexycb", "ARCTIC, estimated hands": "arctic"}
-"""Those that the probability is fitted to, by their names in its table (``benchmarks.left_out``)."""
+DATASETS = {"ARCTIC's motion": "arctic", "DexYCB": "dexycb", "ten other objects": "dexycb-the-ten-others"}
+"""Those that the probability is calibrated on, and their rows in its table."""
 
 
 def fill(text: str) -> str:
@@ -151,7 +158,8 @@ def table(name: str, *words: str) -> str:
     found = store.read(name)
     options = dict(word.split("=", 1) for word in words if "=" in word)
     among = "differences" if "difference" in words else "rows"
-    columns = [found.column(key) for key in options["columns"].split(",")] if "columns" in options else found.columns
+    keys = options["columns"].split(",") if "columns" in options else [column.key for column in found.columns]
+    columns = [found.column(key) for key in _with_error(keys, found)]
     globs = options.get("rows", "*").split(",")
     rows = [row for glob in globs for row in getattr(found, among) if fnmatch(store.key_of(row), glob)]
     if not rows:
@@ -164,9 +172,22 @@ def table(name: str, *words: str) -> str:
         texts = [shown(column, row.get(column.key), words) for column in columns]
         marked = [f"**{t}**" if t == best.get(c.key) else t for c, t in zip(columns, texts, strict=True)]
         lines.append([_label(row), *marked])
-    heads = ["", *(c.label if c.unit in {"", c.label} else f"{c.label}, {c.unit}" for c in columns)]
+    heads = ["", *map(_head, columns)]
     notes = [f"- {note}" for note in found.notes] if "notes" in words else []
     return "\n\n".join(filter(None, [grid(heads, lines), made(name), "\n".join(notes)]))
+
+
+def _with_error(keys: Sequence[str], found: store.Table) -> list[str]:
+    """Columns, the error in mm behind the share of right results where the table has it."""
+    if RIGHT not in keys or all(column.key != ERROR for column in found.columns):
+        return [*keys]
+    return [key for each in keys if each != ERROR for key in ((RIGHT, ERROR) if each == RIGHT else (each,))]
+
+
+def _head(column: Column) -> str:
+    if column.key == ERROR:
+        return ERROR_LABEL
+    return column.label if column.unit in {"", column.label} else f"{column.label}, {column.unit}"
 
 
 def _label(row: Row) -> str:
@@ -191,18 +212,41 @@ def inputs(name: str, *methods: str) -> str:
     for method, of in (each.split("=") for each in methods if "=" in each):
         own = {str(row["label"]): row for row in store.read(of).rows}
         rows |= {label: row for label, row in own.items() if label.startswith(f"{method}, ")}
-        captions.append(f"{METHODS[method]}: {made(of)}")
+        captions.append(
+            f"{METHODS[method]}, on {counted(max(row['clips'] for row in own.values()), 'clip')}: {made(of)}"
+        )
     methods = tuple(method.partition("=")[0] for method in methods)
     for setting, words in INPUTS.items():
         those = [rows.get(f"{method}, {setting}", {}) for method in methods]
         if any(those):
-            cells = [
-                shown(found.column(key), row.get(key), ["0"]) for key in ("add_sym", "right_in_camera") for row in those
-            ]
+            keys = (RIGHT, ERROR, "right_in_camera")
+            cells = [shown(found.column(key), row.get(key), ["0"] * (key != ERROR)) for key in keys for row in those]
             lines.append([words, str(next(row["clips"] for row in those if row)), *cells])
     labels = [METHODS[method] for method in methods]
-    table = grid(["input", "clips", *labels, *(f"{label}, in the camera" for label in labels)], lines)
-    return "\n\n".join([table, *captions])
+    heads = [f"{label}{what}" for what in ("", ", mm", ", in the camera") for label in labels]
+    return "\n\n".join([grid(["input", "clips", *heads], lines), *captions])
+
+
+def objects(name: str, method: str) -> str:
+    """How often a method is right with each object, the smallest first, of a table's numbers by clip."""
+    clips = [line for line in store.read_clips(name) if line["method"] == method]
+    by_object = {
+        label: [line for line in clips if line["category"] == label] for label in {c["category"] for c in clips}
+    }
+    lines = []
+    for label, some in sorted(by_object.items(), key=lambda each: _median(each[1], "diameter_mm")):
+        errors = [float(line["add_sym_mm"] or "nan") for line in some]
+        lines.append([
+            label.partition("_")[2].replace("_", " ") or label, f"{_median(some, 'diameter_mm'):.0f}", f"{len(some)}",
+            f"{sum(line['add_sym_success'] == '1.0' for line in some)}", f"{_median(some, 'add_sym_mm'):.1f}",
+            f"{max(errors):.0f}", f"{sum(error < WITHIN_MM for error in errors)}",
+        ])  # fmt: skip
+    heads = ["object", "diameter, mm", "clips", "right", ERROR_LABEL, "largest, mm", f"within {WITHIN_MM} mm"]
+    return f"{grid(heads, lines)}\n\n{made(name)}"
+
+
+def _median(lines: Sequence[dict[str, str]], key: str) -> float:
+    return median(float(line[key]) for line in lines if line[key])
 
 
 def methods(column: str) -> str:
@@ -258,21 +302,20 @@ def _printed(group: str, *columns: str) -> list[str]:
 
 
 def motions() -> str:
-    """The default on each real motion, with the probability's AUROC and ECE there, fitted to all and without it."""
-    columns = ("clips", "iou", "add", "add_sym", "sca_add_sym", "right_in_camera", "seconds")
-    fits = store.read("probability-left-out") if "probability-left-out" in store.names() else None
-    lines, heads = [], ["IOU", "ADD", "ADD sym.", "SCA-ADD sym.", "in the camera", "s"]
+    """The default on each real motion, with the AUROC and ECE of the probability by objects left out."""
+    columns = ("clips", "iou", "add", RIGHT, ERROR, "sca_add_sym", "right_in_camera", "seconds")
+    fits = store.read("probability-hand")
+    lines, heads = [], ["IOU", "ADD", "ADD sym.", ERROR_LABEL, "SCA-ADD sym.", "in the camera", "s"]
     for label, ((name, *_), suffix) in MOTIONS.items():
         found = store.read(name)
         row = found.row(f"soft-hinge{suffix}")
         cells = [shown(found.column(key), row.get(key)) for key in columns]
-        for words in ("fitted-to-all", "fitted-without-it"):
-            part = PARTS_OF.get(label)
-            fit = _row(fits, f"{part}-in-the-hand-{words}") if fits and part else None
-            texts = [shown(fits.column(key), fit.get(key)) for key in ("auroc", "ece")] if fits and fit else []
-            cells.append(" / ".join(texts) or ("–" if part else "no part in it"))
-        lines.append([label, *cells, str(found.made.get("commit", "–"))])
-    return grid(["motion", "clips", *heads, "AUROC / ECE", "without it", "commit"], lines)
+        fit = fits.row(DATASETS[label]) if label in DATASETS else None
+        probable = (
+            " / ".join(shown(fits.column(key), fit.get(key)) for key in ("auroc", "ece")) if fit else "no part in it"
+        )
+        lines.append([label, *cells, probable, str(found.made.get("commit", "–"))])
+    return grid(["motion", "clips", *heads, "AUROC / ECE", "commit"], lines)
 
 
 def _row(table: store.Table, key: str) -> Row | None:
@@ -286,7 +329,8 @@ def _first(tables: Sequence[store.Table], key: str) -> tuple[store.Table, Row] |
 
 
 def _both(table: store.Table, row: Row) -> str:
-    return " / ".join(shown(table.column(key), row.get(key)) for key in ("add", "sca_add"))
+    keys = [key for key in ("add", "sca_add", ERROR) if key in row]
+    return " / ".join(shown(table.column(key), row.get(key)) for key in keys)
 
 
 def made(name: str) -> str:
@@ -299,6 +343,7 @@ def made(name: str) -> str:
 DIRECTIVES: dict[str, Callable[..., str]] = {
     "table": table,
     "inputs": inputs,
+    "objects": objects,
     "methods": methods,
     "leaderboard": leaderboard,
     "beside_paper": beside_paper,

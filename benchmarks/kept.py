@@ -2,8 +2,9 @@
 
 ROWS is a file of ``benchmarks.kept_rows``, or several joined. Its training parts, with simulated and with real errors
 of hands, give ``checks/calibrated.json`` the probability for estimated hands, fitted with the synthetic part, and for
-each kind of input the thresholds of ``checks.keeping``. The other parts are held against them:
-``results/kept.json``; how many of validation are right: ``results/evidence-validation.json``. Nothing is reconstructed.
+each kind of their input the thresholds of ``checks.keeping``; those of measured hands are ``benchmarks.probability``'s.
+The other parts are held against them: ``results/kept.json``; how many of validation are right:
+``results/evidence-validation.json``. Nothing is reconstructed.
 """
 
 from __future__ import annotations
@@ -19,60 +20,34 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from benchmarks import store
+from benchmarks import probability, store
 from benchmarks.kept_rows import REAL, REAL_APART, SYNTHETIC, Row, read
 from benchmarks.probability import stored, write
 from benchmarks.reliability import auroc, auroc_interval, calibration_error, fit_weights, least_error
 from benchmarks.timing import circumstances
-from getagrip.checks.calibrated import CALIBRATIONS, FILE
+from getagrip.checks.calibrated import CALIBRATIONS, CORRECTED, FILE, KEEPING
 from getagrip.checks.calibration import Calibration, Where
-from getagrip.checks.keeping import SHARES, InputKind, Keeping, least_kept, least_of_sets
+from getagrip.checks.keeping import InputKind, Keeping
 from getagrip.checks.signs import ESTIMATED_SIGNS
-from getagrip.experiments.comparison import LEVEL, resamples
+from getagrip.experiments.comparison import LEVEL
 from getagrip.fitting.options import Options
 from getagrip.io.code import stamp
-from getagrip.probability import HOLDS, Probability
+from getagrip.probability import Probability
 
 METHOD = Options().method
 Kept = Mapping[tuple[InputKind, Where], Keeping]
 KEPT = 0.95
 """Share of right results in the table."""
+MEASURED = ("measured", "corrected")
 PARTS = ("train", REAL, "validation", REAL_APART)
 
 
 @dataclass(frozen=True)
-class Results:
+class Results(probability.Results):
     """Results without serious findings, which have a probability, and where they are to be right."""
 
-    rows: Sequence[Row]
-    where: Where
     synthetic: Sequence[Row] = ()
     """Results of synthetic clips to fit beside them. How often these are right is another matter: a bias of its own."""
-
-    @property
-    def right(self) -> Bool[ndarray, "n"]:
-        """Which are right."""
-        return self.rank == 1.0
-
-    @property
-    def rank(self) -> Float[ndarray, "n"]:
-        """Which candidate is the first that is right; infinite where none is."""
-        return np.array([row["rank"][self.where] or np.inf for row in self.rows])
-
-    @property
-    def clips(self) -> int:
-        """How many clips they are of."""
-        return len({row["clip"] for row in self.rows})
-
-    @property
-    def weights(self) -> Float[ndarray, "B n"]:
-        """How often each is in each bootstrap resample; results of a clip are drawn together."""
-        return resamples([row["clip"] for row in self.rows])
-
-    def only(self, **what: object) -> Results:
-        """Those with some entries."""
-        rows = [row for row in self.rows if all(row[key] == value for key, value in what.items())]
-        return replace(self, rows=rows)
 
     def without(self, category: str) -> Results:
         """Those with objects of other categories."""
@@ -82,9 +57,9 @@ class Results:
     @property
     def estimated(self) -> Results:
         """Those with estimated hands."""
-        return replace(self, rows=[row for row in self.rows if row["kind"] != "measured"])
+        return replace(self, rows=[row for row in self.rows if row["kind"] not in MEASURED])
 
-    def fitted(self, made: str) -> Calibration:
+    def fitted(self, made: str) -> probability.Fit:
         """Fit the weights of the signs."""
         every = Results([*self.rows, *self.synthetic], self.where)
         own = [[row["signs"][sign.name] for sign in ESTIMATED_SIGNS] for row in every.rows]
@@ -95,24 +70,7 @@ class Results:
         right, more = f"{100.0 * self.right.mean():.0f} % of {len(self.rows)} results are right", len(self.synthetic)
         data = f"{' and '.join(counts)} ({right}), and {more} synthetic ones, with and without 2D joints and depth"
         by_sign = {sign.name: weight for sign, weight in zip(ESTIMATED_SIGNS, weights[:-1], strict=True)}
-        return Calibration(self.where, by_sign, bias, data, made)
-
-    def probability(self, calibration: Calibration) -> Float[ndarray, "n"]:
-        """Compute the probability of each."""
-        return np.array([calibration.probability(row["signs"]).value for row in self.rows])
-
-    def without_own_object(self) -> Float[ndarray, "n"]:
-        """Compute the probability of each by a fit without its own object."""
-        of, out = np.array([row["category"] for row in self.rows]), np.empty(len(self.rows))
-        for category in dict.fromkeys(of.tolist()):
-            out[of == category] = self.only(category=category).probability(self.without(category).fitted(""))
-        return out
-
-    def keeping(self, probability: Float[ndarray, "n"]) -> Keeping:
-        """Choose the thresholds."""
-        least = {share: least_kept(probability, self.right, share) for share in SHARES}
-        sets = least_of_sets(probability, self.rank, HOLDS)
-        return Keeping({share: p for share, p in least.items() if np.isfinite(p)}, sets)
+        return {"estimated": Calibration(self.where, by_sign, bias, data, made)}
 
 
 def of_part(rows: Sequence[Row], part: str, where: Where) -> Results:
@@ -123,15 +81,6 @@ def of_part(rows: Sequence[Row], part: str, where: Where) -> Results:
     parts = (part, REAL) if (part, where) == ("train", "hand") else (part,)
     rows, synthetic = ([row for row in rows if row["part"] in of and not row["serious"]] for of in (parts, [SYNTHETIC]))
     return Results(rows, where, synthetic)
-
-
-def thresholds(keeping: Kept) -> list[dict[str, object]]:
-    """The thresholds as ``calibrated.json`` holds them."""
-    return [
-        {"input": kind, "where": where}
-        | {part: {f"{key}": float(f"{p:.4g}") for key, p in least.items()} for part, least in vars(one).items()}
-        for (kind, where), one in keeping.items()
-    ]
 
 
 HEADER = (
@@ -147,11 +96,16 @@ def lines(rows: Sequence[Row], fitted: Mapping[Where, Calibration], keeping: Kep
             continue
         of = of_part(rows, "train" if part == REAL else part, where)
         measured, estimated = of.only(kind="measured", part=part), of.estimated
-        p = estimated.without_own_object() if part in ("train", REAL) else estimated.probability(fitted[where])
+        p = (
+            estimated.without_own_object()
+            if part in ("train", REAL)
+            else estimated.probability({"estimated": fitted[where]})
+        )
         p, estimated = p[[row["part"] == part for row in estimated.rows]], estimated.only(part=part)
         label = f"{part}, in the {where}"
         if measured.rows:
-            exact = measured.probability(CALIBRATIONS[METHOD, where])
+            fit: probability.Fit = {"measured": CALIBRATIONS[METHOD, where], "corrected": CORRECTED[METHOD, where]}
+            exact = measured.probability(fit)
             yield line(f"{label}, measured hands", measured, exact, keeping)
         if not estimated.rows:
             continue
@@ -198,16 +152,10 @@ def calibrated(rows: Sequence[Row], made: str) -> tuple[Mapping[Where, Calibrati
     estimated, keeping = dict[Where, Calibration](), dict[tuple[InputKind, Where], Keeping]()
     for where in get_args(Where):
         train = of_part(rows, "train", where)
-        exact, every = train.only(kind="measured"), train.estimated
-        estimated[where] = every.fitted(made)
-        # Exact input is hardly ever wrong, so its thresholds would keep anything: they are at least the asked share.
-        known = exact.keeping(exact.probability(CALIBRATIONS[METHOD, where]))
-        keeping["measured", where] = Keeping(
-            {share: max(p, share) for share, p in known.least.items()},
-            {n: max(p, HOLDS) for n, p in known.sets.items()},
-        )
+        every = train.estimated
+        estimated[where] = every.fitted(made)["estimated"]
         fair, kinds = every.without_own_object(), np.array([row["kind"] for row in every.rows])
-        for kind in get_args(InputKind)[1:]:
+        for kind in get_args(InputKind)[len(MEASURED) :]:
             keeping[kind, where] = every.only(kind=kind).keeping(fair[kinds == kind])
     return estimated, keeping
 
@@ -225,7 +173,7 @@ def main(file: Path) -> None:
     """Fit, and write both down."""
     rows = read(file)
     estimated, keeping = calibrated(rows, stamp())
-    write(FILE, estimated=stored(estimated.values()), keeping=thresholds(keeping))
+    write(FILE, keeping, estimated=stored(estimated.values()))
     makers = ", ".join(sorted({row["made"] for row in rows if row["part"] != SYNTHETIC}))
     counts = [sum(row["part"] == part and not row["serious"] for row in rows) for part in (*PARTS, SYNTHETIC)]
     notes = (
@@ -240,7 +188,7 @@ def main(file: Path) -> None:
         f"all 70 validation clips, by {makers}; intervals: 95 %, clips drawn together",
     )
     tables = {
-        "kept": store.of_cells("What is kept", ("input", *HEADER), [*lines(rows, estimated, keeping)], notes),
+        "kept": store.of_cells("What is kept", ("input", *HEADER), [*lines(rows, estimated, KEEPING | keeping)], notes),
         "evidence-validation": store.of_cells("Evidence on hands", header, [*by_evidence(rows)], settings),
     }
     made = circumstances("python -m benchmarks.kept ROWS")

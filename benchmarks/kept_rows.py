@@ -23,6 +23,7 @@ from numpy import ndarray
 from getagrip.batch.executor import cores, in_processes
 from getagrip.batch.share import Share
 from getagrip.checks.keeping import kind_of_input
+from getagrip.checks.signs import was_corrected
 from getagrip.clip import Clip, read_clip, read_masks, write_clip
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.datasets.synthetic.noise import NOISE
@@ -148,13 +149,20 @@ def row(case: Case) -> Row | None:
     except Exception as error:  # one clip's trouble must not end the others
         print(f"{case}: {error}", file=sys.stderr)
         return None
+    return {
+        "clip": clip.name, "subject": subject_of(clip.name), "category": clip.category, "part": case.part,
+        "condition": case.condition, "seed": case.seed, **described(result, clip),
+    }  # fmt: skip
+
+
+def described(result: Reconstruction, clip: Clip) -> Row:
+    """Return what a row keeps of a result: its kind of input, findings, signs, and which candidates are right."""
     in_camera = [*zip(result.candidates.T_hand_obj, result.candidates.scale, strict=True)]
     in_hand = in_camera if result.hand_alternatives is None else [(T, result.scale) for T in result.in_hand]
     terms, depth = {*result.energy, *result.hand_energy}, result.signs.get("depth-images", 0.0)
     return {
-        "clip": clip.name, "subject": subject_of(clip.name), "category": clip.category, "part": case.part,
-        "condition": case.condition, "seed": case.seed, "made": stamp(),
-        "kind": kind_of_input(kind_of_hands(clip.provenance), terms, depth),
+        "made": stamp(),
+        "kind": kind_of_input(kind_of_hands(clip.provenance), terms, depth, was_corrected(result.signs)),
         "serious": [finding.check for finding in result.findings if finding.serious],
         "signs": result.signs, "checks": result.checks, "hand_energy": result.hand_energy,
         "diameter": clip.mesh.diameter, "energy": result.candidates.energy.tolist(),

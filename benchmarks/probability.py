@@ -1,10 +1,13 @@
-"""Calibrate the probabilities that a result is right: ``python -m benchmarks.probability OUT DEXYCB YCB [WORKERS]``.
+"""Calibrate the probability that a result is right: ``python -m benchmarks.probability OUT DEXYCB OTHER YCB ARCTIC
+[WORKERS]``.
 
-DEXYCB and YCB are the folders of the dataset and of its models. Signs of results go into OUT/rows.jsonl
+DEXYCB, OTHER and YCB are the folders of the dataset, of its sequences of the ten other objects, and of its models,
+ARCTIC a folder of clips of ARCTIC's motion (docs/datasets.md). Signs of results go into OUT/rows.jsonl
 (``signed_results``); rows that are there are kept, so that an interrupted run goes on where it stopped. After a change
-of the method another OUT is to be named. The training part is fitted (``checks/calibrated.json``), once to what is
-right in the hand and once to what is right in the camera; the test part is held against it:
-``results/probability-*.json`` and docs/images/reliability.png.
+of the method another OUT is to be named. All results are fitted (``checks/calibrated.json``), once to what is right in
+the hand and once to what is right in the camera. How good that is, and the thresholds of ``checks.keeping`` for
+measured hands, come from probabilities by objects left out: each result's is of a fit without any result of its object.
+``results/probability-*.json`` and docs/images/reliability.png have it.
 """
 
 from __future__ import annotations
@@ -12,75 +15,197 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass, replace
-from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from benchmarks import store
+from benchmarks import store, test_runs
 from benchmarks.kept_rows import ROWS, Row, collect
 from benchmarks.reliability import auroc, auroc_interval, bins, calibration_error, fit_weights, least_error
-from benchmarks.signed_results import KEY, cases, row
+from benchmarks.signed_results import ALWAYS, KEY, OTHER, cases, row
 from benchmarks.store import Table
 from benchmarks.timing import circumstances
 from getagrip.batch.executor import cores
-from getagrip.checks.calibrated import FILE
+from getagrip.checks.calibrated import ESTIMATED, FILE, KEEPING
 from getagrip.checks.calibration import Calibration, Where
-from getagrip.checks.signs import SIGNS
+from getagrip.checks.keeping import SHARES, InputKind, Keeping, least_kept, least_of_sets
+from getagrip.checks.signs import CORRECTED_SIGNS, ESTIMATED_SIGNS, SIGNS, Sign
 from getagrip.experiments.comparison import resamples
 from getagrip.fitting.options import Options
 from getagrip.io.code import stamp
+from getagrip.probability import HOLDS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 METHOD = Options().method
+COMMAND = "python -m benchmarks.probability OUT DEXYCB OTHER YCB ARCTIC"
 NUMBERS = re.compile(r'\[[-\d.e,\s]*\]|\{\s*"\d[^{}]*\}')
 SECTION, PICTURE = "probability", "reliability.png"
-HEADER = ("test clips", "results", "right, %", "mean probability, %", "AUROC", "ECE", "ECE if it were perfect")
+KEPT = 0.95
+"""Share of right results that the table keeps for."""
+HEADER = (
+    "results", "right, %", "mean probability, %", "AUROC", "ECE", "ECE if it were perfect", "kept, %",
+    "right of kept, %",
+)  # fmt: skip
+
+
+RESERVE = 0.2
+"""Share of the errors that a threshold allows which is left for objects that were not in the calibration."""
+FEWEST = 50
+"""Least number of results that a threshold holds among."""
+RIDGE = 10.0
+"""Of the weights (``fit_weights``); with 3, as for estimated hands, objects left out are predicted worse."""
+Hands = Literal["measured", "corrected", "estimated"]
+Fit = Mapping[Hands, Calibration]
+"""A calibration for each kind of hands that was fitted."""
+SIGNS_OF: Mapping[Hands, Sequence[Sign]] = {
+    "measured": SIGNS, "corrected": CORRECTED_SIGNS, "estimated": ESTIMATED_SIGNS,
+}  # fmt: skip
+
+INPUTS_OF: Mapping[Hands, str] = {
+    "measured": "right inputs, and errors of hands, masks, size and shape",
+    "corrected": "hands with errors that the fit corrected",
+}
+
+
+def hands_of(row: Row) -> Hands:
+    """The hands of a result, which say by what calibration it has a probability."""
+    kind: InputKind = row["kind"]
+    return kind if kind in ("measured", "corrected") else "estimated"
 
 
 @dataclass(frozen=True)
 class Results:
-    """What is known of many results."""
+    """What is known of many results, and where they are to be right."""
 
     rows: Sequence[Row]
     where: Where = "hand"
-    """The frame in which they are right or not."""
 
-    @cached_property
+    @property
     def right(self) -> Bool[ndarray, "n"]:
         """Which are right."""
-        return np.array([row["right"][self.where] for row in self.rows])
+        return self.rank == 1.0
 
-    @cached_property
-    def signs(self) -> Float[ndarray, "n S"]:
-        """Their signs."""
-        return np.array([[row["signs"][sign.name] for sign in SIGNS] for row in self.rows])
+    @property
+    def rank(self) -> Float[ndarray, "n"]:
+        """Which candidate is the first that is right; infinite where none is."""
+        return np.array([row["rank"][self.where] or np.inf for row in self.rows])
+
+    @property
+    def objects(self) -> ndarray:
+        """The object of each."""
+        return np.array([row["category"] for row in self.rows])
+
+    @property
+    def clips(self) -> int:
+        """How many clips they are of."""
+        return len({row["clip"] for row in self.rows})
+
+    @property
+    def weights(self) -> Float[ndarray, "B n"]:
+        """How often each is in each bootstrap resample; results of a clip are drawn together."""
+        return resamples([row["clip"] for row in self.rows])
 
     def only(self, **what: object) -> Results:
         """Those with some entries."""
-        rows = [row for row in self.rows if all(row[key] == value for key, value in what.items())]
-        return Results(rows, self.where)
+        return replace(self, rows=[row for row in self.rows if all(row[key] == value for key, value in what.items())])
 
-    def probability(self, calibration: Calibration) -> Float[ndarray, "n"]:
-        """How probable each is right."""
-        return np.array([calibration.probability(row["signs"]).value for row in self.rows])
+    def without(self, category: str) -> Results:
+        """Those of other objects."""
+        return replace(self, rows=[row for row in self.rows if row["category"] != category])
+
+    def fitted(self, made: str) -> Fit:
+        """Fit the weights of the signs, of corrected hands apart."""
+        hands = [hands_of(row) for row in self.rows]
+        groups = {one: [row for row, of in zip(self.rows, hands, strict=True) if of == one] for one in {*hands}}
+        return {one: replace(self, rows=rows).fit(one, made) for one, rows in groups.items()}
+
+    def fit(self, hands: Hands, made: str) -> Calibration:
+        """Fit the weights of the signs to all of them."""
+        counted = SIGNS_OF[hands]
+        signs = np.array([[row["signs"][sign.name] for sign in counted] for row in self.rows])
+        weights, bias = fit_weights(signs, self.right, [sign.direction for sign in counted], RIDGE)
+        data = (
+            f"{len(self.rows)} results of {self.clips} clips of {len({*self.objects.tolist()})} objects of "
+            f"{' and '.join(of(self, 'dataset'))}, of which {100.0 * self.right.mean():.0f} % are right: "
+            f"{INPUTS_OF[hands]}"
+        )
+        by_sign = {sign.name: weight for sign, weight in zip(counted, weights, strict=True)}
+        return Calibration(self.where, by_sign, bias, data, made)
+
+    def probability(self, fit: Fit) -> Float[ndarray, "n"]:
+        """Compute the probability of each."""
+        return np.array([fit[hands_of(row)].probability(row["signs"]).value for row in self.rows])
+
+    def without_own_object(self) -> Float[ndarray, "n"]:
+        """Compute the probability of each by a fit without its own object."""
+        of, out = self.objects, np.empty(len(self.rows))
+        for category in dict.fromkeys(of.tolist()):
+            out[of == category] = self.only(category=category).probability(self.without(category).fitted(""))
+        return out
+
+    def keeping(self, probability: Float[ndarray, "n"], reserve: float = 0.0) -> Keeping:
+        """Choose the thresholds, with some share of the errors that they allow in reserve."""
+        least = {share: least_kept(probability, self.right, share + reserve * (1.0 - share)) for share in SHARES}
+        sets = least_of_sets(probability, self.rank, HOLDS)
+        return Keeping({share: p for share, p in least.items() if np.isfinite(p)}, sets)
 
 
-def calibrated(train: Results, made: str) -> Calibration:
-    """Fitted to the training part."""
-    weights, bias = fit_weights(train.signs, train.right, [sign.direction for sign in SIGNS])
-    data = (
-        f"{len(train.rows)} results of training clips of {' and '.join(of(train, 'dataset'))}, of which "
-        f"{100.0 * train.right.mean():.0f} % are right: right inputs, and errors of hands, masks, size and shape"
-    )
-    return Calibration(train.where, {sign.name: w for sign, w in zip(SIGNS, weights, strict=True)}, bias, data, made)
+@dataclass(frozen=True)
+class Judged:
+    """Results with probabilities by objects left out, and which of them are kept by thresholds of the other objects."""
+
+    results: Results
+    probability: Float[ndarray, "n"]
+    kept: Bool[ndarray, "n"]
+
+    def only(self, **what: object) -> Judged:
+        """Those with some entries."""
+        some = np.array([all(row[key] == value for key, value in what.items()) for row in self.results.rows])
+        return Judged(self.results.only(**what), self.probability[some], self.kept[some])
+
+
+def judged(results: Results) -> Judged:
+    """Hold every result against other objects: fits and thresholds of the others, whose fits have no part of it."""
+    p, kept = np.empty(len(results.rows)), np.zeros(len(results.rows), dtype=bool)
+    for category in dict.fromkeys(results.objects.tolist()):
+        own, others = results.objects == category, results.without(category)
+        mine = results.only(category=category)
+        p[own] = mine.probability(others.fitted(""))
+        by_kind = thresholds(others, others.without_own_object())
+        kept[own] = p[own] >= [by_kind[row["kind"]].least.get(KEPT, np.inf) for row in mine.rows]
+    return Judged(results, p, kept)
+
+
+def thresholds(results: Results, probability: Float[ndarray, "n"]) -> dict[InputKind, Keeping]:
+    """The thresholds for hands as they came, and for corrected ones.
+
+    Each holds among the results of those hands under each condition of ``ALWAYS`` that has ``FEWEST`` of them, with
+    ``RESERVE``. Of hands as they came, which may be wrong without a sign of it, none is below the share itself.
+    """
+    kinds, conditions = (np.array([row[key] for row in results.rows]) for key in ("kind", "condition"))
+    out = dict[InputKind, Keeping]()
+    for kind in dict.fromkeys(kinds.tolist()):
+        of_kind = [(kinds == kind) & (conditions == condition) for condition in ALWAYS]
+        each = [
+            results.only(kind=kind, condition=condition).keeping(probability[some], RESERVE)
+            for condition, some in zip(ALWAYS, of_kind, strict=True)
+            if some.sum() >= FEWEST
+        ]
+        shares = [share for share in SHARES if each and all(share in one.least for one in each)]
+        sets = results.only(kind=kind).keeping(probability[kinds == kind]).sets
+        least = {share: max(one.least[share] for one in each) for share in shares}
+        if kind == "measured":
+            least = {share: max(p, share) for share, p in least.items()}
+            sets = {size: max(p, HOLDS) for size, p in sets.items()}
+        out[kind] = Keeping(least, sets)
+    return out
 
 
 def of(results: Results, key: str) -> list[str]:
@@ -103,60 +228,82 @@ def stored(calibrations: Iterable[Calibration]) -> dict[str, object]:
     }
 
 
-def write(file: Path, **parts: object) -> None:
-    """Replace parts of ``calibrated.json``; lists of numbers take a line."""
-    text = json.dumps(json.loads(file.read_text(encoding="utf-8")) | parts, indent=1)
+def write(file: Path, keeping: Mapping[tuple[InputKind, Where], Keeping] | None = None, **parts: object) -> None:
+    """Replace parts of ``calibrated.json``, of the thresholds those of some inputs; lists of numbers take a line."""
+    record = json.loads(file.read_text(encoding="utf-8"))
+    new = {
+        key: {part: {f"{n}": float(f"{p:.4g}") for n, p in least.items()} for part, least in vars(one).items()}
+        for key, one in (keeping or {}).items()
+    }
+    before = {(one["input"], one["where"]): {"least": one["least"], "sets": one["sets"]} for one in record["keeping"]}
+    listed = [{"input": kind, "where": where} | least for (kind, where), least in (before | new).items()]
+    text = json.dumps(record | parts | {"keeping": listed}, indent=1)
     file.write_text(NUMBERS.sub(lambda one: " ".join(one[0].split()), text) + "\n", encoding="utf-8")
 
 
-def tables(rows: Results, calibrations: Mapping[Where, Calibration], flagged: Results) -> dict[str, Table]:
+def tables(rows: Sequence[Row], held: Mapping[Where, Judged], fits: Mapping[Where, Fit]) -> dict[str, Table]:
     """One for right in the hand, one for right in the camera."""
-    train, test = rows.only(part="train"), rows.only(part="validation")
-    minutes = sum(row["seconds"] for row in rows.rows) / 60.0
+    every = Results(rows)
+    commits = sorted({made.partition(", commit ")[2].split()[0] for made in of(every, "made")})
     about = (
-        f"results of {' and '.join(of(rows, 'made'))}: {len(train.rows)} training and {len(test.rows)} test results; "
-        f"reconstructing them took {minutes:.0f} minutes of one core"
+        f"results of the code at {', '.join(commits)}: {len(rows)} of {every.clips} clips of "
+        f"{len({*every.objects.tolist()})} objects; reconstructing them took "
+        f"{sum(row['seconds'] for row in rows) / 60.0:.0f} minutes of one core",
+        "each probability by a fit without its object, kept by thresholds of the others; intervals: 95 %, clips drawn "
+        "together",
+        left_out(every),
     )
-    return {
-        f"{SECTION}-{where}": replace(
-            table(Results(test.rows, where), Results(train.rows, where), calibration),
-            notes=(about, left_out(flagged)),
+    out = {}
+    for where, one in held.items():
+        estimated = replace(
+            one.results, rows=[row for row in rows if row["kind"] == "estimated" and not row["serious"]]
         )
-        for where, calibration in calibrations.items()
-    }
+        lines = [*_lines(one, fits[where]), *_of_estimated(estimated)]
+        title = f"Probability that a result is right in the {where}, by objects left out"
+        out[f"{SECTION}-{where}"] = store.of_cells(title, ("", *HEADER), lines, about)
+    return out
 
 
-def table(test: Results, train: Results, calibration: Calibration) -> Table:
-    """One calibration's."""
-    rows = [
-        line(f"{dataset}, {condition}", test.only(dataset=dataset, condition=condition), calibration)
-        for dataset in of(test, "dataset")
-        for condition in of(test.only(dataset=dataset), "condition")
-    ]
-    rows += [total(name, test.only(dataset=name), calibration) for name in of(test, "dataset")]
-    rows += [total("all", test, calibration), total("in training, all", train, calibration)]
-    return store.of_cells(f"Probability that a result is right in the {test.where}", HEADER, rows)
+def _lines(held: Judged, fit: Fit) -> Iterator[list[str]]:
+    """By condition, the most important first; by dataset; all, and all with their own object in the fit."""
+    conditions = of(held.results, "condition")
+    for condition in (*ALWAYS, *(each for each in conditions if each not in ALWAYS)):
+        yield line(condition, held.only(condition=condition))
+    for dataset in of(held.results, "dataset"):
+        yield total(dataset, held.only(dataset=dataset))
+    yield total("all", held)
+    yield total("all, own object in the fit", replace(held, probability=held.results.probability(fit)))
 
 
-def total(label: str, results: Results, calibration: Calibration) -> list[str]:
-    """A line of the table that sums up others, with the interval of the AUROC; results of a clip are drawn together."""
-    weights = resamples([f"{row['dataset']}, {row['clip']}" for row in results.rows])
-    low, high = auroc_interval(results.probability(calibration), results.right, weights)
-    cells = line(label, results, calibration)
-    cells[HEADER.index("AUROC")] += f" [{low:.2f}, {high:.2f}]"
+def _of_estimated(results: Results) -> Iterator[list[str]]:
+    """Estimated hands, which have a probability of their own, of the objects that have no part in it."""
+    others = results.only(dataset=OTHER)
+    if others.rows:
+        p = others.probability({"estimated": ESTIMATED[METHOD, results.where]})
+        least = KEEPING["estimated", results.where].least.get(KEPT, np.inf)
+        yield line("estimated hands, by their own calibration", Judged(others, p, p >= least))
+
+
+def total(label: str, held: Judged) -> list[str]:
+    """A line that sums up others, with the interval of the AUROC."""
+    low, high = auroc_interval(held.probability, held.results.right, held.results.weights)
+    cells = line(label, held)
+    cells[1 + HEADER.index("AUROC")] += f" [{low:.2f}, {high:.2f}]"
     return cells
 
 
-def line(label: str, results: Results, calibration: Calibration) -> list[str]:
+def line(label: str, held: Judged) -> list[str]:
     """A line of the table."""
-    p, right = results.probability(calibration), results.right
+    p, right, kept = held.probability, held.results.right, held.kept
     area = auroc(p, right)
-    shown = "" if np.isnan(area) else f"{area:.2f}"
-    errors = [f"{100.0 * x:.0f}" for x in (right.mean(), p.mean())]
-    return [label, f"{len(p)}", *errors, shown, f"{calibration_error(p, right):.3f}", f"{least_error(p):.3f}"]
+    return [
+        label, f"{len(p)}", *(f"{100.0 * x:.0f}" for x in (right.mean(), p.mean())),
+        "" if np.isnan(area) else f"{area:.2f}", f"{calibration_error(p, right):.3f}", f"{least_error(p):.3f}",
+        f"{100.0 * kept.mean():.0f}", f"{100.0 * right[kept].mean():.1f}" if kept.any() else "",
+    ]  # fmt: skip
 
 
-def draw(test: Results, calibrations: Mapping[Where, Calibration], path: Path) -> None:
+def draw(held: Mapping[Where, Judged], path: Path) -> None:
     """The reliability diagrams: share that is right over probability, and how many results have it."""
     import matplotlib as mpl
 
@@ -164,11 +311,11 @@ def draw(test: Results, calibrations: Mapping[Where, Calibration], path: Path) -
     import matplotlib.pyplot as plt
 
     figure, panels = plt.subplots(
-        2, len(calibrations), figsize=(4.2 * len(calibrations), 5.4), height_ratios=(3, 1), sharex=True, sharey="row",
+        2, len(held), figsize=(4.2 * len(held), 5.4), height_ratios=(3, 1), sharex=True, sharey="row",
         layout="constrained", squeeze=False,
     )  # fmt: skip
-    for column, (where, calibration) in zip(panels.T, calibrations.items(), strict=True):
-        _diagram(*column, Results(test.rows, where), calibration)
+    for column, (where, one) in zip(panels.T, held.items(), strict=True):
+        _diagram(*column, one)
         column[0].set_title(f"right in the {where}", loc="left", fontsize=10)
     panels[0, 0].set_ylabel("share that is right")
     panels[1, 0].set_ylabel("results")
@@ -176,57 +323,66 @@ def draw(test: Results, calibrations: Mapping[Where, Calibration], path: Path) -
     plt.close(figure)
 
 
-def _diagram(upper: Axes, lower: Axes, test: Results, calibration: Calibration) -> None:
-    """One calibration's."""
+def _diagram(upper: Axes, lower: Axes, held: Judged) -> None:
+    """One frame's."""
     upper.plot([0, 1], [0, 1], color="0.7", linewidth=1, label="perfect")
-    for label, results in ((name, test.only(dataset=name)) for name in of(test, "dataset")):
-        found = bins(results.probability(calibration), results.right)
+    for label, some in ((name, held.only(condition=name)) for name in ALWAYS):
+        found = bins(some.probability, some.results.right)
         x, y, n = np.array([(b.probability, b.right, b.count) for b in found]).T
         spread = 1.96 * np.sqrt(np.maximum(x * (1.0 - x), 0.25 / n) / n)
         bars = np.array([np.minimum(spread, y), np.minimum(spread, 1.0 - y)])
         upper.errorbar(x, y, bars, fmt="o-", markersize=4, linewidth=1, capsize=2, label=f"{label}, {int(n.sum())}")
     upper.set(xlim=(0, 1), ylim=(0, 1.02))
-    p, edges = test.probability(calibration), np.linspace(0.0, 1.0, 11)
+    p, right = held.probability, held.results.right
     lower.hist(
-        [p[test.right], p[~test.right]], edges, stacked=True, color=["#2a9d8f", "#c8553d"], label=["right", "wrong"]
-    )
+        [p[right], p[~right]], list(np.linspace(0.0, 1.0, 11)), stacked=True, color=["#2a9d8f", "#c8553d"],
+        label=["right", "wrong"],
+    )  # fmt: skip
     lower.set(xlabel="probability")
     for axes in (upper, lower):
         axes.legend(frameon=False, fontsize=8)
         axes.spines[["top", "right"]].set_visible(False)
 
 
-def left_out(flagged: Results) -> str:
+def left_out(every: Results) -> str:
     """How many results have no probability, since a finding is serious, and how many of these are right."""
-    counts = [
-        f"{len(some.rows)} of the {part} results, {some.right.sum()} of them right in the hand"
-        for part in ("training", "validation")
-        for some in [flagged.only(part=part.removesuffix("ing"))]
-    ]
-    return f"A finding was serious for {', and for '.join(counts)}: these have no probability."
+    flagged = replace(every, rows=[row for row in every.rows if row["serious"]])
+    right = f"{flagged.right.sum()} of them right in the hand"
+    return f"a finding was serious for {len(flagged.rows)} of them, {right}: these have no probability"
 
 
-def main(out: Path, root: Path, meshes: Path, workers: int) -> None:
+def main(out: Path, root: Path, other: Path, meshes: Path, arctic: Path, workers: int) -> None:
     """Collect, fit, and put the measurements into the page."""
-    report(Results(collect(out / ROWS, cases(out / "clips", root, meshes), KEY, row, workers)))
+    every = cases(out, root, other, meshes, arctic)
+    if {OTHER} & {case.dataset for case in every} and not test_runs.noted(SECTION, test_runs.commit()):
+        test_runs.note(SECTION, COMMAND)
+    wanted = {case.key for case in every}
+    rows = collect(out / ROWS, every, KEY, row, workers)
+    report([row for row in rows if tuple(row[key] for key in KEY) in wanted])
 
 
-def report(rows: Results) -> None:
-    """Fit the training part, hold the test part against it, and write both down.
+def report(rows: Sequence[Row]) -> None:
+    """Fit all results of measured hands, hold them against fits without their objects, and write both down.
 
-    Results with a serious finding have no probability, and are no part of either.
+    Results with a serious finding have no probability, and are no part of it.
     """
-    flagged, rows = rows.only(serious=True), rows.only(serious=False)
-    train, made = rows.only(part="train"), stamp()
-    calibrations = {where: calibrated(Results(train.rows, where), made) for where in get_args(Where)}
-    write(FILE, measured=stored(calibrations.values()))
-    draw(rows.only(part="validation"), calibrations, store.ROOT / "docs/images" / PICTURE)
-    how = circumstances("python -m benchmarks.probability OUT DEXYCB YCB")
-    for name, made_table in tables(rows, calibrations, flagged).items():
-        print(store.write(name, replace(made_table, made=how)))
+    made, how = stamp(), circumstances(COMMAND)  # before anything is written
+    used = [row for row in rows if hands_of(row) != "estimated" and not row["serious"]]
+    fits = {where: Results(used, where).fitted(made) for where in get_args(Where)}
+    held = {where: judged(Results(used, where)) for where in get_args(Where)}
+    keeping: dict[tuple[InputKind, Where], Keeping] = {
+        (kind, where): least
+        for where, one in held.items()
+        for kind, least in thresholds(one.results, one.probability).items()
+    }
+    parts = {hands: stored(fit[hands] for fit in fits.values()) for hands in ("measured", "corrected")}
+    write(FILE, keeping, **parts)
+    draw(held, store.ROOT / "docs/images" / PICTURE)
+    for name, table in tables(rows, held, fits).items():
+        print(store.write(name, replace(table, made=how)))
 
 
 if __name__ == "__main__":
-    if len(sys.argv) < 4:
+    if len(sys.argv) < 6:
         sys.exit(__doc__)
-    main(*map(Path, sys.argv[1:4]), int(sys.argv[4]) if len(sys.argv) > 4 else cores())
+    main(*map(Path, sys.argv[1:6]), int(sys.argv[6]) if len(sys.argv) > 6 else cores())

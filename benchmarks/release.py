@@ -2,7 +2,8 @@
 
 DEXYCB and YCB are the folders of the dataset and of its models. The most important tables come first, and each is put
 into ``results/`` as soon as it is measured. Existing results in ``out/`` are kept, so the same call continues a run
-that was cut off. ``--clips N`` tries every section on N clips and puts nothing into ``results/``. The other tables
+that was cut off. ``--clips N`` tries every section on N clips and puts nothing into ``results/``. Nothing else runs the
+test objects, and each of their runs is noted before it starts (``benchmarks.test_runs``). The other tables
 there belong to studies that chose a constant or a default: their JSON names the commit and the command that they were
 made by, and they are not made again.
 """
@@ -27,6 +28,8 @@ BENCHES = {
     "--out out/dexycb-segments",
     "dexycb-timelines-exact": "getagrip bench dexycb-timelines --root DEXYCB --meshes YCB --preset exact "
     "--clips 48 --out out/dexycb-timelines",
+    "dexycb-other-methods": "getagrip bench dexycb --root OTHER --meshes YCB --split all --out out/dexycb-other "
+    "--methods soft-hinge",
     "dexycb-other-final": "getagrip bench dexycb --root OTHER --meshes YCB --split all --out out/dexycb-other "
     "--ablation final",
     "dexycb-other-final-evidence": "getagrip bench dexycb --root OTHER --meshes YCB --split all --out out/dexycb-other "
@@ -41,6 +44,8 @@ a part of the clips, 16 and 5 for the test objects. A row of a clip takes 2 s of
 
 def main(words: Sequence[str]) -> int:
     """Run the benches, put their tables into ``results/``, and sum up; 1 if one failed, else 0."""
+    from benchmarks import test_runs
+
     parser = _parser()
     asked = parser.parse_args(words)
     workers = [] if asked.workers is None else ["--workers", str(asked.workers)]
@@ -54,6 +59,8 @@ def main(words: Sequence[str]) -> int:
         place = words.index("--out") + 1
         words[place] = str(asked.out / Path(words[place]).name)
         print(f"\n{n} of {len(chosen)}, {name}: getagrip {shlex.join([*words, *clips])}", flush=True)
+        if name in test_runs.tables():
+            test_runs.note(name, shlex.join([*shlex.split(BENCHES[name]), *clips]))
         start = time.monotonic()
         status = subprocess.run([sys.executable, "-m", "getagrip", *words, *clips, *workers], check=False).returncode
         try:

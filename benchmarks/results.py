@@ -1,7 +1,9 @@
 """Put what benches measured into ``results/``, and its numbers into README: ``python -m benchmarks.results DIR...``.
 
 Each folder is one that was given to ``getagrip bench --out``. A table is named like the folder and its file:
-``out/dexycb/inputs.csv`` becomes ``results/dexycb-inputs.json``. Without folders only README is brought up to date.
+``out/dexycb/inputs.csv`` becomes ``results/dexycb-inputs.json``, and ``inputs-clips.csv``, its numbers by clip,
+``results/clips/dexycb-inputs.csv.gz``. A table of the test objects must be of a run that ``test_runs`` notes. Without
+folders only README is brought up to date.
 ``python -m benchmarks.release`` measures all tables of a release before.
 """
 
@@ -17,7 +19,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from benchmarks import cite, store
+from benchmarks import cite, store, test_runs
 from benchmarks.release import BENCHES
 from benchmarks.store import Cell, Column, Table
 from benchmarks.timing import machine
@@ -31,14 +33,20 @@ PICTURES = store.ROOT / "docs/images"
 MADE = re.compile(r"(?:; )?made (\d{4}-\d\d-\d\d)(?:, commit (\w+))?.*")
 SERIOUS = {check.name for check in (*INPUT_CHECKS.values(), *RESULT_CHECKS.values()) if check.serious}
 LABELLED = {metric.label: metric for metric in METRICS.values() if metric.label}
-ALL, CATEGORIES = "all", "-categories"
+ALL, CATEGORIES, CLIPS = "all", "-categories", "-clips"
 
 
 def main(folders: Sequence[Path]) -> None:
     """Update tables and README."""
     for folder in folders:
-        for name, table in found(folder).items():
+        tables = found(folder)
+        for name, table in tables.items():
+            if name in test_runs.tables() and not test_runs.noted(name, table.made.get("commit", "unknown")):
+                raise SystemExit(f"{name}: the test objects are run by make results only, which notes each run")
             print(store.write(name, table))
+            by_clip = folder / f"{name.removeprefix(f'{folder.resolve().name}-')}{CLIPS}.csv"
+            if by_clip.exists():
+                print(store.write_clips(name, by_clip.read_text(encoding="utf-8")))
         for picture in folder.glob("*.png"):
             if (shown := PICTURES / f"results-{folder.resolve().name}-{picture.name}").exists():
                 shutil.copy(picture, shown)
@@ -88,7 +96,7 @@ def bench(name: str, numbers: Path) -> Table:
             difference = differences.setdefault(label, {"label": label, "against": line["against"]})
             difference[column.key] = _estimate(line, "difference_", column)
     if not by_category:
-        columns |= _of_clips(rows, numbers.with_name(f"{numbers.stem}-clips.csv"))
+        columns |= _of_clips(rows, numbers.with_name(f"{numbers.stem}{CLIPS}.csv"))
     versions = next((line for line in settings if line.startswith("python ")), "")
     notes = [MADE.sub("", line) for line in (*about, *settings) if line != versions]
     made = _made(name, "\n".join(about)) | {"versions": versions}

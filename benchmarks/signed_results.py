@@ -1,58 +1,60 @@
 """Results with their signs, and whether they are right: what ``benchmarks.probability`` is fitted to and tested on.
 
-Every clip is reconstructed by the default method under each of ``CONDITIONS``.
+Clips of thirty real objects are reconstructed by the default method under ``CONDITIONS``:
+each as it is and with hands at two levels of errors, and under one of the other conditions by turns.
 """
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.kept_rows import Row
+from benchmarks.kept_rows import Row, described
+from getagrip.batch.share import Share
 from getagrip.clip import Clip, Masks, read_clip, read_masks
 from getagrip.datasets.synthetic.noise import NOISE, Noise
-from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.datasets.synthetic.splits import Split, split
-from getagrip.evaluation import evaluate
-from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_CAM
-from getagrip.experiments.changes import UNCHANGED, Noisy, OtherObject, ScaleFree
+from getagrip.experiments.changes import UNCHANGED, Noisy, OtherObject, OtherSize, ScaleFree, Several
 from getagrip.experiments.sources.recorded import DexYcb
 from getagrip.fitting.options import Options
-from getagrip.io.code import stamp
 from getagrip.timelines.reconstruct import reconstruct
 
-EVERY: dict[Split, tuple[int, int]] = {"train": (1, 3), "validation": (2, 5)}
-"""Step from one clip that is used to the next: among DexYCB's, and among the synthetic ones of each preset."""
-PRESETS = ("clean", "moderate", "strong", "estimated", "wild", "measured")
+DEXYCB, OTHER, ARCTIC = "DexYCB", "DexYCB, the ten others", "ARCTIC"
+"""Names of the datasets."""
+PER_OBJECT = {DEXYCB: 12, OTHER: 12, ARCTIC: 5}
+"""Most clips of an object, evenly spaced."""
 Change = Callable[[Clip, Masks, int], tuple[Clip, Masks]]
 TEN = Noisy(Noise(hand_bias_mm=10.0, hand_bias_deg=8.0, hand_jitter_mm=5.0, hand_jitter_deg=4.0, jitter_memory_s=0.1))
+STRONG = Noisy(NOISE["strong"])
 
 
 def unseen_hand(clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
     """As far off as ``TEN``, and no pixels of the hand to mend it by."""
     clip, masks = TEN(clip, masks, seed)
-    return clip, Masks(masks.object, np.zeros_like(masks.ignore))
+    return clip, replace(masks, ignore=np.zeros_like(masks.ignore), hand=None)
 
 
-CONDITIONS: dict[str, Change] = {
-    "as it is": UNCHANGED,
+ALWAYS: dict[str, Change] = {"as it is": UNCHANGED, "10 mm, 8°": TEN, "strong": STRONG}
+"""What is done to every clip of ``PER_OBJECT``."""
+BY_TURNS: dict[str, Change] = {
+    "other size": OtherSize(),
     "moderate": Noisy(NOISE["moderate"]),
-    "strong": Noisy(NOISE["strong"]),
-    "estimated": Noisy(NOISE["estimated"]),
-    "10 mm, 8°": TEN,
-    "10 mm, 8°, no hand pixels": unseen_hand,
     "masks off by 4 px": Noisy(Noise(mask_ragged_px=4.0)),
+    "other size, 10 mm, 8°": Several((OtherSize(), TEN)),
     "size unknown": ScaleFree(),
+    "estimated": Noisy(NOISE["estimated"]),
+    "other size, strong": Several((OtherSize(), STRONG)),
     "other shape": OtherObject(),
+    "10 mm, 8°, no hand pixels": unseen_hand,
 }
-"""What is done to the clips of DexYCB. Synthetic clips are as their preset has them."""
+"""Of these each clip gets one: the next."""
+CONDITIONS = ALWAYS | BY_TURNS
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,6 @@ class Case:
     """A clip, and what is to be done with it."""
 
     dataset: str
-    part: Split
     clip: str
     condition: str
     make: Callable[[], tuple[Clip, Masks]]
@@ -68,10 +69,10 @@ class Case:
     @property
     def key(self) -> tuple[str, ...]:
         """What its row is known by: ``KEY``."""
-        return self.dataset, self.part, self.clip, self.condition
+        return self.dataset, self.clip, self.condition
 
 
-KEY = ("dataset", "part", "clip", "condition")
+KEY = ("dataset", "clip", "condition")
 
 
 def read_from(folder: Path, condition: str) -> tuple[Clip, Masks]:
@@ -80,22 +81,35 @@ def read_from(folder: Path, condition: str) -> tuple[Clip, Masks]:
     return CONDITIONS[condition](clip, read_masks(clip), 0)
 
 
-def cases(clips: Path, root: Path, meshes: Path) -> list[Case]:
-    """All clips in a random order: what there is of an interrupted run is a sample of everything."""
-    found = list(_cases(clips, root, meshes))
-    return [found[n] for n in np.random.default_rng(0).permutation(len(found))]
+def cases(out: Path, root: Path, other: Path, meshes: Path, arctic: Path) -> list[Case]:
+    """All cases, those of ``ALWAYS`` first, in a random order: an interrupted run has a sample of everything.
+
+    ``root`` and ``other`` are DexYCB's sequences, ``meshes`` its models, ``arctic`` a folder of clips.
+    """
+    folders = {ARCTIC: {file.parent.name: file.parent for file in sorted(arctic.glob("*/clip.json"))}}
+    for dataset, of, name in ((DEXYCB, root, "clips"), (OTHER, other, "other")):
+        found, _ = DexYcb(split="all", root=of, meshes=meshes).samples(out / name, False, Share(workers=1))
+        folders[dataset] = {sample.name: sample.folder for sample in found}
+    every = [*_cases(folders)]
+    mixed = [every[n] for n in np.random.default_rng(0).permutation(len(every))]
+    return sorted(mixed, key=lambda case: case.condition not in ALWAYS)
 
 
-def _cases(clips: Path, root: Path, meshes: Path) -> Iterator[Case]:
-    """Clip by clip."""
-    for part, (every, every_synthetic) in EVERY.items():
-        found = DexYcb(split=part, root=root, meshes=meshes).samples(clips, False)[0]
-        for sample, name in product(found[::every], CONDITIONS):
-            yield Case("DexYCB", part, sample.name, name, partial(read_from, sample.folder, name))
-        for preset in PRESETS:
-            for category, seed, options in split(part, preset)[::every_synthetic]:
-                make = partial(synthesise, category, seed, options)
-                yield Case("synthetic", part, f"{category}-{seed}", preset, make)
+def _cases(folders: dict[str, dict[str, Path]]) -> Iterator[Case]:
+    """Clip by clip, object by object."""
+    turns = [*BY_TURNS]
+    for dataset, clips in folders.items():
+        by_object = defaultdict[str, list[str]](list)
+        for name, folder in clips.items():
+            by_object[read_clip(folder).category].append(name)
+        for n, name in enumerate(name for names in by_object.values() for name in evenly(names, PER_OBJECT[dataset])):
+            for condition in (*ALWAYS, turns[n % len(turns)]):
+                yield Case(dataset, name, condition, partial(read_from, clips[name], condition))
+
+
+def evenly(names: Sequence[str], most: int) -> list[str]:
+    """Return at most that number of them, evenly spaced."""
+    return [names[n] for n in np.unique(np.linspace(0, len(names) - 1, min(most, len(names))).round().astype(int))]
 
 
 def row(case: Case) -> Row | None:
@@ -107,9 +121,5 @@ def row(case: Case) -> Row | None:
     except Exception as error:  # one clip's trouble must not end the others
         print(f"{case.key}: {error}", file=sys.stderr)
         return None
-    seconds, metrics = time.process_time() - start, evaluate(result, clip, None, wanted=(ADD_SYM, ADD_SYM_CAM)).metrics
-    right = {"hand": metrics[ADD_SYM.name] > 0.5, "camera": metrics[ADD_SYM_CAM.name] > 0.5}
-    serious = any(finding.serious for finding in result.findings)
-    return dict(zip(KEY, case.key, strict=True)) | {
-        "right": right, "serious": serious, "seconds": seconds, "made": stamp(), "signs": result.signs,
-    }  # fmt: skip
+    about = {"category": clip.category, "seconds": time.process_time() - start}
+    return dict(zip(KEY, case.key, strict=True)) | about | described(result, clip)

@@ -1,7 +1,12 @@
-"""Tables of results: ``results/*.json``, the only store of what was measured; one file a table, one line a row."""
+"""Tables of results: ``results/*.json``, the only store of what was measured; one file a table, one line a row.
+
+``results/clips/TABLE.csv.gz`` has a table's numbers by clip, where they were kept.
+"""
 
 from __future__ import annotations
 
+import csv
+import gzip
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,6 +17,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "results"
+CLIPS = RESULTS / "clips"
 
 Cell = float | str | list[float | None] | dict[str, int] | None
 """A number, a text, a value with the ends of its interval (and how many it is of), counts by name, or nothing."""
@@ -106,6 +112,22 @@ def write(name: str, table: Table, folder: Path = RESULTS) -> Path:
     path.write_text("{\n" + ",\n".join(parts) + "\n}\n", encoding="utf-8")
     read.cache_clear()
     return path
+
+
+def write_clips(name: str, text: str, folder: Path = CLIPS) -> Path:
+    """Keep a table's numbers by clip, a CSV file; the same numbers are the same bytes."""
+    folder.mkdir(exist_ok=True)
+    path = folder / f"{name}.csv.gz"
+    path.write_bytes(gzip.compress(text.encode(), mtime=0))
+    return path
+
+
+def read_clips(name: str, folder: Path = CLIPS) -> list[dict[str, str]]:
+    """A table's numbers by clip, a line for each clip, method and setting. Raises ``KeyError`` where none were kept."""
+    path = folder / f"{name}.csv.gz"
+    if not path.is_file():
+        raise KeyError(f"{name}: its numbers by clip were not kept")
+    return [*csv.DictReader(gzip.decompress(path.read_bytes()).decode().splitlines())]
 
 
 def _lines(value: Any) -> str:

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.kept import HEADER, calibrated, lines, of_part, thresholds
+from benchmarks.kept import HEADER, calibrated, lines, of_part
 from benchmarks.kept_rows import END, REAL, SYNTHETIC, Row, read
 from benchmarks.probability import stored, write
 from getagrip.batch.keep import HIGHEST, LOWEST, Keep
-from getagrip.checks.calibrated import CALIBRATIONS, FILE, KEEPING, read_calibrated
+from getagrip.checks.calibrated import CALIBRATIONS, CORRECTED, FILE, KEEPING, read_calibrated
 from getagrip.checks.keeping import SHARES, Keeping, kind_of_input, least_kept, least_of_sets
 from getagrip.checks.signs import HAND_SIGNS
 from getagrip.errors import UsageError
@@ -131,6 +131,8 @@ def test_hands_are_measured_unless_their_source_says_otherwise() -> None:
 def test_the_kind_of_an_input_is_that_of_its_hands_and_of_the_evidence_that_counted() -> None:
     terms = {"total", "mask", "hand-mask"}
     assert kind_of_input("measured", terms | {"depth", "joints-2d"}, 2.0) == "measured"
+    assert kind_of_input("measured", terms, 0.0, corrected=True) == "corrected"
+    assert kind_of_input("estimated", terms, 0.0, corrected=True) == "estimated"
     assert kind_of_input("estimated", terms, 2.0) == "estimated", "depth that did not count"
     assert kind_of_input("estimated", terms | {"joints-2d"}, 0.0) == "joints"
     for sign, kind in ((1.0, "network"), (2.0, "sensor")):
@@ -169,15 +171,16 @@ def test_what_was_calibrated_is_written_and_held_against_validation(tmp_path: Pa
     rows = made_rows(900, 0)
     estimated, keeping = calibrated(rows, "today")
     path = Path(shutil.copy(FILE, tmp_path))
-    write(path, estimated=stored(estimated.values()), keeping=thresholds(keeping))
-    exact, fitted, least = read_calibrated(path)
-    assert exact == CALIBRATIONS
-    assert least.keys() == keeping.keys() == KEEPING.keys()
+    write(path, keeping, estimated=stored(estimated.values()))
+    exact, corrected, fitted, least = read_calibrated(path)
+    assert (exact, corrected) == (CALIBRATIONS, CORRECTED)
+    assert least.keys() == KEEPING.keys()
+    assert all(least["measured", where] == KEEPING["measured", where] for where in estimated), "these are not its"
     assert least["joints", "hand"].sets == pytest.approx(keeping["joints", "hand"].sets, rel=1e-3)
     for where in estimated:
         found = [one.probability(rows[1]["signs"]).value for one in (fitted["soft-hinge", where], estimated[where])]
         assert found[0] == pytest.approx(found[1], abs=1e-3)
-    table = [dict(zip(("label", *HEADER), line, strict=True)) for line in lines(rows, estimated, keeping)]
+    table = [dict(zip(("label", *HEADER), line, strict=True)) for line in lines(rows, estimated, KEEPING | keeping)]
     depth = next(line for line in table if line["label"] == "validation, in the hand, network")
     assert float(depth["AUROC"].split()[0]) > 0.75
     assert float(depth["sets that hold it, %"].split()[0]) > 80.0
@@ -207,4 +210,5 @@ def test_synthetic_results_move_weights_but_not_how_often_results_are_right() ->
     assert len(beside.rows) == len(rows), "they are fitted only"
     fitted = beside.fitted("")
     assert beside.probability(fitted).mean() == pytest.approx(beside.right.mean(), abs=0.01)
-    assert fitted.weights["energy-gap"].weight != alone.fitted("").weights["energy-gap"].weight
+    one, other = (fit["estimated"].weights["energy-gap"].weight for fit in (fitted, alone.fitted("")))
+    assert one != other

@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.kept_rows import Row
-from benchmarks.probability import Results, calibrated, stored, write
+from benchmarks.probability import Results, judged, stored, thresholds, write
+from benchmarks.signed_results import ALWAYS
 from getagrip.checks import Solved
 from getagrip.checks.calibrated import CALIBRATIONS, ESTIMATED, FILE, read_calibrated
 from getagrip.checks.calibration import Where
@@ -27,6 +28,7 @@ from getagrip.checks.signs import (
     joint_error,
     penetration,
     read_signs,
+    seen_size,
     solution_spread,
 )
 from getagrip.clip.depth import Depth, DepthSource
@@ -36,6 +38,7 @@ from getagrip.finding import Finding
 from getagrip.fitting.judge import WRONG_EVIDENCE, probabilities, probability_right, uncalibrated
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.symmetry import find_symmetries
 from getagrip.probability import Probability, percent
 from getagrip.provenance import Source, estimated
@@ -157,6 +160,19 @@ def test_signs_of_the_truth_and_of_what_is_wrong() -> None:
     assert signs["off-axis-turn"] < read_signs(replace(it, T_hand_obj=shaken))["off-axis-turn"]
 
 
+def test_what_is_seen_is_a_share_of_the_object_at_any_distance_and_size() -> None:
+    """A scene of twice the size, twice as far away, looks the same; a hand before half of the mask hides it."""
+    it = mug()
+    T = it.clip.hand.T_cam_hand.copy()
+    T[:, :3, 3] *= 2.0
+    hand = replace(it.clip.hand, T_cam_hand=T, vertices=2.0 * it.clip.hand.vertices)
+    mesh = Mesh(2.0 * it.clip.mesh.vertices, it.clip.mesh.faces)
+    assert seen_size(replace(it, clip=replace(it.clip, hand=hand, mesh=mesh))) == pytest.approx(seen_size(it))
+    half = it.masks.object & (np.cumsum(it.masks.object, axis=2) % 2 == 0)
+    hidden = replace(it, masks=replace(it.masks, object=half))
+    assert np.exp(seen_size(hidden)) - 0.02 == pytest.approx((np.exp(seen_size(it)) - 0.02) / np.sqrt(2.0), rel=0.05)
+
+
 def test_a_rotation_about_the_axis_is_no_turn_besides_it() -> None:
     it, angle = mug(), np.linspace(0.0, 1.0, 4)
     axis = Axis(np.zeros(3), np.array([0.0, 0.6, 0.8]), angle)
@@ -175,7 +191,7 @@ def test_signs_do_not_depend_on_where_the_camera_is() -> None:
     moved = replace(
         it, clip=it.clip.with_hand_at(T @ it.clip.hand.T_cam_hand), T_cam_hand_input=T @ it.T_cam_hand_input
     )
-    of_poses = DIRECTION.keys() - {"depth-order"}  # which the masks show, where the camera was
+    of_poses = DIRECTION.keys() - {"depth-order", "seen-size"}  # which the masks show, where the camera was
     one, other = ({name: signs[name] for name in of_poses} for signs in (read_signs(moved), read_signs(it)))
     assert one == pytest.approx(other, abs=1e-6)
 
@@ -253,30 +269,58 @@ def test_each_where_has_its_own_calibration(monkeypatch: pytest.MonkeyPatch) -> 
     assert probability_right(Options(), USUAL, (), "camera") is None
 
 
-def results() -> list[Row]:
+def results(n: int = 60) -> list[Row]:
     """Results that are right in the hand by the first sign, and in the camera by the second."""
-    numbers = np.random.default_rng(0).normal(size=(60, len(SIGNS)))
-    about = {"part": "train", "dataset": "DexYCB"}
+    numbers = np.random.default_rng(0).normal(size=(n, len(SIGNS)))
     return [
-        about | {
-            "right": {"hand": x[0] > 0.0, "camera": x[1] < 0.0},
+        {
+            "clip": f"{k}", "category": f"object {k % 5}", "dataset": "DexYCB", "kind": "measured",
+            "condition": [*ALWAYS][k % len(ALWAYS)],
+            "rank": {"hand": 1 if x[0] > 0.0 else None, "camera": 1 if x[1] < 0.0 else 2},
             "signs": dict(zip((sign.name for sign in SIGNS), x.tolist(), strict=True)),
         }
-        for x in numbers
+        for k, x in enumerate(numbers)
     ]  # fmt: skip
 
 
 def test_both_are_fitted_to_the_same_results_and_read_back(tmp_path: Path) -> None:
-    fitted = [calibrated(Results(results(), where), "today") for where in get_args(Where)]
-    write(path := Path(shutil.copy(FILE, tmp_path)), measured=stored(fitted))
+    fitted = [Results(results(), where).fitted("today") for where in get_args(Where)]
+    write(path := Path(shutil.copy(FILE, tmp_path)), measured=stored(one["measured"] for one in fitted))
     back = read_calibrated(path)[0]
     assert [*back] == [("soft-hinge", "hand"), ("soft-hinge", "camera")]
     first, second = (sign.name for sign in SIGNS[:2])
-    for there, made in zip(back.values(), fitted, strict=True):
+    for there, fit in zip(back.values(), fitted, strict=True):
+        made = fit["measured"]
         assert (there.where, there.data) == (made.where, made.data)
         assert there.probability(USUAL).value == pytest.approx(made.probability(USUAL).value, abs=1e-3)
         strongest = max(made.weights, key=lambda name: abs(made.weights[name].weight))
         assert strongest == {"hand": first, "camera": second}[made.where]
+
+
+def test_no_object_s_probability_comes_from_its_own_results() -> None:
+    rows = results(300)
+    own = [row["category"] == "object 0" for row in rows]
+    turned = [row | {"rank": {"hand": None}} if mine else row for row, mine in zip(rows, own, strict=True)]
+    before, after = (judged(Results(some)) for some in (rows, turned))
+    assert np.array_equal(before.probability[own], after.probability[own])
+    assert np.array_equal(before.kept[own], after.kept[own])
+    others = ~np.array(own)
+    assert not np.array_equal(before.probability[others], after.probability[others])
+
+
+def test_thresholds_of_measured_hands_hold_at_every_level_of_their_errors() -> None:
+    rows = [row | {"kind": "corrected"} for row in results(600)]
+    p = np.array([1.0 / (1.0 + np.exp(-3.0 * row["signs"]["energy-gap"])) for row in rows])
+    worse = [row | {"rank": {"hand": None}} if row["condition"] == "strong" and p[k] < 0.97 else row
+             for k, row in enumerate(rows)]  # fmt: skip
+    usual, careful = (thresholds(Results(some), p)["corrected"] for some in (rows, worse))
+    assert {0.5, 0.9} <= careful.least.keys() <= usual.least.keys()
+    assert all(careful.least[share] > usual.least[share] for share in careful.least)
+    every = Results(worse)
+    for kind in ALWAYS:
+        mine = np.array([row["condition"] == kind for row in worse])
+        for share, least in careful.least.items():
+            assert every.right[mine & (p >= least)].mean() >= share
 
 
 def test_an_assumed_mesh_extrapolates_the_probability_of_estimated_hands() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import subprocess
 from dataclasses import replace
@@ -12,7 +13,7 @@ import pytest
 import tyro
 from tyro.conf import OmitArgPrefixes
 
-from benchmarks import cite, release, results, store
+from benchmarks import again, cite, release, results, store, test_runs
 from benchmarks.release import BENCHES
 from benchmarks.store import Column, Table
 from getagrip.commands.bench import Bench, Benches
@@ -217,3 +218,96 @@ def test_a_release_is_measured_in_order_and_summed_up(
     assert "dexycb-inputs: 0.0 min, no table; failures: exit status 1" in capsys.readouterr().out
     with pytest.raises(SystemExit):
         release.main(["DEXYCB", "YCB", "--only", "dexycb-other-final"])
+
+
+def test_every_run_of_the_test_objects_is_noted_before_it_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    noted = list[int]()
+
+    def run(call: list[str], check: bool) -> subprocess.CompletedProcess[bytes]:
+        noted.append(len(store.read("test-runs", tmp_path).rows))
+        return subprocess.CompletedProcess(call, 1)  # nor does it matter that it fails
+
+    monkeypatch.setattr(subprocess, "run", run)
+    monkeypatch.setattr(test_runs, "FOLDER", tmp_path)
+    monkeypatch.setattr(test_runs, "stamp", lambda: "2026-11-28, commit abc1234")
+    asked = ["DEXYCB", "YCB", "--other", "OTHER", "--out", str(tmp_path), "--clips", "2", "--only", *test_runs.tables()]
+    assert release.main(asked) == 1
+    assert noted == [1, 2, 3]
+    assert [row["table"] for row in store.read("test-runs", tmp_path).rows] == test_runs.tables()
+    assert test_runs.noted("dexycb-other-final", "abc1234e")
+    assert not test_runs.noted("dexycb-other-final", "def5678")
+
+
+def test_a_table_of_the_test_objects_is_taken_from_a_noted_run_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder := tmp_path / "dexycb-other").mkdir()
+    (folder / "final.md").write_text(
+        "# Final\n\n|  | s |\n|---|---:|\n| one-dof | 1 |\n\n- made 2026-11-24, commit abc\n"
+    )
+    written = list[str]()
+    monkeypatch.setattr(store, "write", lambda name, table: written.append(name))
+    monkeypatch.setattr(test_runs, "noted", lambda name, commit: False)
+    with pytest.raises(SystemExit, match="make results only"):
+        results.main([folder])
+    assert not written
+
+
+def test_all_runs_that_git_knows_are_listed() -> None:
+    listed = [(row["table"], row["commit"]) for row in store.read("test-runs").rows]
+    for name in ("dexycb-other-final", "dexycb-other-final-evidence"):
+        assert (name, store.read(name).made["commit"]) in listed
+    main, evidence = (sum(table == name for table, _ in listed[:8]) for name in test_runs.tables()[1:])
+    assert (main, evidence) == (2, 6)
+
+
+def test_numbers_by_clip_are_kept_in_the_same_bytes_each_time(tmp_path: Path) -> None:
+    text = "clip,iou\na,0.5\nb,0.25\n"
+    first, second = (store.write_clips(name, text, tmp_path).read_bytes() for name in ("one", "two"))
+    assert first == second
+    assert store.read_clips("one", tmp_path) == [{"clip": "a", "iou": "0.5"}, {"clip": "b", "iou": "0.25"}]
+    with pytest.raises(KeyError, match="not kept"):
+        store.read_clips("three", tmp_path)
+
+
+def test_a_slice_that_is_made_again_is_compared_number_by_number() -> None:
+    lines = [
+        {"clip": clip, "method": "one-dof", "setting": "", "seconds": "1", "iou": "0.5", "status": "ok"}
+        for clip in "abcdefg"
+    ]
+    assert again.chosen(lines, 3) == ["a", "d", "g"]
+    slower = [line | {"seconds": "9"} for line in lines]
+    assert dict(again.differences(lines, slower)) == {}
+    other = [lines[0] | {"iou": "0.4"}, lines[1] | {"status": "misfit"}, *lines[2:]]
+    assert dict(again.differences(lines, other)) == {"iou": pytest.approx(0.2), "status": math.inf}
+    assert "line" in dict(again.differences(lines, lines[1:]))
+
+
+def test_a_slice_is_made_by_the_table_s_own_command(capsys: pytest.CaptureFixture[str]) -> None:
+    words = again.command("dexycb-inputs", Path("f.txt"), Path("o"), {"DEXYCB": "/d", "YCB": "/y"})
+    assert words == ["bench", "dexycb", "--root", "/d", "--meshes", "/y", "--ablation", "inputs", "--only", "f.txt",
+                     "--out", "o"]  # fmt: skip
+    with pytest.raises(KeyError, match="missing DEXYCB=DIR"):
+        again.command("dexycb-inputs", Path("f.txt"), Path("o"), {})
+    assert again.main(["dexycb-physical", "DEXYCB=d", "YCB=y"]) == 1
+    assert "numbers by clip were not kept" in capsys.readouterr().err
+
+
+def test_the_error_in_mm_stands_beside_the_share_that_is_right() -> None:
+    heads = cite.said("table dexycb-methods columns=iou,add_sym,sca").splitlines()[0].split(" | ")
+    assert heads[heads.index("ADD sym., %") + 1] == "median error, mm"
+    assert "`one-dof`, same filters, mm" in cite.said("inputs dexycb-inputs soft-hinge one-dof").splitlines()[0]
+
+
+def test_objects_are_summed_up_from_the_numbers_by_clip(monkeypatch: pytest.MonkeyPatch) -> None:
+    one = {"method": "soft-hinge", "category": "007_tuna_can", "diameter_mm": "90", "add_sym_success": "1.0"}
+    lines = [one | {"add_sym_mm": "4"}, one | {"add_sym_mm": "30", "add_sym_success": "0.0"}]
+    lines += [
+        one | {"category": "036_wood_block", "diameter_mm": "237", "add_sym_mm": "9"},
+        one | {"method": "one-dof"},
+    ]
+    monkeypatch.setattr(store, "read_clips", lambda name: lines)
+    table = cite.said("objects dexycb-methods soft-hinge").splitlines()
+    assert table[2:4] == ["| tuna can | 90 | 2 | 1 | 17.0 | 30 | 1 |", "| wood block | 237 | 1 | 1 | 9.0 | 9 | 1 |"]

@@ -11,7 +11,10 @@ from getagrip.datasets.synthetic.noise import NOISE
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError
-from getagrip.experiments.changes import UNCHANGED, EstimatedHands, Noisy, ScaleFree, ScaleKnown, TrueHands
+from getagrip.experiments.changes import UNCHANGED, EstimatedHands, Noisy, OtherSize, ScaleFree, ScaleKnown, TrueHands
+from getagrip.geometry import se3
+from getagrip.geometry.depth import covered
+from getagrip.metrics.surface_distance import signed_distance
 from getagrip.provenance import estimated, kind_of_hands
 from helpers.scenes import SHORT, scene
 
@@ -48,3 +51,30 @@ def test_estimated_hands_stay_and_true_ones_get_errors() -> None:
     assert kind_of_hands(EstimatedHands(NOISE["strong"])(clip, masks, 0)[0].provenance) == "estimated"
     own = replace(clip, provenance={**clip.provenance, "hands": estimated("by a network")})
     assert change(own, masks, 0) == (own, masks)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_an_object_of_another_size_stays_in_the_hand(seed: int) -> None:
+    clip, masks = scene("can", 0, SHORT)
+    changed, seen = OtherSize()(clip, masks, seed)
+    assert clip.truth is not None
+    assert changed.truth is not None
+    factor = changed.mesh.diameter / clip.mesh.diameter
+    assert 1.0 / 1.6 <= factor <= 1.6
+    assert abs(factor - 1.0) > 0.01
+    np.testing.assert_array_equal(changed.hand.T_cam_hand, clip.hand.T_cam_hand)
+    hands = se3.transform(clip.truth.T_cam_hand, clip.truth.hand_vertices)
+    nearest = []
+    for one in (clip, changed):
+        assert one.truth is not None
+        points = se3.transform(se3.inverse(one.truth.T_cam_obj), hands)[0]
+        nearest.append(np.abs(signed_distance(points, one.mesh.vertices, one.mesh.faces)).min())
+    assert nearest[1] < max(nearest[0], 0.01)
+    posed = se3.transform(changed.truth.T_cam_obj[0], changed.mesh.vertices)
+    drawn = covered(posed, changed.mesh.faces, changed.K[0], changed.size)
+    assert not (seen.object[0] & ~drawn).any()
+    assert (drawn & ~seen.object[0] & ~seen.ignore[0]).sum() == 0
+    assert seen.object.sum() > masks.object.sum() if factor > 1.0 else seen.object.sum() < masks.object.sum()
+    with pytest.raises(InputError, match="no ground truth"):
+        OtherSize()(replace(clip, truth=None), masks, seed)

@@ -1,5 +1,8 @@
 """The calibrations in ``calibrated.json``: weights of the signs, and thresholds by kind of input.
 
+A measured hand that its evidence turned far was solved with the object as an estimate is: it is *corrected*, and has a
+calibration of its own.
+
 ``python -m benchmarks.probability`` and ``python -m benchmarks.kept`` write it.
 """
 
@@ -18,10 +21,10 @@ Thresholds = dict[tuple[InputKind, Where], Keeping]
 """By kind of input, and by where poses are right."""
 
 
-def read_calibrated(file: Path) -> tuple[Calibrations, Calibrations, Thresholds]:
-    """Read the calibrations for measured and for estimated hands, and the thresholds."""
+def read_calibrated(file: Path) -> tuple[Calibrations, Calibrations, Calibrations, Thresholds]:
+    """Read the calibrations for measured, for corrected and for estimated hands, and the thresholds."""
     stored = json.loads(file.read_text(encoding="utf-8"))
-    measured, estimated = (
+    measured, corrected, estimated = (
         {
             (method, one["where"]): Calibration(
                 **one | {"weights": {name: Weight(*numbers) for name, numbers in one["weights"].items()}}
@@ -29,7 +32,7 @@ def read_calibrated(file: Path) -> tuple[Calibrations, Calibrations, Thresholds]
             for method, each in stored[hands].items()
             for one in each
         }
-        for hands in ("measured", "estimated")
+        for hands in ("measured", "corrected", "estimated")
     )
     thresholds = {
         (one["input"], one["where"]): Keeping(
@@ -37,7 +40,7 @@ def read_calibrated(file: Path) -> tuple[Calibrations, Calibrations, Thresholds]
         )
         for one in stored["keeping"]
     }
-    return measured, estimated, thresholds
+    return measured, corrected, estimated, thresholds
 
 
-CALIBRATIONS, ESTIMATED, KEEPING = read_calibrated(FILE)
+CALIBRATIONS, CORRECTED, ESTIMATED, KEEPING = read_calibrated(FILE)

@@ -3,7 +3,7 @@
 Of n results of the calibration that are at least as probable as t, w are wrong. A result of probability p is kept for a
 share s where (w + 1) / (n + 1) <= 1 - s at some t <= p: among results like those of the calibration the kept ones are
 right with at least that share. Probabilities of the calibration are those of a fit without the result's own object.
-Of measured hands, calibrated on exact input, no threshold is below the asked share.
+Of measured hands the rule holds for exact ones and for those of each level of errors: the largest threshold counts.
 
 A result's set of candidates is the smallest that holds the right one with 90 %, by the same rule among the results that
 no smaller set is enough for. Where even the largest is not enough there is none.
@@ -22,9 +22,10 @@ from numpy import ndarray
 from getagrip.probability import Probability
 from getagrip.provenance import HandsKind
 
-InputKind = Literal["measured", "estimated", "joints", "network", "sensor"]
-"""Kind of a result's input: measured hands; estimated ones without further evidence, with 2D joints, with a network's
-depth, with a sensor's."""
+InputKind = Literal["measured", "corrected", "estimated", "joints", "network", "sensor"]
+"""Kind of a result's input: measured hands, as they came or nearly so; measured ones that were solved with the object,
+since their evidence turned them far; estimated ones without further evidence, with 2D joints, with a network's depth,
+with a sensor's."""
 SHARES = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98)
 """Shares that results are kept for."""
 SIZES = (1, 2, 3, 5, 7)
@@ -50,10 +51,15 @@ class Keeping:
         return replace(right, keep=keep, candidates=size)
 
 
-def kind_of_input(hands: HandsKind, evidence: Container[str], depth_images: float) -> InputKind:
-    """Return the kind of an input by its hands, the terms that its evidence gave, and the sign ``depth-images``."""
+def kind_of_input(
+    hands: HandsKind, evidence: Container[str], depth_images: float, corrected: bool = False
+) -> InputKind:
+    """Return the kind of an input by its hands, the terms that its evidence gave, and the sign ``depth-images``.
+
+    ``corrected``: whether a measured hand was (``signs.was_corrected``).
+    """
     if hands == "measured":
-        return "measured"
+        return "corrected" if corrected else "measured"
     if "depth" in evidence:
         return "sensor" if depth_images > 1.0 else "network"
     return "joints" if "joints-2d" in evidence else "estimated"

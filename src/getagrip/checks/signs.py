@@ -6,7 +6,7 @@ what may be many times larger in one clip than in another is a logarithm.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +29,8 @@ UNSEEN = 0.4
 """Differing pixels of a hand of which none is seen."""
 NO_JOINTS = 0.15
 """Error of a given hand's joints, where none are seen [shares of its box]."""
+LEAST_SPREAD = 0.01
+"""Less of a hand's spread hardly counts [diameters]."""
 FARTHEST = 0.03
 """A region that does not touch counts as at most so far [m]."""
 
@@ -79,6 +81,12 @@ def size_shift(it: Solved) -> float:
     return _logarithm(np.nan_to_num(abs(it.scale_check[0] - 1.0)) * away / it.diameter, 0.02)
 
 
+def seen_size(it: Solved) -> float:
+    """Measure how much of the object is seen: the side of a square of its mask's area at the hand, in its diameters."""
+    focal = np.sqrt(it.clip.K[:, 0, 0] * it.clip.K[:, 1, 1])
+    return _logarithm(np.median(np.sqrt(it.mask_area) * it.depth / focal) / it.diameter, 0.02)
+
+
 def hand_misfit(it: Solved) -> float:
     """Return the share of the hand's pixels that differ from its silhouette; where it is unknown, what is too much."""
     return _logarithm(float(np.nan_to_num(it.hand_differing, nan=UNSEEN)), 0.01)
@@ -117,9 +125,12 @@ SIGNS: tuple[Sign, ...] = (
     Sign("off-axis-turn", lambda it: _logarithm(it.off_axis, 5e-3), -1),  # besides that about the axis [rad]
     Sign("hand-shift", lambda it: (it.hand_shift / it.diameter) ** 2, -1),  # usual corrections succeed, large ones not
     Sign("hand-turn", lambda it: it.hand_turn**2, -1),  # by the refinement [rad]
+    Sign("seen-size", seen_size, 1),
 )
 HAND_SIGNS: tuple[Sign, ...] = (
-    Sign("hand-spread", lambda it: _logarithm(it.hand_spread / it.diameter, 0.01), -1),  # that its evidence leaves
+    Sign(
+        "hand-spread", lambda it: _logarithm(it.hand_spread / it.diameter, LEAST_SPREAD), -1
+    ),  # that its evidence leaves
     Sign("hand-misfit", hand_misfit, -1),
     Sign("penetration", penetration, -1),
     Sign("joint-error", joint_error, -1),
@@ -132,6 +143,15 @@ NAMES = (
 )  # fmt: skip
 ESTIMATED_SIGNS = tuple(sign for sign in (*SIGNS, *HAND_SIGNS) if sign.name in NAMES)
 """Signs that count where hands are estimated (``checks.calibrated``): few, since more were worse for other objects."""
+
+
+CORRECTED_SIGNS = (*SIGNS, *(sign for sign in HAND_SIGNS if sign.name in ("hand-spread", "hand-misfit", "penetration")))
+"""Signs that count where a measured hand was corrected."""
+
+
+def was_corrected(signs: Mapping[str, float]) -> bool:
+    """Say whether a measured hand was solved with the object, since its evidence turned it far: its spread is not 0."""
+    return signs.get("hand-spread", -np.inf) > np.log(LEAST_SPREAD) + 1e-6
 
 
 def read_signs(it: Solved) -> dict[str, float]:

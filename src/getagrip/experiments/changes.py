@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from getagrip.clip import Clip, FrameMasks, Masks
+from getagrip.clip.sampling import frame_indices
 from getagrip.datasets.synthetic.deform import drawn
 from getagrip.datasets.synthetic.noise import Noise, perturbed
 from getagrip.errors import InputError
@@ -26,10 +27,13 @@ from getagrip.geometry.depth import covered
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.render import Surface, true_masks
 from getagrip.geometry.warp import aligned
+from getagrip.metrics.surface_distance import signed_distance
 from getagrip.provenance import estimated, kind_of_hands
 
 Fault = Callable[[Bool[ndarray, "H W"], Float[ndarray, "2"]], Bool[ndarray, "H W"]]
 """From a mask that is not empty, and a direction (x, y) in the image, to a wrong one."""
+TOUCHING = 0.01
+"""Distance within which a hand touches an object [m]."""
 AWAY, BESIDE, RADIUS = 1.2, 0.6, 0.6
 """Distance of another object; distance from the mask's middle, and radius, of the disc by which a mask runs over."""
 
@@ -151,6 +155,54 @@ class OtherObject(Change):
                 clip.K[n],
                 clip.size,
             )
+            for n in range(len(clip))
+        )
+
+
+@dataclass(frozen=True)
+class OtherSize(Change):
+    """An object of another size in the same grasp, with its masks; hand and camera stay.
+
+    It grows or shrinks about the middle of what the hand touches. Where it would leave the hand, or the hand would sink
+    into it, its factor is brought nearer to 1.
+
+    Attributes:
+        most: largest factor; the least is its inverse.
+        off_mm: how far the touching part of the hand may come to be from the surface, in the mean [mm].
+    """
+
+    most: float = 1.6
+    off_mm: float = 10.0
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        truth, mesh = clip.truth, clip.mesh
+        if truth is None:
+            raise InputError(clip.origin / "truth.npz", "", "no ground truth", "poses at which to draw another size")
+        factor = float(
+            np.exp(np.random.default_rng([seed, *clip.name.encode()]).uniform(-1.0, 1.0) * np.log(self.most))
+        )
+        few, hands = frame_indices(len(clip), 3), se3.transform(truth.T_cam_hand, truth.hand_vertices)
+        points = se3.transform(se3.inverse(truth.T_cam_obj[few]), hands[few]).reshape(-1, 3)
+        surface = truth.scale * mesh.vertices
+        distance = np.abs(signed_distance(points, surface, mesh.faces))
+        touching = points[distance <= max(TOUCHING, np.quantile(distance, 0.02))]
+        middle = touching.mean(axis=0)
+        while True:
+            grown = middle + factor * (surface - middle)
+            if (
+                abs(np.log(factor)) < 0.05
+                or 1e3 * np.abs(signed_distance(touching, grown, mesh.faces)).mean() <= self.off_mm
+            ):
+                break
+            factor = float(np.sqrt(factor))
+        resized = _resized(clip, factor)
+        assert resized.truth is not None
+        T_cam_obj = truth.T_cam_obj @ se3.rigid(None, (1.0 - factor) * middle)
+        truth = replace(resized.truth, scale=truth.scale, T_cam_obj=T_cam_obj)
+        clip = replace(resized, truth=truth)
+        posed = se3.transform(T_cam_obj, truth.object_vertices(clip.mesh.vertices, slice(None)))
+        return clip, Masks.of(
+            _drawn(masks.take(np.array([n])), (posed[n], mesh.faces), (hands[n], clip.hand.faces), clip.K[n], clip.size)
             for n in range(len(clip))
         )
 

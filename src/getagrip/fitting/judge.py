@@ -10,9 +10,10 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.checks import Solved
-from getagrip.checks.calibrated import CALIBRATIONS, ESTIMATED, KEEPING
+from getagrip.checks.calibrated import CALIBRATIONS, CORRECTED, ESTIMATED, KEEPING
 from getagrip.checks.calibration import Where
 from getagrip.checks.keeping import InputKind, kind_of_input
+from getagrip.checks.signs import was_corrected
 from getagrip.clip import Clip
 from getagrip.finding import Finding
 from getagrip.fitting.every_frame import Track
@@ -110,10 +111,11 @@ def probabilities(
 
     ``terms`` are those of its energy and of its hand's.
     """
-    kind = kind_of_input(kind_of_hands(clip.provenance), terms, signs.get("depth-images", 0.0))
+    hands, depth = kind_of_hands(clip.provenance), signs.get("depth-images", 0.0)
+    kind = kind_of_input(hands, terms, depth, was_corrected(signs))
     found = {where: probability_right(options, signs, findings, where, terms, kind) for where in get_args(Where)}
     beyond = [finding.check for finding in findings if finding.check in WRONG_EVIDENCE]
-    if kind != "measured" and is_assumed(clip.provenance.get("mesh")):  # these were calibrated on exact meshes
+    if hands != "measured" and is_assumed(clip.provenance.get("mesh")):  # these were calibrated on exact meshes
         beyond.insert(0, ASSUMED_MESH)
     if beyond:
         kept = (right and replace(right, beyond=(*beyond, *right.beyond)) for right in found.values())
@@ -130,16 +132,18 @@ def probability_right(
     signs: Mapping[str, float],
     findings: Sequence[Finding],
     where: Where = "hand",
-    terms: Iterable[str] = (),
-    kind: InputKind = "measured",
+    terms: Collection[str] = (),
+    kind: InputKind | None = None,
 ) -> Probability | None:
-    """Compute the probability that a result with such signs is right; ``kind`` is that of its input.
+    """Compute the probability that a result with such signs is right.
 
-    ``findings`` are those about its input and itself.
+    ``findings`` are those about its input and itself, ``kind`` is that of its input; by default its hands are measured.
 
     None where nothing is calibrated (``uncalibrated``).
     """
-    calibration = (CALIBRATIONS if kind == "measured" else ESTIMATED).get((options.method, where))
+    kind = kind or kind_of_input("measured", terms, 0.0, was_corrected(signs))
+    calibrations = {"measured": CALIBRATIONS, "corrected": CORRECTED}.get(kind, ESTIMATED)
+    calibration = calibrations.get((options.method, where))
     if calibration is None or uncalibrated(options, findings, terms):
         return None
     if not signs.keys() >= calibration.weights.keys():  # of a motion of one's own
