@@ -55,7 +55,7 @@ def test_what_lacks_something_is_made_and_errors_are_one_line(
     monkeypatch: pytest.MonkeyPatch, status: int, printed: str, said: str
 ) -> None:
     done = SimpleNamespace(returncode=status, communicate=lambda timeout: ("", printed))
-    monkeypatch.setattr(reconstruction.subprocess, "Popen", lambda *_, **__: done)
+    monkeypatch.setattr("getagrip.annotate.reconstruction.subprocess.Popen", lambda *_, **__: done)
     if status == 3:
         assert said in reconstruction.run_command(["clip", "new"], BackgroundJob("reconstruct"))
     else:

@@ -58,7 +58,7 @@ def frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         cuda=cuda, device=str, float32="float32", bfloat16="bfloat16", no_grad=nullcontext,
         inference_mode=nullcontext, autocast=lambda device, dtype: nullcontext(), utils=SimpleNamespace(data=data),
     )  # fmt: skip
-    monkeypatch.setitem(sys.modules, "torch", torch)  # type: ignore[arg-type]
+    monkeypatch.setitem(sys.modules, "torch", torch)
     monkeypatch.syspath_prepend(str(SCRIPTS))
     (tmp_path / "images").mkdir()
     for n, name in enumerate(FRAMES):
@@ -176,7 +176,7 @@ def near(frames: Path) -> Path:
 def output(right: float, x: float) -> dict[str, np.ndarray]:
     mirror = np.array([2.0 * right - 1.0, 1.0, 1.0])
     return {
-        "pred_cam_t_full": np.array([[x / 100.0, 0.0, 5.0]]), "scaled_focal_length": np.array(1000.0),  # type: ignore[dict-item]
+        "pred_cam_t_full": np.array([[x / 100.0, 0.0, 5.0]]), "scaled_focal_length": np.array(1000.0),
         "global_orient": np.zeros((1, 1, 3)), "pred_keypoints_3d": np.ones((1, 21, 3)) * mirror,
         "pred_vertices": np.asarray(MANO.v_template)[None] * mirror,
     }  # fmt: skip
@@ -295,7 +295,8 @@ def test_hamer_finds_hands_by_its_own_detector(frames: Path, monkeypatch: pytest
     run(monkeypatch, "hamer", *words)
     assert asked == [(AT, 1.0), ([1.0, 2.0, 30.0, 40.0], 1.0)]
     found = arrays.read(hand, lambda _: True)
-    assert (found["side"], found["frames"].tolist()) == ("right", [7, 8])
+    assert found["side"] == "right"
+    assert found["frames"].tolist() == [7, 8]
 
 
 def test_hamer_looks_about_the_objects_box_where_no_detector_is(frames: Path, monkeypatch: pytest.MonkeyPatch) -> None:
