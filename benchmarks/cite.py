@@ -31,7 +31,6 @@ from statistics import median
 from benchmarks import store
 from benchmarks.store import Cell, Column, Row
 from getagrip.experiments import published
-from getagrip.io.terminal import counted
 from getagrip.reproduction import arctic
 from getagrip.reproduction.arctic import BASELINES
 from getagrip.reproduction.reproduce import OURS
