@@ -211,9 +211,7 @@ def inputs(name: str, *methods: str) -> str:
     for method, of in (each.split("=") for each in methods if "=" in each):
         own = {str(row["label"]): row for row in store.read(of).rows}
         rows |= {label: row for label, row in own.items() if label.startswith(f"{method}, ")}
-        captions.append(
-            f"{METHODS[method]}, on {counted(max(row['clips'] for row in own.values()), 'clip')}: {made(of)}"
-        )
+        captions.append(f"{METHODS[method]}, on {next(iter(own.values()))['clips']} clips: {made(of)}")
     methods = tuple(method.partition("=")[0] for method in methods)
     for setting, words in INPUTS.items():
         those = [rows.get(f"{method}, {setting}", {}) for method in methods]

@@ -22,6 +22,11 @@ DEXYCB = "getagrip bench dexycb --root DEXYCB --meshes YCB --out out/dexycb"
 BENCHES = {
     "dexycb-inputs": f"{DEXYCB} --ablation inputs",
     "dexycb-methods": DEXYCB,
+    "dexycb-final": f"{DEXYCB} --ablation final --methods paper --clips 35",
+    "dexycb-departures": f"{DEXYCB} --ablation departures --clips 35",
+    "dexycb-paper-methods": "getagrip bench dexycb --root DEXYCB --meshes YCB --out out/dexycb-paper --clips 35 "
+    "--methods paper-single-frame paper-homan paper-static paper-dynamic paper single-frame homan static dynamic "
+    "one-dof soft-hinge",
     "dexycb-wrong-evidence": f"{DEXYCB} --ablation wrong-evidence",
     "synthetic-methods": "getagrip bench synthetic --clips 66 --out out/synthetic",
     "dexycb-segments-none": "getagrip bench dexycb-segments --root DEXYCB --meshes YCB --clips 48 "
