@@ -23,7 +23,7 @@ def test_advice_asks_no_question() -> None:
     assert [c.name for c in checks if "?" in c.advice and not c.name.startswith("depth")] == []
 
 
-@pytest.mark.parametrize("name", OF_SHAPE)
+@pytest.mark.parametrize("name", sorted(OF_SHAPE))
 def test_what_another_mesh_would_mend_is_said_of_a_built_in_shape(name: str) -> None:
     check = RESULT_CHECKS.working()[name]
     value = 1e3 if np.isfinite(check.high) else 0.0
