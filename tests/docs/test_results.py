@@ -139,15 +139,15 @@ def test_the_output_of_a_bench_becomes_a_table(tmp_path: Path) -> None:
 def test_counts_are_found_where_the_method_differs_from_row_to_row(tmp_path: Path) -> None:
     variants = ablation_variants("departures", [], Options())
     scores = [Scores(f"c{n}", "can", "", True, tuple(score(v.folder, n % 2) for v in variants)) for n in range(4)]
-    tables, folder = compare(scores, variants), tmp_path / "synthetic"
+    tables, folder = compare(scores, variants), tmp_path / "dexycb"
     folder.mkdir()
     files.write_csv(folder / "departures.csv", csv_rows(tables))
     files.write_csv(folder / "departures-clips.csv", clips_csv_rows(scores, variants))
     (folder / "departures.md").write_text(markdown(tables, "Departures", [], []))
-    table = results.found(folder)["synthetic-departures"]
-    assert [row["label"] for row in table.rows][::8] == ["paper, to the letter", "paper, + soft hinge"]
+    table = results.found(folder)["dexycb-departures"]
+    assert [row["label"] for row in table.rows][1::8] == ["paper, as it is", "paper, + soft hinge"]
     assert all((row["failed"], row["wrong"]) == (0, 2) for row in table.rows)
-    assert table.title == store.read("synthetic-departures").title
+    assert table.title == store.read("dexycb-departures").title
 
 
 def test_a_printed_table_becomes_data(tmp_path: Path) -> None:
