@@ -264,7 +264,7 @@ def leaderboard() -> str:
     for key in dict.fromkeys(
         store.key_of(row) for found, _ in tables.values() for table in found for row in table.rows
     ):
-        rows = {label: _first(found, f"{key}{suffix}") for label, (found, suffix) in tables.items()}
+        rows = {label: _first_row(found, f"{key}{suffix}") for label, (found, suffix) in tables.items()}
         if rows["DexYCB"] is None:
             continue
         cells = ["–" if found is None else _both(*found) for found in rows.values()]
@@ -286,7 +286,7 @@ def beside_paper() -> str:
         for motion in ("ARCTIC's motion", "DexYCB"):
             found = [*map(store.read, MOTIONS[motion][0])]
             for whose, method in (("by the paper's energy", by_paper), ("ours", by_us)):
-                if (row := _first(found[::-1], method)) is not None:
+                if (row := _first_row(found[::-1], method)) is not None:
                     cells = [shown(row[0].column(key), row[1].get(key)) for key in columns.values()]
                     lines.append([f"{group}, {whose}: {motion}", *cells])
     return grid(["", *columns], lines)
@@ -319,7 +319,7 @@ def _row(table: store.Table, key: str) -> Row | None:
     return next((row for row in table.rows if store.key_of(row) == key), None)
 
 
-def _first(tables: Sequence[store.Table], key: str) -> tuple[store.Table, Row] | None:
+def _first_row(tables: Sequence[store.Table], key: str) -> tuple[store.Table, Row] | None:
     """The first table that has a row, and the row."""
     found = ((table, _row(table, key)) for table in tables)
     return next(((table, row) for table, row in found if row is not None), None)

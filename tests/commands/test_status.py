@@ -6,6 +6,7 @@ import csv
 import json
 import os
 import shutil
+import signal
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -45,7 +46,7 @@ def interrupted(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def fit(clip: Clip, masks: object, options: Options, progress: object, threads: int) -> Reconstruction:
         if clip.name == "c":
-            raise KeyboardInterrupt
+            signal.raise_signal(signal.SIGINT)
         given = json.loads(to_json(asdict(options)))
         return replace(perfect(clip), clip=clip.name, options=given, method=options.method, seed=options.seed)
 

@@ -102,10 +102,10 @@ def report_masks(reader: MaskReader, frames: tuple[str, ...], visible: int) -> i
     if visible < FEWEST:
         seen = f"the object is visible in {counted(visible, 'frame')}; reconstruct needs {FEWEST}"
         warn(f"{reader.source}: {seen}")
-    warnings = [*reader.warnings, *(f"no frame has a pixel of {named}" for named in sorted(reader.unmet))]
-    for warning in warnings:
+    for warning in (*reader.warnings, *(f"no frame has a pixel of {named}" for named in sorted(reader.unmet))):
         warn(f"{reader.source}: {warning}")
-    return 3 if warnings or visible < FEWEST else 0
+    amiss = [named for named in reader.unmet if not named.startswith("--hand")]  # a hand may be hidden throughout
+    return 3 if reader.warnings or amiss or visible < FEWEST else 0
 
 
 def write_masks(reader: MaskReader, frames: tuple[str, ...], folder: Path) -> int:

@@ -112,7 +112,7 @@ def test_it_ends_at_the_truth_that_is_among_its_starts(focal: float, free: bool,
     about = problem.clip.mesh.vertices - problem.clip.mesh.centre
     vertices = found.poses.scale[0] * about @ np.swapaxes(found.poses.R[0], 1, 2) + found.poses.centre[0, :, None]
     off = np.linalg.norm(vertices - se3.transform(T_hand_obj, problem.clip.mesh.vertices), axis=-1)
-    assert off.mean() < 0.1 * problem.clip.mesh.diameter
+    assert off.mean() < 0.15 * problem.clip.mesh.diameter
 
 
 @pytest.mark.parametrize("focal", [500.0, 50_000.0])

@@ -255,8 +255,8 @@ def _evaluate(
                 cost += (weight[n, m] - w[n, m]) * missed * (moves or m < on_object[n])
             value[b, n] = cost
             total += cost
-        if total > 0.0:  # else without a sample
-            value[b] *= unit * most * np.log1p(total / most) / total
+        total = max(total, 1e-12)  # without a sample nothing is off
+        value[b] *= unit * most * np.log1p(total / most) / total
         slope = 2.0 * unit / (1.0 + total / most)
         _derive(slope, J, u, left[b], modes, on_object, used, moves, sums, A, tied, g[b], H[b], cross[b])
 

@@ -59,14 +59,15 @@ def per_image(paths: Sequence[Path], request: Request) -> Iterator[tuple[Path, i
     found, other = False, ""
     if len(paths) > 1:
         request.check_numbers(paths[0].parent, [path.stem for path in paths])
-    names = [str(path) for path in paths]
-    check_one_image(paths[0].parent, names, [frame_of(path.stem, request.frames) for path in paths], request.frames)
+    alone: dict[str, int] = {}
     for path in paths:
         frame = frame_of(path.stem, request.frames)
         may_hold_many = path.suffix.lower() in KEYED and (len(paths) == 1 or number_of(path.stem) is None)
         record = records.read(path) if frame is not None or may_hold_many else {}
         named = records.by_image(record)
         if not named and frame is not None:
+            if "track_id" not in record:  # V2D has a folder for each track
+                alone[str(path)] = frame
             found = True
             yield path, frame, record
         for (_, content), frame in zip(named.items(), frames_of_names(path, list(named), request), strict=True):
@@ -76,6 +77,7 @@ def per_image(paths: Sequence[Path], request: Request) -> Iterator[tuple[Path, i
         other = other or next(iter(named), path.name)
     if not found:
         raise no_name(paths, other, request)
+    check_one_image(paths[0].parent, list(alone), list(alone.values()), request.frames)
 
 
 def frames_of_names(path: Path, names: Sequence[str], request: Request) -> list[int | None]:
