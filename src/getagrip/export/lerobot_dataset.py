@@ -53,7 +53,8 @@ class Dataset:
         made = Dataset(folder)
         if folder.is_dir():
             leftovers.sweep(folder)
-        made._catch_up()
+            with locks.holding(folder):  # else another process may add episodes after its description was read
+                made._catch_up()
         if not made.info and folder.exists() and {one.name for one in folder.iterdir()} - {"data", "meta", "videos"}:
             raise InputError(folder, "", "other files", "a dataset of LeRobot, or a new folder")
         return made
