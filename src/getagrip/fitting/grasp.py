@@ -4,17 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from getagrip.checks import Evidence, examine, input_checks, read_signs, result_checks
 from getagrip.clip import Clip
 from getagrip.errors import GetagripError, InputError
 from getagrip.finding import Finding
-from getagrip.fitting.cut_off import cut_off
 from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frames
 from getagrip.fitting.judge import hand_alternatives, probabilities, solved_of
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.outlier_masks import fit_without_outliers
 from getagrip.fitting.pipeline import Answer, Clock, Input, Judgement, Steps
 from getagrip.fitting.problem import MethodResult, Problem, prepare
+from getagrip.fitting.solve import minimise
+from getagrip.result import Status
+
+AGAIN = 256, 8
+"""Resolution [px] and iterations of the usual search's last stage: as many again are made where it was cut off."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +85,28 @@ def _search(prepared: Prepared, clock: Clock) -> Found:
     sampled = at_sampled_frames(problem, found)
     clock("finish")
     return Found(problem, found, sampled)
+
+
+def cut_off(problem: Problem, found: MethodResult) -> float:
+    """Compute how far further iterations would move points of the object's surface, root mean square over frames [m].
+
+    The result stays as it is: only going on tells whether the search stopped early. 0 where it did not stop at the
+    limit; NaN for a method that has no motion of its own.
+    """
+    if found.status is not Status.LIMIT:
+        return 0.0
+    if found.motion is None or found.energy_of is None:
+        return float("nan")
+    terms, motion = (
+        found.energy_of(problem)(AGAIN[0], np.arange(len(problem.clip))),
+        found.motion.take(np.zeros(1, int)),
+    )
+    after = minimise(motion, terms, problem.clip.hand.T_cam_hand, AGAIN[1]).motion.poses()
+    first, then = (
+        poses.scale[0] * problem.surface.points @ np.swapaxes(poses.R[0], -1, -2) + poses.centre[0][:, None]
+        for poses in (found.poses, after)
+    )
+    return float(np.sqrt(np.mean(np.sum((then - first) ** 2, axis=-1))))
 
 
 def _fit_all_frames(prepared: Prepared, found: Found, clock: Clock) -> Answer:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from getagrip.clip import with_masks
-from getagrip.fitting.cut_off import cut_off
+from getagrip.fitting.grasp import cut_off
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.fitting.pipeline import Answer, _ending
