@@ -287,6 +287,12 @@ def test_broken_lists_are_named(tmp_path, changes, named):
         lists.read(timelines(tmp_path / "hit.json", **changes))
 
 
+def test_only_what_is_in_a_hand_is_a_grasp(tmp_path):
+    kinds = [("inhand", "left"), ("scene_dynamic", "left"), ("scene_static", None)]
+    segments = [{"st": 10 * n, "ed": 10 * n + 5, "ref": ref, "side": side} for n, (ref, side) in enumerate(kinds)]
+    assert [one.first for one in lists.read(timelines(tmp_path / "hit.json", segments=segments)).grasps] == [0]
+
+
 @pytest.mark.parametrize("content", [b"", b"{}", b"[" * 100_000, b"\xff", b"[3]", b"null"])
 def test_what_is_no_list_is_refused(tmp_path, content):
     (tmp_path / "hit.json").write_bytes(content)

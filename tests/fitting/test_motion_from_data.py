@@ -51,6 +51,15 @@ def test_the_axis_of_a_hinge_is_found_in_its_deviations(arm: float) -> None:
     np.testing.assert_allclose(found.poses().centre, true.poses().centre, atol=0.1 * arm + 1e-9)
 
 
+def test_the_axis_is_that_of_the_changes_whatever_all_frames_share() -> None:
+    rng = np.random.default_rng(3)
+    direction, shared = rng.normal(size=(2, 2, 3)) / 9.0
+    w = shared[:, None] + np.linspace(-1.0, 1.0, 8)[:, None] * direction[:, None]
+    motion = replace(relaxed(hinge()), deviation=np.concatenate([np.zeros_like(w), w], axis=-1))
+    found = nearest(motion, free_location=True, anchor=np.zeros(3))
+    np.testing.assert_allclose(np.linalg.norm(np.cross(found.direction, direction), axis=1), 0.0, atol=1e-12)
+
+
 def test_an_axis_at_its_place_goes_through_the_anchor() -> None:
     anchor = np.array([0.1, 0.2, 0.3])
     found = nearest(relaxed(hinge()), free_location=False, anchor=anchor)
@@ -99,3 +108,14 @@ def test_free_poses_turn_steadily_between_frames() -> None:
     more = Free(R[:, old], centre[:, old], np.zeros(1)).resampled(old, new)
     np.testing.assert_allclose(more.R, R, atol=1e-12)
     np.testing.assert_allclose(more.centre, centre, atol=1e-12)
+
+
+def test_free_poses_follow_the_two_nearest_frames_and_go_on_so_beyond_the_ends() -> None:
+    rng = np.random.default_rng(4)
+    old, new = np.array([2, 4, 8]), np.arange(11)
+    motion = Free(se3.exp_so3(rng.normal(0.0, 0.3, (1, 3, 3))), rng.normal(size=(1, 3, 3)), np.zeros(1))
+    more = motion.resampled(old, new)
+    for two, near in ((slice(0, 2), new < 4), (slice(1, 3), new >= 4)):
+        alone = replace(motion, R=motion.R[:, two], centre=motion.centre[:, two]).resampled(old[two], new[near])
+        np.testing.assert_array_equal(more.R[:, near], alone.R)
+        np.testing.assert_array_equal(more.centre[:, near], alone.centre)

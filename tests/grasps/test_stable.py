@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 
 from getagrip.errors import UsageError
 from getagrip.grasps import stable as grasps
-from getagrip.grasps.definition import RULES
+from getagrip.grasps.definition import RULES, Definition
 from getagrip.grasps.stable import PairwiseIou, contact_iou, stable_grasps
 from getagrip.metrics.contact import pairwise_iou
 
@@ -166,3 +166,9 @@ def test_wrong_options_are_named() -> None:
     for wrong in ({"tau": 1.0}, {"tau": -0.1}, {"tau": np.nan}, {"shortest": 0}, {"rule": "some"}):
         with pytest.raises(UsageError, match=next(iter(wrong))):
             stable_grasps(iou, **wrong)
+
+
+def test_a_grasp_may_be_as_short_as_one_frame() -> None:
+    assert Definition(shortest=1).shortest == 1
+    with pytest.raises(UsageError, match="shortest"):
+        Definition(shortest=0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -111,3 +113,9 @@ def test_a_contour_point_moves_as_its_derivative_says() -> None:
             return float(nx * (K[0] * Y[0] / Y[2] + K[2]) + ny * (K[1] * Y[1] / Y[2] + K[3]))
 
         assert a[k] == pytest.approx((along(1e-6) - along(-1e-6)) / 2e-6, rel=1e-5)
+
+
+def test_pixels_beyond_the_mask_are_neither_set_nor_read() -> None:
+    bits, places = pack(np.ones((64, 64), bool)), [-np.inf, -1e9, -0.1, 0.0, 63.9, 64.0, 1e9, np.inf, np.nan]
+    for x, y in product(places, places):
+        assert bool(contour._is_set.py_func(bits, x, y)) == (0.0 <= x < 64.0 and 0.0 <= y < 64.0)

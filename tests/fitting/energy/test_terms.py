@@ -90,3 +90,15 @@ def test_where_the_camera_stands_does_not_matter(kind: str) -> None:
 def test_hypotheses_do_not_know_of_each_other(kind: str) -> None:
     rng = np.random.default_rng(10)
     hypotheses_are_independent(some_term(kind, rng), random_poses(rng))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_some_hypotheses_are_overwritten_whole(kind: str) -> None:
+    rng = np.random.default_rng(12)
+    term = some_term(kind, rng)
+    one, other = (term(poses, no_bound(poses)) for poses in (random_poses(rng), random_poses(rng)))
+    kept, index = one.take(np.array([0])), np.array([1])
+    one.put(index, other.take(index))
+    for part in ("value", "g", "H", "cross"):
+        new, first, second = (getattr(of, part) for of in (one, kept, other.take(index)))
+        assert new is None or np.array_equal(new, np.concatenate([first, second]))
