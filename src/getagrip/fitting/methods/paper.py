@@ -57,8 +57,9 @@ ITERATIONS = 200
 """Iterations of Adam; for Levenberg-Marquardt, which stops by itself, the limit."""
 RATE = 0.05
 """Adam's, at the start [rad a step], falling to zero. Of 0.01 with 50 iterations (the authors'), and 0.03, 0.05 and 0.1
-with 100 to 200, this ends at the truth most often where the truth is among the starts (synthetic mugs and bottles). From
-uniform starts (four training clips of DexYCB) 150 iterations of it end with up to 4 % more energy than 200 from 0.1."""
+with 100 to 200, this ends at the truth most often where the truth is among the starts (synthetic mugs and bottles).
+From uniform starts (four training clips of DexYCB) 150 iterations of it end with up to 4 % more energy than 200 from
+0.1."""
 ALONE_ITERATIONS = 50
 """HOMan's, of the object alone in each frame: those of its published code."""
 KEEP = 4

@@ -87,9 +87,7 @@ def initial_of_frame(problem: Problem, n: int) -> Fixed:
     """Return the initial poses of one frame."""
     here = np.array([n])
     masks = Masks(problem.masks.object[here], problem.masks.ignore[here])
-    return initial_poses(
-        problem.clip.take(here), masks, problem.inits, problem.options.seed, problem.prior_poses
-    )  # fmt: skip
+    return initial_poses(problem.clip.take(here), masks, problem.inits, problem.options.seed, problem.prior_poses)
 
 
 def _best_of_frame(problem: Problem, n: int, energy: Energy) -> Solution[Fixed]:
