@@ -14,7 +14,7 @@ from pathlib import Path
 
 from benchmarks.store import Table, of_cells
 from getagrip.clip import write_clip
-from getagrip.datasets.synthetic.categories import CATEGORIES
+from getagrip.datasets.synthetic.categories import SYNTHETIC_CATEGORIES
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 
@@ -32,7 +32,7 @@ def tables() -> dict[str, Table]:
     with tempfile.TemporaryDirectory() as folder:
         clips = Path(folder) / "clips"
         for n in range(CLIPS):
-            clip, masks = synthesise(list(CATEGORIES)[n % len(CATEGORIES)], n, SCENE)
+            clip, masks = synthesise(list(SYNTHETIC_CATEGORIES)[n % len(SYNTHETIC_CATEGORIES)], n, SCENE)
             write_clip(clip, masks, clips / str(n))
         _run(clips, Path(folder) / "warm", ("--shard", f"1/{CLIPS}"))  # compiles
         took = {}

@@ -13,7 +13,7 @@ import sys
 import tempfile
 
 from benchmarks.store import Table, of_cells
-from getagrip.compiling import GROUPS
+from getagrip.compiling import KERNEL_GROUPS
 
 CHILD = """
 import json, sys, time
@@ -47,7 +47,7 @@ print(json.dumps({"all": time.process_time(), "kernels": spent}))
 def tables() -> dict[str, Table]:
     """Measure."""
     rows, total = [], 0.0
-    for group in GROUPS:
+    for group in KERNEL_GROUPS:
         with tempfile.TemporaryDirectory() as empty:
             command = [sys.executable, "-c", CHILD, *group]
             environment = os.environ | {"NUMBA_CACHE_DIR": empty}

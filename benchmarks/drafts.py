@@ -26,13 +26,13 @@ from numpy import ndarray
 from benchmarks.store import ROOT, Table, of_cells
 from benchmarks.timing import timed
 from getagrip.annotate import labels
-from getagrip.annotate.boxes import moving_in_box
+from getagrip.annotate.boxes import segment_box_by_motion
 from getagrip.annotate.carried_masks import Hands, Images
 from getagrip.annotate.footage import Footage
-from getagrip.annotate.labels import OBJECT, FrameLabels, Labels
-from getagrip.annotate.propagated_masks import propagate
-from getagrip.annotate.strokes import key_masks
-from getagrip.annotate.video import Video
+from getagrip.annotate.labels import OBJECT_LABEL, FrameLabels, Labels
+from getagrip.annotate.propagated_masks import propagate_labels
+from getagrip.annotate.strokes import keyframe_label_maps
+from getagrip.annotate.video import VideoFootage
 
 DATA = ROOT / "shared" / "data"
 POLYGONS = Path(__file__).with_name("polygons")
@@ -131,7 +131,7 @@ def _result(name: str, video: Path) -> Rows:
     it = OTHERS[name]
     with TemporaryDirectory() as temporary:
         steps = _kept(it, Path(temporary), list(islice(made_by(it, video, Path(temporary)), 5)))  # without a report
-    drawn, cpu = len(labels.read(it.shown).frames), sum(float(row[1]) for row in steps)
+    drawn, cpu = len(labels.read_label_file(it.shown).frames), sum(float(row[1]) for row in steps)
     return [[name, str(it.frames), str(drawn), steps[-1][2], f"{cpu:.0f}"]]
 
 
@@ -183,20 +183,20 @@ def _rows(names: Iterable[str], measure: Callable[[str, Path], Rows]) -> tuple[l
 
 
 def _labels(name: str) -> Labels:
-    return labels.read(KITCHEN if name == "kitchen_plate" else POLYGONS / f"{name}.json")
+    return labels.read_label_file(KITCHEN if name == "kitchen_plate" else POLYGONS / f"{name}.json")
 
 
 def _again(name: str) -> Labels:
     """Return what was drawn and clicked again on some of the frames, from these alone."""
-    return labels.read(POLYGONS / f"{name}-again.json")
+    return labels.read_label_file(POLYGONS / f"{name}-again.json")
 
 
 def _landmarks(name: str, path: Path) -> Rows:
     """Return the cells of a video's row: how often the left hand is found, and how far from clicked joints."""
     from getagrip.annotate.finding_hands import find_landmarks
-    from getagrip.landmarks import load
+    from getagrip.landmarks import load_models
 
-    nets, video = load(None), Video(path)
+    nets, video = load_models(None), VideoFootage(path)
     images = [video.image(n) for n in range(video.frames)]  # decoding is not measured
     video.close()
     footage = cast(Footage, SimpleNamespace(image=images.__getitem__, name=str))
@@ -220,7 +220,7 @@ def _apart(one: Mapping[int, Float[ndarray, "21 2"]], other: Mapping[int, Float[
 
 def _masks(name: str, path: Path) -> Rows:
     """Return the cells of a video's row."""
-    given, keys, video = _labels(name), KEYS[name], Video(path)
+    given, keys, video = _labels(name), KEYS[name], VideoFootage(path)
     try:
         hand = found_hand(path)
         timing, (found,) = timed(lambda: held_back(given, keys, video.image, hand))
@@ -238,17 +238,17 @@ def _clicks(name: str, path: Path) -> Rows:
     """Return the cells of a video's rows: the outline's box, a click in its middle, as deep inside as can be."""
     import cv2
 
-    given, keys, video = _labels(name), KEYS[name], Video(path)
+    given, keys, video = _labels(name), KEYS[name], VideoFootage(path)
     drawn, rows, middle = given.label_maps(), [], keys[len(keys) // 2]
     try:
         hand = found_hand(path)
-        box = cv2.boundingRect((drawn[middle] == OBJECT).astype(np.uint8))
-        found = moving_in_box(video.image, middle, (given.first, given.last), box, hand(middle)) == OBJECT
-        cuts = {"a box": {middle: np.where(found, np.uint8(OBJECT), np.uint8(0))}}
+        box = cv2.boundingRect((drawn[middle] == OBJECT_LABEL).astype(np.uint8))
+        found = segment_box_by_motion(video.image, middle, (given.first, given.last), box, hand(middle)) == OBJECT_LABEL
+        cuts = {"a box": {middle: np.where(found, np.uint8(OBJECT_LABEL), np.uint8(0))}}
         for some in ((middle,), keys):
-            clicked = {n: FrameLabels(on=(_deepest(drawn[n] == OBJECT)[None],)) for n in some}
+            clicked = {n: FrameLabels(on=(_deepest(drawn[n] == OBJECT_LABEL)[None],)) for n in some}
             shown = f"{len(some)} click{'s' * (len(some) > 1)}"
-            cuts[shown] = key_masks(replace(given, frames=clicked), video.image, hand)
+            cuts[shown] = keyframe_label_maps(replace(given, frames=clicked), video.image, hand)
         for shown, cut in cuts.items():
             scores = ious(held_back(given, keys, video.image, hand, cut), drawn)
             counts = f"{given.last - given.first + 1}", f"{np.mean(ious(cut, drawn)):.3f}", str(len(scores))
@@ -272,13 +272,13 @@ def held_back(
     """Propagate the masks ``shown``, by default what is drawn on ``keys``; return those of the other drawn frames."""
     drawn = given.label_maps()
     shown = {n: drawn[n] for n in keys} if shown is None else shown
-    found = propagate(image, shown, given.first, given.last, hand=hand)
+    found = propagate_labels(image, shown, given.first, given.last, hand=hand)
     return {n: mask for n, mask, _ in found if n in drawn and n not in keys}
 
 
 def ious(one: LabelMaps, other: LabelMaps) -> list[float]:
     """Intersection over union of the object, in each frame of both."""
-    both = [(one[n] == OBJECT, other[n] == OBJECT) for n in sorted(one.keys() & other.keys())]
+    both = [(one[n] == OBJECT_LABEL, other[n] == OBJECT_LABEL) for n in sorted(one.keys() & other.keys())]
     return [float((a & b).sum() / max((a | b).sum(), 1)) for a, b in both]
 
 
@@ -287,11 +287,11 @@ def found_hand(path: Path) -> Hands:
     """Find the hand in a video as ``getagrip draft`` does, once for all tables; nothing is known without one."""
     from getagrip.annotate.finding_hands import find_landmarks
     from getagrip.errors import GetagripError
-    from getagrip.landmarks import hand_mask, load
+    from getagrip.landmarks import hand_mask, load_models
 
-    given, video = _labels(path.stem), Video(path)
+    given, video = _labels(path.stem), VideoFootage(path)
     try:
-        found = find_landmarks(video, (given.first, given.last), load(None), given.side)
+        found = find_landmarks(video, (given.first, given.last), load_models(None), given.side)
         there = ((given.first + row, found.points[row]) for row in found.rows)
         return {n: hand_mask(video.image(n), points) for n, points in there}.get
     except GetagripError:

@@ -25,17 +25,17 @@ from benchmarks.kept_rows import REAL, REAL_APART, SYNTHETIC, Row, read
 from benchmarks.probability import stored, write
 from benchmarks.reliability import auroc, auroc_interval, calibration_error, fit_weights, least_error
 from benchmarks.timing import circumstances
-from getagrip.checks.calibrated import CALIBRATIONS, CORRECTED, FILE, KEEPING
+from getagrip.checks.calibrated import CALIBRATION_FILE, CALIBRATIONS, CORRECTED_CALIBRATIONS, KEEP_THRESHOLDS
 from getagrip.checks.calibration import Calibration, Where
-from getagrip.checks.keeping import InputKind, Keeping
-from getagrip.checks.signs import ESTIMATED_SIGNS
-from getagrip.experiments.comparison import LEVEL
+from getagrip.checks.keeping import InputKind, KeepThresholds
+from getagrip.checks.signs import ESTIMATED_FEATURES
+from getagrip.experiments.comparison import CONFIDENCE_LEVEL
 from getagrip.fitting.options import Options
-from getagrip.io.code import stamp
+from getagrip.io.code import date_and_commit
 from getagrip.probability import Probability
 
 METHOD = Options().method
-Kept = Mapping[tuple[InputKind, Where], Keeping]
+Kept = Mapping[tuple[InputKind, Where], KeepThresholds]
 KEPT = 0.95
 """Share of right results in the table."""
 MEASURED = ("measured", "corrected")
@@ -62,14 +62,14 @@ class Results(probability.Results):
     def fitted(self, made: str) -> probability.Fit:
         """Fit the weights of the signs."""
         every = Results([*self.rows, *self.synthetic], self.where)
-        own = [[row["signs"][sign.name] for sign in ESTIMATED_SIGNS] for row in every.rows]
+        own = [[row["signs"][sign.name] for sign in ESTIMATED_FEATURES] for row in every.rows]
         signs = np.column_stack([own, np.arange(len(own)) >= len(self.rows)])
-        weights, bias = fit_weights(signs, every.right, [*(sign.direction for sign in ESTIMATED_SIGNS), 0])
+        weights, bias = fit_weights(signs, every.right, [*(sign.direction for sign in ESTIMATED_FEATURES), 0])
         named = {"train": "training clips of DexYCB", REAL: "clips of ARCTIC with an estimator's hands"}
         counts = [f"{len(of.rows)} of {of.clips} {named[part]}" for part in named if (of := self.only(part=part)).rows]
         right, more = f"{100.0 * self.right.mean():.0f} % of {len(self.rows)} results are right", len(self.synthetic)
         data = f"{' and '.join(counts)} ({right}), and {more} synthetic ones, with and without 2D joints and depth"
-        by_sign = {sign.name: weight for sign, weight in zip(ESTIMATED_SIGNS, weights[:-1], strict=True)}
+        by_sign = {sign.name: weight for sign, weight in zip(ESTIMATED_FEATURES, weights[:-1], strict=True)}
         return {"estimated": Calibration(self.where, by_sign, bias, data, made)}
 
 
@@ -104,7 +104,10 @@ def lines(rows: Sequence[Row], fitted: Mapping[Where, Calibration], keeping: Kep
         p, estimated = p[[row["part"] == part for row in estimated.rows]], estimated.only(part=part)
         label = f"{part}, in the {where}"
         if measured.rows:
-            fit: probability.Fit = {"measured": CALIBRATIONS[METHOD, where], "corrected": CORRECTED[METHOD, where]}
+            fit: probability.Fit = {
+                "measured": CALIBRATIONS[METHOD, where],
+                "corrected": CORRECTED_CALIBRATIONS[METHOD, where],
+            }
             exact = measured.probability(fit)
             yield line(f"{label}, measured hands", measured, exact, keeping)
         if not estimated.rows:
@@ -143,13 +146,13 @@ def _share(what: Bool[ndarray, "n"], among: Bool[ndarray, "n"], weights: Float[n
         return f"{share:.0f}"
     of = weights[:, among].sum(axis=1)
     drawn = 100.0 * (weights[:, among] @ what[among])[of > 0] / of[of > 0]
-    low, high = np.quantile(drawn, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
+    low, high = np.quantile(drawn, [(1.0 - CONFIDENCE_LEVEL) / 2.0, (1.0 + CONFIDENCE_LEVEL) / 2.0])
     return f"{share:.0f} [{low:.0f}, {high:.0f}]"
 
 
 def calibrated(rows: Sequence[Row], made: str) -> tuple[Mapping[Where, Calibration], Kept]:
     """Fit the training part."""
-    estimated, keeping = dict[Where, Calibration](), dict[tuple[InputKind, Where], Keeping]()
+    estimated, keeping = dict[Where, Calibration](), dict[tuple[InputKind, Where], KeepThresholds]()
     for where in get_args(Where):
         train = of_part(rows, "train", where)
         every = train.estimated
@@ -172,8 +175,8 @@ def by_evidence(rows: Sequence[Row]) -> Iterator[list[str]]:
 def main(file: Path) -> None:
     """Fit, and write both down."""
     rows = read(file)
-    estimated, keeping = calibrated(rows, stamp())
-    write(FILE, keeping, estimated=stored(estimated.values()))
+    estimated, keeping = calibrated(rows, date_and_commit())
+    write(CALIBRATION_FILE, keeping, estimated=stored(estimated.values()))
     makers = ", ".join(sorted({row["made"] for row in rows if row["part"] != SYNTHETIC}))
     counts = [sum(row["part"] == part and not row["serious"] for row in rows) for part in (*PARTS, SYNTHETIC)]
     notes = (
@@ -188,7 +191,9 @@ def main(file: Path) -> None:
         f"all 70 validation clips, by {makers}; intervals: 95 %, clips drawn together",
     )
     tables = {
-        "kept": store.of_cells("What is kept", ("input", *HEADER), [*lines(rows, estimated, KEEPING | keeping)], notes),
+        "kept": store.of_cells(
+            "What is kept", ("input", *HEADER), [*lines(rows, estimated, KEEP_THRESHOLDS | keeping)], notes
+        ),
         "evidence-validation": store.of_cells("Evidence on hands", header, [*by_evidence(rows)], settings),
     }
     made = circumstances("python -m benchmarks.kept ROWS")

@@ -20,31 +20,31 @@ from zlib import crc32
 import numpy as np
 from numpy import ndarray
 
-from getagrip.batch.executor import cores, in_processes
-from getagrip.batch.share import Share
+from getagrip.batch.executor import available_cores, run_in_processes
+from getagrip.batch.share import SchedulingOptions
 from getagrip.checks.keeping import kind_of_input
 from getagrip.checks.signs import was_corrected
 from getagrip.clip import Clip, read_clip, read_masks, write_clip
-from getagrip.datasets.synthetic.categories import CATEGORIES
-from getagrip.datasets.synthetic.noise import NOISE
+from getagrip.datasets.synthetic.categories import SYNTHETIC_CATEGORIES
+from getagrip.datasets.synthetic.noise import NOISE_PRESETS
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
-from getagrip.datasets.tracks import subject_of
+from getagrip.datasets.tracks import subject_from_clip_name
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_CAM, Metric
 from getagrip.experiments.changes import UNCHANGED, Change, EstimatedHands, Several
 from getagrip.experiments.simulated_evidence import SimulatedDepth, SimulatedJoints
-from getagrip.experiments.sources import samples
+from getagrip.experiments.sources import sample_clips
 from getagrip.experiments.sources.recorded import DexYcb
 from getagrip.fitting.options import Options
-from getagrip.io.code import stamp
+from getagrip.io.code import date_and_commit
 from getagrip.provenance import kind_of_hands
 from getagrip.result import Reconstruction
 from getagrip.timelines.reconstruct import reconstruct
 
 ROWS, END = "rows.jsonl", "\t"
 """The file, and what ends a row in it that was not cut off; no JSON has it."""
-ESTIMATED = EstimatedHands(replace(NOISE["estimated"], mask_ragged_px=0.0))
+ESTIMATED = EstimatedHands(replace(NOISE_PRESETS["estimated"], mask_ragged_px=0.0))
 JOINTS = "landmarks", "wild", "lab"
 """Levels of the errors of 2D joints, by seed: results are to be kept at any of them."""
 SYNTHETIC, SCENES = "synthetic", range(300_000, 300_011)
@@ -98,9 +98,9 @@ class Case:
 
 def cases(clips: Path, root: Path, meshes: Path, workers: int, most: int) -> Iterator[Case]:
     """Yield all cases, the first seed of all clips first."""
-    share = Share(workers=workers)
+    share = SchedulingOptions(workers=workers)
     sources = {part: DexYcb(split=part, root=root, meshes=meshes) for part in SEEDS}
-    parts = {part: samples(source, clips, most, False, share)[0] for part, source in sources.items()}
+    parts = {part: sample_clips(source, clips, most, False, share)[0] for part, source in sources.items()}
     for seed in range(max(SEEDS.values())):
         for part, found in parts.items():
             for sample, condition in product(found, conditions(seed)):
@@ -110,8 +110,8 @@ def cases(clips: Path, root: Path, meshes: Path, workers: int, most: int) -> Ite
 
 def scenes(clips: Path, workers: int) -> Iterator[Case]:
     """Make the synthetic clips, and yield their cases with estimated hands, each of one draw."""
-    jobs = [(clips, n, category, seed) for seed in SCENES for n, category in enumerate(CATEGORIES)]
-    folders = dict(in_processes(scene, jobs, workers))
+    jobs = [(clips, n, category, seed) for seed in SCENES for n, category in enumerate(SYNTHETIC_CATEGORIES)]
+    folders = dict(run_in_processes(scene, jobs, workers))
     for n, job in enumerate(jobs):
         draw = n % len(JOINTS)
         estimated = [each for each in conditions(draw) if not each.startswith("exact")]
@@ -150,7 +150,7 @@ def row(case: Case) -> Row | None:
         print(f"{case}: {error}", file=sys.stderr)
         return None
     return {
-        "clip": clip.name, "subject": subject_of(clip.name), "category": clip.category, "part": case.part,
+        "clip": clip.name, "subject": subject_from_clip_name(clip.name), "category": clip.category, "part": case.part,
         "condition": case.condition, "seed": case.seed, **described(result, clip),
     }  # fmt: skip
 
@@ -161,7 +161,7 @@ def described(result: Reconstruction, clip: Clip) -> Row:
     in_hand = in_camera if result.hand_alternatives is None else [(T, result.scale) for T in result.in_hand]
     terms, depth = {*result.energy, *result.hand_energy}, result.signs.get("depth-images", 0.0)
     return {
-        "made": stamp(),
+        "made": date_and_commit(),
         "kind": kind_of_input(kind_of_hands(clip.provenance), terms, depth, was_corrected(result.signs)),
         "serious": [finding.check for finding in result.findings if finding.serious],
         "signs": result.signs, "checks": result.checks, "hand_energy": result.hand_energy,
@@ -187,7 +187,7 @@ def collect(
     done = {tuple(one[key] for key in by) for one in read(file)}
     missing = [case for case in every if case.key not in done]
     with file.open("a", encoding="utf-8") as stream:
-        for n, (case, new) in enumerate(in_processes(run, missing, workers), start=1):
+        for n, (case, new) in enumerate(run_in_processes(run, missing, workers), start=1):
             if new is not None:
                 stream.write(f"\n{json.dumps(new)}{END}")
                 stream.flush()
@@ -203,7 +203,7 @@ def read(file: Path) -> list[Row]:
 
 def main(out: Path, clips: Path, root: Path, meshes: Path, workers: int | None = None, most: int = 1000) -> None:
     """Import the clips, and collect the rows."""
-    workers = workers or cores()
+    workers = workers or available_cores()
     every = [*real(clips / REAL), *cases(clips, root, meshes, workers, most), *scenes(clips / SYNTHETIC, workers)]
     collect(out / ROWS, every, ("clip", "condition", "seed"), row, workers)
 

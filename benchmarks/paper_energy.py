@@ -18,18 +18,18 @@ from scipy.spatial import cKDTree
 from benchmarks import store
 from benchmarks.timing import circumstances
 from getagrip.clip import Clip, with_masks
-from getagrip.datasets.synthetic.noise import NOISE
+from getagrip.datasets.synthetic.noise import NOISE_PRESETS
 from getagrip.datasets.synthetic.scene import make_scene, synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
-from getagrip.datasets.synthetic.splits import SEEDS, split
+from getagrip.datasets.synthetic.splits import SPLIT_SEEDS, clips_of_split
 from getagrip.fitting.energy.paper_push import TangentPlanes
 from getagrip.fitting.methods import paper
-from getagrip.fitting.objective import mask_of, plus
+from getagrip.fitting.objective import mask_energy, sum_energies
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import MethodResult, Problem, prepare
-from getagrip.fitting.solve import in_camera
+from getagrip.fitting.problem import MethodResult, Problem, prepare_problem
+from getagrip.fitting.solve import poses_in_camera
 from getagrip.geometry import se3
-from getagrip.reproduction.epic import FOCAL
+from getagrip.reproduction.epic import VISOR_FOCAL_PX
 from getagrip.reproduction.tables import published
 
 STARTS = 6
@@ -75,11 +75,13 @@ READINGS = {
 def problems() -> Iterator[Problem]:
     """Make the clips."""
     epic = published()["Table 3"]["groups"]["1-DoF"]
-    for category, seed, options in split("train", "measured"):
-        if category in epic and seed in SEEDS["train"][:EACH]:
-            clip, masks = synthesise(category, seed, replace(options, **asdict(NOISE["estimated"])))
+    for category, seed, options in clips_of_split("train", "measured"):
+        if category in epic and seed in SPLIT_SEEDS["train"][:EACH]:
+            clip, masks = synthesise(category, seed, replace(options, **asdict(NOISE_PRESETS["estimated"])))
             starts = grasps(category, options)
-            problem = prepare(with_masks(seen_from_afar(clip), masks), Options(method="paper", inits=len(starts)))
+            problem = prepare_problem(
+                with_masks(seen_from_afar(clip), masks), Options(method="paper", inits=len(starts))
+            )
             yield replace(problem, prior_poses=starts)
 
 
@@ -87,7 +89,7 @@ def grasps(category: str, options: SceneOptions) -> Float[ndarray, "k 4 4"]:
     """Return poses of the object in the hand in other clips of the category, in their middle frames."""
     found = []
     for seed in range(STARTS):
-        truth = make_scene(category, SEEDS["train"].stop + seed, replace(options, grip_deg=12.0)).clip.truth
+        truth = make_scene(category, SPLIT_SEEDS["train"].stop + seed, replace(options, grip_deg=12.0)).clip.truth
         assert truth is not None
         found.append((se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj)[len(truth.T_cam_obj) // 2])
     return np.stack(found)
@@ -96,17 +98,17 @@ def grasps(category: str, options: SceneOptions) -> Float[ndarray, "k 4 4"]:
 def seen_from_afar(clip: Clip) -> Clip:
     """Place the hand where an estimator of HaMeR's focal length has it: as large in the image, farther away."""
     T, K = clip.hand.T_cam_hand.copy(), clip.K.copy()
-    T[:, 2, 3] *= FOCAL / K[:, 0, 0]
-    K[:, [0, 1], [0, 1]] = FOCAL
+    T[:, 2, 3] *= VISOR_FOCAL_PX / K[:, 0, 0]
+    K[:, [0, 1], [0, 1]] = VISOR_FOCAL_PX
     return replace(clip.with_hand_at(T), K=K)
 
 
 def fitted(problem: Problem, reading: Reading, weight: float) -> MethodResult:
     """Fit the paper's 1-DoF by a reading of its energy."""
-    energy = mask_of(problem)
+    energy = mask_energy(problem)
     if weight:
         push, pull = reading.weights(problem, weight)
-        energy = plus(energy, paper.paper_push_of(problem, push), paper.paper_pull_of(problem, pull))
+        energy = sum_energies(energy, paper.paper_push_of(problem, push), paper.paper_pull_of(problem, pull))
     return paper.hinge(problem, lambda _: None, energy)
 
 
@@ -114,7 +116,7 @@ def measured(problem: Problem, found: MethodResult) -> Mapping[str, float]:
     """Measure a result: IOU in the crops, scale, and what push would be by the three nearest contact vertices."""
     assert found.motion is not None
     assert problem.clip.truth is not None
-    poses = in_camera(found.motion, problem.clip.hand.T_cam_hand)
+    poses = poses_in_camera(found.motion, problem.clip.hand.T_cam_hand)
     mesh, planes = problem.surface.coarse, TangentPlanes.of(problem.clip.hand)
     push = np.zeros(2)
     for n, (R, centre) in enumerate(zip(poses.R[0], poses.centre[0], strict=True)):
@@ -152,7 +154,7 @@ def main() -> None:
             {"label": f"{name}, weight {PAPER[weight]}", "iou": round(iou, 1), "lost": round(nothing - iou, 1),
              "scale": round(float(np.median([one["scale"] for one in of])), 2), "push_of_three": round(three / push, 2)}
         )  # fmt: skip
-    about = f"{len(of)} synthetic training clips of {len(of) // EACH} categories; {paper.ITERATIONS} iterations of Adam"
+    about = f"{len(of)} synthetic training clips of {len(of) // EACH} categories; {paper.PAPER_ITERATIONS} iterations of Adam"
     title = "Readings of the paper's push and pull beside its Table 5"
     made = circumstances("python -m benchmarks.paper_energy")
     print(store.write("paper-energy", store.Table(title, made, COLUMNS, rows, notes=(about,))))

@@ -30,15 +30,15 @@ from benchmarks.reliability import auroc, auroc_interval, bins, calibration_erro
 from benchmarks.signed_results import ALWAYS, KEY, OTHER, cases, row
 from benchmarks.store import Table
 from benchmarks.timing import circumstances
-from getagrip.batch.executor import cores
-from getagrip.checks.calibrated import ESTIMATED, FILE, KEEPING
+from getagrip.batch.executor import available_cores
+from getagrip.checks.calibrated import CALIBRATION_FILE, ESTIMATED_CALIBRATIONS, KEEP_THRESHOLDS
 from getagrip.checks.calibration import Calibration, Where
-from getagrip.checks.keeping import SHARES, InputKind, Keeping, least_kept, least_of_sets
-from getagrip.checks.signs import CORRECTED_SIGNS, ESTIMATED_SIGNS, SIGNS, Sign
-from getagrip.experiments.comparison import resamples
+from getagrip.checks.keeping import KEEP_SHARES, InputKind, KeepThresholds, candidate_set_thresholds, keep_threshold
+from getagrip.checks.signs import CORRECTED_FEATURES, ESTIMATED_FEATURES, FEATURES, Feature
+from getagrip.experiments.comparison import bootstrap_resamples
 from getagrip.fitting.options import Options
-from getagrip.io.code import stamp
-from getagrip.probability import HOLDS
+from getagrip.io.code import date_and_commit
+from getagrip.probability import CANDIDATE_SET_COVERAGE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,8 +64,8 @@ RIDGE = 10.0
 Hands = Literal["measured", "corrected", "estimated"]
 Fit = Mapping[Hands, Calibration]
 """A calibration for each kind of hands that was fitted."""
-SIGNS_OF: Mapping[Hands, Sequence[Sign]] = {
-    "measured": SIGNS, "corrected": CORRECTED_SIGNS, "estimated": ESTIMATED_SIGNS,
+SIGNS_OF: Mapping[Hands, Sequence[Feature]] = {
+    "measured": FEATURES, "corrected": CORRECTED_FEATURES, "estimated": ESTIMATED_FEATURES,
 }  # fmt: skip
 
 INPUTS_OF: Mapping[Hands, str] = {
@@ -110,7 +110,7 @@ class Results:
     @property
     def weights(self) -> Float[ndarray, "B n"]:
         """How often each is in each bootstrap resample; results of a clip are drawn together."""
-        return resamples([row["clip"] for row in self.rows])
+        return bootstrap_resamples([row["clip"] for row in self.rows])
 
     def only(self, **what: object) -> Results:
         """Those with some entries."""
@@ -150,11 +150,13 @@ class Results:
             out[of == category] = self.only(category=category).probability(self.without(category).fitted(""))
         return out
 
-    def keeping(self, probability: Float[ndarray, "n"], reserve: float = 0.0) -> Keeping:
+    def keeping(self, probability: Float[ndarray, "n"], reserve: float = 0.0) -> KeepThresholds:
         """Choose the thresholds, with some share of the errors that they allow in reserve."""
-        least = {share: least_kept(probability, self.right, share + reserve * (1.0 - share)) for share in SHARES}
-        sets = least_of_sets(probability, self.rank, HOLDS)
-        return Keeping({share: p for share, p in least.items() if np.isfinite(p)}, sets)
+        least = {
+            share: keep_threshold(probability, self.right, share + reserve * (1.0 - share)) for share in KEEP_SHARES
+        }
+        sets = candidate_set_thresholds(probability, self.rank, CANDIDATE_SET_COVERAGE)
+        return KeepThresholds({share: p for share, p in least.items() if np.isfinite(p)}, sets)
 
 
 @dataclass(frozen=True)
@@ -183,14 +185,14 @@ def judged(results: Results) -> Judged:
     return Judged(results, p, kept)
 
 
-def thresholds(results: Results, probability: Float[ndarray, "n"]) -> dict[InputKind, Keeping]:
+def thresholds(results: Results, probability: Float[ndarray, "n"]) -> dict[InputKind, KeepThresholds]:
     """The thresholds for hands as they came, and for corrected ones.
 
     Each holds among the results of those hands under each condition of ``ALWAYS`` that has ``FEWEST`` of them, with
     ``RESERVE``. Of hands as they came, which may be wrong without a sign of it, none is below the share itself.
     """
     kinds, conditions = (np.array([row[key] for row in results.rows]) for key in ("kind", "condition"))
-    out = dict[InputKind, Keeping]()
+    out = dict[InputKind, KeepThresholds]()
     for kind in dict.fromkeys(kinds.tolist()):
         of_kind = [(kinds == kind) & (conditions == condition) for condition in ALWAYS]
         each = [
@@ -198,13 +200,13 @@ def thresholds(results: Results, probability: Float[ndarray, "n"]) -> dict[Input
             for condition, some in zip(ALWAYS, of_kind, strict=True)
             if some.sum() >= FEWEST
         ]
-        shares = [share for share in SHARES if each and all(share in one.least for one in each)]
+        shares = [share for share in KEEP_SHARES if each and all(share in one.least for one in each)]
         sets = results.only(kind=kind).keeping(probability[kinds == kind]).sets
         least = {share: max(one.least[share] for one in each) for share in shares}
         if kind == "measured":
             least = {share: max(p, share) for share, p in least.items()}
-            sets = {size: max(p, HOLDS) for size, p in sets.items()}
-        out[kind] = Keeping(least, sets)
+            sets = {size: max(p, CANDIDATE_SET_COVERAGE) for size, p in sets.items()}
+        out[kind] = KeepThresholds(least, sets)
     return out
 
 
@@ -228,7 +230,7 @@ def stored(calibrations: Iterable[Calibration]) -> dict[str, object]:
     }
 
 
-def write(file: Path, keeping: Mapping[tuple[InputKind, Where], Keeping] | None = None, **parts: object) -> None:
+def write(file: Path, keeping: Mapping[tuple[InputKind, Where], KeepThresholds] | None = None, **parts: object) -> None:
     """Replace parts of ``calibrated.json``, of the thresholds those of some inputs; lists of numbers take a line."""
     record = json.loads(file.read_text(encoding="utf-8"))
     new = {
@@ -279,8 +281,8 @@ def _of_estimated(results: Results) -> Iterator[list[str]]:
     """Estimated hands, which have a probability of their own, of the objects that have no part in it."""
     others = results.only(dataset=OTHER)
     if others.rows:
-        p = others.probability({"estimated": ESTIMATED[METHOD, results.where]})
-        least = KEEPING["estimated", results.where].least.get(KEPT, np.inf)
+        p = others.probability({"estimated": ESTIMATED_CALIBRATIONS[METHOD, results.where]})
+        least = KEEP_THRESHOLDS["estimated", results.where].least.get(KEPT, np.inf)
         yield line("estimated hands, by their own calibration", Judged(others, p, p >= least))
 
 
@@ -366,17 +368,17 @@ def report(rows: Sequence[Row]) -> None:
 
     Results with a serious finding have no probability, and are no part of it.
     """
-    made, how = stamp(), circumstances(COMMAND)  # before anything is written
+    made, how = date_and_commit(), circumstances(COMMAND)  # before anything is written
     used = [row for row in rows if hands_of(row) != "estimated" and not row["serious"]]
     fits = {where: Results(used, where).fitted(made) for where in get_args(Where)}
     held = {where: judged(Results(used, where)) for where in get_args(Where)}
-    keeping: dict[tuple[InputKind, Where], Keeping] = {
+    keeping: dict[tuple[InputKind, Where], KeepThresholds] = {
         (kind, where): least
         for where, one in held.items()
         for kind, least in thresholds(one.results, one.probability).items()
     }
     parts = {hands: stored(fit[hands] for fit in fits.values()) for hands in ("measured", "corrected")}
-    write(FILE, keeping, **parts)
+    write(CALIBRATION_FILE, keeping, **parts)
     draw(held, store.ROOT / "docs/images" / PICTURE)
     for name, table in tables(rows, held, fits).items():
         print(store.write(name, replace(table, made=how)))
@@ -385,4 +387,4 @@ def report(rows: Sequence[Row]) -> None:
 if __name__ == "__main__":
     if len(sys.argv) < 6:
         sys.exit(__doc__)
-    main(*map(Path, sys.argv[1:6]), int(sys.argv[6]) if len(sys.argv) > 6 else cores())
+    main(*map(Path, sys.argv[1:6]), int(sys.argv[6]) if len(sys.argv) > 6 else available_cores())

@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from getagrip.checks.calibration import Weight, sigmoid
-from getagrip.experiments.comparison import LEVEL
+from getagrip.checks.calibration import FeatureWeight, sigmoid
+from getagrip.experiments.comparison import CONFIDENCE_LEVEL
 
 BINS = 10
 """Of the same width."""
@@ -38,7 +38,7 @@ class Bin:
 
 def fit_weights(
     signs: Float[ndarray, "n S"], right: Bool[ndarray, "n"], directions: Sequence[int], ridge: float = RIDGE
-) -> tuple[list[Weight], float]:
+) -> tuple[list[FeatureWeight], float]:
     """The logistic regression of what is right on signs, and its bias: most likely, under a ridge.
 
     A sign whose direction is 1 gets no weight below 0, of -1 none above. Signs must be known (not NaN).
@@ -60,7 +60,7 @@ def fit_weights(
     bounds = [(None, None), *((0.0 if d > 0 else None, 0.0 if d < 0 else None) for d in directions)]
     w = minimize(cost, np.zeros(1 + x.shape[1]), jac=True, method="L-BFGS-B", bounds=bounds).x
     weight = w[1:] / size
-    weights = [Weight(float(v), float(a), float(b)) for v, a, b in zip(weight, low, high, strict=True)]
+    weights = [FeatureWeight(float(v), float(a), float(b)) for v, a, b in zip(weight, low, high, strict=True)]
     return weights, float(w[0] - weight @ middle)
 
 
@@ -79,12 +79,12 @@ def auroc(probability: Float[ndarray, "n"], right: Bool[ndarray, "n"]) -> float:
 def auroc_interval(
     probability: Float[ndarray, "n"], right: Bool[ndarray, "n"], weights: Float[ndarray, "B n"]
 ) -> tuple[float, float]:
-    """The interval of ``auroc`` over bootstrap resamples (``statistics.resamples``), of the level ``LEVEL``."""
+    """The interval of ``auroc`` over bootstrap resamples (``statistics.resamples``), of the level ``CONFIDENCE_LEVEL``."""
     ahead = probability[right, None] - probability[~right]
     won = weights[:, right] @ np.heaviside(ahead, 0.5)
     pairs = weights[:, right].sum(axis=1) * weights[:, ~right].sum(axis=1)
     drawn = np.sum(won * weights[:, ~right], axis=1)[pairs > 0] / pairs[pairs > 0]
-    low, high = np.quantile(drawn, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
+    low, high = np.quantile(drawn, [(1.0 - CONFIDENCE_LEVEL) / 2.0, (1.0 + CONFIDENCE_LEVEL) / 2.0])
     return float(low), float(high)
 
 

@@ -25,7 +25,7 @@ from benchmarks.store import Cell, Column, Table
 from benchmarks.timing import machine
 from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS
 from getagrip.evaluation.metric import METRICS
-from getagrip.io.code import stamp
+from getagrip.io.code import date_and_commit
 
 README = store.ROOT / "README.md"
 PICTURES = store.ROOT / "docs/images"
@@ -196,13 +196,13 @@ def _title(name: str, title: str) -> str:
 
 def _made(name: str, text: str) -> dict[str, str]:
     """When, at which commit, by which command and where, as far as it is known: output of today was made here."""
-    how = MADE.search(text) or MADE.search(f"made {stamp()}")
+    how = MADE.search(text) or MADE.search(f"made {date_and_commit()}")
     day, commit = how.groups() if how else (None, None)
     before = dict(store.read(name).made) if name in store.names() else {}
     command = BENCHES.get(name, before.get("command", ""))
     made = {key: value for key, value in (("date", day), ("commit", commit), ("command", command)) if value}
     where = before.get("machine") if made.items() <= before.items() else None
-    where = where or (machine() if day == stamp().partition(",")[0] else None)
+    where = where or (machine() if day == date_and_commit().partition(",")[0] else None)
     return made | ({"machine": where} if where else {})
 
 

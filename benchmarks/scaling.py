@@ -14,7 +14,7 @@ from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.options import Options
 from getagrip.geometry.mesh import Mesh, decimate
-from getagrip.geometry.subdivide import edge_length, subdivided
+from getagrip.geometry.subdivide import edge_length, subdivide_surface
 from getagrip.result import Reconstruction
 
 CATEGORY = "kettle"
@@ -30,7 +30,7 @@ def tables() -> dict[str, Table]:
     clip, masks = synthesise(CATEGORY, 0)
     area = float(clip.mesh.vertex_areas.sum())
     # As many vertices as there may be faces: more than enough of these, to be thinned.
-    fine = Mesh(*subdivided(clip.mesh.vertices, clip.mesh.faces, edge_length(area, max(FACES))))
+    fine = Mesh(*subdivide_surface(clip.mesh.vertices, clip.mesh.faces, edge_length(area, max(FACES))))
     curves: tuple[tuple[str, tuple[int, ...], Callable[[int], Callable[[], Reconstruction]]], ...] = (
         ("frames", FRAMES, lambda n: reconstruction(long, long_masks, Options(frames=n))),
         ("initial poses", INITIAL_POSES, lambda n: reconstruction(clip, masks, Options(inits=n))),

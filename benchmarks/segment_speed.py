@@ -14,7 +14,7 @@ from getagrip.clip import FINGERS, Clip, HandTrack, Truth
 from getagrip.datasets.synthetic import shapes
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import decimate
-from getagrip.grasps.definition import RULES
+from getagrip.grasps.definition import GRASP_RULES
 from getagrip.grasps.stable import PairwiseIou, contact_sets, stable_grasps
 from getagrip.hands import generic
 
@@ -40,7 +40,7 @@ def tables() -> dict[str, Table]:
     contact = contact_sets(clip, 0.005)
     times = []
     for name, sets in long_contacts(contact).items():
-        for rule in RULES:
+        for rule in GRASP_RULES:
             timing, grasps = timed(lambda rule=rule, sets=sets: stable_grasps(PairwiseIou.of(sets), rule=rule), REPEATS)
             times.append([name, rule, str(len(grasps[0])), f"{median(timing.cpu):.2f}", f"{median(timing.wall):.2f}"])
     titles = f"Speed of contacts, {FRAMES:,} frames", f"Speed of finding stable grasps in {LONG:,} frames"

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.kept_rows import Row, described
-from getagrip.batch.share import Share
+from getagrip.batch.share import SchedulingOptions
 from getagrip.clip import Clip, Masks, read_clip, read_masks
-from getagrip.datasets.synthetic.noise import NOISE, Noise
+from getagrip.datasets.synthetic.noise import NOISE_PRESETS, Noise
 from getagrip.experiments.changes import UNCHANGED, Noisy, OtherObject, OtherSize, ScaleFree, Several
 from getagrip.experiments.sources.recorded import DexYcb
 from getagrip.fitting.options import Options
@@ -31,7 +31,7 @@ PER_OBJECT = {DEXYCB: 12, OTHER: 12, ARCTIC: 5}
 """Most clips of an object, evenly spaced."""
 Change = Callable[[Clip, Masks, int], tuple[Clip, Masks]]
 TEN = Noisy(Noise(hand_bias_mm=10.0, hand_bias_deg=8.0, hand_jitter_mm=5.0, hand_jitter_deg=4.0, jitter_memory_s=0.1))
-STRONG = Noisy(NOISE["strong"])
+STRONG = Noisy(NOISE_PRESETS["strong"])
 
 
 def unseen_hand(clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
@@ -44,11 +44,11 @@ ALWAYS: dict[str, Change] = {"as it is": UNCHANGED, "10 mm, 8°": TEN, "strong":
 """What is done to every clip of ``PER_OBJECT``."""
 BY_TURNS: dict[str, Change] = {
     "other size": OtherSize(),
-    "moderate": Noisy(NOISE["moderate"]),
+    "moderate": Noisy(NOISE_PRESETS["moderate"]),
     "masks off by 4 px": Noisy(Noise(mask_ragged_px=4.0)),
     "other size, 10 mm, 8°": Several((OtherSize(), TEN)),
     "size unknown": ScaleFree(),
-    "estimated": Noisy(NOISE["estimated"]),
+    "estimated": Noisy(NOISE_PRESETS["estimated"]),
     "other size, strong": Several((OtherSize(), STRONG)),
     "other shape": OtherObject(),
     "10 mm, 8°, no hand pixels": unseen_hand,
@@ -88,7 +88,7 @@ def cases(out: Path, root: Path, other: Path, meshes: Path, arctic: Path) -> lis
     """
     folders = {ARCTIC: {file.parent.name: file.parent for file in sorted(arctic.glob("*/clip.json"))}}
     for dataset, of, name in ((DEXYCB, root, "clips"), (OTHER, other, "other")):
-        found, _ = DexYcb(split="all", root=of, meshes=meshes).samples(out / name, False, Share(workers=1))
+        found, _ = DexYcb(split="all", root=of, meshes=meshes).samples(out / name, False, SchedulingOptions(workers=1))
         folders[dataset] = {sample.name: sample.folder for sample in found}
     every = [*_cases(folders)]
     mixed = [every[n] for n in np.random.default_rng(0).permutation(len(every))]

@@ -17,7 +17,7 @@ from datetime import UTC, datetime
 from benchmarks import store
 from benchmarks.release import BENCHES
 from benchmarks.store import Column, Row, Table
-from getagrip.io.code import stamp
+from getagrip.io.code import date_and_commit
 
 NAME, FOLDER = "test-runs", store.RESULTS
 OBJECTS = "OTHER"
@@ -48,13 +48,13 @@ def noted(table: str, commit: str) -> bool:
 
 def commit() -> str:
     """Return the commit of the package's code."""
-    return stamp().partition(", commit ")[2] or "unknown"
+    return date_and_commit().partition(", commit ")[2] or "unknown"
 
 
 def _read() -> Table:
     if NAME in store.names(FOLDER):
         return store.read(NAME, FOLDER)
-    day, _, commit = stamp().partition(", commit ")
+    day, _, commit = date_and_commit().partition(", commit ")
     return Table(TITLE, {"date": day, "commit": commit, "command": COMMAND}, COLUMNS, [])
 
 

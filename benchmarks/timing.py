@@ -12,7 +12,7 @@ from pathlib import Path
 from statistics import median
 from typing import TypeVar
 
-from getagrip.io.code import stamp
+from getagrip.io.code import date_and_commit
 
 LIBRARIES = ("numpy", "numba", "scipy")
 
@@ -53,7 +53,7 @@ def machine() -> str:
 
 def circumstances(command: str) -> dict[str, str]:
     """When, by which code, where and how undisturbed a measurement is made: before it."""
-    day, _, commit = stamp().partition(", commit ")
+    day, _, commit = date_and_commit().partition(", commit ")
     there = {each.name: each.version for each in metadata.distributions()}
     versions = [f"{name} {there[name]}" for name in LIBRARIES if name in there]
     return {

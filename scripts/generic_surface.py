@@ -12,8 +12,8 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.geometry.mesh import Mesh
-from getagrip.hands.generic import FILE
-from getagrip.hands.generic_skeleton import WRIST, metacarpal_base, rest_fingers
+from getagrip.hands.generic import GENERIC_HAND_FILE
+from getagrip.hands.generic_skeleton import MANO_WRIST_M, metacarpal_base, rest_fingers
 
 GRID = 0.0016
 """Cell size of the first triangulation [m]."""
@@ -52,7 +52,7 @@ def distance(X: Float[ndarray, "N 3"]) -> Float[ndarray, "N"]:
         size = np.array([0.42 * np.linalg.norm(finger.points[3] - finger.points[2]), 0.86 * finger.breadth[3], 0.0055])
         flesh = _smooth_min(flesh, _ellipsoid(X, pad, finger.axes[2], size), 0.004)
         hand = _smooth_min(hand, flesh, 0.016 if name == "thumb" else 0.007)
-    beyond = X[:, 0] - (WRIST[0] + WRIST_CUT)
+    beyond = X[:, 0] - (MANO_WRIST_M[0] + WRIST_CUT)
     return -_smooth_min(-hand, -beyond, 0.004)
 
 
@@ -78,7 +78,7 @@ def _palm(X: Float[ndarray, "N 3"]) -> Float[ndarray, "N"]:
     palm = _smooth_min(
         palm, _round_cone(X, fold, _axes(fold), np.array([0.009, 0.009]), np.array([0.0075, 0.0075])), 0.014
     )
-    wrist = WRIST + np.array([[0.03, -0.003, -0.002], [-0.012, -0.004, -0.001]])
+    wrist = MANO_WRIST_M + np.array([[0.03, -0.003, -0.002], [-0.012, -0.004, -0.001]])
     return _smooth_min(
         palm, _round_cone(X, wrist, _axes(wrist), np.array([0.0285, 0.0275]), np.array([0.0190, 0.0175])), 0.012
     )
@@ -210,5 +210,5 @@ def project(X: Float[ndarray, "N 3"], steps: int = 3) -> Float[ndarray, "N 3"]:
 
 if __name__ == "__main__":
     mesh = triangulate()
-    np.savez_compressed(FILE, vertices=mesh.vertices.astype(np.float32), faces=mesh.faces.astype(np.int16))
-    print(f"{FILE.name}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces, closed: {mesh.is_closed}")
+    np.savez_compressed(GENERIC_HAND_FILE, vertices=mesh.vertices.astype(np.float32), faces=mesh.faces.astype(np.int16))
+    print(f"{GENERIC_HAND_FILE.name}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces, closed: {mesh.is_closed}")

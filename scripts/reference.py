@@ -26,7 +26,7 @@ def commands() -> Iterator[str]:
     from getagrip.commands.datasets import subcommands
     from getagrip.commands.figure import Figures
 
-    return _names(cli.commands(subcommands(), Figures), "")
+    return _names(cli.command_union(subcommands(), Figures), "")
 
 
 def _names(union: Any, before: str) -> Iterator[str]:

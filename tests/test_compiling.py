@@ -37,10 +37,10 @@ def marked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 @pytest.fixture
 def compiles(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], None]], None]:
     """Have something else done in place of the compiling."""
-    return lambda instead: monkeypatch.setattr(compiling, "_compile_side_by_side", instead)
+    return lambda instead: monkeypatch.setattr(compiling, "_compile_in_parallel", instead)
 
 
-@pytest.mark.skipif(not locks.KNOWN, reason="no locks here")
+@pytest.mark.skipif(not locks.HAS_FILE_LOCKS, reason="no locks here")
 def test_of_several_at_once_one_compiles_and_the_others_wait(marked: Path, compiles: Callable[..., None]) -> None:
     ended: list[float] = []
 
@@ -85,7 +85,7 @@ def test_a_failure_is_left_to_the_clips(marked: Path, compiles: Callable[..., No
 
 def test_the_folder_depends_on_the_kernels_and_on_numba(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    folder = compiling.folder.__wrapped__
+    folder = compiling.kernel_cache_folder.__wrapped__
     before = folder()
     assert before.parent == tmp_path
     monkeypatch.setattr("numba.__version__", "0.0.0")
@@ -93,7 +93,9 @@ def test_the_folder_depends_on_the_kernels_and_on_numba(monkeypatch: pytest.Monk
     monkeypatch.undo()
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     assert folder() == before
-    monkeypatch.setattr(compiling, "RARE", compiling.RARE[1:])  # other sources
+    monkeypatch.setattr(
+        compiling, "RARELY_USED_KERNEL_MODULES", compiling.RARELY_USED_KERNEL_MODULES[1:]
+    )  # other sources
     assert folder() != before
 
 
@@ -104,15 +106,17 @@ def test_every_module_with_kernels_is_in_the_folders_name() -> None:
         for path in source.rglob("*.py")
         if "\n@kernel(" in path.read_text("utf-8")
     }
-    assert sorted(found) == sorted([*(name for group in compiling.GROUPS for name in group), *compiling.RARE])
+    assert sorted(found) == sorted(
+        [*(name for group in compiling.KERNEL_GROUPS for name in group), *compiling.RARELY_USED_KERNEL_MODULES]
+    )
 
 
 def test_kernels_declare_as_many_arguments_as_they_take() -> None:
-    for name in (*(name for group in compiling.GROUPS for name in group), *compiling.RARE):
+    for name in (*(name for group in compiling.KERNEL_GROUPS for name in group), *compiling.RARELY_USED_KERNEL_MODULES):
         import_module(f"getagrip.{name}")
-    assert len(compiling._declared) > 15
-    for compiled, arguments in compiling._declared:
-        assert len(compiling.signature(arguments)) == compiled.py_func.__code__.co_argcount, compiled
+    assert len(compiling._declared_kernels) > 15
+    for compiled, arguments in compiling._declared_kernels:
+        assert len(compiling.numba_signature(arguments)) == compiled.py_func.__code__.co_argcount, compiled
 
 
 @pytest.mark.slow
@@ -137,7 +141,7 @@ def test_kernels_are_not_read_where_others_can_write(
 ) -> None:
     monkeypatch.setattr(user_folders, "_is_private", lambda group, owner: False)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))
-    folder = compiling.folder.__wrapped__
+    folder = compiling.kernel_cache_folder.__wrapped__
     mine = folder()
     mine.parent.chmod(mode)
     taken = folder()
@@ -157,11 +161,11 @@ def test_a_folder_in_a_sticky_one_is_ours_and_a_link_of_others_is_not(
     (tmp_path / "a" / "b").mkdir(parents=True)
     (tmp_path / "link").symlink_to("a")
     (tmp_path / "a").chmod(0o1777)
-    assert user_folders.is_ours(tmp_path / "link" / "b")
-    assert user_folders.is_ours(tmp_path / "link" / "b" / "new")
-    assert not user_folders.is_ours(tmp_path / "a")
+    assert user_folders.is_private_folder(tmp_path / "link" / "b")
+    assert user_folders.is_private_folder(tmp_path / "link" / "b" / "new")
+    assert not user_folders.is_private_folder(tmp_path / "a")
     (tmp_path / "a").chmod(0o777)
-    assert not user_folders.is_ours(tmp_path / "link" / "b")
+    assert not user_folders.is_private_folder(tmp_path / "link" / "b")
     (tmp_path / "a").chmod(0o755)
     here = os.lstat
     owned = {tmp_path / "link": 65534}
@@ -171,8 +175,8 @@ def test_a_folder_in_a_sticky_one_is_ours_and_a_link_of_others_is_not(
         return os.stat_result((*about[:4], owned.get(Path(path), about.st_uid), *about[5:]))
 
     monkeypatch.setattr(Path, "lstat", lstat)
-    assert not user_folders.is_ours(tmp_path / "link" / "b")
-    assert user_folders.is_ours(tmp_path / "a" / "b")
+    assert not user_folders.is_private_folder(tmp_path / "link" / "b")
+    assert user_folders.is_private_folder(tmp_path / "a" / "b")
 
 
 def test_numba_takes_no_options_from_a_folder_that_was_sent(tmp_path: Path) -> None:
@@ -195,8 +199,8 @@ from getagrip.datasets.synthetic.scene_options import SceneOptions
 
 getagrip.reconstruct(*getagrip.synthesise("can", seed=0, options=SceneOptions(frames=6)))
 called = 0
-for compiled, arguments in compiling._declared:
-    assert set(compiled.signatures) <= {compiling.signature(arguments)}, compiled
+for compiled, arguments in compiling._declared_kernels:
+    assert set(compiled.signatures) <= {compiling.numba_signature(arguments)}, compiled
     called += bool(compiled.signatures)
 assert called > 5, called
 """

@@ -35,8 +35,8 @@ SMALL = {"frames": 8, "size": (320, 240), "focal": 300.0}
 ON_SMALL_CLIPS = """
 import runpy
 from dataclasses import replace
-from getagrip.datasets.synthetic.splits import PRESETS
-PRESETS["clean"] = replace(PRESETS["clean"], **{small})
+from getagrip.datasets.synthetic.splits import SYNTHETIC_PRESETS
+SYNTHETIC_PRESETS["clean"] = replace(SYNTHETIC_PRESETS["clean"], **{small})
 runpy.run_path({script!r}, run_name=__name__)
 """
 """A script whose benchmark, also in the processes that import it, has small clips."""

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip.least_squares import Arrow, Ending, Minimum, Rules, damped, minimise
+from getagrip.least_squares import BlockArrow, DampingRules, Ending, Minimum, damp_hessian, minimise
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ def test_endings() -> None:
     start = Parabola(np.ones((1, 2)))
     assert minimise(start, 0).endings == [Ending.LIMIT]
     assert minimise(replace(start, flat=True), 30).endings == [Ending.STUCK]
-    assert minimise(replace(start, flat=True), 30, Rules(rejections=np.inf, most=10.0)).endings == [Ending.STUCK]
-    assert minimise(start, 30, Rules(tolerance=2.0)).endings == [Ending.CONVERGED]
+    assert minimise(replace(start, flat=True), 30, DampingRules(rejections=np.inf, most=10.0)).endings == [Ending.STUCK]
+    assert minimise(start, 30, DampingRules(tolerance=2.0)).endings == [Ending.CONVERGED]
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Told:
 
 
 LARGE, SMALL, WORSE = 0.75, 0.25, -1.0
-RULES = Rules(tolerance=0.5, rejections=3, small_steps=2)
+RULES = DampingRules(tolerance=0.5, rejections=3, small_steps=2)
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,7 @@ def test_endings_are_told_by_steps_in_a_row(gains: list[float], ending: Ending, 
 
 @given(st.lists(st.sampled_from([LARGE, WORSE]), min_size=30, max_size=30))
 def test_damping_follows_success_and_failure_between_its_limits(gains: list[float]) -> None:
-    rules = Rules(damping=1.0, success=0.5, failure=4.0, least=0.125, most=64.0, rejections=np.inf)
+    rules = DampingRules(damping=1.0, success=0.5, failure=4.0, least=0.125, most=64.0, rejections=np.inf)
     state = minimise(Told(iter(gains)), 30, rules).state
     expected = [1.0]
     for gain in gains:
@@ -127,7 +127,7 @@ def test_the_arrow_step_is_that_of_the_dense_system(S: int, L: int, tied: bool) 
     g = rng.normal(size=(B, S + N * L))
     blocks = dense[:, S:, S:].reshape(B, N, L, N, L)
     n = np.arange(N)
-    arrow = Arrow(
+    arrow = BlockArrow(
         H_ss=dense[:, :S, :S],
         H_sl=np.swapaxes(dense[:, :S, S:].reshape(B, S, N, L), 1, 2),
         H_ll=np.swapaxes(blocks[:, n, :, n], 0, 1),
@@ -144,7 +144,7 @@ def test_the_arrow_step_is_that_of_the_dense_system(S: int, L: int, tied: bool) 
 
 def test_damping_raises_the_diagonal_alone() -> None:
     H = np.random.default_rng(1).normal(size=(2, 3, 3))
-    raised = damped(H, np.array([0.0, 2.0]), floor=1.0) - H
+    raised = damp_hessian(H, np.array([0.0, 2.0]), floor=1.0) - H
     np.testing.assert_array_equal(raised[0], 0.0)
     np.testing.assert_allclose(raised[1], np.diag(2.0 * (np.diag(H[1]) + 1.0)))
 
@@ -159,7 +159,7 @@ def test_parameters_that_are_not_tied_are_eliminated(tied: int) -> None:
     between[:, :, :tied, :, :tied] = (np.swapaxes(root, -1, -2) @ root).reshape(B, N, tied, N, tied)
     n = np.arange(N)
     between[:, n, :, n] = 0.0
-    alone = Arrow.of(np.swapaxes(J, -1, -2) @ J, g, slice(S), slice(S, None)).plus(H_ll=100.0 * np.eye(L))
+    alone = BlockArrow.of(np.swapaxes(J, -1, -2) @ J, g, slice(S), slice(S, None)).plus(H_ll=100.0 * np.eye(L))
     arrow = replace(alone, cross=between)
     for found, expected in zip(arrow.solved(), arrow._solved_together(between), strict=True):
         np.testing.assert_allclose(found, expected, atol=1e-10)
@@ -184,7 +184,7 @@ def test_a_system_by_parameters_is_that_of_the_stacked_jacobian(tied: bool) -> N
     dense[:, n, :, n] += np.swapaxes(H, 0, 1)
     A = np.swapaxes(flat, 1, 2) @ dense.reshape(B, N * P, N * P) @ flat
     expected = -np.linalg.solve(A, np.swapaxes(flat, 1, 2) @ g.reshape(B, N * P, 1))[..., 0]
-    shared, own = Arrow.by(J, S, H, g, cross if tied else None).solved()
+    shared, own = BlockArrow.by(J, S, H, g, cross if tied else None).solved()
     np.testing.assert_allclose(np.concatenate([shared, own.reshape(B, -1)], axis=1), expected, atol=1e-8)
 
 
@@ -193,6 +193,6 @@ def test_a_shared_part_of_the_same_numbers() -> None:
     rng = np.random.default_rng(3)
     H, g = np.tile(np.eye(2), (1, 4, 1, 1)), rng.normal(size=(1, 4, 2))
     loose, stiff = 1e-6 * np.eye(2), 1e6 * np.eye(2)
-    shared, own = Arrow.of(H, g, slice(2), slice(2)).plus(H_ss=loose, H_ll=stiff).solved()
+    shared, own = BlockArrow.of(H, g, slice(2), slice(2)).plus(H_ss=loose, H_ll=stiff).solved()
     np.testing.assert_allclose(shared, -g.mean(axis=1), rtol=1e-5)
     np.testing.assert_allclose(own, 0.0, atol=1e-5)

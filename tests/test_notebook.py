@@ -17,8 +17,8 @@ import pytest
 
 import getagrip
 from getagrip.errors import UsageError
-from getagrip.io.brief import LINES
-from getagrip.io.terminal import shown_progress
+from getagrip.io.brief import MAX_BRIEF_LINES
+from getagrip.io.terminal import progress_callback
 from helpers.clips import small_clip
 from helpers.paths import ROOT
 from helpers.true_result import true_result
@@ -60,9 +60,9 @@ for each in ({", ".join(names)}):
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     shown = {name: [int(n) for n in rest] for name, *rest in map(str.split, done.stdout.splitlines())}
-    assert {"Clip", "Masks", "Reconstruction", "Figure", "Page", "Evaluation"} <= shown.keys()
-    assert [name for name, (lines, _, _) in shown.items() if lines > LINES] == []
-    assert all(shown[name][1] > 500 for name in ("Clip", "Masks", "Reconstruction", "Page", "Evaluation"))
+    assert {"Clip", "Masks", "Reconstruction", "Figure", "HtmlPage", "Evaluation"} <= shown.keys()
+    assert [name for name, (lines, _, _) in shown.items() if lines > MAX_BRIEF_LINES] == []
+    assert all(shown[name][1] > 500 for name in ("Clip", "Masks", "Reconstruction", "HtmlPage", "Evaluation"))
     assert shown["Figure"][2] > 10_000
     assert (tmp_path / "mug-in-hand" / "about.json").is_file()
 
@@ -84,7 +84,7 @@ def test_no_value_is_a_wall() -> None:
     clip, masks = small_clip()
     long = replace(clip, provenance={f"topic {n}": "<b>text</b> " * 40 for n in range(60)})
     for data in (clip, long, masks, clip.hand, clip.mesh, true_result(clip, None)):
-        assert len(repr(data).splitlines()) <= LINES, type(data)
+        assert len(repr(data).splitlines()) <= MAX_BRIEF_LINES, type(data)
         assert repr(data).startswith(f"{type(data).__name__}(")
         html = data._repr_html_()
         assert "<table>" in html
@@ -122,14 +122,14 @@ def test_a_wrong_argument_names_the_right_one(message: str) -> None:
 
 
 def test_progress_is_a_bar_a_function_or_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    with shown_progress(None, "a") as nothing, shown_progress(False, "a") as neither:
+    with progress_callback(None, "a") as nothing, progress_callback(False, "a") as neither:
         assert nothing is neither is None
     said: list[tuple[str, float]] = []
-    with shown_progress(lambda *stage: said.append(stage), "a") as call:
+    with progress_callback(lambda *stage: said.append(stage), "a") as call:
         assert call is not None
         call("search", 0.5)
     assert said == [("search", 0.5)]
-    with shown_progress(True, "a") as bar:
+    with progress_callback(True, "a") as bar:
         assert bar is not None
         bar("search", 0.5)
     assert capsys.readouterr().out == ""
@@ -140,7 +140,7 @@ def test_progress_in_a_notebook_without_widgets_is_a_line(
 ) -> None:
     monkeypatch.setattr("getagrip.io.terminal._in_notebook", lambda: True)
     monkeypatch.setattr("getagrip.io.terminal.find_spec", lambda _: None)
-    with shown_progress(True, "mug") as line:
+    with progress_callback(True, "mug") as line:
         assert line is not None
         line("search", 0.5)
     assert "\r 50% mug: search" in capsys.readouterr().out

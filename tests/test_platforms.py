@@ -26,13 +26,13 @@ for module in pkgutil.walk_packages(getagrip.__path__, "getagrip."):
     if module.name != "getagrip.__main__":
         importlib.import_module(module.name)
 from pathlib import Path
-from getagrip.batch.executor import cores
-from getagrip.commands.doctor import _machine
+from getagrip.batch.executor import available_cores
+from getagrip.commands.doctor import _check_machine
 from getagrip.io import locks
-assert cores() >= 1
-with locks.holding(Path(tempfile.gettempdir())):
+assert available_cores() >= 1
+with locks.hold_lock(Path(tempfile.gettempdir())):
     pass
-print(locks.KNOWN, *(words for state, words in _machine() if state == "without"), sep="; ")
+print(locks.HAS_FILE_LOCKS, *(words for state, words in _check_machine() if state == "without"), sep="; ")
 """
 
 
@@ -77,13 +77,13 @@ def test_a_limit_of_memory_is_refused_where_the_system_has_none(monkeypatch: pyt
 
 @pytest.mark.parametrize("name", ["CON", "nul.json", "Com1", "lpt9.tar.gz", "mug.", "aux.", "COM¹"])
 def test_names_that_windows_cannot_have_are_no_plain_names(name: str) -> None:
-    assert not files.is_plain_name(name)
+    assert not files.is_portable_name(name)
 
 
 @pytest.mark.parametrize("name", ["console", "nullified.json", "com10", "a.con", "mug.0", "Größe"])
 def test_names_that_only_look_like_them_are(name: str) -> None:
-    assert files.is_plain_name(name)
+    assert files.is_portable_name(name)
 
 
 def test_letters_that_windows_forbids_are_forbidden_there() -> None:
-    assert (":" in files.FORBIDDEN) == (os.name == "nt")
+    assert (":" in files.FORBIDDEN_NAME_CHARS) == (os.name == "nt")

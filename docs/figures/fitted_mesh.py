@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 
 import getagrip
-from getagrip.datasets.synthetic.splits import split
+from getagrip.datasets.synthetic.splits import clips_of_split
 from getagrip.pictures.shown import View
-from getagrip.pictures.stills import overlay, steady_windows
+from getagrip.pictures.stills import draw_overlay, smooth_windows
 
 SIDE, FRAMES = 260, (3, 10, 17, 25)
 CATEGORY, WHICH = "mug", 2
@@ -22,13 +22,13 @@ CATEGORY, WHICH = "mug", 2
 
 def main(out: str) -> None:
     """Reconstruct the clip twice, and draw both."""
-    category, seed, options = [clip for clip in split("train", "measured") if clip[0] == CATEGORY][WHICH]
+    category, seed, options = [clip for clip in clips_of_split("train", "measured") if clip[0] == CATEGORY][WHICH]
     clip, masks = getagrip.synthesise(category, seed, options)
     rows = []
     for mesh in ("as-given", "fitted"):
         view = View.of(getagrip.reconstruct(clip, masks, getagrip.Options(mesh=mesh)), clip, masks)
-        crops = steady_windows(view, SIDE)
-        rows.append(np.concatenate([overlay(view, n, crops, n) for n in FRAMES], axis=1))
+        crops = smooth_windows(view, SIDE)
+        rows.append(np.concatenate([draw_overlay(view, n, crops, n) for n in FRAMES], axis=1))
     cv2.imwrite(out, cv2.cvtColor(np.concatenate(rows), cv2.COLOR_RGB2BGR))
 
 

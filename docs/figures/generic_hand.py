@@ -10,7 +10,7 @@ import numpy as np
 from getagrip.geometry import se3
 from getagrip.geometry.render import render_rgb
 from getagrip.hands import generic
-from getagrip.hands.model import JOINTS, PosedHand
+from getagrip.hands.model import MANO_JOINTS, PosedHand
 
 SKIN, PAD = (0.86, 0.68, 0.58), (0.80, 0.36, 0.30)
 SIZE = (420, 420)
@@ -43,7 +43,7 @@ def curled(finger: dict[str, tuple[float, float, float]], side: float = 1.0) -> 
     pose = np.zeros((15, 3))
     for name, rest in generic.rest_fingers().items():
         for k, angle in enumerate(finger[name]):
-            pose[JOINTS.index(f"{name}{k + 1}") - 1] = np.radians(angle) * rest.axes[k, 1]
+            pose[MANO_JOINTS.index(f"{name}{k + 1}") - 1] = np.radians(angle) * rest.axes[k, 1]
     return pose.ravel()
 
 

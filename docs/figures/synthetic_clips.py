@@ -8,8 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from getagrip.datasets.synthetic.categories import CATEGORIES
-from getagrip.datasets.synthetic.scene import make_scene, pictures
+from getagrip.datasets.synthetic.categories import SYNTHETIC_CATEGORIES
+from getagrip.datasets.synthetic.scene import make_scene, render_pictures
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 
 OUT = Path(__file__).resolve().parents[1] / "images" / "synthetic-clips.png"
@@ -19,9 +19,9 @@ COLUMNS = 6
 
 def main() -> None:
     tiles = []
-    for n, category in enumerate(CATEGORIES):
+    for n, category in enumerate(SYNTHETIC_CATEGORIES):
         scene = make_scene(category, 1, replace(OPTIONS, side=("right", "left")[n % 2]))
-        image = pictures(replace(scene, clip=scene.clip.take(np.array([6]))))[0]
+        image = render_pictures(replace(scene, clip=scene.clip.take(np.array([6]))))[0]
         cv2.putText(image, category, (10, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (60, 60, 60), 1, cv2.LINE_AA)
         tiles.append(np.pad(image, ((0, 4), (0, 4), (0, 0)), constant_values=255))
     tiles += [np.full_like(tiles[0], 255)] * (-len(tiles) % COLUMNS)

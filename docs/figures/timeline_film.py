@@ -20,7 +20,7 @@ from numpy import ndarray
 from PIL import Image
 
 from getagrip.clip import Clip, FrameMasks, HandTrack, Masks, Segment, Truth, World, read_clip, read_masks, write_clip
-from getagrip.datasets.synthetic.noise import NOISE, perturbed
+from getagrip.datasets.synthetic.noise import NOISE_PRESETS, perturbed
 from getagrip.datasets.synthetic.scene import make_scene
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.film import write_film
@@ -143,7 +143,7 @@ def rendered(clip: Clip) -> tuple[Masks, list[ndarray]]:
 
 def main(out: Path) -> None:
     clip, masks, images = timeline()
-    noisy, masks = perturbed(clip, masks, replace(NOISE["moderate"], mask_ragged_px=0.0), 0)
+    noisy, masks = perturbed(clip, masks, replace(NOISE_PRESETS["moderate"], mask_ragged_px=0.0), 0)
     folder = out / "clips" / clip.name
     if not folder.exists():
         write_clip(noisy, masks, folder, images)

@@ -33,13 +33,13 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip import read_clip
-from getagrip.datasets.arctic import FPS, MM, Template, in_neutral_frame
-from getagrip.datasets.joint_tracks import facing
+from getagrip.datasets.arctic import ARCTIC_FPS, METRES_PER_MM, Template, make_neutral_template
+from getagrip.datasets.joint_tracks import camera_facing_object
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import read_mesh
-from getagrip.geometry.subdivide import fine
-from getagrip.grasps.lists import BETWEEN
+from getagrip.geometry.subdivide import subdivide_parts
+from getagrip.grasps.lists import CLIP_NAME_SEPARATOR
 from getagrip.io import arrays
 from getagrip.io.files import read_bytes
 
@@ -100,7 +100,7 @@ def convert(rsc: Path, file: Path, out: Path, estimated: bool = False) -> None:
     template = _object(rsc / "arctic" / name, out)
     T_world_obj = (_rigid(poses) @ se3.inverse(template.T_neutral_template))[rows]
     content = {
-        "order": "ho3d", "fps": FPS, "category": name, "subject": subject, "sequence": sequence, "frames": rows,
+        "order": "ho3d", "fps": ARCTIC_FPS, "category": name, "subject": subject, "sequence": sequence, "frames": rows,
         "source": f"ARCTIC, {subject}/{sequence}, in ArtiGrasp's copy",
         "licence": "made from ARCTIC, for non-commercial research only",
         "T_world_obj": T_world_obj, "mesh": f"{name}-bottom.obj", "mesh_top": f"{name}-top.obj",
@@ -124,7 +124,9 @@ def _estimates(
     T_estimate_obj = (_rigid(_array(_recon(file), (T, 7))) @ se3.inverse(template.T_neutral_template))[rows]
     R_cam_world = median_rotation(T_estimate_obj[:, :3, :3] @ np.swapaxes(T_world_obj[:, :3, :3], 1, 2))
     places = se3.transform(T_world_obj, template.mesh.centre[None])[:, 0]
-    camera = facing(R_cam_world, places, "a guess but for its orientation, which is that of the estimates; fixed")
+    camera = camera_facing_object(
+        R_cam_world, places, "a guess but for its orientation, which is that of the estimates; fixed"
+    )
     origin = template.joint.point[None]  # the template's: what an estimate of the object places
     displaced = se3.transform(camera.T_cam_world @ T_world_obj, origin) - se3.transform(T_estimate_obj, origin)
     estimated = _joints(rsc / "mano_double/ee_recon" / subject, sequence_of(file), T)
@@ -145,7 +147,7 @@ def write_poses(tracks: Path, clips: Path, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     for file in sorted(clips.glob("*/clip.json")):
         clip = read_clip(file.parent)
-        subject, sequence, *_ = clip.name.split(BETWEEN)
+        subject, sequence, *_ = clip.name.split(CLIP_NAME_SEPARATOR)
         stored = arrays.read(tracks / "estimated" / f"{subject}-{sequence}.npz", {"frames", "T_cam_obj"}.__contains__)
         rows = np.searchsorted(stored["frames"], [int(name) for name in clip.frames])
         np.savez(out / f"{clip.name}.npz", frames=np.array(clip.frames), T_cam_obj=stored["T_cam_obj"][rows])
@@ -173,7 +175,7 @@ def _joints(folder: Path, sequence: str, frames: int) -> dict[str, Float[ndarray
 
 def _rigid(poses: Float[ndarray, "T 7"]) -> Float[ndarray, "T 4 4"]:
     """Poses of the template [m]."""
-    return se3.rigid(se3.exp_so3(poses[:, 1:4]), MM * poses[:, 4:])
+    return se3.rigid(se3.exp_so3(poses[:, 1:4]), METRES_PER_MM * poses[:, 4:])
 
 
 def _array(file: Path, shape: tuple[int, ...]) -> Float[ndarray, "..."]:
@@ -184,8 +186,8 @@ def _array(file: Path, shape: tuple[int, ...]) -> Float[ndarray, "..."]:
 def _object(folder: Path, out: Path) -> Template:
     """An object of its two parts, which are written in its neutral frame."""
     parts = [read_mesh(folder / f"{part}_watertight_tiny.obj") for part in PARTS]
-    mesh, part = fine(parts)  # in which the frame is that of finely meshed objects, as ARCTIC's own are
-    template = in_neutral_frame(mesh, part == 1)
+    mesh, part = subdivide_parts(parts)  # in which the frame is that of finely meshed objects, as ARCTIC's own are
+    template = make_neutral_template(mesh, part == 1)
     for name, rough in zip(PARTS, parts, strict=True):
         with (out / f"{folder.name}-{name}.obj").open("w") as obj:
             np.savetxt(obj, se3.transform(template.T_neutral_template, rough.vertices), "v %.9g %.9g %.9g")

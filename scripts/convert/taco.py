@@ -26,7 +26,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.datasets import joint_tracks
-from getagrip.datasets.mano_tracks import numbers
+from getagrip.datasets.mano_tracks import check_mano_numbers
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands import generic, mano
@@ -59,7 +59,7 @@ def main(source_data: Path, out: Path) -> None:
 
 def convert(file: Path, out: Path) -> None:
     """A sequence, as a file of tracks and the object's mesh."""
-    K, size = joint_tracks.pinhole()
+    K, size = joint_tracks.assumed_pinhole()
     T_cam_hand, vertices, pose, given = read(file)
     found = flat_hand(vertices, generic.load("left").joints[0], pose)
     if found is None:
@@ -68,12 +68,12 @@ def convert(file: Path, out: Path) -> None:
     for bone in range(1, 16):
         parent = PARENTS[bone]
         joints[:, bone] = joints[:, parent] + A[:, parent] @ (found[1][bone] - found[1][parent])
-    joints = np.concatenate([joints, vertices[:, list(mano.TIPS["left"])]], axis=1)[:, ORDER_21]
+    joints = np.concatenate([joints, vertices[:, list(mano.FINGERTIP_VERTICES["left"])]], axis=1)[:, ORDER_21]
     shutil.copy(file.with_suffix(".obj"), out)
     np.savez_compressed(
         out / f"{file.stem}.npz",
         joints_left=se3.transform(T_cam_hand, joints), order="openpose",
-        T_world_obj=numbers(file, given, "obj_pose", (len(pose), 4, 4)), mesh=f"{file.stem}.obj", fps=FPS,
+        T_world_obj=check_mano_numbers(file, given, "obj_pose", (len(pose), 4, 4)), mesh=f"{file.stem}.obj", fps=FPS,
         category="object", subject="unknown", sequence=file.stem, K=K, size=size, T_cam_world=np.eye(4),
         source=f"TACO, {file.stem}, in GeneOH Diffusion's copy; {FPS:g} frames per second are assumed",
         licence="made from TACO, CC BY 4.0",
@@ -88,12 +88,14 @@ def read(
 
     MANO's root joint, which the translation is, lies where the generic hand has its wrist. Raises ``InputError``.
     """
-    given = pickles.read_file(file, "a sequence of TACO")
-    vertices = numbers(file, given, "hand_verts", (-1, VERTICES, 3))
+    given = pickles.read_pickle_file(file, "a sequence of TACO")
+    vertices = check_mano_numbers(file, given, "hand_verts", (-1, VERTICES, 3))
     T = len(vertices)
-    pose = numbers(file, given, "hand_pose", (T, 48))
+    pose = check_mano_numbers(file, given, "hand_pose", (T, 48))
     R = se3.exp_so3(pose[:, :3])
-    T_cam_hand = se3.rigid(R, numbers(file, given, "hand_trans", (T, 3)) - R @ generic.load("left").joints[0])
+    T_cam_hand = se3.rigid(
+        R, check_mano_numbers(file, given, "hand_trans", (T, 3)) - R @ generic.load("left").joints[0]
+    )
     return T_cam_hand, se3.transform(se3.inverse(T_cam_hand), vertices), pose[:, 3:], given
 
 

@@ -15,7 +15,7 @@ The public names and their modules are listed in ``__init__.pyi``. Each is loade
 from getagrip.io import interrupts
 
 if interrupts.is_program():  # before anything else takes time
-    interrupts.while_loading()
+    interrupts.exit_on_interrupt()
 
 import lazy_loader
 

@@ -25,7 +25,7 @@ from tyro.conf import OmitArgPrefixes, subcommand
 
 from getagrip import __version__
 from getagrip.commands.annotate import Annotate
-from getagrip.commands.bench import Benches, with_source
+from getagrip.commands.bench import Benches, move_source_first
 from getagrip.commands.command import Command
 from getagrip.commands.demo import Demo
 from getagrip.commands.doctor import Doctor
@@ -44,28 +44,28 @@ from getagrip.commands.segment import Segment
 from getagrip.commands.stats import Stats
 from getagrip.commands.status import Status
 from getagrip.commands.study import Study
-from getagrip.commands.view import View
-from getagrip.errors import GetagripError, UsageError, cleaned, unknown
+from getagrip.commands.view import ViewResults
+from getagrip.errors import GetagripError, UsageError, escape_unprintable, unknown_choice_error
 from getagrip.io import interrupts
-from getagrip.io.arguments import PATHS
+from getagrip.io.arguments import PATH_REGISTRY
 from getagrip.io.choices import explain_all
-from getagrip.io.terminal import Silence
+from getagrip.io.terminal import NullOutput
 from getagrip.reproduction.arctic import ReproduceArctic
 from getagrip.reproduction.epic import ReproduceEpic
 
-DESCRIPTION = (
+PROGRAM_DESCRIPTION = (
     "Reconstruct where an object is in the hand that holds it, in every frame of a video, from hand poses, masks and "
     "the object's mesh. --version prints the version."
 )
 
-BENCH = "Compare methods on a dataset, or on a folder of clips: the paper's tables, with intervals."
-FIGURE = "Draw figures of results, as the paper has them."
-IMPORT = "Import datasets; or hands, masks, depth, cameras or segments into clips."
-INDENT = 27
+BENCH_DESCRIPTION = "Compare methods on a dataset, or on a folder of clips: the paper's tables, with intervals."
+FIGURE_DESCRIPTION = "Draw figures of results, as the paper has them."
+IMPORT_DESCRIPTION = "Import datasets; or hands, masks, depth, cameras or segments into clips."
+HELP_INDENT = 27
 """Column in which ``--help`` explains the commands."""
 
 
-def groups(imports: Any, figures: Any) -> dict[str, tuple[Any, ...]]:
+def command_groups(imports: Any, figures: Any) -> dict[str, tuple[Any, ...]]:
     """Make all commands, by what they are for: the headings of ``--help``.
 
     ``imports`` is what ``import`` takes, ``figures`` what ``figure`` takes.
@@ -77,7 +77,7 @@ def groups(imports: Any, figures: Any) -> dict[str, tuple[Any, ...]]:
             Annotated[Label, subcommand("label")],
             Annotated[Annotate, subcommand("annotate")],
             Annotated[NewClip, subcommand("clip new")],
-            Annotated[imports, subcommand("import", description=IMPORT)],
+            Annotated[imports, subcommand("import", description=IMPORT_DESCRIPTION)],
         ),
         "Solve": (
             Annotated[Reconstruct, subcommand("reconstruct")],
@@ -85,14 +85,14 @@ def groups(imports: Any, figures: Any) -> dict[str, tuple[Any, ...]]:
             Annotated[Status, subcommand("status")],
         ),
         "Look": (
-            Annotated[View, subcommand("view")],
+            Annotated[ViewResults, subcommand("view")],
             Annotated[Report, subcommand("report")],
-            Annotated[figures, subcommand("figure", description=FIGURE)],
+            Annotated[figures, subcommand("figure", description=FIGURE_DESCRIPTION)],
         ),
         "Use": (Annotated[Export, subcommand("export")], Annotated[ReplayResults, subcommand("replay")]),
         "Measure": (
             Annotated[Evaluate, subcommand("evaluate")],
-            Annotated[Benches, subcommand("bench", description=BENCH)],
+            Annotated[Benches, subcommand("bench", description=BENCH_DESCRIPTION)],
             Annotated[ReproduceEpic, subcommand("reproduce epic-grasps")],
             Annotated[ReproduceArctic, subcommand("reproduce arctic-grasps")],
             Annotated[Segment, subcommand("segment")],
@@ -104,21 +104,21 @@ def groups(imports: Any, figures: Any) -> dict[str, tuple[Any, ...]]:
     }
 
 
-def commands(imports: Any, figures: Any) -> Any:
+def command_union(imports: Any, figures: Any) -> Any:
     """Make the union of all commands."""
-    return reduce(or_, (command for group in groups(imports, figures).values() for command in group))
+    return reduce(or_, (command for group in command_groups(imports, figures).values() for command in group))
 
 
 def overview() -> str:
     """Write what ``getagrip --help`` prints: the commands under their headings."""
     width = get_terminal_size().columns
-    lines = ["usage: getagrip COMMAND [-h] ...", "", *wrap(DESCRIPTION, width)]
-    for heading, group in groups(Command, Command).items():
+    lines = ["usage: getagrip COMMAND [-h] ...", "", *wrap(PROGRAM_DESCRIPTION, width)]
+    for heading, group in command_groups(Command, Command).items():
         lines += ["", heading]
         for kind, about in map(get_args, group):
             sentence = re.split(r"(?<=\.)\s", cleandoc(about.description or kind.__doc__), maxsplit=1)[0]
-            name = f"  {about.name}  ".ljust(INDENT)
-            lines += wrap(" ".join(sentence.split()), width, initial_indent=name, subsequent_indent=" " * INDENT)
+            name = f"  {about.name}  ".ljust(HELP_INDENT)
+            lines += wrap(" ".join(sentence.split()), width, initial_indent=name, subsequent_indent=" " * HELP_INDENT)
     return "\n".join([*lines, "", "getagrip COMMAND --help lists a command's options."])
 
 
@@ -126,7 +126,7 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run a command. Returns 0 when all is done, 1 when some of it failed, 2 when the call is wrong."""
     _open_closed_output()
     try:
-        status = _run(sys.argv[1:] if args is None else args)
+        status = _run_command(sys.argv[1:] if args is None else args)
         sys.stdout.flush()
         return status
     except BrokenPipeError:  # whoever read the output has enough of it, as with `| head`
@@ -147,26 +147,26 @@ def _open_closed_output() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
-def _run(args: Sequence[str]) -> int:
+def _run_command(args: Sequence[str]) -> int:
     try:
-        command = _parsed(args)
-        interrupts.while_working()
+        command = _parse_command(args)
+        interrupts.raise_on_interrupt()
         command.check()
-        with redirect_stdout(Silence()) if command.quiet else nullcontext():
+        with redirect_stdout(NullOutput()) if command.quiet else nullcontext():
             return command.run()
     except BrokenPipeError:
         raise
     except KeyboardInterrupt:
         print("interrupted; what was finished is kept", file=sys.stderr)
-        return interrupts.STATUS
+        return interrupts.INTERRUPT_EXIT_STATUS
     except (GetagripError, OSError) as error:
         if "--debug" in args:
-            print(cleaned(traceback.format_exc(), "\n"), file=sys.stderr)
-        print(f"getagrip: {cleaned(str(error))}", file=sys.stderr)
+            print(escape_unprintable(traceback.format_exc(), "\n"), file=sys.stderr)
+        print(f"getagrip: {escape_unprintable(str(error))}", file=sys.stderr)
         return 2 if isinstance(error, UsageError) else 1
 
 
-def _parsed(args: Sequence[str]) -> Command:
+def _parse_command(args: Sequence[str]) -> Command:
     """Parse the arguments of a call. Ends the process after ``--help``, and for arguments that fit no command."""
     imports: Any = Command
     figures: Any = Command
@@ -184,30 +184,30 @@ def _parsed(args: Sequence[str]) -> Command:
     if not args or args[0] in {"-h", "--help"}:
         print(overview(), file=sys.stdout if args else sys.stderr)
         sys.exit(0 if args else 2)
-    known: Any = commands(imports, figures)
-    program, description = "getagrip", DESCRIPTION
-    while parts := _by_name(known):  # its own command is enough, and several times as quick
+    known: Any = command_union(imports, figures)
+    program, description = "getagrip", PROGRAM_DESCRIPTION
+    while parts := _subcommands_by_name(known):  # its own command is enough, and several times as quick
         if program == "getagrip bench":
-            args = with_source(args, parts)
-        args = joined(args, parts, f"{program} ".removeprefix("getagrip "))
+            args = move_source_first(args, parts)
+        args = join_command_words(args, parts, f"{program} ".removeprefix("getagrip "))
         if not args or args[0] not in parts:
             break
         known, args, program = parts[args[0]], args[1:], f"{program} {args[0]}"
         description = known.__metadata__[0].description
     if {"-h", "--help"} & {*args}:
         explain_all(known)
-    with PATHS:
+    with PATH_REGISTRY:
         command: Command = tyro.cli(known, prog=program, description=description, args=args, config=(OmitArgPrefixes,))
     return command
 
 
-def _by_name(choice: Any) -> dict[str, Any]:
+def _subcommands_by_name(choice: Any) -> dict[str, Any]:
     """List the commands of a union, by the words that are typed; none for a command without subcommands."""
     union = get_args(choice)[0] if get_origin(choice) is Annotated else choice
     return {one.__metadata__[0].name: one for one in get_args(union) if get_origin(one) is Annotated}
 
 
-def joined(words: Sequence[str], names: Collection[str], before: str = "") -> list[str]:
+def join_command_words(words: Sequence[str], names: Collection[str], before: str = "") -> list[str]:
     """Join the words that name a command into one.
 
     Ends the process where they name none.
@@ -225,16 +225,19 @@ def joined(words: Sequence[str], names: Collection[str], before: str = "") -> li
     asked = bool({"-h", "--help"} & {*words})
     if asked and len(begun) == 1:
         return [begun[0], "--help"]
-    alike = [before + name for name in begun or _alike(words[0], names)]
+    alike = [before + name for name in begun or _similar_names(words[0], names)]
     if begun and (asked or len(words) == 1):
         print(f"getagrip: incomplete command {words[0]!r}; choose from {', '.join(alike)}", file=sys.stderr)
     else:
         value = " ".join(words[:2]) if begun else words[0]
-        print(f"getagrip: {cleaned(str(unknown('command', before + value, alike or names)))}", file=sys.stderr)
+        print(
+            f"getagrip: {escape_unprintable(str(unknown_choice_error('command', before + value, alike or names)))}",
+            file=sys.stderr,
+        )
     sys.exit(2)
 
 
-def _alike(word: str, names: Iterable[str]) -> list[str]:
+def _similar_names(word: str, names: Iterable[str]) -> list[str]:
     """Return the names that begin with a word or, if there is none, the one most like it."""
     spelt = {spelling: name for name in names for spelling in (name, name.split()[0])}
     alike = [name for name in spelt if name.startswith(word)] or get_close_matches(word, spelt, n=1)

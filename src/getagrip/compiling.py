@@ -27,12 +27,12 @@ from numba import config, njit, types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
 from getagrip.io import files, locks, own_python, plugins
-from getagrip.io.user_folders import cache_folder, is_ours
+from getagrip.io.user_folders import cache_folder, is_private_folder
 
 if TYPE_CHECKING:
     from numba.core.dispatcher import Dispatcher
 
-OPTIONS: dict[str, object] = {
+NUMBA_OPTIONS: dict[str, object] = {
     "cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"},
     "forceinline": True, "no_cfunc_wrapper": True,
 }  # fmt: skip
@@ -41,7 +41,7 @@ OPTIONS: dict[str, object] = {
 Kernels that others call become parts of these. Else each caller has a copy, optimised in its own way; of several copies
 in a process the first to be loaded counts, and that is another one where kernels come from the cache: other last bits.
 """
-GROUPS = (
+KERNEL_GROUPS = (
     ("fitting.energy.mask", "kernels.hand", "kernels.silhouette", "kernels.contour"),
     (
         "kernels.closest", "fitting.contact", "fitting.energy.push", "fitting.energy.pull", "geometry.depth",
@@ -49,23 +49,23 @@ GROUPS = (
     ),
 )  # fmt: skip
 """Modules whose kernels are compiled by one process: those that share parts, and as many as take equally long."""
-RARE = (
+RARELY_USED_KERNEL_MODULES = (
     "fitting.energy.mask_by_shape", "fitting.energy.paper_push", "fitting.energy.paper_pull", "fitting.energy.depth",
     "kernels.depth", "fitting.energy.order", "fitting.energy.contact_consistency", "kernels.cut",
 )  # fmt: skip
 """Modules of kernels that few reconstructions need; each is compiled when it is."""
-LETTERS = {
+TYPE_BY_LETTER = {
     "f": types.float64, "s": types.float32, "i": types.int64, "n": types.int32, "t": types.int8, "u": types.uint64,
     "b": types.boolean,
 }  # fmt: skip
-ALLOCATING = {"copy", "empty", "zeros", "zeros_like"}
+ALLOCATING_CALLS = {"copy", "empty", "zeros", "zeros_like"}
 """Calls for which a kernel must count references. Without them it need not; numba refuses to compile one that allocates
 by other means, such as the difference of two arrays."""
-WORDS = "kernels are compiled, once for this version: about 15 seconds of one core"
+COMPILATION_MESSAGE = "kernels are compiled, once for this version: about 15 seconds of one core"
 
-_declared: list[tuple[Dispatcher, str]] = []
+_declared_kernels: list[tuple[Dispatcher, str]] = []
 
-if not own_python.imports_from_here():  # numba takes options, as where it reads compiled code, from the current folder
+if not own_python.imports_from_cwd():  # numba takes options, as where it reads compiled code, from the current folder
     config._config_fname = ""
     config.reload_config()
 
@@ -73,18 +73,18 @@ if not own_python.imports_from_here():  # numba takes options, as where it reads
 def kernel(arguments: str = "", fastmath: bool = True) -> Callable[[Callable], Dispatcher]:
     """Make a decorator that compiles a function.
 
-    ``arguments`` are the types that a kernel called from Python is compiled for ahead: a letter of ``LETTERS`` each,
+    ``arguments`` are the types that a kernel called from Python is compiled for ahead: a letter of ``TYPE_BY_LETTER`` each,
     then the number of axes of an array, as in "f3 i". One without them is a part of others, called by kernels only.
     Without ``fastmath``, sums keep their order.
     """
 
     def decorate(function: Callable) -> Dispatcher:
-        allocates = not ALLOCATING.isdisjoint(function.__code__.co_names)
-        options = OPTIONS | {"no_cpython_wrapper": not arguments, "_nrt": allocates}
+        allocates = not ALLOCATING_CALLS.isdisjoint(function.__code__.co_names)
+        options = NUMBA_OPTIONS | {"no_cpython_wrapper": not arguments, "_nrt": allocates}
         compiled = njit(**options if fastmath else options | {"fastmath": False})(function)
-        compiled._cache = _Cache(function)
+        compiled._cache = _KernelCache(function)
         if arguments:
-            _declared.append((compiled, arguments))
+            _declared_kernels.append((compiled, arguments))
         return compiled
 
     return decorate
@@ -98,14 +98,14 @@ def compile_once(tell: Callable[[], object] = lambda: None) -> None:
     """
     mark = mark_file()
     try:
-        if _is_set(mark):
+        if _is_mark_set(mark):
             return
         mark.parent.mkdir(parents=True, exist_ok=True)
         mark.touch()
-        with locks.holding(mark):
-            if not _is_set(mark):
+        with locks.hold_lock(mark):
+            if not _is_mark_set(mark):
                 tell()
-                _compile_side_by_side()
+                _compile_in_parallel()
                 files.write_text(mark, "compiled")
     except Exception:  # a full disk, a folder of others, no room in memory: the clips will say what is wrong
         return
@@ -116,14 +116,14 @@ def compile_modules(names: Iterable[str]) -> None:
     modules = {f"getagrip.{name}" for name in names}
     for module in modules:
         importlib.import_module(module)
-    with _collecting_no_garbage():
-        for compiled, arguments in _declared:
+    with _garbage_collection_paused():
+        for compiled, arguments in _declared_kernels:
             if compiled.py_func.__module__ in modules:
-                compiled.compile(signature(arguments))
+                compiled.compile(numba_signature(arguments))
 
 
 @contextmanager
-def _collecting_no_garbage() -> Iterator[None]:
+def _garbage_collection_paused() -> Iterator[None]:
     """Leave garbage for later: numba makes many objects that stay; looking through them takes a tenth of its time."""
     collects = gc.isenabled()
     gc.disable()
@@ -134,29 +134,30 @@ def _collecting_no_garbage() -> Iterator[None]:
             gc.enable()
 
 
-def signature(arguments: str) -> tuple[types.Type, ...]:
+def numba_signature(arguments: str) -> tuple[types.Type, ...]:
     """Return numba's types of arguments as ``kernel`` takes them."""
     return tuple(
-        types.Array(LETTERS[word[0]], int(word[1:]), "C") if word[1:] else LETTERS[word] for word in arguments.split()
+        types.Array(TYPE_BY_LETTER[word[0]], int(word[1:]), "C") if word[1:] else TYPE_BY_LETTER[word]
+        for word in arguments.split()
     )
 
 
 @cache
-def folder() -> Path:
+def kernel_cache_folder() -> Path:
     """Return the folder of the compiled kernels: in ``NUMBA_CACHE_DIR``, else in the user's cache.
 
     What lies there is run. Where others can write, a folder of this process and of those that it starts is taken.
     """
     total = hashlib.sha256(repr((numba.__version__, sys.version_info[:2], sys.platform)).encode())
-    for name in ("compiling", *(name for group in (*GROUPS, RARE) for name in group)):
+    for name in ("compiling", *(name for group in (*KERNEL_GROUPS, RARELY_USED_KERNEL_MODULES) for name in group)):
         total.update(Path(__file__).parent.joinpath(*name.split(".")).with_suffix(".py").read_bytes())
     named = os.environ.get("NUMBA_CACHE_DIR")
     kept = (Path(named) if named else cache_folder() / "kernels") / total.hexdigest()[:16]
     with suppress(OSError):  # before others make it
         kept.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if is_ours(kept):
+    if is_private_folder(kept):
         return kept
-    plugins.warn(
+    plugins.warn_once(
         f"{kept}: other users can write there, so compiled kernels are neither read nor kept, and compiled in each "
         "call; NUMBA_CACHE_DIR names another folder"
     )
@@ -170,25 +171,25 @@ def mark_file() -> Path:
     from numba.core.registry import cpu_target
 
     processor = cpu_target.target_context.codegen().magic_tuple()  # by which numba tells apart what it keeps
-    return folder() / f"compiled.{hashlib.sha256(repr(processor).encode()).hexdigest()[:16]}"
+    return kernel_cache_folder() / f"compiled.{hashlib.sha256(repr(processor).encode()).hexdigest()[:16]}"
 
 
-def _is_set(mark: Path) -> bool:
+def _is_mark_set(mark: Path) -> bool:
     return mark.is_file() and mark.stat().st_size > 0
 
 
-def _compile_side_by_side() -> None:
+def _compile_in_parallel() -> None:
     """Compile all groups, in processes of their own where there are cores for several and Python can be started."""
-    n = min(config.NUMBA_DEFAULT_NUM_THREADS, len(GROUPS))  # cores that this process may use
+    n = min(config.NUMBA_DEFAULT_NUM_THREADS, len(KERNEL_GROUPS))  # cores that this process may use
     if n == 1 or getattr(sys, "frozen", False) or not Path(sys.executable or "").name.lower().startswith("py"):
-        return compile_modules(name for group in GROUPS for name in group)
-    shares, own = GROUPS[: n - 1], [name for group in GROUPS[n - 1 :] for name in group]
+        return compile_modules(name for group in KERNEL_GROUPS for name in group)
+    shares, own = KERNEL_GROUPS[: n - 1], [name for group in KERNEL_GROUPS[n - 1 :] for name in group]
     command = "import sys; from getagrip.compiling import compile_modules; compile_modules(sys.argv[1:])"
     paths = os.pathsep.join(os.path.abspath(path) for path in sys.path if path)
     with ThreadPoolExecutor(n - 1) as threads:
         ends = [
             threads.submit(
-                subprocess.run, own_python.command("-c", command, *names), env=os.environ | {"PYTHONPATH": paths},
+                subprocess.run, own_python.python_command("-c", command, *names), env=os.environ | {"PYTHONPATH": paths},
                 stdin=subprocess.DEVNULL, capture_output=True, check=True,
             )
             for names in shares
@@ -199,34 +200,34 @@ def _compile_side_by_side() -> None:
     return None
 
 
-class _Place(_CacheLocator):  # type: ignore[misc]
+class _KernelCacheLocator(_CacheLocator):  # type: ignore[misc]
     """The place of a kernel in the cache, as numba asks for it."""
 
     def __init__(self, py_func: Callable, py_file: str) -> None:
         self._py_file, self._module = py_file, py_func.__module__
 
     def get_cache_path(self) -> str:
-        return str(folder())
+        return str(kernel_cache_folder())
 
     def get_source_stamp(self) -> str:
-        return folder().name
+        return kernel_cache_folder().name
 
     def get_disambiguator(self) -> str:
         return str(self._module)
 
     @classmethod
-    def from_function(cls, py_func: Callable, py_file: str) -> _Place:
+    def from_function(cls, py_func: Callable, py_file: str) -> _KernelCacheLocator:
         return cls(py_func, py_file)
 
 
-class _Files(CompileResultCacheImpl):  # type: ignore[misc]
-    _locator_classes: ClassVar = [_Place]
+class _KernelCacheFiles(CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes: ClassVar = [_KernelCacheLocator]
 
 
-class _Cache(FunctionCache):  # type: ignore[misc]
+class _KernelCache(FunctionCache):  # type: ignore[misc]
     """The compiled versions of a kernel. What cannot be read or kept is compiled anew."""
 
-    _impl_class = _Files
+    _impl_class = _KernelCacheFiles
 
     def load_overload(self, sig: object, target_context: object) -> object:
         try:

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from getagrip.errors import InputError, cleaned
-from getagrip.io.files import Json, shown
+from getagrip.errors import InputError, escape_unprintable
+from getagrip.io.files import Json, shorten_value
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class Finding:
     message: str
 
     def __str__(self) -> str:
-        return cleaned(f"{'serious' if self.serious else 'note'}: {self.check}: {self.message}")
+        return escape_unprintable(f"{'serious' if self.serious else 'note'}: {self.check}: {self.message}")
 
 
-KINDS: dict[str, tuple[type, ...]] = {
+FINDING_FIELD_TYPES: dict[str, tuple[type, ...]] = {
     "check": (str,), "serious": (bool,), "value": (int, float), "limit": (int, float), "message": (str,),
 }  # fmt: skip
 
@@ -40,9 +40,13 @@ KINDS: dict[str, tuple[type, ...]] = {
 def read_findings(path: Path, value: Sequence[Json]) -> tuple[Finding, ...]:
     """Read the findings of a ``result.json``. Raises ``InputError``."""
     for n, item in enumerate(value):
-        if not isinstance(item, dict) or not all(isinstance(item.get(key), kind) for key, kind in KINDS.items()):
-            raise InputError(path, f"findings[{n}]", shown(item), f"an object with {', '.join(KINDS)}")
-    return tuple(Finding(**{key: item[key] for key in KINDS}) for item in value)
+        if not isinstance(item, dict) or not all(
+            isinstance(item.get(key), kind) for key, kind in FINDING_FIELD_TYPES.items()
+        ):
+            raise InputError(
+                path, f"findings[{n}]", shorten_value(item), f"an object with {', '.join(FINDING_FIELD_TYPES)}"
+            )
+    return tuple(Finding(**{key: item[key] for key in FINDING_FIELD_TYPES}) for item in value)
 
 
 def read_checks(path: Path, entry: Mapping[str, object], key: str = "checks") -> dict[str, float]:
@@ -53,6 +57,6 @@ def read_checks(path: Path, entry: Mapping[str, object], key: str = "checks") ->
     out = {}
     for name, value in entry.items():
         if isinstance(value, bool) or not isinstance(value, int | float | None):
-            raise InputError(path, f"{key}.{shown(name)}", shown(value), "a number, or null")
+            raise InputError(path, f"{key}.{shorten_value(name)}", shorten_value(value), "a number, or null")
         out[name] = float("nan") if value is None else float(value)
     return out

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 
-class State(Protocol):
+class SolverState(Protocol):
     """B problems at their current parameters."""
 
     @property
@@ -30,7 +30,7 @@ class State(Protocol):
         ...
 
 
-S = TypeVar("S", bound=State)
+S = TypeVar("S", bound=SolverState)
 
 
 class Ending(Enum):
@@ -43,7 +43,7 @@ class Ending(Enum):
 
 
 @dataclass(frozen=True)
-class Rules:
+class DampingRules:
     """How damping follows success and failure, and when a problem is done.
 
     Attributes:
@@ -82,10 +82,10 @@ class Minimum(Generic[S]):
     evaluations: int
 
 
-DEFAULT = Rules()
+DEFAULT_DAMPING_RULES = DampingRules()
 
 
-def minimise(state: S, iterations: int, rules: Rules = DEFAULT) -> Minimum[S]:
+def minimise(state: S, iterations: int, rules: DampingRules = DEFAULT_DAMPING_RULES) -> Minimum[S]:
     """Minimise every problem, in at most ``iterations`` iterations of one evaluation each."""
     B = len(state.cost)
     damping = np.full(B, rules.damping)
@@ -116,7 +116,7 @@ def minimise(state: S, iterations: int, rules: Rules = DEFAULT) -> Minimum[S]:
     return Minimum(state, endings, evaluations)
 
 
-def damped(H: Float[ndarray, "*batch n n"], damping: ndarray, floor: float = 0.0) -> Float[ndarray, "*batch n n"]:
+def damp_hessian(H: Float[ndarray, "*batch n n"], damping: ndarray, floor: float = 0.0) -> Float[ndarray, "*batch n n"]:
     """Raise a Hessian's diagonal in proportion; ``floor`` is added to directions that the cost does not see.
 
     ``damping`` has the batch's axes, or some axes of length 1 in their place.
@@ -126,7 +126,7 @@ def damped(H: Float[ndarray, "*batch n n"], damping: ndarray, floor: float = 0.0
 
 
 @dataclass(frozen=True)
-class Arrow:
+class BlockArrow:
     """Block-arrow normal equations: S parameters that all frames share, and L of each of N frames, in B problems.
 
     Attributes:
@@ -146,13 +146,13 @@ class Arrow:
     cross: Float[ndarray, "B N L N L"] | None = None
 
     @staticmethod
-    def of(H: Float[ndarray, "B N P P"], g: Float[ndarray, "B N P"], shared: slice, own: slice) -> Arrow:
+    def of(H: Float[ndarray, "B N P P"], g: Float[ndarray, "B N P"], shared: slice, own: slice) -> BlockArrow:
         """Sum frames' equations by P numbers each, some of which are shared.
 
         The slices may be one and the same: each frame's numbers are then a shared part plus its own.
         """
         H_ss, g_s = H[..., shared, shared].sum(axis=1), g[..., shared].sum(axis=1)
-        return Arrow(H_ss, H[..., shared, own], H[..., own, own], g_s, g[..., own])
+        return BlockArrow(H_ss, H[..., shared, own], H[..., own, own], g_s, g[..., own])
 
     @staticmethod
     def by(
@@ -161,16 +161,16 @@ class Arrow:
         H: Float[ndarray, "B N P P"],
         g: Float[ndarray, "B N P"],
         cross: Float[ndarray, "B N P N P"] | None,
-    ) -> Arrow:
+    ) -> BlockArrow:
         """Sum them by Q parameters, S shared ones first, on which the P numbers of each frame depend by J."""
         Jt = np.swapaxes(J, -1, -2)
-        alone = Arrow.of(Jt @ (H @ J), (Jt @ g[..., None])[..., 0], slice(S), slice(S, None))
+        alone = BlockArrow.of(Jt @ (H @ J), (Jt @ g[..., None])[..., 0], slice(S), slice(S, None))
         if cross is None:
             return alone
         tied = cross.any(axis=(0, 1, 3, 4))  # of a long vector, often a part
         if not tied.all():
             J, cross = J[..., tied, :], cross[:, :, tied][..., tied]
-        ss, sl, ll = _between_frames(cross, J[..., :S], J[..., S:])
+        ss, sl, ll = _transform_cross_hessian(cross, J[..., :S], J[..., S:])
         return replace(alone, H_ss=alone.H_ss + ss, H_sl=alone.H_sl + sl, cross=ll)
 
     def plus(
@@ -180,7 +180,7 @@ class Arrow:
         H_ll: ndarray | None = None,
         g_l: ndarray | None = None,
         cross: ndarray | None = None,
-    ) -> Arrow:
+    ) -> BlockArrow:
         """Add priors on the parameters, of shapes that broadcast to those of the fields."""
         if cross is not None and self.cross is None:
             cross = np.broadcast_to(cross, (len(self.g_l), *cross.shape))
@@ -196,8 +196,8 @@ class Arrow:
     def step(
         self, damping: Float[ndarray, "B"], floor: float = 0.0
     ) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
-        """Return the damped step of the shared parameters and of each frame's own (``damped``)."""
-        H_ss, H_ll = damped(self.H_ss, damping, floor), damped(self.H_ll, damping[:, None], floor)
+        """Return the damped step of the shared parameters and of each frame's own (``damp_hessian``)."""
+        H_ss, H_ll = damp_hessian(self.H_ss, damping, floor), damp_hessian(self.H_ll, damping[:, None], floor)
         return replace(self, H_ss=H_ss, H_ll=H_ll).solved()
 
     def solved(self) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
@@ -236,7 +236,7 @@ class Arrow:
         columns = [np.swapaxes(H_su, -1, -2), np.swapaxes(H_tu, -1, -2), self.g_l[..., ~tied, None]]
         S, solved = len(self.g_s[0]), np.linalg.solve(H_uu, np.concatenate(columns, axis=-1))
         by_s, by_t, by_u = solved[..., :S], solved[..., S:-1], solved[..., -1:]
-        shared, own = Arrow(
+        shared, own = BlockArrow(
             self.H_ss - (H_su @ by_s).sum(axis=1),
             H_st - H_su @ by_t,
             self.H_ll[..., tied, :][..., tied] - H_tu @ by_t,
@@ -268,7 +268,7 @@ class Arrow:
         return step[:, :S], step[:, S:].reshape(B, N, L)
 
 
-def _between_frames(
+def _transform_cross_hessian(
     cross: Float[ndarray, "B N P N P"], J_s: Float[ndarray, "B N P S"], J_l: Float[ndarray, "B N P L"]
 ) -> tuple[Float[ndarray, "B S S"], Float[ndarray, "B N S L"], Float[ndarray, "B N L N L"]]:
     """Take the Hessian between frames to the parameters.

@@ -24,28 +24,28 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.render import render_rgb
 from getagrip.io import files
-from getagrip.io.brief import facts, short
+from getagrip.io.brief import summarise_fields, summarise_value
 from getagrip.io.images import read_image
-from getagrip.io.terminal import counted
+from getagrip.io.terminal import format_count
 from getagrip.pages import write_page
-from getagrip.pictures.looking import looking
+from getagrip.pictures.looking import look_at
 from getagrip.pictures.report import report_figure
 from getagrip.pictures.shown import View
-from getagrip.pictures.style import BLANK, HAND, IGNORED, OBJECT, OBSERVED, PAPER_RGB
-from getagrip.probability import percent
+from getagrip.pictures.style import BLANK_RGB, HAND_RGB, IGNORED_MASK_RGB, OBJECT_RGB, OBSERVED_MASK_RGB, PAPER_RGB
+from getagrip.probability import format_probability
 from getagrip.result import Reconstruction
-from getagrip.result.folder import software
+from getagrip.result.folder import software_versions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SIDE = 320
+NOTEBOOK_PICTURE_PX = 320
 """Longest side of a picture beside a table [px]."""
 Picture = UInt8[ndarray, "H W 3"]
 
 
 @dataclass(frozen=True, repr=False)
-class Page:
+class HtmlPage:
     """An HTML page in one file: a notebook shows it in a frame, which runs nothing but the page's own scripts."""
 
     html: str
@@ -56,7 +56,7 @@ class Page:
 
     def _repr_html_(self) -> str:
         style = f"width:100%;height:{self.height}px;border:1px solid #d9dad6"
-        return f'<iframe sandbox="allow-scripts" srcdoc="{_in_html(self.html)}" style="{style}"></iframe>'
+        return f'<iframe sandbox="allow-scripts" srcdoc="{_escape_html(self.html)}" style="{style}"></iframe>'
 
     def write(self, path: str | Path) -> Path:
         """Write the page to a file, and return its path."""
@@ -64,27 +64,32 @@ class Page:
         return Path(path)
 
 
-def plotted(result: Reconstruction, clip: Clip | None, masks: Masks | None) -> Figure:
+def plot_result(result: Reconstruction, clip: Clip | None, masks: Masks | None) -> Figure:
     """Draw the report of a result as a figure that shows itself in a notebook, also without pyplot."""
-    figure = report_figure(result, *_inputs(result, clip, masks))
-    figure.__dict__["_repr_png_"] = lambda: _png_of(figure)
+    figure = report_figure(result, *_result_inputs(result, clip, masks))
+    figure.__dict__["_repr_png_"] = lambda: _figure_to_png(figure)
     return figure
 
 
-def page(result: Reconstruction, clip: Clip | None, masks: Masks | None, height: int) -> Page:
+def make_result_page(result: Reconstruction, clip: Clip | None, masks: Masks | None, height: int) -> HtmlPage:
     """Make the page of a result, with its metrics."""
-    clip, masks = _inputs(result, clip, masks)
+    clip, masks = _result_inputs(result, clip, masks)
     index = clip.index_of(result.frames)
     clip, masks = clip.take(index), None if masks is None else masks.take(index)
-    record = {"software": software(), "options": result.options, "seed": result.seed, "provenance": clip.provenance}
+    record = {
+        "software": software_versions(),
+        "options": result.options,
+        "seed": result.seed,
+        "provenance": clip.provenance,
+    }
     with tempfile.TemporaryDirectory() as folder:
         written = write_page(
             View.of(result, clip, masks), evaluate(result, clip, masks), record, Path(folder) / "report.html"
         )
-        return Page(written.read_text(encoding="utf-8"), height)
+        return HtmlPage(written.read_text(encoding="utf-8"), height)
 
 
-def _inputs(result: Reconstruction, clip: Clip | None, masks: Masks | None) -> tuple[Clip, Masks | None]:
+def _result_inputs(result: Reconstruction, clip: Clip | None, masks: Masks | None) -> tuple[Clip, Masks | None]:
     """Return the clip and masks to show a result with. Raises ``UsageError`` where they are not known."""
     if clip is None and result.inputs is None:
         raise UsageError("missing clip: this result does not know what it was made of; say result.plot(clip, masks)")
@@ -93,43 +98,43 @@ def _inputs(result: Reconstruction, clip: Clip | None, masks: Masks | None) -> t
     return clip, find_masks(clip) if masks is None and clip.folder is not None else masks
 
 
-def table_and_picture(data: object) -> str:
+def render_html(data: object) -> str:
     """Write HTML of data: a table of what is in it, and a picture beside it where there is something to see."""
     rows = "".join(
-        f'<tr><td style="text-align:left;color:#8a9096">{_in_html(name)}</td>'
-        f'<td style="text-align:left;white-space:normal">{_in_html(text)}</td></tr>'
-        for name, text in described(data).items()
+        f'<tr><td style="text-align:left;color:#8a9096">{_escape_html(name)}</td>'
+        f'<td style="text-align:left;white-space:normal">{_escape_html(text)}</td></tr>'
+        for name, text in describe_data(data).items()
     )
-    seen = picture(data)
-    image = "" if seen is None else f'<img style="max-width:100%" alt="" src="{_address(seen)}">'
+    seen = draw_picture(data)
+    image = "" if seen is None else f'<img style="max-width:100%" alt="" src="{_png_data_url(seen)}">'
     title = f"<caption><b>{escape(type(data).__name__)}</b></caption>"
     table = f'<div style="flex:1 1 24em"><table>{title}{rows}</table></div>'  # a picture that is too wide goes below it
     return f'<div style="display:flex;flex-wrap:wrap;gap:16px;align-items:start">{table}{image}</div>'
 
 
 @singledispatch
-def described(data: object) -> dict[str, str]:
+def describe_data(data: object) -> dict[str, str]:
     """Describe data in rows of a name and a text."""
-    return facts(data)
+    return summarise_fields(data)
 
 
-@described.register
+@describe_data.register
 def _(clip: Clip) -> dict[str, str]:
-    held = facts(replace(clip, provenance={}, segments=()))
+    held = summarise_fields(replace(clip, provenance={}, segments=()))
     segments = [f"{s.state}{f', {s.side} hand' if s.side else ''}: {s.first} to {s.last}" for s in clip.segments]
     taken = {f"segment {n + 1}": text for n, text in enumerate(segments)}
-    return {**held, **taken, **{f"from: {topic}": short(text) for topic, text in clip.provenance.items()}}
+    return {**held, **taken, **{f"from: {topic}": summarise_value(text) for topic, text in clip.provenance.items()}}
 
 
-@described.register
+@describe_data.register
 def _(result: Reconstruction) -> dict[str, str]:
     return {
         "clip": result.clip,
         "method": result.method,
-        "frames": counted(len(result.frames), "frame"),
+        "frames": format_count(len(result.frames), "frame"),
         "status": result.message,
         "mask IOU": f"{100 * result.mean_iou:.1f} %",
-        **{f"probability right {where}": percent(one.value) for where, one in result.probabilities.items()},
+        **{f"probability right {where}": format_probability(one.value) for where, one in result.probabilities.items()},
         **({"by eye": result.looks} if result.looks else {}),
         "scale": f"{result.scale:.4g}",
         **{f"finding: {finding.check}": finding.message for finding in result.findings},
@@ -137,7 +142,7 @@ def _(result: Reconstruction) -> dict[str, str]:
     }
 
 
-@described.register
+@describe_data.register
 def _(evaluation: Evaluation) -> dict[str, str]:
     metrics = {metric.name: metric for metric in METRICS.working().values()}
     shown = {name: metrics[name] for name in evaluation.headline if name in metrics}
@@ -147,73 +152,82 @@ def _(evaluation: Evaluation) -> dict[str, str]:
 
 
 @singledispatch
-def picture(data: object) -> Picture | None:
+def draw_picture(data: object) -> Picture | None:
     """Draw data in a small picture; None where there is nothing to see."""
     return None
 
 
-@picture.register
+@draw_picture.register
 def _(clip: Clip) -> Picture | None:
     n = len(clip) // 2
     if (file := clip.image_file(n)) is not None:
         return read_image(file, clip.size)
     hand = se3.transform(clip.hand.T_cam_hand[n], clip.hand.vertices[n])
-    surfaces = [(hand, clip.hand.faces, HAND)]
+    surfaces = [(hand, clip.hand.faces, HAND_RGB)]
     if clip.truth is not None:
         true = se3.transform(clip.truth.T_cam_obj[n], clip.truth.scale * clip.mesh.vertices)
-        surfaces.append((true, clip.mesh.faces, OBJECT))
+        surfaces.append((true, clip.mesh.faces, OBJECT_RGB))
     return render_rgb(surfaces, clip.K[n], clip.size, PAPER_RGB)
 
 
-@picture.register
+@draw_picture.register
 def _(masks: Masks) -> Picture | None:
     known = np.flatnonzero(masks.known)
     n = known[len(known) // 2] if len(known) else 0
-    drawn = np.full((*masks.object.shape[1:], 3), BLANK, dtype=np.uint8)
-    drawn[masks.ignore[n]] = IGNORED
-    drawn[masks.object[n]] = OBSERVED
+    drawn = np.full((*masks.object.shape[1:], 3), BLANK_RGB, dtype=np.uint8)
+    drawn[masks.ignore[n]] = IGNORED_MASK_RGB
+    drawn[masks.object[n]] = OBSERVED_MASK_RGB
     return drawn
 
 
-@picture.register
+@draw_picture.register
 def _(hand: HandTrack) -> Picture | None:
-    return _looked_at(hand.vertices[len(hand.vertices) // 2], hand.faces, HAND) if hand.vertices.size else None
+    return _render_surface(hand.vertices[len(hand.vertices) // 2], hand.faces, HAND_RGB) if hand.vertices.size else None
 
 
-@picture.register
+@draw_picture.register
 def _(mesh: Mesh) -> Picture | None:
-    return _looked_at(mesh.light.vertices, mesh.light.faces, OBJECT)
+    return _render_surface(mesh.light.vertices, mesh.light.faces, OBJECT_RGB)
 
 
-@picture.register
+@draw_picture.register
 def _(result: Reconstruction) -> Picture | None:
     if result.inputs is None:
         return None
-    figure = plotted(result, None, None)
-    return np.asarray(cv2.imdecode(np.frombuffer(_png_of(figure), np.uint8), cv2.IMREAD_COLOR_RGB), dtype=np.uint8)
+    figure = plot_result(result, None, None)
+    return np.asarray(
+        cv2.imdecode(np.frombuffer(_figure_to_png(figure), np.uint8), cv2.IMREAD_COLOR_RGB), dtype=np.uint8
+    )
 
 
-def _looked_at(vertices: ndarray, faces: ndarray, colour: tuple[float, float, float]) -> Picture:
-    eye = looking(vertices, np.array([0.6, -0.5, -0.8]), np.array([0.0, -1.0, 0.0]), SIDE)
-    return render_rgb([(se3.transform(eye.T_view_frame, vertices), faces, colour)], eye.K, (SIDE, SIDE), PAPER_RGB)
+def _render_surface(vertices: ndarray, faces: ndarray, colour: tuple[float, float, float]) -> Picture:
+    eye = look_at(vertices, np.array([0.6, -0.5, -0.8]), np.array([0.0, -1.0, 0.0]), NOTEBOOK_PICTURE_PX)
+    return render_rgb(
+        [(se3.transform(eye.T_view_frame, vertices), faces, colour)],
+        eye.K,
+        (NOTEBOOK_PICTURE_PX, NOTEBOOK_PICTURE_PX),
+        PAPER_RGB,
+    )
 
 
-def _in_html(text: str) -> str:
+def _escape_html(text: str) -> str:
     """Write text as HTML in ASCII, which is right in a page of any encoding."""
     return escape(text).encode("ascii", "xmlcharrefreplace").decode()
 
 
-def _address(seen: Picture) -> str:
+def _png_data_url(seen: Picture) -> str:
     """Return a picture as an address that holds it."""
     height, width = seen.shape[:2]
-    most = 2.5 * SIDE if width > 3 * SIDE else SIDE  # a report has small letters
+    most = (
+        2.5 * NOTEBOOK_PICTURE_PX if width > 3 * NOTEBOOK_PICTURE_PX else NOTEBOOK_PICTURE_PX
+    )  # a report has small letters
     factor = min(1.0, most / max(height, width))
     small = cv2.resize(seen, (round(factor * width), round(factor * height)), interpolation=cv2.INTER_AREA)
     _, png = cv2.imencode(".png", cv2.cvtColor(small, cv2.COLOR_RGB2BGR))
     return f"data:image/png;base64,{base64.b64encode(png.tobytes()).decode()}"
 
 
-def _png_of(figure: Figure) -> bytes:
+def _figure_to_png(figure: Figure) -> bytes:
     out = BytesIO()
     figure.savefig(out, format="png", facecolor="white")
     return out.getvalue()

@@ -6,18 +6,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from getagrip.errors import InputError
-from getagrip.io.files import shown
+from getagrip.io.files import shorten_value
 
-RIGHT = "right if the mean vertex distance is below 10 % of the diameter"
+SUCCESS_DEFINITION = "right if the mean vertex distance is below 10 % of the diameter"
 """The meaning, in short, where a probability is shown; ``Probability.meaning`` says it at length."""
 
-HOLDS = 0.9
+CANDIDATE_SET_COVERAGE = 0.9
 """Probability with which a result's set of candidates holds the right one."""
-LEAST = 0.01
+MIN_SHOWN_PROBABILITY = 0.01
 """Nearer to 0 or 1 than this, no number is shown: the calibration does not tell them apart."""
 ASSUMED_MESH = "assumed mesh"
 """In ``beyond`` of a result whose mesh is not its object's."""
-LOOKS_RIGHT = 0.015
+MIN_PLAUSIBLE_PROBABILITY = 0.015
 """Probability from which on a result with an assumed mesh probably looks right (docs/draft.md)."""
 
 
@@ -31,7 +31,7 @@ class Probability:
         beyond: names of signs (``checks.signs``) that are worse than nearly all of them were there, and of inputs that
             were exact there: an extrapolation.
         keep: of results that are at least as probable, at least this share is right (``checks.keeping``); 0: unknown.
-        candidates: number of first candidates that hold the right one with ``HOLDS``; 0: all of them may not.
+        candidates: number of first candidates that hold the right one with ``CANDIDATE_SET_COVERAGE``; 0: all of them may not.
     """
 
     value: float
@@ -55,20 +55,20 @@ class Probability:
         """
         if ASSUMED_MESH not in self.beyond:
             return ""
-        return f"probably looks {'right' if self.value >= LOOKS_RIGHT else 'wrong'}"
+        return f"probably looks {'right' if self.value >= MIN_PLAUSIBLE_PROBABILITY else 'wrong'}"
 
     def __str__(self) -> str:
-        return percent(self.value) + (f" (extrapolated: {', '.join(self.beyond)})" if self.beyond else "")
+        return format_probability(self.value) + (f" (extrapolated: {', '.join(self.beyond)})" if self.beyond else "")
 
 
-def percent(value: float) -> str:
+def format_probability(value: float) -> str:
     """Write a probability, 0 to 1, as a percentage: never 0 % or 100 %."""
-    if value < LEAST or value > 1.0 - LEAST:
-        return "< 1 %" if value < LEAST else "> 99 %"
+    if value < MIN_SHOWN_PROBABILITY or value > 1.0 - MIN_SHOWN_PROBABILITY:
+        return "< 1 %" if value < MIN_SHOWN_PROBABILITY else "> 99 %"
     return f"{100.0 * value:.0f} %"
 
 
-KINDS: dict[str, tuple[type, ...]] = {"value": (int, float), "meaning": (str,), "beyond": (list,)}
+PROBABILITY_FIELDS: dict[str, tuple[type, ...]] = {"value": (int, float), "meaning": (str,), "beyond": (list,)}
 
 
 def read_probability(path: Path, value: object, key: str = "probability_right") -> Probability | None:
@@ -77,14 +77,14 @@ def read_probability(path: Path, value: object, key: str = "probability_right") 
         return None
     if (
         not isinstance(value, dict)
-        or not all(isinstance(value.get(part), kind) for part, kind in KINDS.items())
+        or not all(isinstance(value.get(part), kind) for part, kind in PROBABILITY_FIELDS.items())
         or isinstance(value["value"], bool)
         or not all(isinstance(name, str) for name in value["beyond"])
     ):
-        raise InputError(path, key, shown(value), f"an object with {', '.join(KINDS)}, or null")
+        raise InputError(path, key, shorten_value(value), f"an object with {', '.join(PROBABILITY_FIELDS)}, or null")
     if not 0.0 <= value["value"] <= 1.0:
-        raise InputError(path, f"{key}.value", shown(value["value"]), "0 to 1")
+        raise InputError(path, f"{key}.value", shorten_value(value["value"]), "0 to 1")
     more = value.get("keep", 0.0), value.get("candidates", 0)  # absent in older results
     if not all(isinstance(one, int | float) and not isinstance(one, bool) for one in more) or not 0.0 <= more[0] <= 1.0:
-        raise InputError(path, f"{key}.keep", shown(more), "0 to 1, and a number of candidates")
+        raise InputError(path, f"{key}.keep", shorten_value(more), "0 to 1, and a number of candidates")
     return Probability(float(value["value"]), value["meaning"], tuple(value["beyond"]), float(more[0]), int(more[1]))

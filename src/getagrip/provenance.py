@@ -12,13 +12,13 @@ from numpy import ndarray
 
 from getagrip.errors import InputError
 from getagrip.io import files
-from getagrip.io.terminal import report, warn
+from getagrip.io.terminal import print_note, warn
 
 Basis = Literal["measured", "estimated", "assumed"]
 """From a sensor, the ground truth or the user; found by an algorithm; neither of these."""
 HandsKind = Literal["measured", "estimated"]
 """Kind of a clip's hands: from sensors or the ground truth; estimated from images, or assumed."""
-TYPED = 4
+MIN_BASIS_VERSION = 4
 """The version of ``clip.json`` from which on sources have a basis; before, a guess said so in its text."""
 
 
@@ -38,7 +38,7 @@ class Source:
         return self.text
 
 
-TEXT, BASIS = "provenance_", "basis_"
+PROVENANCE_PREFIX, BASIS_PREFIX = "provenance_", "basis_"
 """Names of arrays in a hand file begin with these."""
 
 Provenance = dict[str, object]
@@ -76,7 +76,7 @@ def assumptions(provenance: Mapping[str, object]) -> dict[str, str]:
     return {topic: str(source) for topic, source in provenance.items() if is_assumed(source)}
 
 
-def joined(sources: Iterable[Source]) -> Source:
+def join_sources(sources: Iterable[Source]) -> Source:
     """Join several sources to one, as weak as the weakest of them."""
     each = tuple(dict.fromkeys(sources))
     weakest = max((source.basis for source in each), key=get_args(Basis).index)
@@ -85,51 +85,55 @@ def joined(sources: Iterable[Source]) -> Source:
 
 def report_source(topic: str, source: object) -> None:
     """Print the source of something; a warning where it is assumed."""
-    (warn if is_assumed(source) else report)(f"{topic}: {source}")
+    (warn if is_assumed(source) else print_note)(f"{topic}: {source}")
 
 
-def as_arrays(provenance: Mapping[str, object]) -> dict[str, ndarray]:
+def provenance_to_arrays(provenance: Mapping[str, object]) -> dict[str, ndarray]:
     """Convert the sources to arrays of a hand file: the text of each, and the basis of those that are not measured."""
-    texts = {f"{TEXT}{topic}": np.array(str(source)) for topic, source in provenance.items()}
+    texts = {f"{PROVENANCE_PREFIX}{topic}": np.array(str(source)) for topic, source in provenance.items()}
     sources = {topic: source for topic, source in provenance.items() if isinstance(source, Source)}
-    return texts | {f"{BASIS}{topic}": np.array(source.basis) for topic, source in sources.items()}
+    return texts | {f"{BASIS_PREFIX}{topic}": np.array(source.basis) for topic, source in sources.items()}
 
 
-def of_provenance(key: str) -> bool:
-    """Return whether an array of a hand file is one of ``as_arrays``."""
-    return key.startswith((TEXT, BASIS))
+def is_provenance_key(key: str) -> bool:
+    """Return whether an array of a hand file is one of ``provenance_to_arrays``."""
+    return key.startswith((PROVENANCE_PREFIX, BASIS_PREFIX))
 
 
-def from_arrays(path: Path, arrays: Mapping[str, ndarray]) -> dict[str, Source]:
+def provenance_from_arrays(path: Path, arrays: Mapping[str, ndarray]) -> dict[str, Source]:
     """Read the sources in a hand file; older files have no basis."""
     texts = {key: str(value) for key, value in arrays.items() if value.dtype.kind == "U" and value.shape == ()}
     out = {}
     for key, text in texts.items():
-        if not key.startswith(TEXT):
+        if not key.startswith(PROVENANCE_PREFIX):
             continue
-        topic = key.removeprefix(TEXT)
-        basis = texts.get(f"{BASIS}{topic}")
-        found = _of_old(text) if basis is None else _parsed(path, topic, {"text": text, "basis": basis}, TYPED)
+        topic = key.removeprefix(PROVENANCE_PREFIX)
+        basis = texts.get(f"{BASIS_PREFIX}{topic}")
+        found = (
+            _convert_old_source(text)
+            if basis is None
+            else _parse_source(path, topic, {"text": text, "basis": basis}, MIN_BASIS_VERSION)
+        )
         out[topic] = found if isinstance(found, Source) else Source(text)
     return out
 
 
-def parse(path: Path, entry: Mapping[str, object], version: int) -> Provenance:
+def parse_provenance(path: Path, entry: Mapping[str, object], version: int) -> Provenance:
     """Read the provenance in a ``clip.json``. Raises ``InputError`` for a basis that there is not."""
-    return {topic: _parsed(path, topic, value, version) for topic, value in entry.items()}
+    return {topic: _parse_source(path, topic, value, version) for topic, value in entry.items()}
 
 
-def _parsed(path: Path, topic: str, value: object, version: int) -> object:
-    if version < TYPED:
-        return _of_old(value)
+def _parse_source(path: Path, topic: str, value: object, version: int) -> object:
+    if version < MIN_BASIS_VERSION:
+        return _convert_old_source(value)
     if not isinstance(value, dict) or value.keys() != {"text", "basis"}:
         return value
     if value["basis"] not in get_args(Basis) or not isinstance(value["text"], str):
         expected = f'{{"text": ..., "basis": one of {", ".join(get_args(Basis))}}}'
-        raise InputError(path, f"provenance.{files.plain(topic)}", files.shown(value), expected)
+        raise InputError(path, f"provenance.{files.printable(topic)}", files.shorten_value(value), expected)
     return Source(value["text"], value["basis"])
 
 
-def _of_old(value: object) -> object:
+def _convert_old_source(value: object) -> object:
     """Convert an entry of an older file, in which a word marked assumptions."""
     return assumed(value) if isinstance(value, str) and "guess" in value.lower() else value

@@ -9,9 +9,9 @@ import pytest
 
 from getagrip.annotate import propagated_masks
 from getagrip.annotate.project import Project
-from getagrip.annotate.store import Store
+from getagrip.annotate.store import MarkStore
 from getagrip.annotate.tasks import Task
-from getagrip.commands.annotate import DATABASE
+from getagrip.commands.annotate import MARKS_DATABASE
 from helpers import clicking as labelling
 from helpers import marking
 from helpers.labelled_scene import write_scene
@@ -27,7 +27,7 @@ def scene_video(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def clicking(scene_video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[labelling.Clicking]:
     """Masks are carried at a quarter of the size, which is quicker."""
-    monkeypatch.setattr(propagated_masks, "SIDE", 50.0)
+    monkeypatch.setattr(propagated_masks, "OBJECT_WORKING_SIZE_PX", 50.0)
     made = labelling.Clicking(scene_video, tmp_path)
     yield made
     made.project.close()
@@ -44,6 +44,6 @@ def project(video: Path, tmp_path: Path) -> Iterator[Project]:
     """A video as a whole, and a candidate in it."""
     name = marking.VIDEO
     candidate = Task("candidate", name, video, 11, 60, "left", "mug", "red mug", contact=20)
-    made = Project([Task(name, name, video), candidate], Store(tmp_path / DATABASE))
+    made = Project([Task(name, name, video), candidate], MarkStore(tmp_path / MARKS_DATABASE))
     yield made
     made.close()

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.annotate.agreement import agreements, matched, temporal_iou
-from getagrip.annotate.marks import REASONS, Mark
+from getagrip.annotate.agreement import match_grasps, pairwise_agreements, temporal_iou
+from getagrip.annotate.marks import DISCARD_REASONS, Mark
 from getagrip.annotate.project import Project
-from getagrip.annotate.written_files import write_files
+from getagrip.annotate.written_files import write_mark_files
 from getagrip.datasets.epic.tables import read_grasps
 from getagrip.grasps import lists
 from helpers.command_line import Run
@@ -38,19 +38,19 @@ def test_temporal_iou_is_that_of_the_sets_of_frames(a: tuple[int, int], b: tuple
 @given(st.lists(intervals, max_size=4), st.lists(intervals, max_size=4))
 def test_agreement_is_mutual(a: list[tuple[int, int]], b: list[tuple[int, int]]) -> None:
     ours, theirs = ([a_mark(*one) for one in some] for some in (a, b))
-    assert sum(matched(ours, theirs)) == pytest.approx(sum(matched(theirs, ours)))
-    assert matched(ours, ours) == [1.0] * len(ours)
+    assert sum(match_grasps(ours, theirs)) == pytest.approx(sum(match_grasps(theirs, ours)))
+    assert match_grasps(ours, ours) == [1.0] * len(ours)
 
 
 def test_agreement_of_known_marks() -> None:
     marks = [a_mark(0, 9), a_mark(20, 29), a_mark(0, 9, "bob"), a_mark(25, 34, "bob"), a_mark(50, 59, "bob")]
-    marks += [Mark(new(), "u", who, reason=REASONS[0]) for who in ("ann", "bob")]
-    marks += [a_mark(0, 9, task="v"), Mark(new(), "v", "bob", reason=REASONS[1]), a_mark(0, 9, "ann", task="w")]
-    (found,) = agreements(marks)
+    marks += [Mark(new(), "u", who, reason=DISCARD_REASONS[0]) for who in ("ann", "bob")]
+    marks += [a_mark(0, 9, task="v"), Mark(new(), "v", "bob", reason=DISCARD_REASONS[1]), a_mark(0, 9, "ann", task="w")]
+    (found,) = pairwise_agreements(marks)
     assert (found.tasks, found.both_discarded, found.one_discarded, found.grasps) == (3, 1, 1, 4)
     assert found.iou == pytest.approx((1 + 5 / 15 + 0 + 0) / 4)
     assert found.above_half == pytest.approx(1 / 4)
-    assert matched([a_mark(0, 9)], [a_mark(0, 9, side="right")]) == [0.0, 0.0]
+    assert match_grasps([a_mark(0, 9)], [a_mark(0, 9, side="right")]) == [0.0, 0.0]
 
 
 def test_the_table_is_read_back_as_epic_grasps(project: Project, tmp_path: Path) -> None:
@@ -59,7 +59,7 @@ def test_the_table_is_read_back_as_epic_grasps(project: Project, tmp_path: Path)
     grasp(project, 5, 9)  # marked twice
     project.change(change(new(), {"start": 50}))  # no end yet
     grasp(project, 1, 30, "bob", "candidate")
-    assert write_files(project, tmp_path) == 0
+    assert write_mark_files(project, tmp_path) == 0
     whole, one = read_grasps(tmp_path / "grasps-ann.csv")
     assert (one.video, one.start, one.end, one.side) == (VIDEO, 13, 46, "left")
     assert (one.category, one.entity) == ("mug", "red mug")
@@ -67,7 +67,7 @@ def test_the_table_is_read_back_as_epic_grasps(project: Project, tmp_path: Path)
     assert (whole.start, whole.end, whole.contact) == (6, 10, None)
     rows = json.loads((tmp_path / "grasps-ann.json").read_text())
     assert [(row["clip"], row["start"], row["end"]) for row in rows] == [(VIDEO, 5, 9), (VIDEO, 12, 45)]
-    assert [one.duration for one in lists.read(tmp_path / "grasps-ann.json").grasps] == pytest.approx(
+    assert [one.duration for one in lists.read_listed_grasps(tmp_path / "grasps-ann.json").grasps] == pytest.approx(
         [0.1, 0.68], abs=1e-3
     )
     (pair,) = json.loads((tmp_path / "agreement.json").read_text())

@@ -5,12 +5,12 @@ from __future__ import annotations
 import threading
 import time
 
-from getagrip.annotate.background import Background, BackgroundJob
+from getagrip.annotate.background import BackgroundJob, BackgroundQueue
 from getagrip.errors import GetagripError
 
 
 def test_new_work_on_a_grasp_ends_the_old_and_errors_are_reported() -> None:
-    background, begun = Background(), threading.Event()
+    background, begun = BackgroundQueue(), threading.Event()
 
     def forever(job: BackgroundJob) -> str:
         begun.set()

@@ -10,10 +10,10 @@ import pytest
 from numpy import ndarray
 
 from getagrip.annotate import boxes
-from getagrip.annotate.boxes import Box, boxed, moving_in_box
-from getagrip.annotate.click_motion import moves_with_click
-from getagrip.annotate.labels import OBJECT, FrameLabels, Labels
-from getagrip.annotate.strokes import key_masks, stroked
+from getagrip.annotate.boxes import Box, segment_box, segment_box_by_motion
+from getagrip.annotate.click_motion import click_motion_log_ratio
+from getagrip.annotate.labels import OBJECT_LABEL, FrameLabels, Labels
+from getagrip.annotate.strokes import apply_strokes, keyframe_label_maps
 
 SIZE, LAST = (240, 180), 16
 CLICK = FrameLabels(on=(np.array([[110.0, 80.0]]),))
@@ -50,7 +50,7 @@ def moves(speed: float, order: int = 1) -> ndarray | None:
     def image(n: int) -> ndarray:
         return scene(LAST // 2 + order * (n - LAST // 2), speed)[0]
 
-    return moves_with_click(image, LAST // 2, (0, LAST), click, scene(LAST // 2)[2])
+    return click_motion_log_ratio(image, LAST // 2, (0, LAST), click, scene(LAST // 2)[2])
 
 
 @pytest.mark.slow
@@ -79,8 +79,10 @@ def test_a_click_on_one_colour_finds_the_other_that_moves_with_it() -> None:
     def overlap(found: ndarray) -> float:
         return float((found & thing).sum() / (found | thing).sum())
 
-    assert overlap(key_masks(labels, lambda n: scene(n)[0], lambda _: hand)[n] == OBJECT) > 0.9
-    assert overlap(stroked(image, np.zeros(SIZE[::-1], np.uint8), CLICK, hand) == OBJECT) < 0.7  # by colours alone
+    assert overlap(keyframe_label_maps(labels, lambda n: scene(n)[0], lambda _: hand)[n] == OBJECT_LABEL) > 0.9
+    assert (
+        overlap(apply_strokes(image, np.zeros(SIZE[::-1], np.uint8), CLICK, hand) == OBJECT_LABEL) < 0.7
+    )  # by colours alone
 
 
 @pytest.mark.slow
@@ -96,11 +98,11 @@ def test_what_stays_with_the_ground_while_the_object_moves_is_not_the_object_in_
         return np.where((behind & ~front & ~holding)[..., None], BLUE[: SIZE[1], : SIZE[0]], seen)
 
     def overlap(labels: ndarray) -> float:
-        return float(((labels == OBJECT) & thing).sum() / ((labels == OBJECT) | thing).sum())
+        return float(((labels == OBJECT_LABEL) & thing).sum() / ((labels == OBJECT_LABEL) | thing).sum())
 
-    assert overlap(boxed(image(n), box, hand)) < 0.85
-    assert overlap(moving_in_box(image, n, (0, LAST), box, hand)) > 0.95
-    np.testing.assert_array_equal(moving_in_box(image, n, (n, n), box, hand), boxed(image(n), box, hand))
+    assert overlap(segment_box(image(n), box, hand)) < 0.85
+    assert overlap(segment_box_by_motion(image, n, (0, LAST), box, hand)) > 0.95
+    np.testing.assert_array_equal(segment_box_by_motion(image, n, (n, n), box, hand), segment_box(image(n), box, hand))
 
 
 def resting(n: int) -> tuple[ndarray, ndarray, ndarray]:
@@ -134,9 +136,9 @@ def test_an_object_in_a_box_that_lies_still_or_is_of_glass_is_kept(
     _, thing, hand = drawn(n)
 
     def overlap() -> float:
-        found = moving_in_box(lambda at: drawn(at)[0], n, (0, 40), box, hand) == OBJECT
+        found = segment_box_by_motion(lambda at: drawn(at)[0], n, (0, 40), box, hand) == OBJECT_LABEL
         return float((found & thing).sum() / (found | thing).sum())
 
     assert overlap() > 0.9
-    monkeypatch.setattr(boxes, "MUCH", 1.0)
+    monkeypatch.setattr(boxes, "MAX_STATIC_FRACTION", 1.0)
     assert overlap() < 0.75, "but for the limit it would be lost"

@@ -13,8 +13,8 @@ import pytest
 
 from getagrip.annotate import propagated_masks, reconstruction
 from getagrip.annotate.versions import RefusedError
-from getagrip.annotate.video import Video
-from getagrip.annotate.written_files import write_labels
+from getagrip.annotate.video import VideoFootage
+from getagrip.annotate.written_files import write_labelled_grasps
 from getagrip.clip import read_clip, read_masks
 from getagrip.io.images import write_image
 from helpers.clicking import FIRST, LAST, Clicking, disc, filled, iou
@@ -64,8 +64,8 @@ def test_a_stroke_is_asked_for_where_the_result_of_these_masks_does_not_meet_the
     clicking: Clicking, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     less = {f"{n + 1:06d}": 0.7 if 5 <= n <= 7 else 1.0 for n in range(FIRST, LAST + 1)}
-    monkeypatch.setattr(reconstruction, "reconstruct", lambda *_: "done")
-    monkeypatch.setattr(reconstruction, "iou_of", lambda _: less)
+    monkeypatch.setattr(reconstruction, "reconstruct_grasp_files", lambda *_: "done")
+    monkeypatch.setattr(reconstruction, "iou_by_frame", lambda _: less)
     clicking.label(FIRST)
     clicking.label(LAST)
     assert clicking.work("propagate")["state"] == "done"
@@ -103,10 +103,10 @@ def test_files_of_images_that_are_numbered_otherwise_make_a_clip(
     scene_video: Path, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By the numbers in their names, of which one is missing."""
-    monkeypatch.setattr(propagated_masks, "SIDE", 50.0)
+    monkeypatch.setattr(propagated_masks, "OBJECT_WORKING_SIZE_PX", 50.0)
     images = tmp_path / "images"
     images.mkdir()
-    with closing(Video(scene_video)) as video:
+    with closing(VideoFootage(scene_video)) as video:
         for n in range(video.frames):
             write_image(images / f"picture-{n + 25 + (n > 5)}.png", video.image(n))
     clicking = Clicking(images, tmp_path)
@@ -184,6 +184,6 @@ def test_files_make_a_clip_and_labels_are_taken_back(
 
 def test_labels_that_do_not_suffice_are_exported_alone(clicking: Clicking, capsys: Any, tmp_path: Path) -> None:
     clicking.click(4, outlines=disc(4))
-    assert write_labels(clicking.project) == 1
+    assert write_labelled_grasps(clicking.project) == 1
     assert "labels only" in capsys.readouterr().err
     assert len(list(tmp_path.glob("labels-*.json"))) == 1

@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 import pytest
 
-from getagrip.annotate.footage import Cache, ImageFolder, encoded, seconds
+from getagrip.annotate.footage import ImageCache, ImageFolder, duration_seconds, encode_footage_jpeg
 from getagrip.annotate.tasks import open_footage, read_tasks
-from getagrip.annotate.video import Video
+from getagrip.annotate.video import VideoFootage
 from getagrip.datasets.epic.images import Video as EpicVideo
 from getagrip.errors import InputError
 from helpers.numbered_footage import BITS, FRAMES, number_in, picture, write_images, write_video
@@ -29,11 +29,11 @@ UNEVEN = [40 + n + n * n // 30 for n in range(FRAMES)]
 @pytest.mark.parametrize("times", [None, UNEVEN], ids=["even", "uneven"])
 @pytest.mark.slow
 def test_every_frame_is_the_one_written(tmp_path: Path, suffix: str, times: list[int] | None) -> None:
-    video = Video(write_video(tmp_path / f"a.{suffix}", times))
+    video = VideoFootage(write_video(tmp_path / f"a.{suffix}", times))
     assert video.frames == FRAMES
     order = list(range(FRAMES)) + list(range(FRAMES - 1, -1, -4)) + random.Random(0).sample(range(FRAMES), 12)
     for n in order:
-        video.shown.cache = Cache(len, limit=1)  # nothing kept: every frame is decoded
+        video.shown.cache = ImageCache(len, limit=1)  # nothing kept: every frame is decoded
         assert number_in(video.jpeg(n)) == n
     written = times or list(range(37, 37 + FRAMES))
     for n in (0, 1, 30, FRAMES - 1):
@@ -49,7 +49,7 @@ def test_a_gif_is_a_video(tmp_path: Path) -> None:
             frame = av.VideoFrame.from_ndarray(picture(n), format="rgb24")
             container.mux(stream.encode(frame.reformat(format="rgb8")))
         container.mux(stream.encode())
-    video = Video(tmp_path / "a.gif")
+    video = VideoFootage(tmp_path / "a.gif")
     assert video.frames == 12
     assert [number_in(video.jpeg(n)) for n in (7, 0, 11, 3)] == [7, 0, 11, 3]
 
@@ -71,14 +71,14 @@ def test_a_video_that_lies_on_its_side_is_shown_upright(tmp_path: Path, pixels: 
     matrix = content.index(b"tkhd") + 44
     content[matrix : matrix + 36] = struct.pack(">9i", 0, 1 << 16, 0, -1 << 16, 0, 0, 0, 0, 1 << 30)
     path.write_bytes(content)
-    shown = Video(path).image(0)
+    shown = VideoFootage(path).image(0)
     assert shown.shape == upright.shape
     assert np.abs(shown.astype(int) - upright).mean() < 6.0
 
 
 def test_a_container_that_mixes_up_times_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
     """AVI has no presentation times: the wrong frames would be shown."""
-    refused(lambda: Video(write_video(tmp_path / "a.avi")).jpeg(20), "convert the video")
+    refused(lambda: VideoFootage(write_video(tmp_path / "a.avi")).jpeg(20), "convert the video")
 
 
 def test_the_file_has_b_frames_and_starts_late(tmp_path: Path) -> None:
@@ -91,10 +91,10 @@ def test_the_file_has_b_frames_and_starts_late(tmp_path: Path) -> None:
 
 
 def test_steps_back_come_from_the_cache_which_is_bounded(tmp_path: Path) -> None:
-    video = Video(write_video(tmp_path / "a.mp4"))
+    video = VideoFootage(write_video(tmp_path / "a.mp4"))
     video.jpeg(40)
     assert {38, 39, 40} <= video.shown.cache.images.keys()
-    cache = Cache(len, limit=100)
+    cache = ImageCache(len, limit=100)
     for n in range(50):
         cache.put(n, bytes(30))
         assert cache.cached_bytes == sum(map(len, cache.images.values())) <= 100
@@ -105,24 +105,24 @@ def test_steps_back_come_from_the_cache_which_is_bounded(tmp_path: Path) -> None
 
 
 def test_whole_images_are_those_that_are_shown(tmp_path: Path) -> None:
-    video = Video(write_video(tmp_path / "a.mp4"))
+    video = VideoFootage(write_video(tmp_path / "a.mp4"))
     folder = ImageFolder.open(write_images(tmp_path / "P01_01", [7, 8, 9]))
     for footage, n, number in ((video, 50, 50), (video, 20, 20), (video, 33, 33), (folder, 2, 9)):
         image = footage.image(n)
         assert image.shape == (*footage.size[::-1], 3) == (64, 32 * BITS, 3)
-        assert number_in(encoded(image[..., ::-1])) == number
+        assert number_in(encode_footage_jpeg(image[..., ::-1])) == number
     video.close()
 
 
 def test_seconds_count_the_last_frame(tmp_path: Path) -> None:
-    video = Video(write_video(tmp_path / "a.mp4"))
-    assert seconds(video, 0, FRAMES - 1) == pytest.approx(FRAMES / 30, abs=1e-3)
-    assert seconds(video, 5, 5) == pytest.approx(1 / 30, abs=1e-3)
+    video = VideoFootage(write_video(tmp_path / "a.mp4"))
+    assert duration_seconds(video, 0, FRAMES - 1) == pytest.approx(FRAMES / 30, abs=1e-3)
+    assert duration_seconds(video, 5, 5) == pytest.approx(1 / 30, abs=1e-3)
 
 
 @pytest.mark.parametrize(("name", "fps"), [("P01_01", 60), ("P01_101", 50), ("own", 30)])
 def test_numbers_come_back_to_their_frames(tmp_path: Path, name: str, fps: int) -> None:
-    video = Video(write_video(tmp_path / f"{name}.mp4", fps=fps))
+    video = VideoFootage(write_video(tmp_path / f"{name}.mp4", fps=fps))
     assert [video.number(n) for n in range(FRAMES)] == list(range(1, FRAMES + 1))
     assert [video.index(video.number(n)) for n in range(FRAMES)] == list(range(FRAMES))
     assert video.index(10**6) == FRAMES - 1
@@ -131,7 +131,7 @@ def test_numbers_come_back_to_their_frames(tmp_path: Path, name: str, fps: int) 
 def test_numbers_are_those_of_the_reader_of_epic(tmp_path: Path) -> None:
     """30 frames per second, numbered 60 times: the frames that the importer takes are those that were marked."""
     path = write_video(tmp_path / "P01_01.mp4")
-    video = Video(path)
+    video = VideoFootage(path)
     chosen = [1, 2, 30, 31, 64, 101]
     for number, image in zip(chosen, EpicVideo(tmp_path, "P01_01")(chosen), strict=True):
         _, jpeg = cv2.imencode(".png", image[..., ::-1])
@@ -145,7 +145,7 @@ def test_a_folder_counts_by_the_numbers_in_its_names(tmp_path: Path) -> None:
     assert [folder.number(n) for n in range(folder.frames)] == [99, 100, 101, 110]
     assert [folder.index(n) for n in (1, 99, 101, 107, 500)] == [0, 0, 2, 3, 3]
     assert number_in(folder.jpeg(3)) == 110
-    assert seconds(folder, 0, 3) == pytest.approx(12 / 30)
+    assert duration_seconds(folder, 0, 3) == pytest.approx(12 / 30)
 
 
 def test_images_without_numbers_count_from_1(tmp_path: Path) -> None:
@@ -157,7 +157,7 @@ def test_images_without_numbers_count_from_1(tmp_path: Path) -> None:
 
 def test_bad_footage_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
     (tmp_path / "text.mp4").write_text("#EXTM3U\n#EXTINF:1,\n/etc/hostname\n")
-    refused(lambda: Video(tmp_path / "text.mp4"), "text.mp4", "a video")
+    refused(lambda: VideoFootage(tmp_path / "text.mp4"), "text.mp4", "a video")
     refused(lambda: open_footage(tmp_path / "absent.mp4"), "absent.mp4")
     (tmp_path / "empty").mkdir()
     refused(lambda: open_footage(tmp_path / "empty"), "0 images")
@@ -180,7 +180,7 @@ def test_damaged_videos_are_refused_and_the_rest_is_shown(tmp_path: Path) -> Non
         path = tmp_path / f"{k}.mkv"
         path.write_bytes(damaged)
         try:
-            video = Video(path)
+            video = VideoFootage(path)
             for n in range(0, video.frames, 9):
                 video.jpeg(n)
         except InputError:

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from getagrip.annotate.found_hands import FOLDER, FoundHands
-from getagrip.annotate.labels import FRONT, HAND, OBJECT
+from getagrip.annotate.found_hands import DETECTED_HANDS_FOLDER, HandDetectionFiles
+from getagrip.annotate.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL
 from getagrip.annotate.versions import RefusedError
 from getagrip.errors import InputError
 from getagrip.io.images import write_image
@@ -28,13 +28,13 @@ def write_found(folder: Path) -> None:
 
 
 def test_nothing_is_found_without_a_folder(tmp_path: Path) -> None:
-    found = FoundHands(tmp_path / FOLDER)
+    found = HandDetectionFiles(tmp_path / DETECTED_HANDS_FOLDER)
     assert (found.joints, found.mask(3), found.word) == ({}, None, "")
 
 
 def test_joints_and_masks_are_read_by_frames_from_0(tmp_path: Path) -> None:
-    write_found(tmp_path / FOLDER)
-    found = FoundHands(tmp_path / FOLDER)
+    write_found(tmp_path / DETECTED_HANDS_FOLDER)
+    found = HandDetectionFiles(tmp_path / DETECTED_HANDS_FOLDER)
     assert list(found.joints) == list(range(FIRST, LAST))
     np.testing.assert_allclose(found.joints[FIRST], joints(FIRST))
     mask = found.mask(FIRST)
@@ -47,7 +47,7 @@ def test_joints_and_masks_are_read_by_frames_from_0(tmp_path: Path) -> None:
 def test_joints_of_another_shape_are_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "hand.npz", frames=np.array([1, 2]), joints_2d=np.zeros((2, 20, 2)))
     with pytest.raises(InputError, match="joints_2d"):
-        _ = FoundHands(tmp_path).joints
+        _ = HandDetectionFiles(tmp_path).joints
 
 
 @pytest.mark.slow
@@ -55,7 +55,7 @@ def test_a_hand_that_was_found_is_drawn_without_a_click_and_masks_have_it(clicki
     out = clicking.project.labelling.out
     with pytest.raises(RefusedError):
         clicking.project.work(clicking.about | {"work": "propagate"})
-    write_found(out / FOLDER)
+    write_found(out / DETECTED_HANDS_FOLDER)
     assert clicking.work("propagate")["state"] == "done"
     drafts = clicking.project.drafts(clicking.about, 0)["drafts"]
     assert {one["kind"] for one in drafts} == {"hand"}
@@ -71,4 +71,4 @@ def test_a_hand_that_was_found_is_drawn_without_a_click_and_masks_have_it(clicki
     }
     assert masks[FIRST]["object"]
     assert masks[FIRST]["hand"]
-    assert (OBJECT, FRONT, HAND) == (1, 2, 3)
+    assert (OBJECT_LABEL, OCCLUDER_LABEL, HAND_LABEL) == (1, 2, 3)

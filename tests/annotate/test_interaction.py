@@ -12,13 +12,13 @@ from uuid import uuid4
 import pytest
 
 from getagrip.annotate import keyframes, marks, store
-from getagrip.annotate.labelled import clip_words
+from getagrip.annotate.labelled import clip_arguments
 from getagrip.annotate.project import Project
-from getagrip.annotate.store import APPLICATION, Store
+from getagrip.annotate.store import MARKS_APPLICATION_ID, MarkStore
 from getagrip.annotate.tasks import Task
 from getagrip.annotate.versions import RefusedError
-from getagrip.annotate.written_files import write_files
-from getagrip.commands.annotate import DATABASE
+from getagrip.annotate.written_files import write_mark_files
+from getagrip.commands.annotate import MARKS_DATABASE
 from getagrip.grasps import lists
 from helpers.command_line import Run
 from helpers.numbered_footage import write_video
@@ -33,7 +33,7 @@ def video(tmp_path_factory: Any) -> Path:
 
 @pytest.fixture
 def project(video: Path, tmp_path: Path) -> Iterator[Project]:
-    made = Project([Task("cup", "cup", video)], Store(tmp_path / DATABASE))
+    made = Project([Task("cup", "cup", video)], MarkStore(tmp_path / MARKS_DATABASE))
     yield made
     made.close()
 
@@ -52,7 +52,7 @@ def segments(project: Project, *given: tuple[str, int, int, str]) -> None:
 def test_segments_are_written_in_a_clips_frames_and_read_back(project: Project, tmp_path: Path) -> None:
     segments(project, TOUCHED, HELD, LYING)
     mark(project, {"camera": "still"})
-    assert write_files(project, tmp_path) == 0
+    assert write_mark_files(project, tmp_path) == 0
     file = tmp_path / "segments-ann.json"
     assert json.loads(file.read_text())["cup"] == {
         "segments": [
@@ -63,7 +63,7 @@ def test_segments_are_written_in_a_clips_frames_and_read_back(project: Project, 
         "source": "marked by ann",
         "still_camera": "as ann states",
     }
-    (grasp,) = lists.read(tmp_path / "grasps-ann.json").grasps  # as study --intervals reads it
+    (grasp,) = lists.read_listed_grasps(tmp_path / "grasps-ann.json").grasps  # as study --intervals reads it
     assert (grasp.first, grasp.last, grasp.side, grasp.object) == (25, 60, "left", "cup")
     assert project.import_segments(file, "bob") == 3
     one, other = (json.loads(project.exported("segments", name))["cup"]["segments"] for name in ("ann", "bob"))
@@ -82,7 +82,7 @@ def test_what_is_amiss_is_said_in_words(project: Project, tmp_path: Path) -> Non
     assert "The right hand is the clip's. In segment 2 the other one" in hand
     with pytest.raises(RefusedError, match="two segments"):
         project.exported("segments", "ann")
-    assert write_files(project, tmp_path) == 1
+    assert write_mark_files(project, tmp_path) == 1
     assert not (tmp_path / "segments-ann.json").exists()
 
 
@@ -94,7 +94,7 @@ def test_all_of_it_is_labelled_as_one(project: Project) -> None:
     segments(project, ("free", 61, 65, "left"))
     assert project.labels(asked)["extent"] == (0, 65)  # what is labelled stays where segments are added
     grasp = project._grasp(asked)
-    words = clip_words(project.labelling.labels(grasp), Path("out"), "cup.mp4", project.labelling._segments(grasp))
+    words = clip_arguments(project.labelling.labels(grasp), Path("out"), "cup.mp4", project.labelling._segments(grasp))
     assert words[3:7] == ["--interval", "1", "66", "--side"]
     assert words[-2] == "--segments"
 
@@ -106,19 +106,19 @@ def test_stable_grasps_alone_are_no_interaction(project: Project) -> None:
 
 
 def test_projects_of_older_versions_are_read(tmp_path: Path, video: Path) -> None:
-    with sqlite3.connect(tmp_path / DATABASE) as old:
-        old.executescript(marks.SCHEMA + keyframes.SCHEMA + store.DRAFTS)
+    with sqlite3.connect(tmp_path / MARKS_DATABASE) as old:
+        old.executescript(marks.MARKS_SCHEMA + keyframes.KEYFRAMES_SCHEMA + store.DRAFTS_SCHEMA)
         old.execute(
             "INSERT INTO versions (change, tab, at, mark, task, annotator, start, end, side, deleted) "
             "VALUES ('a-change-', 'tab-one-', '2026', 'a-mark--', 'cup', 'ann', 3, 9, 'left', 0)"
         )
         old.execute("PRAGMA user_version = 2")
-        old.execute(f"PRAGMA application_id = {APPLICATION}")
-    project = Project([Task("cup", "cup", video)], Store(tmp_path / DATABASE))
+        old.execute(f"PRAGMA application_id = {MARKS_APPLICATION_ID}")
+    project = Project([Task("cup", "cup", video)], MarkStore(tmp_path / MARKS_DATABASE))
     segments(project, LYING)
     assert [one.state for one in project.store.marks.standing()] == ["static", "grasp"]
     project.close()
-    again = Store(tmp_path / DATABASE)
+    again = MarkStore(tmp_path / MARKS_DATABASE)
     assert [one.state for one in again.marks.standing()] == ["static", "grasp"]
     again.close()
 

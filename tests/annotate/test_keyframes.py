@@ -12,12 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.annotate import marks
-from getagrip.annotate.labels import MOST_CORNERS
+from getagrip.annotate.labels import MAX_LABEL_POLYGON_CORNERS
 from getagrip.annotate.project import Project
-from getagrip.annotate.store import APPLICATION, Store
+from getagrip.annotate.store import MARKS_APPLICATION_ID, MarkStore
 from getagrip.annotate.tasks import Task
 from getagrip.annotate.versions import RefusedError
-from getagrip.commands.annotate import DATABASE
+from getagrip.commands.annotate import MARKS_DATABASE
 from helpers.clicking import FIRST, LAST, TAB, VIDEO, Clicking, disc, new
 from helpers.labelled_scene import FRAMES, HEIGHT, WIDTH, circle
 
@@ -30,7 +30,7 @@ def test_what_was_clicked_is_there_when_the_file_is_opened_again(clicking: Click
     assert [one["frame"] for one in before] == [4, 9]
     assert before[0]["joints"] == {"0": [10.0, 20.13], "1": "unseen"}
     assert before[0]["number"] == 5
-    again = Project(list(clicking.project.tasks.values()), Store(clicking.project.store.path))
+    again = Project(list(clicking.project.tasks.values()), MarkStore(clicking.project.store.path))
     assert again.labels(clicking.about)["keyframes"] == before
     again.close()
 
@@ -102,16 +102,16 @@ def test_a_click_that_is_sent_twice_is_made_once(clicking: Clicking) -> None:
 
 
 def test_databases_of_marks_alone_are_completed(scene_video: Path, tmp_path: Path) -> None:
-    path, mark = tmp_path / DATABASE, new()
+    path, mark = tmp_path / MARKS_DATABASE, new()
     with sqlite3.connect(path) as old:
-        old.executescript(marks.SCHEMA)
+        old.executescript(marks.MARKS_SCHEMA)
         old.execute("PRAGMA user_version = 1")
-        old.execute(f"PRAGMA application_id = {APPLICATION}")
+        old.execute(f"PRAGMA application_id = {MARKS_APPLICATION_ID}")
         old.execute(
             "INSERT INTO versions (change, tab, at, mark, task, annotator, start, end, side, deleted) "
             f"VALUES ('{new()}', '{TAB}', '', '{mark}', '{VIDEO}', 'ann', {FIRST}, {LAST}, 'left', 0)"
         )
-    project = Project([Task(VIDEO, VIDEO, scene_video)], Store(path))
+    project = Project([Task(VIDEO, VIDEO, scene_video)], MarkStore(path))
     about = {"task": VIDEO, "annotator": "ann", "grasp": mark}
     project.label(about | {"change": new(), "tab": TAB, "frame": 4, "set": {"joints": {"0": [1, 2]}}})
     assert len(project.labels(about)["keyframes"]) == 1
@@ -131,7 +131,7 @@ POLYGONS: list[Any] = [
     [], "x", 3, {"of": "object", "closed": True}, {"of": "palm", "closed": True, "points": circle(3)},
     {"of": "object", "closed": 1, "points": circle(3)}, {"of": "object", "closed": True, "points": circle(3)[:2]},
     {"of": "object", "closed": False, "points": []}, {"of": "object", "closed": True, "points": "abc"},
-    {"of": "object", "closed": True, "points": [[1, 1]] * (MOST_CORNERS + 1)},
+    {"of": "object", "closed": True, "points": [[1, 1]] * (MAX_LABEL_POLYGON_CORNERS + 1)},
     {"of": ["object"], "closed": True, "points": circle(3)},
     {"of": "object", "closed": True, "points": [*circle(3), [NAN, 0]]},
     {"of": "object", "closed": True, "points": [*circle(3), [0, 2 * HEIGHT + 1]]},

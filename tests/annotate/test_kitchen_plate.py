@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from getagrip.annotate import labels
-from getagrip.annotate.labelled import make
-from getagrip.annotate.labels import OBJECT
-from getagrip.annotate.video import Video
-from getagrip.clip.intrinsics import intrinsics
+from getagrip.annotate.labelled import write_labelled_clip_files
+from getagrip.annotate.labels import OBJECT_LABEL
+from getagrip.annotate.video import VideoFootage
+from getagrip.clip.intrinsics import compute_intrinsics
 from getagrip.datasets.synthetic.shapes import plate
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
@@ -29,8 +29,8 @@ VIDEO = DATA / "egocentric" / "kitchen_plate.mp4"
 
 @pytest.mark.slow
 def test_the_labels_are_of_one_hand_and_one_plate() -> None:
-    given = labels.read(LABELS)
-    K, _ = intrinsics(Lens(guess_focal=True), given.size)
+    given = labels.read_label_file(LABELS)
+    K, _ = compute_intrinsics(Lens(guess_focal=True), given.size)
     found = hands_from_clicks(given.clicks, K, given.side, given.first, given.last)
     assert np.sqrt(np.nanmean(found.residuals**2)) < 4.0
     assert not found.outliers.any()
@@ -40,7 +40,7 @@ def test_the_labels_are_of_one_hand_and_one_plate() -> None:
     outlines = given.label_maps()
     assert sorted(outlines) == sorted(given.frames)
     for n, drawn in outlines.items():  # the thumb lies on the rim
-        v, u = np.nonzero(drawn == OBJECT)
+        v, u = np.nonzero(drawn == OBJECT_LABEL)
         to_plate = np.hypot(u + 0.5 - tips[n - given.first, 0], v + 0.5 - tips[n - given.first, 1]).min()
         assert to_plate < 0.1 * np.ptp(u)
 
@@ -49,13 +49,13 @@ def test_the_labels_are_of_one_hand_and_one_plate() -> None:
 @pytest.mark.slow
 @pytest.mark.long
 def test_from_video_to_reconstruction(tmp_path: Path, run: Run) -> None:
-    whole = labels.read(LABELS)
+    whole = labels.read_label_file(LABELS)
     first, last = 51, 57  # a part of it, for the sake of time
     frames = {n: frame for n, frame in whole.frames.items() if first <= n <= last}
     given = replace(whole, first=first, last=last, frames=frames)
-    video = Video(VIDEO)
+    video = VideoFootage(VIDEO)
     try:
-        made = make(given, video.image, Lens(), tmp_path / "made")
+        made = write_labelled_clip_files(given, video.image, Lens(), tmp_path / "made")
     finally:
         video.close()
     assert min(made.confidence.values()) > 0.85

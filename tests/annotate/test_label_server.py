@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 
 from getagrip.annotate import labels, reconstruction
-from getagrip.annotate.server import LARGEST_BODY, Server
+from getagrip.annotate.server import MAX_BODY_BYTES, StudioServer
 from helpers.annotation_page import ask
 from helpers.clicking import FIRST, LAST, TAB, VIDEO, Clicking, new
 
 
 @pytest.fixture
-def server(clicking: Clicking) -> Iterator[Server]:
-    with Server(clicking.project, 0) as made:
+def server(clicking: Clicking) -> Iterator[StudioServer]:
+    with StudioServer(clicking.project, 0) as made:
         thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.02})
         thread.start()
         yield made
@@ -25,7 +25,7 @@ def server(clicking: Clicking) -> Iterator[Server]:
         thread.join()
 
 
-def test_labels_over_http(server: Server, clicking: Clicking) -> None:
+def test_labels_over_http(server: StudioServer, clicking: Clicking) -> None:
     where = "&".join(f"{key}={value}" for key, value in clicking.about.items())
     status, _, answer = ask(server, "/api/label", clicking.change(4, {"joints": {"0": [10, 20]}}))
     assert (status, json.loads(answer)["keyframes"][0]["frame"]) == (200, 4)
@@ -34,7 +34,7 @@ def test_labels_over_http(server: Server, clicking: Clicking) -> None:
     status, head, text = ask(server, f"/labels.json?{where}")
     assert status == 200
     assert f"labels-ann-scene-{FIRST + 1}-{LAST + 1}-left.json" in head["Content-Disposition"]
-    assert labels.parse(json.loads(text), "labels.json").frames.keys() == {4}
+    assert labels.parse_labels(json.loads(text), "labels.json").frames.keys() == {4}
     status, _, image = ask(server, f"/frame?task={VIDEO}&n=4&whole=1")
     assert (status, image[:2]) == (200, b"\xff\xd8")
     status, _, answer = ask(server, "/api/unlabel", clicking.about | {"change": new(), "tab": TAB})
@@ -42,7 +42,7 @@ def test_labels_over_http(server: Server, clicking: Clicking) -> None:
 
 
 def test_a_report_is_one_that_was_drawn_here(
-    server: Server, clicking: Clicking, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    server: StudioServer, clicking: Clicking, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     project, drawn = clicking.project, list[Path]()
     result = project.labelling.out / "results" / project._grasp(clicking.about).name
@@ -50,7 +50,7 @@ def test_a_report_is_one_that_was_drawn_here(
 
     def draw(folder: Path, job: object) -> str:
         drawn.append(folder)
-        for name in reconstruction.REPORT:
+        for name in reconstruction.REPORT_FILES:
             (folder / name).unlink(missing_ok=True)  # a link is replaced
             (folder / name).write_text("ours")
         return ""
@@ -75,7 +75,7 @@ def test_a_report_is_one_that_was_drawn_here(
 
 
 @pytest.mark.slow
-def test_hostile_clicks_over_http_are_answered_in_words(server: Server, clicking: Clicking) -> None:
+def test_hostile_clicks_over_http_are_answered_in_words(server: StudioServer, clicking: Clicking) -> None:
     many = {"outlines": {"the-disc": {"of": "object", "closed": True, "points": [[1, 1]] * 10**6}}}
     body = json.dumps(clicking.change(4, {"joints": {"0": [1, 2]}}))
     bodies = {
@@ -87,7 +87,7 @@ def test_hostile_clicks_over_http_are_answered_in_words(server: Server, clicking
         status, head, answer = ask(server, "/api/label", text.encode())
         assert (status, head["Content-Type"]) == (expected, "application/json")
         assert len(answer) < 1000
-    assert len(json.dumps(many)) > LARGEST_BODY
+    assert len(json.dumps(many)) > MAX_BODY_BYTES
     for path, content in (
         ("/api/work", {"work": "rm"}),
         ("/api/work", {"work": {}}),

@@ -12,22 +12,22 @@ import pytest
 from numpy import ndarray
 
 from getagrip.annotate.grasp import Grasp
-from getagrip.annotate.labelled import make
-from getagrip.annotate.labels import FRONT, OBJECT, FrameLabels, Labels
+from getagrip.annotate.labelled import write_labelled_clip_files
+from getagrip.annotate.labels import OBJECT_LABEL, OCCLUDER_LABEL, FrameLabels, Labels
 from getagrip.annotate.marks import Mark
-from getagrip.annotate.steadied_hands import steadied
+from getagrip.annotate.steadied_hands import stabilize_hands
 from getagrip.annotate.tasks import Task
 from getagrip.clip import read_clip, read_masks
 from getagrip.errors import UsageError
 from getagrip.fitting.hand_refinement import refine_hand
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
-from getagrip.geometry.depth import covered
+from getagrip.geometry.depth import render_coverage
 from getagrip.geometry.lens import Lens
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.hands import generic
 from getagrip.hands.clicked_hands import hands_from_clicks
-from getagrip.io.files import is_plain_name
+from getagrip.io.files import is_portable_name
 from helpers.clips import box
 from helpers.command_line import Run
 from helpers.folders import contents
@@ -52,7 +52,7 @@ def scene(n: int) -> Scene:
     posed = generic.load("right").with_shape().with_pose(np.full(45, 0.1))
     turn = se3.exp_so3(np.array([1.3, 0.0, 0.0])) @ se3.exp_so3(np.array([0.0, 1.2, 0.0]))
     T = se3.rigid(turn, np.array([0.0, 0.04, 0.45]))
-    hand = covered(se3.transform(T, posed.vertices), posed.faces, K, SIZE)
+    hand = render_coverage(se3.transform(T, posed.vertices), posed.faces, K, SIZE)
     square = np.array([[120.0, 20.0], [190.0, 25.0], [185.0, 85.0], [115.0, 80.0]])
     blots = sum(cv2.resize(rng.random((k, k, 3)), SIZE, interpolation=cv2.INTER_CUBIC) for k in (10, 40, 120))
     image = 40.0 + 40.0 * blots
@@ -78,7 +78,7 @@ def image(n: int) -> ndarray:
 @pytest.mark.slow
 def test_between_keys_hands_follow_the_footage() -> None:
     clicked = hands_from_clicks(labels_of(0, LAST).clicks, K, "right", 0, LAST)
-    followed = steadied(clicked, 0, K, SIZE, image)
+    followed = stabilize_hands(clicked, 0, K, SIZE, image)
     truth = np.array([scene(n).uv for n in range(LAST + 1)])
     off = []
     for hands in (clicked, followed):
@@ -93,7 +93,7 @@ def test_between_keys_hands_follow_the_footage() -> None:
 @pytest.mark.slow
 def test_beyond_the_keys_too() -> None:
     clicked = hands_from_clicks({4: scene(4).uv}, K, "right", 0, LAST)
-    followed = steadied(clicked, 0, K, SIZE, image).hand
+    followed = stabilize_hands(clicked, 0, K, SIZE, image).hand
     assert followed.joints is not None
     uv = project(K, se3.transform(followed.T_cam_hand, followed.joints))
     truth = np.array([scene(n).uv for n in range(LAST + 1)])
@@ -104,7 +104,7 @@ def test_beyond_the_keys_too() -> None:
 def test_a_blank_image_moves_nothing() -> None:
     clicked = hands_from_clicks(labels_of(0, LAST).clicks, K, "right", 0, LAST)
     blank = np.full((*SIZE[::-1], 3), 90, np.uint8)
-    followed = steadied(clicked, 0, K, SIZE, lambda _: blank)
+    followed = stabilize_hands(clicked, 0, K, SIZE, lambda _: blank)
     np.testing.assert_allclose(followed.hand.T_cam_hand, clicked.hand.T_cam_hand, atol=5e-3)
 
 
@@ -118,7 +118,7 @@ def test_labels_become_a_clip(tmp_path: Path, run: Run) -> None:
             container.mux(stream.encode(av.VideoFrame.from_ndarray(image(n), format="rgb24")))
         container.mux(stream.encode(None))
     done: list[int] = []
-    made = make(labels_of(0, LAST), image, Lens(), tmp_path / "made", done=done.append)
+    made = write_labelled_clip_files(labels_of(0, LAST), image, Lens(), tmp_path / "made", done=done.append)
     assert done == [*range(1, LAST + 2)]
     assert made.confidence[0] == made.confidence[LAST] == 1.0
     assert sorted(made.confidence) == list(range(LAST + 1))
@@ -139,7 +139,9 @@ def test_labels_become_a_clip(tmp_path: Path, run: Run) -> None:
         cv2.fillPoly(drawn, [np.round(scene(n).square).astype(np.int32)], 1)
         both, either = (masks.object[n] & (drawn > 0)).sum(), (masks.object[n] | (drawn > 0)).sum()
         assert both / either > 0.9
-        hand = covered(se3.transform(clip.hand.T_cam_hand[n], clip.hand.vertices[n]), clip.hand.faces, clip.K[n], SIZE)
+        hand = render_coverage(
+            se3.transform(clip.hand.T_cam_hand[n], clip.hand.vertices[n]), clip.hand.faces, clip.K[n], SIZE
+        )
         assert (masks.ignore[n] | masks.object[n])[hand].all()
         assert not (masks.ignore[n] & masks.object[n]).any()
 
@@ -149,13 +151,15 @@ def test_what_is_in_front_or_may_be_is_ignored(tmp_path: Path) -> None:
     front = scene(0).square + np.array([20.0, 0.0])
     given = labels_of(0)
     frames = {0: FrameLabels(scene(0).uv, (scene(0).square,), (front,))}
-    make(Labels(given.video, SIZE, given.side, given.fps, 0, 0, frames), image, Lens(focal=FOCAL), tmp_path / "made")
+    write_labelled_clip_files(
+        Labels(given.video, SIZE, given.side, given.fps, 0, 0, frames), image, Lens(focal=FOCAL), tmp_path / "made"
+    )
     mask = cv2.imread(str(tmp_path / "made" / "masks" / "000001.png"), cv2.IMREAD_UNCHANGED)
-    assert mask[50, 125] == OBJECT
-    assert mask[50, 170] == FRONT
+    assert mask[50, 125] == OBJECT_LABEL
+    assert mask[50, 170] == OCCLUDER_LABEL
     assert mask[5, 5] == 0
     u, v = scene(0).uv[9].astype(int)
-    assert mask[v, u] == FRONT
+    assert mask[v, u] == OCCLUDER_LABEL
     with np.load(tmp_path / "made" / "hand.npz") as file:
         assert "guess" not in str(file["provenance_camera"])
         assert "guess" in str(file["provenance_hands_scale"])
@@ -166,14 +170,16 @@ def test_only_what_was_made_of_labels_is_overwritten(tmp_path: Path) -> None:
     (tmp_path / "made").mkdir()
     (tmp_path / "made" / "letter.txt").write_text("dear")
     with pytest.raises(UsageError, match=r"made: exists already without 'hand\.npz' in it"):
-        make(labels_of(0), image, Lens(focal=FOCAL), tmp_path / "made", overwrite=True)
+        write_labelled_clip_files(labels_of(0), image, Lens(focal=FOCAL), tmp_path / "made", overwrite=True)
     assert contents(tmp_path) == {"made/letter.txt": b"dear"}
 
 
 def test_too_little_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
     for frames, words in (({0: FrameLabels(scene(0).uv)}, "polygons"), ({0: FrameLabels(object=())}, "joints")):
         with pytest.raises(UsageError, match=words):
-            make(Labels("a.mp4", SIZE, "right", 25.0, 0, 1, frames), image, Lens(), tmp_path / "made")
+            write_labelled_clip_files(
+                Labels("a.mp4", SIZE, "right", 25.0, 0, 1, frames), image, Lens(), tmp_path / "made"
+            )
     assert not list(tmp_path.iterdir())
 
 
@@ -193,7 +199,7 @@ def test_grasps_of_long_names_that_are_alike_have_files_of_their_own() -> None:
     ]
     names = {grasp.name for grasp in grasps}
     assert len(names) == len(videos) * len(ends)
-    assert all(is_plain_name(name) and len(name) < 120 for name in names)
+    assert all(is_portable_name(name) and len(name) < 120 for name in names)
 
 
 @pytest.mark.parametrize("names", [("cover", "picture-01"), ("a-01", "b-01")])
@@ -204,5 +210,5 @@ def test_images_without_a_number_of_their_own_are_refused(tmp_path: Path, names:
         return names[n] if n < len(names) else f"picture-{n:02d}"
 
     with pytest.raises(UsageError, match=r"needs a number of its own .* \(got (cover|a-01)\)"):
-        make(labels_of(0, LAST), image, Lens(focal=FOCAL), tmp_path / "made", name=name)
+        write_labelled_clip_files(labels_of(0, LAST), image, Lens(focal=FOCAL), tmp_path / "made", name=name)
     assert not (tmp_path / "made").exists()

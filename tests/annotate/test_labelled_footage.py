@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from getagrip.annotate import labels
-from getagrip.annotate.labelled_footage import checksum, tasks_of
+from getagrip.annotate.labelled_footage import footage_checksum, tasks_of_labels
 from getagrip.annotate.labels import FrameLabels, Labels
 from getagrip.annotate.tasks import Task
 from getagrip.annotate.versions import RefusedError
@@ -29,16 +29,16 @@ def task(path: Path, content: bytes | None = None) -> Task:
 def test_a_checksum_finds_footage_under_another_name(tmp_path: Path) -> None:
     other, renamed = task(tmp_path / "other.mp4", b"another"), task(tmp_path / "take-3.mp4", b"the footage")
     given = replace(GIVEN, sha256=hashlib.sha256(b"the footage").hexdigest())
-    assert tasks_of(given, [other, renamed]) == [renamed]
+    assert tasks_of_labels(given, [other, renamed]) == [renamed]
     named = task(tmp_path / "cup.mp4", b"of the same name")
-    assert tasks_of(given, [named, other, renamed]) == [renamed]
+    assert tasks_of_labels(given, [named, other, renamed]) == [renamed]
     with pytest.raises(RefusedError, match="another file than the one that was labelled"):
-        tasks_of(given, [named, other])
+        tasks_of_labels(given, [named, other])
     with pytest.raises(RefusedError, match="none has this name or checksum"):
-        tasks_of(given, [other])
-    assert tasks_of(GIVEN, [other, named]) == [named]
+        tasks_of_labels(given, [other])
+    assert tasks_of_labels(GIVEN, [other, named]) == [named]
     with pytest.raises(RefusedError, match="no checksum"):
-        tasks_of(GIVEN, [other])
+        tasks_of_labels(GIVEN, [other])
 
 
 def test_the_checksum_of_a_folder_is_of_its_names_and_contents(tmp_path: Path) -> None:
@@ -47,9 +47,9 @@ def test_the_checksum_of_a_folder_is_of_its_names_and_contents(tmp_path: Path) -
         folder = tmp_path / str(len(sums))
         folder.mkdir()
         (folder / name).write_bytes(content)
-        sums.append(checksum(folder))
+        sums.append(footage_checksum(folder))
     assert len({*sums}) == 3
-    assert checksum((tmp_path / "0").rename(tmp_path / "moved")) == sums[0]
+    assert footage_checksum((tmp_path / "0").rename(tmp_path / "moved")) == sums[0]
 
 
 def test_labels_of_other_footage_leave_no_database_behind(tmp_path: Path, run: Run) -> None:
@@ -58,13 +58,13 @@ def test_labels_of_other_footage_leave_no_database_behind(tmp_path: Path, run: R
     for n in range(3):
         cv2.imwrite(str(footage / f"{n:04d}.png"), np.zeros((48, 64, 3), np.uint8))
     file, out = tmp_path / "labels.json", tmp_path / "out"
-    labels.write(GIVEN, file)
+    labels.write_label_file(GIVEN, file)
     status, _, err = run("annotate", footage, "--out", out, "--import-labels", file)
     assert status == 1
     assert err.startswith(f"getagrip: {file} must be labels of the footage given (got labels of other footage")
     assert not out.exists()
-    labels.write(replace(GIVEN, sha256=checksum(footage)), file)
+    labels.write_label_file(replace(GIVEN, sha256=footage_checksum(footage)), file)
     assert run("annotate", footage, "--out", out, "--import-labels", file)[0] == 0
     assert run("annotate", footage, "--out", out, "--export")[0] == 1  # labels only: too few for a clip
     (again,) = out.glob("labels-*.json")
-    assert labels.read(again).sha256 == checksum(footage)
+    assert labels.read_label_file(again).sha256 == footage_checksum(footage)

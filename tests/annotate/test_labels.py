@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from getagrip.annotate import labels
-from getagrip.annotate.labels import FRONT, OBJECT, FrameLabels, Labels
+from getagrip.annotate.labels import OBJECT_LABEL, OCCLUDER_LABEL, FrameLabels, Labels
 
 Refused = Callable[..., str]
 
@@ -33,12 +33,12 @@ def some_labels() -> Labels:
 
 
 def same(a: Labels, b: Labels) -> bool:
-    return labels.to_json(a) == labels.to_json(b)
+    return labels.labels_to_json(a) == labels.labels_to_json(b)
 
 
 def test_what_is_written_is_read_again(tmp_path: Path) -> None:
-    labels.write(some_labels(), tmp_path / "labels.json")
-    again = labels.read(tmp_path / "labels.json")
+    labels.write_label_file(some_labels(), tmp_path / "labels.json")
+    again = labels.read_label_file(tmp_path / "labels.json")
     assert same(again, some_labels())
     np.testing.assert_array_equal(again.frames[3].joints, some_labels().frames[3].joints)
     assert again.frames[5].object is None
@@ -58,22 +58,22 @@ one_frame = st.builds(FrameLabels, st.none() | joints_, st.none() | shapes, st.n
 @pytest.mark.slow
 def test_any_labels_survive_json(frames: dict[int, FrameLabels], side: Any) -> None:
     imported_labels = Labels("a.mp4", (64, 48), side, 30.0, 0, 40, frames)
-    content = json.loads(json.dumps(labels.to_json(imported_labels)))
-    assert same(labels.parse(content, "labels.json"), imported_labels)
+    content = json.loads(json.dumps(labels.labels_to_json(imported_labels)))
+    assert same(labels.parse_labels(content, "labels.json"), imported_labels)
 
 
 def test_label_maps_have_the_drawn_pixels_and_what_is_in_front_wins() -> None:
     maps = some_labels().label_maps()
     assert sorted(maps) == [3, 7]
     inside = maps[3][11:19, 11:24]
-    assert (inside == OBJECT).all()
-    assert (maps[3][11:19, 26:44] == FRONT).all()
+    assert (inside == OBJECT_LABEL).all()
+    assert (maps[3][11:19, 26:44] == OCCLUDER_LABEL).all()
     assert (maps[3] != 0).sum() == pytest.approx(35 * 10, rel=0.15)
     assert not maps[7].any()
 
 
 def changed(**changes: Any) -> dict[str, Any]:
-    return labels.to_json(some_labels()) | changes
+    return labels.labels_to_json(some_labels()) | changes
 
 
 def frame(**content: Any) -> dict[str, Any]:
@@ -113,18 +113,18 @@ def frame(**content: Any) -> dict[str, Any]:
     ],
 )
 def test_what_is_wrong_is_named(content: dict[str, Any], words: list[str], refused: Refused) -> None:
-    refused(lambda: labels.parse(content, "labels.json"), "labels.json", *words)
+    refused(lambda: labels.parse_labels(content, "labels.json"), "labels.json", *words)
 
 
 def test_missing_keys_are_named(refused: Refused) -> None:
-    for key in labels.to_json(some_labels()):
+    for key in labels.labels_to_json(some_labels()):
         content = changed()
         del content[key]
-        refused(lambda content=content: labels.parse(content, "labels.json"), f"missing {key}")
+        refused(lambda content=content: labels.parse_labels(content, "labels.json"), f"missing {key}")
 
 
 def test_json_that_is_none_is_refused(tmp_path: Path, refused: Refused) -> None:
     path = tmp_path / "labels.json"
     for text in ("[]", '{"frames": {"4": NaN}}', "{" * 100_000, '{"video": "a", "video": "b"}'):
         path.write_text(text)
-        refused(lambda: labels.read(path))
+        refused(lambda: labels.read_label_file(path))

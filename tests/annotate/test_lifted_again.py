@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from getagrip.annotate import lifted_again as lifting
-from getagrip.annotate.labelled import clip_words
-from getagrip.annotate.labels import HAND, OBJECT, Labels
-from getagrip.annotate.lifted_again import DEPTH, LabelMaps, lifted_again, write_lifted_again
+from getagrip.annotate.labelled import clip_arguments
+from getagrip.annotate.labels import HAND_LABEL, OBJECT_LABEL, Labels
+from getagrip.annotate.lifted_again import JOINTS_DEPTH_KEY, LabelMaps, relift_hand, write_relifted_hands
 from getagrip.clip import HandTrack
 from getagrip.clip.reading_arrays import read_hand
 from getagrip.clip.writing import write_hand
@@ -23,7 +23,7 @@ from getagrip.hands import generic
 from getagrip.hands.clicked_hands import model_pose
 from getagrip.hands.model import hand_track
 from getagrip.hands.pose_prior import PosePrior
-from getagrip.provenance import Provenance, Source, as_arrays, assumed, estimated, measured
+from getagrip.provenance import Provenance, Source, assumed, estimated, measured, provenance_to_arrays
 
 K = np.array([[500.0, 0.0, 160.0], [0.0, 500.0, 160.0], [0.0, 0.0, 1.0]])
 SIZE = (320, 320)
@@ -59,11 +59,11 @@ def maps_of(value: int) -> LabelMaps:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("value", [HAND, OBJECT])
+@pytest.mark.parametrize("value", [HAND_LABEL, OBJECT_LABEL])
 def test_frames_and_landmarks_stay(value: int) -> None:
     hand = found_hand()
     assert hand.joints is not None
-    lifted, rows = lifted_again(hand, FRAMES, K, "left", maps_of(value))
+    lifted, rows = relift_hand(hand, FRAMES, K, "left", maps_of(value))
     np.testing.assert_array_equal(rows, np.arange(len(FRAMES)))
     np.testing.assert_array_equal(lifted.joints_2d, hand.joints_2d)
     assert lifted.joints is not None
@@ -79,9 +79,9 @@ def test_depths_of_hands_that_are_largely_guessed_are_not_believed(monkeypatch: 
     points[:, 12:] = [-400.0, 200.0]  # three fingers beside the image
     wrong = replace(true, T_cam_hand=true.T_cam_hand @ turned, joints_2d=points)
     off = []
-    for guessed in (lifting.GUESSED, 1.0):
-        monkeypatch.setattr(lifting, "GUESSED", guessed)
-        found, _ = lifted_again(wrong, FRAMES, K, "left", maps_of(HAND))
+    for guessed in (lifting.MAX_GUESSED_FRACTION, 1.0):
+        monkeypatch.setattr(lifting, "MAX_GUESSED_FRACTION", guessed)
+        found, _ = relift_hand(wrong, FRAMES, K, "left", maps_of(HAND_LABEL))
         off.append(np.degrees(se3.angle_between(found.T_cam_hand[:, :3, :3], true.T_cam_hand[:, :3, :3])).max())
     assert off[0] < 15.0
     assert off[1] > 2.0 * off[0]
@@ -93,14 +93,14 @@ def test_depths_that_the_network_saw_count_and_not_those_of_the_first_fit(tmp_pa
     assert true.joints is not None
     X = se3.transform(true.T_cam_hand, true.joints)
     wrong = replace(true, T_cam_hand=true.T_cam_hand @ se3.rigid(se3.exp_so3(np.array([0.0, 0.0, -0.9])), np.zeros(3)))
-    known = as_arrays({"hands_scale": assumed("a mean hand's"), "hands_side": measured("left, as stated")})
+    known = provenance_to_arrays({"hands_scale": assumed("a mean hand's"), "hands_side": measured("left, as stated")})
     found = {"frames": FRAMES + 1, "K": K, "side": np.array("left")} | known
     off = []
-    for depth in ({}, {DEPTH: X[..., 2]}):
+    for depth in ({}, {JOINTS_DEPTH_KEY: X[..., 2]}):
         write_hand(wrong, tmp_path / "found.npz", found | depth)
-        write_lifted_again(tmp_path / "found.npz", tmp_path / "out.npz", "left", numbers(3, 10), maps_of(HAND))
+        write_relifted_hands(tmp_path / "found.npz", tmp_path / "out.npz", "left", numbers(3, 10), maps_of(HAND_LABEL))
         with np.load(tmp_path / "out.npz") as written:
-            assert DEPTH not in written
+            assert JOINTS_DEPTH_KEY not in written
             there = se3.transform(written["T_cam_hand"], written["joints"])
         off.append(np.abs(there[..., 2] - there[..., 2].mean() - X[..., 2] + X[..., 2].mean()).mean())
     assert off[1] < 0.5 * off[0]
@@ -115,14 +115,16 @@ def held_from_behind(tmp_path: Path, provenance: Provenance) -> tuple[Path, Labe
     far, maps = np.argsort(X[0, :, 2]), LabelMaps(SIZE)
     for frame, points in zip(FRAMES, true.joints_2d, strict=True):
         drawn = np.zeros(SIZE[::-1], np.uint8)
-        for joints, value in ((far[:9], HAND), (far[-9:], OBJECT)):
+        for joints, value in ((far[:9], HAND_LABEL), (far[-9:], OBJECT_LABEL)):
             for x, y in points[joints].round().astype(int):
                 drawn[max(0, y - 14) : y + 15, max(0, x - 14) : x + 15] = value
         maps.add(int(frame), drawn)
     mirrored = X * [1.0, 1.0, -1.0] + [0.0, 0.0, 2.0 * X[..., 2].mean()]
     seen = replace(true, joints=se3.transform(se3.inverse(true.T_cam_hand), mirrored))
     write_hand(
-        seen, tmp_path / "found.npz", {"frames": FRAMES + 1, "K": K, "side": np.array("right")} | as_arrays(provenance)
+        seen,
+        tmp_path / "found.npz",
+        {"frames": FRAMES + 1, "K": K, "side": np.array("right")} | provenance_to_arrays(provenance),
     )
     return tmp_path / "found.npz", maps
 
@@ -135,18 +137,18 @@ def test_the_object_decides_on_the_side_where_that_is_a_guess(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], side: Source
 ) -> None:
     found, maps = held_from_behind(tmp_path, {"hands_scale": assumed("a mean hand's"), "hands_side": side})
-    write_lifted_again(found, tmp_path / "out.npz", "right", numbers(3, 10), maps)
+    write_relifted_hands(found, tmp_path / "out.npz", "right", numbers(3, 10), maps)
     written = np.load(tmp_path / "out.npz")
     assert str(written["side"]) == ("left" if side.basis == "assumed" else "right")
     said = "".join(capsys.readouterr())
     assert ("--side right overrules this" in said) == (side.basis == "assumed")
     labels = Labels("a.mp4", SIZE, "right", 30.0, 3, 10, {})
-    words = clip_words(labels, tmp_path, "a.mp4")
+    words = clip_arguments(labels, tmp_path, "a.mp4")
     assert words[words.index("--side") + 1] == "right"  # there is no hand.npz yet
     (tmp_path / "out.npz").rename(tmp_path / "hand.npz")
-    words = clip_words(labels, tmp_path, "a.mp4")
+    words = clip_arguments(labels, tmp_path, "a.mp4")
     assert words[words.index("--side") + 1] == str(written["side"])
-    order, frames = lifting.order(read_hand(tmp_path / "hand.npz", 5), FRAMES, K, maps)
+    order, frames = lifting.joint_depth_order(read_hand(tmp_path / "hand.npz", 5), FRAMES, K, maps)
     assert frames == len(FRAMES)
     assert (order > 0.0) == (side.basis == "assumed")
 
@@ -155,31 +157,31 @@ def test_the_object_decides_on_the_side_where_that_is_a_guess(
 def test_a_side_that_is_chosen_later_is_obeyed_or_refused(tmp_path: Path) -> None:
     looks = {"hands_side": estimated("right: it looks like one")}
     found, maps = held_from_behind(tmp_path, looks | {"hands_scale": assumed("a mean hand's")})
-    write_lifted_again(found, tmp_path / "out.npz", "left", numbers(3, 10), maps)
+    write_relifted_hands(found, tmp_path / "out.npz", "left", numbers(3, 10), maps)
     written = np.load(tmp_path / "out.npz")
     assert str(written["side"]) == "left"
     assert str(written["provenance_hands_side"]) == "left, as stated"
     found, maps = held_from_behind(tmp_path, looks | {"hands_scale": estimated("by a network")})
     with pytest.raises(UsageError, match="draft again with --side left"):
-        write_lifted_again(found, tmp_path / "other.npz", "left", numbers(3, 10), maps)
+        write_relifted_hands(found, tmp_path / "other.npz", "left", numbers(3, 10), maps)
 
 
 def test_a_frame_without_a_map_is_empty() -> None:
-    assert maps_of(HAND).at(np.array([4, 7])).any(axis=(1, 2)).tolist() == [True, False]
+    assert maps_of(HAND_LABEL).at(np.array([4, 7])).any(axis=(1, 2)).tolist() == [True, False]
 
 
 def test_a_hand_without_landmarks_is_refused() -> None:
     hand = found_hand()
     bare = HandTrack(hand.vertices, hand.faces, hand.T_cam_hand, hand.regions, hand.joints)
     with pytest.raises(UsageError, match="joints_2d"):
-        lifted_again(bare, FRAMES, K, "left", maps_of(HAND))
+        relift_hand(bare, FRAMES, K, "left", maps_of(HAND_LABEL))
 
 
 def test_files_keep_what_cannot_be_lifted_and_say_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     hand = found_hand()
     bare = HandTrack(hand.vertices, hand.faces, hand.T_cam_hand, hand.regions, hand.joints)
     write_hand(bare, tmp_path / "found.npz", {"frames": FRAMES + 1, "K": K})
-    write_lifted_again(tmp_path / "found.npz", tmp_path / "out.npz", "left", numbers(4, 9), maps_of(HAND))
+    write_relifted_hands(tmp_path / "found.npz", tmp_path / "out.npz", "left", numbers(4, 9), maps_of(HAND_LABEL))
     assert "hands: unchanged" in "".join(capsys.readouterr())
     assert np.load(tmp_path / "out.npz")["frames"].tolist() == [33, 35, 43]
     np.testing.assert_array_equal(read_hand(tmp_path / "out.npz", 3).vertices, hand.vertices[1:4])
@@ -188,4 +190,4 @@ def test_files_keep_what_cannot_be_lifted_and_say_so(tmp_path: Path, capsys: pyt
 def test_a_file_without_frames_is_refused(tmp_path: Path) -> None:
     write_hand(found_hand(), tmp_path / "found.npz", {"K": K})
     with pytest.raises(InputError, match="frames"):
-        write_lifted_again(tmp_path / "found.npz", tmp_path / "out.npz", "left", numbers(0, 9), maps_of(HAND))
+        write_relifted_hands(tmp_path / "found.npz", tmp_path / "out.npz", "left", numbers(0, 9), maps_of(HAND_LABEL))

@@ -12,19 +12,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from getagrip.annotate.marks import REASONS
+from getagrip.annotate.marks import DISCARD_REASONS
 from getagrip.annotate.project import Project
-from getagrip.annotate.store import Store
+from getagrip.annotate.store import MarkStore
 from getagrip.annotate.tasks import Task
 from getagrip.annotate.versions import RefusedError
-from getagrip.commands.annotate import DATABASE
+from getagrip.commands.annotate import MARKS_DATABASE
 from helpers.marking import VIDEO, change, grasp, new, undo
 
 
 def test_marks_are_there_when_the_file_is_opened_again(project: Project) -> None:
     grasp(project, 10, 40)
     project.change(change(new(), {"reason": "out of view"}, task="candidate"))
-    again = Project(list(project.tasks.values()), Store(project.store.path))
+    again = Project(list(project.tasks.values()), MarkStore(project.store.path))
     assert again.store.marks.standing() == project.store.marks.standing()
     assert [task["state"] for task in again.overview("ann")["tasks"]] == ["marked", "discarded"]
     assert [task["state"] for task in again.overview("bob")["tasks"]] == ["", ""]
@@ -53,7 +53,7 @@ def test_changes_at_once_are_all_kept(project: Project) -> None:
 
 
 def test_two_processes_may_share_a_file(project: Project) -> None:
-    other = Store(project.store.path)
+    other = MarkStore(project.store.path)
     grasp(project, 10, 40)
     assert other.marks.standing() == project.store.marks.standing()
     other.close()
@@ -75,7 +75,7 @@ def test_a_change_that_is_sent_twice_is_made_once(project: Project) -> None:
 def test_undo_goes_back_through_every_state(
     tmp_path_factory: Any, video: Path, steps: list[tuple[int, str, int]]
 ) -> None:
-    made = Project([Task(VIDEO, VIDEO, video)], Store(tmp_path_factory.mktemp("undo") / DATABASE))
+    made = Project([Task(VIDEO, VIDEO, video)], MarkStore(tmp_path_factory.mktemp("undo") / MARKS_DATABASE))
     marks, states = [new() for _ in range(3)], [made.store.marks.standing()]
     for which, field, value in steps:
         input_value = {"side": "left" if value % 2 else "right", "deleted": bool(value % 2)}.get(field, value)
@@ -107,7 +107,7 @@ def test_a_tab_undoes_its_own_changes_only(project: Project) -> None:
     "sets",
     [
         {}, {"start": 70}, {"start": -1}, {"start": "1"}, {"start": True}, {"start": 10**30}, {"end": 5},
-        {"start": 9, "end": 8}, {"start": 1, "end": 5}, {"reason": "bored"}, {"start": 1, "reason": REASONS[0]},
+        {"start": 9, "end": 8}, {"start": 1, "end": 5}, {"reason": "bored"}, {"start": 1, "reason": DISCARD_REASONS[0]},
         {"side": "both"}, {"start": 1, "category": ""},
         {"start": 1, "category": "a\nb"}, {"start": 1, "colour": "red"}, {"side": "left"},
     ],
@@ -135,8 +135,8 @@ def test_marks_of_others_are_out_of_reach(project: Project) -> None:
 def test_other_files_are_no_databases_of_marks(tmp_path: Path, refused: Callable[..., str]) -> None:
     path = tmp_path / "x.sqlite"
     path.write_text("no database, " * 100)
-    refused(lambda: Store(path), "x.sqlite")
+    refused(lambda: MarkStore(path), "x.sqlite")
     path.unlink()
     with sqlite3.connect(path) as other:
         other.execute("CREATE TABLE versions (a)")
-    refused(lambda: Store(path), "another program")
+    refused(lambda: MarkStore(path), "another program")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from getagrip.annotate.next_step import next_step
-from getagrip.annotate.reconstruction import Shape
+from getagrip.annotate.reconstruction import RequestedMesh
 from getagrip.finding import Finding
 from getagrip.geometry import se3
 from getagrip.result import write_result
@@ -23,9 +23,9 @@ def test_the_next_step_is_a_frame_an_interval_a_mesh_and_a_command(tmp_path: Pat
     mesh.touch()
     good = write_result(result, tmp_path / "good", "", {}, tmp_path)
     bad = write_result(replace(result, findings=(serious,)), tmp_path / "bad", "", {}, tmp_path)
-    video, out, built_in = tmp_path / "a b.mp4", tmp_path / "out", Shape("mug", None)
+    video, out, built_in = tmp_path / "a b.mp4", tmp_path / "out", RequestedMesh("mug", None)
 
-    def said(result: Path, shape: Shape = built_in, wanted: int | None = 7, lost: tuple[int, ...] = ()) -> str:
+    def said(result: Path, shape: RequestedMesh = built_in, wanted: int | None = 7, lost: tuple[int, ...] = ()) -> str:
         return next_step(result, video, out, shape, wanted, lost, (3, 90))
 
     assert said(good) == said(tmp_path / "none") == ""
@@ -34,7 +34,7 @@ def test_the_next_step_is_a_frame_an_interval_a_mesh_and_a_command(tmp_path: Pat
     )
     assert "--interval FIRST LAST, if it is held only in some of the frames 3 to 90" in said(bad)
     assert "--object FILE, the object's own mesh: the shape of mug is a guess" in said(bad)
-    assert "--object FILE" not in said(bad, Shape(str(mesh), None))
+    assert "--object FILE" not in said(bad, RequestedMesh(str(mesh), None))
     R = np.tile(np.eye(3), (40, 1, 1))
     R[25:] = se3.exp_so3(np.array([0.0, 1.0, 0.0]))
     names = tuple(f"{n:06d}" for n in range(3, 43))

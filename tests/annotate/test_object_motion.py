@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.annotate.boxes import Box, followed_boxes
+from getagrip.annotate.boxes import Box, track_box
 from getagrip.annotate.carried_masks import Images
 from getagrip.annotate.finding_hands import find_landmarks
 from getagrip.annotate.footage import Footage
-from getagrip.annotate.object_motion import hand_step
+from getagrip.annotate.object_motion import hand_displacement
 from getagrip.annotate.shared_flow import SmallFrames
 from getagrip.landmarks import HandLandmarks, Sighting
 from getagrip.landmarks.nets import Nets
@@ -44,7 +44,7 @@ def place(n: int) -> tuple[int, int]:
 
 
 def followed_box(images: Images, box: Box, first: int, to: int) -> Box:
-    *_, (last, _) = followed_boxes(images, box, first, to)
+    *_, (last, _) = track_box(images, box, first, to)
     return last
 
 
@@ -78,8 +78,8 @@ def test_the_box_is_followed_in_reduced_images_of_the_search_for_hands(monkeypat
             image(n)
         return []
 
-    monkeypatch.setattr("getagrip.annotate.finding_hands.select", select)
-    monkeypatch.setattr("getagrip.annotate.finding_hands.follow", follow)
+    monkeypatch.setattr("getagrip.annotate.finding_hands.select_hand", select)
+    monkeypatch.setattr("getagrip.annotate.finding_hands.track_hands", follow)
     footage = cast(
         Footage, SimpleNamespace(image=lambda n: cv2.resize(image(n - 3), None, fx=4, fy=4), size=(640, 480))
     )
@@ -117,5 +117,10 @@ def test_flow_beside_a_known_step_is_that_step_where_the_thing_is(frames: tuple[
 def test_a_step_of_a_hand_needs_both_masks() -> None:
     one = np.zeros((20, 30), bool)
     one[5:9, 3:9] = True
-    assert hand_step(one, np.roll(one, (6, 11), (0, 1))) == (11, 6)
-    assert hand_step(one, None) == hand_step(None, one) == hand_step(one, np.zeros_like(one)) == (0, 0)
+    assert hand_displacement(one, np.roll(one, (6, 11), (0, 1))) == (11, 6)
+    assert (
+        hand_displacement(one, None)
+        == hand_displacement(None, one)
+        == hand_displacement(one, np.zeros_like(one))
+        == (0, 0)
+    )

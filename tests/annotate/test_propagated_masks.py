@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from numpy import ndarray
 
 from getagrip.annotate import propagated_masks
-from getagrip.annotate.carried_masks import Carried
-from getagrip.annotate.colour_cut import Colours, coloured_hand
-from getagrip.annotate.labels import FRONT, HAND, OBJECT
-from getagrip.annotate.propagated_masks import _until_lost, propagate, stretches
+from getagrip.annotate.carried_masks import TrackedMask
+from getagrip.annotate.colour_cut import ColourHistogram, remove_object_colours
+from getagrip.annotate.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL
+from getagrip.annotate.propagated_masks import _mark_lost, keyframe_spans, propagate_labels
 from getagrip.annotate.shared_flow import SmallFrames
 from getagrip.errors import UsageError
 
@@ -29,7 +29,7 @@ LAST = 8
 def _smaller() -> Iterator[None]:
     """Masks are carried at half the size, four times as quick; one test takes the usual one."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(propagated_masks, "SIDE", 90.0)
+        patch.setattr(propagated_masks, "OBJECT_WORKING_SIZE_PX", 90.0)
         yield
 
 
@@ -63,11 +63,11 @@ def drawn(n: int, offset: float = 0.0, bar: bool = False) -> tuple[ndarray, ndar
     ground = GROUND[20 + n : 20 + n + SIZE[1], 30 : 30 + SIZE[0]]
     corners = SHAPE @ T[:, :2].T + T[:, 2]
     labels = np.zeros(SIZE[::-1], np.uint8)
-    cv2.fillPoly(labels, [np.round(16 * corners).astype(np.int32)], OBJECT, shift=4)
+    cv2.fillPoly(labels, [np.round(16 * corners).astype(np.int32)], OBJECT_LABEL, shift=4)
     thing = cv2.warpAffine(THING, T, SIZE)
-    image = np.where(labels[..., None] == OBJECT, thing, ground)
+    image = np.where(labels[..., None] == OBJECT_LABEL, thing, ground)
     if bar:
-        labels[100:125] = FRONT
+        labels[100:125] = OCCLUDER_LABEL
         image[100:125] = BAR[100:125, : SIZE[0]]
     noise = np.random.default_rng(n).normal(0.0, 3.0, image.shape)
     return np.clip(image + noise, 0, 255).astype(np.uint8), labels
@@ -88,8 +88,10 @@ class Scored(NamedTuple):
 
 def carried(keys: tuple[int, ...], draw: Draw = drawn, last: int = LAST) -> dict[int, Scored]:
     """What becomes of the true masks of some frames."""
-    found = propagate(lambda n: draw(n)[0], {n: draw(n)[1] for n in keys}, 0, last)
-    return {n: Scored(labels, iou(labels == OBJECT, draw(n)[1] == OBJECT), sure) for n, labels, sure in found}
+    found = propagate_labels(lambda n: draw(n)[0], {n: draw(n)[1] for n in keys}, 0, last)
+    return {
+        n: Scored(labels, iou(labels == OBJECT_LABEL, draw(n)[1] == OBJECT_LABEL), sure) for n, labels, sure in found
+    }
 
 
 def worst(found: dict[int, Scored]) -> tuple[float, float]:
@@ -103,7 +105,7 @@ def test_a_thing_that_jumps_is_found_where_the_hand_has_moved_to() -> None:
     def jumped(n: int) -> tuple[ndarray, ndarray]:
         image, labels = drawn(0, 100.0 * (n > 1))
         wall = np.random.default_rng(n).normal(200.0, 3.0, image.shape)
-        image = np.where(labels[..., None] == OBJECT, image, wall).astype(np.uint8)
+        image = np.where(labels[..., None] == OBJECT_LABEL, image, wall).astype(np.uint8)
         return cv2.blur(image, (15, 1)) if n > 1 else image, labels
 
     def hand(step: int, n: int) -> ndarray:
@@ -112,8 +114,8 @@ def test_a_thing_that_jumps_is_found_where_the_hand_has_moved_to() -> None:
         return seen
 
     for step, least, most in ((100, 0.9, 1.0), (210, 0.0, 0.5), (0, 0.0, 0.5)):
-        found = [*propagate(lambda n: jumped(n)[0], {0: jumped(0)[1]}, 0, 3, hand=partial(hand, step))]
-        scores = [iou(each.labels == OBJECT, jumped(each.frame)[1] == OBJECT) for each in found]
+        found = [*propagate_labels(lambda n: jumped(n)[0], {0: jumped(0)[1]}, 0, 3, hand=partial(hand, step))]
+        scores = [iou(each.labels == OBJECT_LABEL, jumped(each.frame)[1] == OBJECT_LABEL) for each in found]
         assert min(scores[:2]) > 0.9
         assert least <= min(scores[2:]) <= max(scores[2:]) <= most
         assert all((each.confidence > 0.3) == (step == 100) for each in found[2:])
@@ -132,15 +134,15 @@ def test_an_object_is_lost_where_it_vanishes_within_the_image(
 ) -> None:
     """What something in front hides is remembered: it does not vanish."""
     key = np.zeros(SIZE[::-1], np.uint8)
-    key[20:60, left : left + 40] = OBJECT
+    key[20:60, left : left + 40] = OBJECT_LABEL
 
-    def each(n: int, side: int) -> Carried:
+    def each(n: int, side: int) -> TrackedMask:
         inside = np.full((3, 40, 40), -1.0, np.float32)
         inside[0, :side, :side] = 1.0
-        return Carried(n, (left, 20), inside, np.ones((40, 40), np.float32), 0.9, np.zeros((40, 40), np.float32))
+        return TrackedMask(n, (left, 20), inside, np.ones((40, 40), np.float32), 0.9, np.zeros((40, 40), np.float32))
 
     frames = SmallFrames(lambda n: drawn(n)[0], SIZE)
-    found = [*_until_lost([each(n, side) for n, side in enumerate(sides, start=1)], key, frames)]
+    found = [*_mark_lost([each(n, side) for n, side in enumerate(sides, start=1)], key, frames)]
     assert [one.frame for one in found] == [1, 2, 3, 4, 5, 6]
     assert [one.frame for one in found if one.trust == 0.0] == lost
 
@@ -150,8 +152,8 @@ def test_a_side_that_comes_into_view_before_known_ground_is_the_objects() -> Non
 
     def turned(n: int) -> tuple[ndarray, ndarray]:
         labels = np.zeros(SIZE[::-1], np.uint8)
-        labels[50:130, 60 : 110 + 7 * n] = OBJECT
-        image = np.where(labels[..., None] == OBJECT, THING[: SIZE[1], : SIZE[0]], GROUND[: SIZE[1], : SIZE[0]])
+        labels[50:130, 60 : 110 + 7 * n] = OBJECT_LABEL
+        image = np.where(labels[..., None] == OBJECT_LABEL, THING[: SIZE[1], : SIZE[0]], GROUND[: SIZE[1], : SIZE[0]])
         noise = np.random.default_rng(n).normal(0.0, 3.0, image.shape)
         return np.clip(image + noise, 0, 255).astype(np.uint8), labels
 
@@ -160,7 +162,7 @@ def test_a_side_that_comes_into_view_before_known_ground_is_the_objects() -> Non
 
 @pytest.mark.slow
 def test_a_moving_thing_is_kept_between_two_keys(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(propagated_masks, "SIDE", 200.0)
+    monkeypatch.setattr(propagated_masks, "OBJECT_WORKING_SIZE_PX", 200.0)
     found = carried((0, LAST))
     assert list(found) == list(range(LAST + 1))
     score, confidence = worst(found)
@@ -184,13 +186,13 @@ def test_before_the_first_and_after_the_last_key_it_is_followed_and_trusted_less
 def test_backwards_is_the_same_as_forwards() -> None:
     there, back = carried((0, 4), last=4), carried((0, 4), lambda n: drawn(4 - n), last=4)
     for n, each in there.items():
-        assert iou(each.labels == OBJECT, back[4 - n].labels == OBJECT) > 0.98
+        assert iou(each.labels == OBJECT_LABEL, back[4 - n].labels == OBJECT_LABEL) > 0.98
 
 
 @pytest.mark.slow
 def test_what_is_in_front_stays_in_front() -> None:
     for each in (found := carried((0, 5), lambda n: drawn(n, bar=True), last=5)).values():
-        assert (each.labels[105:120, 40:200] == FRONT).mean() > 0.95
+        assert (each.labels[105:120, 40:200] == OCCLUDER_LABEL).mean() > 0.95
     assert worst(found)[0] > 0.9
 
 
@@ -198,12 +200,12 @@ def held(n: int) -> tuple[ndarray, ndarray]:
     """A hand that covers half of the thing at first, and leaves it."""
     image, labels = (each.copy() for each in drawn(n))
     edge = max(0, 80 - 10 * n)
-    image[:, :edge], labels[:, :edge] = BAR[: SIZE[1], :edge], HAND
+    image[:, :edge], labels[:, :edge] = BAR[: SIZE[1], :edge], HAND_LABEL
     return image, labels
 
 
 def hand_of(n: int) -> ndarray:
-    return np.asarray(held(n)[1] == HAND)
+    return np.asarray(held(n)[1] == HAND_LABEL)
 
 
 @pytest.mark.slow
@@ -214,15 +216,17 @@ def test_what_a_hand_uncovers_is_the_objects_if_its_colour_is(backwards: bool) -
     def order(n: int) -> int:
         return LAST - n if backwards else n
 
-    keys = {order(0): np.where(held(0)[1] == OBJECT, OBJECT, 0).astype(np.uint8)}
+    keys = {order(0): np.where(held(0)[1] == OBJECT_LABEL, OBJECT_LABEL, 0).astype(np.uint8)}
     masks = {
         n: (labels, sure)
-        for n, labels, sure in propagate(lambda n: held(order(n))[0], keys, 0, LAST, hand=lambda n: hand_of(order(n)))
+        for n, labels, sure in propagate_labels(
+            lambda n: held(order(n))[0], keys, 0, LAST, hand=lambda n: hand_of(order(n))
+        )
     }
     last = masks[order(LAST)][0]
-    assert iou(last == OBJECT, held(LAST)[1] == OBJECT) > 0.85
+    assert iou(last == OBJECT_LABEL, held(LAST)[1] == OBJECT_LABEL) > 0.85
     for n, (labels, _) in masks.items():
-        assert not (hand_of(order(n)) & (labels == OBJECT)).any()
+        assert not (hand_of(order(n)) & (labels == OBJECT_LABEL)).any()
 
 
 @pytest.mark.slow
@@ -232,7 +236,7 @@ def test_a_found_hand_loses_pixels_of_unlikely_colours_at_its_border_and_has_no_
     hand[5:35, 5:35], at[5:35, 5:35] = True, 0
     at[5:12, 15:25], at[18:22, 8:14], at[18:22, 24:32] = 1, 1, 2
     own, skin = np.float32([[0.0, 0.0004, 0.1]] * 2), np.float32([[0.1, 0.0, 0.0]] * 2)
-    found = coloured_hand(hand, at, Colours(own), Colours(skin))
+    found = remove_object_colours(hand, at, ColourHistogram(own), ColourHistogram(skin))
     assert not found[~hand].any()
     assert not found[6:11, 17:23].any()
     assert not found[19:21, 26:30].any()
@@ -244,10 +248,10 @@ def test_a_found_hand_of_the_objects_colours_stays_whole() -> None:
     hand, at = np.zeros((40, 40), bool), np.ones((40, 40), np.int32)
     hand[5:35, 5:35], at[5:28, 5:35] = True, 2
     own, skin = np.float32([[0.0, 0.0004, 0.1]] * 2), np.float32([[0.1, 0.1, 0.0]] * 2)
-    colours = Colours(own), Colours(skin)
-    np.testing.assert_array_equal(coloured_hand(hand, at, *colours), hand)
+    colours = ColourHistogram(own), ColourHistogram(skin)
+    np.testing.assert_array_equal(remove_object_colours(hand, at, *colours), hand)
     at[10:28, 5:35] = 1
-    assert 0.5 < coloured_hand(hand, at, *colours).sum() / hand.sum() < 0.9, "a part of it is the object's"
+    assert 0.5 < remove_object_colours(hand, at, *colours).sum() / hand.sum() < 0.9, "a part of it is the object's"
 
 
 def test_a_found_hand_that_is_coloured_as_the_object_is_not_taken_for_it_far_from_it() -> None:
@@ -259,16 +263,18 @@ def test_a_found_hand_that_is_coloured_as_the_object_is_not_taken_for_it_far_fro
         hand[110:125, 60:230] = True
         bright = hand & (np.arange(SIZE[0]) > 170) & (n > 0)
         image = np.where(hand[..., None], BAR[: SIZE[1], : SIZE[0]], image)
-        return np.where(bright[..., None], THING[: SIZE[1], : SIZE[0]], image), np.where(hand, np.uint8(HAND), labels)
+        return np.where(bright[..., None], THING[: SIZE[1], : SIZE[0]], image), np.where(
+            hand, np.uint8(HAND_LABEL), labels
+        )
 
-    keys = {0: np.where(lit(0)[1] == OBJECT, np.uint8(OBJECT), np.uint8(0))}
-    found = propagate(lambda n: lit(n)[0], keys, 0, 4, hand=lambda n: lit(n)[1] == HAND)
-    assert all((labels[112:123, 175:225] == HAND).mean() > 0.95 for _, labels, _ in found)
+    keys = {0: np.where(lit(0)[1] == OBJECT_LABEL, np.uint8(OBJECT_LABEL), np.uint8(0))}
+    found = propagate_labels(lambda n: lit(n)[0], keys, 0, 4, hand=lambda n: lit(n)[1] == HAND_LABEL)
+    assert all((labels[112:123, 175:225] == HAND_LABEL).mean() > 0.95 for _, labels, _ in found)
 
 
 def test_a_hand_drawn_on_a_key_replaces_the_one_that_was_found() -> None:
-    found = propagate(lambda n: held(n)[0], {0: held(0)[1]}, 0, 2, hand=lambda n: np.zeros(SIZE[::-1], bool))
-    assert all(iou(labels == HAND, hand_of(n)) > 0.8 for n, labels, _ in found)
+    found = propagate_labels(lambda n: held(n)[0], {0: held(0)[1]}, 0, 2, hand=lambda n: np.zeros(SIZE[::-1], bool))
+    assert all(iou(labels == HAND_LABEL, hand_of(n)) > 0.8 for n, labels, _ in found)
 
 
 @pytest.mark.slow
@@ -285,8 +291,8 @@ def test_what_enters_the_image_comes_from_the_key_that_shows_it() -> None:
     def entering(n: int) -> tuple[ndarray, ndarray]:
         return drawn(n, offset=-72.0)
 
-    assert (entering(0)[1][:, 0] == OBJECT).any()
-    assert not (entering(10)[1][:, 0] == OBJECT).any()
+    assert (entering(0)[1][:, 0] == OBJECT_LABEL).any()
+    assert not (entering(10)[1][:, 0] == OBJECT_LABEL).any()
     assert worst(carried((0, 10), entering, last=10))[0] > 0.85
 
 
@@ -302,7 +308,7 @@ def test_a_cut_lowers_the_confidence() -> None:
 @pytest.mark.slow
 def test_nothing_stays_nothing() -> None:
     keys = {0: drawn(0)[1], 6: np.zeros(SIZE[::-1], np.uint8), LAST: np.zeros(SIZE[::-1], np.uint8)}
-    found = {n: (labels, sure) for n, labels, sure in propagate(lambda n: drawn(n)[0], keys, 0, LAST)}
+    found = {n: (labels, sure) for n, labels, sure in propagate_labels(lambda n: drawn(n)[0], keys, 0, LAST)}
     assert all(not found[n][0].any() and found[n][1] == 1.0 for n in range(6, LAST + 1))
 
 
@@ -319,7 +325,7 @@ def test_images_may_be_smaller_than_masks() -> None:
 
 @given(keys=st.sets(st.integers(3, 12), min_size=1), ends=st.tuples(st.integers(0, 3), st.integers(12, 15)))
 def test_every_frame_is_in_one_stretch_with_the_keys_about_it(keys: set[int], ends: tuple[int, int]) -> None:
-    found = list(stretches(keys, *ends))
+    found = list(keyframe_spans(keys, *ends))
     assert [n for one in found for n in range(one.first, one.last + 1)] == list(range(ends[0], ends[1] + 1))
     for one in found:
         for n in range(one.first, one.last + 1):
@@ -332,12 +338,12 @@ def test_every_frame_is_in_one_stretch_with_the_keys_about_it(keys: set[int], en
 def test_a_changed_key_changes_the_frames_up_to_its_neighbours_only() -> None:
     """The others need not be made again."""
     keys = {n: drawn(n)[1] for n in (1, 4, 6)}
-    before = {n: (labels, sure) for n, labels, sure in propagate(lambda n: drawn(n)[0], keys, 0, LAST)}
-    keys[6] = np.where(drawn(6)[1] == OBJECT, 0, FRONT).astype(np.uint8)
-    after = {n: (labels, sure) for n, labels, sure in propagate(lambda n: drawn(n)[0], keys, 0, LAST)}
+    before = {n: (labels, sure) for n, labels, sure in propagate_labels(lambda n: drawn(n)[0], keys, 0, LAST)}
+    keys[6] = np.where(drawn(6)[1] == OBJECT_LABEL, 0, OCCLUDER_LABEL).astype(np.uint8)
+    after = {n: (labels, sure) for n, labels, sure in propagate_labels(lambda n: drawn(n)[0], keys, 0, LAST)}
     same = {n for n, (labels, sure) in after.items() if np.array_equal(before[n][0], labels) and before[n][1] == sure}
     assert after.keys() - same == {*range(5, LAST + 1)}
-    again = {n: labels for n, labels, _ in propagate(lambda n: drawn(n)[0], keys, 0, LAST, range(5))}
+    again = {n: labels for n, labels, _ in propagate_labels(lambda n: drawn(n)[0], keys, 0, LAST, range(5))}
     assert again.keys() == {*range(5, LAST + 1)}
     assert all(np.array_equal(after[n][0], labels) for n, labels in again.items())
 
@@ -350,7 +356,7 @@ def test_what_cannot_be_propagated_is_refused() -> None:
         ({0: drawn(0)[1], 1: np.zeros((4, 4), np.uint8)}, "sizes"),
     ):
         with pytest.raises(UsageError, match=words):
-            list(propagate(lambda n: drawn(n)[0], keys, 0, LAST))
+            list(propagate_labels(lambda n: drawn(n)[0], keys, 0, LAST))
 
 
 def test_a_small_part_that_comes_off_is_something_else_unless_a_key_shows_it_apart() -> None:
@@ -361,14 +367,14 @@ def test_a_small_part_that_comes_off_is_something_else_unless_a_key_shows_it_apa
         step = np.array([[1.0, 0.0, gap + away * n], [0.0, 1.0, 0.0]])
         thing = cv2.warpAffine(cv2.warpAffine(THING, pose(n), SIZE, borderMode=cv2.BORDER_REFLECT), step, SIZE)
         here = disc(gap + away * n, n) & (labels == 0)
-        return np.where(here[..., None], thing, image), np.where(here & (n == 0), np.uint8(OBJECT), labels)
+        return np.where(here[..., None], thing, image), np.where(here & (n == 0), np.uint8(OBJECT_LABEL), labels)
 
     def disc(offset: float, n: int) -> ndarray:
         at = pose(n) @ np.array([256.0 + 50.0, 256.0, 1.0]) + [offset, 0.0]
         return cv2.circle(np.zeros(SIZE[::-1], np.uint8), np.round(at).astype(int).tolist(), 9, 1, -1) > 0
 
     for gap, away, least, most in ((0.0, 3.0, 0.0, 0.0), (24.0, 0.0, 0.5, 1.0)):
-        shown = carried((0,), partial(beside, gap, away))[LAST].labels == OBJECT
+        shown = carried((0,), partial(beside, gap, away))[LAST].labels == OBJECT_LABEL
         there = disc(gap + away * LAST, LAST) & (drawn(LAST)[1] == 0)
         assert least <= shown[there].mean() <= most
 
@@ -376,11 +382,11 @@ def test_a_small_part_that_comes_off_is_something_else_unless_a_key_shows_it_apa
 def test_a_handle_that_is_joined_beyond_the_image_is_kept() -> None:
     def leaving(n: int) -> tuple[ndarray, ndarray]:
         labels, top = np.zeros((SIZE[1] + 80, SIZE[0]), np.uint8), 8 * n
-        labels[60:180, 40:120] = labels[60:140, 150:160] = labels[45:60, 40:160] = OBJECT
+        labels[60:180, 40:120] = labels[60:140, 150:160] = labels[45:60, 40:160] = OBJECT_LABEL
         image = np.where(
-            labels[..., None] == OBJECT, THING[: labels.shape[0], : SIZE[0]], GROUND[: labels.shape[0], : SIZE[0]]
+            labels[..., None] == OBJECT_LABEL, THING[: labels.shape[0], : SIZE[0]], GROUND[: labels.shape[0], : SIZE[0]]
         )
         return image[top : top + SIZE[1]], labels[top : top + SIZE[1]]
 
     found = carried((0,), leaving)[LAST]
-    assert (found.labels == OBJECT)[:70, 152:158].mean() > 0.9
+    assert (found.labels == OBJECT_LABEL)[:70, 152:158].mean() > 0.9

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from getagrip.annotate.drafted_grasps import without_reach
+from getagrip.annotate.drafted_grasps import trim_reach
 from getagrip.annotate.labels import FrameLabels, Labels
-from getagrip.annotate.reach import find_arrival, followed
+from getagrip.annotate.reach import find_arrival, track_visible_box
 from helpers.labelled_scene import joints
 
 FRAMES, ARRIVES, LIFTS = 40, 12, 20
@@ -48,7 +48,7 @@ class Shot:
 
 
 def found(shot: Shot, frames: int = FRAMES) -> int | None:
-    boxes = followed(shot.image, shot.box(0), 0, frames - 1)
+    boxes = track_visible_box(shot.image, shot.box(0), 0, frames - 1)
     return find_arrival(shot.image, boxes, {n: shot.joints(n) for n in range(frames)}, frames - 1)
 
 
@@ -76,13 +76,13 @@ def test_reach_and_release_are_left_out_by_masks_and_a_key_is_carried() -> None:
     shot = Shot()
     known = {n: shot.joints(n) for n in range(FRAMES)}
     there = Labels("it", (320, 240), "left", 30.0, 0, FRAMES - 1, {n: square(shot, n) for n in range(FRAMES)})
-    grasp = without_reach(there, shot.image, known, lambda _: None)
+    grasp = trim_reach(there, shot.image, known, lambda _: None)
     assert grasp.extents[0][1] == FRAMES - 1
     assert abs(grasp.extents[0][0] - ARRIVES) <= 3
     assert "reaches for it before; --all-frames takes all" in grasp.said
     back = Labels("it", (320, 240), "left", 30.0, 0, FRAMES - 1, {n: square(shot, FRAMES - 1 - n) for n in known})
     turned = {FRAMES - 1 - n: each for n, each in known.items()}
-    grasp = without_reach(back, lambda n: shot.image(FRAMES - 1 - n), turned, lambda _: None)
+    grasp = trim_reach(back, lambda n: shot.image(FRAMES - 1 - n), turned, lambda _: None)
     assert grasp.extents[0][0] == 0
     assert abs(grasp.extents[0][1] - (FRAMES - 1 - ARRIVES)) <= 3
     assert "leaves it after" in grasp.said
@@ -93,7 +93,7 @@ def test_the_first_mask_is_carried_to_the_grasp() -> None:
     shot = Shot(arrives=8, lifts=12)
     known = {n: shot.joints(n) for n in range(20)}
     one = Labels("it", (320, 240), "left", 30.0, 0, 19, {0: square(shot, 0)})
-    grasp = without_reach(one, shot.image, known, lambda _: None, (0, shot.box(0)))
+    grasp = trim_reach(one, shot.image, known, lambda _: None, (0, shot.box(0)))
     (first, _) = grasp.extents[0]
     assert [*grasp.labels.frames] == [0, first]
     shape = np.concatenate(grasp.labels.frames[first].object or ())

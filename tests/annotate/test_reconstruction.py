@@ -12,11 +12,11 @@ import pytest
 
 from getagrip.annotate import reconstruction
 from getagrip.annotate.background import BackgroundJob, CancelledError
-from getagrip.annotate.reconstruction import DepthFiles, Shape, reconstruct, shape_of
+from getagrip.annotate.reconstruction import DepthFiles, RequestedMesh, parse_requested_mesh, reconstruct_grasp_files
 from getagrip.annotate.versions import RefusedError
 from getagrip.clip import read_clip, with_evidence, write_clip
-from getagrip.clip.depth import DEPTH
-from getagrip.clip.depth_sources import SOURCES, DepthReader
+from getagrip.clip.depth import DEPTH_KEY
+from getagrip.clip.depth_sources import DEPTH_FORMATS, DepthReader
 from getagrip.errors import GetagripError, UsageError
 from getagrip.result import FrameKind, write_result
 from helpers.clips import small_clip
@@ -24,22 +24,29 @@ from helpers.true_result import true_result
 
 
 def test_what_the_page_says_of_the_mesh() -> None:
-    assert shape_of({"mesh": " plate ", "size_mm": None}) == Shape("plate", None)
-    assert shape_of({"mesh": "a b.obj", "size_mm": 180}).options == ["--mesh", "a b.obj", "--size-mm", "180"]
+    assert parse_requested_mesh({"mesh": " plate ", "size_mm": None}) == RequestedMesh("plate", None)
+    assert parse_requested_mesh({"mesh": "a b.obj", "size_mm": 180}).options == [
+        "--mesh",
+        "a b.obj",
+        "--size-mm",
+        "180",
+    ]
     wrong: list[dict[str, Any]] = [
         {}, {"mesh": ""}, {"mesh": 3}, {"mesh": "--overwrite"}, {"mesh": "a\nb"}, {"mesh": 2000 * "x"},
         {"mesh": "plate", "size_mm": 0}, {"mesh": "plate", "size_mm": "180"}, {"mesh": "plate", "size_mm": True},
     ]  # fmt: skip
     for content in wrong:
         with pytest.raises(RefusedError):
-            shape_of(content)
+            parse_requested_mesh(content)
 
 
 @pytest.mark.slow
 def test_a_command_that_fails_ends_it_with_its_words(tmp_path: Path) -> None:
     job = BackgroundJob("reconstruct")
     with pytest.raises(GetagripError, match=r"^.*nothing.mp4.*no such file"):
-        reconstruct(["clip", "new", str(tmp_path / "nothing.mp4")], Shape("plate", None), tmp_path, "it", job)
+        reconstruct_grasp_files(
+            ["clip", "new", str(tmp_path / "nothing.mp4")], RequestedMesh("plate", None), tmp_path, "it", job
+        )
     assert job.message == "making the clip"
 
 
@@ -63,30 +70,32 @@ def test_what_lacks_something_is_made_and_errors_are_one_line(
             reconstruction.run_command(["clip", "new"], BackgroundJob("reconstruct"))
 
 
-@pytest.mark.parametrize("name", [reconstruction.CLIPS, reconstruction.RESULTS])
+@pytest.mark.parametrize("name", [reconstruction.CLIPS_FOLDER, reconstruction.RESULTS_FOLDER])
 def test_folders_that_are_links_are_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / name).symlink_to(tmp_path / "elsewhere")
     with pytest.raises(UsageError, match="got a link"):
-        reconstruct(["doctor"], Shape("plate", None), tmp_path / "out", "it", BackgroundJob("reconstruct"))
+        reconstruct_grasp_files(
+            ["doctor"], RequestedMesh("plate", None), tmp_path / "out", "it", BackgroundJob("reconstruct")
+        )
 
 
 def test_iou_of_a_result_that_may_not_read(tmp_path: Path) -> None:
     clip, _ = small_clip()
     result = replace(true_result(clip, None), iou=np.array([0.8, 0.4, 1.0]))
     written = write_result(result, tmp_path / "it", "", {}, tmp_path)
-    assert reconstruction.iou_of(written) == dict(zip(clip.frames, (0.8, 0.4, 1.0), strict=True))
+    assert reconstruction.iou_by_frame(written) == dict(zip(clip.frames, (0.8, 0.4, 1.0), strict=True))
     kind: tuple[FrameKind, ...] = ("sampled", "interpolated", "sampled")
     unknown = replace(result, iou=np.array([0.8, np.nan, 1.0]), frame_kind=kind)
     other = write_result(unknown, tmp_path / "other", "", {}, tmp_path)
-    assert reconstruction.iou_of(other) == {clip.frames[0]: 0.8, clip.frames[2]: 1.0}
+    assert reconstruction.iou_by_frame(other) == {clip.frames[0]: 0.8, clip.frames[2]: 1.0}
     (written / "result.npz").write_bytes(b"PK nothing")
-    assert reconstruction.iou_of(written) == reconstruction.iou_of(tmp_path / "nothing") == {}
+    assert reconstruction.iou_by_frame(written) == reconstruction.iou_by_frame(tmp_path / "nothing") == {}
 
 
 def test_work_that_is_not_wanted_any_more_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reconstruction, "ASKED", 0.001)
+    monkeypatch.setattr(reconstruction, "CANCEL_POLL_S", 0.001)
     job = BackgroundJob("reconstruct")
     job.stop.set()
     with pytest.raises(CancelledError):
@@ -102,9 +111,9 @@ def test_a_clip_takes_the_depth_of_its_own_frames(tmp_path: Path, known: tuple[i
     folder = write_clip(clip, masks, tmp_path / "clip")
     frames = ("first", "second", "gap", clip.frames[0], clip.frames[1], "another", clip.frames[2])
     reader = DepthReader(lambda row: (tmp_path, np.full((24, 32), 500.0 + row), 0.001), known)
-    said = DepthFiles(reader, frames, SOURCES["realsense"].source, "from here").add_to(folder)
+    said = DepthFiles(reader, frames, DEPTH_FORMATS["realsense"].source, "from here").add_to(folder)
     assert wrong in said if wrong else not said
-    depth = with_evidence(read_clip(folder)).evidence[DEPTH]
+    depth = with_evidence(read_clip(folder)).evidence[DEPTH_KEY]
     assert (depth is None) == (known == (0,))
     for n, row in enumerate((3, 4, 6)):
         if depth is not None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from getagrip.annotate.fine_border import fine
-from getagrip.annotate.seen_ground import Ground
+from getagrip.annotate.fine_border import refine_full_resolution
+from getagrip.annotate.seen_ground import BackgroundModel
 from getagrip.annotate.shared_flow import SmallFrames
 
 RNG = np.random.default_rng(0)
@@ -23,7 +23,7 @@ def shares(own: float, other: float = 0.0) -> np.ndarray:
 
 
 def test_the_same_speaks_for_the_ground_and_another_colour_of_the_objects_against_it() -> None:
-    ground = Ground.of_key(IMAGE, LEFT)
+    ground = BackgroundModel.of_key(IMAGE, LEFT)
     for image, share, sign in ((IMAGE, 0.0, -1), (255 - IMAGE, 0.1, 1)):
         unlike = ground.unlike(image, shares(share), LEFT)
         assert np.median(sign * unlike[LEFT]) > 1.0
@@ -32,7 +32,7 @@ def test_the_same_speaks_for_the_ground_and_another_colour_of_the_objects_agains
 
 def test_a_new_colour_on_ground_that_is_else_unchanged_speaks_for_the_object() -> None:
     """It does not where all of the ground has changed, and less where others have that colour."""
-    ground, there = Ground.of_key(IMAGE, LEFT), np.zeros_like(LEFT)
+    ground, there = BackgroundModel.of_key(IMAGE, LEFT), np.zeros_like(LEFT)
     there[30:50, 20:40] = True
     image = np.where(there[..., None], 255 - IMAGE, IMAGE)
     new, others = (np.median(ground.unlike(image, shares(0.0, each), LEFT & ~there)[there]) for each in (0.0, 0.1))
@@ -43,7 +43,7 @@ def test_a_new_colour_on_ground_that_is_else_unchanged_speaks_for_the_object() -
 
 def test_what_comes_into_view_is_not_seen_ground() -> None:
     """The ground moves 5 px to the right: on its left something appears, and where it was unknown it stays so."""
-    ground = Ground.of_key(IMAGE, LEFT)
+    ground = BackgroundModel.of_key(IMAGE, LEFT)
     after = np.roll(IMAGE, 5, axis=1)
     moved = ground.moved(PART, (X - 5.0, Y))
     ground.renew(after, PART, moved, np.ones_like(LEFT))
@@ -68,6 +68,6 @@ def test_a_border_is_drawn_where_colours_change() -> None:
     image = np.full((60, 90, 3), (200, 60, 40), np.uint8)
     image[:, 45:] = (40, 60, 200)
     off = np.broadcast_to((48.0 - np.arange(90.0)) / 3.0, (60, 90)).astype(np.float32)
-    found = fine(image, off, 3.0)
+    found = refine_full_resolution(image, off, 3.0)
     assert found[:, :44].all()
     assert not found[:, 46:].any()

@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 
 from getagrip.annotate.project import Project
-from getagrip.annotate.server import LARGEST_BODY, Server, first_free, kept_token
-from getagrip.annotate.store import Store
+from getagrip.annotate.server import MAX_BODY_BYTES, StudioServer, persistent_token, serve_on_free_port
+from getagrip.annotate.store import MarkStore
 from getagrip.annotate.tasks import Task
-from getagrip.commands.annotate import DATABASE
+from getagrip.commands.annotate import MARKS_DATABASE
 from getagrip.errors import UsageError
 from helpers.annotation_page import ask
 from helpers.command_line import Run
@@ -24,8 +24,8 @@ from helpers.numbered_footage import FRAMES, number_in, write_images
 
 
 @pytest.fixture
-def server(project: Project) -> Iterator[Server]:
-    with Server(project, 0) as made:
+def server(project: Project) -> Iterator[StudioServer]:
+    with StudioServer(project, 0) as made:
         thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.02})
         thread.start()
         yield made
@@ -33,7 +33,7 @@ def server(project: Project) -> Iterator[Server]:
         thread.join()
 
 
-def test_frames_and_marks_over_http(server: Server) -> None:
+def test_frames_and_marks_over_http(server: StudioServer) -> None:
     for n in (0, 33, FRAMES - 1, 12):
         status, head, image = ask(server, f"/frame?task={VIDEO}&n={n}")
         assert (status, head["X-Number"], number_in(image)) == (200, str(n + 1), n)
@@ -48,7 +48,7 @@ def test_frames_and_marks_over_http(server: Server) -> None:
         assert "default-src 'self'" in head["Content-Security-Policy"]
 
 
-def test_the_page_is_for_this_machine_only(server: Server) -> None:
+def test_the_page_is_for_this_machine_only(server: StudioServer) -> None:
     assert server.server_address[0] == "127.0.0.1"
     own = f"127.0.0.1:{server.server_port}"
     sent = change(new(), {"start": 4})
@@ -67,7 +67,7 @@ def test_the_page_is_for_this_machine_only(server: Server) -> None:
     assert ask(server, "/api/change", change(new(), {"start": 5}), through_ssh)[0] == 200
 
 
-def test_the_address_with_the_token_opens_the_page(server: Server) -> None:
+def test_the_address_with_the_token_opens_the_page(server: StudioServer) -> None:
     """Others who work on the machine reach the server, but nothing of what is in it."""
     stranger = {"Cookie": ""}
     for path in ("/", "/page.js", "/api/tasks?annotator=ann", "/?token=another", f"/page.js?token={server.token}"):
@@ -83,11 +83,11 @@ def test_the_address_with_the_token_opens_the_page(server: Server) -> None:
 
 
 def test_the_token_stays_over_restarts_and_is_its_owners(tmp_path: Path) -> None:
-    token = kept_token(tmp_path / "token")
+    token = persistent_token(tmp_path / "token")
     assert (tmp_path / "token").stat().st_mode & 0o777 == 0o600
-    assert kept_token(tmp_path / "token") == token
+    assert persistent_token(tmp_path / "token") == token
     (tmp_path / "token").chmod(0o644)  # others may have read it
-    assert kept_token(tmp_path / "token") != token
+    assert persistent_token(tmp_path / "token") != token
 
 
 def test_a_token_is_neither_short_nor_read_through_a_link(tmp_path: Path) -> None:
@@ -97,20 +97,20 @@ def test_a_token_is_neither_short_nor_read_through_a_link(tmp_path: Path) -> Non
         other.chmod(0o600)
         token.unlink(missing_ok=True)
         token.symlink_to(other)
-        assert len(kept_token(token)) >= 20
+        assert len(persistent_token(token)) >= 20
         assert not token.is_symlink()
         assert other.read_text() == content
         token.write_text("a")
-        assert len(kept_token(token)) >= 20
+        assert len(persistent_token(token)) >= 20
 
 
 def test_another_port_is_taken_where_the_usual_one_is_not_free(project: Project, monkeypatch: Any) -> None:
-    with Server(project, 0) as busy:
-        monkeypatch.setattr("getagrip.annotate.server.PORT", busy.server_port)
-        with first_free(project, "a-token") as other:
+    with StudioServer(project, 0) as busy:
+        monkeypatch.setattr("getagrip.annotate.server.DEFAULT_PORT", busy.server_port)
+        with serve_on_free_port(project, "a-token") as other:
             assert other.server_port != busy.server_port
         with pytest.raises(UsageError, match="--port"):
-            Server(project, busy.server_port)
+            StudioServer(project, busy.server_port)
 
 
 @pytest.mark.parametrize(
@@ -122,22 +122,22 @@ def test_another_port_is_taken_where_the_usual_one_is_not_free(project: Project,
         ("/api/tasks?annotator=..%2Fx", None, 409), ("/grasps.csv?annotator=", None, 409),
         ("/api/change", b"{", 400), ("/api/change", b"[]", 400), ("/api/change", b"[" * 60_000, 400),
         ("/api/change", b"\xff\xfe", 400), ("/api/change", {}, 409), ("/api/undo", {}, 409), ("/api/other", {}, 404),
-        ("/api/change", b" " * (LARGEST_BODY + 1), 400),
+        ("/api/change", b" " * (MAX_BODY_BYTES + 1), 400),
     ],
 )  # fmt: skip
-def test_bad_requests_are_answered_in_words(server: Server, path: str, content: object, expected: int) -> None:
+def test_bad_requests_are_answered_in_words(server: StudioServer, path: str, content: object, expected: int) -> None:
     status, head, answer = ask(server, path, content)
     assert (status, head["Content-Type"]) == (expected, "application/json")
     assert set(json.loads(answer)) == {"error"}
 
 
-def test_forms_of_other_sites_cannot_be_sent(server: Server) -> None:
+def test_forms_of_other_sites_cannot_be_sent(server: StudioServer) -> None:
     """A form can be sent across sites without asking; JSON cannot."""
     head = {"Content-Type": "text/plain"}
     assert ask(server, "/api/change", change(new(), {"start": 1}), head)[0] == 400
 
 
-def test_a_database_that_cannot_be_written_is_reported(server: Server) -> None:
+def test_a_database_that_cannot_be_written_is_reported(server: StudioServer) -> None:
     other = sqlite3.connect(server.project.store.path)
     server.project.store.database.connection.execute("PRAGMA busy_timeout = 50")
     other.execute("BEGIN EXCLUSIVE")
@@ -148,7 +148,7 @@ def test_a_database_that_cannot_be_written_is_reported(server: Server) -> None:
     assert ask(server, "/api/change", sent)[0] == 200
 
 
-def test_a_port_in_use_is_reported(server: Server, video: Path, run: Run, tmp_path: Path) -> None:
+def test_a_port_in_use_is_reported(server: StudioServer, video: Path, run: Run, tmp_path: Path) -> None:
     status, _, err = run("annotate", video, "--out", tmp_path / "other", "--port", server.server_port)
     assert status == 2
     assert "--port" in err
@@ -156,7 +156,7 @@ def test_a_port_in_use_is_reported(server: Server, video: Path, run: Run, tmp_pa
 
 def test_a_folder_of_images_is_served(tmp_path: Path) -> None:
     folder = write_images(tmp_path / "P01_01", [7, 8, 9])
-    project = Project([Task("P01_01", "P01_01", folder)], Store(tmp_path / DATABASE))
+    project = Project([Task("P01_01", "P01_01", folder)], MarkStore(tmp_path / MARKS_DATABASE))
     image, _, number = project.frame("P01_01", 2)
     assert (number_in(image), number) == (9, 9)
     project.close()

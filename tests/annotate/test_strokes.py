@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from numpy import ndarray
 
 from getagrip.annotate import strokes as strokes_of_annotate
-from getagrip.annotate.boxes import boxed, empty_side
-from getagrip.annotate.labels import FRONT, HAND, OBJECT, FrameLabels
-from getagrip.annotate.strokes import stroked
+from getagrip.annotate.boxes import empty_side, segment_box
+from getagrip.annotate.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL, FrameLabels
+from getagrip.annotate.strokes import apply_strokes
 from getagrip.errors import UsageError
 
 SIZE = (160, 120)
@@ -42,7 +42,7 @@ def strokes(*lines: list[tuple[float, float]]) -> tuple[ndarray, ...]:
 @pytest.mark.parametrize("line", [[(80.0, 60.0)], [(65.0, 60.0), (95.0, 62.0)]])
 def test_a_click_or_a_stroke_finds_an_object_of_one_colour(line: list[tuple[float, float]]) -> None:
     image, mask = scene()
-    assert iou(stroked(image, NOTHING, FrameLabels(on=strokes(line))) == OBJECT, mask) > 0.95
+    assert iou(apply_strokes(image, NOTHING, FrameLabels(on=strokes(line))) == OBJECT_LABEL, mask) > 0.95
 
 
 def test_a_box_finds_it_and_the_hand_is_not_the_object() -> None:
@@ -50,12 +50,12 @@ def test_a_box_finds_it_and_the_hand_is_not_the_object() -> None:
     hand = np.zeros(SIZE[::-1], bool)
     hand[55:65, :80] = True
     image[hand] = (220, 190, 160)
-    found = boxed(image, (46, 26, 68, 68), hand)
-    assert iou(found == OBJECT, mask & ~hand) > 0.93
-    assert ((found == HAND) == hand).all()
+    found = segment_box(image, (46, 26, 68, 68), hand)
+    assert iou(found == OBJECT_LABEL, mask & ~hand) > 0.93
+    assert ((found == HAND_LABEL) == hand).all()
     for box in ((200, 0, 10, 10), (0, 0, 0, 5)):
         with pytest.raises(UsageError, match="160 x 120"):
-            boxed(image, box)
+            segment_box(image, box)
 
 
 def test_a_box_finds_parts_that_the_hand_separates_and_what_of_the_hand_looks_like_them() -> None:
@@ -65,10 +65,10 @@ def test_a_box_finds_parts_that_the_hand_separates_and_what_of_the_hand_looks_li
     hand[45:75, :120] = True
     image[hand] = (220, 190, 160)
     image[between] = (190, 60, 50)
-    found = boxed(image, (46, 26, 68, 68), hand)
-    assert iou(found == OBJECT, mask & (~hand | (image == (190, 60, 50)).all(axis=-1))) > 0.9
-    assert (found == OBJECT)[between].mean() > 0.7
-    assert (found == HAND)[45:55, :40].all()
+    found = segment_box(image, (46, 26, 68, 68), hand)
+    assert iou(found == OBJECT_LABEL, mask & (~hand | (image == (190, 60, 50)).all(axis=-1))) > 0.9
+    assert (found == OBJECT_LABEL)[between].mean() > 0.7
+    assert (found == HAND_LABEL)[45:55, :40].all()
 
 
 def test_a_label_that_was_taken_for_the_hand_is_the_objects_in_a_box() -> None:
@@ -79,23 +79,23 @@ def test_a_label_that_was_taken_for_the_hand_is_the_objects_in_a_box() -> None:
     image[hand] = (220, 190, 160)
     image[label] = (200, 160, 40)
     hand[label] = True
-    found = boxed(image, (46, 26, 68, 68), hand)
-    assert (found == OBJECT)[label].mean() > 0.9
-    assert (found == HAND)[55:65, :45].all()
-    assert iou(found == OBJECT, mask & (image != (220, 190, 160)).any(axis=-1)) > 0.9
+    found = segment_box(image, (46, 26, 68, 68), hand)
+    assert (found == OBJECT_LABEL)[label].mean() > 0.9
+    assert (found == HAND_LABEL)[55:65, :45].all()
+    assert iou(found == OBJECT_LABEL, mask & (image != (220, 190, 160)).any(axis=-1)) > 0.9
 
 
 def test_where_most_of_a_box_is_taken_its_own_colours_are_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
     """GrabCut may take all of a box for the object where that is thin: its colours begin with all of it."""
     image, mask = scene()
-    found, starts = strokes_of_annotate._grabbed, []
+    found, starts = strokes_of_annotate._grabcut, []
 
     def all_at_first(small: ndarray, labels: ndarray, sure: ndarray, never: ndarray) -> ndarray:
         starts.append(labels)
         return ~never if len(starts) == 1 else found(small, labels, sure, never)
 
-    monkeypatch.setattr(strokes_of_annotate, "_grabbed", all_at_first)
-    assert iou(boxed(image, (5, 15, 150, 90)) == OBJECT, mask) > 0.95
+    monkeypatch.setattr(strokes_of_annotate, "_grabcut", all_at_first)
+    assert iou(segment_box(image, (5, 15, 150, 90)) == OBJECT_LABEL, mask) > 0.95
     assert len(starts) == 2
 
 
@@ -111,19 +111,19 @@ def test_where_most_of_a_box_is_taken_its_own_colours_are_the_object(monkeypatch
 def test_the_side_at_which_a_box_is_empty_is_named(side: str, part: tuple[slice, slice], share: float) -> None:
     box, labels = (10.0, 20.0, 50.0, 40.0), NOTHING.copy()
     assert empty_side(labels, box) is None
-    labels[20:60, 15:55] = OBJECT  # a tenth is empty
+    labels[20:60, 15:55] = OBJECT_LABEL  # a tenth is empty
     assert empty_side(labels, box) is None
-    labels[20:60, 10:60] = OBJECT
+    labels[20:60, 10:60] = OBJECT_LABEL
     assert empty_side(labels, box) is None
     labels[part] = 0
     assert empty_side(labels, box) == (side, pytest.approx(share))
-    labels[part] = HAND  # it hides the object there
+    labels[part] = HAND_LABEL  # it hides the object there
     assert empty_side(labels, box) is None
 
 
 def test_a_box_that_reaches_out_of_the_image_is_not_empty_there() -> None:
     labels = NOTHING.copy()
-    labels[40:80, 120:157] = OBJECT
+    labels[40:80, 120:157] = OBJECT_LABEL
     assert empty_side(labels, (120.0, 40.0, 44.0, 40.0)) is None
 
 
@@ -132,7 +132,7 @@ def test_an_object_whose_colours_are_those_of_its_ground_is_not_lost(seed: int) 
     _, mask = scene()
     blots = np.random.default_rng(seed).integers(0, 256, (2, 12, 16, 3)).astype(np.uint8)
     ground, thing = (cv2.resize(each, SIZE, interpolation=cv2.INTER_NEAREST) for each in blots)
-    found = boxed(np.where(mask[..., None], thing, ground).astype(np.uint8), (46, 26, 68, 68)) == OBJECT
+    found = segment_box(np.where(mask[..., None], thing, ground).astype(np.uint8), (46, 26, 68, 68)) == OBJECT_LABEL
     assert (found & mask).sum() > 0.5 * mask.sum()
 
 
@@ -144,19 +144,21 @@ def test_an_object_whose_colours_are_those_of_its_ground_is_not_lost(seed: int) 
 @settings(max_examples=15, deadline=None)
 def test_strokes_are_obeyed_exactly(on: list[tuple[int, int]], off: tuple[int, int], drawn: bool) -> None:
     image, mask = scene()
-    start = np.where(mask, OBJECT, 0).astype(np.uint8) if drawn else NOTHING
-    found = stroked(image, start, FrameLabels(on=strokes([(x + 0.5, y + 0.5) for x, y in on]), off=strokes([off])))
-    assert all(found[y, x] == OBJECT for x, y in on)
+    start = np.where(mask, OBJECT_LABEL, 0).astype(np.uint8) if drawn else NOTHING
+    found = apply_strokes(
+        image, start, FrameLabels(on=strokes([(x + 0.5, y + 0.5) for x, y in on]), off=strokes([off]))
+    )
+    assert all(found[y, x] == OBJECT_LABEL for x, y in on)
     if min(abs(x - off[0]) + abs(y - off[1]) for x, y in on) > 8 and len(on) == 1:
-        assert found[off[1], off[0]] != OBJECT
+        assert found[off[1], off[0]] != OBJECT_LABEL
 
 
 def test_a_polygon_holds_far_from_strokes_and_is_corrected_near_to_them() -> None:
     image, mask = scene()
-    start = np.where(mask, OBJECT, 0).astype(np.uint8)
+    start = np.where(mask, OBJECT_LABEL, 0).astype(np.uint8)
     start[:, :60] = 0  # too small at the left, and too large far away at the right
-    start[58:62, 80:140] = OBJECT
-    found = stroked(image, start, FrameLabels(on=strokes([(58.0, 60.0)]))) == OBJECT
+    start[58:62, 80:140] = OBJECT_LABEL
+    found = apply_strokes(image, start, FrameLabels(on=strokes([(58.0, 60.0)]))) == OBJECT_LABEL
     assert found[60, 54]
     assert found[60, 135]
 
@@ -164,7 +166,7 @@ def test_a_polygon_holds_far_from_strokes_and_is_corrected_near_to_them() -> Non
 def test_what_is_in_front_stays_in_front() -> None:
     image, _ = scene()
     start = NOTHING.copy()
-    start[:, 90:] = FRONT
-    found = stroked(image, start, FrameLabels(on=strokes([(70.0, 60.0)])))
-    assert (found[:, 92:] == FRONT).all()
-    assert (found == OBJECT).any()
+    start[:, 90:] = OCCLUDER_LABEL
+    found = apply_strokes(image, start, FrameLabels(on=strokes([(70.0, 60.0)])))
+    assert (found[:, 92:] == OCCLUDER_LABEL).all()
+    assert (found == OBJECT_LABEL).any()

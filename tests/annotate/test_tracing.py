@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.annotate.drafting import traced
+from getagrip.annotate.drafting import trace_polygons
 from helpers.clicking import filled, iou
 from helpers.labelled_scene import HEIGHT, WIDTH
 
@@ -24,7 +24,7 @@ def test_traced_polygons_give_the_mask_again(shapes: list[tuple[int, int, int, i
     for x, y, a, b, adds in shapes:
         inside = ((u - x) / a) ** 2 + ((v - y) / b) ** 2 < 1
         mask = mask | inside if adds else mask & ~inside
-    found = traced(mask)
+    found = trace_polygons(mask)
     if mask.sum() > 400:
         assert iou(filled(found), mask) > 0.93
     assert all(len(one) >= 3 for one in found)
@@ -34,5 +34,5 @@ def test_a_ring_has_one_polygon_with_its_hole() -> None:
     v, u = np.mgrid[:HEIGHT, :WIDTH]
     distance = np.hypot(u - 150, v - 120)
     ring = (distance < 80) & (distance > 40)
-    (outline,) = traced(ring)
+    (outline,) = trace_polygons(ring)
     assert iou(filled([outline]), ring) > 0.97

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.batch.clips import _Tally, expected
+from getagrip.batch.clips import _Tally, expected_right_message
 from getagrip.batch.job import Outcome
-from getagrip.batch.keep import Keep
+from getagrip.batch.keep import KeepOptions
 from getagrip.clip import input_sha256, write_clip
 from getagrip.probability import ASSUMED_MESH, Probability
 from getagrip.result import read_result, write_result
@@ -21,9 +21,13 @@ RED = "bad\x1b[31mRED\x07"
 
 
 def test_a_batch_is_summed_up_by_its_probabilities() -> None:
-    assert expected({"a": 0.95, "b": 0.98}) == "about 2 of 2 are right in the hand, by their probabilities"
-    assert expected({"a": 0.95}, "right in the camera").startswith("about 1 of 1 are right in the camera, by")
-    text = expected({"a": 0.9, "b": 0.4, "c": 0.1, "d": 0.6})
+    assert (
+        expected_right_message({"a": 0.95, "b": 0.98}) == "about 2 of 2 are right in the hand, by their probabilities"
+    )
+    assert expected_right_message({"a": 0.95}, "right in the camera").startswith(
+        "about 1 of 1 are right in the camera, by"
+    )
+    text = expected_right_message({"a": 0.9, "b": 0.4, "c": 0.1, "d": 0.6})
     assert text.startswith("about 2 of 4 are right")
     assert text.endswith("worst first: c, b")
 
@@ -31,7 +35,7 @@ def test_a_batch_is_summed_up_by_its_probabilities() -> None:
 def test_a_batch_counts_apart_how_results_of_assumed_meshes_look(capsys: pytest.CaptureFixture[str]) -> None:
     tally = _Tally()
     for name, value, beyond in (("a", 0.9, ()), ("b", 0.12, (ASSUMED_MESH,)), ("c", 0.01, (ASSUMED_MESH,))):
-        tally.add(Outcome(name, "done", "", probability_right=Probability(value, "", beyond)), Keep())
+        tally.add(Outcome(name, "done", "", probability_right=Probability(value, "", beyond)), KeepOptions())
     tally.print()
     assert capsys.readouterr().out.splitlines()[1:] == [
         "1 of 2 with an assumed mesh: probably looks right: b",

@@ -14,7 +14,7 @@ from threading import Barrier
 import pytest
 
 from getagrip.batch import drivers
-from getagrip.batch.entries import Entry
+from getagrip.batch.entries import LedgerEntry
 from getagrip.batch.ledger import Ledger
 from helpers.jobs import drive
 from helpers.paths import import_path
@@ -83,7 +83,7 @@ def test_a_killed_driver_is_continued_at_once_and_only_what_was_at_work_is_done_
     before = {path.name for path in tmp_path.glob("task-??")}
     since = time.monotonic()
     states = dict(line.split() for line in drive(tmp_path, COUNT, 0.0, 1))
-    assert time.monotonic() - since < drivers.PATIENCE / 2  # its claims do not wait for heartbeats
+    assert time.monotonic() - since < drivers.HEARTBEAT_TIMEOUT_S / 2  # its claims do not wait for heartbeats
     assert {name for name, state in states.items() if state == "kept"} >= before
     again = {name for name, count in runs(tmp_path).items() if count > 1}
     assert len(again) <= workers
@@ -97,9 +97,9 @@ def test_claims_of_a_driver_that_is_silent_pass_on_whatever_clocks_say(
     """Drivers on other machines are known by their heartbeats only; these are counted, not timed."""
     now = [0.0]
     monkeypatch.setattr(drivers.time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(drivers, "_machine", lambda: "there")
+    monkeypatch.setattr(drivers, "_machine_id", lambda: "there")
     with Ledger(tmp_path) as there:
-        monkeypatch.setattr(drivers, "_machine", lambda: "here")
+        monkeypatch.setattr(drivers, "_machine_id", lambda: "here")
         with Ledger(tmp_path) as here:
             assert there.claim("a", "options", "code") is not None
             monkeypatch.setattr(time, "time", lambda: 1e12)  # a clock that jumps ten thousand years
@@ -110,22 +110,22 @@ def test_claims_of_a_driver_that_is_silent_pass_on_whatever_clocks_say(
                 assert here.claim("a", "options", "code") is None
             now[0] = 62.0
             assert here.claim("a", "options", "code") is not None
-            there.end(Entry("a", "failed", "too late", options="options", code="code"))
-            here.end(Entry("a", "done", "in time", options="options", code="code"))
+            there.end(LedgerEntry("a", "failed", "too late", options="options", code="code"))
+            here.end(LedgerEntry("a", "done", "in time", options="options", code="code"))
             assert [entry.why for entry in here.entries()] == ["in time"]
 
 
 def test_what_has_failed_is_tried_again_by_the_next_driver_but_not_by_one_that_runs_beside(tmp_path: Path) -> None:
     with Ledger(tmp_path) as one, Ledger(tmp_path) as other:
         one.claim("a", "options", "code")
-        one.end(Entry("a", "failed", "no hand", options="options", code="code"))
+        one.end(LedgerEntry("a", "failed", "no hand", options="options", code="code"))
         beside = other.claim("a", "options", "code")
         assert beside is not None
         assert (beside.state, beside.why) == ("failed", "no hand")
         changed = other.claim("a", "other options", "code")
         assert changed is not None
         assert changed.state == "open"
-        other.end(Entry("a", "failed", "no hand", options="options", code="code"))
+        other.end(LedgerEntry("a", "failed", "no hand", options="options", code="code"))
     with Ledger(tmp_path) as later:
         entry = later.claim("a", "options", "code")
         assert entry is not None
@@ -144,6 +144,6 @@ def test_killed_drivers_leave_no_rows(tmp_path: Path) -> None:
 def test_a_failure_of_any_length_fits_into_the_ledger(tmp_path: Path) -> None:
     with Ledger(tmp_path) as ledger:
         assert ledger.claim("a", "", "") is not None
-        ledger.end(Entry("a", "failed", "ß" * 2**21))
+        ledger.end(LedgerEntry("a", "failed", "ß" * 2**21))
         (entry,) = ledger.entries()
     assert (entry.state, {*entry.why}) == ("failed", {"ß"})

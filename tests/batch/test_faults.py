@@ -20,8 +20,8 @@ from pathlib import Path
 import pytest
 
 from getagrip import cli
-from getagrip.batch.entries import FILE
-from getagrip.cli import _parsed
+from getagrip.batch.entries import LEDGER_FILE
+from getagrip.cli import _parse_command
 from getagrip.clip import Clip, write_clip
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options
@@ -66,9 +66,9 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[Callable[[Clip], None]]:
 
 def done(out: Path) -> set[str]:
     """The clips that the ledger calls done, as far as there is one."""
-    if not (out / FILE).exists():
+    if not (out / LEDGER_FILE).exists():
         return set()
-    with closing(sqlite3.connect(out / FILE)) as db, suppress(sqlite3.OperationalError):  # no tables yet
+    with closing(sqlite3.connect(out / LEDGER_FILE)) as db, suppress(sqlite3.OperationalError):  # no tables yet
         return {name for (name,) in db.execute("SELECT name FROM tasks WHERE state = 'done'")}
     return set()
 
@@ -83,8 +83,8 @@ def test_a_disk_that_is_full_at_any_write(
     clips: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From then on or, at some, for this write alone."""
-    parsed = cache(_parsed)  # the call is the same one, in many folders
-    monkeypatch.setattr(cli, "_parsed", lambda args: parsed(tuple(args)))
+    parsed = cache(_parse_command)  # the call is the same one, in many folders
+    monkeypatch.setattr(cli, "_parse_command", lambda args: parsed(tuple(args)))
 
     def with_disk(out: Path, first: int, last: int) -> tuple[int, int, str]:
         out.parent.mkdir(exist_ok=True)
@@ -104,7 +104,7 @@ def test_a_disk_that_is_full_at_any_write(
             _, status, err = with_disk(out, k, last)
             assert (status != 0 and err) or sound(out) == wanted, k  # without the last, the ledger's, all is done
             assert done(out) <= sound(out), k
-            assert not [*out.glob(f"{leftovers.PREFIX}*")], k
+            assert not [*out.glob(f"{leftovers.TEMPORARY_FOLDER_PREFIX}*")], k
     for k in range(1, count + 1, 6):
         out = tmp_path / f"{k}-{10**9}" / "out"
         assert with_disk(out, 1, 0)[1] == 0
@@ -143,7 +143,7 @@ def test_the_clock_may_jump(
     fitted.append(lambda _: now.append(now.pop(0)))
     out = tmp_path / "out"
     assert run("reconstruct", clips, "--out", out)[0] == 0
-    with closing(sqlite3.connect(out / FILE)) as db:
+    with closing(sqlite3.connect(out / LEDGER_FILE)) as db:
         assert all(0.0 <= seconds < 60.0 for (seconds,) in db.execute("SELECT seconds FROM tasks"))
     monkeypatch.setattr(time, "time", lambda: -1e9)
     assert "0 done, 3 already done" in run("reconstruct", clips, "--out", out)[1]
@@ -201,12 +201,12 @@ def test_drivers_and_workers_killed_at_random_times(tmp_path: Path, seed: int) -
 def test_a_torn_ledger_is_named_and_results_do_without(clips: Path, tmp_path: Path, run: Run) -> None:
     out = tmp_path / "out"
     run("reconstruct", clips, "--out", out)
-    whole = (out / FILE).read_bytes()
-    (out / FILE).write_bytes(whole[: len(whole) // 2])
+    whole = (out / LEDGER_FILE).read_bytes()
+    (out / LEDGER_FILE).write_bytes(whole[: len(whole) // 2])
     status, printed, err = run("reconstruct", clips, "--out", out)
     assert (status, err.count("\n")) == (1, 1)
     assert "results do without" in err
-    for path in out.glob(f"{FILE}*"):
+    for path in out.glob(f"{LEDGER_FILE}*"):
         path.unlink()
     assert "0 done, 3 already done" in run("reconstruct", clips, "--out", out)[1], printed
     with pytest.raises(InputError):

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.batch.entries import FILE
+from getagrip.batch.entries import LEDGER_FILE
 from getagrip.batch.imports import ImportJob, import_clips, import_part
 from getagrip.batch.ledger import Ledger
 from getagrip.batch.limits import Limits
-from getagrip.batch.share import Shard, Share
+from getagrip.batch.share import SchedulingOptions, Shard
 from getagrip.commands.datasets import DATASETS
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import clips
@@ -90,10 +90,10 @@ def test_the_table_loads_no_compiler() -> None:
 
 def test_the_trouble_of_a_clip_or_a_part_ends_no_other(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     library = Library(shelves=(Shelf("torn"), Shelf("fine")))
-    (tmp_path / f"{leftovers.PREFIX}0" / "new").mkdir(parents=True)  # of a process that was killed
+    (tmp_path / f"{leftovers.TEMPORARY_FOLDER_PREFIX}0" / "new").mkdir(parents=True)  # of a process that was killed
     assert import_clips(library, tmp_path, debug=False) == 1
     printed = capsys.readouterr()
-    assert {folder.name for folder in tmp_path.iterdir()} == {"torn-0", "torn-3", "fine-0", "fine-3", FILE}
+    assert {folder.name for folder in tmp_path.iterdir()} == {"torn-0", "torn-3", "fine-0", "fine-3", LEDGER_FILE}
     assert printed.out.splitlines()[-1] == "4 clips, 0 already there, 2 of 2 shelves failed"
     for words in (
         "got a damaged file",
@@ -125,7 +125,7 @@ def test_a_part_that_takes_too_long_is_left_behind_and_the_ledger_says_why(
 ) -> None:
     library = Library(shelves=(Shelf("endless"), Shelf("a")))
     limits = Limits(seconds=10.0)  # the other part takes a tenth of a second, on a busy machine more than one
-    assert import_clips(library, tmp_path, debug=False, share=Share(limits=limits)) == 1
+    assert import_clips(library, tmp_path, debug=False, share=SchedulingOptions(limits=limits)) == 1
     assert "endless: it took longer than 10 s (--limit-seconds)" in capsys.readouterr().err
     with Ledger(tmp_path) as ledger:
         entries = {entry.name: entry for entry in ledger.entries()}
@@ -136,7 +136,7 @@ def test_a_part_that_takes_too_long_is_left_behind_and_the_ledger_says_why(
 
 def test_nothing_is_begun_after_a_failure_where_that_is_asked_for(tmp_path: Path) -> None:
     library = Library(shelves=(Shelf("a"), Shelf("b")))
-    assert import_clips(library, tmp_path, debug=False, share=Share(fail_fast=True)) == 1
+    assert import_clips(library, tmp_path, debug=False, share=SchedulingOptions(fail_fast=True)) == 1
     assert {path.parent.name for path in tmp_path.glob("*/clip.json")} == {"a-0", "a-3"}
 
 
@@ -146,7 +146,7 @@ def test_shards_read_each_part_once(tmp_path: Path) -> None:
     made = []
     for index in (1, 2):
         out = tmp_path / str(index)
-        import_clips(Library(shelves=shelves), out, debug=False, share=Share(shard=Shard(index, 2)))
+        import_clips(Library(shelves=shelves), out, debug=False, share=SchedulingOptions(shard=Shard(index, 2)))
         made += [path.parent.name for path in out.glob("*/clip.json")]
     assert sorted(made) == sorted(f"s{n}-{k}" for n in range(5) for k in (0, 3))
 

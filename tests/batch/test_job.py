@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from getagrip.batch.job import Job, failure, reconstruct_one, standing
+from getagrip.batch.job import Job, existing_outcome, failed_outcome, reconstruct_one
 from getagrip.clip import input_sha256, write_clip
 from getagrip.finding import Finding
 from getagrip.fitting.options import Options
@@ -37,7 +37,7 @@ def test_a_result_that_another_run_made_meanwhile_is_kept(tmp_path: Path, monkey
     assert outcome.state == "kept"
     assert outcome.findings == (DOUBT,)
     other = replace(job, options=Options(method="static", seed=1))
-    assert standing(other, input_sha256(folder)) == (None, "what was there is of another seed")
+    assert existing_outcome(other, input_sha256(folder)) == (None, "what was there is of another seed")
 
 
 @pytest.mark.parametrize(
@@ -90,5 +90,5 @@ def test_an_error_of_own_code_says_where(tmp_path: Path, name: str, line: str) -
     with pytest.raises(Exception) as caught:  # noqa: PT011
         there[name](*[1] * (name == "fit"))
     error = caught.value.with_traceback(caught.value.__traceback__.tb_next)  # without the line of this test
-    assert failure("cup", error).message.startswith(line)
-    assert failure("cup", KeyError("a")).message == "unexpected KeyError: 'a'"
+    assert failed_outcome("cup", error).message.startswith(line)
+    assert failed_outcome("cup", KeyError("a")).message == "unexpected KeyError: 'a'"

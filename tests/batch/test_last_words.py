@@ -13,8 +13,8 @@ from helpers.paths import import_path
 CODE = """
 import os, sys
 from pathlib import Path
-from getagrip.batch.entries import Entry
-from getagrip.batch.last_words import last_words
+from getagrip.batch.entries import LedgerEntry
+from getagrip.batch.last_words import report_on_death
 from getagrip.batch.ledger import Ledger
 sys.argv = ["/usr/bin/getagrip", "reconstruct", "my clips", "--engine", "ray"]
 with Ledger(Path({0!r})) as ledger:
@@ -22,8 +22,8 @@ with Ledger(Path({0!r})) as ledger:
     for name, state in (("c0", "done"), ("c1", "done"), ("c2", "failed"), ("c3", "open")):
         ledger.claim(name, "options", "code")
         if state != "open":
-            ledger.end(Entry(name, state, options="options", code="code"))
-    with last_words(ledger.path.parent, "clips"):
+            ledger.end(LedgerEntry(name, state, options="options", code="code"))
+    with report_on_death(ledger.path.parent, "clips"):
         {1}
 """
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from getagrip.clip import write_clip
-from getagrip.io.extras import install
+from getagrip.io.extras import install_command
 from helpers.command_line import Run
 from helpers.folders import results_in
 from helpers.paths import import_path
@@ -116,7 +116,7 @@ def test_without_ray_the_call_says_how_to_get_it(
     status, _, err = run("reconstruct", clip_folder, "--out", tmp_path / "out", "--engine", "ray")
     assert status == 2
     assert err.startswith("getagrip: missing module 'ray' (")
-    assert err.endswith(f"--engine ray needs it; {install('ray')}\n")
+    assert err.endswith(f"--engine ray needs it; {install_command('ray')}\n")
 
 
 @needs_ray

@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 
 from getagrip.batch import on_slurm
-from getagrip.batch.executor import shared_out
+from getagrip.batch.executor import run_on_executor
 from getagrip.batch.imports import import_clips
-from getagrip.batch.limits import NONE, Limits
+from getagrip.batch.limits import NO_LIMITS, Limits
 from getagrip.batch.on_slurm import SlurmExecutor
-from getagrip.batch.share import Share
+from getagrip.batch.share import SchedulingOptions
 from getagrip.clip import write_clip
 from getagrip.errors import GetagripError
 from getagrip.io import code
@@ -36,7 +36,7 @@ def slurm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """Tasks are processes of this machine; the folder of the commands."""
     folder = write_slurm(tmp_path / "slurm")
     monkeypatch.setenv("PATH", f"{folder}{os.pathsep}{os.environ['PATH']}")
-    monkeypatch.setattr(on_slurm, "LOOK_EVERY", 0.05)
+    monkeypatch.setattr(on_slurm, "SLURM_POLL_S", 0.05)
     submitit = pytest.importorskip("submitit")
     monkeypatch.setattr(submitit.Job, "_results_timeout_s", 0.2)  # patience with slow file systems
     monkeypatch.setattr(submitit.SlurmJob.watcher, "_delay_s", 0.2)  # and with sacct
@@ -61,10 +61,10 @@ def test_each_task_of_the_ledger_is_done_once(slurm: Path, tmp_path: Path) -> No
 @needs_submitit
 @pytest.mark.slow
 def test_a_lost_task_is_given_out_again_and_a_process_that_dies_is_its_own_matter(slurm: Path, tmp_path: Path) -> None:
-    executor = SlurmExecutor(1, loses_its_task, NONE, None)
-    (ended,) = shared_out(executor, [str(tmp_path / "lost")])
+    executor = SlurmExecutor(1, loses_its_task, NO_LIMITS, None)
+    (ended,) = run_on_executor(executor, [str(tmp_path / "lost")])
     assert (ended.result, ended.attempts) == ("done", 1)
-    (ended,) = shared_out(SlurmExecutor(1, dies_once, NONE, None), [str(tmp_path / "dies")])
+    (ended,) = run_on_executor(SlurmExecutor(1, dies_once, NO_LIMITS, None), [str(tmp_path / "dies")])
     assert (ended.result, ended.attempts) == (ended.process, 2)
 
 
@@ -72,7 +72,7 @@ def test_a_lost_task_is_given_out_again_and_a_process_that_dies_is_its_own_matte
 @pytest.mark.slow
 def test_an_import_has_its_parts_read_there(slurm: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     library = Library(shelves=(Shelf("torn"), Shelf("fine")))
-    assert import_clips(library, tmp_path / "out", debug=False, share=Share(engine="slurm", workers=1)) == 1
+    assert import_clips(library, tmp_path / "out", debug=False, share=SchedulingOptions(engine="slurm", workers=1)) == 1
     assert {path.parent.name for path in tmp_path.glob("out/*/clip.json")} == {"torn-0", "torn-3", "fine-0", "fine-3"}
     assert capsys.readouterr().out.splitlines()[-1] == "4 clips, 0 already there, 2 of 2 shelves failed"
 
@@ -96,7 +96,9 @@ def test_grasps_are_found_there(slurm: Path, tmp_path: Path, run: Run) -> None:
 @pytest.mark.slow
 def test_limits_hold_there_as_well(slurm: Path) -> None:
     limits = Limits(seconds=5.0)
-    ends = {ended.job: ended for ended in shared_out(SlurmExecutor(1, patient, limits, None), ["a", "slow"], limits)}
+    ends = {
+        ended.job: ended for ended in run_on_executor(SlurmExecutor(1, patient, limits, None), ["a", "slow"], limits)
+    }
     assert ends["a"].result == "a"
     assert ends["slow"].why == "it took longer than 5 s (--limit-seconds)"
 
@@ -106,7 +108,7 @@ def test_limits_hold_there_as_well(slurm: Path) -> None:
 def test_a_machine_with_other_code_is_named(slurm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(code, "fingerprint", lambda: "0123456789abcdef")
     with pytest.raises(GetagripError, match=r"must be the same on every machine.*got getagrip of other code "):
-        list(shared_out(SlurmExecutor(1, patient, NONE, None), ["a"]))
+        list(run_on_executor(SlurmExecutor(1, patient, NO_LIMITS, None), ["a"]))
 
 
 @needs_submitit

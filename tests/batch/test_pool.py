@@ -12,23 +12,23 @@ from typing import Any
 
 import pytest
 
-from getagrip.batch.executor import Ended, in_processes, shared_out
-from getagrip.batch.limits import NONE, Limits
+from getagrip.batch.executor import FinishedJob, run_in_processes, run_on_executor
+from getagrip.batch.limits import NO_LIMITS, Limits
 from getagrip.batch.processes import Processes
 from getagrip.errors import UsageError
 from helpers.jobs import dies_once, greedy, patient, slow_start, work
 from helpers.paths import import_path
 
 
-def shared(work: Callable, jobs: list[Any], workers: int, limits: Limits = NONE) -> Iterator[Ended]:
+def shared(work: Callable, jobs: list[Any], workers: int, limits: Limits = NO_LIMITS) -> Iterator[FinishedJob]:
     """Jobs over processes of this machine."""
-    return shared_out(Processes(workers, work, limits, None), jobs, limits)
+    return run_on_executor(Processes(workers, work, limits, None), jobs, limits)
 
 
 @pytest.mark.slow
 def test_a_dying_process_takes_no_other_job_along() -> None:
     before = os.environ.get("OMP_NUM_THREADS")
-    outcomes = dict(in_processes(work, range(8), workers=2))
+    outcomes = dict(run_in_processes(work, range(8), workers=2))
     assert outcomes == {job: None if job == 3 else f"{job} 1" for job in range(8)}
     assert os.environ.get("OMP_NUM_THREADS") == before
 
@@ -37,7 +37,7 @@ def test_a_dying_process_takes_no_other_job_along() -> None:
 def test_a_killed_parent_leaves_no_process_behind(tmp_path: Path) -> None:
     file = tmp_path / "ticks"
     code = (
-        "from getagrip.batch.executor import in_processes; from helpers.jobs import tick;"
+        "from getagrip.batch.executor import run_in_processes; from helpers.jobs import tick;"
         f"list(in_processes(tick, [{str(file)!r}], 1))"
     )
     parent = subprocess.Popen([sys.executable, "-c", code], env=import_path(), stderr=subprocess.DEVNULL)
@@ -77,7 +77,7 @@ def test_a_job_that_takes_too_long_is_ended_and_the_others_go_on() -> None:
 @pytest.mark.slow
 def test_what_a_process_does_before_its_first_job_counts_for_no_limit() -> None:
     limits = Limits(seconds=2.0)
-    ends = shared_out(Processes(2, patient, limits, slow_start), ["a", "b", "c"], limits)
+    ends = run_on_executor(Processes(2, patient, limits, slow_start), ["a", "b", "c"], limits)
     assert sorted((ended.job, ended.result, ended.seconds < 2.0) for ended in ends) == [
         ("a", "a", True), ("b", "b", True), ("c", "c", True),
     ]  # fmt: skip

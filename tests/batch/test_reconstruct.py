@@ -17,14 +17,14 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.batch.plan import Plan
+from getagrip.batch.plan import ClipPlan
 from getagrip.batch.share import Shard
 from getagrip.clip import Clip, input_sha256, write_clip
 from getagrip.errors import UsageError
 from getagrip.fitting.options import Options
 from getagrip.io import code, leftovers
 from getagrip.io.files import new_folder, to_json
-from getagrip.result import FILES, Reconstruction, read_result
+from getagrip.result import RESULT_FILES, Reconstruction, read_result
 from helpers.clips import small_clip
 from helpers.command_line import Run
 from helpers.egg_and_mug import perfect
@@ -147,11 +147,11 @@ def test_fail_fast_begins_no_other_clip(clips: Path, tmp_path: Path, run: Run, f
 
 def test_shards_are_parts_of_all_clips(clips: Path) -> None:
     paths = [clips]
-    with Plan(paths) as plan:
+    with ClipPlan(paths) as plan:
         everything = dict(plan)
     parts = []
     for index in (1, 2, 3):
-        with Plan(paths, Shard(index, 3)) as plan:
+        with ClipPlan(paths, Shard(index, 3)) as plan:
             parts.append(dict(plan))
     assert sum(map(len, parts)) == len(everything) == 3
     assert parts[0] | parts[1] | parts[2] == everything
@@ -185,7 +185,7 @@ def test_a_full_disk_leaves_no_broken_result(
     assert err
     for folder in results_in(out):
         read_result(folder)
-    assert not [path for path in out.rglob("*") if path.name.startswith(leftovers.PREFIX)]
+    assert not [path for path in out.rglob("*") if path.name.startswith(leftovers.TEMPORARY_FOLDER_PREFIX)]
     assert run("reconstruct", clips, "--out", out)[0] == 0
     assert len(results_in(out)) == len(rows(out)) == 3
 
@@ -250,7 +250,7 @@ def killed(tmp_path: Path) -> Iterator[Path]:
     with subprocess.Popen([sys.executable, "-c", code], env=import_path(), stdout=subprocess.PIPE) as writer:
         assert writer.stdout is not None
         writer.stdout.readline()
-        assert leftovers.sweep(target.parent) == []  # it lives
+        assert leftovers.remove_stale_folders(target.parent) == []  # it lives
         writer.kill()
         writer.wait()
         yield target
@@ -261,15 +261,15 @@ def test_what_a_killed_writer_leaves_is_swept_and_what_it_was_replacing_returns(
     killed: Path, clips: Path, run: Run, fitted: list[str]
 ) -> None:
     out = killed.parent
-    (left,) = out.glob(f"{leftovers.PREFIX}*")
+    (left,) = out.glob(f"{leftovers.TEMPORARY_FOLDER_PREFIX}*")
     assert (left / "new" / "clip" / "half").exists()
     replaced = left / "old" / "older"  # as where it is killed between the two renames
     with new_folder(replaced) as new:
-        for name in FILES:
+        for name in RESULT_FILES:
             (new / name).touch()
     assert "unfinished work of a process that has died" in run("reconstruct", clips, "--out", out)[2]
     assert not left.exists()
-    assert (out / "older" / FILES[0]).exists()
+    assert (out / "older" / RESULT_FILES[0]).exists()
     assert not (out / "clip").exists()
 
 

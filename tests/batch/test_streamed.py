@@ -15,9 +15,9 @@ import pytest
 
 from getagrip.clip import Clip, write_clip
 from getagrip.errors import GetagripError
-from getagrip.io.extras import install
+from getagrip.io.extras import install_command
 from getagrip.io.files import to_json
-from getagrip.io.storage import Remote
+from getagrip.io.storage import RemotePath
 from getagrip.result import Reconstruction, read_result
 from helpers.clips import small_clip
 from helpers.command_line import Run
@@ -60,7 +60,7 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return names
 
 
-def put(folder: Path, there: Remote) -> None:
+def put(folder: Path, there: RemotePath) -> None:
     """Copy a folder into a store."""
     for name, content in contents(folder).items():
         (there / name).write(content)
@@ -73,7 +73,7 @@ def put_clips(store: str, tmp_path: Path, names: tuple[str, ...] = ("a", "b")) -
         folder = write_clip(replace(clip, name=name), masks, tmp_path / "clips" / name)
         (folder / "frames").mkdir()
         (folder / "frames" / f"{clip.frames[0]}.jpg").write_bytes(b"an image, which nobody reads")
-        put(folder, Remote(f"{store}/clips/{name}"))
+        put(folder, RemotePath(f"{store}/clips/{name}"))
     return f"{store}/clips"
 
 
@@ -85,7 +85,7 @@ def test_clips_and_results_in_a_store(store: str, tmp_path: Path, run: Run, fitt
     assert status == 0, err
     assert f"a: IOU 1.00, 0.0 s, {store}/out/a; " in printed
     assert f"{store}/out: its ledger is {tmp_path / 'state' / 'getagrip' / 'out-'}" in err
-    out = Remote(f"{store}/out")
+    out = RemotePath(f"{store}/out")
     assert [name for name, _ in out.children()] == ["a", "b", "index.html", "summary.csv"]
     out.copy_to(tmp_path / "copy")
     record = read_result(tmp_path / "copy" / "a")[1]
@@ -109,7 +109,7 @@ def test_either_may_be_on_a_disk(
     else:
         monkeypatch.setattr("getagrip.timelines.reconstruct.reconstruct", lambda clip, *_: perfect(clip, clip.name))
         assert run("reconstruct", f"file://{tmp_path}/clips/a", "--out", f"{store}/out")[0] == 0
-        assert (Remote(f"{store}/out/a") / "result.json").read(10_000) is not None
+        assert (RemotePath(f"{store}/out/a") / "result.json").read(10_000) is not None
 
 
 @pytest.mark.parametrize("given", ["clips", "clips/*.zip", "clips/a.zip"])
@@ -117,7 +117,7 @@ def test_a_clip_may_be_one_archive(store: str, tmp_path: Path, run: Run, fitted:
     clip, masks = small_clip()
     folder = write_clip(replace(clip, name="a"), masks, tmp_path / "clips" / "a")
     packed = Path(make_archive(str(tmp_path / "a"), "zip", folder))
-    Remote(f"{store}/clips/a.zip").write(packed.read_bytes())
+    RemotePath(f"{store}/clips/a.zip").write(packed.read_bytes())
     status, _, err = run("reconstruct", f"{store}/{given}", "--out", tmp_path / "out")
     assert (status, fitted) == (0, ["a"]), err
     assert read_result(tmp_path / "out" / "a")[1]["clip_folder"].endswith("/bucket/clips/a.zip")
@@ -134,19 +134,19 @@ def test_half_a_result_is_none(
     call = ("reconstruct", f"{clips}/a", "--out", f"{store}/out")
     if replaces:
         assert run(*call, "--seed", 1)[0] == 0
-    write = Remote.write
+    write = RemotePath.write
 
-    def torn(self: Remote, content: bytes) -> None:
+    def torn(self: RemotePath, content: bytes) -> None:
         if self.name == which:
             raise GetagripError(f"{self}: the network is gone")
         write(self, content)
 
     with monkeypatch.context() as gone:
-        gone.setattr(Remote, "write", torn)
+        gone.setattr(RemotePath, "write", torn)
         status, _, err = run(*call)
     assert status == 1
     assert f"{which}: the network is gone" in err
-    assert (Remote(f"{store}/out/a") / "result.json").read(10_000) is None
+    assert (RemotePath(f"{store}/out/a") / "result.json").read(10_000) is None
     status, printed, _ = run(*call)
     assert status == 0
     assert "a: IOU 1.00" in printed
@@ -158,7 +158,7 @@ def test_a_damaged_result_is_made_again(store: str, tmp_path: Path, run: Run, fi
     clips = put_clips(store, tmp_path, ("a",))
     call = ("reconstruct", f"{clips}/a", "--out", f"{store}/out")
     run(*call)
-    (Remote(f"{store}/out/a") / "result.npz").remove()
+    (RemotePath(f"{store}/out/a") / "result.npz").remove()
     assert "a: done again, since what was there is damaged (" in run(*call)[1]
 
 
@@ -166,8 +166,8 @@ def test_what_is_no_clip_is_named_and_the_others_are_done(
     store: str, tmp_path: Path, run: Run, fitted: list[str]
 ) -> None:
     clips = put_clips(store, tmp_path)
-    (Remote(clips) / "notes" / "hello.txt").write(b"hello")
-    (Remote(clips) / "wrong" / "clip.json").write((tmp_path / "clips" / "a" / "clip.json").read_bytes())
+    (RemotePath(clips) / "notes" / "hello.txt").write(b"hello")
+    (RemotePath(clips) / "wrong" / "clip.json").write((tmp_path / "clips" / "a" / "clip.json").read_bytes())
     status, printed, err = run("reconstruct", clips, "--out", f"{store}/out", "--workers", 1)
     assert status == 1
     assert "2 done, 0 already done, 2 failed" in printed
@@ -196,7 +196,7 @@ def test_a_missing_library_is_named(clip_folder: Path, run: Run, monkeypatch: py
     monkeypatch.setitem(__import__("sys").modules, missing, None)
     status, _, err = run("reconstruct", clip_folder, "--out", "s3a://bucket/out")
     assert status == 2
-    assert err.endswith(f"{install('s3')}\n")
+    assert err.endswith(f"{install_command('s3')}\n")
     assert err.count("\n") == 1
 
 
@@ -214,12 +214,12 @@ def test_a_server_of_s3_serves_as_well(tmp_path: Path, run: Run, monkeypatch: py
         for name, value in env.items():
             monkeypatch.setitem(os.environ, name, value)
         s3fs.S3FileSystem().mkdir(BUCKET)
-        put(tmp_path / "clips" / "can", Remote(f"s3://{BUCKET}/clips/can"))
+        put(tmp_path / "clips" / "can", RemotePath(f"s3://{BUCKET}/clips/can"))
         clips, out = f"s3://{BUCKET}/clips", f"s3://{BUCKET}/out"
         status, _, err = run("reconstruct", clips, "--out", out, "--inits", 6)
         assert status == 0, err
         assert run("reconstruct", tmp_path / "clips", "--out", tmp_path / "out", "--inits", 6)[0] == 0
-        Remote(out).copy_to(tmp_path / "copy")
+        RemotePath(out).copy_to(tmp_path / "copy")
         assert (tmp_path / "copy/can/result.npz").read_bytes() == (tmp_path / "out/can/result.npz").read_bytes()
         assert "already done" in run("reconstruct", clips, "--out", out, "--inits", 6)[1]
         for call in ((clips, "--out", "s3://nowhere/out"), ("s3://nowhere/clips", "--out", out)):

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.cameras import CameraPath, read_path
+from getagrip.cameras import CameraPath, read_camera_path
 from getagrip.clip import read_clip, write_clip
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
@@ -25,7 +25,7 @@ from helpers.command_line import Run
 @pytest.mark.parametrize("source", WRITERS)
 def test_a_path_comes_back(tmp_path: Path, source: str) -> None:
     write, words, metric = WRITERS[source]
-    found = read_path(write(tmp_path, known()))
+    found = read_camera_path(write(tmp_path, known()))
     assert words in found.source
     assert found.metric == metric
     np.testing.assert_allclose(found.T_world_cam, known(), atol=1e-9)
@@ -48,7 +48,7 @@ def test_what_is_cut_short_or_changed_is_refused(tmp_path: Path, source: str, ke
         content = path.read_bytes()
         path.write_bytes(content[: int(keep * len(content))])
         with suppress(InputError, UsageError):
-            assert isinstance(read_path(place), CameraPath)
+            assert isinstance(read_camera_path(place), CameraPath)
         path.write_bytes(content)
 
 
@@ -68,7 +68,7 @@ def test_frames_between_others_are_interpolated(kept: list[bool]) -> None:
 
 
 def test_poses_with_times(tmp_path: Path) -> None:
-    found = read_path(tum(tmp_path, known(31)))
+    found = read_camera_path(tum(tmp_path, known(31)))
     poses, _ = found.at(["000004", "000005"], np.array([0.1, 0.1 + 1 / 30.0]), 0.0)
     np.testing.assert_allclose(poses, known(31)[3:5], atol=1e-6)
     with pytest.raises(UsageError, match="--start S"):
@@ -88,7 +88,7 @@ def test_impossible_numbers_are_refused_in_a_line(tmp_path: Path, source: str, n
         for one in (*found[:16], *found[-16:]):
             path.write_text(content[: one.start()] + number + content[one.end() :])
             with suppress(InputError, UsageError):
-                read_path(place)
+                read_camera_path(place)
         path.write_text(content)
 
 
@@ -106,22 +106,22 @@ def test_impossible_cameras_are_refused(tmp_path: Path, line: str, says: str) ->
     place = WRITERS["COLMAP, text"][0](tmp_path, known())
     next(tmp_path.rglob("cameras.txt")).write_text(f"{line}\n")
     with pytest.raises(InputError, match=says):
-        read_path(place)
+        read_camera_path(place)
 
 
 def test_numbers_of_images_below_0_are_refused(tmp_path: Path) -> None:
     place = WRITERS["ViPE"][0](tmp_path, known())
     arrays.write(tmp_path / "pose" / "video.npz", {"data": known(), "inds": -np.arange(1, 6)})
     with pytest.raises(InputError, match="inds must be a number from 0 on for each pose"):
-        read_path(place)
+        read_camera_path(place)
 
 
 def test_what_nobody_knows_is_refused(tmp_path: Path) -> None:
     (tmp_path / "x.txt").write_text("1 2 3\n4 5 6\n")
     with pytest.raises(InputError, match=r"colmap.*kitti.*no known program"):
-        read_path(tmp_path / "x.txt")
+        read_camera_path(tmp_path / "x.txt")
     with pytest.raises(InputError, match="no such file"):
-        read_path(tmp_path / "none")
+        read_camera_path(tmp_path / "none")
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from getagrip.cameras import read_path
+from getagrip.cameras import read_camera_path
 from getagrip.clip import write_clip
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
@@ -38,7 +38,7 @@ def test_units_of_times_are_seen(tmp_path: Path, unit: float, since: float, in_f
     """--start may be given in seconds, or as it is in the file."""
     T = lines(tmp_path / "a.txt", unit, since, False)
     start = since + 10 / 30.0
-    poses, _ = read_path(tmp_path / "a.txt").at(FRAMES, TIMES, start / unit if in_file else start)
+    poses, _ = read_camera_path(tmp_path / "a.txt").at(FRAMES, TIMES, start / unit if in_file else start)
     assert np.abs(poses[:, :3, 3] - T[10:13, :3, 3]).max() < 2e-3  # milliseconds are rounded
     if unit < 1e-3:
         assert np.abs(se3.inverse(poses) @ T[10:13] - np.eye(4)).max() < 1e-3
@@ -58,20 +58,20 @@ def test_orders_of_quaternions_are_seen(tmp_path: Path, w_first: bool, head: str
     names = "qw qx qy qz" if w_first else "qx qy qz qw"
     head = head.format(names if separator == " " else "q_" + ",q_".join(names.replace("q", "").split()))
     T = lines(tmp_path / "a.csv", unit, 1403636579.0, w_first, separator, head)
-    np.testing.assert_allclose(read_path(tmp_path / "a.csv").T_world_cam, T, atol=1e-6)
+    np.testing.assert_allclose(read_camera_path(tmp_path / "a.csv").T_world_cam, T, atol=1e-6)
 
 
 def test_unclear_orders_are_asked_for(tmp_path: Path) -> None:
     rows = np.hstack([np.arange(3)[:, None] / 30.0, np.zeros((3, 3)), np.full((3, 4), 0.5)])
     np.savetxt(tmp_path / "a.csv", rows, delimiter=",")
     with pytest.raises(UsageError, match="--quaternion xyzw"):
-        read_path(tmp_path / "a.csv")
-    turned = read_path(tmp_path / "a.csv", "wxyz")
+        read_camera_path(tmp_path / "a.csv")
+    turned = read_camera_path(tmp_path / "a.csv", "wxyz")
     np.testing.assert_allclose(turned.T_world_cam[0, :3, :3], se3.from_quaternion(np.full(4, 0.5)))
     np.save(tmp_path / "b.npy", rows)
     np.savez(tmp_path / "c.npz", cam_c2w=known())
     with pytest.raises(UsageError, match="--quaternion cannot be used"):
-        read_path(tmp_path / "c.npz", "wxyz")
+        read_camera_path(tmp_path / "c.npz", "wxyz")
 
 
 @pytest.fixture

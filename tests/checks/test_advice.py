@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from getagrip.checks import Evidence, examine, input_checks, result_checks
-from getagrip.checks.check import OWN_MESH
+from getagrip.checks import Evidence, input_checks, result_checks, run_checks
+from getagrip.checks.check import OWN_MESH_ADVICE
 from getagrip.checks.table import RESULT_CHECKS
 from getagrip.provenance import assumed
 from helpers.clips import small_clip
@@ -30,7 +30,7 @@ def test_what_another_mesh_would_mend_is_said_of_a_built_in_shape(name: str) -> 
     for clip in (CLIP, BUILT_IN):
         finding = check.finding(value, Evidence(clip, MASKS, deformed_mm=9.0))
         assert finding is not None
-        assert finding.message.endswith(OWN_MESH) == (clip is BUILT_IN)
+        assert finding.message.endswith(OWN_MESH_ADVICE) == (clip is BUILT_IN)
 
 
 def test_one_problem_is_reported_once() -> None:
@@ -38,4 +38,4 @@ def test_one_problem_is_reported_once() -> None:
         replace(RESULT_CHECKS.working()[name], measure=lambda _, value=value: value)
         for name, value in (("poor-mask-fit", 0.8), ("mask-misfit", 5.0))
     ]
-    assert [finding.check for finding in examine(both, Evidence(CLIP, MASKS))[1]] == ["poor-mask-fit"]
+    assert [finding.check for finding in run_checks(both, Evidence(CLIP, MASKS))[1]] == ["poor-mask-fit"]

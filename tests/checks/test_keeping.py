@@ -13,15 +13,21 @@ from hypothesis import strategies as st
 from benchmarks.kept import HEADER, calibrated, lines, of_part
 from benchmarks.kept_rows import END, REAL, SYNTHETIC, Row, read
 from benchmarks.probability import stored, write
-from getagrip.batch.keep import HIGHEST, LOWEST, Keep
-from getagrip.checks.calibrated import CALIBRATIONS, CORRECTED, FILE, KEEPING, read_calibrated
-from getagrip.checks.keeping import SHARES, Keeping, kind_of_input, least_kept, least_of_sets
-from getagrip.checks.signs import HAND_SIGNS
+from getagrip.batch.keep import MAX_KEEP_SHARE, MIN_KEEP_SHARE, KeepOptions
+from getagrip.checks.calibrated import (
+    CALIBRATION_FILE,
+    CALIBRATIONS,
+    CORRECTED_CALIBRATIONS,
+    KEEP_THRESHOLDS,
+    read_calibrations,
+)
+from getagrip.checks.keeping import KEEP_SHARES, KeepThresholds, candidate_set_thresholds, keep_threshold, kind_of_input
+from getagrip.checks.signs import HAND_FEATURES
 from getagrip.errors import UsageError
 from getagrip.probability import Probability
 from getagrip.provenance import assumed, estimated, kind_of_hands, measured
 
-USUAL = (*CALIBRATIONS["soft-hinge", "hand"].weights, *(sign.name for sign in HAND_SIGNS))
+USUAL = (*CALIBRATIONS["soft-hinge", "hand"].weights, *(sign.name for sign in HAND_FEATURES))
 
 
 def drawn(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -35,7 +41,7 @@ def drawn(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 def test_of_new_results_that_are_kept_the_share_is_right(share: float) -> None:
     of_kept, kept_at_all = [], 0
     for seed in range(60):
-        least = least_kept(*drawn(300, seed), share)
+        least = keep_threshold(*drawn(300, seed), share)
         p, right = drawn(4000, 1000 + seed)
         of_kept += [right[p >= least].mean()] if np.isfinite(least) else []
         kept_at_all += np.isfinite(least)
@@ -46,22 +52,22 @@ def test_of_new_results_that_are_kept_the_share_is_right(share: float) -> None:
 @given(st.integers(0, 1000), st.floats(0.5, 0.98), st.floats(0.0, 0.2))
 def test_a_larger_share_keeps_fewer(seed: int, share: float, more: float) -> None:
     p, right = drawn(40, seed)
-    assert least_kept(p, right, share) <= least_kept(p, right, share + more)
+    assert keep_threshold(p, right, share) <= keep_threshold(p, right, share + more)
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=30))
 def test_the_threshold_keeps_its_promise_where_it_was_chosen(right: list[bool]) -> None:
     rights, p = np.array(right), np.linspace(0.0, 1.0, len(right)).round(1)  # some are alike
-    least = least_kept(p, rights, 0.8)
+    least = keep_threshold(p, rights, 0.8)
     assert np.isinf(least) or np.mean(rights[p >= least]) >= 0.8
 
 
 def test_nothing_is_kept_where_nothing_is_sure() -> None:
     p, right = drawn(300, 0)
-    assert np.isinf(least_kept(p, np.zeros(300, dtype=bool), 0.5))
-    assert np.isinf(least_kept(p, np.random.default_rng(0).random(300) < 0.7, 0.95))
-    assert np.isinf(least_kept(p[:18], right[:18] | True, 0.95)), "eighteen are too few to promise 95 %"
-    kept = Keeping({}, least_of_sets(p, np.full(300, np.inf), 0.9)).applied(Probability(0.99, ""))
+    assert np.isinf(keep_threshold(p, np.zeros(300, dtype=bool), 0.5))
+    assert np.isinf(keep_threshold(p, np.random.default_rng(0).random(300) < 0.7, 0.95))
+    assert np.isinf(keep_threshold(p[:18], right[:18] | True, 0.95)), "eighteen are too few to promise 95 %"
+    kept = KeepThresholds({}, candidate_set_thresholds(p, np.full(300, np.inf), 0.9)).applied(Probability(0.99, ""))
     assert (kept.keep, kept.candidates) == (0.0, 0)
 
 
@@ -76,7 +82,7 @@ def ranked(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 def test_sets_hold_the_right_candidate_of_new_results() -> None:
     held, of = np.zeros(8), np.zeros(8)
     for seed in range(100):
-        keeping = Keeping({}, least_of_sets(*ranked(200, seed), 0.9))
+        keeping = KeepThresholds({}, candidate_set_thresholds(*ranked(200, seed), 0.9))
         p, rank = ranked(1000, 1000 + seed)
         size = np.array([keeping.applied(Probability(x, "")).candidates for x in p.tolist()])
         held += np.bincount(size, rank <= size, minlength=8)
@@ -88,13 +94,13 @@ def test_sets_hold_the_right_candidate_of_new_results() -> None:
 
 @given(st.integers(0, 1000))
 def test_the_more_probable_a_result_is_the_smaller_is_its_set(seed: int) -> None:
-    sets = least_of_sets(*ranked(80, seed), 0.9)
+    sets = candidate_set_thresholds(*ranked(80, seed), 0.9)
     assert [*sets] == sorted(sets)
     assert [*sets.values()] == sorted(sets.values(), reverse=True)
 
 
 def test_a_result_is_kept_for_the_largest_share_that_its_probability_reaches() -> None:
-    keeping = Keeping({0.8: 0.5, 0.9: 0.7}, {1: 0.72, 3: 0.5})
+    keeping = KeepThresholds({0.8: 0.5, 0.9: 0.7}, {1: 0.72, 3: 0.5})
     found = [keeping.applied(Probability(p, "")) for p in (0.4, 0.55, 0.75)]
     assert [one.keep for one in found] == [0.0, 0.8, 0.9]
     assert [one.candidates for one in found] == [0, 3, 1]
@@ -102,18 +108,18 @@ def test_a_result_is_kept_for_the_largest_share_that_its_probability_reaches() -
 
 def test_marks_say_kept_or_dropped_and_nothing_where_none_is_asked_for() -> None:
     sure, unsure = Probability(0.9, "", keep=0.95), Probability(0.9, "", keep=0.8)
-    assert Keep().verdict(sure, None) == ""
-    keep = Keep(0.95)
+    assert KeepOptions().verdict(sure, None) == ""
+    keep = KeepOptions(0.95)
     verdicts = {name: keep.verdict(one, None) for name, one in {"a": sure, "b": unsure, "c": None}.items()}
     assert verdicts == {"a": "kept", "b": "dropped", "c": "dropped"}
     assert keep.summary(verdicts).endswith("right in the hand; dropped: b, c")
     assert "1 of 3 (33 %) are kept" in keep.summary(verdicts)
     assert keep.summary({f"{n:02d}": "dropped" for n in range(55)}).endswith("18, 19 and 35 more")
-    assert Keep(0.95, "camera").verdict(unsure, sure) == "kept"
+    assert KeepOptions(0.95, "camera").verdict(unsure, sure) == "kept"
     for share in (0.49, 0.99, -1.0):
         with pytest.raises(UsageError, match=r"--keep must be 0.5 to 0.98"):
-            Keep(share)
-    assert (min(SHARES), max(SHARES)) == (LOWEST, HIGHEST)
+            KeepOptions(share)
+    assert (min(KEEP_SHARES), max(KEEP_SHARES)) == (MIN_KEEP_SHARE, MAX_KEEP_SHARE)
 
 
 def test_hands_are_measured_unless_their_source_says_otherwise() -> None:
@@ -170,17 +176,21 @@ def made_rows(n: int, seed: int) -> list[Row]:
 def test_what_was_calibrated_is_written_and_held_against_validation(tmp_path: Path) -> None:
     rows = made_rows(900, 0)
     estimated, keeping = calibrated(rows, "today")
-    path = Path(shutil.copy(FILE, tmp_path))
+    path = Path(shutil.copy(CALIBRATION_FILE, tmp_path))
     write(path, keeping, estimated=stored(estimated.values()))
-    exact, corrected, fitted, least = read_calibrated(path)
-    assert (exact, corrected) == (CALIBRATIONS, CORRECTED)
-    assert least.keys() == KEEPING.keys()
-    assert all(least["measured", where] == KEEPING["measured", where] for where in estimated), "these are not its"
+    exact, corrected, fitted, least = read_calibrations(path)
+    assert (exact, corrected) == (CALIBRATIONS, CORRECTED_CALIBRATIONS)
+    assert least.keys() == KEEP_THRESHOLDS.keys()
+    assert all(least["measured", where] == KEEP_THRESHOLDS["measured", where] for where in estimated), (
+        "these are not its"
+    )
     assert least["joints", "hand"].sets == pytest.approx(keeping["joints", "hand"].sets, rel=1e-3)
     for where in estimated:
         found = [one.probability(rows[1]["signs"]).value for one in (fitted["soft-hinge", where], estimated[where])]
         assert found[0] == pytest.approx(found[1], abs=1e-3)
-    table = [dict(zip(("label", *HEADER), line, strict=True)) for line in lines(rows, estimated, KEEPING | keeping)]
+    table = [
+        dict(zip(("label", *HEADER), line, strict=True)) for line in lines(rows, estimated, KEEP_THRESHOLDS | keeping)
+    ]
     depth = next(line for line in table if line["label"] == "validation, in the hand, network")
     assert float(depth["AUROC"].split()[0]) > 0.75
     assert float(depth["sets that hold it, %"].split()[0]) > 80.0

@@ -11,9 +11,9 @@ from numpy import ndarray
 
 from getagrip.batch.clips import _Tally
 from getagrip.batch.job import Outcome
-from getagrip.batch.keep import Keep
-from getagrip.batch.share import Batch
-from getagrip.checks import RESULT_CHECKS, Evidence, examine
+from getagrip.batch.keep import KeepOptions
+from getagrip.batch.share import BatchOptions
+from getagrip.checks import RESULT_CHECKS, Evidence, run_checks
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.noise import Noise, perturbed
 from getagrip.errors import UsageError
@@ -36,7 +36,7 @@ def found(clip: Clip, masks: Masks, away: float = 0.0, misfit: float = np.nan) -
     iou = image_iou(clip, masks, T, clip.truth.scale)
     result = Evidence(clip, masks, T, clip.truth.scale, iou, misfit=misfit)
     checks = [check for check in RESULT_CHECKS.values() if "mask-" in check.name]
-    return {finding.check: finding for finding in examine(checks, result)[1]}
+    return {finding.check: finding for finding in run_checks(checks, result)[1]}
 
 
 @pytest.mark.parametrize("category", ["mug", "bottle", "can"])
@@ -80,7 +80,8 @@ def test_a_low_overlap_with_near_contours_is_that_of_a_small_object() -> None:
 def test_strict_asks_for_a_probability_where_there_is_one(right: float | None, least: float, passes: bool) -> None:
     tally = _Tally()
     tally.add(
-        Outcome("a", "done", "", probability_right=None if right is None else Probability(right, "right")), Keep()
+        Outcome("a", "done", "", probability_right=None if right is None else Probability(right, "right")),
+        KeepOptions(),
     )
     assert tally.passes(least) == passes
 
@@ -88,7 +89,7 @@ def test_strict_asks_for_a_probability_where_there_is_one(right: float | None, l
 @pytest.mark.parametrize("least", [-0.1, 1.1, float("nan")])
 def test_a_least_probability_is_a_probability(least: float) -> None:
     with pytest.raises(UsageError, match="--min-probability"):
-        Batch(min_probability=least)
+        BatchOptions(min_probability=least)
 
 
 def test_frames_in_a_row_that_are_met_less_than_the_others_are_named() -> None:
@@ -96,7 +97,7 @@ def test_frames_in_a_row_that_are_met_less_than_the_others_are_named() -> None:
     usual = np.full(len(clip), 0.95)
 
     def findings(iou: Float[ndarray, "n"], frames: tuple[str, ...] | None = None) -> tuple[Finding, ...]:
-        return examine([RESULT_CHECKS["uneven-mask-fit"]], Evidence(clip, masks, iou=iou, iou_frames=frames))[1]
+        return run_checks([RESULT_CHECKS["uneven-mask-fit"]], Evidence(clip, masks, iou=iou, iou_frames=frames))[1]
 
     alone, some, unseen = usual.copy(), usual.copy(), usual.copy()
     alone[[0, 3, -1]], some[2:5], unseen[:4] = 0.5, (0.8, 0.7, 0.8), np.nan

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS, Evidence, examine
-from getagrip.checks.of_timeline import FLOATS, JUMP
+from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS, Evidence, run_checks
+from getagrip.checks.of_timeline import FLOATING_CHECK, JUMP_CHECK
 from getagrip.finding import read_findings
 from getagrip.io.files import to_json
 from helpers.clips import small_clip
 
-CHECKS = {check.name: check for check in (*INPUT_CHECKS.values(), *RESULT_CHECKS.values(), JUMP, FLOATS)}
+CHECKS = {check.name: check for check in (*INPUT_CHECKS.values(), *RESULT_CHECKS.values(), JUMP_CHECK, FLOATING_CHECK)}
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,7 @@ def test_values_are_said_as_people_count_them(check: str, value: float, words: s
 
 def test_what_is_found_reads_back_whatever_was_measured(tmp_path: Path) -> None:
     endless = replace(CHECKS["contact-gap"], measure=lambda given: np.inf)
-    measured, findings = examine([endless], Evidence(*small_clip()))
+    measured, findings = run_checks([endless], Evidence(*small_clip()))
     (written,) = json.loads(to_json(findings))
     assert read_findings(tmp_path, [written]) == findings
     assert np.isfinite(measured["contact-gap"])

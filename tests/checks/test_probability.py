@@ -16,18 +16,18 @@ from hypothesis import strategies as st
 from benchmarks.kept_rows import Row
 from benchmarks.probability import Results, judged, stored, thresholds, write
 from benchmarks.signed_results import ALWAYS
-from getagrip.checks import Solved
-from getagrip.checks.calibrated import CALIBRATIONS, ESTIMATED, FILE, read_calibrated
+from getagrip.checks import SolvedEvidence
+from getagrip.checks.calibrated import CALIBRATION_FILE, CALIBRATIONS, ESTIMATED_CALIBRATIONS, read_calibrations
 from getagrip.checks.calibration import Where
 from getagrip.checks.signs import (
-    HAND_SIGNS,
-    SIGNS,
+    FEATURES,
+    HAND_FEATURES,
+    compute_features,
     contact_gap,
-    depth_images,
+    depth_source_level,
     energy_gap,
     joint_error,
-    penetration,
-    read_signs,
+    mean_penetration,
     seen_size,
     solution_spread,
 )
@@ -35,22 +35,22 @@ from getagrip.clip.depth import Depth, DepthSource
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.finding import Finding
-from getagrip.fitting.judge import WRONG_EVIDENCE, probabilities, probability_right, uncalibrated
+from getagrip.fitting.judge import UNCALIBRATED_DEPTH_FINDINGS, probabilities, probability_right, uncalibrated_reason
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.symmetry import find_symmetries
-from getagrip.probability import Probability, percent
+from getagrip.probability import Probability, format_probability
 from getagrip.provenance import Source, estimated
 from getagrip.result import Axis, Candidates
 
-DIRECTION = {sign.name: sign.direction for sign in SIGNS}
+DIRECTION = {sign.name: sign.direction for sign in FEATURES}
 USUAL = {name: 0.5 * (weight.low + weight.high) for name, weight in CALIBRATIONS["soft-hinge", "hand"].weights.items()}
 unit = st.floats(-10.0, 10.0)
 
 
 @cache
-def mug() -> Solved:
+def mug() -> SolvedEvidence:
     """The true solution, and one that is a quarter turn away at 1.5 times the energy."""
     clip, masks = synthesise("mug", 2, SceneOptions(frames=4, size=(160, 120), focal=150.0))
     assert clip.truth is not None
@@ -59,7 +59,7 @@ def mug() -> Solved:
     candidates = Candidates(np.stack([T, away]), np.ones(2), np.array([100.0, 150.0]))
     given = clip.hand.T_cam_hand
     iou = np.full(4, 0.9)
-    return Solved(
+    return SolvedEvidence(
         clip,
         masks,
         T,
@@ -82,7 +82,7 @@ def gap_of(energy: float, apart: int = 1) -> float:
     return energy_gap(replace(it, candidates=Candidates(T, np.ones(2), np.array([100.0, energy]))))
 
 
-@given(st.sampled_from(SIGNS), unit, unit)
+@given(st.sampled_from(FEATURES), unit, unit)
 def test_a_sign_counts_in_its_direction(sign, a: float, b: float) -> None:
     low, high = sorted((a, b))
     less, more = (CALIBRATIONS["soft-hinge", "hand"].probability(USUAL | {sign.name: value}) for value in (low, high))
@@ -125,20 +125,20 @@ def test_signs_of_the_evidence_on_a_hand_count_what_there_is() -> None:
     it = mug()
     errors = [joint_error(replace(it, joint_error=error)) for error in (0.01, 0.05, 0.1, np.nan)]
     assert errors == sorted(errors), "no joints are worse than bad ones"
-    assert depth_images(it) == 0.0
+    assert depth_source_level(it) == 0.0
     z, corner, stride = np.ones((4, 8, 8)), np.zeros((4, 2), dtype=int), np.ones(4, dtype=int)
     for made_by, value in (("network", 1.0), ("sensor", 2.0)):
         depth = Depth(z, corner, stride, it.clip.size, DepthSource("metric", made_by))
         with_depth = replace(it.clip, evidence={**it.clip.evidence, "depth": depth})
-        assert depth_images(replace(it, clip=with_depth)) == value
+        assert depth_source_level(replace(it, clip=with_depth)) == value
 
 
 def test_penetration_is_that_of_the_deepest_point_in_diameters() -> None:
     it = mug()
     apart, into = (replace(it, T_hand_obj=se3.rigid(None, shift) @ it.poses) for shift in np.diag([1.0, 0.02, 0.0])[:2])
-    assert penetration(apart) == pytest.approx(np.log(0.01))
+    assert mean_penetration(apart) == pytest.approx(np.log(0.01))
     for one in (it, into):
-        deepest = np.exp(penetration(one)) - 0.01
+        deepest = np.exp(mean_penetration(one)) - 0.01
         assert deepest == pytest.approx(np.maximum(-one.to_object.min(axis=1), 0.0).mean() / it.diameter)
 
 
@@ -150,14 +150,14 @@ def test_signs_of_the_truth_and_of_what_is_wrong() -> None:
     it = mug()
     away = replace(it, T_hand_obj=se3.rigid(None, np.array([0.0, 0.0, 0.1])) @ it.poses)
     assert contact_gap(it) < contact_gap(away)
-    signs, worse = read_signs(it), read_signs(replace(it, misfit=2.0, spread=0.1))
+    signs, worse = compute_features(it), compute_features(replace(it, misfit=2.0, spread=0.1))
     assert signs["mask-misfit"] < worse["mask-misfit"]
     assert signs["pose-spread"] < worse["pose-spread"]
-    assert "pose-spread" not in read_signs(replace(it, spread=np.nan))
+    assert "pose-spread" not in compute_features(replace(it, spread=np.nan))
     shaken = it.poses @ se3.rigid(
         se3.exp_so3(0.3 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])), np.zeros(3)
     )
-    assert signs["off-axis-turn"] < read_signs(replace(it, T_hand_obj=shaken))["off-axis-turn"]
+    assert signs["off-axis-turn"] < compute_features(replace(it, T_hand_obj=shaken))["off-axis-turn"]
 
 
 def test_what_is_seen_is_a_share_of_the_object_at_any_distance_and_size() -> None:
@@ -182,7 +182,7 @@ def test_a_rotation_about_the_axis_is_no_turn_besides_it() -> None:
 
 
 def test_every_sign_of_a_whole_result_is_known() -> None:
-    assert read_signs(mug()).keys() == DIRECTION.keys() | {sign.name for sign in HAND_SIGNS}
+    assert compute_features(mug()).keys() == DIRECTION.keys() | {sign.name for sign in HAND_FEATURES}
 
 
 def test_signs_do_not_depend_on_where_the_camera_is() -> None:
@@ -192,7 +192,7 @@ def test_signs_do_not_depend_on_where_the_camera_is() -> None:
         it, clip=it.clip.with_hand_at(T @ it.clip.hand.T_cam_hand), T_cam_hand_input=T @ it.T_cam_hand_input
     )
     of_poses = DIRECTION.keys() - {"depth-order", "seen-size"}  # which the masks show, where the camera was
-    one, other = ({name: signs[name] for name in of_poses} for signs in (read_signs(moved), read_signs(it)))
+    one, other = ({name: signs[name] for name in of_poses} for signs in (compute_features(moved), compute_features(it)))
     assert one == pytest.approx(other, abs=1e-6)
 
 
@@ -201,8 +201,8 @@ def test_a_hand_that_was_corrected_far_is_a_sign() -> None:
     off = replace(it, T_cam_hand_input=it.T_cam_hand_input @ by)
     assert off.hand_turn == pytest.approx(0.2)
     assert it.hand_shift == it.hand_turn == 0.0
-    assert read_signs(off)["hand-turn"] > read_signs(it)["hand-turn"]
-    assert read_signs(off)["hand-shift"] > read_signs(it)["hand-shift"]
+    assert compute_features(off)["hand-turn"] > compute_features(it)["hand-turn"]
+    assert compute_features(off)["hand-shift"] > compute_features(it)["hand-shift"]
 
 
 SERIOUS = Finding("frame-order", True, 3.0, 2.5, "in another order")
@@ -220,7 +220,7 @@ SERIOUS = Finding("frame-order", True, 3.0, 2.5, "in another order")
     ],
 )
 def test_there_is_none_where_nothing_is_calibrated(options: Options, findings: tuple[Finding, ...], why: str) -> None:
-    assert uncalibrated(options, findings) == why
+    assert uncalibrated_reason(options, findings) == why
     assert probability_right(options, USUAL, findings) is None
     assert probability_right(options, USUAL, findings, "camera") is None
 
@@ -228,8 +228,8 @@ def test_there_is_none_where_nothing_is_calibrated(options: Options, findings: t
 @pytest.mark.parametrize("options", [Options(), Options(seed=3), Options(inits=200), Options(frames=10)])
 def test_there_is_one_with_the_usual_energy(options: Options) -> None:
     note = replace(SERIOUS, serious=False)
-    assert uncalibrated(options, (note,)) == ""
-    assert uncalibrated(options, (note, replace(SERIOUS, check="mask-fit"))) == "a finding is serious"
+    assert uncalibrated_reason(options, (note,)) == ""
+    assert uncalibrated_reason(options, (note, replace(SERIOUS, check="mask-fit"))) == "a finding is serious"
     assert probability_right(options, USUAL, (note,)) == CALIBRATIONS["soft-hinge", "hand"].probability(USUAL)
 
 
@@ -247,7 +247,7 @@ def test_what_is_worse_than_in_training_is_said_to_be_extrapolated() -> None:
     ("value", "words"), [(0.0, "< 1 %"), (0.009, "< 1 %"), (0.01, "1 %"), (0.99, "99 %"), (0.995, "> 99 %")]
 )
 def test_nothing_is_said_to_be_sure(value: float, words: str) -> None:
-    assert percent(value) == str(Probability(value, "")) == words
+    assert format_probability(value) == str(Probability(value, "")) == words
 
 
 def test_the_calibration_says_on_what_it_was_made() -> None:
@@ -271,13 +271,13 @@ def test_each_where_has_its_own_calibration(monkeypatch: pytest.MonkeyPatch) -> 
 
 def results(n: int = 60) -> list[Row]:
     """Results that are right in the hand by the first sign, and in the camera by the second."""
-    numbers = np.random.default_rng(0).normal(size=(n, len(SIGNS)))
+    numbers = np.random.default_rng(0).normal(size=(n, len(FEATURES)))
     return [
         {
             "clip": f"{k}", "category": f"object {k % 5}", "dataset": "DexYCB", "kind": "measured",
             "condition": [*ALWAYS][k % len(ALWAYS)],
             "rank": {"hand": 1 if x[0] > 0.0 else None, "camera": 1 if x[1] < 0.0 else 2},
-            "signs": dict(zip((sign.name for sign in SIGNS), x.tolist(), strict=True)),
+            "signs": dict(zip((sign.name for sign in FEATURES), x.tolist(), strict=True)),
         }
         for k, x in enumerate(numbers)
     ]  # fmt: skip
@@ -285,10 +285,10 @@ def results(n: int = 60) -> list[Row]:
 
 def test_both_are_fitted_to_the_same_results_and_read_back(tmp_path: Path) -> None:
     fitted = [Results(results(), where).fitted("today") for where in get_args(Where)]
-    write(path := Path(shutil.copy(FILE, tmp_path)), measured=stored(one["measured"] for one in fitted))
-    back = read_calibrated(path)[0]
+    write(path := Path(shutil.copy(CALIBRATION_FILE, tmp_path)), measured=stored(one["measured"] for one in fitted))
+    back = read_calibrations(path)[0]
     assert [*back] == [("soft-hinge", "hand"), ("soft-hinge", "camera")]
-    first, second = (sign.name for sign in SIGNS[:2])
+    first, second = (sign.name for sign in FEATURES[:2])
     for there, fit in zip(back.values(), fitted, strict=True):
         made = fit["measured"]
         assert (there.where, there.data) == (made.where, made.data)
@@ -325,7 +325,7 @@ def test_thresholds_of_measured_hands_hold_at_every_level_of_their_errors() -> N
 
 def test_an_assumed_mesh_extrapolates_the_probability_of_estimated_hands() -> None:
     clip, _ = synthesise("box", 0, SceneOptions(frames=3))
-    weights = ESTIMATED["soft-hinge", "hand"].weights
+    weights = ESTIMATED_CALIBRATIONS["soft-hinge", "hand"].weights
     best = {name: weight.high if weight.weight > 0.0 else weight.low for name, weight in weights.items()}
     hands = estimated("by a network")
     said = {
@@ -342,11 +342,11 @@ def test_an_assumed_mesh_extrapolates_the_probability_of_estimated_hands() -> No
     assert replace(right["assumed"], value=0.01).by_eye == "probably looks wrong"
 
 
-@pytest.mark.parametrize("check", WRONG_EVIDENCE)
+@pytest.mark.parametrize("check", UNCALIBRATED_DEPTH_FINDINGS)
 def test_nothing_is_promised_of_results_with_wrong_evidence(check: str) -> None:
     clip, _ = synthesise("box", 0, SceneOptions(frames=3))
     clip = replace(clip, provenance={"hands": estimated("by a network")})
-    weights = ESTIMATED["soft-hinge", "hand"].weights
+    weights = ESTIMATED_CALIBRATIONS["soft-hinge", "hand"].weights
     best = {name: weight.high if weight.weight > 0.0 else weight.low for name, weight in weights.items()}
     found = Finding(check, False, 3.0, 1.6, "depth is off")
     before, after = (probabilities(clip, Options(), best, some, {"depth"})["hand"] for some in ((), (found,)))
@@ -358,6 +358,6 @@ def test_nothing_is_promised_of_results_with_wrong_evidence(check: str) -> None:
 
 def test_estimated_hands_without_joints_are_no_extrapolation() -> None:
     without = joint_error(mug())
-    for calibration in ESTIMATED.values():
+    for calibration in ESTIMATED_CALIBRATIONS.values():
         assert not calibration.weights["joint-error"].beyond(without), "a limit is rounded in its file"
         assert calibration.weights["joint-error"].beyond(without + 0.01)

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.reliability import auroc, auroc_interval, bins, calibration_error, fit_weights, least_error
 from getagrip.checks.calibration import sigmoid
-from getagrip.experiments.comparison import resamples
+from getagrip.experiments.comparison import bootstrap_resamples
 
 
 def test_the_fit_finds_what_drew_the_labels() -> None:
@@ -38,7 +38,7 @@ def test_a_constant_sign_counts_nothing() -> None:
 def test_the_interval_of_auroc_is_that_of_its_resamples() -> None:
     rng = np.random.default_rng(4)
     p, right = rng.integers(0, 9, 80) / 9.0, rng.random(80) < 0.6
-    weights = resamples([str(n // 2) for n in range(80)])
+    weights = bootstrap_resamples([str(n // 2) for n in range(80)])
     repeated = [np.repeat(np.arange(80), w.astype(int)) for w in weights[:200]]
     drawn = [auroc(p[index], right[index]) for index in repeated]
     assert auroc_interval(p, right, weights[:200]) == pytest.approx(tuple(np.quantile(drawn, [0.025, 0.975])))

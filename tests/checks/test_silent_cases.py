@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from getagrip.checks import INPUT_CHECKS, Evidence, examine
+from getagrip.checks import INPUT_CHECKS, Evidence, run_checks
 from getagrip.checks.evidence import Glitches
-from getagrip.checks.frame_order import Lateness, lateness
-from getagrip.checks.plausibility import bend
+from getagrip.checks.frame_order import MaskDelay, mask_delay
+from getagrip.checks.plausibility import finger_bend
 from getagrip.clip import Clip, Masks, write_clip
 from getagrip.errors import GetagripError
 from getagrip.experiments.changes import Wrong
-from getagrip.experiments.wrong_inputs import MISTAKES
+from getagrip.experiments.wrong_inputs import INPUT_MISTAKES
 from getagrip.fitting.methods import METHODS, Method, OnStage
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem
@@ -35,14 +35,14 @@ def mug(side: str = "right") -> tuple[Clip, Masks]:
 
 def faults(clip: Clip, masks: Masks) -> set[str]:
     """The serious findings about inputs alone."""
-    _, findings = examine(INPUT_CHECKS.values(), Evidence(clip, masks))
+    _, findings = run_checks(INPUT_CHECKS.values(), Evidence(clip, masks))
     return {finding.check for finding in findings if finding.serious}
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.slow
 def test_right_inputs_raise_no_finding(side: str) -> None:
-    assert examine(INPUT_CHECKS.values(), Evidence(*mug(side)))[1] == ()
+    assert run_checks(INPUT_CHECKS.values(), Evidence(*mug(side)))[1] == ()
 
 
 OF_INPUTS = {
@@ -135,7 +135,7 @@ def test_a_hand_that_flips_is_put_right() -> None:
 
 def test_a_hand_that_jumps_all_the_time_is_flagged() -> None:
     given = Evidence(*mug(), glitches=Glitches(("000001", "000003", "000005"), 8))
-    findings = [finding for finding in examine(INPUT_CHECKS.values(), given)[1] if "glitches" in finding.check]
+    findings = [finding for finding in run_checks(INPUT_CHECKS.values(), given)[1] if "glitches" in finding.check]
     assert [(finding.check, finding.serious) for finding in findings] == [("many-tracker-glitches", True)]
     assert "frames 000001, 000003, 000005" in findings[0].message
 
@@ -144,7 +144,7 @@ def test_a_hand_that_jumps_all_the_time_is_flagged() -> None:
 def test_masks_a_little_late_or_early_are_noted(late: int) -> None:
     clip, masks = scene("box", 1, replace(SMALL, frames=16))
     n = np.arange(len(clip))
-    found = lateness(Evidence(clip, masks.take(np.clip(n - late, 0, n[-1]))))
+    found = mask_delay(Evidence(clip, masks.take(np.clip(n - late, 0, n[-1]))))
     assert found.frames == late
     assert not CHECKS["frames-late"].is_usual(found.times)
     assert f"masks seem to come 2 frames {'late' if late > 0 else 'early'}" in str(found)
@@ -153,7 +153,7 @@ def test_masks_a_little_late_or_early_are_noted(late: int) -> None:
 def test_lateness_is_counted_in_frames_that_were_left_out_too() -> None:
     clip, masks = scene("box", 1, replace(SMALL, frames=16))
     every_third = replace(clip, times=None, frames=tuple(f"{3 * n:06d}" for n in range(16)))
-    assert lateness(Evidence(every_third, masks.take(np.maximum(np.arange(16) - 1, 0)))).frames == 3
+    assert mask_delay(Evidence(every_third, masks.take(np.maximum(np.arange(16) - 1, 0)))).frames == 3
 
 
 @pytest.mark.parametrize("gone", [slice(0, 6), slice(11, 16), slice(0, 16, 2)])
@@ -161,29 +161,29 @@ def test_frames_without_a_mask_say_nothing_of_lateness(gone: slice) -> None:
     clip, masks = scene("box", 1, replace(SMALL, frames=16))
     seen, ignored = masks.object.copy(), masks.ignore.copy()
     seen[gone], ignored[gone] = False, True
-    assert lateness(Evidence(clip, Masks(seen, ignored))) == Lateness(0, 1.0)
-    whole = {finding.check for finding in examine(INPUT_CHECKS.values(), Evidence(clip, masks))[1]}
-    sparse = {finding.check for finding in examine(INPUT_CHECKS.values(), Evidence(clip, Masks(seen, ignored)))[1]}
+    assert mask_delay(Evidence(clip, Masks(seen, ignored))) == MaskDelay(0, 1.0)
+    whole = {finding.check for finding in run_checks(INPUT_CHECKS.values(), Evidence(clip, masks))[1]}
+    sparse = {finding.check for finding in run_checks(INPUT_CHECKS.values(), Evidence(clip, Masks(seen, ignored)))[1]}
     assert sparse <= whole
 
 
 def test_nothing_is_late_in_time_or_without_pixels_of_the_hand() -> None:
     clip, masks = mug()
-    assert lateness(Evidence(clip, masks)) == Lateness(0, 1.0)
-    unknown = lateness(Evidence(clip, Masks(masks.object, np.zeros_like(masks.ignore))))
+    assert mask_delay(Evidence(clip, masks)) == MaskDelay(0, 1.0)
+    unknown = mask_delay(Evidence(clip, Masks(masks.object, np.zeros_like(masks.ignore))))
     assert np.isnan(unknown.times)
 
 
 def test_every_mistake_has_its_case() -> None:
-    assert {*OF_INPUTS, *OF_RESULTS, "hand flips", "masks 2 frames late"} == {*MISTAKES}
+    assert {*OF_INPUTS, *OF_RESULTS, "hand flips", "masks 2 frames late"} == {*INPUT_MISTAKES}
 
 
 def test_a_mirrored_hand_bends_the_other_way() -> None:
     right, left = (Evidence(*mug(side)) for side in ("right", "left"))
-    assert bend(right) == pytest.approx(bend(left), abs=1e-6)
+    assert finger_bend(right) == pytest.approx(finger_bend(left), abs=1e-6)
     wrong, bare = replace(right.clip, side="left"), replace(right.clip, hand=replace(right.clip.hand, joints=None))
-    assert bend(replace(right, clip=wrong)) == pytest.approx(-bend(right))
-    assert np.isnan(bend(replace(right, clip=bare)))
+    assert finger_bend(replace(right, clip=wrong)) == pytest.approx(-finger_bend(right))
+    assert np.isnan(finger_bend(replace(right, clip=bare)))
 
 
 @pytest.mark.slow

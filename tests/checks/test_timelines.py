@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from getagrip.checks.of_timeline import Examined, examine_timeline
+from getagrip.checks.of_timeline import TimelineChecks, check_timeline
 from getagrip.clip import Clip, Masks, check_clip
 from getagrip.errors import InputError
 from getagrip.fitting.image_iou import image_iou
@@ -15,14 +15,14 @@ from getagrip.geometry import se3
 from helpers.timelines import COMES, LIES, timeline
 
 
-def examined(clip: Clip, iou: float = 0.9, away: float = 0.0, hidden: bool = False) -> Examined:
+def examined(clip: Clip, iou: float = 0.9, away: float = 0.0, hidden: bool = False) -> TimelineChecks:
     """The true poses, the lying object moved away by so many metres and met with that IOU."""
     masks = timeline()[1]
     assert clip.truth is not None
     T_cam_obj, met = clip.truth.T_cam_obj.copy(), np.full(len(clip), 0.9)
     T_cam_obj[:LIES, 0, 3] += away
     met[:LIES] = np.nan if hidden else iou
-    return examine_timeline(clip, masks, clip.hand.T_cam_hand, T_cam_obj, 1.0, met)
+    return check_timeline(clip, masks, clip.hand.T_cam_hand, T_cam_obj, 1.0, met)
 
 
 def test_nothing_is_found_where_all_is_right() -> None:
@@ -60,7 +60,7 @@ def test_hands_in_reverse_are_found_in_the_grasp_alone() -> None:
 
 def serious(clip: Clip, masks: Masks, T_cam_obj: np.ndarray, iou: np.ndarray) -> dict[str, str]:
     """Messages of the serious findings, by check."""
-    found = examine_timeline(clip, masks, clip.hand.T_cam_hand, T_cam_obj, 1.0, iou)
+    found = check_timeline(clip, masks, clip.hand.T_cam_hand, T_cam_obj, 1.0, iou)
     return {finding.check: finding.message for finding in found.findings if finding.serious}
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from getagrip.cli import groups
+from getagrip.cli import command_groups
 from getagrip.clip import read_clip, read_masks, write_clip
 from getagrip.commands.command import Command
 from getagrip.result import read_result
@@ -225,7 +225,7 @@ def test_commands_stand_under_headings(run: Run) -> None:
     headings = [line for line in out.splitlines() if line.istitle() and " " not in line]
     assert (status, headings) == (0, ["Start", "Video", "Solve", "Look", "Use", "Measure"])
     listed = [line[2:].split("  ")[0] for line in out.splitlines() if line.startswith("  ") and line[2] != " "]
-    named = [command.__metadata__[0].name for group in groups(Command, Command).values() for command in group]
+    named = [command.__metadata__[0].name for group in command_groups(Command, Command).values() for command in group]
     assert listed == named
     assert len({*named}) == len(named)
 

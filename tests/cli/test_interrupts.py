@@ -30,7 +30,7 @@ if any("spawn_main" in word for word in sys.orig_argv):
 
 @pytest.fixture(autouse=True)
 def _as_before(monkeypatch: pytest.MonkeyPatch) -> object:
-    monkeypatch.setattr(interrupts, "_times", 0)
+    monkeypatch.setattr(interrupts, "_interrupt_count", 0)
     before = signal.getsignal(signal.SIGINT)
     yield
     signal.signal(signal.SIGINT, before)
@@ -38,7 +38,11 @@ def _as_before(monkeypatch: pytest.MonkeyPatch) -> object:
 
 @pytest.mark.parametrize(
     ("phase", "status", "said"),
-    [("while_loading", 130, "interrupted\n"), ("while_ending", -signal.SIGINT, ""), ("while_working", None, "")],
+    [
+        ("exit_on_interrupt", 130, "interrupted\n"),
+        ("restore_default_interrupt", -signal.SIGINT, ""),
+        ("raise_on_interrupt", None, ""),
+    ],
 )
 def test_what_it_does_depends_on_the_phase(phase: str, status: int | None, said: str) -> None:
     done = subprocess.run([sys.executable, "-c", PRESS.format(phase)], capture_output=True, text=True, check=False)
@@ -52,7 +56,7 @@ def test_another_error_that_libraries_make_of_it_is_told_as_an_interrupt(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def swallowed() -> int:
-        interrupts.while_working()
+        interrupts.raise_on_interrupt()
         try:
             signal.raise_signal(signal.SIGINT)
         except KeyboardInterrupt:
@@ -76,7 +80,7 @@ def test_an_error_without_an_interrupt_stays_one(monkeypatch: pytest.MonkeyPatch
 def test_processes_that_are_still_starting_do_not_hear_it(tmp_path: Path) -> None:
     started = tmp_path / "started"
     (tmp_path / "sitecustomize.py").write_text(CUSTOM.format(str(started)))
-    code = "from getagrip.batch.executor import in_processes; list(in_processes(len, ['a'], 1))"
+    code = "from getagrip.batch.executor import run_in_processes; list(run_in_processes(len, ['a'], 1))"
     env = import_path()
     env["PYTHONPATH"] += f"{os.pathsep}{tmp_path}"
     with subprocess.Popen(

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from getagrip.checks import INPUT_CHECKS, Evidence, examine
-from getagrip.clip.intrinsics import camera_warning, intrinsics
+from getagrip.checks import INPUT_CHECKS, Evidence, run_checks
+from getagrip.clip.intrinsics import camera_warning, compute_intrinsics
 from getagrip.errors import UsageError
 from getagrip.geometry.lens import Lens
 from helpers.clips import small_clip
@@ -47,15 +47,15 @@ def test_one_frame_with_another_camera_is_enough() -> None:
 
 def test_a_focal_length_in_millimetres_is_refused() -> None:
     with pytest.raises(UsageError, match=r"--focal must be in pixels \(got 50\).* mm\? The 35-mm .* 889 px for 50 mm"):
-        intrinsics(Lens(focal=50.0), (640, 480))
+        compute_intrinsics(Lens(focal=50.0), (640, 480))
 
 
 def test_a_clip_with_such_a_camera_has_a_serious_finding() -> None:
     clip, masks = small_clip()
-    _, right = examine(INPUT_CHECKS.values(), Evidence(clip, masks))
+    _, right = run_checks(INPUT_CHECKS.values(), Evidence(clip, masks))
     K = clip.K.copy()
     K[:, :2] *= 1.5
-    _, found = examine(INPUT_CHECKS.values(), Evidence(replace(clip, K=K), masks))
+    _, found = run_checks(INPUT_CHECKS.values(), Evidence(replace(clip, K=K), masks))
     assert not {"principal-point", "field-of-view", "pixel-stretch"} & {one.check for one in right}
     (finding,) = (one for one in found if one.check == "principal-point")
     width, height = (round(1.5 * side) for side in clip.size)

@@ -14,7 +14,7 @@ import pytest
 from numpy import ndarray
 
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, with_evidence, write_clip
-from getagrip.clip.depth import DEPTH, SIDE, Depth, DepthSource, sampled, windows
+from getagrip.clip.depth import DEPTH_KEY, N_WINDOW_SAMPLES, Depth, DepthSource, sample_window, sampling_windows
 from getagrip.errors import InputError
 from getagrip.geometry.camera import backproject, project
 from helpers.clips import small_clip
@@ -31,8 +31,8 @@ def a_clip() -> tuple[Clip, Masks]:
 
 def a_depth(clip: Clip, masks: Masks, image: ndarray) -> Depth:
     size = image.shape[1], image.shape[0]
-    corner, stride = windows(clip, masks, size)
-    z = np.stack([sampled(image, c, int(s)) for c, s in zip(corner, stride, strict=True)])
+    corner, stride = sampling_windows(clip, masks, size)
+    z = np.stack([sample_window(image, c, int(s)) for c, s in zip(corner, stride, strict=True)])
     return Depth(z, corner, stride, size, DepthSource("metric", "sensor", 0.001))
 
 
@@ -40,16 +40,16 @@ def stored(folder: Path, images: list[ndarray], **source: object) -> Path:
     """A clip whose depth images are 16-bit PNG."""
     clip, masks = a_clip()
     write_clip(clip, masks, folder)
-    (folder / DEPTH).mkdir()
+    (folder / DEPTH_KEY).mkdir()
     for frame, image in zip(clip.frames, images, strict=False):
-        cv2.imwrite(str(folder / DEPTH / f"{frame}.png"), image)
+        cv2.imwrite(str(folder / DEPTH_KEY / f"{frame}.png"), image)
     describe(folder, **source)
     return folder
 
 
 def describe(folder: Path, **source: object) -> None:
     fields = json.loads((folder / "clip.json").read_text())
-    fields[DEPTH] = {"scale": "metric", "source": "sensor", "unit": 0.001} | source
+    fields[DEPTH_KEY] = {"scale": "metric", "source": "sensor", "unit": 0.001} | source
     (folder / "clip.json").write_text(json.dumps(fields))
 
 
@@ -83,29 +83,29 @@ def test_samples_survive_a_folder_and_frames_are_taken(tmp_path: Path) -> None:
     clip, masks = a_clip()
     image = np.random.default_rng(0).integers(300, 900, (240, 320)) * 0.001
     depth = a_depth(clip, masks, image)
-    write_clip(replace(clip, evidence={DEPTH: depth}), masks, tmp_path / "a")
+    write_clip(replace(clip, evidence={DEPTH_KEY: depth}), masks, tmp_path / "a")
     for source, target in (("a", "b"), ("b", "c")):
         there = with_evidence(read_clip(tmp_path / source))
-        found = there.evidence[DEPTH]
+        found = there.evidence[DEPTH_KEY]
         assert isinstance(found, Depth)
         np.testing.assert_allclose(found.z, depth.z, rtol=1e-6)
         assert found.source == depth.source
         write_clip(read_clip(tmp_path / source), masks, tmp_path / target)
     index = np.array([2, 0])
     np.testing.assert_allclose(
-        with_evidence(read_clip(tmp_path / "a").take(index)).evidence[DEPTH].z, depth.z[index], rtol=1e-6
+        with_evidence(read_clip(tmp_path / "a").take(index)).evidence[DEPTH_KEY].z, depth.z[index], rtol=1e-6
     )
 
 
 def test_results_depend_on_depth(tmp_path: Path) -> None:
     folder = stored(tmp_path / "clip", [flat()] * 3)
     before = input_sha256(folder)
-    cv2.imwrite(str(folder / DEPTH / "0001.png"), flat(501))
+    cv2.imwrite(str(folder / DEPTH_KEY / "0001.png"), flat(501))
     assert input_sha256(folder) != before
 
 
 def test_a_frame_may_lack_depth_and_65535_is_none(tmp_path: Path) -> None:
-    depth = with_evidence(read_clip(stored(tmp_path / "clip", [flat(), flat(65535)]))).evidence[DEPTH]
+    depth = with_evidence(read_clip(stored(tmp_path / "clip", [flat(), flat(65535)]))).evidence[DEPTH_KEY]
     assert [bool(z.any()) for z in depth.z] == [True, False, False]
 
 
@@ -113,7 +113,7 @@ def test_a_frame_may_lack_depth_and_65535_is_none(tmp_path: Path) -> None:
 def test_numbers_with_fractions_are_read_and_nan_is_none(tmp_path: Path, kind: str) -> None:
     folder, image = stored(tmp_path / "clip", [], unit=1.0), flat(0.5, dtype=np.float32)
     image[100:110], image[0, 0] = np.nan, np.inf
-    path = folder / DEPTH / f"0000.{kind}"
+    path = folder / DEPTH_KEY / f"0000.{kind}"
     match kind:
         case "npy":
             np.save(path, image)
@@ -121,7 +121,7 @@ def test_numbers_with_fractions_are_read_and_nan_is_none(tmp_path: Path, kind: s
             np.savez(path, depth=image)
         case _:
             path.write_bytes(exr({"Y": image}))
-    depth = with_evidence(read_clip(folder)).evidence[DEPTH]
+    depth = with_evidence(read_clip(folder)).evidence[DEPTH_KEY]
     assert set(np.unique(depth.z[0])) == {0.0, 0.5}
 
 
@@ -147,14 +147,14 @@ def test_bad_depth_is_an_error(tmp_path: Path, fault: str) -> None:
     folder = stored(tmp_path / "clip", [flat()] * 3)
     with_evidence(read_clip(folder))
     make, message = BAD[fault]
-    make(folder / DEPTH)
+    make(folder / DEPTH_KEY)
     with pytest.raises(InputError, match=message):
         with_evidence(read_clip(folder))
 
 
 def test_disparities_objects_and_missing_descriptions_are_errors(tmp_path: Path) -> None:
     folder = stored(tmp_path / "clip", [], unit=1.0)
-    path = folder / DEPTH / "0000.npy"
+    path = folder / DEPTH_KEY / "0000.npy"
     for bad, message in ((flat(-1.0, dtype=np.float32), "no disparities"), (np.ones((2, 3, 4)), "height, width")):
         np.save(path, bad)
         with pytest.raises(InputError, match=message):
@@ -163,16 +163,16 @@ def test_disparities_objects_and_missing_descriptions_are_errors(tmp_path: Path)
     with pytest.raises(InputError):
         with_evidence(read_clip(folder))
     fields = json.loads((folder / "clip.json").read_text())
-    del fields[DEPTH]
+    del fields[DEPTH_KEY]
     (folder / "clip.json").write_text(json.dumps(fields))
     with pytest.raises(InputError, match="what the images in the folder depth are"):
         with_evidence(read_clip(folder))
     describe(folder)
-    shutil.rmtree(folder / DEPTH)
+    shutil.rmtree(folder / DEPTH_KEY)
     with pytest.raises(InputError, match="the description of a folder depth, or left out"):
         with_evidence(read_clip(folder))
 
 
 def test_depth_is_read_in_little_memory(tmp_path: Path) -> None:
     clip, masks = a_clip()
-    assert a_depth(clip, masks, np.ones((240, 320))).z[0].nbytes <= SIDE * SIDE * 8
+    assert a_depth(clip, masks, np.ones((240, 320))).z[0].nbytes <= N_WINDOW_SAMPLES * N_WINDOW_SAMPLES * 8

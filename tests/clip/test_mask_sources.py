@@ -17,10 +17,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from getagrip.clip.label_choice import read_labels
+from getagrip.clip.label_choice import read_label_image
 from getagrip.clip.mask_request import MaskRequest
 from getagrip.clip.mask_sources import open_masks
-from getagrip.commands.import_masks import write_masks
+from getagrip.commands.import_masks import write_reader_masks
 from getagrip.errors import InputError, UsageError
 from getagrip.io import arrays
 from helpers.mask_files import FRAMES, SIZE, coco, label_folder, labels, segments_of, write_png
@@ -31,14 +31,14 @@ def test_labels_of_images(tmp_path: Path, depth: int, kind: int) -> None:
     """Grey values and palette indices of any depth are the labels, whatever colours the palette has."""
     given = labels()[0] % 2**depth
     write_png(tmp_path / "a.png", given, depth, kind, palette=kind == 3)
-    np.testing.assert_array_equal(read_labels(tmp_path / "a.png", SIZE), given)
+    np.testing.assert_array_equal(read_label_image(tmp_path / "a.png", SIZE), given)
 
 
 def test_colours_are_labels(tmp_path: Path) -> None:
     colours = np.array([0x000000, 0xFF0000, 0x00FF00, 0x0102FF])
     value = colours[labels()[0]]
     cv2.imwrite(str(tmp_path / "a.png"), np.stack([value & 255, value >> 8 & 255, value >> 16], axis=-1))
-    np.testing.assert_array_equal(read_labels(tmp_path / "a.png", SIZE), value)
+    np.testing.assert_array_equal(read_label_image(tmp_path / "a.png", SIZE), value)
 
 
 @pytest.mark.parametrize("source", ["png", "coco", "coco-plain", "npz"])
@@ -79,7 +79,7 @@ def test_labels_that_are_there_are_named_where_another_was_chosen(tmp_path: Path
         (coco(tmp_path / "c.json"), "cup, hand, "),
     ]:
         reader = open_masks(source, request)
-        refused(lambda read=reader: write_masks(read, FRAMES, tmp_path / "out"), f"there are {names}")
+        refused(lambda read=reader: write_reader_masks(read, FRAMES, tmp_path / "out"), f"there are {names}")
         shutil.rmtree(tmp_path / "out")
     (tmp_path / "jpg").mkdir()
     cv2.imwrite(str(tmp_path / "jpg" / "000001.jpg"), np.zeros((4, 4), np.uint8))

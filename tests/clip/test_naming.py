@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.clip.naming import frame_of, meant, number_in, pattern_of
+from getagrip.clip.naming import frame_of, matching_names, number_in, pattern_of
 
 FRAMES = tuple(f"{n:06d}" for n in range(1, 31))
 
@@ -67,4 +67,4 @@ def test_dates_are_frames_where_frames_are_dates() -> None:
 )
 def test_sets_of_images_have_a_pattern(name: str, pattern: str) -> None:
     assert pattern_of(name) == pattern
-    assert meant([name, "other.png"], pattern) == [0]
+    assert matching_names([name, "other.png"], pattern) == [0]

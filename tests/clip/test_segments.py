@@ -11,20 +11,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from getagrip.clip.segments import polygons, region, run_lengths
+from getagrip.clip.segments import decode_region, decode_run_lengths, fill_polygons
 from getagrip.errors import InputError
 from helpers.mask_files import SIZE, encoded
 
 
 def test_polygons_fill_the_pixels_whose_centres_they_hold() -> None:
-    square = polygons(Path("c.json"), "s", [[3.0, 2.0, 9.0, 2.0, 9.0, 6.0, 3.0, 6.0]], SIZE)
+    square = fill_polygons(Path("c.json"), "s", [[3.0, 2.0, 9.0, 2.0, 9.0, 6.0, 3.0, 6.0]], SIZE)
     expected = np.zeros(SIZE[::-1], dtype=bool)
     expected[2:6, 3:9] = True
     inner = np.zeros_like(expected)
     inner[3:5, 4:8] = True
     assert square[inner].all()
     assert np.count_nonzero(square != expected) <= 2 * (6 + 4) + 4  # the border's own pixels, at most
-    everything = polygons(Path("c.json"), "s", [[-20, -14, 40, -14, 40, 28, -20, 28]], SIZE)
+    everything = fill_polygons(Path("c.json"), "s", [[-20, -14, 40, -14, 40, 28, -20, 28]], SIZE)
     assert everything.all()
 
 
@@ -32,7 +32,7 @@ def test_polygons_fill_the_pixels_whose_centres_they_hold() -> None:
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 1.0), st.booleans())
 def test_run_lengths_come_back(seed: int, share: float, compressed: bool) -> None:
     mask = np.random.default_rng(seed).random(SIZE[::-1]) < share
-    np.testing.assert_array_equal(run_lengths(Path("c"), "s", encoded(mask, compressed), SIZE), mask)
+    np.testing.assert_array_equal(decode_run_lengths(Path("c"), "s", encoded(mask, compressed), SIZE), mask)
 
 
 JUNK = st.recursive(
@@ -47,7 +47,7 @@ JUNK = st.recursive(
 @pytest.mark.slow
 def test_any_segmentation_is_read_or_refused(value: Any) -> None:
     try:
-        assert region(Path("c.json"), "annotations[0].segmentation", value, SIZE).shape == SIZE[::-1]
+        assert decode_region(Path("c.json"), "annotations[0].segmentation", value, SIZE).shape == SIZE[::-1]
     except InputError as error:
         assert "annotations[0].segmentation" in str(error)  # noqa: PT017
 
@@ -68,4 +68,4 @@ def test_any_segmentation_is_read_or_refused(value: Any) -> None:
     ],
 )
 def test_impossible_segmentations(refused: Callable[..., str], segmentation: Any) -> None:
-    refused(lambda: region(Path("c.json"), "annotations[7]", segmentation, SIZE), "c.json", "annotations[7]")
+    refused(lambda: decode_region(Path("c.json"), "annotations[7]", segmentation, SIZE), "c.json", "annotations[7]")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.clip.label_choice import read_labels
+from getagrip.clip.label_choice import read_label_image
 from getagrip.clip.mask_request import MaskRequest
 from getagrip.clip.mask_sources import open_masks
 
@@ -130,8 +130,8 @@ def test_colours_count_where_they_say_otherwise(tmp_path: Path) -> None:
     labels = np.zeros((*SIZE[::-1], 4), np.uint8)
     labels[mask], labels[other] = (0, 0, 255, 255), (0, 255, 0, 255)
     cv2.imwrite(str(tmp_path / "a.png"), labels)
-    np.testing.assert_array_equal(read_labels(tmp_path / "a.png", SIZE), 0xFF0000 * mask + 0x00FF00 * other)
+    np.testing.assert_array_equal(read_label_image(tmp_path / "a.png", SIZE), 0xFF0000 * mask + 0x00FF00 * other)
     for alpha in (255, 0):
         labels[..., 3] = alpha
         cv2.imwrite(str(tmp_path / "a.png"), labels)
-        np.testing.assert_array_equal(read_labels(tmp_path / "a.png", SIZE), 0xFF0000 * mask + 0x00FF00 * other)
+        np.testing.assert_array_equal(read_label_image(tmp_path / "a.png", SIZE), 0xFF0000 * mask + 0x00FF00 * other)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from getagrip.batch.ledger import Ledger
-from getagrip.batch.share import Share
+from getagrip.batch.share import SchedulingOptions
 from getagrip.commands.bench import BenchSegments, BenchTimelines
 from getagrip.datasets.hot3d.reader import Hot3d
 from getagrip.errors import GetagripError, UsageError
@@ -22,7 +22,7 @@ from getagrip.experiments.timeline_trials import TimelineScores, TimelineTrial
 def samples_are(monkeypatch: pytest.MonkeyPatch, folder: Path, *names: str) -> None:
     """These are the clips of any source."""
     found = [Sample(name, folder / name) for name in names]
-    monkeypatch.setattr(sources, "samples", lambda *_: (found, []))
+    monkeypatch.setattr(sources, "sample_clips", lambda *_: (found, []))
 
 
 @pytest.mark.parametrize(("fail_fast", "names"), [(False, ["a", "c"]), (True, ["c"])])
@@ -46,7 +46,7 @@ def test_a_failure_is_told_and_in_the_ledger(
     samples_are(monkeypatch, tmp_path, *"cba")
     monkeypatch.setattr(SequenceTrial, "scores", scores)
     monkeypatch.setattr(SegmentBenchmark, "page", page)
-    share = Share(workers=1, fail_fast=fail_fast)
+    share = SchedulingOptions(workers=1, fail_fast=fail_fast)
     assert BenchSegments(source=DexYcbSequences(), out=tmp_path, share=share).run() == 1
     assert shown == names
     assert "failed: b: no masks" in capsys.readouterr().err
@@ -61,4 +61,4 @@ def test_a_table_needs_timelines_that_lie_and_are_held(tmp_path: Path, monkeypat
     samples_are(monkeypatch, tmp_path, "P0001--a--mug")
     monkeypatch.setattr(TimelineTrial, "scores", lambda trial: TimelineScores(trial.name))
     with pytest.raises(UsageError, match="missing a timeline with both a static segment and a stable grasp"):
-        BenchTimelines(source=source, out=tmp_path, share=Share(workers=1)).run()
+        BenchTimelines(source=source, out=tmp_path, share=SchedulingOptions(workers=1)).run()

@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from getagrip.commands import doctor
-from getagrip.io.extras import install
+from getagrip.io.extras import install_command
 from helpers.command_line import Run
 from helpers.mano_files import fake_mano, python2
 
 
 @pytest.fixture(autouse=True)
 def _without_the_clip(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor, "_try_out", lambda: None)
+    monkeypatch.setattr(doctor, "_smoke_test", lambda: None)
 
 
 def test_every_line_says_how_it_is_and_what_to_do(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -28,12 +28,12 @@ def test_every_line_says_how_it_is_and_what_to_do(run: Run, monkeypatch: pytest.
         "mujoco>=3; extra == 'mujoco'",
     ]
     monkeypatch.setattr(doctor.metadata, "requires", lambda _: needs)
-    monkeypatch.setattr(doctor, "_version", lambda name: versions.get(name, "99.0"))
+    monkeypatch.setattr(doctor, "_installed_version", lambda name: versions.get(name, "99.0"))
     status, out, _ = run("doctor")
     assert status == 0
     lines = out.splitlines()[1:]
     assert {line.split()[0] for line in lines} == {"ok", "without"}
-    for words in (install("usd"), install("torch"), "without  browser; ", "--mano DIR"):
+    for words in (install_command("usd"), install_command("torch"), "without  browser; ", "--mano DIR"):
         assert words in out
     for words in ("BLAS openblas", "cores to use", "GB free for this folder", "ok       mujoco 99.0"):
         assert words in out
@@ -57,8 +57,8 @@ def test_a_cluster_is_tried(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_what_is_needed_and_missing_is_wrong(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor, "_version", lambda name: "1.0" if name == "numpy" else "99.0")
-    monkeypatch.setattr(doctor, "LEAST_DISK", 1e9)
+    monkeypatch.setattr(doctor, "_installed_version", lambda name: "1.0" if name == "numpy" else "99.0")
+    monkeypatch.setattr(doctor, "MIN_DISK_GB", 1e9)
     status, out, _ = run("doctor")
     assert status == 1
     assert 'MISSING  numpy 2.0 or later, here is 1.0; pip install "numpy>=2.0"' in out

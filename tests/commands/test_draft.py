@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
-from getagrip.annotate.finding_hands import is_cut, jumps
-from getagrip.annotate.store import Store
+from getagrip.annotate.finding_hands import find_jumps, is_cut
+from getagrip.annotate.store import MarkStore
 from getagrip.clip import read_clip, with_evidence
-from getagrip.clip.depth import DEPTH
+from getagrip.clip.depth import DEPTH_KEY
 from getagrip.clip.reading_arrays import read_hand
-from getagrip.commands.annotate import DATABASE
+from getagrip.commands.annotate import MARKS_DATABASE
 from getagrip.commands.hand_file import HandFile
 from getagrip.io.images import read_png
 from helpers.command_line import Run
@@ -28,7 +28,7 @@ DRAFT = ("draft", "scene.mp4", "--object", "cup", "--out", "out", "--no-page")
 @pytest.fixture
 def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("getagrip.landmarks.load", lambda _: SceneNets())
+    monkeypatch.setattr("getagrip.landmarks.load_models", lambda _: SceneNets())
     return write_scene(tmp_path / "scene.mp4", 8)
 
 
@@ -52,7 +52,7 @@ def test_hands_masks_and_marks_are_there(scene: Path, run: Run) -> None:
     np.testing.assert_allclose(hand.joints_2d, np.tile(POINTS, (8, 1, 1)))
     names = sorted(path.name for path in (found.path.parent / "masks").iterdir())
     assert names == [f"{n:06d}.png" for n in range(1, 9)]
-    store = Store(scene.parent / "out" / DATABASE)
+    store = MarkStore(scene.parent / "out" / MARKS_DATABASE)
     (mark,) = store.marks.standing()
     store.close()
     assert (mark.interval, mark.side) == ((0, 7), "left")
@@ -91,7 +91,9 @@ def test_a_box_on_the_object_is_enough_for_masks_of_all_frames(
     assert (made / "results" / name / "report.html").is_file()
     clip = with_evidence(read_clip(made / "clips" / name))
     assert clip.category == "cup"
-    assert [clip.evidence[DEPTH].image(row).max() for row in range(7)] == pytest.approx(0.6 + 0.001 * np.arange(1, 8))
+    assert [clip.evidence[DEPTH_KEY].image(row).max() for row in range(7)] == pytest.approx(
+        0.6 + 0.001 * np.arange(1, 8)
+    )
     commands: list[list[str]] = []
     replaced = "getagrip.annotate.reconstruction.run_command"  # it has run above
     monkeypatch.setattr(replaced, lambda words, _: commands.append([*words]) or "")
@@ -117,7 +119,7 @@ def test_a_box_beside_the_image_is_refused_before_hands_are_looked_for(scene: Pa
 
 
 def test_no_hand_and_no_models_are_said(scene: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("getagrip.landmarks.load", lambda _: SceneNets(hands=False))
+    monkeypatch.setattr("getagrip.landmarks.load_models", lambda _: SceneNets(hands=False))
     status, _, err = run(*DRAFT)
     assert status == 2
     assert "no hand: palms were looked for in 8 frames" in err
@@ -171,10 +173,10 @@ def test_motion_is_no_cut() -> None:
 
 def test_a_jump_within_a_scene_is_found_and_motion_is_none() -> None:
     steady = [2.0 + np.sin(0.3 * n) for n in range(40)]
-    assert jumps(steady) == []
-    assert jumps([*steady[:20], 30.0, *steady[20:]]) == [21]
-    assert jumps([0.0] * 10 + [0.5] + [0.0] * 10) == []  # a still scene flickers
-    assert jumps([]) == jumps([9.0]) == []
+    assert find_jumps(steady) == []
+    assert find_jumps([*steady[:20], 30.0, *steady[20:]]) == [21]
+    assert find_jumps([0.0] * 10 + [0.5] + [0.0] * 10) == []  # a still scene flickers
+    assert find_jumps([]) == find_jumps([9.0]) == []
 
 
 def test_one_frame_is_no_video(scene: Path, run: Run) -> None:
@@ -201,7 +203,7 @@ def test_a_single_image_is_taken(scene: Path, run: Run, footage: str) -> None:
 def test_a_mask_that_hardly_fills_its_box_is_refused(scene: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     labels = np.zeros((HEIGHT, WIDTH), np.uint8)
     labels[100:106, 120:140] = 1
-    monkeypatch.setattr("getagrip.annotate.boxes.moving_in_box", lambda *_: labels)
+    monkeypatch.setattr("getagrip.annotate.boxes.segment_box_by_motion", lambda *_: labels)
     status, _, err = run(*DRAFT, "--object-box", "90,70,80,80", "--interval", "1", "3")
     assert status == 2
     assert scene.is_file()

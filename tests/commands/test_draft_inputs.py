@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 import getagrip.annotate.drafted_grasps  # noqa: F401  (before its command is replaced)
-from getagrip.annotate.store import Store
+from getagrip.annotate.store import MarkStore
 from getagrip.clip import Clip
 from getagrip.clip.reading_arrays import read_hand
-from getagrip.commands.annotate import DATABASE
+from getagrip.commands.annotate import MARKS_DATABASE
 from getagrip.commands.hand_file import HandFile
 from getagrip.io.images import read_png, write_mask
 from helpers.command_line import Run
@@ -33,7 +33,7 @@ SIDE = ("--side", "left")
 @pytest.fixture
 def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("getagrip.landmarks.load", lambda _: SceneNets())
+    monkeypatch.setattr("getagrip.landmarks.load_models", lambda _: SceneNets())
     monkeypatch.setattr("getagrip.annotate.reconstruction.run_command", lambda words, _: " ".join(words))
     write_scene(tmp_path / "scene.mp4", FRAMES)
     return tmp_path
@@ -154,7 +154,7 @@ def test_estimators_of_hands_are_told_side_boxes_and_camera(
         status, _, err = run(*DRAFT, name, "--hands", name)
         assert status == 0, err
         assert len(HandFile.of(scene / name / "found" / "hand.npz").numbers or ()) == FRAMES
-    monkeypatch.setattr("getagrip.landmarks.load", lambda _: SceneNets(hands=False))
+    monkeypatch.setattr("getagrip.landmarks.load_models", lambda _: SceneNets(hands=False))
     near = "json.loads(Path(args[args.index('--near') + 1]).read_text())['000001'] == [90, 70, 170, 150]"
     alone = f"import json; assert '--boxes' not in args and '--side' not in args, args; assert {near}"
     (scene / "masks").mkdir()
@@ -177,7 +177,7 @@ def test_estimators_of_hands_are_told_side_boxes_and_camera(
     text = json.dumps({key: value.tolist() for key, value in record.items()})
     body = f"(out / '0').mkdir(); (out / '0' / '0_{FRAMES - 1}.json').write_text({text!r})"
     script(scene, body, "hawor", monkeypatch)
-    monkeypatch.setattr("getagrip.landmarks.load", lambda _: pytest.fail("the side is stated"))
+    monkeypatch.setattr("getagrip.landmarks.load_models", lambda _: pytest.fail("the side is stated"))
     status, _, err = run(*DRAFT, "hawor-alone", "--hands", "hawor")
     assert status == 0, err
     assert HandFile.of(scene / "hawor-alone" / "found" / "hand.npz").side == "left"
@@ -241,6 +241,6 @@ def test_grasps_are_found_and_marked(scene: Path, run: Run, monkeypatch: pytest.
         status, _, err = run(*DRAFT, said[:2], *words)
         assert status == 0, err
         assert said in err
-        store = Store(scene / said[:2] / DATABASE)
+        store = MarkStore(scene / said[:2] / MARKS_DATABASE)
         assert [mark.interval for mark in store.marks.standing()] == marked
         store.close()

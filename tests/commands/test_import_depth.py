@@ -13,8 +13,8 @@ from numpy import ndarray
 
 from getagrip import cli
 from getagrip.clip import read_clip, with_evidence, write_clip
-from getagrip.clip.depth import DEPTH
-from getagrip.clip.depth_sources import HO3D_UNIT
+from getagrip.clip.depth import DEPTH_KEY
+from getagrip.clip.depth_sources import HO3D_DEPTH_UNIT_M
 from helpers.clips import small_clip
 from helpers.command_line import Run
 from helpers.exr_files import exr
@@ -53,7 +53,7 @@ def scanner_app(root: Path) -> Path:
 
 def ho3d(root: Path) -> Path:
     for name, z in zip(NAMES, Z, strict=True):
-        units = np.rint(z / HO3D_UNIT).astype(int)
+        units = np.rint(z / HO3D_DEPTH_UNIT_M).astype(int)
         blue_green_red = np.stack([np.zeros_like(units), units // 256, units % 256], axis=-1)
         cv2.imwrite(str(root / f"{name}.png"), blue_green_red.astype(np.uint8))
     return root
@@ -111,7 +111,7 @@ def run(clip: Path, path: Path, name: str, *more: str) -> int:
 
 
 def z_of(clip: Path) -> ndarray:
-    depth = with_evidence(read_clip(clip)).evidence[DEPTH]
+    depth = with_evidence(read_clip(clip)).evidence[DEPTH_KEY]
     return np.stack([depth.image(n) for n in range(3)])
 
 
@@ -124,8 +124,8 @@ def test_each_format_gives_its_distances(tmp_path: Path, clip: Path, name: str) 
     np.testing.assert_allclose(found[found > 0.0], Z[found > 0.0], atol=6e-4)
     assert (found > 0.0).sum() > 0.1 * Z.size
     fields = json.loads((clip / "clip.json").read_text())
-    assert fields[DEPTH]["scale"] == scale
-    assert name in str(fields["provenance"][DEPTH])
+    assert fields[DEPTH_KEY]["scale"] == scale
+    assert name in str(fields["provenance"][DEPTH_KEY])
 
 
 MORE: dict[str, tuple[str, Callable[[Path], Path]]] = {
@@ -156,7 +156,7 @@ def test_what_the_user_says_counts(tmp_path: Path, clip: Path) -> None:
     assert run(clip, path, "depth-pro", "--scale", "clip", "--unit", "2", "--error", "0.02") == 0
     found = z_of(clip)
     np.testing.assert_allclose(found[found > 0.0], 2.0 * Z[found > 0.0], rtol=1e-3)
-    assert json.loads((clip / "clip.json").read_text())[DEPTH]["error"] == 0.02
+    assert json.loads((clip / "clip.json").read_text())[DEPTH_KEY]["error"] == 0.02
 
 
 def test_depth_there_is_kept_and_other_counts_are_refused(
@@ -172,7 +172,7 @@ def test_depth_there_is_kept_and_other_counts_are_refused(
     said = capsys.readouterr().err
     assert "0 in all images" in said
     assert str(path) in said
-    assert not (clip / DEPTH).exists()
+    assert not (clip / DEPTH_KEY).exists()
     np.save(path, Z)
     assert run(clip, path, "unidepth") == 0
     assert run(clip, path, "unidepth") == 2
@@ -246,7 +246,7 @@ def test_impossible_distances_units_and_sizes_are_refused(
     err = capsys.readouterr().err
     assert status in (1, 2)
     assert says in err
-    assert not (clip / DEPTH).exists()
+    assert not (clip / DEPTH_KEY).exists()
 
 
 def test_numbers_of_frames_below_0_are_refused(tmp_path: Path, clip: Path, capsys: pytest.CaptureFixture[str]) -> None:

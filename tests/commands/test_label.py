@@ -12,8 +12,8 @@ import pytest
 
 from getagrip.annotate import labels, reconstruction
 from getagrip.annotate.labels import FrameLabels, Labels
-from getagrip.annotate.store import Store
-from getagrip.commands.annotate import DATABASE
+from getagrip.annotate.store import MarkStore
+from getagrip.commands.annotate import MARKS_DATABASE
 from getagrip.commands.export import Export
 from getagrip.io import files
 from helpers.command_line import Run
@@ -27,7 +27,7 @@ LABEL = ("label", "videos", "--object", "cup", "--size-mm", "90", "--out", "out"
 def videos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Two videos and a broken one."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("getagrip.landmarks.load", lambda _: SceneNets())
+    monkeypatch.setattr("getagrip.landmarks.load_models", lambda _: SceneNets())
     folder = tmp_path / "videos"
     folder.mkdir()
     write_scene(folder / "a.mp4", 6)
@@ -48,7 +48,7 @@ def test_videos_are_drafted_once_and_a_broken_one_ends_nothing(videos: Path, run
     status, out, _ = run(*LABEL)
     assert status == 0
     assert made == {path: path.stat().st_mtime_ns for path in made}
-    store = Store(videos.parent / "out" / DATABASE)
+    store = MarkStore(videos.parent / "out" / MARKS_DATABASE)
     assert [(mark.task, mark.interval, mark.side) for mark in store.marks.standing()] == [
         ("a", (0, 5), "left"), ("b", (0, 5), "left"),
     ]  # fmt: skip
@@ -61,7 +61,7 @@ def test_what_is_labelled_is_solved_once_and_exported(videos: Path, run: Run, mo
     (videos / "b.mp4").unlink()
     assert run(*LABEL)[0] == 0
     frames = {n: FrameLabels(object=(np.array(circle(n)),)) for n in (0, 5)}
-    labels.write(Labels("a.mp4", (WIDTH, HEIGHT), "left", 30.0, 0, 5, frames), videos.parent / "labels.json")
+    labels.write_label_file(Labels("a.mp4", (WIDTH, HEIGHT), "left", 30.0, 0, 5, frames), videos.parent / "labels.json")
     taken = run("annotate", "videos/a.mp4", "--out", "out", "--import-labels", "labels.json", "--annotator", "draft")
     assert taken[0] == 0, taken
     solved: list[Any] = []
@@ -72,13 +72,13 @@ def test_what_is_labelled_is_solved_once_and_exported(videos: Path, run: Run, mo
         files.write_json(reconstruction.result_folder(out, name) / "result.json", {})
         return "it is held"
 
-    monkeypatch.setattr(reconstruction, "reconstruct", solve)
+    monkeypatch.setattr(reconstruction, "reconstruct_grasp_files", solve)
     monkeypatch.setattr(Export, "run", lambda self: exported.append((self.results, self.to, self.out)) or 0)
     for _ in range(2):
         status, out, err = run(*LABEL)
         assert status == 0, err
     ((words, shape),) = solved
-    assert shape == reconstruction.Shape("cup", 90.0)
+    assert shape == reconstruction.RequestedMesh("cup", 90.0)
     assert words[:3] == ["clip", "new", "videos/a.mp4"]
     assert "draft-a-1-6-left: 2 strokes and outlines on 2 frames, 2 changes in 0.0 min" in out
     assert "in all: 2 strokes and outlines on 2 frames, 2 changes in 0.0 min" in out

@@ -12,7 +12,7 @@ from getagrip.cli import main
 from getagrip.clip import read_clip, write_clip
 from getagrip.fitting.learn_priors import LearntGrasps
 from getagrip.fitting.options import Options, PriorsFile
-from getagrip.fitting.pose_priors import poses_for, read_learnt
+from getagrip.fitting.pose_priors import read_initial_poses, read_learnt
 from helpers.clips import small_clip
 from helpers.grasp_priors import held, old_file
 
@@ -36,7 +36,7 @@ def test_learning_from_folders(folder: Path, tmp_path: Path, capsys: pytest.Capt
     assert isinstance(learnt, LearntGrasps)
     assert [(h.clip, h.subject) for h in learnt.holds] == [("a", "Ann"), ("c", "")]
     clip = read_clip(folder / "b")
-    assert len(poses_for(clip, Options(init="clusters", priors=PriorsFile(out)))[0]) == 2
+    assert len(read_initial_poses(clip, Options(init="clusters", priors=PriorsFile(out)))[0]) == 2
 
 
 def test_poses_as_a_folder_are_those_of_all_grasps(
@@ -46,7 +46,7 @@ def test_poses_as_a_folder_are_those_of_all_grasps(
     assert main([*call, "--as-folder", str(tmp_path / "poses")]) == 0
     assert "does not say what they were learnt from" in capsys.readouterr().out
     options = Options(init="priors", priors=PriorsFile(tmp_path / "poses"))
-    assert len(poses_for(read_clip(folder / "a"), options)[0]) == 2
+    assert len(read_initial_poses(read_clip(folder / "a"), options)[0]) == 2
     assert main([*call, "--as-folder", str(tmp_path / "poses")]) == 2
     assert "exists already" in capsys.readouterr().err
 

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import pytest
 
-from getagrip.annotate.video import Video
+from getagrip.annotate.video import VideoFootage
 from getagrip.cli import main
 from getagrip.clip import Segment, read_clip, read_masks
 from getagrip.clip.video import video_frames, video_info
@@ -191,7 +191,7 @@ def test_upright_videos_of_telephones_are_upright(made: Path) -> None:
     assert video_info(made / "turned.mp4").size == SIZE[::-1]
     (image,) = video_frames(made / "turned.mp4", 3, 3)
     np.testing.assert_array_equal(image, np.rot90(next(video_frames(made / "video.mp4", 3, 3)), -1))
-    shown = Video(made / "turned.mp4")
+    shown = VideoFootage(made / "turned.mp4")
     np.testing.assert_array_equal(shown.image(2), image)
     shown.close()
 
@@ -278,7 +278,7 @@ def test_pixels_that_are_not_square_are_shown_square(made: Path, turned: bool) -
         write_turned(path, path)
     size = (48, 64) if turned else (64, 48)
     assert video_info(path).size == size
-    shown = Video(path)
+    shown = VideoFootage(path)
     assert shown.size == size
     shown.close()
 

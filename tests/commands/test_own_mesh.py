@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from getagrip.commands.own_mesh import MeshOptions, Unit, own_mesh
+from getagrip.commands.own_mesh import MeshOptions, Unit, read_own_mesh
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.mesh_files import read_mesh
 
@@ -24,28 +24,28 @@ def box(path: Path, size: float, more: str = "") -> Path:
 def test_sizes_are_those_of_the_surface(
     tmp_path: Path, more: str, side: float | None, diameter: float | None, expected: float
 ) -> None:
-    made = own_mesh(MeshOptions(box(tmp_path / "a.obj", 0.3, more), side, diameter))
+    made = read_own_mesh(MeshOptions(box(tmp_path / "a.obj", 0.3, more), side, diameter))
     assert np.ptp(made.mesh.vertices, axis=0).max() == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(("unit", "size"), [("mm", 100.0), ("cm", 10.0), ("m", 0.1), ("in", 0.1 / 0.0254)])
 def test_the_unit_of_a_file_is_stated(tmp_path: Path, unit: Unit, size: float) -> None:
-    made = own_mesh(MeshOptions(box(tmp_path / "a.obj", size), unit=unit, known_scale=True))
+    made = read_own_mesh(MeshOptions(box(tmp_path / "a.obj", size), unit=unit, known_scale=True))
     assert np.ptp(made.mesh.vertices, axis=0).max() == pytest.approx(0.1, rel=1e-4)
     assert made.sized
 
 
 def test_free_scale_needs_no_unit_and_known_scale_names_the_option(tmp_path: Path) -> None:
     path = box(tmp_path / "a.obj", 128.0)
-    made = own_mesh(MeshOptions(path))
+    made = read_own_mesh(MeshOptions(path))
     assert not made.sized
     assert "rescaled" in str(made.provenance["scale"])
     with pytest.raises(InputError, match=r"--unit mm.*--size-mm"):
-        own_mesh(MeshOptions(path, known_scale=True))
+        read_own_mesh(MeshOptions(path, known_scale=True))
     with pytest.raises(InputError, match=r"millimetres\? .*getagrip clip new takes the unit \(--unit mm"):
         read_mesh(path)
     with pytest.raises(UsageError, match="--unit cannot be used"):
-        own_mesh(MeshOptions(Path("mug"), unit="mm"))
+        read_own_mesh(MeshOptions(Path("mug"), unit="mm"))
 
 
 def with_table(path: Path) -> Path:
@@ -60,14 +60,14 @@ def with_table(path: Path) -> Path:
 def test_sizes_are_of_the_part_that_is_held(tmp_path: Path) -> None:
     path = with_table(tmp_path / "scan.obj")
     with pytest.raises(UsageError, match=r"2 separate parts, 0.24 x 0.24 x 0, 0.1 x 0.1 x 0.1.*--part N.*--size-mm"):
-        own_mesh(MeshOptions(path, 80.0))
-    one, all_of = (own_mesh(MeshOptions(path, 80.0, part=part)) for part in ("2", "all"))
+        read_own_mesh(MeshOptions(path, 80.0))
+    one, all_of = (read_own_mesh(MeshOptions(path, 80.0, part=part)) for part in ("2", "all"))
     assert np.ptp(one.mesh.vertices, axis=0).max() == pytest.approx(0.08)
     assert len(one.mesh.faces) == 4
     assert len(all_of.mesh.faces) == 6
-    assert "2 separate parts" in str(own_mesh(MeshOptions(path)).provenance["mesh"])
+    assert "2 separate parts" in str(read_own_mesh(MeshOptions(path)).provenance["mesh"])
     with pytest.raises(UsageError, match="--part must be 1 to 2"):
-        own_mesh(MeshOptions(path, 80.0, part="3"))
+        read_own_mesh(MeshOptions(path, 80.0, part="3"))
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])

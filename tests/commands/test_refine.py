@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from getagrip.clip import Clip, Masks, write_clip
-from getagrip.commands.refine import REFINED, Change, Refine, Right, _print
+from getagrip.commands.refine import REFINED_POSES_FOLDER, Change, PoseProbabilities, Refine, _print_changes
 from getagrip.evaluation import evaluate
-from getagrip.evaluation.other_poses import poses_of
+from getagrip.evaluation.other_poses import read_external_poses
 from getagrip.fitting.options import Options, PriorsFile
-from getagrip.fitting.pose_priors import APART, poses_for
+from getagrip.fitting.pose_priors import REPRESENTATIVE_DISTANCE_DIAMETERS, read_initial_poses
 from getagrip.geometry import se3
 from getagrip.probability import Probability
 from getagrip.result import Reconstruction, write_result
@@ -43,14 +43,14 @@ def options(path: Path) -> Options:
 def test_poses_alike_are_represented_by_one_and_each_other_kind_too(tmp_path: Path, mug: tuple[Clip, Masks]) -> None:
     clip, _ = mug
     np.savez(tmp_path / "poses.npz", T_cam_obj=flipped(clip), frames=np.array(clip.frames))
-    T, notes = poses_for(clip, options(tmp_path / "poses.npz"))
+    T, notes = read_initial_poses(clip, options(tmp_path / "poses.npz"))
     assert 2 <= len(T) < len(clip)
     assert any("represent the others" in note for note in notes)
     points = clip.mesh.vertices / clip.mesh.diameter
     given = se3.transform(se3.inverse(clip.hand.T_cam_hand) @ flipped(clip), clip.mesh.vertices) / clip.mesh.diameter
     chosen = se3.transform(T, clip.mesh.diameter * points) / clip.mesh.diameter
     apart = np.sqrt(np.mean(np.sum((given[:, None] - chosen) ** 2, axis=-1), axis=-1))
-    assert apart.min(axis=1).max() < 1.2 * APART  # the choice looks at some of the vertices
+    assert apart.min(axis=1).max() < 1.2 * REPRESENTATIVE_DISTANCE_DIAMETERS  # the choice looks at some of the vertices
 
 
 def test_a_file_that_changed_is_refused(tmp_path: Path, mug: tuple[Clip, Masks]) -> None:
@@ -58,7 +58,7 @@ def test_a_file_that_changed_is_refused(tmp_path: Path, mug: tuple[Clip, Masks])
     np.savez(tmp_path / "poses.npz", T_cam_obj=flipped(clip), frames=np.array(clip.frames))
     stale = replace(options(tmp_path / "poses.npz"), priors=PriorsFile(tmp_path / "poses.npz", "0" * 64))
     with pytest.raises(Exception, match="another content"):
-        poses_for(clip, stale)
+        read_initial_poses(clip, stale)
 
 
 @pytest.mark.slow
@@ -72,8 +72,8 @@ def test_flips_are_mended_and_written_in_the_same_format(tmp_path: Path, run: Ru
     assert status == 0, err
     assert "IOU before" in out
     before, after = (
-        evaluate(poses_of(each, "x", clip, masks), clip, masks).metrics["add_sym_success"]
-        for each in (file, tmp_path / "out" / REFINED / clip.name / file.name)
+        evaluate(read_external_poses(each, "x", clip, masks), clip, masks).metrics["add_sym_success"]
+        for each in (file, tmp_path / "out" / REFINED_POSES_FOLDER / clip.name / file.name)
     )
     assert (before, after) == (0.0, 1.0)
     assert " ".join(out.split()).count("before") == 3  # IOU, and how probable it is in hand and camera
@@ -86,17 +86,17 @@ def test_flips_are_mended_and_written_in_the_same_format(tmp_path: Path, run: Ru
 
 def test_given_poses_are_as_probable_as_ours_if_they_are_the_same_and_else_at_most_the_rest() -> None:
     ours, own = Probability(0.9, ""), Probability(0.3, "")
-    assert Right.of(None, ours, 0.02).said == ("90 %", "90 %")
-    assert Right.of(None, ours, 0.1).said == ("-", "90 %")  # both may be right, or one of them
-    assert Right.of(None, ours, 0.3).said == ("at most 10 %", "90 %")
-    assert Right.of(None, ours, 0.3) == Right(None, pytest.approx(0.1), 0.9)
-    assert Right.of(None, Probability(0.999, ""), 0.3).said == ("< 1 %", "> 99 %")
-    assert Right.of(own, ours, 0.3).said == ("30 %", "90 %")  # of a result of ours it is known
-    assert Right.of(None, None, 0.3).said == ("-", "-")
+    assert PoseProbabilities.of(None, ours, 0.02).said == ("90 %", "90 %")
+    assert PoseProbabilities.of(None, ours, 0.1).said == ("-", "90 %")  # both may be right, or one of them
+    assert PoseProbabilities.of(None, ours, 0.3).said == ("at most 10 %", "90 %")
+    assert PoseProbabilities.of(None, ours, 0.3) == PoseProbabilities(None, pytest.approx(0.1), 0.9)
+    assert PoseProbabilities.of(None, Probability(0.999, ""), 0.3).said == ("< 1 %", "> 99 %")
+    assert PoseProbabilities.of(own, ours, 0.3).said == ("30 %", "90 %")  # of a result of ours it is known
+    assert PoseProbabilities.of(None, None, 0.3).said == ("-", "-")
 
 
 def test_poses_of_another_frame_are_named(capsys: pytest.CaptureFixture[str]) -> None:
-    _print([Change("mug", (0.0, 0.9), 0.1, 1.0), Change("cup", (0.1, 0.9), 0.1, 1.0)])
+    _print_changes([Change("mug", (0.0, 0.9), 0.1, 1.0), Change("cup", (0.1, 0.9), 0.1, 1.0)])
     told = "".join(capsys.readouterr())
     assert "mug: no given pose meets the masks" in told
     assert "cup: no given pose" not in told
@@ -114,9 +114,9 @@ def test_poses_in_the_hand_come_back_in_the_clip_s_hand(tmp_path: Path, mug: tup
     )  # fmt: skip
     write_result(result, tmp_path / "out" / clip.name)
     refine = Refine(poses=tmp_path / "poses.npz", clips=(tmp_path / "clips",), out=tmp_path / "out")
-    change = refine._written(clip.name, tmp_path / "clips" / clip.name, tmp_path / "out" / REFINED)
+    change = refine._written(clip.name, tmp_path / "clips" / clip.name, tmp_path / "out" / REFINED_POSES_FOLDER)
     assert change is not None
-    with np.load(tmp_path / "out" / REFINED / clip.name / "poses.npz") as written:
+    with np.load(tmp_path / "out" / REFINED_POSES_FOLDER / clip.name / "poses.npz") as written:
         np.testing.assert_allclose(written["T_hand_obj"], T_hand_obj, atol=1e-9)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from getagrip.clip import input_sha256
-from getagrip.commands.report import results_below
+from getagrip.commands.report import find_result_folders
 from getagrip.errors import InputError
 from getagrip.finding import Finding
 from getagrip.pictures.report import report_figure
@@ -65,9 +65,13 @@ def test_results_are_found_below_but_not_in_other_results(tmp_path: Path) -> Non
     for name in ("b", "a/x", "a/x/inner", ".hidden/y", "1/2/3/4", "1/2/3/5/6"):
         (tmp_path / name).mkdir(parents=True, exist_ok=True)
         (tmp_path / name / "result.json").touch()
-    assert [found.relative_to(tmp_path).as_posix() for found in results_below(tmp_path)] == ["1/2/3/4", "a/x", "b"]
+    assert [found.relative_to(tmp_path).as_posix() for found in find_result_folders(tmp_path)] == [
+        "1/2/3/4",
+        "a/x",
+        "b",
+    ]
     with pytest.raises(InputError, match="no such folder"):
-        results_below(tmp_path / "none")
+        find_result_folders(tmp_path / "none")
 
 
 def test_wrong_calls_are_refused(run: Run, tmp_path: Path) -> None:

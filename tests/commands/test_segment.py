@@ -19,11 +19,17 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.grasps.definition import Definition
-from getagrip.grasps.stable import OPENED, contact_iou, contact_sets, fragments, segment
+from getagrip.grasps.stable import (
+    ARTICULATION_THRESHOLD_RAD,
+    assign_fragments,
+    contact_iou,
+    contact_sets,
+    segment,
+)
 from getagrip.metrics.contact import contact_distances
 from getagrip.metrics.pose import ObjectTrack
 from getagrip.pictures.matrix import write_matrix
-from getagrip.pictures.style import FOUND
+from getagrip.pictures.style import RESULT_COLOUR
 from helpers.clips import box, small_clip
 from helpers.command_line import Run
 from helpers.pictures import pixels_of, read_picture
@@ -108,14 +114,14 @@ def test_area_does_not_depend_on_how_the_mesh_is_cut_into_triangles() -> None:
 
 def test_fragments_are_patches_in_contact_where_one_of_their_vertices_is() -> None:
     mesh = ball(RADIUS, 4)
-    patch = fragments(mesh.vertices)
+    patch = assign_fragments(mesh.vertices)
     assert np.unique(patch).tolist() == list(range(len(mesh.vertices) // 100))
     centres = np.stack([mesh.vertices[patch == k].mean(axis=0) for k in range(patch.max() + 1)])
     assert np.linalg.norm(mesh.vertices - centres[patch], axis=1).max() < 0.9 * RADIUS
     clip = held(mesh, np.array([[0.055, 0.0, 0.0]]))
     touched = np.unique(patch[contact_sets(clip)[0]])
     np.testing.assert_array_equal(np.flatnonzero(contact_sets(clip, points="fragments")[0]), touched)
-    assert len(np.unique(fragments(box(0.1, 0.1, 0.1).vertices))) == 1
+    assert len(np.unique(assign_fragments(box(0.1, 0.1, 0.1).vertices))) == 1
 
 
 def test_moving_hand_and_object_together_changes_nothing() -> None:
@@ -132,10 +138,13 @@ def test_opening_an_object_ends_a_grasp() -> None:
     clip = three_grasps()
     assert clip.truth is not None
     angle = np.zeros(25)
-    angle[15:20], angle[20:] = 0.4 * OPENED, 1.2 * OPENED  # trembles, then opens
+    angle[15:20], angle[20:] = (
+        0.4 * ARTICULATION_THRESHOLD_RAD,
+        1.2 * ARTICULATION_THRESHOLD_RAD,
+    )  # trembles, then opens
     opened = replace(clip, truth=replace(clip.truth, articulation=angle))
     assert segment(opened, Definition(shortest=3))[1] == [(0, 11), (15, 24)]
-    angle[20:] = 1.5 * OPENED
+    angle[20:] = 1.5 * ARTICULATION_THRESHOLD_RAD
     assert segment(opened, Definition(shortest=3))[1] == [(0, 11), (15, 19), (20, 24)]
     for rule in ("first", "consecutive"):
         assert not any(a <= 19 and b >= 20 for a, b in segment(opened, Definition(shortest=2, rule=rule))[1])
@@ -197,7 +206,7 @@ def test_all_is_written_and_printed(run: Run, tmp_path: Path) -> None:
     assert (out / "grasps.json").read_bytes() == file.read_bytes()
     a, b, none = (read_picture(out / f"{name}.png") for name in ("a", "b", "none"))
     assert (
-        min(pixels_of(picture, FOUND) for picture in (a, b)) > 2 * pixels_of(none, FOUND) > 0
+        min(pixels_of(picture, RESULT_COLOUR) for picture in (a, b)) > 2 * pixels_of(none, RESULT_COLOUR) > 0
     )  # tau, and a framed grasp
     assert all(pixels_of(picture, "#16283a") > 1000 for picture in (a, b))  # pairs of frames with the same contact
 
@@ -289,5 +298,5 @@ def test_a_picture_is_drawn_of_any_length(frames: int, tmp_path: Path) -> None:
     bare = read_picture(write_matrix(tmp_path / "a.png", iou, [], 30.0, 0.5, "a", "b"))
     marked = read_picture(write_matrix(tmp_path / "b.png", iou, [(0, frames - 1)], 30.0, 0.0, "$a$_{", 99 * "b"))
     assert bare.shape == marked.shape
-    assert pixels_of(marked, FOUND) > pixels_of(bare, FOUND) + 1000  # the frame, and the strip below
+    assert pixels_of(marked, RESULT_COLOUR) > pixels_of(bare, RESULT_COLOUR) + 1000  # the frame, and the strip below
     assert pixels_of(bare, "#16283a") > 0.3 * bare[..., 0].size  # every pair has the same contact

@@ -52,7 +52,7 @@ def test_all_segments_are_written_and_the_assumption_is_said(tmp_path: Path, run
     with (tmp_path / "out" / "segments.csv").open(newline="") as stream:
         (row,) = csv.DictReader(stream)
     assert (row["sequence"], row["state"], row["start"], row["end"]) == ("lying", "static", "0", "11")
-    assert not lists.read(tmp_path / "out" / "grasps.json", print).grasps
+    assert not lists.read_listed_grasps(tmp_path / "out" / "grasps.json", print).grasps
 
 
 def test_a_bad_clip_is_named_and_the_rest_is_done(tmp_path: Path, run: Run) -> None:

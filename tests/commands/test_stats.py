@@ -10,7 +10,13 @@ from pathlib import Path
 import pytest
 
 from getagrip.datasets.epic.tables import read_grasps
-from getagrip.experiments.dataset_tables import Counts, LastingGrasp, durations, epic_counts, epic_durations
+from getagrip.experiments.dataset_tables import (
+    DatasetCounts,
+    GraspDuration,
+    count_epic_grasps,
+    durations_by_category,
+    epic_durations,
+)
 from getagrip.grasps import lists
 from helpers.paths import DATA, needs
 
@@ -55,7 +61,7 @@ def epic_table(folder: Path) -> Path:
 
 @needs(EPIC)
 def test_the_papers_table_comes_out() -> None:
-    rows = {row.category: row for row in durations(epic_durations(read_grasps(EPIC)))}
+    rows = {row.category: row for row in durations_by_category(epic_durations(read_grasps(EPIC)))}
     assert set(rows) == set(PAPER)
     for category, (mean, std, longest, clips) in PAPER.items():
         row = rows[category]
@@ -71,7 +77,10 @@ def test_the_papers_table_comes_out() -> None:
 
 @needs(EPIC)
 def test_true_rates_make_the_first_videos_shorter_only() -> None:
-    paper, true = durations(epic_durations(read_grasps(EPIC))), durations(epic_durations(read_grasps(EPIC), "true"))
+    paper, true = (
+        durations_by_category(epic_durations(read_grasps(EPIC))),
+        durations_by_category(epic_durations(read_grasps(EPIC), "true")),
+    )
     for one, other in zip(paper, true, strict=True):
         assert other.mean < one.mean <= 1.2 * other.mean
         assert one.clips == other.clips
@@ -79,13 +88,13 @@ def test_true_rates_make_the_first_videos_shorter_only() -> None:
 
 def test_durations_with_known_answers(tmp_path: Path) -> None:
     assert epic_durations(read_grasps(epic_table(tmp_path))) == [
-        LastingGrasp("cup", "left", 2.4), LastingGrasp("cup", "right", 4.0), LastingGrasp("pan", "right", 6.0)
+        GraspDuration("cup", "left", 2.4), GraspDuration("cup", "right", 4.0), GraspDuration("pan", "right", 6.0)
     ]  # fmt: skip
     assert [grasp.duration for grasp in epic_durations(read_grasps(epic_table(tmp_path)), "true")] == [2.0, 4.0, 5.0]
-    cup, pan, all_ = durations(epic_durations(read_grasps(epic_table(tmp_path)), "true"))
+    cup, pan, all_ = durations_by_category(epic_durations(read_grasps(epic_table(tmp_path)), "true"))
     assert (cup.mean, cup.std, cup.longest, cup.clips, cup.left, cup.right) == (3.0, 1.0, 4.0, 2, 1, 1)
     assert (pan.category, all_.category, all_.clips, all_.longest) == ("pan", "All", 3, 5.0)
-    assert durations([]) == []
+    assert durations_by_category([]) == []
 
 
 def errata_table(folder: Path, action: str = "REMAKE", of: str = "cup/P01_01_left_hand_101_220") -> Path:
@@ -115,24 +124,24 @@ def test_errata_change_hands_or_take_grasps_away(run: Run, tmp_path: Path) -> No
 
 @needs(EPIC)
 def test_the_published_errata() -> None:
-    all_ = durations(epic_durations(read_grasps(EPIC, EPIC.with_name("epicgrasps_2431_errata.csv"))))[-1]
+    all_ = durations_by_category(epic_durations(read_grasps(EPIC, EPIC.with_name("epicgrasps_2431_errata.csv"))))[-1]
     assert (all_.clips, all_.left, all_.right) == (2425, 1439, 986)
 
 
 @needs(EPIC)
 def test_the_papers_comparison_of_datasets_comes_out() -> None:
     """141 environments, 31 subjects, 9 categories, about 390 instances; with the errata, 319,661 masks."""
-    without = epic_counts(read_grasps(EPIC))
-    assert without == Counts(141, 31, 9, 390, 2426, 1445, 981, 319_764)
-    mended = epic_counts(read_grasps(EPIC, EPIC.with_name("epicgrasps_2431_errata.csv")))
-    assert mended == Counts(141, 31, 9, 390, 2425, 1439, 986, 319_661)
+    without = count_epic_grasps(read_grasps(EPIC))
+    assert without == DatasetCounts(141, 31, 9, 390, 2426, 1445, 981, 319_764)
+    mended = count_epic_grasps(read_grasps(EPIC, EPIC.with_name("epicgrasps_2431_errata.csv")))
+    assert mended == DatasetCounts(141, 31, 9, 390, 2425, 1439, 986, 319_661)
 
 
 def test_figures_of_a_table_and_of_a_list(run: Run, tmp_path: Path) -> None:
-    assert epic_counts(read_grasps(epic_table(tmp_path))) == Counts(3, 2, 2, 3, 3, 1, 2, 3)
+    assert count_epic_grasps(read_grasps(epic_table(tmp_path))) == DatasetCounts(3, 2, 2, 3, 3, 1, 2, 3)
     blank = (tmp_path / "epic.csv").read_text().replace(",120,1,", ",120,,", 1)
     (tmp_path / "epic.csv").write_text(blank)
-    assert epic_counts(read_grasps(tmp_path / "epic.csv")).masks is None
+    assert count_epic_grasps(read_grasps(tmp_path / "epic.csv")).masks is None
     rows = [
         {"sequence": f"{who}--x", "side": "left", "object": "cup", "start": 0, "end": 1, "duration": 1} for who in "ab"
     ]
@@ -152,7 +161,7 @@ def test_a_list_in_either_form_says_the_same(run: Run, tmp_path: Path) -> None:
     with table.open(newline="") as stream:
         rows = [{**row, "duration": float(row["duration"])} for row in csv.DictReader(stream)]
     file.write_text(json.dumps(rows))
-    assert lists.read(table).grasps == lists.read(file).grasps
+    assert lists.read_listed_grasps(table).grasps == lists.read_listed_grasps(file).grasps
     first = run("stats", table, "--out", tmp_path / "out", "--json", tmp_path / "stats.json")
     assert (first[0], first[2]) == (0, "")
     assert run("stats", file)[1] in first[1]

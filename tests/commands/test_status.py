@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.batch.entries import FILE, Entry
+from getagrip.batch.entries import LEDGER_FILE, LedgerEntry
 from getagrip.batch.ledger import Ledger
 from getagrip.clip import Clip, write_clip
 from getagrip.fitting.options import Options
 from getagrip.io.files import to_json
-from getagrip.result import Reconstruction, read_record
+from getagrip.result import Reconstruction, read_result_record
 from helpers.clips import small_clip
 from helpers.command_line import Run
 from helpers.egg_and_mug import perfect
@@ -75,7 +75,7 @@ def test_an_interrupt_leaves_a_summary_and_status_shows_it(
     page = (out / "index.html").read_text("utf-8")
     assert '"counts":{"results":1,"failed":4,"left":2}' in page
     (row,) = (row for row in csv.DictReader((out / "summary.csv").read_text().splitlines()) if row["clip"] == "a")
-    version = read_record(out / "a")["software"]["getagrip"]
+    version = read_result_record(out / "a")["software"]["getagrip"]
     assert [row[key] for key in ("method", "seed", "version", "ambiguous")] == ["static", "7", version, "False"]
     for name in ("summary.csv", "index.html"):
         (out / name).unlink()
@@ -99,12 +99,12 @@ def test_a_kill_leaves_what_status_and_report_show(clips: Path, tmp_path: Path, 
         ledger.claim("a", "", "")
         shutil.copytree(tmp_path / "at work", out)
     shutil.copytree(done / "a", out / "a")
-    assert (out / f"{FILE}-wal").stat().st_size
-    before = {name: content for name, content in contents(out).items() if name.startswith(FILE)}
+    assert (out / f"{LEDGER_FILE}-wal").stat().st_size
+    before = {name: content for name, content in contents(out).items() if name.startswith(LEDGER_FILE)}
     status, printed, _ = run("status", out)
     assert (status, "1 done, 0 failed, 3 left" in printed) == (0, True)
     after = contents(out)
-    assert all(after[name] == before[name] for name in (FILE, f"{FILE}-wal"))  # only read
+    assert all(after[name] == before[name] for name in (LEDGER_FILE, f"{LEDGER_FILE}-wal"))  # only read
     for name in ("summary.csv", "index.html"):
         (out / name).unlink()
     assert run("report", out, "--index-only", "--clips", clips)[0] == 0
@@ -115,11 +115,11 @@ def test_a_kill_leaves_what_status_and_report_show(clips: Path, tmp_path: Path, 
 def test_results_do_without_a_ledger(clips: Path, tmp_path: Path, run: Run, interrupted: None) -> None:
     out = tmp_path / "out"
     run("reconstruct", clips / "a", clips / "d", "--out", out)
-    (out / FILE).write_bytes(b"none" * 100)
+    (out / LEDGER_FILE).write_bytes(b"none" * 100)
     status, printed, err = run("status", out)
     assert (status, "2 done, 0 failed, 0 left" in printed, "only results are listed" in err) == (0, True, True)
-    assert (out / FILE).read_bytes() == b"none" * 100
-    (out / FILE).unlink()
+    assert (out / LEDGER_FILE).read_bytes() == b"none" * 100
+    (out / LEDGER_FILE).unlink()
     before = sorted(path.name for path in out.iterdir())
     assert run("status", out)[0] == 0
     assert sorted(path.name for path in out.iterdir()) == before
@@ -136,7 +136,7 @@ def test_a_ledger_of_a_stranger_does_no_harm(tmp_path: Path, run: Run) -> None:
         "clip": "\x1b[2J[red]",
     }
     with Ledger(out) as ledger:
-        ledger.expect(["[bold]", ".."], [Entry("/a/b", "failed", "\x1b[2J", about=about)])
+        ledger.expect(["[bold]", ".."], [LedgerEntry("/a/b", "failed", "\x1b[2J", about=about)])
     (tmp_path / "canary").write_text("mine")
     (out / "summary.csv").symlink_to(tmp_path / "canary")
     status, printed, _ = run("status", out)
@@ -145,8 +145,8 @@ def test_a_ledger_of_a_stranger_does_no_harm(tmp_path: Path, run: Run) -> None:
     assert "[bold]" in printed
     assert "'=cmd" in (out / "summary.csv").read_text("utf-8")
     assert (tmp_path / "canary").read_text() == "mine"
-    ledger_file = (out / FILE).rename(tmp_path / "elsewhere")
-    (out / FILE).symlink_to(ledger_file)
+    ledger_file = (out / LEDGER_FILE).rename(tmp_path / "elsewhere")
+    (out / LEDGER_FILE).symlink_to(ledger_file)
     assert "a link" in run("status", out)[2]
 
 

@@ -16,9 +16,9 @@ from getagrip.batch import executor
 from getagrip.clip import write_clip
 from getagrip.errors import InputError
 from getagrip.geometry import se3
-from getagrip.grasps.study import MEASURES, TIMES, study
-from getagrip.pictures.study import INSIDE
-from getagrip.pictures.style import AXIS, FOUND
+from getagrip.grasps.study import NORMALISED_TIMES, STUDY_MEASURES, study
+from getagrip.pictures.study import GRASP_BAND_COLOUR
+from getagrip.pictures.style import AXIS_COLOUR, RESULT_COLOUR
 from helpers.pictures import pixels_of, read_picture
 from helpers.turning import turning
 
@@ -55,16 +55,16 @@ def test_all_is_written_and_printed(run: Run, tmp_path: Path, monkeypatch: pytes
     }
     assert means["All", "inside", "one_dof_rotation"] < 1e-6 < means["All", "inside", "static_rotation"]
     with (out / "curves.csv").open(newline="") as stream:
-        assert len(list(csv.DictReader(stream))) == len(MEASURES) * len(TIMES)
+        assert len(list(csv.DictReader(stream))) == len(STUDY_MEASURES) * len(NORMALISED_TIMES)
     with (out / "summary.csv").open(newline="") as stream:
-        assert len(list(csv.DictReader(stream))) == 3 * 2 * len(MEASURES)
+        assert len(list(csv.DictReader(stream))) == 3 * 2 * len(STUDY_MEASURES)
     picture = read_picture(out / "study.png")
     for third in np.array_split(picture, 3, axis=1):
         for half in np.array_split(third, 2):
-            assert pixels_of(half, INSIDE) > 1000  # six panels, the time of the grasp in blue
-    assert pixels_of(picture, FOUND) > 200  # static
-    assert pixels_of(picture, AXIS) > 200  # 1-DoF
-    monkeypatch.setattr(executor, "in_processes", crossing)
+            assert pixels_of(half, GRASP_BAND_COLOUR) > 1000  # six panels, the time of the grasp in blue
+    assert pixels_of(picture, RESULT_COLOUR) > 200  # static
+    assert pixels_of(picture, AXIS_COLOUR) > 200  # 1-DoF
+    monkeypatch.setattr(executor, "run_in_processes", crossing)
     again = run("study", tmp_path / "clips", *options, "--workers", 2)
     assert again == (status, printed, err)  # a clip without grasps is none that failed
 

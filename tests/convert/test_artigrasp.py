@@ -13,7 +13,7 @@ from getagrip.datasets.track_files import Tracks
 from getagrip.datasets.tracks import Track
 from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import read_mesh
-from getagrip.geometry.subdivide import fine
+from getagrip.geometry.subdivide import subdivide_parts
 from helpers.artigrasp_files import ESTIMATE_WORLD, SEQUENCE, write_artigrasp, write_estimates
 from helpers.paths import folder_of
 from helpers.recorded_joints import OPENED, TAKEN, recording
@@ -41,8 +41,8 @@ def read(root: Path, *options: str) -> list[Track]:
 def template(root: Path) -> arctic.Template:
     """The box."""
     parts = [read_mesh(root / "rsc" / "arctic" / "box" / f"{part}_watertight_tiny.obj") for part in artigrasp.PARTS]
-    mesh, part = fine(parts)
-    return arctic.in_neutral_frame(mesh, part == 1)
+    mesh, part = subdivide_parts(parts)
+    return arctic.make_neutral_template(mesh, part == 1)
 
 
 @pytest.mark.slow
@@ -81,7 +81,7 @@ def test_meshes_have_enough_vertices_to_count_contact(root: Path) -> None:
 
 @pytest.mark.slow
 def test_a_grasp_ends_where_the_joint_turns(root: Path) -> None:
-    found = list(cutting.pieces(read(root), print, tracks(root).cut(print)))
+    found = list(cutting.cut_into_grasps(read(root), print, tracks(root).cut(print)))
     spans = [(p.track.side, int(p.track.numbers[0]), int(p.track.numbers[-1])) for p in found]
     assert spans == [("right", TAKEN, OPENED - 1), ("right", OPENED, 63)]  # the left hand holds nothing
     provenance = found[0].track.describe(found[0])
@@ -124,7 +124,7 @@ def test_estimated_hands_stand_by_the_true_object_as_by_the_estimated_one(estima
             se3.transform(hand.T_cam_hand, hand.joints) for hand in (track.hand, track.input_hand)
         )  # the same hand, fitted twice, nearer to the camera
         np.testing.assert_allclose(given - true, np.broadcast_to([0.0, 0.0, -0.01], true.shape), atol=4e-3)
-        clip = cutting.known_clip(track)
+        clip = cutting.clip_of_track(track)
         assert clip.truth is not None
         np.testing.assert_array_equal(clip.hand.T_cam_hand, track.input_hand.T_cam_hand)
         np.testing.assert_array_equal(clip.truth.T_cam_hand, track.hand.T_cam_hand)
@@ -139,7 +139,7 @@ def test_estimated_hands_stand_by_the_true_object_as_by_the_estimated_one(estima
 def test_the_estimated_object_of_each_clip_stands_at_the_true_place(estimated: Path, tmp_path: Path) -> None:
     clips, poses = tmp_path / "clips", tmp_path / "poses"
     for track in read(estimated, "--estimated"):
-        write_clip(cutting.known_clip(track.take(np.arange(5, 25)), track.name), None, clips / track.name)
+        write_clip(cutting.clip_of_track(track.take(np.arange(5, 25)), track.name), None, clips / track.name)
     artigrasp.main(["", str(estimated / "tracks"), "--poses", str(clips), str(poses)])
     for folder in sorted(clips.iterdir()):
         clip, stored = read_clip(folder), np.load(poses / f"{folder.name}.npz")

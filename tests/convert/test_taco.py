@@ -70,7 +70,7 @@ def test_real_regions_are_about_those_that_the_authors_published(folder: Path) -
         _, vertices, pose, given = taco.read(file)
         flat = taco.flat_hand(vertices, generic.load("left").joints[0], pose)
         assert flat is not None
-        regions = mano.regions(flat[0], np.array(given["hand_faces"]).astype(np.int64), *flat[1:])
+        regions = mano.mano_contact_regions(flat[0], np.array(given["hand_faces"]).astype(np.int64), *flat[1:])
         ours = [set(ids.tolist()) for ids in regions.values()]
         iou = np.array([[len(a & b) / len(a | b) for b in published] for a in ours])
         assert np.array_equal(iou.argmax(axis=1), np.arange(8))
@@ -95,8 +95,8 @@ def test_a_hand_is_found_behind_its_motion(side: Side) -> None:
     assert off[13:].max() < 8e-3  # the thumb's, about whose saddle joint few vertices turn alone
     assert np.median(np.linalg.norm(template - model.template, axis=1)) < 1e-3
     assert np.mean(weights.argmax(axis=1) == model.weights.argmax(axis=1)) > 0.9
-    expected = mano.regions(model.template, model.faces, model.joints, model.weights)
-    for name, ids in mano.regions(template, model.faces, joints, weights).items():
+    expected = mano.mano_contact_regions(model.template, model.faces, model.joints, model.weights)
+    for name, ids in mano.mano_contact_regions(template, model.faces, joints, weights).items():
         assert len(np.intersect1d(ids, expected[name])) > 0.7 * len(np.union1d(ids, expected[name])), name
 
 

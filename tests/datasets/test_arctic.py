@@ -21,7 +21,7 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.depth import depth_and_face
 from getagrip.geometry.mesh import Mesh
-from getagrip.grasps.cut import Cut
+from getagrip.grasps.cut import CutRules
 from getagrip.grasps.definition import Definition, GraspOptions
 from getagrip.grasps.stable import segment
 from helpers.arctic_files import K_EGO, OFFSET, OPENED, scene, write_arctic
@@ -37,7 +37,7 @@ from helpers.held_ball import (
 )  # fmt: skip
 from helpers.paths import folder_of
 
-CUT = Cut(Definition(tau=0.5, contact=0.0, shortest=20))
+CUT = CutRules(Definition(tau=0.5, contact=0.0, shortest=20))
 
 
 @pytest.fixture
@@ -53,8 +53,8 @@ def read(root: Path, mano: Path, **options: Any) -> list[tracks.Track]:
 
 def clips(root: Path, mano: Path, whole: bool = False) -> list[Any]:
     notes: list[str] = []
-    found = cutting.pieces(read(root, mano), notes.append, CUT, whole)
-    return [cutting.clip(piece, 20, notes.append) for piece in found]
+    found = cutting.cut_into_grasps(read(root, mano), notes.append, CUT, whole)
+    return [cutting.clip_of_piece(piece, 20, notes.append) for piece in found]
 
 
 @pytest.mark.slow
@@ -239,7 +239,7 @@ def test_broken_hands_are_named(root: Path, mano: Path, keys: tuple[str, ...], v
 
 def test_absurdly_long_sequences_are_refused_before_memory_is_taken(root: Path, mano: Path) -> None:
     file = root / "raw_seqs" / "s01" / "ball_use_01.object.npy"
-    np.save(file, np.zeros((tracks.MOST_FRAMES + 1, 7)))
+    np.save(file, np.zeros((tracks.MAX_SEQUENCE_FRAMES + 1, 7)))
     with pytest.raises(InputError, match=r"object\.npy must be at most 20000.*got 20001 frames"):
         read(root, mano)
 
@@ -315,7 +315,7 @@ def test_real_hands_and_objects(folder: Path, mano: Path) -> None:
     assert poses.shape[1] == 7
     hands = rsc / "mano_double" / file.parent.name / file.name.replace(".object.", ".mano.")
     T_cam_world = np.tile(np.eye(4), (len(poses), 1, 1))
-    read = arctic._hands(hands, mano, T_cam_world, len(poses))
+    read = arctic._read_arctic_hands(hands, mano, T_cam_world, len(poses))
     joints = np.load(rsc / "mano_double" / "ee" / file.parent.name / file.name.replace(".object.npy", "_r.npy"))
     right = np.arange(3, 32 * (len(poses) // 32))
     wrists = read["right"].T_cam_hand[right] @ np.append(posed(mano, "right")[0].model.joints[0], 1.0)

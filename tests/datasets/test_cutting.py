@@ -12,16 +12,16 @@ import trimesh
 
 from getagrip.batch.imports import import_clips
 from getagrip.clip import FINGERS, HandTrack, Joint, read_clip, write_clip
-from getagrip.datasets.cutting import TrackedDataset, clip, pieces
+from getagrip.datasets.cutting import TrackedDataset, clip_of_piece, cut_into_grasps
 from getagrip.datasets.dataset import Note
-from getagrip.datasets.tracks import Source, Track
+from getagrip.datasets.tracks import SequenceSource, Track
 from getagrip.errors import InputError, UsageError
-from getagrip.experiments.dataset_tables import durations, list_durations
+from getagrip.experiments.dataset_tables import durations_by_category, grasp_list_durations
 from getagrip.experiments.sources.source import ClipFolder
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.grasps import lists
-from getagrip.grasps.cut import Cut
+from getagrip.grasps.cut import CutRules
 from getagrip.grasps.definition import Definition, GraspOptions
 from getagrip.grasps.stable import segment
 from helpers.command_line import Run
@@ -62,8 +62,8 @@ class OneTrack(TrackedDataset):
     root: Path = Path()
     grasps: GraspOptions = field(default_factory=lambda: GraspOptions(shortest=10))
 
-    def sources(self) -> list[Source]:
-        return [Source("s01/ball_use_01", _read)]
+    def sources(self) -> list[SequenceSource]:
+        return [SequenceSource("s01/ball_use_01", _read)]
 
 
 def _read(note: Note) -> list[Track]:
@@ -78,21 +78,24 @@ def numbers(folder: Path) -> tuple[int, int, int]:
 
 @pytest.mark.slow
 def test_an_import_and_segment_agree_on_a_joint_that_drifts(tmp_path: Path) -> None:
-    cut = Cut(Definition())
-    (found,) = pieces([drifting()], print, cut)
+    cut = CutRules(Definition())
+    (found,) = cut_into_grasps([drifting()], print, cut)
     assert found.track.numbers[[0, -1]].tolist() == [ORIGIN + FIRST, ORIGIN + LAST]
-    (whole,) = pieces([drifting()], print, cut, whole=True)
+    (whole,) = cut_into_grasps([drifting()], print, cut, whole=True)
     assert len(whole.track) == FRAMES
-    made = clip(whole, 20, print)
+    made = clip_of_piece(whole, 20, print)
     assert made is not None
     written = read_clip(write_clip(made[0], None, tmp_path / "whole"))
     assert segment(written, Definition())[1] == [(FIRST, LAST)]
     # Beyond 5 degrees it has been opened, in both.
     wide = replace(drifting(), articulation=np.radians(np.linspace(0.0, 20.4, FRAMES)))
-    (whole,) = pieces([wide], print, cut, whole=True)
-    made = clip(whole, 20, print)
+    (whole,) = cut_into_grasps([wide], print, cut, whole=True)
+    made = clip_of_piece(whole, 20, print)
     assert made is not None
-    ends = [piece.track.numbers[[0, -1]] - ORIGIN for piece in pieces([wide], print, Cut(Definition(shortest=5)))]
+    ends = [
+        piece.track.numbers[[0, -1]] - ORIGIN
+        for piece in cut_into_grasps([wide], print, CutRules(Definition(shortest=5)))
+    ]
     assert [tuple(end) for end in ends] == segment(made[0], Definition(shortest=5))[1] == [(30, 54), (55, 70)]
 
 
@@ -104,8 +107,8 @@ def test_contact_is_that_of_the_object_as_its_joint_was(tmp_path: Path) -> None:
     lid = replace(track.joint, moves=track.mesh.vertices[:, 0] < -0.02, point=np.array([0.0, -0.03, 0.0]))
     angle = np.where(np.arange(FRAMES) < 50, 0.0, -0.5)
     opened = replace(track, joint=lid, articulation=angle)
-    (whole,) = pieces([opened], print, Cut(Definition()), whole=True)
-    made = clip(whole, 20, print)
+    (whole,) = cut_into_grasps([opened], print, CutRules(Definition()), whole=True)
+    made = clip_of_piece(whole, 20, print)
     assert made is not None
     written = read_clip(write_clip(made[0], None, tmp_path / "whole"))
     assert made[0].truth == written.truth
@@ -129,12 +132,12 @@ def test_the_list_beside_the_clips_is_theirs(tmp_path: Path, run: Run, capsys: p
     out = tmp_path / "clips"
     assert import_clips(OneTrack(), out, debug=False) == 0
     assert numbers(out / NAME) == (FIRST, LAST, LAST + 1 - FIRST)
-    found = lists.read(out / "grasps.json")
+    found = lists.read_listed_grasps(out / "grasps.json")
     first, last = f"{FIRST + ORIGIN:05d}", f"{LAST + ORIGIN:05d}"
     (grasp,) = found.grasps
     assert (grasp.sequence, grasp.first, grasp.last) == (NAME, first, last)
     assert grasp.duration == pytest.approx((LAST + 1 - FIRST) / 30.0)
-    (row, _) = durations(list_durations(out, found.grasps))
+    (row, _) = durations_by_category(grasp_list_durations(out, found.grasps))
     assert (row.category, row.clips, row.mean) == ("ball", 1, pytest.approx(grasp.duration))
     # Clips cut in another way do not go beside them.
     for other in (OneTrack(whole=True), OneTrack(grasps=GraspOptions(shortest=11))):
@@ -161,11 +164,11 @@ def test_every_command_takes_the_same_list(tmp_path: Path, run: Run) -> None:
         assert (status, err.strip()) == (0, "1 of the 2 grasps of marked.json are in these clips")
         assert "1 stable grasp in 1 of 1 clip" in said
         lists_made.append(out / "grasps.json")
-    grasps = [lists.read(path).grasps for path in (*lists_made, tmp_path / "segment" / "segments.csv")]
+    grasps = [lists.read_listed_grasps(path).grasps for path in (*lists_made, tmp_path / "segment" / "segments.csv")]
     assert {(one.sequence, one.first, one.last) for found in grasps for one in found} == {(NAME, "00047", "00067")}
     # The contact is that of whoever read the list: an importer's (here ARCTIC's), or the command's options.
     assert lists.read_cut(lists_made[0]) == {
-        "list": "marked.json", "sha256": lists.read(marked).sha256, "contact": 0.0, "points": "vertices",
+        "list": "marked.json", "sha256": lists.read_listed_grasps(marked).sha256, "contact": 0.0, "points": "vertices",
     }  # fmt: skip
     assert ClipFolder(folder=tmp_path / "clips").contact_mm == 0.0
     # What one of them wrote, the others read.

@@ -13,7 +13,7 @@ import pytest
 from getagrip.batch.imports import import_clips
 from getagrip.clip import read_clip, read_masks
 from getagrip.datasets import cutting, tracks
-from getagrip.datasets.ho3d import WITHIN_10_MM, Ho3d
+from getagrip.datasets.ho3d import GRASPS_WITHIN_10_MM, Ho3d
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands import generic
@@ -61,9 +61,9 @@ def test_hands_are_mano_s_or_fitted_to_the_joints(root: Path, mano: Path) -> Non
 @pytest.mark.slow
 def test_a_grasp_ends_where_nothing_is_known(root: Path) -> None:
     notes: list[str] = []
-    (piece,) = cutting.pieces(read(root, None), notes.append, WITHIN_10_MM.cut(print))
+    (piece,) = cutting.cut_into_grasps(read(root, None), notes.append, GRASPS_WITHIN_10_MM.cut(print))
     np.testing.assert_array_equal(piece.track.numbers, np.arange(TAKEN, LOST))
-    clip, masks = cutting.clip(piece, 20, notes.append)
+    clip, masks = cutting.clip_of_piece(piece, 20, notes.append)
     assert clip.frames[0] == f"{TAKEN:04d}"
     assert clip.truth.articulation is None
     assert "0.9" in clip.provenance["clip"] or "1.000" in clip.provenance["clip"]

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from getagrip.clip import read_clip, read_masks
-from getagrip.clip.depth_sources import HO3D_UNIT
+from getagrip.clip.depth_sources import HO3D_DEPTH_UNIT_M
 from getagrip.evaluation.metric import METRICS
 from getagrip.experiments.other_masks import WithMasks, without_depth
-from getagrip.experiments.published import ALL, read
+from getagrip.experiments.published import ALL_PARTS_LABEL, read_published_results
 from getagrip.experiments.sources.ho3d import Ho3dEval
 from helpers.command_line import Run
 from helpers.held_ball import FRAMES
@@ -36,7 +36,7 @@ def root(tmp_path: Path, mano: Path) -> Path:
     (root / "evaluation_xyz.json").write_text(json.dumps(np.array(joints).tolist()))
     depth = root / "evaluation" / "SM1" / "depth"
     depth.mkdir()
-    number = round(0.9 / HO3D_UNIT)
+    number = round(0.9 / HO3D_DEPTH_UNIT_M)
     image = np.full((480, 640, 3), [0, number // 256, number % 256], np.uint8)
     for n in range(FRAMES):
         cv2.imwrite(str(depth / f"{n:04d}.png"), image)
@@ -47,7 +47,9 @@ def root(tmp_path: Path, mano: Path) -> Path:
 def test_rows_are_masks_and_columns_the_field_s(
     root: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("getagrip.metrics.recall.BALL", 20)  # of 500: how good poses are is not looked at
+    monkeypatch.setattr(
+        "getagrip.metrics.recall.N_RECALL_BALL_ROTATIONS", 20
+    )  # of 500: how good poses are is not looked at
     out, masks = tmp_path / "out", tmp_path / "masks"
     source = Ho3dEval(root=root)
     (sample,), failed = source.samples(out / "clips", False)
@@ -77,15 +79,15 @@ def test_rows_are_masks_and_columns_the_field_s(
 
 def test_printed_numbers_are_of_columns_of_ours_and_their_means_are_right() -> None:
     labels = {metric.label for metric in METRICS.working().values() if metric.group == "recall"}
-    for system in read("ho3d_published.json").values():
+    for system in read_published_results("ho3d_published.json").values():
         assert {*system.columns} <= labels
         assert system.source
         assert system.given
         assert all(len(row) == len(system.columns) for row in system.rows.values())
         for column in system.columns:
-            numbers = [system.number(part, column) for part in system.rows if part != ALL]
+            numbers = [system.number(part, column) for part in system.rows if part != ALL_PARTS_LABEL]
             if numbers and not np.isnan(numbers).any():
-                assert system.number(ALL, column) == pytest.approx(np.mean(numbers), abs=0.11)
+                assert system.number(ALL_PARTS_LABEL, column) == pytest.approx(np.mean(numbers), abs=0.11)
 
 
 @pytest.mark.slow

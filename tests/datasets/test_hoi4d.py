@@ -13,7 +13,7 @@ import pytest
 from getagrip.batch.imports import import_clips
 from getagrip.clip import read_clip, read_masks
 from getagrip.datasets import cutting, tracks
-from getagrip.datasets.hoi4d import PAPER, Hoi4d
+from getagrip.datasets.hoi4d import HOI4D_GRASP_OPTIONS, Hoi4d
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from helpers.command_line import Run
@@ -72,7 +72,7 @@ def test_frames_without_a_hand_are_gaps(root: Path, mano: Path) -> None:
     (root / "handpose" / "refinehandpose_right" / INDEX / "28.pickle").unlink()
     notes: list[str] = []
     for whole, first in ((False, TAKEN), (True, 0)):
-        before, after = cutting.pieces(read(root, mano), notes.append, PAPER.cut(print), whole)
+        before, after = cutting.cut_into_grasps(read(root, mano), notes.append, HOI4D_GRASP_OPTIONS.cut(print), whole)
         np.testing.assert_array_equal(before.track.numbers, np.arange(first, 28))
         np.testing.assert_array_equal(after.track.numbers, np.arange(29, FRAMES))
 
@@ -81,9 +81,9 @@ def test_frames_without_a_hand_are_gaps(root: Path, mano: Path) -> None:
 @pytest.mark.slow
 def test_labels_are_masks(root: Path, mano: Path, kind: str) -> None:
     write_labels(root, kind)
-    (piece,) = cutting.pieces(read(root, mano), print, PAPER.cut(print))
+    (piece,) = cutting.cut_into_grasps(read(root, mano), print, HOI4D_GRASP_OPTIONS.cut(print))
     few = replace(piece, track=piece.track.take(np.arange(2)))
-    clip, masks = cutting.clip(few, 2, print)
+    clip, masks = cutting.clip_of_piece(few, 2, print)
     assert "drawn by people" in clip.provenance["masks"]
     seen, ignore = masks.object[0], masks.ignore[0]
     assert seen.shape == (540, 960)
@@ -151,9 +151,9 @@ def test_broken_labels_are_named(root: Path, mano: Path) -> None:
     small = path.read_bytes()
     for damaged in (content[: len(content) // 2], b"", small):
         path.write_bytes(damaged)
-        (piece,) = cutting.pieces(read(root, mano), print, PAPER.cut(print))
+        (piece,) = cutting.cut_into_grasps(read(root, mano), print, HOI4D_GRASP_OPTIONS.cut(print))
         with pytest.raises(InputError, match=r"00007\.png"):
-            cutting.clip(piece, 20, print)
+            cutting.clip_of_piece(piece, 20, print)
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 from getagrip.datasets import cutting
 from getagrip.datasets.dataset import clips
 from getagrip.datasets.hot3d import recording
-from getagrip.datasets.hot3d.reader import HOLDS, Hot3d, touching
+from getagrip.datasets.hot3d.reader import HOT3D_GRASP_OPTIONS, Hot3d, cut_into_holds
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.depth import depth_and_face
@@ -119,10 +119,10 @@ def test_broken_files_are_named(root, name, old, new):
 
 
 def test_recordings_of_absurd_lengths_are_refused(root, monkeypatch):
-    monkeypatch.setattr(recording, "MOST_FRAMES", FRAMES - 1)
+    monkeypatch.setattr(recording, "MAX_HOT3D_FRAMES", FRAMES - 1)
     with pytest.raises(InputError, match=r"headset_trajectory\.csv must be 2 to 15.*got 16 frames"):
         list(read(root))
-    monkeypatch.setattr(recording, "LARGEST_TABLE", 1000)
+    monkeypatch.setattr(recording, "MAX_HOT3D_FILE_BYTES", 1000)
     with pytest.raises(InputError, match=r"must be at most 1000.*bytes"):
         list(read(root))
 
@@ -134,7 +134,7 @@ def test_hot3d_clips_are_named(tmp_path, name):
     path.touch()
     for folder in (tmp_path, *([path] if path.suffix == ".tar" else [])):
         with pytest.raises(InputError, match=r"HOT3D-Clips \(clip-\*\.tar\), another layout"):
-            recording.find(folder)
+            recording.find_hot3d_recordings(folder)
 
 
 def test_missing_files_are_named(root):
@@ -180,13 +180,13 @@ def test_whole_recordings_show_what_is_outside_of_the_holds(root, tmp_path, run)
     assert [folder.name for folder in (tmp_path / "out").glob("*/")] == [HOLD]
     assert not (tmp_path / "out" / HOLD / "masks").exists()
     (source,) = Hot3d(root=root).sources()
-    (piece,) = touching(source.read(print), print, HOLDS.cut(print))
-    clip, _ = cutting.clip(piece, HOLDS.shortest, print)
+    (piece,) = cut_into_holds(source.read(print), print, HOT3D_GRASP_OPTIONS.cut(print))
+    clip, _ = cutting.clip_of_piece(piece, HOT3D_GRASP_OPTIONS.shortest, print)
     assert (clip.name, clip.frames) == (HOLD, frames(tmp_path / "out" / HOLD))
     assert clip.frames == tuple(f"{n:06d}" for n in range(FRAMES))
     assert segment(clip, Definition(contact=0.005, points="area", shortest=5))[1] == [(2, 13)]
     other = replace(piece.track.take(np.array([1, 4])), side="left")
-    both, _ = cutting.clip(replace(piece, other=other), HOLDS.shortest, print)
+    both, _ = cutting.clip_of_piece(replace(piece, other=other), HOT3D_GRASP_OPTIONS.shortest, print)
     assert np.flatnonzero(both.other_hand.known).tolist() == [1, 4]
     np.testing.assert_array_equal(both.other_hand.track.T_cam_hand[:2], clip.hand.T_cam_hand[[1, 1]])
 
@@ -200,7 +200,7 @@ def test_an_interaction_becomes_a_timeline(root, tmp_path):
         ("free", 0, 1, None), ("grasp", 2, 13, "right"), ("free", 14, 15, None),
     ]  # fmt: skip
     assert masks.object.any()
-    listed = replace(HOLDS, listed=timelines(tmp_path / "hit.json"))
+    listed = replace(HOT3D_GRASP_OPTIONS, listed=timelines(tmp_path / "hit.json"))
     ((clip, _),) = clips(Hot3d(root=root, timelines=True, grasps=listed))
     assert [(s.state, s.first, s.last, s.side) for s in clip.segments] == [
         ("grasp", 0, 2, "left"), ("grasp", 3, 6, "right"), ("grasp", 7, 7, "left"), ("grasp", 8, 8, "right"),
@@ -284,17 +284,19 @@ def test_wrong_calls_with_lists(root, tmp_path, run):
 )
 def test_broken_lists_are_named(tmp_path, changes, named):
     with pytest.raises(InputError, match=named):
-        lists.read(timelines(tmp_path / "hit.json", **changes))
+        lists.read_listed_grasps(timelines(tmp_path / "hit.json", **changes))
 
 
 def test_only_what_is_in_a_hand_is_a_grasp(tmp_path):
     kinds = [("inhand", "left"), ("scene_dynamic", "left"), ("scene_static", None)]
     segments = [{"st": 10 * n, "ed": 10 * n + 5, "ref": ref, "side": side} for n, (ref, side) in enumerate(kinds)]
-    assert [one.first for one in lists.read(timelines(tmp_path / "hit.json", segments=segments)).grasps] == [0]
+    assert [
+        one.first for one in lists.read_listed_grasps(timelines(tmp_path / "hit.json", segments=segments)).grasps
+    ] == [0]
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b"[" * 100_000, b"\xff", b"[3]", b"null"])
 def test_what_is_no_list_is_refused(tmp_path, content):
     (tmp_path / "hit.json").write_bytes(content)
     with pytest.raises(InputError, match=r"hit\.json"):
-        lists.read(tmp_path / "hit.json")
+        lists.read_listed_grasps(tmp_path / "hit.json")

@@ -14,7 +14,7 @@ from getagrip.datasets.track_files import Tracks
 from getagrip.datasets.tracks import Track
 from getagrip.errors import InputError
 from getagrip.geometry import se3
-from getagrip.hands.fit import ORDERS
+from getagrip.hands.fit import JOINT_ORDERS
 from getagrip.hands.model import Side
 from helpers.recorded_joints import BOTTOM, FRAMES, TAKEN, recording
 from helpers.tracks_files import content, write
@@ -44,7 +44,7 @@ def test_the_object_is_where_it_is_in_the_hand(tmp_path: Path, side: Side) -> No
 
 @pytest.mark.slow
 def test_the_order_of_the_joints_is_as_stated(tmp_path: Path) -> None:
-    as_ho3d = recording().joints["right"][:, np.argsort(ORDERS["ho3d"])]
+    as_ho3d = recording().joints["right"][:, np.argsort(JOINT_ORDERS["ho3d"])]
     (ours,) = read(write(tmp_path))
     (theirs,) = read(write(tmp_path, order="ho3d", joints_right=as_ho3d))
     np.testing.assert_array_equal(ours.hand.vertices, theirs.hand.vertices)
@@ -77,7 +77,7 @@ def test_a_camera_that_is_given_is_taken(tmp_path: Path) -> None:
 def test_clips_are_given_the_estimated_hand_where_there_is_one(tmp_path: Path) -> None:
     true = recording().joints["right"]
     (track,) = read(write(tmp_path, estimated_right=true + np.array([0.0, 0.02, 0.0])))
-    clip = cutting.known_clip(track)
+    clip = cutting.clip_of_track(track)
     assert clip.truth is not None
     up = (track.T_cam_obj @ se3.inverse(recording().T_world_obj))[:, :3, 1]
     np.testing.assert_allclose(clip.hand.T_cam_hand[:, :3, 3] - clip.truth.T_cam_hand[:, :3, 3], 0.02 * up, atol=1e-4)

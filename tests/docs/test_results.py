@@ -17,9 +17,9 @@ from benchmarks import again, cite, release, results, store, test_runs
 from benchmarks.release import BENCHES
 from benchmarks.store import Column, Table
 from getagrip.commands.bench import Bench, Benches
-from getagrip.experiments.comparison import compare
-from getagrip.experiments.tables import clips_csv_rows, csv_rows, markdown
-from getagrip.experiments.trials import Scores
+from getagrip.experiments.comparison import compare_variants
+from getagrip.experiments.tables import clips_csv_rows, comparison_csv_rows, comparison_markdown
+from getagrip.experiments.trials import GraspClipScores
 from getagrip.experiments.variants import ablation_variants, method_variants
 from getagrip.fitting.options import Options
 from getagrip.io import files
@@ -115,13 +115,15 @@ def test_a_row_is_a_line_and_two_of_a_key_are_refused(two: Path) -> None:
 
 def test_the_output_of_a_bench_becomes_a_table(tmp_path: Path) -> None:
     variants = method_variants(["one-dof", "soft-hinge"], Options())
-    scores = [Scores(f"c{n}", "can", "", True, (score("one-dof", n % 2), score("soft-hinge", 1.0))) for n in range(6)]
-    tables, folder = compare(scores, variants), tmp_path / "dexycb"
+    scores = [
+        GraspClipScores(f"c{n}", "can", "", True, (score("one-dof", n % 2), score("soft-hinge", 1.0))) for n in range(6)
+    ]
+    tables, folder = compare_variants(scores, variants), tmp_path / "dexycb"
     folder.mkdir()
-    files.write_csv(folder / "methods.csv", csv_rows(tables))
+    files.write_csv(folder / "methods.csv", comparison_csv_rows(tables))
     files.write_csv(folder / "methods-clips.csv", clips_csv_rows(scores, variants))
     about, settings = ["dexycb: 6 clips; made 2026-11-25, commit abc"], ["seed 0", "python 3.11"]
-    (folder / "methods.md").write_text(markdown(tables, "Methods", about, settings))
+    (folder / "methods.md").write_text(comparison_markdown(tables, "Methods", about, settings))
     (name, table) = next(iter(results.found(folder).items()))
     assert name == "dexycb-methods"
     one, soft = table.rows
@@ -138,12 +140,14 @@ def test_the_output_of_a_bench_becomes_a_table(tmp_path: Path) -> None:
 
 def test_counts_are_found_where_the_method_differs_from_row_to_row(tmp_path: Path) -> None:
     variants = ablation_variants("departures", [], Options())
-    scores = [Scores(f"c{n}", "can", "", True, tuple(score(v.folder, n % 2) for v in variants)) for n in range(4)]
-    tables, folder = compare(scores, variants), tmp_path / "dexycb"
+    scores = [
+        GraspClipScores(f"c{n}", "can", "", True, tuple(score(v.folder, n % 2) for v in variants)) for n in range(4)
+    ]
+    tables, folder = compare_variants(scores, variants), tmp_path / "dexycb"
     folder.mkdir()
-    files.write_csv(folder / "departures.csv", csv_rows(tables))
+    files.write_csv(folder / "departures.csv", comparison_csv_rows(tables))
     files.write_csv(folder / "departures-clips.csv", clips_csv_rows(scores, variants))
-    (folder / "departures.md").write_text(markdown(tables, "Departures", [], []))
+    (folder / "departures.md").write_text(comparison_markdown(tables, "Departures", [], []))
     table = results.found(folder)["dexycb-departures"]
     assert [row["label"] for row in table.rows][1::8] == ["paper, as it is", "paper, + soft hinge"]
     assert all((row["failed"], row["wrong"]) == (0, 2) for row in table.rows)
@@ -234,7 +238,7 @@ def test_every_run_of_the_test_objects_is_noted_before_it_starts(
 
     monkeypatch.setattr(subprocess, "run", run)
     monkeypatch.setattr(test_runs, "FOLDER", tmp_path)
-    monkeypatch.setattr(test_runs, "stamp", lambda: "2026-11-28, commit abc1234")
+    monkeypatch.setattr(test_runs, "date_and_commit", lambda: "2026-11-28, commit abc1234")
     asked = ["DEXYCB", "YCB", "--other", "OTHER", "--out", str(tmp_path), "--clips", "2", "--only", *test_runs.tables()]
     assert release.main(asked) == 1
     assert noted == [1, 2, 3]

@@ -13,8 +13,8 @@ from getagrip.clip import read_clip
 from getagrip.commands import demo
 from getagrip.datasets.synthetic import scene_options
 from getagrip.datasets.synthetic.scene import clip_name
-from getagrip.datasets.synthetic.splits import PRESETS
-from getagrip.pictures.style import AXIS
+from getagrip.datasets.synthetic.splits import SYNTHETIC_PRESETS
+from getagrip.pictures.style import AXIS_COLOUR
 from getagrip.result import read_result
 from helpers.command_line import Run
 from helpers.pages import commands
@@ -51,10 +51,12 @@ def follow(section: str, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.long
 def test_the_demo_and_a_video_of_ones_own(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(scene_options, "DEMO", replace(scene_options.DEMO, **SMALL))
+    monkeypatch.setattr(scene_options, "DEMO_SCENE_OPTIONS", replace(scene_options.DEMO_SCENE_OPTIONS, **SMALL))
     (words,) = [words for words in commands(TUTORIAL, "The demo") if words[:2] == ["getagrip", "demo"]]
     assert run(*words[1:])[0] == 0
-    again = read_result(tmp_path / "out" / "demo" / clip_name(demo.CATEGORY, demo.SEED, scene_options.DEMO))[0]
+    again = read_result(
+        tmp_path / "out" / "demo" / clip_name(demo.DEMO_CATEGORY, demo.DEMO_SEED, scene_options.DEMO_SCENE_OPTIONS)
+    )[0]
     with monkeypatch.context() as patch:  # it can be run again; the same would be found and drawn
         patch.setattr("getagrip.timelines.reconstruct.reconstruct", lambda *_, **__: again)
         patch.setattr("getagrip.pictures.report.write_report", lambda *given: given[3])
@@ -69,19 +71,19 @@ def test_the_demo_and_a_video_of_ones_own(tmp_path: Path, run: Run, monkeypatch:
 
 def the_mug_is_found(out: Path) -> None:
     """By the demo, and shown on its page."""
-    name = clip_name(demo.CATEGORY, demo.SEED, scene_options.DEMO)
+    name = clip_name(demo.DEMO_CATEGORY, demo.DEMO_SEED, scene_options.DEMO_SCENE_OPTIONS)
     clip = read_clip(out / "clips" / name)
     result, record = read_result(out / name)
     assert result.clip == clip.name
     assert record["metrics"]["add_success"] == 1.0
-    assert pixels_of(read_picture(out / "report.png"), AXIS) > 500
+    assert pixels_of(read_picture(out / "report.png"), AXIS_COLOUR) > 500
     assert f'"clip":"{name}"' in (out / "report.html").read_text("utf-8")
 
 
 @pytest.mark.slow
 def test_a_benchmark(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(PRESETS, "clean", replace(PRESETS["clean"], **SMALL))
+    monkeypatch.setitem(SYNTHETIC_PRESETS, "clean", replace(SYNTHETIC_PRESETS["clean"], **SMALL))
     follow("A benchmark", run, monkeypatch)
     assert (tmp_path / "out" / "bench" / "methods.md").is_file()
     assert (tmp_path / "out" / "bench" / "index.html").is_file()

@@ -29,9 +29,9 @@ ANYWHERE = {"debug", "quiet", "help", "version"}
 
 def leaves(choice: Any, before: str = "") -> Iterator[tuple[str, Any]]:
     """All commands by the words that are typed."""
-    for name, one in cli._by_name(choice).items():
+    for name, one in cli._subcommands_by_name(choice).items():
         words = f"{before} {name}".strip()
-        inner = cli._by_name(one)
+        inner = cli._subcommands_by_name(one)
         yield from leaves(one, words) if inner else [(words, one.__origin__)]
 
 
@@ -64,7 +64,7 @@ def parts(hint: Any) -> list[Any]:
 def known() -> dict[str, set[str] | None]:
     """The options of each command; None where they depend on what is imported, drawn or compared."""
     named: dict[str, set[str] | None] = {}
-    for words, kind in leaves(cli.commands(Command, Figures)):
+    for words, kind in leaves(cli.command_union(Command, Figures)):
         fixed = is_dataclass(kind) and not words.startswith(("bench", "figure", "import"))
         named[words] = options(kind) if fixed else None
     return named | {"import": None, "bench": None, "figure": None, "init": None, "clip": None, "epic": None}

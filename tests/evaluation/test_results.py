@@ -20,7 +20,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import files
-from getagrip.metrics.contact import CONTACT_DEFINITIONS, SIDES
+from getagrip.metrics.contact import CONTACT_DEFINITIONS, CONTACT_SIDES
 from getagrip.pictures.shown import View
 from getagrip.result import write_result
 from helpers.egg_and_mug import FRAMES, perfect, same, written
@@ -38,7 +38,7 @@ def test_a_perfect_result(scene: tuple[Clip, Masks]) -> None:
     assert metrics["iou"] > 0.96
     assert metrics["add_mm"] == pytest.approx(0.0, abs=1e-9)
     assert metrics["add_success"] == metrics["add_sym_success"] == metrics["add_frame_success"] == 1.0
-    for side in SIDES:
+    for side in CONTACT_SIDES:
         for mm in (0, 5, 10):
             key = f"{side}_{mm}mm"
             assert 0.0 < metrics[f"sca_{key}"] < 1.0
@@ -76,9 +76,9 @@ def test_very_large_meshes_are_measured_with_fewer_faces(
 ) -> None:
     clip, masks = scene
     faces = len(clip.mesh.faces)
-    monkeypatch.setattr(meshes, "MOST_FACES", faces)
+    monkeypatch.setattr(meshes, "MAX_MESH_FACES", faces)
     assert not ev.evaluate(perfect(clip), clip, masks, wanted=[]).notes
-    monkeypatch.setattr(meshes, "MOST_FACES", faces // 2)
+    monkeypatch.setattr(meshes, "MAX_MESH_FACES", faces // 2)
     heavy = replace(clip, mesh=Mesh(clip.mesh.vertices, clip.mesh.faces))
     out = ev.evaluate(perfect(clip), heavy, masks, wanted=[IOU, ADD_MM])
     (note,) = out.notes

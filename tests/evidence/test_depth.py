@@ -11,12 +11,12 @@ import pytest
 
 from getagrip.checks import Evidence
 from getagrip.clip import Clip, Masks, with_masks
-from getagrip.clip.depth import DEPTH, ERROR, Depth
+from getagrip.clip.depth import ASSUMED_DEPTH_ERROR, DEPTH_KEY, Depth
 from getagrip.evidence import depth as modality
-from getagrip.evidence.depth import OFF, DepthImages
-from getagrip.experiments.simulated_evidence import DEPTHS, SimulatedDepth
+from getagrip.evidence.depth import MAX_DEPTH_MISFIT, DepthImages
+from getagrip.experiments.simulated_evidence import DEPTH_ERROR_LEVELS, SimulatedDepth
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import Problem, prepare
+from getagrip.fitting.problem import Problem, prepare_problem
 from getagrip.geometry import se3
 from getagrip.geometry.depth import depth_and_face
 from getagrip.geometry.mesh_files import read_mesh
@@ -27,7 +27,7 @@ from helpers.scenes import SHORT, scene
 @cache
 def with_depth(level: str) -> tuple[Clip, Masks, Depth]:
     clip, masks = SimulatedDepth(level)(*scene("mug", 1, SHORT), 0)
-    return clip, masks, clip.evidence[DEPTH]
+    return clip, masks, clip.evidence[DEPTH_KEY]
 
 
 def evidence(depth: Depth, level: str = "realsense") -> Evidence:
@@ -35,7 +35,7 @@ def evidence(depth: Depth, level: str = "realsense") -> Evidence:
     clip, masks, _ = with_depth(level)
     assert clip.truth is not None
     T = se3.inverse(clip.hand.T_cam_hand) @ clip.truth.T_cam_obj
-    return Evidence(replace(clip, evidence={DEPTH: depth}), masks, T_hand_obj=T, scale=clip.truth.scale)
+    return Evidence(replace(clip, evidence={DEPTH_KEY: depth}), masks, T_hand_obj=T, scale=clip.truth.scale)
 
 
 def findings(it: Evidence) -> set[str]:
@@ -45,7 +45,7 @@ def findings(it: Evidence) -> set[str]:
 
 def problem(depth: Depth) -> Problem:
     clip, masks, _ = with_depth("realsense")
-    return prepare(with_masks(replace(clip, evidence={DEPTH: depth}), masks), Options(frames=4, inits=2))
+    return prepare_problem(with_masks(replace(clip, evidence={DEPTH_KEY: depth}), masks), Options(frames=4, inits=2))
 
 
 @pytest.mark.parametrize("level", ["realsense", "mono"])
@@ -59,7 +59,8 @@ def test_a_clip_without_depth_has_no_term_and_no_value() -> None:
     it = Evidence(replace(clip, evidence={}), masks)
     assert all(np.isnan(check.measure(it)) for check in (*DepthImages.input_checks, *DepthImages.result_checks))
     assert (
-        DepthImages().terms(prepare(with_masks(replace(clip, evidence={}), masks), Options(frames=4, inits=2))) is None
+        DepthImages().terms(prepare_problem(with_masks(replace(clip, evidence={}), masks), Options(frames=4, inits=2)))
+        is None
     )
 
 
@@ -85,7 +86,7 @@ def test_warped_depth_is_found() -> None:
     ramp = np.linspace(0.7, 1.3, depth.z.shape[2])
     it = evidence(replace(depth, z=depth.z * ramp))
     assert {"depth-misfit", "depth-warped"} <= findings(it)
-    assert modality.misfit(evidence(depth)) < OFF
+    assert modality.depth_misfit(evidence(depth)) < MAX_DEPTH_MISFIT
 
 
 def test_mostly_holes_is_found() -> None:
@@ -94,13 +95,13 @@ def test_mostly_holes_is_found() -> None:
     assert "depth-missing" in findings(evidence(replace(depth, z=np.where(holes, 0.0, depth.z))))
 
 
-@pytest.mark.parametrize("level", DEPTHS)
+@pytest.mark.parametrize("level", DEPTH_ERROR_LEVELS)
 def test_simulated_depth_errs_as_its_level_says(level: str) -> None:
     clip, masks, depth = with_depth(level)
-    assert depth.source.source == DEPTHS[level].source
+    assert depth.source.source == DEPTH_ERROR_LEVELS[level].source
     share = np.mean((depth.z == 0.0)[depth.of_masks(masks.object, clip.size)])
-    assert share == pytest.approx(DEPTHS[level].holes, abs=0.15)
-    again = SimulatedDepth(level)(*scene("mug", 1, SHORT), 0)[0].evidence[DEPTH]
+    assert share == pytest.approx(DEPTH_ERROR_LEVELS[level].holes, abs=0.15)
+    again = SimulatedDepth(level)(*scene("mug", 1, SHORT), 0)[0].evidence[DEPTH_KEY]
     assert again == depth
 
 
@@ -116,5 +117,5 @@ def test_a_real_sensor_errs_as_is_assumed() -> None:
     known = shown & (image > 0) & (image < 65535)
     off = np.log(0.001 * image[known]) - np.log(z[known])
     assert abs(np.median(off)) < 0.004
-    assert np.median(np.abs(off - np.median(off))) / 0.6745 == pytest.approx(ERROR["sensor"], rel=0.3)
+    assert np.median(np.abs(off - np.median(off))) / 0.6745 == pytest.approx(ASSUMED_DEPTH_ERROR["sensor"], rel=0.3)
     assert known.sum() > 0.9 * shown.sum()

@@ -7,21 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from getagrip.checks import Evidence, examine, input_checks
+from getagrip.checks import Evidence, input_checks, run_checks
 from getagrip.clip import Clip, Masks, other_evidence, with_masks
-from getagrip.datasets.synthetic.noise import NOISE, perturbed
+from getagrip.datasets.synthetic.noise import NOISE_PRESETS, perturbed
 from getagrip.evidence.joints_2d import HandJoints2D
 from getagrip.experiments.simulated_evidence import (
-    JOINTS,
-    JointErrors,
+    JOINT_ERROR_LEVELS,
+    SimulatedJointErrors,
     SimulatedJoints,
-    seen_joints,
+    simulate_joints_2d,
     true_joints,
 )
 from getagrip.fitting.hand_refinement import refine_hand
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import prepare
-from getagrip.fitting.seen_joints import ELSEWHERE, SeenJoints, share_elsewhere
+from getagrip.fitting.problem import prepare_problem
+from getagrip.fitting.seen_joints import MAX_OUTSIDE_MASK_FRACTION, SeenJoints, outside_mask_fraction
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from helpers.scenes import SHORT, scene
@@ -37,7 +37,7 @@ def test_true_joints_are_those_of_the_true_hand_whatever_the_hand_is_given_as(ma
     assert clip.hand.joints is not None
     exact = se3.transform(clip.hand.T_cam_hand, clip.hand.joints)
     np.testing.assert_allclose(true_joints(clip), exact, atol=1e-6)
-    bent, _ = perturbed(clip, masks, NOISE["moderate"], 3)
+    bent, _ = perturbed(clip, masks, NOISE_PRESETS["moderate"], 3)
     assert np.abs(se3.transform(bent.hand.T_cam_hand, bent.hand.joints) - exact).max() > 1e-2
     np.testing.assert_allclose(true_joints(bent), exact, atol=6e-3)  # bent skin goes with joints only nearly
 
@@ -48,7 +48,13 @@ def test_simulated_joints_have_the_errors_of_their_level(made: tuple[Clip, Masks
     size = np.ptp(exact, axis=1).max(axis=-1)[:, None, None]
     off = np.stack(
         [
-            (seen_joints(clip, masks, JointErrors(0.03, 0.02, hidden=1.0), np.random.default_rng(seed)) - exact) / size
+            (
+                simulate_joints_2d(
+                    clip, masks, SimulatedJointErrors(0.03, 0.02, hidden=1.0), np.random.default_rng(seed)
+                )
+                - exact
+            )
+            / size
             for seed in range(60)
         ]
     )
@@ -64,21 +70,23 @@ def test_joints_go_with_the_hand_and_make_no_other_evidence(made: tuple[Clip, Ma
     assert seen is not None
     assert len(seen) == len(clip)
     assert modality.of(clip.take(some)) == seen.take(some)
-    moved = perturbed(clip, masks, NOISE["strong"], 1)[0]
+    moved = perturbed(clip, masks, NOISE_PRESETS["strong"], 1)[0]
     assert modality.of(moved) == seen
     assert modality.of(made[0]) is None
     assert other_evidence(clip) == []
 
 
-@pytest.mark.parametrize("level", [*JOINTS])
+@pytest.mark.parametrize("level", [*JOINT_ERROR_LEVELS])
 def test_joints_of_something_else_are_recognised_and_left_out(made: tuple[Clip, Masks], level: str) -> None:
     clip, masks = SimulatedJoints(level)(*made, 0)
-    wrong = JOINTS[level].mistake != ""
+    wrong = JOINT_ERROR_LEVELS[level].mistake != ""
     refined, _ = refine_hand(clip, masks)
     assert (refined is None or refined.joints is None) == wrong
-    if (share_elsewhere(clip, masks) > ELSEWHERE) == wrong:  # of a shifted camera most may still be on hand and object
+    if (
+        outside_mask_fraction(clip, masks) > MAX_OUTSIDE_MASK_FRACTION
+    ) == wrong:  # of a shifted camera most may still be on hand and object
         assert (SeenJoints.of(clip, masks) is None) == wrong
-        _, findings = examine(input_checks(), Evidence(clip, masks))
+        _, findings = run_checks(input_checks(), Evidence(clip, masks))
         assert ("joints-elsewhere" in {one.check for one in findings}) == wrong
 
 
@@ -97,7 +105,7 @@ def test_joints_in_another_order_are_left_out_though_they_lie_on_the_hand(
     assert clip.hand.joints_2d is not None
     assert SeenJoints.of(clip, masks) is not None
     other = replace(clip, hand=replace(clip.hand, joints_2d=clip.hand.joints_2d[:, order]))
-    assert share_elsewhere(other, masks) < ELSEWHERE
+    assert outside_mask_fraction(other, masks) < MAX_OUTSIDE_MASK_FRACTION
     assert SeenJoints.of(other, masks) is None
 
 
@@ -113,7 +121,7 @@ def test_joints_in_another_order_are_left_out_though_they_lie_on_the_hand(
     ],
 )
 def test_a_hand_that_is_refined_without_its_joints_says_why(made: tuple[Clip, Masks], fault: str, words: str) -> None:
-    clip, masks = SimulatedJoints("lab")(*perturbed(*made, NOISE["moderate"], 3), 0)
+    clip, masks = SimulatedJoints("lab")(*perturbed(*made, NOISE_PRESETS["moderate"], 3), 0)
     hand = clip.hand
     assert hand.joints_2d is not None
     assert hand.joints_2d_confidence is not None
@@ -126,16 +134,16 @@ def test_a_hand_that_is_refined_without_its_joints_says_why(made: tuple[Clip, Ma
         "none": {},
     }
     clip = with_masks(replace(clip, hand=replace(hand, **changed[fault])), masks)
-    problem = prepare(clip, Options(frames=4, inits=2))
+    problem = prepare_problem(clip, Options(frames=4, inits=2))
     found = Evidence(problem.clip, problem.input_masks, joints_left_out=problem.trust.joints_left_out)
-    _, findings = examine(HandJoints2D.result_checks, found)
+    _, findings = run_checks(HandJoints2D.result_checks, found)
     assert [one.check for one in findings] == (["joints-left-out"] if words else [])
     assert all(words in one.message for one in findings)
 
 
 def test_masks_that_show_no_hand_tell_nothing_of_joints(made: tuple[Clip, Masks]) -> None:
     clip, masks = SimulatedJoints("other hand")(*made, 0)
-    assert np.isnan(share_elsewhere(clip, Masks(masks.object, np.zeros_like(masks.ignore))))
+    assert np.isnan(outside_mask_fraction(clip, Masks(masks.object, np.zeros_like(masks.ignore))))
 
 
 def test_a_hand_that_is_turned_is_turned_back(made: tuple[Clip, Masks]) -> None:

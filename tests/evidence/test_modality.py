@@ -16,7 +16,7 @@ from getagrip.clip import MODALITIES, Clip, Modality, input_sha256, read_clip, w
 from getagrip.errors import InputError
 from getagrip.fitting.energy import Terms
 from getagrip.fitting.energy.reprojection import ReprojectionTerm
-from getagrip.fitting.judge import uncalibrated
+from getagrip.fitting.judge import uncalibrated_reason
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import Problem
 from getagrip.geometry import se3
@@ -149,7 +149,7 @@ def test_its_terms_and_checks_count_in_every_frame(tmp_path: Path) -> None:
     uv[-1] = true_centres(clip)[-1] + np.array([SHIFT, 0.0])
     in_memory = reconstruct(with_points(clip, uv), masks, QUICK)
     assert "centres" in in_memory.energy
-    assert uncalibrated(Options(), (), in_memory.energy) == "none is calibrated with the evidence centres"
+    assert uncalibrated_reason(Options(), (), in_memory.energy) == "none is calibrated with the evidence centres"
     assert set(in_memory.frame_kind) == {"sampled", "fitted"}
     assert beside(in_memory, clip)[:, 0].min() > 0.5 * SHIFT
     assert in_memory.checks["centres-beyond"] == 0.0
@@ -157,5 +157,5 @@ def test_its_terms_and_checks_count_in_every_frame(tmp_path: Path) -> None:
     assert from_folder.checks["centres-beyond"] == 0.25
     assert [one.check for one in from_folder.findings if one.check.startswith("centres")] == ["centres-beyond"]
     ignored = reconstruct(replace(read_clip(folder), evidence={"centres": None}), masks, QUICK)
-    assert uncalibrated(Options(), (), ignored.energy) == ""
+    assert uncalibrated_reason(Options(), (), ignored.energy) == ""
     assert np.abs(beside(ignored, clip)).max() < 0.5 * SHIFT

@@ -16,10 +16,10 @@ from getagrip.clip import Clip, read_clip, write_clip
 from getagrip.clip.writing import write_hand
 from getagrip.errors import GetagripError
 from getagrip.evaluation import evaluate_result
-from getagrip.evaluation.results import read_evaluated
+from getagrip.evaluation.results import read_result_clip_masks
 from getagrip.experiments import trials
 from getagrip.experiments.hand_sources import HandSource
-from getagrip.experiments.trials import Scores
+from getagrip.experiments.trials import GraspClipScores
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
@@ -30,7 +30,7 @@ from helpers.command_line import Run
 @pytest.fixture
 def unplotted(monkeypatch: pytest.MonkeyPatch) -> None:
     """No pictures: they take longer than small runs."""
-    monkeypatch.setattr("getagrip.experiments.plots.plot", lambda *_: None)
+    monkeypatch.setattr("getagrip.experiments.plots.plot_ablation", lambda *_: None)
 
 
 @pytest.mark.slow
@@ -72,7 +72,7 @@ def test_a_run_has_a_ledger_shards_and_an_end_at_the_first_failure(
 ) -> None:
     tried: list[str] = []
 
-    def unreadable(trial: trials.GraspTrial) -> Scores:
+    def unreadable(trial: trials.GraspTrial) -> GraspClipScores:
         tried.append(trial.name)
         raise GetagripError("no masks")
 
@@ -214,7 +214,7 @@ def test_hands_are_compared_on_the_frames_that_all_have(can_and_box: Path, tmp_p
     assert run(*call, "--hands", *sources)[1].count("0 done, 2 already done") == 1
     # The hands are kept beside the results, so that these can be evaluated and drawn.
     results = [out / "results" / f"static+hands-{name}" / clip.name for name in ("exact", "off")]
-    exact, off = (read_evaluated(folder)[1].hand for folder in results)
+    exact, off = (read_result_clip_masks(folder)[1].hand for folder in results)
     np.testing.assert_array_equal(exact.T_cam_hand, clip.hand.T_cam_hand[1:])
     assert np.abs(off.T_cam_hand - exact.T_cam_hand).max() > 1e-3
     assert run("figure", "hands", *results, "--out", tmp_path / "hands.png", "--dpi", 40, "--frames", 1)[0] == 0

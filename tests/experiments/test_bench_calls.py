@@ -10,10 +10,10 @@ import pytest
 
 from getagrip.cli import main
 from getagrip.commands.bench import BENCHES
-from getagrip.datasets.synthetic.noise import NOISE
-from getagrip.datasets.synthetic.splits import PRESETS
+from getagrip.datasets.synthetic.noise import NOISE_PRESETS
+from getagrip.datasets.synthetic.splits import SYNTHETIC_PRESETS
 from getagrip.experiments.ablations import ABLATIONS
-from getagrip.experiments.timeline_trials import ALL, LEVELS
+from getagrip.experiments.timeline_trials import ALL_NOISE_LEVELS, TIMELINE_NOISE_LEVELS
 from getagrip.experiments.trials import GraspTrial
 from helpers.command_line import Run
 
@@ -77,7 +77,11 @@ def test_the_commands_ablations_are_those_that_exist(run: Run) -> None:
 
 @pytest.mark.parametrize(
     ("source", "presets"),
-    [("synthetic", PRESETS), ("dexycb-segments", NOISE), ("hot3d-timelines", (ALL, *LEVELS))],
+    [
+        ("synthetic", SYNTHETIC_PRESETS),
+        ("dexycb-segments", NOISE_PRESETS),
+        ("hot3d-timelines", (ALL_NOISE_LEVELS, *TIMELINE_NOISE_LEVELS)),
+    ],
 )
 def test_presets_are_described_for_each_dataset(source: str, presets: Iterable[str], run: Run) -> None:
     said = words(run("bench", source, "--help")[1])

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from getagrip.datasets.synthetic.noise import NOISE
+from getagrip.datasets.synthetic.noise import NOISE_PRESETS
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError
 from getagrip.experiments.changes import UNCHANGED, EstimatedHands, Noisy, OtherSize, ScaleFree, ScaleKnown, TrueHands
 from getagrip.geometry import se3
-from getagrip.geometry.depth import covered
+from getagrip.geometry.depth import render_coverage
 from getagrip.metrics.surface_distance import signed_distance
 from getagrip.provenance import estimated, kind_of_hands
 from helpers.scenes import SHORT, scene
@@ -45,10 +45,10 @@ def test_true_hands_replace_given_ones() -> None:
 @pytest.mark.slow
 def test_estimated_hands_stay_and_true_ones_get_errors() -> None:
     clip, masks = scene("can", 0, SHORT)
-    change = EstimatedHands(NOISE["estimated"])
-    expected = Noisy(NOISE["estimated"])(clip, masks, 0)[0].hand.T_cam_hand
+    change = EstimatedHands(NOISE_PRESETS["estimated"])
+    expected = Noisy(NOISE_PRESETS["estimated"])(clip, masks, 0)[0].hand.T_cam_hand
     np.testing.assert_array_equal(change(clip, masks, 0)[0].hand.T_cam_hand, expected)
-    assert kind_of_hands(EstimatedHands(NOISE["strong"])(clip, masks, 0)[0].provenance) == "estimated"
+    assert kind_of_hands(EstimatedHands(NOISE_PRESETS["strong"])(clip, masks, 0)[0].provenance) == "estimated"
     own = replace(clip, provenance={**clip.provenance, "hands": estimated("by a network")})
     assert change(own, masks, 0) == (own, masks)
 
@@ -72,7 +72,7 @@ def test_an_object_of_another_size_stays_in_the_hand(seed: int) -> None:
         nearest.append(np.abs(signed_distance(points, one.mesh.vertices, one.mesh.faces)).min())
     assert nearest[1] < max(nearest[0], 0.01)
     posed = se3.transform(changed.truth.T_cam_obj[0], changed.mesh.vertices)
-    drawn = covered(posed, changed.mesh.faces, changed.K[0], changed.size)
+    drawn = render_coverage(posed, changed.mesh.faces, changed.K[0], changed.size)
     assert not (seen.object[0] & ~drawn).any()
     assert (drawn & ~seen.object[0] & ~seen.ignore[0]).sum() == 0
     assert seen.object.sum() > masks.object.sum() if factor > 1.0 else seen.object.sum() < masks.object.sum()

@@ -11,14 +11,14 @@ import pytest
 
 from getagrip.clip import Segment, World, write_clip
 from getagrip.experiments.segment_trials import (
-    DIRECTIONS,
-    VARIANTS,
+    SEGMENT_VARIANTS,
+    TIME_DIRECTIONS,
     SequenceTrial,
-    mirrored,
+    reverse_spans,
     reversed_in_time,
 )
 from getagrip.experiments.sources import Sample
-from getagrip.experiments.trial import run
+from getagrip.experiments.trial import run_trial
 from getagrip.fitting.options import Options
 from getagrip.io import code
 from helpers.command_line import Run
@@ -43,9 +43,9 @@ def trial(tmp_path: Path) -> SequenceTrial:
 
 @pytest.mark.slow
 def test_what_is_found_and_what_is_true_is_scored_in_both_directions(trial: SequenceTrial) -> None:
-    scores = run(trial)
+    scores = run_trial(trial)
     assert not scores.failure
-    assert set(scores.by) == {(direction, way) for direction in DIRECTIONS for way in VARIANTS}
+    assert set(scores.by) == {(direction, way) for direction in TIME_DIRECTIONS for way in SEGMENT_VARIANTS}
     for of in scores.by.values():
         assert of.found == 0
         assert [match.tiou for match in of.matches] == [0.0]
@@ -56,39 +56,39 @@ def test_what_is_found_and_what_is_true_is_scored_in_both_directions(trial: Sequ
 
 @pytest.mark.slow
 def test_what_the_same_code_has_found_is_kept(trial: SequenceTrial) -> None:
-    run(trial)
+    run_trial(trial)
     path = trial.results / "still.json"
     record = json.loads(path.read_text())
     record["forwards"]["fits"] = [[4, 9]]
     path.write_text(json.dumps(record))
-    kept = run(trial)
+    kept = run_trial(trial)
     assert (kept.by["forwards", "fits"].matches[0].tiou, kept.again) == (1.0, "")
-    assert run(replace(trial, overwrite=True)).by["forwards", "fits"].found == 0
+    assert run_trial(replace(trial, overwrite=True)).by["forwards", "fits"].found == 0
 
 
 @pytest.mark.slow
 def test_what_other_code_has_found_or_is_damaged_is_found_again_and_why_is_said(
     trial: SequenceTrial, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run(trial)
+    run_trial(trial)
     path = trial.results / "still.json"
     path.write_bytes(path.read_bytes()[:100])
-    again = run(trial)
+    again = run_trial(trial)
     assert (again.failure, again.by["forwards", "fits"].found) == ("", 0)
     assert again.again.startswith("what was there is damaged (")
-    assert run(trial).again == ""
+    assert run_trial(trial).again == ""
     same = code.fingerprint()
 
     def of_other_segmentation(*also: str) -> str:
         return "0123456789abcdef" if "segmentation" in also else same
 
     monkeypatch.setattr(code, "fingerprint", of_other_segmentation)
-    assert run(trial).again == "what was there is of other code or other libraries"
+    assert run_trial(trial).again == "what was there is of other code or other libraries"
 
 
 def test_a_sequence_that_cannot_be_read_is_a_failure(trial: SequenceTrial) -> None:
     (trial.sample.folder / "hand.npz").write_bytes(b"no hand")
-    assert "hand.npz" in run(trial).failure
+    assert "hand.npz" in run_trial(trial).failure
 
 
 def test_time_runs_back(trial: SequenceTrial) -> None:
@@ -101,7 +101,7 @@ def test_time_runs_back(trial: SequenceTrial) -> None:
     twice, _ = reversed_in_time(back, masks_back)
     np.testing.assert_array_equal(twice.hand.T_cam_hand, clip.hand.T_cam_hand)
     spans = [(0, 3), (5, 11)]
-    assert mirrored(mirrored(spans, FRAMES), FRAMES) == spans
+    assert reverse_spans(reverse_spans(spans, FRAMES), FRAMES) == spans
 
 
 @pytest.mark.parametrize(

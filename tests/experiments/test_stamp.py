@@ -7,7 +7,7 @@ import subprocess
 from datetime import date
 from pathlib import Path
 
-from getagrip.io.code import commit, stamp
+from getagrip.io.code import commit, date_and_commit
 
 
 def git(folder: Path, *words: str) -> None:
@@ -16,7 +16,7 @@ def git(folder: Path, *words: str) -> None:
 
 
 def test_a_stamp_begins_with_the_date() -> None:
-    assert stamp().startswith(date.today().isoformat())
+    assert date_and_commit().startswith(date.today().isoformat())
 
 
 def test_a_commit_is_named_and_changes_of_its_files_are_marked(tmp_path: Path) -> None:

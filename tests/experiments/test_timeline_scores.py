@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from getagrip.experiments.timeline_trials import jumps, segment_scores
+from getagrip.experiments.timeline_trials import segment_jumps, segment_scores
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 from getagrip.metrics.symmetry import find_symmetries
-from getagrip.timelines.baselines import VARIANTS, reconstruct_with
+from getagrip.timelines.baselines import TIMELINE_VARIANTS, reconstruct_variant
 from helpers.timelines import timeline
 
 
@@ -25,18 +25,18 @@ def test_the_truth_is_right_and_does_not_jump() -> None:
         ("static", True, True), ("between", True, True), ("grasp", True, True),
     ]  # fmt: skip
     assert [s.sca is None for s in scores] == [True, True, False]
-    np.testing.assert_allclose(jumps(clip, true), 0.0, atol=1e-9)
+    np.testing.assert_allclose(segment_jumps(clip, true), 0.0, atol=1e-9)
     shifted = true.copy()
     shifted[clip.segments[2].first :, 0, 3] += 0.05
-    assert jumps(clip, shifted) == pytest.approx([0.0, 0.05], abs=1e-9)
+    assert segment_jumps(clip, shifted) == pytest.approx([0.0, 0.05], abs=1e-9)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("way", VARIANTS)
+@pytest.mark.parametrize("way", TIMELINE_VARIANTS)
 def test_every_way_answers_every_frame(way: str) -> None:
     clip, masks = timeline()
     assert clip.world is not None
-    motion = reconstruct_with(way, replace(clip, truth=None), masks, Options(inits=4))
+    motion = reconstruct_variant(way, replace(clip, truth=None), masks, Options(inits=4))
     assert se3.is_rigid(motion.T_cam_obj).all()
     assert len(motion.kind) == len(clip)
     lying = clip.segments[0].rows

@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 from getagrip.cli import main
 from getagrip.clip import World, input_sha256, read_clip
 from getagrip.errors import UsageError
-from getagrip.export import FORMATS, Scene, export
+from getagrip.export import EXPORT_FORMATS, Scene, export
 from getagrip.export.bop import image_ids
-from getagrip.export.stage import Stage
+from getagrip.export.stage import StageFrame
 from getagrip.geometry import se3
 from getagrip.result import write_result
 from helpers.command_line import Run
@@ -52,7 +52,7 @@ def test_the_scene_is_that_of_the_result(scene: Scene) -> None:
     np.testing.assert_array_equal(scene.hand_vertices, clip.hand.vertices[2:])
 
 
-@pytest.mark.parametrize("to", FORMATS)
+@pytest.mark.parametrize("to", EXPORT_FORMATS)
 @pytest.mark.slow
 def test_every_format_says_what_its_files_hold(scene: Scene, tmp_path: Path, to: str) -> None:
     need(to)
@@ -140,7 +140,7 @@ def test_clips_of_hot3d_have_the_names_of_bop(
     assert (folder / ground_truth).is_file()
 
 
-@pytest.mark.parametrize("to", FORMATS)
+@pytest.mark.parametrize("to", EXPORT_FORMATS)
 def test_no_name_leads_out_of_the_folder(scene: Scene, tmp_path: Path, to: str) -> None:
     """Names come from files of strangers, or from anybody's Python."""
     need(to)
@@ -168,7 +168,7 @@ def test_what_is_known_stands_beside_every_format(scene: Scene, tmp_path: Path) 
 
 def test_a_stage_is_the_world_turned_up(scene: Scene) -> None:
     assert scene.world is not None
-    stage = Stage.of(scene)
+    stage = StageFrame.of(scene)
     turn = stage.T_stage_cam @ se3.inverse(scene.world.T_world_cam)
     np.testing.assert_allclose(turn, turn[:1].repeat(3, axis=0), atol=1e-12)  # one rotation for all frames
     np.testing.assert_allclose(turn[0, :3, :3] @ scene.world.up, [0.0, 0.0, 1.0], atol=1e-12)
@@ -176,18 +176,18 @@ def test_a_stage_is_the_world_turned_up(scene: Scene) -> None:
     T_stage_obj, T_stage_hand = stage.poses(scene)
     np.testing.assert_allclose(se3.inverse(T_stage_hand) @ T_stage_obj, scene.T_hand_obj, atol=1e-12)
     for up in ([0.0, 0.0, 1.0], [0.0, 0.0, -1.0]):
-        other = Stage.of(replace(scene, world=World(scene.world.T_world_cam, np.array(up))))
+        other = StageFrame.of(replace(scene, world=World(scene.world.T_world_cam, np.array(up))))
         back = other.T_stage_cam[0] @ se3.inverse(scene.world.T_world_cam[0])
         assert se3.is_rigid(back)
         np.testing.assert_allclose(back[:3, :3] @ up, [0.0, 0.0, 1.0], atol=1e-12)
 
 
 def test_what_is_not_known_of_a_stage_is_a_guess(scene: Scene) -> None:
-    still = Stage.of(replace(scene, world=None))
+    still = StageFrame.of(replace(scene, world=None))
     assert "guess" in still.words
     np.testing.assert_allclose(still.T_stage_cam[:, :3, :3] @ [0.0, -1.0, 0.0], [[0.0, 0.0, 1.0]] * 3, atol=1e-12)
     assert scene.world is not None
-    level = Stage.of(replace(scene, world=World(scene.world.T_world_cam)))
+    level = StageFrame.of(replace(scene, world=World(scene.world.T_world_cam)))
     assert "guess" in level.words
     np.testing.assert_allclose(level.T_stage_cam[0, :3, :3] @ [0.0, -1.0, 0.0], [0.0, 0.0, 1.0], atol=1e-12)
 
@@ -277,8 +277,8 @@ def test_the_command_exports_results_and_names_what_it_cannot(clip_folder: Path,
     assert (tmp_path / "out" / "one" / "scene.npz").is_file()
     assert main(["export", str(tmp_path / "nothing"), "--to", "csv"]) == 1
     status, _, err = run("export", tmp_path / "results", "--to", "pdf")
-    assert (status, all(name in err for name in FORMATS)) == (2, True)
-    assert all(f"{name}:" in run("export", "--help")[1] for name in FORMATS)
+    assert (status, all(name in err for name in EXPORT_FORMATS)) == (2, True)
+    assert all(f"{name}:" in run("export", "--help")[1] for name in EXPORT_FORMATS)
 
 
 def test_uneven_frames_are_resampled(scene: Scene, capsys: pytest.CaptureFixture[str]) -> None:

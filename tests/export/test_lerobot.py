@@ -13,8 +13,8 @@ import pytest
 
 from getagrip.errors import InputError, UsageError
 from getagrip.export import Scene, export
-from getagrip.export.lerobot import CAMERA, STATE, image_stats, rate, statistics
-from getagrip.export.stage import Stage
+from getagrip.export.lerobot import CAMERA_FEATURE, STATE_COMPONENTS, feature_statistics, image_stats, integer_fps
+from getagrip.export.stage import StageFrame
 from getagrip.geometry import se3
 from getagrip.io.images import write_image
 from helpers.needs import needs
@@ -53,7 +53,7 @@ def test_rows_are_the_frames(scene: Scene, tmp_path: Path) -> None:
         assert found == {"float32": "float", "float64": "double"}.get(feature["dtype"], feature["dtype"])
         assert feature["shape"] == (list(columns[name].shape[1:]) or [1])
         assert feature["names"] is None or len(feature["names"]) == feature["shape"][0]
-    T_stage_obj, T_stage_hand = Stage.of(scene).poses(scene)
+    T_stage_obj, T_stage_hand = StageFrame.of(scene).poses(scene)
     joints = se3.transform(T_stage_hand, scene.joints)
     state = columns["observation.state"]
     np.testing.assert_allclose(state[:, :3], joints[:, 0], atol=1e-6)
@@ -69,7 +69,7 @@ def test_rows_are_the_frames(scene: Scene, tmp_path: Path) -> None:
     assert columns["frame_kind"].tolist() == ["sampled", "fitted", "interpolated"]
     assert columns["interpolated"].tolist() == [False, False, True]
     assert (info["codebase_version"], info["total_frames"], info["video_path"]) == ("v3.0", 3, None)
-    assert len(STATE) == 70
+    assert len(STATE_COMPONENTS) == 70
 
 
 def test_records_agree_with_the_rows(scene: Scene, tmp_path: Path) -> None:
@@ -93,8 +93,8 @@ def test_the_video_shows_each_frame_at_its_timestamp(scene: Scene, tmp_path: Pat
     scene = with_images(scene, tmp_path / "images", (65, 48))  # H.264 wants even sides
     folder = export(scene, tmp_path / "out", "lerobot")
     info, stats = read(folder, "info.json"), read(folder, "stats.json")
-    assert info["features"][CAMERA]["shape"] == [48, 64, 3]
-    path = folder / info["video_path"].format(video_key=CAMERA, chunk_index=0, file_index=0)
+    assert info["features"][CAMERA_FEATURE]["shape"] == [48, 64, 3]
+    path = folder / info["video_path"].format(video_key=CAMERA_FEATURE, chunk_index=0, file_index=0)
     stamps = table_in(folder / DATA)["timestamp"].to_pylist()
     with av.open(str(path)) as film:
         frames = list(film.decode(film.streams.video[0]))
@@ -102,16 +102,16 @@ def test_the_video_shows_each_frame_at_its_timestamp(scene: Scene, tmp_path: Pat
         seen = [frame.to_ndarray(format="rgb24") for frame in frames]
     assert seen[0].shape == (48, 64, 3)
     assert [picture.mean() for picture in seen] == pytest.approx([50.0, 100.0, 150.0], abs=3.0)
-    assert np.shape(stats[CAMERA]["mean"]) == (3, 1, 1)
-    np.testing.assert_allclose(stats[CAMERA]["mean"], 100.0 / 255.0)
+    assert np.shape(stats[CAMERA_FEATURE]["mean"]) == (3, 1, 1)
+    np.testing.assert_allclose(stats[CAMERA_FEATURE]["mean"], 100.0 / 255.0)
     (episode,) = table_in(folder / EPISODES).to_pylist()
-    assert episode[f"videos/{CAMERA}/to_timestamp"] == pytest.approx(3 / info["fps"])
+    assert episode[f"videos/{CAMERA_FEATURE}/to_timestamp"] == pytest.approx(3 / info["fps"])
 
 
 def test_statistics_are_numpys() -> None:
     rng = np.random.default_rng(0)
     values = rng.standard_normal((40, 3))
-    found = statistics(values)
+    found = feature_statistics(values)
     np.testing.assert_allclose(found["std"], values.std(axis=0))
     np.testing.assert_allclose(found["q10"], np.quantile(values, 0.1, axis=0))
     images = rng.integers(20, 200, (4, 12, 16, 3), np.uint8)
@@ -132,4 +132,4 @@ def test_what_cannot_be_written_is_named(scene: Scene, tmp_path: Path) -> None:
     write_image(tmp_path / "images" / "1.png", np.zeros((8, 8, 3), np.uint8))
     with pytest.raises(InputError, match=r"must be 64 x 48.*8 x 8 pixels"):
         export(broken, tmp_path / "out", "lerobot")
-    assert rate(replace(scene, time=np.array([0.0, 1 / 29.97, 2 / 29.97]))) == 30
+    assert integer_fps(replace(scene, time=np.array([0.0, 1 / 29.97, 2 / 29.97]))) == 30

@@ -16,8 +16,8 @@ import pytest
 
 from getagrip.errors import InputError, UsageError
 from getagrip.export import Scene
-from getagrip.export.lerobot import statistics
-from getagrip.export.lerobot_dataset import Dataset
+from getagrip.export.lerobot import feature_statistics
+from getagrip.export.lerobot_dataset import LerobotDataset
 from helpers.needs import needs
 
 pytestmark = needs("pyarrow", "lerobot")
@@ -41,9 +41,9 @@ def named(scene: Scene, name: str, category: str = "box") -> Scene:
 def test_episodes_are_counted_on_and_statistics_are_those_of_all(scene: Scene, tmp_path: Path) -> None:
     folder = tmp_path / "set"
     scenes = [named(scene, "a"), named(scene, "bb", "mug"), named(scene, "ccc")]
-    dataset = Dataset.of(folder)
+    dataset = LerobotDataset.of(folder)
     assert [dataset.add(one) for one in scenes[:2]] == [0, 1]
-    again = Dataset.of(folder)
+    again = LerobotDataset.of(folder)
     assert again.clips == {"a", "bb"}
     assert again.add(scenes[2]) == 2
     rows, info = columns(folder), json.loads((folder / "meta" / "info.json").read_text())
@@ -55,7 +55,7 @@ def test_episodes_are_counted_on_and_statistics_are_those_of_all(scene: Scene, t
     assert info["splits"] == {"train": "0:3"}
     stats = json.loads((folder / "meta" / "stats.json").read_text())
     for name in ("observation.environment_state", "index", "episode_index"):
-        whole = statistics(rows[name])
+        whole = feature_statistics(rows[name])
         for key in ("min", "max", "mean", "std", "count"):
             np.testing.assert_allclose(stats[name][key], whole[key], atol=1e-6)
 
@@ -63,7 +63,7 @@ def test_episodes_are_counted_on_and_statistics_are_those_of_all(scene: Scene, t
 @pytest.mark.slow
 def test_clips_stay_in_their_split_as_the_dataset_grows(scene: Scene, tmp_path: Path) -> None:
     names = [f"clip-{n}" for n in range(8)]
-    dataset = Dataset.of(tmp_path / "set")
+    dataset = LerobotDataset.of(tmp_path / "set")
     tests = dataset.tests(names, 0.25)
     assert len(tests) == 2
     assert tests == dataset.tests(names[::-1], 0.25)
@@ -71,7 +71,7 @@ def test_clips_stay_in_their_split_as_the_dataset_grows(scene: Scene, tmp_path: 
         dataset.add(
             replace(named(scene, name), probability=0.75, findings_serious=2), "test" if name in tests else "train"
         )
-    again = Dataset.of(tmp_path / "set")
+    again = LerobotDataset.of(tmp_path / "set")
     assert again.splits == {"train": "0:6", "test": "6:8"}
     assert again.tests(names, 0.25) == set()
     assert len(again.tests([*names, "new-1", "new-2", "new-3", "new-4"], 0.25)) == 1
@@ -87,14 +87,14 @@ def test_clips_stay_in_their_split_as_the_dataset_grows(scene: Scene, tmp_path: 
 @pytest.mark.slow
 def test_an_episode_that_was_not_finished_is_written_anew(scene: Scene, tmp_path: Path) -> None:
     folder = tmp_path / "set"
-    Dataset.of(folder).add(named(scene, "a"))
+    LerobotDataset.of(folder).add(named(scene, "a"))
     kept = (folder / "meta" / "info.json").read_bytes()
-    Dataset.of(folder).add(named(scene, "killed"))
+    LerobotDataset.of(folder).add(named(scene, "killed"))
     (folder / "meta" / "info.json").write_bytes(kept)  # as where the process ends before it
-    dataset = Dataset.of(folder)
+    dataset = LerobotDataset.of(folder)
     assert dataset.clips == {"a"}
     assert dataset.add(named(scene, "bb")) == 1
-    assert Dataset.of(folder).clips == {"a", "bb"}
+    assert LerobotDataset.of(folder).clips == {"a", "bb"}
     assert len(columns(folder)["index"]) == 6
 
 
@@ -107,7 +107,7 @@ def test_a_process_that_is_killed_leaves_a_dataset_that_goes_on(scene: Scene, tm
     scenes = [replace(named(scene, name), image_files=images) for name in ("a", "bb", "ccc")]
     for at in range(12):
         folder = tmp_path / f"set-{at}"
-        Dataset.of(folder).add(scenes[0])
+        LerobotDataset.of(folder).add(scenes[0])
         if (process := os.fork()) == 0:
             left = iter(range(at))
 
@@ -117,14 +117,14 @@ def test_a_process_that_is_killed_leaves_a_dataset_that_goes_on(scene: Scene, tm
                 put(*paths)
 
             os.replace = replaced
-            Dataset.of(folder).add(scenes[1])
+            LerobotDataset.of(folder).add(scenes[1])
             os._exit(0)
         os.waitpid(process, 0)
         read = [*folder.glob("data/*/*.parquet"), *folder.glob("meta/episodes/*/*.parquet")]
         assert not any(path.name.startswith(".") for path in read)  # LeRobot reads all of these, in the order of names
         total = json.loads((folder / "meta" / "info.json").read_text())["total_frames"]
         np.testing.assert_array_equal(columns(folder)["index"][:total], np.arange(total))
-        dataset = Dataset.of(folder)
+        dataset = LerobotDataset.of(folder)
         for one in scenes:
             if one.name not in dataset.clips:
                 dataset.add(one)
@@ -143,7 +143,7 @@ def test_two_processes_add_to_one_dataset(scene: Scene, tmp_path: Path) -> None:
         if (process := os.fork()) == 0:
             status = 1
             try:
-                dataset = Dataset.of(folder)
+                dataset = LerobotDataset.of(folder)
                 for name in own:
                     dataset.add(named(scene, name, "mug" if name == "bb" else "box"))
                 status = 0
@@ -151,7 +151,7 @@ def test_two_processes_add_to_one_dataset(scene: Scene, tmp_path: Path) -> None:
                 os._exit(status)
         processes.append(process)
     assert [os.waitpid(process, 0)[1] for process in processes] == [0, 0]
-    dataset = Dataset.of(folder)
+    dataset = LerobotDataset.of(folder)
     assert sorted(str(record["clip"]) for record in dataset.records) == names
     rows, info = columns(folder), json.loads((folder / "meta" / "info.json").read_text())
     assert [info[f"total_{what}"] for what in ("episodes", "frames", "tasks")] == [5, 15, 2]
@@ -214,27 +214,27 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_a_damaged_dataset_is_refused_and_stays_as_it_is(scene: Scene, tmp_path: Path, damage: str) -> None:
     folder = tmp_path / "set"
-    Dataset.of(folder).add(named(scene, "a"))
+    LerobotDataset.of(folder).add(named(scene, "a"))
     DAMAGES[damage](folder)
     before = {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
     with pytest.raises(InputError) as caught:
-        Dataset.of(folder).add(named(scene, "bb"))
+        LerobotDataset.of(folder).add(named(scene, "bb"))
     assert str(caught.value).startswith(str(folder))
     assert {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()} == before
 
 
 def test_what_does_not_belong_is_refused(scene: Scene, tmp_path: Path) -> None:
     folder = tmp_path / "set"
-    Dataset.of(folder).add(named(scene, "a"))
+    LerobotDataset.of(folder).add(named(scene, "a"))
     with pytest.raises(InputError, match="frames per second"):
-        Dataset.of(folder).add(replace(named(scene, "b"), time=10.0 * scene.time))
+        LerobotDataset.of(folder).add(replace(named(scene, "b"), time=10.0 * scene.time))
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "letter.txt").touch()
     with pytest.raises(InputError, match="other files"):
-        Dataset.of(tmp_path / "mine")
+        LerobotDataset.of(tmp_path / "mine")
     (tmp_path / "other").mkdir()
     (tmp_path / "new").mkdir()
     (tmp_path / "new" / "data").symlink_to(tmp_path / "other")
     with pytest.raises(UsageError, match="link"):
-        Dataset.of(tmp_path / "new").add(named(scene, "a"))
+        LerobotDataset.of(tmp_path / "new").add(named(scene, "a"))
     assert list((tmp_path / "other").iterdir()) == []

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from getagrip.errors import InputError
 from getagrip.export import Scene, export
-from getagrip.export.stage import Stage
+from getagrip.export.stage import StageFrame
 from getagrip.geometry import se3
 from helpers.needs import needs
 
@@ -46,7 +46,7 @@ def pose(transform: dict[str, Any]) -> ndarray:
 def test_the_tree_of_frames_is_the_scene(both: Scene, tmp_path: Path) -> None:
     found = messages(export(both, tmp_path / "out", "mcap") / "scene.mcap")
     assert [time for time, _ in found["/tf"]] == [round(1e9 * t) for t in both.time]
-    stage = Stage.of(both)
+    stage = StageFrame.of(both)
     T_stage_obj, _ = stage.poses(both)
     for n, (time, content) in enumerate(found["/tf"]):
         tree = {one["child_frame_id"]: (one["parent_frame_id"], pose(one)) for one in content["transforms"]}

@@ -12,9 +12,9 @@ from numpy import ndarray
 
 from getagrip import SceneOptions, synthesise
 from getagrip.export import Scene, export
-from getagrip.export.bones import ENDS, Bones
-from getagrip.export.mujoco import convex_pieces
-from getagrip.export.stage import Stage
+from getagrip.export.bones import BONE_END_JOINTS, Bones
+from getagrip.export.mujoco import convex_decomposition
+from getagrip.export.stage import StageFrame
 from getagrip.geometry import se3
 from helpers.clips import box
 from helpers.needs import needs
@@ -39,7 +39,7 @@ def test_keys_replay_every_frame(scene: Scene, tmp_path: Path) -> None:
     import mujoco
 
     model, data = loaded(scene, tmp_path / "out")
-    T_stage_obj, T_stage_hand = Stage.of(scene).poses(scene)
+    T_stage_obj, T_stage_hand = StageFrame.of(scene).poses(scene)
     assert model.nkey == 3
     np.testing.assert_allclose(model.key_time, scene.time - scene.time[0], atol=1e-8)
     for n in range(model.nkey):
@@ -57,7 +57,7 @@ def test_keys_replay_every_frame(scene: Scene, tmp_path: Path) -> None:
 def test_bones_run_from_joint_to_joint(scene: Scene) -> None:
     bones = Bones.of(scene)
     assert bones is not None
-    for n, (begin, end) in enumerate(ENDS):
+    for n, (begin, end) in enumerate(BONE_END_JOINTS):
         span = scene.joints[:, end] - scene.joints[:, begin]
         length = np.linalg.norm(span, axis=1)
         np.testing.assert_allclose(bones.T_hand_bone[:, n, :3, 3], scene.joints[:, begin])
@@ -68,10 +68,10 @@ def test_bones_run_from_joint_to_joint(scene: Scene) -> None:
 @pytest.mark.slow
 def test_pieces_are_convex_and_make_up_the_object() -> None:
     cube = box(0.05, 0.07, 0.11)
-    (piece,) = convex_pieces(cube)
+    (piece,) = convex_decomposition(cube)
     assert piece.volume == pytest.approx(cube.volume, rel=0.1)
     flat = replace(cube, vertices=cube.vertices * [1.0, 1.0, 0.5], faces=cube.faces[:2])  # one side, no inside
-    assert len(convex_pieces(flat)) >= 1
+    assert len(convex_decomposition(flat)) >= 1
 
 
 @pytest.fixture(scope="module")
@@ -113,5 +113,5 @@ def test_a_hand_without_joints_is_its_mesh(scene: Scene, tmp_path: Path) -> None
     model, data = loaded(replace(scene, joints=None), tmp_path / "out")
     mujoco.mj_resetDataKeyframe(model, data, 2)
     mujoco.mj_forward(model, data)
-    np.testing.assert_allclose(posed(data, "hand"), Stage.of(scene).poses(scene)[1][2], atol=1e-7)
+    np.testing.assert_allclose(posed(data, "hand"), StageFrame.of(scene).poses(scene)[1][2], atol=1e-7)
     assert (tmp_path / "out" / "assets" / "hand.obj").is_file()

@@ -14,14 +14,14 @@ from scipy.spatial.transform import Rotation
 
 from getagrip.errors import UsageError
 from getagrip.export import Scene, export
-from getagrip.export.stage import Stage, palm
+from getagrip.export.stage import StageFrame, palm_orientation
 from getagrip.geometry import se3
 from getagrip.hands import generic
 from getagrip.hands.model import mirrored
 
 
 def on_stage(scene: Scene) -> tuple[ndarray, ndarray]:
-    T_stage_obj, T_stage_hand = Stage.of(scene).poses(scene)
+    T_stage_obj, T_stage_hand = StageFrame.of(scene).poses(scene)
     assert scene.joints is not None
     return T_stage_obj, se3.transform(T_stage_hand, scene.joints)
 
@@ -83,7 +83,7 @@ def test_dex_retargeting_has_joints_and_object_poses(scene: Scene, tmp_path: Pat
 def test_the_palm_of_a_left_hand_is_the_mirror_image() -> None:
     """Of a right hand with its palm down, y is towards the thumb; a left hand's x and y are turned round."""
     joints = generic.load("right").with_shape().with_pose().joints[None]
-    right, left = palm(joints, "right", 9), palm(mirrored(joints), "left", 9)
+    right, left = palm_orientation(joints, "right", 9), palm_orientation(mirrored(joints), "left", 9)
     for R in (right, left):
         np.testing.assert_allclose(R[0] @ R[0].T, np.eye(3), atol=1e-12)
         assert np.linalg.det(R[0]) == pytest.approx(1.0)

@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from getagrip.errors import UsageError
 from getagrip.export import Scene, export
-from getagrip.export.stage import Stage
+from getagrip.export.stage import StageFrame
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.io import extras
@@ -32,7 +32,7 @@ def test_usd_reads_back_every_pose_and_point(both: Scene, tmp_path: Path) -> Non
     codes = (scene.time - scene.time[0]) * scene.fps
     assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == pytest.approx((0.0, codes[-1]))
     assert stage.GetTimeCodesPerSecond() == scene.fps
-    on_stage = Stage.of(scene)
+    on_stage = StageFrame.of(scene)
     T_stage_obj, T_stage_hand = on_stage.poses(scene)
     root = stage.GetDefaultPrim()
     for n, code in enumerate(codes):

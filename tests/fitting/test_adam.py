@@ -10,7 +10,7 @@ import pytest
 from numpy import ndarray
 
 from getagrip.fitting import solve
-from getagrip.fitting.adam import descend, gradient
+from getagrip.fitting.adam import energy_gradient, minimise_by_adam
 from getagrip.fitting.energy import PosesInCamera, Quadratic
 from getagrip.fitting.motion import Fixed, Free, Hinge, Motion
 from getagrip.fitting.solve import evaluate
@@ -56,7 +56,7 @@ def target(motion: Motion, rng: np.random.Generator) -> Match:
     shared, local = motion.lengths()
     step = [np.where(lengths, 0.01, 0.1) * rng.normal(size=(B, *shape, len(lengths))) for lengths, shape in
             ((shared, ()), (local, (N,)))]  # fmt: skip
-    poses = solve.in_camera(motion.retract(*step), T_CAM_HAND)
+    poses = solve.poses_in_camera(motion.retract(*step), T_CAM_HAND)
     arm = poses.scale[:, None, None, None] * (0.1 * np.eye(3)) @ np.swapaxes(poses.R, -1, -2)
     return Match((poses.centre[:, :, None] + arm)[0])
 
@@ -65,7 +65,7 @@ def target(motion: Motion, rng: np.random.Generator) -> Match:
 def test_gradients_by_the_parameters(kind: str) -> None:
     motion = motions()[kind]()
     term, free, h = target(motion, np.random.default_rng(2)), np.full(B, np.inf), 1e-6
-    g_shared, g_local = gradient(motion, evaluate(motion, [term], T_CAM_HAND, free).local, T_CAM_HAND)
+    g_shared, g_local = energy_gradient(motion, evaluate(motion, [term], T_CAM_HAND, free).local, T_CAM_HAND)
     S, L = g_shared.shape[1], g_local.shape[2]
     assert tuple(map(len, motion.lengths())) == (S, L)
 
@@ -89,7 +89,7 @@ def test_it_comes_to_the_minimum_that_levenberg_marquardt_finds(kind: str) -> No
     term = target(motion, np.random.default_rng(3))
     start = evaluate(motion, [term], T_CAM_HAND, np.full(B, np.inf)).cost
     least = solve.minimise(motion, [term], T_CAM_HAND, 100).energy
-    found = descend(motion, [term], T_CAM_HAND, 100, 0.05)
+    found = minimise_by_adam(motion, [term], T_CAM_HAND, 100, 0.05)
     assert found.status == [Status.FINISHED] * B
     assert (found.energy - least <= 0.05 * (start - least)).all()
     np.testing.assert_allclose(sum(found.terms.values()), found.energy)
@@ -100,13 +100,15 @@ def test_it_never_ends_worse_than_it_began() -> None:
     motion = motions()["hinge"]()
     term = target(motion, np.random.default_rng(4))
     start = evaluate(motion, [term], T_CAM_HAND, np.full(B, np.inf)).cost
-    assert (descend(motion, [term], T_CAM_HAND, 3, 5.0).energy <= start).all()  # a rate that leads astray
+    assert (minimise_by_adam(motion, [term], T_CAM_HAND, 3, 5.0).energy <= start).all()  # a rate that leads astray
 
 
 def test_the_unit_of_energy_does_not_matter() -> None:
     motion = replace(motions()["hinge"](), ridge=0.0)  # type: ignore[type-var]
     term = target(motion, np.random.default_rng(6))
-    ends = [descend(motion, [replace(term, stiffness=s)], T_CAM_HAND, 40, 0.02).motion.poses() for s in (1e3, 1e6)]
+    ends = [
+        minimise_by_adam(motion, [replace(term, stiffness=s)], T_CAM_HAND, 40, 0.02).motion.poses() for s in (1e3, 1e6)
+    ]
     np.testing.assert_allclose(ends[0].centre, ends[1].centre, atol=1e-6)
 
 
@@ -120,5 +122,5 @@ def test_what_is_behind_the_camera_is_lost() -> None:
             found.value[0] = np.inf
             return found
 
-    found = descend(motions()["fixed"](), [Nowhere()], T_CAM_HAND, 2, 0.1)
+    found = minimise_by_adam(motions()["fixed"](), [Nowhere()], T_CAM_HAND, 2, 0.1)
     assert found.status == [Status.INVISIBLE, Status.FINISHED]

@@ -16,11 +16,11 @@ import pytest
 from fuzz import adversarial
 from fuzz.adversarial import Case, attempts, limited, main
 from fuzz.troubles import quartered
-from getagrip.datasets.synthetic.categories import CATEGORIES
+from getagrip.datasets.synthetic.categories import SYNTHETIC_CATEGORIES
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.geometry import mesh as meshes
-from getagrip.geometry.mesh import clustered
+from getagrip.geometry.mesh import cluster_vertices
 from getagrip.timelines.reconstruct import reconstruct
 from helpers.clips import box
 from helpers.scenes import SHORT, scene
@@ -87,7 +87,7 @@ def test_a_method_that_dies_or_hangs_ends_no_other(monkeypatch: pytest.MonkeyPat
 def test_large_meshes_are_fitted_with_fewer_faces(monkeypatch: pytest.MonkeyPatch) -> None:
     clip, masks = scene("mug", 0, SHORT)
     fine = replace(clip, mesh=quartered(quartered(clip.mesh)))
-    monkeypatch.setattr(meshes, "MOST_FACES", len(clip.mesh.faces))
+    monkeypatch.setattr(meshes, "MAX_MESH_FACES", len(clip.mesh.faces))
     result = reconstruct(fine, masks, Options(method="static", inits=6))
     assert f"the mesh of {len(fine.mesh.faces)} faces was fitted with" in " ".join(result.notes)
     assert result.mean_iou > 0.8
@@ -95,13 +95,13 @@ def test_large_meshes_are_fitted_with_fewer_faces(monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.slow
 def test_clustering_keeps_a_large_meshs_shape() -> None:
-    mesh = quartered(quartered(quartered(CATEGORIES["can"].make())))
-    few = clustered(mesh, len(mesh.faces) // 6)
+    mesh = quartered(quartered(quartered(SYNTHETIC_CATEGORIES["can"].make())))
+    few = cluster_vertices(mesh, len(mesh.faces) // 6)
     assert len(few.faces) < len(mesh.faces) // 4
     assert few.is_closed
     assert few.volume == pytest.approx(mesh.volume, rel=0.02)
     assert few.diameter == pytest.approx(mesh.diameter, rel=0.01)
-    assert clustered(mesh, len(mesh.faces)) is mesh
+    assert cluster_vertices(mesh, len(mesh.faces)) is mesh
 
 
 def test_a_quartered_mesh_has_the_same_surface() -> None:

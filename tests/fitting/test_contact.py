@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from getagrip.fitting.contact import HandContacts, spread_points
+from getagrip.fitting.contact import HandContacts, farthest_point_sampling
 from getagrip.geometry import se3
 from helpers.clips import small_clip
 
@@ -22,5 +22,5 @@ def test_contact_vertices_are_the_regions_fingertips_first() -> None:
 
 def test_spread_points_cover_a_line() -> None:
     line = np.column_stack([np.linspace(0.0, 1.0, 101), np.zeros((101, 2))])
-    np.testing.assert_array_equal(spread_points(line, 3), [0, 50, 100])
-    np.testing.assert_array_equal(spread_points(line[:2], 3), [0, 1])
+    np.testing.assert_array_equal(farthest_point_sampling(line, 3), [0, 50, 100])
+    np.testing.assert_array_equal(farthest_point_sampling(line[:2], 3), [0, 1])

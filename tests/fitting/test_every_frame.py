@@ -17,7 +17,7 @@ from getagrip.fitting.energy import Energy
 from getagrip.fitting.energy.reprojection import ReprojectionTerm
 from getagrip.fitting.methods import METHODS, Method, OnStage
 from getagrip.fitting.methods.all_frames import soft_hinge
-from getagrip.fitting.motion import PosesInHand, interpolated
+from getagrip.fitting.motion import PosesInHand, interpolate_object_poses
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.geometry import se3
@@ -100,7 +100,7 @@ def test_it_does_not_matter_where_the_masks_are_nor_how_many_are_read_at_once(
     again = reconstruct(clip, None, replace(QUICK, method="one-dof"))
     in_memory = reconstruct(clip, read_masks(clip), replace(QUICK, method="one-dof"))
     np.testing.assert_array_equal(again.T_hand_obj, in_memory.T_hand_obj)
-    monkeypatch.setattr(every_frame, "CHUNK", 2)
+    monkeypatch.setattr(every_frame, "FIT_CHUNK_FRAMES", 2)
     few = reconstruct(clip, None, replace(QUICK, method="one-dof"))
     apart = se3.transform(few.T_hand_obj, clip.mesh.vertices) - se3.transform(again.T_hand_obj, clip.mesh.vertices)
     assert np.linalg.norm(apart, axis=-1).max() < 0.003
@@ -124,7 +124,7 @@ def test_results_say_how_each_pose_was_found_and_older_ones_are_read(tmp_path: P
 def test_between_two_poses_lies_the_shortest_way_and_beyond_the_ends_nothing_moves() -> None:
     R = se3.exp_so3(np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.8]]]))
     poses = PosesInHand(R, np.array([[[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]]), np.ones(1))
-    between = interpolated(poses, np.array([2, 6]), np.array([0, 2, 3, 6, 9]))
+    between = interpolate_object_poses(poses, np.array([2, 6]), np.array([0, 2, 3, 6, 9]))
     np.testing.assert_allclose(se3.log_so3(between.R[0])[:, 2], [0.0, 0.0, 0.2, 0.8, 0.8], atol=1e-12)
     np.testing.assert_allclose(between.centre[0, :, 0], [0.0, 0.0, 0.025, 0.1, 0.1], atol=1e-12)
 
@@ -186,7 +186,7 @@ def test_where_the_mesh_does_not_meet_the_masks_the_other_frames_follow_their_ne
         return float(se3.angle_between(turns[1:], turns[:-1]).mean()), result
 
     smooth, followed = bent()
-    monkeypatch.setattr(every_frame, "SMOOTH", 0.0)
+    monkeypatch.setattr(every_frame, "BENDING_WEIGHT", 0.0)
     rough, alone = bent()
     sampled = alone.frames_of("sampled")
     np.testing.assert_array_equal(followed.T_hand_obj[sampled], alone.T_hand_obj[sampled])

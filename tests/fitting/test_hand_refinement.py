@@ -15,13 +15,13 @@ from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.hand_errors import HandErrors
 from getagrip.fitting.hand_refinement import refine_hand
-from getagrip.fitting.hand_silhouette import SIZE, HandMask, HandSilhouette
+from getagrip.fitting.hand_silhouette import HAND_CROP_SIZE_PX, HandMask, HandSilhouette
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import prepare
+from getagrip.fitting.problem import prepare_problem
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
-from getagrip.geometry.depth import covered
-from getagrip.hands.bending import bent, finger_weights
+from getagrip.geometry.depth import render_coverage
+from getagrip.hands.bending import bend_fingers, finger_weights
 from getagrip.kernels.silhouette import unpack
 from getagrip.provenance import assumed, estimated
 
@@ -77,14 +77,16 @@ def test_at_the_truth_hardly_a_pixel_differs(
     assert value.sum() < 0.03 * seen.mask.pixels  # resampled pixels, no more
     assert g.shape == (6, 22)
     assert H.shape == (6, 22, 22)
-    drawn = covered(se3.transform(clip.hand.T_cam_hand, clip.hand.vertices)[0], clip.hand.faces, clip.K[0], clip.size)
-    assert unpack(seen.mask.observed, SIZE)[0].any() == (masks.ignore[0] & drawn).any()
+    drawn = render_coverage(
+        se3.transform(clip.hand.T_cam_hand, clip.hand.vertices)[0], clip.hand.faces, clip.K[0], clip.size
+    )
+    assert unpack(seen.mask.observed, HAND_CROP_SIZE_PX)[0].any() == (masks.ignore[0] & drawn).any()
 
 
 @pytest.mark.slow
 def test_a_true_hand_is_left_alone(made: tuple[Clip, Masks]) -> None:
     assert refine_hand(*made)[0] is None
-    problem = prepare(with_masks(*made), Options())
+    problem = prepare_problem(with_masks(*made), Options())
     assert not problem.trust.hand_refined
     np.testing.assert_array_equal(problem.clip.hand.T_cam_hand, made[0].hand.T_cam_hand)
 
@@ -147,12 +149,12 @@ def test_grown_masks_are_as_large_as_the_silhouettes_and_no_smaller_than_given(m
     clip, masks = made
     true = HandMask.of(clip, masks)
     small = HandMask.of(clip, smaller(masks, 3))
-    seen = unpack(true.observed, SIZE) & unpack(small.valid, SIZE)
+    seen = unpack(true.observed, HAND_CROP_SIZE_PX) & unpack(small.valid, HAND_CROP_SIZE_PX)
     grown = small.grown_to(true.observed)
     assert small.pixels < 0.75 * seen.sum()
     assert grown.pixels == pytest.approx(seen.sum(), rel=0.05)
-    assert not (unpack(small.observed, SIZE) & ~unpack(grown.observed, SIZE)).any()
-    assert not (unpack(grown.observed, SIZE) & ~unpack(small.valid, SIZE)).any()
+    assert not (unpack(small.observed, HAND_CROP_SIZE_PX) & ~unpack(grown.observed, HAND_CROP_SIZE_PX)).any()
+    assert not (unpack(grown.observed, HAND_CROP_SIZE_PX) & ~unpack(small.valid, HAND_CROP_SIZE_PX)).any()
     np.testing.assert_array_equal(true.grown_to(small.observed).observed, true.observed)
     np.testing.assert_array_equal(small.grown_to(np.full_like(small.observed, 2**64 - 1)).observed, small.observed)
 
@@ -206,9 +208,9 @@ def test_the_arm_says_nothing(made: tuple[Clip, Masks]) -> None:
 @pytest.mark.slow
 def test_as_given_leaves_everything_as_it_is(made: tuple[Clip, Masks]) -> None:
     clip = off(made[0], CONSTANT)
-    assert prepare(with_masks(clip, made[1]), Options()).trust.hand_refined
+    assert prepare_problem(with_masks(clip, made[1]), Options()).trust.hand_refined
     for options in (Options(hands="as-given"), Options(method="paper")):
-        problem = prepare(with_masks(clip, made[1]), options)
+        problem = prepare_problem(with_masks(clip, made[1]), options)
         assert not problem.trust.hand_refined
         np.testing.assert_array_equal(problem.clip.hand.T_cam_hand, clip.hand.T_cam_hand)
 
@@ -248,7 +250,7 @@ def other_fingers(made: tuple[Clip, Masks]) -> Clip:
     hand, joints = clip.hand, clip.hand.joints
     assert joints is not None
     seen = project(clip.K, se3.transform(hand.T_cam_hand, joints))
-    vertices, joints = bent(
+    vertices, joints = bend_fingers(
         hand.vertices, joints, finger_weights(hand), np.zeros((len(clip), 5, 3)), np.tile(SPREAD, (len(clip), 1))
     )
     wrong = replace(
@@ -280,7 +282,7 @@ def test_contact_counts_with_the_fingers_as_refined_in_every_frame(made: tuple[C
     refined = found.with_fingers(clip.hand, every)
     assert refined.joints is not None
     np.testing.assert_array_equal(refined.T_cam_hand, clip.hand.T_cam_hand)
-    prepared = prepare(with_masks(clip, made[1]), Options()).clip.hand
+    prepared = prepare_problem(with_masks(clip, made[1]), Options()).clip.hand
     np.testing.assert_array_equal(prepared.vertices, refined.vertices)
 
     def off_sideways(joints: ndarray) -> float:

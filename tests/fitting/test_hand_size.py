@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from getagrip.clip import Clip, Segment, with_masks
-from getagrip.clip.depth import DEPTH, Depth
+from getagrip.clip.depth import DEPTH_KEY, Depth
 from getagrip.experiments.simulated_evidence import SimulatedDepth
-from getagrip.fitting.hand_size import at_true_size, with_hand_size
+from getagrip.fitting.hand_size import restore_object_size, with_hand_size
 from getagrip.fitting.methods.all_frames import search_of
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import prepare
-from getagrip.fitting.schedule import THOROUGH, USUAL
+from getagrip.fitting.problem import prepare_problem
+from getagrip.fitting.schedule import DEFAULT_SCHEDULE, THOROUGH_SCHEDULE
 from getagrip.geometry import se3
 from getagrip.provenance import assumed, measured
 from getagrip.result import Reconstruction, read_result, write_result
@@ -34,8 +34,8 @@ def with_larger_hand(clip: Clip, by: float) -> Clip:
 
 def test_beside_a_lifted_hand_the_search_is_long() -> None:
     clip, masks = scene("mug", 1, SMALL)
-    for known, schedule in ((LIFTED, THOROUGH), ({}, USUAL)):
-        problem = prepare(with_masks(replace(clip, provenance=known), masks), Options())
+    for known, schedule in ((LIFTED, THOROUGH_SCHEDULE), ({}, DEFAULT_SCHEDULE)):
+        problem = prepare_problem(with_masks(replace(clip, provenance=known), masks), Options())
         assert search_of(problem, lambda stage: None).schedule == schedule
 
 
@@ -84,16 +84,20 @@ def test_a_sensor_shows_how_large_a_lifted_hand_is(by: float) -> None:
     assert not sized.size_beside_hand
     known = with_hand_size(replace(lifted, scale="known"), Options())
     assert (known.scale, known.hand_scale) == ("known", sized.hand_scale)
-    depth = lifted.evidence[DEPTH]
+    depth = lifted.evidence[DEPTH_KEY]
     assert isinstance(depth, Depth)
     for z in (np.where(np.arange(depth.z.size).reshape(depth.z.shape) % 97 == 0, depth.z, 0.0), 1e3 * depth.z):
-        few = replace(lifted, evidence={**lifted.evidence, DEPTH: replace(depth, z=z)})  # three samples; millimetres
+        few = replace(
+            lifted, evidence={**lifted.evidence, DEPTH_KEY: replace(depth, z=z)}
+        )  # three samples; millimetres
         assert with_hand_size(few, Options()).hand_scale == 1.0
     for level, scale in (("realsense", "clip"), ("mono", "metric")):  # of no metre, of a network
-        other = SimulatedDepth(level)(lifted, masks, 0)[0].evidence[DEPTH]
+        other = SimulatedDepth(level)(lifted, masks, 0)[0].evidence[DEPTH_KEY]
         assert isinstance(other, Depth)
         other = replace(other, source=replace(other.source, scale=scale))
-        assert with_hand_size(replace(lifted, evidence={**lifted.evidence, DEPTH: other}), Options()).hand_scale == 1.0
+        assert (
+            with_hand_size(replace(lifted, evidence={**lifted.evidence, DEPTH_KEY: other}), Options()).hand_scale == 1.0
+        )
 
 
 @pytest.mark.slow
@@ -113,7 +117,7 @@ def test_what_is_scaled_looks_the_same() -> None:
     clip, masks = scene("mug", 1, SMALL)
     beside = with_hand_size(replace(clip, provenance=LIFTED), Options())
     found = reconstruct(replace(beside, size_beside_hand=False), masks, Options())
-    scaled = at_true_size(found, beside)
+    scaled = restore_object_size(found, beside)
 
     def posed(result: Reconstruction) -> tuple[np.ndarray, np.ndarray]:
         hand = clip.with_hand_at(result.T_cam_hand, scale=result.hand_scale).hand

@@ -15,10 +15,10 @@ from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.experiments.simulated_evidence import true_joints
 from getagrip.fitting.hand_with_object import solve_with_hand
 from getagrip.fitting.methods.all_frames import soft_energy
-from getagrip.fitting.motion import Fixed, Hinge, Soft, placed
+from getagrip.fitting.motion import Fixed, Hinge, Soft, hand_object_transforms
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import Problem, prepare
-from getagrip.fitting.solved_hand import SolvedHand, hand_between
+from getagrip.fitting.problem import Problem, prepare_problem
+from getagrip.fitting.solved_hand import SolvedHand, interpolate_solved_hand
 from getagrip.geometry import camera, se3
 from getagrip.provenance import estimated, measured
 from getagrip.timelines.reconstruct import reconstruct
@@ -40,13 +40,13 @@ def made(side: str = "right", noise: Noise | None = OFF) -> Clip:
 
 def solved(clip: Clip) -> tuple[Problem, SolvedHand, ndarray]:
     """The problem, the hand, and ``T_hand_obj``, from the true object in the camera."""
-    problem = prepare(clip, Options(frames=6))
+    problem = prepare_problem(clip, Options(frames=6))
     assert clip.truth is not None
     start = se3.inverse(problem.clip.hand.T_cam_hand)[0] @ clip.truth.T_cam_obj[0]
     core = Fixed(start[None, :3, :3], se3.transform(start, clip.mesh.centre[None]), np.zeros(1), 6)
     hinge = Hinge.nearest(core, np.zeros((1, 6, 6)), True, np.zeros(3))
     hand, motion = solve_with_hand(problem, Soft(hinge, np.zeros((1, 6, 6)), RIDGE), soft_energy)
-    return problem, hand, placed(motion.poses(), clip.mesh.centre)[0]
+    return problem, hand, hand_object_transforms(motion.poses(), clip.mesh.centre)[0]
 
 
 def errors(clip: Clip, T_cam_hand: ndarray) -> tuple[float, float]:
@@ -60,8 +60,10 @@ def errors(clip: Clip, T_cam_hand: ndarray) -> tuple[float, float]:
 
 def test_a_measured_hand_is_refined_less_and_not_solved_with_the_object() -> None:
     clip = made(noise=replace(OFF, hand_bias_deg=4.0))
-    alone = prepare(replace(clip, provenance=clip.provenance | {"hands": measured("a test")}), Options(frames=6))
-    together = prepare(clip, Options(frames=6))
+    alone = prepare_problem(
+        replace(clip, provenance=clip.provenance | {"hands": measured("a test")}), Options(frames=6)
+    )
+    together = prepare_problem(clip, Options(frames=6))
     assert alone.refinement is None
     assert together.refinement is not None
     T = clip.hand.T_cam_hand[:, :3, :3]
@@ -132,14 +134,17 @@ def test_a_hand_whose_pixels_are_another_hands_stays() -> None:
     masks = clip.evidence["object-masks"]
     assert isinstance(masks, Masks)
     elsewhere = np.roll(masks.ignore, 120, axis=2) & ~masks.object
-    assert prepare(with_masks(clip, Masks(masks.object, masks.ignore, elsewhere)), Options(frames=6)).refinement is None
+    assert (
+        prepare_problem(with_masks(clip, Masks(masks.object, masks.ignore, elsewhere)), Options(frames=6)).refinement
+        is None
+    )
 
 
 def test_the_other_frames_go_with_their_neighbours() -> None:
     rng = np.random.default_rng(0)
     given, off = se3.rigid(se3.exp_so3(rng.normal(size=(5, 3))), rng.normal(size=(5, 3))), se3.exp_so3(np.full(3, 0.1))
     at = np.array([0, 2, 4])
-    found = hand_between(given, (given @ se3.rigid(off, np.full(3, 0.01)))[at], at)
+    found = interpolate_solved_hand(given, (given @ se3.rigid(off, np.full(3, 0.01)))[at], at)
     np.testing.assert_allclose(found, given @ se3.rigid(off, np.full(3, 0.01)), atol=1e-9)
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy import ndarray
 
 from getagrip.fitting import learn_priors as clusters
-from getagrip.fitting.learn_priors import clustered, hold, karcher_mean, learn
+from getagrip.fitting.learn_priors import cluster_rotations, karcher_mean, learn_pose_priors, true_grasp_pose
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from helpers.grasp_priors import held, rotations
@@ -28,7 +28,7 @@ def near(R: ndarray, n: int, degrees: float, seed: int = 0) -> ndarray:
 def test_planted_clusters_are_found_the_fullest_first(way: clusters.Way) -> None:
     centres = se3.exp_so3(np.array([[0.5, 0.0, 0.0], [0.0, -1.5, 0.0], [0.3, 0.4, 2.0]]))
     R = np.concatenate([near(R, n, 4.0, n) for R, n in zip(centres, (20, 9, 14), strict=True)])
-    found = clustered(R, 3, way)
+    found = cluster_rotations(R, 3, way)
     assert np.degrees(se3.angle_between(found, centres[[0, 2, 1]])).max() < 4.0
 
 
@@ -36,13 +36,13 @@ def test_planted_clusters_are_found_the_fullest_first(way: clusters.Way) -> None
 @pytest.mark.slow
 def test_clusters_on_so3_turn_with_what_they_are_made_of(seed: int) -> None:
     R, (hand, cad) = rotations(20, seed), rotations(2, seed + 1)
-    assert np.allclose(clustered(hand @ R @ cad, 5), hand @ clustered(R, 5) @ cad, atol=1e-6)
+    assert np.allclose(cluster_rotations(hand @ R @ cad, 5), hand @ cluster_rotations(R, 5) @ cad, atol=1e-6)
 
 
 def test_half_turns_about_opposite_directions_are_one_cluster_but_for_rotation_vectors() -> None:
     R = se3.exp_so3(np.array([[0.0, 0.0, np.pi - 0.01], [0.0, 0.0, -np.pi + 0.01]]))
-    assert np.degrees(se3.angle_between(clustered(R, 1), R)).max() < 1.0
-    assert np.degrees(se3.angle_between(clustered(R, 1, "axis-angle"), R)).min() > 170.0
+    assert np.degrees(se3.angle_between(cluster_rotations(R, 1), R)).max() < 1.0
+    assert np.degrees(se3.angle_between(cluster_rotations(R, 1, "axis-angle"), R)).min() > 170.0
 
 
 @given(SEEDS, st.integers(1, 12), st.integers(1, 12))
@@ -50,8 +50,8 @@ def test_half_turns_about_opposite_directions_are_one_cluster_but_for_rotation_v
 def test_no_more_clusters_than_asked_for_or_than_there_are_rotations(seed: int, n: int, k: int) -> None:
     R = rotations(n, seed)
     twice = np.concatenate([R, R])
-    assert len(clustered(twice, k)) <= min(n, k)
-    alike = clustered(twice, 2 * n)
+    assert len(cluster_rotations(twice, k)) <= min(n, k)
+    alike = cluster_rotations(twice, 2 * n)
     assert len(alike) == n
     assert se3.angle_between(R[:, None], alike[None]).min(axis=1).max() < 1e-6
 
@@ -80,8 +80,10 @@ def test_a_learnt_object_is_at_the_mean_place_of_the_grasps_wherever_its_cad_has
         for clip in clips:
             assert clip.truth is not None
             truth = replace(clip.truth, T_cam_obj=clip.truth.T_cam_obj @ se3.rigid(t=-moved))
-            there.append(hold(replace(clip, mesh=Mesh(clip.mesh.vertices + moved, clip.mesh.faces), truth=truth)))
-        learnt = learn(there, k=2)
+            there.append(
+                true_grasp_pose(replace(clip, mesh=Mesh(clip.mesh.vertices + moved, clip.mesh.faces), truth=truth))
+            )
+        learnt = learn_pose_priors(there, k=2)
         centres.append(se3.transform(learnt.T_hand_obj, (clips[0].mesh.centre + moved)[None])[:, 0])
     assert np.allclose(centres[0], centres[1])
     assert np.allclose(centres[0], [0.015, 0.02, -0.03])
@@ -89,7 +91,7 @@ def test_a_learnt_object_is_at_the_mean_place_of_the_grasps_wherever_its_cad_has
 
 def test_categories_and_sides_are_learnt_apart() -> None:
     clips = [held("a"), held("b", seed=1, category="mug"), replace(held("c", seed=2), side="left")]
-    learnt = learn([hold(clip) for clip in clips], k=5)
+    learnt = learn_pose_priors([true_grasp_pose(clip) for clip in clips], k=5)
     assert [len(learnt.of(*key)) for key in (("box", "right"), ("box", "left"), ("mug", "right"))] == [1, 1, 1]
     assert not len(learnt.of("mug", "left"))
     assert np.allclose(learnt.of("mug", "right")[0, :3, :3], rotations(1, 1)[0])

@@ -12,11 +12,11 @@ from getagrip.clip import Clip, Masks, with_masks
 from getagrip.experiments.changes import Gapped
 from getagrip.fitting import hand_silhouette, problem
 from getagrip.fitting.energy import PosesInCamera
-from getagrip.fitting.mask_gaps import WIDEST, in_gaps
-from getagrip.fitting.objective import mask_of
-from getagrip.fitting.observation import CROP, LEVELS, observe
+from getagrip.fitting.mask_gaps import MAX_GAP_PX, find_gap_pixels
+from getagrip.fitting.objective import mask_energy
+from getagrip.fitting.observation import MASK_CROP_SIZE_PX, MASK_LEVELS_PX, observe_masks
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import prepare
+from getagrip.fitting.problem import prepare_problem
 from getagrip.geometry import se3
 from getagrip.kernels.silhouette import unpack
 from helpers.scenes import SHORT, scene
@@ -30,10 +30,10 @@ def strips(gap: int, size: int = 96, top: int = 20, bottom: int = 70) -> tuple[n
     return observed, hidden
 
 
-@pytest.mark.parametrize("gap", [1, 2, 5, WIDEST])
+@pytest.mark.parametrize("gap", [1, 2, 5, MAX_GAP_PX])
 def test_a_gap_is_what_lies_between(gap: int) -> None:
     observed, hidden = strips(gap)
-    found = in_gaps(observed, hidden)
+    found = find_gap_pixels(observed, hidden)
     expected = np.zeros_like(found)
     expected[0, 20:70, 40 : 40 + gap] = True
     np.testing.assert_array_equal(found & expected, expected)
@@ -41,17 +41,17 @@ def test_a_gap_is_what_lies_between(gap: int) -> None:
     assert len(beyond) <= gap * gap
     for changed in (lambda m: m[:, ::-1], lambda m: m[:, :, ::-1], lambda m: np.swapaxes(m, 1, 2)):
         np.testing.assert_array_equal(
-            in_gaps(*(np.ascontiguousarray(changed(m)) for m in (observed, hidden))), changed(found)
+            find_gap_pixels(*(np.ascontiguousarray(changed(m)) for m in (observed, hidden))), changed(found)
         )
-    np.testing.assert_array_equal(in_gaps(hidden, observed), found)
+    np.testing.assert_array_equal(find_gap_pixels(hidden, observed), found)
 
 
 def test_what_is_wider_or_touches_is_no_gap() -> None:
-    assert not in_gaps(*strips(0)).any()
-    assert not in_gaps(*strips(WIDEST + 1)).any()
+    assert not find_gap_pixels(*strips(0)).any()
+    assert not find_gap_pixels(*strips(MAX_GAP_PX + 1)).any()
     observed, hidden = strips(3)
-    assert not in_gaps(observed, np.zeros_like(hidden)).any()
-    assert not in_gaps(np.zeros_like(observed), hidden).any()
+    assert not find_gap_pixels(observed, np.zeros_like(hidden)).any()
+    assert not find_gap_pixels(np.zeros_like(observed), hidden).any()
 
 
 def test_exact_masks_have_corners_and_no_gaps() -> None:
@@ -61,15 +61,15 @@ def test_exact_masks_have_corners_and_no_gaps() -> None:
     hidden[0] = i >= 60
     for slope in (0.0, 0.5, 2.0):
         observed[0] = (i < 60) & (i > 10) & (j > 30 + slope * (60 - i) * 0.5) & (j < 80)
-        assert not in_gaps(observed, hidden).any()
+        assert not find_gap_pixels(observed, hidden).any()
 
 
 def test_pixels_in_gaps_do_not_count_at_any_level() -> None:
     clip, masks = scene("can", 0, SHORT)
-    exact, gapped = (observe(m, clip.K) for m in (masks, Gapped(2.0)(clip, masks, 0)[1]))
+    exact, gapped = (observe_masks(m, clip.K) for m in (masks, Gapped(2.0)(clip, masks, 0)[1]))
     assert (exact.has_gaps, gapped.has_gaps) == (False, True)
     assert gapped.take(np.array([0])).has_gaps
-    for level in LEVELS:
+    for level in MASK_LEVELS_PX:
         np.testing.assert_array_equal(gapped.observed[level], exact.observed[level])
         seen, valid = (unpack(bits[level], level) for bits in (gapped.observed, gapped.valid))
         assert (valid | ~seen).all()
@@ -79,10 +79,11 @@ def test_other_frames_of_a_clip_have_gaps_where_the_fitted_ones_have() -> None:
     clip, masks = scene("can", 0, SHORT)
     gapped = Gapped(2.0)(clip, masks, 0)[1]
     for fitted, others in ((masks, gapped), (gapped, masks)):
-        first = prepare(with_masks(clip, fitted), Options())
+        first = prepare_problem(with_masks(clip, fitted), Options())
         assert first.at(with_masks(clip, others)).observation.has_gaps == first.observation.has_gaps
     np.testing.assert_array_equal(
-        first.at(with_masks(clip, gapped)).observation.valid[CROP], first.observation.valid[CROP]
+        first.at(with_masks(clip, gapped)).observation.valid[MASK_CROP_SIZE_PX],
+        first.observation.valid[MASK_CROP_SIZE_PX],
     )
 
 
@@ -90,9 +91,9 @@ def test_other_frames_of_a_clip_have_gaps_where_the_fitted_ones_have() -> None:
 def test_exact_hands_stay_where_their_masks_are_too_small_all_round(monkeypatch: pytest.MonkeyPatch) -> None:
     clip, masks = scene("can", 0, SHORT)
     gapped = Gapped(3.0)(clip, masks, 0)[1]
-    grown = turned(prepare(with_masks(clip, gapped), Options()).clip)
-    monkeypatch.setattr(hand_silhouette, "GROWTH", (np.inf, 0.0))
-    as_given = turned(prepare(with_masks(clip, gapped), Options()).clip)
+    grown = turned(prepare_problem(with_masks(clip, gapped), Options()).clip)
+    monkeypatch.setattr(hand_silhouette, "MASK_GROWTH_RANGE_PX", (np.inf, 0.0))
+    as_given = turned(prepare_problem(with_masks(clip, gapped), Options()).clip)
     assert grown < 1.0
     assert grown < 0.3 * as_given
 
@@ -110,9 +111,9 @@ def test_gaps_speak_against_the_truth_unless_they_are_found(monkeypatch: pytest.
     clip, masks = scene("can", 0, SHORT)
     gapped = Gapped(2.0)(clip, masks, 0)[1]
     exact, found = energy_at_truth(clip, masks), energy_at_truth(clip, gapped)
-    notes = [prepare(with_masks(clip, some), Options()).notes for some in (masks, gapped)]
+    notes = [prepare_problem(with_masks(clip, some), Options()).notes for some in (masks, gapped)]
     assert [any("gaps" in note for note in of_some) for of_some in notes] == [False, True]
-    assert not prepare(with_masks(clip, gapped), Options(method="paper")).observation.has_gaps
+    assert not prepare_problem(with_masks(clip, gapped), Options(method="paper")).observation.has_gaps
     monkeypatch.setattr(problem, "GAP_SHARE", 1.0)
     believed = energy_at_truth(clip, gapped)
     assert believed > 3.0 * exact
@@ -121,10 +122,10 @@ def test_gaps_speak_against_the_truth_unless_they_are_found(monkeypatch: pytest.
 
 def energy_at_truth(clip: Clip, masks: Masks) -> float:
     """E_mask at the true poses, all frames together."""
-    prepared = prepare(with_masks(clip, masks), replace(Options(), hands="as-given"))
+    prepared = prepare_problem(with_masks(clip, masks), replace(Options(), hands="as-given"))
     assert prepared.clip.truth is not None
     T = prepared.clip.truth.T_cam_obj
     centre = se3.transform(T, np.tile(clip.mesh.centre, (len(T), 1, 1)))[:, 0]
     poses = PosesInCamera(T[None, :, :3, :3], centre[None], np.ones(1))
-    (term,) = mask_of(prepared)(CROP, np.arange(len(T)))
+    (term,) = mask_energy(prepared)(MASK_CROP_SIZE_PX, np.arange(len(T)))
     return float(term(poses, np.full(1, np.inf)).value.sum())

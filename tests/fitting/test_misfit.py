@@ -8,8 +8,8 @@ import pytest
 from getagrip.clip import Masks
 from getagrip.fitting.energy import PosesInCamera
 from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
-from getagrip.fitting.misfit import misfit, stiffened
-from getagrip.fitting.observation import observe
+from getagrip.fitting.misfit import relative_contour_error, stiffen_ridge
+from getagrip.fitting.observation import observe_masks
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.kernels.silhouette import silhouettes, unpack
@@ -30,10 +30,10 @@ def at_truth(pixels: int, fitted: Mesh = HELD) -> float:
     silhouettes(R, centre, np.ones(FRAMES), *t.tables, np.tile([f, f, c, c], (FRAMES, 1)), bits)
     seen = unpack(bits, pixels)
     K = np.tile([[f, 0.0, c], [0.0, f, c], [0.0, 0.0, 1.0]], (FRAMES, 1, 1))
-    observation = observe(Masks(seen, np.zeros_like(seen)), K)
+    observation = observe_masks(Masks(seen, np.zeros_like(seen)), K)
     term = MaskTerm(SilhouetteMesh.of(fitted, np.zeros(3)), observation, level=64)
     poses = PosesInCamera(R[None], centre[None], np.ones(1))
-    return misfit(observation, float(term(poses, np.full(1, np.inf)).value.mean()))
+    return relative_contour_error(observation, float(term(poses, np.full(1, np.inf)).value.mean()))
 
 
 @pytest.mark.parametrize("pixels", [320, 640, 1280])
@@ -49,8 +49,8 @@ def test_a_mesh_of_its_kind_leaves_more() -> None:
 
 def test_deviations_get_stiffer_where_masks_are_explained_worse() -> None:
     ridge = (1.5e6, 1e4)
-    assert stiffened(ridge, 0.3) == stiffened(ridge, 1.0) == ridge
-    once, twice = stiffened(ridge, 2.0), stiffened(ridge, 4.0)
+    assert stiffen_ridge(ridge, 0.3) == stiffen_ridge(ridge, 1.0) == ridge
+    once, twice = stiffen_ridge(ridge, 2.0), stiffen_ridge(ridge, 4.0)
     assert ridge < once < twice
     assert once[0] / once[1] == pytest.approx(ridge[0] / ridge[1])
 
@@ -58,4 +58,4 @@ def test_deviations_get_stiffer_where_masks_are_explained_worse() -> None:
 def test_where_no_contour_is_seen_nothing_is_known() -> None:
     everything = np.ones((2, 40, 40), dtype=bool)
     K = np.tile([[50.0, 0.0, 20.0], [0.0, 50.0, 20.0], [0.0, 0.0, 1.0]], (2, 1, 1))
-    assert misfit(observe(Masks(everything, np.zeros_like(everything)), K), 100.0) == 1.0
+    assert relative_contour_error(observe_masks(Masks(everything, np.zeros_like(everything)), K), 100.0) == 1.0

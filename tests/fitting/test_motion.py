@@ -12,7 +12,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip.fitting.motion import Fixed, Free, Frozen, Hinge, Motion, PosesInHand, Soft, placed, tangents
+from getagrip.fitting.motion import (
+    Fixed,
+    Free,
+    Frozen,
+    Hinge,
+    Motion,
+    PosesInHand,
+    Soft,
+    hand_object_transforms,
+    tangents,
+)
 from getagrip.geometry import se3
 
 B, N = 3, 4
@@ -169,7 +179,9 @@ def test_a_mesh_is_placed_where_its_poses_have_it_at_any_scale(seed: int) -> Non
     poses, centre, points = free(rng, free_scale=True).poses(), rng.normal(size=3), rng.normal(size=(5, 3))
     scale = poses.scale[:, None, None, None]
     expected = scale * (points - centre) @ np.swapaxes(poses.R, -1, -2) + poses.centre[:, :, None]
-    np.testing.assert_allclose(se3.transform(placed(poses, centre), scale * points), expected, atol=1e-12)
+    np.testing.assert_allclose(
+        se3.transform(hand_object_transforms(poses, centre), scale * points), expected, atol=1e-12
+    )
 
 
 @EVERY

@@ -15,14 +15,14 @@ from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.energy import HandInCamera, InHand, ObjectWithHand, OnHand, Term
 from getagrip.fitting.energy.reprojection import ReprojectionTerm
 from getagrip.fitting.motion import Fixed, Frozen, HandPrior, Hinge, MovingHand, PosesInHand, Soft
-from getagrip.fitting.objective import mask_of
+from getagrip.fitting.objective import mask_energy
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import prepare
-from getagrip.fitting.solve import evaluate, in_camera, minimise, seen_from_camera
+from getagrip.fitting.problem import prepare_problem
+from getagrip.fitting.solve import evaluate, jacobian_in_camera, minimise, poses_in_camera
 from getagrip.geometry import camera, se3
 from getagrip.hands import generic
 from getagrip.hands.model import hand_track
-from getagrip.least_squares import Rules
+from getagrip.least_squares import DampingRules
 from helpers.terms import some_term
 
 B, N = 2, 4
@@ -71,7 +71,7 @@ def step_between(here: ObjectWithHand, there: ObjectWithHand) -> ndarray:
 
 
 def placed(motion: MovingHand[Soft[Hinge]], T_cam_hand: ndarray) -> ObjectWithHand:
-    poses = in_camera(motion, T_cam_hand)
+    poses = poses_in_camera(motion, T_cam_hand)
     assert isinstance(poses, ObjectWithHand)
     return poses
 
@@ -83,7 +83,7 @@ def test_the_jacobian_is_that_of_object_and_hand(held: bool) -> None:
     if held:
         constant[:3], own[3:6] = 0.0, 0.0
     motion, T = moving(np.random.default_rng(1), constant, own)
-    J = seen_from_camera(*motion.jacobian(), T)
+    J = jacobian_in_camera(*motion.jacobian(), T)
     S, L = (len(lengths) for lengths in motion.lengths())
     assert J.shape[-1] == S + L == 11 + 7 + len(OWN) + len(CONSTANT) - 6 * held
     for k in range(S + L):
@@ -106,7 +106,7 @@ def test_the_gradient_of_the_whole_energy(memory: float) -> None:
         OnHand(some_term("reprojection", rng)),
     ]
     at, prior, bound = evaluate(motion, terms, T, np.full(B, np.inf)), motion.prior(), np.full(B, np.inf)
-    J = seen_from_camera(*motion.jacobian(), T)
+    J = jacobian_in_camera(*motion.jacobian(), T)
     S, L = (len(lengths) for lengths in motion.lengths())
     g = (np.swapaxes(J, -1, -2) @ at.local.g[..., None])[..., 0]
     assert prior.g_shared is not None
@@ -135,7 +135,7 @@ def test_a_hand_and_its_object_may_move_together() -> None:
     rng = np.random.default_rng(7)
     motion, T = moving(rng)
     still = replace(motion, constant=np.zeros_like(motion.constant), own=np.zeros_like(motion.own))
-    alone, size = in_camera(motion.core, T), np.exp(motion.constant[:, -1])
+    alone, size = poses_in_camera(motion.core, T), np.exp(motion.constant[:, -1])
     for at, grown in ((still, np.ones(B)), (motion, size)):
         in_hand = placed(at, T).in_hand
         np.testing.assert_allclose(in_hand.R, alone.R, atol=1e-12)
@@ -209,7 +209,7 @@ def test_hand_and_object_are_found_together(jitter: bool) -> None:
     assert true.truth is not None
     noise = Noise(hand_bias_deg=10.0, hand_bias_mm=15.0, hand_jitter_deg=2.0 * jitter, hand_jitter_mm=3.0 * jitter)
     clip = replace(true, hand=noisy_hand(true, noise, np.random.default_rng(6)))
-    problem = prepare(with_masks(clip, masks), Options(frames=6, hands="as-given"))
+    problem = prepare_problem(with_masks(clip, masks), Options(frames=6, hands="as-given"))
     given, T_true, frames = clip.hand, true.truth.T_cam_hand, np.arange(6)
     assert given.joints is not None
     start = se3.inverse(given.T_cam_hand)[0] @ true.truth.T_cam_obj[0]
@@ -220,12 +220,12 @@ def test_hand_and_object_are_found_together(jitter: bool) -> None:
     crop[:, [0, 1, 0, 1, 2], [0, 1, 2, 2, 2]] = np.concatenate([K, np.ones((6, 1))], axis=1)
     target = camera.project(crop, se3.transform(T_true, given.joints))
     seen = OnHand(ReprojectionTerm(given.joints - middle, K, target, 20.0))
-    terms = [*mask_of(problem)(256, frames), seen]
+    terms = [*mask_energy(problem)(256, frames), seen]
     assumed = HandPrior.of(
         given, np.array([*[0.015] * 3, *[0.28] * 3, 0.015, 0.0]), np.repeat([0.005, 0.05, 0.005], [3, 3, 1]), 30.0
     )
-    found = minimise(MovingHand.around(soft, assumed), terms, given.T_cam_hand, 30, Rules(tolerance=1e-6))
-    poses = in_camera(found.motion, given.T_cam_hand)
+    found = minimise(MovingHand.around(soft, assumed), terms, given.T_cam_hand, 30, DampingRules(tolerance=1e-6))
+    poses = poses_in_camera(found.motion, given.T_cam_hand)
     assert isinstance(poses, ObjectWithHand)
     hand: HandInCamera = poses.hand
     turned = np.degrees(se3.angle_between(hand.R[0], T_true[:, :3, :3]))

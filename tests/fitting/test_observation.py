@@ -10,7 +10,14 @@ from numpy import ndarray
 
 from getagrip.clip import Masks
 from getagrip.fitting.energy.mask import SilhouetteMesh
-from getagrip.fitting.observation import CROP, FIELD, LEVELS, TARGETS, Observation, observe
+from getagrip.fitting.observation import (
+    DISTANCE_FIELD_SIZE_PX,
+    MASK_CROP_SIZE_PX,
+    MASK_LEVELS_PX,
+    N_COVERAGE_TARGETS,
+    Observation,
+    observe_masks,
+)
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.kernels.silhouette import silhouettes, unpack
@@ -27,23 +34,23 @@ def discs(at: list[tuple[float, float]], radius: float = 20.0) -> ndarray:
 
 def observed(seen: ndarray, ignore: ndarray | None = None, use_ignore: bool = True) -> Observation:
     ignore = np.zeros_like(seen) if ignore is None else ignore
-    return observe(Masks(seen, ignore), np.tile(K, (len(seen), 1, 1)), use_ignore)
+    return observe_masks(Masks(seen, ignore), np.tile(K, (len(seen), 1, 1)), use_ignore)
 
 
-def at_level(bits: dict[int, ndarray], level: int = CROP) -> ndarray:
+def at_level(bits: dict[int, ndarray], level: int = MASK_CROP_SIZE_PX) -> ndarray:
     return unpack(bits[level], level)
 
 
 def test_what_an_observation_holds() -> None:
     o = observed(discs([(60.0, 50.0), (90.0, 70.0)]))
-    assert sorted(o.observed) == sorted(o.valid) == sorted(LEVELS)
-    for level in LEVELS:
+    assert sorted(o.observed) == sorted(o.valid) == sorted(MASK_LEVELS_PX)
+    for level in MASK_LEVELS_PX:
         assert at_level(o.observed, level).shape == at_level(o.valid, level).shape == (2, level, level)
         share = at_level(o.observed, level).mean(axis=(1, 2))
         np.testing.assert_allclose(share, np.pi / 4 / 1.8**2, rtol=0.05)
     np.testing.assert_array_equal(o.area, at_level(o.observed).sum(axis=(1, 2)))
-    assert o.field.shape == (2, FIELD, FIELD)
-    assert o.targets.shape == (2, TARGETS, 5)
+    assert o.field.shape == (2, DISTANCE_FIELD_SIZE_PX, DISTANCE_FIELD_SIZE_PX)
+    assert o.targets.shape == (2, N_COVERAGE_TARGETS, 5)
     one = o.take(np.array([1]))
     np.testing.assert_array_equal(one.field, o.field[[1]])
     np.testing.assert_array_equal(one.crops.corner, o.crops.corner[[1]])
@@ -72,9 +79,9 @@ def test_rendering_with_the_cameras_of_the_crops_gives_the_observed_mask() -> No
 
     seen = drawn(np.array([[200.0, 210.0, 80.0, 60.0]]), HEIGHT, WIDTH)
     o = observed(seen)
-    again = drawn(o.K, CROP, CROP)
+    again = drawn(o.K, MASK_CROP_SIZE_PX, MASK_CROP_SIZE_PX)
     pixel = o.crops.zoom  # crop pixels per image pixel: the observed outline is known to half of one
-    outline = (np.abs(o.field) < pixel).sum() * (CROP / FIELD) ** 2
+    outline = (np.abs(o.field) < pixel).sum() * (MASK_CROP_SIZE_PX / DISTANCE_FIELD_SIZE_PX) ** 2
     assert (again ^ at_level(o.observed)).sum() < 0.5 * outline
     sides = again.sum() / at_level(o.observed).sum()
     assert sides == pytest.approx(1.0, abs=0.02)
@@ -83,26 +90,32 @@ def test_rendering_with_the_cameras_of_the_crops_gives_the_observed_mask() -> No
 @pytest.mark.parametrize("zoom", [0.8, 1.0, 1.02, 1.5, 2.0])
 def test_no_level_takes_an_object_for_larger_or_smaller_than_it_is(zoom: float) -> None:
     frames = np.arange(12)
-    size = zoom * 0.5 * FIELD / 1.8  # so that the crops at 128 pixels have the images' resolution, or nearly
+    size = (
+        zoom * 0.5 * DISTANCE_FIELD_SIZE_PX / 1.8
+    )  # so that the crops at 128 pixels have the images' resolution, or nearly
     at = np.array([80.0, 60.0]) + np.stack([np.sin(frames), np.cos(2.0 * frames)], axis=1)
     i, j = np.indices((HEIGHT, WIDTH)) + 0.5
     boxes = np.stack([np.maximum(abs(j - u), abs(i - v)) < 0.5 * size for u, v in at])
     o = observed(boxes)
     true = (size * o.crops.zoom) ** 2
-    for level in LEVELS:
+    for level in MASK_LEVELS_PX:
         share = (
-            at_level(o.observed, level).sum(axis=(1, 2)).mean() * (CROP / level) ** 2 / boxes.sum(axis=(1, 2)).mean()
+            at_level(o.observed, level).sum(axis=(1, 2)).mean()
+            * (MASK_CROP_SIZE_PX / level) ** 2
+            / boxes.sum(axis=(1, 2)).mean()
         )
         assert share / o.crops.zoom**2 == pytest.approx(1.0, abs=0.015), level
-    inside = (o.field < 0.0).sum(axis=(1, 2)).mean() * (CROP / FIELD) ** 2
+    inside = (o.field < 0.0).sum(axis=(1, 2)).mean() * (MASK_CROP_SIZE_PX / DISTANCE_FIELD_SIZE_PX) ** 2
     assert inside == pytest.approx(true, rel=0.06)
 
 
 def test_nothing_is_known_beyond_the_image() -> None:
     o = observed(discs([(10.0, 60.0)]))
-    u = (np.arange(CROP) + 0.5) / o.crops.zoom + o.crops.corner[0, 0]
+    u = (np.arange(MASK_CROP_SIZE_PX) + 0.5) / o.crops.zoom + o.crops.corner[0, 0]
     assert u[0] < 0.0
-    np.testing.assert_array_equal(at_level(o.valid)[0], np.broadcast_to(u >= 0.0, (CROP, CROP)))
+    np.testing.assert_array_equal(
+        at_level(o.valid)[0], np.broadcast_to(u >= 0.0, (MASK_CROP_SIZE_PX, MASK_CROP_SIZE_PX))
+    )
 
 
 def test_hidden_pixels_do_not_count_unless_asked_to() -> None:
@@ -118,7 +131,7 @@ def test_hidden_pixels_do_not_count_unless_asked_to() -> None:
     # No boundary point lies on the border with the occluder.
     image_u = o.targets[0, :, 0] / o.crops.zoom + o.crops.corner[0, 0]
     used = o.targets[0, :, 4] > 0
-    assert used.sum() == TARGETS
+    assert used.sum() == N_COVERAGE_TARGETS
     assert np.sum(image_u[used] > 84.0) <= 2  # those at its ends, which are visible
 
 
@@ -127,7 +140,7 @@ def test_nothing_is_the_object_where_all_is_hidden() -> None:
     ignore = np.zeros_like(seen)
     ignore[:, 40:80, 80:120] = True
     o = observed(seen & ~ignore, ignore)
-    for level in LEVELS:
+    for level in MASK_LEVELS_PX:
         hidden = ~at_level(o.valid, level)
         assert hidden.any()
         assert not (hidden & at_level(o.observed, level)).any()
@@ -145,7 +158,9 @@ def test_fields_and_targets_of_a_disc(x: float, y: float, radius: float) -> None
     o = observed(discs([(x, y)], radius))
     field, zoom = o.field[0], o.crops.zoom
     centre, r = (np.array([x, y]) - o.crops.corner[0]) * zoom, radius * zoom
-    v, u = (np.indices((FIELD, FIELD)) + 0.5) * (CROP / FIELD)
+    v, u = (np.indices((DISTANCE_FIELD_SIZE_PX, DISTANCE_FIELD_SIZE_PX)) + 0.5) * (
+        MASK_CROP_SIZE_PX / DISTANCE_FIELD_SIZE_PX
+    )
     expected = np.hypot(u - centre[0], v - centre[1]) - r
     known = at_level(o.valid, 128)[0]
     tolerance = 1.5 * zoom + 2.0  # a pixel of the image, and one of the field

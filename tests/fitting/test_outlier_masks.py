@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from getagrip.experiments.changes import another_object
-from getagrip.fitting.image_iou import Overlap
+from getagrip.experiments.changes import displace_mask
+from getagrip.fitting.image_iou import MaskOverlap
 from getagrip.fitting.motion import PosesInHand
 from getagrip.fitting.options import Options
-from getagrip.fitting.outlier_masks import SHARE, TIMES, outlier_threshold
-from getagrip.fitting.predicted_silhouette import typical
+from getagrip.fitting.outlier_masks import OUTLIER_AREA_FRACTION, OUTLIER_MEDIAN_FACTOR, outlier_threshold
+from getagrip.fitting.predicted_silhouette import medoid_poses
 from getagrip.timelines.reconstruct import reconstruct
 from helpers.scenes import SMALL, scene, scores
 
@@ -26,7 +26,7 @@ def test_wrong_masks_are_left_out_and_named(method: str) -> None:
     clip, masks = scene("mug", 2, replace(SMALL, frames=9))
     wrong = masks.object.copy()
     for n in WRONG:
-        wrong[n] = another_object(masks.object[n], np.array([0.6, -0.8]))
+        wrong[n] = displace_mask(masks.object[n], np.array([0.6, -0.8]))
     spoilt = replace(masks, object=wrong)
     options = Options(method=method, inits=4, frames=5)
     result = reconstruct(clip, spoilt, options)
@@ -46,8 +46,8 @@ def test_wrong_masks_are_left_out_and_named(method: str) -> None:
 @pytest.mark.parametrize("times", [1.0, 3.0])
 def test_a_mask_is_an_outlier_by_the_objects_size_and_by_the_other_masks(times: float) -> None:
     size, usual = 1000.0, np.array([10.0, 12.0, 14.0])
-    met = Overlap(np.full(3, 800.0), 800.0 + times * usual, np.full(3, size))
-    assert outlier_threshold(met) == max(SHARE * size, TIMES * times * 12.0)
+    met = MaskOverlap(np.full(3, 800.0), 800.0 + times * usual, np.full(3, size))
+    assert outlier_threshold(met) == max(OUTLIER_AREA_FRACTION * size, OUTLIER_MEDIAN_FACTOR * times * 12.0)
     poor = met._replace(either=met.either + size)  # all are missed: none contradicts the others
     assert poor.differing.max() < outlier_threshold(poor)
 
@@ -58,5 +58,5 @@ def test_the_typical_pose_is_none_that_stands_alone() -> None:
     centre[0, 4] = 0.1
     poses = PosesInHand(R, centre, np.ones(1))
     points = np.random.default_rng(0).normal(size=(20, 3))
-    assert np.abs(typical(poses, points).centre - centre)[0, np.arange(9) != 4].max() < 1e-3
-    assert np.linalg.norm(typical(poses, points).centre[0, 4]) < 1e-3
+    assert np.abs(medoid_poses(poses, points).centre - centre)[0, np.arange(9) != 4].max() < 1e-3
+    assert np.linalg.norm(medoid_poses(poses, points).centre[0, 4]) < 1e-3

@@ -14,16 +14,16 @@ from getagrip.clip import Clip, with_masks
 from getagrip.errors import InputError, UsageError
 from getagrip.fitting import pose_priors as priors
 from getagrip.fitting.initial_poses import initial_poses
-from getagrip.fitting.judge import uncalibrated
-from getagrip.fitting.learn_priors import LearntGrasps, Priors, hold
-from getagrip.fitting.methods.all_frames import initial_of
+from getagrip.fitting.judge import uncalibrated_reason
+from getagrip.fitting.learn_priors import LearntGrasps, PosePriors, true_grasp_pose
+from getagrip.fitting.methods.all_frames import make_initial_poses
 from getagrip.fitting.methods.homan import object_tracks
 from getagrip.fitting.options import Init, Options, PriorsFile
-from getagrip.fitting.pose_priors import poses_for, read_folder, read_learnt
-from getagrip.fitting.problem import prepare
+from getagrip.fitting.pose_priors import read_initial_poses, read_learnt, read_priors_folder
+from getagrip.fitting.problem import prepare_problem
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.io.terminal import counted
+from getagrip.io.terminal import format_count
 from helpers.clips import small_clip
 from helpers.grasp_priors import held, old_file, rotations
 from helpers.paths import DATA, needs
@@ -33,12 +33,14 @@ REAL = DATA / "epic" / "pose_priors"
 
 def poses_file(path: Path, *clips: Clip) -> Options:
     """Options that start from the poses learnt from some clips."""
-    LearntGrasps(tuple(hold(clip) for clip in clips), k=10).write(path)
+    LearntGrasps(tuple(true_grasp_pose(clip) for clip in clips), k=10).write(path)
     return Options(init="clusters", priors=PriorsFile(path), inits=12)
 
 
 def test_a_file_holds_what_was_learnt(tmp_path: Path) -> None:
-    learnt = LearntGrasps((hold(held("a", "Ann")), hold(held("b", "", 1, "mug"))), k=3, way="axis-angle", seed=7)
+    learnt = LearntGrasps(
+        (true_grasp_pose(held("a", "Ann")), true_grasp_pose(held("b", "", 1, "mug"))), k=3, way="axis-angle", seed=7
+    )
     learnt.write(tmp_path / "poses.npz")
     again = read_learnt(tmp_path / "poses.npz")
     assert isinstance(again, LearntGrasps)
@@ -58,21 +60,25 @@ def test_one_file_gives_everybody_what_was_learnt_from_others(tmp_path: Path) ->
         subject = clip.provenance.get("subject")
         others = [c for c in clips if c.name != clip.name and (not subject or c.provenance.get("subject") != subject)]
         own = poses_file(tmp_path / "own.npz", *others)
-        poses, (note,) = poses_for(clip, options)
-        assert np.array_equal(poses, poses_for(replace(clip, name="x", provenance={}), own)[0])
+        poses, (note,) = read_initial_poses(clip, options)
+        assert np.array_equal(poses, read_initial_poses(replace(clip, name="x", provenance={}), own)[0])
         assert note.startswith(f"started from {len(others)} poses of all.npz")
         left_out = len(clips) - len(others)
-        assert (f"without {counted(left_out, 'grasp')} of its own subject" in note) == (left_out > 0)
+        assert (f"without {format_count(left_out, 'grasp')} of its own subject" in note) == (left_out > 0)
     alone = poses_file(tmp_path / "alone.npz", clips[0])
-    assert poses_for(clips[0], alone)[1][0].endswith("has no poses of box in a right hand: 12 uniform rotations")
+    assert read_initial_poses(clips[0], alone)[1][0].endswith(
+        "has no poses of box in a right hand: 12 uniform rotations"
+    )
 
 
 def test_a_file_of_the_first_version_is_refused_for_own_grasps(tmp_path: Path, refused: Callable[..., str]) -> None:
     options = old_file(tmp_path / "poses.npz", held("a", "Ann"), held("b", "Bob", 1), held("c", "", 2))
-    refused(lambda: poses_for(held("a"), options), "poses.npz: clips", "from a itself")
-    refused(lambda: poses_for(held("d", "Bob"), options), "poses.npz: subjects", "hands of Bob", "--leave-out Bob")
+    refused(lambda: read_initial_poses(held("a"), options), "poses.npz: clips", "from a itself")
+    refused(
+        lambda: read_initial_poses(held("d", "Bob"), options), "poses.npz: subjects", "hands of Bob", "--leave-out Bob"
+    )
     for clip in (held("d"), held("d", "Cid")):
-        poses, notes = poses_for(clip, options)
+        poses, notes = read_initial_poses(clip, options)
         assert len(poses) == 3
         assert notes == ("started from 3 poses of poses.npz, and 9 uniform rotations",)
 
@@ -80,7 +86,7 @@ def test_a_file_of_the_first_version_is_refused_for_own_grasps(tmp_path: Path, r
 def test_an_object_without_poses_starts_from_even_rotations_and_the_result_says_so(tmp_path: Path) -> None:
     options = poses_file(tmp_path / "poses.npz", held("a", "Ann"))
     clip, masks = replace(held("b", "Bob"), side="left"), small_clip()[1]
-    problem = prepare(with_masks(clip, masks), options)
+    problem = prepare_problem(with_masks(clip, masks), options)
     assert "poses.npz has no poses of box in a left hand: 12 uniform rotations" in problem.notes
     starts = initial_poses(clip, masks, 12, 0, problem.prior_poses)
     assert np.array_equal(starts.R, initial_poses(clip, masks, 12).R)
@@ -105,24 +111,26 @@ def test_given_poses_may_stand_alone(tmp_path: Path, refused: Callable[..., str]
     filled = poses_file(tmp_path / "poses.npz", held("a", "Ann"), held("b", "Bob", 1))
     assert filled.priors is not None
     alone = replace(filled, priors_only=True, method="static")
-    problem = prepare(with_masks(held("c"), small_clip()[1]), alone)
+    problem = prepare_problem(with_masks(held("c"), small_clip()[1]), alone)
     assert "started from 2 poses of poses.npz, and no others" in problem.notes
     assert problem.inits == 2
-    for start in (initial_of(problem), object_tracks(problem)[0]):
+    for start in (make_initial_poses(problem), object_tracks(problem)[0]):
         assert start.log_scale.shape == (2,)
-    assert np.array_equal(initial_of(problem).R, poses_for(held("c"), filled)[0][:, :3, :3])
-    assert prepare(with_masks(held("c"), small_clip()[1]), replace(alone, inits=1)).inits == 1
-    refused(lambda: poses_for(replace(held("c"), side="left"), alone), "no poses of box in a left hand", "some")
+    assert np.array_equal(make_initial_poses(problem).R, read_initial_poses(held("c"), filled)[0][:, :3, :3])
+    assert prepare_problem(with_masks(held("c"), small_clip()[1]), replace(alone, inits=1)).inits == 1
+    refused(
+        lambda: read_initial_poses(replace(held("c"), side="left"), alone), "no poses of box in a left hand", "some"
+    )
     apart = replace(alone, priors=poses_file(tmp_path / "own.npz", held("a", "Ann")).priors, method="one-dof")
-    refused(lambda: poses_for(held("d", "Ann"), apart), "own.npz", "without 1 grasp of its own subject")
-    assert "without uniform rotations" in uncalibrated(replace(alone, method="soft-hinge", inits=50), ())
+    refused(lambda: read_initial_poses(held("d", "Ann"), apart), "own.npz", "without 1 grasp of its own subject")
+    assert "without uniform rotations" in uncalibrated_reason(replace(alone, method="soft-hinge", inits=50), ())
 
 
 def test_a_file_that_has_changed_since_it_was_named_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
     path = tmp_path / "poses.npz"
     options = poses_file(path, held("a"))
     poses_file(path, held("b", seed=3))
-    refused(lambda: poses_for(held("c"), options), "another content")
+    refused(lambda: read_initial_poses(held("c"), options), "another content")
 
 
 @pytest.mark.parametrize(
@@ -181,43 +189,43 @@ def test_a_folder_of_poses_by_category_and_side_is_read(tmp_path: Path, refused:
     (tmp_path / "mug").mkdir()
     for name, matrix in zip(("left_a", "right_b", "right_c"), T, strict=True):
         np.save(tmp_path / "mug" / f"{name}.npy", matrix)
-    read = read_folder(tmp_path)
+    read = read_priors_folder(tmp_path)
     assert np.allclose(read.of("mug", "right"), T[1:])
     assert np.allclose(read.of("mug", "left"), T[:1])
     scaled = T[0] @ np.diag([0.7, 0.7, 0.7, 1.0])
     np.save(tmp_path / "mug" / "left_a.npy", scaled)
-    assert np.allclose(read_folder(tmp_path).of("mug", "left"), T[:1])
+    assert np.allclose(read_priors_folder(tmp_path).of("mug", "left"), T[:1])
     options = Options(init="priors", priors=PriorsFile(tmp_path))
     clip = replace(held("x", category="mug"), side="left")
-    assert "does not say what they were learnt from" in poses_for(clip, options)[1][0]
+    assert "does not say what they were learnt from" in read_initial_poses(clip, options)[1][0]
     for bad, words in (
         (np.diag([1.0, 1.0, -1.0, 1.0]), ("no rigid motion",)),
         (np.eye(3), ("shape",)),
         (np.array([[{}]]), ("Python objects",)),
     ):
         np.save(tmp_path / "mug" / "left_a.npy", bad)
-        refused(lambda: read_folder(tmp_path), "left_a.npy", *words)
+        refused(lambda: read_priors_folder(tmp_path), "left_a.npy", *words)
 
 
 def test_poses_learnt_are_written_as_a_folder(tmp_path: Path) -> None:
     clips = [held(name, "Ann", n, "mug" if n % 2 else "box") for n, name in enumerate("abcdef")]
-    learnt = LearntGrasps(tuple(hold(clip) for clip in clips)).poses()
+    learnt = LearntGrasps(tuple(true_grasp_pose(clip) for clip in clips)).poses()
     learnt.write(tmp_path / "poses")
     assert sorted(path.name for path in (tmp_path / "poses" / "mug").iterdir()) == [
         "right_000.npy", "right_001.npy", "right_002.npy",
     ]  # fmt: skip
-    again = read_folder(tmp_path / "poses")
+    again = read_priors_folder(tmp_path / "poses")
     for category in ("box", "mug"):
         np.testing.assert_allclose(again.of(category, "right"), learnt.of(category, "right"), atol=1e-12)
     for category, folder in (("box", "poses"), ("../mug", "other")):
         with pytest.raises(UsageError, match=folder):
-            Priors((category,), ("left",), learnt.T_hand_obj[:1]).write(tmp_path / folder)
+            PosePriors((category,), ("left",), learnt.T_hand_obj[:1]).write(tmp_path / folder)
     assert not (tmp_path / "other").exists()
 
 
 @needs(REAL)
 def test_the_authors_poses_are_read() -> None:
-    read = read_folder(REAL)
+    read = read_priors_folder(REAL)
     assert (len(read.side), read.side.count("left")) == (74, 38)
     assert len(read.of("mug", "right")) == 5
 
@@ -231,7 +239,7 @@ def test_starts_without_their_file_and_files_without_use_are_wrong(init: Init) -
 
 @pytest.mark.parametrize("init", ["clusters", "priors"])
 def test_what_is_not_there_is_named(tmp_path: Path, refused: Callable[..., str], init: Init) -> None:
-    refused(lambda: priors.identified(tmp_path / "nothing", init), "nothing")
+    refused(lambda: priors.priors_checksum(tmp_path / "nothing", init), "nothing")
 
 
 def test_an_empty_list_of_poses_is_no_file_of_poses(tmp_path: Path) -> None:

@@ -12,13 +12,13 @@ from getagrip.clip import with_masks
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.fitting.pose_spread import pose_spread
-from getagrip.fitting.problem import MethodResult, Problem, prepare
+from getagrip.fitting.problem import MethodResult, Problem, prepare_problem
 from helpers.scenes import scene
 
 
 @cache
 def solved() -> tuple[Problem, MethodResult]:
-    problem = prepare(with_masks(*scene("mug", 2)), Options(inits=5))
+    problem = prepare_problem(with_masks(*scene("mug", 2)), Options(inits=5))
     return problem, METHODS["soft-hinge"].fit(problem, lambda _: None)
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from getagrip.clip import Clip, FrameMasks, Masks, read_clip, read_masks, with_masks, write_clip
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import Problem, prepare
+from getagrip.fitting.problem import Problem, prepare_problem
 from getagrip.provenance import assumed
 from helpers.clips import small_clip
 
@@ -35,7 +35,7 @@ def written(folder: Path, unseen: list[int], hidden: list[int]) -> Clip:
 def prepared(clip: Clip, options: Options, sampled: bool) -> Problem | str:
     """The problem, or what it is refused with."""
     try:
-        return prepare(clip if sampled else with_masks(clip, read_masks(clip)), options)
+        return prepare_problem(clip if sampled else with_masks(clip, read_masks(clip)), options)
     except InputError as error:
         return str(error)
 
@@ -75,7 +75,7 @@ def test_no_more_masks_are_in_memory_than_are_used(tmp_path: Path, monkeypatch: 
         return masks
 
     monkeypatch.setattr(Masks, "packed", staticmethod(counted))
-    problem = prepare(clip, Options(frames=3))
+    problem = prepare_problem(clip, Options(frames=3))
     assert kept == [3]
     assert problem.clip.frames == (
         "0000",
@@ -91,9 +91,9 @@ def test_every_mask_is_checked_also_those_that_are_not_used(tmp_path: Path) -> N
         whole = path.read_bytes()
         path.write_bytes(whole[:60])
         with pytest.raises(InputError, match=r"0001.png must be"):
-            prepare(clip, Options(frames=2))
+            prepare_problem(clip, Options(frames=2))
         path.write_bytes(whole)
-    prepare(clip, Options(frames=2))
+    prepare_problem(clip, Options(frames=2))
 
 
 def test_frames_left_out_are_reported_once(tmp_path: Path) -> None:
@@ -111,4 +111,6 @@ def test_frames_left_out_are_reported_once(tmp_path: Path) -> None:
 def test_with_a_free_scale_there_are_twice_as_many_initial_poses(scale: Any, method: str, times: int) -> None:
     clip, masks = small_clip()
     options = Options(method=method, inits=7, hands="as-given")
-    assert prepare(with_masks(replace(clip, scale=scale), masks), options).options == replace(options, inits=times * 7)
+    assert prepare_problem(with_masks(replace(clip, scale=scale), masks), options).options == replace(
+        options, inits=times * 7
+    )

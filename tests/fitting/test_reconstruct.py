@@ -14,7 +14,7 @@ from getagrip.clip import FrameMasks, Masks
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.options import Options
-from getagrip.fitting.pipeline import AMBIGUOUS
+from getagrip.fitting.pipeline import AMBIGUOUS_ENERGY_RATIO
 from getagrip.geometry import se3
 from getagrip.timelines.reconstruct import reconstruct
 from helpers.clips import small_clip
@@ -98,7 +98,7 @@ def test_what_a_result_holds(method: Any) -> None:
     assert (np.diff(c.energy) >= 0.0).all()
     assert result.energy["total"] == pytest.approx(c.energy[0])
     assert sum(v for k, v in result.energy.items() if k != "total") == pytest.approx(result.energy["total"])
-    assert result.ambiguous == (len(c.energy) > 1 and bool(c.energy[1] < AMBIGUOUS * c.energy[0]))
+    assert result.ambiguous == (len(c.energy) > 1 and bool(c.energy[1] < AMBIGUOUS_ENERGY_RATIO * c.energy[0]))
     stages = {k: v for k, v in result.seconds.items() if k != "total"}
     assert sum(stages.values()) == pytest.approx(result.seconds["total"])
     assert result.options["method"] == method

@@ -10,14 +10,14 @@ import pytest
 from getagrip.clip import Clip, Masks, with_masks
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import prepare
+from getagrip.fitting.problem import prepare_problem
 from getagrip.fitting.scale_check import scale_check
 from getagrip.geometry.mesh import Mesh
 from helpers.scenes import SHORT, scene
 
 
 def rather(clip: Clip, masks: Masks, method: str = "soft-hinge") -> tuple[float, float]:
-    problem = prepare(with_masks(clip, masks), Options(method=method, inits=10))
+    problem = prepare_problem(with_masks(clip, masks), Options(method=method, inits=10))
     return scale_check(problem, METHODS[method].fit(problem, lambda _: None))
 
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 
 from getagrip.fitting.options import Options
-from getagrip.fitting.schedule import THOROUGH, USUAL
+from getagrip.fitting.schedule import DEFAULT_SCHEDULE, THOROUGH_SCHEDULE
 from getagrip.timelines.reconstruct import reconstruct
 from helpers.scenes import SHORT, scene
 
@@ -22,7 +22,7 @@ def test_the_longer_search_finds_no_worse_and_says_what_it_was() -> None:
 
 
 def test_the_longer_search_goes_through_the_same_stages_and_keeps_more() -> None:
-    short, long = ([*schedule.coarse, *schedule.fine] for schedule in (USUAL, THOROUGH))
+    short, long = ([*schedule.coarse, *schedule.fine] for schedule in (DEFAULT_SCHEDULE, THOROUGH_SCHEDULE))
     for usual, longer in zip(short, long, strict=True):
         assert (usual.name, usual.level, usual.frames) == (longer.name, longer.level, longer.frames)
         assert longer.keep >= usual.keep

@@ -13,12 +13,12 @@ from getagrip.datasets.synthetic.deform import misfit as unlike
 from getagrip.datasets.synthetic.scene import ground_truth_masks, make_scene
 from getagrip.fitting.methods import all_frames
 from getagrip.fitting.methods.all_frames import coarse_energy, misfit_of, search_of
-from getagrip.fitting.misfit import misfit
+from getagrip.fitting.misfit import relative_contour_error
 from getagrip.fitting.motion import Fixed, PosesInHand, Soft
-from getagrip.fitting.objective import mask_of
+from getagrip.fitting.objective import mask_energy
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import CONTACT_IF_FITTED, Problem, prepare
-from getagrip.fitting.shape import LEAST, MISFIT, own_shape
+from getagrip.fitting.problem import FITTED_MESH_CONTACT_FACTOR, Problem, prepare_problem
+from getagrip.fitting.shape import MIN_DEFORMATION_DIAMETERS, MIN_MESH_MISFIT, fit_shape
 from getagrip.fitting.solve import evaluate, minimise
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
@@ -49,8 +49,8 @@ def at_truth(problem: Problem) -> Soft[Fixed]:
 
 
 def shape_at_truth(clip: Clip, masks: Masks, misfit: float = 10.0) -> Warp | None:
-    problem = prepare(with_masks(clip, masks), Options())
-    return own_shape(problem, at_truth(problem), np.arange(len(clip)), misfit)
+    problem = prepare_problem(with_masks(clip, masks), Options())
+    return fit_shape(problem, at_truth(problem), np.arange(len(clip)), misfit)
 
 
 def test_another_shape_is_found_from_silhouettes() -> None:
@@ -80,19 +80,21 @@ def test_sides_of_a_built_in_box_stay_flat(known: bool) -> None:
 def test_the_objects_own_mesh_is_believed() -> None:
     clip, masks = scene("mug", 0)
     assert shape_at_truth(clip, masks) is None
-    assert shape_at_truth(stretched(clip), masks, misfit=0.9 * MISFIT) is None
+    assert shape_at_truth(stretched(clip), masks, misfit=0.9 * MIN_MESH_MISFIT) is None
 
 
 def test_a_motion_that_is_not_fitted_yet_is_no_reason_to_doubt_the_mesh() -> None:
     clip, masks = scene("mug", 0)
-    problem, frames = prepare(with_masks(clip, masks), Options()), np.arange(len(clip))
+    problem, frames = prepare_problem(with_masks(clip, masks), Options()), np.arange(len(clip))
     true = at_truth(problem)
     astray = replace(
         true, deviation=true.deviation + np.random.default_rng(0).normal(scale=0.002, size=(1, len(clip), 6))
     )
-    rough = minimise(astray, mask_of(problem)(64, frames), clip.hand.T_cam_hand, 0)
-    assert misfit(problem.observation, float(rough.terms["mask"][0]) / len(clip)) > 2.0 * MISFIT
-    assert misfit_of(problem, search_of(problem, lambda stage: None), rough.motion) < MISFIT
+    rough = minimise(astray, mask_energy(problem)(64, frames), clip.hand.T_cam_hand, 0)
+    assert (
+        relative_contour_error(problem.observation, float(rough.terms["mask"][0]) / len(clip)) > 2.0 * MIN_MESH_MISFIT
+    )
+    assert misfit_of(problem, search_of(problem, lambda stage: None), rough.motion) < MIN_MESH_MISFIT
 
 
 def test_a_shape_that_is_nearly_the_meshs_own_is_believed_to_be(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,14 +102,14 @@ def test_a_shape_that_is_nearly_the_meshs_own_is_believed_to_be(monkeypatch: pyt
     warp = shape_at_truth(stretched(clip), masks)
     assert warp is not None
     deformed = warp.displacement(stretched(clip).mesh) / stretched(clip).mesh.diameter
-    assert deformed > LEAST
-    monkeypatch.setattr("getagrip.fitting.shape.LEAST", 1.01 * deformed)
+    assert deformed > MIN_DEFORMATION_DIAMETERS
+    monkeypatch.setattr("getagrip.fitting.shape.MIN_DEFORMATION_DIAMETERS", 1.01 * deformed)
     assert shape_at_truth(stretched(clip), masks) is None
 
 
 def test_contact_reaches_farther_and_counts_more_where_the_mesh_is_fitted() -> None:
     clip, masks = scene("mug", 0)
-    given = prepare(with_masks(clip, masks), Options())
+    given = prepare_problem(with_masks(clip, masks), Options())
     fitted = given.warped(Warp.by(clip.mesh.centre, 1.0, np.zeros((9, 3))))
     motion = at_truth(given)
     shifts = 0.02 * np.concatenate([np.eye(3), -np.eye(3)])
@@ -117,7 +119,7 @@ def test_contact_reaches_farther_and_counts_more_where_the_mesh_is_fitted() -> N
     for problem in (given, fitted):
         _, push, pull = coarse_energy(problem)(64, np.arange(len(clip)))
         values.append(evaluate(near, [push, pull], clip.hand.T_cam_hand, np.full(6, np.inf)).values)
-    push, pull = values[1].T[:2] - CONTACT_IF_FITTED * values[0].T[:2]
+    push, pull = values[1].T[:2] - FITTED_MESH_CONTACT_FACTOR * values[0].T[:2]
     assert values[0][:, 0].max() > 0.0
     np.testing.assert_allclose(push, 0.0, atol=1e-9 * values[0].max())
     assert pull.min() > -1e-9 * values[0].max()
@@ -158,7 +160,7 @@ def test_a_result_has_the_shape_and_says_so(tmp_path: Path, method: str) -> None
 def test_a_hinge_that_explains_the_masks_is_as_with_the_mesh_as_given(monkeypatch: pytest.MonkeyPatch) -> None:
     clip, masks = scene("mug", 0)
     as_given = reconstruct(clip, masks, Options(method="one-dof", inits=8, mesh="as-given"))
-    monkeypatch.setattr(all_frames, "rough_fit", None)  # the soft fit of another shape is not even begun
+    monkeypatch.setattr(all_frames, "coarse_fit", None)  # the soft fit of another shape is not even begun
     fitted = reconstruct(clip, masks, Options(method="one-dof", inits=8))
     np.testing.assert_array_equal(fitted.T_hand_obj, as_given.T_hand_obj)
     assert fitted.energy == as_given.energy

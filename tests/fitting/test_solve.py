@@ -12,9 +12,9 @@ from numpy import ndarray
 
 from getagrip.fitting.energy import PosesInCamera, Quadratic
 from getagrip.fitting.motion import Fixed, Free, Hinge, Motion, Soft
-from getagrip.fitting.solve import FLOOR, evaluate, in_camera, minimise
+from getagrip.fitting.solve import CURVATURE_FLOOR, evaluate, minimise, poses_in_camera
 from getagrip.geometry import se3
-from getagrip.least_squares import Rules
+from getagrip.least_squares import DampingRules
 from getagrip.result import Status
 
 N = 5
@@ -85,7 +85,7 @@ def track(rng: np.random.Generator) -> ndarray:
 
 def targets(motion: Motion, T_cam_hand: ndarray) -> ndarray:
     """Where the points are in the first hypothesis."""
-    poses = in_camera(motion, T_cam_hand)
+    poses = poses_in_camera(motion, T_cam_hand)
     return np.asarray(poses.centre[0, :, None] + poses.scale[0] * POINTS @ np.swapaxes(poses.R[0], -1, -2))
 
 
@@ -137,7 +137,7 @@ def problem(
 @pytest.mark.parametrize("free_scale", [False, True])
 def test_every_motion_finds_a_known_minimum(kind: Callable[[Hinge], Motion], free_scale: bool) -> None:
     true, start, T, target = problem(kind, free_scale)
-    solution = minimise(start, [Match(target)], T, iterations=40, rules=Rules(tolerance=1e-12))
+    solution = minimise(start, [Match(target)], T, iterations=40, rules=DampingRules(tolerance=1e-12))
     np.testing.assert_allclose(solution.energy, 0.0, atol=1e-6)
     found, expected = solution.motion.poses(), true.poses()
     np.testing.assert_allclose(found.R, expected.R, atol=1e-4)
@@ -150,10 +150,10 @@ def test_a_step_is_that_of_the_dense_system(kind: Callable[[Hinge], Motion]) -> 
     """Eliminating the frames changes nothing: S + N L equations, damped as the solver damps them."""
     damping = 1e-2
     _, start, T, target = problem(kind, True, hypotheses=1, size=0.02)
-    solution = minimise(start, [Match(target)], T, iterations=1, rules=Rules(damping=damping))
+    solution = minimise(start, [Match(target)], T, iterations=1, rules=DampingRules(damping=damping))
     J_shared, J_local = start.jacobian()
     S, L = J_shared.shape[-1], J_local.shape[-1]
-    prior, local = start.prior(), Match(target)(in_camera(start, T), np.full(1, np.inf))
+    prior, local = start.prior(), Match(target)(poses_in_camera(start, T), np.full(1, np.inf))
     H, g = np.zeros((S + N * L, S + N * L)), np.zeros(S + N * L)
     for n in range(N):
         block = np.zeros((7, 7))
@@ -165,7 +165,7 @@ def test_a_step_is_that_of_the_dense_system(kind: Callable[[Hinge], Motion]) -> 
         g += J.T @ local.g[0, n]
     H[S:, S:] += np.diag(np.tile(prior.diagonal, N))
     g[S:] += prior.g[0].ravel()
-    H += damping * np.diag(np.diag(H) + FLOOR)
+    H += damping * np.diag(np.diag(H) + CURVATURE_FLOOR)
     step = -np.linalg.solve(H, g)
     expected = start.retract(step[None, :S], step[S:].reshape(1, N, L)).poses()
     found = solution.motion.poses()
@@ -204,7 +204,7 @@ def test_the_bound_of_a_term_is_what_the_terms_before_it_leave() -> None:
     _, start, T, target = problem(at_soft, False, hypotheses=3, size=0.3)
     calls: list[ndarray] = []
     terms = [Match(target), Match(target, calls=calls)]
-    spent = terms[0](in_camera(start, T), np.full(3, np.inf)).value.sum(axis=1) + start.prior().value
+    spent = terms[0](poses_in_camera(start, T), np.full(3, np.inf)).value.sum(axis=1) + start.prior().value
     evaluate(start, terms, T, np.full(3, 1e9))
     np.testing.assert_allclose(calls[0], 1e9 - spent)
 
@@ -229,8 +229,8 @@ def test_statuses_say_what_happened() -> None:
     assert minimise(start, [Match(target)], T, iterations=1).status == [Status.LIMIT]
     floor = Match(target + 0.01 * np.random.default_rng(3).normal(size=target.shape))
     assert minimise(start, [floor], T, iterations=60).status == [Status.CONVERGED]
-    at_minimum = minimise(start, [floor], T, iterations=60, rules=Rules(tolerance=0.0)).motion
-    assert minimise(at_minimum, [floor], T, iterations=60, rules=Rules(tolerance=0.0)).status == [Status.STUCK]
+    at_minimum = minimise(start, [floor], T, iterations=60, rules=DampingRules(tolerance=0.0)).motion
+    assert minimise(at_minimum, [floor], T, iterations=60, rules=DampingRules(tolerance=0.0)).status == [Status.STUCK]
     for status in Status:
         assert status.sentence != status.value
     assert true is not start
@@ -258,8 +258,10 @@ def test_a_softer_ridge_lets_frames_go_their_way() -> None:
     energies = []
     for ridge in (1e-3, 1e3, 1e12):
         start = Soft(core, np.zeros((1, N, 6)), (ridge, ridge))
-        energies.append(minimise(start, [Match(target)], T, iterations=60, rules=Rules(tolerance=1e-9)).energy[0])
-    rigid = minimise(core, [Match(target)], T, iterations=60, rules=Rules(tolerance=1e-9)).energy[0]
+        energies.append(
+            minimise(start, [Match(target)], T, iterations=60, rules=DampingRules(tolerance=1e-9)).energy[0]
+        )
+    rigid = minimise(core, [Match(target)], T, iterations=60, rules=DampingRules(tolerance=1e-9)).energy[0]
     assert energies[0] < energies[1] < energies[2]
     assert energies[0] < 1e-2 * rigid
     assert energies[2] == pytest.approx(rigid, rel=1e-3)

@@ -10,10 +10,10 @@ from numpy import ndarray
 
 from getagrip.fitting.energy import PosesInCamera, Quadratic, Term
 from getagrip.fitting.energy.interaction import InteractionTerm
-from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
+from getagrip.fitting.energy.smoothness import SmoothnessTerm, vertex_moments
 from getagrip.fitting.motion import Free
 from getagrip.fitting.solve import minimise
-from getagrip.least_squares import Rules
+from getagrip.least_squares import DampingRules
 from helpers.terms import N, random_poses, some_term
 
 
@@ -48,11 +48,11 @@ def test_steps_of_tied_frames_are_newton_steps() -> None:
     rng = np.random.default_rng(9)
     centre = np.array([0.0, 0.0, 0.5]) + rng.normal(0.0, 0.02, (1, N, 3))
     start = Free(np.tile(np.eye(3), (1, N, 1, 1)), centre, np.zeros(1))
-    smooth, fixed = SmoothnessTerm(moments(np.zeros((1, 3))), 2e5), InteractionTerm(centre[0].copy(), 1e5)
+    smooth, fixed = SmoothnessTerm(vertex_moments(np.zeros((1, 3))), 2e5), InteractionTerm(centre[0].copy(), 1e5)
     chain = 2.0 * np.eye(N) - np.eye(N, k=1) - np.eye(N, k=-1)
     chain[0, 0] = chain[-1, -1] = 1.0
     expected = np.linalg.solve(1e5 * np.eye(N) + 2e5 * chain, 1e5 * centre[0])
     found = minimise(
-        start, [smooth, fixed], np.tile(np.eye(4), (N, 1, 1)), 12, rules=Rules(tolerance=1e-12)
+        start, [smooth, fixed], np.tile(np.eye(4), (N, 1, 1)), 12, rules=DampingRules(tolerance=1e-12)
     ).motion.centre[0]
     np.testing.assert_allclose(found, expected, atol=1e-6)

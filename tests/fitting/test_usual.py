@@ -8,25 +8,25 @@ import numpy as np
 import pytest
 
 import getagrip
-from getagrip.checks import RESULT_CHECKS, Evidence, examine
+from getagrip.checks import RESULT_CHECKS, Evidence, run_checks
 from getagrip.clip import Clip, Masks, with_masks
-from getagrip.datasets.synthetic.categories import CATEGORIES
+from getagrip.datasets.synthetic.categories import SYNTHETIC_CATEGORIES
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.energy import PosesInCamera, no_bound
 from getagrip.fitting.initial_poses import initial_poses
 from getagrip.fitting.methods.all_frames import coarse_energy
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import prepare
+from getagrip.fitting.problem import prepare_problem
 from getagrip.fitting.surface import ObjectSurface
 from getagrip.fitting.usual import (
-    MIRROR,
+    SIDE_REFLECTIONS,
     SizeTerm,
     UprightTerm,
-    kind_of,
-    opposite_turns,
-    turned_away,
-    usual_of,
-    usual_rotations,
+    category_energy,
+    category_rotations,
+    handle_half_turns,
+    opening_angle,
+    unmeasured_kind,
 )
 from getagrip.geometry import se3
 from getagrip.provenance import Source, assumed
@@ -49,27 +49,27 @@ def unmeasured(seed: int = 0, options: SceneOptions = SHORT) -> tuple[Clip, Mask
 )
 def test_a_measured_object_has_no_usual_grasps_and_terms(change: dict[str, object]) -> None:
     clip = replace(unmeasured()[0], **change)
-    assert kind_of(clip) is None
-    assert len(usual_rotations(clip)) == 0
-    assert not usual_of(clip)(64, np.arange(len(clip)))
+    assert unmeasured_kind(clip) is None
+    assert len(category_rotations(clip)) == 0
+    assert not category_energy(clip)(64, np.arange(len(clip)))
 
 
 def test_energies_of_measured_objects_have_no_other_terms() -> None:
     clip, masks = scene("mug", 0, SHORT)
-    named = {term.name for term in coarse_energy(prepare(with_masks(clip, masks), Options()))(64, np.arange(4))}
+    named = {term.name for term in coarse_energy(prepare_problem(with_masks(clip, masks), Options()))(64, np.arange(4))}
     clip, masks = unmeasured()
-    more = {term.name for term in coarse_energy(prepare(with_masks(clip, masks), Options()))(64, np.arange(4))}
+    more = {term.name for term in coarse_energy(prepare_problem(with_masks(clip, masks), Options()))(64, np.arange(4))}
     assert named == {"mask", "push", "pull"}
     assert more == named | {"size", "upright", "opening"}
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_the_handle_is_tried_on_every_side(side: str) -> None:
-    R = usual_rotations(replace(unmeasured()[0], side=side))
+    R = category_rotations(replace(unmeasured()[0], side=side))
     np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), np.tile(np.eye(3), (len(R), 1, 1)), atol=1e-9)
     np.testing.assert_allclose(np.linalg.det(R), 1.0)
-    usual = CATEGORIES["mug"].grips[0].R_hand_obj
-    usual = usual if side == "right" else MIRROR[0] @ usual @ MIRROR[1]
+    usual = SYNTHETIC_CATEGORIES["mug"].grips[0].R_hand_obj
+    usual = usual if side == "right" else SIDE_REFLECTIONS[0] @ usual @ SIDE_REFLECTIONS[1]
     for angle in np.linspace(0.0, 2.0 * np.pi, 25):
         turned = usual @ se3.exp_so3(np.array([0.0, 0.0, angle]))
         assert np.degrees(se3.angle_between(R, turned)).min() < 23.0
@@ -77,7 +77,7 @@ def test_the_handle_is_tried_on_every_side(side: str) -> None:
 
 def test_usual_rotations_are_the_first_and_at_most_half() -> None:
     clip, masks = unmeasured()
-    usual = usual_rotations(clip)
+    usual = category_rotations(clip)
     few, many = (initial_poses(clip, masks, count, usual=usual) for count in (10, 100))
     np.testing.assert_array_equal(few.R[:5], usual[:5])
     np.testing.assert_array_equal(many.R[: len(usual)], usual)
@@ -100,7 +100,7 @@ def test_only_what_is_nearly_upside_down_costs() -> None:
 
 def test_a_mug_has_its_opening_on_the_thumb_s_side() -> None:
     clip, _ = unmeasured()
-    terms = usual_of(clip)(64, np.arange(len(clip)))
+    terms = category_energy(clip)(64, np.arange(len(clip)))
     assert [term.name for term in terms] == ["size", "upright", "opening"]
     assert clip.truth is not None
     T, ones = clip.truth.T_cam_obj, np.ones(2)
@@ -110,13 +110,13 @@ def test_a_mug_has_its_opening_on_the_thumb_s_side() -> None:
     value = terms[1](poses, no_bound(poses)).value
     assert not value[0].any()
     assert value[1].all()
-    assert [one.name for one in usual_of(replace(clip, category="can"))(64, np.arange(2))] == ["size"]
+    assert [one.name for one in category_energy(replace(clip, category="can"))(64, np.arange(2))] == ["size"]
 
 
 def test_a_mug_that_is_mirrored_in_depth_is_seen_from_below() -> None:
     """Its silhouette stays, but for perspective; what it opens to does not."""
     clip, _ = unmeasured()
-    opening = usual_of(clip)(64, np.arange(len(clip)))[2]
+    opening = category_energy(clip)(64, np.arange(len(clip)))[2]
     assert clip.truth is not None
     T = clip.truth.T_cam_obj
     ray = T[:, :3, 3] / np.linalg.norm(T[:, :3, 3], axis=1, keepdims=True)
@@ -168,7 +168,7 @@ def test_the_handle_on_the_other_side_is_always_a_candidate() -> None:
     clip, masks = unmeasured()
     found = reconstruct(clip, masks, Options(inits=12)).candidates
     R = found.T_hand_obj[:, 0, :3, :3]
-    assert (np.degrees(se3.angle_between(R[0].T @ R, opposite_turns(clip, surface_of(clip))[0])) < 60.0).any()
+    assert (np.degrees(se3.angle_between(R[0].T @ R, handle_half_turns(clip, surface_of(clip))[0])) < 60.0).any()
 
 
 def test_an_opening_that_points_away_from_the_camera_is_measured_and_said() -> None:
@@ -178,20 +178,20 @@ def test_an_opening_that_points_away_from_the_camera_is_measured_and_said() -> N
     for tilt in (-40.0, 30.0):  # of the opening, z, from square to the ray, towards the camera below 0
         T_cam_obj[:, :3, :3] = se3.exp_so3(np.array([np.radians(90.0 - tilt), 0.0, 0.0]))
         T = se3.inverse(clip.hand.T_cam_hand) @ T_cam_obj
-        assert turned_away(clip, T) == pytest.approx(tilt)
-        given = Evidence(*small_clip(), turned_away=turned_away(clip, T))
-        said = [*map(str, examine([RESULT_CHECKS["opening-away"]], given)[1])]
+        assert opening_angle(clip, T) == pytest.approx(tilt)
+        given = Evidence(*small_clip(), turned_away=opening_angle(clip, T))
+        said = [*map(str, run_checks([RESULT_CHECKS["opening-away"]], given)[1])]
         assert said == [] if tilt < 0.0 else "by 30 degrees" in said[0]
-    assert np.isnan(turned_away(replace(clip, category="plate"), T))
-    assert np.isnan(turned_away(replace(clip, scale="known"), T))
+    assert np.isnan(opening_angle(replace(clip, category="plate"), T))
+    assert np.isnan(opening_angle(replace(clip, scale="known"), T))
 
 
 def test_only_what_has_a_handle_has_an_opposite_side() -> None:
     clip = unmeasured()[0]
     for kind, turns in (("mug", 1), ("pan", 1), ("bottle", 0), ("plate", 0)):
-        other = replace(clip, category=kind, mesh=CATEGORIES[kind].make())
-        assert len(opposite_turns(other, surface_of(other))) == turns
-    assert len(opposite_turns(replace(clip, scale="known"), surface_of(clip))) == 0
+        other = replace(clip, category=kind, mesh=SYNTHETIC_CATEGORIES[kind].make())
+        assert len(handle_half_turns(other, surface_of(other))) == turns
+    assert len(handle_half_turns(replace(clip, scale="known"), surface_of(clip))) == 0
 
 
 def surface_of(clip: Clip) -> ObjectSurface:

@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 
 from fuzz.troubles import RARE, TROUBLES
-from getagrip.checks import LEAST_IOU
+from getagrip.checks import MIN_MEAN_IOU
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
@@ -92,7 +92,7 @@ def faults(result: Reconstruction) -> list[str]:
     found = [f"{name} is not finite" for name, values in numbers.items() if not np.isfinite(values).all()]
     if (np.isnan(result.iou) & (np.array(result.frame_kind) != "interpolated")).any():
         found.append("iou is not a number where the object is visible")
-    if not result.status.failed and not np.nanmean(result.iou) >= LEAST_IOU:
+    if not result.status.failed and not np.nanmean(result.iou) >= MIN_MEAN_IOU:
         found.append(f"{result.message} with an IOU of {np.nanmean(result.iou):.2f}")
     if result.status.failed and not any(finding.serious for finding in result.findings):
         found.append("failed, and no check finds anything serious: reconstruct --strict would exit with 0")

@@ -12,8 +12,8 @@ import trimesh
 
 from fuzz.reader import Reader
 from getagrip.annotate import labels, tasks
-from getagrip.annotate.store import Store
-from getagrip.batch.entries import Entry
+from getagrip.annotate.store import MarkStore
+from getagrip.batch.entries import LedgerEntry
 from getagrip.batch.ledger import Ledger
 from getagrip.clip import Joint, find_masks, input_sha256, read_clip, read_masks, segment_files, write_clip
 from getagrip.clip.data import World
@@ -21,7 +21,7 @@ from getagrip.clip.masks import read_observed
 from getagrip.clip.reading import read_header
 from getagrip.commands import own_mesh
 from getagrip.evaluation.meshes import read_meshes
-from getagrip.fitting.pose_priors import read_folder, read_learnt
+from getagrip.fitting.pose_priors import read_learnt, read_priors_folder
 from getagrip.geometry.mesh_files import parse_mesh, read_mesh
 from getagrip.grasps import lists
 from getagrip.io import arrays
@@ -65,7 +65,7 @@ def mesh(suffix: str) -> Reader:
         trimesh.Trimesh(shape.vertices, shape.faces).export(folder / f"a{suffix}")
 
     def read(folder: Path) -> None:
-        own_mesh.own_mesh(own_mesh.MeshOptions(folder / f"a{suffix}", size_mm=100.0))
+        own_mesh.read_own_mesh(own_mesh.MeshOptions(folder / f"a{suffix}", size_mm=100.0))
         parse_mesh(folder / f"a{suffix}")
         read_mesh(folder / f"a{suffix}")
 
@@ -91,13 +91,13 @@ def use_ledger(folder: Path) -> None:
     """What a driver does with a ledger."""
     with Ledger(folder) as ledger:
         ledger.claim("a", "options", "code")
-        ledger.end(Entry("a", "done", about={"iou": 0.9}))
+        ledger.end(LedgerEntry("a", "done", about={"iou": 0.9}))
         list(ledger.entries())
 
 
 def marks(folder: Path) -> None:
     """A database of a mark and a key frame."""
-    store = Store(folder / "marks.sqlite")
+    store = MarkStore(folder / "marks.sqlite")
     with store.database.transaction() as db:
         db.execute(
             "INSERT INTO versions (change, tab, at, mark, task, annotator, start, deleted) "
@@ -114,7 +114,7 @@ def marks(folder: Path) -> None:
 
 def use_marks(folder: Path) -> None:
     """What the page asks for."""
-    store = Store(folder / "marks.sqlite")
+    store = MarkStore(folder / "marks.sqlite")
     store.marks.standing()
     store.marks.history("m")
     for keyframe in store.keyframes.standing():
@@ -145,7 +145,9 @@ TIMELINE = {
 
 def grasp_lists(folder: Path) -> None:
     """Lists of grasps in each format."""
-    lists.write(folder / "a.json", [lists.ListedGrasp("s01--box--left", "left", "box", "3", "9", 1.5)], {"tau": 0.5})
+    lists.write_listed_grasps(
+        folder / "a.json", [lists.ListedGrasp("s01--box--left", "left", "box", "3", "9", 1.5)], {"tau": 0.5}
+    )
     (folder / "b.json").write_text(json.dumps([GRASP]))
     (folder / "c.csv").write_text(f"{','.join(GRASP)}\n{','.join(map(str, GRASP.values()))}\n")
     (folder / "d.json").write_text(json.dumps([TIMELINE]))
@@ -154,7 +156,7 @@ def grasp_lists(folder: Path) -> None:
 def use_list(path: Path) -> None:
     """What is asked of a list."""
     names = tuple(f"{n:05d}" for n in range(20))
-    for grasp in lists.read(path).grasps:
+    for grasp in lists.read_listed_grasps(path).grasps:
         grasp.is_of("s01--box--left", "left", "box")
         for frames, origin in ((names, None), (names, 3), (("a", "b"), None)):
             grasp.positions(frames, origin)
@@ -193,10 +195,10 @@ def poses(folder: Path) -> None:
 
 def learnt(folder: Path) -> None:
     """Learnt poses, and a folder of the authors'."""
-    from getagrip.fitting.learn_priors import LearntGrasps, hold
+    from getagrip.fitting.learn_priors import LearntGrasps, true_grasp_pose
 
     clips = [replace(small_clip(seed=n)[0], name=f"c{n}", provenance={"subject": "ann"}) for n in range(2)]
-    LearntGrasps(tuple(hold(clip) for clip in clips), k=10).write(folder / "poses.npz")
+    LearntGrasps(tuple(true_grasp_pose(clip) for clip in clips), k=10).write(folder / "poses.npz")
     (folder / "box").mkdir()
     np.save(folder / "box" / "left_1.npy", 1.1 * np.eye(4))
 
@@ -204,7 +206,7 @@ def learnt(folder: Path) -> None:
 def use_learnt(folder: Path) -> None:
     """Both."""
     read_learnt(folder / "poses.npz")
-    read_folder(folder)
+    read_priors_folder(folder)
 
 
 def candidates(folder: Path) -> None:
@@ -223,7 +225,7 @@ def segments(folder: Path) -> None:
 
 
 def use_segments(folder: Path) -> None:
-    segment_files.read(folder / "segments.json", ["a"]).at([f"{n:04d}" for n in range(8)], has_world=True)
+    segment_files.read_segment_list(folder / "segments.json", ["a"]).at([f"{n:04d}" for n in range(8)], has_world=True)
 
 
 READERS: dict[str, Reader] = {
@@ -233,7 +235,7 @@ READERS: dict[str, Reader] = {
     "meshes of frames": Reader(frame_meshes, lambda folder: read_meshes(folder, small_clip()[0], "hand")),
     "ledger": Reader(a_ledger, use_ledger),
     "marks": Reader(marks, use_marks),
-    "labels": Reader(clicked, lambda folder: labels.read(folder / "labels.json")),
+    "labels": Reader(clicked, lambda folder: labels.read_label_file(folder / "labels.json")),
     "segments": Reader(segments, use_segments),
     "grasp lists": Reader(grasp_lists, each(use_list)),
     "candidates": Reader(candidates, each(tasks.read_tasks)),

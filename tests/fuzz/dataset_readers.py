@@ -172,7 +172,7 @@ READERS: dict[str, Reader] = {
     "epic": Reader(epic, read_epic),
     "epic timelines": Reader(epic_timelines, read_epic_timelines),
     "visor": Reader(
-        visor_zip, lambda folder: [list(visor.read_frames(path)) for path in visor.find(folder)["P01_101"]]
+        visor_zip, lambda folder: [list(visor.read_frames(path)) for path in visor.find_visor_files(folder)["P01_101"]]
     ),
     "actions": Reader(actions, lambda folder: read_actions([folder / "a.csv"])),
     "archive": Reader(archive_of_images, read_archive),

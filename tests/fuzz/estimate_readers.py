@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from fuzz.reader import Reader, mano_folder
-from getagrip.cameras import read_path
+from getagrip.cameras import read_camera_path
 from getagrip.clip.mask_request import MaskRequest
 from getagrip.clip.mask_sources import open_masks
 from getagrip.hands import mano
 from getagrip.hands.trackers import Request, Tracker
-from getagrip.hands.trackers import read as read_hands
+from getagrip.hands.trackers import read_tracked_hands as read_hands
 from getagrip.hands.trackers.dynhamr import DynHaMR
 from getagrip.hands.trackers.egohandkit import EgoHandKit
 from getagrip.hands.trackers.egovision import EgoVision
@@ -134,7 +134,7 @@ def cameras(write: Callable[[Path, np.ndarray], Path]) -> Reader:
 
     def read(folder: Path) -> None:
         inside = sorted(folder.iterdir())
-        read_path(inside[0] if len(inside) == 1 and inside[0].is_file() else folder)
+        read_camera_path(inside[0] if len(inside) == 1 and inside[0].is_file() else folder)
 
     return Reader(lambda folder: write(folder, camera_files.known()), read)
 

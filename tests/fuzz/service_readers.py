@@ -14,18 +14,18 @@ import pytest
 
 from fuzz.reader import SHARED, Reader
 from getagrip.annotate.project import Project
-from getagrip.annotate.server import CHANGES
-from getagrip.annotate.store import Store
+from getagrip.annotate.server import CHANGE_ROUTES
+from getagrip.annotate.store import MarkStore
 from getagrip.annotate.tasks import Task
-from getagrip.batch.plan import Plan
-from getagrip.batch.streamed import LEFT_OUT
+from getagrip.batch.plan import ClipPlan
+from getagrip.batch.streamed import UNREAD_CLIP_FILES
 from getagrip.clip import read_clip, write_clip
 from getagrip.errors import GetagripError, UsageError
 from getagrip.io import files
-from getagrip.io.storage import Remote
+from getagrip.io.storage import RemotePath
 from helpers.clips import small_clip
 
-CLIPS = Remote("s3://bucket/clips")
+CLIPS = RemotePath("s3://bucket/clips")
 
 
 class AnsweringStore:
@@ -63,13 +63,13 @@ def use_listing(folder: Path) -> None:
     """What a batch does with it."""
     store = AnsweringStore(files.read_json(folder / "answers.json"))
     with pytest.MonkeyPatch.context() as patch, TemporaryDirectory(dir=SHARED) as out:
-        patch.setattr(Remote, "_opened", lambda self: (store, self.url.removeprefix("s3://")))
-        for address in (CLIPS, Remote(f"{CLIPS}/*")):
-            with Plan([address]) as plan:
+        patch.setattr(RemotePath, "_opened", lambda self: (store, self.url.removeprefix("s3://")))
+        for address in (CLIPS, RemotePath(f"{CLIPS}/*")):
+            with ClipPlan([address]) as plan:
                 list(plan)
         inside = Path(out) / "in"
         inside.mkdir()
-        (CLIPS / "a").copy_to(inside, LEFT_OUT)
+        (CLIPS / "a").copy_to(inside, UNREAD_CLIP_FILES)
         assert [path.name for path in Path(out).iterdir()] == ["in"]
 
 
@@ -84,11 +84,11 @@ def use_packed(folder: Path) -> None:
     """What a batch does with it."""
     content = files.read_bytes(folder / "small.zip", 2**24)
     with pytest.MonkeyPatch.context() as patch, TemporaryDirectory(dir=SHARED) as out:
-        patch.setattr(Remote, "read", lambda self, limit: content)
+        patch.setattr(RemotePath, "read", lambda self, limit: content)
         inside = Path(out) / "in"
         inside.mkdir()
         try:
-            Remote("s3://bucket/clips/small.zip").unpack_to(inside, LEFT_OUT)
+            RemotePath("s3://bucket/clips/small.zip").unpack_to(inside, UNREAD_CLIP_FILES)
             read_clip(inside)
         finally:
             assert [path.name for path in Path(out).iterdir()] == ["in"]
@@ -126,12 +126,12 @@ def answer(folder: Path) -> None:
             cv2.imwrite(str(images / f"{n}.png"), np.full((48, 64, 3), n, np.uint8))
     refused = None
     with TemporaryDirectory(dir=SHARED) as out:
-        project = Project([Task("t", "t", images)], Store(Path(out) / "marks.sqlite"))
+        project = Project([Task("t", "t", images)], MarkStore(Path(out) / "marks.sqlite"))
         for line in lines:
             try:
                 path, content = (line.get("path"), line.get("content")) if isinstance(line, dict) else (None, None)
-                if isinstance(content, dict) and isinstance(path, str) and path in CHANGES:
-                    json.dumps(getattr(project, CHANGES[path])(content), allow_nan=False)
+                if isinstance(content, dict) and isinstance(path, str) and path in CHANGE_ROUTES:
+                    json.dumps(getattr(project, CHANGE_ROUTES[path])(content), allow_nan=False)
                     project.marks("t", "ann")
                     if "grasp" in content:
                         project.labels_file(content)

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from getagrip.clip import Clip, Masks
-from getagrip.experiments.wrong_inputs import MISTAKES, Mistake
+from getagrip.experiments.wrong_inputs import INPUT_MISTAKES, Mistake
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.geometry.mesh_files import LARGEST, SMALLEST
+from getagrip.geometry.mesh_files import MAX_MESH_EXTENT_M, MIN_MESH_EXTENT_M
 
 
 def behind(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
@@ -121,7 +121,7 @@ def fins(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Mask
 def any_size(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
     """A mesh of any size that is allowed, at any distance from its own origin."""
     extent = np.ptp(clip.mesh.vertices, axis=0).max()
-    size = np.exp(rng.uniform(np.log(1.01 * SMALLEST), np.log(0.99 * LARGEST)))
+    size = np.exp(rng.uniform(np.log(1.01 * MIN_MESH_EXTENT_M), np.log(0.99 * MAX_MESH_EXTENT_M)))
     shift = rng.choice([0.0, 1.0, 100.0]) * rng.normal(size=3)
     return replace(clip, mesh=Mesh(clip.mesh.vertices * (size / extent) + shift, clip.mesh.faces)), masks
 
@@ -192,7 +192,7 @@ def crumpled_hand(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[C
 
 
 TROUBLES: dict[str, Mistake] = {
-    **MISTAKES,
+    **INPUT_MISTAKES,
     "behind the camera": behind,
     "through the camera": through,
     "giant focal length": giant_focal,

@@ -16,13 +16,13 @@ from getagrip.clip.data import World
 from getagrip.clip.reading import read_header
 from getagrip.commands.hand_file import HandFile
 from getagrip.evaluation import evaluate
-from getagrip.evaluation.results import read_evaluated
+from getagrip.evaluation.results import read_result_clip_masks
 from getagrip.experiments.hand_sources import HandSource, WithHands
 from getagrip.fitting.options import Options
 from getagrip.io import arrays
 from getagrip.pages.report import write_page
 from getagrip.pictures.shown import View
-from getagrip.result import SegmentResult, read_record, write_result
+from getagrip.result import SegmentResult, read_result_record, write_result
 from getagrip.segmentation.found import find_segments
 from getagrip.timelines.reconstruct import reconstruct
 from helpers.clips import small_clip
@@ -74,11 +74,11 @@ def listed(folder: Path) -> None:
 
 
 def use_listed(folder: Path) -> None:
-    given = segment_files.read(folder / "segments.json", ["small"])
-    clip = segment_files.with_segments(read_clip(folder / "clip"), given)
+    given = segment_files.read_segment_list(folder / "segments.json", ["small"])
+    clip = segment_files.add_segments(read_clip(folder / "clip"), given)
     with TemporaryDirectory(dir=SHARED) as out:
         header = replace(read_header(folder / "clip"), folder=Path(out))
-        assert segment_files.into_clip(header, given) == clip.segments
+        assert segment_files.write_clip_segments(header, given) == clip.segments
 
 
 def report(folder: Path) -> None:
@@ -96,10 +96,10 @@ def report(folder: Path) -> None:
 
 def write_report(folder: Path) -> None:
     """What ``report`` makes of it."""
-    result, clip, masks = read_evaluated(folder / "result", folder / "clip")
+    result, clip, masks = read_result_clip_masks(folder / "result", folder / "clip")
     view, evaluation = View.of(result, clip, masks), evaluate(result, clip, masks)
     with TemporaryDirectory(dir=SHARED) as out:
-        write_page(view, evaluation, read_record(folder / "result"), Path(out) / "report.html")
+        write_page(view, evaluation, read_result_record(folder / "result"), Path(out) / "report.html")
 
 
 def hands(folder: Path) -> None:

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.geometry import se3
-from getagrip.geometry.depth import NEAR, depth_and_face, interpolated
+from getagrip.geometry.depth import MIN_ZBUFFER_DEPTH_M, depth_and_face, interpolate_vertex_values
 from getagrip.geometry.render import render_rgb, true_masks
 
 SIZE = (48, 36)
@@ -29,7 +29,7 @@ def depth_reference(vertices_cam, faces, K, size):
             q = np.cross(-a, b - a)
             gamma = rays @ q / det
             z = (c - a) @ q / det
-        hit = (beta >= 0) & (gamma >= 0) & (beta + gamma <= 1) & (z >= NEAR) & (z < depth)
+        hit = (beta >= 0) & (gamma >= 0) & (beta + gamma <= 1) & (z >= MIN_ZBUFFER_DEPTH_M) & (z < depth)
         depth[hit], face[hit] = z[hit], k
     return depth, face
 
@@ -53,7 +53,7 @@ def test_equals_the_ray_caster_also_through_the_near_plane(seed, distance):
     same = face[close] == expected_face[close]
     assert np.mean(same) > 0.995 or len(np.unique(np.sort(faces, axis=1), axis=0)) < len(faces)
     assert np.all(np.isinf(depth[face < 0]))
-    assert np.all(depth >= np.float32(NEAR))
+    assert np.all(depth >= np.float32(MIN_ZBUFFER_DEPTH_M))
 
 
 def test_a_plane_has_its_depth_and_pixel_rule():
@@ -88,7 +88,9 @@ def test_behind_the_camera_or_edge_on_draws_nothing():
 def test_depth_interpolated_between_vertices_is_the_depth():
     vertices, faces = cube([0.05, 0.0, 0.5])
     depth, face = depth_and_face(vertices, faces, K, SIZE)
-    z, one = interpolated(vertices, faces, K, face, np.stack([vertices[:, 2], np.ones(len(vertices))], axis=1)).T
+    z, one = interpolate_vertex_values(
+        vertices, faces, K, face, np.stack([vertices[:, 2], np.ones(len(vertices))], axis=1)
+    ).T
     np.testing.assert_allclose(z, depth[face >= 0], rtol=1e-6)
     np.testing.assert_allclose(one, 1.0)
 

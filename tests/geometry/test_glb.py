@@ -86,13 +86,13 @@ def test_broken_files_are_named_in_one_line(tmp_path: Path, refused: Callable[..
 def test_scenes_of_many_parts_are_refused(refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> None:
     chain = [*({"children": [n + 1]} for n in range(4)), {"mesh": 0}]
     path, part = Path("a.glb"), {"primitives": [PART] * 5}
-    monkeypatch.setattr(glb, "MOST_PARTS", 5)
+    monkeypatch.setattr(glb, "MAX_GLTF_PARTS", 5)
     for content in (file(**scene(*chain)), file(meshes=[part])):
         assert len(parse_glb(path, content)[1])
-    monkeypatch.setattr(glb, "MOST_PARTS", 4)
+    monkeypatch.setattr(glb, "MAX_GLTF_PARTS", 4)
     refused(lambda: parse_glb(path, file(**scene(*chain))), "nodes must be ", "got more than 4 in the scene")
     refused(lambda: parse_glb(path, file(meshes=[part])), "nodes must be ", "got more than 4 parts of meshes")
-    monkeypatch.setattr(glb, "LARGEST_TREE", 100)
+    monkeypatch.setattr(glb, "MAX_GLTF_JSON_BYTES", 100)
     refused(lambda: parse_glb(path, file()), "JSON", "at most 100")
 
 

@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 
 from getagrip.errors import UsageError
 from getagrip.geometry import polygons, se3
-from getagrip.geometry.mesh import Mesh, decimate, edge_table, merged, vertex_normals
-from getagrip.geometry.mesh_files import SUFFIXES, read_mesh, write_mesh
+from getagrip.geometry.mesh import Mesh, decimate, edge_table, merge_vertices, vertex_normals
+from getagrip.geometry.mesh_files import MESH_SUFFIXES, read_mesh, write_mesh
 from getagrip.geometry.obj import parse_obj
-from getagrip.geometry.subdivide import fine
+from getagrip.geometry.subdivide import subdivide_parts
 from getagrip.metrics.surface_distance import signed_distance
 from helpers.clips import box
 
@@ -90,10 +90,10 @@ def test_normals_of_a_sphere_point_outward() -> None:
 @given(copies=st.lists(st.integers(0, 7), min_size=1, max_size=20))
 def test_merging_finds_the_first_of_equal_vertices(copies: list[int]) -> None:
     vertices = box(1, 1, 1).vertices[copies]
-    assert merged(vertices).tolist() == [copies.index(vertex) for vertex in copies]
+    assert merge_vertices(vertices).tolist() == [copies.index(vertex) for vertex in copies]
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", MESH_SUFFIXES)
 def test_meshes_survive_being_written(tmp_path: Path, suffix: str) -> None:
     mesh = sphere()
     back = read_mesh(write_mesh(mesh, f"{tmp_path}/mesh{suffix}"))
@@ -153,7 +153,7 @@ def test_thin_parts_stay_where_they_are_when_decimated() -> None:
     """Two sheets that cut through each other at an angle, as of an open notebook."""
     sheet = box(0.28, 0.2, 0.004)
     turn = se3.exp_so3(np.array([0.0, 1.2, 0.0]))
-    mesh = fine([sheet, Mesh(sheet.vertices @ turn.T, sheet.faces)], 4500)[0]
+    mesh = subdivide_parts([sheet, Mesh(sheet.vertices @ turn.T, sheet.faces)], 4500)[0]
     few = decimate(mesh, 1000)
     assert len(few.faces) <= 1000
     off = np.abs(signed_distance(mesh.vertices, few.vertices, few.faces))
@@ -186,9 +186,9 @@ def stl(*coordinates: float, count: int = 1) -> bytes:
 
 NOISE = np.random.default_rng(0).bytes(5000)
 BROKEN: dict[str, tuple[str | bytes, str, str]] = {
-    **{f"empty{s}": (b"", "faces" if s == ".obj" else "mesh", "") for s in SUFFIXES},
-    **{f"noise{s}": (NOISE, "faces" if s == ".obj" else "mesh", "") for s in SUFFIXES},
-    **{f"prose{s}": ("a mug of tea\n" * 20, "faces" if s == ".obj" else "mesh", "") for s in SUFFIXES},
+    **{f"empty{s}": (b"", "faces" if s == ".obj" else "mesh", "") for s in MESH_SUFFIXES},
+    **{f"noise{s}": (NOISE, "faces" if s == ".obj" else "mesh", "") for s in MESH_SUFFIXES},
+    **{f"prose{s}": ("a mug of tea\n" * 20, "faces" if s == ".obj" else "mesh", "") for s in MESH_SUFFIXES},
     "beyond.obj": (TRIANGLE + "f 1 2 9\n", "faces", "must be 1 to 3"),
     "beyond.ply": (PLY_HEADER.format(1) + "3 0 1 9\n", "faces", "must be 0 to 2"),
     "negative.ply": (PLY_HEADER.format(1) + "3 0 1 -1\n", "faces", "the vertex index -1"),
@@ -242,7 +242,7 @@ def test_an_obj_file_says_what_its_lines_say(data: st.DataObject) -> None:
         corner = data.draw(st.sampled_from(["{}", "{}/1", "{}//1", "{}/1/1"]))
         from_end = len(points) if data.draw(st.booleans()) else -1
         lines.append(" f\t" + " ".join(corner.format(i - from_end) for i in polygon))
-        cut = polygons.triangles(Path(), np.array(points), np.array([len(polygon)]), np.array(polygon))
+        cut = polygons.triangulate_polygons(Path(), np.array(points), np.array([len(polygon)]), np.array(polygon))
         expected += cut.tolist()
     vertices, faces = parse_obj(Path("m.obj"), data.draw(st.sampled_from(["\n", "\r\n"])).join(lines).encode())
     assert vertices.tolist() == points

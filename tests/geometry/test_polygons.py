@@ -12,14 +12,14 @@ from numpy import ndarray
 from getagrip.errors import InputError
 from getagrip.geometry import polygons
 from getagrip.geometry.mesh_files import parse_mesh, read_mesh
-from getagrip.geometry.polygons import triangles
+from getagrip.geometry.polygons import triangulate_polygons
 
 PATH = Path("m.obj")
 U = 0.03 * np.array([[0, 0], [3, 0], [3, 3], [2, 3], [2, 1], [1, 1], [1, 3], [0, 3]])
 
 
 def cut(points: ndarray) -> ndarray:
-    return triangles(PATH, points, np.array([len(points)]), np.arange(len(points)))
+    return triangulate_polygons(PATH, points, np.array([len(points)]), np.arange(len(points)))
 
 
 def areas(points: ndarray, faces: ndarray, normal: ndarray) -> ndarray:
@@ -59,7 +59,10 @@ def test_straight_corners_and_a_hole_that_a_seam_joins_to_the_edge() -> None:
 def test_polygons_that_are_none_are_fans() -> None:
     for points in (np.zeros((5, 3)), np.full((5, 3), np.nan), np.column_stack([np.arange(5.0)] * 3)):
         assert cut(points).tolist() == [[0, 1, 2], [0, 2, 3], [0, 3, 4]]
-    assert triangles(PATH, np.zeros((3, 3)), np.array([4]), np.array([0, 1, 2, 9])).tolist() == [[0, 1, 2], [0, 2, 9]]
+    assert triangulate_polygons(PATH, np.zeros((3, 3)), np.array([4]), np.array([0, 1, 2, 9])).tolist() == [
+        [0, 1, 2],
+        [0, 2, 9],
+    ]
 
 
 def test_polygons_that_take_too_long_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -67,7 +70,7 @@ def test_polygons_that_take_too_long_are_refused(monkeypatch: pytest.MonkeyPatch
     x = np.arange(100.0)
     points = np.column_stack([np.r_[x, x[-1], 0], np.r_[10 * (x % 2), -1, -1], np.zeros(102)])[::-1]
     assert areas(points, cut(points), np.array([0.0, 0.0, 1.0])).sum() == pytest.approx(99 * 6)
-    monkeypatch.setattr(polygons, "MOST_TESTS", 100)
+    monkeypatch.setattr(polygons, "MAX_EAR_TESTS", 100)
     with pytest.raises(InputError, match="triangulate the mesh first"):
         cut(points)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from getagrip.geometry import se3
-from getagrip.geometry.warp import Warp, aligned, settled
+from getagrip.geometry.warp import Warp, align_similarity, remove_similarity
 from helpers.clips import box
 
 MESH = box(0.1, 0.06, 0.04)
@@ -31,10 +31,10 @@ def test_how_much_space_expands_is_the_determinant_of_the_jacobian() -> None:
 def test_a_settled_warp_is_the_same_shape_where_the_mesh_is_and_as_large() -> None:
     for seed in range(5):
         warp = drawn(seed)
-        still, T, size = settled(warp, MESH, resize=True)
+        still, T, size = remove_similarity(warp, MESH, resize=True)
         X = np.random.default_rng(seed).normal(0.0, 0.05, (20, 3))
         np.testing.assert_allclose(warp.moved(X), se3.transform(T, size * still.moved(X)), atol=1e-14)
-        again, same = aligned(MESH, still(MESH), resize=True)
+        again, same = align_similarity(MESH, still(MESH), resize=True)
         np.testing.assert_allclose(again, np.eye(4), atol=1e-12)
         assert abs(same - 1.0) < 1e-12
         assert still.displacement(MESH) < warp.displacement(MESH)

@@ -10,7 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.geometry import se3
-from getagrip.grasps.approximation import AxisRotation, _Moves, _refined, mean_rotation, pose_hinge, rotation_hinge
+from getagrip.grasps.approximation import (
+    AxisRotation,
+    _HingeTangents,
+    _minimise_hinge,
+    mean_rotation,
+    pose_hinge,
+    rotation_hinge,
+)
 from helpers.turning import unit
 
 PosesInCamera = tuple[np.ndarray, np.ndarray]
@@ -116,7 +123,7 @@ def test_no_hinge_fits_rotations_better(seed: int, noise: float) -> None:
 def test_the_gradient_is_that_of_finite_differences(free: bool) -> None:
     rng = np.random.default_rng(3)
     R, c = noisy(rng, 0.3)
-    moves = _Moves.of(exact(rng)[0], free)
+    moves = _HingeTangents.of(exact(rng)[0], free)
     x = 0.3 * rng.normal(size=11 if free else 8)
 
     def energy(x: np.ndarray) -> float:
@@ -142,7 +149,7 @@ def test_random_restarts_find_no_better_hinge(noise: float, through: np.ndarray 
     best = pose_hinge(R, c, SIZE, through).energy(R, c)
     for _ in range(5):
         start = replace(exact(rng, through)[0], R=se3.exp_so3(2.0 * rng.normal(size=3)))
-        assert best <= _refined(start, R, c, through, 60).energy(R, c) * (1.0 + 1e-6)
+        assert best <= _minimise_hinge(start, R, c, through, 60).energy(R, c) * (1.0 + 1e-6)
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from getagrip.geometry import se3
-from getagrip.grasps.motion import JOINT, MODES, bend, measure, spectrum
+from getagrip.grasps.motion import LOGNORMAL_MEASURES, N_SPECTRUM_MODES, measure_motion, parabola_share, spectrum
 from helpers.error_measures import correlation_time
 
 FPS, FRAMES = 30.0, 30
@@ -27,7 +27,7 @@ def wandering(seed: int) -> np.ndarray:
 
 
 def test_of_a_hinge_nothing_is_left() -> None:
-    values, residual = measure(turning(30.0), CENTRE, SIZE, TOUCHED, FPS)
+    values, residual = measure_motion(turning(30.0), CENTRE, SIZE, TOUCHED, FPS)
     assert values["turn"] == pytest.approx(np.radians(30.0), rel=1e-4)
     assert values["rotation"] < 1e-6
     assert values["place"] < 1e-7
@@ -43,8 +43,8 @@ def test_of_a_hinge_nothing_is_left() -> None:
 def test_numbers_do_not_depend_on_the_frame_of_the_hand() -> None:
     T = wandering(0)
     moved = se3.rigid(se3.exp_so3(np.array([0.4, -1.0, 0.7])), np.array([0.1, 0.2, -0.3]))
-    (a, _), (b, _) = (measure(poses, CENTRE, SIZE, TOUCHED, FPS) for poses in (T, moved @ T))
-    assert set(a) == set(JOINT)
+    (a, _), (b, _) = (measure_motion(poses, CENTRE, SIZE, TOUCHED, FPS) for poses in (T, moved @ T))
+    assert set(a) == set(LOGNORMAL_MEASURES)
     for name, value in a.items():
         assert b[name] == pytest.approx(value, rel=0.02, abs=1e-5), name
 
@@ -53,9 +53,9 @@ def test_an_axis_that_turns_round_has_drifted() -> None:
     half = np.radians(20.0) * np.linspace(0.0, 1.0, FRAMES // 2)
     first = se3.rotation_about_line(np.zeros(3), np.array([1.0, 0.0, 0.0]), half)
     second = se3.rotation_about_line(np.zeros(3), np.array([0.0, 1.0, 0.0]), half) @ first[-1]
-    values, residual = measure(np.concatenate([first, second]), CENTRE, SIZE, TOUCHED[:0], FPS)
+    values, residual = measure_motion(np.concatenate([first, second]), CENTRE, SIZE, TOUCHED[:0], FPS)
     assert np.degrees(values["drift"]) == pytest.approx(90.0, abs=1.0)
-    assert bend(residual) > 0.8
+    assert parabola_share(residual) > 0.8
     assert np.isnan(values["slip"])
 
 
@@ -69,8 +69,8 @@ def test_the_correlation_time_of_a_slow_curve_is_longer() -> None:
     assert np.isnan(correlation_time(np.zeros((30, 3)), FPS))
 
 
-@pytest.mark.parametrize("mode", [1, 3, MODES - 1, MODES, 20])
+@pytest.mark.parametrize("mode", [1, 3, N_SPECTRUM_MODES - 1, N_SPECTRUM_MODES, 20])
 def test_a_cosine_is_one_line_of_the_spectrum_and_the_last_has_what_is_faster(mode: int) -> None:
     curve = np.cos(np.pi * mode * (np.arange(FRAMES) + 0.5) / FRAMES)
     shares = spectrum(curve[:, None] + 5.0)
-    assert shares[min(mode, MODES) - 1] == pytest.approx(1.0)
+    assert shares[min(mode, N_SPECTRUM_MODES) - 1] == pytest.approx(1.0)

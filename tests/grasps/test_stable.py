@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 
 from getagrip.errors import UsageError
 from getagrip.grasps import stable as grasps
-from getagrip.grasps.definition import RULES, Definition
+from getagrip.grasps.definition import GRASP_RULES, Definition
 from getagrip.grasps.stable import PairwiseIou, contact_iou, stable_grasps
 from getagrip.metrics.contact import pairwise_iou
 
@@ -65,14 +65,14 @@ def by_brute_force(iou: np.ndarray, tau: float, shortest: int, rule: str) -> lis
     return greedily(runs, shortest)
 
 
-@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("rule", GRASP_RULES)
 @given(contact=holds(), tau=taus, shortest=st.integers(1, 6), block=st.sampled_from([1, 7, 128]))
 def test_intervals_are_those_of_brute_force(
     contact: np.ndarray, tau: float, shortest: int, block: int, rule: grasps.Rule
 ) -> None:
     iou = contact_iou(contact)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(grasps, "BLOCK", block)
+        patch.setattr(grasps, "IOU_BLOCK_FRAMES", block)
         expected = by_brute_force(iou, tau, shortest, rule)
         assert stable_grasps(iou, tau, shortest, rule) == expected
         assert stable_grasps(PairwiseIou.of(contact), tau, shortest, rule) == expected
@@ -130,7 +130,7 @@ def test_what_runs_into_a_longer_grasp_is_cut_by_the_definition_and_dropped_by_t
     assert stable_grasps(iou, 0.5, 2, "first") == [(3, 11)]
 
 
-@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("rule", GRASP_RULES)
 def test_nothing_is_held_where_nothing_touches(rule: grasps.Rule) -> None:
     for frames in (0, 1, 2, 300):
         assert stable_grasps(contact_iou(np.zeros((frames, 5), dtype=bool)), 0.5, 1, rule) == []

@@ -10,9 +10,9 @@ import pytest
 from getagrip.clip import Clip, Segment, Truth, World
 from getagrip.errors import InputError
 from getagrip.geometry import se3
-from getagrip.geometry.subdivide import fine
+from getagrip.geometry.subdivide import subdivide_parts
 from getagrip.grasps.definition import Definition
-from getagrip.grasps.states import MARGIN, interactions, painted, static_runs, true_segments
+from getagrip.grasps.states import STATIC_MARGIN_FRAMES, interactions, resolve_overlaps, static_runs, true_segments
 from helpers.clips import box, small_clip
 
 LIE, TOUCH, HOLD, LEAVE = 8, 3, 9, 6
@@ -37,7 +37,7 @@ def labelled() -> Clip:
     T_cam_world = se3.inverse(T_world_cam)
     plate = box(0.2, 0.03, 0.1).vertices
     hand = replace(clip.hand, vertices=np.tile(plate, (EVERY, 1, 1)), T_cam_hand=T_cam_world @ T_world_hand)
-    mesh = fine([box(0.05, 0.07, 0.11)], 500)[0]
+    mesh = subdivide_parts([box(0.05, 0.07, 0.11)], 500)[0]
     truth = Truth(T_cam_world @ T_world_obj, 1.0, hand.T_cam_hand, hand.vertices)
     return replace(clip, hand=hand, mesh=mesh, truth=truth, world=World(T_world_cam))
 
@@ -81,16 +81,16 @@ def test_grasps_cover_what_they_overlap_and_the_clips_hand_the_other() -> None:
         Segment("static", 0, 10), Segment("contact", 10, 14), Segment("grasp", 14, 20, "right"),
         Segment("grasp", 17, 18, "left"), Segment("static", 22, 30),
     ]  # fmt: skip
-    spans = [(s.state, s.first, s.last, s.side) for s in painted(listed, 40, "left")]
+    spans = [(s.state, s.first, s.last, s.side) for s in resolve_overlaps(listed, 40, "left")]
     assert spans == [
         ("static", 0, 9, None), ("contact", 10, 13, None), ("grasp", 14, 16, "right"), ("grasp", 17, 18, "left"),
         ("grasp", 19, 20, "right"), ("static", 22, 30, None),
     ]  # fmt: skip
-    assert [s.side for s in painted(listed, 40, "right") if s.state == "grasp"] == ["right"]
+    assert [s.side for s in resolve_overlaps(listed, 40, "right") if s.state == "grasp"] == ["right"]
 
 
 def test_long_static_segments_part_timelines() -> None:
-    long, short = 2 * MARGIN + 10, 2 * MARGIN
+    long, short = 2 * STATIC_MARGIN_FRAMES + 10, 2 * STATIC_MARGIN_FRAMES
     segments, at = [], 0
     for state, length in [
         ("static", long), ("contact", 5), ("static", short), ("grasp", 20), ("static", long), ("free", 9),
@@ -99,5 +99,8 @@ def test_long_static_segments_part_timelines() -> None:
         segments.append(Segment(state, at, at + length - 1, "left" if state == "grasp" else None))  # type: ignore[arg-type]
         at += length
     found = [(int(rows[0]), int(rows[-1])) for rows in interactions(segments)]
-    assert found == [(long - MARGIN, long + 5 + short + 20 + MARGIN - 1), (at - 3 - MARGIN, at - 1)]
+    assert found == [
+        (long - STATIC_MARGIN_FRAMES, long + 5 + short + 20 + STATIC_MARGIN_FRAMES - 1),
+        (at - 3 - STATIC_MARGIN_FRAMES, at - 1),
+    ]
     assert list(interactions(segments[:1])) == []

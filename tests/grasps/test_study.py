@@ -12,7 +12,15 @@ from getagrip.geometry import se3
 from getagrip.grasps.approximation import mean_rotation, rotation_hinge
 from getagrip.grasps.definition import Definition
 from getagrip.grasps.stable import PairwiseIou
-from getagrip.grasps.study import MEASURES, TIMES, Spread, fingers, kept_contact, mean_curves, study
+from getagrip.grasps.study import (
+    NORMALISED_TIMES,
+    STUDY_MEASURES,
+    Spread,
+    fingertip_motion,
+    mean_contact_iou,
+    mean_curves,
+    study,
+)
 from helpers.paths import DATA, needs
 from helpers.turning import turning, unit
 
@@ -37,9 +45,9 @@ def test_a_grasp_with_known_answers() -> None:
     assert found.inside["fingers_moved"] < 1e-9
     assert found.outside["fingers_turned"] < 1e-9
     curve = found.curves["static_rotation"]
-    assert np.isnan(curve[TIMES < 0.0]).all()
-    assert np.isfinite(curve[TIMES >= 0.0]).all()
-    assert curve[np.argmin(np.abs(TIMES - 1.0))] == pytest.approx(abs(angle[-1] - angle.mean()), rel=1e-3)
+    assert np.isnan(curve[NORMALISED_TIMES < 0.0]).all()
+    assert np.isfinite(curve[NORMALISED_TIMES >= 0.0]).all()
+    assert curve[np.argmin(np.abs(NORMALISED_TIMES - 1.0))] == pytest.approx(abs(angle[-1] - angle.mean()), rel=1e-3)
 
 
 @pytest.mark.slow
@@ -50,7 +58,7 @@ def test_moving_hand_and_object_together_changes_nothing() -> None:
     G = se3.rigid(se3.exp_so3(rng.normal(size=(50, 3))), rng.normal(size=(50, 3)))
     moved = replace(clip.truth, T_cam_hand=G @ clip.truth.T_cam_hand, T_cam_obj=G @ clip.truth.T_cam_obj)
     (one,), (other,) = study(clip, DEFINITION), study(replace(clip, truth=moved), DEFINITION)
-    for name in MEASURES:
+    for name in STUDY_MEASURES:
         assert one.inside[name] == pytest.approx(other.inside[name], abs=1e-5)
 
 
@@ -61,22 +69,22 @@ def test_fingers_that_turn_and_move_by_known_amounts() -> None:
     angle = np.array([0.0, 0.0, 0.0, 0.3, -0.5])
     T = se3.rigid(se3.exp_so3(angle[:, None] * unit(rng)), np.array([0.0, 0.0, 0.0, 0.02, 0.03])[:, None] * unit(rng))
     vertices = se3.transform(T, points)
-    turned, moved = fingers(vertices, [np.arange(12)] * 5, slice(0, 3))
+    turned, moved = fingertip_motion(vertices, [np.arange(12)] * 5, slice(0, 3))
     np.testing.assert_allclose(turned, np.abs(angle), atol=1e-6)
     np.testing.assert_allclose(moved, [0.0, 0.0, 0.0, 0.02, 0.03], atol=1e-9)
-    turned, moved = fingers(vertices, [np.arange(12), np.arange(2)], slice(0, 3))
+    turned, moved = fingertip_motion(vertices, [np.arange(12), np.arange(2)], slice(0, 3))
     assert np.isnan(turned).all()
     assert np.isfinite(moved).all()
 
 
 def test_contact_is_compared_with_all_other_frames_of_the_grasp() -> None:
     contact = np.random.default_rng(3).random((9, 20)) < 0.4
-    found = kept_contact(PairwiseIou.of(contact), slice(1, 9), slice(3, 7))
+    found = mean_contact_iou(PairwiseIou.of(contact), slice(1, 9), slice(3, 7))
     for n, value in zip(range(1, 9), found, strict=True):
         others = [k for k in range(3, 7) if k != n]
         ious = [np.sum(contact[n] & contact[k]) / np.sum(contact[n] | contact[k]) for k in others]
         assert value == pytest.approx(np.mean(ious))
-    assert np.isnan(kept_contact(np.eye(2), slice(0, 1), slice(0, 1))).all()
+    assert np.isnan(mean_contact_iou(np.eye(2), slice(0, 1), slice(0, 1))).all()
 
 
 @pytest.mark.slow
@@ -86,7 +94,7 @@ def test_spread_leaves_out_what_has_no_value() -> None:
     grasps = study(turning(), DEFINITION)
     curves = mean_curves([*grasps, *grasps])
     assert {spread.grasps for spread in curves["contact_iou"]} == {0, 2}
-    assert len(curves["contact_iou"]) == len(TIMES)
+    assert len(curves["contact_iou"]) == len(NORMALISED_TIMES)
 
 
 @needs(DATA / "dexycb")

@@ -11,10 +11,10 @@ from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands import generic
-from getagrip.hands.clicked_hands import FEWEST, ClickedHands, hands_from_clicks
+from getagrip.hands.clicked_hands import MIN_CLICKED_JOINTS, ClickedHands, hands_from_clicks
 from getagrip.hands.fit import Chains, joints_and_jacobian
 from getagrip.hands.model import Side
-from getagrip.hands.placed_hands import Clicks, equations, projected
+from getagrip.hands.placed_hands import Clicks, click_equations, project_hand_joints
 from getagrip.hands.pose_prior import PosePrior
 
 K = np.array([[1500.0, 0.0, 960.0], [0.0, 1500.0, 540.0], [0.0, 0.0, 1.0]])
@@ -146,11 +146,11 @@ def test_points_without_sense_give_a_hand_before_the_camera_or_are_refused(seed:
 
 def test_what_cannot_be_fitted_is_refused() -> None:
     few = np.full((21, 2), np.nan)
-    few[: FEWEST - 1] = 100.0
+    few[: MIN_CLICKED_JOINTS - 1] = 100.0
     for clicks, words in (
         ({}, "missing joints"),
         ({50: held("right", 0).uv[0]}, "frame 50"),
-        ({3: few}, f"got {FEWEST - 1}"),
+        ({3: few}, f"got {MIN_CLICKED_JOINTS - 1}"),
         ({3: np.full((21, 2), np.inf)}, "finite"),
         ({3: np.zeros((20, 2))}, r"\(21, 2\)"),
         ({3: np.full((21, 2), 100.0) + np.arange(42).reshape(21, 2) % 5}, "within 4 px"),
@@ -165,12 +165,14 @@ def test_depths_of_a_turned_hand_bend_the_same_fingers() -> None:
     model = generic.load("right")
     q = np.tile(np.eye(3), (len(KEYS), 5, 1, 1))
     X, J = joints_and_jacobian(Chains.of(model), q, np.zeros(len(model.shape_names)))
-    uv = projected(K, truth.T, X, J)[0]
+    uv = project_hand_joints(K, truth.T, X, J)[0]
     clicks = Clicks.of(K, uv)._replace(depth_known=np.ones(len(KEYS), dtype=bool))
     bent = rng.normal(scale=0.01, size=(len(KEYS), 21))
     turned = bent + (uv - uv.mean(axis=1, keepdims=True)) @ [3e-4, -2e-4] + 0.1
     assert np.ptp(turned - bent, axis=1).min() > 0.02
-    plain, same, none = (equations(clicks._replace(depth=depth), truth.T, X, J) for depth in (bent, turned, 0.0 * bent))
+    plain, same, none = (
+        click_equations(clicks._replace(depth=depth), truth.T, X, J) for depth in (bent, turned, 0.0 * bent)
+    )
     assert (np.abs(none[0] - plain[0]) > 0.1 * plain[0]).any()
     for a, b in zip(plain, same, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-2, atol=1e-2 * np.abs(a).max())

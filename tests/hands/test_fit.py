@@ -8,8 +8,8 @@ import pytest
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.hands import generic, umetrack
-from getagrip.hands.fit import ORDERS, Chains, State, fit_joints, joints_and_jacobian
-from getagrip.hands.generic_skeleton import WRIST
+from getagrip.hands.fit import JOINT_ORDERS, Chains, JointFitUnknowns, fit_joints, joints_and_jacobian
+from getagrip.hands.generic_skeleton import MANO_WRIST_M
 from getagrip.hands.model import KNUCKLES, HandModel, Side, mirrored, mirrored_model
 from getagrip.hands.pose_prior import PosePrior
 from getagrip.hands.umetrack import T_world_hand, UmeTrackHand
@@ -42,7 +42,7 @@ def skinned(hand: UmeTrackHand, side: Side) -> HandModel:
     vertices, tips = (se3.transform(T_hand_wrist, X) for X in (hand.rest.vertices, hand.tips))
     pivots = se3.transform(T_hand_wrist, hand.pivots).reshape(5, 4, 3)
     joints, weights = np.zeros((16, 3)), np.zeros((len(vertices), 16))
-    joints[0], weights[:, 0] = mirrored(WRIST), hand.weights[:, :2].sum(axis=1)
+    joints[0], weights[:, 0] = mirrored(MANO_WRIST_M), hand.weights[:, :2].sum(axis=1)
     for n, knuckle in enumerate(KNUCKLES):
         joints[knuckle : knuckle + 3] = pivots[n, 1:]
         weights[:, knuckle : knuckle + 3] = hand.weights[:, 2 + 3 * n : 5 + 3 * n]
@@ -66,7 +66,7 @@ def test_jacobian_against_differences() -> None:
     rng = np.random.default_rng(0)
     model = generic.load("left")
     chains, S = Chains.of(model), len(model.shape_names)
-    state = State(
+    state = JointFitUnknowns(
         np.tile(np.eye(4), (2, 1, 1)), rng.normal(scale=0.5, size=(2, 5, 3, 3)), 0.1 * rng.normal(size=S), chains.wrist
     )
     _, J = joints_and_jacobian(chains, state.q, state.shape)
@@ -120,12 +120,12 @@ def test_own_joints_are_found_again(side: Side) -> None:
 def test_orders_name_the_same_joints() -> None:
     _, Y = likely_hands("right", 3, seed=4)
     ho3d = np.empty_like(Y)
-    ho3d[:, ORDERS["ho3d"]] = Y
+    ho3d[:, JOINT_ORDERS["ho3d"]] = Y
     a = fit_joints(generic.load("right"), Y, "openpose")
     b = fit_joints(generic.load("right"), ho3d, "ho3d")
     np.testing.assert_array_equal(a.hand.vertices, b.hand.vertices)
     # HO-3D: index 1-3, middle 4-6, pinky 7-9, ring 10-12, thumb 13-15, tips 16 thumb, 17 index, 18, 19 ring, 20 pinky
-    assert ORDERS["ho3d"] == [0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20]
+    assert JOINT_ORDERS["ho3d"] == [0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20]
 
 
 def test_moving_the_camera_moves_the_hand_only() -> None:

@@ -9,7 +9,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands import generic
 from getagrip.hands.fit import Chains, joints_and_jacobian
-from getagrip.hands.hidden_joints import Hiding
+from getagrip.hands.hidden_joints import OcclusionDistances
 from getagrip.hands.lifted_hands import hands_from_landmarks
 from getagrip.hands.pose_prior import PosePrior
 
@@ -24,7 +24,7 @@ def disc(x: float, y: float, radius: float) -> np.ndarray:
 
 
 def test_the_distance_is_that_to_the_nearest_pixel_that_may_hide() -> None:
-    hiding = Hiding.of(disc(100.0, 160.0, 40.0)[None], 1.0)
+    hiding = OcclusionDistances.of(disc(100.0, 160.0, 40.0)[None], 1.0)
     value, slope = hiding.at(np.array([[[100.0, 160.0], [200.0, 160.0], [100.0, 260.0], [-50.0, 10.0], [1e9, np.nan]]]))
     np.testing.assert_allclose(value, [[0.0, 60.0, 60.0, 0.0, 0.0]], atol=1.5)
     np.testing.assert_allclose(slope[0, 1:3], [[1.0, 0.0], [0.0, 1.0]], atol=0.1)
@@ -33,13 +33,13 @@ def test_the_distance_is_that_to_the_nearest_pixel_that_may_hide() -> None:
 
 def test_reduced_images_measure_in_pixels_of_the_whole() -> None:
     small = disc(100.0, 160.0, 40.0)[1::2, 1::2]
-    value, slope = Hiding.of(small[None], 0.5).at(np.array([[[200.0, 160.0]]]))
+    value, slope = OcclusionDistances.of(small[None], 0.5).at(np.array([[[200.0, 160.0]]]))
     assert value[0, 0] == pytest.approx(60.0, abs=4.0)
     np.testing.assert_allclose(slope[0, 0], [1.0, 0.0], atol=0.1)
 
 
 def test_a_frame_about_which_nothing_is_known_costs_nothing() -> None:
-    hiding = Hiding.of(np.zeros((1, SIZE, SIZE), bool), 1.0)
+    hiding = OcclusionDistances.of(np.zeros((1, SIZE, SIZE), bool), 1.0)
     value, slope = hiding.at(np.array([[[10.0, 300.0]]]))
     assert not value.any()
     assert not slope.any()
@@ -51,7 +51,7 @@ def test_derivatives_of_the_cost() -> None:
     q, shape = np.tile(prior.mean, (1, 1, 1, 1)), np.zeros(len(model.shape_names))
     X, J = joints_and_jacobian(chains, q, shape)
     T = se3.rigid(np.eye(3), np.array([0.0, 0.0, 0.4]))[None]
-    hiding, noise = Hiding.of(disc(120.0, 150.0, 30.0)[None], 1.0), np.full((1, 21), 4.0)
+    hiding, noise = OcclusionDistances.of(disc(120.0, 150.0, 30.0)[None], 1.0), np.full((1, 21), 4.0)
     costs, H, g = hiding.equations(K, noise, T, X, J)
     assert costs[0] > 1.0
     assert (np.linalg.eigvalsh(H) > -1e-6 * np.abs(H).max()).all()
@@ -78,7 +78,7 @@ def test_a_finger_drawn_before_the_background_is_bent_away() -> None:
     possible = np.zeros((SIZE, SIZE), bool)
     for k in set(range(21)) - set(wrong):
         possible |= disc(*points[0, k], 10.0)
-    hiding = Hiding.of(np.tile(possible, (T, 1, 1)), 1.0)
+    hiding = OcclusionDistances.of(np.tile(possible, (T, 1, 1)), 1.0)
     assert (hiding.at(points)[0][:, wrong] > 10.0).any()
     sure = np.ones((T, 21))
     off = {}

@@ -10,7 +10,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands import generic
 from getagrip.hands.fit import Chains, joints_and_jacobian
-from getagrip.hands.lifted_hands import GAP, LiftedHands, hands_from_landmarks
+from getagrip.hands.lifted_hands import MAX_LANDMARK_GAP_FRAMES, LiftedHands, hands_from_landmarks
 from getagrip.hands.model import Side
 from getagrip.hands.pose_prior import PosePrior
 
@@ -90,9 +90,9 @@ def test_short_gaps_are_filled_and_long_ones_stay() -> None:
     points, confidence = landmarks(X, 1), np.ones((T, 21))
     confidence[4:8] = 0.0
     points[4:8] = np.nan
-    confidence[10 : 10 + GAP + 2] = 0.0
+    confidence[10 : 10 + MAX_LANDMARK_GAP_FRAMES + 2] = 0.0
     found = hands_from_landmarks(points, confidence, K, "right")
-    assert found.rows == (*range(10), *range(10 + GAP + 2, T))
+    assert found.rows == (*range(10), *range(10 + MAX_LANDMARK_GAP_FRAMES + 2, T))
 
 
 def test_too_few_landmarks_are_refused() -> None:

@@ -51,7 +51,7 @@ def test_published_layout_is_read(right: tuple[Path, dict[str, Any]]) -> None:
 def test_regions_follow_from_skinning(side: Side) -> None:
     """What is done for MANO finds the generic hand's regions, which were placed by its bones."""
     hand = generic.load(side)
-    regions = mano.regions(hand.template, hand.faces, hand.joints, hand.weights)
+    regions = mano.mano_contact_regions(hand.template, hand.faces, hand.joints, hand.weights)
     assert tuple(regions) == (*FINGERS, *PALM_REGIONS)
     everything = np.concatenate(list(regions.values()))
     assert len(everything) == len(np.unique(everything))
@@ -122,7 +122,7 @@ def test_second_time_comes_from_the_cache(right: tuple[Path, dict[str, Any]], ca
     first = mano.load(path, "right")
     (stored,) = cache.glob("mano-*.npz")
     with np.load(stored, allow_pickle=False) as file:
-        assert set(file) == set(mano.ARRAYS)
+        assert set(file) == set(mano.MANO_ARRAY_SHAPES)
     again = mano.load(path, "right")
     np.testing.assert_array_equal(first.model.shape_directions, again.model.shape_directions)
     stored.write_bytes(b"PK damaged")

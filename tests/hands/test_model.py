@@ -12,10 +12,17 @@ from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.hands import generic
-from getagrip.hands.generic_skeleton import BONES, GIRTHS, MEN_TO_ALL, WRIST, half_depth, rest_fingers
+from getagrip.hands.generic_skeleton import (
+    BONE_LENGTHS_MM,
+    JOINT_GIRTHS_MM,
+    MALE_TO_MEAN_SIZE,
+    MANO_WRIST_M,
+    half_depth,
+    rest_fingers,
+)
 from getagrip.hands.model import (
-    JOINTS,
     KNUCKLES,
+    MANO_JOINTS,
     ORDER_21,
     PALM_REGIONS,
     PARENTS,
@@ -70,7 +77,7 @@ def test_the_rest_pose_is_the_template() -> None:
     model = generic.load("right")
     posed = model.with_shape().with_pose()
     np.testing.assert_allclose(posed.vertices, model.template, atol=1e-15)
-    np.testing.assert_array_equal(posed.joints[0], WRIST)
+    np.testing.assert_array_equal(posed.joints[0], MANO_WRIST_M)
 
 
 def test_batches_are_what_their_members_are() -> None:
@@ -102,7 +109,7 @@ def test_hand_frame() -> None:
     assert (tips[1:, 0] < wrist[0] - 0.1).all()
     assert tips[0, 2] > tips[1, 2] > tips[2, 2] > tips[3, 2] > tips[4, 2]
     pose = np.zeros((15, 3))
-    pose[[JOINTS.index(f"{finger}1") - 1 for finger in FINGERS[1:]], 2] = 1.0
+    pose[[MANO_JOINTS.index(f"{finger}1") - 1 for finger in FINGERS[1:]], 2] = 1.0
     bent = model.with_shape().with_pose(pose.ravel()).joints[4::4]
     assert (bent[1:, 1] < tips[1:, 1] - 0.03).all()
 
@@ -127,7 +134,7 @@ def test_generic_file_lies_on_the_surface_of_the_sources() -> None:
 @pytest.mark.parametrize("finger", FINGERS)
 def test_bones_have_the_published_lengths(finger: str) -> None:
     points = rest_fingers()[finger].points
-    given = np.array(BONES[finger] if finger == "thumb" else BONES[finger][1:])
+    given = np.array(BONE_LENGTHS_MM[finger] if finger == "thumb" else BONE_LENGTHS_MM[finger][1:])
     lengths = 1e3 * np.linalg.norm(np.diff(points, axis=0), axis=1)
     np.testing.assert_allclose(lengths, [given[0], given[1], given[2] + given[3]], atol=1e-9)
 
@@ -136,7 +143,9 @@ def test_reach_and_breadth_are_as_published() -> None:
     """Greiner's distances from fingertips to wrist [mm], and ANSUR II's hand breadth."""
     reach = dict(zip(FINGERS, (137.9, 185.2, 194.5, 185.0, 159.9), strict=True))
     for finger, rest in rest_fingers().items():
-        assert 1e3 * np.linalg.norm(rest.points[3] - WRIST) == pytest.approx(MEN_TO_ALL * reach[finger], rel=0.02)
+        assert 1e3 * np.linalg.norm(rest.points[3] - MANO_WRIST_M) == pytest.approx(
+            MALE_TO_MEAN_SIZE * reach[finger], rel=0.02
+        )
     vertices = generic.load("right").template
     knuckles = np.abs(vertices[:, 0] - 0.012) < 0.012
     palm = knuckles & (vertices[:, 2] < rest_fingers()["index"].points[0, 2] + 0.02)
@@ -150,12 +159,12 @@ def test_fingers_have_the_published_girth(finger: str) -> None:
 
     model, rest = generic.load("right"), rest_fingers()[finger]
     mesh = trimesh.Trimesh(model.template, model.faces, process=False)
-    for k, (_, circumference) in enumerate(GIRTHS[finger]):
+    for k, (_, circumference) in enumerate(JOINT_GIRTHS_MM[finger]):
         joint = rest.points[k + 1]
         cuts = trimesh.intersections.mesh_plane(mesh, rest.axes[k, 0], joint)
         own = np.linalg.norm(cuts.mean(axis=1) - joint, axis=1) < 0.014
         girth = np.linalg.norm(cuts[own, 1] - cuts[own, 0], axis=1).sum()
-        assert 1e3 * girth == pytest.approx(MEN_TO_ALL * circumference, rel=0.06)
+        assert 1e3 * girth == pytest.approx(MALE_TO_MEAN_SIZE * circumference, rel=0.06)
 
 
 @given(b=st.floats(10.0, 30.0), ratio=st.floats(0.7, 1.0))
@@ -191,7 +200,7 @@ def test_bent_fingers_keep_their_volume() -> None:
     for k in range(3):
         pose = np.zeros((15, 3))
         for finger, rest in rest_fingers().items():
-            pose[JOINTS.index(f"{finger}{k + 1}") - 1] = (
+            pose[MANO_JOINTS.index(f"{finger}{k + 1}") - 1] = (
                 np.radians(30.0 if finger == "thumb" else 90.0) * rest.axes[k, 1]
             )
         bent = model.with_shape().with_pose(pose.ravel())
@@ -209,16 +218,16 @@ def test_size_scales_about_the_wrist() -> None:
     shape = np.zeros(len(model.shape_names))
     shape[model.shape_names.index("size")] = 0.1
     larger = model.with_shape(shape)
-    np.testing.assert_allclose(larger.vertices - WRIST, 1.1 * (model.template - WRIST), atol=1e-12)
-    np.testing.assert_allclose(larger.joints - WRIST, 1.1 * (model.joints - WRIST), atol=1e-12)
+    np.testing.assert_allclose(larger.vertices - MANO_WRIST_M, 1.1 * (model.template - MANO_WRIST_M), atol=1e-12)
+    np.testing.assert_allclose(larger.joints - MANO_WRIST_M, 1.1 * (model.joints - MANO_WRIST_M), atol=1e-12)
 
 
-@pytest.mark.parametrize("name", generic.SHAPES)
+@pytest.mark.parametrize("name", generic.SHAPE_PARAMETER_NAMES)
 def test_every_shape_parameter_is_a_fraction(name: str) -> None:
     """The bones that a parameter names grow by that fraction, the others keep their lengths."""
     model = generic.load("right")
-    shape = np.zeros(len(generic.SHAPES))
-    shape[generic.SHAPES.index(name)] = 0.2
+    shape = np.zeros(len(generic.SHAPE_PARAMETER_NAMES))
+    shape[generic.SHAPE_PARAMETER_NAMES.index(name)] = 0.2
     before, after = (model.with_shape(s).with_pose().joints[1:].reshape(5, 4, 3) for s in (None, shape))
     growth = np.linalg.norm(np.diff(after, axis=1), axis=2) / np.linalg.norm(np.diff(before, axis=1), axis=2) - 1.0
     expected = np.zeros((5, 3))
@@ -239,7 +248,9 @@ def test_every_shape_parameter_is_a_fraction(name: str) -> None:
 def test_root_transform_turns_about_the_root_joint(seed: int) -> None:
     rng = np.random.default_rng(seed)
     R, t, X = se3.exp_so3(rng.normal(size=3)), rng.normal(size=3), rng.normal(size=(4, 3))
-    np.testing.assert_allclose(se3.transform(root_transform(R, t, WRIST), X), (X - WRIST) @ R.T + WRIST + t, atol=1e-12)
+    np.testing.assert_allclose(
+        se3.transform(root_transform(R, t, MANO_WRIST_M), X), (X - MANO_WRIST_M) @ R.T + MANO_WRIST_M + t, atol=1e-12
+    )
 
 
 def test_hand_track_repeats_one_hand_and_checks_many() -> None:

@@ -9,8 +9,8 @@ from getagrip.clip import FINGERS
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands import umetrack
-from getagrip.hands.generic_skeleton import WRIST
-from getagrip.hands.model import MIRROR, PALM_REGIONS, root_transform
+from getagrip.hands.generic_skeleton import MANO_WRIST_M
+from getagrip.hands.model import PALM_REGIONS, SIDE_MIRROR, root_transform
 from helpers.paths import DATA, needs
 from helpers.umetrack_profile import profile
 
@@ -57,12 +57,12 @@ def test_skinning_equals_the_reference(tmp_path):
 def test_a_right_hand_is_the_left_one_in_the_mirror(tmp_path):
     hand, angles = loaded(tmp_path), np.random.default_rng(1).normal(size=22)
     left, right = hand.with_pose("left", angles), hand.with_pose("right", angles)
-    np.testing.assert_allclose(right.vertices, left.vertices * MIRROR)
-    np.testing.assert_allclose(right.joints, left.joints * MIRROR)
+    np.testing.assert_allclose(right.vertices, left.vertices * SIDE_MIRROR)
+    np.testing.assert_allclose(right.joints, left.joints * SIDE_MIRROR)
     np.testing.assert_array_equal(right.faces, left.faces[:, ::-1])
     # In the world: HOT3D poses the mirrored mesh by the wrist.
     T_world_wrist = se3.rigid(se3.exp_so3(np.array([0.3, -1.0, 0.4])), np.array([0.1, 0.2, 0.3]))
-    expected = se3.transform(T_world_wrist, skinned_reference(profile()["hand_model"], angles) * MIRROR)
+    expected = se3.transform(T_world_wrist, skinned_reference(profile()["hand_model"], angles) * SIDE_MIRROR)
     ours = se3.transform(umetrack.T_world_hand("right", T_world_wrist), right.vertices)
     np.testing.assert_allclose(ours, expected, atol=1e-12)
 
@@ -76,7 +76,7 @@ def test_joints_are_the_hinges(tmp_path):
     bent = hand.with_pose("left", turned)
     moved = np.flatnonzero(np.linalg.norm(bent.joints - rest.joints, axis=1) > 1e-9)
     np.testing.assert_array_equal(moved, [16])
-    np.testing.assert_allclose(rest.joints[0], WRIST * MIRROR)
+    np.testing.assert_allclose(rest.joints[0], MANO_WRIST_M * SIDE_MIRROR)
     lengths = np.linalg.norm(np.diff(rest.joints[1:].reshape(5, 4, 3), axis=1), axis=-1)
     angles = hand.with_pose("left", np.random.default_rng(2).normal(size=22))
     np.testing.assert_allclose(
@@ -152,7 +152,11 @@ def test_the_hand_frame_agrees_with_mano():
             poses = [hands[key]["wrist_xform"] for key in ("0", "1")]
             wrists.append([(se3.from_quaternion(np.array(p["q_wxyz"])), np.array(p["t_xyz"])) for p in poses])
         for ours, mano, side, root, axial in zip(
-            *wrists, ("left", "right"), (WRIST * MIRROR, WRIST), (np.ones(3), -MIRROR), strict=True
+            *wrists,
+            ("left", "right"),
+            (MANO_WRIST_M * SIDE_MIRROR, MANO_WRIST_M),
+            (np.ones(3), -SIDE_MIRROR),
+            strict=True,
         ):
             T_world_hand = umetrack.T_world_hand(side, se3.rigid(*ours))
             T_hand_mano = se3.inverse(T_world_hand) @ root_transform(*mano, root)

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from getagrip.annotate.project import Project
-from getagrip.annotate.server import Server
-from getagrip.annotate.store import Store
+from getagrip.annotate.server import StudioServer
+from getagrip.annotate.store import MarkStore
 from getagrip.annotate.tasks import Task
 from helpers.browser import expect
 
@@ -23,8 +23,8 @@ class Served:
         self.start()
 
     def start(self) -> None:
-        self.project = Project(self.tasks, Store(self.database))
-        self.server = Server(self.project, self.port, "a-token")
+        self.project = Project(self.tasks, MarkStore(self.database))
+        self.server = StudioServer(self.project, self.port, "a-token")
         self.port = self.server.server_port
         self.thread = threading.Thread(target=self.server.serve_forever, kwargs={"poll_interval": 0.02})
         self.thread.start()
@@ -40,7 +40,7 @@ class Served:
 
 
 def ask(
-    server: Server, path: str, content: object = None, head: dict[str, str] | None = None
+    server: StudioServer, path: str, content: object = None, head: dict[str, str] | None = None
 ) -> tuple[int, dict[str, str], bytes]:
     """GET, or POST where there is content."""
     connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=10)

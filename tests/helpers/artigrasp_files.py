@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from getagrip.geometry import se3
-from getagrip.hands.fit import ORDERS
+from getagrip.hands.fit import JOINT_ORDERS
 from helpers.recorded_joints import FRAMES, recording, write_parts
 
 SEQUENCE = "box_use_01"
-HO3D = np.argsort(ORDERS["ho3d"])
+HO3D = np.argsort(JOINT_ORDERS["ho3d"])
 """Where each of HO-3D's joints stands in this package's order."""
 
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from getagrip.annotate.project import Project
-from getagrip.annotate.store import Store
+from getagrip.annotate.store import MarkStore
 from getagrip.annotate.tasks import Task
-from getagrip.clip.segments import polygons
-from getagrip.commands.annotate import DATABASE
+from getagrip.clip.segments import fill_polygons
+from getagrip.commands.annotate import MARKS_DATABASE
 from helpers.labelled_scene import HEIGHT, WIDTH, circle, joints
 
 VIDEO = "scene"
@@ -33,7 +33,7 @@ class Clicking:
     """A project, and a grasp that somebody labels in it."""
 
     def __init__(self, video: Path, folder: Path, who: str = "ann") -> None:
-        self.project = Project([Task(VIDEO, VIDEO, video)], Store(folder / DATABASE))
+        self.project = Project([Task(VIDEO, VIDEO, video)], MarkStore(folder / MARKS_DATABASE))
         self.about = {"task": VIDEO, "annotator": who, "grasp": new()}
         start = {"start": FIRST, "side": "left", "category": "disc"}
         for sets in (start, {"end": LAST}):
@@ -76,7 +76,7 @@ def disc(frame: int, closed: bool = True) -> dict[str, Any]:
 
 def filled(outlines: list[Any]) -> np.ndarray:
     flat = [np.ravel(shape).tolist() for shape in outlines]
-    return polygons(Path(), "", flat, (WIDTH, HEIGHT))
+    return fill_polygons(Path(), "", flat, (WIDTH, HEIGHT))
 
 
 def iou(a: np.ndarray, b: np.ndarray) -> float:

@@ -5,7 +5,7 @@ import trimesh
 
 from getagrip.geometry import se3
 from getagrip.hands import generic
-from getagrip.hands.fit import ORDERS
+from getagrip.hands.fit import JOINT_ORDERS
 
 SUBJECT, SEQUENCE, HELD, OTHER = "20200709-subject-01", "20200709_141754", "025_mug", "003_cracker_box"
 NAME = f"{SUBJECT}--{SEQUENCE}--{HELD}"
@@ -106,7 +106,7 @@ def packed(**changes):
     _, T_cam_obj, joints = scene()
     valid = np.arange(FRAMES) != LOST
     ho3d = np.empty_like(joints)
-    ho3d[:, ORDERS["ho3d"]] = joints
+    ho3d[:, JOINT_ORDERS["ho3d"]] = joints
     once = {
         "obj_quat_xyzw": np.roll(se3.quaternion(T_cam_obj[:, :3, :3]), -1, axis=1).astype(np.float32),
         "obj_trans": T_cam_obj[:, :3, 3].astype(np.float32),

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from getagrip.datasets.cutting import pieces
+from getagrip.datasets.cutting import cut_into_grasps
 from getagrip.datasets.dataset import clips
-from getagrip.datasets.dexycb.reader import WITHIN_10_MM, DexYcb
+from getagrip.datasets.dexycb.reader import GRASPS_WITHIN_10_MM, DexYcb
 from helpers.dexycb_files import (
     SERIALS,
 )
@@ -17,7 +17,7 @@ def read(root, meshes=None, note=lambda _: None):
 
 def grasps(sequence, note=lambda _: None):
     """The stable grasps of a sequence, as pieces of its track."""
-    return list(pieces(sequence.read(note), note, WITHIN_10_MM.cut(note)))
+    return list(cut_into_grasps(sequence.read(note), note, GRASPS_WITHIN_10_MM.cut(note)))
 
 
 def write_extrinsics(root, T_master_cam, T_master_tag):

@@ -10,7 +10,7 @@ from numpy import ndarray
 from getagrip.clip import Masks
 from getagrip.fitting.energy import PosesInCamera
 from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
-from getagrip.fitting.observation import CROP, observe
+from getagrip.fitting.observation import MASK_CROP_SIZE_PX, observe_masks
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.kernels import silhouette
@@ -47,11 +47,11 @@ def scene(which: str, seed: int = 0, frames: int = 2, occluded: bool = False) ->
     if occluded:
         i, j = np.indices((SIZE, SIZE))
         ignore[:] = (i - 0.6 * j > 90.0) & (i - 0.6 * j < 125.0)
-    observation = observe(Masks(seen & ~ignore, ignore), np.tile(CAMERA, (frames, 1, 1)))
+    observation = observe_masks(Masks(seen & ~ignore, ignore), np.tile(CAMERA, (frames, 1, 1)))
     # Drawn again in the crops, so that no pixel differs at the truth.
-    valid = unpack(observation.valid[CROP], CROP)
-    exact = pack(rendered(mesh, truth, observation.K, (CROP, CROP)) & valid)
-    observation = replace(observation, observed={**observation.observed, CROP: exact})
+    valid = unpack(observation.valid[MASK_CROP_SIZE_PX], MASK_CROP_SIZE_PX)
+    exact = pack(rendered(mesh, truth, observation.K, (MASK_CROP_SIZE_PX, MASK_CROP_SIZE_PX)) & valid)
+    observation = replace(observation, observed={**observation.observed, MASK_CROP_SIZE_PX: exact})
     return MaskTerm(SilhouetteMesh.of(mesh, mesh.centre), observation), truth
 
 
@@ -62,9 +62,15 @@ def enlarged(mask: ndarray, finer: int) -> ndarray:
 def smooth_energy(term: MaskTerm, mesh: Mesh, poses: PosesInCamera, finer: int = 8) -> ndarray:
     """E_mask (1, N) of silhouettes drawn finer than the masks, as ``reference.mask_energy`` says."""
     o = term.observation
-    drawn = pack(rendered(mesh, poses, o.K * finer, (CROP * finer, CROP * finer)))
+    drawn = pack(rendered(mesh, poses, o.K * finer, (MASK_CROP_SIZE_PX * finer, MASK_CROP_SIZE_PX * finer)))
     energy = [
-        mismatch(drawn[n], *(pack(enlarged(unpack(bits[CROP][n], CROP), finer)) for bits in (o.observed, o.valid)))
+        mismatch(
+            drawn[n],
+            *(
+                pack(enlarged(unpack(bits[MASK_CROP_SIZE_PX][n], MASK_CROP_SIZE_PX), finer))
+                for bits in (o.observed, o.valid)
+            ),
+        )
         for n in range(len(drawn))
     ]
     return np.array([energy]) / finer**2

@@ -11,7 +11,7 @@ import trimesh
 from getagrip.clip import FINGERS, Clip, HandTrack, Masks, Truth, input_sha256, write_clip
 from getagrip.datasets.synthetic import shapes
 from getagrip.geometry import se3
-from getagrip.geometry.depth import covered
+from getagrip.geometry.depth import render_coverage
 from getagrip.result import Candidates, Reconstruction, Status, write_result
 
 FRAMES = 5
@@ -41,7 +41,9 @@ def egg_and_mug() -> tuple[Clip, Masks]:
     )
     assert clip.truth is not None
     posed = se3.transform(clip.truth.T_cam_obj, clip.mesh.vertices)
-    drawn = [covered(vertices, clip.mesh.faces, K, clip.size) for vertices, K in zip(posed, clip.K, strict=True)]
+    drawn = [
+        render_coverage(vertices, clip.mesh.faces, K, clip.size) for vertices, K in zip(posed, clip.K, strict=True)
+    ]
     return clip, Masks(np.stack(drawn), np.zeros((FRAMES, 240, 320), dtype=bool))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from getagrip.datasets.synthetic.noise import Drawn
+from getagrip.datasets.synthetic.noise import DrawnHandErrors
 
 OUTSIDE = 4.0
 """Distance of an outlier's rotation from the clip's median, in units of the usual jitter about one axis."""
@@ -48,7 +48,7 @@ class ErrorCurves:
     bends: Float[ndarray, "T 5 3"]
 
     @staticmethod
-    def of(drawn: Drawn) -> ErrorCurves:
+    def of(drawn: DrawnHandErrors) -> ErrorCurves:
         """Curves as they are measured: shifts in the hand frame have no direction of their own."""
         shift = drawn.shift.copy()
         shift[:, 2:] += drawn.deeper

@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from getagrip.geometry import se3
 from getagrip.hands import generic, mano
-from getagrip.hands.model import MIRROR, Side, mirrored, mirrored_pose
+from getagrip.hands.model import SIDE_MIRROR, Side, mirrored, mirrored_pose
 from getagrip.hands.trackers.estimates import mirror_rotation, vitdet_side
 from getagrip.io import arrays
 from helpers.mano_files import fake_mano, python2
@@ -32,8 +32,8 @@ def write_mano_files(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         values[445] = values[444]  # the tip of a left middle finger, and of a right one
     (folder / "MANO_RIGHT.pkl").write_bytes(python2(right))
     left = dict(right) | {"v_template": mirrored(right["v_template"]), "J": mirrored(right["J"])}
-    m = np.tile(np.outer(MIRROR, MIRROR).ravel(), 15)
-    left["posedirs"] = right["posedirs"] * MIRROR[:, None] * m
+    m = np.tile(np.outer(SIDE_MIRROR, SIDE_MIRROR).ravel(), 15)
+    left["posedirs"] = right["posedirs"] * SIDE_MIRROR[:, None] * m
     left["hands_mean"], left["hands_components"] = (mirrored_pose(right[k]) for k in ("hands_mean", "hands_components"))
     left["shapedirs"] = right["shapedirs"]  # of the published left hand, y and z are right, and x is not mirrored
     (folder / "MANO_LEFT.pkl").write_bytes(python2(left))
@@ -135,7 +135,7 @@ def demo_files(folder: Path, known: Known, n: int, joints: bool = True, mesh: bo
     """What HaMeR's demo saves of a hand with ``--save_mesh --save_keypoints``, by its own formulas (demo.py)."""
     centre, side = np.array([300.0, 220.0]), 210.0
     t = cam_crop_to_full(crop_camera(known.t[n], centre, side), centre, side, SIZE, 5000.0 / 256.0 * max(SIZE))
-    flip = MIRROR if known.side == "left" else 1.0
+    flip = SIDE_MIRROR if known.side == "left" else 1.0
     if mesh:
         vertices = (known.vertices[n] - known.t[n] + t) * [1.0, -1.0, -1.0]
         corners = [[3, 4, 5], [92, 38, 234]]

@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from getagrip.clip import Clip
 from getagrip.fitting import pose_priors as priors
-from getagrip.fitting.learn_priors import hold, learn
+from getagrip.fitting.learn_priors import learn_pose_priors, true_grasp_pose
 from getagrip.fitting.options import Options, PriorsFile
 from getagrip.geometry import se3
 from helpers.clips import small_clip
@@ -31,7 +31,7 @@ def held(name: str, subject: str = "", seed: int = 0, category: str = "box") -> 
 
 def old_file(path: Path, *clips: Clip) -> Options:
     """Options with a file of the first version, which holds poses learnt from some clips."""
-    learnt = learn([hold(clip) for clip in clips], k=10)
-    names = {name: np.array(getattr(learnt, name), np.str_) for name in priors.NAMES}
+    learnt = learn_pose_priors([true_grasp_pose(clip) for clip in clips], k=10)
+    names = {name: np.array(getattr(learnt, name), np.str_) for name in priors.PRIOR_NAME_KEYS}
     np.savez(path, version=np.array(1), T_hand_obj=learnt.T_hand_obj, **names)  # type: ignore[arg-type]
     return Options(init="clusters", priors=PriorsFile(path), inits=12)

@@ -10,7 +10,7 @@ import numpy as np
 
 from getagrip.geometry import se3
 from getagrip.hands import generic
-from getagrip.hands.fit import ORDERS
+from getagrip.hands.fit import JOINT_ORDERS
 from getagrip.hands.mano import load
 from helpers.held_ball import BETAS, FRAMES, ball, bent, global_motion, motion
 
@@ -40,7 +40,7 @@ def write_ho3d(folder: Path, mano: Path) -> Path:
         meta.mkdir(parents=True)
         for n in range(FRAMES):
             in_order = np.empty((21, 3))
-            in_order[ORDERS["ho3d"]] = joints[n]
+            in_order[JOINT_ORDERS["ho3d"]] = joints[n]
             content: dict[str, Any] = {
                 "objRot": se3.log_so3(T_gl_obj[n, :3, :3]).reshape(3, 1),
                 "objTrans": T_gl_obj[n, :3, 3],

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from getagrip.batch.engine import Engine
-from getagrip.batch.entries import Entry
+from getagrip.batch.entries import LedgerEntry
 from getagrip.batch.executor import Start
 from getagrip.batch.ledger import Ledger
 from getagrip.batch.processes import Processes
@@ -76,25 +76,25 @@ class Errand:
     out: Path
     seconds: float
 
-    def run(self) -> Entry:
+    def run(self) -> LedgerEntry:
         if (self.out / self.name).exists():
-            return Entry(self.name, "kept")
+            return LedgerEntry(self.name, "kept")
         with (self.out / "runs").open("a") as runs:
             runs.write(f"{self.name}\n")
         time.sleep(self.seconds)
         (self.out / f"{self.name}.part").touch()
         (self.out / f"{self.name}.part").rename(self.out / self.name)
-        return Entry(self.name, "done")
+        return LedgerEntry(self.name, "done")
 
 
 def drive(
-    out: Path, count: int, seconds: float, workers: int, executor: Start[Errand, Entry] | None = None
+    out: Path, count: int, seconds: float, workers: int, executor: Start[Errand, LedgerEntry] | None = None
 ) -> list[str]:
     """A driver of such tasks; what has become of each. ``executor`` None: processes here, or of one worker this one."""
     if executor is None and workers > 1:
         executor = partial(Processes, workers)
     engine = Engine(
-        work=Errand.run, lost=lambda errand, why: Entry(errand.name, "failed", why), entry=lambda entry: entry,
+        work=Errand.run, lost=lambda errand, why: LedgerEntry(errand.name, "failed", why), entry=lambda entry: entry,
         options=None, executor=executor,
     )  # fmt: skip
     errands = (Errand(f"task-{n:02d}", out, seconds) for n in range(count))

@@ -24,7 +24,7 @@ from getagrip.datasets.dataset import Draft
 from getagrip.datasets.ho3d import Ho3dEvaluation
 from getagrip.datasets.synthetic.scene import clip_name
 from getagrip.datasets.synthetic.scene_options import SceneOptions
-from getagrip.experiments.segment_trials import DIRECTIONS
+from getagrip.experiments.segment_trials import TIME_DIRECTIONS
 from getagrip.fitting.options import Options
 from getagrip.grasps.cut import as_listed
 from getagrip.hands import generic
@@ -146,22 +146,22 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
     spans = {"true": [[0, 1]], "fits": [[0, 1]], "motion": [[0, 1]], "seconds": 0.1}
     in_a_timeline = {"kind": "grasp", "right": True, "right_sym": True, "sca": 1.0}
     by = {"ours": {"segments": [in_a_timeline], "jumps": [], "seconds": 0.1}}
-    parsed = cache(cli._parsed)
+    parsed = cache(cli._parse_command)
     places = {
-        "annotate.server.Server.serve_forever": ended,
+        "annotate.server.StudioServer.serve_forever": ended,
         "compiling.compile_once": lambda *_: None,
-        "cli._parsed": lambda words: parsed(tuple(words)),
-        "datasets.synthetic.scene_options.DEMO": SHORT,
-        "commands.doctor._try_out": lambda: None,
+        "cli._parse_command": lambda words: parsed(tuple(words)),
+        "datasets.synthetic.scene_options.DEMO_SCENE_OPTIONS": SHORT,
+        "commands.doctor._smoke_test": lambda: None,
         "landmarks.load": lambda _: SceneNets(),
         "datasets.synthetic.scene.synthesise": made,
-        "experiments.plots.SHOWN": ("iou",),
-        "experiments.segment_trials._found": lambda _: dict.fromkeys(DIRECTIONS, spans),
-        "experiments.timeline_trials._found": lambda *_: {"category": "box", "by": by},
+        "experiments.plots.ABLATION_PLOT_METRICS": ("iou",),
+        "experiments.segment_trials._find_in_both_directions": lambda _: dict.fromkeys(TIME_DIRECTIONS, spans),
+        "experiments.timeline_trials._score_noise_level": lambda *_: {"category": "box", "by": by},
         "segmentation.found.find_segments": found,
         "timelines.reconstruct.reconstruct": fitted,
-        "pages.server.Server.serve_forever": ended,
-        "film._pictures": lambda _: iter(np.zeros((2, 576, 1080, 3), np.uint8)),
+        "pages.server.ViewerServer.serve_forever": ended,
+        "film._overlay_and_turned_frames": lambda _: iter(np.zeros((2, 576, 1080, 3), np.uint8)),
         "pictures.report.report_figure": drawn,
     }
     for place, trifle in places.items():
@@ -216,7 +216,9 @@ def _write_annotations(folder: Path) -> None:
     shutil.copy(folder / "scene.mp4", folder / "videos")
     clicked = {n: labels.FrameLabels(np.array(joints(n)), (np.array(circle(n)),)) for n in (0, 2)}
     sha256 = hashlib.sha256((folder / "scene.mp4").read_bytes()).hexdigest()
-    labels.write(labels.Labels("scene", (320, 240), "left", 30.0, 0, 2, clicked, sha256), folder / "labels.json")
+    labels.write_label_file(
+        labels.Labels("scene", (320, 240), "left", 30.0, 0, 2, clicked, sha256), folder / "labels.json"
+    )
     cup = thing("c", "cup", 13, box(0, 0, 9, 9))
     frames = [sparse("P01_101", n, cup, hand("left", "c", box(0, 0, 5, 5))) for n in (52, 82)]
     write(folder / "visor" / "P01_101.json", frames)

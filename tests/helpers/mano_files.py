@@ -45,7 +45,7 @@ def fake_mano(monkeypatch: pytest.MonkeyPatch, side: Side = "right") -> dict[str
         pair = np.array([2 * j, 2 * j + 1])
         J_regressor[j, pair] = 0.5
         v[pair] = hand.joints[j] + 0.01 * np.array([[1.0], [-1.0]])
-    for n, tip in enumerate(mano.TIPS[side]):
+    for n, tip in enumerate(mano.FINGERTIP_VERTICES[side]):
         v[tip] = hand.template[hand.tips[n]]
         weights[tip] = np.arange(16) == KNUCKLES[n] + 2
     cols, rows = np.nonzero(J_regressor.T)

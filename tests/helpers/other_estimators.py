@@ -11,8 +11,8 @@ import numpy as np
 from numpy import ndarray
 
 from getagrip.geometry import se3
-from getagrip.hands.model import MIRROR
-from getagrip.hands.trackers.dynhamr import root_joint
+from getagrip.hands.model import SIDE_MIRROR
+from getagrip.hands.trackers.dynhamr import mano_root_joint
 from getagrip.hands.trackers.estimates import mirror_rotation
 from helpers.estimator_files import FRAMES, SIZE, K, Known, write_npz
 
@@ -49,7 +49,7 @@ def in_world(known: Known, folder: Path | None) -> tuple[ndarray, ndarray, ndarr
     rng = np.random.default_rng(3)
     count = len(known.R)
     T = se3.rigid(se3.exp_so3(rng.normal(scale=0.4, size=(count, 3))), rng.normal(size=(count, 3)))
-    root = np.array([root_joint(folder, known.side, betas) for betas in known.betas])
+    root = np.array([mano_root_joint(folder, known.side, betas) for betas in known.betas])
     t = se3.transform(se3.inverse(T), (root + translation(known))[:, None])[:, 0] - root
     return np.swapaxes(T[:, :3, :3], 1, 2) @ known.R, t, T
 
@@ -92,7 +92,7 @@ def dynhamr_file(place: Path, known: Known, folder: Path | None) -> Path:
     R, t, T_cam_world = in_world(known, folder)
     pose = se3.exp_so3(known.pose.reshape(-1, 15, 3))
     if known.side == "left":
-        R, pose, t = mirror_rotation(R), mirror_rotation(pose), t * MIRROR
+        R, pose, t = mirror_rotation(R), mirror_rotation(pose), t * SIDE_MIRROR
     rows = [np.zeros_like(t), t] if known.side == "right" else [t, np.zeros_like(t)]
     both = {"trans": np.stack(rows), "root_orient": np.stack([se3.log_so3(R)] * 2)}
     right = np.repeat([[0.0], [1.0]], len(t), axis=1)

@@ -6,9 +6,9 @@ from typing import Any
 
 from numba import njit
 
-from getagrip.compiling import OPTIONS
+from getagrip.compiling import NUMBA_OPTIONS
 
 
 def callable_part(part: Any) -> Any:
     """Return the part, compiled with its like's options."""
-    return njit(**OPTIONS)(part.py_func)
+    return njit(**NUMBA_OPTIONS)(part.py_func)

@@ -37,7 +37,7 @@ ARRAYS = {
 
 
 def read(content: bytes) -> dict[str, object]:
-    return pickles.read(PATH, content, "a dictionary")
+    return pickles.read_pickle_dict(PATH, content, "a dictionary")
 
 
 def same(got: Any, given: np.ndarray) -> bool:
@@ -52,7 +52,7 @@ import json, pickle, sys
 from pathlib import Path
 import numpy as np
 from getagrip.errors import InputError
-from getagrip.hands.mano import read_pickle
+from getagrip.hands.mano import read_mano_pickle
 
 def touch(value):
     repr(value)
@@ -64,7 +64,7 @@ def touch(value):
 done = {"read": 0, "refused": 0}
 for content in pickle.load(sys.stdin.buffer):
     try:
-        touch(read_pickle(Path("a.pkl"), content))
+        touch(read_mano_pickle(Path("a.pkl"), content))
         done["read"] += 1
     except InputError as error:
         assert not isinstance(error.__cause__, MemoryError), content[:100]

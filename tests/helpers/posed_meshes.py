@@ -11,7 +11,7 @@ from getagrip.fitting.energy.mask import SilhouetteMesh
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.kernels import silhouette
-from getagrip.kernels.silhouette import PLANES
+from getagrip.kernels.silhouette import N_COUNTER_BITS
 from helpers.clips import box
 from helpers.parts import callable_part
 
@@ -77,7 +77,7 @@ def outlined(mesh: Mesh, seed: int) -> tuple[ndarray, ndarray, ndarray]:
     project(t.vertices, R, centre, scale, K, uvz)
     n = silhouette_edges(t.planes, t.edges, R, centre, scale, np.empty(len(mesh.faces) + 1, np.int64), edge)
     bits = np.empty((SIZE, 1), np.uint64)
-    lines, planes = np.empty((5, len(edge[0]))), np.empty((SIZE, 1, PLANES), np.uint64)
+    lines, planes = np.empty((5, len(edge[0]))), np.empty((SIZE, 1, N_COUNTER_BITS), np.uint64)
     rasterise(uvz, edge, n, t.closed, 1.0, lines, planes, bits)
     return uvz, edge[:, :n], bits
 

@@ -14,8 +14,8 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.geometry.se3 import hat
-from getagrip.kernels.contour import DISTANCE, NX, NY, WEIGHT, U, V, Z
-from getagrip.kernels.silhouette import NEAR
+from getagrip.kernels.contour import NX, NY, ROW_DISTANCE, ROW_WEIGHT, U, V, Z
+from getagrip.kernels.silhouette import MIN_SILHOUETTE_DEPTH_M
 
 
 def project(
@@ -34,10 +34,10 @@ def silhouette(uvz: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], shape: tu
     """A pixel is covered when its centre lies in the image of some face, whatever way the face is turned.
 
     A point is inside a triangle if a ray to the left crosses its boundary an odd number of times. An object that
-    reaches nearer than ``NEAR`` covers no pixel.
+    reaches nearer than ``MIN_SILHOUETTE_DEPTH_M`` covers no pixel.
     """
     mask = np.zeros(shape, bool)
-    if uvz[:, 2].min() < NEAR:
+    if uvz[:, 2].min() < MIN_SILHOUETTE_DEPTH_M:
         return mask
     for corners in uvz[faces, :2]:
         low = np.clip(np.floor(corners.min(axis=0)).astype(int), 0, shape[::-1])
@@ -135,8 +135,8 @@ def sample_field(
     from scipy.ndimage import map_coordinates
 
     out = points.copy()
-    out[DISTANCE] = map_coordinates(field.astype(float), points[[V, U]] * zoom - 0.5, order=1, mode="nearest")
-    out[WEIGHT] = spacing / np.maximum(np.abs(out[DISTANCE]), delta)
+    out[ROW_DISTANCE] = map_coordinates(field.astype(float), points[[V, U]] * zoom - 0.5, order=1, mode="nearest")
+    out[ROW_WEIGHT] = spacing / np.maximum(np.abs(out[ROW_DISTANCE]), delta)
     return out
 
 
@@ -156,9 +156,9 @@ def match_boundary(
         value += strength * length * np.sqrt(least)
         if least < gate:
             best = int(np.argmin(cost))
-            matched[:DISTANCE, q] = points[:DISTANCE, best]
+            matched[:ROW_DISTANCE, q] = points[:ROW_DISTANCE, best]
             d = offset[:, best] @ points[[NX, NY], best]
-            matched[DISTANCE, q], matched[WEIGHT, q] = d, strength * length / max(abs(d), delta)
+            matched[ROW_DISTANCE, q], matched[ROW_WEIGHT, q] = d, strength * length / max(abs(d), delta)
     return matched, value
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from getagrip.experiments.trials import Score
+from getagrip.experiments.trials import GraspVariantScore
 
 
-def score(variant: str, value: float, failed: bool = False) -> Score:
+def score(variant: str, value: float, failed: bool = False) -> GraspVariantScore:
     """A score of which every metric in the tables has the same value."""
     kinds = ("sca", "truth_sca", "sca_add", "sca_add_sym", "sca_iou_80", "sca_iou_60")
     keys = ["iou", "add_success", "add_sym_success", *(f"{kind}_object_10mm" for kind in kinds)]
-    return Score(variant, {} if failed else dict.fromkeys(keys, value), 1.0, 2.0, False, "stopped", failed)
+    return GraspVariantScore(variant, {} if failed else dict.fromkeys(keys, value), 1.0, 2.0, False, "stopped", failed)

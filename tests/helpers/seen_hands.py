@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from getagrip.landmarks.crops import Crop
-from getagrip.landmarks.nets import Found, Nets
+from getagrip.landmarks.crops import HandCrop
+from getagrip.landmarks.nets import HandNetOutput, Nets
 from getagrip.landmarks.palms import Palm
 from helpers.labelled_scene import joints
 
@@ -25,8 +25,8 @@ class SceneNets(Nets):
         box = np.concatenate([POINTS[[0, 5, 17]].min(axis=0), POINTS[[0, 5, 17]].max(axis=0)])
         return [Palm(box, points, 0.9)] if self.hands else []  # type: ignore[attr-defined]
 
-    def landmarks(self, image: np.ndarray, crop: Crop) -> Found:
-        return Found(POINTS, np.full((21, 3), np.nan), 0.95, 0.01)
+    def landmarks(self, image: np.ndarray, crop: HandCrop) -> HandNetOutput:
+        return HandNetOutput(POINTS, np.full((21, 3), np.nan), 0.95, 0.01)
 
-    def mirrored(self, image: np.ndarray, crop: Crop) -> Found:
+    def mirrored(self, image: np.ndarray, crop: HandCrop) -> HandNetOutput:
         return self.landmarks(image, crop)._replace(right=0.99)

@@ -9,7 +9,7 @@ import numpy as np
 
 from getagrip.geometry import se3
 from getagrip.hands import generic
-from getagrip.hands.mano import TIPS
+from getagrip.hands.mano import FINGERTIP_VERTICES
 from helpers.held_ball import FRAMES, ball, motion
 
 
@@ -22,7 +22,7 @@ def write_taco(folder: Path) -> Path:
     pose[..., 2] -= rng.uniform(0.0, 1.0, (FRAMES, 15))
     posed = hand.with_shape().with_pose(pose.reshape(FRAMES, 45))
     which = rng.permutation(len(hand.template))[:778]
-    which[list(TIPS["left"])] = hand.tips
+    which[list(FINGERTIP_VERTICES["left"])] = hand.tips
     content = {
         "hand_pose": np.concatenate([se3.log_so3(T_cam_hand[:, :3, :3]), pose.reshape(FRAMES, 45)], axis=1),
         "hand_trans": se3.transform(T_cam_hand, hand.joints[:1])[:, 0],

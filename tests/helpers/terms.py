@@ -12,7 +12,7 @@ from getagrip.fitting.energy import PosesInCamera, Quadratic, Term, no_bound
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
 from getagrip.fitting.energy.interaction import InteractionTerm
 from getagrip.fitting.energy.reprojection import ReprojectionTerm
-from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
+from getagrip.fitting.energy.smoothness import SmoothnessTerm, vertex_moments
 from getagrip.geometry import se3
 from helpers.clips import box
 
@@ -43,7 +43,7 @@ def some_term(kind: str, rng: np.random.Generator) -> Term:
             hand = np.array([0.0, 0.0, 0.5]) + rng.normal(0.0, 0.04, (N, 6, 3))
             return ContactConsistencyTerm(points[0], hand, 1e6 * np.arange(1.0, N + 1.0), delta=1e-3)
         case "smoothness":
-            return SmoothnessTerm(moments(points[0]), 1e5)
+            return SmoothnessTerm(vertex_moments(points[0]), 1e5)
         case "reprojection":
             return ReprojectionTerm(points, K4, rng.uniform(0.0, 256.0, (N, 5, 2)), 3.0)
         case _:

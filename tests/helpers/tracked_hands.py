@@ -9,7 +9,7 @@ from numpy import ndarray
 
 from getagrip.geometry import se3
 from getagrip.hands.model import Side
-from getagrip.hands.trackers import Hands, Request
+from getagrip.hands.trackers import Request, TrackedHands
 from helpers.estimator_files import (
     FRAMES,
     SIZE,
@@ -23,6 +23,6 @@ def request(side: Side, folder: Path | None = None) -> Request:
     return Request(side, FRAMES, np.tile(K, (3, 1, 1)), SIZE, folder)
 
 
-def joints_of(hands: Hands) -> ndarray:
+def joints_of(hands: TrackedHands) -> ndarray:
     assert hands.track.joints is not None
     return se3.transform(hands.track.T_cam_hand, hands.track.joints)

@@ -15,7 +15,7 @@ import pytest
 import getagrip
 from getagrip import Axis, Candidates, Clip, HandTrack, Masks, Mesh, Reconstruction, Truth, UsageError, Warp, World
 from getagrip.hands.model import HandModel, PosedHand, ShapedHand
-from getagrip.io.array_data import ArrayData, same
+from getagrip.io.array_data import ArrayData, equal_content
 from getagrip.result import SegmentResult, Status
 from helpers.clips import small_clip
 
@@ -85,7 +85,7 @@ def test_nothing_that_was_computed_from_the_fields_changes_equality() -> None:
 
 
 def test_nan_equals_nan() -> None:
-    assert same({"a": [np.nan, np.array([1.0, np.nan])]}, {"a": [np.nan, np.array([1.0, np.nan])]})
+    assert equal_content({"a": [np.nan, np.array([1.0, np.nan])]}, {"a": [np.nan, np.array([1.0, np.nan])]})
     for a, b in (
         (np.nan, 1.0),
         (np.array([np.nan]), np.array([1.0])),
@@ -94,8 +94,8 @@ def test_nan_equals_nan() -> None:
         ([1, 2], [1]),
         ({"a": 1}, {"b": 1}),
     ):
-        assert not same(a, b)
-        assert not same(b, a)
+        assert not equal_content(a, b)
+        assert not equal_content(b, a)
 
 
 # Making them.

@@ -17,7 +17,7 @@ from PIL import Image
 
 from fuzz.containers import glb, glb_parts
 from getagrip.annotate import footage
-from getagrip.annotate.store import Store
+from getagrip.annotate.store import MarkStore
 from getagrip.clip import read_clip, segments
 from getagrip.clip.mask_request import MaskRequest
 from getagrip.clip.mask_sources import open_masks
@@ -56,8 +56,8 @@ def memory(megabytes: int) -> Iterator[None]:
 def test_one_long_text_among_numbers_takes_no_memory_for_all(refused: Callable[..., str]) -> None:
     values = ["x" * LONG, *[""] * 200]
     with memory(200):
-        refused(lambda: records.numbers(PATH, {"joints": values}, "joints", (-1, 3)), "joints")
-        refused(lambda: segments.polygons(PATH, "p", [values], (10, 10)), "corners")
+        refused(lambda: records.record_numbers(PATH, {"joints": values}, "joints", (-1, 3)), "joints")
+        refused(lambda: segments.fill_polygons(PATH, "p", [values], (10, 10)), "corners")
         assert arrays.from_lists(values) is None
 
 
@@ -65,7 +65,7 @@ def test_one_long_text_among_numbers_takes_no_memory_for_all(refused: Callable[.
 def test_a_list_of_one_array_many_times_is_counted_in_full(refused: Callable[..., str]) -> None:
     values = [np.zeros(100_000)] * 5000
     with memory(200):
-        refused(lambda: records.numbers(PATH, {"joints": values}, "joints", (-1, 3)), "joints")
+        refused(lambda: records.record_numbers(PATH, {"joints": values}, "joints", (-1, 3)), "joints")
 
 
 @pytest.mark.parametrize(
@@ -81,11 +81,11 @@ def test_a_member_that_unpacks_to_more_than_it_says_takes_no_memory(tmp_path: Pa
         with pytest.raises(InputError, match=why):
             arrays.read(tmp_path / "a.npz", lambda _: True)
         with pytest.raises(InputError, match="than by deflate" if why == "than by deflate" else "must be"):
-            json_stream.member(tmp_path / "a.zip", "a")
+            json_stream.read_json_member(tmp_path / "a.zip", "a")
 
 
 def test_an_archive_of_too_many_members_is_not_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(archives, "MOST_MEMBERS", 2)
+    monkeypatch.setattr(archives, "MAX_ARCHIVE_MEMBERS", 2)
     arrays.write(tmp_path / "a.npz", {name: np.zeros(1) for name in "ab"})
     assert set(arrays.read(tmp_path / "a.npz", lambda _: True)) == {"a", "b"}
     arrays.write(tmp_path / "a.npz", {name: np.zeros(1) for name in "abc"})
@@ -128,10 +128,10 @@ def test_many_names_and_numbers_of_frames_become_no_lists(
     tmp_path: Path, refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "hand.npz"
-    monkeypatch.setattr(arrays, "MOST_NAMES", 3)
+    monkeypatch.setattr(arrays, "MAX_ARRAY_NAMES", 3)
     for frames in (np.arange(3), np.array(["a", "b", "c"])):
         arrays.write(path, {"frames": frames})
-        assert arrays.names(arrays.read(path, lambda _: True)["frames"]) is not None
+        assert arrays.array_from_names(arrays.read(path, lambda _: True)["frames"]) is not None
     assert arrays.frame_numbers(path, {"frames": np.arange(3)}) == (0, 1, 2)
     refused(
         lambda: arrays.frame_numbers(path, {"frames": np.arange(4)}),
@@ -140,7 +140,7 @@ def test_many_names_and_numbers_of_frames_become_no_lists(
         "1 to 3",
     )
     refused(lambda: arrays.frame_numbers(path, {"frames": np.zeros(2, int)}), "frames must be ", "got a frame twice")
-    assert arrays.names(np.arange(4)) is None
+    assert arrays.array_from_names(np.arange(4)) is None
     arrays.write(path, {"frames": np.array(["a"] * 4)})
     refused(lambda: arrays.read(path, lambda _: True), "frames must be at most 3")
 
@@ -162,7 +162,7 @@ def test_jpegs_of_two_sizes_are_refused_before_they_are_decoded(tmp_path: Path, 
     content = jpeg_of_two_sizes(64, 30_000)
     (tmp_path / "0001.jpg").write_bytes(content)
     with memory(500):
-        refused(lambda: images._image(PATH, "", content), "30000 x 30000")
+        refused(lambda: images._decode_epic_image(PATH, "", content), "30000 x 30000")
         refused(lambda: footage.ImageFolder.open(tmp_path).image(0), "30000 x 30000")
 
 
@@ -182,7 +182,7 @@ def test_yaml_that_takes_long_is_refused_by_its_size(tmp_path: Path, refused: Ca
 def test_meshes_beyond_bounds_are_refused(
     refused: Callable[..., str], faces: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(obj, "MOST", 2**19)
+    monkeypatch.setattr(obj, "MAX_OBJ_ELEMENTS", 2**19)
     content = ("v 0 0 0\n" * 3 + faces).encode()
     with memory(100):
         refused(lambda: parse_obj(PATH, content), "at most")
@@ -205,11 +205,11 @@ def test_plain_meshes_are_read_alike_either_way() -> None:
     for corners in ("{} {} {}", "{0}/1 {1}/1 {2}/1", "{0}//7 {1}//7 {2}//7", "{0}/1/7 {1}/1/7 {2}/1/7"):
         faces = "".join(f"f {corners.format(*ids)}\n" for ids in rng.integers(1, 51, (70, 3)).tolist())
         content = f"# v 1 2 3\nmtllib x\n{points}vn 0 0 1\n{faces}".encode()
-        plain, by_line = obj._plain(content), obj._by_line(PATH, content)
+        plain, by_line = obj._parse_triangles_fast(content), obj._parse_obj_lines(PATH, content)
         assert plain is not None
         assert all(np.array_equal(a, b) for a, b in zip(plain, by_line, strict=True))
     for other in ("f 1 2 3 4\n", "f -1 -2 -3\n", "v 1 2 3 0.5 0.5 0.5\n", " v 1 2 x\n", "v 1 2 3 \\\n"):
-        assert obj._plain(points.encode() + other.encode()) is None
+        assert obj._parse_triangles_fast(points.encode() + other.encode()) is None
 
 
 def test_json_with_half_a_character_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
@@ -236,13 +236,13 @@ def test_a_zip_of_json_with_too_many_members_is_not_listed(
                 archive.writestr(f"{n}.txt" if n else "a.json", '{"b": {}}')
         for length in (5, 2**20):  # entries that lie across two pieces are counted, too
             with monkeypatch.context() as patch:
-                patch.setattr(archives, "MOST_MEMBERS", 3)
-                patch.setattr(archives, "PIECE", length)
+                patch.setattr(archives, "MAX_ARCHIVE_MEMBERS", 3)
+                patch.setattr(archives, "ZIP_SEARCH_BYTES", length)
                 if count == 3:
-                    assert json_stream.member(path, "b") == {}
+                    assert json_stream.read_json_member(path, "b") == {}
                     continue
-                refused(lambda: json_stream.member(path, "b"), "more than 3 members")
-                refused(lambda: archives.archive(path, path.read_bytes()), "more than 3 members")
+                refused(lambda: json_stream.read_json_member(path, "b"), "more than 3 members")
+                refused(lambda: archives.open_archive_bytes(path, path.read_bytes()), "more than 3 members")
 
 
 @pytest.mark.slow
@@ -251,7 +251,7 @@ def test_a_small_zip_of_much_json_ends_soon(tmp_path: Path, refused: Callable[..
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("a.json", '{"' + "a" * 4_000_000 + '": [' + "1," * 1_900_000 + '1], "b": [' + "{}," * 600_000)
     with memory(400):
-        refused(lambda: list(json_stream.items(path, "b")), "a.zip")
+        refused(lambda: list(json_stream.stream_items(path, "b")), "a.zip")
 
 
 def test_a_version_that_is_a_record_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
@@ -267,11 +267,11 @@ def test_a_category_that_moves_the_cursor_is_refused(clip_folder: Path, refused:
 
 def test_a_damaged_cache_of_mano_is_no_error(tmp_path: Path) -> None:
     (tmp_path / "mano.npz").write_bytes(b"PK\x03\x04 damaged")
-    assert mano._read_cache(tmp_path / "mano.npz") is None
+    assert mano._read_mano_cache(tmp_path / "mano.npz") is None
 
 
 def store_with(path: Path, *statements: str) -> Path:
-    Store(path).close()
+    MarkStore(path).close()
     with sqlite3.connect(path) as db:
         for statement in statements:
             db.execute(statement)
@@ -288,7 +288,7 @@ KEYFRAME = (
 def test_a_database_with_a_view_of_a_strangers_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
     endless = "WITH RECURSIVE n(i) AS (VALUES(1) UNION ALL SELECT i FROM n) SELECT i FROM n"
     path = store_with(tmp_path / "a.sqlite", "DROP VIEW marks", f"CREATE VIEW marks AS {endless}")
-    refused(lambda: Store(path), "other tables or views")
+    refused(lambda: MarkStore(path), "other tables or views")
 
 
 @pytest.mark.parametrize(
@@ -303,7 +303,7 @@ def test_a_database_with_a_view_of_a_strangers_is_refused(tmp_path: Path, refuse
 def test_contents_that_nobody_has_written_are_refused(
     tmp_path: Path, refused: Callable[..., str], statement: str
 ) -> None:
-    store = Store(store_with(tmp_path / "a.sqlite", statement))
+    store = MarkStore(store_with(tmp_path / "a.sqlite", statement))
     refused(lambda: [*store.marks.standing(), *store.keyframes.standing()], "a.sqlite", "damaged")
     store.close()
 
@@ -313,8 +313,8 @@ def test_contents_that_nobody_has_written_are_refused(
 def test_obj_lines_are_counted_before_they_are_parsed(
     monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str], kind: str, ends: str
 ) -> None:
-    monkeypatch.setattr(obj, "MOST", 10)
-    for parser in ("_plain", "_by_line"):
+    monkeypatch.setattr(obj, "MAX_OBJ_ELEMENTS", 10)
+    for parser in ("_parse_triangles_fast", "_parse_obj_lines"):
         monkeypatch.setattr(obj, parser, None)
     content = (ends + kind) * 11
     refused(lambda: parse_obj(Path("x.obj"), content.encode()), "x.obj", "more than 10 lines")
@@ -324,7 +324,7 @@ def test_regions_of_a_frame_are_counted_before_they_are_drawn(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
 ) -> None:
     width, height = 40, 30
-    monkeypatch.setattr(segments, "MOST_DRAWN", 5 * width * height)
+    monkeypatch.setattr(segments, "MAX_DRAWN_PIXELS", 5 * width * height)
     full = {"size": [height, width], "counts": [0, width * height]}
     path = tmp_path / "coco.json"
 
@@ -338,5 +338,7 @@ def test_regions_of_a_frame_are_counted_before_they_are_drawn(
     assert read(5) == width * height
     refused(lambda: read(6), "annotations", "6 regions in one frame", "at most 5")
     corners = [0, 0, width, 0, width, height, 0, height]
-    assert segments.polygons(path, "", [corners] * 5, (width, height)).all()
-    refused(lambda: segments.polygons(path, "k", [corners] * 6, (width, height)), "polygons of more pixels", "at most")
+    assert segments.fill_polygons(path, "", [corners] * 5, (width, height)).all()
+    refused(
+        lambda: segments.fill_polygons(path, "k", [corners] * 6, (width, height)), "polygons of more pixels", "at most"
+    )

@@ -11,7 +11,7 @@ import pytest
 
 from getagrip.errors import GetagripError, InputError
 from getagrip.io import http_store
-from getagrip.io.storage import Remote
+from getagrip.io.storage import RemotePath
 
 pytest.importorskip("fsspec", reason="needs fsspec: pip install -e '.[s3]'")
 pytest.importorskip("aiohttp", reason="needs aiohttp: pip install -e '.[s3]'")
@@ -44,37 +44,37 @@ class Hostile(BaseHTTPRequestHandler):
 
 
 @pytest.fixture(scope="module")
-def server() -> Iterator[Remote]:
+def server() -> Iterator[RemotePath]:
     with ThreadingHTTPServer(("127.0.0.1", 0), Hostile) as it:
         it.daemon_threads = True
         threading.Thread(target=it.serve_forever, daemon=True).start()
-        yield Remote(f"http://127.0.0.1:{it.server_port}")
+        yield RemotePath(f"http://127.0.0.1:{it.server_port}")
         it.shutdown()
 
 
-def test_small_files_and_redirects_on_the_server_are_read(server: Remote) -> None:
+def test_small_files_and_redirects_on_the_server_are_read(server: RemotePath) -> None:
     assert (server / "small").read(100) == (server / "same").read(100) == SMALL
 
 
-def test_bodies_that_never_end_are_cut_at_the_limit(server: Remote, tmp_path: Path) -> None:
+def test_bodies_that_never_end_are_cut_at_the_limit(server: RemotePath, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="got more than 1000 bytes"):
         (server / "endless").read(1000)
     server.fetch(["endless", "small"], 1000, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["small"]
 
 
-def test_a_listing_that_never_ends_is_refused(server: Remote, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(http_store, "LONGEST_LISTING", 2**20)
+def test_a_listing_that_never_ends_is_refused(server: RemotePath, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(http_store, "MAX_LISTING_BYTES", 2**20)
     with pytest.raises(InputError, match="at most that in a listing"):
         server.children()
 
 
 @pytest.mark.parametrize("to", ["host", "port"])
-def test_redirects_to_another_server_are_not_followed(server: Remote, to: str) -> None:
+def test_redirects_to_another_server_are_not_followed(server: RemotePath, to: str) -> None:
     with pytest.raises(GetagripError, match="a redirect to 'http"):
         (server / to).read(100)
 
 
-def test_chained_addresses_are_bounded_too(server: Remote) -> None:
+def test_chained_addresses_are_bounded_too(server: RemotePath) -> None:
     with pytest.raises(GetagripError, match="a redirect to 'http"):
-        Remote(f"simplecache::{server}/host").read(100)
+        RemotePath(f"simplecache::{server}/host").read(100)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from getagrip.io.images import decoded, read_image, write_image
+from getagrip.io.images import decode_image, read_image, write_image
 
 PICTURE = np.tile(np.linspace(0, 255, 40).astype(np.uint8)[None, :, None], (30, 1, 3)) // np.array([1, 2, 3], np.uint8)
 
@@ -44,7 +44,7 @@ def test_images_of_too_many_scans_are_refused_before_they_are_decoded(
         path.write_bytes(content)
         refused(lambda: read_image(path, (40, 30)), "a.jpg: scans must be ", "got more than 100")
         refused(
-            lambda content=content: decoded(path, "the video", content, 100),
+            lambda content=content: decode_image(path, "the video", content, 100),
             "a.jpg: the video scans must be ",
             "got more",
         )

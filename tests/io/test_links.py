@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.annotate.store import Store
-from getagrip.batch.entries import FILE
+from getagrip.annotate.store import MarkStore
+from getagrip.batch.entries import LEDGER_FILE
 from getagrip.batch.ledger import Ledger
 from getagrip.errors import InputError, UsageError
 from getagrip.io import databases, files, leftovers
@@ -66,10 +66,10 @@ def test_looking_whether_a_file_can_be_written_follows_no_link(tmp_path: Path) -
 def test_sweeping_moves_nothing_out_of_a_folder_that_is_linked(tmp_path: Path, canary: Path) -> None:
     (elsewhere := tmp_path / "elsewhere").mkdir()
     canary.rename(elsewhere / "own")
-    left = tmp_path / "sent" / f"{leftovers.PREFIX}x"
+    left = tmp_path / "sent" / f"{leftovers.TEMPORARY_FOLDER_PREFIX}x"
     left.mkdir(parents=True)
     (left / "old").symlink_to(elsewhere)
-    leftovers.sweep(tmp_path / "sent")
+    leftovers.remove_stale_folders(tmp_path / "sent")
     assert (elsewhere / "own").read_bytes() == CANARY
 
 
@@ -93,13 +93,13 @@ def opened(kind: str, folder: Path) -> None:
     if kind == "ledger":
         with Ledger(folder):
             return
-    Store(folder / "marks.sqlite").close()
+    MarkStore(folder / "marks.sqlite").close()
 
 
-@pytest.mark.parametrize("end", ["", *databases.BESIDE])
+@pytest.mark.parametrize("end", ["", *databases.SQLITE_LOG_SUFFIXES])
 @pytest.mark.parametrize("kind", ["ledger", "marks"])
 def test_databases_that_are_links_are_refused(tmp_path: Path, canary: Path, kind: str, end: str) -> None:
-    name = {"ledger": FILE, "marks": "marks.sqlite"}[kind] + end
+    name = {"ledger": LEDGER_FILE, "marks": "marks.sqlite"}[kind] + end
     for place in (canary, tmp_path / "nowhere"):
         (tmp_path / name).symlink_to(place)
         with pytest.raises(InputError, match="a link"):
@@ -112,7 +112,7 @@ def test_databases_that_are_links_are_refused(tmp_path: Path, canary: Path, kind
 @pytest.mark.parametrize("application", [0, 7])
 @pytest.mark.parametrize("kind", ["ledger", "marks"])
 def test_another_programs_database_is_not_changed(tmp_path: Path, kind: str, application: int) -> None:
-    file = tmp_path / {"ledger": FILE, "marks": "marks.sqlite"}[kind]
+    file = tmp_path / {"ledger": LEDGER_FILE, "marks": "marks.sqlite"}[kind]
     with sqlite3.connect(file) as db:
         db.execute("CREATE TABLE own (a)")
         db.execute(f"PRAGMA application_id = {application}")

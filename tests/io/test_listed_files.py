@@ -14,8 +14,8 @@ def test_files_that_begin_with_a_dot_are_no_content(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(b"")
     for name in ("d", ".e"):
         (tmp_path / name).mkdir()
-    assert [path.name for path in files.listed(tmp_path, (".png",))] == ["a.PNG", "b.png"]
-    assert [path.name for path in files.listed(tmp_path)] == ["a.PNG", "b.png", "c.txt"]
+    assert [path.name for path in files.list_files(tmp_path, (".png",))] == ["a.PNG", "b.png"]
+    assert [path.name for path in files.list_files(tmp_path)] == ["a.PNG", "b.png", "c.txt"]
     assert [path.name for path in files.folders_in(tmp_path)] == ["d"]
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from getagrip.errors import InputError, UsageError
 from getagrip.io import interrupts
-from getagrip.io.numbers import guarded
+from getagrip.io.numbers import convert_to_input_errors
 
 
 class Stop(BaseException):
@@ -22,14 +22,14 @@ class Stop(BaseException):
 @pytest.fixture(autouse=True)
 def _as_in_the_program() -> Iterator[None]:
     before = signal.getsignal(signal.SIGINT)
-    interrupts.while_working()
+    interrupts.raise_on_interrupt()
     yield
     signal.signal(signal.SIGINT, before)
 
 
 def test_where_interrupts_are_not_known_apart_they_stay() -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    with pytest.raises(KeyboardInterrupt), guarded(Path("a.txt")):
+    with pytest.raises(KeyboardInterrupt), convert_to_input_errors(Path("a.txt")):
         raise KeyboardInterrupt
 
 
@@ -57,7 +57,10 @@ def leaves(error: BaseException) -> Callable[[], object]:
 )
 def test_what_goes_wrong_names_the_file(work: Callable[[], object], says: str) -> None:
     before = list(warnings.filters)
-    with pytest.raises(InputError, match=r"^a\.txt must be as its program writes it") as caught, guarded(Path("a.txt")):
+    with (
+        pytest.raises(InputError, match=r"^a\.txt must be as its program writes it") as caught,
+        convert_to_input_errors(Path("a.txt")),
+    ):
         work()
     assert says in str(caught.value)
     assert list(warnings.filters) == before
@@ -65,11 +68,11 @@ def test_what_goes_wrong_names_the_file(work: Callable[[], object], says: str) -
 
 @pytest.mark.parametrize("error", [UsageError("a"), InputError("b.txt", "", "c", "d"), FileNotFoundError("e")])
 def test_what_says_enough_stays_as_it_is(error: Exception) -> None:
-    with pytest.raises(type(error)) as caught, guarded(Path("a.txt")):
+    with pytest.raises(type(error)) as caught, convert_to_input_errors(Path("a.txt")):
         raise error
     assert caught.value is error
 
 
 def test_an_interrupt_stays_one() -> None:
-    with pytest.raises(KeyboardInterrupt), guarded(Path("a.txt")):
+    with pytest.raises(KeyboardInterrupt), convert_to_input_errors(Path("a.txt")):
         signal.raise_signal(signal.SIGINT)

@@ -12,7 +12,7 @@ import pytest
 
 from getagrip.fitting.energy import mask as package_module
 from getagrip.fitting.methods.all_frames import soft_hinge
-from getagrip.io.own_code import UnknownSourceError, checksum
+from getagrip.io.own_code import UnknownSourceError, source_checksum
 
 MINE = """
 from dataclasses import dataclass
@@ -58,11 +58,11 @@ def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 @pytest.mark.parametrize("file", ["of_user/mine.py", "of_user/beside.py", "of_all.py", "later.py"])
 def test_it_changes_with_each_file_that_a_function_uses(mine: Any, tmp_path: Path, file: str) -> None:
-    before = checksum(mine().fit)
-    assert checksum(mine().fit) == before
+    before = source_checksum(mine().fit)
+    assert source_checksum(mine().fit) == before
     changed = tmp_path / file
     changed.write_text(changed.read_text() + "# another\n")
-    assert checksum(mine().fit) != before
+    assert source_checksum(mine().fit) != before
 
 
 @pytest.mark.parametrize(
@@ -79,10 +79,10 @@ def test_it_changes_with_each_file_that_a_function_uses(mine: Any, tmp_path: Pat
     ],
 )
 def test_it_finds_the_file_wherever_its_code_is(mine: Any, tmp_path: Path, made: Any) -> None:
-    before = checksum(made(mine()))
-    assert checksum(made(mine())) == before
+    before = source_checksum(made(mine()))
+    assert source_checksum(made(mine())) == before
     (tmp_path / "of_user" / "mine.py").write_text(MINE.replace("weight: float = 1.0", "weight: float = 1.00"))
-    assert checksum(made(mine())) != before
+    assert source_checksum(made(mine())) != before
 
 
 @pytest.mark.parametrize(
@@ -91,9 +91,9 @@ def test_it_finds_the_file_wherever_its_code_is(mine: Any, tmp_path: Path, made:
 )
 def test_values_in_partials_and_closures_count(mine: Any, one: Any, other: Any) -> None:
     of = mine()
-    assert checksum(partial(of.fit, more=one)) == checksum(partial(of.fit, more=one))
-    assert checksum(partial(of.fit, more=one)) != checksum(partial(of.fit, more=other))
-    assert checksum(of.made(one)) != checksum(of.made(other))
+    assert source_checksum(partial(of.fit, more=one)) == source_checksum(partial(of.fit, more=one))
+    assert source_checksum(partial(of.fit, more=one)) != source_checksum(partial(of.fit, more=other))
+    assert source_checksum(of.made(one)) != source_checksum(of.made(other))
 
 
 def test_sources_that_are_in_no_file_are_unknown() -> None:
@@ -101,9 +101,9 @@ def test_sources_that_are_in_no_file_are_unknown() -> None:
     exec(compile("def fit(problem, on_stage): return 1\nmade = lambda: 1", "<stdin>", "exec"), there)
     for unknown in (there["fit"], partial(soft_hinge, more=there["made"]), np.random.default_rng(0), iter("a")):
         with pytest.raises(UnknownSourceError):
-            checksum(unknown)
+            source_checksum(unknown)
 
 
 def test_of_the_package_only_names_count() -> None:
-    assert checksum(soft_hinge) == checksum(soft_hinge)
-    assert checksum(soft_hinge) != checksum(package_module)
+    assert source_checksum(soft_hinge) == source_checksum(soft_hinge)
+    assert source_checksum(soft_hinge) != source_checksum(package_module)

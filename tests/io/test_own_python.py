@@ -19,9 +19,9 @@ STARTED = {
         "from types import SimpleNamespace; from getagrip.annotate.reconstruction import run_command; "
         "assert run_command(['--version'], SimpleNamespace(done=0, total=0, report=print)).startswith('getagrip ')"
     ),
-    "pip": "from getagrip.landmarks import models; from pathlib import Path; models._download(Path({folder!r}))",
+    "pip": "from getagrip.landmarks import models; from pathlib import Path; models._download_wheel(Path({folder!r}))",
     "processes of a batch": (
-        "from getagrip.batch.executor import in_processes; assert [*in_processes(len, ['abc'], 1)] == [('abc', 3)]"
+        "from getagrip.batch.executor import run_in_processes; assert [*run_in_processes(len, ['abc'], 1)] == [('abc', 3)]"
     ),
 }
 
@@ -52,12 +52,12 @@ def test_nothing_of_the_current_folder_is_run(sent: Path, tmp_path: Path, what: 
 
 @pytest.mark.skipif(find_spec("submitit") is None, reason="needs submitit: pip install -e '.[slurm]'")
 def test_nor_does_a_task_of_slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from getagrip.batch.limits import NONE
+    from getagrip.batch.limits import NO_LIMITS
     from getagrip.batch.on_slurm import SlurmExecutor
 
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     monkeypatch.setattr("shutil.which", lambda name: name)
-    executor = SlurmExecutor(1, len, NONE, None)
+    executor = SlurmExecutor(1, len, NO_LIMITS, None)
     assert f"{sys.executable} -P" in executor._executor._executor.python
     executor.close()
 

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.checks import Check, Evidence, examine
+from getagrip.checks import Check, Evidence, run_checks
 from getagrip.errors import UsageError
 from getagrip.evaluation.comparison import Comparison
-from getagrip.evaluation.metric import IOU, Metric, measure
+from getagrip.evaluation.metric import IOU, Metric, compute_metrics
 from getagrip.io import plugins
-from getagrip.io.plugins import Table
+from getagrip.io.plugins import PluginTable
 from helpers.clips import small_clip
 from helpers.packages import write_package
 
@@ -22,21 +22,21 @@ Install = Callable[..., Path]
 @pytest.fixture
 def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
     """Install a package of one module, for this test."""
-    monkeypatch.setattr(plugins, "TABLES", {})
+    monkeypatch.setattr(plugins, "PLUGIN_TABLES", {})
     monkeypatch.syspath_prepend(tmp_path)
-    plugins._entries.cache_clear()
-    plugins.warn.cache_clear()
+    plugins._find_entry_points.cache_clear()
+    plugins.warn_once.cache_clear()
     return lambda *package, **entries: write_package(tmp_path, *package, **entries)
 
 
 @pytest.fixture(autouse=True)
 def _as_before() -> object:
     yield
-    plugins._entries.cache_clear()
+    plugins._find_entry_points.cache_clear()
 
 
-def numbers() -> Table[int]:
-    return Table("numbers", {"one": 1}, "an int", lambda _, it: isinstance(it, int))
+def numbers() -> PluginTable[int]:
+    return PluginTable("numbers", {"one": 1}, "an int", lambda _, it: isinstance(it, int))
 
 
 def test_names_are_known_and_objects_loaded_when_asked_for(install: Install, tmp_path: Path) -> None:
@@ -48,8 +48,8 @@ def test_names_are_known_and_objects_loaded_when_asked_for(install: Install, tmp
     assert table["twelve"] == 12
     assert (tmp_path / "loaded").exists()
     assert table.working() == {"one": 1, "twelve": 12}
-    assert plugins.installed() == ["dozen 1.2"]
-    assert plugins.fingerprint().endswith(" with dozen 1.2")
+    assert plugins.plugin_packages() == ["dozen 1.2"]
+    assert plugins.fingerprint_with_plugins().endswith(" with dozen 1.2")
 
 
 @pytest.mark.parametrize(
@@ -108,9 +108,9 @@ def test_it_is_said_what_a_result_was_made_with(install: Install) -> None:
     for text in (code, code + "# another source\n"):
         file.write_text(text)
         for kind in ("methods", "input_checks"):
-            Table(kind, {}, "a function", lambda _, it: callable(it))
-        assert plugins.made_with("static")["plugins"].startswith("four 4.0 (input_checks four ")
-        found.append(plugins.made_with("four")["plugins"])
+            PluginTable(kind, {}, "a function", lambda _, it: callable(it))
+        assert plugins.plugin_dependencies("static")["plugins"].startswith("four 4.0 (input_checks four ")
+        found.append(plugins.plugin_dependencies("four")["plugins"])
     assert [text.count("four 4.0") for text in found] == [2, 2]
     assert found[0] != found[1]
 
@@ -119,15 +119,15 @@ def test_one_that_raises_stops_nothing_else(install: Install, capsys: pytest.Cap
     code = "from getagrip.checks import Check\nfrom getagrip.evaluation.metric import Metric\n"
     code += "CHECK = Check('cross', lambda it: 1 / 0, '', '')\nMETRIC = Metric('cross', lambda it, _: 1 / 0)\n"
     install("cross", "1", code, checks="cross = cross:CHECK", metrics="cross = cross:METRIC")
-    checks = Table[Check]("checks", {}, "a Check", lambda _, it: isinstance(it, Check))
-    metrics = Table[Metric]("metrics", {}, "a Metric", lambda _, it: isinstance(it, Metric))
+    checks = PluginTable[Check]("checks", {}, "a Check", lambda _, it: isinstance(it, Check))
+    metrics = PluginTable[Metric]("metrics", {}, "a Metric", lambda _, it: isinstance(it, Metric))
     clip, masks = small_clip()
     ours = Check("ours", lambda it: 1.0, "", "")
-    measured, findings = examine([*checks.working().values(), ours], Evidence(clip, masks))
+    measured, findings = run_checks([*checks.working().values(), ours], Evidence(clip, masks))
     assert measured["ours"] == 1.0
     (finding,) = findings
     assert str(finding).startswith("note: cross: getagrip.checks 'cross' of cross 1 (cross:CHECK) failed: ZeroDivision")
-    assert measure(Comparison(clip, masks), [*metrics.working().values()]) == ({}, {})
+    assert compute_metrics(Comparison(clip, masks), [*metrics.working().values()]) == ({}, {})
     assert "getagrip.metrics 'cross' of cross 1 (cross:METRIC) failed" in capsys.readouterr().err
     with pytest.raises(NotImplementedError):
-        measure(Comparison(clip, masks), [IOU])
+        compute_metrics(Comparison(clip, masks), [IOU])

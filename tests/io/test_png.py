@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from getagrip.clip.label_choice import read_labels
+from getagrip.clip.label_choice import read_label_image
 from getagrip.errors import InputError
 from getagrip.io.images import read_colour_png, read_png
 
@@ -40,7 +40,7 @@ def test_a_palette_gives_its_colours_also_where_it_is_transparent(tmp_path: Path
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         np.testing.assert_array_equal(read_colour_png(tmp_path / "p.png", SIZE), np.asarray(image.convert("RGB")))
-        np.testing.assert_array_equal(read_labels(tmp_path / "p.png", SIZE), np.asarray(image))
+        np.testing.assert_array_equal(read_label_image(tmp_path / "p.png", SIZE), np.asarray(image))
 
 
 @given(at=st.integers(0, len(WHOLE) - 1), bit=st.integers(0, 7))
@@ -67,9 +67,9 @@ def test_a_file_cut_short_or_longer_is_refused(
 def test_more_than_8_bits_are_labels_in_grey_images_only(tmp_path: Path, refused: Refused) -> None:
     cv2.imwrite(str(tmp_path / "grey.png"), 257 * GREY.astype(np.uint16))
     cv2.imwrite(str(tmp_path / "rgb.png"), 257 * RGB.astype(np.uint16))
-    np.testing.assert_array_equal(read_labels(tmp_path / "grey.png", SIZE), 257 * GREY.astype(int))
+    np.testing.assert_array_equal(read_label_image(tmp_path / "grey.png", SIZE), 257 * GREY.astype(int))
     refused(lambda: read_png(tmp_path / "grey.png", SIZE), "channels", "16 bit grey")
-    for read in (read_labels, read_colour_png):
+    for read in (read_label_image, read_colour_png):
         refused(lambda read=read: read(tmp_path / "rgb.png", SIZE), "channels", "16 bit RGB")  # type: ignore[misc]
 
 

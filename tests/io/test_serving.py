@@ -12,10 +12,10 @@ from contextlib import ExitStack
 import pytest
 
 from getagrip.io import serving
-from getagrip.io.serving import LOOPBACK, Handler, QuietServer
+from getagrip.io.serving import LOOPBACK, QuietHandler, QuietServer
 
 
-class _Handler(Handler):
+class _Handler(QuietHandler):
     working, most = 0, 0
 
     def do_GET(self) -> None:
@@ -27,9 +27,9 @@ class _Handler(Handler):
 
 @pytest.fixture
 def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[QuietServer]:
-    monkeypatch.setattr(serving, "MOST", 4)
-    monkeypatch.setattr(serving, "RESTS", 0.05)
-    monkeypatch.setattr(serving, "LOOK_EVERY", 0.01)
+    monkeypatch.setattr(serving, "MAX_CONNECTIONS", 4)
+    monkeypatch.setattr(serving, "BUSY_IDLE_TIMEOUT_S", 0.05)
+    monkeypatch.setattr(serving, "CONNECTION_POLL_S", 0.01)
     with QuietServer((LOOPBACK, 0), _Handler) as made:
         thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.02})
         thread.start()
@@ -54,7 +54,7 @@ def test_many_at_once_are_all_answered_by_few_threads(server: QuietServer) -> No
     with ThreadPoolExecutor(60) as clients:
         answers = [*clients.map(lambda _: asked(server), range(120))]
     assert all(answer.startswith(b"HTTP/1.1 200") for answer in answers)
-    assert _Handler.most <= before + 60 + serving.MOST
+    assert _Handler.most <= before + 60 + serving.MAX_CONNECTIONS
 
 
 def test_those_that_ask_nothing_make_room(server: QuietServer) -> None:

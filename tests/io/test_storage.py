@@ -13,10 +13,10 @@ import pytest
 
 from getagrip.errors import InputError
 from getagrip.io import storage
-from getagrip.io.storage import Remote, place
+from getagrip.io.storage import RemotePath, parse_place
 from helpers.folders import contents
 
-FOLDER = Remote("memory://bucket/folder")
+FOLDER = RemotePath("memory://bucket/folder")
 
 
 @pytest.fixture
@@ -29,10 +29,10 @@ def memory() -> Iterator[Any]:
 
 
 def test_addresses() -> None:
-    assert place("clips/a") == Path("clips/a")
-    assert place("file:///clips/a%20b") == Path("/clips/a b")
-    there = place("s3://bucket/clips/")
-    assert there == Remote("s3://bucket/clips")
+    assert parse_place("clips/a") == Path("clips/a")
+    assert parse_place("file:///clips/a%20b") == Path("/clips/a b")
+    there = parse_place("s3://bucket/clips/")
+    assert there == RemotePath("s3://bucket/clips")
     assert (there / "a").name == "a"
     assert (there / "a").parent == there
 
@@ -41,7 +41,7 @@ def test_a_copy_is_the_same_but_for_what_is_left_out(memory: Any, tmp_path: Path
     there = {"a": b"1", "b/c/d.png": b"22", "empty": b"", "images/x.png": b"3", "truth.npz": b"4", ".hidden": b"5"}
     for name, content in there.items():
         (FOLDER / name).write(content)
-    (Remote(f"{FOLDER}2") / "a").write(b"of another folder")
+    (RemotePath(f"{FOLDER}2") / "a").write(b"of another folder")
     FOLDER.copy_to(tmp_path / "copy", ("images", "truth.npz"))
     assert contents(tmp_path / "copy") == {"a": b"1", "b/c/d.png": b"22", "empty": b""}
 
@@ -55,14 +55,14 @@ def test_a_name_that_leads_out_is_refused(memory: Any, tmp_path: Path, name: str
     assert not any(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("limit", ["MOST_FILES", "MOST_BYTES"])
+@pytest.mark.parametrize("limit", ["MAX_REMOTE_FILES", "MAX_REMOTE_BYTES"])
 def test_a_folder_that_is_too_large_is_refused_before_it_is_read(
     memory: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str
 ) -> None:
     for n in range(3):
         (FOLDER / str(n)).write(b"123")
     monkeypatch.setattr(storage, limit, 2)
-    monkeypatch.setattr(Remote, "_contents", None)
+    monkeypatch.setattr(RemotePath, "_contents", None)
     with pytest.raises(InputError, match=r"must be at most.*got 3 files of 9 bytes"):
         FOLDER.copy_to(tmp_path)
     with pytest.raises(InputError, match="got more than 2 bytes"):
@@ -76,13 +76,13 @@ def test_a_folder_that_changes_while_it_is_copied_is_refused(
     memory: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: bytes
 ) -> None:
     (FOLDER / "a").write(b"123")
-    contents_of = Remote._contents
+    contents_of = RemotePath._contents
 
-    def meanwhile(self: Remote, *args: Any) -> dict[str, bytes]:
+    def meanwhile(self: RemotePath, *args: Any) -> dict[str, bytes]:
         (FOLDER / "a").write(content)
         return contents_of(self, *args)
 
-    monkeypatch.setattr(Remote, "_contents", meanwhile)
+    monkeypatch.setattr(RemotePath, "_contents", meanwhile)
     with pytest.raises(InputError, match="files that changed while they were read"):
         FOLDER.copy_to(tmp_path / "copy")
 
@@ -120,7 +120,7 @@ def test_links_doubles_bombs_and_damage_are_refused(
         twice = zipped(("a", b"1"), ("a", b"2"))
     vast = zipped(("a", bytes(10**6)))
     lying = vast.replace((10**6).to_bytes(4, "little"), (100).to_bytes(4, "little"))
-    monkeypatch.setattr(storage, "MOST_BYTES", 5 * 10**5)
+    monkeypatch.setattr(storage, "MAX_REMOTE_BYTES", 5 * 10**5)
     given = {"a link": zipped((link, b"/etc/passwd")), "a name twice": twice, "1 files of 1000000 bytes": vast}
     for why, content in (given | {"Bad CRC-32": lying, "does not unpack": vast[:-9], "not a zip file": b""}).items():
         FOLDER.write(content)

@@ -18,7 +18,7 @@ import pytest
 
 from getagrip.clip import video
 from getagrip.errors import InputError
-from getagrip.hands.trackers.egodex import JOINTS, joints_of
+from getagrip.hands.trackers.egodex import EGODEX_JOINTS, read_egodex_joints
 from getagrip.io import exr, parquet
 from helpers import exr_files
 
@@ -26,11 +26,11 @@ h5py: Any = import_module("h5py") if find_spec("h5py") else None
 CAMERA = "transforms/camera"
 
 
-@pytest.mark.parametrize("bound", ["LARGEST_BLOCK", "LARGEST"])
+@pytest.mark.parametrize("bound", ["MAX_EXR_BLOCK_BYTES", "MAX_EXR_BYTES"])
 def test_channels_count_with_the_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bound: str) -> None:
     channels = {name: np.ones((32, 10), "<f4") for name in "AZ"}
     (tmp_path / "a.exr").write_bytes(exr_files.exr(channels))
-    most = 2 * 4 * 10 * (16 if bound == "LARGEST_BLOCK" else 32)
+    most = 2 * 4 * 10 * (16 if bound == "MAX_EXR_BLOCK_BYTES" else 32)
     monkeypatch.setattr(exr, bound, most)
     assert exr.read_channel(tmp_path / "a.exr", 1000).shape == (32, 10)
     monkeypatch.setattr(exr, bound, most - 1)
@@ -56,13 +56,13 @@ def test_a_video_is_as_wide_as_it_is_shown(tmp_path: Path, monkeypatch: pytest.M
     path = tmp_path / "a.mp4"
     path.write_bytes(film(64, 48, 15))
     assert video.video_info(path).size == (960, 48)
-    monkeypatch.setattr(video, "LARGEST_IMAGE", 959 * 48)
+    monkeypatch.setattr(video, "MAX_CLIP_IMAGE_PIXELS", 959 * 48)
     with pytest.raises(InputError, match="size must be at most"):
         video.open_video(path)
 
 
 def test_later_frames_of_a_video_may_not_be_larger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(video, "LARGEST_IMAGE", 20_000)
+    monkeypatch.setattr(video, "MAX_CLIP_IMAGE_PIXELS", 20_000)
     small, large = (film(*size, codec="libx264", kind="h264") for size in ((64, 48), (320, 240)))
     (tmp_path / "a.h264").write_bytes(small + large)
     with av.open(tmp_path / "a.h264") as read, av.open(tmp_path / "a.ts", "w", format="mpegts") as written:
@@ -84,7 +84,7 @@ def episode(tmp_path: Path) -> Path:
     poses = np.tile(np.eye(4), (30, 1, 1))
     poses[:, 2, 3] = 0.4
     with h5py.File(tmp_path / "a.hdf5", "w") as file:
-        for joint in JOINTS:
+        for joint in EGODEX_JOINTS:
             file[f"transforms/right{joint}"] = poses
     with h5py.File(tmp_path / "other.hdf5", "w") as file:
         file["secret"] = poses
@@ -147,7 +147,7 @@ def test_poses_of_egodex_are_numbers_in_the_file(episode: Path, kind: str) -> No
     with h5py.File(episode, "a") as file:
         BAD[kind](file)
     with pytest.raises(InputError, match="transforms"):
-        joints_of(episode, "right")
+        read_egodex_joints(episode, "right")
 
 
 @pytest.mark.parametrize(
@@ -156,7 +156,7 @@ def test_poses_of_egodex_are_numbers_in_the_file(episode: Path, kind: str) -> No
 def test_poses_of_egodex_may_be_packed(episode: Path, how: dict[str, Any]) -> None:
     with h5py.File(episode, "a") as file:
         plain(file, **how)
-    np.testing.assert_allclose(joints_of(episode, "right"), np.tile([0.0, 0.0, 0.4], (30, 21, 1)))
+    np.testing.assert_allclose(read_egodex_joints(episode, "right"), np.tile([0.0, 0.0, 0.4], (30, 21, 1)))
 
 
 def test_damaged_episodes_are_an_error_or_other_numbers(episode: Path) -> None:
@@ -169,7 +169,7 @@ def test_damaged_episodes_are_an_error_or_other_numbers(episode: Path) -> None:
             damaged[at] = rng.integers(256)
         episode.write_bytes(bytes(damaged))
         try:
-            assert joints_of(episode, "right").shape[1:] == (21, 3)
+            assert read_egodex_joints(episode, "right").shape[1:] == (21, 3)
         except InputError as error:
             assert str(episode) in str(error)  # noqa: PT017
 
@@ -201,14 +201,16 @@ def test_other_columns_are_refused(tmp_path: Path, column: list[Any]) -> None:
         parquet.read_columns(table(tmp_path / "a.parquet", h=column), ["h"])
 
 
-@pytest.mark.parametrize("bound", ["MOST_READ", "MOST_KEPT", "LONGEST_ROW"])
+@pytest.mark.parametrize("bound", ["MAX_PARQUET_VALUES_READ", "MAX_PARQUET_VALUES_RETURNED", "MAX_PARQUET_ROW_VALUES"])
 def test_rows_are_counted_before_they_take_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bound: str) -> None:
     path = table(tmp_path / "a.parquet", h=np.zeros((3000, 5)).tolist(), e=[0] * 1500 + [1] * 1500)
-    most = {"MOST_READ": 18_000, "MOST_KEPT": 18_000, "LONGEST_ROW": 3}[bound]
+    most = {"MAX_PARQUET_VALUES_READ": 18_000, "MAX_PARQUET_VALUES_RETURNED": 18_000, "MAX_PARQUET_ROW_VALUES": 3}[
+        bound
+    ]
     monkeypatch.setattr(parquet, bound, most)
     assert parquet.read_columns(path, ["h", "e"])["h"].shape == (3000, 5)
     monkeypatch.setattr(parquet, bound, most - 1)
     with pytest.raises(InputError, match="numbers"):
         parquet.read_columns(path, ["h", "e"])
-    if bound == "MOST_KEPT":
+    if bound == "MAX_PARQUET_VALUES_RETURNED":
         assert parquet.read_columns(path, ["h", "e"], ("e", 1))["h"].shape == (1500, 5)

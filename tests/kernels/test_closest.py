@@ -11,7 +11,7 @@ from numpy import ndarray
 from getagrip.datasets.synthetic import shapes
 from getagrip.geometry.mesh import Mesh
 from getagrip.kernels import closest
-from getagrip.kernels.closest import SLACK, FaceGrid
+from getagrip.kernels.closest import GRID_SLACK_SPACINGS, FaceGrid
 from helpers import reference_kernels as reference
 from helpers.parts import callable_part
 from helpers.posed_meshes import MESHES, SEEDS, pose
@@ -94,4 +94,4 @@ def test_screening_brings_points_into_the_frame_of_the_object(seed: int) -> None
     np.testing.assert_array_equal(rough, expected_rough)
     near = np.isfinite(rough)
     exact, _ = reference.signed_distance(local[near], corners, normals)
-    assert (np.abs(rough[near] - exact) <= SLACK * grid.spacing).all()
+    assert (np.abs(rough[near] - exact) <= GRID_SLACK_SPACINGS * grid.spacing).all()

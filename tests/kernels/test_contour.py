@@ -58,7 +58,7 @@ def _points(rng: np.random.Generator, n: int) -> ndarray:
     points[:2, :n] = rng.uniform(0.0, 256.0, (2, n))
     points[contour.Z, :n] = rng.uniform(0.2, 0.6, n)
     points[3:5, :n] = np.cos(angle), np.sin(angle)
-    points[contour.DISTANCE, :n], points[contour.WEIGHT, :n] = rng.normal(size=n), rng.uniform(0.1, 2.0, n)
+    points[contour.ROW_DISTANCE, :n], points[contour.ROW_WEIGHT, :n] = rng.normal(size=n), rng.uniform(0.1, 2.0, n)
     return points
 
 
@@ -100,7 +100,7 @@ def test_normal_equations(seed: int, n: int) -> None:
 def test_a_contour_point_moves_as_its_derivative_says() -> None:
     rng = np.random.default_rng(0)
     points = _points(rng, 1)
-    points[contour.DISTANCE, 0] = points[contour.WEIGHT, 0] = 1.0
+    points[contour.ROW_DISTANCE, 0] = points[contour.ROW_WEIGHT, 0] = 1.0
     centre, K = np.array([0.02, -0.01, 0.4]), np.array([400.0, 380.0, 120.0, 130.0])
     a, _ = reference.normal_equations(points[:, :1], centre, K)
     u, v, z, nx, ny = points[:5, 0]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 
 from getagrip.fitting import observation
-from getagrip.fitting.observation import _boundary
+from getagrip.fitting.observation import _spread_boundary_targets
 from helpers import reference_kernels as reference
 from helpers.posed_meshes import SEEDS, blobs
 
@@ -30,7 +30,7 @@ def test_distances_are_rounded_correctly(seed: int) -> None:
     for size in (32, 64, 250):
         target = rng.random((size, size)) < 0.3 / size
         np.testing.assert_array_equal(
-            observation.distance_to(target), distance_transform_edt(~target).astype(np.float32)
+            observation.distance_transform(target), distance_transform_edt(~target).astype(np.float32)
         )
 
 
@@ -56,7 +56,7 @@ def test_observed_boundary_points(seed: int) -> None:
     seen, valid = blobs(seed)
     field = observation.signed_distance(seen, valid)
     targets = np.empty((28, 5))
-    _boundary(seen, valid, field, 2.0, targets)
+    _spread_boundary_targets(seen, valid, field, 2.0, targets)
     expected = reference.boundary_targets(seen, valid, field, 2.0, 28)
     np.testing.assert_allclose(targets, expected, atol=1e-4)
     assert (targets[:, 4] > 0).any()

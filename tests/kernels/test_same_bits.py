@@ -17,7 +17,7 @@ import os
 import sys
 import numpy as np
 from getagrip.fitting.energy import PosesInCamera
-from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm, _evaluate
+from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm, _evaluate_contact_consistency
 from getagrip.geometry import se3
 
 rng = np.random.default_rng(0)
@@ -29,7 +29,7 @@ if process and os.waitpid(process, 0)[1]:
     sys.exit("the child failed")
 points, hand = rng.normal(scale=0.1, size=(30, 3)), rng.normal(scale=0.1, size=(8, 27, 3))
 found = ContactConsistencyTerm(points, hand, rng.uniform(1.0, 2.0, 8))(poses, np.full(9, np.inf))
-hits = sum(_evaluate.stats.cache_hits.values())
+hits = sum(_evaluate_contact_consistency.stats.cache_hits.values())
 with open("loaded" if process else "compiled", "wb") as file:
     file.write(bytes([hits]) + found.value.tobytes() + found.g.tobytes() + found.H.tobytes())
 """

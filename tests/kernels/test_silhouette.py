@@ -10,7 +10,7 @@ from hypothesis.extra import numpy as hnp
 from numpy import ndarray
 
 from getagrip.kernels import silhouette
-from getagrip.kernels.silhouette import NEAR, pack, silhouettes, unpack
+from getagrip.kernels.silhouette import MIN_SILHOUETTE_DEPTH_M, pack, silhouettes, unpack
 from helpers import reference_kernels as reference
 from helpers.clips import box
 from helpers.parts import callable_part
@@ -27,7 +27,7 @@ def test_projection(which: str, seed: int) -> None:
     visible = project(np.ascontiguousarray(mesh.vertices.T), R, centre, scale, K, uvz)
     expected = reference.project(mesh.vertices, R, centre, scale, K)
     np.testing.assert_allclose(uvz.T, expected, rtol=1e-12, atol=1e-12)
-    assert visible == (expected[:, 2].min() >= NEAR)
+    assert visible == (expected[:, 2].min() >= MIN_SILHOUETTE_DEPTH_M)
 
 
 @given(WHICH, SEEDS)
@@ -60,7 +60,7 @@ def test_silhouettes_of_many_poses_in_images_of_any_size(which: str, seed: int, 
     mesh = MESHES[which]
     poses = [pose(seed + k) for k in range(4)]
     R, centre, scale, K = (np.array(x) for x in zip(*poses, strict=True))
-    centre[3, 2] = NEAR  # this one reaches behind the camera: nothing is drawn
+    centre[3, 2] = MIN_SILHOUETTE_DEPTH_M  # this one reaches behind the camera: nothing is drawn
     t = tables(mesh)
     bits = np.empty((4, height, -(-width // 64)), np.uint64)
     silhouettes(R, centre, scale, t.vertices, t.planes, t.edges, t.closed, K, bits)

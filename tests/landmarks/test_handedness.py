@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 from getagrip.hands import generic
 from getagrip.hands.clicked_hands import model_pose
 from getagrip.hands.pose_prior import PosePrior
-from getagrip.landmarks import Side, Sighting, compared
-from getagrip.landmarks.crops import Crop
+from getagrip.landmarks import Side, Sighting, unbiased_log_odds
+from getagrip.landmarks.crops import HandCrop
 from getagrip.landmarks.handedness import Handedness, log_odds
-from getagrip.landmarks.nets import Found, Nets
+from getagrip.landmarks.nets import HandNetOutput, Nets
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 IMAGE = np.zeros((480, 640, 3), np.uint8)
@@ -37,17 +37,17 @@ class Biased(Nets):
         object.__setattr__(self, "there", there)
         object.__setattr__(self, "bias", bias)
 
-    def landmarks(self, image: np.ndarray, crop: Crop) -> Found:
+    def landmarks(self, image: np.ndarray, crop: HandCrop) -> HandNetOutput:
         there: Sighting = self.there  # type: ignore[attr-defined]
         return self._said(there, np.log(there.right / (1.0 - there.right)))
 
-    def mirrored(self, image: np.ndarray, crop: Crop) -> Found:
+    def mirrored(self, image: np.ndarray, crop: HandCrop) -> HandNetOutput:
         there: Sighting = self.there  # type: ignore[attr-defined]
         return self._said(there._replace(world=there.world * MIRROR), -np.log(there.right / (1.0 - there.right)))
 
-    def _said(self, there: Sighting, odds: float) -> Found:
+    def _said(self, there: Sighting, odds: float) -> HandNetOutput:
         right = 1.0 / (1.0 + np.exp(-(odds + self.bias)))  # type: ignore[attr-defined]
-        return Found(there.points, there.world, 0.9, float(right))
+        return HandNetOutput(there.points, there.world, 0.9, float(right))
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
@@ -68,7 +68,7 @@ def test_a_mirror_image_has_the_opposite_odds(right: float) -> None:
 
 def test_the_mirror_image_of_a_square_is_the_square_of_the_mirror_image() -> None:
     image = np.random.default_rng(0).integers(0, 256, (90, 120, 3), dtype=np.uint8)
-    square = Crop(np.array([41.3, 60.8]), 50.0, 0.4)
+    square = HandCrop(np.array([41.3, 60.8]), 50.0, 0.4)
     over_there = square._replace(middle=np.array([120.0 - 41.3, 60.8]), angle=-0.4)
     shown: list[np.ndarray] = []
 
@@ -86,8 +86,8 @@ def test_the_mirror_image_of_a_square_is_the_square_of_the_mirror_image() -> Non
 def test_the_bias_of_the_networks_cancels_out(bias: float) -> None:
     flat = bent("left") * np.array([1.0, 1.0, 0.0])
     nets = Biased(hand(flat, 0.4), bias)
-    seen = Sighting(*nets.landmarks(IMAGE, Crop(hand(flat).points[0], 100.0, 0.0)))
-    assert compared(IMAGE, seen, nets) == pytest.approx(np.log(0.4 / 0.6))
+    seen = Sighting(*nets.landmarks(IMAGE, HandCrop(hand(flat).points[0], 100.0, 0.0)))
+    assert unbiased_log_odds(IMAGE, seen, nets) == pytest.approx(np.log(0.4 / 0.6))
 
 
 def test_what_hardly_agrees_is_an_assumption() -> None:

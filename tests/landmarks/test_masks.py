@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from getagrip.landmarks import hand_mask
-from getagrip.landmarks.masks import BONES
+from getagrip.landmarks.masks import LANDMARK_BONES
 from helpers.seen_hands import POINTS
 
 SHAPE = (480, 640)
@@ -30,7 +30,7 @@ def drawn(hand: np.ndarray = HAND) -> tuple[np.ndarray, np.ndarray]:
     """An image of a hand before a table, and where the hand is."""
     mask = np.zeros(SHAPE, np.uint8)
     at = np.round(hand).astype(int)
-    for a, b in BONES:
+    for a, b in LANDMARK_BONES:
         cv2.line(mask, tuple(at[a].tolist()), tuple(at[b].tolist()), 1, 18)
     cv2.fillConvexPoly(mask, cv2.convexHull(at[[0, 1, 5, 9, 13, 17]].astype(np.int32)), 1)
     image = np.where(mask[..., None] > 0, [205, 150, 120], [70, 90, 110]) + RNG.normal(0.0, 6.0, (*SHAPE, 3))

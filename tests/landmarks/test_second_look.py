@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from getagrip.landmarks import crops
-from getagrip.landmarks.crops import Crop
+from getagrip.landmarks.crops import HandCrop
 from getagrip.landmarks.following import Sighting
-from getagrip.landmarks.nets import Found, Nets
-from getagrip.landmarks.second_look import look_again
+from getagrip.landmarks.nets import HandNetOutput, Nets
+from getagrip.landmarks.second_look import redetect_hand
 
 BASES = ((60, 20), (30, -25), (5, -30), (-15, -25), (-40, -15))
 FLAT = np.array([[0, 0], *([x * k / 4, -100 + y * k] for x, y in BASES for k in (1, 2, 3, 4))], dtype=float)
@@ -35,12 +35,12 @@ class TurnedNets(Nets):
     def __init__(self) -> None:
         super().__init__(lambda image: [], lambda image: [], "")
 
-    def landmarks(self, image: np.ndarray, crop: Crop) -> Found:
+    def landmarks(self, image: np.ndarray, crop: HandCrop) -> HandNetOutput:
         n = int(image[0, 0, 0])
-        own = crops.of_landmarks(hand(n).points)
+        own = crops.crop_of_landmarks(hand(n).points)
         if np.linalg.norm(own.middle - crop.middle) > 0.5 * own.side:
-            return Found(FLAT, WORLD, 0.02, 0.5)
-        return Found(*(hand(n, 0.7) if abs(crop.angle - own.angle) < 0.5 else turned(n)))
+            return HandNetOutput(FLAT, WORLD, 0.02, 0.5)
+        return HandNetOutput(*(hand(n, 0.7) if abs(crop.angle - own.angle) < 0.5 else turned(n)))
 
 
 def image(n: int) -> np.ndarray:
@@ -53,7 +53,7 @@ def test_what_was_lost_or_turned_is_seen_again(there: object) -> None:
     seen = {n: hand(n) for n in range(COUNT) if n not in doubtful}
     if callable(there):
         seen |= {n: there(n) for n in doubtful}
-    found = look_again(image, seen, COUNT, TurnedNets(), {})
+    found = redetect_hand(image, seen, COUNT, TurnedNets(), {})
     assert sorted(found) == list(range(COUNT))
     for n, each in found.items():
         np.testing.assert_allclose(each.points, hand(n).points, atol=1e-6)
@@ -76,11 +76,11 @@ def test_a_palm_does_not_turn_over_at_once(flipped: range, again: Callable[[int]
     """The longer run counts, however sure the other is; what is mirrored again is left out."""
 
     class Same(TurnedNets):
-        def landmarks(self, image: np.ndarray, crop: Crop) -> Found:
-            return Found(*again(int(image[0, 0, 0])))
+        def landmarks(self, image: np.ndarray, crop: HandCrop) -> HandNetOutput:
+            return HandNetOutput(*again(int(image[0, 0, 0])))
 
     seen = {n: mirrored(n) if n in flipped else broad(n) for n in range(COUNT)}
-    found = look_again(image, seen, COUNT, Same(), {})
+    found = redetect_hand(image, seen, COUNT, Same(), {})
     assert [*found] == [n for n in range(COUNT) if again is broad or n not in flipped]
     for n, each in found.items():
         np.testing.assert_allclose(each.points, broad(n).points, atol=1e-6)
@@ -88,43 +88,43 @@ def test_a_palm_does_not_turn_over_at_once(flipped: range, again: Callable[[int]
 
 def test_nor_does_it_turn_over_within_a_few_frames() -> None:
     class Same(TurnedNets):
-        def landmarks(self, image: np.ndarray, crop: Crop) -> Found:
-            return Found(*broad(int(image[0, 0, 0]), 2.0))
+        def landmarks(self, image: np.ndarray, crop: HandCrop) -> HandNetOutput:
+            return HandNetOutput(*broad(int(image[0, 0, 0]), 2.0))
 
     before, last = COUNT - 2, COUNT - 1
     turning = {before: broad(before, 0.5), last: broad(last, -1.5)}  # each step alone is possible
-    found = look_again(image, {n: broad(n, 2.0) for n in range(COUNT)} | turning, COUNT, Same(), {})
+    found = redetect_hand(image, {n: broad(n, 2.0) for n in range(COUNT)} | turning, COUNT, Same(), {})
     np.testing.assert_allclose(found[before].points, turning[before].points)
     np.testing.assert_allclose(found[last].points, broad(last, 2.0).points, atol=1e-6)
 
 
 def test_without_a_sure_run_nothing_changes() -> None:
     seen = {n: hand(n, 0.6) for n in range(COUNT)}
-    assert look_again(image, seen, COUNT, TurnedNets(), {}) == seen
+    assert redetect_hand(image, seen, COUNT, TurnedNets(), {}) == seen
 
 
 def test_a_hand_that_has_gone_stays_gone() -> None:
     class Nothing(TurnedNets):
-        def landmarks(self, image: np.ndarray, crop: Crop) -> Found:
-            return Found(FLAT, WORLD, 0.02, 0.5)
+        def landmarks(self, image: np.ndarray, crop: HandCrop) -> HandNetOutput:
+            return HandNetOutput(FLAT, WORLD, 0.02, 0.5)
 
     seen = {n: hand(n) for n in range(10)}
-    assert sorted(look_again(image, seen, COUNT, Nothing(), {})) == list(range(10))
+    assert sorted(redetect_hand(image, seen, COUNT, Nothing(), {})) == list(range(10))
 
 
 def test_of_two_views_the_one_of_the_hands_own_side_counts() -> None:
     """Squares turned to one side show the hand, those to the other its mirror image, as alike and as sure."""
 
     class TwoNets(TurnedNets):
-        def landmarks(self, image: np.ndarray, crop: Crop) -> Found:
+        def landmarks(self, image: np.ndarray, crop: HandCrop) -> HandNetOutput:
             there = hand(int(image[0, 0, 0]))
-            own = crops.of_landmarks(there.points)
+            own = crops.crop_of_landmarks(there.points)
             right = 0.999 if crop.angle > own.angle else 0.001
-            return Found(*there._replace(right=right, points=there.points + 30.0 * (right > 0.5)))
+            return HandNetOutput(*there._replace(right=right, points=there.points + 30.0 * (right > 0.5)))
 
     seen = {n: hand(n) for n in range(COUNT) if n not in range(10, 15)}
     for side, shift in (("left", 0.0), ("right", 30.0)):
         sides = dict.fromkeys(range(10, 15), side)
-        found = look_again(image, seen, COUNT, TwoNets(), sides)  # type: ignore[arg-type]
+        found = redetect_hand(image, seen, COUNT, TwoNets(), sides)  # type: ignore[arg-type]
         for n in range(10, 15):
             np.testing.assert_allclose(found[n].points, hand(n).points + shift, atol=1.0)

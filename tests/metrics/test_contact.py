@@ -12,8 +12,8 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.contact import (
-    MAX_DISTANCE,
-    SIDES,
+    CONTACT_SIDES,
+    MAX_SIGNED_DISTANCE_M,
     ContactDefinition,
     ContactDistances,
     contact_distances,
@@ -22,7 +22,7 @@ from getagrip.metrics.contact import (
     stable_contact_area,
 )
 from getagrip.metrics.pose import ObjectTrack
-from getagrip.metrics.surface_distance import FACES, close_holes, signed_distance
+from getagrip.metrics.surface_distance import MAX_CACHED_SURFACE_FACES, close_holes, signed_distance
 
 sets = arrays(bool, array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=20))
 
@@ -123,8 +123,8 @@ def test_contact_does_not_depend_on_the_hand_frame_nor_on_where_the_scale_is(see
     scaled = Mesh(scale * ball.vertices, ball.faces)
     (here,) = contact_distances(ball, [ObjectTrack(T, scale)], hands, hand.faces)
     (there,) = contact_distances(scaled, [ObjectTrack(G @ T, 1.0)], se3.transform(G, hands), hand.faces)
-    for side in SIDES:
-        near = np.minimum(getattr(here, side), getattr(there, side)) < MAX_DISTANCE
+    for side in CONTACT_SIDES:
+        near = np.minimum(getattr(here, side), getattr(there, side)) < MAX_SIGNED_DISTANCE_M
         np.testing.assert_allclose(getattr(here, side)[near], getattr(there, side)[near], atol=1e-7)
 
 
@@ -132,7 +132,7 @@ def test_contact_does_not_depend_on_the_hand_frame_nor_on_where_the_scale_is(see
 def test_a_surface_met_again_among_others_is_measured_as_before(subdivisions: int) -> None:
     # Search trees of few faces are kept, by the surface's vertices and faces; those of many are not.
     ball = sphere(1.0, subdivisions)
-    assert (len(ball.faces) <= FACES) == (subdivisions == 3)
+    assert (len(ball.faces) <= MAX_CACHED_SURFACE_FACES) == (subdivisions == 3)
     points = np.random.default_rng(0).normal(scale=0.03, size=(200, 3))
     inside_out = ball.faces[:, ::-1]
     for radius in (0.03, 0.04, 0.03):
@@ -169,8 +169,8 @@ def test_a_hand_is_closed_before_it_is_touched() -> None:
 @given(sets)
 def test_stable_contact_is_that_of_the_points_within_the_threshold(contact: np.ndarray) -> None:
     near, far = np.where(contact, 0.004, 0.006), np.full(contact.shape, 1.0)
-    for side in SIDES:
-        distances = ContactDistances(**dict.fromkeys(SIDES, far) | {side: near})
+    for side in CONTACT_SIDES:
+        distances = ContactDistances(**dict.fromkeys(CONTACT_SIDES, far) | {side: near})
         found = stable_contact(distances, ContactDefinition(side, 0.005))
         np.testing.assert_array_equal(found.share, contact.mean(axis=1))
         overlap = pairwise_iou(contact)

@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 from getagrip.clip import Masks
 from getagrip.datasets.synthetic import shapes
 from getagrip.geometry import se3
-from getagrip.geometry.depth import covered
+from getagrip.geometry.depth import render_coverage
 from getagrip.metrics.mask import iou, iou_of_poses
 
 MUG = shapes.mug()
@@ -26,7 +26,7 @@ def poses(frames: int = 3) -> np.ndarray:
 
 
 def seen(T: np.ndarray, ignore: np.ndarray | None = None) -> Masks:
-    drawn = np.stack([covered(se3.transform(T_cam_obj, MUG.vertices), MUG.faces, K, SIZE) for T_cam_obj in T])
+    drawn = np.stack([render_coverage(se3.transform(T_cam_obj, MUG.vertices), MUG.faces, K, SIZE) for T_cam_obj in T])
     return Masks(drawn, np.zeros_like(drawn) if ignore is None else ignore)
 
 
@@ -110,5 +110,5 @@ def test_one_view_does_not_distinguish_scale_from_depth(scale: float, focal: flo
     far = T.copy()
     far[:3, 3] *= scale
     posed = (se3.transform(pose, s * MUG.vertices) for s, pose in ((1.0, T), (scale, far)))
-    near, away = (covered(vertices, MUG.faces, camera, SIZE) for vertices in posed)
+    near, away = (render_coverage(vertices, MUG.faces, camera, SIZE) for vertices in posed)
     assert np.count_nonzero(near ^ away) <= 2

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from getagrip.geometry import se3
 from getagrip.metrics.motion import (
-    TOUCHING,
+    ARCTIC_CONTACT_DISTANCE_M,
     ContactPairs,
     acceleration_error,
     contact_deviation,
@@ -78,7 +78,7 @@ def test_contact_that_is_short_slides_or_is_missing_does_not_count() -> None:
         once[end] = np.argmax(np.linalg.norm(body - body[0], axis=1))
         slid = motion_deviation(ContactPairs(once, pairs.distance), body, hand, object_, TIME)
         assert np.isnan(slid), end
-    apart = ContactPairs(pairs.nearest, pairs.distance + TOUCHING)
+    apart = ContactPairs(pairs.nearest, pairs.distance + ARCTIC_CONTACT_DISTANCE_M)
     assert np.isnan(contact_deviation(apart, hand, object_)).all()
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from getagrip.datasets.synthetic import shapes
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.metrics.pose import SUCCESS, ObjectTrack, PoseErrors, best_symmetry, pose_errors
+from getagrip.metrics.pose import ADD_SUCCESS_FRACTION, ObjectTrack, PoseErrors, best_symmetry, pose_errors
 from getagrip.metrics.surface_distance import signed_distance
 from getagrip.metrics.symmetry import Symmetries, find_symmetries, surface_points
 
@@ -54,7 +54,7 @@ def test_add_of_a_translation_is_its_length(seed: int, length: float) -> None:
     np.testing.assert_allclose(errors.add, length)
     np.testing.assert_allclose(errors.translation, length)
     assert errors.rotation.max() < 1e-6
-    assert errors.success == (length < SUCCESS * MUG.diameter)
+    assert errors.success == (length < ADD_SUCCESS_FRACTION * MUG.diameter)
 
 
 @given(seeds, st.floats(0.0, 3.1))

@@ -11,13 +11,13 @@ from getagrip.geometry.camera import project
 from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.pose import ObjectTrack
 from getagrip.metrics.recall import (
-    PIXELS,
-    SHARES,
+    MSPD_THRESHOLDS_PX,
+    MSSD_THRESHOLDS,
     SymmetricErrors,
     all_symmetries,
     area_under_curve,
     nearest_add,
-    recall,
+    recall_at_thresholds,
 )
 from getagrip.metrics.symmetry import find_symmetries
 
@@ -86,11 +86,11 @@ def test_add_s_is_the_mean_distance_to_the_nearest() -> None:
 
 
 def test_recall_counts_thresholds() -> None:
-    np.testing.assert_allclose(recall(np.array([0.0, 0.12, 9.0]), np.array([0.1, 0.2])), [1.0, 0.5, 0.0])
+    np.testing.assert_allclose(recall_at_thresholds(np.array([0.0, 0.12, 9.0]), np.array([0.1, 0.2])), [1.0, 0.5, 0.0])
 
 
 def test_thresholds_are_bops() -> None:
     """Ten each, evenly up to half the diameter and 50 px; the last is no success."""
-    for thresholds, last in ((SHARES, 0.5), (PIXELS, 50.0)):
+    for thresholds, last in ((MSSD_THRESHOLDS, 0.5), (MSPD_THRESHOLDS_PX, 50.0)):
         expected = [1.0, 0.8, 0.1, 0.0]
-        np.testing.assert_allclose(recall(last * np.array([0.0, 0.24, 0.94, 1.0]), thresholds), expected)
+        np.testing.assert_allclose(recall_at_thresholds(last * np.array([0.0, 0.24, 0.94, 1.0]), thresholds), expected)

@@ -5,17 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from getagrip.metrics.visible_surface import BEHIND, SHARES, discrepancy, ray_lengths, recall
+from getagrip.metrics.visible_surface import (
+    VSD_TOLERANCES,
+    VSD_VISIBILITY_TOLERANCE_M,
+    discrepancy,
+    ray_lengths,
+    vsd_recall,
+)
 
-TOLERANCES = SHARES * 0.1
+TOLERANCES = VSD_TOLERANCES * 0.1
 
 
 def plain(predicted: np.ndarray, true: np.ndarray, scene: np.ndarray, tolerance: float) -> float:
     """BOP's definition, one pixel after the other."""
     cost = count = 0
     for p, t, s in zip(predicted.flat, true.flat, scene.flat, strict=True):
-        visible_true = t > 0 and (s == 0 or t - s <= BEHIND)
-        visible = p > 0 and (s == 0 or p - s <= BEHIND or visible_true)
+        visible_true = t > 0 and (s == 0 or t - s <= VSD_VISIBILITY_TOLERANCE_M)
+        visible = p > 0 and (s == 0 or p - s <= VSD_VISIBILITY_TOLERANCE_M or visible_true)
         count += visible or visible_true
         cost += (visible or visible_true) and not (visible and visible_true and abs(p - t) < tolerance)
     return cost / count if count else 1.0
@@ -35,8 +41,8 @@ def test_it_is_the_plain_definition(seed: int) -> None:
 def test_the_true_pose_has_none_and_one_elsewhere_is_all_wrong() -> None:
     true, elsewhere, scene = np.zeros((3, 4, 6))
     true[:, :2], elsewhere[:, 4:] = 0.5, 0.5
-    assert recall(discrepancy(true, true, scene, TOLERANCES)) == 1.0
-    assert recall(discrepancy(elsewhere, true, scene, TOLERANCES)) == 0.0
+    assert vsd_recall(discrepancy(true, true, scene, TOLERANCES)) == 1.0
+    assert vsd_recall(discrepancy(elsewhere, true, scene, TOLERANCES)) == 0.0
     np.testing.assert_array_equal(discrepancy(np.zeros((4, 6)), np.zeros((4, 6)), scene, TOLERANCES), 1.0)
 
 
@@ -54,5 +60,5 @@ def test_rays_are_as_long_as_points_of_depth_one_are_far() -> None:
 
 
 def test_recall_is_over_bops_tolerances_and_thresholds() -> None:
-    np.testing.assert_allclose(SHARES, np.linspace(0.05, 0.5, 10))
-    assert recall(np.array([0.0, 0.12, 0.47, 0.5])) == pytest.approx((1.0 + 0.8 + 0.1) / 4)
+    np.testing.assert_allclose(VSD_TOLERANCES, np.linspace(0.05, 0.5, 10))
+    assert vsd_recall(np.array([0.0, 0.12, 0.47, 0.5])) == pytest.approx((1.0 + 0.8 + 0.1) / 4)

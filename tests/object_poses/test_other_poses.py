@@ -18,16 +18,16 @@ from getagrip.commands.evaluate import Evaluate
 from getagrip.commands.evaluate_others import pose_jobs
 from getagrip.errors import UsageError
 from getagrip.evaluation import evaluate
-from getagrip.evaluation.other_poses import misses, poses_of
+from getagrip.evaluation.other_poses import diagnose_pose_convention, read_external_poses
 from getagrip.export import bop
 from getagrip.export.scene import Scene
 from getagrip.geometry import se3
-from getagrip.geometry.depth import covered
+from getagrip.geometry.depth import render_coverage
 from getagrip.io import arrays
 from getagrip.metrics.mask import iou_of_poses
 from getagrip.object_poses.at_frames import read_poses
 from getagrip.object_poses.files import read_pose_file
-from getagrip.object_poses.writing import Track, write_like
+from getagrip.object_poses.writing import ExternalTrack, write_poses_like
 from getagrip.result import Reconstruction, write_result
 from helpers.clips import small_clip
 from helpers.command_line import Run
@@ -92,7 +92,7 @@ KINDS = (
 @pytest.mark.slow
 def test_every_file_gives_the_same_metrics(tmp_path: Path, moved: Any, kind: str) -> None:
     clip, masks, result = moved
-    found = poses_of(of_file(kind, tmp_path, clip, result), "theirs", clip, masks)
+    found = read_external_poses(of_file(kind, tmp_path, clip, result), "theirs", clip, masks)
     np.testing.assert_allclose(found.T_hand_obj, result.T_hand_obj, atol=1e-7)
     assert found.frame_kind == ("sampled",) * 4
     ours, theirs = (evaluate(each, clip, masks).metrics for each in (result, found))
@@ -107,11 +107,11 @@ def test_what_is_written_like_a_file_is_read_as_it_was(tmp_path: Path, moved: An
     place = of_file(kind, tmp_path, clip, result)
     poses = read_poses(place, clip)
     turned = poses.T_hand_obj @ se3.rigid(se3.exp_so3(np.array([0.1, 0.2, 0.3])), np.array([0.01, 0.0, 0.02]))
-    track = Track(poses.names, clip.hand.T_cam_hand @ turned, turned, 1.0, np.ones(4))
+    track = ExternalTrack(poses.names, clip.hand.T_cam_hand @ turned, turned, 1.0, np.ones(4))
     folder = tmp_path / "out"
     folder.mkdir()
     for _ in range(2):  # a call may be repeated
-        written = write_like(place, track, folder)
+        written = write_poses_like(place, track, folder)
     again = read_poses(written, clip)
     np.testing.assert_allclose(again.T_hand_obj, turned, atol=1e-7)
     assert again.names == poses.names
@@ -122,12 +122,12 @@ def test_frames_without_a_pose_are_held_still_in_the_hand_and_said(tmp_path: Pat
     clip, masks, result = moved
     T = clip.hand.T_cam_hand @ result.T_hand_obj
     arrays.write(tmp_path / "some.npz", {"T_cam_obj": T[[1, 3]], "frames": np.array([11, 13])})
-    found = poses_of(tmp_path / "some.npz", "theirs", clip, masks)
+    found = read_external_poses(tmp_path / "some.npz", "theirs", clip, masks)
     assert found.frame_kind == ("interpolated", "sampled", "interpolated", "sampled")
     np.testing.assert_allclose(found.T_hand_obj, result.T_hand_obj[[1, 1, 1, 3]], atol=1e-12)
     assert any("no pose in 2 of 4 frames" in note for note in found.notes)
     assert evaluate(found, clip, masks).metrics_of_fitted
-    free = poses_of(tmp_path / "some.npz", "theirs", replace(clip, scale="free"), masks)
+    free = read_external_poses(tmp_path / "some.npz", "theirs", replace(clip, scale="free"), masks)
     assert any("scale 1 is a guess" in note for note in free.notes)
 
 
@@ -161,7 +161,7 @@ def test_a_matrix_of_nan_is_a_lost_frame(tmp_path: Path, moved: Any, kind: str, 
     poses = read_poses(written([1, 3]), clip)
     assert poses.found.tolist() == [True, False, True, False]
     np.testing.assert_allclose(poses.T_hand_obj, result.T_hand_obj[[0, 0, 2, 2]], atol=1e-7)
-    refused(lambda: poses_of(written([0, 1, 2, 3]), "theirs", clip, masks), "pose")
+    refused(lambda: read_external_poses(written([0, 1, 2, 3]), "theirs", clip, masks), "pose")
 
 
 def _words(values: np.ndarray) -> str:
@@ -178,7 +178,7 @@ def test_rounded_rotations_are_made_exact_and_scaled_ones_refused(tmp_path: Path
     assert np.degrees(se3.angle_between(found[:, :3, :3], result.T_hand_obj[:, :3, :3])).max() < 1.0
     T[:, :3, :3] *= 1.05
     np.save(tmp_path / "T.npy", T)
-    refused(lambda: poses_of(tmp_path / "T.npy", "theirs", clip, masks), "no rigid motion")
+    refused(lambda: read_external_poses(tmp_path / "T.npy", "theirs", clip, masks), "no rigid motion")
 
 
 def test_what_is_wrong_is_named(tmp_path: Path, moved: Any, refused: Refused) -> None:
@@ -203,7 +203,7 @@ def test_what_is_wrong_is_named(tmp_path: Path, moved: Any, refused: Refused) ->
     for name, (content, words) in bad.items():
         path = tmp_path / f"{name}.npz"
         arrays.write(path, content)
-        refused(lambda path=path: poses_of(path, "theirs", clip, masks), str(path), words)
+        refused(lambda path=path: read_external_poses(path, "theirs", clip, masks), str(path), words)
     texts = {
         "a.txt": ("1 2 3", "3 numbers"),
         "tum.txt": ("0 0 0 1 0 0 0 1\n" * 8, "quaternions"),
@@ -225,7 +225,9 @@ def test_what_is_wrong_is_named(tmp_path: Path, moved: Any, refused: Refused) ->
     }
     for name, (text, words) in texts.items():
         (tmp_path / name).write_text(text, newline="")
-        refused(lambda name=name: poses_of(tmp_path / name, "theirs", clip, masks), str(tmp_path / name), words)
+        refused(
+            lambda name=name: read_external_poses(tmp_path / name, "theirs", clip, masks), str(tmp_path / name), words
+        )
 
 
 def test_a_text_of_numbers_is_read_in_bounded_memory(tmp_path: Path, refused: Refused) -> None:
@@ -244,7 +246,7 @@ def test_the_best_score_of_an_image_counts(tmp_path: Path, moved: Any) -> None:
     worse = lines[1].split(",")
     worse[3], worse[5] = "-1", "0 0 900"
     path.write_text("\n".join([*lines, ",".join(worse)]) + "\n")
-    np.testing.assert_allclose(poses_of(path, "x", clip, masks).T_hand_obj, result.T_hand_obj, atol=1e-7)
+    np.testing.assert_allclose(read_external_poses(path, "x", clip, masks).T_hand_obj, result.T_hand_obj, atol=1e-7)
 
 
 @pytest.mark.slow
@@ -298,8 +300,8 @@ def test_poses_that_are_counted_from_another_start_are_asked_for(tmp_path: Path,
     path = tmp_path / "earlier.npz"
     arrays.write(path, {"T_cam_obj": T, "frames": np.arange(first, first + len(T))})
     with pytest.raises(UsageError, match="missing --first"):
-        poses_of(path, "theirs", clip, masks)
-    found = poses_of(path, "theirs", clip, masks, first)
+        read_external_poses(path, "theirs", clip, masks)
+    found = read_external_poses(path, "theirs", clip, masks, first)
     np.testing.assert_allclose(found.T_hand_obj, result.T_hand_obj, atol=1e-7)
 
 
@@ -326,15 +328,15 @@ def test_the_convention_that_meets_the_masks_is_named(tmp_path: Path, convention
     mesh = replace(clip.mesh, vertices=clip.mesh.vertices + np.array([0.03, 0.02, 0.04]))
     T = clip.truth.T_cam_obj.copy()
     T[:, :3, :3] = se3.exp_so3(np.pi * np.array([0.8, 0.0, 0.6]))
-    seen = np.array([covered(se3.transform(M, mesh.vertices), mesh.faces, clip.K[0], clip.size) for M in T])
+    seen = np.array([render_coverage(se3.transform(M, mesh.vertices), mesh.faces, clip.K[0], clip.size) for M in T])
     masks = Masks(seen, np.zeros_like(seen))
     theirs = CONVENTIONS[convention](T, mesh)
     clip = replace(clip, mesh=mesh)
     iou = iou_of_poses(mesh, 1.0, theirs, clip.K, masks).full
     if convention != "OpenGL" or (theirs[:, 2, 3] > 0).all():
-        text = misses(clip, masks, theirs, 1.0, iou)
+        text = diagnose_pose_convention(clip, masks, theirs, 1.0, iou)
         assert (convention in text) == (iou.mean() < 0.5)
-    assert misses(clip, masks, T, 1.0, iou_of_poses(mesh, 1.0, T, clip.K, masks).full) == ""
+    assert diagnose_pose_convention(clip, masks, T, 1.0, iou_of_poses(mesh, 1.0, T, clip.K, masks).full) == ""
 
 
 def test_one_of_several_poses_is_followed(tmp_path: Path) -> None:

@@ -13,8 +13,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.pages.document import TYPES, document, pack, to_script
-from getagrip.pages.index import IndexRow, _sets, write_index
+from getagrip.pages.document import ARRAY_TYPE_CODES, build_document, json_for_script, pack_arrays
+from getagrip.pages.index import IndexRow, _result_sets, write_index
 
 texts = st.one_of(st.text(), st.sampled_from(["</script>", "<!--", "<script>", "&lt;", "\u2028", "]]>"]))
 values = texts | st.none() | st.booleans() | st.integers(-(2**40), 2**40) | st.lists(texts, max_size=3)
@@ -22,7 +22,7 @@ values = texts | st.none() | st.booleans() | st.integers(-(2**40), 2**40) | st.l
 
 @given(st.dictionaries(texts, values, max_size=3))
 def test_data_ends_no_element_and_is_read_as_it_was(data: dict[str, Any]) -> None:
-    text = to_script(data)
+    text = json_for_script(data)
     assert not set(text) & set("<>&\u2028\u2029")
     assert text.isascii()
     assert json.loads(text) == data
@@ -36,8 +36,8 @@ def test_arrays_come_back_as_they_were() -> None:
         "c": rng.integers(0, 2**32, (2, 3)).astype(np.uint32),
         "d": rng.integers(0, 256, 7).astype(np.uint8),
     }
-    assert {values.dtype.name for values in arrays.values()} == set(TYPES)
-    where, packed = pack(arrays)
+    assert {values.dtype.name for values in arrays.values()} == set(ARRAY_TYPE_CODES)
+    where, packed = pack_arrays(arrays)
     content = zlib.decompress(base64.b64decode(packed))
     for name, values in arrays.items():
         place = where[name]
@@ -47,7 +47,7 @@ def test_arrays_come_back_as_they_were() -> None:
 
 
 def test_the_policy_names_the_hashes_of_what_is_there_and_nothing_else() -> None:
-    page = document("<b>&", "index.html", ("page.js", "index.js"), {"rows": []})
+    page = build_document("<b>&", "index.html", ("page.js", "index.js"), {"rows": []})
     assert "<title>&lt;b&gt;&amp;</title>" in page
     (policy,) = re.findall(r'Content-Security-Policy" content="([^"]*)"', page)
     scripts = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)
@@ -61,8 +61,8 @@ def test_the_policy_names_the_hashes_of_what_is_there_and_nothing_else() -> None
 
 
 def test_results_are_grouped_by_the_folders_that_differ(tmp_path: Any) -> None:
-    assert _sets(["results/a/x", "results/b/x", "results/b/y"]) == ["a", "b", "b"]
-    assert _sets(["x", "y"]) == ["", ""]
-    assert _sets(["x", "more/y"]) == ["", "more"]
+    assert _result_sets(["results/a/x", "results/b/x", "results/b/y"]) == ["a", "b", "b"]
+    assert _result_sets(["x", "y"]) == ["", ""]
+    assert _result_sets(["x", "more/y"]) == ["", "more"]
     page = write_index([IndexRow("a b/ü#?", page=True)], "all", (), tmp_path / "index.html").read_text("utf-8")
     assert '"link":"./a%20b/%C3%BC%23%3F/report.html"' in page

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from getagrip.clip import input_sha256, write_clip
-from getagrip.commands.view import found
+from getagrip.commands.view import find_results_and_clips
 from getagrip.finding import Finding
-from getagrip.pages.served import TRUTH, badness, entries, labels
+from getagrip.pages.served import GROUND_TRUTH_LABEL, entry_severity_key, group_entries, label_views
 from getagrip.result import Reconstruction, write_result
 from helpers.command_line import Run
 from helpers.two_candidates import two_candidates, view
@@ -44,15 +44,15 @@ def root(tmp_path_factory: Any) -> Path:
 
 def test_serious_findings_come_first_and_then_the_lowest_iou() -> None:
     given = {"fine": result(0.9), "poor": result(0.3), "flagged": result(0.95, SERIOUS)}
-    assert sorted(given, key=lambda name: badness([given[name]])) == ["flagged", "poor", "fine"]
+    assert sorted(given, key=lambda name: entry_severity_key([given[name]])) == ["flagged", "poor", "fine"]
 
 
 @pytest.mark.slow
 def test_a_folder_of_methods_is_listed_by_clip_the_worst_first(root: Path) -> None:
     problems: list[Exception] = []
-    results, clips = found([root / "results"], problems)
+    results, clips = find_results_and_clips([root / "results"], problems)
     assert (len(results), clips, problems) == (3, [], [])
-    bad, good = entries(results, clips, None, never)
+    bad, good = group_entries(results, clips, None, never)
     assert bad.label == "bad, IOU 40 %"
     assert good.label == "good, IOU 90 %, 2 results"
     assert [column.label for column in good.read()] == ["1-DoF, ours", "Static"]
@@ -61,17 +61,22 @@ def test_a_folder_of_methods_is_listed_by_clip_the_worst_first(root: Path) -> No
 
 def test_results_and_clips_may_be_named_in_any_way(root: Path) -> None:
     problems: list[Exception] = []
-    results, clips = found([root / "results" / "one-dof", root / "results" / "static" / "good"], problems)
-    assert [entry.label for entry in entries(results, clips, None, never)] == [
+    results, clips = find_results_and_clips(
+        [root / "results" / "one-dof", root / "results" / "static" / "good"], problems
+    )
+    assert [entry.label for entry in group_entries(results, clips, None, never)] == [
         "bad, IOU 40 %",
         "good, IOU 90 %, 2 results",
     ]
-    results, clips = found([root / "clips"], problems)
+    results, clips = find_results_and_clips([root / "clips"], problems)
     assert results == []
-    assert [entry.read()[0].label for entry in entries(results, clips, None, never)] == [TRUTH, TRUTH]
-    assert found([root / "clips" / "bad"], problems)[1] == [root / "clips" / "bad"]
+    assert [entry.read()[0].label for entry in group_entries(results, clips, None, never)] == [
+        GROUND_TRUTH_LABEL,
+        GROUND_TRUTH_LABEL,
+    ]
+    assert find_results_and_clips([root / "clips" / "bad"], problems)[1] == [root / "clips" / "bad"]
     assert problems == []
-    found([root / "clips" / "bad" / "masks", root / "nowhere"], problems)
+    find_results_and_clips([root / "clips" / "bad" / "masks", root / "nowhere"], problems)
     assert ["no such folder" in str(problem) for problem in problems] == [False, True]
 
 
@@ -79,11 +84,11 @@ def test_results_of_one_method_are_told_apart_by_their_folders() -> None:
     one = view()
     static = replace(one, result=replace(one.result, method="static"))
     method = "1-DoF, ours"
-    assert labels([one, one, static], ["a", "b", "c"]) == [f"{method} (a)", f"{method} (b)", "Static"]
+    assert label_views([one, one, static], ["a", "b", "c"]) == [f"{method} (a)", f"{method} (b)", "Static"]
 
 
 def test_entries_of_the_same_words_are_numbered(root: Path) -> None:
-    again = entries([], [root / "clips" / "bad", root / "results" / ".." / "clips" / "bad"], None, never)
+    again = group_entries([], [root / "clips" / "bad", root / "results" / ".." / "clips" / "bad"], None, never)
     assert [entry.label for entry in again] == ["1. bad", "2. bad"]
 
 
@@ -92,7 +97,7 @@ def test_a_broken_result_does_not_hide_the_others(root: Path, tmp_path: Path) ->
     broken.mkdir()
     (broken / "result.json").write_text("{", "utf-8")
     told: list[Exception] = []
-    listed = entries([broken, root / "results" / "one-dof" / "bad"], [], None, told.append)
+    listed = group_entries([broken, root / "results" / "one-dof" / "bad"], [], None, told.append)
     assert [entry.label for entry in listed] == ["bad, IOU 40 %"]
     assert str(broken) in str(told[0])
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from getagrip.evaluation import evaluate
-from getagrip.pages import row, row_without_clip
+from getagrip.pages import index_row, index_row_without_clip
 from getagrip.pictures.shown import View
 from helpers.egg_and_mug import egg_and_mug, perfect
 
@@ -21,8 +21,8 @@ def test_the_worst_frame_is_never_above_the_mean() -> None:
     evaluation = evaluate(result, clip, masks)
     assert evaluation.metrics["iou"] < 0.995
     rows = (
-        row("one", View.of(result, clip, masks), evaluation, False),
-        row_without_clip("one", result, {"iou_full": 0.9}, ""),
+        index_row("one", View.of(result, clip, masks), evaluation, False),
+        index_row_without_clip("one", result, {"iou_full": 0.9}, ""),
     )
     for one in rows:
         assert one.values["IOU"] == pytest.approx(0.9995)
@@ -31,5 +31,5 @@ def test_the_worst_frame_is_never_above_the_mean() -> None:
 
 def test_without_masks_there_is_none() -> None:
     clip, _ = egg_and_mug()
-    values = row_without_clip("one", replace(perfect(clip), iou=np.full(len(clip), np.nan)), {}, "").values
+    values = index_row_without_clip("one", replace(perfect(clip), iou=np.full(len(clip), np.nan)), {}, "").values
     assert np.isnan([values["IOU"], values["worst frame"]]).all()

@@ -10,7 +10,7 @@ from getagrip.clip import OtherHand
 from getagrip.geometry import se3
 from getagrip.pages import motion
 from getagrip.pictures.shown import View
-from getagrip.pictures.touched import finer, gap
+from getagrip.pictures.touched import subdivide_object, surface_gap
 from helpers.egg_and_mug import egg_and_mug, perfect
 
 
@@ -25,14 +25,14 @@ def test_what_the_other_hand_touches_is_touched() -> None:
     )  # fmt: skip
     moved = replace(result, T_hand_obj=se3.inverse(aside) @ clip.hand.T_cam_hand @ result.T_hand_obj)
     one, both = View.of(result, clip, None), View.of(moved, given, None)
-    gaps = gap(both)
-    np.testing.assert_allclose(gaps[known], gap(one)[known], atol=1e-9)
+    gaps = surface_gap(both)
+    np.testing.assert_allclose(gaps[known], surface_gap(one)[known], atol=1e-9)
     assert gaps[[1, 3, 4]].min() > 0.1
-    surface = finer(one)
-    alone, found = motion.moving(one, surface), motion.moving(both, surface)
+    surface = subdivide_object(one)
+    alone, found = motion.per_frame_arrays(one, surface), motion.per_frame_arrays(both, surface)
     assert alone["hand_near"][known].max() == 255
     for name, of in (("object_near", "object_near"), ("other_hand_near", "hand_near")):
         np.testing.assert_array_equal(found[name][known], alone[of][known])
         assert found[name][[1, 3, 4]].max() == 0
     assert found["hand_near"].max() == 0
-    assert motion.fixed(both, surface)["other_hand_known"].tolist() == [1, 0, 1, 0, 0]
+    assert motion.constant_arrays(both, surface)["other_hand_known"].tolist() == [1, 0, 1, 0, 0]

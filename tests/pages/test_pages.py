@@ -15,8 +15,8 @@ from getagrip.clip import OtherHand, input_sha256, write_clip
 from getagrip.commands.report import Report
 from getagrip.finding import Finding
 from getagrip.geometry import se3
-from getagrip.pages import IndexRow, row_without_clip, write_index
-from getagrip.probability import RIGHT, Probability
+from getagrip.pages import IndexRow, index_row_without_clip, write_index
+from getagrip.probability import SUCCESS_DEFINITION, Probability
 from getagrip.result import Axis, Candidates, write_result
 from helpers.browser import IN_BROWSER, READS_BACK, until
 from helpers.egg_and_mug import egg_and_mug, perfect
@@ -169,7 +169,7 @@ def test_words_of_strangers_stay_words(page: Any, folder: Path) -> None:
         "note ambiguous: another pose explains the masks almost as well; the candidates below show it",
         f"serious mask-fit: </script>{EVIL}",
     ]
-    assert page.locator(".notes li").all_inner_texts() == [f"a guess: {EVIL}", f"probability: {RIGHT}"]
+    assert page.locator(".notes li").all_inner_texts() == [f"a guess: {EVIL}", f"probability: {SUCCESS_DEFINITION}"]
 
 
 def test_what_a_probability_means_is_said_once_and_folded(page: Any, folder: Path) -> None:
@@ -221,7 +221,7 @@ def test_the_index_sorts_filters_and_links(page: Any, folder: Path) -> None:
 def test_an_index_says_no_more_than_there_is(page: Any, tmp_path: Path) -> None:
     """Of clips that have failed or are left, and without pictures."""
     clip, _ = egg_and_mug()
-    done = row_without_clip("done", perfect(clip), {}, "")
+    done = index_row_without_clip("done", perfect(clip), {}, "")
     rows = [IndexRow("z", "no hand", flags=("failed",)), done, IndexRow("left", "not done yet", flags=("left",))]
     opened(page, write_index(rows, "results", ["summary.csv"], tmp_path / "index.html"))
     assert page.inner_text("#facts") == "1 of 3 results, 1 failed, 1 not done."

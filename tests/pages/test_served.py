@@ -22,10 +22,10 @@ from getagrip.evaluation.results import Evaluation
 from getagrip.io.serving import LOOPBACK
 from getagrip.pages import served
 from getagrip.pages.report import write_page
-from getagrip.pages.served import TRUTH, Library, entries
-from getagrip.pages.server import Server
+from getagrip.pages.served import GROUND_TRUTH_LABEL, ViewerLibrary, group_entries
+from getagrip.pages.server import ViewerServer
 from getagrip.pictures.shown import View
-from getagrip.result import read_record, write_result
+from getagrip.result import read_result_record, write_result
 from helpers.two_candidates import two_candidates
 
 pytestmark = pytest.mark.slow
@@ -48,15 +48,17 @@ def folder(tmp_path_factory: Any) -> Path:
 
 
 @pytest.fixture(scope="module")
-def library(folder: Path) -> Library:
+def library(folder: Path) -> ViewerLibrary:
     one = [folder / "one-dof"]
     both = [*one, folder / "static"]
-    return Library([*entries(one, [folder / "clip"], None, never), *entries(both, [], None, never)], never)
+    return ViewerLibrary(
+        [*group_entries(one, [folder / "clip"], None, never), *group_entries(both, [], None, never)], never
+    )
 
 
 @pytest.fixture(scope="module")
-def server(library: Library) -> Iterator[Server]:
-    with Server(library, 0) as made:
+def server(library: ViewerLibrary) -> Iterator[ViewerServer]:
+    with ViewerServer(library, 0) as made:
         thread = threading.Thread(target=made.serve_forever)
         thread.start()
         yield made
@@ -72,10 +74,10 @@ def unpacked(content: dict[str, Any]) -> dict[str, np.ndarray]:
     }
 
 
-def test_frames_are_those_of_the_page_that_holds_all(folder: Path, library: Library, tmp_path: Path) -> None:
+def test_frames_are_those_of_the_page_that_holds_all(folder: Path, library: ViewerLibrary, tmp_path: Path) -> None:
     view = View.of(*two_candidates())
     known = Evaluation.recorded(view.clip, "one-dof", {})
-    page = write_page(view, known, read_record(folder / "one-dof"), tmp_path / "a.html")
+    page = write_page(view, known, read_result_record(folder / "one-dof"), tmp_path / "a.html")
     text = page.read_text("utf-8")
     held = json.loads(text.partition('id="data">')[2].partition("</script>")[0])["shown"]["columns"][0]
     whole, fixed = unpacked(held), unpacked(library.entry(0)["columns"][0])
@@ -91,13 +93,13 @@ def test_frames_are_those_of_the_page_that_holds_all(folder: Path, library: Libr
         assert frame["outlines"].keys() == held["pictures"][n]["outlines"].keys()
 
 
-def test_the_gap_is_measured_in_parts(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_gap_is_measured_in_parts(library: ViewerLibrary, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = library.gap(0, 0)
-    monkeypatch.setattr(served, "AT_ONCE", 2)
+    monkeypatch.setattr(served, "GAP_BATCH_FRAMES", 2)
     assert library.gap(0, 0)["lines"][0]["values"].tolist() == pytest.approx(whole["lines"][0]["values"].tolist())
 
 
-def test_another_candidate_has_contours_and_contact_of_its_own(library: Library) -> None:
+def test_another_candidate_has_contours_and_contact_of_its_own(library: ViewerLibrary) -> None:
     result, other = (library.frame(0, 0, rank, 2) for rank in (0, 1))
     assert result["outlines"]["object"] != other["outlines"]["object"]
     assert result["outlines"]["hand"] == other["outlines"]["hand"]
@@ -106,22 +108,22 @@ def test_another_candidate_has_contours_and_contact_of_its_own(library: Library)
     assert not np.array_equal(*near)
 
 
-def test_results_stand_side_by_side_at_the_frames_that_all_have(library: Library) -> None:
+def test_results_stand_side_by_side_at_the_frames_that_all_have(library: ViewerLibrary) -> None:
     shown = library.entry(2)
     assert [column["label"] for column in shown["columns"]] == ["1-DoF, ours", "Static"]
     assert len(shown["frames"]) == len(shown["times"]) == 4
     assert ["axis" in column["arrays"] for column in shown["columns"]] == [True, False]
 
 
-def test_a_clip_shows_its_ground_truth_or_its_hand_alone(library: Library, tmp_path: Path) -> None:
+def test_a_clip_shows_its_ground_truth_or_its_hand_alone(library: ViewerLibrary, tmp_path: Path) -> None:
     (true,) = library.entry(1)["columns"]
-    assert (true["label"], true["result"], true["masked"]) == (TRUTH, False, True)
+    assert (true["label"], true["result"], true["masked"]) == (GROUND_TRUTH_LABEL, False, True)
     assert [plot["title"] for plot in true["plots"]] == ["angle of the object about the axis"]
     assert true["main"] == []
     assert "true" not in library.frame(1, 0, 0, 0)["outlines"]
     _, clip, masks = two_candidates()
     where = write_clip(replace(clip, truth=None), masks, tmp_path / "clip")
-    alone = Library(entries([], [where], None, never), never)
+    alone = ViewerLibrary(group_entries([], [where], None, never), never)
     (column,) = alone.entry(0)["columns"]
     assert "object_faces" not in column["arrays"]
     assert alone.frame(0, 0, 0, 0)["outlines"].keys() == {"hand", "observed"}
@@ -131,15 +133,17 @@ def test_a_clip_shows_its_ground_truth_or_its_hand_alone(library: Library, tmp_p
 def test_what_cannot_be_read_is_told_and_the_next_is_opened(folder: Path, tmp_path: Path) -> None:
     problems: list[Exception] = []
     listed = [
-        *entries([folder / "one-dof"], [], tmp_path / "nowhere", never),
-        *entries([folder / "static"], [], None, never),
+        *group_entries([folder / "one-dof"], [], tmp_path / "nowhere", never),
+        *group_entries([folder / "static"], [], None, never),
     ]
-    assert Library(listed, problems.append).first == 1
+    assert ViewerLibrary(listed, problems.append).first == 1
     assert len(problems) == 1
-    assert Library(listed[:1], problems.append).first is None
+    assert ViewerLibrary(listed[:1], problems.append).first is None
 
 
-def answer(server: Server, path: str, method: str = "GET", **head: str) -> tuple[int, bytes, http.client.HTTPMessage]:
+def answer(
+    server: ViewerServer, path: str, method: str = "GET", **head: str
+) -> tuple[int, bytes, http.client.HTTPMessage]:
     connection = http.client.HTTPConnection(server.host, server.server_port, timeout=60)
     connection.request(method, path, headers=head)
     got = connection.getresponse()
@@ -148,7 +152,7 @@ def answer(server: Server, path: str, method: str = "GET", **head: str) -> tuple
     return got.status, content, headers
 
 
-def test_only_who_knows_the_whole_address_gets_an_answer(server: Server) -> None:
+def test_only_who_knows_the_whole_address_gets_an_answer(server: ViewerServer) -> None:
     own = f"/{server.secret}/"
     assert len(server.secret) >= 20
     assert answer(server, own)[0] == answer(server, f"{own}?dark")[0] == answer(server, f"{own}entry/0")[0] == 200
@@ -160,7 +164,7 @@ def test_only_who_knows_the_whole_address_gets_an_answer(server: Server) -> None
         assert server.secret.encode() not in content
 
 
-def test_paths_name_nothing_but_what_is_shown(server: Server) -> None:
+def test_paths_name_nothing_but_what_is_shown(server: ViewerServer) -> None:
     asked = [
         "entry",
         "entry/",
@@ -189,7 +193,7 @@ def test_paths_name_nothing_but_what_is_shown(server: Server) -> None:
         assert answer(server, f"/{server.secret}/entry/0", method)[0] == 501
 
 
-def test_other_names_of_this_machine_and_other_sites_are_refused(server: Server) -> None:
+def test_other_names_of_this_machine_and_other_sites_are_refused(server: ViewerServer) -> None:
     own = f"/{server.secret}/entry/0"
     for host in ("evil.example", "evil.example:8770", "127.0.0.1.evil.example", "", "127.0.0.1:80:80", "[evil]"):
         assert answer(server, own, Host=host)[0] == 403, host
@@ -199,7 +203,7 @@ def test_other_names_of_this_machine_and_other_sites_are_refused(server: Server)
         assert answer(server, own, **{"Sec-Fetch-Site": site})[0] == 403
 
 
-def test_answers_are_kept_by_nobody_and_framed_by_nobody(server: Server) -> None:
+def test_answers_are_kept_by_nobody_and_framed_by_nobody(server: ViewerServer) -> None:
     for path in ("", "entry/0", "nothing"):
         head = answer(server, f"/{server.secret}/{path}")[2]
         assert head["Cache-Control"] == "no-store"
@@ -211,7 +215,7 @@ def test_answers_are_kept_by_nobody_and_framed_by_nobody(server: Server) -> None
     assert "connect-src 'self'" in page
 
 
-def test_a_frame_that_cannot_be_read_is_one_line_of_json(folder: Path, server: Server) -> None:
+def test_a_frame_that_cannot_be_read_is_one_line_of_json(folder: Path, server: ViewerServer) -> None:
     mask = folder / "clip" / "masks" / "object" / "000001.png"
     content = mask.read_bytes()
     mask.write_bytes(b"no image")
@@ -222,7 +226,7 @@ def test_a_frame_that_cannot_be_read_is_one_line_of_json(folder: Path, server: S
     assert answer(server, f"/{server.secret}/frame/0/0/0/1")[0] == 200
 
 
-def test_it_listens_to_this_machine_alone(server: Server) -> None:
+def test_it_listens_to_this_machine_alone(server: ViewerServer) -> None:
     assert server.host == LOOPBACK
     others = {info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)} - {LOOPBACK}
     for address in others:
@@ -230,13 +234,13 @@ def test_it_listens_to_this_machine_alone(server: Server) -> None:
             socket.create_connection((address, server.server_port), timeout=2)
 
 
-def test_ports_and_addresses_that_cannot_be_had_are_named(library: Library, server: Server) -> None:
+def test_ports_and_addresses_that_cannot_be_had_are_named(library: ViewerLibrary, server: ViewerServer) -> None:
     for port in (server.server_port, 70000, -1):
         with pytest.raises(UsageError, match="--port") as caught:
-            Server(library, port)
+            ViewerServer(library, port)
         assert str(port) in str(caught.value)
     with pytest.raises(UsageError, match=r"203\.0\.113\.1"):
-        Server(library, 0, "203.0.113.1")
-    with Server(library) as one, Server(library) as two:
+        ViewerServer(library, 0, "203.0.113.1")
+    with ViewerServer(library) as one, ViewerServer(library) as two:
         assert one.server_port != two.server_port
         assert one.secret != two.secret

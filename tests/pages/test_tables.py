@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from getagrip.evaluation.results import Evaluation
-from getagrip.pages.report import tables
+from getagrip.pages.report import result_tables
 from getagrip.pictures.shown import View
 from helpers.egg_and_mug import egg_and_mug, perfect
 
@@ -21,7 +21,9 @@ def test_checks_have_their_usual_range_and_a_verdict() -> None:
     }
     result = replace(perfect(clip), checks=checks)
     known = Evaluation.recorded(clip, "static", {})
-    (table,) = (one for one in tables(View.of(result, clip, masks), known, {}) if one["title"].startswith("Checks"))
+    (table,) = (
+        one for one in result_tables(View.of(result, clip, masks), known, {}) if one["title"].startswith("Checks")
+    )
     assert table["head"] == ("check", "value", "usual", "verdict")
     assert table["rows"] == [
         ["hand-side", "68.5 degrees", "at least -5 degrees", "usual"],

@@ -14,8 +14,8 @@ import pytest
 from PIL import Image
 
 from getagrip.clip import input_sha256, write_clip
-from getagrip.pages.served import Library, entries
-from getagrip.pages.server import Server
+from getagrip.pages.served import ViewerLibrary, group_entries
+from getagrip.pages.server import ViewerServer
 from getagrip.result import write_result
 from helpers.browser import IN_BROWSER, READS_BACK, expect, until
 from helpers.two_candidates import two_candidates
@@ -25,7 +25,7 @@ EVIL = "<img src=x onerror=hacked=1><script>hacked=1<"
 
 
 @pytest.fixture(scope="module")
-def served(tmp_path_factory: Any) -> Iterator[Server]:
+def served(tmp_path_factory: Any) -> Iterator[ViewerServer]:
     """Two results of a clip, and a second clip whose folder is gone by the time it is opened."""
     root: Path = tmp_path_factory.mktemp("view")
     result, clip, masks = two_candidates()
@@ -37,7 +37,9 @@ def served(tmp_path_factory: Any) -> Iterator[Server]:
     def fail(error: Exception) -> None:
         raise error
 
-    with Server(Library(entries([root / "one-dof", root / "static"], [gone], None, fail), fail), 0) as made:
+    with ViewerServer(
+        ViewerLibrary(group_entries([root / "one-dof", root / "static"], [gone], None, fail), fail), 0
+    ) as made:
         (gone / "clip.json").unlink()
         thread = threading.Thread(target=made.serve_forever)
         thread.start()
@@ -56,7 +58,7 @@ def differs(one: np.ndarray, other: np.ndarray) -> bool:
     return bool((np.abs(one - other).max(axis=-1) > 40).mean() > 0.005)
 
 
-def test_results_move_together_and_words_stay_words(browser: Any, served: Server) -> None:
+def test_results_move_together_and_words_stay_words(browser: Any, served: ViewerServer) -> None:
     page = browser.new_page(viewport={"width": 1000, "height": 1100})
     said: list[str] = []
     asked: list[str] = []

@@ -20,15 +20,15 @@ from getagrip.finding import Finding
 from getagrip.geometry import se3
 from getagrip.metrics.contact import ContactDefinition
 from getagrip.pictures.figures import StoredResult
-from getagrip.pictures.figures.aligned import RAMP, Aligned, _overlay
+from getagrip.pictures.figures.aligned import ANGLE_COLOURS, Aligned, _blend_surfaces
 from getagrip.pictures.figures.contact import Contact
 from getagrip.pictures.figures.gallery import Gallery
 from getagrip.pictures.figures.ihoi import Ihoi
-from getagrip.pictures.figures.kind import summary
-from getagrip.pictures.figures.rows import Hands, Methods, numbers
-from getagrip.pictures.looking import looking
+from getagrip.pictures.figures.kind import summarise_view
+from getagrip.pictures.figures.rows import Hands, Methods, row_metrics
+from getagrip.pictures.looking import look_at
 from getagrip.pictures.shown import View
-from getagrip.pictures.style import AXIS, FOUND, HAND_LINE
+from getagrip.pictures.style import AXIS_COLOUR, HAND_LINE_COLOUR, RESULT_COLOUR
 from getagrip.provenance import assumed
 from getagrip.result import Reconstruction, write_result
 from helpers.clips import box
@@ -123,9 +123,9 @@ def test_aligned_frames_have_axis_angles_and_colours(made: Path) -> None:
     figure = Aligned(dpi=LINES, frames=2).draw(source, never)
     tiles = drawn(figure)
     assert len(figure.axes) == 2 + 4 + 1
-    assert all(pixels_of(tile, AXIS) > 10 for tile in tiles[:6])
+    assert all(pixels_of(tile, AXIS_COLOUR) > 10 for tile in tiles[:6])
     for tile in tiles[2:6]:
-        assert all(pixels_of(tile, colour) > 5 for colour in (RAMP[0], RAMP[-1]))
+        assert all(pixels_of(tile, colour) > 5 for colour in (ANGLE_COLOURS[0], ANGLE_COLOURS[-1]))
     axis = source[0].read().result.axis
     assert axis is not None
     widest = np.degrees(axis.angle.max() - axis.angle.min())
@@ -155,21 +155,21 @@ def test_a_clip_is_drawn_by_its_ground_truth(made: Path, tmp_path: Path, run: Ru
 @pytest.mark.slow
 def test_results_without_axis_are_aligned_too(made: Path) -> None:
     figure = Aligned(dpi=DPI, frames=2).draw(given(made, "moved"), never)
-    assert sum(pixels_of(tile, AXIS) for tile in drawn(figure)) == 0
+    assert sum(pixels_of(tile, AXIS_COLOUR) for tile in drawn(figure)) == 0
     assert any("no latent axis" in words for words in texts(figure))
     assert {"frame 000000", "frame 000003"} <= texts(figure)
 
 
 def test_surfaces_that_agree_keep_their_own_colour() -> None:
     mesh = box(0.1, 0.1, 0.1)
-    eye = looking(2.0 * mesh.vertices, np.array([0.3, 0.2, 1.0]), np.array([0.0, 1.0, 0.0]), 40)
+    eye = look_at(2.0 * mesh.vertices, np.array([0.3, 0.2, 1.0]), np.array([0.0, 1.0, 0.0]), 40)
     front = (se3.transform(eye.T_view_frame, mesh.vertices), mesh.faces)
     behind = (front[0] + [0.0, 0.0, 1.0], mesh.faces)
     other = (front[0] + [0.02, 0.0, 0.0], mesh.faces)
     whole, colours = ((0.9, 0.7, 0.6), (0.4, 0.6, 0.7)), np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
     def overlay(*moved: Any, colours: np.ndarray = colours) -> np.ndarray:
-        return _overlay(behind, moved, whole, colours, eye)
+        return _blend_surfaces(behind, moved, whole, colours, eye)
 
     np.testing.assert_array_equal(overlay(front, front), overlay(front, front, colours=colours[::-1]))
     assert (overlay(front, other) != overlay(front, other, colours=colours[::-1])).any()
@@ -186,8 +186,8 @@ def test_methods_stand_under_one_another_with_their_numbers(made: Path) -> None:
     for row in range(3):
         for k in range(2):
             over, side = tiles[4 * row + 2 * k : 4 * row + 2 * k + 2]
-            assert pixels_of(over, FOUND) > 20
-            assert (pixels_of(side, AXIS) > 5) == (row == 0)
+            assert pixels_of(over, RESULT_COLOUR) > 20
+            assert (pixels_of(side, AXIS_COLOUR) > 5) == (row == 0)
     for one in source:
         view = one.read()
         known = evaluate(view.result, view.clip, view.masks, wanted=[IOU, SCA, ADD_MM]).metrics
@@ -210,18 +210,18 @@ def test_hands_are_where_the_result_has_them(made: Path) -> None:
     np.testing.assert_allclose(true.hand(0), se3.transform(truth.T_cam_hand[1], truth.hand_vertices[1]))
     np.testing.assert_allclose(true.object(0), se3.transform(truth.T_cam_obj[1], truth.scale * view.clip.mesh.vertices))
     contact = ContactDefinition("object", 0.01)
-    assert numbers(true, contact)[:2] == numbers(view.at(view.result.frames[1:3]), contact)[:2]
+    assert row_metrics(true, contact)[:2] == row_metrics(view.at(view.result.frames[1:3]), contact)[:2]
 
 
 @pytest.mark.slow
 def test_guesses_and_findings_are_named(made: Path) -> None:
     view = given(made, "true")[0].read()
-    assert summary(view) == "1-DoF, ours  ·  mug in a right hand  ·  4 frames"
+    assert summarise_view(view) == "1-DoF, ours  ·  mug in a right hand  ·  4 frames"
     clip = replace(view.clip, scale="free", provenance={"camera": assumed("a guess"), "hands": "true"})
     findings = tuple(Finding("small", serious, 1.0, 2.0, "the object is small") for serious in (True, False))
     unsure = replace(view, clip=clip, result=replace(view.result, findings=findings))
-    assert summary(unsure).endswith("  ·  guessed: scale, camera")
-    assert numbers(unsure, ContactDefinition("object", 0.01))[-1] == "2 findings, 1 serious"
+    assert summarise_view(unsure).endswith("  ·  guessed: scale, camera")
+    assert row_metrics(unsure, ContactDefinition("object", 0.01))[-1] == "2 findings, 1 serious"
 
 
 @pytest.mark.slow
@@ -235,7 +235,7 @@ def test_hands_have_contours_and_the_names_of_folders(made: Path) -> None:
     figure = Hands(dpi=LINES, frames=1).draw(given(made, "true", "shifted-hands"), never)
     tiles = drawn(figure)
     assert {"true", "shifted-hands"} <= texts(figure)
-    assert all(pixels_of(tiles[n], HAND_LINE) > 20 for n in (0, 2))
+    assert all(pixels_of(tiles[n], HAND_LINE_COLOUR) > 20 for n in (0, 2))
     assert (tiles[0][:160, :160] != tiles[2][:160, :160]).any()
 
 
@@ -270,7 +270,7 @@ def test_galleries_begin_with_the_worst(made: Path) -> None:
     assert {"worst", "best", "2 results by ADD"} <= texts(figure)
     headings = [words.get_text() for words in figure.texts if words.get_text().startswith("ADD ")]
     assert [("Dynamic" in words, "1-DoF" in words) for words in headings] == [(True, False), (False, True)]
-    assert all(pixels_of(tile, FOUND) > 20 for tile in drawn(figure)[:4:2])
+    assert all(pixels_of(tile, RESULT_COLOUR) > 20 for tile in drawn(figure)[:4:2])
     moved = source[1].read()
     add = evaluate(moved.result, moved.clip, wanted=[ADD_MM]).per_frame["add_mm"]
     assert headings[0].endswith(f"frame {moved.result.frames[int(np.argmax(add))]}")

@@ -10,10 +10,10 @@ import av
 import numpy as np
 import pytest
 
-from getagrip.film import SIDE, STRIP, write_film
+from getagrip.film import CAPTION_HEIGHT_PX, FILM_PANEL_PX, write_film
 from getagrip.pictures.shown import View
-from getagrip.pictures.stills import overlay, smoothed, steady_windows, turned
-from getagrip.pictures.style import AXIS, FOUND, HAND_LINE
+from getagrip.pictures.stills import draw_overlay, draw_side_view, smooth_track, smooth_windows
+from getagrip.pictures.style import AXIS_COLOUR, HAND_LINE_COLOUR, RESULT_COLOUR
 from getagrip.result import Axis
 from helpers.egg_and_mug import FRAMES, egg_and_mug, perfect
 from helpers.pictures import pixels_of
@@ -34,21 +34,21 @@ def test_a_film_has_all_frames_at_the_clips_rate(tmp_path: Path) -> None:
         assert stream.average_rate == Fraction(30)
         frames = [frame.to_ndarray(format="rgb24") for frame in film.decode(stream)]
     assert len(frames) == FRAMES
-    assert frames[0].shape == (SIDE + STRIP, 2 * SIDE, 3)
-    crops = steady_windows(view, SIDE)
+    assert frames[0].shape == (FILM_PANEL_PX + CAPTION_HEIGHT_PX, 2 * FILM_PANEL_PX, 3)
+    crops = smooth_windows(view, FILM_PANEL_PX)
     for n in (0, FRAMES - 1):
-        expected = np.concatenate([overlay(view, n, crops, n), turned(view, n, crops, n)], axis=1)
-        assert np.abs(frames[n][:SIDE].astype(float) - expected).mean() < 4.0  # colours are compressed
+        expected = np.concatenate([draw_overlay(view, n, crops, n), draw_side_view(view, n, crops, n)], axis=1)
+        assert np.abs(frames[n][:FILM_PANEL_PX].astype(float) - expected).mean() < 4.0  # colours are compressed
     assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"]
 
 
 def test_stills_show_contours_and_axis() -> None:
     view = given()
-    crops = steady_windows(view, SIDE)
-    over = overlay(view, 2, crops, 2)
-    assert pixels_of(over, FOUND) > 50
-    assert pixels_of(over, HAND_LINE) > 30
-    assert pixels_of(turned(view, 2, crops, 2), AXIS) > 20
+    crops = smooth_windows(view, FILM_PANEL_PX)
+    over = draw_overlay(view, 2, crops, 2)
+    assert pixels_of(over, RESULT_COLOUR) > 50
+    assert pixels_of(over, HAND_LINE_COLOUR) > 30
+    assert pixels_of(draw_side_view(view, 2, crops, 2), AXIS_COLOUR) > 20
 
 
 def test_windows_hold_hand_and_masks_and_move_less_than_they() -> None:
@@ -56,7 +56,7 @@ def test_windows_hold_hand_and_masks_and_move_less_than_they() -> None:
     jump = view.clip.hand.T_cam_hand.copy()
     jump[2, :2, 3] += 0.05
     shaken = View.of(replace(view.result, T_cam_hand=jump), view.clip, view.masks)
-    still, moved = steady_windows(view, 100), steady_windows(shaken, 100)
+    still, moved = smooth_windows(view, 100), smooth_windows(shaken, 100)
     for n in range(FRAMES):
         hand = shaken.hand(n)
         uv = hand[:, :2] / hand[:, 2:] * 400.0 + [160.0, 120.0]
@@ -73,5 +73,5 @@ def test_tracks_are_smoothed_as_scipy_does(over: float) -> None:
 
     track = np.random.default_rng(0).normal(size=(12, 2))
     np.testing.assert_allclose(
-        smoothed(track, over), gaussian_filter1d(track, over, axis=0, mode="nearest"), atol=1e-12
+        smooth_track(track, over), gaussian_filter1d(track, over, axis=0, mode="nearest"), atol=1e-12
     )

@@ -10,7 +10,7 @@ import pytest
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.pictures.shown import View
-from getagrip.pictures.touched import REACH, gap
+from getagrip.pictures.touched import GAP_SEARCH_DISTANCE_M, surface_gap
 from helpers.clips import box
 from helpers.egg_and_mug import FRAMES, egg_and_mug, perfect
 
@@ -26,9 +26,9 @@ def ball_and(mesh: Mesh, x: float) -> View:
     return View.of(replace(perfect(clip), T_hand_obj=T), alone, None)
 
 
-@pytest.mark.parametrize("apart", [-0.01, 0.01, 2.0 * REACH])
+@pytest.mark.parametrize("apart", [-0.01, 0.01, 2.0 * GAP_SEARCH_DISTANCE_M])
 def test_an_edge_of_a_box_is_as_far_from_a_ball_as_it_is(apart: float) -> None:
     """No corner of the box is near the ball, and no vertex of the ball as deep in the box as its edge."""
     half = 0.1
     view = ball_and(box(2.0 * half, 2.0 * half, 2.0 * half), RADIUS + apart + np.sqrt(2.0) * half)
-    np.testing.assert_allclose(gap(view), apart, atol=1.5e-3)
+    np.testing.assert_allclose(surface_gap(view), apart, atol=1.5e-3)

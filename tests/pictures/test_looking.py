@@ -7,13 +7,13 @@ import pytest
 
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
-from getagrip.pictures.looking import Eye, looking
+from getagrip.pictures.looking import DistantCamera, look_at
 
 
 @pytest.mark.parametrize(("side", "up"), [([0.0, 0.0, 1.0], [0.0, 1.0, 0.0]), ([1.0, 2.0, -3.0], [1.0, 2.0, -3.0])])
 def test_cameras_see_all_that_they_look_at(side: list[float], up: list[float]) -> None:
     points = np.random.default_rng(0).normal(size=(50, 3)) * [0.1, 0.02, 0.05] + [1.0, 2.0, 3.0]
-    eye: Eye = looking(points, np.array(side), np.array(up), 100)
+    eye: DistantCamera = look_at(points, np.array(side), np.array(up), 100)
     seen = se3.transform(eye.T_view_frame, points)
     uv = project(eye.K, seen)
     assert se3.is_rigid(eye.T_view_frame)

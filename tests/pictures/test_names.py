@@ -6,14 +6,14 @@ from pathlib import Path
 
 from getagrip.pictures.figures import StoredResult
 from getagrip.pictures.sheet import Sheet
-from getagrip.pictures.stored_results import distinct
+from getagrip.pictures.stored_results import distinct_path_parts
 
 DPI = 60
 
 
 def test_folders_are_told_apart_by_what_differs() -> None:
     def names(*paths: str) -> list[str]:
-        return distinct([StoredResult(Path(path)) for path in paths])
+        return distinct_path_parts([StoredResult(Path(path)) for path in paths])
 
     assert names("/r/a/clip", "/r/b/clip") == ["a", "b"]
     assert names("/r/a/x/clip", "/r/b/y/clip") == ["a/x", "b/y"]

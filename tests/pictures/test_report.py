@@ -13,9 +13,9 @@ from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError
 from getagrip.geometry import mesh as meshes
 from getagrip.geometry.mesh import Mesh
-from getagrip.pictures.report import TILES, report_figure, write_report
+from getagrip.pictures.report import N_REPORT_TILES, report_figure, write_report
 from getagrip.pictures.shown import View
-from getagrip.pictures.style import AXIS, FOUND, TRUE
+from getagrip.pictures.style import AXIS_COLOUR, RESULT_COLOUR, TRUTH_COLOUR
 from getagrip.probability import ASSUMED_MESH, Probability
 from getagrip.result import Axis
 from helpers.pictures import panel, pixels, pixels_of, read_picture, texts
@@ -34,7 +34,7 @@ def test_every_part_of_the_picture_is_drawn(tmp_path: Path) -> None:
     sure, unsure = Probability(0.996, "", (ASSUMED_MESH,)), Probability(0.3, "")
     result = replace(true_result(clip, axis), probability_right=sure, probability_right_in_camera=unsure)
     figure = report_figure(result, clip, masks, metrics)
-    assert len(figure.axes) == 3 * TILES + 2
+    assert len(figure.axes) == 3 * N_REPORT_TILES + 2
     assert texts(figure) >= {
         clip.name,
         "input and fitted contour",
@@ -47,12 +47,14 @@ def test_every_part_of_the_picture_is_drawn(tmp_path: Path) -> None:
     }
     picture = pixels(figure)
     tiles = [panel(picture, axes) for axes in figure.axes[:-2]]
-    for over, camera, side in zip(tiles[:TILES], tiles[TILES : 2 * TILES], tiles[2 * TILES :], strict=True):
-        assert pixels_of(over, FOUND) > 100  # the fitted contour
-        assert all(pixels_of(tile, AXIS) > 50 for tile in (camera, side))
+    for over, camera, side in zip(
+        tiles[:N_REPORT_TILES], tiles[N_REPORT_TILES : 2 * N_REPORT_TILES], tiles[2 * N_REPORT_TILES :], strict=True
+    ):
+        assert pixels_of(over, RESULT_COLOUR) > 100  # the fitted contour
+        assert all(pixels_of(tile, AXIS_COLOUR) > 50 for tile in (camera, side))
     angle, iou = (panel(picture, axes) for axes in figure.axes[-2:])
-    assert pixels_of(angle, TRUE) > 50
-    assert pixels_of(iou, FOUND) > 50
+    assert pixels_of(angle, TRUTH_COLOUR) > 50
+    assert pixels_of(iou, RESULT_COLOUR) > 50
     border = np.concatenate([picture[:5].reshape(-1, 3), picture[-5:].reshape(-1, 3), picture[:, -5:].reshape(-1, 3)])
     assert (border == 255).all()  # nothing is cut off
     written = read_picture(write_report(result, clip, masks, tmp_path / "report.png", metrics))
@@ -70,7 +72,7 @@ def test_results_without_axis_truth_masks_or_many_frames(with_masks: bool) -> No
     assert "rotation in the hand since the start [°]" in texts(figure)
     assert "ground truth" not in texts(figure)
     tile = panel(pixels(figure), figure.axes[0])
-    assert pixels_of(tile, FOUND) > 0
+    assert pixels_of(tile, RESULT_COLOUR) > 0
     assert (pixels_of(tile, "#7e9eb8") > 0) == with_masks  # the observed mask
 
 
@@ -82,7 +84,7 @@ def test_triangles_that_share_no_corners_are_drawn_by_a_mesh_of_fewer(
     clip, masks, axis = given()
     whole = clip.mesh
     soup = Mesh(whole.vertices[whole.faces].reshape(-1, 3), np.arange(whole.faces.size).reshape(-1, 3))
-    monkeypatch.setattr(meshes, "MOST_FACES", len(soup.faces))
+    monkeypatch.setattr(meshes, "MAX_MESH_FACES", len(soup.faces))
     clip = replace(clip, mesh=soup)
     result = true_result(clip, axis)
     drawn = View.of(result, clip, masks).clip.mesh

@@ -12,7 +12,7 @@ import pytest
 from getagrip.errors import InputError
 from getagrip.io.files import read_json, write_json
 from getagrip.reproduction import arctic, epic
-from getagrip.reproduction.tables import ALL, PaperTable, bench_values, published, write
+from getagrip.reproduction.tables import ALL_ROW_LABEL, PaperTable, bench_values, published, write_paper_tables
 from helpers.arctic_files import write_arctic
 from helpers.command_line import Run
 from helpers.held_ball import write_mano
@@ -29,7 +29,9 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 def test_epic_grasps(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without hands the clips are made; with them all tables are; a second call keeps everything."""
-    monkeypatch.setattr("getagrip.fitting.methods.paper.ITERATIONS", 10)  # of 200: how good poses are is not looked at
+    monkeypatch.setattr(
+        "getagrip.fitting.methods.paper.PAPER_ITERATIONS", 10
+    )  # of 200: how good poses are is not looked at
     root, out = write_epic_paper(tmp_path / "root"), tmp_path / "out"
     call = ("reproduce", "epic-grasps", root, "--out", out, "--workers", 1)
     status, _, told = run(*call)
@@ -44,7 +46,7 @@ def test_epic_grasps(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) 
     for number in ("Table 3", "Table 9"):
         measured = tables[number]["measured"]
         assert {*measured} >= {*published()[number]["groups"]}
-        assert all({*rows} == {*CATEGORIES, ALL} for rows in measured.values()), number
+        assert all({*rows} == {*CATEGORIES, ALL_ROW_LABEL} for rows in measured.values()), number
     for number in ("Table 4", "Table 5", "Table 6"):
         rows = published()[number]["groups"]["1-DoF"]
         assert {*tables[number]["measured"]["1-DoF"]} == {*rows}
@@ -68,22 +70,22 @@ def test_arctic_grasps(tmp_path: Path, run: Run) -> None:
     tables = read_json(out / "tables.json")["tables"]
     ours = {"Single Frame, ours", "HOMan, ours", "1-DoF, ours", "soft hinge"}
     assert {*tables["Table 2"]["measured"]} == {*published()["Table 2"]["groups"]} | ours
-    assert tables["Table 2"]["measured"]["1-DoF"][ALL]["IOU"] > 50.0
+    assert tables["Table 2"]["measured"]["1-DoF"][ALL_ROW_LABEL]["IOU"] > 50.0
     assert tables["Table 8"]["measured"]["grasps"]["ball"]["clips"] >= 1
-    errors = tables["Sec. 3"]["measured"]["grasps"][ALL]
+    errors = tables["Sec. 3"]["measured"]["grasps"][ALL_ROW_LABEL]
     assert errors == pytest.approx({"1-DoF": 0.0, "static": 0.0}, abs=1e-6)  # the ball is held still
 
 
-@pytest.mark.parametrize("needs", [epic.NEEDS, arctic.NEEDS])
-def test_all_that_is_missing_is_named_first(tmp_path: Path, run: Run, needs: dict[str, epic.Need]) -> None:
-    name = "epic-grasps" if needs is epic.NEEDS else "arctic-grasps"
+@pytest.mark.parametrize("needs", [epic.EPIC_REQUIREMENTS, arctic.ARCTIC_REQUIREMENTS])
+def test_all_that_is_missing_is_named_first(tmp_path: Path, run: Run, needs: dict[str, epic.RequiredFile]) -> None:
+    name = "epic-grasps" if needs is epic.EPIC_REQUIREMENTS else "arctic-grasps"
     status, said, told = run("reproduce", name, tmp_path, "--out", tmp_path / "out")
     assert (status, said) == (2, "")
     assert all(need.source in told and need.what in told for need in needs.values())
     assert len(told.splitlines()) > len(needs)  # a line each
     assert " or " not in told, "one place for each"
-    later = [need.what in told for need in epic.HANDS.values()]
-    assert later == [needs is epic.NEEDS] * 2, "before 100 GB are fetched"
+    later = [need.what in told for need in epic.EPIC_HAND_SOURCES.values()]
+    assert later == [needs is epic.EPIC_REQUIREMENTS] * 2, "before 100 GB are fetched"
     assert not (tmp_path / "out").exists()
 
 
@@ -91,24 +93,27 @@ def test_several_folders_hold_what_is_needed_together(tmp_path: Path, run: Run) 
     root = write_epic_paper(tmp_path / "root")
     shutil.move(root / "mano", tmp_path / "elsewhere")
     told = run("reproduce", "epic-grasps", root, "--out", tmp_path / "out")[2]
-    assert epic.NEEDS["mano"].source in told
-    assert epic.NEEDS["visor"].source not in told
-    assert epic.found(epic.NEEDS, [root, tmp_path / "elsewhere"])["mano"] == tmp_path / "elsewhere"
+    assert epic.EPIC_REQUIREMENTS["mano"].source in told
+    assert epic.EPIC_REQUIREMENTS["visor"].source not in told
+    assert epic.find_required(epic.EPIC_REQUIREMENTS, [root, tmp_path / "elsewhere"])["mano"] == tmp_path / "elsewhere"
 
 
 def test_visor_is_found_as_it_is_downloaded(tmp_path: Path) -> None:
     folder = tmp_path / "2v6cgv1x04ol22qp9rm9x2j6a7" / "GroundTruth-SparseAnnotations" / "annotations" / "train"
     folder.mkdir(parents=True)
-    assert epic.NEEDS["visor"].find([tmp_path]) is None
+    assert epic.EPIC_REQUIREMENTS["visor"].find([tmp_path]) is None
     (folder / "P01_01.json").write_text("{}")
-    assert epic.NEEDS["visor"].find([tmp_path]) == tmp_path / "2v6cgv1x04ol22qp9rm9x2j6a7"
+    assert epic.EPIC_REQUIREMENTS["visor"].find([tmp_path]) == tmp_path / "2v6cgv1x04ol22qp9rm9x2j6a7"
 
 
 def test_clips_of_one_category_are_a_row_of_their_own(tmp_path: Path) -> None:
     row = {"row": "paper", "failed": 0, "values": {"IOU": {"mean": 0.5}}}
     page = {"tables": [{"table": "all", "clips": 1, "rows": [row]}], "clips": [{"category": "mug"}]}
     write_json(tmp_path / "bench.json", page)
-    assert bench_values(tmp_path / "bench.json", "paper", {"IOU": "IOU"}) == {ALL: {"IOU": 50.0}, "mug": {"IOU": 50.0}}
+    assert bench_values(tmp_path / "bench.json", "paper", {"IOU": "IOU"}) == {
+        ALL_ROW_LABEL: {"IOU": 50.0},
+        "mug": {"IOU": 50.0},
+    }
 
 
 @pytest.mark.parametrize("number", published())
@@ -118,15 +123,15 @@ def test_printed_numbers_are_whole_tables(number: str) -> None:
     for rows in table["groups"].values():
         assert all(len(row) == len(table["columns"]) for row in rows.values())
         for k, column in enumerate(table["columns"]):
-            values = [row[k] for name, row in rows.items() if name != ALL]
-            if values and ALL in rows and column not in ("clips", "std"):
-                assert min(values) <= rows[ALL][k] <= max(values)
+            values = [row[k] for name, row in rows.items() if name != ALL_ROW_LABEL]
+            if values and ALL_ROW_LABEL in rows and column not in ("clips", "std"):
+                assert min(values) <= rows[ALL_ROW_LABEL][k] <= max(values)
 
 
 def test_counts_of_categories_add_up() -> None:
     for number in ("Table 7", "Table 8"):
         rows = published()[number]["groups"]["grasps"]
-        assert sum(row[-1] for name, row in rows.items() if name != ALL) == rows[ALL][-1]
+        assert sum(row[-1] for name, row in rows.items() if name != ALL_ROW_LABEL) == rows[ALL_ROW_LABEL][-1]
 
 
 def test_best_and_second_are_marked_and_the_printed_number_stands_beside() -> None:
@@ -135,7 +140,7 @@ def test_best_and_second_are_marked_and_the_printed_number_stands_beside() -> No
 
     table = PaperTable("Table 3", {"HOMan": row(50.0), "1-DoF": row(60.0), "soft hinge": row(70.0)})
     assert table.groups == ["HOMan", "Dynamic", "1-DoF", "soft hinge"]
-    assert table.rows[-1] == ALL
+    assert table.rows[-1] == ALL_ROW_LABEL
     assert table.cell("soft hinge", "mug", "IOU", latex=False) == "**70.0**"
     assert table.cell("1-DoF", "mug", "IOU", latex=False) == "<u>60.0</u> (62.6)"
     assert table.cell("HOMan", "mug", "IOU", latex=True) == "50.0 (59.4)"
@@ -150,5 +155,5 @@ def test_no_table_is_written_through_a_link(tmp_path: Path, end: str) -> None:
     out.mkdir()
     (out / f"tables.{end}").symlink_to(other)
     with suppress(InputError):
-        write([], out, [])
+        write_paper_tables([], out, [])
     assert other.read_text() == "a user's"

@@ -8,7 +8,7 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 
-from getagrip.segmentation.semi_markov import cheapest, margins
+from getagrip.segmentation.semi_markov import cheapest_division, division_margins
 
 Segments = tuple[tuple[int, int, int], ...]
 """First frame, last frame, state of each."""
@@ -37,7 +37,7 @@ def total(cost: np.ndarray, segments: Segments) -> float:
 def test_no_division_is_cheaper(seed: int) -> None:
     cost = drawn(seed)
     least = min(every_division(6, 2), key=lambda segments: total(cost, segments))
-    found = cheapest(cost)
+    found = cheapest_division(cost)
     assert found.cost == pytest.approx(total(cost, least))
     if np.isfinite(found.cost):
         spans = [(int(a), int(b), int(s)) for (a, b), s in zip(found.spans, found.states, strict=True)]
@@ -50,9 +50,9 @@ def test_no_division_is_cheaper(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(6))
 def test_margins_are_those_of_the_best_division_without_the_state_there(seed: int) -> None:
     cost = np.where(np.isfinite(drawn(seed)), drawn(seed), 5.0)
-    found = cheapest(cost)
+    found = cheapest_division(cost)
     divisions = list(every_division(6, 2))
-    for (first, last), state, margin in zip(found.spans, found.states, margins(cost, found), strict=True):
+    for (first, last), state, margin in zip(found.spans, found.states, division_margins(cost, found), strict=True):
         edge = (last + 1 - first) // 4
         core = range(first + edge, last - edge + 1)
         others = [d for d in divisions if not any(s == state and a <= n <= b for a, b, s in d for n in core)]
@@ -61,6 +61,6 @@ def test_margins_are_those_of_the_best_division_without_the_state_there(seed: in
 
 
 def test_what_is_impossible_is_not_found() -> None:
-    found = cheapest(np.full((2, 4, 4), np.inf))
+    found = cheapest_division(np.full((2, 4, 4), np.inf))
     assert found.cost == np.inf
     assert len(found.spans) == len(found.states) == 0

@@ -5,12 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from getagrip.segmentation.hinge_fits import HingeFit, pieces
+from getagrip.segmentation.hinge_fits import HingeFit, split_runs
 from getagrip.segmentation.image_motion import ImageMotion
-from getagrip.segmentation.semi_markov import MOTIONS, STILL, cheapest, chosen, window_costs
+from getagrip.segmentation.semi_markov import (
+    MOTION_STATES,
+    STATIC_CONTOUR_SIGMA_PX,
+    best_fit_in_window,
+    cheapest_division,
+    window_costs,
+)
 
 T, ONSET = 40, 18
-STATIC, HELD, FREE = (MOTIONS.index(name) for name in ("static", "held", "free"))
+STATIC, HELD, FREE = (MOTION_STATES.index(name) for name in ("static", "held", "free"))
 
 
 def moved(lags: int = 4, speed: float = 2.0) -> ImageMotion:
@@ -32,7 +38,7 @@ def fit(first: int, last: int, right: slice, frames: np.ndarray | None = None) -
 
 
 def states(held: list[HingeFit], motion: ImageMotion | None = None) -> list[tuple[int, int, int]]:
-    found = cheapest(window_costs(motion or moved(), held))
+    found = cheapest_division(window_costs(motion or moved(), held))
     return [(int(a), int(b), int(s)) for (a, b), s in zip(found.spans, found.states, strict=True)]
 
 
@@ -53,8 +59,8 @@ def test_a_pause_in_the_air_does_not_end_a_hold() -> None:
 def test_two_ways_to_hold_are_two_segments() -> None:
     fits = [fit(0, T - 1, slice(ONSET, 29)), fit(0, T - 1, slice(29, None))]
     assert states(fits)[1:] == [(ONSET, 28, HELD), (29, T - 1, HELD)]
-    assert chosen(fits, ONSET, 28, 0.0) is fits[0]
-    assert chosen(fits, 29, T - 1, 0.0) is fits[1]
+    assert best_fit_in_window(fits, ONSET, 28, 0.0) is fits[0]
+    assert best_fit_in_window(fits, 29, T - 1, 0.0) is fits[1]
 
 
 def test_a_fit_says_nothing_where_it_was_not_tried() -> None:
@@ -72,7 +78,7 @@ def test_frames_that_nobody_knows_cost_nothing() -> None:
     assert states([], motion) == [(0, T - 1, STATIC)]
 
 
-@pytest.mark.parametrize("jitter", [0.5 * STILL, STILL])
+@pytest.mark.parametrize("jitter", [0.5 * STATIC_CONTOUR_SIGMA_PX, STATIC_CONTOUR_SIGMA_PX])
 def test_jitter_of_masks_is_no_motion(jitter: float) -> None:
     motion = ImageMotion(np.full((4, T), jitter), np.zeros((4, T)))
     assert states([], motion) == [(0, T - 1, STATIC)]
@@ -86,5 +92,5 @@ def test_windows_end_after_they_start() -> None:
 
 
 def test_runs_are_cut_into_equal_pieces() -> None:
-    parts = list(pieces([(3, 5), (10, 29), (40, 139)], longest=60, shortest=6))
+    parts = list(split_runs([(3, 5), (10, 29), (40, 139)], longest=60, shortest=6))
     assert [(part[0], part[-1]) for part in parts] == [(10, 29), (40, 89), (90, 139)]

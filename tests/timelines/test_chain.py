@@ -13,7 +13,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.timelines.following import Paths
 from getagrip.timelines.hypotheses import Hypotheses
-from getagrip.timelines.joint import best_chain, distance2, link_cost, second_best
+from getagrip.timelines.joint import best_chain, link_cost, second_best, squared_vertex_distance
 from helpers.clips import box
 
 
@@ -105,7 +105,7 @@ def test_links_know_no_frame_and_no_unit(seed: int) -> None:
 
 def test_distance_is_nothing_where_poses_are_the_same_and_the_same_both_ways() -> None:
     one, other = some_ends(0, 4), some_ends(1, 3)
-    np.testing.assert_allclose(np.diag(distance2(MESH, one, one)), 0.0, atol=1e-15)
-    np.testing.assert_allclose(distance2(MESH, one, other), distance2(MESH, other, one).T)
+    np.testing.assert_allclose(np.diag(squared_vertex_distance(MESH, one, one)), 0.0, atol=1e-15)
+    np.testing.assert_allclose(squared_vertex_distance(MESH, one, other), squared_vertex_distance(MESH, other, one).T)
     shifted = Hypotheses(one.R, one.centre + np.array([0.0, 0.03, 0.04]), one.scale, one.energy)
-    np.testing.assert_allclose(np.diag(distance2(MESH, one, shifted)), 0.05**2)
+    np.testing.assert_allclose(np.diag(squared_vertex_distance(MESH, one, shifted)), 0.05**2)

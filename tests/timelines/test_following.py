@@ -7,10 +7,10 @@ import pytest
 
 from getagrip.clip import with_masks
 from getagrip.fitting.options import Options
-from getagrip.fitting.pipeline import repair
+from getagrip.fitting.pipeline import repair_input
 from getagrip.geometry import se3
-from getagrip.timelines.following import PATHS, _distinct, follow
-from getagrip.timelines.footage import Footage
+from getagrip.timelines.following import N_PATHS, _select_distinct_paths, track_hypotheses
+from getagrip.timelines.footage import TimelineInputs
 from getagrip.timelines.hypotheses import Hypotheses
 from helpers.timelines import timeline
 
@@ -19,7 +19,7 @@ def test_the_cheapest_distinct_paths_of_each_start_are_kept() -> None:
     rng = np.random.default_rng(0)
     spots, cost, start = rng.uniform(size=(60, 12)), rng.uniform(size=60), rng.integers(3, size=60)
     spots[1], start[1], cost[1] = spots[0] + 1e-4, start[0], cost[0] + 1.0  # a copy
-    kept = _distinct(spots, cost, start, 5, 0.5)
+    kept = _select_distinct_paths(spots, cost, start, 5, 0.5)
     assert np.all(np.diff(cost[kept]) > 0.0)
     assert 1 not in kept
     for one in range(3):
@@ -34,7 +34,7 @@ def test_the_cheapest_distinct_paths_of_each_start_are_kept() -> None:
 @pytest.mark.parametrize("back", [False, True])
 def test_the_best_path_is_the_true_one(back: bool) -> None:
     clip, masks = timeline()
-    footage = Footage.of(repair(with_masks(clip, masks), Options(inits=20)))
+    footage = TimelineInputs.of(repair_input(with_masks(clip, masks), Options(inits=20)))
     assert clip.truth is not None
     T = footage.T_world_cam @ clip.truth.T_cam_obj
     begin, rows = (7, np.arange(6, 2, -1)) if back else (4, np.arange(5, 10))
@@ -43,10 +43,10 @@ def test_the_best_path_is_the_true_one(back: bool) -> None:
     start = Hypotheses(
         T[[begin, begin], None, :3, :3], np.stack([centre, away]), np.ones(2), np.array([0.0, 1.0])
     )  # fmt: skip
-    paths = follow(footage, begin, rows, start)
+    paths = track_hypotheses(footage, begin, rows, start)
     assert paths.start[0] == 0
     assert {*paths.start} == {0, 1}
-    assert np.bincount(paths.start).max() <= PATHS
+    assert np.bincount(paths.start).max() <= N_PATHS
     off = se3.transform(paths.found.T_world_obj(clip.mesh.centre)[0], clip.mesh.vertices[None])
     off = off - se3.transform(T[rows], clip.mesh.vertices[None])
     assert np.linalg.norm(off, axis=-1).mean(axis=1).max() < 0.07 * clip.mesh.diameter

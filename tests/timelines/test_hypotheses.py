@@ -10,16 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from getagrip.clip import Segment, read_masks, with_masks
-from getagrip.fitting.energy.smoothness import moments
-from getagrip.fitting.motion import PosesInHand, moved
+from getagrip.fitting.energy.smoothness import vertex_moments
+from getagrip.fitting.motion import PosesInHand, transform_poses
 from getagrip.fitting.options import Options
-from getagrip.fitting.pipeline import repair
+from getagrip.fitting.pipeline import repair_input
 from getagrip.geometry import se3
-from getagrip.timelines.between import _blended
-from getagrip.timelines.following import _spots, carried_by_hands
-from getagrip.timelines.footage import Footage, Grasp
+from getagrip.timelines.between import _blend_motions
+from getagrip.timelines.following import _pose_embedding, hand_motions
+from getagrip.timelines.footage import GraspClip, TimelineInputs
 from getagrip.timelines.hypotheses import Hypotheses
-from getagrip.timelines.motion import Motion, split_at_gaps
+from getagrip.timelines.motion import TimelineMotion, split_at_gaps
 from helpers.clips import box
 from helpers.timelines import by_other_hand, timeline
 
@@ -37,15 +37,15 @@ def random_hypotheses(rng: np.random.Generator, frames: int = N) -> Hypotheses:
 
 
 @pytest.fixture(scope="module")
-def footage() -> Footage:
-    return Footage.of(repair(with_masks(*timeline()), Options(inits=4)))
+def footage() -> TimelineInputs:
+    return TimelineInputs.of(repair_input(with_masks(*timeline()), Options(inits=4)))
 
 
 @given(st.integers(0, 99))
 def test_poses_go_to_another_frame_and_back(seed: int) -> None:
     rng = np.random.default_rng(seed)
     found, T = random_hypotheses(rng), random_motions(rng)
-    back = moved(moved(found, T), se3.inverse(T))
+    back = transform_poses(transform_poses(found, T), se3.inverse(T))
     np.testing.assert_allclose(back.R, found.R, atol=1e-12)
     np.testing.assert_allclose(back.centre, found.centre, atol=1e-12)
 
@@ -72,7 +72,7 @@ def test_spots_are_as_far_apart_as_surfaces(seed: int) -> None:
     rng = np.random.default_rng(seed)
     found = random_hypotheses(rng, 1)
     about = VERTICES - VERTICES.mean(axis=0)
-    spots = _spots(moments(about), PosesInHand(found.R, found.centre, found.scale))
+    spots = _pose_embedding(vertex_moments(about), PosesInHand(found.R, found.centre, found.scale))
     posed = found.scale[:, None, None] * about @ np.swapaxes(found.R[:, 0], -1, -2) + found.centre
     for k in range(1, K):
         rms = np.sqrt(np.mean(np.sum((posed[k] - posed[0]) ** 2, axis=-1)))
@@ -84,18 +84,18 @@ def test_a_blend_is_the_same_backwards_and_in_any_frame(seed: int) -> None:
     rng = np.random.default_rng(seed)
     ahead, behind = (random_hypotheses(rng).take(np.zeros(1, int)) for _ in range(2))
     back, T = np.arange(N)[::-1], random_motions(rng, 1).repeat(N, axis=0)
-    blend = _blended(ahead, behind)
+    blend = _blend_motions(ahead, behind)
     for other in (
-        _blended(behind.at(back), ahead.at(back)).at(back),
-        moved(_blended(*(_in(T, one) for one in (ahead, behind))), se3.inverse(T)),
+        _blend_motions(behind.at(back), ahead.at(back)).at(back),
+        transform_poses(_blend_motions(*(_in(T, one) for one in (ahead, behind))), se3.inverse(T)),
     ):
         np.testing.assert_allclose(other.R, blend.R, atol=1e-9)
         np.testing.assert_allclose(other.centre, blend.centre, atol=1e-9)
-    np.testing.assert_allclose(_blended(ahead, ahead).R, ahead.R, atol=1e-12)
+    np.testing.assert_allclose(_blend_motions(ahead, ahead).R, ahead.R, atol=1e-12)
 
 
 def _in(T: np.ndarray, found: Hypotheses) -> Hypotheses:
-    poses = moved(found, T)
+    poses = transform_poses(found, T)
     return Hypotheses(poses.R, poses.centre, poses.scale, found.energy)
 
 
@@ -108,8 +108,8 @@ def test_parts_without_gaps_are_all_of_the_frames(known: set[int]) -> None:
     assert {(part.state, part.side) for part in parts} == {("grasp", "left")}
 
 
-def test_what_is_put_in_a_frame_is_there(footage: Footage) -> None:
-    motion, rows = Motion.of(footage.clip, footage.shown), np.arange(2, 5)
+def test_what_is_put_in_a_frame_is_there(footage: TimelineInputs) -> None:
+    motion, rows = TimelineMotion.of(footage.clip, footage.shown), np.arange(2, 5)
     T = random_motions(np.random.default_rng(0), 1)[0]
     found = Hypotheses.of_pose(T, footage.clip.mesh.centre).at(np.zeros(3, int))
     motion.put(rows, found, "fitted")
@@ -119,9 +119,9 @@ def test_what_is_put_in_a_frame_is_there(footage: Footage) -> None:
         np.testing.assert_allclose(motion.at(int(row)).T_world_obj(footage.clip.mesh.centre)[0, 0], T, atol=1e-12)
 
 
-def test_what_a_hand_carries_comes_back(footage: Footage) -> None:
+def test_what_a_hand_carries_comes_back(footage: TimelineInputs) -> None:
     (there,), (back,), (on,), (whole,) = (
-        carried_by_hands(footage.clip, *ends) for ends in ((1, 6), (6, 1), (6, 9), (1, 9))
+        hand_motions(footage.clip, *ends) for ends in ((1, 6), (6, 1), (6, 9), (1, 9))
     )
     np.testing.assert_allclose(there @ back, np.eye(4), atol=1e-12)
     np.testing.assert_allclose(on @ there, whole, atol=1e-12)
@@ -131,7 +131,7 @@ def test_a_grasp_is_a_clip_of_the_frames_in_which_its_hand_is_known() -> None:
     clip, masks = by_other_hand()
     assert clip.other_hand is not None
     grasp = clip.segments[2]
-    found = Grasp.of(with_masks(clip, masks), grasp)
+    found = GraspClip.of(with_masks(clip, masks), grasp)
     assert found is not None
     of_hand, seen, rows = found.clip, read_masks(found.clip), found.rows
     assert rows.tolist() == [n for n in grasp.rows if clip.other_hand.known[n]]

@@ -11,12 +11,12 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, HandTrack, Masks, Segment, World, with_masks
 from getagrip.fitting.options import Options
-from getagrip.fitting.pipeline import repair
-from getagrip.fitting.problem import prepare
+from getagrip.fitting.pipeline import repair_input
+from getagrip.fitting.problem import prepare_problem
 from getagrip.geometry import se3
 from getagrip.result import Reconstruction
-from getagrip.timelines.following import follow
-from getagrip.timelines.footage import Footage, Grasp
+from getagrip.timelines.following import track_hypotheses
+from getagrip.timelines.footage import GraspClip, TimelineInputs
 from getagrip.timelines.grasp_segment import fit_in_all_frames, solve_grasp
 from getagrip.timelines.hypotheses import Hypotheses
 from getagrip.timelines.reconstruct import reconstruct
@@ -49,10 +49,10 @@ def test_a_grasp_of_a_timeline_is_solved_as_a_grasp_by_itself() -> None:
     segment = Segment("grasp", 0, 7, clip.side)
     rows = clip.segments[2].rows
     alone, seen = replace(clip, segments=()).take(rows), masks.take(rows)
-    footage = Footage.of(repair(with_masks(replace(alone, segments=(segment,)), seen), FEW))
-    grasp = Grasp.of(footage.clip, segment)
+    footage = TimelineInputs.of(repair_input(with_masks(replace(alone, segments=(segment,)), seen), FEW))
+    grasp = GraspClip.of(footage.clip, segment)
     assert grasp is not None
-    found = fit_in_all_frames(solve_grasp(grasp, prepare(grasp.clip, FEW), []), 0, [])
+    found = fit_in_all_frames(solve_grasp(grasp, prepare_problem(grasp.clip, FEW), []), 0, [])
     expected = reconstruct(alone, seen, replace(FEW, mesh="as-given", masks="as-given"))
     np.testing.assert_array_equal(found.track.T_hand_obj[0], expected.T_hand_obj)
     assert found.axis is not None
@@ -121,15 +121,15 @@ def test_a_grasp_may_be_cut_in_two() -> None:
 def test_poses_are_followed_independently() -> None:
     """Each start goes where it goes alone, and where the hand is does not matter to frames that it does not change."""
     clip, masks = timeline()
-    footage = Footage.of(repair(with_masks(clip, masks), FEW))
+    footage = TimelineInputs.of(repair_input(with_masks(clip, masks), FEW))
     assert clip.truth is not None
     T = footage.T_world_cam[4] @ clip.truth.T_cam_obj[4]
     true = Hypotheses.of_pose(T, clip.mesh.centre)
     away = replace(true, centre=true.centre + 0.3 * clip.mesh.diameter, energy=true.energy + 1.0)
     rows = np.arange(5, 8)
-    both = follow(footage, 4, rows, true.concatenate(away))
+    both = track_hypotheses(footage, 4, rows, true.concatenate(away))
     for k, start in enumerate((true, away)):
-        alone, of = follow(footage, 4, rows, start).found, both.found.take(both.start == k)
+        alone, of = track_hypotheses(footage, 4, rows, start).found, both.found.take(both.start == k)
         np.testing.assert_array_equal(alone.R, of.R)
         np.testing.assert_array_equal(alone.centre, of.centre)
         np.testing.assert_array_equal(alone.energy, of.energy)

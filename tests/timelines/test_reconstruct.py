@@ -14,10 +14,10 @@ from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.pages.report import _segments
+from getagrip.pages.report import _describe_segments
 from getagrip.provenance import estimated
 from getagrip.result import Reconstruction, read_result, write_result
-from getagrip.result.segments import probabilities_of_grasps
+from getagrip.result.segments import describe_grasp_probabilities
 from getagrip.timelines.reconstruct import reconstruct
 from helpers.timelines import LIES, by_other_hand, timeline
 
@@ -50,10 +50,10 @@ def test_all_frames_are_answered(found: Reconstruction) -> None:
     assert np.linalg.norm(found.segments[2].axis_direction) == pytest.approx(1.0)
     assert [bool(segment.signs) for segment in found.segments] == [False, False, True]
     assert found.segments[2].probability_right is None  # the search was shorter than those that were calibrated
-    assert probabilities_of_grasps(found.segments) == "probability that its grasps are right: unknown"
+    assert describe_grasp_probabilities(found.segments) == "probability that its grasps are right: unknown"
     signs, known = found.segments[2].signs, CALIBRATIONS["soft-hinge", "hand"]
     right = replace(found.segments[2], probability_right=known.probability(signs))
-    assert probabilities_of_grasps([right]).endswith("%")
+    assert describe_grasp_probabilities([right]).endswith("%")
 
 
 @pytest.mark.slow
@@ -84,7 +84,7 @@ def test_one_scale_is_found_for_all_segments() -> None:
 
 @pytest.mark.slow
 def test_the_report_names_the_segments(found: Reconstruction) -> None:
-    words = _segments(found)
+    words = _describe_segments(found)
     assert words[0].startswith("static: frames 000000 to 000004, IOU 0.9")
     assert [line.split(":")[0] for line in words] == ["static", "contact (right hand)", "grasp (right hand)"]
 

@@ -8,26 +8,26 @@ from hypothesis import strategies as st
 
 from getagrip.clip import with_masks
 from getagrip.fitting.options import Options
-from getagrip.fitting.pipeline import repair
+from getagrip.fitting.pipeline import repair_input
 from getagrip.geometry import se3
-from getagrip.timelines.footage import Footage
-from getagrip.timelines.motion import Motion
-from getagrip.timelines.settled import depth_jitter, settle
+from getagrip.timelines.footage import TimelineInputs
+from getagrip.timelines.motion import TimelineMotion
+from getagrip.timelines.settled import correct_depth, depth_jitter
 from helpers.timelines import timeline
 
 
 def test_depth_is_mended_and_contact_stays() -> None:
     clip, masks = timeline()
     assert clip.truth is not None
-    footage = Footage.of(repair(with_masks(clip, masks), Options(inits=20)))
+    footage = TimelineInputs.of(repair_input(with_masks(clip, masks), Options(inits=20)))
     rows = np.arange(7)  # the object lies still
     true = clip.truth.T_cam_obj[rows]
     middle = se3.transform(true, clip.mesh.centre[None])[:, 0]
     ray = middle / np.linalg.norm(middle, axis=1, keepdims=True)
     deeper = se3.rigid(None, 0.015 * np.where(rows % 2, 1.0, -1.0)[:, None] * ray)
-    motion = Motion.of(footage.clip, footage.shown)
+    motion = TimelineMotion.of(footage.clip, footage.shown)
     motion.T_cam_obj[rows], motion.T_cam_hand[rows] = deeper @ true, deeper @ clip.hand.T_cam_hand[rows]
-    settle(motion, footage.problem(rows), rows, footage.clip.side, depth_jitter(motion.places(rows)))
+    correct_depth(motion, footage.problem(rows), rows, footage.clip.side, depth_jitter(motion.places(rows)))
     for found, right in ((motion.T_cam_obj, true), (motion.T_cam_hand, clip.hand.T_cam_hand[rows])):
         off = np.abs(np.sum((found[rows, :3, 3] - right[:, :3, 3]) * ray, axis=1))
         assert off.mean() < 0.007

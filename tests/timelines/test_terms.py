@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from getagrip.fitting.energy import PosesInCamera, Term, no_bound
-from getagrip.fitting.energy.smoothness import SmoothnessTerm, TermInFrame, moments
+from getagrip.fitting.energy.smoothness import SmoothnessTerm, TermInFrame, vertex_moments
 from getagrip.geometry import se3
-from getagrip.timelines.grasp_segment import Expected, LinkTerm
+from getagrip.timelines.grasp_segment import ExpectedPoses, LinkTerm
 from getagrip.timelines.static_pose import SupportTerm, hull_vertices, plane_in_camera
 from helpers.clips import box
 from helpers.terms import N, differences, hypotheses_are_independent, is_trustworthy, moved, random_poses, total_hessian
@@ -25,7 +25,9 @@ def some(kind: str, rng: np.random.Generator) -> Term:
     K, m = 3, 2
     R = se3.exp_so3(rng.normal(size=(K, m, 3)))
     centre = np.array([0.0, 0.0, 0.5]) + rng.normal(0.0, 0.02, (K, m, 3))
-    return LinkTerm(moments(VERTICES), Expected(np.array([0, 2]), R, centre, rng.uniform(0.0, 5.0, K)), 1e3, 0.05)
+    return LinkTerm(
+        vertex_moments(VERTICES), ExpectedPoses(np.array([0, 2]), R, centre, rng.uniform(0.0, 5.0, K)), 1e3, 0.05
+    )
 
 
 @pytest.mark.parametrize("kind", ["support", "link"])
@@ -76,7 +78,7 @@ def test_the_unit_of_length_does_not_matter(kind: str) -> None:
     else:
         assert isinstance(term, LinkTerm)
         expected = replace(term.expected, centre=k * term.expected.centre)
-        other = replace(term, moments=moments(k * VERTICES), expected=expected, slip=k * term.slip)
+        other = replace(term, moments=vertex_moments(k * VERTICES), expected=expected, slip=k * term.slip)
     larger = PosesInCamera(poses.R, k * poses.centre, poses.scale)
     value = other(larger, no_bound(larger)).value
     np.testing.assert_allclose(value, term(poses, no_bound(poses)).value, rtol=1e-9)
@@ -86,7 +88,7 @@ def test_the_frame_of_the_world_does_not_matter() -> None:
     rng = np.random.default_rng(7)
     T_world_cam = se3.rigid(se3.exp_so3(rng.normal(size=(N, 3))), rng.normal(size=(N, 3)))
     T_new_world = se3.rigid(se3.exp_so3(rng.normal(size=3)), rng.normal(size=3))
-    poses, inner = random_poses(rng), SmoothnessTerm(moments(VERTICES), 1e4)
+    poses, inner = random_poses(rng), SmoothnessTerm(vertex_moments(VERTICES), 1e4)
     one, other = (TermInFrame(inner, T)(poses, no_bound(poses)) for T in (T_world_cam, T_new_world @ T_world_cam))
     assert one.cross is not None
     assert other.cross is not None
@@ -110,7 +112,7 @@ def test_a_term_in_the_world_sees_no_moving_camera() -> None:
     """Derivatives, frames tied to each other included; what stands still in the world is smooth."""
     rng = np.random.default_rng(4)
     T_world_cam = se3.rigid(se3.exp_so3(rng.normal(0.0, 0.1, (N, 3))), rng.normal(0.0, 0.01, (N, 3)))
-    term = TermInFrame(SmoothnessTerm(moments(VERTICES), 1e4), T_world_cam)
+    term = TermInFrame(SmoothnessTerm(vertex_moments(VERTICES), 1e4), T_world_cam)
     poses = random_poses(rng)
     local = term(poses, no_bound(poses))
     steps = np.zeros((N, 7))
@@ -139,8 +141,8 @@ def test_what_touches_the_plane_costs_nothing() -> None:
 def test_a_link_costs_no_more_than_its_weight_and_nothing_at_a_hypothesis() -> None:
     rng = np.random.default_rng(2)
     poses = random_poses(rng, 1, 3)
-    expected = Expected(np.arange(3), poses.R.copy(), poses.centre.copy(), np.zeros(1))
-    term = LinkTerm(moments(VERTICES), expected, 100.0, 0.01)
+    expected = ExpectedPoses(np.arange(3), poses.R.copy(), poses.centre.copy(), np.zeros(1))
+    term = LinkTerm(vertex_moments(VERTICES), expected, 100.0, 0.01)
     one = PosesInCamera(poses.R, poses.centre, np.ones(1))
     assert term(one, no_bound(one)).value.sum() == pytest.approx(0.0, abs=1e-9)
     away = PosesInCamera(poses.R, poses.centre + 5.0, np.ones(1))

@@ -36,7 +36,7 @@ def temporal_iou(a: tuple[int, int], b: tuple[int, int]) -> float:
     return max(0, both) / (a[1] - a[0] + 1 + b[1] - b[0] + 1 - max(0, both))
 
 
-def matched(ours: Sequence[Mark], theirs: Sequence[Mark]) -> list[float]:
+def match_grasps(ours: Sequence[Mark], theirs: Sequence[Mark]) -> list[float]:
     """Match the grasps of two people such that the sum of IOU is largest; return their IOU, 0 for unmatched ones.
 
     Grasps of different hands are not paired, nor such as do not overlap. The order of the people does not matter.
@@ -53,24 +53,26 @@ def matched(ours: Sequence[Mark], theirs: Sequence[Mark]) -> list[float]:
     return sorted(pairs, reverse=True) + [0.0] * alone
 
 
-def agreements(marks: Sequence[Mark]) -> list[Agreement]:
+def pairwise_agreements(marks: Sequence[Mark]) -> list[Agreement]:
     """Compute the agreement of every two people who have looked at the same tasks."""
     marked: dict[str, dict[str, list[Mark]]] = {}
     for mark in marks:
         if mark.interval or mark.reason:  # a start without an end says nothing yet
             marked.setdefault(mark.annotator, {}).setdefault(mark.task, []).append(mark)
-    found = [_agreement(a, b, marked[a], marked[b]) for a, b in combinations(sorted(marked), 2)]
+    found = [_agreement_of_pair(a, b, marked[a], marked[b]) for a, b in combinations(sorted(marked), 2)]
     return [one for one in found if one.tasks]
 
 
-def _agreement(first: str, second: str, ours: dict[str, list[Mark]], theirs: dict[str, list[Mark]]) -> Agreement:
+def _agreement_of_pair(
+    first: str, second: str, ours: dict[str, list[Mark]], theirs: dict[str, list[Mark]]
+) -> Agreement:
     values, both, one = list[float](), 0, 0
     shared = sorted(ours.keys() & theirs.keys())
     for task in shared:
         a, b = ([mark for mark in marks[task] if mark.grasp] for marks in (ours, theirs))
         both += not a and not b
         one += bool(a) != bool(b)
-        values += matched(a, b)
+        values += match_grasps(a, b)
     mean = float(np.mean(values)) if values else None
     half = float(np.mean(np.array(values) > 0.5)) if values else None
     return Agreement(first, second, len(shared), both, one, len(values), mean, half)

@@ -43,7 +43,7 @@ Work = Callable[[BackgroundJob], str]
 """Does it, and says in words what was made."""
 
 
-class Background:
+class BackgroundQueue:
     """The last job of each thing that was worked on."""
 
     def __init__(self) -> None:
@@ -58,7 +58,7 @@ class Background:
             if (old := self._jobs.get(key)) is not None:
                 old.stop.set()
             self._jobs[key] = job
-        self._pool.submit(_run, job, work)
+        self._pool.submit(_run_background_job, job, work)
 
     def cancel(self, key: str) -> None:
         """Cancel the work on something."""
@@ -76,7 +76,7 @@ class Background:
         self._pool.shutdown()
 
 
-def _run(job: BackgroundJob, work: Work) -> None:
+def _run_background_job(job: BackgroundJob, work: Work) -> None:
     try:
         job.report(0, 0)
         job.state = "running"

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Literal
 
 from getagrip.errors import UsageError
-from getagrip.io.terminal import report
+from getagrip.io.terminal import print_note
 
 
 @dataclass(frozen=True)
@@ -44,53 +44,53 @@ ESTIMATORS = {
 }
 
 
-def named(makes: str) -> tuple[str, ...]:
+def estimators_making(makes: str) -> tuple[str, ...]:
     """Return the names of the estimators that make ``masks`` or ``hands``."""
     return tuple(name for name, one in ESTIMATORS.items() if one.makes == makes)
 
 
-def variable(name: str) -> str:
+def command_variable(name: str) -> str:
     """Return the environment variable that holds an estimator's command."""
     return f"GETAGRIP_{name.upper()}"
 
 
-def advice(name: str) -> str:
+def setup_advice(name: str) -> str:
     """Say how to set an estimator up."""
-    return f"{variable(name)}='/environments/{name}/bin/python /scripts/{ESTIMATORS[name].script}', see estimators.md"
+    return f"{command_variable(name)}='/environments/{name}/bin/python /scripts/{ESTIMATORS[name].script}', see estimators.md"
 
 
-def command(name: str) -> list[str] | None:
+def estimator_command(name: str) -> list[str] | None:
     """Return the words of an estimator's command; None where it is not set up.
 
     Raises ``UsageError`` for a command whose program or script is not there.
     """
     try:
-        words = shlex.split(os.environ.get(variable(name), ""))
+        words = shlex.split(os.environ.get(command_variable(name), ""))
     except ValueError as error:
-        raise UsageError(f"{variable(name)} must be a command ({error})") from error
+        raise UsageError(f"{command_variable(name)} must be a command ({error})") from error
     if not words:
         return None
     program = shutil.which(words[0])
     if program is None or any(word.endswith(".py") and not Path(word).is_file() for word in words):
         lost = words[0] if program is None else next(word for word in words if word.endswith(".py"))
-        raise UsageError(f"{variable(name)} must be a command that is there (got {lost})")
+        raise UsageError(f"{command_variable(name)} must be a command that is there (got {lost})")
     return [program, *(str(Path(word).absolute()) if word.endswith(".py") else word for word in words[1:])]
 
 
-def check(name: str) -> None:
+def check_estimator(name: str) -> None:
     """Raise ``UsageError`` for an estimator that is not set up."""
-    if command(name) is None:
-        raise UsageError(f"missing {variable(name)}: the command that runs {name}; {advice(name)}")
+    if estimator_command(name) is None:
+        raise UsageError(f"missing {command_variable(name)}: the command that runs {name}; {setup_advice(name)}")
 
 
-def run(name: str, values: Mapping[str, Sequence[object]], out: Path) -> None:
+def run_estimator(name: str, values: Mapping[str, Sequence[object]], out: Path) -> None:
     """Run an estimator, in the folder of its script; it writes into ``out``, which must exist.
 
     ``values`` are those of the names in its words. Raises ``UsageError`` with the last line that it printed where it
     fails or writes nothing.
     """
-    check(name)
-    words = command(name) or []
+    check_estimator(name)
+    words = estimator_command(name) or []
     values = {**values, "out": [out.absolute()], "hand": [out.absolute() / "hand.npz"]}
     for word in ESTIMATORS[name].words.split():
         known = not word.startswith("{") or word[1:-1] in values
@@ -98,7 +98,7 @@ def run(name: str, values: Mapping[str, Sequence[object]], out: Path) -> None:
         if not known:
             words.pop()  # its option
     where = next((Path(word).parent for word in words if word.endswith(".py")), None)
-    report(f"{name}: {shlex.join(words)}")
+    print_note(f"{name}: {shlex.join(words)}")
     done = subprocess.run(words, cwd=where, capture_output=True, text=True, errors="replace", check=False)
     if done.returncode or not any(out.iterdir()):
         said = ((done.stderr.strip() or done.stdout.strip()).splitlines() or ["it said nothing"])[-1]

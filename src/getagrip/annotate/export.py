@@ -9,13 +9,13 @@ from getagrip.annotate.marks import Mark
 from getagrip.annotate.tasks import Task
 from getagrip.io.tables import CsvTable
 
-COLUMNS = ("vid", "st_bound", "ed_bound", "st", "ed", "contact", "handside", "cat", "hos_name", "mp4_name", "set_name",
+EPIC_GRASPS_COLUMNS = ("vid", "st_bound", "ed_bound", "st", "ed", "contact", "handside", "cat", "hos_name", "mp4_name", "set_name",
            "round", "duration", "n_unfiltered_masks", "n_filtered_masks", "good_CAD", "example", "fmt",
            "ablate_inithand")  # fmt: skip
 """Columns of EPIC-Grasps' table."""
 
 
-def grasps(marks: Sequence[Mark]) -> list[Mark]:
+def finished_grasps(marks: Sequence[Mark]) -> list[Mark]:
     """Return the finished grasps, each once: of those with the same video, hand, category and frames the first."""
     return [mark for mark in marks if mark.grasp and mark.side and mark.category]
 
@@ -28,7 +28,7 @@ def epic_rows(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Mapping[
     A task without rough bounds has the grasp's own.
     """
     rows: dict[str, Mapping[str, object]] = {}
-    for mark in grasps(marks):
+    for mark in finished_grasps(marks):
         task = tasks[mark.task]
         st, ed = mark.start_number, mark.end_number
         bounds = (st, ed) if task.start is None else (task.start, task.end)
@@ -36,7 +36,7 @@ def epic_rows(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Mapping[
         touched = [task.contact] if task.contact is not None else []
         name = "_".join(map(str, [task.video, bounds[0], *touched, bounds[1], mark.side, mark.category]))
         fmt = f"{mark.category}/{task.video}_{mark.side}_hand_{st}_{ed}"
-        row = dict.fromkeys(COLUMNS, "") | {
+        row = dict.fromkeys(EPIC_GRASPS_COLUMNS, "") | {
             "vid": task.video, "st_bound": bounds[0], "ed_bound": bounds[1], "st": st, "ed": ed, "contact": contact,
             "handside": f"{mark.side} hand", "cat": mark.category, "hos_name": mark.entity or mark.category,
             "mp4_name": task.mp4_name or f"{name}.mp4", "duration": (ed or 0) - (st or 0) + 1, "good_CAD": 1,
@@ -50,11 +50,13 @@ def epic_csv(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> str:
     """Write EPIC-Grasps' table as text."""
     stream = io.StringIO(newline="")
     rows = epic_rows(marks, tasks)
-    CsvTable(stream).write_rows([COLUMNS, *([row[column] for column in COLUMNS] for row in rows)])
+    CsvTable(stream).write_rows(
+        [EPIC_GRASPS_COLUMNS, *([row[column] for column in EPIC_GRASPS_COLUMNS] for row in rows)]
+    )
     return stream.getvalue()
 
 
-def intervals(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Mapping[str, object]]:
+def grasp_intervals(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Mapping[str, object]]:
     """Return the grasps under the names that ``segment`` gives them; frames count from 0, both included, seconds."""
     rows = [
         {
@@ -65,12 +67,12 @@ def intervals(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Mapping[
             "end": mark.end,
             "duration": mark.seconds,
         }
-        for mark in grasps(marks)
+        for mark in finished_grasps(marks)
     ]
     return [row for n, row in enumerate(rows) if row not in rows[:n]]
 
 
-def discards(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Mapping[str, object]]:
+def discarded_tasks(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Mapping[str, object]]:
     """Return the tasks that were discarded, and why."""
     return [
         {"task": mark.task, "clip": tasks[mark.task].video, "annotator": mark.annotator, "reason": mark.reason}

@@ -15,42 +15,51 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from getagrip.annotate.boxes import LOST, SMALLEST, followed_boxes, reduced
+from getagrip.annotate.boxes import MIN_BOX_CORRELATION, MIN_BOX_SIDE_PX, downscale_image, track_box
 from getagrip.annotate.footage import Footage
-from getagrip.annotate.found_hands import FOLDER
-from getagrip.annotate.lifted_again import DEPTH
+from getagrip.annotate.found_hands import DETECTED_HANDS_FOLDER
+from getagrip.annotate.lifted_again import JOINTS_DEPTH_KEY
 from getagrip.clip import HandTrack
 from getagrip.clip.writing import write_hand
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
-from getagrip.hands.clicked_hands import SCALE
-from getagrip.hands.lifted_hands import LIFTED, hands_from_landmarks
+from getagrip.hands.clicked_hands import ASSUMED_SCALE_NOTE
+from getagrip.hands.lifted_hands import LIFTED_HANDS_NOTE, hands_from_landmarks
 from getagrip.io import files
 from getagrip.io.images import write_mask
-from getagrip.landmarks import HandLandmarks, Side, Sighting, compared, follow, hand_mask, look_again, select
-from getagrip.landmarks.crops import of_box
+from getagrip.landmarks import (
+    HandLandmarks,
+    Side,
+    Sighting,
+    hand_mask,
+    redetect_hand,
+    select_hand,
+    track_hands,
+    unbiased_log_odds,
+)
+from getagrip.landmarks.crops import crop_of_box
 from getagrip.landmarks.nets import Nets
-from getagrip.provenance import Provenance, Source, as_arrays, assumed, estimated
+from getagrip.provenance import Provenance, Source, assumed, estimated, provenance_to_arrays
 
-THUMBNAIL = 24
+CUT_THUMBNAIL_PX = 24
 """Side of the reduced images in which cuts are detected [px]."""
-CUT = (25.0, 0.4)
+SHOT_CUT_THRESHOLDS = (25.0, 0.4)
 """Mean difference of two frames [of 255] and share of pixels whose colour changes; at a cut both are larger."""
-JUMP = (4.0, 1.0, 5)
+JUMP_THRESHOLDS = (4.0, 1.0, 5)
 """At a jump two frames differ more than this many times as much as any two of the frames before and after it, and by
 more than this mean difference [of 255]; the number of frames on each side."""
-FOLLOWED, SMALL = 60, (48.0, 960.0)
+N_BOX_TRACKING_FRAMES, MAX_TRACKING_SIDES_PX = 60, (48.0, 960.0)
 """Number of frames through which the object's box is followed, and the largest sides of box and image there [px]."""
-BEYOND = 0.25
+OUTSIDE_CONFIDENCE_FACTOR = 0.25
 """Factor on the confidence of landmarks outside the image."""
-MOVING = 0.2
+REACHING_POSE_SIGMA_RAD = 0.2
 """Standard deviation of each number of the fingers' pose from the mean one, while a hand also reaches and lets go
 [rad]."""
 
 
 @dataclass(frozen=True)
-class FoundHands:
+class DetectedHands:
     """The hand that holds the object, in those frames of a video that show it."""
 
     hand: HandTrack
@@ -66,23 +75,25 @@ class FoundHands:
     """Depth of each joint as the network sees it, up to an offset of each frame [m]."""
 
 
-def of_landmarks(landmarks: HandLandmarks) -> Provenance:
+def landmark_provenance(landmarks: HandLandmarks) -> Provenance:
     """Return the provenance of hands that are lifted from landmarks."""
     return {
-        "hands": estimated("; ".join([f"MediaPipe's landmarks, {LIFTED}", *landmarks.notes])),
+        "hands": estimated("; ".join([f"MediaPipe's landmarks, {LIFTED_HANDS_NOTE}", *landmarks.notes])),
         "hands_side": landmarks.side_source,
         "hands_focal": assumed("from the size of the generic hand and the focal length"),
-        "hands_scale": assumed(SCALE),
+        "hands_scale": assumed(ASSUMED_SCALE_NOTE),
     }
 
 
-def lifted(
+def lift_detected_landmarks(
     landmarks: HandLandmarks, first: int, size: tuple[int, int], K: Float[ndarray, "3 3"], camera: Source
-) -> FoundHands:
+) -> DetectedHands:
     """Fit 3D hands to landmarks of the frames from ``first`` on. Raises as ``hands_from_landmarks`` does."""
     beside = (landmarks.points < 0.0) | (landmarks.points > np.array(size))
-    weights = landmarks.confidence * np.where(beside.any(axis=-1), BEYOND, 1.0)
-    fit = hands_from_landmarks(landmarks.points, weights, K, landmarks.side, landmarks.world[..., 2], looseness=MOVING)
+    weights = landmarks.confidence * np.where(beside.any(axis=-1), OUTSIDE_CONFIDENCE_FACTOR, 1.0)
+    fit = hands_from_landmarks(
+        landmarks.points, weights, K, landmarks.side, landmarks.world[..., 2], looseness=REACHING_POSE_SIGMA_RAD
+    )
     rows = np.array(fit.rows)
     assert fit.hand.joints is not None
     joints, there = se3.transform(fit.hand.T_cam_hand, fit.hand.joints), weights[rows] > 0.0
@@ -91,8 +102,8 @@ def lifted(
     depth = np.where((there & np.isfinite(depth)).all(axis=1, keepdims=True), depth, joints[..., 2])
     hand = replace(fit.hand, joints_2d=points, joints_2d_confidence=weights[rows])
     seen = {row + first: landmarks.points[row] for row in landmarks.rows}
-    known = of_landmarks(landmarks) | {"camera": camera}
-    return FoundHands(hand, landmarks.side, tuple((rows + first).tolist()), seen, K, known, depth)
+    known = landmark_provenance(landmarks) | {"camera": camera}
+    return DetectedHands(hand, landmarks.side, tuple((rows + first).tolist()), seen, K, known, depth)
 
 
 def find_landmarks(
@@ -112,33 +123,37 @@ def find_landmarks(
     """
     first, last = interval
     count = last - first + 1
-    scale = None if box is None else min(1.0, SMALL[0] / float(box[2:].max()), SMALL[1] / max(footage.size))
+    scale = (
+        None
+        if box is None
+        else min(1.0, MAX_TRACKING_SIDES_PX[0] / float(box[2:].max()), MAX_TRACKING_SIDES_PX[1] / max(footage.size))
+    )
     shot = _Shot(footage, first, scale)
-    seen = follow(shot.image, count, nets, on_frame, [] if box is None else [of_box(box)])
-    boxes = None if box is None or scale is None else _followed(shot.small, scale, box)
+    seen = track_hands(shot.image, count, nets, on_frame, [] if box is None else [crop_of_box(box)])
+    boxes = None if box is None or scale is None else _track_object_box(shot.small, scale, box)
 
     def image(n: int) -> UInt8[ndarray, "H W 3"]:
         return footage.image(first + n)
 
     def again(hand: Mapping[int, Sighting], sides: Mapping[int, Side]) -> dict[int, Sighting]:
-        return look_again(image, hand, count, nets, sides)
+        return redetect_hand(image, hand, count, nets, sides)
 
-    found = select(seen, side, boxes, first + 1, again, lambda n, hand: compared(image(n), hand, nets))
-    said = [f"the picture jumps before frame {first + n + 1}: are frames missing?" for n in jumps(shot.apart)]
+    found = select_hand(seen, side, boxes, first + 1, again, lambda n, hand: unbiased_log_odds(image(n), hand, nets))
+    said = [f"the picture jumps before frame {first + n + 1}: are frames missing?" for n in find_jumps(shot.apart)]
     return replace(found, notes=(*found.notes, *said))
 
 
-def _followed(
+def _track_object_box(
     small: Sequence[UInt8[ndarray, "h w 3"]], scale: float, box: Float[ndarray, "4"]
 ) -> dict[int, Float[ndarray, "4"]]:
     """Follow the object's box through reduced frames: of two hands at it, the one that stays holds it."""
     size = np.array(small[0].shape[1::-1], dtype=float)
     low, high = (np.clip(scale * corner, 0.0, size) for corner in (box[:2], box[:2] + box[2:]))
-    if (high - low).min() < SMALLEST:
+    if (high - low).min() < MIN_BOX_SIDE_PX:
         return {0: box}
     seen = (*low.tolist(), *(high - low).tolist())
-    boxes = followed_boxes(small.__getitem__, seen, 0, len(small) - 1)
-    known = takewhile(lambda each: each[1] >= LOST, boxes)
+    boxes = track_box(small.__getitem__, seen, 0, len(small) - 1)
+    known = takewhile(lambda each: each[1] >= MIN_BOX_CORRELATION, boxes)
     return {n: np.array(each) / scale for n, (each, _) in enumerate(known)}
 
 
@@ -172,20 +187,20 @@ class _Shot:
             if self.before is not None:
                 self.apart.append(float(np.abs(self.before.astype(float) - now).mean()))
             self.newest, self.before = n, now
-            if self.scale is not None and n < FOLLOWED:
-                self.small.append(reduced(image, self.scale))
+            if self.scale is not None and n < N_BOX_TRACKING_FRAMES:
+                self.small.append(downscale_image(image, self.scale))
         return image
 
 
 def _thumbnail(image: UInt8[ndarray, "H W 3"]) -> UInt8[ndarray, "n n 3"]:
     import cv2
 
-    return np.asarray(cv2.resize(image, (THUMBNAIL, THUMBNAIL), interpolation=cv2.INTER_AREA), np.uint8)
+    return np.asarray(cv2.resize(image, (CUT_THUMBNAIL_PX, CUT_THUMBNAIL_PX), interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def jumps(apart: Sequence[float]) -> list[int]:
+def find_jumps(apart: Sequence[float]) -> list[int]:
     """Return the frames before which the picture jumps, from the difference of each two successive frames."""
-    times, least, about = JUMP
+    times, least, about = JUMP_THRESHOLDS
     return [
         n + 1
         for n, each in enumerate(apart)
@@ -198,22 +213,22 @@ def is_cut(one: UInt8[ndarray, "n n 3"], other: UInt8[ndarray, "n n 3"]) -> bool
     """Return whether two small images are of different shots: other colours, at other places."""
     counts = [np.bincount((each // 32).reshape(-1, 3) @ np.array([64, 8, 1]), minlength=512) for each in (one, other)]
     share = 0.5 * float(np.abs(counts[0] - counts[1]).sum()) / counts[0].sum()
-    return float(np.abs(one.astype(float) - other).mean()) > CUT[0] and share > CUT[1]
+    return float(np.abs(one.astype(float) - other).mean()) > SHOT_CUT_THRESHOLDS[0] and share > SHOT_CUT_THRESHOLDS[1]
 
 
-def write_found(
-    out: Path, found: FoundHands, image: Callable[[int], UInt8[ndarray, "H W 3"]], done: Callable[[int], None]
+def write_detected_hands(
+    out: Path, found: DetectedHands, image: Callable[[int], UInt8[ndarray, "H W 3"]], done: Callable[[int], None]
 ) -> Path:
     """Write the folder ``found`` into ``out``, in place of an older one; return it.
 
     Masks are made for frames with landmarks. ``done`` is called with the number of frames that are done.
     """
-    folder = files.folder_inside(out) / FOLDER
+    folder = files.folder_inside(out) / DETECTED_HANDS_FOLDER
     with files.new_folder(folder, ("hand.npz", "masks") if folder.exists() else ()) as new:
         places = np.array(found.frames) + 1
         extra = {"frames": places, "K": found.K, "side": np.array(found.side)}
-        extra |= {} if found.depth is None else {DEPTH: found.depth}
-        write_hand(found.hand, new / "hand.npz", extra | as_arrays(found.provenance))
+        extra |= {} if found.depth is None else {JOINTS_DEPTH_KEY: found.depth}
+        write_hand(found.hand, new / "hand.npz", extra | provenance_to_arrays(found.provenance))
         (new / "masks").mkdir()
         for count, (n, points) in enumerate(found.landmarks.items(), start=1):
             write_mask(new / "masks" / f"{n + 1:06d}.png", hand_mask(image(n), points))

@@ -13,25 +13,25 @@ import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
-from getagrip.clip.naming import one_set
+from getagrip.clip.naming import single_image_set
 from getagrip.errors import InputError
-from getagrip.io.files import listed, read_bytes
-from getagrip.io.images import decoded
+from getagrip.io.files import list_files, read_bytes
+from getagrip.io.images import decode_image
 
-IMAGES = (".jpg", ".jpeg", ".png")
-WIDEST = 1280
+IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
+MAX_DISPLAY_WIDTH_PX = 1280
 """Images are sent at most so wide [px]."""
-LARGEST_SIDE = 8192
+MAX_FOOTAGE_SIDE_PX = 8192
 """Limit of the sides of what is read [px]."""
-LARGEST_IMAGE = 64 * 2**20
+MAX_FRAME_FILE_BYTES = 64 * 2**20
 """Limit in bytes of an image's file."""
-MOST_FRAMES = 2_000_000
+MAX_FOOTAGE_FRAMES = 2_000_000
 """No footage is longer: eleven hours at 50 frames per second."""
 FOLDER_FPS = 30.0
 """Frames per second that images in a folder are played at."""
-QUALITY = 88
+FOOTAGE_JPEG_QUALITY = 88
 """Quality of the JPEG images."""
-CACHE = 64 * 2**20
+JPEG_CACHE_BYTES = 64 * 2**20
 """Bytes of JPEG images that are kept of one footage."""
 
 
@@ -72,12 +72,12 @@ class Footage(Protocol):
         """Close the files, until a frame is asked for again."""
 
 
-def seconds(footage: Footage, start: int, end: int) -> float:
+def duration_seconds(footage: Footage, start: int, end: int) -> float:
     """Return the duration of frames ``start`` to ``end``, the last one included [s]."""
     return footage.time(end) - footage.time(start) + 1.0 / footage.fps
 
 
-class Names(Sequence[str]):
+class FrameNames(Sequence[str]):
     """The names of footage's frames in clips; made when they are asked for, since footage may be hours long."""
 
     def __init__(self, footage: Footage) -> None:
@@ -96,26 +96,26 @@ class Names(Sequence[str]):
         return self.footage.name(range(len(self))[index])
 
 
-Kept = TypeVar("Kept")
+CachedImage = TypeVar("CachedImage")
 
 
 @dataclass
-class Cache(Generic[Kept]):
+class ImageCache(Generic[CachedImage]):
     """The images that were requested last, up to a number of bytes in all."""
 
-    weigh: Callable[[Kept], int]
+    weigh: Callable[[CachedImage], int]
     """The bytes of an image."""
-    limit: int = CACHE
+    limit: int = JPEG_CACHE_BYTES
     cached_bytes: int = 0
-    images: OrderedDict[int, Kept] = field(default_factory=OrderedDict)
+    images: OrderedDict[int, CachedImage] = field(default_factory=OrderedDict)
 
-    def get(self, index: int) -> Kept | None:
+    def get(self, index: int) -> CachedImage | None:
         """Return an image, if it is there."""
         if index in self.images:
             self.images.move_to_end(index)
         return self.images.get(index)
 
-    def put(self, index: int, image: Kept) -> None:
+    def put(self, index: int, image: CachedImage) -> None:
         """Keep an image, and drop those that have not been asked for the longest."""
         if index in self.images:
             self.cached_bytes -= self.weigh(self.images.pop(index))
@@ -137,9 +137,9 @@ class ImageFolder:
     @staticmethod
     def open(folder: Path) -> ImageFolder:
         """Open the images of a folder. Raises ``InputError`` where there is none."""
-        paths = one_set(folder, listed(folder, IMAGES))
-        if not 0 < len(paths) <= MOST_FRAMES:
-            raise InputError(folder, "", f"{len(paths)} images in it", f"images ({', '.join(IMAGES)})")
+        paths = single_image_set(folder, list_files(folder, IMAGE_SUFFIXES))
+        if not 0 < len(paths) <= MAX_FOOTAGE_FRAMES:
+            raise InputError(folder, "", f"{len(paths)} images in it", f"images ({', '.join(IMAGE_SUFFIXES)})")
         ends = [re.search(r"([0-9]{1,9})$", path.stem) for path in paths]
         named = {int(end[1]): path for end, path in zip(ends, paths, strict=True) if end}
         if len(named) < len(paths):
@@ -176,7 +176,7 @@ class ImageFolder:
 
     def jpeg(self, index: int, whole: bool = False) -> bytes:
         """Return an image, as JPEG whatever its file is. Raises ``InputError``."""
-        return encoded(self._bgr(index), LARGEST_SIDE if whole else WIDEST)
+        return encode_footage_jpeg(self._bgr(index), MAX_FOOTAGE_SIDE_PX if whole else MAX_DISPLAY_WIDTH_PX)
 
     def image(self, index: int) -> UInt8[ndarray, "H W 3"]:
         """Return an image, all of its pixels. Raises ``InputError``."""
@@ -187,11 +187,11 @@ class ImageFolder:
 
     def _bgr(self, index: int) -> UInt8[ndarray, "H W 3"]:
         path = self.paths[index]
-        image = decoded(path, "", read_bytes(path, LARGEST_IMAGE), LARGEST_SIDE)
+        image = decode_image(path, "", read_bytes(path, MAX_FRAME_FILE_BYTES), MAX_FOOTAGE_SIDE_PX)
         return np.ascontiguousarray(image[..., ::-1])
 
 
-def encoded(bgr: UInt8[ndarray, "H W 3"], widest: int = WIDEST) -> bytes:
+def encode_footage_jpeg(bgr: UInt8[ndarray, "H W 3"], widest: int = MAX_DISPLAY_WIDTH_PX) -> bytes:
     """Encode an image as JPEG, made narrower where it is too wide."""
     import cv2
 
@@ -199,5 +199,5 @@ def encoded(bgr: UInt8[ndarray, "H W 3"], widest: int = WIDEST) -> bytes:
     if width > widest:
         size = widest, max(1, round(height * widest / width))
         bgr = np.asarray(cv2.resize(bgr, size, interpolation=cv2.INTER_AREA), np.uint8)
-    _, content = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    _, content = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, FOOTAGE_JPEG_QUALITY])
     return bytes(content.tobytes())

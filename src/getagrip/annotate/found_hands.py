@@ -16,19 +16,19 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from getagrip.annotate.footage import LARGEST_SIDE
+from getagrip.annotate.footage import MAX_FOOTAGE_SIDE_PX
 from getagrip.errors import InputError
 from getagrip.io import arrays, files
-from getagrip.io.images import decoded
+from getagrip.io.images import decode_image
 
-FOLDER = "found"
+DETECTED_HANDS_FOLDER = "found"
 """Beside the marks."""
-DRAFTS = "drafts"
+DRAFTS_FOLDER = "drafts"
 """Beside the marks of several videos: a folder for each, of its draft."""
 
 
 @dataclass(frozen=True)
-class FoundHands:
+class HandDetectionFiles:
     """The contents of the folder."""
 
     folder: Path
@@ -58,7 +58,7 @@ class FoundHands:
         path = self.folder / "masks" / f"{frame + 1:06d}.png"
         if not path.is_file():
             return None
-        image = decoded(path, "", files.read_bytes(path), LARGEST_SIDE)
+        image = decode_image(path, "", files.read_bytes(path), MAX_FOOTAGE_SIDE_PX)
         return np.asarray(image.reshape(*image.shape[:2], -1).any(axis=-1))
 
     @cached_property

@@ -16,7 +16,7 @@ from getagrip.annotate.tasks import Task
 from getagrip.annotate.versions import RefusedError
 from getagrip.hands.model import Side
 
-LONGEST_NAME = 100
+MAX_GRASP_NAME_LENGTH = 100
 """Characters of a grasp's name in files."""
 
 
@@ -49,8 +49,8 @@ class Grasp:
         """Name of its files; names that had to be cut or changed for that differ by a checksum."""
         parts = [self.mark.annotator, self.task.video, self.mark.start_number, self.mark.end_number, self.side]
         whole = "-".join(map(str, parts))
-        plain = re.sub(r"[^\w.-]", "_", whole).lstrip(".")[:LONGEST_NAME]
-        return plain if plain == whole else f"{plain}-{_checksum(whole)[:8]}"
+        plain = re.sub(r"[^\w.-]", "_", whole).lstrip(".")[:MAX_GRASP_NAME_LENGTH]
+        return plain if plain == whole else f"{plain}-{_name_checksum(whole)[:8]}"
 
     @property
     def path(self) -> Path:
@@ -59,5 +59,5 @@ class Grasp:
         return self.task.path
 
 
-def _checksum(name: str) -> str:
+def _name_checksum(name: str) -> str:
     return sha256(json.dumps([name]).encode()).hexdigest()[:16]

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import cast
 from uuid import NAMESPACE_OID, uuid5
 
-from getagrip.annotate.footage import Footage, Names, seconds
-from getagrip.annotate.marks import GRASP, STILL, Mark
+from getagrip.annotate.footage import Footage, FrameNames, duration_seconds
+from getagrip.annotate.marks import GRASP_STATE, STATIC_CAMERA, Mark
 from getagrip.annotate.tasks import Task
 from getagrip.annotate.versions import RefusedError
 from getagrip.clip import Segment, State, segment_files
@@ -24,7 +24,7 @@ from getagrip.errors import InputError
 from getagrip.hands.model import Side
 from getagrip.io import files
 
-WITH_HAND = ("grasp", "contact")
+CONTACT_STATES = ("grasp", "contact")
 """States in which a hand touches the object."""
 
 
@@ -49,7 +49,7 @@ class Interaction:
         frames: Counter[tuple[bool, bool, str]] = Counter()
         for _, mark in self.finished:
             if mark.side is not None:
-                frames[mark.state == GRASP, mark.state in WITH_HAND, mark.side] += _length(mark)
+                frames[mark.state == GRASP_STATE, mark.state in CONTACT_STATES, mark.side] += _mark_frame_count(mark)
         if not frames:
             return None
         return cast(Side, max(frames, key=lambda key: (*key[:2], frames[key]))[2])
@@ -63,9 +63,9 @@ class Interaction:
         first, last = min(mark.start or 0 for mark in own), max(mark.end or 0 for mark in own)
         about = next((mark for mark in own if mark.category), own[0])
         return replace(
-            about, mark=_name(own[0]), start=first, end=last, side=self.side,
+            about, mark=_interaction_id(own[0]), start=first, end=last, side=self.side,
             start_number=self.footage.number(first), end_number=self.footage.number(last),
-            seconds=seconds(self.footage, first, last),
+            seconds=duration_seconds(self.footage, first, last),
         )  # fmt: skip
 
     def overlaps(self) -> list[str]:
@@ -92,11 +92,11 @@ class Interaction:
         states = {mark.state for _, mark in order}
         if "static" in states and not self.still:
             yield "Where the object lies still, the camera must be known: state below that it stood still, if it did."
-        if order and not states & {"static", GRASP}:
+        if order and not states & {"static", GRASP_STATE}:
             yield "Nothing can be reconstructed yet: mark where the object lies still, or is held in a stable grasp."
-        if self.side is None and states & {*WITH_HAND}:
+        if self.side is None and states & {*CONTACT_STATES}:
             yield "Which hand touches the object? Choose left or right."
-        others = [n for n, mark in order if mark.state in WITH_HAND and (mark.side or self.side) != self.side]
+        others = [n for n, mark in order if mark.state in CONTACT_STATES and (mark.side or self.side) != self.side]
         if others:
             which = "segment" if len(others) == 1 else "segments"
             yield (
@@ -109,16 +109,16 @@ class Interaction:
         if overlaps := self.overlaps():
             raise RefusedError(" ".join(overlaps))
         order = sorted((mark for _, mark in self.finished), key=lambda mark: mark.start or 0)
-        if self.side is None and any(mark.state in WITH_HAND for mark in order):
+        if self.side is None and any(mark.state in CONTACT_STATES for mark in order):
             raise RefusedError("say first which hand touches the object: left or right")
         segments = [
             Segment(
                 cast(State, mark.state), mark.start or 0, mark.end or 0,
-                cast(Side, mark.side or self.side) if mark.state in WITH_HAND else None,
+                cast(Side, mark.side or self.side) if mark.state in CONTACT_STATES else None,
             )
             for mark in order
         ]  # fmt: skip
-        names = Names(self.footage)
+        names = FrameNames(self.footage)
         who = next(mark.annotator for _, mark in self.numbered)
         still = f"as {who} states" if self.still else None
         path = self.task.path
@@ -129,7 +129,7 @@ class Interaction:
         """Return the fields that the page shows of it."""
         own = [mark for _, mark in self.finished]
         mark = self.mark if own else None
-        about = {} if mark is None else {key: getattr(mark, key) for key in ABOUT}
+        about = {} if mark is None else {key: getattr(mark, key) for key in INTERACTION_FIELDS}
         return about | {"still": self.still, "overlaps": self.overlaps(), "hints": self.hints()}
 
     def _frames(self, first: int, last: int) -> str:
@@ -137,46 +137,46 @@ class Interaction:
         return f"Frame {a} is" if first == last else f"Frames {a} to {b} are"
 
 
-ABOUT = ("mark", "start", "end", "start_number", "end_number", "side", "category")
+INTERACTION_FIELDS = ("mark", "start", "end", "start_number", "end_number", "side", "category")
 """Fields that the page shows of all of it."""
 
 
-def is_whole(marks: Sequence[Mark]) -> bool:
+def is_interaction(marks: Sequence[Mark]) -> bool:
     """Return whether one person's marks of a task are of a whole interaction."""
     return any(mark.start is not None for mark in marks) and any(
-        mark.camera == STILL or (mark.start is not None and mark.state != GRASP) for mark in marks
+        mark.camera == STATIC_CAMERA or (mark.start is not None and mark.state != GRASP_STATE) for mark in marks
     )
 
 
-def interaction(task: Task, footage: Footage, marks: Sequence[Mark]) -> Interaction:
+def interaction_of_marks(task: Task, footage: Footage, marks: Sequence[Mark]) -> Interaction:
     """Return the interaction of one person's marks of a task.
 
     Marks beyond the footage, which was longer once, are left out.
     """
     inside = [mark for mark in marks if mark.start is not None and max(mark.start, mark.end or 0) < footage.frames]
     segments = sorted(inside, key=lambda mark: mark.start or 0)
-    still = any(mark.camera == STILL for mark in marks)
+    still = any(mark.camera == STATIC_CAMERA for mark in marks)
     return Interaction(task, footage, tuple(enumerate(segments, start=1)), still)
 
 
-def segments_of(path: Path, tasks: Sequence[Task]) -> list[tuple[Task, SegmentList]]:
+def read_task_segments(path: Path, tasks: Sequence[Task]) -> list[tuple[Task, SegmentList]]:
     """Return a file's segments of some tasks, by their names; of a single task also the only entry.
 
     Raises ``InputError``.
     """
     if len(tasks) == 1:
-        return [(tasks[0], segment_files.read(path, [tasks[0].key, tasks[0].video]))]
+        return [(tasks[0], segment_files.read_segment_list(path, [tasks[0].key, tasks[0].video]))]
     known = files.read_json(path)
     found = [task for task in tasks if task.key in known]
     if not found:
-        raise InputError(path, "", "no segments of the footage given", f"those of {files.plain(tasks[0].key)}, ...")
-    return [(task, segment_files.read(path, [task.key])) for task in found]
+        raise InputError(path, "", "no segments of the footage given", f"those of {files.printable(tasks[0].key)}, ...")
+    return [(task, segment_files.read_segment_list(path, [task.key])) for task in found]
 
 
-def _name(mark: Mark) -> str:
+def _interaction_id(mark: Mark) -> str:
     """Return the name that labels of the whole are kept under, whatever its segments are."""
     return str(uuid5(NAMESPACE_OID, f"{mark.annotator}/{mark.task}"))
 
 
-def _length(mark: Mark) -> int:
+def _mark_frame_count(mark: Mark) -> int:
     return (mark.end or 0) - (mark.start or 0) + 1

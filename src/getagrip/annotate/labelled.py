@@ -11,32 +11,32 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from getagrip.annotate.found_hands import FoundHands
-from getagrip.annotate.labels import FRONT, HAND, OBJECT, Labels
-from getagrip.annotate.lifted_again import LabelMaps, write_lifted_again
-from getagrip.annotate.propagated_masks import propagate
-from getagrip.annotate.steadied_hands import steadied
-from getagrip.annotate.strokes import key_masks
-from getagrip.clip.intrinsics import intrinsics
+from getagrip.annotate.found_hands import HandDetectionFiles
+from getagrip.annotate.labels import HAND_LABEL, OBJECT_LABEL, OCCLUDER_LABEL, Labels
+from getagrip.annotate.lifted_again import LabelMaps, write_relifted_hands
+from getagrip.annotate.propagated_masks import propagate_labels
+from getagrip.annotate.steadied_hands import stabilize_hands
+from getagrip.annotate.strokes import keyframe_label_maps
+from getagrip.clip.intrinsics import compute_intrinsics
 from getagrip.clip.naming import number_of
 from getagrip.clip.writing import write_hand
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
-from getagrip.geometry.depth import covered
+from getagrip.geometry.depth import render_coverage
 from getagrip.geometry.lens import Lens
-from getagrip.hands.clicked_hands import SCALE, ClickedHands, hands_from_clicks
+from getagrip.hands.clicked_hands import ASSUMED_SCALE_NOTE, ClickedHands, hands_from_clicks
 from getagrip.io import arrays, files
 from getagrip.io.images import write_image
-from getagrip.provenance import Source, as_arrays, assumed, estimated
+from getagrip.provenance import Source, assumed, estimated, provenance_to_arrays
 
-BESIDE = 0.004
+HAND_MARGIN_M = 0.004
 """The fitted hand is so far off its true silhouette: pixels beside it say nothing either [m]."""
-EDGE = 1 / 400
+HAND_MARGIN_FRACTION = 1 / 400
 """Pixels so near to the mask of a hand that was found say nothing, as a share of the image's longer side."""
 
 
 @dataclass(frozen=True)
-class Made:
+class ClipFiles:
     """The files made of labels."""
 
     hands: ClickedHands | None
@@ -47,17 +47,17 @@ class Made:
     """Command that makes a clip of it, but for the object's mesh."""
 
 
-def make(
+def write_labelled_clip_files(
     labels: Labels,
     image: Callable[[int], UInt8[ndarray, "H W 3"]],
     lens: Lens,
     out: Path,
     overwrite: bool = False,
     done: Callable[[int], None] = lambda _: None,
-    found: FoundHands | None = None,
+    found: HandDetectionFiles | None = None,
     name: Callable[[int], str] = lambda n: f"{n + 1:06d}",
-) -> Made:
-    """Write ``out/hand.npz`` and ``out/masks/<name>.png``: ``OBJECT``, ``HAND``, ``FRONT`` for what hides it or may.
+) -> ClipFiles:
+    """Write ``out/hand.npz`` and ``out/masks/<name>.png``: ``OBJECT_LABEL``, ``HAND_LABEL``, ``OCCLUDER_LABEL`` for what hides it or may.
 
     Frames in which the object is lost get no mask: it is unknown.
 
@@ -68,76 +68,78 @@ def make(
     of masks that are written. Raises ``UsageError`` for labels that do not suffice, for names without a number of
     their own, and where ``out`` exists and is not to be replaced, or is not what this made before.
     """
-    K, camera = intrinsics(lens if lens.is_set else Lens(guess_focal=True), labels.size)
-    numbers = _numbers(name, labels.first, labels.last)
-    seen = _unseen if found is None else found.mask
+    K, camera = compute_intrinsics(lens if lens.is_set else Lens(guess_focal=True), labels.size)
+    numbers = _numbers_of_names(name, labels.first, labels.last)
+    seen = _no_hand_mask if found is None else found.mask
     hands = None
     if labels.clicks or found is None or not found.path.is_file():
         clicked = hands_from_clicks(labels.clicks, K, labels.side, labels.first, labels.last)
-        hands = steadied(clicked, labels.first, K, labels.size, image)
+        hands = stabilize_hands(clicked, labels.first, K, labels.size, image)
     confidence = {}
     with files.new_folder(out, ("hand.npz", "masks") if overwrite else ()) as new:
         (new / "masks").mkdir()
-        drawn, maps = key_masks(labels, image, seen), LabelMaps(labels.size)
-        for n, mask, sure in propagate(image, drawn, labels.first, labels.last, hand=seen):
-            whole = beside_hand(mask) if hands is None else with_hand(mask, hands, n - labels.first, K)
+        drawn, maps = keyframe_label_maps(labels, image, seen), LabelMaps(labels.size)
+        for n, mask, sure in propagate_labels(image, drawn, labels.first, labels.last, hand=seen):
+            whole = (
+                occlude_hand_border(mask) if hands is None else occlude_fitted_hand(mask, hands, n - labels.first, K)
+            )
             if sure > 0.0:
                 write_image(new / "masks" / f"{name(n)}.png", whole)
             maps.add(n, whole)
             confidence[n] = sure
             done(len(confidence))
         if hands is not None:
-            write_hand(hands.hand, new / "hand.npz", _extra(labels, hands, K, camera, numbers))
+            write_hand(hands.hand, new / "hand.npz", _hand_file_fields(labels, hands, K, camera, numbers))
         elif found is not None:
-            write_lifted_again(found.path, new / "hand.npz", labels.side, numbers, maps)
-    return Made(hands, confidence, command(labels, out))
+            write_relifted_hands(found.path, new / "hand.npz", labels.side, numbers, maps)
+    return ClipFiles(hands, confidence, clip_command(labels, out))
 
 
-def _numbers(name: Callable[[int], str], first: int, last: int) -> dict[int, int]:
+def _numbers_of_names(name: Callable[[int], str], first: int, last: int) -> dict[int, int]:
     """Return the numbers by which a clip finds the hands of frames, from their names."""
     numbers = {n: number_of(name(n)) for n in range(first, last + 1)}
     known = {n: number for n, number in numbers.items() if number is not None}
     if len({*known.values()}) < len(numbers):
         without = next((n for n, number in numbers.items() if number is None), first)
         needs = "each image needs a number of its own at the end of its name"
-        raise UsageError(f"{needs} (got {files.plain(name(without))})")
+        raise UsageError(f"{needs} (got {files.printable(name(without))})")
     return known
 
 
-def _unseen(_: int) -> None:
+def _no_hand_mask(_: int) -> None:
     """Return the hand's mask where there is none."""
 
 
-def beside_hand(drawn: UInt8[ndarray, "H W"]) -> UInt8[ndarray, "H W"]:
+def occlude_hand_border(drawn: UInt8[ndarray, "H W"]) -> UInt8[ndarray, "H W"]:
     """Return a mask in which pixels at the hand's border, but the object's own, are in front of it."""
     import cv2
 
-    beside = max(1, round(EDGE * max(drawn.shape)))
+    beside = max(1, round(HAND_MARGIN_FRACTION * max(drawn.shape)))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * beside + 1, 2 * beside + 1))
-    near = cv2.dilate((drawn == HAND).astype(np.uint8), disc) > 0
-    return np.where(near & (drawn == 0), FRONT, drawn).astype(np.uint8)
+    near = cv2.dilate((drawn == HAND_LABEL).astype(np.uint8), disc) > 0
+    return np.where(near & (drawn == 0), OCCLUDER_LABEL, drawn).astype(np.uint8)
 
 
-def with_hand(
+def occlude_fitted_hand(
     drawn: UInt8[ndarray, "H W"], hands: ClickedHands, row: int, K: Float[ndarray, "3 3"]
 ) -> UInt8[ndarray, "H W"]:
     """Return a mask in which pixels that the fitted hand may cover, and nobody drew, are in front of the object."""
     import cv2
 
     posed = se3.transform(hands.hand.T_cam_hand[row], hands.hand.vertices[row])
-    hand = covered(posed, hands.hand.faces, K, (drawn.shape[1], drawn.shape[0])).astype(np.uint8)
-    beside = max(1, round(BESIDE * K[0, 0] / float(posed[:, 2].mean())))
+    hand = render_coverage(posed, hands.hand.faces, K, (drawn.shape[1], drawn.shape[0])).astype(np.uint8)
+    beside = max(1, round(HAND_MARGIN_M * K[0, 0] / float(posed[:, 2].mean())))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * beside + 1, 2 * beside + 1))
-    return np.where((cv2.dilate(hand, disc) > 0) & (drawn == 0), FRONT, drawn).astype(np.uint8)
+    return np.where((cv2.dilate(hand, disc) > 0) & (drawn == 0), OCCLUDER_LABEL, drawn).astype(np.uint8)
 
 
-def command(labels: Labels, out: Path, segments: Path | None = None) -> str:
-    """Return the call that makes a clip of the files of ``make``; a timeline, where there is a file of segments."""
-    words = ["getagrip", *clip_words(labels, out, labels.video, segments)]
+def clip_command(labels: Labels, out: Path, segments: Path | None = None) -> str:
+    """Return the call that makes a clip of the files of ``write_labelled_clip_files``; a timeline, where there is a file of segments."""
+    words = ["getagrip", *clip_arguments(labels, out, labels.video, segments)]
     return " ".join(map(shlex.quote, words)) + " --mesh MESH --out CLIP"
 
 
-def clip_words(labels: Labels, out: Path, video: str, segments: Path | None = None) -> list[str]:
+def clip_arguments(labels: Labels, out: Path, video: str, segments: Path | None = None) -> list[str]:
     """Return the words of that call after the program's name, but for the mesh and the clip's folder.
 
     The side is that of the hand in ``out``, which may be another one than the labels' (``lifted_again``).
@@ -147,12 +149,12 @@ def clip_words(labels: Labels, out: Path, video: str, segments: Path | None = No
     return [
         *("clip", "new", video, "--interval", str(labels.first + 1), str(labels.last + 1), "--side", side),
         *("--hands", str(out / "hand.npz"), "--masks", str(out / "masks")),
-        *("--object", str(OBJECT), "--ignore", str(FRONT), "--hand", str(HAND)),
+        *("--object", str(OBJECT_LABEL), "--ignore", str(OCCLUDER_LABEL), "--hand", str(HAND_LABEL)),
         *(() if segments is None else ("--segments", str(segments))),
     ]
 
 
-def _extra(
+def _hand_file_fields(
     labels: Labels, hands: ClickedHands, K: Float[ndarray, "3 3"], camera: Source, numbers: Mapping[int, int]
 ) -> dict[str, ndarray]:
     """Return the fields of a hand file on its frames, its camera and its sources."""
@@ -162,8 +164,8 @@ def _extra(
             f"joints clicked on {len(hands.keys)} frames, the generic hand fitted ({off:.1f} px off, root mean "
             "square), in between moved with the footage"
         ),
-        "hands_scale": assumed(SCALE),
+        "hands_scale": assumed(ASSUMED_SCALE_NOTE),
         "camera": camera,
     }
     extra = {"frames": np.array([*numbers.values()]), "K": K, "side": np.array(labels.side)}
-    return extra | as_arrays(provenance)
+    return extra | provenance_to_arrays(provenance)

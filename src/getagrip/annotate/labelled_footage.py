@@ -13,17 +13,19 @@ from getagrip.annotate.versions import RefusedError
 from getagrip.io import files
 
 
-def checksum(path: Path) -> str:
+def footage_checksum(path: Path) -> str:
     """Compute the checksum of a video file; of a folder of images, that of their names and contents.
 
     Raises ``OSError``.
     """
-    found = files.listed(path) if path.is_dir() else [path]
-    return _checksum(tuple((each, each.stat().st_size, each.stat().st_mtime_ns) for each in found), path.is_dir())
+    found = files.list_files(path) if path.is_dir() else [path]
+    return _cached_checksum(
+        tuple((each, each.stat().st_size, each.stat().st_mtime_ns) for each in found), path.is_dir()
+    )
 
 
 @lru_cache(maxsize=8)
-def _checksum(known: tuple[tuple[Path, int, int], ...], folder: bool) -> str:
+def _cached_checksum(known: tuple[tuple[Path, int, int], ...], folder: bool) -> str:
     """Return the checksum of files whose sizes and times are unchanged."""
     total = hashlib.sha256()
     for path, size, _ in known:
@@ -35,14 +37,14 @@ def _checksum(known: tuple[tuple[Path, int, int], ...], folder: bool) -> str:
     return total.hexdigest()
 
 
-def tasks_of(labels: Labels, tasks: Sequence[Task]) -> list[Task]:
+def tasks_of_labels(labels: Labels, tasks: Sequence[Task]) -> list[Task]:
     """Return the tasks whose footage the labels are of, whatever its name is now; that of their name is tried first.
 
     Raises ``RefusedError`` where there is none.
     """
     there = [(task, task.path) for task in tasks if task.path is not None]
     named = [(task, path) for task, path in there if path.name == labels.video]
-    name = files.plain(labels.video)
+    name = files.printable(labels.video)
     if not labels.sha256:
         if not named:
             raise RefusedError(
@@ -50,7 +52,7 @@ def tasks_of(labels: Labels, tasks: Sequence[Task]) -> list[Task]:
             )
         return [task for task, _ in named]
     for some in (named, there):
-        same = [task for task, path in some if checksum(path) == labels.sha256]
+        same = [task for task, path in some if footage_checksum(path) == labels.sha256]
         if same:
             return same
     if named:

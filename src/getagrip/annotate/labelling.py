@@ -18,28 +18,28 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from getagrip.annotate import keyframes, labels, reconstruction, versions
-from getagrip.annotate.background import Background, BackgroundJob, Work
-from getagrip.annotate.found_hands import DRAFTS, FOLDER, FoundHands
-from getagrip.annotate.frame_wanted import as_met, frame_wanted, lost_in
+from getagrip.annotate.background import BackgroundJob, BackgroundQueue, Work
+from getagrip.annotate.found_hands import DETECTED_HANDS_FOLDER, DRAFTS_FOLDER, HandDetectionFiles
+from getagrip.annotate.frame_wanted import discount_confidence, lost_frames, suggest_frame
 from getagrip.annotate.grasp import Grasp
 from getagrip.annotate.keyframes import KeyFrame
-from getagrip.annotate.labelled_footage import checksum
-from getagrip.annotate.labels import SHAPES, Labels
+from getagrip.annotate.labelled_footage import footage_checksum
+from getagrip.annotate.labels import MIN_SHAPE_POINTS, Labels
 from getagrip.annotate.next_step import next_step
-from getagrip.annotate.propagated_masks import stretches
-from getagrip.annotate.reach import outlined
-from getagrip.annotate.store import Store
+from getagrip.annotate.propagated_masks import keyframe_spans
+from getagrip.annotate.reach import boxes_of_polygons
+from getagrip.annotate.store import MarkStore
 from getagrip.annotate.tasks import open_footage
 from getagrip.annotate.versions import RefusedError
-from getagrip.clip.intrinsics import intrinsics
+from getagrip.clip.intrinsics import compute_intrinsics
 from getagrip.errors import UsageError
 from getagrip.geometry.lens import Lens
-from getagrip.hands.clicked_hands import FEWEST
+from getagrip.hands.clicked_hands import MIN_CLICKED_JOINTS
 from getagrip.io import files
-from getagrip.io.files import Json, shown
+from getagrip.io.files import Json, shorten_value
 
 if TYPE_CHECKING:
-    from getagrip.annotate.labelled import Made
+    from getagrip.annotate.labelled import ClipFiles
 
 Basis = dict[str, list[tuple[int, int, str]]]
 """Inputs of the drafts of "masks" and "hand": first and last frame, and the kind of input, in a word."""
@@ -48,24 +48,24 @@ Basis = dict[str, list[tuple[int, int, str]]]
 class Labelling:
     """The key frames of the grasps in a store."""
 
-    def __init__(self, store: Store, lens: Lens, out: Path) -> None:
+    def __init__(self, store: MarkStore, lens: Lens, out: Path) -> None:
         """Write the files of grasps into ``out``; without a lens the focal length is assumed."""
         self.store, self.out = store, out
         self.depth: reconstruction.DepthFiles | None = None
         self.lens = lens if lens.is_set else Lens(guess_focal=True)
-        self._found: dict[Path, FoundHands] = {}
+        self._found: dict[Path, HandDetectionFiles] = {}
         self._iou: dict[str, tuple[object, dict[int, float]]] = {}  # of results, and the inputs of their drafts
         self._reports: set[str] = set()  # checksums of the files of reports that were written here
         self._reporting = Lock()
-        self.background = Background()
+        self.background = BackgroundQueue()
 
-    def found(self, grasp: Grasp) -> FoundHands:
+    def found(self, grasp: Grasp) -> HandDetectionFiles:
         """Return the hands that were found in its footage: in its draft's folder, else in the one beside the marks."""
-        own = self.out / DRAFTS / grasp.task.key / FOLDER
-        folder = own if own.is_dir() else self.out / FOLDER
+        own = self.out / DRAFTS_FOLDER / grasp.task.key / DETECTED_HANDS_FOLDER
+        folder = own if own.is_dir() else self.out / DETECTED_HANDS_FOLDER
         if not folder.is_dir():  # it may come
-            return FoundHands(folder)
-        return self._found.setdefault(folder, FoundHands(folder))
+            return HandDetectionFiles(folder)
+        return self._found.setdefault(folder, HandDetectionFiles(folder))
 
     def state(self, grasp: Grasp) -> dict[str, object]:
         """Return the labels of a grasp's frames, the inputs of drafts now, and the progress of the work on it."""
@@ -76,19 +76,19 @@ class Labelling:
         basis = self._basis(grasp, own)
         sure = self.store.drafts.confidence(grasp.mark.mark, {word for *_, word in basis["masks"]})
         drawn, (solved, iou) = self.labels(grasp).drawn, self._iou.get(grasp.mark.mark, (None, {}))
-        met = as_met(sure, iou, drawn) if solved == basis else sure
+        met = discount_confidence(sure, iou, drawn) if solved == basis else sure
         return {
             "grasp": grasp.mark.mark,
             "newest": newest,
             "extent": grasp.extent,
             "side": grasp.side,
             "size": grasp.footage.size,
-            "fewest": FEWEST,
+            "fewest": MIN_CLICKED_JOINTS,
             "keyframes": [
                 {key: getattr(one, key) for key in keys} | {"number": grasp.footage.number(one.frame)} for one in own
             ],
             "basis": basis,
-            "wanted": frame_wanted(met, drawn, *grasp.extent),
+            "wanted": suggest_frame(met, drawn, *grasp.extent),
             "found": bool(self.found(grasp).joints),
             "drafts": self.store.drafts.newest(grasp.mark.mark),
             "job": None if job is None else job.status(),
@@ -98,10 +98,10 @@ class Labelling:
         """Make a change of a key frame. Raises ``RefusedError``."""
         frame, size = content.get("frame"), grasp.footage.size
         if type(frame) is not int or not 0 <= frame < grasp.footage.frames:
-            raise RefusedError(f"frame must be 0 to {grasp.footage.frames - 1} (got {shown(frame)})")
-        change = versions.read_change(content, keyframes.SETTABLE)
-        blank = keyframes.blank(grasp.mark.task, grasp.mark.annotator, grasp.mark.mark, frame)
-        self.store.keyframes.apply(change, blank, lambda old, sets: keyframes.changed(old, sets, size))
+            raise RefusedError(f"frame must be 0 to {grasp.footage.frames - 1} (got {shorten_value(frame)})")
+        change = versions.read_change(content, keyframes.KEYFRAME_SETTABLE_FIELDS)
+        blank = keyframes.blank_keyframe(grasp.mark.task, grasp.mark.annotator, grasp.mark.mark, frame)
+        self.store.keyframes.apply(change, blank, lambda old, sets: keyframes.apply_keyframe_change(old, sets, size))
 
     def undo(self, grasp: Grasp, tab: str, change: str) -> dict[str, object]:
         """Take back a tab's last change of a grasp's key frames, and say of which frame. Raises ``RefusedError``."""
@@ -117,7 +117,7 @@ class Labelling:
 
     def whole_labels(self, grasp: Grasp) -> Labels:
         """Return the labels of a grasp with the checksum of its footage, by which a file of them finds it again."""
-        return replace(self.labels(grasp), sha256=checksum(grasp.path))
+        return replace(self.labels(grasp), sha256=footage_checksum(grasp.path))
 
     def take(self, grasp: Grasp, labels: Labels) -> None:
         """Replace the labels of a grasp by those of a file. Raises ``RefusedError``."""
@@ -126,12 +126,12 @@ class Labelling:
             raise RefusedError(f"labels of {labels.size[0]} x {labels.size[1]} pixels, footage of {width} x {height}")
 
         def replaced(old: KeyFrame, sets: Json) -> KeyFrame:
-            blank = keyframes.blank(old.task, old.annotator, old.grasp, old.frame)
-            return keyframes.changed(blank, sets, labels.size)
+            blank = keyframes.blank_keyframe(old.task, old.annotator, old.grasp, old.frame)
+            return keyframes.apply_keyframe_change(blank, sets, labels.size)
 
         for n, frame in labels.frames.items():
-            blank = keyframes.blank(grasp.mark.task, grasp.mark.annotator, grasp.mark.mark, n)
-            change = versions.Change(str(uuid4()), tab, keyframes.from_labels(frame))
+            blank = keyframes.blank_keyframe(grasp.mark.task, grasp.mark.annotator, grasp.mark.mark, n)
+            change = versions.Change(str(uuid4()), tab, keyframes.change_from_labels(frame))
             self.store.keyframes.apply(change, blank, replaced)
 
     def propagate(self, grasp: Grasp) -> None:
@@ -150,34 +150,37 @@ class Labelling:
 
     def reconstruct(self, grasp: Grasp, content: Json) -> None:
         """Begin to write the files, make a clip of them and reconstruct it. Raises ``RefusedError``."""
-        shape = reconstruction.shape_of(content)
+        shape = reconstruction.parse_requested_mesh(content)
         self._check_enough(grasp, self.labels(grasp))
         self._start(grasp, "reconstruct", lambda job: self.solve(grasp, shape, job))
 
-    def solve(self, grasp: Grasp, shape: reconstruction.Shape, job: BackgroundJob) -> str:
+    def solve(self, grasp: Grasp, shape: reconstruction.RequestedMesh, job: BackgroundJob) -> str:
         """Write the files, make a clip of them and reconstruct it; return the outcome in words.
 
         Raises ``GetagripError``, ``CancelledError``.
         """
-        from getagrip.annotate.labelled import clip_words
+        from getagrip.annotate.labelled import clip_arguments
 
         value, basis = self.labels(grasp), self._basis(grasp, self._own(grasp))
         self._check_enough(grasp, value)
         job.message = "writing the files"
         confidence = self._make(grasp, value, job).confidence
-        words = clip_words(value, self.out / grasp.name, str(grasp.path), self._segments(grasp))
-        said = reconstruction.reconstruct(words, shape, self.out, grasp.name, job, self.depth)
+        words = clip_arguments(value, self.out / grasp.name, str(grasp.path), self._segments(grasp))
+        said = reconstruction.reconstruct_grasp_files(words, shape, self.out, grasp.name, job, self.depth)
         result = reconstruction.result_folder(self.out, grasp.name)
-        self._reports |= {*map(_sum, reconstruction.report_files(result).values())}
-        iou = reconstruction.iou_of(result)
+        self._reports |= {*map(_report_checksum, reconstruction.report_files(result).values())}
+        iou = reconstruction.iou_by_frame(result)
         names = {grasp.footage.name(n): n for n in range(value.first, value.last + 1)}
         met = {names[name]: x for name, x in iou.items() if name in names}
         self._iou[grasp.mark.mark] = basis, met
-        wanted = frame_wanted(as_met(confidence, met, value.drawn), value.drawn, *grasp.extent)
-        number, first = grasp.footage.number, outlined({n: one.object or () for n, one in value.frames.items()})
+        wanted = suggest_frame(discount_confidence(confidence, met, value.drawn), value.drawn, *grasp.extent)
+        number, first = (
+            grasp.footage.number,
+            boxes_of_polygons({n: one.object or () for n, one in value.frames.items()}),
+        )
         step = next_step(
             reconstruction.result_folder(self.out, grasp.name), grasp.path, self.out, shape,
-            None if wanted is None else number(wanted), [*map(number, lost_in(confidence))],
+            None if wanted is None else number(wanted), [*map(number, lost_frames(confidence))],
             (number(value.first), number(value.last)), first.get(value.first),
         )  # fmt: skip
         return "\n".join(filter(None, (said, step)))
@@ -188,7 +191,7 @@ class Labelling:
         result = reconstruction.result_folder(self.out, grasp.name) / "result.json"
         if not (written.is_file() and result.is_file()) or result.stat().st_mtime < written.stat().st_mtime:
             return False
-        now = json.loads(json.dumps(labels.to_json(self.whole_labels(grasp))))
+        now = json.loads(json.dumps(labels.labels_to_json(self.whole_labels(grasp))))
         return bool(files.read_any_json(written) == now)
 
     def result_file(self, grasp: Grasp, name: str) -> bytes:
@@ -200,13 +203,13 @@ class Labelling:
         result = reconstruction.result_folder(self.out, grasp.name)
         if not (result / "result.json").is_file():
             raise RefusedError("there is no result of this grasp yet")
-        files.folder_inside(self.out, reconstruction.RESULTS, grasp.name)
+        files.folder_inside(self.out, reconstruction.RESULTS_FOLDER, grasp.name)
         with self._reporting:
             found = reconstruction.report_files(result)
-            if name not in found or _sum(found[name]) not in self._reports:
+            if name not in found or _report_checksum(found[name]) not in self._reports:
                 reconstruction.draw_report(result, BackgroundJob("report"))
                 found = reconstruction.report_files(result)
-                self._reports |= {*map(_sum, found.values())}
+                self._reports |= {*map(_report_checksum, found.values())}
         return found[name]
 
     def write(self, grasp: Grasp, value: Labels, job: BackgroundJob) -> str:
@@ -216,15 +219,15 @@ class Labelling:
         """
         return self._make(grasp, value, job).command
 
-    def _make(self, grasp: Grasp, value: Labels, job: BackgroundJob) -> Made:
+    def _make(self, grasp: Grasp, value: Labels, job: BackgroundJob) -> ClipFiles:
         """Write the files as ``write`` does, and return what they are made of."""
-        from getagrip.annotate.labelled import command, make
+        from getagrip.annotate.labelled import clip_command, write_labelled_clip_files
 
         self.out.mkdir(parents=True, exist_ok=True)
         if (path := self._segments(grasp)) is not None and grasp.whole is not None:
             files.write_json(path, {grasp.task.key: grasp.whole.listed().fields})
-        whole = replace(value, sha256=checksum(grasp.path))
-        labels.write(whole, self.out / f"labels-{grasp.name}.json")
+        whole = replace(value, sha256=footage_checksum(grasp.path))
+        labels.write_label_file(whole, self.out / f"labels-{grasp.name}.json")
         frames = value.last - value.first + 1
         with closing(open_footage(grasp.path)) as footage:
 
@@ -233,7 +236,7 @@ class Labelling:
                 return footage.image(n)
 
             out = self.out / grasp.name
-            made = make(
+            made = write_labelled_clip_files(
                 value,
                 image,
                 self.lens,
@@ -243,7 +246,7 @@ class Labelling:
                 found=self.found(grasp),
                 name=footage.name,
             )
-        return replace(made, command=command(replace(value, video=str(grasp.path)), out, self._segments(grasp)))
+        return replace(made, command=clip_command(replace(value, video=str(grasp.path)), out, self._segments(grasp)))
 
     def _segments(self, grasp: Grasp) -> Path | None:
         """Return the file of a whole interaction's segments."""
@@ -277,20 +280,22 @@ class Labelling:
         frames = [(one, one.labels()) for one in own if first <= one.frame <= last]
         masks = {  # a click's depends on the frames that it is compared with
             one.frame: [
-                *([shape.tolist() for shape in getattr(labelled, kind) or ()] for kind in SHAPES),
+                *([shape.tolist() for shape in getattr(labelled, kind) or ()] for kind in MIN_SHAPE_POINTS),
                 None if labelled.object is not None else [first, last],
             ]
             for one, labelled in frames
             if labelled.object is not None or labelled.on
         }
         hand = {one.frame: one.joints for one, labelled in frames if labelled.joints is not None}
-        between = stretches(masks, first, last) if masks else ()
-        hands = [(first, last, _word(first, last, hand, grasp.side, asdict(self.lens)))] if hand else []
+        between = keyframe_spans(masks, first, last) if masks else ()
+        hands = [(first, last, _basis_checksum(first, last, hand, grasp.side, asdict(self.lens)))] if hand else []
         found = self.found(grasp)
         if not hand and found.joints:
             hands = [(first, last, found.word)]
         return {
-            "masks": [(one.first, one.last, _word({n: masks[n] for n in one.keys}, found.word)) for one in between],
+            "masks": [
+                (one.first, one.last, _basis_checksum({n: masks[n] for n in one.keys}, found.word)) for one in between
+            ],
             "hand": hands,
         }
 
@@ -304,9 +309,11 @@ class Labelling:
         """Raise ``RefusedError`` for a frame with too few joints, by the number that the page shows."""
         for n, joints in labels.clicks.items():
             count = int(np.isfinite(joints).all(axis=1).sum())
-            if count < FEWEST:
+            if count < MIN_CLICKED_JOINTS:
                 number = grasp.footage.number(n)
-                raise RefusedError(f"frame {number} has {count} joints: click {FEWEST} at least, or delete them")
+                raise RefusedError(
+                    f"frame {number} has {count} joints: click {MIN_CLICKED_JOINTS} at least, or delete them"
+                )
 
     def _draft(self, grasp: Grasp, labels: Labels, basis: Basis, job: BackgroundJob) -> str:
         """Make drafts of both kinds where those that are there were made of something else."""
@@ -319,18 +326,18 @@ class Labelling:
         wrong: UsageError | None = None
         with closing(open_footage(grasp.path)) as footage:
             if len(known["hand"]) < len(words["hand"]):
-                K, _ = intrinsics(self.lens, labels.size)
+                K, _ = compute_intrinsics(self.lens, labels.size)
                 try:
                     hands = (
-                        drafting.hand(labels, K, footage.image)
+                        drafting.draft_fitted_hand(labels, K, footage.image)
                         if labels.clicks
-                        else drafting.found_hand(labels, self.found(grasp))
+                        else drafting.draft_detected_hand(labels, self.found(grasp))
                     )
                     drafts.put(key, "hand", words["hand"][labels.first], hands)
                 except UsageError as error:  # masks can be filled in nevertheless
                     wrong = error
             if len(known["masks"]) < len(words["masks"]):
-                for n, content in drafting.masks(labels, footage.image, known["masks"], self.found(grasp).mask):
+                for n, content in drafting.draft_masks(labels, footage.image, known["masks"], self.found(grasp).mask):
                     drafts.put(key, "masks", words["masks"][n], {n: content | {"number": footage.number(n)}})
                     job.report(n - labels.first + 1, frames)
         if wrong is not None:
@@ -338,9 +345,9 @@ class Labelling:
         return ""
 
 
-def _sum(content: bytes) -> str:
+def _report_checksum(content: bytes) -> str:
     return sha256(content).hexdigest()
 
 
-def _word(*content: object) -> str:
+def _basis_checksum(*content: object) -> str:
     return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

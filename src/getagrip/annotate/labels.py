@@ -29,18 +29,18 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from getagrip.clip.reading import LARGEST_IMAGE, LARGEST_SIDE
-from getagrip.clip.segments import polygons
+from getagrip.clip.reading import MAX_CLIP_IMAGE_PIXELS, MAX_CLIP_SIDE_PX
+from getagrip.clip.segments import fill_polygons
 from getagrip.errors import InputError
 from getagrip.hands.model import Side
 from getagrip.io import files
 
-OBJECT, FRONT, HAND = 1, 2, 3
+OBJECT_LABEL, OCCLUDER_LABEL, HAND_LABEL = 1, 2, 3
 """Values of a label map; 0 is everything else."""
-LAST_FRAME = 10**7
-SHAPES = {"object": 3, "front": 3, "hand": 3, "on": 1, "off": 1}
+MAX_FRAME_INDEX = 10**7
+MIN_SHAPE_POINTS = {"object": 3, "front": 3, "hand": 3, "on": 1, "off": 1}
 """Kinds of polygons, then of strokes, and how many points such a shape has at least."""
-MOST_POLYGONS, MOST_CORNERS = 100, 5000
+MAX_POLYGONS_PER_KIND, MAX_LABEL_POLYGON_CORNERS = 100, 5000
 """Most polygons of one frame and kind; most corners of one polygon."""
 
 Polygons = tuple[Float[ndarray, "_ 2"], ...]
@@ -88,65 +88,65 @@ class Labels:
         return [n for n, frame in sorted(self.frames.items()) if frame.object is not None or frame.on]
 
     def label_maps(self) -> dict[int, UInt8[ndarray, "H W"]]:
-        """Make label maps with 0, ``OBJECT``, ``FRONT`` or ``HAND`` from polygons.
+        """Make label maps with 0, ``OBJECT_LABEL``, ``OCCLUDER_LABEL`` or ``HAND_LABEL`` from polygons.
 
         ``strokes.key_masks`` uses strokes, too.
 
         Of the frames ``drawn``.
         """
-        return {n: _label_map(self.frames[n], self.size) for n in self.drawn}
+        return {n: _render_label_map(self.frames[n], self.size) for n in self.drawn}
 
 
-def _label_map(frame: FrameLabels, size: tuple[int, int]) -> UInt8[ndarray, "H W"]:
+def _render_label_map(frame: FrameLabels, size: tuple[int, int]) -> UInt8[ndarray, "H W"]:
     out = np.zeros(size[::-1], np.uint8)
-    for value, shapes in ((OBJECT, frame.object), (FRONT, frame.front), (HAND, frame.hand)):
+    for value, shapes in ((OBJECT_LABEL, frame.object), (OCCLUDER_LABEL, frame.front), (HAND_LABEL, frame.hand)):
         corners = [shape.ravel().tolist() for shape in shapes or ()]
-        out[polygons(Path(), "", corners, size)] = value
+        out[fill_polygons(Path(), "", corners, size)] = value
     return out
 
 
-def read(path: str | Path) -> Labels:
+def read_label_file(path: str | Path) -> Labels:
     """Read the labels in a file. Raises ``InputError``."""
-    return parse(files.read_json(Path(path)), path)
+    return parse_labels(files.read_json(Path(path)), path)
 
 
-def write(labels: Labels, path: str | Path) -> None:
+def write_label_file(labels: Labels, path: str | Path) -> None:
     """Write labels to a file, a line for each frame, whole or not at all."""
-    fields = to_json(labels)
+    fields = labels_to_json(labels)
     frames = ",\n".join(f"  {json.dumps(n)}: {json.dumps(frame)}" for n, frame in fields.pop("frames").items())
     files.write_bytes(Path(path), f'{json.dumps(fields)[:-1]}, "frames": {{\n{frames}\n}}}}\n'.encode())
 
 
-def to_json(labels: Labels) -> files.Json:
+def labels_to_json(labels: Labels) -> files.Json:
     """Write labels as the file has them."""
     fields = {key: getattr(labels, key) for key in ("video", "side", "fps", "first", "last")}
-    frames = {str(n): _frame_json(frame) for n, frame in sorted(labels.frames.items())}
+    frames = {str(n): _frame_to_json(frame) for n, frame in sorted(labels.frames.items())}
     whole = {"sha256": labels.sha256} if labels.sha256 else {}
     return fields | whole | {"size": list(labels.size), "frames": frames}
 
 
-def _frame_json(frame: FrameLabels) -> dict[str, object]:
+def _frame_to_json(frame: FrameLabels) -> dict[str, object]:
     out: dict[str, object] = {}
     if frame.joints is not None:
-        out["joints"] = [None if np.isnan(point).any() else _rounded(point) for point in frame.joints]
-    for key in SHAPES:
+        out["joints"] = [None if np.isnan(point).any() else _round_point(point) for point in frame.joints]
+    for key in MIN_SHAPE_POINTS:
         shapes = getattr(frame, key)
         if shapes is not None:
-            out[key] = [[_rounded(point) for point in shape] for shape in shapes]
+            out[key] = [[_round_point(point) for point in shape] for shape in shapes]
     return out
 
 
-def _rounded(point: Float[ndarray, "2"]) -> list[float]:
+def _round_point(point: Float[ndarray, "2"]) -> list[float]:
     """Round to a hundredth of a pixel, more than anybody can click."""
     return [round(float(x), 2) for x in point]
 
 
-def parse(content: files.Json, source: str | Path) -> Labels:
+def parse_labels(content: files.Json, source: str | Path) -> Labels:
     """Parse labels from JSON, everything checked. Raises ``InputError`` in the name of ``source``."""
-    checked = _Checked(Path(source), content)
+    checked = _LabelParser(Path(source), content)
     size = checked.size()
-    first = checked.whole("first", 0, LAST_FRAME)
-    last = checked.whole("last", first, LAST_FRAME)
+    first = checked.whole("first", 0, MAX_FRAME_INDEX)
+    last = checked.whole("last", first, MAX_FRAME_INDEX)
     return Labels(
         video=checked.name("video"),
         size=size,
@@ -160,7 +160,7 @@ def parse(content: files.Json, source: str | Path) -> Labels:
 
 
 @dataclass(frozen=True)
-class _Checked:
+class _LabelParser:
     """A reader of one JSON object."""
 
     path: Path
@@ -168,14 +168,14 @@ class _Checked:
 
     def __post_init__(self) -> None:
         needed = {"video", "size", "side", "fps", "first", "last", "frames"}
-        _only(self.path, "", self.content, {*needed, "sha256"}, needed)
+        _check_label_keys(self.path, "", self.content, {*needed, "sha256"}, needed)
 
     def wrong(self, key: str, expected: str) -> InputError:
-        return InputError(self.path, key, files.shown(self.content[key]), expected)
+        return InputError(self.path, key, files.shorten_value(self.content[key]), expected)
 
     def name(self, key: str) -> str:
         value = self.content[key]
-        if not isinstance(value, str) or not files.is_plain_name(value):
+        if not isinstance(value, str) or not files.is_portable_name(value):
             raise self.wrong(key, "the name of a file, without folders")
         return value
 
@@ -193,7 +193,7 @@ class _Checked:
 
     def rate(self) -> float:
         value = self.content["fps"]
-        if not _is_number(value) or not 0.1 <= value <= 10_000:
+        if not _is_finite_number(value) or not 0.1 <= value <= 10_000:
             raise self.wrong("fps", "frames per second, 0.1 to 10000")
         return float(value)
 
@@ -206,8 +206,10 @@ class _Checked:
     def size(self) -> tuple[int, int]:
         value = self.content["size"]
         pair = isinstance(value, list | tuple) and len(value) == 2 and all(type(n) is int and n > 0 for n in value)
-        if not pair or max(value) > LARGEST_SIDE or value[0] * value[1] > LARGEST_IMAGE:
-            raise self.wrong("size", f"width and height in pixels, at most {LARGEST_IMAGE / 1e6:g} million in all")
+        if not pair or max(value) > MAX_CLIP_SIDE_PX or value[0] * value[1] > MAX_CLIP_IMAGE_PIXELS:
+            raise self.wrong(
+                "size", f"width and height in pixels, at most {MAX_CLIP_IMAGE_PIXELS / 1e6:g} million in all"
+            )
         return value[0], value[1]
 
     def frames(self, first: int, last: int, size: tuple[int, int]) -> dict[int, FrameLabels]:
@@ -216,66 +218,71 @@ class _Checked:
             raise self.wrong("frames", "an object with a key for each frame")
         out = {}
         for text, frame in value.items():
-            where = f"frames.{files.plain(text)}"
+            where = f"frames.{files.printable(text)}"
             if not re.fullmatch(r"0|[1-9][0-9]{0,7}", text) or not first <= int(text) <= last:
                 raise InputError(self.path, where, "a key that is no frame of the grasp", f"{first} to {last}")
             if not isinstance(frame, Mapping):
-                raise InputError(self.path, where, files.shown(frame), "an object")
-            _only(self.path, where, frame, {"joints", *SHAPES}, set())
+                raise InputError(self.path, where, files.shorten_value(frame), "an object")
+            _check_label_keys(self.path, where, frame, {"joints", *MIN_SHAPE_POINTS}, set())
             out[int(text)] = FrameLabels(
-                _joints(self.path, f"{where}.joints", frame.get("joints"), size),
+                _parse_joints(self.path, f"{where}.joints", frame.get("joints"), size),
                 **{
-                    kind: _polygons(self.path, f"{where}.{kind}", frame.get(kind), size, least)
-                    for kind, least in SHAPES.items()
+                    kind: _parse_polygons(self.path, f"{where}.{kind}", frame.get(kind), size, least)
+                    for kind, least in MIN_SHAPE_POINTS.items()
                 },
             )
         return dict(sorted(out.items()))
 
 
-def _only(path: Path, where: str, value: Mapping[str, object], known: set[str], needed: set[str]) -> None:
+def _check_label_keys(path: Path, where: str, value: Mapping[str, object], known: set[str], needed: set[str]) -> None:
     """Raise ``InputError`` for unknown and missing keys."""
     for key in [key for key in value if key not in known][:1]:
         expected = f"one of {', '.join(sorted(known))}"
-        raise InputError(path, f"{where}.{files.plain(key)}".lstrip("."), "an unknown key", expected)
+        raise InputError(path, f"{where}.{files.printable(key)}".lstrip("."), "an unknown key", expected)
     for key in sorted(needed - value.keys())[:1]:
         raise InputError(path, key, "no such key", "it")
 
 
-def _joints(path: Path, key: str, value: object, size: tuple[int, int]) -> Float[ndarray, "21 2"] | None:
+def _parse_joints(path: Path, key: str, value: object, size: tuple[int, int]) -> Float[ndarray, "21 2"] | None:
     if value is None:
         return None
     if not isinstance(value, list | tuple) or len(value) != 21:
-        raise InputError(path, key, files.shown(value), "21 points, null where there is none")
+        raise InputError(path, key, files.shorten_value(value), "21 points, null where there is none")
     rows = [
-        [math.nan, math.nan] if point is None else _point(path, f"{key}[{n}]", point, size)
+        [math.nan, math.nan] if point is None else _parse_point(path, f"{key}[{n}]", point, size)
         for n, point in enumerate(value)
     ]
     return np.array(rows)
 
 
-def _polygons(path: Path, key: str, value: object, size: tuple[int, int], least: int) -> Polygons | None:
+def _parse_polygons(path: Path, key: str, value: object, size: tuple[int, int], least: int) -> Polygons | None:
     if value is None:
         return None
-    if not isinstance(value, list | tuple) or len(value) > MOST_POLYGONS:
-        raise InputError(path, key, files.shown(value), f"at most {MOST_POLYGONS} shapes [[x, y], ...]")
+    if not isinstance(value, list | tuple) or len(value) > MAX_POLYGONS_PER_KIND:
+        raise InputError(path, key, files.shorten_value(value), f"at most {MAX_POLYGONS_PER_KIND} shapes [[x, y], ...]")
     out = []
     for n, corners in enumerate(value):
-        if not isinstance(corners, list | tuple) or not least <= len(corners) <= MOST_CORNERS:
-            raise InputError(path, f"{key}[{n}]", files.shown(corners), f"{least} to {MOST_CORNERS} corners [x, y]")
-        out.append(np.array([_point(path, f"{key}[{n}][{k}]", corner, size) for k, corner in enumerate(corners)]))
+        if not isinstance(corners, list | tuple) or not least <= len(corners) <= MAX_LABEL_POLYGON_CORNERS:
+            raise InputError(
+                path,
+                f"{key}[{n}]",
+                files.shorten_value(corners),
+                f"{least} to {MAX_LABEL_POLYGON_CORNERS} corners [x, y]",
+            )
+        out.append(np.array([_parse_point(path, f"{key}[{n}][{k}]", corner, size) for k, corner in enumerate(corners)]))
     return tuple(out)
 
 
-def _point(path: Path, key: str, value: object, size: tuple[int, int]) -> list[float]:
+def _parse_point(path: Path, key: str, value: object, size: tuple[int, int]) -> list[float]:
     """Parse a point in the image, or beside it by no more than the image's own size."""
-    pair = isinstance(value, list | tuple) and len(value) == 2 and all(_is_number(x) for x in value)
+    pair = isinstance(value, list | tuple) and len(value) == 2 and all(_is_finite_number(x) for x in value)
     if not pair or not isinstance(value, list | tuple):
-        raise InputError(path, key, files.shown(value), "[x, y] in pixels")
+        raise InputError(path, key, files.shorten_value(value), "[x, y] in pixels")
     if not all(-side <= x <= 2 * side for x, side in zip(value, size, strict=True)):
-        raise InputError(path, key, files.shown(value), f"a point in or about the {size[0]} x {size[1]} image")
+        raise InputError(path, key, files.shorten_value(value), f"a point in or about the {size[0]} x {size[1]} image")
     return [float(x) for x in value]
 
 
-def _is_number(value: object) -> bool:
+def _is_finite_number(value: object) -> bool:
     """Return whether it is a finite number, and no truth value."""
     return type(value) is int or (isinstance(value, float) and math.isfinite(value))

@@ -19,33 +19,41 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
-from getagrip.annotate.labels import HAND, OBJECT
+from getagrip.annotate.labels import HAND_LABEL, OBJECT_LABEL
 from getagrip.clip import HandTrack
 from getagrip.clip.reading_arrays import read_hand
 from getagrip.clip.writing import write_hand
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
-from getagrip.hands.clicked_hands import FEWEST
-from getagrip.hands.hidden_joints import SIDE, Hiding
+from getagrip.hands.clicked_hands import MIN_CLICKED_JOINTS
+from getagrip.hands.hidden_joints import MAX_DISTANCE_IMAGE_PX, OcclusionDistances
 from getagrip.hands.lifted_hands import hands_from_landmarks
 from getagrip.hands.model import Side
 from getagrip.io import arrays
-from getagrip.io.terminal import counted, report
-from getagrip.provenance import Source, as_arrays, assumed, from_arrays, is_assumed, measured, of_provenance
+from getagrip.io.terminal import format_count, print_note
+from getagrip.provenance import (
+    Source,
+    assumed,
+    is_assumed,
+    is_provenance_key,
+    measured,
+    provenance_from_arrays,
+    provenance_to_arrays,
+)
 
-DEPTH = "joints_depth"
+JOINTS_DEPTH_KEY = "joints_depth"
 """Depth of each joint as the network sees it (``FoundHands.depth``), in the files of found hands."""
-HIDDEN = 0.25
+OCCLUDED_CONFIDENCE_FACTOR = 0.25
 """Factor on the confidence of landmarks that lie on the visible object: the network guesses them."""
-GUESSED = 0.4
+MAX_GUESSED_FRACTION = 0.4
 """Share of landmarks on the background or beside the image above which a frame's hand is largely guessed."""
-ORDER = 0.01
+MIN_DEPTH_ORDER_M = 0.01
 """Joints that the object hides are nearer than those that are seen, by at least this, of a hand of the wrong side, and
 farther by as much of one of the right side [m]."""
-WITHIN = 0.02
+MIN_BORDER_DISTANCE = 0.02
 """Distance of these joints from the border of the mask that they lie in, in sizes of the hand."""
-FEWEST_FRAMES, FEWEST_JOINTS = 5, 2
+MIN_SIDE_FRAMES, MIN_SIDE_JOINTS = 5, 2
 """Least number of frames that decide on a side, and in each of them of joints of either kind."""
 
 
@@ -54,7 +62,7 @@ class LabelMaps:
 
     def __init__(self, size: tuple[int, int]) -> None:
         self.size = size
-        self.zoom = min(1.0, SIDE / max(size))
+        self.zoom = min(1.0, MAX_DISTANCE_IMAGE_PX / max(size))
         self.small = max(2, round(size[0] * self.zoom)), max(2, round(size[1] * self.zoom))
         self.frames: dict[int, UInt8[ndarray, "h w"]] = {}
 
@@ -71,7 +79,7 @@ class LabelMaps:
         return np.array([self.frames.get(int(frame), none) for frame in frames])
 
 
-def lifted_again(
+def relift_hand(
     hand: HandTrack,
     frames: Int[ndarray, "n"],
     K: Float[ndarray, "3 3"],
@@ -95,15 +103,15 @@ def lifted_again(
     depth_seen = se3.transform(hand.T_cam_hand, hand.joints)[..., 2] if depth_seen is None else depth_seen
     depth[at] = -depth_seen if mirrored else depth_seen
     drawn = maps.at(every)
-    hidden = Hiding.of(drawn != OBJECT, maps.zoom).at(points)[0] > 0.0
-    hiding = Hiding.of(drawn > 0, maps.zoom)
+    hidden = OcclusionDistances.of(drawn != OBJECT_LABEL, maps.zoom).at(points)[0] > 0.0
+    hiding = OcclusionDistances.of(drawn > 0, maps.zoom)
     beside = ((points < 0.0) | (points > np.array(maps.size))).any(axis=-1)
-    guessed = (beside | (hiding.at(points)[0] > 0.0)).mean(axis=1) > GUESSED
+    guessed = (beside | (hiding.at(points)[0] > 0.0)).mean(axis=1) > MAX_GUESSED_FRACTION
     depth[guessed] = np.nan
-    enough = (~beside).sum(axis=1) >= FEWEST
+    enough = (~beside).sum(axis=1) >= MIN_CLICKED_JOINTS
     left_out = beside & (guessed & enough)[:, None]
     confidence = np.zeros((len(every), 21))
-    confidence[at] = (hand.joints_2d_confidence * np.where(hidden, HIDDEN, 1.0)[at]) * ~left_out[at]
+    confidence[at] = (hand.joints_2d_confidence * np.where(hidden, OCCLUDED_CONFIDENCE_FACTOR, 1.0)[at]) * ~left_out[at]
     found = hands_from_landmarks(points, confidence, K, side, depth, hiding)
     kept = np.isin(found.rows, at)
     rows = np.searchsorted(at, np.array(found.rows)[kept])
@@ -112,7 +120,9 @@ def lifted_again(
     return replace(lifted, joints_2d=seen, joints_2d_confidence=sure), rows
 
 
-def order(hand: HandTrack, frames: Int[ndarray, "n"], K: Float[ndarray, "3 3"], maps: LabelMaps) -> tuple[float, int]:
+def joint_depth_order(
+    hand: HandTrack, frames: Int[ndarray, "n"], K: Float[ndarray, "3 3"], maps: LabelMaps
+) -> tuple[float, int]:
     """Measure how much farther away joints are that the object hides than those that are seen [m].
 
     Returns the mean of the frames that have both, and their number.
@@ -120,21 +130,23 @@ def order(hand: HandTrack, frames: Int[ndarray, "n"], K: Float[ndarray, "3 3"], 
     assert hand.joints is not None
     joints, drawn = se3.transform(hand.T_cam_hand, hand.joints), maps.at(frames)
     points = project(K, joints)
-    least = WITHIN * np.ptp(points, axis=1).max(axis=1)[:, None]
-    hidden, seen = (Hiding.of(drawn != of, maps.zoom).at(points)[0] > least for of in (OBJECT, HAND))
-    both = np.minimum(hidden.sum(axis=1), seen.sum(axis=1)) >= FEWEST_JOINTS
+    least = MIN_BORDER_DISTANCE * np.ptp(points, axis=1).max(axis=1)[:, None]
+    hidden, seen = (
+        OcclusionDistances.of(drawn != of, maps.zoom).at(points)[0] > least for of in (OBJECT_LABEL, HAND_LABEL)
+    )
+    both = np.minimum(hidden.sum(axis=1), seen.sum(axis=1)) >= MIN_SIDE_JOINTS
     if not both.any():
         return 0.0, 0
     behind, before = (np.average(joints[both, :, 2], axis=1, weights=some[both]) for some in (hidden, seen))
     return float(np.mean(behind - before)), int(both.sum())
 
 
-def decided(order: float, frames: int) -> bool:
+def decides_side(order: float, frames: int) -> bool:
     """Return whether an order of joints decides on a hand's side."""
-    return frames >= FEWEST_FRAMES and abs(order) >= ORDER
+    return frames >= MIN_SIDE_FRAMES and abs(order) >= MIN_DEPTH_ORDER_M
 
 
-def other_side(
+def relift_other_side(
     hand: HandTrack,
     frames: Int[ndarray, "n"],
     K: Float[ndarray, "3 3"],
@@ -143,27 +155,27 @@ def other_side(
     off: tuple[float, int],
     depth: Float[ndarray, "n 21"] | None = None,
 ) -> tuple[HandTrack, Int[ndarray, "k"], Side, Source] | None:
-    """Lift a hand as one of the other side, if only that agrees with what the object hides; ``off`` is its ``order``.
+    """Lift a hand as one of the other side, if only that agrees with what the object hides; ``off`` is its ``joint_depth_order``.
 
     Returns the hand, its rows, that side and its source.
     """
-    if not (decided(*off) and off[0] < 0.0):
+    if not (decides_side(*off) and off[0] < 0.0):
         return None
     other: Side = "left" if side == "right" else "right"
     try:
-        lifted, rows = lifted_again(hand, frames, K, other, maps, True, depth)
+        lifted, rows = relift_hand(hand, frames, K, other, maps, True, depth)
     except UsageError:  # no such hand looks like the landmarks
         return None
-    better, count = order(lifted, frames[rows], K, maps)
-    if not (decided(better, count) and better > 0.0):
+    better, count = joint_depth_order(lifted, frames[rows], K, maps)
+    if not (decides_side(better, count) and better > 0.0):
         return None
     where = f"{1e3 * better:.0f} mm behind those that are seen, of a {side} one {-1e3 * off[0]:.0f} mm before"
-    of = f"the joints of a {other} hand that the object hides are {where} them, in {counted(count, 'frame')}"
+    of = f"the joints of a {other} hand that the object hides are {where} them, in {format_count(count, 'frame')}"
     source = assumed(f"{other}, a guess, since {of}; it looks like a {side} one: --side {side} overrules this")
     return lifted, rows, other, source
 
 
-def write_lifted_again(found: Path, out: Path, side: Side, numbers: Mapping[int, int], maps: LabelMaps) -> None:
+def write_relifted_hands(found: Path, out: Path, side: Side, numbers: Mapping[int, int], maps: LabelMaps) -> None:
     """Write a found hand file to ``out``, its hands lifted again.
 
     ``numbers`` are those of the frames of ``out``, by their places from 0; ``found`` counts places from 1.
@@ -171,12 +183,12 @@ def write_lifted_again(found: Path, out: Path, side: Side, numbers: Mapping[int,
     this is said. Where hands cannot be lifted, they stay as they are, and it is said; an estimator's own hands stay,
     too. Raises ``InputError`` for a malformed file, ``UsageError`` for hands of another side that stay.
     """
-    content = arrays.read(found, lambda key: key in {"frames", "K", "side", DEPTH} or of_provenance(key))
+    content = arrays.read(found, lambda key: key in {"frames", "K", "side", JOINTS_DEPTH_KEY} or is_provenance_key(key))
     places = arrays.frame_numbers(found, content)
     if places is None:
         raise InputError(found, "frames", "no such key", "the numbers of its frames")
-    frames, known = np.array(places) - 1, from_arrays(found, content)
-    depth = arrays.floats(found, content, DEPTH, (len(places), 21)) if DEPTH in content else None
+    frames, known = np.array(places) - 1, provenance_from_arrays(found, content)
+    depth = arrays.floats(found, content, JOINTS_DEPTH_KEY, (len(places), 21)) if JOINTS_DEPTH_KEY in content else None
     rows = np.flatnonzero(np.isin(frames, [*numbers]))
     hand, frames = read_hand(found, len(places)).take(rows), frames[rows]
     depth = None if depth is None else depth[rows]
@@ -187,20 +199,22 @@ def write_lifted_again(found: Path, out: Path, side: Side, numbers: Mapping[int,
         if not is_assumed(known.get("hands_scale")):
             raise UsageError("an estimator's are not lifted again")
         K = arrays.floats(found, content, "K", (3, 3))
-        lifted, kept = lifted_again(hand, frames, K, side, maps, overruled, depth)
-        off = order(lifted, frames[kept], K, maps)
-        turned = other_side(hand, frames, K, side, maps, off, depth) if is_assumed(known.get("hands_side")) else None
+        lifted, kept = relift_hand(hand, frames, K, side, maps, overruled, depth)
+        off = joint_depth_order(lifted, frames[kept], K, maps)
+        turned = (
+            relift_other_side(hand, frames, K, side, maps, off, depth) if is_assumed(known.get("hands_side")) else None
+        )
         if turned is not None:
             lifted, kept, side, source = turned
             known = known | {"hands_side": source}
-            report(f"hands_side: {source}")
+            print_note(f"hands_side: {source}")
         hand, frames = lifted, frames[kept]
     except UsageError as error:
         if overruled:
             raise UsageError(
                 f"the hands that were found are not {side} ones: draft again with --side {side}"
             ) from error
-        report(f"hands: unchanged: {error}")
+        print_note(f"hands: unchanged: {error}")
     named = {"frames": np.array([numbers[n] for n in frames.tolist()]), "side": np.array(side)}
-    extra = {key: value for key, value in content.items() if key != DEPTH}
-    write_hand(hand, out, extra | as_arrays(known) | named)
+    extra = {key: value for key, value in content.items() if key != JOINTS_DEPTH_KEY}
+    write_hand(hand, out, extra | provenance_to_arrays(known) | named)

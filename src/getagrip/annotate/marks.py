@@ -9,20 +9,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, fields, replace
 
-from getagrip.annotate.footage import Footage, seconds
-from getagrip.annotate.versions import Database, RefusedError, Row, Versions
+from getagrip.annotate.footage import Footage, duration_seconds
+from getagrip.annotate.versions import RefusedError, Row, VersionDatabase, Versions
 from getagrip.clip.timeline import STATES
-from getagrip.io.files import Json, shown
+from getagrip.io.files import Json, shorten_value
 
-REASONS = ("no stable grasp", "out of view", "other CAD")
+DISCARD_REASONS = ("no stable grasp", "out of view", "other CAD")
 """Why a task is discarded: nothing is held stably, hand and object are not visible, the thing is unlike its mesh."""
-GRASP = "grasp"
+GRASP_STATE = "grasp"
 """The state of a stable grasp (``clip.timeline``)."""
-STILL = "still"
+STATIC_CAMERA = "still"
 """Value for a camera that did not move."""
-SETTABLE = frozenset({"start", "end", "side", "category", "entity", "reason", "state", "camera", "deleted"})
+MARK_SETTABLE_FIELDS = frozenset({"start", "end", "side", "category", "entity", "reason", "state", "camera", "deleted"})
 """Fields that the page may change."""
-SCHEMA = """
+MARKS_SCHEMA = """
 CREATE TABLE versions (
     seq INTEGER PRIMARY KEY AUTOINCREMENT,
     change TEXT NOT NULL UNIQUE, tab TEXT NOT NULL, at TEXT NOT NULL,
@@ -36,7 +36,7 @@ CREATE INDEX versions_of_task ON versions (task, annotator, tab);
 CREATE VIEW marks AS SELECT * FROM versions AS v
     WHERE seq = (SELECT max(seq) FROM versions WHERE mark = v.mark) AND NOT deleted;
 """
-SEGMENTS = """
+SEGMENTS_MIGRATION = """
 ALTER TABLE versions ADD COLUMN state TEXT;
 ALTER TABLE versions ADD COLUMN camera TEXT;
 """
@@ -56,17 +56,17 @@ class Mark:
     category: str | None = None
     entity: str | None = None
     reason: str | None = None
-    """One of ``REASONS``: then it has neither start nor end."""
+    """One of ``DISCARD_REASONS``: then it has neither start nor end."""
     deleted: bool = False
     start_number: int | None = None
     """Start and end in the footage's own numbers."""
     end_number: int | None = None
     seconds: float | None = None
     """How long it lasts."""
-    state: str = GRASP
+    state: str = GRASP_STATE
     """State of the object in the interval: one of ``STATES``."""
     camera: str | None = None
-    """``STILL`` where the mark says that of the camera: then it has neither start nor end."""
+    """``STATIC_CAMERA`` where the mark says that of the camera: then it has neither start nor end."""
 
     @property
     def interval(self) -> tuple[int, int] | None:
@@ -76,26 +76,26 @@ class Mark:
     @property
     def grasp(self) -> tuple[int, int] | None:
         """Start and end of a stable grasp that has both."""
-        return self.interval if self.state == GRASP else None
+        return self.interval if self.state == GRASP_STATE else None
 
 
-COLUMNS = tuple(field.name for field in fields(Mark))
+MARK_COLUMNS = tuple(field.name for field in fields(Mark))
 
 
-def versions(database: Database) -> Versions[Mark]:
+def mark_versions(database: VersionDatabase) -> Versions[Mark]:
     """Return the marks in a database."""
     order = "task, annotator, start, mark"
-    return Versions(database, "versions", "marks", "mark", "task", order, COLUMNS, astuple, _mark)
+    return Versions(database, "versions", "marks", "mark", "task", order, MARK_COLUMNS, astuple, _mark_from_row)
 
 
-def _mark(row: Row) -> Mark:
-    values = dict(zip(COLUMNS, row, strict=True))
-    if (values["state"] or GRASP) not in STATES:
-        raise ValueError(f"state: {shown(values['state'])}")
-    return Mark(**values | {"deleted": bool(values["deleted"]), "state": values["state"] or GRASP})
+def _mark_from_row(row: Row) -> Mark:
+    values = dict(zip(MARK_COLUMNS, row, strict=True))
+    if (values["state"] or GRASP_STATE) not in STATES:
+        raise ValueError(f"state: {shorten_value(values['state'])}")
+    return Mark(**values | {"deleted": bool(values["deleted"]), "state": values["state"] or GRASP_STATE})
 
 
-def _check(sets: Mapping[str, object]) -> None:
+def _check_mark_fields(sets: Mapping[str, object]) -> None:
     """Raise ``RefusedError`` for values that no mark can have."""
     for key, value in sets.items():
         if key == "deleted":
@@ -108,26 +108,26 @@ def _check(sets: Mapping[str, object]) -> None:
         elif key == "state":
             fine, expected = value in STATES, f"one of {', '.join(STATES)}"
         elif key == "camera":
-            fine, expected = value == STILL, STILL
+            fine, expected = value == STATIC_CAMERA, STATIC_CAMERA
         elif key == "reason":
-            fine, expected = value is None or value in REASONS, f"one of {', '.join(REASONS)}"
+            fine, expected = value is None or value in DISCARD_REASONS, f"one of {', '.join(DISCARD_REASONS)}"
         else:
             fine = isinstance(value, str) and 0 < len(value.strip()) <= 200 and value.isprintable()
             expected = "a name of up to 200 letters"
         if not fine:
-            raise RefusedError(f"{key} must be {expected} (got {shown(value)})")
+            raise RefusedError(f"{key} must be {expected} (got {shorten_value(value)})")
 
 
-def changed(mark: Mark, sets: Json, footage: Footage) -> Mark:
+def apply_mark_change(mark: Mark, sets: Json, footage: Footage) -> Mark:
     """Apply a change to a mark, and add the footage's data of its frames. Raises ``RefusedError``."""
-    _check(sets)
+    _check_mark_fields(sets)
     new = replace(mark, **sets)
     for frame in (new.start, new.end):
         if frame is not None and not 0 <= frame < footage.frames:
             raise RefusedError(f"frame {frame}: the footage has frames 0 to {footage.frames - 1}")
     if new.end is not None and (new.start is None or new.end < new.start):
         raise RefusedError("a segment cannot end before it starts")
-    if new.end is not None and new.state == GRASP and new.side is None and not new.deleted:
+    if new.end is not None and new.state == GRASP_STATE and new.side is None and not new.deleted:
         raise RefusedError("say first which hand holds the object: left or right")
     entry = [value for value in (new.start, new.reason, new.camera) if value is not None]
     if len(entry) > 1:
@@ -138,5 +138,5 @@ def changed(mark: Mark, sets: Json, footage: Footage) -> Mark:
         new,
         start_number=None if new.start is None else footage.number(new.start),
         end_number=None if new.end is None else footage.number(new.end),
-        seconds=None if new.start is None or new.end is None else seconds(footage, new.start, new.end),
+        seconds=None if new.start is None or new.end is None else duration_seconds(footage, new.start, new.end),
     )

@@ -13,19 +13,19 @@ Image = UInt8[ndarray, "H W 3"]
 Origins = tuple[Float32[ndarray, "h w"], Float32[ndarray, "h w"]]
 """x and y of where each pixel was."""
 
-SAMPLES = 2000
+MAX_MOTION_SAMPLES = 2000
 """Largest number of the object's pixels that its motion is fitted to; a hundredth of it is the least."""
-SPREAD = 10.0
+FLOW_BLUR_SIGMA_PX = 10.0
 """Standard deviation of the Gaussian that averages the flow of the object's pixels [px]."""
-FLOW = 1.5
+FLOW_SIGMA_PX = 1.5
 """Standard deviation of flow [px]."""
-MOST = 3.0
+MAX_MOTION_LOG_RATIO = 3.0
 """Largest logarithm of the ratio of the probabilities of two motions."""
-OTHER = 10.0
+SHOT_CHANGE_THRESHOLD = 10.0
 """Median difference of pixels from those where flow says that they were; above it the video is cut [of 255]."""
 
 
-def own_motion(
+def fit_object_motion(
     x: Float32[ndarray, "h w"],
     y: Float32[ndarray, "h w"],
     came: Origins,
@@ -37,8 +37,8 @@ def own_motion(
     """
     import cv2
 
-    some = np.flatnonzero(inner)[:: max(1, np.count_nonzero(inner) // SAMPLES)]
-    if len(some) < SAMPLES // 100:
+    some = np.flatnonzero(inner)[:: max(1, np.count_nonzero(inner) // MAX_MOTION_SAMPLES)]
+    if len(some) < MAX_MOTION_SAMPLES // 100:
         return None
     here, there = (np.stack([each.ravel()[some] for each in pair], axis=1) for pair in ((x, y), came))
     A = cv2.estimateAffine2D(here, there, method=cv2.RANSAC, ransacReprojThreshold=1.0)[0]
@@ -47,20 +47,20 @@ def own_motion(
     weight = inner.astype(np.float32)
     affine = [(row[0] * x + row[1] * y + row[2]).astype(np.float32) for row in A]
     shifts = [weight * np.clip(each - one, -3.0, 3.0) for each, one in zip(came, affine, strict=True)]
-    total, *sums = (_spread(each) for each in (weight, *shifts))
+    total, *sums = (_blur_flow(each) for each in (weight, *shifts))
     return affine[0] + sums[0] / (total + 0.01), affine[1] + sums[1] / (total + 0.01)
 
 
-def _spread(values: Float32[ndarray, "h w"]) -> Float32[ndarray, "h w"]:
-    """Blur by ``SPREAD``, at a quarter of the size, which is enough for it."""
+def _blur_flow(values: Float32[ndarray, "h w"]) -> Float32[ndarray, "h w"]:
+    """Blur by ``FLOW_BLUR_SIGMA_PX``, at a quarter of the size, which is enough for it."""
     import cv2
 
     size = values.shape[::-1]
     small = cv2.resize(values, tuple(max(1, n // 4) for n in size), interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.resize(cv2.GaussianBlur(small, (0, 0), SPREAD / 4.0), size), np.float32)
+    return np.asarray(cv2.resize(cv2.GaussianBlur(small, (0, 0), FLOW_BLUR_SIGMA_PX / 4.0), size), np.float32)
 
 
-def moves_with(
+def motion_log_ratio(
     came: Origins,
     own: Origins,
     ground: Origins | None,
@@ -72,11 +72,16 @@ def moves_with(
     if ground is None:
         return np.zeros_like(off)
     apart = [(came[0] - each[0]) ** 2 + (came[1] - each[1]) ** 2 for each in (ground, own)]
-    noise = 2.0 * (FLOW**2 + off**2)
-    return np.asarray(cv2.GaussianBlur(np.clip((apart[0] - apart[1]) / noise, -MOST, MOST), (0, 0), 2.0), np.float32)
+    noise = 2.0 * (FLOW_SIGMA_PX**2 + off**2)
+    return np.asarray(
+        cv2.GaussianBlur(
+            np.clip((apart[0] - apart[1]) / noise, -MAX_MOTION_LOG_RATIO, MAX_MOTION_LOG_RATIO), (0, 0), 2.0
+        ),
+        np.float32,
+    )
 
 
-def hand_step(before: Bool[ndarray, "h w"] | None, after: Bool[ndarray, "h w"] | None) -> tuple[int, int]:
+def hand_displacement(before: Bool[ndarray, "h w"] | None, after: Bool[ndarray, "h w"] | None) -> tuple[int, int]:
     """Measure how far a hand has moved from one frame to the next [px], 0 where either mask is not known."""
     if before is None or after is None or not before.any() or not after.any():
         return 0, 0
@@ -84,15 +89,15 @@ def hand_step(before: Bool[ndarray, "h w"] | None, after: Bool[ndarray, "h w"] |
     return round(x), round(y)
 
 
-def shows_other(before: Image, after: Image, came: Origins) -> bool:
+def is_other_shot(before: Image, after: Image, came: Origins) -> bool:
     """Return whether most of an image shows something else than the one before, wherever that was."""
     import cv2
 
     expected = cv2.remap(before, *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
-    return bool(np.median(cv2.absdiff(expected[::2, ::2], after[::2, ::2]).mean(axis=-1)) > OTHER)
+    return bool(np.median(cv2.absdiff(expected[::2, ::2], after[::2, ::2]).mean(axis=-1)) > SHOT_CHANGE_THRESHOLD)
 
 
-def moved(
+def warp_values(
     values: Float32[ndarray, "h w"], old: tuple[Float32[ndarray, "H W"], Float32[ndarray, "H W"]], outside: float
 ) -> Float32[ndarray, "H W"]:
     """Return values at the origins of pixels."""
@@ -101,7 +106,7 @@ def moved(
     return np.asarray(cv2.remap(values, *old, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, outside), np.float32)
 
 
-def flow(a: Image, b: Image) -> Float32[ndarray, "H W 2"]:
+def optical_flow(a: Image, b: Image) -> Float32[ndarray, "H W 2"]:
     """Return the flow from a to b: each pixel's place in b minus its place in a [px]."""
     import cv2
 

@@ -11,29 +11,29 @@ from threading import Lock
 from uuid import uuid4
 
 from getagrip.annotate import agreement, export, labels, marks, versions
-from getagrip.annotate.footage import Footage, Names
+from getagrip.annotate.footage import Footage, FrameNames
 from getagrip.annotate.grasp import Grasp
-from getagrip.annotate.interaction import Interaction, interaction, is_whole, segments_of
-from getagrip.annotate.labelled_footage import tasks_of
+from getagrip.annotate.interaction import Interaction, interaction_of_marks, is_interaction, read_task_segments
+from getagrip.annotate.labelled_footage import tasks_of_labels
 from getagrip.annotate.labelling import Labelling
 from getagrip.annotate.labels import Labels
 from getagrip.annotate.marks import Mark
-from getagrip.annotate.store import Store
+from getagrip.annotate.store import MarkStore
 from getagrip.annotate.tasks import Task, open_footage
-from getagrip.annotate.versions import Change, RefusedError, token
-from getagrip.datasets.epic.tables import CATEGORIES
+from getagrip.annotate.versions import Change, RefusedError, parse_token
+from getagrip.datasets.epic.tables import EPIC_CATEGORIES
 from getagrip.geometry.lens import Lens
 from getagrip.io import files
 from getagrip.io.files import Json
 
-MOST_OPEN = 4
+MAX_OPEN_FOOTAGE = 4
 """Footage that is kept open at once."""
 
 
 class Project:
     """Tasks and the store of their marks and labels."""
 
-    def __init__(self, tasks: list[Task], store: Store, lens: Lens | None = None) -> None:
+    def __init__(self, tasks: list[Task], store: MarkStore, lens: Lens | None = None) -> None:
         """``lens`` is the camera of all footage; without one the focal length is guessed."""
         self.tasks = {task.key: task for task in tasks}
         self.store = store
@@ -54,13 +54,13 @@ class Project:
     def overview(self, annotator: object) -> dict[str, object]:
         """List all tasks, and an annotator's progress with each: "", started, marked, discarded."""
         own: dict[str, list[Mark]] = {}
-        for mark in self.store.marks.standing(annotator=versions.annotator(annotator)):
+        for mark in self.store.marks.standing(annotator=versions.check_annotator(annotator)):
             own.setdefault(mark.task, []).append(mark)
         tasks = [
-            asdict(task) | {"path": None, "found": task.path is not None, "state": _state(own.get(task.key, []))}
+            asdict(task) | {"path": None, "found": task.path is not None, "state": _task_state(own.get(task.key, []))}
             for task in self.tasks.values()
         ]
-        return {"project": self.name, "tasks": tasks, "categories": CATEGORIES, "reasons": marks.REASONS}
+        return {"project": self.name, "tasks": tasks, "categories": EPIC_CATEGORIES, "reasons": marks.DISCARD_REASONS}
 
     def task(self, key: object) -> dict[str, object]:
         """Return the frames of a task.
@@ -82,24 +82,26 @@ class Project:
 
     def marks(self, key: object, annotator: object) -> dict[str, object]:
         """Return an annotator's marks of a task, and the number of their last change."""
-        task, name = self._task(key), versions.annotator(annotator)
+        task, name = self._task(key), versions.check_annotator(annotator)
         newest = self.store.marks.newest(task.key, name)  # before the marks: what changes in between is asked for again
         own = self.store.marks.standing(task.key, name)
-        state = interaction(task, self.footage(task), own).state() if is_whole(own) else None
+        state = interaction_of_marks(task, self.footage(task), own).state() if is_interaction(own) else None
         return {"newest": newest, "marks": [asdict(mark) for mark in own], "interaction": state}
 
     def change(self, content: Json) -> dict[str, object]:
         """Make a change. Raises ``RefusedError``."""
-        change = versions.read_change(content, marks.SETTABLE)
-        blank = Mark(token(content, "mark"), str(content.get("task")), versions.annotator(content.get("annotator")))
+        change = versions.read_change(content, marks.MARK_SETTABLE_FIELDS)
+        blank = Mark(
+            parse_token(content, "mark"), str(content.get("task")), versions.check_annotator(content.get("annotator"))
+        )
         footage = self.footage(self._task(blank.task))
-        self.store.marks.apply(change, blank, lambda mark, sets: marks.changed(mark, sets, footage))
+        self.store.marks.apply(change, blank, lambda mark, sets: marks.apply_mark_change(mark, sets, footage))
         return self.marks(blank.task, blank.annotator)
 
     def undo(self, content: Json) -> dict[str, object]:
         """Take back a tab's last change of a task's marks. Raises ``RefusedError``."""
-        task, name = self._task(content.get("task")), versions.annotator(content.get("annotator"))
-        undone = self.store.marks.undo(task.key, name, token(content, "tab"), token(content, "change"))
+        task, name = self._task(content.get("task")), versions.check_annotator(content.get("annotator"))
+        undone = self.store.marks.undo(task.key, name, parse_token(content, "tab"), parse_token(content, "change"))
         return self.marks(task.key, name) | {"undone": undone is not None}
 
     def labels(self, content: Json) -> dict[str, object]:
@@ -115,7 +117,7 @@ class Project:
     def unlabel(self, content: Json) -> dict[str, object]:
         """Take back a tab's last change of its frames. Raises ``RefusedError``."""
         grasp = self._grasp(content)
-        undone = self.labelling.undo(grasp, token(content, "tab"), token(content, "change"))
+        undone = self.labelling.undo(grasp, parse_token(content, "tab"), parse_token(content, "change"))
         return self.labelling.state(grasp) | undone
 
     def work(self, content: Json) -> dict[str, object]:
@@ -128,7 +130,7 @@ class Project:
             "cancel": lambda: self.labelling.background.cancel(grasp.mark.mark),
         }
         if not isinstance(what := content.get("work"), str) or what not in known:
-            raise RefusedError(f"unknown work {files.shown(what)}; choose from {', '.join(known)}")
+            raise RefusedError(f"unknown work {files.shorten_value(what)}; choose from {', '.join(known)}")
         known[what]()
         return self.labelling.state(grasp)
 
@@ -139,7 +141,7 @@ class Project:
     def labels_file(self, content: Json) -> tuple[str, str]:
         """Return the labels of a grasp as JSON, and the name of the file. Raises ``RefusedError``."""
         grasp = self._grasp(content)
-        text = files.to_json(labels.to_json(self.labelling.whole_labels(grasp))) + "\n"
+        text = files.to_json(labels.labels_to_json(self.labelling.whole_labels(grasp))) + "\n"
         return text, f"labels-{grasp.name}.json"
 
     def result_file(self, content: Json, name: str) -> bytes:
@@ -159,10 +161,10 @@ class Project:
 
         Raises ``RefusedError`` where it is of other footage.
         """
-        tasks = tasks_of(labels, list(self.tasks.values()))
+        tasks = tasks_of_labels(labels, list(self.tasks.values()))
         footage = self.footage(tasks[0])
-        inside = [task for task in tasks if _holds(task.extent(footage), (labels.first, labels.last))]
-        task, name = (inside or tasks)[0], versions.annotator(annotator)
+        inside = [task for task in tasks if _contains_interval(task.extent(footage), (labels.first, labels.last))]
+        task, name = (inside or tasks)[0], versions.check_annotator(annotator)
         sets = {"start": labels.first, "end": labels.last, "side": labels.side}
         extent = (labels.first, labels.last)
         known = self._grasps(task, name).values()
@@ -177,13 +179,13 @@ class Project:
         What the file says of the camera is not taken: the annotator states it. Raises ``InputError`` for a file that is
         malformed or of other footage, ``RefusedError`` where the annotator has marked segments there already.
         """
-        name, count, tab = versions.annotator(annotator), 0, str(uuid4())
+        name, count, tab = versions.check_annotator(annotator), 0, str(uuid4())
         there = [task for task in self.tasks.values() if task.path is not None]
-        for task, listed in segments_of(path, there):
+        for task, listed in read_task_segments(path, there):
             footage = self.footage(task)
             if any(mark.start is not None for mark in self.store.marks.standing(task.key, name)):
                 raise RefusedError(f"{name} has marked segments of {task.key} already: choose another --annotator")
-            for one in listed.at(Names(footage), has_world=True):
+            for one in listed.at(FrameNames(footage), has_world=True):
                 side = one.side or task.side
                 sets = {"start": one.first, "end": one.last, "state": one.state}
                 self._mark(task, name, tab, sets | ({} if side is None else {"side": side}))
@@ -192,7 +194,7 @@ class Project:
 
     def mark_grasp(self, task: Task, annotator: str, extent: tuple[int, int], side: str) -> None:
         """Mark a grasp, both frames included, unless the annotator has it already. Raises ``RefusedError``."""
-        name = versions.annotator(annotator)
+        name = versions.check_annotator(annotator)
         own = self.store.marks.standing(task.key, name)
         if not any(mark.interval == extent and mark.side == side for mark in own):
             self._mark(task, name, str(uuid4()), {"start": extent[0], "end": extent[1], "side": side})
@@ -202,13 +204,13 @@ class Project:
         footage = self.footage(task)
         blank, about = Mark(str(uuid4()), task.key, name), {"category": task.category, "entity": task.entity}
         change = Change(str(uuid4()), tab, sets | {key: text for key, text in about.items() if text})
-        return self.store.marks.apply(change, blank, lambda mark, sets: marks.changed(mark, sets, footage))
+        return self.store.marks.apply(change, blank, lambda mark, sets: marks.apply_mark_change(mark, sets, footage))
 
     def interactions(self, annotator: str) -> list[Interaction]:
         """Return an annotator's whole interactions of these tasks. Raises ``InputError``."""
         there = [task for task in self.tasks.values() if task.path is not None]
         own = ((task, self.store.marks.standing(task.key, annotator)) for task in there)
-        return [interaction(task, self.footage(task), marks) for task, marks in own if is_whole(marks)]
+        return [interaction_of_marks(task, self.footage(task), marks) for task, marks in own if is_interaction(marks)]
 
     def known(self, annotator: str | None = None) -> list[Mark]:
         """Return the marks of these tasks; those of other tasks in the same file are left out."""
@@ -216,21 +218,21 @@ class Project:
 
     def agreement(self) -> dict[str, object]:
         """Return the agreement of every two annotators."""
-        return {"pairs": [asdict(one) for one in agreement.agreements(self.known())]}
+        return {"pairs": [asdict(one) for one in agreement.pairwise_agreements(self.known())]}
 
     def exported(self, kind: str, annotator: object) -> str:
         """Export an annotator's grasps as text, "csv" or "json", or their "segments".
 
         Raises ``RefusedError``, ``InputError``.
         """
-        name = versions.annotator(annotator)
+        name = versions.check_annotator(annotator)
         if kind == "segments":
             listed = {one.task.key: one.listed().fields for one in self.interactions(name)}
             return files.to_json(listed) + "\n"
         found = self.known(name)
         if kind == "csv":
             return export.epic_csv(found, self.tasks)
-        return files.to_json(export.intervals(found, self.tasks)) + "\n"
+        return files.to_json(export.grasp_intervals(found, self.tasks)) + "\n"
 
     def footage(self, task: Task) -> Footage:
         """Return the footage of a task, opened where it is not.
@@ -244,37 +246,39 @@ class Project:
             if name not in self._open:
                 self._open[name] = open_footage(task.path)
             self._open.move_to_end(name)
-            while len(self._open) > MOST_OPEN:
+            while len(self._open) > MAX_OPEN_FOOTAGE:
                 self._open.popitem(last=False)[1].close()
             return self._open[name]
 
     def _grasp(self, content: Json) -> Grasp:
         """Return the grasp that a request is about, and who asks. Raises ``RefusedError``."""
-        task, name = self._task(content.get("task")), versions.annotator(content.get("annotator"))
+        task, name = self._task(content.get("task")), versions.check_annotator(content.get("annotator"))
         own = self._grasps(task, name)
         if not isinstance(key := content.get("grasp"), str) or key not in own:
-            raise RefusedError(f"grasp must be one that {name} has marked in {task.key} (got {files.shown(key)})")
+            raise RefusedError(
+                f"grasp must be one that {name} has marked in {task.key} (got {files.shorten_value(key)})"
+            )
         return own[key]
 
     def _grasps(self, task: Task, name: str) -> dict[str, Grasp]:
         """Return what can be labelled: a person's segments of a task and, at last, the whole interaction."""
         footage, own = self.footage(task), self.store.marks.standing(task.key, name)
         out = {mark.mark: Grasp(task, footage, mark) for mark in own if mark.start is not None}
-        if is_whole(own) and (whole := interaction(task, footage, own)).finished:
+        if is_interaction(own) and (whole := interaction_of_marks(task, footage, own)).finished:
             out[whole.mark.mark] = Grasp(task, footage, whole.mark, whole)
         return out
 
     def _task(self, key: object) -> Task:
         if not isinstance(key, str) or key not in self.tasks:
-            raise RefusedError(f"task must be one of the {len(self.tasks)} there are (got {files.shown(key)})")
+            raise RefusedError(f"task must be one of the {len(self.tasks)} there are (got {files.shorten_value(key)})")
         return self.tasks[key]
 
 
-def _holds(outer: tuple[int, int], inner: tuple[int, int]) -> bool:
+def _contains_interval(outer: tuple[int, int], inner: tuple[int, int]) -> bool:
     return outer[0] <= inner[0] and inner[1] <= outer[1]
 
 
-def _state(found: list[Mark]) -> str:
+def _task_state(found: list[Mark]) -> str:
     if any(mark.interval for mark in found):
         return "marked"
     if any(mark.reason for mark in found):

@@ -14,37 +14,37 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from getagrip.annotate.boxes import LOST, Box, followed_boxes, reduced
+from getagrip.annotate.boxes import MIN_BOX_CORRELATION, Box, downscale_image, track_box
 from getagrip.annotate.carried_masks import Images
 from getagrip.annotate.labels import Polygons
 
-SIDE = 480.0
+MAX_GROUND_IMAGE_PX = 480.0
 """Longer side of the images in which the ground's motion is measured, at most [px]."""
-CORNERS, FEWEST = 200, 8
+MAX_GROUND_CORNERS, MIN_GROUND_CORNERS = 200, 8
 """Corners of the ground that are followed, and the fewest by which its motion is known."""
-LEAST, BESIDE = 1e-3, 8
+MIN_CORNER_QUALITY, GROUND_MARGIN_PX = 1e-3, 8
 """Least quality of a corner, as a share of the best, and its least distance from hand and object [px]."""
-MOVED = 0.1
+REST_TOLERANCE = 0.1
 """An object that is farther from its place on the ground than this share of its longer side does not rest."""
-APART, NEAR = 0.3, 0.15
-"""A hand that comes from farther than ``APART`` has reached; it has arrived from ``NEAR`` on [palm sizes]."""
-SHORTEST = 5
+REACH_START_DISTANCE, ARRIVAL_DISTANCE = 0.3, 0.15
+"""A hand that comes from farther than ``REACH_START_DISTANCE`` has reached; it has arrived from ``ARRIVAL_DISTANCE`` on [palm sizes]."""
+MIN_REST_FRAMES = 5
 """Fewest frames in which an object rests."""
-PALM = (0, 5, 9, 13, 17)
+PALM_CENTRE_JOINTS = (0, 5, 9, 13, 17)
 """Joints of the palm."""
 
 Placed = tuple[int, Box]
 """A frame and the object's box in it [px]."""
 
 
-def followed(images: Images, box: Box, first: int, last: int) -> Iterator[Placed]:
+def track_visible_box(images: Images, box: Box, first: int, last: int) -> Iterator[Placed]:
     """Follow the object's box from the first frame on, as long as it shows what it showed there."""
-    boxes = takewhile(lambda each: each[1] >= LOST, followed_boxes(images, box, first, last))
+    boxes = takewhile(lambda each: each[1] >= MIN_BOX_CORRELATION, track_box(images, box, first, last))
     for n, (at, _) in enumerate(boxes, start=first):
         yield n, at
 
 
-def outlined(shapes: Mapping[int, Polygons]) -> dict[int, Box]:
+def boxes_of_polygons(shapes: Mapping[int, Polygons]) -> dict[int, Box]:
     """Return the boxes of polygons, by frame; frames without one are left out."""
     points = {n: np.concatenate(each) for n, each in sorted(shapes.items()) if each}
     return {n: (*each.min(axis=0).tolist(), *np.ptp(each, axis=0).tolist()) for n, each in points.items()}
@@ -63,13 +63,13 @@ def find_arrival(
     image = lru_cache(maxsize=2)(images)
     for n, (x, y, w, h) in boxes:
         middle = np.array([x + 0.5 * w, y + 0.5 * h])
-        palm = joints[n][list(PALM)] if n in joints else None
+        palm = joints[n][list(PALM_CENTRE_JOINTS)] if n in joints else None
         if before is not None and place is not None:
-            step = _ground(image(before[0]), image(n), before[1:])
+            step = _ground_motion(image(before[0]), image(n), before[1:])
             if step is None:
                 return None
             place = step[:, :2] @ place + step[:, 2]
-            if np.linalg.norm(middle - place) > MOVED * max(w, h):
+            if np.linalg.norm(middle - place) > REST_TOLERANCE * max(w, h):
                 break
         else:
             place = middle
@@ -81,23 +81,23 @@ def find_arrival(
     else:
         if before is None or before[0] == end:
             return None
-    return _arrived(apart, float(np.median(sizes or [1.0])))
+    return _arrival_frame(apart, float(np.median(sizes or [1.0])))
 
 
-def _arrived(apart: Mapping[int, Float[ndarray, "21 2"]], size: float) -> int | None:
+def _arrival_frame(apart: Mapping[int, Float[ndarray, "21 2"]], size: float) -> int | None:
     """Return the frame from which on the hand stays beside the object, from where it is at last."""
-    if len(apart) < SHORTEST:
+    if len(apart) < MIN_REST_FRAMES:
         return None
     frames, where = [*apart], np.array([*apart.values()]) / size
-    half = SHORTEST // 2
+    half = MIN_REST_FRAMES // 2
     smooth = np.array([np.median(where[max(0, n - half) : n + half + 1], axis=0) for n in range(len(where))])
-    off = np.sqrt(np.mean(np.sum((smooth - np.median(where[-SHORTEST:], axis=0)) ** 2, axis=-1), axis=-1))
-    if off.max() < APART:
+    off = np.sqrt(np.mean(np.sum((smooth - np.median(where[-MIN_REST_FRAMES:], axis=0)) ** 2, axis=-1), axis=-1))
+    if off.max() < REACH_START_DISTANCE:
         return None
-    return frames[min(int(np.flatnonzero(off > NEAR).max()) + 1, len(frames) - 1)]
+    return frames[min(int(np.flatnonzero(off > ARRIVAL_DISTANCE).max()) + 1, len(frames) - 1)]
 
 
-def _ground(
+def _ground_motion(
     one: UInt8[ndarray, "H W 3"],
     other: UInt8[ndarray, "H W 3"],
     hidden: tuple[Float[ndarray, "2"], Float[ndarray, "2"]],
@@ -108,19 +108,22 @@ def _ground(
     """
     import cv2
 
-    scale = min(1.0, SIDE / max(one.shape))
-    a, b = (cv2.cvtColor(reduced(image, scale), cv2.COLOR_RGB2GRAY) for image in (one, other))
+    scale = min(1.0, MAX_GROUND_IMAGE_PX / max(one.shape))
+    a, b = (cv2.cvtColor(downscale_image(image, scale), cv2.COLOR_RGB2GRAY) for image in (one, other))
     free = np.full(a.shape, 255, np.uint8)
     low, high = (np.clip(np.round(scale * corner).astype(int), 0, a.shape[::-1]) for corner in hidden)
-    free[max(0, low[1] - BESIDE) : high[1] + BESIDE, max(0, low[0] - BESIDE) : high[0] + BESIDE] = 0
-    corners = cv2.goodFeaturesToTrack(a, CORNERS, LEAST, 5, mask=free)
-    if corners is None or len(corners) < FEWEST:
+    free[
+        max(0, low[1] - GROUND_MARGIN_PX) : high[1] + GROUND_MARGIN_PX,
+        max(0, low[0] - GROUND_MARGIN_PX) : high[0] + GROUND_MARGIN_PX,
+    ] = 0
+    corners = cv2.goodFeaturesToTrack(a, MAX_GROUND_CORNERS, MIN_CORNER_QUALITY, 5, mask=free)
+    if corners is None or len(corners) < MIN_GROUND_CORNERS:
         return None
     there, found, _ = cv2.calcOpticalFlowPyrLK(a, b, corners, np.zeros_like(corners))
     kept = found[:, 0] > 0
-    if kept.sum() < FEWEST:
+    if kept.sum() < MIN_GROUND_CORNERS:
         return None
     step, inliers = cv2.estimateAffinePartial2D(corners[kept], there[kept], ransacReprojThreshold=1.0)
-    if step is None or inliers.sum() < FEWEST:
+    if step is None or inliers.sum() < MIN_GROUND_CORNERS:
         return None
     return np.column_stack([step[:, :2], step[:, 2] / scale])

@@ -25,39 +25,39 @@ from urllib.parse import parse_qs, quote, urlsplit
 from getagrip.annotate.project import Project
 from getagrip.annotate.versions import RefusedError
 from getagrip.errors import GetagripError, InputError, UsageError
-from getagrip.io.serving import LOOPBACK, OF_PAGE, Handler, QuietServer
+from getagrip.io.serving import LOOPBACK, SCRIPTED_PAGE_HEADERS, QuietHandler, QuietServer
 
-NAMES = (LOOPBACK, "localhost")
+LOCAL_HOST_NAMES = (LOOPBACK, "localhost")
 """Names of this machine in its own browser."""
-PORT, PORTS = 8765, 20
+DEFAULT_PORT, N_PORTS_TRIED = 8765, 20
 """The first of the ports that are tried where none is named, and how many of them."""
-SHORTEST = 20
+MIN_TOKEN_LENGTH = 20
 """Letters of a token."""
-CLOSED = "open the address that getagrip annotate has printed: the token in it is missing here"
-LARGEST_BODY = 256 * 2**10
+MISSING_TOKEN_MESSAGE = "open the address that getagrip annotate has printed: the token in it is missing here"
+MAX_BODY_BYTES = 256 * 2**10
 """Bytes of a request."""
-MOST_PASSED_OVER = 64 * 2**20
+MAX_SKIPPED_BODY_BYTES = 64 * 2**20
 """Bytes of a request that is too large: of more the connection is closed."""
-STYLES = ("page", "labels")
-SCRIPTS = (
+STUDIO_STYLESHEETS = ("page", "labels")
+STUDIO_SCRIPTS = (
     "app", "grasps", "joints", "labelling", "labels", "outlines", "overlay", "page", "panel", "player", "saving",
     "segments", "states", "strokes", "tasks", "timeline", "view",
 )  # fmt: skip
-PAGE = {
+PAGE_ROUTES = {
     "/": ("index.html", "text/html"),
-    **{f"/{name}.css": (f"{name}.css", "text/css") for name in STYLES},
-    **{f"/{name}.js": (f"{name}.js", "text/javascript") for name in SCRIPTS},
+    **{f"/{name}.css": (f"{name}.css", "text/css") for name in STUDIO_STYLESHEETS},
+    **{f"/{name}.js": (f"{name}.js", "text/javascript") for name in STUDIO_SCRIPTS},
 }
-DATA: dict[str, Callable[[Project, dict[str, str]], dict[str, object]]] = {
+DATA_ROUTES: dict[str, Callable[[Project, dict[str, str]], dict[str, object]]] = {
     "/api/tasks": lambda project, asked: project.overview(asked.get("annotator")),
     "/api/task": lambda project, asked: project.task(asked.get("task")),
     "/api/marks": lambda project, asked: project.marks(asked.get("task"), asked.get("annotator")),
     "/api/labels": lambda project, asked: project.labels(asked),
-    "/api/drafts": lambda project, asked: project.drafts(asked, _whole(asked.get("since"))),
+    "/api/drafts": lambda project, asked: project.drafts(asked, _parse_whole_number(asked.get("since"))),
     "/api/agreement": lambda project, _: project.agreement(),
 }
 """Paths of JSON answers."""
-CHANGES = {
+CHANGE_ROUTES = {
     "/api/change": "change",
     "/api/undo": "undo",
     "/api/label": "label",
@@ -65,19 +65,21 @@ CHANGES = {
     "/api/work": "work",
 }
 """Methods of the project, by where their content is sent."""
-FILES = {"/grasps.csv": "csv", "/grasps.json": "json", "/segments.json": "segments"}
+FILE_ROUTES = {"/grasps.csv": "csv", "/grasps.json": "json", "/segments.json": "segments"}
 """Paths of files with an annotator's marks."""
-REPORTS = {"/report.png": "image/png", "/report.html": "text/html; charset=utf-8"}
+REPORT_ROUTES = {"/report.png": "image/png", "/report.html": "text/html; charset=utf-8"}
 """Paths of the files of a grasp's result."""
-OF_REPORT = {"Content-Security-Policy": f"{OF_PAGE['Content-Security-Policy']}; sandbox allow-scripts"}
+REPORT_HEADERS = {
+    "Content-Security-Policy": f"{SCRIPTED_PAGE_HEADERS['Content-Security-Policy']}; sandbox allow-scripts"
+}
 """Headers of a report: its scripts run as those of another site, so that they reach neither marks nor cookies."""
-OF_SCRIPTS = {
+STUDIO_PAGE_HEADERS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'"
 }
 """Headers of the page whose scripts are files of ours."""
 
 
-class Server(QuietServer):
+class StudioServer(QuietServer):
     """Serves one project."""
 
     closed = False
@@ -89,7 +91,7 @@ class Server(QuietServer):
         """
         self.project, self.token = project, token or secrets.token_urlsafe(18)
         try:
-            super().__init__((LOOPBACK, port), _Handler)
+            super().__init__((LOOPBACK, port), _StudioHandler)
         except (OSError, OverflowError) as error:
             raise UsageError(f"--port must be a free port (got {port}: {error})") from error
         self.cookie = f"getagrip-{project.name}-{self.server_port}"  # a browser sends cookies to all ports
@@ -109,15 +111,15 @@ class Server(QuietServer):
         super().server_close()
 
 
-def first_free(project: Project, token: str) -> Server:
+def serve_on_free_port(project: Project, token: str) -> StudioServer:
     """Start a server at the usual port, or at the next one that is free. Raises ``UsageError`` where none is."""
-    for port in range(PORT, PORT + PORTS):
+    for port in range(DEFAULT_PORT, DEFAULT_PORT + N_PORTS_TRIED):
         with suppress(UsageError):
-            return Server(project, port, token)
-    return Server(project, 0, token)
+            return StudioServer(project, port, token)
+    return StudioServer(project, 0, token)
 
 
-def kept_token(path: Path) -> str:
+def persistent_token(path: Path) -> str:
     """Read the token in a private file of ours; make one where there is none, so that pages survive a restart.
 
     A link is not followed, and a short token is not used: whoever sent the folder may know either.
@@ -126,7 +128,7 @@ def kept_token(path: Path) -> str:
         about = path.lstat()
         if stat.S_ISREG(about.st_mode) and about.st_mode & 0o077 == 0 and about.st_uid == os.geteuid():
             token = path.read_text("ascii").strip()
-            if len(token) >= SHORTEST:
+            if len(token) >= MIN_TOKEN_LENGTH:
                 return token
     path.parent.mkdir(parents=True, exist_ok=True)
     with suppress(FileNotFoundError):
@@ -137,8 +139,8 @@ def kept_token(path: Path) -> str:
     return token
 
 
-class _Handler(Handler):
-    server: Server
+class _StudioHandler(QuietHandler):
+    server: StudioServer
 
     def do_GET(self) -> None:
         """Answer with the page, a frame, or data."""
@@ -159,7 +161,7 @@ class _Handler(Handler):
                 self.send_json({"error": reason}, HTTPStatus.FORBIDDEN)
             elif not self._may_enter():
                 self.close_connection = True
-                self.send_json({"error": CLOSED}, HTTPStatus.UNAUTHORIZED)
+                self.send_json({"error": MISSING_TOKEN_MESSAGE}, HTTPStatus.UNAUTHORIZED)
             else:
                 act()
         except RefusedError as error:
@@ -182,10 +184,10 @@ class _Handler(Handler):
         """Why a request is refused before it is looked at."""
         host = self.headers.get("Host") or ""
         name, _, port = host.rpartition(":")
-        if name not in NAMES or not port.isdigit():
+        if name not in LOCAL_HOST_NAMES or not port.isdigit():
             return "requests to another host are refused"
         origin = self.headers.get("Origin")
-        if origin is not None and origin not in {f"http://{name}:{port}" for name in NAMES}:
+        if origin is not None and origin not in {f"http://{name}:{port}" for name in LOCAL_HOST_NAMES}:
             return "requests from other sites are refused"
         site = self.headers.get("Sec-Fetch-Site", "same-origin")
         if site not in ("same-origin", "none") and urlsplit(self.path).path != "/":
@@ -210,35 +212,39 @@ class _Handler(Handler):
         if url.path == "/" and "token" in asked:  # out of the address, which others may come to see
             kept = f"{self.server.cookie}={self.server.token}; Path=/; HttpOnly; SameSite=Lax"
             self.send(b"", "text/plain", {"Location": "/", "Set-Cookie": kept}, HTTPStatus.SEE_OTHER)
-        elif url.path in PAGE:
-            name, kind = PAGE[url.path]
+        elif url.path in PAGE_ROUTES:
+            name, kind = PAGE_ROUTES[url.path]
             content = (package_files("getagrip.annotate") / "page" / name).read_bytes()
-            self.send(content, f"{kind}; charset=utf-8", OF_SCRIPTS)
+            self.send(content, f"{kind}; charset=utf-8", STUDIO_PAGE_HEADERS)
         elif url.path == "/frame":
-            image, time, number = project.frame(asked.get("task"), _whole(asked.get("n")), "whole" in asked)
+            image, time, number = project.frame(
+                asked.get("task"), _parse_whole_number(asked.get("n")), "whole" in asked
+            )
             self.send(image, "image/jpeg", {"X-Time": f"{time:.6f}", "X-Number": str(number)})
-        elif url.path in DATA:
-            self.send_json(DATA[url.path](project, asked))
+        elif url.path in DATA_ROUTES:
+            self.send_json(DATA_ROUTES[url.path](project, asked))
         elif url.path == "/labels.json":
             text, name = project.labels_file(asked)
             self._send_file(text, "json", name)
-        elif url.path in REPORTS:
+        elif url.path in REPORT_ROUTES:
             name = url.path.removeprefix("/")
-            self.send(project.result_file(asked, name), REPORTS[url.path], OF_REPORT)
-        elif url.path in FILES:
-            text = project.exported(FILES[url.path], asked.get("annotator"))
+            self.send(project.result_file(asked, name), REPORT_ROUTES[url.path], REPORT_HEADERS)
+        elif url.path in FILE_ROUTES:
+            text = project.exported(FILE_ROUTES[url.path], asked.get("annotator"))
             self._send_file(text, url.path.rpartition(".")[2], f"{asked.get('annotator')}-{url.path[1:]}")
         else:
             self.send_json({"error": "no such page"}, HTTPStatus.NOT_FOUND)
 
     def _post(self) -> None:
-        length = _whole(self.headers.get("Content-Length"))
-        if length > LARGEST_BODY or self.headers.get("Content-Type") != "application/json":
+        length = _parse_whole_number(self.headers.get("Content-Length"))
+        if length > MAX_BODY_BYTES or self.headers.get("Content-Type") != "application/json":
             self.close_connection = True
-            for _ in range(0, min(length, MOST_PASSED_OVER), LARGEST_BODY):  # who is still sending hears no answer
-                self.rfile.read(min(length, LARGEST_BODY))
-                length -= LARGEST_BODY
-            raise UsageError(f"body must be JSON of at most {LARGEST_BODY} bytes")
+            for _ in range(
+                0, min(length, MAX_SKIPPED_BODY_BYTES), MAX_BODY_BYTES
+            ):  # who is still sending hears no answer
+                self.rfile.read(min(length, MAX_BODY_BYTES))
+                length -= MAX_BODY_BYTES
+            raise UsageError(f"body must be JSON of at most {MAX_BODY_BYTES} bytes")
         try:
             content = json.loads(self.rfile.read(length))
         except RecursionError as error:
@@ -247,8 +253,8 @@ class _Handler(Handler):
             raise UsageError("body must be a JSON object")
         if content.get("project", self.server.project.name) != self.server.project.name:
             self.send_json({"error": "another database of marks is open"}, HTTPStatus.SERVICE_UNAVAILABLE)
-        elif self.path in CHANGES:
-            self.send_json(getattr(self.server.project, CHANGES[self.path])(content))
+        elif self.path in CHANGE_ROUTES:
+            self.send_json(getattr(self.server.project, CHANGE_ROUTES[self.path])(content))
         else:
             self.send_json({"error": "no such page"}, HTTPStatus.NOT_FOUND)
 
@@ -257,7 +263,7 @@ class _Handler(Handler):
         self.send(text.encode(), f"text/{kind}; charset=utf-8", head)
 
 
-def _whole(text: str | None) -> int:
+def _parse_whole_number(text: str | None) -> int:
     """Parse a whole number in a request. Raises ``UsageError``."""
     if text is None or not text.isascii() or not text.isdigit() or len(text) > 9:
         raise UsageError("length must be a whole number")

@@ -13,15 +13,15 @@ import numpy as np
 from jaxtyping import Float16, Float32, Int32, UInt8
 from numpy import ndarray
 
-from getagrip.annotate.colour_cut import bins
-from getagrip.annotate.object_motion import flow
+from getagrip.annotate.colour_cut import colour_bins
+from getagrip.annotate.object_motion import optical_flow
 
 Part = tuple[slice, slice]
 """Rows and columns."""
 Step = tuple[int, int]
 """Steps along x and y [px]."""
-STILL: Step = (0, 0)
-MOST = 1000
+ZERO_STEP: Step = (0, 0)
+MAX_CACHED_FLOWS = 1000
 """Pairs of frames of which flow is kept, about 0.3 MB each."""
 
 
@@ -51,13 +51,13 @@ class SmallFrames:
         if n not in self._frames:
             whole = self._image(n)
             image = np.asarray(cv2.resize(whole, self.size, interpolation=cv2.INTER_AREA), np.uint8)
-            self._frames[n] = SmallFrame(image, bins(image), whole)
+            self._frames[n] = SmallFrame(image, colour_bins(image), whole)
             if len(self._frames) > 3:
                 self._frames.popitem(last=False)
         return self._frames[n]
 
     def flows(
-        self, a: int, b: int, part: Part, step: Step = STILL
+        self, a: int, b: int, part: Part, step: Step = ZERO_STEP
     ) -> tuple[Float32[ndarray, "h w 2"], Float32[ndarray, "h w 2"]]:
         """Return flow from frame a to its neighbour b, and back, in a part of them [px].
 
@@ -65,9 +65,9 @@ class SmallFrames:
         """
         import cv2
 
-        if step != STILL:
-            one, other = moved_by(self[a].image[part], step), self[b].image[part]
-            there, back = moved_by(flow(one, other), (-step[0], -step[1])), flow(other, one)
+        if step != ZERO_STEP:
+            one, other = translate_image(self[a].image[part], step), self[b].image[part]
+            there, back = translate_image(optical_flow(one, other), (-step[0], -step[1])), optical_flow(other, one)
             return there + np.array(step, np.float32), back - np.array(step, np.float32)
         key = (min(a, b), *(end for each in part for end in (each.start, each.stop)))
         height, width = (each.stop - each.start for each in part)
@@ -78,15 +78,15 @@ class SmallFrames:
             )
         else:
             one, other = self[min(a, b)].image[part], self[max(a, b)].image[part]
-            up, down = flow(one, other), flow(other, one)
-            if len(self._flows) < MOST:
+            up, down = optical_flow(one, other), optical_flow(other, one)
+            if len(self._flows) < MAX_CACHED_FLOWS:
                 half = (width + 1) // 2, (height + 1) // 2
                 small = (cv2.resize(each, half, interpolation=cv2.INTER_AREA) for each in (up, down))
                 self._flows[key] = tuple(each.astype(np.float16) for each in small)
         return (up, down) if a < b else (down, up)
 
 
-def moved_by(image: ndarray, step: Step) -> ndarray:
+def translate_image(image: ndarray, step: Step) -> ndarray:
     """Return an image whose content is moved by whole pixels, its border repeated."""
     import cv2
 

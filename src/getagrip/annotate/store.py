@@ -17,18 +17,18 @@ from pathlib import Path
 from getagrip.annotate import keyframes, marks
 from getagrip.annotate.keyframes import KeyFrame
 from getagrip.annotate.marks import Mark
-from getagrip.annotate.versions import Database, Versions
+from getagrip.annotate.versions import VersionDatabase, Versions
 from getagrip.errors import InputError
 from getagrip.io import databases
 
-VERSION = 3
+MARKS_DATABASE_VERSION = 3
 """Version of the tables, kept as the file's ``user_version``. Version 1 had marks of grasps only, 2 key frames, too:
 they are read, and completed."""
-APPLICATION = 0x67616772
+MARKS_APPLICATION_ID = 0x67616772
 """The file's ``application_id``: "gagr"."""
-LONGEST = 2**24
+MAX_MARKS_TEXT_BYTES = 2**24
 """Bytes of a text in the file."""
-DRAFTS = """
+DRAFTS_SCHEMA = """
 CREATE TABLE drafts (
     seq INTEGER PRIMARY KEY AUTOINCREMENT,
     grasp TEXT NOT NULL, kind TEXT NOT NULL, frame INTEGER NOT NULL,
@@ -37,17 +37,17 @@ CREATE TABLE drafts (
 );
 CREATE INDEX drafts_of_grasp ON drafts (grasp, seq);
 """
-SCHEMAS = {1: marks.SCHEMA, 2: keyframes.SCHEMA + DRAFTS, 3: marks.SEGMENTS}
+SCHEMA_MIGRATIONS = {1: marks.MARKS_SCHEMA, 2: keyframes.KEYFRAMES_SCHEMA + DRAFTS_SCHEMA, 3: marks.SEGMENTS_MIGRATION}
 """Additions of each version."""
-MOST_AT_ONCE = 200
+MAX_DRAFTS_PER_ANSWER = 200
 """Drafts given in one answer."""
 
 
 @dataclass(frozen=True)
-class Drafts:
+class DraftStore:
     """The drafts in a database."""
 
-    database: Database
+    database: VersionDatabase
 
     def put(self, grasp: str, kind: str, basis: str, frames: Mapping[int, Mapping[str, object]]) -> None:
         """Keep drafts of some frames, of the "masks" or the "hand", in the place of older ones."""
@@ -56,9 +56,9 @@ class Drafts:
             db.executemany("INSERT INTO drafts (grasp, kind, frame, basis, content) VALUES (?, ?, ?, ?, ?)", rows)
 
     def since(self, grasp: str, seq: int) -> list[dict[str, object]]:
-        """Return the drafts of a grasp that are newer than ``seq``, the oldest ``MOST_AT_ONCE`` of them."""
+        """Return the drafts of a grasp that are newer than ``seq``, the oldest ``MAX_DRAFTS_PER_ANSWER`` of them."""
         query = "SELECT seq, kind, frame, basis, content FROM drafts WHERE grasp = ? AND seq > ? ORDER BY seq LIMIT ?"
-        rows = self.database.rows(query, (grasp, seq, MOST_AT_ONCE))
+        rows = self.database.rows(query, (grasp, seq, MAX_DRAFTS_PER_ANSWER))
         keys = ("seq", "kind", "frame", "basis")
         return [dict(zip(keys, row, strict=False)) | {"content": json.loads(row[-1])} for row in rows]
 
@@ -78,23 +78,25 @@ class Drafts:
         return int(self.database.rows(query, (grasp,))[0][0])
 
 
-class Store:
+class MarkStore:
     """The contents of one file, for any number of threads and processes."""
 
     def __init__(self, path: Path) -> None:
         """Open the file, or make it. Raises ``InputError`` where it is something else."""
         self.path = path
         try:
-            connection = databases.connect(path, APPLICATION, "a file of marks made here", timeout=20.0, shared=True)
-            connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST)
-            self.database = Database(path, connection)
+            connection = databases.connect(
+                path, MARKS_APPLICATION_ID, "a file of marks made here", timeout=20.0, shared=True
+            )
+            connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_MARKS_TEXT_BYTES)
+            self.database = VersionDatabase(path, connection)
             with self.database.transaction() as db:
-                _prepare(path, db)
+                _migrate_tables(path, db)
         except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter: a message that quotes damaged text
             raise InputError(path, "", f"a file that is no database of marks ({error})", "one made here") from error
-        self.marks: Versions[Mark] = marks.versions(self.database)
-        self.keyframes: Versions[KeyFrame] = keyframes.versions(self.database)
-        self.drafts = Drafts(self.database)
+        self.marks: Versions[Mark] = marks.mark_versions(self.database)
+        self.keyframes: Versions[KeyFrame] = keyframes.keyframe_versions(self.database)
+        self.drafts = DraftStore(self.database)
 
     def close(self) -> None:
         """Close the file."""
@@ -102,32 +104,36 @@ class Store:
             self.database.connection.close()
 
 
-def _prepare(path: Path, db: sqlite3.Connection) -> None:
+def _migrate_tables(path: Path, db: sqlite3.Connection) -> None:
     """Make the tables that are not there yet. Raises ``InputError`` for a database of something else."""
     (version,) = db.execute("PRAGMA user_version").fetchone()
     (tables,) = db.execute("SELECT count(*) FROM sqlite_master").fetchone()
     (application,) = db.execute("PRAGMA application_id").fetchone()
     empty = not tables and not version
-    if not empty and (application != APPLICATION or version not in SCHEMAS):
-        raise InputError(path, "", f"a database of another kind or version ({version})", f"version 1 to {VERSION}")
-    if not empty and _tables(db) != _tables(_made(version)):  # a view of a stranger's may never end
+    if not empty and (application != MARKS_APPLICATION_ID or version not in SCHEMA_MIGRATIONS):
+        raise InputError(
+            path, "", f"a database of another kind or version ({version})", f"version 1 to {MARKS_DATABASE_VERSION}"
+        )
+    if not empty and _table_definitions(db) != _table_definitions(
+        _empty_database(version)
+    ):  # a view of a stranger's may never end
         raise InputError(path, "", "a database with other tables or views", "one made here")
-    for number, schema in SCHEMAS.items():
+    for number, schema in SCHEMA_MIGRATIONS.items():
         for statement in schema.split(";\n") if number > version else []:
             db.execute(statement)
-    db.execute(f"PRAGMA user_version = {VERSION}")
-    db.execute(f"PRAGMA application_id = {APPLICATION}")
+    db.execute(f"PRAGMA user_version = {MARKS_DATABASE_VERSION}")
+    db.execute(f"PRAGMA application_id = {MARKS_APPLICATION_ID}")
 
 
-def _tables(db: sqlite3.Connection) -> set[tuple[str, str]]:
+def _table_definitions(db: sqlite3.Connection) -> set[tuple[str, str]]:
     """Tables, views and indices by name, as they were made; without those that SQLite makes for itself."""
     rows = db.execute("SELECT name, sql FROM sqlite_master WHERE name NOT GLOB 'sqlite_*'").fetchall()
     return {(str(name), " ".join(str(sql).split())) for name, sql in rows}
 
 
-def _made(version: int) -> sqlite3.Connection:
+def _empty_database(version: int) -> sqlite3.Connection:
     """Make an empty database of a version, in memory."""
     db = sqlite3.connect(":memory:")
-    for number, schema in SCHEMAS.items():
+    for number, schema in SCHEMA_MIGRATIONS.items():
         db.executescript(schema if number <= version else "")
     return db

@@ -15,46 +15,50 @@ from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray
 
 from getagrip.annotate.carried_masks import Hands, Image, Images
-from getagrip.annotate.click_motion import moves_with_click, moving_part
-from getagrip.annotate.colour_cut import Colours, bins, likelier, touching
-from getagrip.annotate.labels import OBJECT, FrameLabels, Labels
+from getagrip.annotate.click_motion import click_motion_log_ratio, segment_by_click_motion
+from getagrip.annotate.colour_cut import ColourHistogram, colour_bins, colour_log_ratio, overlapping_components
+from getagrip.annotate.labels import OBJECT_LABEL, FrameLabels, Labels
 
-SIDE = 480
+MAX_GRABCUT_SIDE_PX = 480
 """Largest side of the image part that GrabCut runs on [px]."""
-WIDTH = 0.008
+STROKE_WIDTH_FRACTION = 0.008
 """Width of a stroke, as a share of the image's shorter side."""
-LEAST, MOST = 0.25, 0.45
+MIN_OBJECT_REACH, MAX_OBJECT_REACH = 0.25, 0.45
 """The object reaches no farther from the strokes than their extent, limited to these shares of the image's shorter
 side; from a single click, no farther than the larger one."""
-CLICK = 0.05
+MAX_CLICK_EXTENT = 0.05
 """Strokes of an extent less than this share are a click."""
-NEAR = 0.12
+CORRECTION_RADIUS_FRACTION = 0.12
 """Polygons are corrected within this share of the image's shorter side from a stroke."""
-ROUNDS = 5
+STROKE_GRABCUT_ITERATIONS = 5
 """Rounds of GrabCut."""
 
 
-def key_masks(labels: Labels, image: Images, hand: Hands = lambda _: None) -> dict[int, UInt8[ndarray, "H W"]]:
+def keyframe_label_maps(
+    labels: Labels, image: Images, hand: Hands = lambda _: None
+) -> dict[int, UInt8[ndarray, "H W"]]:
     """Return ``labels.label_maps``, those with strokes completed by what the image shows."""
     maps = labels.label_maps()
     for n in maps:
         frame = labels.frames[n]
         if frame.on or frame.off:
-            maps[n] = stroked(image(n), maps[n], frame, hand(n), _motion(labels, n, image, hand(n)))
+            maps[n] = apply_strokes(image(n), maps[n], frame, hand(n), _click_motion(labels, n, image, hand(n)))
     return maps
 
 
-def _motion(labels: Labels, n: int, image: Images, hand: Bool[ndarray, "h w"] | None) -> Float32[ndarray, "H W"] | None:
+def _click_motion(
+    labels: Labels, n: int, image: Images, hand: Bool[ndarray, "h w"] | None
+) -> Float32[ndarray, "H W"] | None:
     """Return what moves with the clicks on a frame; None where polygons or longer strokes say more."""
     frame, shape = labels.frames[n], labels.size[::-1]
-    on = _painted(frame.on or (), shape)
-    if frame.object or not on.any() or max(map(np.ptp, np.nonzero(on))) >= CLICK * min(shape):
+    on = _rasterize_strokes(frame.on or (), shape)
+    if frame.object or not on.any() or max(map(np.ptp, np.nonzero(on))) >= MAX_CLICK_EXTENT * min(shape):
         return None
-    seen = np.zeros(shape, bool) if hand is None else resized(hand, shape)
-    return moves_with_click(image, n, (labels.first, labels.last), on, seen)
+    seen = np.zeros(shape, bool) if hand is None else resize_mask(hand, shape)
+    return click_motion_log_ratio(image, n, (labels.first, labels.last), on, seen)
 
 
-def stroked(
+def apply_strokes(
     image: Image,
     drawn: UInt8[ndarray, "H W"],
     frame: FrameLabels,
@@ -65,26 +69,30 @@ def stroked(
     import cv2
 
     shape = drawn.shape
-    on, off = (_painted(strokes, shape) for strokes in (frame.on or (), frame.off or ()))
-    seen = np.zeros(shape, bool) if hand is None else resized(hand, shape)
-    no_object = off | ((drawn != 0) & (drawn != OBJECT)) | (seen & (drawn != OBJECT))
+    on, off = (_rasterize_strokes(strokes, shape) for strokes in (frame.on or (), frame.off or ()))
+    seen = np.zeros(shape, bool) if hand is None else resize_mask(hand, shape)
+    no_object = off | ((drawn != 0) & (drawn != OBJECT_LABEL)) | (seen & (drawn != OBJECT_LABEL))
     start = None
-    if (drawn == OBJECT).any():
-        near = cv2.distanceTransform((~(on | off)).astype(np.uint8), cv2.DIST_L2, 3) < NEAR * min(shape)
-        start = np.where(drawn == OBJECT, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
-        start[~near & (drawn == OBJECT)], start[~near & (drawn != OBJECT)] = cv2.GC_FGD, cv2.GC_BGD
-    found = cut_out(image, on, no_object & ~on, start, around(on | (drawn == OBJECT), shape), motion)
-    out = np.where(drawn == OBJECT, 0, drawn).astype(np.uint8)
-    out[found] = OBJECT
-    out[off & (out == OBJECT)], out[on] = 0, OBJECT
+    if (drawn == OBJECT_LABEL).any():
+        near = cv2.distanceTransform((~(on | off)).astype(np.uint8), cv2.DIST_L2, 3) < CORRECTION_RADIUS_FRACTION * min(
+            shape
+        )
+        start = np.where(drawn == OBJECT_LABEL, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
+        start[~near & (drawn == OBJECT_LABEL)], start[~near & (drawn != OBJECT_LABEL)] = cv2.GC_FGD, cv2.GC_BGD
+    found = segment_region(
+        image, on, no_object & ~on, start, bounding_slices(on | (drawn == OBJECT_LABEL), shape), motion
+    )
+    out = np.where(drawn == OBJECT_LABEL, 0, drawn).astype(np.uint8)
+    out[found] = OBJECT_LABEL
+    out[off & (out == OBJECT_LABEL)], out[on] = 0, OBJECT_LABEL
     return out
 
 
-def _painted(strokes: Sequence[Float[ndarray, "_ 2"]], shape: tuple[int, ...]) -> Bool[ndarray, "H W"]:
+def _rasterize_strokes(strokes: Sequence[Float[ndarray, "_ 2"]], shape: tuple[int, ...]) -> Bool[ndarray, "H W"]:
     import cv2
 
     out = np.zeros(shape[:2], np.uint8)
-    width = max(2, round(WIDTH * min(shape[:2])))
+    width = max(2, round(STROKE_WIDTH_FRACTION * min(shape[:2])))
     for points in strokes:
         corners = np.floor(points).astype(np.int32)
         cv2.polylines(out, [corners], False, 1, width)
@@ -92,20 +100,26 @@ def _painted(strokes: Sequence[Float[ndarray, "_ 2"]], shape: tuple[int, ...]) -
     return np.asarray(out > 0)
 
 
-def resized(mask: Bool[ndarray, "h w"], shape: tuple[int, ...]) -> Bool[ndarray, "H W"]:
+def resize_mask(mask: Bool[ndarray, "h w"], shape: tuple[int, ...]) -> Bool[ndarray, "H W"]:
     import cv2
 
     return np.asarray(cv2.resize(mask.astype(np.float32), shape[1::-1], interpolation=cv2.INTER_LINEAR) > 0.5)
 
 
-def around(mask: Bool[ndarray, "H W"], shape: tuple[int, ...], margin: float | None = None) -> tuple[slice, slice]:
+def bounding_slices(
+    mask: Bool[ndarray, "H W"], shape: tuple[int, ...], margin: float | None = None
+) -> tuple[slice, slice]:
     """Return rows and columns around the marked pixels; all if none is marked."""
     if not mask.any():
         return slice(0, shape[0]), slice(0, shape[1])
     short, marked = min(shape[:2]), np.nonzero(mask)
     if margin is None:
         extent = max(float(np.ptp(i)) for i in marked)
-        margin = MOST * short if extent < CLICK * short else min(max(extent, LEAST * short), MOST * short)
+        margin = (
+            MAX_OBJECT_REACH * short
+            if extent < MAX_CLICK_EXTENT * short
+            else min(max(extent, MIN_OBJECT_REACH * short), MAX_OBJECT_REACH * short)
+        )
     rows, columns = (
         slice(max(0, int(i.min() - margin)), min(length, int(i.max() + margin) + 1))
         for i, length in zip(marked, shape, strict=False)
@@ -113,7 +127,7 @@ def around(mask: Bool[ndarray, "H W"], shape: tuple[int, ...], margin: float | N
     return rows, columns
 
 
-def cut_out(
+def segment_region(
     image: Image,
     on: Bool[ndarray, "H W"],
     off: Bool[ndarray, "H W"],
@@ -133,7 +147,7 @@ def cut_out(
         return out
     image = cv2.resize(image, on.shape[::-1], interpolation=cv2.INTER_AREA)[part]
     height, width = image.shape[:2]
-    zoom = min(1.0, SIDE / max(height, width))
+    zoom = min(1.0, MAX_GRABCUT_SIDE_PX / max(height, width))
     size = max(8, round(zoom * width)), max(8, round(zoom * height))
     small = np.ascontiguousarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
     sure, never = (
@@ -141,18 +155,20 @@ def cut_out(
     )
     if motion is None:
         labels = None if start is None else cv2.resize(start[part], size, interpolation=cv2.INTER_NEAREST)
-        found = _grabbed(small, labels, sure, never)
+        found = _grabcut(small, labels, sure, never)
     else:
-        found = moving_part(small, cv2.resize(motion[part], size, interpolation=cv2.INTER_AREA), sure, never)
+        found = segment_by_click_motion(
+            small, cv2.resize(motion[part], size, interpolation=cv2.INTER_AREA), sure, never
+        )
     across = np.zeros(found.shape, np.uint8) if hand is None else cv2.resize(hand[part].astype(np.uint8), size)
     touched = hand is None and (found & sure).any()
-    found = touching(found, sure) if touched else _largest(found, across)
+    found = overlapping_components(found, sure) if touched else _largest_component(found, across)
     soft = cv2.GaussianBlur(found.astype(np.float32), (0, 0), 1.0)
     out[part] = cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
     return out & ~off
 
 
-def _grabbed(
+def _grabcut(
     image: UInt8[ndarray, "h w 3"],
     labels: UInt8[ndarray, "h w"] | None,
     sure: Bool[ndarray, "h w"],
@@ -166,7 +182,7 @@ def _grabbed(
         labels[[0, -1]] = labels[:, [0, -1]] = cv2.GC_BGD
         labels[never], labels[sure] = cv2.GC_BGD, cv2.GC_FGD
         unknown = labels == cv2.GC_PR_BGD
-        likely = likelier(bins(image), Colours.of(image, sure, ~unknown)) > 1.0
+        likely = colour_log_ratio(colour_bins(image), ColourHistogram.of(image, sure, ~unknown)) > 1.0
         labels[likely & unknown] = cv2.GC_PR_FGD
     else:
         labels[never], labels[sure] = cv2.GC_BGD, cv2.GC_FGD
@@ -175,11 +191,11 @@ def _grabbed(
         return np.zeros(sure.shape, bool)
     colours = np.zeros((1, 65)), np.zeros((1, 65))
     cv2.setRNGSeed(0)  # GrabCut begins with k-means from random centres
-    labels = cv2.grabCut(image, labels, (0, 0, 0, 0), *colours, ROUNDS, cv2.GC_INIT_WITH_MASK)[0]
+    labels = cv2.grabCut(image, labels, (0, 0, 0, 0), *colours, STROKE_GRABCUT_ITERATIONS, cv2.GC_INIT_WITH_MASK)[0]
     return np.isin(labels, (cv2.GC_FGD, cv2.GC_PR_FGD))
 
 
-def _largest(mask: Bool[ndarray, "h w"], hand: UInt8[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
+def _largest_component(mask: Bool[ndarray, "h w"], hand: UInt8[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
     """Return the largest part of a mask; pieces that only the hand separates are one."""
     import cv2
 

@@ -19,9 +19,9 @@ from types import UnionType
 from typing import Any, ClassVar, Generic, Protocol, TypeVar, get_origin, get_type_hints
 
 from getagrip.errors import GetagripError, InputError
-from getagrip.io.files import Json, is_plain_name, shown
+from getagrip.io.files import Json, is_portable_name, shorten_value
 
-TOKEN = re.compile(r"[A-Za-z0-9-]{8,64}")
+TOKEN_PATTERN = re.compile(r"[A-Za-z0-9-]{8,64}")
 """Form of the page's names of marks, changes and tabs."""
 
 
@@ -33,7 +33,7 @@ class RefusedError(GetagripError):
     """A change that cannot be made. The message is for the person who made it."""
 
 
-class State(Protocol):
+class VersionedState(Protocol):
     """One annotator's state of a task; a frozen dataclass."""
 
     __dataclass_fields__: ClassVar[dict[str, Field[object]]]
@@ -51,7 +51,7 @@ class State(Protocol):
         """True if it is deleted."""
 
 
-Kind = TypeVar("Kind", bound=State)
+Kind = TypeVar("Kind", bound=VersionedState)
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Change:
     sets: Json
 
 
-class Database:
+class VersionDatabase:
     """An SQLite file, for any number of threads and processes."""
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
@@ -101,7 +101,7 @@ class Database:
 class Versions(Generic[Kind]):
     """The versions of one kind of states, in a table and in a view of those that stand."""
 
-    database: Database
+    database: VersionDatabase
     table: str
     view: str
     key: str
@@ -205,11 +205,11 @@ class Versions(Generic[Kind]):
         """
         try:
             state = self.state(row)
-            annotator(state.annotator)
+            check_annotator(state.annotator)
             for name, hint in get_type_hints(type(state)).items():
                 kind = hint if isinstance(hint, UnionType) else get_origin(hint) or hint
                 if not isinstance(value := getattr(state, name), kind):
-                    raise ValueError(f"{name}: {shown(value)}")
+                    raise ValueError(f"{name}: {shorten_value(value)}")
         except (RefusedError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
             raise self.database.damaged(error) from error
         return state
@@ -227,20 +227,22 @@ def read_change(content: Mapping[str, object], settable: frozenset[str]) -> Chan
     """Parse a change as the page sends it; its values are yet to be checked. Raises ``RefusedError``."""
     sets = content.get("set")
     if not isinstance(sets, dict) or not sets or not sets.keys() <= settable:
-        raise RefusedError(f"set must be some of {', '.join(sorted(settable))} (got {shown(sets)})")
-    return Change(token(content, "change"), token(content, "tab"), sets)
+        raise RefusedError(f"set must be some of {', '.join(sorted(settable))} (got {shorten_value(sets)})")
+    return Change(parse_token(content, "change"), parse_token(content, "tab"), sets)
 
 
-def token(content: Mapping[str, object], key: str) -> str:
+def parse_token(content: Mapping[str, object], key: str) -> str:
     """Parse the page's name of something. Raises ``RefusedError``."""
     value = content.get(key)
-    if not isinstance(value, str) or not TOKEN.fullmatch(value):
-        raise RefusedError(f"{key} must be 8 to 64 letters, digits or hyphens (got {shown(value)})")
+    if not isinstance(value, str) or not TOKEN_PATTERN.fullmatch(value):
+        raise RefusedError(f"{key} must be 8 to 64 letters, digits or hyphens (got {shorten_value(value)})")
     return value
 
 
-def annotator(name: object) -> str:
+def check_annotator(name: object) -> str:
     """Check the name of a person, which also names files. Raises ``RefusedError``."""
-    if not isinstance(name, str) or not is_plain_name(name) or len(name) > 60:
-        raise RefusedError(f"annotator must be a name of up to 60 letters, without / and \\ (got {shown(name)})")
+    if not isinstance(name, str) or not is_portable_name(name) or len(name) > 60:
+        raise RefusedError(
+            f"annotator must be a name of up to 60 letters, without / and \\ (got {shorten_value(name)})"
+        )
     return name

@@ -18,21 +18,28 @@ import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
-from getagrip.annotate.footage import CACHE, LARGEST_SIDE, MOST_FRAMES, WIDEST, Cache, encoded
-from getagrip.clip.video import open_video, shown_width, upright
-from getagrip.datasets.epic.tables import VIDEO, numbering_rate
+from getagrip.annotate.footage import (
+    JPEG_CACHE_BYTES,
+    MAX_DISPLAY_WIDTH_PX,
+    MAX_FOOTAGE_FRAMES,
+    MAX_FOOTAGE_SIDE_PX,
+    ImageCache,
+    encode_footage_jpeg,
+)
+from getagrip.clip.video import frame_to_rgb, open_video, square_pixel_width
+from getagrip.datasets.epic.tables import EPIC_VIDEO_PATTERN, numbering_rate
 from getagrip.errors import InputError
 
 if TYPE_CHECKING:
     from av import VideoFrame
     from av.container import InputContainer
 
-BEHIND = 48
+N_CACHED_PREVIOUS_FRAMES = 48
 """Number of frames before a requested one that are kept, since they have been decoded: for steps back."""
-Kept = TypeVar("Kept")
+CachedImage = TypeVar("CachedImage")
 
 
-class Decoder(Generic[Kept]):
+class Decoder(Generic[CachedImage]):
     """Gives frames in some form, and keeps those that were asked for last."""
 
     def __init__(
@@ -40,21 +47,21 @@ class Decoder(Generic[Kept]):
         path: Path,
         times: Sequence[int],
         keys: Sequence[int],
-        convert: Callable[[VideoFrame], Kept],
-        weigh: Callable[[Kept], int],
-        limit: int = CACHE,
+        convert: Callable[[VideoFrame], CachedImage],
+        weigh: Callable[[CachedImage], int],
+        limit: int = JPEG_CACHE_BYTES,
     ) -> None:
         """Decode a file whose frames, and key frames, have these presentation times; ``limit`` bytes are kept."""
         self.path = path
         self._times, self._keys, self._convert = times, keys, convert
-        self.cache = Cache(weigh, limit)
+        self.cache = ImageCache(weigh, limit)
         self._lock = Lock()
         self._container: InputContainer | None = None
         self._decoded: Iterator[VideoFrame] = iter(())
         self._at = -1
         """Index of the frame decoded last."""
 
-    def get(self, index: int) -> Kept:
+    def get(self, index: int) -> CachedImage:
         """Decode a frame. Raises ``InputError`` where it does not decode."""
         from av.error import FFmpegError
 
@@ -119,7 +126,7 @@ class Decoder(Generic[Kept]):
             if at >= len(self._times) or self._times[at] != last:
                 continue
             self._at = at
-            if index - BEHIND < at <= index and self.cache.get(at) is None:
+            if index - N_CACHED_PREVIOUS_FRAMES < at <= index and self.cache.get(at) is None:
                 self.cache.put(at, self._convert(frame))
             if at >= index:
                 return at == index
@@ -127,12 +134,12 @@ class Decoder(Generic[Kept]):
         return False
 
 
-SUFFIXES = (".mp4", ".MP4", ".mov", ".MOV", ".m4v", ".mkv", ".webm", ".avi")
-LARGEST_CACHE = 256 * 2**20
+VIDEO_SUFFIXES = (".mp4", ".MP4", ".mov", ".MOV", ".m4v", ".mkv", ".webm", ".avi")
+MAX_IMAGE_CACHE_BYTES = 256 * 2**20
 """Bytes of whole images that are kept."""
 
 
-class Video:
+class VideoFootage:
     """A video file. Frames are numbered as EPIC-KITCHENS does where its name is one of theirs, else from 1."""
 
     def __init__(self, path: Path) -> None:
@@ -152,10 +159,10 @@ class Video:
         self._begin = self._times[0] if begin is None else begin
         span = (self._times[-1] - self._times[0]) * self._base
         self.fps = float((self.frames - 1) / span) if span else rate
-        self._rate = numbering_rate(path.stem) if VIDEO.fullmatch(path.stem) else None
-        self.shown = Decoder(path, self._times, keys, partial(_encoded, aspect=aspect), len)
-        whole = partial(_upright, aspect=aspect)
-        self.whole = Decoder(path, self._times, keys, whole, lambda image: int(image.nbytes), LARGEST_CACHE)
+        self._rate = numbering_rate(path.stem) if EPIC_VIDEO_PATTERN.fullmatch(path.stem) else None
+        self.shown = Decoder(path, self._times, keys, partial(_frame_to_jpeg, aspect=aspect), len)
+        whole = partial(_upright_frame, aspect=aspect)
+        self.whole = Decoder(path, self._times, keys, whole, lambda image: int(image.nbytes), MAX_IMAGE_CACHE_BYTES)
 
     def _read_times(self, path: Path) -> tuple[list[int], list[int]]:
         """Presentation times of all frames and of the key frames, rising, in units of the stream's time base."""
@@ -169,8 +176,8 @@ class Video:
                 times.add(packet.pts)
                 if packet.is_keyframe:
                     keys.add(packet.pts)
-                if len(times) > MOST_FRAMES:
-                    raise InputError(path, "", f"more than {MOST_FRAMES} frames", "a shorter video")
+                if len(times) > MAX_FOOTAGE_FRAMES:
+                    raise InputError(path, "", f"more than {MAX_FOOTAGE_FRAMES} frames", "a shorter video")
         if not times or not keys:
             raise InputError(path, "", "no frames", "a video")
         return sorted(times), sorted(keys)
@@ -213,7 +220,9 @@ class Video:
 
     def jpeg(self, index: int, whole: bool = False) -> bytes:
         """Return a frame for display, ``whole`` or made smaller where it is wide. Raises ``InputError``."""
-        return encoded(self.image(index)[..., ::-1], LARGEST_SIDE) if whole else self.shown.get(index)
+        return (
+            encode_footage_jpeg(self.image(index)[..., ::-1], MAX_FOOTAGE_SIDE_PX) if whole else self.shown.get(index)
+        )
 
     def image(self, index: int) -> UInt8[ndarray, "H W 3"]:
         """Return a frame, all of its pixels: red, green, blue. Raises ``InputError`` where it does not decode."""
@@ -225,15 +234,15 @@ class Video:
         self.whole.close()
 
 
-def _encoded(frame: VideoFrame, aspect: Fraction | None) -> bytes:
+def _frame_to_jpeg(frame: VideoFrame, aspect: Fraction | None) -> bytes:
     """Encode a frame as JPEG, upright, made smaller where it is too wide."""
-    width = shown_width(frame, aspect)
-    shrunk = min(1.0, WIDEST / width)
+    width = square_pixel_width(frame, aspect)
+    shrunk = min(1.0, MAX_DISPLAY_WIDTH_PX / width)
     size = max(2, round(width * shrunk)), max(2, round(frame.height * shrunk))
     image = frame.to_ndarray(format="bgr24", width=size[0], height=size[1])
-    return encoded(np.ascontiguousarray(np.rot90(image, frame.rotation // 90), np.uint8))
+    return encode_footage_jpeg(np.ascontiguousarray(np.rot90(image, frame.rotation // 90), np.uint8))
 
 
-def _upright(frame: VideoFrame, aspect: Fraction | None) -> UInt8[ndarray, "H W 3"]:
+def _upright_frame(frame: VideoFrame, aspect: Fraction | None) -> UInt8[ndarray, "H W 3"]:
     """Return a frame, upright."""
-    return np.ascontiguousarray(upright(frame, aspect))
+    return np.ascontiguousarray(frame_to_rgb(frame, aspect))

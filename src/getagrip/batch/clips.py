@@ -13,23 +13,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from getagrip.batch.engine import Engine
-from getagrip.batch.job import Job, Outcome, load, reconstruct_one
+from getagrip.batch.job import Job, Outcome, preload_solver, reconstruct_one
 from getagrip.batch.ledger import Ledger, ledger_folder
-from getagrip.batch.plan import Plan
+from getagrip.batch.plan import ClipPlan
 from getagrip.batch.streamed import StreamedJob, reconstruct_streamed
-from getagrip.batch.summary import entry_of, entry_of_path, write_summary
-from getagrip.errors import UsageError, cleaned
+from getagrip.batch.summary import failed_path_entry, outcome_entry, write_summary
+from getagrip.errors import UsageError, escape_unprintable
 from getagrip.io import leftovers
-from getagrip.io.storage import Place, Remote
-from getagrip.io.terminal import report, say
+from getagrip.io.storage import Place, RemotePath
+from getagrip.io.terminal import print_note, print_result
 
 if TYPE_CHECKING:
-    from getagrip.batch.keep import Keep
-    from getagrip.batch.share import Batch
+    from getagrip.batch.keep import KeepOptions
+    from getagrip.batch.share import BatchOptions
     from getagrip.fitting.options import Options
 
 
-def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batch: Batch, debug: bool) -> int:
+def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batch: BatchOptions, debug: bool) -> int:
     """Reconstruct clips into ``out/<clip name>/`` and print the outcome of each; 1 if any failed, else 0.
 
     Several calls may share a folder, at the same time or one after another: its ledger says who does what. Of more
@@ -41,27 +41,27 @@ def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batc
         raise UsageError("missing CLIP: name at least one clip")
     batch.keep.check(options)
     share = batch.share
-    with Plan(paths, share.shard) as plan:
+    with ClipPlan(paths, share.shard) as plan:
         for outcome in plan.failed:
             print_outcome(outcome, debug)
         if not len(plan) or (share.fail_fast and plan.failed):
             return 1 if plan.failed else 0
         with Ledger(ledger_folder(out, share.ledger)) as ledger:
             if ledger.path.parent != out:
-                report(f"{out}: its ledger is {ledger.path}")
-            for folder in leftovers.sweep(out) if isinstance(out, Path) else ():
-                report(f"{folder}: removed, unfinished work of a process that has died")
-            ledger.expect((name for name, _ in plan), map(entry_of_path, plan.failed))
+                print_note(f"{out}: its ledger is {ledger.path}")
+            for folder in leftovers.remove_stale_folders(out) if isinstance(out, Path) else ():
+                print_note(f"{folder}: removed, unfinished work of a process that has died")
+            ledger.expect((name for name, _ in plan), map(failed_path_entry, plan.failed))
             many = len(plan) + len(plan.failed) > 1
             try:
-                tally = _work_off(plan, ledger, out, options, batch, debug)
+                tally = _run_jobs(plan, ledger, out, options, batch, debug)
             except KeyboardInterrupt:
                 if many:
                     _summarise(ledger, out, batch.keep)
                 where = (
                     f"{shlex.quote(str(out))}{f' --ledger {shlex.quote(str(share.ledger))}' if share.ledger else ''}"
                 )
-                report(f"progress: getagrip status {where}")
+                print_note(f"progress: getagrip status {where}")
                 raise
             if many:
                 _summarise(ledger, out, batch.keep)
@@ -75,9 +75,9 @@ def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batc
     return 1 if tally.counts["failed"] or (batch.strict and not tally.passes(batch.min_probability)) else 0
 
 
-def _summarise(ledger: Ledger, out: Place, keep: Keep) -> None:
+def _summarise(ledger: Ledger, out: Place, keep: KeepOptions) -> None:
     for path in write_summary(ledger, out, keep):
-        say(str(path))
+        print_result(str(path))
 
 
 class _Tally:
@@ -95,7 +95,7 @@ class _Tally:
         self.verdicts: dict[str, str] = {}
         """The verdict of ``--keep`` on each: kept or dropped."""
 
-    def add(self, outcome: Outcome, keep: Keep) -> None:
+    def add(self, outcome: Outcome, keep: KeepOptions) -> None:
         if outcome.state != "failed":
             self.verdicts[outcome.name] = keep.verdict(outcome.probability_right, outcome.probability_right_in_camera)
         self.counts[outcome.state] += 1
@@ -123,19 +123,19 @@ class _Tally:
             print(f"{count} of {len(self.looks)} with an assumed mesh: {by_eye}: {named}")
         for where, right in (("hand", self.right), ("camera", self.right_in_camera)):
             if known := {name: value for name, value in right.items() if name not in self.looks}:
-                print(expected(known, f"right in the {where}"))
+                print(expected_right_message(known, f"right in the {where}"))
 
 
-def _work_off(plan: Plan, ledger: Ledger, out: Place, options: Options, batch: Batch, debug: bool) -> _Tally:
+def _run_jobs(plan: ClipPlan, ledger: Ledger, out: Place, options: Options, batch: BatchOptions, debug: bool) -> _Tally:
     """Do the clips, printing what becomes of each."""
-    streamed = isinstance(out, Remote) or plan.remote
+    streamed = isinstance(out, RemotePath) or plan.remote
     make: Callable[..., Job | StreamedJob] = StreamedJob if streamed else Job
     work: Callable[..., Outcome] = reconstruct_streamed if streamed else reconstruct_one
     per_clip = {"options": options, "overwrite": batch.overwrite, "threads": batch.threads}
     jobs = (make(name, clip, out / name, **per_clip) for name, clip in plan)
     engine: Engine[Job | StreamedJob, Outcome] = Engine(
-        work=work, lost=_lost, entry=partial(entry_of, method=options.method, seed=options.seed),
-        options=asdict(options), prepare=load,
+        work=work, lost=_lost_clip_outcome, entry=partial(outcome_entry, method=options.method, seed=options.seed),
+        options=asdict(options), prepare=preload_solver,
     )  # fmt: skip
     tally = _Tally()
     with closing(batch.share.ended(engine, jobs, len(plan), ledger, "clips", stages=True)) as outcomes:
@@ -143,16 +143,16 @@ def _work_off(plan: Plan, ledger: Ledger, out: Place, options: Options, batch: B
             print_outcome(outcome, debug)
             tally.add(outcome, batch.keep)
             if batch.share.fail_fast and outcome.state == "failed":
-                report("--fail-fast: the other clips are skipped")
+                print_note("--fail-fast: the other clips are skipped")
                 break
     return tally
 
 
-def _lost(job: Job | StreamedJob, why: str) -> Outcome:
+def _lost_clip_outcome(job: Job | StreamedJob, why: str) -> Outcome:
     return Outcome(job.name, "failed", why)
 
 
-def expected(right: Mapping[str, float], what: str = "right in the hand") -> str:
+def expected_right_message(right: Mapping[str, float], what: str = "right in the hand") -> str:
     """Count the results that are probably right, and name those likely wrong, by the probability of each."""
     wrong = sorted((name for name in right if right[name] < 0.5), key=lambda name: right[name])
     named = f"; likely wrong, worst first: {', '.join(wrong)}" if wrong else ""
@@ -163,8 +163,8 @@ def print_outcome(outcome: Outcome, debug: bool) -> None:
     """Print one line about a clip, and one for each finding: failures on stderr, the rest on stdout."""
     failed = outcome.state == "failed"
     parts = ["failed"] * failed + [outcome.name] * bool(outcome.name) + [outcome.message]
-    print(cleaned(": ".join(parts)), file=sys.stderr if failed else sys.stdout)
+    print(escape_unprintable(": ".join(parts)), file=sys.stderr if failed else sys.stdout)
     for finding in outcome.findings:
         print(f"  {finding}")
     if failed and debug:
-        print(cleaned(outcome.trace, "\n"), file=sys.stderr)
+        print(escape_unprintable(outcome.trace, "\n"), file=sys.stderr)

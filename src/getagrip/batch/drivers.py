@@ -1,7 +1,7 @@
 """The living drivers: the processes that work on a folder together, each with a row in its ledger.
 
 A driver that dies gives back its claims. Clocks decide nothing, since they jump and differ between machines: a driver
-counts its heartbeats, and is dead to another one that has seen the same count for ``PATIENCE`` seconds of its own
+counts its heartbeats, and is dead to another one that has seen the same count for ``HEARTBEAT_TIMEOUT_S`` seconds of its own
 steady clock. On the same machine a process that is gone, or whose number another one has, is dead at once.
 """
 
@@ -15,16 +15,16 @@ import time
 from pathlib import Path
 from uuid import uuid4
 
-SCHEMA = """CREATE TABLE drivers (
+DRIVERS_SCHEMA = """CREATE TABLE drivers (
     id TEXT PRIMARY KEY, machine TEXT NOT NULL, pid INTEGER NOT NULL, born TEXT NOT NULL, beats INTEGER NOT NULL
 ) WITHOUT ROWID"""
-EVERY = 2.0
+HEARTBEAT_S = 2.0
 """Seconds between heartbeats."""
-PATIENCE = 30.0
+HEARTBEAT_TIMEOUT_S = 30.0
 """Seconds without one after which a driver is dead."""
 
 
-_HERE: set[str] = set()
+_LOCAL_DRIVERS: set[str] = set()
 """Drivers of this process that are at work: one that rests is dead, also where a full disk keeps its row."""
 
 
@@ -36,22 +36,22 @@ class Drivers:
         self._db = db
         self._there = f"{path.absolute().as_uri()}?mode=rw"
         """The file's address: it is made by nobody else, should it be gone or this process in another folder."""
-        self._machine = _machine()
+        self._machine = _machine_id()
         self._seen: dict[str, tuple[int, float]] = {}
         self._leaving = threading.Event()
 
     def join(self) -> None:
         """Enter this process, start its heartbeat, and remove the drivers that were killed."""
         self._strike_off_dead()
-        row = (self.id, self._machine, os.getpid(), _born(os.getpid()))
+        row = (self.id, self._machine, os.getpid(), _process_start_time(os.getpid()))
         self._db.execute("INSERT INTO drivers VALUES (?, ?, ?, ?, 0)", row)
-        _HERE.add(self.id)
+        _LOCAL_DRIVERS.add(self.id)
         threading.Thread(target=self._beat, daemon=True).start()
 
     def rest(self) -> None:
         """End the heartbeat."""
         self._leaving.set()
-        _HERE.discard(self.id)
+        _LOCAL_DRIVERS.discard(self.id)
 
     def leave(self) -> None:
         """Remove this process, and the drivers that have died meanwhile."""
@@ -70,19 +70,23 @@ class Drivers:
         if row is None:
             return False
         machine, pid, born, beats = row
-        if machine == self._machine and born and (_born(pid) != born or (pid == os.getpid() and driver not in _HERE)):
+        if (
+            machine == self._machine
+            and born
+            and (_process_start_time(pid) != born or (pid == os.getpid() and driver not in _LOCAL_DRIVERS))
+        ):
             return False
         before, since = self._seen.get(driver, (None, 0.0))
         if before != beats:
             self._seen[driver] = beats, time.monotonic()
             return True
-        return time.monotonic() - since < PATIENCE
+        return time.monotonic() - since < HEARTBEAT_TIMEOUT_S
 
     def _beat(self) -> None:
         """Count in a thread until the driver leaves."""
-        while not self._leaving.wait(EVERY):
+        while not self._leaving.wait(HEARTBEAT_S):
             try:
-                db = sqlite3.connect(self._there, timeout=EVERY, isolation_level=None, uri=True)
+                db = sqlite3.connect(self._there, timeout=HEARTBEAT_S, isolation_level=None, uri=True)
                 try:
                     db.execute("UPDATE drivers SET beats = beats + 1 WHERE id = ?", (self.id,))
                 finally:
@@ -91,7 +95,7 @@ class Drivers:
                 continue
 
 
-def _machine() -> str:
+def _machine_id() -> str:
     """Return an identifier of this machine since its start; containers with processes of their own have another one."""
     parts = [socket.gethostname()]
     try:
@@ -102,7 +106,7 @@ def _machine() -> str:
     return " ".join(parts)
 
 
-def _born(pid: int) -> str:
+def _process_start_time(pid: int) -> str:
     """When a process has started, in ticks since the machine has; empty for none, and where that is unknown."""
     try:
         return Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()[19]

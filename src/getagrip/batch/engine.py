@@ -15,22 +15,22 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
-from getagrip.batch.entries import Entry
-from getagrip.batch.executor import Ended, Start, in_turn, shared_out
+from getagrip.batch.entries import LedgerEntry
+from getagrip.batch.executor import FinishedJob, Start, run_in_sequence, run_on_executor
 from getagrip.batch.ledger import Ledger
-from getagrip.batch.limits import NONE, Limits
+from getagrip.batch.limits import NO_LIMITS, Limits
 from getagrip.io import files, plugins
-from getagrip.io.terminal import Silence, report, show_stage
+from getagrip.io.terminal import NullOutput, print_note, show_stage
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
 
-EVERY = 60.0
+PROGRESS_LINE_INTERVAL_S = 60.0
 """Seconds between lines where there is no terminal to move a bar on."""
 
 
-class Named(Protocol):
+class NamedTask(Protocol):
     """A task: a frozen dataclass that can be sent to another process."""
 
     @property
@@ -39,7 +39,7 @@ class Named(Protocol):
         ...
 
 
-J = TypeVar("J", bound=Named)
+J = TypeVar("J", bound=NamedTask)
 R = TypeVar("R")
 
 
@@ -51,13 +51,13 @@ class Engine(Generic[J, R]):
     """In whatever process; raises nothing."""
     lost: Callable[[J, str], R]
     """Makes the outcome of a task that no process could do, from the reason."""
-    entry: Callable[[R], Entry]
+    entry: Callable[[R], LedgerEntry]
     """Makes the ledger's entry: state, why, inputs and about."""
     options: object
     """Everything besides inputs and code that the work depends on: anything that JSON can hold."""
     executor: Start[J, R] | None = None
     """Who does it; None: this process."""
-    limits: Limits = NONE
+    limits: Limits = NO_LIMITS
     """Limits for an executor."""
     prepare: Callable[[], object] | None = None
     """Called by each process of an executor before it does anything."""
@@ -73,9 +73,9 @@ class Engine(Generic[J, R]):
         failed_elsewhere = deque[R]()
         claims = self._claims(tasks, ledger, digest, failed_elsewhere)
         if self.executor is None:
-            ends = in_turn(self.in_this or self.work, claims)
+            ends = run_in_sequence(self.in_this or self.work, claims)
         else:
-            ends = shared_out(self.executor(self.work, self.limits, self.prepare), claims, self.limits)
+            ends = run_on_executor(self.executor(self.work, self.limits, self.prepare), claims, self.limits)
         with closing(ends):
             for ended in ends:
                 result = self._result(ended)
@@ -102,7 +102,7 @@ class Engine(Generic[J, R]):
         self, task: J, ledger: Ledger, digest: str, failed_elsewhere: deque[R], waiting: deque[J]
     ) -> Iterator[J]:
         """Claim a task; else wait for it, or pass it over where it has failed elsewhere."""
-        entry = ledger.claim(task.name, digest, plugins.fingerprint())
+        entry = ledger.claim(task.name, digest, plugins.fingerprint_with_plugins())
         if entry is None:
             waiting.append(task)
         elif entry.state == "failed":
@@ -110,19 +110,21 @@ class Engine(Generic[J, R]):
         else:
             yield task
 
-    def _result(self, ended: Ended[J, R]) -> R:
+    def _result(self, ended: FinishedJob[J, R]) -> R:
         return self.lost(ended.job, ended.why) if ended.why or ended.result is None else ended.result
 
-    def _note(self, ended: Ended[J, R], result: R, ledger: Ledger, digest: str) -> None:
+    def _note(self, ended: FinishedJob[J, R], result: R, ledger: Ledger, digest: str) -> None:
         """Write into the ledger what has become of a task."""
-        entry = replace(self.entry(result), name=ended.job.name, options=digest, code=plugins.fingerprint())
+        entry = replace(
+            self.entry(result), name=ended.job.name, options=digest, code=plugins.fingerprint_with_plugins()
+        )
         if entry.state != "kept":
             worker = f"{ended.machine}:{ended.process}"
             entry = replace(entry, worker=worker, attempts=ended.attempts, seconds=ended.seconds)
         ledger.end(entry)
 
 
-class Pace:
+class BatchProgress:
     """Counts tasks, and shows it: on a bar, or as a line a minute."""
 
     def __init__(self, bar: Progress, tasks: str, total: int) -> None:
@@ -140,9 +142,9 @@ class Pace:
         said = f"{self._ended} of {self._total} {self._tasks}, {self}"
         self._bar.update(self._task, completed=self._ended, description=said)
         now = time.monotonic()
-        if self._bar.disable and now - self._said > EVERY and not isinstance(sys.stdout, Silence):
+        if self._bar.disable and now - self._said > PROGRESS_LINE_INTERVAL_S and not isinstance(sys.stdout, NullOutput):
             self._said = now
-            report(said)
+            print_note(said)
 
     def __str__(self) -> str:
         """Write the pace; kept results took no time and count neither for the pace nor for what is left to do."""
@@ -157,7 +159,7 @@ def _duration(minutes: float) -> str:
     return f"{minutes:.0f} min" if minutes < 100 else f"{minutes / 60.0:.1f} h"
 
 
-def shown(bar: Progress, work: Callable[..., R], job: Named) -> R:
+def run_with_stage_bar(bar: Progress, work: Callable[..., R], job: NamedTask) -> R:
     """Do the work on a clip in this process, with a progress bar."""
     stage = bar.add_task("", total=1.0)
     try:

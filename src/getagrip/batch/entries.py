@@ -13,28 +13,28 @@ from typing import Literal
 from getagrip.batch import drivers
 from getagrip.errors import GetagripError, InputError
 from getagrip.io import databases
-from getagrip.io.terminal import report
+from getagrip.io.terminal import print_note
 
-FILE = "ledger.sqlite"
-VERSION = 1
-APPLICATION = 0x6761676C
+LEDGER_FILE = "ledger.sqlite"
+LEDGER_VERSION = 1
+LEDGER_APPLICATION_ID = 0x6761676C
 """The file's ``application_id``: "gagl"."""
-TASKS = """CREATE TABLE tasks (
+TASKS_SCHEMA = """CREATE TABLE tasks (
     name TEXT PRIMARY KEY, state TEXT NOT NULL, why TEXT NOT NULL, attempts INTEGER NOT NULL, seconds REAL NOT NULL,
     worker TEXT NOT NULL, inputs TEXT NOT NULL, options TEXT NOT NULL, code TEXT NOT NULL, about TEXT NOT NULL,
     claimed_by TEXT NOT NULL, ended_by TEXT NOT NULL
 ) WITHOUT ROWID"""
-SCHEMA = (TASKS, drivers.SCHEMA)
-LONGEST = 2**20
+LEDGER_SCHEMA = (TASKS_SCHEMA, drivers.DRIVERS_SCHEMA)
+MAX_LEDGER_TEXT_BYTES = 2**20
 """Bytes of a text in the file, and of a row."""
-PATIENCE = 60.0
+LEDGER_TIMEOUT_S = 60.0
 """Seconds to wait for another driver's transaction."""
 State = Literal["open", "done", "failed", "kept"]
 """``kept`` is what has become of a task whose result was there already; it is written as ``done``."""
 
 
 @dataclass(frozen=True)
-class Entry:
+class LedgerEntry:
     """A task in the ledger."""
 
     name: str
@@ -57,10 +57,10 @@ class Entry:
     """Other fields of a summary."""
 
 
-COLUMNS = tuple(Entry.__dataclass_fields__)
+LEDGER_COLUMNS = tuple(LedgerEntry.__dataclass_fields__)
 
 
-LEDGER = f"a ledger of version {VERSION}, or none: results do without"
+EXPECTED_LEDGER = f"a ledger of version {LEDGER_VERSION}, or none: results do without"
 
 
 class Entries:
@@ -69,10 +69,10 @@ class Entries:
     path: Path
     _db: sqlite3.Connection
 
-    def entries(self) -> Iterator[Entry]:
+    def entries(self) -> Iterator[LedgerEntry]:
         """Yield all entries, by name."""
         with self._named():
-            for row in self._db.execute(f"SELECT {', '.join(COLUMNS)} FROM tasks ORDER BY name"):
+            for row in self._db.execute(f"SELECT {', '.join(LEDGER_COLUMNS)} FROM tasks ORDER BY name"):
                 yield self._entry(row)
 
     def has(self, name: str) -> bool:
@@ -80,9 +80,9 @@ class Entries:
         with self._named():
             return self._db.execute("SELECT 1 FROM tasks WHERE name = ?", (name,)).fetchone() is not None
 
-    def _entry(self, row: sqlite3.Row) -> Entry:
+    def _entry(self, row: sqlite3.Row) -> LedgerEntry:
         """Convert a row to an entry. Raises ``InputError`` where it is none."""
-        values = dict(zip(COLUMNS, row, strict=True))
+        values = dict(zip(LEDGER_COLUMNS, row, strict=True))
         texts = [value for column, value in values.items() if column not in ("attempts", "seconds")]
         try:
             values["about"] = json.loads(values["about"])
@@ -92,7 +92,7 @@ class Entries:
             good = False
         if not good or values["state"] not in ("open", "done", "failed"):
             raise InputError(self.path, "tasks", "a damaged row", "a ledger, or none: results do without")
-        return Entry(**values)
+        return LedgerEntry(**values)
 
     def _tables(self) -> list[str]:
         """How the tables were made."""
@@ -101,10 +101,10 @@ class Entries:
 
     def _check(self) -> None:
         """Raise ``InputError`` where the file is of something else."""
-        is_ours = self._db.execute("PRAGMA application_id").fetchone() == (APPLICATION,)
+        is_ours = self._db.execute("PRAGMA application_id").fetchone() == (LEDGER_APPLICATION_ID,)
         version = self._db.execute("PRAGMA user_version").fetchone()[0]
-        if not is_ours or version != VERSION or self._tables() != list(SCHEMA):
-            raise InputError(self.path, "", f"a database of another kind or version ({version})", LEDGER)
+        if not is_ours or version != LEDGER_VERSION or self._tables() != list(LEDGER_SCHEMA):
+            raise InputError(self.path, "", f"a database of another kind or version ({version})", EXPECTED_LEDGER)
 
     @contextmanager
     def _named(self) -> Iterator[None]:
@@ -118,15 +118,17 @@ class Entries:
             raise InputError(self.path, "", got, "a ledger, or none: results do without") from error
 
 
-class ReadLedger(Entries):
+class ReadOnlyLedger(Entries):
     """A ledger as it is at the moment; nothing in it is changed, and whoever writes it is not disturbed."""
 
     def __init__(self, folder: Path) -> None:
         """Open it. Raises ``InputError`` where it is something else, ``GetagripError`` where it cannot be read."""
-        self.path = folder / FILE
+        self.path = folder / LEDGER_FILE
         with self._named():
-            self._db = databases.connect(self.path, APPLICATION, LEDGER, timeout=PATIENCE, read_only=True)
-        self._db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST)
+            self._db = databases.connect(
+                self.path, LEDGER_APPLICATION_ID, EXPECTED_LEDGER, timeout=LEDGER_TIMEOUT_S, read_only=True
+            )
+        self._db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_LEDGER_TEXT_BYTES)
         try:
             with self._named():
                 self._check()
@@ -134,7 +136,7 @@ class ReadLedger(Entries):
             self._db.close()
             raise
 
-    def __enter__(self) -> ReadLedger:
+    def __enter__(self) -> ReadOnlyLedger:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -142,15 +144,15 @@ class ReadLedger(Entries):
 
 
 @contextmanager
-def ledger_there(folder: Path) -> Iterator[Entries | None]:
+def open_existing_ledger(folder: Path) -> Iterator[Entries | None]:
     """Open the ledger in a folder; None, with a message, where there is none that can be read: results do without."""
-    if not (folder / FILE).exists():
+    if not (folder / LEDGER_FILE).exists():
         yield None
         return
     try:
-        ledger = ReadLedger(folder)
+        ledger = ReadOnlyLedger(folder)
     except GetagripError as error:
-        report(f"{error}; only results are listed")
+        print_note(f"{error}; only results are listed")
         yield None
         return
     with ledger:

@@ -10,27 +10,27 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic, Protocol, TypeVar
 
-from getagrip.batch.limits import NONE, Limits
-from getagrip.batch.share import FEW
+from getagrip.batch.limits import NO_LIMITS, Limits
+from getagrip.batch.share import MAX_IN_PROCESS_TASKS
 from getagrip.errors import GetagripError
 from getagrip.io import code, plugins
 
 J = TypeVar("J")
 R = TypeVar("R")
 
-DIES = "its process died"
-TRIES = 4
+PROCESS_DIED = "its process died"
+MAX_LOST_MACHINES = 4
 """Machines that a cluster may lose under a job before it counts as one whose process dies."""
-DIED = "its process died twice; out of memory?"
-"""The message for a job whose process died, in ``each``."""
-ATTEMPTS = 2
+PROCESS_DIED_TWICE = "its process died twice; out of memory?"
+"""The message for a job whose process died, in ``for_each_job``."""
+MAX_JOB_ATTEMPTS = 2
 """Number of attempts of a job whose process dies."""
-NAP = 0.5
+IDLE_POLL_S = 0.5
 """Seconds after which we ask again for jobs, where there were none for the moment."""
 
 
 @dataclass(frozen=True)
-class Ended(Generic[J, R]):
+class FinishedJob(Generic[J, R]):
     """A job that needs no more work."""
 
     job: J
@@ -73,10 +73,10 @@ class Executor(Protocol[J, R]):
         """Start attempt ``attempt`` of a job; requires free capacity."""
         ...
 
-    def wait(self, nap: float | None) -> list[Ended[J, R]]:
+    def wait(self, nap: float | None) -> list[FinishedJob[J, R]]:
         """Wait for the jobs that end next; none, when the ``nap`` is over [s] or no job is running.
 
-        ``DIES`` is why a job has ended whose process was lost, maybe by the job's own fault.
+        ``PROCESS_DIED`` is why a job has ended whose process was lost, maybe by the job's own fault.
         """
         ...
 
@@ -87,9 +87,9 @@ class Executor(Protocol[J, R]):
 
 def check_code(expected: str) -> None:
     """Raise ``GetagripError`` where this machine has another getagrip than the one that gave out the jobs."""
-    if plugins.fingerprint() != expected:
+    if plugins.fingerprint_with_plugins() != expected:
         here = f"{code.PACKAGE} on {socket.gethostname()}"
-        got = f"getagrip of other code ({plugins.fingerprint()})"
+        got = f"getagrip of other code ({plugins.fingerprint_with_plugins()})"
         raise GetagripError(f"{here} must be the same on every machine, {expected} (got {got})")
 
 
@@ -97,14 +97,14 @@ Start = Callable[[Callable[[J], R], Limits, Callable[[], object] | None], Execut
 """Makes an executor from the work, the limits of a job and the function that each process calls first."""
 
 
-def cores() -> int:
+def available_cores() -> int:
     """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):  # Linux: what a cluster's scheduler leaves us
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
-def each(
+def for_each_job(
     work: Callable[[J], R],
     jobs: Sequence[J],
     died: Callable[[J], R],
@@ -117,8 +117,8 @@ def each(
     ``died`` says what becomes of a job whose process died twice. ``ended`` is called with what comes of each, as they
     finish. ``here`` is the work as it is done in this process, where that differs.
     """
-    workers = min(len(jobs), workers or (1 if len(jobs) <= FEW else cores()))
-    ends = in_processes(work, jobs, workers) if workers > 1 else ((job, (here or work)(job)) for job in jobs)
+    workers = min(len(jobs), workers or (1 if len(jobs) <= MAX_IN_PROCESS_TASKS else available_cores()))
+    ends = run_in_processes(work, jobs, workers) if workers > 1 else ((job, (here or work)(job)) for job in jobs)
     done = dict[int, R]()
     for job, made in ends:
         done[id(job)] = died(job) if made is None else made
@@ -126,27 +126,27 @@ def each(
     return [done[id(job)] for job in jobs]
 
 
-def in_processes(work: Callable[[J], R], jobs: Iterable[J], workers: int) -> Iterator[tuple[J, R | None]]:
+def run_in_processes(work: Callable[[J], R], jobs: Iterable[J], workers: int) -> Iterator[tuple[J, R | None]]:
     """Yield each job with the value of ``work``, as they finish; None where the process died twice."""
     from getagrip.batch.processes import Processes
 
-    for ended in shared_out(Processes(workers, work, NONE, None), jobs):
+    for ended in run_on_executor(Processes(workers, work, NO_LIMITS, None), jobs):
         yield ended.job, ended.result
 
 
-def in_turn(work: Callable[[J], R], jobs: Iterable[J | None]) -> Generator[Ended[J, R], None, None]:
+def run_in_sequence(work: Callable[[J], R], jobs: Iterable[J | None]) -> Generator[FinishedJob[J, R], None, None]:
     """Yield each job with the value of ``work``, done in this process. None among the jobs: none for the moment."""
     for job in jobs:
         if job is None:
-            time.sleep(NAP)
+            time.sleep(IDLE_POLL_S)
             continue
         since = time.monotonic()
-        yield Ended(job, work(job), seconds=time.monotonic() - since, process=os.getpid())
+        yield FinishedJob(job, work(job), seconds=time.monotonic() - since, process=os.getpid())
 
 
-def shared_out(
-    executor: Executor[J, R], jobs: Iterable[J | None], limits: Limits = NONE
-) -> Generator[Ended[J, R], None, None]:
+def run_on_executor(
+    executor: Executor[J, R], jobs: Iterable[J | None], limits: Limits = NO_LIMITS
+) -> Generator[FinishedJob[J, R], None, None]:
     """Yield each job as it ends, done by an executor within limits; the executor is closed in the end.
 
     A job is taken from ``jobs`` when there is room for it, not before; None among them: none for the moment. A job
@@ -165,15 +165,15 @@ def shared_out(
                     more = False
                     break
                 if job is None:
-                    nap = NAP
+                    nap = IDLE_POLL_S
                 else:
                     executor.submit(job, 1)
             if again and not more and not executor.busy:
-                executor.submit(again.popleft(), ATTEMPTS)
+                executor.submit(again.popleft(), MAX_JOB_ATTEMPTS)
             for ended in executor.wait(nap):
-                if ended.why != DIES:
+                if ended.why != PROCESS_DIED:
                     yield ended
-                elif ended.attempts < ATTEMPTS:
+                elif ended.attempts < MAX_JOB_ATTEMPTS:
                     again.append(ended.job)
                 else:
                     yield replace(ended, why=f"its process died twice; {limits.suspicion}")

@@ -9,20 +9,20 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from getagrip.batch.entries import Entry
-from getagrip.batch.job import Outcome, Progress, failure
-from getagrip.batch.validity import OTHER, damaged, difference
+from getagrip.batch.entries import LedgerEntry
+from getagrip.batch.job import Outcome, Progress, failed_outcome
+from getagrip.batch.validity import RESULT_INPUT_LABELS, damaged_reason, describe_difference
 from getagrip.clip import input_sha256, read_clip, read_masks
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options
 from getagrip.io import code, files
 
-MADE_FROM = {key: OTHER[key] for key in ("input_sha256", "options", "code")}
+DETECTION_INPUT_LABELS = {key: RESULT_INPUT_LABELS[key] for key in ("input_sha256", "options", "code")}
 """In what an earlier record may differ, by its key."""
 
 
 @dataclass(frozen=True)
-class FindJob:
+class DetectionJob:
     """A clip to find segments in."""
 
     name: str
@@ -40,9 +40,11 @@ class FindJob:
 
     def made_from(self, checksum: str) -> dict[str, object]:
         """Return everything that the found segments depend on; ``checksum`` is that of the clip."""
-        from getagrip.segmentation.hinge_fits import METHOD
+        from getagrip.segmentation.hinge_fits import HINGE_FIT_METHOD
 
-        options = asdict(replace(self.options, method=METHOD, every_frame=True))  # of both, the user's does not matter
+        options = asdict(
+            replace(self.options, method=HINGE_FIT_METHOD, every_frame=True)
+        )  # of both, the user's does not matter
         return {"input_sha256": checksum, "options": options, "code": code.fingerprint("segmentation")}
 
 
@@ -67,30 +69,30 @@ class DetectedClip:
         return f"{self.clip}: {'; '.join([found, *self.notes, *how])}"
 
 
-def find_one(job: FindJob, progress: Progress = lambda *_: None) -> DetectedClip | Outcome:
+def detect_clip_segments(job: DetectionJob, progress: Progress = lambda *_: None) -> DetectedClip | Outcome:
     """Find the segments of one clip and write them; or how it failed. Raises nothing."""
     try:
         checksum = input_sha256(job.clip)
-        there, why = _standing(job, checksum)
-        return _found(job, checksum, why, progress) if there is None else there
+        there, why = _existing_detection(job, checksum)
+        return _detect_and_write(job, checksum, why, progress) if there is None else there
     except Exception as error:  # one clip's trouble must not end the others
-        return failure(job.name, error)
+        return failed_outcome(job.name, error)
 
 
-def lost(job: FindJob, why: str) -> DetectedClip | Outcome:
+def failure_of(job: DetectionJob, why: str) -> DetectedClip | Outcome:
     """Make the outcome of a clip whose process died."""
     return Outcome(job.name, "failed", why)
 
 
-def entry_of(found: DetectedClip | Outcome) -> Entry:
+def detection_entry(found: DetectedClip | Outcome) -> LedgerEntry:
     """Make the ledger's entry of a clip."""
     if isinstance(found, Outcome):
-        return Entry(found.name, "failed", found.message)
+        return LedgerEntry(found.name, "failed", found.message)
     about = {"clips": [folder.name for folder in found.folders]}
-    return Entry(found.clip, found.state, "; ".join(found.notes), inputs=found.inputs, about=about)
+    return LedgerEntry(found.clip, found.state, "; ".join(found.notes), inputs=found.inputs, about=about)
 
 
-def _found(job: FindJob, checksum: str, why: str, progress: Progress) -> DetectedClip:
+def _detect_and_write(job: DetectionJob, checksum: str, why: str, progress: Progress) -> DetectedClip:
     """Find and write. Raises ``InputError`` where the clip is bad, or changes meanwhile."""
     from getagrip.segmentation.cut import write_grasps, write_timeline
     from getagrip.segmentation.found import find_segments
@@ -108,7 +110,7 @@ def _found(job: FindJob, checksum: str, why: str, progress: Progress) -> Detecte
     return DetectedClip(job.name, "done", folders, spans, found.notes, checksum, why)
 
 
-def _standing(job: FindJob, checksum: str) -> tuple[DetectedClip | None, str]:
+def _existing_detection(job: DetectionJob, checksum: str) -> tuple[DetectedClip | None, str]:
     """Return the segments that were found before, if they are valid, else None and the reason.
 
     Good is what was made from the same clip, with the same options, by the same code, and has not changed since.
@@ -117,14 +119,14 @@ def _standing(job: FindJob, checksum: str) -> tuple[DetectedClip | None, str]:
         return None, ""
     try:
         there = files.read_json(job.record)
-        if why := difference(there, job.made_from(checksum), MADE_FROM):
+        if why := describe_difference(there, job.made_from(checksum), DETECTION_INPUT_LABELS):
             return None, why
         clips, spans, notes = (there.get(key) for key in ("clips", "spans", "notes"))
         if not (isinstance(clips, dict) and isinstance(spans, list) and isinstance(notes, list)):
-            return None, damaged(job.record)
-        folders = tuple(job.to / name for name in clips if files.is_plain_name(name))
+            return None, damaged_reason(job.record)
+        folders = tuple(job.to / name for name in clips if files.is_portable_name(name))
         if {folder.name: input_sha256(folder) for folder in folders} != clips:
             return None, "what was there has been changed"
     except InputError as error:
-        return None, damaged(error)
+        return None, damaged_reason(error)
     return DetectedClip(job.name, "kept", folders, tuple(map(str, spans)), tuple(map(str, notes)), checksum), ""

@@ -10,10 +10,10 @@ from pathlib import Path
 
 from getagrip.batch.clips import print_outcome
 from getagrip.batch.engine import Engine
-from getagrip.batch.entries import Entry, State
-from getagrip.batch.job import Outcome, failure
+from getagrip.batch.entries import LedgerEntry, State
+from getagrip.batch.job import Outcome, failed_outcome
 from getagrip.batch.ledger import Ledger, ledger_folder
-from getagrip.batch.share import ALONE, Share
+from getagrip.batch.share import DEFAULT_SCHEDULING, SchedulingOptions
 from getagrip.clip import Clip, write_clip
 from getagrip.clip.intrinsics import camera_warning
 from getagrip.clip.reading import read_header
@@ -21,9 +21,9 @@ from getagrip.datasets.dataset import Dataset, Draft, Part
 from getagrip.errors import InputError, UsageError
 from getagrip.grasps import lists
 from getagrip.io import files, leftovers, plugins
-from getagrip.io.terminal import counted, report
+from getagrip.io.terminal import format_count, print_note
 
-WARNED = 3
+CAMERA_WARNING_STATUS = 3
 """Exit status where a clip was made but its camera seems to be of other images."""
 
 
@@ -44,7 +44,7 @@ class ImportJob:
 
 
 @dataclass(frozen=True)
-class Imported:
+class ImportedPart:
     """The outcome of a part."""
 
     clips: Sequence[Outcome]
@@ -58,7 +58,13 @@ class Imported:
     """Clips that were made, whose camera seems to be of other images."""
 
 
-def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE, only: Set[str] | None = None) -> int:
+def import_clips(
+    dataset: Dataset,
+    out: Path,
+    debug: bool,
+    share: SchedulingOptions = DEFAULT_SCHEDULING,
+    only: Set[str] | None = None,
+) -> int:
     """Write the clips of a dataset as ``out/<clip name>/``, or ``only`` some of them.
 
     Returns 1 if something failed, 3 if a camera seems to belong to other images, else 0. Existing clips are kept,
@@ -67,12 +73,12 @@ def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE,
     which part. Raises as ``Dataset.parts`` does, ``UsageError`` where clips in the folder were cut in another way, and
     ``GetagripError`` where the ledger cannot be written.
     """
-    jobs = [ImportJob(part, out, only) for part in dataset.parts(report) if part.name in share.shard]
+    jobs = [ImportJob(part, out, only) for part in dataset.parts(print_note) if part.name in share.shard]
     cut = dataset.cut_record()
     claim_folder(out, cut)
-    leftovers.sweep(out)
+    leftovers.remove_stale_folders(out)
     counts, made, handless, warned = Counter[str](), list[Mapping[str, object]](), 0, 0
-    engine = Engine(work=import_part, lost=_lost, entry=_entry, options=repr(dataset))
+    engine = Engine(work=import_part, lost=_lost_import, entry=_import_entry, options=repr(dataset))
     with (
         Ledger(ledger_folder(out, share.ledger)) as ledger,
         closing(share.ended(engine, jobs, len(jobs), ledger, dataset.parts_are)) as parts,
@@ -84,36 +90,36 @@ def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE,
                 else:
                     print(outcome.message)
             for note in imported.notes:
-                report(note)
+                print_note(note)
             counts.update(outcome.state for outcome in imported.clips if outcome.state != "failed")
             counts["failed"] += any(outcome.state == "failed" for outcome in imported.clips)
             made += imported.made
             handless += imported.handless
             warned += imported.warned
             if share.fail_fast and counts["failed"]:
-                report(f"--fail-fast: no other of the {dataset.parts_are} is begun")
+                print_note(f"--fail-fast: no other of the {dataset.parts_are} is begun")
                 break
     if cut is not None:
-        print(f"{out / lists.FILE}: {counted(write_list(out, cut, report), 'grasp')}")
+        print(f"{out / lists.GRASP_LIST_FILE}: {format_count(write_list(out, cut, print_note), 'grasp')}")
     failed = f"{counts['failed']} of {len(jobs)} {dataset.parts_are} failed"
-    print(f"{counted(counts['done'], 'clip')}, {counts['kept']} already there, {failed}")
+    print(f"{format_count(counts['done'], 'clip')}, {counts['kept']} already there, {failed}")
     for advice in dataset.advice(made, handless):
-        report(advice)
-    return 1 if counts["failed"] else WARNED if warned else 0
+        print_note(advice)
+    return 1 if counts["failed"] else CAMERA_WARNING_STATUS if warned else 0
 
 
-def _lost(job: ImportJob, why: str) -> Imported:
-    return Imported([Outcome(job.name, "failed", why)])
+def _lost_import(job: ImportJob, why: str) -> ImportedPart:
+    return ImportedPart([Outcome(job.name, "failed", why)])
 
 
-def _entry(imported: Imported) -> Entry:
+def _import_entry(imported: ImportedPart) -> LedgerEntry:
     states = Counter(outcome.state for outcome in imported.clips)
     why = "; ".join(outcome.message for outcome in imported.clips if outcome.state == "failed")
     state: State = "failed" if states["failed"] else "done" if states["done"] else "kept"
-    return Entry("", state, why, about={str(kind): count for kind, count in states.items()})
+    return LedgerEntry("", state, why, about={str(kind): count for kind, count in states.items()})
 
 
-def import_part(job: ImportJob) -> Imported:
+def import_part(job: ImportJob) -> ImportedPart:
     """Write the clips of one part. Raises nothing."""
     outcomes, notes, made, warned = list[Outcome](), list[str](), list[Mapping[str, object]](), 0
 
@@ -129,7 +135,7 @@ def import_part(job: ImportJob) -> Imported:
     try:
         for draft in job.part.drafts(missing, notes.append):
             try:
-                clip = _write(draft, job.out / draft.name)
+                clip = _write_draft(draft, job.out / draft.name)
                 if clip is not None:
                     outcomes.append(Outcome(draft.name, "done", str(job.out / draft.name)))
                     made.append(clip.provenance)
@@ -137,17 +143,17 @@ def import_part(job: ImportJob) -> Imported:
                         warned += 1
                         notes.append(f"{job.out / draft.name}: warning: camera: {why}")
             except Exception as error:  # one clip's trouble must not end the others
-                outcomes.append(failure(draft.name, error))
+                outcomes.append(failed_outcome(draft.name, error))
     except Exception as error:  # nor may one part's
-        outcomes.append(failure(job.part.name, error))
+        outcomes.append(failed_outcome(job.part.name, error))
     clips = [job.out / outcome.name for outcome in outcomes if outcome.state != "failed"]
     handless = sum(not (folder / "hand.npz").exists() for folder in clips)
-    return Imported(outcomes, notes, made, handless, warned)
+    return ImportedPart(outcomes, notes, made, handless, warned)
 
 
-def _write(draft: Draft, folder: Path) -> Clip | None:
+def _write_draft(draft: Draft, folder: Path) -> Clip | None:
     """Write a clip and return it; None where nothing is left of it. Raises as ``Draft.make`` does."""
-    with plugins.tamed():
+    with plugins.convert_base_exceptions():
         made = draft.make()
     if made is None:
         return None
@@ -163,10 +169,10 @@ def claim_folder(out: Path, cut: Mapping[str, object] | None) -> None:
 
     Raises ``UsageError`` where it holds clips that were cut in another way, ``InputError`` for a damaged list.
     """
-    path = out / lists.FILE
+    path = out / lists.GRASP_LIST_FILE
     if path.exists():
         if cut is None or lists.read_cut(path) != cut:
-            here = "no grasps" if cut is None else files.shown(dict(cut))
+            here = "no grasps" if cut is None else files.shorten_value(dict(cut))
             why = f"it holds clips cut as {path.name} there says, not {here}"
             raise UsageError(f"--out {out} cannot be used with this import: {why}")
     elif cut is not None:
@@ -174,7 +180,7 @@ def claim_folder(out: Path, cut: Mapping[str, object] | None) -> None:
             why = f"it holds clips and no {path.name} that says how they were cut"
             raise UsageError(f"--out {out} cannot be used with this import: {why}")
         out.mkdir(parents=True, exist_ok=True)
-        lists.write(path, [], cut)
+        lists.write_listed_grasps(path, [], cut)
 
 
 def write_list(out: Path, cut: Mapping[str, object], note: Callable[[str], None]) -> int:
@@ -185,9 +191,9 @@ def write_list(out: Path, cut: Mapping[str, object], note: Callable[[str], None]
             path = folder / "clip.json"
             row = read_header(folder).fields["provenance"].get("grasp")
             if not isinstance(row, dict):
-                raise InputError(path, "provenance.grasp", files.shown(row), "the grasp that the clip is")
-            grasps.append(lists.grasp_of(path, "provenance.grasp.", row))
+                raise InputError(path, "provenance.grasp", files.shorten_value(row), "the grasp that the clip is")
+            grasps.append(lists.parse_grasp_row(path, "provenance.grasp.", row))
         except InputError as error:
-            note(f"not in {lists.FILE}: {error}")
-    lists.write(out / lists.FILE, grasps, cut)
+            note(f"not in {lists.GRASP_LIST_FILE}: {error}")
+    lists.write_listed_grasps(out / lists.GRASP_LIST_FILE, grasps, cut)
     return len(grasps)

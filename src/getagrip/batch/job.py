@@ -8,15 +8,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from getagrip.batch.validity import good_result, made_by
+from getagrip.batch.validity import software_of_method, valid_result
 from getagrip.clip import input_sha256, read_clip
-from getagrip.errors import GetagripError, InputError, cleaned
+from getagrip.errors import GetagripError, InputError, escape_unprintable
 from getagrip.finding import Finding
 from getagrip.io import plugins
-from getagrip.io.own_code import place
+from getagrip.io.own_code import locate_error
 from getagrip.probability import Probability
 from getagrip.result import Reconstruction, write_result
-from getagrip.result.segments import probabilities_of_grasps
+from getagrip.result.segments import describe_grasp_probabilities
 
 if TYPE_CHECKING:
     from getagrip.fitting.options import Options
@@ -71,24 +71,26 @@ class Outcome:
     """Whole path of what gave no clip to work on."""
 
 
-def failure(name: str, error: Exception) -> Outcome:
+def failed_outcome(name: str, error: Exception) -> Outcome:
     """Make the outcome of a clip that raised an error; unexpected ones name the place in the user's own code."""
     expected = isinstance(error, GetagripError | OSError)
     message = str(error)
     if not expected:
-        where = place(error)
+        where = locate_error(error)
         message = f"{f'{where}:' if where else 'unexpected'} {type(error).__name__}: {error}"
     if isinstance(error, MemoryError):
         message = f"it needs more memory than is available, or than --limit-gb allows;  {error}".removesuffix("; ")
-    return Outcome(name, "failed", cleaned(" ".join(message.split())), "".join(traceback.format_exception(error)))
+    return Outcome(
+        name, "failed", escape_unprintable(" ".join(message.split())), "".join(traceback.format_exception(error))
+    )
 
 
-def load() -> None:
+def preload_solver() -> None:
     """Load what every reconstruction needs, and have it compiled, before its time counts."""
-    from getagrip.compiling import WORDS, compile_once
-    from getagrip.io.terminal import report
+    from getagrip.compiling import COMPILATION_MESSAGE, compile_once
+    from getagrip.io.terminal import print_note
 
-    compile_once(lambda: report(WORDS))
+    compile_once(lambda: print_note(COMPILATION_MESSAGE))
     import getagrip.timelines.reconstruct  # noqa: F401
 
 
@@ -100,34 +102,36 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
     """
     try:
         checksum = input_sha256(job.clip)
-        there, why = standing(job, checksum)
+        there, why = existing_outcome(job, checksum)
         if there is not None:
             return there
-        result, checksum = _reconstructed(job, progress)
-        meanwhile, _ = standing(job, checksum)
+        result, checksum = _reconstruct_unchanged_clip(job, progress)
+        meanwhile, _ = existing_outcome(job, checksum)
         if meanwhile is not None and not job.overwrite:
             return meanwhile
         metrics = {"iou_full": result.mean_iou}
         origin = job.origin or job.clip
-        write_result(result, job.out, checksum, metrics, origin, overwrite=True, made_by=made_by(job.options.method))
+        write_result(
+            result, job.out, checksum, metrics, origin, overwrite=True, made_by=software_of_method(job.options.method)
+        )
     except Exception as error:  # one clip's trouble must not end the others
-        return failure(job.name, error)
-    from getagrip.fitting.judge import uncalibrated
+        return failed_outcome(job.name, error)
+    from getagrip.fitting.judge import uncalibrated_reason
 
     known = ", ".join(f"{right} {where}" for where, right in result.probabilities.items())
     probably = f"right with a probability of {known}" if known else ""
-    if grasps := probabilities_of_grasps(result.segments):
+    if grasps := describe_grasp_probabilities(result.segments):
         probably = grasps
-    if not known and (none := uncalibrated(job.options, result.findings, result.energy)):
+    if not known and (none := uncalibrated_reason(job.options, result.findings, result.energy)):
         probably = f"{probably or 'no probability that it is right'} ({none})"
     about = (f"IOU {result.mean_iou:.2f}", probably, result.looks, "ambiguous" * result.ambiguous)
     said = ", ".join(filter(None, (*about, f"{result.seconds['total']:.1f} s", str(job.out))))
     again = f"done again, since {why}: " if why else ""
     summary = f"{again}{said}; {result.message}"
-    return _outcome(job, "done", summary, result, checksum)
+    return _result_outcome(job, "done", summary, result, checksum)
 
 
-def _reconstructed(job: Job, progress: Progress | None) -> tuple[Reconstruction, str]:
+def _reconstruct_unchanged_clip(job: Job, progress: Progress | None) -> tuple[Reconstruction, str]:
     """Reconstruct the clip, and return the checksum of its inputs.
 
     Raises ``InputError`` where the clip has changed meanwhile: some of it was read before, some after.
@@ -135,26 +139,32 @@ def _reconstructed(job: Job, progress: Progress | None) -> tuple[Reconstruction,
     from getagrip.timelines.reconstruct import reconstruct
 
     before = input_sha256(job.clip)
-    with plugins.tamed():
+    with plugins.convert_base_exceptions():
         result = reconstruct(read_clip(job.clip), None, job.options, progress, job.threads)
     if input_sha256(job.clip) != before:
         raise InputError(job.clip, "", "files that changed while they were read", "a clip that stays as it is")
     return result, before
 
 
-def standing(job: Job, checksum: str) -> tuple[Outcome | None, str]:
+def existing_outcome(job: Job, checksum: str) -> tuple[Outcome | None, str]:
     """Return the outcome of a job whose result is there and valid, else None and the reason.
 
     ``checksum`` is that of the clip. Raises ``UsageError`` where something else is in the result's place.
     """
     options = asdict(job.options)
-    there, why = good_result(job.out, checksum, job.options.method, options, made_by(job.options.method), job.overwrite)
+    there, why = valid_result(
+        job.out, checksum, job.options.method, options, software_of_method(job.options.method), job.overwrite
+    )
     if there is None:
         return None, why
-    return _outcome(job, "kept", f"already done in {job.out}, IOU {there[0].mean_iou:.2f}", there[0], checksum), ""
+    return _result_outcome(
+        job, "kept", f"already done in {job.out}, IOU {there[0].mean_iou:.2f}", there[0], checksum
+    ), ""
 
 
-def _outcome(job: Job, state: Literal["done", "kept"], message: str, result: Reconstruction, checksum: str) -> Outcome:
+def _result_outcome(
+    job: Job, state: Literal["done", "kept"], message: str, result: Reconstruction, checksum: str
+) -> Outcome:
     return Outcome(
         job.name, state, message, findings=result.findings, probability_right=result.probability_right,
         probability_right_in_camera=result.probability_right_in_camera,

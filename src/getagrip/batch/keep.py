@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from getagrip.pages import IndexRow
     from getagrip.result import Reconstruction
 
-LOWEST, HIGHEST = 0.5, 0.98
+MIN_KEEP_SHARE, MAX_KEEP_SHARE = 0.5, 0.98
 """Shares that results are calibrated for (``checks.keeping``)."""
-NAMED = 20
+MAX_NAMED_RESULTS = 20
 """Most results that are named in a line: the summary has them all."""
 
 
 @dataclass(frozen=True)
-class Keep:
+class KeepOptions:
     """Which results are kept. Raises ``UsageError``."""
 
     keep: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="(default: no result is marked)")] = None
@@ -33,15 +33,15 @@ class Keep:
     """Frame in which kept results must be right."""
 
     def __post_init__(self) -> None:
-        if self.keep is not None and not LOWEST <= self.keep <= HIGHEST:
-            raise UsageError(f"--keep must be {LOWEST:g} to {HIGHEST:g} (got {self.keep:g})")
+        if self.keep is not None and not MIN_KEEP_SHARE <= self.keep <= MAX_KEEP_SHARE:
+            raise UsageError(f"--keep must be {MIN_KEEP_SHARE:g} to {MAX_KEEP_SHARE:g} (got {self.keep:g})")
 
     def check(self, options: Options) -> None:
         """Raise ``UsageError`` where results of these options have no probability: all of them would be dropped."""
         if self.keep is not None:
-            from getagrip.fitting.judge import uncalibrated
+            from getagrip.fitting.judge import uncalibrated_reason
 
-            if why := uncalibrated(options, ()):
+            if why := uncalibrated_reason(options, ()):
                 raise UsageError(f"--keep needs the probability that results are right, and {why}")
 
     def verdict(self, in_hand: Probability | None, in_camera: Probability | None) -> str:
@@ -64,11 +64,11 @@ class Keep:
         """Sum up the verdicts of results by name, in a line."""
         dropped = sorted(name for name, verdict in verdicts.items() if verdict == "dropped")
         kept = len(verdicts) - len(dropped)
-        more = f" and {len(dropped) - NAMED} more" if len(dropped) > NAMED else ""
-        named = f"; dropped: {', '.join(dropped[:NAMED])}{more}" if dropped else ""
+        more = f" and {len(dropped) - MAX_NAMED_RESULTS} more" if len(dropped) > MAX_NAMED_RESULTS else ""
+        named = f"; dropped: {', '.join(dropped[:MAX_NAMED_RESULTS])}{more}" if dropped else ""
         share = f"{kept} of {len(verdicts)} ({100.0 * kept / max(len(verdicts), 1):.0f} %) are kept"
         return f"{share}: at least {100.0 * (self.keep or 0.0):.3g} % of such are right in the {self.keep_in}{named}"
 
 
-ALL = Keep()
+NO_KEEP_FILTER = KeepOptions()
 """No mark."""

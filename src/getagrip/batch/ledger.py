@@ -16,16 +16,16 @@ from pathlib import Path
 
 from getagrip.batch.drivers import Drivers
 from getagrip.batch.entries import (
-    APPLICATION,
-    COLUMNS,
-    FILE,
-    LEDGER,
-    LONGEST,
-    PATIENCE,
-    SCHEMA,
-    VERSION,
+    EXPECTED_LEDGER,
+    LEDGER_APPLICATION_ID,
+    LEDGER_COLUMNS,
+    LEDGER_FILE,
+    LEDGER_SCHEMA,
+    LEDGER_TIMEOUT_S,
+    LEDGER_VERSION,
+    MAX_LEDGER_TEXT_BYTES,
     Entries,
-    Entry,
+    LedgerEntry,
 )
 from getagrip.errors import GetagripError
 from getagrip.io import databases
@@ -39,10 +39,10 @@ class Ledger(Entries):
     def __init__(self, folder: Path) -> None:
         """Open or make it. Raises ``InputError`` where it is something else, ``GetagripError`` where it cannot be."""
         folder.mkdir(parents=True, exist_ok=True)
-        self.path = folder / FILE
+        self.path = folder / LEDGER_FILE
         with self._named():
-            self._db = databases.connect(self.path, APPLICATION, LEDGER, timeout=PATIENCE)
-        self._db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST)
+            self._db = databases.connect(self.path, LEDGER_APPLICATION_ID, EXPECTED_LEDGER, timeout=LEDGER_TIMEOUT_S)
+        self._db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_LEDGER_TEXT_BYTES)
         try:
             self._prepare()
             self._drivers = Drivers(self._db, self.path)
@@ -67,7 +67,7 @@ class Ledger(Entries):
         finally:
             self._db.close()
 
-    def expect(self, names: Iterable[str], failed: Iterable[Entry]) -> None:
+    def expect(self, names: Iterable[str], failed: Iterable[LedgerEntry]) -> None:
         """Enter tasks that have no entry, and paths that give no clip.
 
         Their names have a slash, as no clip's has. They take the place of those of earlier calls.
@@ -79,18 +79,20 @@ class Ledger(Entries):
             rows = ((e.name, e.state, e.why, 0, 0.0, "", "", "", "", json.dumps(e.about), "", "") for e in failed)
             db.executemany(f"INSERT OR IGNORE INTO tasks VALUES ({', '.join('?' * 12)})", rows)
 
-    def claim(self, name: str, options: str, code: str) -> Entry | None:
+    def claim(self, name: str, options: str, code: str) -> LedgerEntry | None:
         """Claim a task for this driver, and return its entry; None where a living driver is at work on it.
 
         An entry that has ``failed`` is not claimed: a living driver has just tried the same, in vain.
         """
         with self._transaction() as db:
-            row = db.execute(f"SELECT {', '.join(COLUMNS)}, claimed_by, ended_by FROM tasks WHERE name = ?", (name,))
+            row = db.execute(
+                f"SELECT {', '.join(LEDGER_COLUMNS)}, claimed_by, ended_by FROM tasks WHERE name = ?", (name,)
+            )
             found = row.fetchone()
             if found is None:
                 values = (name, "open", "", 0, 0.0, "", "", options, code, "{}", self._drivers.id, "")
                 db.execute(f"INSERT INTO tasks VALUES ({', '.join('?' * len(values))})", values)
-                return Entry(name, options=options, code=code)
+                return LedgerEntry(name, options=options, code=code)
             entry, (claimed_by, ended_by) = self._entry(found[:-2]), found[-2:]
             if self._of_another(claimed_by):
                 return None
@@ -101,15 +103,15 @@ class Ledger(Entries):
             ):
                 return entry
             db.execute("UPDATE tasks SET claimed_by = ? WHERE name = ?", (self._drivers.id, name))
-            return Entry(**{**vars(entry), "state": "open" if entry.state == "failed" else entry.state})
+            return LedgerEntry(**{**vars(entry), "state": "open" if entry.state == "failed" else entry.state})
 
-    def end(self, entry: Entry) -> None:
+    def end(self, entry: LedgerEntry) -> None:
         """Write the outcome of this driver's task, unless another one took this for dead and the task over.
 
         Of one whose result was ``kept``, what is known of its making stays.
         """
         me = {"claimed_by": "", "ended_by": self._drivers.id}
-        values = vars(entry) | {"why": entry.why[: LONGEST // 8], "about": json.dumps(entry.about)} | me
+        values = vars(entry) | {"why": entry.why[: MAX_LEDGER_TEXT_BYTES // 8], "about": json.dumps(entry.about)} | me
         ours = "name = :name AND claimed_by = :me"
         with self._transaction() as db:
             if entry.state == "kept":
@@ -134,16 +136,16 @@ class Ledger(Entries):
             self._db.execute("PRAGMA synchronous = NORMAL")
         with self._transaction() as db:
             if not self._tables():
-                for statement in SCHEMA:
+                for statement in LEDGER_SCHEMA:
                     db.execute(statement)
-                db.execute(f"PRAGMA user_version = {VERSION}")
-                db.execute(f"PRAGMA application_id = {APPLICATION}")
+                db.execute(f"PRAGMA user_version = {LEDGER_VERSION}")
+                db.execute(f"PRAGMA application_id = {LEDGER_APPLICATION_ID}")
                 return
             self._check()
 
     def _to_wal(self) -> None:
         """Have the file in WAL mode. Here SQLite does not wait for another driver that begins, as it does elsewhere."""
-        until = time.monotonic() + PATIENCE
+        until = time.monotonic() + LEDGER_TIMEOUT_S
         while True:
             try:
                 self._db.execute("PRAGMA journal_mode = WAL")

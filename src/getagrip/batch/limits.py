@@ -10,7 +10,7 @@ from tyro.conf import arg
 
 from getagrip.errors import UsageError
 
-MOST = 1e6
+MAX_JOB_LIMIT = 1e6
 """Most seconds and GB: the kernel and the clock count no farther than some thousand times as many."""
 
 
@@ -30,8 +30,8 @@ class Limits:
 
     def __post_init__(self) -> None:
         for option, value in (("--limit-seconds", self.seconds), ("--limit-gb", self.gigabytes)):
-            if value is not None and not (0.0 < value <= MOST):
-                raise UsageError(f"{option} must be above 0 and at most {MOST:g} (got {value:g})")
+            if value is not None and not (0.0 < value <= MAX_JOB_LIMIT):
+                raise UsageError(f"{option} must be above 0 and at most {MAX_JOB_LIMIT:g} (got {value:g})")
         if self.gigabytes is not None and sys.platform != "linux":
             raise UsageError(
                 f"--limit-gb cannot be used with {sys.platform}: only Linux limits the memory of a process"
@@ -60,5 +60,5 @@ class Limits:
             resource.setrlimit(resource.RLIMIT_DATA, (wanted if most < 0 else min(wanted, most), most))
 
 
-NONE = Limits()
+NO_LIMITS = Limits()
 """Any time, any memory."""

@@ -17,21 +17,21 @@ from functools import lru_cache
 from types import ModuleType
 from typing import Generic, TypeVar
 
-from getagrip.batch.executor import DIES, TRIES, Ended, Submitted, check_code, cores
+from getagrip.batch.executor import MAX_LOST_MACHINES, PROCESS_DIED, FinishedJob, Submitted, available_cores, check_code
 from getagrip.batch.limits import Limits
 from getagrip.batch.processes import Processes
 from getagrip.errors import GetagripError, UsageError
 from getagrip.io import extras, own_python, plugins
-from getagrip.io.terminal import report
+from getagrip.io.terminal import print_note
 
 J = TypeVar("J")
 R = TypeVar("R")
 
-PATIENCE = 5.0
+RAY_CONNECT_TIMEOUT_S = 5.0
 """Seconds in which an address must answer."""
-LOOK_EVERY = 2.0
+RAY_POLL_S = 2.0
 """Seconds after which we ask again how large the cluster is."""
-STORE = 100 * 2**20
+OBJECT_STORE_BYTES = 100 * 2**20
 """Bytes of a local cluster's object store: clips and results do not pass through it."""
 
 
@@ -51,22 +51,22 @@ class RayExecutor(Generic[J, R]):
         ``address`` is Ray's; None: that of ``RAY_ADDRESS``, else this machine. Raises ``UsageError`` where Ray is not
         installed or does not answer.
         """
-        self._ray = extras.load("ray", "ray", "--engine ray")
+        self._ray = extras.import_extra("ray", "ray", "--engine ray")
         self._ours = not self._ray.is_initialized()
         if self._ours:
-            with own_python.elsewhere():  # Ray puts the current folder onto the path of its workers
-                _connect(self._ray, workers, address or os.environ.get("RAY_ADDRESS"))
+            with own_python.leave_cwd():  # Ray puts the current folder onto the path of its workers
+                _connect_ray(self._ray, workers, address or os.environ.get("RAY_ADDRESS"))
         self._workers = workers
-        task = self._ray.remote(num_cpus=1, max_retries=0)(_do)
-        how = self._ray.put((work, limits, prepare, plugins.fingerprint(), os.getcwd()))
+        task = self._ray.remote(num_cpus=1, max_retries=0)(_run_ray_task)
+        how = self._ray.put((work, limits, prepare, plugins.fingerprint_with_plugins(), os.getcwd()))
         self._start: Callable[[J], object] = lambda job: task.remote(how, job)
         self._at_work: dict[object, Submitted[J]] = {}
-        self._cpus, self._looked = 0, -LOOK_EVERY
+        self._cpus, self._looked = 0, -RAY_POLL_S
 
     @property
     def capacity(self) -> int:
         """Number of jobs that can start now; at least one, which waits for a cluster that grows."""
-        if self._workers is None and time.monotonic() - self._looked >= LOOK_EVERY:
+        if self._workers is None and time.monotonic() - self._looked >= RAY_POLL_S:
             self._cpus, self._looked = int(self._ray.cluster_resources().get("CPU", 0)), time.monotonic()
         return (self._workers or max(1, self._cpus)) - self.busy
 
@@ -79,7 +79,7 @@ class RayExecutor(Generic[J, R]):
         """Send a job to the cluster."""
         self._at_work[self._start(job)] = Submitted(job, attempt)
 
-    def wait(self, nap: float | None) -> list[Ended[J, R]]:
+    def wait(self, nap: float | None) -> list[FinishedJob[J, R]]:
         """Wait for the jobs that end next; none, when the ``nap`` is over [s] or no job is running.
 
         Raises ``GetagripError`` where the cluster has died.
@@ -100,7 +100,7 @@ class RayExecutor(Generic[J, R]):
         ends = [self._ended(ref, self._at_work.pop(ref)) for ref in ready]
         lost = sum(ended is None for ended in ends)
         if lost:
-            report(f"Ray has lost a node or a worker; its jobs are submitted again ({lost})")
+            print_note(f"Ray has lost a node or a worker; its jobs are submitted again ({lost})")
         return [ended for ended in ends if ended is not None]
 
     def close(self) -> None:
@@ -112,15 +112,15 @@ class RayExecutor(Generic[J, R]):
         if self._ours:
             self._ray.shutdown()
 
-    def _ended(self, ref: object, submitted: Submitted[J]) -> Ended[J, R] | None:
+    def _ended(self, ref: object, submitted: Submitted[J]) -> FinishedJob[J, R] | None:
         """Return the end of a job; None where its worker was lost and the job has been sent again."""
         try:
             ended = self._ray.get(ref)
         except self._ray.exceptions.OutOfMemoryError:  # Ray has ended the worker, to save its node
-            return Ended(submitted.job, None, DIES, attempts=submitted.attempt)
+            return FinishedJob(submitted.job, None, PROCESS_DIED, attempts=submitted.attempt)
         except self._ray.exceptions.RayError:
-            if submitted.tries == TRIES:
-                return Ended(submitted.job, None, DIES, attempts=submitted.attempt)
+            if submitted.tries == MAX_LOST_MACHINES:
+                return FinishedJob(submitted.job, None, PROCESS_DIED, attempts=submitted.attempt)
             self._at_work[self._start(submitted.job)] = replace(submitted, tries=submitted.tries + 1)
             return None
         if isinstance(ended, Exception):
@@ -128,15 +128,21 @@ class RayExecutor(Generic[J, R]):
         return replace(ended, attempts=submitted.attempt)
 
 
-def _connect(ray: ModuleType, workers: int | None, address: str | None) -> None:
+def _connect_ray(ray: ModuleType, workers: int | None, address: str | None) -> None:
     """Connect to a cluster, or start one on this machine. Raises ``UsageError``."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no report to Ray's makers
     quiet = {"log_to_driver": False, "logging_level": "error"}
     if address in (None, "local"):
-        ray.init("local", num_cpus=workers or cores(), include_dashboard=False, object_store_memory=STORE, **quiet)
+        ray.init(
+            "local",
+            num_cpus=workers or available_cores(),
+            include_dashboard=False,
+            object_store_memory=OBJECT_STORE_BYTES,
+            **quiet,
+        )
         return
     try:
-        check_answer(address)
+        check_ray_address(address)
         ray.init(address, **quiet)
     except (OSError, RuntimeError, ValueError) as error:
         reason = " ".join(str(error).split())
@@ -144,7 +150,7 @@ def _connect(ray: ModuleType, workers: int | None, address: str | None) -> None:
         raise UsageError(f"--address must be {expected} (got {address}: {reason})") from error
 
 
-def check_answer(address: str) -> None:
+def check_ray_address(address: str) -> None:
     """Raise ``OSError`` where nobody listens at an address: Ray itself would try for a minute, then end the process.
 
     ``ValueError`` where it is none.
@@ -155,16 +161,18 @@ def check_answer(address: str) -> None:
     if colon:
         if not port.isdecimal():
             raise ValueError(f"{port!r} is no port")
-        socket.create_connection((host, int(port)), PATIENCE).close()
+        socket.create_connection((host, int(port)), RAY_CONNECT_TIMEOUT_S).close()
 
 
-def _do(how: tuple[Callable[[J], R], Limits, Callable[[], object] | None, str, str], job: J) -> Ended[J, R] | Exception:
+def _run_ray_task(
+    how: tuple[Callable[[J], R], Limits, Callable[[], object] | None, str, str], job: J
+) -> FinishedJob[J, R] | Exception:
     """Do a job in a Ray worker; an exception is returned, for the driver to raise."""
     work, limits, prepare, expected, folder = how
     try:
         check_code(expected)
-        executor = _executor(work, limits, prepare, folder)
-        with _as_of_the_driver(folder):
+        executor = _worker_executor(work, limits, prepare, folder)
+        with _in_driver_folder(folder):
             executor.submit(job, 1)
         while True:
             for ended in executor.wait(None):
@@ -174,7 +182,7 @@ def _do(how: tuple[Callable[[J], R], Limits, Callable[[], object] | None, str, s
 
 
 @lru_cache(maxsize=1)  # what comes later is of another call: the process of the one before ends when it is forgotten
-def _executor(
+def _worker_executor(
     work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None, folder: str
 ) -> Processes[J, R]:
     """Return this Ray worker's one process, which works in the driver's ``folder``; it is kept for the next job."""
@@ -182,7 +190,7 @@ def _executor(
 
 
 @contextmanager
-def _as_of_the_driver(folder: str) -> Iterator[None]:
+def _in_driver_folder(folder: str) -> Iterator[None]:
     """Start processes in the driver's folder, if there is one here: paths may be relative.
 
     Nor do they load the main file of a Ray worker, and with it Ray.

@@ -12,15 +12,15 @@ from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 from typing import Generic, TypeVar
 
-from getagrip.batch.executor import DIES, Ended
+from getagrip.batch.executor import PROCESS_DIED, FinishedJob
 from getagrip.batch.limits import Limits
 from getagrip.io import own_python
 
 J = TypeVar("J")
 R = TypeVar("R")
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-JOBS_EACH = 500
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+MAX_JOBS_PER_PROCESS = 500
 """Number of jobs after which a process is replaced, which frees whatever libraries hold on to."""
 
 
@@ -32,8 +32,8 @@ class Processes(Generic[J, R]):
     ) -> None:
         """Run at most ``workers`` processes. Each calls ``prepare`` first; that counts for no limit."""
         self.workers = workers
-        self._start: Callable[[], _Process[J, R]] = lambda: _Process(work, limits, prepare)
-        self._there: list[_Process[J, R]] = []
+        self._start: Callable[[], _WorkerProcess[J, R]] = lambda: _WorkerProcess(work, limits, prepare)
+        self._there: list[_WorkerProcess[J, R]] = []
 
     @property
     def capacity(self) -> int:
@@ -53,7 +53,7 @@ class Processes(Generic[J, R]):
             self._there.append(idle)
         idle.submit(job, attempt)
 
-    def wait(self, nap: float | None) -> list[Ended[J, R]]:
+    def wait(self, nap: float | None) -> list[FinishedJob[J, R]]:
         """Wait for the jobs that end next; none, when the ``nap`` is over [s] or no job is running."""
         busy = self._at_work()
         until = [left for process in busy if (left := process.time_left()) is not None]
@@ -68,18 +68,18 @@ class Processes(Generic[J, R]):
         for process in self._there:
             process.close()
 
-    def _at_work(self) -> list[_Process[J, R]]:
+    def _at_work(self) -> list[_WorkerProcess[J, R]]:
         return [process for process in self._there if process.busy]
 
 
-class _Process(Generic[J, R]):
+class _WorkerProcess(Generic[J, R]):
     """A process that does one job after the other."""
 
     def __init__(self, work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None) -> None:
         spawn = get_context("spawn")  # forked threads and locks of numerical libraries hang
         self.pipe, theirs = spawn.Pipe()
-        self.process = spawn.Process(target=_serve, args=(theirs, work, limits, prepare))
-        with _environment():
+        self.process = spawn.Process(target=_serve_jobs, args=(theirs, work, limits, prepare))
+        with _single_thread_environment():
             self.process.start()
         theirs.close()
         self.pid = self.process.pid or 0
@@ -99,7 +99,7 @@ class _Process(Generic[J, R]):
             return None
         return max(0.0, self.since + self.limits.seconds - time.monotonic())
 
-    def ended(self) -> Ended[J, R] | None:
+    def ended(self) -> FinishedJob[J, R] | None:
         """Return the end of its job; None while it is at work. ``gone`` where the process is not there any more."""
         try:
             while self.pipe.poll():
@@ -110,25 +110,25 @@ class _Process(Generic[J, R]):
                 return self._answered(*answer)
         except (EOFError, OSError):
             self._end()
-            return self._lost(DIES)
+            return self._lost(PROCESS_DIED)
         if self.time_left() == 0.0:
             self._end()
             return self._lost(self.limits.too_long)
         return None
 
-    def _answered(self, result: R | None, error: Exception | None) -> Ended[J, R]:
+    def _answered(self, result: R | None, error: Exception | None) -> FinishedJob[J, R]:
         """Return the job's end, as the process has reported it."""
         self.busy, self.done = False, self.done + 1
         if error is not None:
             raise error
-        if self.done == JOBS_EACH:
+        if self.done == MAX_JOBS_PER_PROCESS:
             self.close()
         took = time.monotonic() - self.since
-        return Ended(self.job, result, "", took, self.attempt, self.pid)
+        return FinishedJob(self.job, result, "", took, self.attempt, self.pid)
 
-    def _lost(self, why: str) -> Ended[J, R]:
+    def _lost(self, why: str) -> FinishedJob[J, R]:
         self.busy = False
-        return Ended(self.job, None, why, time.monotonic() - self.since, self.attempt, self.pid)
+        return FinishedJob(self.job, None, why, time.monotonic() - self.since, self.attempt, self.pid)
 
     def _end(self) -> None:
         self.process.kill()
@@ -142,7 +142,7 @@ class _Process(Generic[J, R]):
         self.gone = True
 
 
-def _serve(pipe: Connection, work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None) -> None:
+def _serve_jobs(pipe: Connection, work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None) -> None:
     """Do the jobs that come through the pipe, in the process, until it closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # also where signals cannot be blocked
     threading.Thread(target=_end_with_parent, daemon=True).start()
@@ -171,12 +171,12 @@ def _end_with_parent() -> None:
 
 
 @contextmanager
-def _environment() -> Iterator[None]:
+def _single_thread_environment() -> Iterator[None]:
     """Have processes that start meanwhile run numba and BLAS on one thread, and load nothing of the current folder.
 
     They never hear a Ctrl-C, from their first instruction on: it is left to the parent, which hands out no more jobs.
     """
-    changed = dict.fromkeys(THREADS, "1") | own_python.SAFE
+    changed = dict.fromkeys(THREAD_VARIABLES, "1") | own_python.SAFE_PATH_ENVIRONMENT
     before = {name: os.environ.get(name) for name in changed}
     os.environ.update(changed)
     try:

@@ -14,23 +14,23 @@ from zlib import crc32
 
 from tyro.conf import arg
 
-from getagrip.batch.keep import Keep
+from getagrip.batch.keep import KeepOptions
 from getagrip.batch.limits import Limits
 from getagrip.errors import UsageError
-from getagrip.io.arguments import Flag, OptionalFolder, parsed
+from getagrip.io.arguments import Flag, OptionalFolder, parsed_argument
 
 if TYPE_CHECKING:
-    from getagrip.batch.engine import Engine, Named
+    from getagrip.batch.engine import Engine, NamedTask
     from getagrip.batch.executor import Start
     from getagrip.batch.ledger import Ledger
 
     AnyStart = Start[Any, Any]
     """The start of an executor of any tasks."""
 
-J = TypeVar("J", bound="Named")
+J = TypeVar("J", bound="NamedTask")
 R = TypeVar("R")
 
-FEW = 3
+MAX_IN_PROCESS_TASKS = 3
 """Up to this number of tasks are done in this process: others take longer to start."""
 
 
@@ -54,12 +54,12 @@ class Shard:
         return crc32(name.encode()) % self.count == self.index - 1
 
 
-ALL = Shard()
+WHOLE_SHARD = Shard()
 """Every clip."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Share:
+class SchedulingOptions:
     """Who does the tasks of a call: clips, or what one process reads of a dataset.
 
     Raises ``UsageError`` for fewer than one worker.
@@ -78,9 +78,9 @@ class Share:
     limits: Annotated[Limits, arg(name="")] = field(default_factory=Limits)
     fail_fast: Flag = False
     """Start no further work after the first failure; work in progress is finished."""
-    shard: Annotated[Shard, parsed("I/N", Shard.of, Shard), arg(metavar="I/N", help_behavior_hint="(default: all)")] = (
-        ALL
-    )
+    shard: Annotated[
+        Shard, parsed_argument("I/N", Shard.of, Shard), arg(metavar="I/N", help_behavior_hint="(default: all)")
+    ] = WHOLE_SHARD
     """Do part I of N equal parts of the work, for N machines."""
     ledger: OptionalFolder = None
     """Local folder for the ledger, needed if --out is on a network file system."""
@@ -89,13 +89,13 @@ class Share:
         if self.workers is not None and self.workers < 1:
             raise UsageError(f"--workers must be 1 or more (got {self.workers})")
 
-    def executor(self, count: int, few: int = FEW) -> AnyStart | None:
+    def executor(self, count: int, few: int = MAX_IN_PROCESS_TASKS) -> AnyStart | None:
         """Choose the executor of ``count`` tasks; None: this process, by default for a ``few`` without limits."""
-        from getagrip.batch.executor import cores
+        from getagrip.batch.executor import available_cores
 
         workers, local = self.workers, self.engine == "local"
         if local:
-            workers = max(1, min(count, workers or (1 if count <= few else cores())))
+            workers = max(1, min(count, workers or (1 if count <= few else available_cores())))
         start = ENGINES[self.engine](workers, self.address)
         return None if local and workers == 1 and not self.limits else start
 
@@ -107,38 +107,38 @@ class Share:
         ledger: Ledger,
         called: str,
         *,
-        few: int = FEW,
+        few: int = MAX_IN_PROCESS_TASKS,
         stages: bool = False,
     ) -> Generator[R, None, None]:
-        """Yield the outcome of each of ``count`` tasks, as they end, counted by a ``Pace``.
+        """Yield the outcome of each of ``count`` tasks, as they end, counted by a ``BatchProgress``.
 
         ``called`` is what tasks are, in the plural. With ``stages``, work in this process also takes a function to call
         with its progress, which a bar shows. Raises ``UsageError`` as ``executor`` does, else as ``Engine.run``.
         """
-        from getagrip.batch.engine import Pace, shown
-        from getagrip.batch.last_words import last_words
+        from getagrip.batch.engine import BatchProgress, run_with_stage_bar
+        from getagrip.batch.last_words import report_on_death
         from getagrip.io.terminal import progress_bar
 
         engine = replace(engine, executor=self.executor(count, few), limits=self.limits)
-        watched = last_words(ledger.path.parent, called) if self.engine == "ray" else nullcontext()
+        watched = report_on_death(ledger.path.parent, called) if self.engine == "ray" else nullcontext()
         with watched, progress_bar() as bar:
             if stages:
-                engine = replace(engine, in_this=partial(shown, bar, engine.work))
-            pace = Pace(bar, called, count)
+                engine = replace(engine, in_this=partial(run_with_stage_bar, bar, engine.work))
+            pace = BatchProgress(bar, called, count)
             with closing(engine.run(tasks, ledger)) as ends:
                 for result in ends:
                     yield result
                     pace.count(engine.entry(result).state)
 
 
-Executors = Annotated[Share, arg(name="executor", help="Where the work is done, and within which limits.")]
+Executors = Annotated[SchedulingOptions, arg(name="executor", help="Where the work is done, and within which limits.")]
 """The options of who does the tasks, under a heading of their own in ``--help``."""
-ALONE = Share()
+DEFAULT_SCHEDULING = SchedulingOptions()
 """All tasks, on this machine, any time and memory."""
 
 
 @dataclass(frozen=True)
-class Batch:
+class BatchOptions:
     """How a call treats its clips. Raises ``UsageError``."""
 
     threads: Annotated[int, arg(metavar="N")] = 1
@@ -152,8 +152,8 @@ class Batch:
     min_probability: Annotated[float, arg(metavar="P")] = 0.5
     """With --strict, the least probability that poses are right in the hand, 0 to 1. Results without a probability
     pass, if no finding is serious."""
-    keep: Annotated[Keep, arg(name="")] = field(default_factory=Keep)
-    share: Executors = field(default_factory=Share)
+    keep: Annotated[KeepOptions, arg(name="")] = field(default_factory=KeepOptions)
+    share: Executors = field(default_factory=SchedulingOptions)
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.min_probability <= 1.0:
@@ -162,33 +162,33 @@ class Batch:
             raise UsageError(f"--threads must be 1 or more (got {self.threads})")
 
 
-def _local(workers: int | None, address: str | None) -> AnyStart:
-    from getagrip.batch.executor import cores
+def _local_executor(workers: int | None, address: str | None) -> AnyStart:
+    from getagrip.batch.executor import available_cores
     from getagrip.batch.processes import Processes
 
-    _without(address)
-    return partial(Processes, workers or cores())
+    _refuse_address(address)
+    return partial(Processes, workers or available_cores())
 
 
-def _ray(workers: int | None, address: str | None) -> AnyStart:
+def _ray_executor(workers: int | None, address: str | None) -> AnyStart:
     from getagrip.batch.on_ray import RayExecutor
 
     return partial(RayExecutor, workers, address)
 
 
-def _slurm(workers: int | None, address: str | None) -> AnyStart:
+def _slurm_executor(workers: int | None, address: str | None) -> AnyStart:
     from getagrip.batch.on_slurm import SlurmExecutor
 
-    _without(address)
+    _refuse_address(address)
     return partial(SlurmExecutor, workers)
 
 
-def _without(address: str | None) -> None:
+def _refuse_address(address: str | None) -> None:
     if address is not None:
         raise UsageError("--address cannot be used without --engine ray")
 
 
 ENGINES: dict[str, Callable[[int | None, str | None], AnyStart]] = {
-    "local": _local, "ray": _ray, "slurm": _slurm,
+    "local": _local_executor, "ray": _ray_executor, "slurm": _slurm_executor,
 }  # fmt: skip
 """By name: from the number of workers and the cluster's address, each None if not said, to the start of an executor."""

@@ -11,40 +11,51 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from getagrip import __version__
-from getagrip.batch.entries import Entries, Entry
+from getagrip.batch.entries import Entries, LedgerEntry
 from getagrip.batch.job import Outcome
-from getagrip.batch.keep import ALL, Keep
-from getagrip.batch.streamed import readable
-from getagrip.errors import InputError, cleaned, legible
+from getagrip.batch.keep import NO_KEEP_FILTER, KeepOptions
+from getagrip.batch.streamed import local_results
+from getagrip.errors import InputError, escape_unprintable, replace_surrogates
 from getagrip.finding import read_findings
 from getagrip.io import files
-from getagrip.io.storage import Place, Remote
+from getagrip.io.storage import Place, RemotePath
 from getagrip.io.tables import CsvTable
 from getagrip.probability import Probability, read_probability
-from getagrip.result import is_result, read_record, read_result
+from getagrip.result import is_result, read_result, read_result_record
 
 if TYPE_CHECKING:
     from getagrip.pages import IndexRow
 
-TABLE, PAGE = "summary.csv", "index.html"
-PROBABILITIES = ("probability_right", "probability_right_in_camera")
+SUMMARY_FILE, INDEX_FILE = "summary.csv", "index.html"
+PROBABILITY_KEYS = ("probability_right", "probability_right_in_camera")
 """That the poses are right in the hand, and in the camera."""
-KEPT = ("keep", "keep_in_camera")
+KEEP_KEYS = ("keep", "keep_in_camera")
 """The largest share of right results for which each is kept, likewise."""
-MADE = ("ambiguous", "method", "seed", "version")
-HEAD = ("clip", "status", "why", "seconds", "IOU", *PROBABILITIES, *KEPT, "kept", *MADE, "findings")
-LARGEST = 1e9
+METHOD_KEYS = ("ambiguous", "method", "seed", "version")
+SUMMARY_COLUMNS = (
+    "clip",
+    "status",
+    "why",
+    "seconds",
+    "IOU",
+    *PROBABILITY_KEYS,
+    *KEEP_KEYS,
+    "kept",
+    *METHOD_KEYS,
+    "findings",
+)
+MAX_RESULT_NUMBER = 1e9
 """No number of a result is so large: ledgers may come from anybody."""
-WORST = 1000
+MAX_INDEX_ROWS = 1000
 """Most clips that the index shows: a page of all would be too large for a browser."""
-KINDS = {"failed": "failed", "done": "results", "open": "left"}
+STATE_NAMES = {"failed": "failed", "done": "results", "open": "left"}
 """States, the worst first (of what is not done yet nobody knows), each with what the index calls it."""
 
 
-def entry_of(outcome: Outcome, method: str, seed: int) -> Entry:
+def outcome_entry(outcome: Outcome, method: str, seed: int) -> LedgerEntry:
     """Make the ledger's entry of a clip that was given to a method."""
     right = (outcome.probability_right, outcome.probability_right_in_camera)
-    return Entry(
+    return LedgerEntry(
         name=outcome.name,
         state=outcome.state,
         why=outcome.message if outcome.state == "failed" else outcome.status,
@@ -52,7 +63,7 @@ def entry_of(outcome: Outcome, method: str, seed: int) -> Entry:
         seconds=outcome.seconds,
         about={
             "iou": outcome.iou,
-            **_of_probabilities(right),
+            **_probability_fields(right),
             "ambiguous": outcome.ambiguous,
             "method": method,
             "seed": seed,
@@ -62,95 +73,97 @@ def entry_of(outcome: Outcome, method: str, seed: int) -> Entry:
     )
 
 
-def _of_probabilities(right: Sequence[Probability | None]) -> dict[str, float | None]:
+def _probability_fields(right: Sequence[Probability | None]) -> dict[str, float | None]:
     """Return what an entry holds of both probabilities."""
-    values = {key: None if one is None else one.value for key, one in zip(PROBABILITIES, right, strict=True)}
-    return values | {key: None if one is None else one.keep for key, one in zip(KEPT, right, strict=True)}
+    values = {key: None if one is None else one.value for key, one in zip(PROBABILITY_KEYS, right, strict=True)}
+    return values | {key: None if one is None else one.keep for key, one in zip(KEEP_KEYS, right, strict=True)}
 
 
-def entry_of_path(outcome: Outcome) -> Entry:
+def failed_path_entry(outcome: Outcome) -> LedgerEntry:
     """Make the ledger's entry of a path that gave no clip to work on: its name is the path, as no clip's is."""
-    clip = cleaned(outcome.name) or Path(outcome.path).name
-    return Entry(outcome.path, "failed", outcome.message, about={"clip": clip})
+    clip = escape_unprintable(outcome.name) or Path(outcome.path).name
+    return LedgerEntry(outcome.path, "failed", outcome.message, about={"clip": clip})
 
 
-def shown_name(entry: Entry) -> str:
+def display_name(entry: LedgerEntry) -> str:
     """Return the name of an entry's clip in tables."""
-    return legible(str(entry.about.get("clip", entry.name)))
+    return replace_surrogates(str(entry.about.get("clip", entry.name)))
 
 
-def number_of(entry: Entry, key: str) -> float | None:
+def entry_number(entry: LedgerEntry, key: str) -> float | None:
     """Return a number of a result's entry, if it is known."""
     value = entry.about.get(key)
-    return float(value) if isinstance(value, int | float) and abs(value) < LARGEST else None
+    return float(value) if isinstance(value, int | float) and abs(value) < MAX_RESULT_NUMBER else None
 
 
-def known_entries(ledger: Entries | None, out: Place) -> Iterator[Entry]:
+def known_entries(ledger: Entries | None, out: Place) -> Iterator[LedgerEntry]:
     """Yield an entry for each clip that the ledger knows or that has a result, in the state in which the results are.
 
     What is done but has no result any more is open; what is open but has one is done: who made it was interrupted. In
     an object store that is not looked up.
     """
     for entry in () if ledger is None else ledger.entries():
-        yield _as_it_is(entry, out)
+        yield _entry_by_result(entry, out)
     for path in sorted(out.iterdir()) if isinstance(out, Path) and out.is_dir() else ():
         known = ledger is not None and path.name.isprintable() and ledger.has(path.name)
         if not known and not path.name.startswith(".") and is_result(path):
-            yield _of_result(Entry(path.name), path)
+            yield _entry_from_result(LedgerEntry(path.name), path)
 
 
-def badness(entry: Entry) -> tuple[int, float, str]:
+def ledger_severity_key(entry: LedgerEntry) -> tuple[int, float, str]:
     """Return a key that sorts the worst clips first: failed ones, then by IOU."""
-    return [*KINDS].index(entry.state), number_of(entry, "iou") or 0.0, entry.name
+    return [*STATE_NAMES].index(entry.state), entry_number(entry, "iou") or 0.0, entry.name
 
 
-def write_summary(ledger: Entries | None, out: Place, keep: Keep = ALL) -> list[Place]:
+def write_summary(ledger: Entries | None, out: Place, keep: KeepOptions = NO_KEEP_FILTER) -> list[Place]:
     """Write table and index page of a folder of results and of its ledger, and return where they are."""
     if isinstance(out, Path):
-        return [*_write_here(ledger, out, out, keep)]
+        return [*_write_summary_files(ledger, out, out, keep)]
     with tempfile.TemporaryDirectory(prefix="getagrip.") as folder:
-        for path in _write_here(ledger, out, Path(folder), keep):
+        for path in _write_summary_files(ledger, out, Path(folder), keep):
             (out / path.name).write(path.read_bytes())
-    return [out / TABLE, out / PAGE]
+    return [out / SUMMARY_FILE, out / INDEX_FILE]
 
 
-def write_table(ledger: Entries | None, results: Place, path: Path, keep: Keep = ALL) -> Counter[str]:
+def write_summary_table(
+    ledger: Entries | None, results: Place, path: Path, keep: KeepOptions = NO_KEEP_FILTER
+) -> Counter[str]:
     """Write the table of all clips; return how many are in each state."""
     states = Counter[str]()
     with files.new_text(path) as file:
         table = CsvTable(file)
-        table.write_row(HEAD)
+        table.write_row(SUMMARY_COLUMNS)
         for entry in known_entries(ledger, results):
             states[entry.state] += 1
-            about, known = entry.about, [number_of(entry, key) for key in ("iou", *PROBABILITIES, *KEPT)]
+            about, known = entry.about, [entry_number(entry, key) for key in ("iou", *PROBABILITY_KEYS, *KEEP_KEYS)]
             cells = ["" if value is None else f"{value:.4f}" for value in known]
             cells.append(keep.mark(*known[-2:]) if entry.state == "done" else "")
-            made = ["" if (value := about.get(key)) is None else str(value) for key in MADE]
-            row = [shown_name(entry), entry.state, entry.why, f"{entry.seconds:.2f}", *cells, *made]
+            made = ["" if (value := about.get(key)) is None else str(value) for key in METHOD_KEYS]
+            row = [display_name(entry), entry.state, entry.why, f"{entry.seconds:.2f}", *cells, *made]
             found = about.get("findings")
             table.write_row([*row, "; ".join(map(str, found)) if isinstance(found, list) else ""])
     return states
 
 
-def row_without_result(entry: Entry) -> IndexRow:
+def row_without_result(entry: LedgerEntry) -> IndexRow:
     """Make the index's row of a clip that has failed, or that is not done."""
     from getagrip.pages import IndexRow
 
-    return IndexRow(shown_name(entry), entry.why, flags=(KINDS[entry.state],))
+    return IndexRow(display_name(entry), entry.why, flags=(STATE_NAMES[entry.state],))
 
 
-def _write_here(ledger: Entries | None, results: Place, out: Path, keep: Keep) -> list[Path]:
-    states = write_table(ledger, results, out / TABLE, keep)
-    return [out / TABLE, _write_index(ledger, results, out, states, keep)]
+def _write_summary_files(ledger: Entries | None, results: Place, out: Path, keep: KeepOptions) -> list[Path]:
+    states = write_summary_table(ledger, results, out / SUMMARY_FILE, keep)
+    return [out / SUMMARY_FILE, _write_index(ledger, results, out, states, keep)]
 
 
-def _write_index(ledger: Entries | None, results: Place, out: Path, states: Counter[str], keep: Keep) -> Path:
+def _write_index(ledger: Entries | None, results: Place, out: Path, states: Counter[str], keep: KeepOptions) -> Path:
     """Write the index page of the worst clips; pictures are ``getagrip report``'s, which takes as long as the clips."""
-    from getagrip.pages import IndexRow, row_without_clip, write_index
+    from getagrip.pages import IndexRow, index_row_without_clip, write_index
 
-    worst = heapq.nsmallest(WORST, known_entries(ledger, results), key=badness)
+    worst = heapq.nsmallest(MAX_INDEX_ROWS, known_entries(ledger, results), key=ledger_severity_key)
     rows = []
-    with readable(results, [entry.name for entry in worst if entry.state == "done"]) as there:
+    with local_results(results, [entry.name for entry in worst if entry.state == "done"]) as there:
         for entry in worst:
             folder = there / entry.name
             try:
@@ -159,39 +172,41 @@ def _write_index(ledger: Entries | None, results: Place, out: Path, states: Coun
                     continue
                 result, record = read_result(folder)
                 page = (folder / "report.html").is_file()
-                rows.append(keep.marked(row_without_clip(entry.name, result, record["metrics"], "", page), result))
+                rows.append(
+                    keep.marked(index_row_without_clip(entry.name, result, record["metrics"], "", page), result)
+                )
             except InputError as error:
                 rows.append(IndexRow(entry.name, problem=str(error), flags=("failed",)))
-    title = results.name if isinstance(results, Remote) else results.resolve().name
-    counts = Counter({kind: states[state] for state, kind in KINDS.items()})
-    return write_index(rows, title, [TABLE], out / PAGE, None if states.total() == len(rows) else counts)
+    title = results.name if isinstance(results, RemotePath) else results.resolve().name
+    counts = Counter({kind: states[state] for state, kind in STATE_NAMES.items()})
+    return write_index(rows, title, [SUMMARY_FILE], out / INDEX_FILE, None if states.total() == len(rows) else counts)
 
 
-def _as_it_is(entry: Entry, out: Place) -> Entry:
+def _entry_by_result(entry: LedgerEntry, out: Place) -> LedgerEntry:
     """Return an entry in the state in which its result is."""
     if entry.state == "failed":
         return entry
-    has_result = isinstance(out, Remote) or (files.is_plain_name(entry.name) and is_result(out / entry.name))
+    has_result = isinstance(out, RemotePath) or (files.is_portable_name(entry.name) and is_result(out / entry.name))
     if entry.state == "done":
-        return entry if has_result else Entry(entry.name, "open", "its result is not there any more")
+        return entry if has_result else LedgerEntry(entry.name, "open", "its result is not there any more")
     if has_result and isinstance(out, Path):
-        return _of_result(entry, out / entry.name)
+        return _entry_from_result(entry, out / entry.name)
     return replace(entry, why=entry.why or "not done yet")
 
 
-def _of_result(entry: Entry, folder: Path) -> Entry:
+def _entry_from_result(entry: LedgerEntry, folder: Path) -> LedgerEntry:
     """Make the entry of a clip from its result alone."""
     path = folder / "result.json"
     try:
-        record = read_record(folder)
-        right = {key: read_probability(path, record[key], key) for key in PROBABILITIES}
+        record = read_result_record(folder)
+        right = {key: read_probability(path, record[key], key) for key in PROBABILITY_KEYS}
         found = [str(finding) for finding in read_findings(path, record["findings"])]
     except InputError as error:
         return replace(entry, why=f"its result cannot be read ({error})")
     about = {
         "iou": record["metrics"].get("iou_full"),
-        **_of_probabilities([*right.values()]),
-        **{key: record[key] for key in MADE[:-1]},
+        **_probability_fields([*right.values()]),
+        **{key: record[key] for key in METHOD_KEYS[:-1]},
         "version": record["software"].get("getagrip"),
         "findings": found,
     }

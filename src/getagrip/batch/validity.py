@@ -9,55 +9,59 @@ from pathlib import Path
 
 from getagrip.clip import input_sha256
 from getagrip.errors import InputError, UsageError
-from getagrip.fitting.methods import OURS, Method, method_of
+from getagrip.fitting.methods import BUILTIN_METHODS, Method, method_of
 from getagrip.fitting.options import Options
 from getagrip.io import files, plugins
 from getagrip.io.files import Json
-from getagrip.io.own_code import UnknownSourceError, checksum
-from getagrip.result import Reconstruction, is_result, read_result, software
+from getagrip.io.own_code import UnknownSourceError, source_checksum
+from getagrip.result import Reconstruction, is_result, read_result, software_versions
 
-KEY = "method_code"
-"""Key in a record's ``software``: the checksum of a method from outside."""
-UNKNOWN = "unknown"
+METHOD_CODE_KEY = "method_code"
+"""Key in a record's ``software_versions``: the checksum of a method from outside."""
+UNKNOWN_CHECKSUM = "unknown"
 """The checksum of a method whose source cannot be found: its results are never kept."""
-OTHER = {
+RESULT_INPUT_LABELS = {
     "input_sha256": "another clip",
     "method": "another method",
     "seed": "another seed",
     "options": "other options",
     "getagrip": "another version",
     "code": "other code",
-    KEY: "another source of its method",
+    METHOD_CODE_KEY: "another source of its method",
     "plugins": "other plug-ins",
 }
 """In what a record may differ, by its key."""
-_CHECKSUMS: dict[str, tuple[Method, str]] = {}
+_METHOD_CHECKSUMS: dict[str, tuple[Method, str]] = {}
 """Checksums of methods from outside, as their files were when first asked for: later changes do not run here."""
-KEYS = {"inputs": "another clip", "options": "other options", "software": "other code or other libraries"}
+RECORD_INPUT_LABELS = {
+    "inputs": "another clip",
+    "options": "other options",
+    "software": "other code or other libraries",
+}
 """Keys of a record's inputs, and the words for one that differs."""
 
 
-def made_by(method: str, *also: str) -> dict[str, str]:
+def software_of_method(method: str, *also: str) -> dict[str, str]:
     """Return ``result.software``, the additions of other packages, and the checksum of a method from outside."""
-    there, made = method_of(method), software(*also) | plugins.made_with(method)
-    if there is OURS.get(method):
+    there, made = method_of(method), software_versions(*also) | plugins.plugin_dependencies(method)
+    if there is BUILTIN_METHODS.get(method):
         return made
-    known, code = _CHECKSUMS.get(method, (None, ""))
+    known, code = _METHOD_CHECKSUMS.get(method, (None, ""))
     if known is not there:
         try:
-            code = checksum((there.fit, there.has_axis, there.checks_masks, there.as_published))
+            code = source_checksum((there.fit, there.has_axis, there.checks_masks, there.as_published))
         except UnknownSourceError:
-            code = UNKNOWN
-        _CHECKSUMS[method] = there, code
-    return made | {KEY: code}
+            code = UNKNOWN_CHECKSUM
+        _METHOD_CHECKSUMS[method] = there, code
+    return made | {METHOD_CODE_KEY: code}
 
 
-def good_result(
+def valid_result(
     folder: Path, checksum: str, method: str, options: Mapping[str, object], made_by: Mapping[str, str], overwrite: bool
 ) -> tuple[tuple[Reconstruction, dict[str, object]] | None, str]:
     """Return the result in a folder with its record, if it is valid, else None and the reason, empty for no result.
 
-    ``checksum`` is that of the clip, ``made_by`` the software that would make it now. With ``overwrite`` none is good,
+    ``source_checksum`` is that of the clip, ``software_of_method`` the software that would make it now. With ``overwrite`` none is good,
     for no reason. Raises ``UsageError`` where something else is in the result's place.
     """
     if not folder.exists():
@@ -66,19 +70,21 @@ def good_result(
         raise UsageError(f"{folder}: exists and is no result; it is not overwritten")
     if overwrite:
         return None, ""
-    if made_by.get(KEY) == UNKNOWN:
-        return None, without_source(method)
+    if made_by.get(METHOD_CODE_KEY) == UNKNOWN_CHECKSUM:
+        return None, unknown_source_reason(method)
     try:
         result, record = read_result(folder)
     except InputError as error:
-        return None, damaged(error)
+        return None, damaged_reason(error)
     there = record | record["software"]
     now = {"input_sha256": checksum, "method": method, "seed": options["seed"], "options": options, **made_by}
-    why = difference(there, now, OTHER | {"getagrip": f"version {files.shown(there.get('getagrip'))}"})
+    why = describe_difference(
+        there, now, RESULT_INPUT_LABELS | {"getagrip": f"version {files.shorten_value(there.get('getagrip'))}"}
+    )
     return (None, why) if why else ((result, record), "")
 
 
-def difference(there: Mapping[str, object], now: Mapping[str, object], called: Mapping[str, str]) -> str:
+def describe_difference(there: Mapping[str, object], now: Mapping[str, object], called: Mapping[str, str]) -> str:
     """Explain in which entry a record differs from the one that would be made now; empty where it does not.
 
     ``called`` are the entries that count, and how each is called.
@@ -88,22 +94,26 @@ def difference(there: Mapping[str, object], now: Mapping[str, object], called: M
     return f"what was there is of {other}" if other else ""
 
 
-def without_source(method: str) -> str:
+def unknown_source_reason(method: str) -> str:
     """Return the reason where it cannot be known whether a method has changed."""
     return f"the source of the method {method} is in no file, and it may have changed"
 
 
-def damaged(error: object) -> str:
+def damaged_reason(error: object) -> str:
     """Return the reason where a record, or what belongs to it, cannot be read."""
     return f"what was there is damaged ({error})"
 
 
-def made_of(clip: Path, options: Options, *code: str) -> Json:
+def provenance_of(clip: Path, options: Options, *code: str) -> Json:
     """Return what a record depends on; ``code`` are parts of the package that a reconstruction does not depend on."""
-    return {"inputs": input_sha256(clip), "options": asdict(options), "software": made_by(options.method, *code)}
+    return {
+        "inputs": input_sha256(clip),
+        "options": asdict(options),
+        "software": software_of_method(options.method, *code),
+    }
 
 
-def kept_or_made(path: Path, of: Json, overwrite: bool, make: Callable[[], Json]) -> tuple[Json, str]:
+def load_or_compute(path: Path, of: Json, overwrite: bool, make: Callable[[], Json]) -> tuple[Json, str]:
     """Read the record in a file, if it is valid, else make and write it; also return why an existing one was not valid.
 
     The reason is empty where there was none, and with ``overwrite``.
@@ -112,13 +122,13 @@ def kept_or_made(path: Path, of: Json, overwrite: bool, make: Callable[[], Json]
     if path.exists() and not overwrite:
         try:
             record = files.read_json(path)
-            why = difference(record, of, KEYS)
-            if of["software"].get(KEY) == UNKNOWN:
-                why = without_source(of["options"]["method"])
+            why = describe_difference(record, of, RECORD_INPUT_LABELS)
+            if of["software"].get(METHOD_CODE_KEY) == UNKNOWN_CHECKSUM:
+                why = unknown_source_reason(of["options"]["method"])
             if not why:
                 return record, ""
         except InputError as error:
-            why = damaged(error)
+            why = damaged_reason(error)
     record = {**of, **make()}
     files.write_json(path, record)
     return record, why

@@ -13,16 +13,16 @@ from numpy import ndarray
 from scipy.spatial.transform import Rotation, Slerp
 
 from getagrip.clip.naming import frames_of, rows_in_order, rows_of_frames, stem_of
-from getagrip.clip.plausible import STRETCH, check_shape
+from getagrip.clip.plausible import ASPECT_RATIO_TOLERANCE, check_shape
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.io.array_data import ArrayData
 
-BESIDE = 0.25
+MAX_POSE_GAP_S = 0.25
 """Farthest pose in time from a frame that gets one [s]."""
-SAME = 1e-6
+TIME_TOLERANCE_S = 1e-6
 """Times that differ by less are one [s]."""
-PRINCIPAL = 0.15
+PRINCIPAL_POINT_SHAPE_TOLERANCE = 0.15
 """Largest difference of twice a principal point from the size of its images [share]."""
 
 
@@ -55,7 +55,7 @@ class Pinhole(NamedTuple):
     def resized(self, size: tuple[int, int]) -> Float[ndarray, "3 3"]:
         """Return the intrinsics of the same images at another size."""
         own = self.of_images
-        if self.size is None and max(abs(np.array(own) / size - 1.0)) < PRINCIPAL:
+        if self.size is None and max(abs(np.array(own) / size - 1.0)) < PRINCIPAL_POINT_SHAPE_TOLERANCE:
             return self.K
         return np.diag([*(np.array(size) / own), 1.0]) @ self.K
 
@@ -67,7 +67,9 @@ class Pinhole(NamedTuple):
     def check_images(self, path: Path, size: tuple[int, int]) -> None:
         """Raise ``InputError`` where its images have another shape than the clip's of a ``size``."""
         key = "size" if self.size else "size (twice the principal point)"
-        check_shape(path, key, self.of_images, size, STRETCH if self.size else PRINCIPAL)
+        check_shape(
+            path, key, self.of_images, size, ASPECT_RATIO_TOLERANCE if self.size else PRINCIPAL_POINT_SHAPE_TOLERANCE
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +137,9 @@ class CameraPath(ArrayData):
         ``InputError`` where the ends have no pose, ``UsageError`` where it is not known which pose is which frame's.
         """
         rows, at, wanted = self._matched(frames, times, start, counted, images)
-        filled = ~np.isin(wanted, at) if self.times is None else np.abs(at - wanted[:, None]).min(axis=1) >= SAME
+        filled = (
+            ~np.isin(wanted, at) if self.times is None else np.abs(at - wanted[:, None]).min(axis=1) >= TIME_TOLERANCE_S
+        )
         T, wanted = self.T_world_cam[rows], np.clip(wanted, at[0], at[-1])
         if len(at) == 1:
             return np.tile(T, (len(frames), 1, 1)), filled
@@ -185,16 +189,18 @@ class CameraPath(ArrayData):
         in_unit = not stamps[0] - 1.0 <= start <= stamps[-1] + 1.0
         wanted = times + start * (self.unit if in_unit else 1.0)
         nearest = np.abs(stamps[None] - wanted[:, None]).min(axis=1)
-        if nearest.max() > BESIDE:
+        if nearest.max() > MAX_POSE_GAP_S:
             got = f"poses from {stamps[0]:.6g} to {stamps[-1]:.6g} s, frames from {wanted[0]:.6g} to {wanted[-1]:.6g} s"
-            raise InputError(self.path, "", got, f"a pose within {BESIDE:g} s of every frame; is --start right?")
+            raise InputError(
+                self.path, "", got, f"a pose within {MAX_POSE_GAP_S:g} s of every frame; is --start right?"
+            )
         return self._ends(frames, order, stamps, wanted)
 
     def _ends(
         self, frames: Sequence[str], rows: Int[ndarray, "n"], at: Float[ndarray, "n"], wanted: Float[ndarray, "T"]
     ) -> tuple[Int[ndarray, "n"], Float[ndarray, "n"], Float[ndarray, "T"]]:
         """Check that poses are known at both ends. Raises ``InputError``."""
-        if not len(at) or wanted[0] < at[0] - SAME or wanted[-1] > at[-1] + SAME:
+        if not len(at) or wanted[0] < at[0] - TIME_TOLERANCE_S or wanted[-1] > at[-1] + TIME_TOLERANCE_S:
             got = f"no pose of frame {frames[0] if not len(at) or wanted[0] < at[0] else frames[-1]}"
             raise InputError(self.path, "", got, "poses of the first and the last frame; cut the clip, or name images")
         return rows, at, wanted

@@ -21,17 +21,17 @@ from getagrip.geometry import se3
 from getagrip.io import files
 from getagrip.io.files import Json
 
-OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
-LARGEST = 512 * 2**20
-RGB = "camera-rgb"
-POSE = [f"{axis}_world_device" for axis in ("tx", "ty", "tz", "qx", "qy", "qz", "qw")]
-GRAVITY = [f"gravity_{axis}_world" for axis in "xyz"]
-TIME = "tracking_timestamp_us"
+OPENGL_CAMERA_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
+MAX_ARIA_BYTES = 512 * 2**20
+ARIA_RGB_LABEL = "camera-rgb"
+ARIA_POSE_COLUMNS = [f"{axis}_world_device" for axis in ("tx", "ty", "tz", "qx", "qy", "qz", "qw")]
+ARIA_GRAVITY_COLUMNS = [f"gravity_{axis}_world" for axis in "xyz"]
+ARIA_TIME_COLUMN = "tracking_timestamp_us"
 
 
 def read_arkit(path: Path) -> CameraPath | None:
     """Read a folder of 3D Scanner App; None for another."""
-    found = files.listed(path, (".json",), "frame_*") if path.is_dir() else []
+    found = files.list_files(path, (".json",), "frame_*") if path.is_dir() else []
     if not found:
         return None
     poses, names, pinholes = [], [], list[Pinhole]()
@@ -39,10 +39,10 @@ def read_arkit(path: Path) -> CameraPath | None:
         content = files.read_any_json(files.inside(path, one.name, "", "a frame of ARKit"))
         if not isinstance(content, dict) or "cameraPoseARFrame" not in content:
             return None
-        poses.append(_row(one, content, "cameraPoseARFrame", 16).reshape(4, 4) @ OPENGL)
+        poses.append(_finite_row(one, content, "cameraPoseARFrame", 16).reshape(4, 4) @ OPENGL_CAMERA_AXES)
         names.append(one.stem)
         if "intrinsics" in content:
-            pinholes.append(Pinhole(_row(one, content, "intrinsics", 9).reshape(3, 3), None))
+            pinholes.append(Pinhole(_finite_row(one, content, "intrinsics", 9).reshape(3, 3), None))
     up = np.array([0.0, 1.0, 0.0])
     known = tuple(pinholes) if len(pinholes) == len(poses) else ()
     return CameraPath("ARKit's poses", path, np.array(poses), tuple(names), pinholes=known, metric=True, up=up)
@@ -54,12 +54,18 @@ def read_aria(path: Path) -> CameraPath | None:
     source = path if path.is_file() else next((place for place in places if place.is_file()), None)
     if source is None or source.suffix.lower() != ".csv":
         return None
-    heads, rows = files.csv_rows(source, files.read_bytes(source, LARGEST), "a trajectory")
-    if not {TIME, *POSE} <= {*heads}:
+    heads, rows = files.csv_rows(source, files.read_bytes(source, MAX_ARIA_BYTES), "a trajectory")
+    if not {ARIA_TIME_COLUMN, *ARIA_POSE_COLUMNS} <= {*heads}:
         return None
     try:
-        values = np.array([[float(row[key]) for key in (TIME, *POSE)] for _, row in rows]).reshape(-1, 8)
-        down = np.array([[float(row[key]) for key in GRAVITY] for _, row in rows]) if {*GRAVITY} <= {*heads} else None
+        values = np.array(
+            [[float(row[key]) for key in (ARIA_TIME_COLUMN, *ARIA_POSE_COLUMNS)] for _, row in rows]
+        ).reshape(-1, 8)
+        down = (
+            np.array([[float(row[key]) for key in ARIA_GRAVITY_COLUMNS] for _, row in rows])
+            if {*ARIA_GRAVITY_COLUMNS} <= {*heads}
+            else None
+        )
     except (ValueError, TypeError) as error:
         raise InputError(source, "", f"no number ({error})", "a trajectory of Aria's MPS") from error
     T_world_device = se3.rigid(se3.from_quaternion(values[:, [7, 4, 5, 6]]), values[:, 1:4])
@@ -70,10 +76,12 @@ def read_aria(path: Path) -> CameraPath | None:
 
 def _camera_on_device(path: Path) -> Float[ndarray, "4 4"]:
     """Read ``T_device_camera`` of the RGB camera, from the first line of a calibration. Raises ``InputError``."""
-    line = files.read_bytes(files.inside(path.parent, path.name, "", "Aria's calibration"), LARGEST).partition(b"\n")[0]
+    line = files.read_bytes(files.inside(path.parent, path.name, "", "Aria's calibration"), MAX_ARIA_BYTES).partition(
+        b"\n"
+    )[0]
     try:
         each = json.loads(line)["CameraCalibrations"]
-        pose = next(one["T_Device_Camera"] for one in each if one["Label"] == RGB)
+        pose = next(one["T_Device_Camera"] for one in each if one["Label"] == ARIA_RGB_LABEL)
         w, (x, y, z) = pose["UnitQuaternion"]
         q, t = np.array([w, x, y, z], dtype=float), np.array(pose["Translation"], dtype=float).reshape(3)
     except (ValueError, KeyError, TypeError, StopIteration) as error:
@@ -81,11 +89,11 @@ def _camera_on_device(path: Path) -> Float[ndarray, "4 4"]:
     return se3.rigid(se3.from_quaternion(q), t)
 
 
-def _row(path: Path, content: Json, key: str, count: int) -> Float[ndarray, "n"]:
+def _finite_row(path: Path, content: Json, key: str, count: int) -> Float[ndarray, "n"]:
     try:
         values = np.array(content[key], dtype=float)
     except (ValueError, TypeError):
         values = np.zeros(0)
     if values.shape != (count,) or not np.isfinite(values).all():
-        raise InputError(path, key, files.shown(content[key]), f"{count} numbers")
+        raise InputError(path, key, files.shorten_value(content[key]), f"{count} numbers")
     return values

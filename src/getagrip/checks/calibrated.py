@@ -11,23 +11,23 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from getagrip.checks.calibration import Calibration, Weight, Where
-from getagrip.checks.keeping import InputKind, Keeping
+from getagrip.checks.calibration import Calibration, FeatureWeight, Where
+from getagrip.checks.keeping import InputKind, KeepThresholds
 
-FILE = Path(__file__).with_suffix(".json")
+CALIBRATION_FILE = Path(__file__).with_suffix(".json")
 Calibrations = dict[tuple[str, Where], Calibration]
 """By method, and by where poses are right."""
-Thresholds = dict[tuple[InputKind, Where], Keeping]
+Thresholds = dict[tuple[InputKind, Where], KeepThresholds]
 """By kind of input, and by where poses are right."""
 
 
-def read_calibrated(file: Path) -> tuple[Calibrations, Calibrations, Calibrations, Thresholds]:
+def read_calibrations(file: Path) -> tuple[Calibrations, Calibrations, Calibrations, Thresholds]:
     """Read the calibrations for measured, for corrected and for estimated hands, and the thresholds."""
     stored = json.loads(file.read_text(encoding="utf-8"))
     measured, corrected, estimated = (
         {
             (method, one["where"]): Calibration(
-                **one | {"weights": {name: Weight(*numbers) for name, numbers in one["weights"].items()}}
+                **one | {"weights": {name: FeatureWeight(*numbers) for name, numbers in one["weights"].items()}}
             )
             for method, each in stored[hands].items()
             for one in each
@@ -35,7 +35,7 @@ def read_calibrated(file: Path) -> tuple[Calibrations, Calibrations, Calibration
         for hands in ("measured", "corrected", "estimated")
     )
     thresholds = {
-        (one["input"], one["where"]): Keeping(
+        (one["input"], one["where"]): KeepThresholds(
             {float(share): p for share, p in one["least"].items()}, {int(size): p for size, p in one["sets"].items()}
         )
         for one in stored["keeping"]
@@ -43,4 +43,4 @@ def read_calibrated(file: Path) -> tuple[Calibrations, Calibrations, Calibration
     return measured, corrected, estimated, thresholds
 
 
-CALIBRATIONS, CORRECTED, ESTIMATED, KEEPING = read_calibrated(FILE)
+CALIBRATIONS, CORRECTED_CALIBRATIONS, ESTIMATED_CALIBRATIONS, KEEP_THRESHOLDS = read_calibrations(CALIBRATION_FILE)

@@ -20,13 +20,15 @@ from getagrip.probability import Probability
 
 Where = Literal["hand", "camera"]
 """The frame in which a pose is compared with the true one: that of the hand, or of the camera."""
-MEANING = "right: the mean distance of vertices (ADD) in the {}, up to symmetries, is below 10 % of the diameter"
-ROUNDED = 1e-4
+PROBABILITY_MEANING = (
+    "right: the mean distance of vertices (ADD) in the {}, up to symmetries, is below 10 % of the diameter"
+)
+ROUNDING_TOLERANCE = 1e-4
 """Share of a limit by which its rounding in the file may be off."""
 
 
 @dataclass(frozen=True)
-class Weight:
+class FeatureWeight:
     """The weight of a sign."""
 
     weight: float
@@ -42,7 +44,7 @@ class Weight:
     def beyond(self, value: float) -> bool:
         """Return whether a value is worse than the range; never of a sign that does not count."""
         limit = self.high if self.weight < 0.0 else self.low
-        return (limit - value) * self.weight > abs(self.weight) * ROUNDED * abs(limit)
+        return (limit - value) * self.weight > abs(self.weight) * ROUNDING_TOLERANCE * abs(limit)
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ class Calibration:
     """
 
     where: Where
-    weights: Mapping[str, Weight]
+    weights: Mapping[str, FeatureWeight]
     bias: float
     data: str
     made: str
@@ -68,7 +70,7 @@ class Calibration:
         clipped = {name: weight.clipped(signs[name]) for name, weight in self.weights.items()}
         logit = self.bias + sum(self.weights[name].weight * value for name, value in clipped.items())
         beyond = tuple(name for name, weight in self.weights.items() if weight.beyond(signs[name]))
-        meaning = f"{MEANING.format(self.where)}; calibrated on {self.data}; for anything else it is an extrapolation"
+        meaning = f"{PROBABILITY_MEANING.format(self.where)}; calibrated on {self.data}; for anything else it is an extrapolation"
         return Probability(float(sigmoid(np.array(logit))), meaning, beyond)
 
 

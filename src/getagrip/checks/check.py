@@ -11,7 +11,7 @@ from getagrip.checks.evidence import Evidence
 from getagrip.finding import Finding
 from getagrip.io import plugins
 
-GRAVER = {
+SUPERSEDED_BY = {
     "mesh-open": ("mesh-holes",),
     "frames-late": ("frame-order",),
     "tracker-glitches": ("many-tracker-glitches",),
@@ -25,9 +25,9 @@ GRAVER = {
     "uneven-mask-fit": ("mask-fit",),
 }
 """Checks that are not reported where a more severe check, one of these, reports the same problem."""
-OWN_MESH = "the shape is a guess: give the object's own mesh (draft, clip new: --object MESH)"
+OWN_MESH_ADVICE = "the shape is a guess: give the object's own mesh (draft, clip new: --object MESH)"
 """The advice of checks that another mesh would mend, where the mesh is a built-in shape."""
-MOST = 1e9
+MAX_CHECK_VALUE = 1e9
 """JSON has no infinity."""
 
 
@@ -74,12 +74,12 @@ class Check:
         limit, least = (self.low, "least") if value < self.low else (self.high, "most")
         fault = self.fault.format(value=self.shown(value)) if isinstance(self.fault, str) else self.fault(it)
         usual = f" (usual: at {least} {self.shown(limit)})" if limit else ""  # that there is usually none is plain
-        advice = OWN_MESH if self.of_shape and it.shape_assumed else self.advice
+        advice = OWN_MESH_ADVICE if self.of_shape and it.shape_assumed else self.advice
         return Finding(self.name, self.serious, value, limit, f"{fault}{usual}; {advice}")
 
 
-def examine(checks: Iterable[Check], it: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:
-    """Run checks: return the value of each, at most ``MOST`` in magnitude, and the findings.
+def run_checks(checks: Iterable[Check], it: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:
+    """Run checks: return the value of each, at most ``MAX_CHECK_VALUE`` in magnitude, and the findings.
 
     That one of another package has raised is a finding, too.
     """
@@ -87,30 +87,30 @@ def examine(checks: Iterable[Check], it: Evidence) -> tuple[dict[str, float], tu
     found: list[Finding] = []
     for check in checks:
         try:
-            with plugins.tamed():
-                measured[check.name] = float(np.clip(check.measure(it), -MOST, MOST))
+            with plugins.convert_base_exceptions():
+                measured[check.name] = float(np.clip(check.measure(it), -MAX_CHECK_VALUE, MAX_CHECK_VALUE))
                 finding = check.finding(measured[check.name], it)
         except Exception as error:
-            if (plugin := plugins.origin(check)) is None:
+            if (plugin := plugins.plugin_of(check)) is None:
                 raise
             measured[check.name] = np.nan
             message = f"{plugin} failed: {type(error).__name__}: {error}"
             finding = Finding(check.name, False, 0.0, 0.0, message)
         found += [] if finding is None else [finding]
     names = {finding.check for finding in found}
-    return measured, tuple(f for f in found if names.isdisjoint(GRAVER.get(f.check, ())))
+    return measured, tuple(f for f in found if names.isdisjoint(SUPERSEDED_BY.get(f.check, ())))
 
 
-def percent(share: float) -> str:
+def format_percent(share: float) -> str:
     """Write a share in per cent."""
     return f"{100.0 * share:.3g} %"
 
 
-def millimetres(length: float) -> str:
+def format_millimetres(length: float) -> str:
     """Write a length in millimetres."""
     return f"{length:.3g} mm"
 
 
-def of_diameter(share: float) -> str:
+def format_diameter_share(share: float) -> str:
     """Write a length as a share of the object's diameter."""
-    return f"{percent(share)} of its diameter"
+    return f"{format_percent(share)} of its diameter"

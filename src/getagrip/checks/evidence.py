@@ -13,20 +13,20 @@ from getagrip.clip import Clip, Masks
 from getagrip.clip.sampling import frame_indices
 from getagrip.geometry import se3
 from getagrip.geometry.camera import bounding_boxes
-from getagrip.geometry.depth import covered
+from getagrip.geometry.depth import render_coverage
 from getagrip.geometry.render import nearest_surface
 from getagrip.metrics.surface_distance import moving_distance
 from getagrip.provenance import is_assumed
 
-POINTS = 400
+N_CONTACT_HAND_POINTS = 400
 """Vertices of the hand whose distances to the object are measured."""
-SMALL = 64
+SMALL_IMAGE_PX = 64
 """Longer side of the images in which the hand is drawn [px]."""
-LARGE, FRAMES = 256, 8
+DEPTH_ORDER_IMAGE_PX, N_DEPTH_ORDER_FRAMES = 256, 8
 """Longer side of the images in which hand and object are drawn [px], and frames in which they are."""
-NAMED = 8
+MAX_NAMED_FRAMES = 8
 """Most frames that a sentence names."""
-PER_REGION = 6
+N_POINTS_PER_REGION = 6
 """Vertices that stand for a contact region of the hand."""
 
 
@@ -48,8 +48,8 @@ class Glitches:
         return len(self.frames) / self.of
 
     def __str__(self) -> str:
-        where, more = "frame" if len(self.frames) == 1 else "frames", len(self.frames) - NAMED
-        names = ", ".join(self.frames[:NAMED]) + (f" and {more} more" if more > 0 else "")
+        where, more = "frame" if len(self.frames) == 1 else "frames", len(self.frames) - MAX_NAMED_FRAMES
+        names = ", ".join(self.frames[:MAX_NAMED_FRAMES]) + (f" and {more} more" if more > 0 else "")
         what = "the hand leaves its path and returns (tracker glitch), and was flipped back or interpolated"
         return f"{what}: {where} {names}"
 
@@ -159,24 +159,26 @@ class Evidence:
         """The input hand in small images."""
         K, size = np.diag([self._zoom, self._zoom, 1.0]) @ self.clip.K, self._small
         posed = se3.transform(self.clip.hand.T_cam_hand, self.clip.hand.vertices)
-        return np.stack([covered(v, self.clip.hand.faces, k, size) for v, k in zip(posed, K, strict=True)])
+        return np.stack([render_coverage(v, self.clip.hand.faces, k, size) for v, k in zip(posed, K, strict=True)])
 
     @cached_property
     def small_ignore(self) -> Bool[ndarray, "T h w"]:
         """The ignored pixels, as small."""
-        return np.stack([_shrunk(mask, self._zoom, self._small) for mask in self.masks.ignore])
+        return np.stack([_subsample_mask(mask, self._zoom, self._small) for mask in self.masks.ignore])
 
     @cached_property
     def small_hand_pixels(self) -> Bool[ndarray, "T h w"]:
         """The visible pixels of the hand, in small images; the ignored pixels where these are unknown."""
         hand = self.masks.hand
         return (
-            self.small_ignore if hand is None else np.stack([_shrunk(mask, self._zoom, self._small) for mask in hand])
+            self.small_ignore
+            if hand is None
+            else np.stack([_subsample_mask(mask, self._zoom, self._small) for mask in hand])
         )
 
     @property
     def _zoom(self) -> float:
-        return min(1.0, SMALL / max(self.clip.size))
+        return min(1.0, SMALL_IMAGE_PX / max(self.clip.size))
 
     @property
     def _small(self) -> tuple[int, int]:
@@ -199,12 +201,14 @@ class Evidence:
     @cached_property
     def to_object(self) -> Float[ndarray, "T P"]:
         """Signed distances [m] of points of the hand to the found object, negative inside."""
-        return self._distance(frame_indices(self.clip.hand.vertices.shape[1], POINTS))
+        return self._distance(frame_indices(self.clip.hand.vertices.shape[1], N_CONTACT_HAND_POINTS))
 
     @cached_property
     def region_distance(self) -> Float[ndarray, "T R"]:
         """Signed distance [m] of each contact region of the hand to the found object, negative inside."""
-        some = [ids[frame_indices(len(ids), PER_REGION)] for ids in self.clip.hand.regions.values() if len(ids)]
+        some = [
+            ids[frame_indices(len(ids), N_POINTS_PER_REGION)] for ids in self.clip.hand.regions.values() if len(ids)
+        ]
         ends = np.cumsum([len(ids) for ids in some])[:-1]
         parts = np.split(self._distance(np.concatenate(some)), ends, axis=1)
         return np.stack([part.min(axis=1) for part in parts], axis=1)
@@ -225,7 +229,10 @@ class Evidence:
         of the object's mask in which the hand is in front.
         """
         assert self.T_hand_obj is not None
-        few, zoom = frame_indices(len(self.clip), FRAMES), min(1.0, LARGE / max(self.clip.size))
+        few, zoom = (
+            frame_indices(len(self.clip), N_DEPTH_ORDER_FRAMES),
+            min(1.0, DEPTH_ORDER_IMAGE_PX / max(self.clip.size)),
+        )
         size = max(1, int(self.clip.size[0] * zoom)), max(1, int(self.clip.size[1] * zoom))
         counts = np.zeros((2, 2))  # of the hand's pixels, then of the object's: with the other one in front, and all
         for n in few:
@@ -238,14 +245,14 @@ class Evidence:
             for k, masks in enumerate((self.masks.hand, self.masks.object)):
                 if masks is None:
                     continue
-                shown = _shrunk(masks[n], zoom, size)
+                shown = _subsample_mask(masks[n], zoom, size)
                 counts[k] += np.count_nonzero(shown & (nearest == k)), np.count_nonzero(shown)
         with np.errstate(invalid="ignore"):
             over, under = counts[:, 0] / counts[:, 1]
         return float(over), float(under)
 
 
-def _shrunk(mask: Bool[ndarray, "H W"], zoom: float, size: tuple[int, int]) -> Bool[ndarray, "h w"]:
+def _subsample_mask(mask: Bool[ndarray, "H W"], zoom: float, size: tuple[int, int]) -> Bool[ndarray, "h w"]:
     """Shrink a mask by ``zoom`` to an image of a size (width, height) [px]."""
     columns, rows = (((np.arange(side) + 0.5) / zoom).astype(int) for side in size)
     return mask[rows[:, None], columns]

@@ -26,14 +26,14 @@ InputKind = Literal["measured", "corrected", "estimated", "joints", "network", "
 """Kind of a result's input: measured hands, as they came or nearly so; measured ones that were solved with the object,
 since their evidence turned them far; estimated ones without further evidence, with 2D joints, with a network's depth,
 with a sensor's."""
-SHARES = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98)
+KEEP_SHARES = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98)
 """Shares that results are kept for."""
-SIZES = (1, 2, 3, 5, 7)
+CANDIDATE_SET_SIZES = (1, 2, 3, 5, 7)
 """Sizes of sets of candidates."""
 
 
 @dataclass(frozen=True)
-class Keeping:
+class KeepThresholds:
     """Thresholds for one kind of input and one frame.
 
     Attributes:
@@ -65,7 +65,7 @@ def kind_of_input(
     return "joints" if "joints-2d" in evidence else "estimated"
 
 
-def least_kept(probability: Float[ndarray, "n"], right: Bool[ndarray, "n"], share: float) -> float:
+def keep_threshold(probability: Float[ndarray, "n"], right: Bool[ndarray, "n"], share: float) -> float:
     """Compute the least probability from which on results are kept; infinite where none can be."""
     order = np.argsort(-probability, kind="stable")
     wrong, p = np.cumsum(~right[order]), probability[order]
@@ -75,14 +75,16 @@ def least_kept(probability: Float[ndarray, "n"], right: Bool[ndarray, "n"], shar
     return float(p[kept[-1]]) if len(kept) else float("inf")
 
 
-def least_of_sets(probability: Float[ndarray, "n"], rank: Float[ndarray, "n"], share: float) -> dict[int, float]:
+def candidate_set_thresholds(
+    probability: Float[ndarray, "n"], rank: Float[ndarray, "n"], share: float
+) -> dict[int, float]:
     """Compute the least probability for each size of a set; sizes that nothing needs or that never do are absent.
 
     ``rank``: of the first right candidate, from 1; infinite where none is right.
     """
     out, rest = dict[int, float](), np.ones(len(rank), dtype=bool)
-    for size in SIZES:
-        least = least_kept(probability[rest], rank[rest] <= size, share)
+    for size in CANDIDATE_SET_SIZES:
+        least = keep_threshold(probability[rest], rank[rest] <= size, share)
         if np.isfinite(least):
             out[size] = least
             rest &= probability < least

@@ -14,51 +14,61 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.checks.evidence import Evidence
-from getagrip.geometry.depth import covered
+from getagrip.geometry.depth import render_coverage
 
-UNKNOWN = float("nan")
-USUAL_MISFIT, USUAL_IOU = 3.0, 0.9
+UNKNOWN_VALUE = float("nan")
+MAX_GOOD_MISFIT, MIN_GOOD_IOU = 3.0, 0.9
 """A result that is better than both is not looked at."""
-BUILT_IN_IOU = 0.85
+MIN_BUILT_IN_IOU = 0.85
 """A result of a built-in shape, which is not the object's, is looked at only if it is worse. In 45 grasps of videos its
 misfit alone was large for two right results, and for no wrong one."""
-GRID = 8
+N_DIFFERENCE_CELLS = 8
 """Cells of the square about a mask along either side, in which differences are summed: motion moves them by less."""
-ALIKE = 0.5
+MIN_DIFFERENCE_CORRELATION = 0.5
 """Correlation of differences in successive frames from which masks agree. In trials on 8 synthetic clips with contours
 off by 4 px in each frame anew it was at most 0.43 beside poses found right, and at least 0.85 in the four of 20 frames
 with hands that turn wrongly (seen in trials, no command repeats it)."""
 
-UNEVEN = 0.9
+UNEVEN_IOU_RATIO = 0.9
 """Frames whose IOU is below this share of the median one are met less than the others."""
 
 
-def misfit(it: Evidence) -> float:
+def consistent_contour_misfit(it: Evidence) -> float:
     """Return the contours' misfit to masks that agree with each other (``Evidence.misfit``).
 
     It is NaN where they do not, and for a built-in shape.
     """
-    return it.misfit if it.misfit > USUAL_MISFIT and not it.shape_assumed and agreement(it) > ALIKE else UNKNOWN
+    return (
+        it.misfit
+        if it.misfit > MAX_GOOD_MISFIT
+        and not it.shape_assumed
+        and difference_correlation(it) > MIN_DIFFERENCE_CORRELATION
+        else UNKNOWN_VALUE
+    )
 
 
-def mean_iou(it: Evidence) -> float:
+def consistent_mean_iou(it: Evidence) -> float:
     """Return the IOU with masks that agree with each other.
 
     It is NaN where they do not, or where contours are near: then the object is small in the image.
     """
-    iou, usual = float(np.nanmean(it.overlaps)), BUILT_IN_IOU if it.shape_assumed else USUAL_IOU
-    return iou if iou < usual and not it.misfit <= USUAL_MISFIT and agreement(it) > ALIKE else UNKNOWN
+    iou, usual = float(np.nanmean(it.overlaps)), MIN_BUILT_IN_IOU if it.shape_assumed else MIN_GOOD_IOU
+    return (
+        iou
+        if iou < usual and not it.misfit <= MAX_GOOD_MISFIT and difference_correlation(it) > MIN_DIFFERENCE_CORRELATION
+        else UNKNOWN_VALUE
+    )
 
 
-def evenness(it: Evidence) -> float:
+def min_iou_ratio(it: Evidence) -> float:
     """Return the least IOU as a share of the median one; single frames do not count."""
-    return float(_by_median(it).min(initial=1.0))
+    return float(_iou_by_median(it).min(initial=1.0))
 
 
-def met_less(it: Evidence) -> str:
+def describe_low_iou_frames(it: Evidence) -> str:
     """Name the frames about the least IOU that are met less than the others."""
-    by_median = _by_median(it)
-    worst, usual = int(by_median.argmin()), np.flatnonzero(by_median >= UNEVEN)
+    by_median = _iou_by_median(it)
+    worst, usual = int(by_median.argmin()), np.flatnonzero(by_median >= UNEVEN_IOU_RATIO)
     first = int(usual[usual < worst].max(initial=-1)) + 1
     last = int(usual[usual > worst].min(initial=len(by_median))) - 1
     names = np.array(it.iou_frames or it.clip.frames)[~np.isnan(it.overlaps)]
@@ -69,7 +79,7 @@ def met_less(it: Evidence) -> str:
     return f"{some} are met with a mean IOU of {less:.2f}, {least}"
 
 
-def _by_median(it: Evidence) -> Float[ndarray, "n"]:
+def _iou_by_median(it: Evidence) -> Float[ndarray, "n"]:
     """Return the IOU of each frame with a mask by the median one: the median of three frames in a row."""
     iou = it.overlaps[~np.isnan(it.overlaps)]
     if len(iou) < 3:
@@ -78,27 +88,28 @@ def _by_median(it: Evidence) -> Float[ndarray, "n"]:
     return np.asarray(np.median([padded[:-2], iou, padded[2:]], axis=0) / max(np.median(iou), 1e-9))
 
 
-def agreement(it: Evidence) -> float:
+def difference_correlation(it: Evidence) -> float:
     """Correlate the differences between mask and silhouette in successive frames, median; 0 where none follow."""
-    each = [_difference(it, int(n)) for n in np.flatnonzero(it.mask_area > 0)]
-    alike = [_correlation(a, b) for a, b in pairwise(each)]
+    each = [_mask_difference(it, int(n)) for n in np.flatnonzero(it.mask_area > 0)]
+    alike = [_correlate(a, b) for a, b in pairwise(each)]
     return float(np.median(alike)) if alike else 0.0
 
 
-def _difference(it: Evidence, n: int) -> Float[ndarray, "g g"]:
+def _mask_difference(it: Evidence, n: int) -> Float[ndarray, "g g"]:
     """Pixels of the mask alone less those of the silhouette alone, outside ignored ones, in cells about the mask."""
     mask, ignored = it.masks.object[n], it.masks.ignore[n]
-    silhouette = covered(it.posed[n], it.clip.mesh.faces, it.clip.K[n], it.clip.size)
+    silhouette = render_coverage(it.posed[n], it.clip.mesh.faces, it.clip.K[n], it.clip.size)
     rows, columns = np.nonzero(mask ^ (silhouette & (mask | ~ignored)))
     half = float(np.max(it.boxes[n, 2:] - it.boxes[n, :2]))
     across, down = (
-        ((at - middle) / half + 1.0) * GRID / 2.0 for at, middle in zip((columns, rows), it.centroids[n], strict=True)
+        ((at - middle) / half + 1.0) * N_DIFFERENCE_CELLS / 2.0
+        for at, middle in zip((columns, rows), it.centroids[n], strict=True)
     )
-    edges = np.arange(GRID + 1.0)
+    edges = np.arange(N_DIFFERENCE_CELLS + 1.0)
     return np.histogram2d(down, across, (edges, edges), weights=np.where(mask[rows, columns], 1.0, -1.0))[0]
 
 
-def _correlation(a: Float[ndarray, "g g"], b: Float[ndarray, "g g"]) -> float:
+def _correlate(a: Float[ndarray, "g g"], b: Float[ndarray, "g g"]) -> float:
     """Correlate two differences; 0 where one is nothing."""
     size = float(np.linalg.norm(a) * np.linalg.norm(b))
     return float(np.sum(a * b)) / size if size else 0.0

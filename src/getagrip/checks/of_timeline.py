@@ -12,42 +12,42 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.checks.check import Check, examine, millimetres, of_diameter, percent
+from getagrip.checks.check import Check, format_diameter_share, format_millimetres, format_percent, run_checks
 from getagrip.checks.evidence import Evidence, Glitches
-from getagrip.checks.table import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS
+from getagrip.checks.table import INPUT_CHECKS, MIN_MEAN_IOU, RESULT_CHECKS
 from getagrip.clip import Clip, Masks, Segment, modalities, with_evidence, with_masks
 from getagrip.clip.sampling import frame_indices
 from getagrip.finding import Finding
 from getagrip.geometry import se3
-from getagrip.geometry.depth import covered
+from getagrip.geometry.depth import render_coverage
 
-NEAREST, FARTHEST = 0.05, 20.0
+MIN_OBJECT_RANGE_M, MAX_OBJECT_RANGE_M = 0.05, 20.0
 """Distances from the camera [m] that are plausible of an object, as they are of a given hand."""
-LEAST_SHOWN = 0.5
+MIN_SHOWN_FRACTION = 0.5
 """A mask with a smaller share of the largest one's pixels shows too little of the object to tell where that is."""
 
 
-def distance(it: Evidence) -> float:
+def camera_distance(it: Evidence) -> float:
     """Return the object's distance from the camera [m]: the least where that is too near, else the largest."""
     away = np.linalg.norm(it.posed.mean(axis=1), axis=1)
-    return float(away.min() if away.min() < NEAREST else away.max())
+    return float(away.min() if away.min() < MIN_OBJECT_RANGE_M else away.max())
 
 
-def pixels(it: Evidence) -> float:
+def max_mask_pixels(it: Evidence) -> float:
     """Return the pixels of the largest mask."""
     return float(it.mask_area.max())
 
 
-def drift(it: Evidence) -> float:
+def mask_drift(it: Evidence) -> float:
     """Measure how far masks move against the silhouette.
 
     That is the distance of their middles from where it is in most frames, in sizes of the mask (the root of its area),
     but for the tenth of the frames in which it is largest.
     """
     offsets = []
-    for n in np.flatnonzero(it.mask_area >= LEAST_SHOWN * it.mask_area.max()):
+    for n in np.flatnonzero(it.mask_area >= MIN_SHOWN_FRACTION * it.mask_area.max()):
         mask, ignored = it.masks.object[n], it.masks.ignore[n]
-        silhouette = covered(it.posed[n], it.clip.mesh.faces, it.clip.K[n], it.clip.size) & (mask | ~ignored)
+        silhouette = render_coverage(it.posed[n], it.clip.mesh.faces, it.clip.K[n], it.clip.size) & (mask | ~ignored)
         if silhouette.any():
             rows, columns = np.nonzero(silhouette)
             middle = np.array([columns.mean(), rows.mean()]) + 0.5
@@ -60,41 +60,41 @@ def drift(it: Evidence) -> float:
 
 SEGMENT_CHECKS = (
     Check(
-        "object-distance", distance, low=NEAREST, high=FARTHEST, shown="{:.3g} m".format,
+        "object-distance", camera_distance, low=MIN_OBJECT_RANGE_M, high=MAX_OBJECT_RANGE_M, shown="{:.3g} m".format,
         fault="the object is {value} from the camera",
         advice="check the masks, the mesh's size and the focal length",
     ),
     Check(
-        "mask-pixels", pixels, low=50.0,
+        "mask-pixels", max_mask_pixels, low=50.0,
         fault="even the largest mask has {value} pixels only, too few to locate the object",
         advice="check that they are masks of the object, or give larger images",
     ),
 )  # fmt: skip
-STATIC = Check(
-    "static-moves", drift, high=0.2, shown=percent,
+STATIC_CHECK = Check(
+    "static-moves", mask_drift, high=0.2, shown=format_percent,
     fault="the segment is static, but the masks move by {value} of their size against one pose",
     advice="correct the segments where the object moves in these frames; else check the camera's motion",
 )  # fmt: skip
 
 
-FRAMES = 30
+MAX_SEGMENT_FRAMES = 30
 """Number of frames of a segment that are checked: as many as are fitted together."""
-HAND_SIDE = "hand-side"
+HAND_SIDE_CHECK = "hand-side"
 """Name of the check of the other hand where that holds the object; of the clip's own it is a check of the whole."""
-WITH_HAND = (
+GRASP_CHECKS = (
     "mask-size", "visible-size", "frame-order", "frames-late", "masks-follow-hand", "object-over-hand",
     "hand-over-object", "regrasp", "second-gap", "contact-gap", "penetration",
 )  # fmt: skip
 """Checks that suppose a grasp, by the hand that holds the object."""
-FEWEST = 2
+MIN_SEEN_GRASP_FRAMES = 2
 """Frames that must show the object in a grasp."""
 UNSEEN_ADVICE = "there is no evidence for this grasp: add masks there, or remove it if it is another object's"
-OF_MASKS = ("mask-fit", "poor-mask-fit", "worst-frame", "uneven-mask-fit")
+MASK_CHECKS = ("mask-fit", "poor-mask-fit", "worst-frame", "uneven-mask-fit")
 """Checks of any segment's result."""
 
 
 @dataclass(frozen=True)
-class Examined:
+class TimelineChecks:
     """The outcome of the checks of a timeline.
 
     Attributes:
@@ -117,7 +117,7 @@ class Examined:
         return (*self.of_clip, *(one for some in self.own for one in some))
 
 
-def examine_timeline(
+def check_timeline(
     clip: Clip,
     masks: Masks,
     T_cam_hand: Float[ndarray, "T 4 4"],
@@ -126,67 +126,69 @@ def examine_timeline(
     iou: Float[ndarray, "T"],
     T_cam_other_hand: Float[ndarray, "T 4 4"] | None = None,
     glitches: Glitches | None = None,
-) -> Examined:
+) -> TimelineChecks:
     """Check a timeline and its result: the poses that were found, hands corrected, and IOU, NaN where unobserved."""
     T_hand_obj = se3.inverse(T_cam_hand) @ T_cam_obj
     whole = Evidence(clip.with_hand_at(T_cam_hand, T_cam_other_hand), masks, T_hand_obj, scale, iou, glitches=glitches)
-    every = (*INPUT_CHECKS.working().values(), *RESULT_CHECKS.working().values(), JUMP)
-    of_clip = [c for c in every if c.name not in (*WITH_HAND, *OF_MASKS)]
-    checks, findings = examine(of_clip, whole)
+    every = (*INPUT_CHECKS.working().values(), *RESULT_CHECKS.working().values(), JUMP_CHECK)
+    of_clip = [c for c in every if c.name not in (*GRASP_CHECKS, *MASK_CHECKS)]
+    checks, findings = run_checks(of_clip, whole)
     of_segments, own, failed = [], [], []
     for segment in clip.segments:
         name = f"{segment.state} from {clip.frames[segment.first]}"
-        measured, found = _examine(segment, clip, whole)
+        measured, found = _check_segment(segment, clip, whole)
         of_segments.append(measured)
         own.append(tuple(replace(one, message=f"{name}: {one.message}") for one in found))
-        if measured.get("mask-fit", 1.0) < LEAST_IOU:
+        if measured.get("mask-fit", 1.0) < MIN_MEAN_IOU:
             failed.append(f"{name} ({measured['mask-fit']:.2f})")
-    return Examined(checks, tuple(of_segments), findings, tuple(own), ", ".join(failed))
+    return TimelineChecks(checks, tuple(of_segments), findings, tuple(own), ", ".join(failed))
 
 
-def _examine(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:
+def _check_segment(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:
     """Run the checks of one segment."""
     assert whole.iou is not None
     assert whole.T_hand_obj is not None
     iou = whole.iou[segment.rows]
     seen = segment.rows[~np.isnan(iou)]
-    if segment.state == "grasp" and len(seen) < min(FEWEST, len(segment)):
+    if segment.state == "grasp" and len(seen) < min(MIN_SEEN_GRASP_FRAMES, len(segment)):
         message = f"the masks show the object in {len(seen)} of its {len(segment)} frames; {UNSEEN_ADVICE}"
-        return {}, (Finding("grasp-unseen", True, float(len(seen)), float(FEWEST), message),)
+        return {}, (Finding("grasp-unseen", True, float(len(seen)), float(MIN_SEEN_GRASP_FRAMES), message),)
     if not len(seen):
         return {}, ()
     known = seen[clip.hand_known(segment.side)[seen]] if segment.state == "grasp" else seen[:0]
     grasped, rows = len(known) > 0, known if len(known) else seen
-    rows = rows[frame_indices(len(rows), FRAMES)]
+    rows = rows[frame_indices(len(rows), MAX_SEGMENT_FRAMES)]
     by, of, T_hand_obj, masks = whole.clip, clip, whole.T_hand_obj, whole.masks.take(rows)
     other = grasped and segment.side != clip.side
     if other:
-        by, of = (_by_other(one) for one in (by, of))
+        by, of = (_swap_hands(one) for one in (by, of))
         T_hand_obj = se3.inverse(by.hand.T_cam_hand) @ whole.clip.hand.T_cam_hand @ T_hand_obj
         masks = replace(masks, hand=None)
     seen_at = with_evidence(with_masks(by.take(rows), masks))
     names = tuple(clip.frames[n] for n in segment.rows)
     result = Evidence(seen_at, masks, T_hand_obj[rows], whole.scale, iou, names)
-    checks = [c for c in RESULT_CHECKS.working().values() if c.name in OF_MASKS or (grasped and c.name in WITH_HAND)]
-    checks += [*SEGMENT_CHECKS, *((STATIC, FLOATS) if segment.state == "static" else ())]
+    checks = [
+        c for c in RESULT_CHECKS.working().values() if c.name in MASK_CHECKS or (grasped and c.name in GRASP_CHECKS)
+    ]
+    checks += [*SEGMENT_CHECKS, *((STATIC_CHECK, FLOATING_CHECK) if segment.state == "static" else ())]
     there = [one for one in modalities() if one.of(seen_at) is not None]
     checks += [check for one in there for check in (*one.input_checks, *one.result_checks)]
-    measured, findings = examine(checks, result)
+    measured, findings = run_checks(checks, result)
     if not grasped:
         return measured, findings
-    value, wanted = Evidence(of.take(rows), masks), (*WITH_HAND, HAND_SIDE) if other else WITH_HAND
-    of_input, before = examine([c for c in INPUT_CHECKS.own.values() if c.name in wanted], value)
+    value, wanted = Evidence(of.take(rows), masks), (*GRASP_CHECKS, HAND_SIDE_CHECK) if other else GRASP_CHECKS
+    of_input, before = run_checks([c for c in INPUT_CHECKS.own.values() if c.name in wanted], value)
     return of_input | measured, (*before, *findings)
 
 
-def _by_other(clip: Clip) -> Clip:
+def _swap_hands(clip: Clip) -> Clip:
     """Return the clip with the other hand for its own."""
     swapped = clip.with_side(clip.other_side)
     assert swapped is not None
     return swapped
 
 
-def jump(it: Evidence) -> float:
+def boundary_jump(it: Evidence) -> float:
     """Measure the largest movement of the surface across a border of two segments [diameters].
 
     The largest movement within a segment is subtracted.
@@ -200,7 +202,7 @@ def jump(it: Evidence) -> float:
     return float(max(excess, 0.0)) / (it.scale * it.clip.mesh.diameter)
 
 
-def height(it: Evidence) -> float:
+def support_height(it: Evidence) -> float:
     """Return the height of the lowest point over the support plane, median over frames [mm]; NaN without a plane."""
     world = it.clip.world
     if world is None or world.up is None or world.support is None:
@@ -218,13 +220,13 @@ def _surface_in_world(it: Evidence, some: Int[ndarray, "n"]) -> Float[ndarray, "
     return np.asarray(se3.transform(T, it.scale * it.clip.mesh.vertices[some]))
 
 
-JUMP = Check(
-    "jump", jump, high=0.2, shown=of_diameter,
+JUMP_CHECK = Check(
+    "jump", boundary_jump, high=0.2, shown=format_diameter_share,
     fault="where segments meet, the object jumps by {value} more than it moves anywhere else",
     advice="the pose in one of the two is probably wrong; check where the segments begin",
 )  # fmt: skip
-FLOATS = Check(
-    "floats", height, low=-15.0, high=15.0, serious=False, shown=millimetres,
+FLOATING_CHECK = Check(
+    "floats", support_height, low=-15.0, high=15.0, serious=False, shown=format_millimetres,
     fault="it lies {value} above the support plane",
     advice="right if it lies on something else; else check world_support, the mesh's size and the camera",
 )  # fmt: skip

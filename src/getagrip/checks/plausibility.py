@@ -10,19 +10,19 @@ from getagrip.checks.evidence import Evidence
 from getagrip.geometry.mesh import face_areas
 from getagrip.metrics.surface_distance import close_holes
 
-UNKNOWN = float("nan")
+UNKNOWN_VALUE = float("nan")
 
 
-def of_scale(it: Evidence, scale: str, size: float) -> float:
+def size_at_scale(it: Evidence, scale: str, size: float) -> float:
     """Return a relative size where the object's size is "known", or where it is "free"; elsewhere it says nothing."""
-    return size if it.clip.scale == scale else UNKNOWN
+    return size if it.clip.scale == scale else UNKNOWN_VALUE
 
 
-def lifted_hand(it: Evidence) -> float:
+def lifted_hand_size(it: Evidence) -> float:
     """Return how many times as large as a mean hand a lifted one is, where depth or the object's size tells it."""
     if it.clip.size_beside_hand:
         return 1.0 / it.scale
-    return UNKNOWN if it.clip.hand_scale == 1.0 else it.clip.hand_scale
+    return UNKNOWN_VALUE if it.clip.hand_scale == 1.0 else it.clip.hand_scale
 
 
 def edge_share(it: Evidence) -> float:
@@ -39,23 +39,27 @@ def focal_jump(it: Evidence) -> float:
     return float(np.exp(steps.max(initial=0.0)))
 
 
-def gap(it: Evidence) -> float:
+def median_hand_object_gap(it: Evidence) -> float:
     """Measure the smallest distance of hand and object, median over frames [mm]; 0 where they touch."""
     return 1e3 * float(np.median(np.maximum(it.to_object.min(axis=1), 0.0)))
 
 
-def penetration(it: Evidence) -> float:
+def penetration_depth(it: Evidence) -> float:
     """Measure the depth of the hand's deepest point inside the object, median over frames [mm]."""
     return 1e3 * float(np.median(np.maximum(-it.to_object.min(axis=1), 0.0)))
 
 
-def second_gap(it: Evidence) -> float:
+def second_contact_gap(it: Evidence) -> float:
     """Measure the distance of the second nearest contact region of the hand, median over frames [mm].
 
     0 where it touches.
     """
     regions = it.region_distance
-    return 1e3 * float(np.median(np.maximum(np.sort(regions, axis=1)[:, 1], 0.0))) if regions.shape[1] > 1 else UNKNOWN
+    return (
+        1e3 * float(np.median(np.maximum(np.sort(regions, axis=1)[:, 1], 0.0)))
+        if regions.shape[1] > 1
+        else UNKNOWN_VALUE
+    )
 
 
 def hole_share(it: Evidence) -> float:
@@ -73,12 +77,12 @@ def extents(it: Evidence) -> list[float]:
     return np.asarray(sides / sides[-1]).tolist()
 
 
-WRIST, INDEX, MIDDLE, PINKY = 0, 5, 9, 17
+WRIST_JOINT, INDEX_MCP, MIDDLE_MCP, PINKY_MCP = 0, 5, 9, 17
 """Indices among the 21 joints: the wrist, and the first joints of three fingers."""
-ROOTS, TIPS = np.array([5, 9, 13, 17]), np.array([8, 12, 16, 20])
+FOUR_FINGER_MCP_JOINTS, FOUR_FINGERTIP_JOINTS = np.array([5, 9, 13, 17]), np.array([8, 12, 16, 20])
 
 
-def bend(it: Evidence) -> float:
+def finger_bend(it: Evidence) -> float:
     """Measure how far the fingers bend towards the palm of a hand of the clip's side, median over frames [degrees].
 
     Negative where they would bend backwards: it is the other hand. NaN for hands without joints.
@@ -88,13 +92,13 @@ def bend(it: Evidence) -> float:
     """
     joints = it.clip.hand.joints
     if joints is None:
-        return UNKNOWN
-    along = _unit(joints[:, MIDDLE] - joints[:, WRIST])
-    out = _unit(np.cross(joints[:, INDEX] - joints[:, PINKY], along))
-    fingers = (joints[:, TIPS] - joints[:, ROOTS]).mean(axis=1)
+        return UNKNOWN_VALUE
+    along = _normalize(joints[:, MIDDLE_MCP] - joints[:, WRIST_JOINT])
+    out = _normalize(np.cross(joints[:, INDEX_MCP] - joints[:, PINKY_MCP], along))
+    fingers = (joints[:, FOUR_FINGERTIP_JOINTS] - joints[:, FOUR_FINGER_MCP_JOINTS]).mean(axis=1)
     angle = np.degrees(np.arctan2(np.sum(fingers * out, axis=1), np.abs(np.sum(fingers * along, axis=1))))
     return float(np.median(angle if it.clip.side == "right" else -angle))
 
 
-def _unit(v: Float[ndarray, "T 3"]) -> Float[ndarray, "T 3"]:
+def _normalize(v: Float[ndarray, "T 3"]) -> Float[ndarray, "T 3"]:
     return np.asarray(v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-12))

@@ -13,31 +13,31 @@ from getagrip.checks.evidence import Evidence
 from getagrip.geometry import se3
 from getagrip.metrics.symmetry import surface_points
 
-FEWEST = 8
+MIN_REGRASP_FRAMES = 8
 """Fewer frames tell no step from another."""
-USUAL = 3
+USUAL_STEP_RANK = 3
 """Rank of the step that counts as a usual one in the clip."""
-POINTS = 200
+N_REGRASP_POINTS = 200
 """Points of the object's surface."""
 
 
-def steps(it: Evidence) -> Float[ndarray, "n"]:
+def object_steps(it: Evidence) -> Float[ndarray, "n"]:
     """Return the step of the object's surface in the hand between frames (root mean square), in diameters."""
     assert it.T_hand_obj is not None
-    surface = se3.transform(it.T_hand_obj, it.scale * surface_points(it.clip.mesh, POINTS)[None])
+    surface = se3.transform(it.T_hand_obj, it.scale * surface_points(it.clip.mesh, N_REGRASP_POINTS)[None])
     moved = np.sqrt(np.square(surface[1:] - surface[:-1]).sum(axis=-1).mean(axis=-1))
     return np.asarray(moved / (it.scale * it.clip.mesh.diameter))
 
 
-def jump(it: Evidence) -> float:
+def regrasp_jump(it: Evidence) -> float:
     """Return the largest step, less two usual ones; NaN for few frames."""
-    if len(it.clip) < FEWEST:
+    if len(it.clip) < MIN_REGRASP_FRAMES:
         return float("nan")
-    largest = np.sort(steps(it))[::-1]
-    return max(float(largest[0] - 2.0 * largest[USUAL]), 0.0)
+    largest = np.sort(object_steps(it))[::-1]
+    return max(float(largest[0] - 2.0 * largest[USUAL_STEP_RANK]), 0.0)
 
 
-def between(it: Evidence) -> str:
+def describe_largest_step(it: Evidence) -> str:
     """Say between which frames the largest step is."""
-    n = int(np.argmax(steps(it)))
+    n = int(np.argmax(object_steps(it)))
     return f"from frame {it.clip.frames[n]} to {it.clip.frames[n + 1]}"

@@ -16,12 +16,12 @@ from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
 from getagrip.metrics.symmetry import find_symmetries, surface_points
 from getagrip.result import Axis, Candidates
 
-FRAMES, POINTS = 5, 200
+N_COMPARED_FRAMES, N_COMPARED_POINTS = 5, 200
 """Frames in which candidates are compared, and points of the object's surface."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Solved(Evidence):
+class SolvedEvidence(Evidence):
     """A fitted clip at the frames that were fitted together; its hand is the one that the poses are relative to.
 
     Attributes:
@@ -67,8 +67,8 @@ class Solved(Evidence):
         """
         from scipy.spatial import cKDTree
 
-        few = frame_indices(len(self.clip), FRAMES)
-        points = surface_points(self.clip.mesh, POINTS)
+        few = frame_indices(len(self.clip), N_COMPARED_FRAMES)
+        points = surface_points(self.clip.mesh, N_COMPARED_POINTS)
         T, scale = self.candidates.T_hand_obj[:, few], self.candidates.scale[:, None, None, None]
         surfaces = se3.transform(T, scale * points)
         trees = [cKDTree(surface) for surface in surfaces[0]]
@@ -83,7 +83,7 @@ class Solved(Evidence):
         """
         if k == 0:
             return 0.0
-        few, mesh = frame_indices(len(self.clip), FRAMES), self.clip.mesh
+        few, mesh = frame_indices(len(self.clip), N_COMPARED_FRAMES), self.clip.mesh
         first, other = (
             ObjectTrack(self.candidates.T_hand_obj[n, few], float(self.candidates.scale[n])) for n in (0, k)
         )

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from getagrip.checks import frame_order, mask_agreement, plausibility, regrasp
-from getagrip.checks.check import Check, millimetres, of_diameter, percent
+from getagrip.checks.check import Check, format_diameter_share, format_millimetres, format_percent
 from getagrip.checks.evidence import Evidence
 from getagrip.clip import intrinsics, modalities
-from getagrip.io.plugins import Table
+from getagrip.io.plugins import PluginTable
 
-LEAST_IOU = 0.5
+MIN_MEAN_IOU = 0.5
 """A result whose mean IOU is below this explains nothing, however well the minimisation ended."""
 
 
-def contradicting(it: Evidence) -> str:
+def describe_outlier_masks(it: Evidence) -> str:
     """List the outlier masks."""
     assert it.outliers
     masks, names = f"{len(it.outliers)} of {len(it.overlaps)} masks", ", ".join(it.outliers)
@@ -23,23 +23,23 @@ def contradicting(it: Evidence) -> str:
     return f"{masks} contradict the others and were left out: frames {names}"
 
 
-def rather(it: Evidence) -> str:
+def preferred_scale(it: Evidence) -> str:
     """Say which scale the energy prefers."""
     factor, gain = it.scale_check
-    return f"{factor:.2f} times its size would explain the masks and the hand better, by {percent(gain)} of the energy"
+    return f"{factor:.2f} times its size would explain the masks and the hand better, by {format_percent(gain)} of the energy"
 
 
-def regrasped(it: Evidence) -> str:
+def describe_regrasp(it: Evidence) -> str:
     """Say where the object moves to another place in the hand."""
-    return f"the object jumps in the hand {regrasp.between(it)}, by {of_diameter(regrasp.jump(it))} more than elsewhere"
+    return f"the object jumps in the hand {regrasp.describe_largest_step(it)}, by {format_diameter_share(regrasp.regrasp_jump(it))} more than elsewhere"
 
 
-def deformation(it: Evidence) -> str:
+def describe_deformation(it: Evidence) -> str:
     """Say how far the mesh was deformed."""
     return f"to meet the masks the mesh was deformed by {it.deformed_mm:.1f} mm, so its shape is an assumption"
 
 
-def other_images(it: Evidence) -> str:
+def camera_mismatch(it: Evidence) -> str:
     """Say which images the camera seems to belong to."""
     return intrinsics.camera_warning(it.clip.K, it.clip.size)
 
@@ -47,66 +47,66 @@ def other_images(it: Evidence) -> str:
 CAMERA_ADVICE = "give the camera of these images: K is scaled and cropped as they are"
 
 
-MISFIT = "contours are {value} times as far from the masks' as they would be with the object's own mesh"
-CAUSES = (
+CONTOUR_MISFIT_MESSAGE = "contours are {value} times as far from the masks' as they would be with the object's own mesh"
+MISFIT_ADVICE = (
     "compare the contours in the report: mend masks that show a box, a shadow, the hand or only a part of the object; "
     "where the masks are right, the mesh or the hand's pose is wrong"
 )
 """Advice on contours that are off the masks."""
 
-_INPUT: tuple[Check, ...] = (
+_OWN_INPUT_CHECKS: tuple[Check, ...] = (
     Check(
-        "mesh-holes", plausibility.hole_share, high=0.15, shown=percent,
+        "mesh-holes", plausibility.hole_share, high=0.15, shown=format_percent,
         fault="holes are {value} of the mesh's surface",
         advice="close the mesh where faces are missing, or give a thin shell its two sides",
     ),
     Check(
-        "mesh-open", plausibility.hole_share, high=0.01, serious=False, shown=percent,
+        "mesh-open", plausibility.hole_share, high=0.01, serious=False, shown=format_percent,
         fault="the mesh is open, by {value} of its surface", advice="what is inside it is a guess; close it",
     ),
     Check(
-        "mesh-flat", lambda it: plausibility.extents(it)[0], low=0.005, shown=percent,
+        "mesh-flat", lambda it: plausibility.extents(it)[0], low=0.005, shown=format_percent,
         fault="the mesh's thickness is {value} of its length", advice="the mesh has no volume: add its thickness",
     ),
     Check(
-        "mesh-needle", lambda it: plausibility.extents(it)[1], low=0.015, shown=percent,
+        "mesh-needle", lambda it: plausibility.extents(it)[1], low=0.015, shown=format_percent,
         fault="the mesh's width is {value} of its length",
         advice="check that it is this object's, and not stretched along one axis",
     ),
     Check(
-        "object-size", lambda it: plausibility.of_scale(it, "known", it.clip.mesh.diameter / it.hand_size),
+        "object-size", lambda it: plausibility.size_at_scale(it, "known", it.clip.mesh.diameter / it.hand_size),
         low=0.1, high=6.0, fault="the mesh is {value} times as large as the hand",
         advice="check the units of mesh and hand; an unknown size is \"scale\": \"free\"",
     ),
     Check(
-        "mask-size", lambda it: plausibility.of_scale(it, "known", it.apparent_size / it.clip.mesh.diameter),
+        "mask-size", lambda it: plausibility.size_at_scale(it, "known", it.apparent_size / it.clip.mesh.diameter),
         low=0.15, high=2.5,
         fault="the masks show something {value} times as large as the mesh, at the hand's distance",
         advice="check the masks' label, the mesh's size, the focal length and the hand's distance",
     ),
     Check(
-        "visible-size", lambda it: plausibility.of_scale(it, "free", it.apparent_size / it.hand_size),
+        "visible-size", lambda it: plausibility.size_at_scale(it, "free", it.apparent_size / it.hand_size),
         low=0.1, high=8.0,
         fault="the masks show something {value} times as large as the hand, at the hand's distance",
         advice="check the masks' label, the focal length and the hand's distance",
     ),
     Check(
-        "mask-at-edges", plausibility.edge_share, high=0.7, shown=percent,
+        "mask-at-edges", plausibility.edge_share, high=0.7, shown=format_percent,
         fault="the masks cover {value} of the image's edge",
         advice="they look like masks of the background, or of the whole image: check their label",
     ),
     Check(
-        "principal-point", lambda it: intrinsics.off_middle(it.clip.K, it.clip.size),
-        high=intrinsics.OFF_MIDDLE, shown=percent, fault=other_images, advice=CAMERA_ADVICE,
+        "principal-point", lambda it: intrinsics.principal_point_offset(it.clip.K, it.clip.size),
+        high=intrinsics.MAX_PRINCIPAL_POINT_OFFSET, shown=format_percent, fault=camera_mismatch, advice=CAMERA_ADVICE,
     ),
     Check(
-        "pixel-stretch", lambda it: intrinsics.stretch(it.clip.K), high=intrinsics.STRETCH,
-        fault=other_images, advice=CAMERA_ADVICE,
+        "pixel-stretch", lambda it: intrinsics.focal_ratio(it.clip.K), high=intrinsics.MAX_FOCAL_RATIO,
+        fault=camera_mismatch, advice=CAMERA_ADVICE,
     ),
     Check(
         "field-of-view", lambda it: intrinsics.field_of_view(it.clip.K, it.clip.size),
-        low=intrinsics.NARROW, high=intrinsics.WIDE, shown="{:.3g} degrees".format,
-        fault=other_images, advice=CAMERA_ADVICE,
+        low=intrinsics.MIN_FOV_DEG, high=intrinsics.MAX_FOV_DEG, shown="{:.3g} degrees".format,
+        fault=camera_mismatch, advice=CAMERA_ADVICE,
     ),
     Check(
         "focal-jumps", plausibility.focal_jump, high=1.1,
@@ -114,12 +114,12 @@ _INPUT: tuple[Check, ...] = (
         advice="give one camera for all frames, unless the lens zooms",
     ),
     Check(
-        "hand-side", plausibility.bend, low=-5.0, shown="{:.3g} degrees".format,
+        "hand-side", plausibility.finger_bend, low=-5.0, shown="{:.3g} degrees".format,
         fault="the fingers bend by {value} towards the palm that such a hand would have",
         advice="it is the other hand, or a mirrored one: correct \"side\" in clip.json, or the hand",
     ),
     Check(
-        "many-tracker-glitches", lambda it: it.glitch_share, high=0.3, shown=percent,
+        "many-tracker-glitches", lambda it: it.glitch_share, high=0.3, shown=format_percent,
         fault=lambda it: str(it.glitches),
         advice="check that it is the same hand in all frames; --given-hands uses it unchanged",
     ),
@@ -128,23 +128,23 @@ _INPUT: tuple[Check, ...] = (
         fault=lambda it: str(it.glitches), advice="--given-hands uses it unchanged",
     ),
     Check(
-        "frame-order", frame_order.misorder, high=2.5,
+        "frame-order", frame_order.reordering_gain, high=2.5,
         fault="in reverse, or shifted, the masks would fit the hands {value} times better",
         advice="check that hands and masks have the same frames in the same order, counted from the same number",
     ),
     Check(
-        "frames-late", lambda it: frame_order.lateness(it).times, high=1.08, serious=False,
-        fault=lambda it: str(frame_order.lateness(it)),
+        "frames-late", lambda it: frame_order.mask_delay(it).times, high=1.08, serious=False,
+        fault=lambda it: str(frame_order.mask_delay(it)),
         advice="check that hands and masks count frames from the same number",
     ),
     Check(
-        "masks-follow-hand", frame_order.following, high=1.0, serious=False, shown=percent,
+        "masks-follow-hand", frame_order.centroid_error, high=1.0, serious=False, shown=format_percent,
         fault="the masks' middles stray from the hand's motion by {value} of their size",
         advice="check that hands and masks are of the same frames, and that the grasp is stable throughout",
     ),
 )  # fmt: skip
 
-_RESULT: tuple[Check, ...] = (
+_OWN_RESULT_CHECKS: tuple[Check, ...] = (
     Check(
         "mask-fit", lambda it: float(np.nanmean(it.overlaps)), low=0.7,
         fault="the masks are met with a mean IOU of {value}",
@@ -152,7 +152,7 @@ _RESULT: tuple[Check, ...] = (
         of_shape=True,
     ),
     Check(
-        "poor-mask-fit", mask_agreement.mean_iou, low=0.9,
+        "poor-mask-fit", mask_agreement.consistent_mean_iou, low=0.9,
         fault="masks that agree with each other are met with a mean IOU of {value}",
         advice="the masks are probably right: check the hand's poses, the mesh and the camera", of_shape=True,
     ),
@@ -162,83 +162,83 @@ _RESULT: tuple[Check, ...] = (
         advice="check that frame's mask; the report shows the IOU over time",
     ),
     Check(
-        "uneven-mask-fit", mask_agreement.evenness, low=mask_agreement.UNEVEN, serious=False, shown=percent,
-        fault=mask_agreement.met_less,
+        "uneven-mask-fit", mask_agreement.min_iou_ratio, low=mask_agreement.UNEVEN_IOU_RATIO, serious=False, shown=format_percent,
+        fault=mask_agreement.describe_low_iou_frames,
         advice="look at these frames: draw the part of the object that their masks lack, or correct the hand there",
     ),
     Check(
-        "many-outlier-masks", lambda it: it.outlier_share, high=0.3, shown=percent,
-        fault=contradicting, advice="check that they are all of the same object; --given-masks uses all",
+        "many-outlier-masks", lambda it: it.outlier_share, high=0.3, shown=format_percent,
+        fault=describe_outlier_masks, advice="check that they are all of the same object; --given-masks uses all",
     ),
     Check(
         "outlier-masks", lambda it: it.outlier_share, high=0.0, serious=False,
-        fault=contradicting, advice="--given-masks uses all",
+        fault=describe_outlier_masks, advice="--given-masks uses all",
     ),
     Check(
-        "mesh-much-deformed", lambda it: it.deformed, high=0.06, shown=of_diameter,
-        fault=deformation, advice="check that it is the mesh of such an object; --given-mesh takes it as it is",
+        "mesh-much-deformed", lambda it: it.deformed, high=0.06, shown=format_diameter_share,
+        fault=describe_deformation, advice="check that it is the mesh of such an object; --given-mesh takes it as it is",
         of_shape=True,
     ),
     Check(
         "mesh-deformed", lambda it: it.deformed, high=0.0, serious=False,
-        fault=deformation,
+        fault=describe_deformation,
         advice="it is not the object's own, or all masks are off alike; --given-mesh takes it as it is", of_shape=True,
     ),
     Check(
-        "wrong-size", lambda it: it.scale_check[1], high=0.3, shown=percent, fault=rather,
+        "wrong-size", lambda it: it.scale_check[1], high=0.3, shown=format_percent, fault=preferred_scale,
         advice="check that mesh and hand have their real sizes; an unknown size is \"scale\": \"free\"",
     ),
     Check(
-        "other-size", lambda it: it.scale_check[1], high=0.15, serious=False, shown=percent, fault=rather,
+        "other-size", lambda it: it.scale_check[1], high=0.15, serious=False, shown=format_percent, fault=preferred_scale,
         advice="check that mesh and hand have their real sizes, and the hand its real distance",
     ),
     Check(
-        "regrasp", regrasp.jump, high=0.06, serious=False, shown=percent, fault=regrasped,
+        "regrasp", regrasp.regrasp_jump, high=0.06, serious=False, shown=format_percent, fault=describe_regrasp,
         advice="if it is not one stable grasp, cut the clip there",
     ),
     Check(
-        "large-mask-misfit", mask_agreement.misfit, high=6.0, fault=MISFIT + ", and the masks agree with each other",
-        advice=CAUSES, of_shape=True,
+        "large-mask-misfit", mask_agreement.consistent_contour_misfit, high=6.0, fault=CONTOUR_MISFIT_MESSAGE + ", and the masks agree with each other",
+        advice=MISFIT_ADVICE, of_shape=True,
     ),
     Check(
-        "mask-misfit", lambda it: it.misfit, high=3.0, serious=False, fault=MISFIT,
-        advice=CAUSES, of_shape=True,
+        "mask-misfit", lambda it: it.misfit, high=3.0, serious=False, fault=CONTOUR_MISFIT_MESSAGE,
+        advice=MISFIT_ADVICE, of_shape=True,
     ),
     Check(
         "hand-off-pixels", lambda it: it.hand_differing if it.masks.hand is not None else np.nan,
-        high=0.4, shown=percent,
+        high=0.4, shown=format_percent,
         fault="the hand's silhouette and its pixels (masks/hand) differ by {value} of these, and no correction helps",
         advice="check the hand's poses, size and side, the camera, and the label of its masks",
     ),
     Check(
         "hand-off-ignored", lambda it: it.hand_differing if it.masks.hand is None else np.nan,
-        high=0.4, serious=False, shown=percent,
+        high=0.4, serious=False, shown=format_percent,
         fault="the hand's silhouette and the ignored pixels there differ by {value} of these, and no correction helps",
         advice="if nothing else is ignored there, check the hand's poses, size and side, and the camera",
     ),
     Check(
-        "object-over-hand", lambda it: it.in_front[0], high=0.2, shown=percent,
+        "object-over-hand", lambda it: it.in_front[0], high=0.2, shown=format_percent,
         fault="the object is in front of the hand in {value} of the pixels that show the hand",
         advice="hand and object are at the wrong distance: check the sizes of hand and mesh, and the hand's distance "
         "and side",
     ),
     Check(
-        "hand-over-object", lambda it: it.in_front[1], high=0.25, serious=False, shown=percent,
+        "hand-over-object", lambda it: it.in_front[1], high=0.25, serious=False, shown=format_percent,
         fault="the hand is in front of the object in {value} of the object's mask",
         advice="mend masks that include what the hand hides, or the hand itself; else one is at the wrong distance",
     ),
     Check(
-        "second-gap", plausibility.second_gap, high=12.0, serious=False, shown=millimetres,
+        "second-gap", plausibility.second_contact_gap, high=12.0, serious=False, shown=format_millimetres,
         fault="only one part of the hand is near the object, the next is {value} away",
         advice="if it is not held with one part only, sizes or distances of hand and object do not agree",
     ),
     Check(
-        "contact-gap", plausibility.gap, high=15.0, shown=millimetres,
+        "contact-gap", plausibility.median_hand_object_gap, high=15.0, shown=format_millimetres,
         fault="hand and object are {value} apart in half of the frames",
         advice="the hand does not hold the object: check the hands' distance from the camera, and try --method one-dof",
     ),
     Check(
-        "penetration", plausibility.penetration, high=35.0, serious=False, shown=millimetres,
+        "penetration", plausibility.penetration_depth, high=35.0, serious=False, shown=format_millimetres,
         fault="the hand is {value} inside the object in half of the frames",
         advice="hands, mesh size or pose are off by about as much",
     ),
@@ -248,27 +248,29 @@ _RESULT: tuple[Check, ...] = (
         advice="if it is upside down, take another candidate: tilted towards the camera it looks nearly the same",
     ),
     Check(
-        "result-size", lambda it: plausibility.of_scale(it, "free", it.scale * it.clip.mesh.diameter / it.hand_size),
+        "result-size", lambda it: plausibility.size_at_scale(it, "free", it.scale * it.clip.mesh.diameter / it.hand_size),
         low=0.1, high=6.0,
         fault="the object was found to be {value} times as large as the hand",
         advice="a free scale needs masks and hands that agree; give the size if you know it",
     ),
     Check(
-        "hand-size", plausibility.lifted_hand, low=0.7, high=1.35,
+        "hand-size", plausibility.lifted_hand_size, low=0.7, high=1.35,
         fault="by the object's size, or by depth, the hand would be {value} times as large as a mean one",
         advice="check the object's size, that the mesh is of such an object, and the hand's joints and depth",
     ),
 )  # fmt: skip
 
 
-def _table(kind: str, own: tuple[Check, ...]) -> Table[Check]:
+def _check_table(kind: str, own: tuple[Check, ...]) -> PluginTable[Check]:
     """Make the table of checks by name."""
     named = {check.name: check for check in own}
-    return Table(kind, named, "a Check of the same name", lambda name, it: isinstance(it, Check) and it.name == name)
+    return PluginTable(
+        kind, named, "a Check of the same name", lambda name, it: isinstance(it, Check) and it.name == name
+    )
 
 
-INPUT_CHECKS = _table("input_checks", _INPUT)
-RESULT_CHECKS = _table("result_checks", _RESULT)
+INPUT_CHECKS = _check_table("input_checks", _OWN_INPUT_CHECKS)
+RESULT_CHECKS = _check_table("result_checks", _OWN_RESULT_CHECKS)
 
 
 def input_checks() -> tuple[Check, ...]:

@@ -3,7 +3,7 @@
 Whole numbers and booleans are labels. Of numbers with fractions, those from 0 to 1 are probabilities, of which half and
 more counts; where some are below 0, they are logits, of which those above 0 count.
 
-SAM 2's ``video_segments`` are ``{frame: {object: mask}}``, frames from 0, masks (1, H, W) or (H, W). SAM 3's outputs
+SAM 2's ``open_video_segments`` are ``{frame: {object: mask}}``, frames from 0, masks (1, H, W) or (H, W). SAM 3's outputs
 are ``{frame: {"out_obj_ids": (N,), "out_binary_masks": (N, H, W)}}``.
 """
 
@@ -19,15 +19,15 @@ from numpy import ndarray
 
 from getagrip.clip.data import FrameMasks
 from getagrip.clip.label_choice import LabelChoice
-from getagrip.clip.mask_request import MaskReader, MaskRequest, without_object
-from getagrip.clip.naming import MOST_NAMED, frame_of
+from getagrip.clip.mask_request import MaskReader, MaskRequest, combine_hand_object_masks
+from getagrip.clip.naming import MAX_NAMES_IN_ERROR, frame_of
 from getagrip.clip.segments import union
-from getagrip.clip.soft_edges import Load, looked_at, sharpened
+from getagrip.clip.soft_edges import Load, binarise_soft_masks, sample_frames
 from getagrip.errors import InputError, UsageError
 from getagrip.io import arrays, files, pickles
 
-KINDS = ("object", "ignore", "hand")
-LOGITS, HALVES = (
+MASK_KINDS = ("object", "ignore", "hand")
+LOGITS_NOTE, PROBABILITIES_NOTE = (
     "logits: values above 0 were used, in images",
     "probabilities: values of one half and more were used, in images",
 )
@@ -35,76 +35,76 @@ Numbers = Callable[[int], tuple[Path, str, ndarray]]
 """The file of a frame's array, its key, and the array."""
 
 
-def npz(path: Path, request: MaskRequest) -> MaskReader:
+def open_npz_masks(path: Path, request: MaskRequest) -> MaskReader:
     """Open masks or labels of all frames, or an array for each, in an ``.npz`` file. Raises ``InputError``."""
     stored = arrays.read(path, lambda _: True)
     key = next((key for key in ("labels", "object") if key in stored), None)
     if key is None:
         names = [name for name, array in stored.items() if array.ndim in (2, 3)]
         if not any(frame_of(name, request.frames) is not None for name in names):
-            there = f"the arrays {', '.join(map(files.plain, list(stored)[:3]))}" if stored else "no array"
+            there = f"the arrays {', '.join(map(files.printable, list(stored)[:3]))}" if stored else "no array"
             raise InputError(path, "object", there, "the array, or one called labels, or one for each frame")
         rows = request.places(path, [f"{name}.npy" for name in names])
-        return _labels(path, lambda n: (path, names[rows[n]], stored[names[rows[n]]]), rows, request)
+        return _label_reader(path, lambda n: (path, names[rows[n]], stored[names[rows[n]]]), rows, request)
     if stored[key].ndim == 4 and stored[key].shape[1] == 1:
         stored[key] = stored[key][:, 0]
-    kinds = (key,) if key == "labels" else tuple(kind for kind in KINDS if kind in stored)
+    kinds = (key,) if key == "labels" else tuple(kind for kind in MASK_KINDS if kind in stored)
     width, height = request.size
     for name in kinds:
         expected = f"numbers or booleans of shape (n, H, W), as (n, {height}, {width})"
         if stored[name].ndim != 3 or stored[name].shape != stored[key].shape:
             raise InputError(path, name, f"{stored[name].dtype} of shape {stored[name].shape}", expected)
-    rows = _rows(path, stored, len(stored[key]), request)
+    rows = _match_stack_rows(path, stored, len(stored[key]), request)
     if key == "labels":
-        return _labels(path, lambda n: (path, key, stored[key][rows[n]]), rows, request)
+        return _label_reader(path, lambda n: (path, key, stored[key][rows[n]]), rows, request)
     notes = Counter[str]()
-    loads = {kind: _masks_of(path, kind, stored[kind], rows, request, notes) for kind in kinds}
+    loads = {kind: _binary_mask_loader(path, kind, stored[kind], rows, request, notes) for kind in kinds}
 
     def read(n: int) -> FrameMasks:
         at = {kind: request.resized(load(n)[1] != 0, notes) for kind, load in loads.items()}
-        return without_object(at["object"], at.get("ignore", np.zeros_like(at["object"])), at.get("hand"))
+        return combine_hand_object_masks(at["object"], at.get("ignore", np.zeros_like(at["object"])), at.get("hand"))
 
     return MaskReader(path, read, rows.keys(), notes=notes)
 
 
-def npy(path: Path, request: MaskRequest) -> MaskReader:
+def open_npy_masks(path: Path, request: MaskRequest) -> MaskReader:
     """Open masks or labels of all frames in an ``.npy`` file, in their order. Raises ``InputError``."""
-    stack = arrays.parse_npy(path, "", files.read_bytes(path, arrays.LARGEST))
-    rows = _rows(path, {}, len(stack) if stack.ndim else 0, request)
-    return _labels(path, lambda n: (path, "", stack[rows[n]]), rows, request)
+    stack = arrays.parse_npy(path, "", files.read_bytes(path, arrays.MAX_NPZ_BYTES))
+    rows = _match_stack_rows(path, {}, len(stack) if stack.ndim else 0, request)
+    return _label_reader(path, lambda n: (path, "", stack[rows[n]]), rows, request)
 
 
-def npy_folder(folder: Path, paths: Sequence[Path], request: MaskRequest) -> MaskReader:
+def open_npy_folder(folder: Path, paths: Sequence[Path], request: MaskRequest) -> MaskReader:
     """Open a folder with an ``.npy`` file of each frame, or an ``.npz`` file of one array. Raises ``InputError``."""
     if len(paths) == 1 and is_stack(paths[0]):
-        return (npz if paths[0].suffix == ".npz" else npy)(paths[0], request)
+        return (open_npz_masks if paths[0].suffix == ".npz" else open_npy_masks)(paths[0], request)
     rows = request.places(folder, [path.name for path in paths])
 
     def load(n: int) -> tuple[Path, str, ndarray]:
         path = paths[rows[n]]
         if path.suffix == ".npy":
-            return path, "", arrays.parse_npy(path, "", files.read_bytes(path, arrays.LARGEST))
+            return path, "", arrays.parse_npy(path, "", files.read_bytes(path, arrays.MAX_NPZ_BYTES))
         stored = arrays.read(path, lambda _: True)
         if len(stored) != 1:
             raise InputError(path, "", f"{len(stored)} arrays", "one, the labels of a frame")
         return path, *next(iter(stored.items()))
 
-    return _labels(folder, load, rows, request)
+    return _label_reader(folder, load, rows, request)
 
 
 def is_stack(path: Path) -> bool:
     """Return whether the only, or first, array of a file is of several images: three axes. Raises ``InputError``."""
     if path.suffix == ".npy":
-        array = arrays.parse_npy(path, "", files.read_bytes(path, arrays.LARGEST))
+        array = arrays.parse_npy(path, "", files.read_bytes(path, arrays.MAX_NPZ_BYTES))
     else:
         array = next(iter(arrays.read(path, lambda _: True).values()), np.zeros(0))
     return array.ndim > 2 and array.size > array.shape[-1] * array.shape[-2]
 
 
-def _labels(source: Path, load: Numbers, frames: Mapping[int, int], request: MaskRequest) -> MaskReader:
+def _label_reader(source: Path, load: Numbers, frames: Mapping[int, int], request: MaskRequest) -> MaskReader:
     choose, notes = LabelChoice(request), Counter[str]()
-    whole = _whole(load, frames, request, notes)
-    sharp = sharpened(whole, frames, notes, choose.object, bool(choose.ignore or choose.hand))
+    whole = _label_loader(load, frames, request, notes)
+    sharp = binarise_soft_masks(whole, frames, notes, choose.object, bool(choose.ignore or choose.hand))
 
     def read(n: int) -> FrameMasks:
         path, labels = sharp(n)
@@ -113,20 +113,20 @@ def _labels(source: Path, load: Numbers, frames: Mapping[int, int], request: Mas
     return MaskReader(source, read, frames.keys(), choose.others, choose.unmet, notes)
 
 
-def _masks_of(
+def _binary_mask_loader(
     path: Path, key: str, stack: ndarray, rows: Mapping[int, int], request: MaskRequest, notes: Counter[str]
 ) -> Load:
-    return sharpened(_whole(lambda n: (path, key, stack[rows[n]]), rows, request, notes), rows, notes)
+    return binarise_soft_masks(_label_loader(lambda n: (path, key, stack[rows[n]]), rows, request, notes), rows, notes)
 
 
-def _whole(load: Numbers, frames: Collection[int], request: MaskRequest, notes: Counter[str]) -> Load:
+def _label_loader(load: Numbers, frames: Collection[int], request: MaskRequest, notes: Counter[str]) -> Load:
     """Make a loader of labels from arrays of any numbers."""
-    samples = (load(n)[2] for n in looked_at(frames))
+    samples = (load(n)[2] for n in sample_frames(frames))
     logits = any(array.dtype.kind == "f" and array.size and array.min() < 0.0 for array in samples)
 
     def labels(n: int) -> tuple[Path, Int[ndarray, "H W"]]:
         path, key, array = load(n)
-        array = _image(path, key, array, request)
+        array = _check_image_array(path, key, array, request)
         if array.dtype.kind != "f":
             return path, array.astype(np.int64)
         least, most = float(array.min()), float(array.max())  # NaN where any is
@@ -136,49 +136,49 @@ def _whole(load: Numbers, frames: Collection[int], request: MaskRequest, notes: 
             raise InputError(path, key, f"numbers from {least:g} to {most:g}", expected)
         if whole and not logits:
             return path, np.minimum(array, 2.0**24).astype(np.int64)
-        notes[LOGITS if logits else HALVES] += 1
+        notes[LOGITS_NOTE if logits else PROBABILITIES_NOTE] += 1
         return path, (array > 0.0 if logits else array >= 0.5).astype(np.int64)
 
     return labels
 
 
-def _rows(path: Path, stored: Mapping[str, ndarray], count: int, request: MaskRequest) -> dict[int, int]:
+def _match_stack_rows(path: Path, stored: Mapping[str, ndarray], count: int, request: MaskRequest) -> dict[int, int]:
     if "frames" not in stored:
         return request.in_order(path, count)
-    names = arrays.names(stored["frames"])
+    names = arrays.array_from_names(stored["frames"])
     if names is None or len(names) != count:
-        raise InputError(path, "frames", files.shown(stored["frames"]), f"{count} names, or numbers from 0 on")
+        raise InputError(path, "frames", files.shorten_value(stored["frames"]), f"{count} names, or numbers from 0 on")
     return request.places(path, [str(name) for name in names])
 
 
-LARGEST = 512 * 2**20
+MAX_SEGMENTS_BYTES = 512 * 2**20
 """Bytes of a file: 250 masks of 1920 x 1080."""
-WHAT = "SAM 2's video_segments, {frame: {object: mask}}, or SAM 3's outputs of each frame"
-SAM3 = (("out_obj_ids", "out_binary_masks"), ("object_ids", "masks"))
+SEGMENTS_DESCRIPTION = "SAM 2's video_segments, {frame: {object: mask}}, or SAM 3's outputs of each frame"
+SAM3_KEYS = (("out_obj_ids", "out_binary_masks"), ("object_ids", "masks"))
 """Keys of a frame's objects and of their masks: as SAM 3's predictor has them, and as transformers has."""
 
 
-def video_segments(path: Path, request: MaskRequest) -> MaskReader:
+def open_video_segments(path: Path, request: MaskRequest) -> MaskReader:
     """Open a reader of the masks of numbered objects; in a frame without one, nothing of it is visible.
 
     Raises ``InputError`` for malformed frames and where there is none of the wanted ones, ``UsageError`` for labels.
     """
-    value = pickles.read_file(path, WHAT, LARGEST)
+    value = pickles.read_pickle_file(path, SEGMENTS_DESCRIPTION, MAX_SEGMENTS_BYTES)
     below = next((name for name in value if isinstance(name, int) and name < 0), None)
     if below is not None:
-        raise InputError(path, "", f"a frame {below}", f"{WHAT}, frames from 0 on")
+        raise InputError(path, "", f"a frame {below}", f"{SEGMENTS_DESCRIPTION}, frames from 0 on")
     names, masks = list(value), dict[int, dict[str, ndarray]]()
     for n, row in request.places(path, names).items():
         name = names[row]
-        of_frame = _objects(path, name, value[name])
-        masks[n] = {str(key): _mask(path, f"{name}.{key}", mask, request) for key, mask in of_frame.items()}
+        of_frame = _masks_by_object(path, name, value[name])
+        masks[n] = {str(key): _check_mask_array(path, f"{name}.{key}", mask, request) for key, mask in of_frame.items()}
     there = sorted({key for of_frame in masks.values() for key in of_frame})
     chosen = request.object or tuple(there[:1])
     unknown = next((name for name in (*chosen, *request.ignore, *request.hand) if name not in there), None)
     if unknown is not None or (len(there) > 1 and not request.object) or not chosen:
         option = "--ignore" if unknown in request.ignore else "--hand" if unknown in request.hand else "--object"
         which = f"missing {option}" if unknown is None else f"unknown {option} {unknown!r}"
-        raise UsageError(f"{which}; choose from the objects of {path}: {_some(there)}")
+        raise UsageError(f"{which}; choose from the objects of {path}: {_list_names(there)}")
 
     notes = Counter[str]()
 
@@ -187,40 +187,42 @@ def video_segments(path: Path, request: MaskRequest) -> MaskReader:
             union([request.resized(masks[n][name], notes) for name in names if name in masks[n]], request.size)
             for names in (chosen, request.ignore, request.hand)
         )
-        return without_object(visible, hidden, hand if request.hand else None)
+        return combine_hand_object_masks(visible, hidden, hand if request.hand else None)
 
     return MaskReader(path, read, masks.keys(), notes=notes)
 
 
-def _objects(path: Path, name: str, of_frame: object) -> Mapping[object, object]:
+def _masks_by_object(path: Path, name: str, of_frame: object) -> Mapping[object, object]:
     """Return the masks of a frame by object, of SAM 2 or of SAM 3. Raises ``InputError``."""
     if not isinstance(of_frame, Mapping):
-        raise InputError(path, files.plain(name), files.shown(of_frame), WHAT)
-    found = next(((ids, masks) for ids, masks in SAM3 if ids in of_frame and masks in of_frame), None)
+        raise InputError(path, files.printable(name), files.shorten_value(of_frame), SEGMENTS_DESCRIPTION)
+    found = next(((ids, masks) for ids, masks in SAM3_KEYS if ids in of_frame and masks in of_frame), None)
     if found is None:
         return of_frame
     ids, masks = (of_frame[key] for key in found)
     try:
         return {str(int(one)): mask for one, mask in zip(ids, masks, strict=True)}
     except (TypeError, ValueError) as error:
-        raise InputError(path, f"{files.plain(name)}.{found[0]}", files.shown(ids), "a number for each mask") from error
+        raise InputError(
+            path, f"{files.printable(name)}.{found[0]}", files.shorten_value(ids), "a number for each mask"
+        ) from error
 
 
-def _mask(path: Path, key: str, value: object, request: MaskRequest) -> Bool[ndarray, "H W"]:
+def _check_mask_array(path: Path, key: str, value: object, request: MaskRequest) -> Bool[ndarray, "H W"]:
     """Check one mask. Raises ``InputError``."""
     expected = "a mask of booleans, whole numbers or logits"
     if not isinstance(value, ndarray):
-        raise InputError(path, files.plain(key), files.shown(value), expected)
-    value = _image(path, files.plain(key), value, request)
+        raise InputError(path, files.printable(key), files.shorten_value(value), expected)
+    value = _check_image_array(path, files.printable(key), value, request)
     if value.dtype.kind == "f":
         least, most = float(value.min()), float(value.max())  # NaN where any is
         if not (least < 0.0 or 0.0 <= least <= most <= 1.0) or np.isnan(most):
-            raise InputError(path, files.plain(key), f"numbers from {least:g} to {most:g}", expected)
+            raise InputError(path, files.printable(key), f"numbers from {least:g} to {most:g}", expected)
         return np.asarray(value >= (0.5 if least >= 0.0 else np.nextafter(0.0, 1.0)))
     return np.asarray(value != 0)
 
 
-def _image(path: Path, key: str, array: ndarray, request: MaskRequest) -> ndarray:
+def _check_image_array(path: Path, key: str, array: ndarray, request: MaskRequest) -> ndarray:
     """Return numbers of an image (h, w), of whatever size. Raises ``InputError``."""
     if array.dtype.kind not in "biuf" or array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[0] != 1):
         expected = f"numbers or booleans of shape ({request.size[1]}, {request.size[0]})"
@@ -240,7 +242,7 @@ def holds_objects(path: Path) -> bool:
         return True
 
 
-def _some(names: object) -> str:
+def _list_names(names: object) -> str:
     """List the first names, in words."""
-    all_names = [files.plain(str(name)) for name in names] if isinstance(names, list | dict) else []
-    return ", ".join(all_names[:MOST_NAMED]) + (", ..." if len(all_names) > MOST_NAMED else "")
+    all_names = [files.printable(str(name)) for name in names] if isinstance(names, list | dict) else []
+    return ", ".join(all_names[:MAX_NAMES_IN_ERROR]) + (", ..." if len(all_names) > MAX_NAMES_IN_ERROR else "")

@@ -18,7 +18,7 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.warp import Warp
 from getagrip.io.array_data import ArrayData, check_finite
-from getagrip.io.files import inside, shown
+from getagrip.io.files import inside, shorten_value
 from getagrip.io.packed_masks import PackedMask, PackedMasks
 from getagrip.provenance import Provenance
 
@@ -256,7 +256,7 @@ class Clip(ArrayData):
         unknown = next((name for name in frames if name not in place), None)
         if unknown is not None:
             known = f"frames of the clip, {self.frames[0]} to {self.frames[-1]}"
-            raise InputError(self.origin, "frames", f"the frame {shown(unknown)}", known)
+            raise InputError(self.origin, "frames", f"the frame {shorten_value(unknown)}", known)
         return np.array([place[name] for name in frames], dtype=np.int64)
 
     def with_hand_at(

@@ -14,22 +14,22 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import bounding_boxes, project
 from getagrip.io.array_data import ArrayData
 
-DEPTH = "depth"
+DEPTH_KEY = "depth"
 """Key of ``Clip.evidence`` and of ``clip.json``, and the folder of the images."""
-SIDE = 64
+N_WINDOW_SAMPLES = 64
 """Samples along a side of a frame's window."""
-MARGIN = 1.1
+WINDOW_MARGIN = 1.1
 """Side of a window in that of the box around hand and object."""
-ERROR = {"sensor": 0.003, "network": 0.01}
+ASSUMED_DEPTH_ERROR = {"sensor": 0.003, "network": 0.01}
 """Error of a surface's distance that is assumed where a clip does not say [share of the distance]: 2 mm and 8 mm at
 arm's length."""
-UNIT = 2.0
+MAX_DEPTH_RATIO = 2.0
 """Metric depth that shows the hand this many times as far away as it is given, or as near, is not used."""
 
 
-INVERSE = 0.85
+MIN_SURROUNDINGS_DEPTH_RATIO = 0.85
 """Least distance of the pixels around the object [distances of the object]; below it, depth images are disparities."""
-FEWEST_SAMPLES = 20
+MIN_DEPTH_SAMPLES = 20
 """Pixels of the object, and around it, from which on their distances are compared."""
 
 
@@ -53,7 +53,7 @@ class DepthSource:
     @property
     def assumed_error(self) -> float:
         """The error that is given, else the usual one of a sensor or network."""
-        return ERROR[self.source] if np.isnan(self.error) else self.error
+        return ASSUMED_DEPTH_ERROR[self.source] if np.isnan(self.error) else self.error
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +116,9 @@ class Depth(ArrayData):
         return found
 
 
-def behind(z: Float[ndarray, "h w"], seen: Bool[ndarray, "h w"], others: Bool[ndarray, "h w"]) -> float:
+def surroundings_depth_ratio(
+    z: Float[ndarray, "h w"], seen: Bool[ndarray, "h w"], others: Bool[ndarray, "h w"]
+) -> float:
     """Return how many times as far away as the object that is ``seen`` what is around it is, in a depth image.
 
     ``others`` hide the object and do not count. NaN where too little is known of either.
@@ -127,18 +129,18 @@ def behind(z: Float[ndarray, "h w"], seen: Bool[ndarray, "h w"], others: Bool[nd
     ends = [(int(at.min()), int(at.max()) + 1, (int(np.ptp(at)) + 2) // 2) for at in (rows, columns)]
     box = tuple(slice(max(low - more, 0), high + more) for low, high, more in ends)
     near, far = (z[box][mask & (z[box] > 0.0)] for mask in (seen[box], ~seen[box] & ~others[box]))
-    return float(np.median(far) / np.median(near)) if min(len(near), len(far)) >= FEWEST_SAMPLES else np.nan
+    return float(np.median(far) / np.median(near)) if min(len(near), len(far)) >= MIN_DEPTH_SAMPLES else np.nan
 
 
-def behind_usually(depth: Depth, masks: Masks, size: tuple[int, int]) -> float:
-    """Return the median over frames of ``behind``; ``size`` is the masks' width and height."""
+def median_surroundings_depth_ratio(depth: Depth, masks: Masks, size: tuple[int, int]) -> float:
+    """Return the median over frames of ``surroundings_depth_ratio``; ``size`` is the masks' width and height."""
     seen, others = depth.of_masks(masks.object, size), depth.of_masks(masks.ignore, size)
-    each = np.array([behind(*one) for one in zip(depth.z, seen, others, strict=True)])
+    each = np.array([surroundings_depth_ratio(*one) for one in zip(depth.z, seen, others, strict=True)])
     return float(np.median(each[np.isfinite(each)])) if np.isfinite(each).any() else np.nan
 
 
-def windows(clip: Clip, masks: Masks, size: tuple[int, int]) -> tuple[Int[ndarray, "T 2"], Int[ndarray, "T"]]:
-    """Return corner and stride of windows of ``SIDE`` samples about hand and object, in depth images of a ``size``."""
+def sampling_windows(clip: Clip, masks: Masks, size: tuple[int, int]) -> tuple[Int[ndarray, "T 2"], Int[ndarray, "T"]]:
+    """Return corner and stride of windows of ``N_WINDOW_SAMPLES`` samples about hand and object, in depth images of a ``size``."""
     uv = project(clip.K, se3.transform(clip.hand.T_cam_hand, clip.hand.vertices))
     boxes = bounding_boxes(masks.object)
     seen = (boxes[:, 2] > boxes[:, 0])[:, None]
@@ -146,15 +148,15 @@ def windows(clip: Clip, masks: Masks, size: tuple[int, int]) -> tuple[Int[ndarra
     high = np.where(seen, np.maximum(uv.max(axis=1), boxes[:, 2:]), uv.max(axis=1))
     low, high = np.clip(low, 0, clip.size), np.clip(high, 0, clip.size)
     zoom = np.array(size) / np.array(clip.size)
-    stride = np.maximum(np.ceil(MARGIN * ((high - low) * zoom).max(axis=1) / SIDE), 1.0).astype(int)
-    corner = np.floor((low + high) / 2.0 * zoom - stride[:, None] * SIDE / 2.0).astype(int)
+    stride = np.maximum(np.ceil(WINDOW_MARGIN * ((high - low) * zoom).max(axis=1) / N_WINDOW_SAMPLES), 1.0).astype(int)
+    corner = np.floor((low + high) / 2.0 * zoom - stride[:, None] * N_WINDOW_SAMPLES / 2.0).astype(int)
     return corner, stride
 
 
-def sampled(image: Float[ndarray, "h w"], corner: Int[ndarray, "2"], stride: int) -> Float[ndarray, "n n"]:
+def sample_window(image: Float[ndarray, "h w"], corner: Int[ndarray, "2"], stride: int) -> Float[ndarray, "n n"]:
     """Sample a depth image in a window; 0 beyond it."""
-    out = np.zeros((SIDE, SIDE))
-    columns, rows = corner[:, None] + stride * np.arange(SIDE)
+    out = np.zeros((N_WINDOW_SAMPLES, N_WINDOW_SAMPLES))
+    columns, rows = corner[:, None] + stride * np.arange(N_WINDOW_SAMPLES)
     height, width = image.shape
     (left, right), (top, bottom) = np.searchsorted(columns, [0, width]), np.searchsorted(rows, [0, height])
     out[top:bottom, left:right] = image[rows[top:bottom, None], columns[left:right]]

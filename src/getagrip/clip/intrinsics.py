@@ -17,17 +17,17 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry.lens import Lens
 from getagrip.provenance import Source, assumed, measured
 
-OFF_MIDDLE = 0.1
+MAX_PRINCIPAL_POINT_OFFSET = 0.1
 """Largest usual distance of the principal point from the middle, in sides of the image."""
-STRETCH = 1.1
+MAX_FOCAL_RATIO = 1.1
 """Largest usual ratio of the two focal lengths."""
-NARROW, WIDE = 6.0, 118.0
+MIN_FOV_DEG, MAX_FOV_DEG = 6.0, 118.0
 """Usual fields of view along the longer side [degrees]."""
-MILLIMETRES = 36.0
+FILM_WIDTH_MM = 36.0
 """Width of the film that focal lengths of cameras are stated for [mm]."""
 
 
-def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], Source]:
+def compute_intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], Source]:
     """Compute the intrinsics of images of some size [px]; also return their source. Raises ``UsageError``."""
     got = [lens.K is not None, lens.focal is not None, lens.guess_focal]
     if not any(got):
@@ -47,8 +47,8 @@ def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"]
                 "a guess: the focal length is the longer side of the image, the principal point in the middle"
             )
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    if lens.focal is not None and lens.focal > 0.0 and field_of_view(K[None], size) > WIDE:
-        raise UsageError(f"--focal must be in pixels (got {lens.focal:g}); {in_pixels(lens.focal, size)}")
+    if lens.focal is not None and lens.focal > 0.0 and field_of_view(K[None], size) > MAX_FOV_DEG:
+        raise UsageError(f"--focal must be in pixels (got {lens.focal:g}); {focal_advice(lens.focal, size)}")
     try:
         check_intrinsics(Path(), K[None], size)
     except InputError as error:
@@ -57,7 +57,7 @@ def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"]
     return K, source
 
 
-def off_middle(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> float:
+def principal_point_offset(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> float:
     """Measure the distance of the principal point from the middle of images of a size [px], in sides.
 
     The worst frame's.
@@ -65,7 +65,7 @@ def off_middle(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> float:
     return float(np.abs(K[:, :2, 2] / size - 0.5).max())
 
 
-def stretch(K: Float[ndarray, "T 3 3"]) -> float:
+def focal_ratio(K: Float[ndarray, "T 3 3"]) -> float:
     """Return the ratio of the two focal lengths; the worst frame's."""
     ratio = K[:, 0, 0] / K[:, 1, 1]
     return float(np.maximum(ratio, 1.0 / ratio).max())
@@ -75,33 +75,33 @@ def field_of_view(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> float:
     """Measure the angle that the longer side of the image spans [degrees]; the most unusual frame's."""
     longer = int(np.argmax(size))
     angles = np.degrees(2.0 * np.arctan(0.5 * size[longer] / K[:, longer, longer]))
-    return float(angles[np.argmax(np.abs(angles - 0.5 * (NARROW + WIDE)))])
+    return float(angles[np.argmax(np.abs(angles - 0.5 * (MIN_FOV_DEG + MAX_FOV_DEG)))])
 
 
 def camera_warning(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> str:
     """Say why matrices seem to belong to other images than those of a size [px]; empty where they fit."""
     image = f"the {size[0]} x {size[1]} images"
-    if off_middle(K, size) > OFF_MIDDLE:
+    if principal_point_offset(K, size) > MAX_PRINCIPAL_POINT_OFFSET:
         u, v = K[int(np.argmax(np.abs(K[:, :2, 2] / size - 0.5).max(axis=1))), :2, 2]
         fits = f"it fits images of {2 * u:.0f} x {2 * v:.0f}" if min(u, v) > 0 else "it fits no whole image"
         return f"the principal point {u:.4g}, {v:.4g} is far from the middle of {image}: {fits}"
-    if stretch(K) > STRETCH:
+    if focal_ratio(K) > MAX_FOCAL_RATIO:
         ratio = K[:, 0, 0] / K[:, 1, 1]
         fx, fy = K[int(np.argmax(np.maximum(ratio, 1.0 / ratio))), [0, 1], [0, 1]]
         fits = f"{size[0] * fy / fx:.0f} x {size[1]} or {size[0]} x {size[1] * fx / fy:.0f}"
         return f"fx {fx:.4g} and fy {fy:.4g} are of pixels that are not square: K fits images of {fits}"
     angle = field_of_view(K, size)
-    if not NARROW <= angle <= WIDE:
-        return f"the field of view of {image} would be {angle:.3g} degrees: {in_pixels(K[0, 0, 0], size)}"
+    if not MIN_FOV_DEG <= angle <= MAX_FOV_DEG:
+        return f"the field of view of {image} would be {angle:.3g} degrees: {focal_advice(K[0, 0, 0], size)}"
     return ""
 
 
-def in_pixels(focal: float, size: tuple[int, int]) -> str:
+def focal_advice(focal: float, size: tuple[int, int]) -> str:
     """Say what to do about a focal length that is too short or too long for images of a size [px]."""
     if focal > max(size):
         return "the focal length is of larger images, or an estimator's own and not the camera's"
-    pixels = focal / MILLIMETRES * max(size)
+    pixels = focal / FILM_WIDTH_MM * max(size)
     return (
-        f"is {focal:.4g} in mm? The 35-mm equivalent f of a lens is f / {MILLIMETRES:g} * {max(size)} px: "
+        f"is {focal:.4g} in mm? The 35-mm equivalent f of a lens is f / {FILM_WIDTH_MM:g} * {max(size)} px: "
         f"{pixels:.0f} px for {focal:.4g} mm"
     )

@@ -12,18 +12,18 @@ from jaxtyping import Bool, Integer
 from numpy import ndarray
 
 from getagrip.clip.data import FrameMasks
-from getagrip.clip.naming import check_numbers, meant, rows_in_order, rows_of_frames, stem_of
+from getagrip.clip.naming import check_frame_numbers, matching_names, rows_in_order, rows_of_frames, stem_of
 from getagrip.clip.plausible import check_shape
 from getagrip.errors import InputError
 from getagrip.io import files, numbers
 
-RESIZED = "masks of {} x {} pixels were resized to {} x {}, in images"
-ROUNDED = 0.02
+RESIZED_MASKS_NOTE = "masks of {} x {} pixels were resized to {} x {}, in images"
+MASK_ASPECT_TOLERANCE = 0.02
 """Largest difference of a mask's shape from that of the images: sides are whole numbers."""
-MOST_PIXELS = 40_000_000
+MAX_MASK_PIXELS = 40_000_000
 
 
-def without_object(
+def combine_hand_object_masks(
     visible: Bool[ndarray, "H W"], hidden: Bool[ndarray, "H W"], hand: Bool[ndarray, "H W"] | None
 ) -> FrameMasks:
     """Combine the masks of a frame: the object's pixels take precedence, and the hand is ignored as well."""
@@ -50,7 +50,7 @@ class MaskReader:
     """Warnings about content that is probably not what was meant."""
 
     def __call__(self, n: int) -> FrameMasks | None:
-        with numbers.guarded(self.source):
+        with numbers.convert_to_input_errors(self.source):
             return self.read(n) if n in self.known else None
 
 
@@ -82,11 +82,11 @@ class MaskRequest:
 
     def check_size(self, path: Path, key: str, size: tuple[int, int]) -> tuple[int, int]:
         """Return the width and height of a mask. Raises ``InputError`` for another shape than the images have."""
-        if min(size) > 0 and size[0] * size[1] > MOST_PIXELS:
-            raise InputError(path, key, f"{size[0]} x {size[1]} pixels", f"at most {MOST_PIXELS} pixels")
+        if min(size) > 0 and size[0] * size[1] > MAX_MASK_PIXELS:
+            raise InputError(path, key, f"{size[0]} x {size[1]} pixels", f"at most {MAX_MASK_PIXELS} pixels")
         if not self.stretched or min(size) < 1:
             try:
-                check_shape(path, key, size, self.size, ROUNDED)
+                check_shape(path, key, size, self.size, MASK_ASPECT_TOLERANCE)
             except InputError as error:
                 hint = "; --stretched takes them for the images, stretched (Roboflow's resize)"
                 raise InputError(path, key, error.got, f"{error.expected}{hint}") from error
@@ -97,13 +97,13 @@ class MaskRequest:
         (width, height), (h, w) = self.size, labels.shape
         if (w, h) == self.size:
             return labels
-        notes[RESIZED.format(w, h, width, height)] += 1
+        notes[RESIZED_MASKS_NOTE.format(w, h, width, height)] += 1
         rows, columns = ((2 * np.arange(many) + 1) * few // (2 * many) for many, few in ((height, h), (width, w)))
         return np.ascontiguousarray(labels[rows[:, None], columns])
 
     def check_numbers(self, source: Path, names: Iterable[str]) -> None:
         """Raise ``UsageError`` where masks seem to be counted from another start than frames."""
-        check_numbers(self.frames, names, source, "mask", self.ask_first)
+        check_frame_numbers(self.frames, names, source, "mask", self.ask_first)
 
     def places(self, source: Path, names: Sequence[str]) -> dict[int, int]:
         """Match images to frames by their file names, for the frames that have one.
@@ -111,7 +111,7 @@ class MaskRequest:
         Raises ``UsageError`` where they seem to be counted from another start, and ``InputError`` where a frame has
         two, or none has one.
         """
-        self.check_numbers(source, [stem_of(names[row]) for row in meant(names, self.images)])
+        self.check_numbers(source, [stem_of(names[row]) for row in matching_names(names, self.images)])
         rows = rows_of_frames(names, self.frames, source, "mask", self.images, self.ask_images)
         if not rows:
             raise self.nothing(source, names)
@@ -123,6 +123,6 @@ class MaskRequest:
 
     def nothing(self, source: Path, names: Sequence[str]) -> InputError:
         """Make the error that there is no mask of any frame."""
-        some = ", ".join(map(files.plain, names[:2])) + (", ..." if len(names) > 2 else "")
+        some = ", ".join(map(files.printable, names[:2])) + (", ..." if len(names) > 2 else "")
         got = f"no mask of any of {len(self.frames)} frames" + (f" among {some}" if names else "")
-        return InputError(source, "", got, f"masks named like the frames, as {files.plain(self.frames[0])}")
+        return InputError(source, "", got, f"masks named like the frames, as {files.printable(self.frames[0])}")

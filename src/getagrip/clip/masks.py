@@ -17,10 +17,10 @@ from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.array_data import ArrayData
 from getagrip.io.images import read_png, write_mask
-from getagrip.io.named import named
+from getagrip.io.named import check_arguments
 from getagrip.io.packed_masks import PackedMasks
 
-OBJECT, HAND = "object-masks", "hand-masks"
+OBJECT_MASKS_KEY, HAND_MASKS_KEY = "object-masks", "hand-masks"
 """Keys of ``Clip.evidence``: the names of the two modalities that masks are."""
 
 
@@ -47,18 +47,18 @@ def with_masks(clip: Clip, masks: Masks | None) -> Clip:
     """Return the clip with masks of its frames in memory; None: without any, whatever its folder has."""
     hand = None if masks is None or masks.hand is None else VisibleHand(masks.hand)
     alone = None if masks is None else replace(masks, hand=None)
-    return replace(clip, evidence={**clip.evidence, OBJECT: alone, HAND: hand})
+    return replace(clip, evidence={**clip.evidence, OBJECT_MASKS_KEY: alone, HAND_MASKS_KEY: hand})
 
 
-def masks_in(clip: Clip) -> Masks | None:
+def masks_in_memory(clip: Clip) -> Masks | None:
     """Return the masks that a clip has in memory."""
-    masks, hand = clip.evidence.get(OBJECT), clip.evidence.get(HAND)
+    masks, hand = clip.evidence.get(OBJECT_MASKS_KEY), clip.evidence.get(HAND_MASKS_KEY)
     assert masks is None or isinstance(masks, Masks)
     assert hand is None or isinstance(hand, VisibleHand)
     return masks if masks is None or hand is None else replace(masks, hand=hand.pixels)
 
 
-@named
+@check_arguments
 def read_masks(clip: Clip) -> Masks:
     """Read and check the masks of a clip, from its folder.
 
@@ -75,42 +75,44 @@ def read_masks(clip: Clip) -> Masks:
         InputError: an image is missing, damaged or of another size, no mask shows the object, or the clip has no
             folder.
     """
-    masks = masks_in(clip)
-    return with_hand_masks(read_object_masks(clip), clip) if masks is None else masks
+    masks = masks_in_memory(clip)
+    return add_hand_masks(read_object_masks(clip), clip) if masks is None else masks
 
 
 def find_masks(clip: Clip) -> Masks | None:
     """Read the masks of a clip with ``read_masks``; None where there is no folder of them."""
-    return read_masks(clip) if masks_in(clip) is not None or _are_there(clip) else None
+    return read_masks(clip) if masks_in_memory(clip) is not None or _has_masks(clip) else None
 
 
-def masks_of_some(clip: Clip, with_hand: bool = False) -> Masks | None:
+def read_available_masks(clip: Clip, with_hand: bool = False) -> Masks | None:
     """Read masks of some frames, none of which need show the object; those of the hand if wanted."""
-    if not _are_there(clip):
+    if not _has_masks(clip):
         return None
-    masks = Masks.packed(_each(clip), clip.size)
-    return with_hand_masks(masks, clip) if with_hand else masks
+    masks = Masks.packed(_iterate_frame_masks(clip), clip.size)
+    return add_hand_masks(masks, clip) if with_hand else masks
 
 
 def read_object_masks(clip: Clip) -> Masks:
     """Read the masks of a clip's frames but those of the hand; raises what ``read_masks`` raises."""
-    _folder(clip)
-    masks = Masks.packed(_each(clip), clip.size)
-    _check_some(clip, bool(masks.object.any()))
+    _clip_folder(clip)
+    masks = Masks.packed(_iterate_frame_masks(clip), clip.size)
+    _check_nonempty_masks(clip, bool(masks.object.any()))
     return masks
 
 
 def read_hand_masks(clip: Clip) -> VisibleHand | None:
     """Read the masks of the hand in a clip's frames; None where its folder has none."""
-    folder = _folder(clip)
+    folder = _clip_folder(clip)
     if not (folder / "masks" / "hand").exists():
         return None
     nothing = np.zeros(clip.size[::-1], dtype=bool)
-    each = (_read(folder, "hand", name, clip.size) if has_mask(folder, name) else nothing for name in clip.frames)
+    each = (
+        _read_mask_png(folder, "hand", name, clip.size) if has_mask(folder, name) else nothing for name in clip.frames
+    )
     return VisibleHand(PackedMasks.of(each, clip.size).as_array())
 
 
-def with_hand_masks(masks: Masks, clip: Clip) -> Masks:
+def add_hand_masks(masks: Masks, clip: Clip) -> Masks:
     """Add the masks of the hand, where the clip's folder has them, to masks of its frames."""
     hand = read_hand_masks(clip)
     return masks if hand is None else replace(masks, hand=hand.pixels)
@@ -119,22 +121,22 @@ def with_hand_masks(masks: Masks, clip: Clip) -> Masks:
 def read_observed(clip: Clip) -> Bool[ndarray, "T"]:
     """Compute ``read_masks(clip).observed`` with one frame at a time in memory."""
     any_object, observed = False, np.zeros(len(clip), dtype=bool)
-    for n, (mask, ignore, _) in enumerate(_each(clip)):
+    for n, (mask, ignore, _) in enumerate(_iterate_frame_masks(clip)):
         any_object |= bool(mask.any())
         observed[n] = (mask & ~ignore).any()
-    _check_some(clip, any_object)
+    _check_nonempty_masks(clip, any_object)
     return observed
 
 
-def _each(clip: Clip) -> Iterator[FrameMasks]:
-    folder, (width, height) = _folder(clip), clip.size
+def _iterate_frame_masks(clip: Clip) -> Iterator[FrameMasks]:
+    folder, (width, height) = _clip_folder(clip), clip.size
     hidden = (folder / "masks" / "ignore").exists()
     for frame in clip.frames:
         if not has_mask(folder, frame):
             yield FrameMasks.unknown(clip.size)
             continue
-        mask = _read(folder, "object", frame, clip.size)
-        ignore = _read(folder, "ignore", frame, clip.size) if hidden else np.zeros((height, width), dtype=bool)
+        mask = _read_mask_png(folder, "object", frame, clip.size)
+        ignore = _read_mask_png(folder, "ignore", frame, clip.size) if hidden else np.zeros((height, width), dtype=bool)
         yield FrameMasks(mask, ignore)
 
 
@@ -158,23 +160,23 @@ def write_masks(masks: Bool[ndarray, "T H W"], known: Bool[ndarray, "T"], frames
             write_mask(folder / f"{name}.png", mask)
 
 
-def _are_there(clip: Clip) -> bool:
+def _has_masks(clip: Clip) -> bool:
     """Return whether the clip's folder has masks."""
     return clip.folder is not None and (clip.folder / "masks" / "object").exists()
 
 
-def _folder(clip: Clip) -> Path:
+def _clip_folder(clip: Clip) -> Path:
     if clip.folder is None:
         raise InputError(clip.origin, "masks", "none, for a clip that is in no folder", "the masks beside the clip")
     return clip.folder
 
 
-def _read(folder: Path, kind: str, frame: str, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
+def _read_mask_png(folder: Path, kind: str, frame: str, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
     path = files.inside(folder, f"masks/{kind}/{frame}.png", "", "a mask for each frame of clip.json")
     return read_png(path, size) != 0
 
 
-def _check_some(clip: Clip, any_object: bool) -> None:
+def _check_nonempty_masks(clip: Clip, any_object: bool) -> None:
     """Refuse masks that are all empty."""
     if not any_object:
         folder = clip.origin / "masks" / "object"

@@ -16,7 +16,7 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar, cast
 
 from getagrip.clip.data import Clip, PerFrame
-from getagrip.io.plugins import Table
+from getagrip.io.plugins import PluginTable
 
 if TYPE_CHECKING:  # the only upward look: what a modality answers with is defined where it is used
     from getagrip.checks import Check
@@ -57,15 +57,15 @@ class Modality(ABC, Generic[D_co]):
         return cast("D_co | None", clip.evidence.get(self.name))
 
 
-OURS: Mapping[str, Modality[PerFrame] | str] = {
+BUILTIN_MODALITIES: Mapping[str, Modality[PerFrame] | str] = {
     "object-masks": "getagrip.evidence.masks:ObjectMasks",
     "hand-masks": "getagrip.evidence.masks:HandMasks",
     "joints-2d": "getagrip.evidence.joints_2d:HandJoints2D",
     "depth": "getagrip.evidence.depth:DepthImages",
 }
-MODALITIES = Table(
+MODALITIES = PluginTable(
     "modalities",
-    dict(OURS),
+    dict(BUILTIN_MODALITIES),
     "a Modality of the same name",
     lambda name, it: isinstance(it, Modality) and it.name == name,
 )
@@ -74,11 +74,11 @@ MODALITIES = Table(
 
 def modalities() -> tuple[Modality[PerFrame], ...]:
     """Return every modality of the table."""
-    return tuple(_loaded(entry) if isinstance(entry, str) else entry for entry in MODALITIES.working().values())
+    return tuple(_load_modality(entry) if isinstance(entry, str) else entry for entry in MODALITIES.working().values())
 
 
 @cache
-def _loaded(entry: str) -> Modality[PerFrame]:
+def _load_modality(entry: str) -> Modality[PerFrame]:
     """Return the modality of a class named as ``module:class``."""
     return cast(Modality[PerFrame], resolve_name(entry)())
 
@@ -98,4 +98,4 @@ def with_evidence(clip: Clip) -> Clip:
 
 def other_evidence(clip: Clip) -> list[str]:
     """Name the evidence that a clip has in memory besides its masks."""
-    return [name for name, data in clip.evidence.items() if data is not None and name not in OURS]
+    return [name for name, data in clip.evidence.items() if data is not None and name not in BUILTIN_MODALITIES]

@@ -1,7 +1,7 @@
 """Which frame of a clip a file from another program belongs to, by its name.
 
 Estimators often count what they were given, whichever frame of a video that began with. Files and frames may then have
-some numbers in common, by luck, and each file would be taken for another frame's: ``check_numbers`` asks.
+some numbers in common, by luck, and each file would be taken for another frame's: ``check_frame_numbers`` asks.
 """
 
 from __future__ import annotations
@@ -15,29 +15,29 @@ from pathlib import Path, PurePosixPath
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 
-_NUMBER = re.compile(r"(\d{1,12})$")
-_PERSON = re.compile(r"_\d{1,2}$|_\d{1,2}_3dkeypoints$|_prediction_result$")
+_TRAILING_NUMBER = re.compile(r"(\d{1,12})$")
+_PERSON_SUFFIX = re.compile(r"_\d{1,2}$|_\d{1,2}_3dkeypoints$|_prediction_result$")
 """Suffixes that estimators add to an image's name: HaMeR a person's number, FrankMocap two words."""
-_THING = re.compile(
+_OBJECT_SUFFIX = re.compile(
     r"(?<=\d{3})[-_.](?:(?:object|obj|mask|instance|inst|segment)s?[-_]?(?:0|[1-9]\d{0,2})?"
     r"|(?:class|label|tag)[-_][a-z]\w*)$",
     re.IGNORECASE,
 )
 """Suffixes of images of one thing each, as RectLabel's ``000001_object0``."""
-_TASK = re.compile(r"(.*task-\d+)-annotation-\d+(?:-by-\d+)?-tag-(.+)-\d+$")
+_LABEL_STUDIO_TASK = re.compile(r"(.*task-\d+)-annotation-\d+(?:-by-\d+)?-tag-(.+)-\d+$")
 """Label Studio's images: the number of the task, which is one image, and a label."""
-_ROBOFLOW = re.compile(r"_(?:jpe?g|png|webp|bmp|tiff?)\.rf\.[0-9A-Za-z]+$", re.IGNORECASE)
-_UUID = re.compile(r"(?:^|[-_. ])[0-9a-f]{8}(?:-?[0-9a-f]{4}){3}-?[0-9a-f]{12}$", re.IGNORECASE)
-_LAST = re.compile(r"(?:^|[-_. ])([0-9A-Za-z]+)$")
+_ROBOFLOW_SUFFIX = re.compile(r"_(?:jpe?g|png|webp|bmp|tiff?)\.rf\.[0-9A-Za-z]+$", re.IGNORECASE)
+_UUID_SUFFIX = re.compile(r"(?:^|[-_. ])[0-9a-f]{8}(?:-?[0-9a-f]{4}){3}-?[0-9a-f]{12}$", re.IGNORECASE)
+_LAST_NAME_PART = re.compile(r"(?:^|[-_. ])([0-9A-Za-z]+)$")
 _SIZE_OR_TIME = re.compile(r"\d+x\d+|\d{8}T\d{4,}Z?")
 _HASH_OR_DATE = re.compile(r"(?=.{8})(?:[a-f]+\d+|[1-9]\d+)", re.IGNORECASE)
 """May also be a word with the frame's number, or a number: what it is shows in what is before it."""
-_HEXADECIMAL, _SHORTEST_HASH = {*"0123456789abcdef"}, 6
-_DATES = 10_000_000
+_HEX_DIGITS, _MIN_HASH_LENGTH = {*"0123456789abcdef"}, 6
+_MIN_DATE_NUMBER = 10_000_000
 """Numbers from here on may be dates, times, or hashes without a letter."""
-_LONGEST = 255
+_MAX_NAME_LENGTH = 255
 """Letters of a file's name."""
-MOST_NAMED = 12
+MAX_NAMES_IN_ERROR = 12
 """Names that an error lists."""
 
 
@@ -49,7 +49,7 @@ def stem_of(file_name: str) -> str:
 
 def number_of(name: str) -> int | None:
     """Return the number at the end of a name; None where there is none."""
-    found = _NUMBER.search(name)
+    found = _TRAILING_NUMBER.search(name)
     return int(found[1]) if found else None
 
 
@@ -58,42 +58,42 @@ def number_in(name: str) -> int | None:
 
     Without what is added behind it: a person by estimators, a hash, a size or a date by other programs.
     """
-    name = _THING.sub("", _TASK.sub(r"\1", without_codes(name)))
-    number = number_of(_PERSON.sub("", name))
+    name = _OBJECT_SUFFIX.sub("", _LABEL_STUDIO_TASK.sub(r"\1", strip_name_codes(name)))
+    number = number_of(_PERSON_SUFFIX.sub("", name))
     return number_of(name) if number is None else number
 
 
 def pattern_of(name: str) -> str:
     """Return a pattern for the names of a set of images, of which each frame has one: ``rgb_*``, ``*_object0``."""
-    return _set_of(name)[0]
+    return _image_set_of(name)[0]
 
 
-def _set_of(name: str) -> tuple[str, int | None]:
+def _image_set_of(name: str) -> tuple[str, int | None]:
     """Return the pattern of a name's set, and its number in there; a date or a time before it may be any."""
     path = PurePosixPath(name.replace("\\", "/"))
-    if task := _TASK.match(path.stem):
+    if task := _LABEL_STUDIO_TASK.match(path.stem):
         return str(path.with_name(f"*-tag-{task[2]}-*")), number_in(path.stem)
-    stem = without_codes(path.stem)
-    bare = _THING.sub("", stem)
-    bare = _PERSON.sub("", bare) if number_of(_PERSON.sub("", bare)) is not None else bare
+    stem = strip_name_codes(path.stem)
+    bare = _OBJECT_SUFFIX.sub("", stem)
+    bare = _PERSON_SUFFIX.sub("", bare) if number_of(_PERSON_SUFFIX.sub("", bare)) is not None else bare
     found = list(re.finditer(r"\d{1,12}", bare))
     begin, end = found[-1].span() if found else (0, len(stem))
     pattern = re.sub(r"\d{4,}|\d+(?=\.\*)", "*", f"{stem[:begin]}*{stem[end:]}")
     return str(path.with_name(pattern)), int(found[-1][0]) if found else None
 
 
-def one_set(folder: Path, paths: Sequence[Path], images: str = "", option: str = "") -> list[Path]:
+def single_image_set(folder: Path, paths: Sequence[Path], images: str = "", option: str = "") -> list[Path]:
     """Return the images of a folder that are ``images``, one for each number.
 
     ``option`` is that of the command line which chooses. Raises ``InputError`` for several of one number, as of colour
     and depth side by side, and ``UsageError`` where none is chosen.
     """
-    chosen = [paths[row] for row in meant([path.name for path in paths], images)]
+    chosen = [paths[row] for row in matching_names([path.name for path in paths], images)]
     if paths and not chosen:
-        raise UsageError(f"{option} must be a pattern of names in {folder}, as {files.plain(paths[0].name)} is one")
+        raise UsageError(f"{option} must be a pattern of names in {folder}, as {files.printable(paths[0].name)} is one")
     numbered: dict[int, dict[str, Path]] = {}
     for path in chosen:
-        pattern, number = _set_of(path.name)
+        pattern, number = _image_set_of(path.name)
         if number is not None and not images:
             numbered.setdefault(number, {}).setdefault(pattern, path)
     both = next((list(of.values())[:2] for of in numbered.values() if len(of) > 1), None)
@@ -103,27 +103,29 @@ def one_set(folder: Path, paths: Sequence[Path], images: str = "", option: str =
             both = [stems[path.stem], path]
             break
     if both is not None:
-        sets = alternatives([path.name for path in both])
-        choice = " or ".join(f"{option} {files.shown(one)}" for one in sets) if option else "a folder of its own"
-        got = f"several images of one frame, {' and '.join(files.plain(path.name) for path in both)}"
+        sets = suggest_image_filters([path.name for path in both])
+        choice = (
+            " or ".join(f"{option} {files.shorten_value(one)}" for one in sets) if option else "a folder of its own"
+        )
+        got = f"several images of one frame, {' and '.join(files.printable(path.name) for path in both)}"
         raise InputError(folder, "", got, f"one set of images; {choice}{' chooses' if option else ' for each set'}")
     return chosen
 
 
-def without_codes(name: str) -> str:
+def strip_name_codes(name: str) -> str:
     """Strip the hashes, sizes and dates at a name's end: ``000001_jpg.rf.9f86d081`` is ``000001``."""
-    if len(name) > _LONGEST:
+    if len(name) > _MAX_NAME_LENGTH:
         return name
-    name = _UUID.sub("", _ROBOFLOW.sub("", name))
-    while (last := _LAST.search(name)) and _is_code(last[1], name[: last.start()]):
+    name = _UUID_SUFFIX.sub("", _ROBOFLOW_SUFFIX.sub("", name))
+    while (last := _LAST_NAME_PART.search(name)) and _is_code(last[1], name[: last.start()]):
         name = name[: last.start()]
     return name
 
 
 def _is_code(part: str, before: str) -> bool:
     """Return whether a part of a name is no word and no number of a frame."""
-    low, behind = part.lower(), _LAST.search(before)
-    if len(low) >= _SHORTEST_HASH and {*low} <= _HEXADECIMAL and re.search(r"\d[a-f]", low):
+    low, behind = part.lower(), _LAST_NAME_PART.search(before)
+    if len(low) >= _MIN_HASH_LENGTH and {*low} <= _HEX_DIGITS and re.search(r"\d[a-f]", low):
         return True
     if _SIZE_OR_TIME.fullmatch(part):
         return True
@@ -136,22 +138,22 @@ def frame_of(name: str, frames: Sequence[str]) -> int | None:
     Tried in this order: the same name; the same but for what is added at its end (``000743_0``, a hash); the same
     number at the end (``frame_0000000743`` is ``000743``), a date only where frames are numbered by dates.
     """
-    return _frame_at(name, _places(tuple(frames)))
+    return _find_frame(name, _index_frames(tuple(frames)))
 
 
 def frames_of(names: Iterable[str], frames: Sequence[str]) -> Iterator[int | None]:
     """Yield ``frame_of`` for many names."""
-    places = _places(tuple(frames))
-    return (_frame_at(name, places) for name in names)
+    places = _index_frames(tuple(frames))
+    return (_find_frame(name, places) for name in names)
 
 
-def _frame_at(name: str, places: tuple[dict[str, int], dict[int, list[int]]]) -> int | None:
+def _find_frame(name: str, places: tuple[dict[str, int], dict[int, list[int]]]) -> int | None:
     by_name, by_number = places
-    for candidate in (name, _PERSON.sub("", name), without_codes(name), _THING.sub("", name)):
+    for candidate in (name, _PERSON_SUFFIX.sub("", name), strip_name_codes(name), _OBJECT_SUFFIX.sub("", name)):
         if candidate in by_name:
             return by_name[candidate]
     date = number_of(name)
-    for number in (number_in(name), date if date is not None and date >= _DATES else None):
+    for number in (number_in(name), date if date is not None and date >= _MIN_DATE_NUMBER else None):
         same = [] if number is None else by_number.get(number, [])
         if len(same) == 1:
             return same[0]
@@ -166,9 +168,9 @@ def rows_of_frames(
     ``what`` each is, in a word. ``images`` chooses among names, by a folder or a pattern, and ``option`` is that of the
     command line that does. Raises ``UsageError`` where none is chosen, and ``InputError`` for two of one frame.
     """
-    chosen = meant(names, images)
+    chosen = matching_names(names, images)
     if names and not chosen:
-        some = f"a folder of {source}'s images or a pattern of their names, as {files.plain(names[0])}"
+        some = f"a folder of {source}'s images or a pattern of their names, as {files.printable(names[0])}"
         raise UsageError(f"{option or '--images'} must be {some} (got {images!r})")
     found: dict[int, list[int]] = {}
     for row, n in zip(chosen, frames_of((stem_of(names[row]) for row in chosen), frames), strict=True):
@@ -176,10 +178,10 @@ def rows_of_frames(
             found.setdefault(n, []).append(row)
     several = next((n for n in sorted(found) if len(found[n]) > 1), None)
     if several is not None:
-        first, second = (files.plain(names[row]) for row in found[several][:2])
-        got = f"a second {what} of frame {files.plain(frames[several])}, {second} beside {first}"
-        sets = alternatives([names[row] for of_frame in found.values() for row in of_frame])
-        choice = f"; {option} chooses: {' or '.join(map(files.plain, sets))}" if option and len(sets) > 1 else ""
+        first, second = (files.printable(names[row]) for row in found[several][:2])
+        got = f"a second {what} of frame {files.printable(frames[several])}, {second} beside {first}"
+        sets = suggest_image_filters([names[row] for of_frame in found.values() for row in of_frame])
+        choice = f"; {option} chooses: {' or '.join(map(files.printable, sets))}" if option and len(sets) > 1 else ""
         raise InputError(source, "", got, f"one{choice}")
     return {n: of_frame[0] for n, of_frame in found.items()}
 
@@ -210,35 +212,35 @@ def rows_in_order(
     return rows
 
 
-def check_one_image(source: Path, names: Sequence[str], found: Sequence[int | None], frames: Sequence[str]) -> None:
-    """Raise ``InputError`` where two images are of one frame; an image may have several hands, by ``_PERSON``."""
+def check_unique_images(source: Path, names: Sequence[str], found: Sequence[int | None], frames: Sequence[str]) -> None:
+    """Raise ``InputError`` where two images are of one frame; an image may have several hands, by ``_PERSON_SUFFIX``."""
     images: dict[int, tuple[str, str]] = {}
     for name, n in zip(names, found, strict=True):
         path = PurePosixPath(name.replace("\\", "/"))
-        image = str(path.with_name(_PERSON.sub("", path.stem or path.name)))
+        image = str(path.with_name(_PERSON_SUFFIX.sub("", path.stem or path.name)))
         if n is not None and (other := images.setdefault(n, (image, name)))[0] != image:
-            both = f"{files.plain(name)} beside {files.plain(other[1])}"
-            sets = alternatives([each for each, at in zip(names, found, strict=True) if at is not None])
-            some = f"; give the files of {' or '.join(map(files.plain, sets))}" if sets else ""
-            raise InputError(source, "", f"a second image of frame {files.plain(frames[n])}, {both}", f"one{some}")
+            both = f"{files.printable(name)} beside {files.printable(other[1])}"
+            sets = suggest_image_filters([each for each, at in zip(names, found, strict=True) if at is not None])
+            some = f"; give the files of {' or '.join(map(files.printable, sets))}" if sets else ""
+            raise InputError(source, "", f"a second image of frame {files.printable(frames[n])}, {both}", f"one{some}")
 
 
-def meant(names: Sequence[str], images: str) -> list[int]:
+def matching_names(names: Sequence[str], images: str) -> list[int]:
     """Return which names are in a folder, or like a pattern, that chooses among ``images``; all without one.
 
     A pattern that is a set's own, as ``*`` of ``000001`` beside ``000001_thumb``, chooses that set alone.
     """
     own = [row for row, name in enumerate(names) if images and pattern_of(name) == images]
-    return own or [row for row, name in enumerate(names) if _is_like(name, images)]
+    return own or [row for row, name in enumerate(names) if _matches_pattern(name, images)]
 
 
-def _is_like(name: str, images: str) -> bool:
+def _matches_pattern(name: str, images: str) -> bool:
     path, folder = PurePosixPath(name.replace("\\", "/")), images.strip("/")
     inside = f"/{folder}/" in f"/{path.parent}/"
     return not folder or inside or any(fnmatchcase(one, images) for one in (str(path), path.name, path.stem))
 
 
-def alternatives(names: Sequence[str]) -> list[str]:
+def suggest_image_filters(names: Sequence[str]) -> list[str]:
     """List folders, suffixes or patterns of names, whichever tell images of one frame apart; the first few."""
     paths = [PurePosixPath(name.replace("\\", "/")) for name in names]
     for each in (
@@ -247,22 +249,22 @@ def alternatives(names: Sequence[str]) -> list[str]:
         {pattern_of(name) for name in names},
     ):
         if len(each) > 1:
-            return sorted(each)[:MOST_NAMED]
+            return sorted(each)[:MAX_NAMES_IN_ERROR]
     return []
 
 
 @lru_cache(maxsize=8)
-def _places(frames: tuple[str, ...]) -> tuple[dict[str, int], dict[int, list[int]]]:
+def _index_frames(frames: tuple[str, ...]) -> tuple[dict[str, int], dict[int, list[int]]]:
     """Index frames by their names and by their numbers."""
     by_number: dict[int, list[int]] = {}
     for n, frame in enumerate(frames):
-        number = number_of(without_codes(frame))
+        number = number_of(strip_name_codes(frame))
         if number is not None:
             by_number.setdefault(number, []).append(n)
     return {frame: n for n, frame in reversed(list(enumerate(frames)))}, by_number
 
 
-def renumbered(frames: Sequence[str], first: int, option: str) -> tuple[str, ...]:
+def renumber_frames(frames: Sequence[str], first: int, option: str) -> tuple[str, ...]:
     """Return the names of frames where the first one has another number.
 
     Raises ``UsageError`` where they have none, or where it would be below 0.
@@ -276,13 +278,13 @@ def renumbered(frames: Sequence[str], first: int, option: str) -> tuple[str, ...
     return tuple(f"{number - known[0] + first:06d}" for number in known)
 
 
-def counted_elsewhere(frames: Sequence[str], names: Iterable[str]) -> bool:
+def has_number_offset(frames: Sequence[str], names: Iterable[str]) -> bool:
     """Return whether files seem to be counted from another start than frames.
 
     That is where they have a number 0 and frames have not, and where only some of their numbers are frames': where
     about as many numbers as frames, from half of these to all, begin and end earlier, or begin and end later.
     """
-    of_frames, value = _numbers(frames, number_of), _numbers(names, number_in)
+    of_frames, value = _known_numbers(frames, number_of), _known_numbers(names, number_in)
     if len(of_frames) < len(frames) or not value:
         return False
     earlier = min(value) < min(of_frames) and max(value) < max(of_frames)
@@ -292,16 +294,16 @@ def counted_elsewhere(frames: Sequence[str], names: Iterable[str]) -> bool:
     return from_zero or ((earlier or later) and bool(value & of_frames) and about_as_many)
 
 
-def check_numbers(frames: Sequence[str], names: Iterable[str], source: object, what: str, option: str) -> None:
-    """Raise ``UsageError`` where files are ``counted_elsewhere`` and nobody has said how they match.
+def check_frame_numbers(frames: Sequence[str], names: Iterable[str], source: object, what: str, option: str) -> None:
+    """Raise ``UsageError`` where files are ``has_number_offset`` and nobody has said how they match.
 
     ``what`` each of them is, in a word; ``option`` states the number of the first frame's, and is empty where it was
     used.
     """
     names = list(names)
-    if not option or not counted_elsewhere(frames, names):
+    if not option or not has_number_offset(frames, names):
         return
-    of_frames, value = _numbers(frames, number_of), _numbers(names, number_in)
+    of_frames, value = _known_numbers(frames, number_of), _known_numbers(names, number_in)
     first, used = number_of(frames[0]) or 0, "segmented" if what == "mask" else "its input"
     choices = {min(value): f"if the clip's images were {used}"}
     if 0 in value and first > 1:
@@ -310,11 +312,11 @@ def check_numbers(frames: Sequence[str], names: Iterable[str], source: object, w
     each = ", ".join(f"{option} {start} {when}" for start, when in choices.items())
     found = ", ".join(str(len({n - first + start for n in of_frames} & value)) for start in choices)
     raise UsageError(
-        f"missing {option}: the number of the {what} of frame {files.plain(frames[0])}: in {source} they "
+        f"missing {option}: the number of the {what} of frame {files.printable(frames[0])}: in {source} they "
         f"are numbered {min(value)} to {max(value)}, the clip's frames {min(of_frames)} to {max(of_frames)}. "
         f"{each}: then {found} of {len(frames)} frames have one"
     )
 
 
-def _numbers(names: Iterable[str], number: Callable[[str], int | None]) -> set[int]:
+def _known_numbers(names: Iterable[str], number: Callable[[str], int | None]) -> set[int]:
     return {known for name in names if (known := number(name)) is not None}

@@ -16,7 +16,7 @@ def occluded_by_hand(clip: Clip, masks: Masks) -> Masks:
 
     Of a frame whose mask is not known, all still are.
     """
-    from getagrip.geometry.depth import covered
+    from getagrip.geometry.depth import render_coverage
 
     hands = [(clip.hand, np.ones(len(clip), dtype=bool))]
     if clip.other_hand is not None:
@@ -31,7 +31,7 @@ def occluded_by_hand(clip: Clip, masks: Masks) -> Masks:
         ignore = np.zeros_like(visible)
         for vertices, faces, known in posed:
             if known[n]:
-                ignore |= covered(vertices[n], faces, clip.K[n], clip.size)
+                ignore |= render_coverage(vertices[n], faces, clip.K[n], clip.size)
         return ignore & ~visible
 
     return Masks(masks.object, PackedMasks.of(map(hidden, range(len(clip)), masks.object), clip.size).as_array())

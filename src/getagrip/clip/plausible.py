@@ -19,19 +19,19 @@ from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.mesh_files import check_size
-from getagrip.io.files import shown
+from getagrip.io.files import shorten_value
 
-NEAREST, FARTHEST = 0.05, 100.0
+MIN_CAMERA_RANGE_M, MAX_CAMERA_RANGE_M = 0.05, 100.0
 """Plausible distances from the camera [m]. HaMeR's focal length puts the hands of a video at 20 to 70 m."""
-SLOWEST, FASTEST = 0.001, 100_000.0
+MIN_FPS, MAX_FPS = 0.001, 100_000.0
 """Plausible frames per second."""
-LONGEST = 86_400.0
+MAX_CLIP_DURATION_S = 86_400.0
 """Time that a clip can take [s]."""
-ROOM = 1000.0
+MAX_CAMERA_TRAVEL_M = 1000.0
 """Farthest position of a camera from its first one [m]."""
-FROM_WORLD = 1e5
+MAX_WORLD_DISTANCE_M = 1e5
 """Farthest position of a camera from the world's origin [m]: beyond, single precision does not hold a centimetre."""
-OFF_ORIGIN = 0.25
+MAX_HAND_OFFSET_M = 0.25
 """Largest distance of a hand's middle from the origin of the hand frame, which lies in the hand [m]."""
 
 
@@ -41,8 +41,8 @@ def check_clip(clip: Clip) -> None:
     if clip.other_hand is not None and clip.other_hand.known.any():
         known = np.flatnonzero(clip.other_hand.known)
         hands.append((clip.other_hand.track.take(known), clip.K[known]))
-    if not SLOWEST <= clip.fps <= FASTEST:
-        raise InputError(path, "fps", f"{clip.fps:g}", f"frames per second, {SLOWEST:g} to {FASTEST:g}")
+    if not MIN_FPS <= clip.fps <= MAX_FPS:
+        raise InputError(path, "fps", f"{clip.fps:g}", f"frames per second, {MIN_FPS:g} to {MAX_FPS:g}")
     if clip.times is not None:
         check_times(path, clip.times, clip.frames)
     check_intrinsics(path, clip.K, clip.size)
@@ -76,13 +76,13 @@ def check_hand(path: Path, hand: HandTrack) -> None:
         check_in_hand(path, "joints", hand.joints, "joints")
 
 
-STRETCH = 0.06
+ASPECT_RATIO_TOLERANCE = 0.06
 """Largest difference of an image's shape from that of the clip's images: networks round sides to multiples of 14 or 32
 pixels."""
 
 
 def check_shape(
-    path: Path, key: str, size: tuple[int, int], of_clip: tuple[int, int], stretch: float = STRETCH
+    path: Path, key: str, size: tuple[int, int], of_clip: tuple[int, int], stretch: float = ASPECT_RATIO_TOLERANCE
 ) -> None:
     """Raise ``InputError`` for images (width, height) of another shape than the clip's, as cropped or turned ones."""
     if min(size) < 1 or abs(math.log(size[0] / size[1] * of_clip[1] / of_clip[0])) > stretch:
@@ -118,15 +118,15 @@ def check_times(path: Path, times: Float[ndarray, "T"], frames: Sequence[str]) -
     rises = steps > 0.0
     if not rises.all():
         n = int(np.argmin(rises)) + 1
-        bad = f"{times[n]:.10g} s in frame {shown(frames[n])}, after {times[n - 1]:.10g} s"
+        bad = f"{times[n]:.10g} s in frame {shorten_value(frames[n])}, after {times[n - 1]:.10g} s"
         raise InputError(path, "times", bad, "numbers that rise from frame to frame")
-    if len(steps) and steps.min() < 0.99 / FASTEST:
+    if len(steps) and steps.min() < 0.99 / MAX_FPS:
         n = int(np.argmin(steps)) + 1
-        bad = f"frame {shown(frames[n])} {steps[n - 1]:.4g} s after the one before"
-        raise InputError(path, "times", bad, f"at least {1.0 / FASTEST:g} s; are these seconds?")
-    if not times[-1] - times[0] <= LONGEST:
+        bad = f"frame {shorten_value(frames[n])} {steps[n - 1]:.4g} s after the one before"
+        raise InputError(path, "times", bad, f"at least {1.0 / MAX_FPS:g} s; are these seconds?")
+    if not times[-1] - times[0] <= MAX_CLIP_DURATION_S:
         bad = f"{times[-1] - times[0]:.4g} s from the first frame to the last"
-        raise InputError(path, "times", bad, f"at most {LONGEST:g} s; are these nanoseconds?")
+        raise InputError(path, "times", bad, f"at most {MAX_CLIP_DURATION_S:g} s; are these nanoseconds?")
 
 
 def check_camera_poses(path: Path, T_world_cam: Float[ndarray, "T 4 4"], frames: Sequence[str]) -> None:
@@ -135,18 +135,18 @@ def check_camera_poses(path: Path, T_world_cam: Float[ndarray, "T 4 4"], frames:
         rigid = se3.is_rigid(T_world_cam)
         apart = np.linalg.norm(T_world_cam[:, :3, 3] - T_world_cam[0, :3, 3], axis=1)
     if not rigid.all():
-        bad = f"a matrix that is no rigid motion in frame {shown(frames[int(np.argmin(rigid))])}"
+        bad = f"a matrix that is no rigid motion in frame {shorten_value(frames[int(np.argmin(rigid))])}"
         raise InputError(path, "camera.T_world_cam", bad, "rotations and translations [m], the last row 0 0 0 1")
     far = np.abs(T_world_cam[:, :3, 3]).max(axis=1)
-    if not far.max() <= FROM_WORLD:
+    if not far.max() <= MAX_WORLD_DISTANCE_M:
         n = int(np.argmax(far))
-        got = f"a camera {far[n]:.4g} m from the world's origin in frame {shown(frames[n])}"
-        expected = f"at most {FROM_WORLD:g} m; subtract its first place from all, in metres"
+        got = f"a camera {far[n]:.4g} m from the world's origin in frame {shorten_value(frames[n])}"
+        expected = f"at most {MAX_WORLD_DISTANCE_M:g} m; subtract its first place from all, in metres"
         raise InputError(path, "camera.T_world_cam", got, expected)
-    if not apart.max() <= ROOM:
+    if not apart.max() <= MAX_CAMERA_TRAVEL_M:
         n = int(np.argmax(apart))
-        got = f"a camera {apart[n]:.4g} m from its first place in frame {shown(frames[n])}"
-        raise InputError(path, "camera.T_world_cam", got, f"at most {ROOM:g} m; are these millimetres?")
+        got = f"a camera {apart[n]:.4g} m from its first place in frame {shorten_value(frames[n])}"
+        raise InputError(path, "camera.T_world_cam", got, f"at most {MAX_CAMERA_TRAVEL_M:g} m; are these millimetres?")
 
 
 def check_poses(
@@ -164,30 +164,32 @@ def check_poses(
         n = int(np.argmax(behind))
         got = f"{what} behind the camera in frame {n} (z = {posed[n, 2]:.3g} m)"
         raise InputError(path, key, got, "z above 0, forward; is it the inverse, or of a camera that looks along -z?")
-    if distance.max() > FARTHEST:
+    if distance.max() > MAX_CAMERA_RANGE_M:
         n = int(np.argmax(distance))
         got = f"{what} {distance[n]:.4g} m from the camera in frame {n}"
-        raise InputError(path, key, got, f"at most {FARTHEST:g} m; are these millimetres?")
-    if distance.min() < NEAREST:
+        raise InputError(path, key, got, f"at most {MAX_CAMERA_RANGE_M:g} m; are these millimetres?")
+    if distance.min() < MIN_CAMERA_RANGE_M:
         n = int(np.argmin(distance))
         got = f"{what} {distance[n]:.2g} m from the camera in frame {n}"
-        raise InputError(path, key, got, f"at least {NEAREST:g} m, from its own frame into the camera's")
+        raise InputError(path, key, got, f"at least {MIN_CAMERA_RANGE_M:g} m, from its own frame into the camera's")
 
 
 def check_in_hand(path: Path, key: str, points: Float[ndarray, "T P 3"], what: str) -> None:
     """Raise ``InputError`` where points of a hand are not about the origin of its frame."""
     distance = np.linalg.norm(points.mean(axis=1), axis=1)
-    if distance.max() > OFF_ORIGIN:
+    if distance.max() > MAX_HAND_OFFSET_M:
         n = int(np.argmax(distance))
         got = f"{what} {distance[n]:.2g} m from the origin of the hand frame in frame {n}"
-        expected = f"at most {OFF_ORIGIN:g} m; are these camera coordinates, to which T_cam_hand would apply again?"
+        expected = (
+            f"at most {MAX_HAND_OFFSET_M:g} m; are these camera coordinates, to which T_cam_hand would apply again?"
+        )
         raise InputError(path, key, got, expected)
 
 
 def check_in_view(path: Path, hand: HandTrack, K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> None:
     """Raise ``InputError`` for a hand that is outside the image in every frame."""
     posed = se3.transform(hand.T_cam_hand, hand.vertices)
-    before = posed[..., 2] > NEAREST / 10.0
+    before = posed[..., 2] > MIN_CAMERA_RANGE_M / 10.0
     uv = project(K, np.where(before[..., None], posed, [0.0, 0.0, 1.0]))
     low = np.where(before[..., None], uv, np.inf).min(axis=1)
     high = np.where(before[..., None], uv, -np.inf).max(axis=1)

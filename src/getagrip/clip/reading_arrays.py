@@ -16,14 +16,14 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import check_size
 from getagrip.io import arrays, files
 
-HANDS = "the hands of a clip, as getagrip import hands writes them"
-OTHER_HAND = "other_hand.npz"
+EXPECTED_HAND_FILE = "the hands of a clip, as getagrip import hands writes them"
+OTHER_HAND_FILE = "other_hand.npz"
 """The hand of the other side, in a clip's folder."""
-MOST_PALM_REGIONS, REGIONS_PER_VERTEX = 100, 8
+MAX_PALM_REGIONS, MAX_REGIONS_PER_VERTEX = 100, 8
 """Limits of a hand: areas of the palm, and the mean number of regions that a vertex is in."""
-JOINT = ("joint_moves", "joint_point", "joint_direction", "joint_angle")
+TRUTH_JOINT_KEYS = ("joint_moves", "joint_point", "joint_direction", "joint_angle")
 """Arrays of the truth about an articulated object's joint."""
-FARTHEST_JOINT = 2.0
+MAX_HINGE_DISTANCE_M = 2.0
 """Plausible distance of a joint from the object's origin [m]."""
 
 
@@ -45,10 +45,10 @@ def frames_with_hand(path: Path, frames: tuple[str, ...]) -> Int[ndarray, "n"]:
     row_of = {name: row for row, name in enumerate(frames)}
     unknown = next((name for name in names if name not in row_of), None)
     if unknown is not None:
-        raise InputError(path, "frames", files.shown(unknown), expected)
+        raise InputError(path, "frames", files.shorten_value(unknown), expected)
     rows = np.array([row_of[name] for name in names], dtype=int)
     if stored.ndim != 1 or not rows.size or (np.diff(rows) <= 0).any():
-        raise InputError(path, "frames", f"{files.shown(' '.join(names)[:80])}", expected)
+        raise InputError(path, "frames", f"{files.shorten_value(' '.join(names)[:80])}", expected)
     return rows
 
 
@@ -60,13 +60,15 @@ def read_hand(path: Path, frames: int) -> HandTrack:
     faces = arrays.indices(path, stored, "faces", vertices.shape[1], (-1, 3))
     T_cam_hand = arrays.floats(path, stored, "T_cam_hand", (frames, 4, 4))
     joints = arrays.floats(path, stored, "joints", (frames, 21, 3)) if "joints" in stored else None
-    seen = _joints_2d(path, stored, frames) if "joints_2d" in stored else (None, None)
-    hand = HandTrack(vertices, faces, T_cam_hand, _regions(path, stored, vertices.shape[1]), joints, *seen)
+    seen = _parse_joints_2d(path, stored, frames) if "joints_2d" in stored else (None, None)
+    hand = HandTrack(
+        vertices, faces, T_cam_hand, _parse_contact_regions(path, stored, vertices.shape[1]), joints, *seen
+    )
     check_hand(path, hand)
     return hand
 
 
-def _joints_2d(
+def _parse_joints_2d(
     path: Path, stored: dict[str, ndarray], frames: int
 ) -> tuple[Float[ndarray, "T 21 2"], Float[ndarray, "T 21"]]:
     """Joints as seen in the images, and their confidence; 1 where the file does not say."""
@@ -80,20 +82,20 @@ def _joints_2d(
     return points, confidence
 
 
-def _regions(path: Path, stored: dict[str, ndarray], count: int) -> dict[str, Int[ndarray, "_"]]:
+def _parse_contact_regions(path: Path, stored: dict[str, ndarray], count: int) -> dict[str, Int[ndarray, "_"]]:
     """Contact regions of a hand; they cannot be found from a bare mesh."""
     missing = [f"region_{finger}" for finger in FINGERS if f"region_{finger}" not in stored]
     if missing:
         expected = f"{', '.join(missing)}: the vertex ids of each fingertip's pad"
         raise InputError(path, missing[0], f"a mesh of {count} vertices without this region", expected)
     palm = sorted(key.removeprefix("region_") for key in stored if key.startswith("region_palm_"))
-    if len(palm) > MOST_PALM_REGIONS:
-        raise InputError(path, "region_palm_...", f"{len(palm)} regions of the palm", f"at most {MOST_PALM_REGIONS}")
+    if len(palm) > MAX_PALM_REGIONS:
+        raise InputError(path, "region_palm_...", f"{len(palm)} regions of the palm", f"at most {MAX_PALM_REGIONS}")
     sizes = {key: stored[f"region_{key}"].size for key in (*FINGERS, *palm)}
-    if sum(sizes.values()) > REGIONS_PER_VERTEX * count:
+    if sum(sizes.values()) > MAX_REGIONS_PER_VERTEX * count:
         key, size = max(sizes.items(), key=lambda item: item[1])
         bad = f"{size} vertex ids, {sum(sizes.values())} with those of the other regions"
-        raise InputError(path, f"region_{key}", bad, f"at most {REGIONS_PER_VERTEX * count} for {count} vertices")
+        raise InputError(path, f"region_{key}", bad, f"at most {MAX_REGIONS_PER_VERTEX * count} for {count} vertices")
     return {name: arrays.indices(path, stored, f"region_{name}", count, (-1,)) for name in (*FINGERS, *palm)}
 
 
@@ -104,10 +106,10 @@ def read_other_hand(
 
     Raises ``InputError``.
     """
-    path = folder / OTHER_HAND
+    path = folder / OTHER_HAND_FILE
     if not path.exists() and not path.is_symlink():
         return None
-    path = files.inside(folder, OTHER_HAND, "", HANDS)
+    path = files.inside(folder, OTHER_HAND_FILE, "", EXPECTED_HAND_FILE)
     there = frames_with_hand(path, frames)
     hand = read_hand(path, len(there))
     _, here, found = np.intersect1d(rows, there, return_indices=True)
@@ -121,7 +123,7 @@ def read_other_hand(
 def read_truth(folder: Path, hand: HandTrack, scale: str, mesh: Mesh) -> Truth:
     """Read a clip's ``truth.npz``; what it leaves out is the clip's own. Raises ``InputError``."""
     path = files.inside(folder, "truth.npz", "", "the truth of a clip")
-    named = ("T_cam_obj", "scale", "T_cam_hand", "hand_vertices", "articulation", *JOINT)
+    named = ("T_cam_obj", "scale", "T_cam_hand", "hand_vertices", "articulation", *TRUTH_JOINT_KEYS)
     stored = arrays.read(path, lambda key: key in named)
     frames = len(hand.vertices)
     size = 1.0
@@ -147,25 +149,27 @@ def read_truth(folder: Path, hand: HandTrack, scale: str, mesh: Mesh) -> Truth:
         if np.abs(articulation).max() > 2.0 * np.pi:
             most = f"the angle {np.abs(articulation).max():g}"
             raise InputError(path, "articulation", most, "at most a full turn [rad]; are these degrees?")
-    joint = _joint(path, stored, mesh) if any(key in stored for key in JOINT) else None
+    joint = _parse_object_joint(path, stored, mesh) if any(key in stored for key in TRUTH_JOINT_KEYS) else None
     return Truth(T_cam_obj, size, T_cam_hand, vertices, articulation, joint)
 
 
-def _joint(path: Path, stored: dict[str, ndarray], mesh: Mesh) -> Joint:
+def _parse_object_joint(path: Path, stored: dict[str, ndarray], mesh: Mesh) -> Joint:
     """Parse the joint of an articulated object; it needs the articulation of each frame, too."""
-    missing = next((key for key in ("articulation", *JOINT) if key not in stored), None)
+    missing = next((key for key in ("articulation", *TRUTH_JOINT_KEYS) if key not in stored), None)
     if missing is not None:
         raise InputError(
-            path, missing, "no such array", f"all of articulation, {', '.join(JOINT)}, or none of the last"
+            path, missing, "no such array", f"all of articulation, {', '.join(TRUTH_JOINT_KEYS)}, or none of the last"
         )
     moves = stored["joint_moves"]
     if moves.dtype != bool or moves.shape != (len(mesh.vertices),):
         expected = f"true or false for each of the {len(mesh.vertices)} vertices of the mesh"
         raise InputError(path, "joint_moves", f"{moves.dtype} of shape {moves.shape}", expected)
     point, direction = (arrays.floats(path, stored, key, (3,)) for key in ("joint_point", "joint_direction"))
-    if not np.linalg.norm(point) < FARTHEST_JOINT:
+    if not np.linalg.norm(point) < MAX_HINGE_DISTANCE_M:
         input_point = f"a point {np.linalg.norm(point):.4g} m from the object's origin"
-        raise InputError(path, "joint_point", input_point, f"less than {FARTHEST_JOINT:g} m; are these millimetres?")
+        raise InputError(
+            path, "joint_point", input_point, f"less than {MAX_HINGE_DISTANCE_M:g} m; are these millimetres?"
+        )
     if abs(np.linalg.norm(direction) - 1.0) > 1e-6:
         raise InputError(
             path, "joint_direction", f"the length {np.linalg.norm(direction):g}", "a direction of length 1"

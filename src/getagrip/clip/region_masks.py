@@ -15,14 +15,14 @@ from jaxtyping import Bool
 from numpy import ndarray
 
 from getagrip.clip.data import FrameMasks
-from getagrip.clip.mask_request import MaskReader, MaskRequest, without_object
-from getagrip.clip.naming import MOST_NAMED
-from getagrip.clip.segments import check_count, own_size, region, union, with_area
+from getagrip.clip.mask_request import MaskReader, MaskRequest, combine_hand_object_masks
+from getagrip.clip.naming import MAX_NAMES_IN_ERROR
+from getagrip.clip.segments import check_region_count, decode_region, drop_flat_polygons, run_length_size, union
 from getagrip.errors import InputError
 from getagrip.io import files
 
-ALL = "all"
-NO_AREA = "polygons without area were left out"
+ALL_INSTANCES = "all"
+ZERO_AREA_NOTE = "polygons without area were left out"
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class Region:
 
     def is_named_apart(self, chosen: Sequence[str]) -> bool:
         """Return whether it is named as itself, or as one of all."""
-        return any({f"{label}:{self.thing}", f"{label}:{ALL}"} & {*chosen} for label in self.labels)
+        return any({f"{label}:{self.thing}", f"{label}:{ALL_INSTANCES}"} & {*chosen} for label in self.labels)
 
 
 def region_masks(path: Path, request: MaskRequest, regions: Mapping[int, Sequence[Region]]) -> MaskReader:
@@ -61,31 +61,33 @@ def region_masks(path: Path, request: MaskRequest, regions: Mapping[int, Sequenc
 
     Raises ``InputError`` where it is not clear which are the object's.
     """
-    frames = {n: _Frame.of(of_frame, request) for n, of_frame in regions.items()}
+    frames = {n: _FrameRegions.of(of_frame, request) for n, of_frame in regions.items()}
     labels = {one.labels[0] for frame in frames.values() for one in frame.object}
     if not request.object and len(labels) > 1:
-        raise InputError(path, "categories", f"several, {_some(labels)}", "one, or --object names it")
+        raise InputError(path, "categories", f"several, {_join_label_names(labels)}", "one, or --object names it")
     warnings = (
-        *_together("--object", request.object, [frame.object for frame in frames.values()]),
-        *_together("--hand", request.hand, [frame.hand for frame in frames.values()]),
+        *_describe_label_ambiguity("--object", request.object, [frame.object for frame in frames.values()]),
+        *_describe_label_ambiguity("--hand", request.hand, [frame.hand for frame in frames.values()]),
     )
     notes = Counter[str]()
 
     def drawn(found: Sequence[Region]) -> Bool[ndarray, "H W"]:
-        check_count(path, "annotations", len(found), request.size)
+        check_region_count(path, "annotations", len(found), request.size)
         return union(_pixels(found), request.size)
 
     def _pixels(found: Sequence[Region]) -> Iterator[Bool[ndarray, "H W"]]:
         for one in found:
-            content = with_area(one.content)
+            content = drop_flat_polygons(one.content)
             if isinstance(one.content, list) and isinstance(content, list) and len(content) < len(one.content):
-                notes[NO_AREA] += len(one.content) - len(content)
-            size = request.check_size(one.path or path, one.key, own_size(content) or one.size or request.size)
-            yield request.resized(region(one.path or path, one.key, content, size, notes), notes)
+                notes[ZERO_AREA_NOTE] += len(one.content) - len(content)
+            size = request.check_size(one.path or path, one.key, run_length_size(content) or one.size or request.size)
+            yield request.resized(decode_region(one.path or path, one.key, content, size, notes), notes)
 
     def read(n: int) -> FrameMasks:
         frame = frames[n]
-        return without_object(drawn(frame.object), drawn(frame.ignore), drawn(frame.hand) if request.hand else None)
+        return combine_hand_object_masks(
+            drawn(frame.object), drawn(frame.ignore), drawn(frame.hand) if request.hand else None
+        )
 
     chosen = {"--object": request.object, "--ignore": request.ignore, "--hand": request.hand}
     every = [one for of_frame in regions.values() for one in of_frame]
@@ -96,11 +98,11 @@ def region_masks(path: Path, request: MaskRequest, regions: Mapping[int, Sequenc
         if not any(one.is_of([word]) for one in every)
     }
     everything = {one.name for one in every}
-    return MaskReader(path, read, frames.keys(), {*sorted(everything)[:MOST_NAMED]}, unmet, notes, warnings)
+    return MaskReader(path, read, frames.keys(), {*sorted(everything)[:MAX_NAMES_IN_ERROR]}, unmet, notes, warnings)
 
 
 @dataclass(frozen=True)
-class _Frame:
+class _FrameRegions:
     """The regions of a frame that count, by what they are."""
 
     object: Sequence[Region]
@@ -108,17 +110,17 @@ class _Frame:
     hand: Sequence[Region]
 
     @staticmethod
-    def of(regions: Sequence[Region], request: MaskRequest) -> _Frame:
+    def of(regions: Sequence[Region], request: MaskRequest) -> _FrameRegions:
         kinds: dict[str, list[Region]] = {"object": [], "ignore": [], "hand": []}
         chosen = {"hand": request.hand, "ignore": request.ignore, "object": request.object}
         for one in regions:
             kind = next((kind for kind, words in chosen.items() if one.is_of(words)), "")
             if kind or not request.object:
                 kinds[kind or "object"].append(one)
-        return _Frame(**kinds)
+        return _FrameRegions(**kinds)
 
 
-def _together(option: str, chosen: Sequence[str], frames: Sequence[Sequence[Region]]) -> Iterator[str]:
+def _describe_label_ambiguity(option: str, chosen: Sequence[str], frames: Sequence[Sequence[Region]]) -> Iterator[str]:
     """Say which labels several things are chosen by, and how to choose one."""
     by_label: dict[str, list[list[Region]]] = {}
     for of_frame in frames:
@@ -133,17 +135,19 @@ def _together(option: str, chosen: Sequence[str], frames: Sequence[Sequence[Regi
         counts = [sum(not one.thing for one in found) + len({one.thing for one in found} - {""}) for found in each]
         if len(things) < 2 and max(counts) < 2:
             continue
-        name, several = files.plain(label), sum(count > 1 for count in counts)
+        name, several = files.printable(label), sum(count > 1 for count in counts)
         where = f"{max(counts)} regions in {several} of {len(frames)} frames" if several else "one in each frame"
-        names = sorted(f"{label}:{one}" for one in things - {""})[:MOST_NAMED]
+        names = sorted(f"{label}:{one}" for one in things - {""})[:MAX_NAMES_IN_ERROR]
         way = (
-            f"{option} chooses one: {' or '.join(map(files.plain, names))}" if names else "a track_id tells them apart"
+            f"{option} chooses one: {' or '.join(map(files.printable, names))}"
+            if names
+            else "a track_id tells them apart"
         )
         yield (
             f"several things are called {name}, {where}, and were taken together; {way}; "
-            f"{option} {name}:{ALL} if all are meant"
+            f"{option} {name}:{ALL_INSTANCES} if all are meant"
         )
 
 
-def _some(names: set[str]) -> str:
-    return ", ".join(map(files.plain, sorted(names)[:MOST_NAMED]))
+def _join_label_names(names: set[str]) -> str:
+    return ", ".join(map(files.printable, sorted(names)[:MAX_NAMES_IN_ERROR]))

@@ -18,20 +18,20 @@ from numpy import ndarray
 
 from getagrip.errors import InputError
 from getagrip.io import arrays, files
-from getagrip.io.images import decoded
+from getagrip.io.images import decode_image
 
-MOST_CORNERS = 100_000
+MAX_REGION_CORNERS = 100_000
 """Most corners of the polygons of one region."""
-MOST_NESTED = 1000
+MAX_NESTED_POLYGONS = 1000
 """Polygons of one region beyond which none is looked at as a hole."""
-CORNERS_LOOKED_AT = 16
+N_INSIDE_TEST_CORNERS = 16
 """Corners of a polygon by which it is inside another one."""
-NESTED = "polygons inside others of their region were filled (holes are wound the other way)"
-MOST_DRAWN = 2**30
+NESTED_POLYGONS_NOTE = "polygons inside others of their region were filled (holes are wound the other way)"
+MAX_DRAWN_PIXELS = 2**30
 """Pixels that are gone through for the regions of one kind in a frame, or for the polygons of one region."""
 
 
-def polygons(
+def fill_polygons(
     path: Path, key: str, value: object, size: tuple[int, int], notes: Counter[str] | None = None
 ) -> Bool[ndarray, "H W"]:
     """Fill polygons [[x, y, x, y, ...], ...], clipped to the image.
@@ -44,26 +44,28 @@ def polygons(
 
     width, height = size
     if not isinstance(value, list) or not all(isinstance(corners, list) for corners in value):
-        raise InputError(path, key, files.shown(value), "polygons, [[x, y, x, y, ...], ...]")
-    if sum(map(len, value)) > 2 * MOST_CORNERS:
-        raise InputError(path, key, f"{sum(map(len, value)) // 2} corners", f"at most {MOST_CORNERS}")
+        raise InputError(path, key, files.shorten_value(value), "polygons, [[x, y, x, y, ...], ...]")
+    if sum(map(len, value)) > 2 * MAX_REGION_CORNERS:
+        raise InputError(path, key, f"{sum(map(len, value)) // 2} corners", f"at most {MAX_REGION_CORNERS}")
     found, drawn = list[Float[ndarray, "n 2"]](), 0
     for corners in value:
         points = arrays.from_lists(corners)
         if points is None or points.dtype.kind not in "fi" or points.ndim != 1 or len(points) < 6 or len(points) % 2:
-            raise InputError(path, key, files.shown(corners), "at least three corners x, y, x, y, x, y")
+            raise InputError(path, key, files.shorten_value(corners), "at least three corners x, y, x, y, x, y")
         points = points.reshape(-1, 2).astype(float)
         if not np.all((points >= -np.array(size)) & (points <= 2 * np.array(size))):  # false for NaN, too
             bad = f"corners from {points.min():g} to {points.max():g}"
             raise InputError(path, key, bad, f"corners in or about the {width} x {height} image")
         drawn += int(np.prod(np.clip(np.ptp(points, axis=0), 1, size)))
-        if drawn > MOST_DRAWN:
-            raise InputError(path, key, "polygons of more pixels", f"at most {MOST_DRAWN} pixels in all")
+        if drawn > MAX_DRAWN_PIXELS:
+            raise InputError(path, key, "polygons of more pixels", f"at most {MAX_DRAWN_PIXELS} pixels in all")
         found.append(points)
-    return _filled(found, size, Counter() if notes is None else notes)
+    return _draw_polygons(found, size, Counter() if notes is None else notes)
 
 
-def _filled(found: list[Float[ndarray, "n 2"]], size: tuple[int, int], notes: Counter[str]) -> Bool[ndarray, "H W"]:
+def _draw_polygons(
+    found: list[Float[ndarray, "n 2"]], size: tuple[int, int], notes: Counter[str]
+) -> Bool[ndarray, "H W"]:
     """Draw polygons, the largest first: a hole is inside one that was drawn and wound the other way."""
     import cv2
 
@@ -72,9 +74,9 @@ def _filled(found: list[Float[ndarray, "n 2"]], size: tuple[int, int], notes: Co
     outer = list[int]()
     for k in sorted(range(len(found)), key=lambda k: -abs(areas[k])):
         corners = [np.round(256.0 * (found[k] - 0.5)).astype(np.int32)]
-        around = [n for n in outer if len(outer) <= MOST_NESTED and _is_inside(found[k], found[n])]
+        around = [n for n in outer if len(outer) <= MAX_NESTED_POLYGONS and _is_inside(found[k], found[n])]
         if not around or areas[k] * areas[around[-1]] > 0.0:
-            notes.update([NESTED] * bool(around))
+            notes.update([NESTED_POLYGONS_NOTE] * bool(around))
             cv2.fillPoly(out, corners, 1, shift=8)
         else:
             hole = np.zeros_like(out)
@@ -98,28 +100,32 @@ def _is_inside(points: Float[ndarray, "n 2"], outer: Float[ndarray, "m 2"]) -> b
     if (points.min(axis=0) < outer.min(axis=0)).any() or (points.max(axis=0) > outer.max(axis=0)).any():
         return False
     border = outer.astype(np.float32)
-    some = points[np.linspace(0, len(points) - 1, min(len(points), CORNERS_LOOKED_AT)).astype(int)]
+    some = points[np.linspace(0, len(points) - 1, min(len(points), N_INSIDE_TEST_CORNERS)).astype(int)]
     return all(cv2.pointPolygonTest(border, (float(x), float(y)), False) >= 0.0 for x, y in some)
 
 
-def run_lengths(path: Path, key: str, value: object, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
+def decode_run_lengths(path: Path, key: str, value: object, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
     """Decode ``{"size": [height, width], "counts": [...] or "..."}``. Raises ``InputError``."""
     width, height = size
     if not isinstance(value, dict) or value.get("size") != [height, width]:
         shape = value.get("size") if isinstance(value, dict) else value
-        raise InputError(path, f"{key}.size", files.shown(shape), f"[{height}, {width}], the size of the images")
+        raise InputError(
+            path, f"{key}.size", files.shorten_value(shape), f"[{height}, {width}], the size of the images"
+        )
     counts = value.get("counts")
     if isinstance(counts, str):
-        counts = _uncompressed(path, key, counts, width * height)
+        counts = _decode_coco_counts(path, key, counts, width * height)
     whole = isinstance(counts, list) and all(type(n) is int and n >= 0 for n in counts)
     if not whole or not isinstance(counts, list) or sum(counts) != width * height:
-        input_words = f"runs of {sum(counts)} pixels" if whole and isinstance(counts, list) else files.shown(counts)
+        input_words = (
+            f"runs of {sum(counts)} pixels" if whole and isinstance(counts, list) else files.shorten_value(counts)
+        )
         raise InputError(path, f"{key}.counts", input_words, f"runs of {width * height} pixels in all")
     inside = np.arange(len(counts)) % 2 == 1
     return np.repeat(inside, counts).reshape(width, height).T
 
 
-def _uncompressed(path: Path, key: str, text: str, pixels: int) -> list[int]:
+def _decode_coco_counts(path: Path, key: str, text: str, pixels: int) -> list[int]:
     """COCO's text: numbers in groups of five bits, from the lowest, 32 for "more", the highest bit for the sign.
 
     From the fourth on they are differences from the last but one (``rleFrString`` of the COCO API).
@@ -129,7 +135,7 @@ def _uncompressed(path: Path, key: str, text: str, pixels: int) -> list[int]:
     for letter in text:
         group = ord(letter) - 48
         if not 0 <= group < 64 or bits > 30:
-            raise InputError(path, f"{key}.counts", files.shown(text), "COCO's compressed run lengths")
+            raise InputError(path, f"{key}.counts", files.shorten_value(text), "COCO's compressed run lengths")
         value |= (group & 31) << bits
         bits += 5
         if not group & 32:
@@ -145,7 +151,7 @@ def _uncompressed(path: Path, key: str, text: str, pixels: int) -> list[int]:
 
 
 @dataclass(frozen=True)
-class Picture:
+class PngRegion:
     """A region as a PNG of its own box, as LabelMe has it.
 
     Attributes:
@@ -158,7 +164,7 @@ class Picture:
 
     def pixels(self, path: Path, key: str, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
         """Decode the region. Raises ``InputError`` where it is damaged or leaves the image."""
-        inside = decoded(path, key, self.content, max(size)).any(axis=2)
+        inside = decode_image(path, key, self.content, max(size)).any(axis=2)
         (x, y), (height, width) = self.corner, inside.shape
         if min(x, y) < 0 or x + width > size[0] or y + height > size[1]:
             got = f"{width} x {height} pixels from ({x}, {y}) on"
@@ -168,16 +174,20 @@ class Picture:
         return out
 
 
-def region(
+def decode_region(
     path: Path, key: str, value: object, size: tuple[int, int], notes: Counter[str] | None = None
 ) -> Bool[ndarray, "H W"]:
-    """Decode a COCO ``segmentation`` of either kind, or a ``Picture``. Raises ``InputError``."""
-    if isinstance(value, Picture):
+    """Decode a COCO ``segmentation`` of either kind, or a ``PngRegion``. Raises ``InputError``."""
+    if isinstance(value, PngRegion):
         return value.pixels(path, key, size)
-    return run_lengths(path, key, value, size) if isinstance(value, dict) else polygons(path, key, value, size, notes)
+    return (
+        decode_run_lengths(path, key, value, size)
+        if isinstance(value, dict)
+        else fill_polygons(path, key, value, size, notes)
+    )
 
 
-def own_size(value: object) -> tuple[int, int] | None:
+def run_length_size(value: object) -> tuple[int, int] | None:
     """Return the width and height that run lengths state; None for other regions, and where they are malformed."""
     stated = value.get("size") if isinstance(value, dict) else None
     if not isinstance(stated, list) or len(stated) != 2 or not all(type(side) is int for side in stated):
@@ -185,9 +195,9 @@ def own_size(value: object) -> tuple[int, int] | None:
     return stated[1], stated[0]
 
 
-def with_area(value: object) -> object:
+def drop_flat_polygons(value: object) -> object:
     """Drop polygons of fewer than three corners or without area from a ``segmentation``; others stay as they are."""
-    if not isinstance(value, list) or sum(len(one) for one in value if isinstance(one, list)) > 2 * MOST_CORNERS:
+    if not isinstance(value, list) or sum(len(one) for one in value if isinstance(one, list)) > 2 * MAX_REGION_CORNERS:
         return value
     return [one for one in value if not _is_flat(one)]
 
@@ -205,9 +215,9 @@ def _is_flat(corners: object) -> bool:
     return bool(np.all(np.abs(across) <= 1e-9 * (far @ far)))
 
 
-def check_count(path: Path, key: str, count: int, size: tuple[int, int]) -> None:
+def check_region_count(path: Path, key: str, count: int, size: tuple[int, int]) -> None:
     """Raise ``InputError`` for more regions of one kind in a frame than can be drawn in a few seconds."""
-    most = max(1, MOST_DRAWN // (size[0] * size[1]))
+    most = max(1, MAX_DRAWN_PIXELS // (size[0] * size[1]))
     if count > most:
         raise InputError(path, key, f"{count} regions in one frame", f"at most {most} at {size[0]} x {size[1]}")
 

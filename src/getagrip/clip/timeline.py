@@ -23,9 +23,9 @@ State = Literal["static", "contact", "grasp", "free"]
 Side = Literal["left", "right"]
 SIDES: tuple[Side, ...] = get_args(Side)
 STATES: tuple[State, ...] = get_args(State)
-KEYS = ("state", "first", "last", "side")
+SEGMENT_KEYS = ("state", "first", "last", "side")
 """Keys of a segment in ``clip.json``."""
-FORM = '{"state": "static", "first": "000001", "last": "000030"}, and "side" of a grasp'
+SEGMENT_FORMAT = '{"state": "static", "first": "000001", "last": "000030"}, and "side" of a grasp'
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Segment:
         if not 0 <= self.first <= self.last:
             got = f"frames {self.first} to {self.last}"
             raise UsageError(f"Segment.first must be 0 or more, and not after Segment.last (got {got})")
-        wrong = side_error(self.state, self.side)
+        wrong = expected_side(self.state, self.side)
         if wrong:
             raise UsageError(f"Segment.side must be {wrong} (got {self.side!r})")
 
@@ -64,7 +64,7 @@ class Segment:
         return np.arange(self.first, self.last + 1)
 
 
-def side_error(state: State, side: object) -> str | None:
+def expected_side(state: State, side: object) -> str | None:
     """Return the expected side of a segment; None where its side is right."""
     if state in ("static", "free"):
         return None if side is None else f"none: no hand moves an object that is {state}"
@@ -100,14 +100,14 @@ def at_frames(segments: Sequence[Segment], index: Int[ndarray, "n"]) -> tuple[Se
 def read_segments(path: Path, value: object, frames: Sequence[str], has_world: bool) -> tuple[Segment, ...]:
     """Parse the ``segments`` of a ``clip.json``, which name their frames. Raises ``InputError``."""
     if not isinstance(value, list) or not all(isinstance(row, dict) for row in value):
-        raise InputError(path, "segments", files.shown(value), f"a list of {FORM}")
+        raise InputError(path, "segments", files.shorten_value(value), f"a list of {SEGMENT_FORMAT}")
     row_of = {name: row for row, name in enumerate(frames)}
     out: list[Segment] = []
     for n, fields in enumerate(value):
         segment = _read_segment(path, f"segments[{n}]", fields, row_of)
         if out and segment.first <= out[-1].last:
-            before = f"a frame after {files.shown(frames[out[-1].last])}, where the segment before it ends"
-            raise InputError(path, f"segments[{n}].first", files.shown(fields["first"]), before)
+            before = f"a frame after {files.shorten_value(frames[out[-1].last])}, where the segment before it ends"
+            raise InputError(path, f"segments[{n}].first", files.shorten_value(fields["first"]), before)
         if segment.state == "static" and not has_world:
             expected = "no static segment without camera.T_world_cam, by which it stands still"
             raise InputError(path, f"segments[{n}].state", "static", expected)
@@ -116,26 +116,28 @@ def read_segments(path: Path, value: object, frames: Sequence[str], has_world: b
 
 
 def _read_segment(path: Path, key: str, fields: files.Json, row_of: dict[str, int]) -> Segment:
-    unknown = next((name for name in fields if name not in KEYS), None)
+    unknown = next((name for name in fields if name not in SEGMENT_KEYS), None)
     if unknown is not None:
-        raise InputError(path, f"{key}.{files.plain(unknown)}", "an unknown key", f"one of {', '.join(KEYS)}")
-    missing = next((name for name in KEYS[:3] if name not in fields), None)
+        raise InputError(
+            path, f"{key}.{files.printable(unknown)}", "an unknown key", f"one of {', '.join(SEGMENT_KEYS)}"
+        )
+    missing = next((name for name in SEGMENT_KEYS[:3] if name not in fields), None)
     if missing is not None:
-        raise InputError(path, f"{key}.{missing}", "no such key", FORM)
+        raise InputError(path, f"{key}.{missing}", "no such key", SEGMENT_FORMAT)
     state, side = fields["state"], fields.get("side")
     if state not in STATES:
-        raise InputError(path, f"{key}.state", files.shown(state), f"one of {', '.join(STATES)}")
-    expected = side_error(state, side)
+        raise InputError(path, f"{key}.state", files.shorten_value(state), f"one of {', '.join(STATES)}")
+    expected = expected_side(state, side)
     if expected:
-        raise InputError(path, f"{key}.side", files.shown(side), expected)
+        raise InputError(path, f"{key}.side", files.shorten_value(side), expected)
     rows = []
     for end in ("first", "last"):
         name = fields[end]
         if not isinstance(name, str) or name not in row_of:
-            raise InputError(path, f"{key}.{end}", files.shown(name), "the name of one of the clip's frames")
+            raise InputError(path, f"{key}.{end}", files.shorten_value(name), "the name of one of the clip's frames")
         rows.append(row_of[name])
     if rows[0] > rows[1]:
-        got = f"{files.shown(fields['last'])} before {files.shown(fields['first'])}"
+        got = f"{files.shorten_value(fields['last'])} before {files.shorten_value(fields['first'])}"
         raise InputError(path, f"{key}.last", got, "the first frame of the segment or a later one")
     return Segment(state, rows[0], rows[1], side)
 

@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from getagrip.clip.reading import LARGEST_IMAGE, LARGEST_SIDE
+from getagrip.clip.reading import MAX_CLIP_IMAGE_PIXELS, MAX_CLIP_SIDE_PX
 from getagrip.errors import InputError
-from getagrip.io.terminal import counted
+from getagrip.io.terminal import format_count
 
 if TYPE_CHECKING:
     from fractions import Fraction
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from av.container import InputContainer
     from av.video.stream import VideoStream
 
-FORMATS = "mov,mp4,matroska,webm,avi,mpegts,gif"
+VIDEO_FORMATS = "mov,mp4,matroska,webm,avi,mpegts,gif"
 """Containers that are read. Not playlists, which can name other files."""
 
 
@@ -47,7 +47,7 @@ class VideoInfo:
 
 def video_info(path: Path) -> VideoInfo:
     """Read the rate and size of a video, from its first frame. Raises ``InputError``."""
-    first = next(_decoded(path), None)
+    first = next(_decode_frames(path), None)
     if first is None:
         raise InputError(path, "", "no frames", "a video")
     image, fps = first
@@ -60,12 +60,12 @@ def video_frames(path: Path, first: int, last: int) -> Iterator[UInt8[ndarray, "
     Raises ``InputError``.
     """
     n = 0
-    for n, (image, _) in enumerate(_decoded(path), start=1):
+    for n, (image, _) in enumerate(_decode_frames(path), start=1):
         if n >= first:
             yield image
         if n == last:
             return
-    raise InputError(path, "", counted(n, "frame"), f"at least {last}, for the interval {first} to {last}")
+    raise InputError(path, "", format_count(n, "frame"), f"at least {last}, for the interval {first} to {last}")
 
 
 def open_video(path: Path) -> InputContainer:
@@ -77,19 +77,21 @@ def open_video(path: Path) -> InputContainer:
         raise InputError(path, "", "a folder", "a video")
     if not path.is_file():
         raise InputError(path, "", "no such file", "a video")
-    options = {"protocol_whitelist": "file", "format_whitelist": FORMATS}
+    options = {"protocol_whitelist": "file", "format_whitelist": VIDEO_FORMATS}
     try:
         container = av.open(f"file:{path.resolve()}", options=options)
         stream = container.streams.video[0]
     except (FFmpegError, IndexError, OSError, ValueError) as error:
-        allowed = f"a video ({FORMATS.replace(',', ', ')})"
+        allowed = f"a video ({VIDEO_FORMATS.replace(',', ', ')})"
         raise InputError(path, "", f"a file that does not decode as video ({error})", allowed) from error
     if stream.codec_context is None:
         raise InputError(path, "", "a stream of an unknown kind", "a video")
-    width, height = max(stream.width, shown_width(stream, stream.sample_aspect_ratio)), stream.height
-    if not _is_possible(width, height):
-        raise InputError(path, "size", f"{width} x {height} pixels", f"at most {LARGEST_IMAGE / 1e6:g} million")
-    stream.codec_context.options = {"max_pixels": str(LARGEST_IMAGE)}  # of later frames, which may have another size
+    width, height = max(stream.width, square_pixel_width(stream, stream.sample_aspect_ratio)), stream.height
+    if not _is_allowed_size(width, height):
+        raise InputError(path, "size", f"{width} x {height} pixels", f"at most {MAX_CLIP_IMAGE_PIXELS / 1e6:g} million")
+    stream.codec_context.options = {
+        "max_pixels": str(MAX_CLIP_IMAGE_PIXELS)
+    }  # of later frames, which may have another size
     stream.thread_type = "AUTO"
     return container
 
@@ -116,28 +118,28 @@ def frame_times(path: Path) -> Float[ndarray, "N"] | None:
     return np.array([float((tick - min(ticks)) * base) for tick in sorted(ticks)])
 
 
-def shown_width(frame: VideoFrame | VideoStream, aspect: Fraction | None) -> int:
+def square_pixel_width(frame: VideoFrame | VideoStream, aspect: Fraction | None) -> int:
     """Return the width at which the pixels of a frame are square [px], before it is turned."""
     return max(1, round(frame.width * aspect)) if aspect else frame.width
 
 
-def _is_possible(width: int, height: int) -> bool:
-    return 0 < max(width, height) <= LARGEST_SIDE and width * height <= LARGEST_IMAGE
+def _is_allowed_size(width: int, height: int) -> bool:
+    return 0 < max(width, height) <= MAX_CLIP_SIDE_PX and width * height <= MAX_CLIP_IMAGE_PIXELS
 
 
-def upright(frame: VideoFrame, aspect: Fraction | None) -> UInt8[ndarray, "H W 3"]:
+def frame_to_rgb(frame: VideoFrame, aspect: Fraction | None) -> UInt8[ndarray, "H W 3"]:
     """Return the RGB image of a frame as shown. Raises ``ValueError`` for one that is too large.
 
     Pixels that are stored ``aspect`` times as wide as high become square.
     """
-    width = shown_width(frame, aspect)
-    if not _is_possible(width, frame.height):
+    width = square_pixel_width(frame, aspect)
+    if not _is_allowed_size(width, frame.height):
         raise ValueError(f"a frame of {width} x {frame.height} pixels")
     wide = frame if width == frame.width else frame.reformat(width=width, height=frame.height)
     return np.rot90(np.asarray(wide.to_ndarray(format="rgb24"), np.uint8), round(frame.rotation / 90.0))
 
 
-def _decoded(path: Path) -> Iterator[tuple[UInt8[ndarray, "H W 3"], float]]:
+def _decode_frames(path: Path) -> Iterator[tuple[UInt8[ndarray, "H W 3"], float]]:
     """All frames, and the frames per second."""
     from av.error import FFmpegError
 
@@ -146,6 +148,6 @@ def _decoded(path: Path) -> Iterator[tuple[UInt8[ndarray, "H W 3"], float]]:
         fps = float(stream.average_rate or 30)
         try:
             for frame in container.decode(stream):
-                yield upright(frame, stream.sample_aspect_ratio), fps
+                yield frame_to_rgb(frame, stream.sample_aspect_ratio), fps
         except (FFmpegError, OSError, ValueError) as error:
             raise InputError(path, "", f"a file that does not decode as video ({error})", "a video") from error

@@ -13,20 +13,20 @@ from getagrip.clip.data import Clip, Masks
 from getagrip.clip.hand_track import HandTrack
 from getagrip.clip.masks import with_masks
 from getagrip.clip.modality import modalities, with_evidence
-from getagrip.clip.reading import VERSION
-from getagrip.clip.reading_arrays import OTHER_HAND
+from getagrip.clip.reading import CLIP_FORMAT_VERSION
+from getagrip.clip.reading_arrays import OTHER_HAND_FILE
 from getagrip.clip.timeline import segment_fields
 from getagrip.clip.truth import Truth
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import arrays, files
 from getagrip.io.images import write_image
-from getagrip.io.named import named
+from getagrip.io.named import check_arguments
 
-WITHOUT_HAND = "frames_without_hand"
+FRAMES_WITHOUT_HAND = "frames_without_hand"
 """Key of a clip's provenance."""
 
 
-@named
+@check_arguments
 def write_clip(
     clip: Clip,
     masks: Masks | None,
@@ -53,23 +53,23 @@ def write_clip(
     """
     folder = Path(folder)
     with files.new_folder(folder, ("clip.json",) if replace else ()) as new:
-        fill_folder(new, clip, masks, images)
+        write_clip_contents(new, clip, masks, images)
         if hand is not None:
             write_hand_at(hand[0], clip.frames, hand[1], new / "hand.npz")
     return folder
 
 
-def fill_folder(
+def write_clip_contents(
     folder: Path, clip: Clip, masks: Masks | None, images: Iterable[UInt8[ndarray, "H W 3"]] | None
 ) -> None:
     """Write the files of a clip into an empty folder, as ``write_clip`` does."""
-    files.write_json(folder / "clip.json", _fields(clip))
+    files.write_json(folder / "clip.json", _clip_json_fields(clip))
     write_mesh(clip.mesh, folder / "object.obj")
     if clip.hand.vertices.size:
         write_hand(clip.hand, folder / "hand.npz")
     if clip.other_hand is not None:
         rows = np.flatnonzero(clip.other_hand.known)
-        write_hand_at(clip.other_hand.track.take(rows), clip.frames, rows.tolist(), folder / OTHER_HAND)
+        write_hand_at(clip.other_hand.track.take(rows), clip.frames, rows.tolist(), folder / OTHER_HAND_FILE)
     if clip.truth is not None:
         arrays.write(folder / "truth.npz", _truth_arrays(clip, clip.truth))
     complete = with_evidence(with_masks(clip, masks))
@@ -99,20 +99,20 @@ def write_hand_at(hand: HandTrack, frames: Sequence[str], rows: Sequence[int], p
     write_hand(hand, path, partial)
 
 
-def without_hand(frames: Sequence[str], rows: Sequence[int]) -> dict[str, str]:
+def missing_hand_provenance(frames: Sequence[str], rows: Sequence[int]) -> dict[str, str]:
     """Return the provenance of a clip where only the frames ``rows`` have a hand; nothing where all have one."""
     missing = [name for row, name in enumerate(frames) if row not in {*rows}]
-    return {WITHOUT_HAND: f"left out until they have one: {', '.join(missing)}"} if missing else {}
+    return {FRAMES_WITHOUT_HAND: f"left out until they have one: {', '.join(missing)}"} if missing else {}
 
 
-def _fields(clip: Clip) -> dict[str, object]:
-    camera: dict[str, object] = {"K": _once(clip.K)}
+def _clip_json_fields(clip: Clip) -> dict[str, object]:
+    camera: dict[str, object] = {"K": _collapse_constant(clip.K)}
     if clip.world is not None:
-        camera["T_world_cam"] = _once(clip.world.T_world_cam)
+        camera["T_world_cam"] = _collapse_constant(clip.world.T_world_cam)
         camera |= {} if clip.world.up is None else {"world_up": clip.world.up}
         camera |= {} if clip.world.support is None else {"world_support": clip.world.support}
     return {
-        "version": VERSION,
+        "version": CLIP_FORMAT_VERSION,
         "name": clip.name,
         "category": clip.category,
         "side": clip.side,
@@ -128,7 +128,7 @@ def _fields(clip: Clip) -> dict[str, object]:
     }
 
 
-def _once(of_frames: Float[ndarray, "T n n"]) -> Float[ndarray, "..."]:
+def _collapse_constant(of_frames: Float[ndarray, "T n n"]) -> Float[ndarray, "..."]:
     """One matrix for all frames, where all are the same."""
     return of_frames[0] if np.array_equal(of_frames, np.broadcast_to(of_frames[:1], of_frames.shape)) else of_frames
 

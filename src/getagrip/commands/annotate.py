@@ -16,7 +16,7 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry.lens import Lens
 from getagrip.io import files
 from getagrip.io.arguments import Flag, Folder, OptionalFile
-from getagrip.io.terminal import counted, report
+from getagrip.io.terminal import format_count, print_note
 
 if TYPE_CHECKING:
     from getagrip.annotate.grasp import Grasp
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from getagrip.annotate.project import Project
     from getagrip.annotate.tasks import Task
 
-DATABASE = "marks.sqlite"
+MARKS_DATABASE = "marks.sqlite"
 """The marks, in the folder of the annotations."""
-NO_SHAPE: Mapping[str, object] = {}
+EMPTY_SHAPE: Mapping[str, object] = {}
 """Nothing is known of the object's shape."""
-TOKENS = "tokens"
+TOKENS_FOLDER = "tokens"
 """The folder, in the user's state folder, of what the addresses of pages hold."""
 
 
@@ -65,34 +65,38 @@ class Annotate(Command):
         that is malformed, ``UsageError`` for a ``port`` that is taken; without one a free one is used.
         """
         from getagrip.annotate.project import Project
-        from getagrip.annotate.store import Store
+        from getagrip.annotate.store import MarkStore
         from getagrip.annotate.tasks import read_tasks
-        from getagrip.annotate.written_files import write_files, write_labels
-        from getagrip.clip.intrinsics import intrinsics
+        from getagrip.annotate.written_files import write_labelled_grasps, write_mark_files
+        from getagrip.clip.intrinsics import compute_intrinsics
 
         tasks = read_tasks(self.source, self.videos)
         absent = [task for task in tasks if task.path is None]
         if absent:
-            missing = f"no footage of {len(absent)} of them, as {files.plain(absent[0].video)}"
-            report(f"{len(tasks)} candidates, {missing}")
+            missing = f"no footage of {len(absent)} of them, as {files.printable(absent[0].video)}"
+            print_note(f"{len(tasks)} candidates, {missing}")
         out, imported = self.out, self.import_labels is not None or self.import_segments is not None
-        if self.export and not imported and not (out / DATABASE).is_file():
-            raise UsageError(f"missing {out / DATABASE}: --export writes what has been marked")
+        if self.export and not imported and not (out / MARKS_DATABASE).is_file():
+            raise UsageError(f"missing {out / MARKS_DATABASE}: --export writes what has been marked")
         labels = None if self.import_labels is None else read_labels(self.import_labels, tasks)
         out.mkdir(parents=True, exist_ok=True)
-        project = Project(tasks, Store(out / DATABASE), self.lens)
+        project = Project(tasks, MarkStore(out / MARKS_DATABASE), self.lens)
         try:
             if self.lens.is_set and (there := next((task for task in tasks if task.path is not None), None)):
-                intrinsics(self.lens, project.footage(there).size)  # refused now rather than once joints are clicked
+                compute_intrinsics(
+                    self.lens, project.footage(there).size
+                )  # refused now rather than once joints are clicked
             if labels is not None and self.import_labels is not None:
-                grasp = take_labels(project, labels, self.import_labels, self.annotator)
-                frames = f"{counted(len(labels.frames), 'key frame')} of {grasp.task.key}, {grasp.mark.start_number}"
+                grasp = store_labels(project, labels, self.import_labels, self.annotator)
+                frames = (
+                    f"{format_count(len(labels.frames), 'key frame')} of {grasp.task.key}, {grasp.mark.start_number}"
+                )
                 print(f"{self.annotator}: {frames} to {grasp.mark.end_number}")
             if self.import_segments is not None:
-                count = take_segments(project, self.import_segments, self.annotator)
-                print(f"{self.annotator}: {counted(count, 'segment')}; give the page this name to correct them")
+                count = store_segments(project, self.import_segments, self.annotator)
+                print(f"{self.annotator}: {format_count(count, 'segment')}; give the page this name to correct them")
             if self.export:
-                return max(write_files(project, out), write_labels(project))
+                return max(write_mark_files(project, out), write_labelled_grasps(project))
             if not imported:
                 serve(project, self.port)
             return 0
@@ -103,18 +107,18 @@ class Annotate(Command):
 def read_labels(path: Path, tasks: list[Task]) -> Labels:
     """Read a file of labels. Raises ``InputError`` where it is malformed, or of none of the footage."""
     from getagrip.annotate import labels
-    from getagrip.annotate.labelled_footage import tasks_of
+    from getagrip.annotate.labelled_footage import tasks_of_labels
     from getagrip.annotate.versions import RefusedError
 
-    value = labels.read(path)
+    value = labels.read_label_file(path)
     try:
-        tasks_of(value, tasks)
+        tasks_of_labels(value, tasks)
     except RefusedError as error:
         raise InputError(path, "", f"labels of other footage ({error})", "labels of the footage given") from error
     return value
 
 
-def take_labels(project: Project, labels: Labels, path: Path, annotator: str) -> Grasp:
+def store_labels(project: Project, labels: Labels, path: Path, annotator: str) -> Grasp:
     """Take labels that were read from a file. Raises ``InputError`` where they are not of the footage."""
     from getagrip.annotate.versions import RefusedError
 
@@ -124,7 +128,7 @@ def take_labels(project: Project, labels: Labels, path: Path, annotator: str) ->
         raise InputError(path, "", f"labels that do not fit ({error})", "labels of the footage") from error
 
 
-def take_segments(project: Project, path: Path, annotator: str) -> int:
+def store_segments(project: Project, path: Path, annotator: str) -> int:
     """Take segments from a file. Raises ``InputError``, and ``UsageError`` where the annotator has marked some."""
     from getagrip.annotate.versions import RefusedError
 
@@ -134,7 +138,7 @@ def take_segments(project: Project, path: Path, annotator: str) -> int:
         raise UsageError(str(error)) from error
 
 
-def serve(project: Project, port: int | None, annotator: str = "", shape: Mapping[str, object] = NO_SHAPE) -> None:
+def serve(project: Project, port: int | None, annotator: str = "", shape: Mapping[str, object] = EMPTY_SHAPE) -> None:
     """Serve the page until it is interrupted. Raises ``UsageError`` for a port that is taken.
 
     With an ``annotator`` the page opens on the first grasp that they have marked, to be labelled, with the fields
@@ -142,12 +146,14 @@ def serve(project: Project, port: int | None, annotator: str = "", shape: Mappin
     """
     from urllib.parse import urlencode
 
-    from getagrip.annotate.server import Server, first_free, kept_token
+    from getagrip.annotate.server import StudioServer, persistent_token, serve_on_free_port
     from getagrip.io.user_folders import state_folder
 
     marks = sha256(os.fsencode(project.store.path.resolve())).hexdigest()[:16]
-    token = kept_token(state_folder() / TOKENS / marks)  # not beside the marks: a folder may be a stranger's
-    with first_free(project, token) if port is None else Server(project, port, token) as server:
+    token = persistent_token(
+        state_folder() / TOKENS_FOLDER / marks
+    )  # not beside the marks: a folder may be a stranger's
+    with serve_on_free_port(project, token) if port is None else StudioServer(project, port, token) as server:
         address = f"{server.url}#{urlencode({'annotator': annotator, **shape})}" if annotator else server.url
         print(f"open {address} in a browser; marks are kept in {project.store.path}; Ctrl-C ends", flush=True)
         try:

@@ -11,13 +11,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar, Union
 
 from tyro.conf import arg, subcommand
 
-from getagrip.batch.share import Executors, Share
+from getagrip.batch.share import Executors, SchedulingOptions
 from getagrip.commands.command import Command
-from getagrip.experiments.compared import Compared
+from getagrip.experiments.compared import ComparisonOptions
 from getagrip.experiments.sources.ho3d import Ho3dEval
-from getagrip.experiments.sources.recorded import DexYcb, DexYcbSequences, DexYcbTimelines, Hot3dTimelines, Timelines
+from getagrip.experiments.sources.recorded import (
+    DexYcb,
+    DexYcbSequences,
+    DexYcbTimelines,
+    Hot3dTimelines,
+    TimelineSource,
+)
 from getagrip.experiments.sources.source import ClipFolder, ClipSource
-from getagrip.experiments.sources.synthetic import Synthetic
+from getagrip.experiments.sources.synthetic import SyntheticSource
 from getagrip.fitting.options import Options, SearchOptions
 from getagrip.io.arguments import Flag, Folder, OptionalFile
 
@@ -28,7 +34,7 @@ if TYPE_CHECKING:
     from getagrip.experiments.trial import Benchmark
 
 C = TypeVar("C", bound=ClipSource)
-T = TypeVar("T", bound=Timelines)
+T = TypeVar("T", bound=TimelineSource)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +53,7 @@ class Bench(Command, Generic[C]):
     overwrite: Flag = False
     """Recompute valid results, too. Damaged ones, and those of other inputs, options or code, always are."""
     search: Annotated[SearchOptions, arg(name="")] = field(default_factory=SearchOptions)
-    share: Executors = field(default_factory=Share)
+    share: Executors = field(default_factory=SchedulingOptions)
 
     @property
     def options(self) -> Options:
@@ -66,24 +72,26 @@ class Bench(Command, Generic[C]):
         """
         from getagrip.batch.clips import print_outcome
         from getagrip.batch.engine import Engine
-        from getagrip.batch.job import load
+        from getagrip.batch.job import preload_solver
         from getagrip.batch.ledger import Ledger, ledger_folder
-        from getagrip.experiments.sources import samples
-        from getagrip.experiments.trial import lost, run
+        from getagrip.experiments.sources import sample_clips
+        from getagrip.experiments.trial import failure_of, run_trial
         from getagrip.io import files, leftovers
-        from getagrip.io.terminal import report
+        from getagrip.io.terminal import print_note
 
         benchmark = self.benchmark()
-        found, bad = samples(self.source, self.out / "clips", self.count, self.debug, self.share)
+        found, bad = sample_clips(self.source, self.out / "clips", self.count, self.debug, self.share)
         for outcome in bad:
             print_outcome(outcome, self.debug)
         if not found:
             return 1
         self.out.mkdir(parents=True, exist_ok=True)
-        leftovers.sweep(self.out / "clips")
+        leftovers.remove_stale_folders(self.out / "clips")
         chosen = [sample for sample in found if sample.name in self.share.shard]
         trials = benchmark.trials(chosen, files.folder_inside(self.out, "results"), self.overwrite)
-        engine = Engine(work=run, lost=lost, entry=benchmark.entry, options=repr(benchmark), prepare=load)
+        engine = Engine(
+            work=run_trial, lost=failure_of, entry=benchmark.entry, options=repr(benchmark), prepare=preload_solver
+        )
         scores, failures = [], len(bad)
         with (
             Ledger(ledger_folder(self.out, self.share.ledger)) as ledger,
@@ -98,7 +106,7 @@ class Bench(Command, Generic[C]):
                 scores.append(one)
                 failures += len(failed)
                 if self.share.fail_fast and failures:
-                    report("--fail-fast: the other clips are skipped")
+                    print_note("--fail-fast: the other clips are skipped")
                     break
         page = benchmark.page(sorted(scores, key=lambda one: one.name))
         if page is not None:
@@ -110,7 +118,7 @@ class Bench(Command, Generic[C]):
 class BenchGrasps(Bench[C], Generic[C]):
     """Compare methods on clips of grasps."""
 
-    compared: Annotated[Compared, arg(name="")] = field(default_factory=Compared)
+    compared: Annotated[ComparisonOptions, arg(name="")] = field(default_factory=ComparisonOptions)
 
     def benchmark(self) -> GraspBenchmark:
         from getagrip.experiments.grasp_benchmark import GraspBenchmark
@@ -139,7 +147,7 @@ class BenchTimelines(Bench[T], Generic[T]):
 
 
 BENCHES: tuple[tuple[object, type[ClipSource]], ...] = (
-    (BenchGrasps[Synthetic], Synthetic),
+    (BenchGrasps[SyntheticSource], SyntheticSource),
     (BenchGrasps[DexYcb], DexYcb),
     (BenchGrasps[Ho3dEval], Ho3dEval),
     (BenchSegments, DexYcbSequences),
@@ -150,27 +158,27 @@ BENCHES: tuple[tuple[object, type[ClipSource]], ...] = (
 """A line for each subcommand: what is run, and its source, whose fields are options."""
 
 
-def _subcommands() -> object:
+def _bench_subcommands() -> object:
     """Make a subcommand for each source."""
     kinds = [Annotated[bench, subcommand(source.dataset, description=source.__doc__)] for bench, source in BENCHES]
     return Union[tuple(kinds)]  # noqa: UP007
 
 
-Benches = _subcommands()
+Benches = _bench_subcommands()
 
 
-NAMING_PATHS = ("--out", "--json", "--ledger", "--priors")
+PATH_OPTIONS = ("--out", "--json", "--ledger", "--priors")
 """Options whose values are paths, but not those of clips."""
 
 
-def with_source(words: Sequence[str], sources: Collection[str]) -> list[str]:
+def move_source_first(words: Sequence[str], sources: Collection[str]) -> list[str]:
     """Return the words behind ``bench`` with the source first: options may come before it."""
     if not words or words[0] in ("-h", "--help"):
         return list(words)
     alone = words[0] == ClipFolder.dataset and (len(words) == 1 or words[1].startswith("-"))  # a folder of that name
     if alone or (words[0] not in sources and not words[0].startswith("-")):
         return [ClipFolder.dataset, *words] if _is_folder(words[0]) else list(words)
-    free = [n for n, word in enumerate(words) if n == 0 or words[n - 1] not in NAMING_PATHS]
+    free = [n for n, word in enumerate(words) if n == 0 or words[n - 1] not in PATH_OPTIONS]
     place = next((n for n in free if words[n] in sources), None)
     if place is not None:
         return [words[place], *words[:place], *words[place + 1 :]]

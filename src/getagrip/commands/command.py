@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Literal, Protocol, TypeVar
 from tyro.conf import Positional, arg
 
 from getagrip.errors import UsageError
-from getagrip.io.arguments import Flag, one_of, placed
-from getagrip.io.storage import Place, Remote
+from getagrip.io.arguments import Flag, one_of, place_argument
+from getagrip.io.storage import Place, RemotePath
 from getagrip.io.terminal import progress_bar, show_stage
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 Clips = Annotated[Positional[tuple[Path, ...]], arg(metavar="CLIP...", help_behavior_hint="")]
 Sources = Annotated[
-    Positional[tuple[Annotated[Place, placed("CLIP")], ...]], arg(metavar="CLIP...", help_behavior_hint="")
+    Positional[tuple[Annotated[Place, place_argument("CLIP")], ...]], arg(metavar="CLIP...", help_behavior_hint="")
 ]
 Results = Annotated[Positional[tuple[Path, ...]], arg(metavar="RESULT...", help_behavior_hint="")]
 ClipsFolder = Annotated[
@@ -53,7 +53,7 @@ class Command:
         """Raise ``UsageError``, before any work is done, where an output cannot be written."""
         from getagrip.io import files
 
-        if isinstance(out := getattr(self, "out", None), Remote):
+        if isinstance(out := getattr(self, "out", None), RemotePath):
             out.check_writable("--out")
         elif out is not None:
             files.check_folder("--out", out)
@@ -72,7 +72,7 @@ J = TypeVar("J", bound=ClipJob)
 R = TypeVar("R")
 
 
-def each_clip(
+def for_each_clip(
     paths: Sequence[Path],
     job: Callable[[str, Path], J | None],
     work: Callable[..., R | Outcome],
@@ -86,21 +86,21 @@ def each_clip(
     Raises ``UsageError`` where no path is given.
     """
     from getagrip.batch.clips import print_outcome
-    from getagrip.batch.executor import DIED, each
+    from getagrip.batch.executor import PROCESS_DIED_TWICE, for_each_job
     from getagrip.batch.job import Outcome
-    from getagrip.batch.plan import by_name
+    from getagrip.batch.plan import clips_by_name
 
     if not paths:
         raise UsageError("missing CLIP: name at least one clip")
     if workers is not None and workers < 1:
         raise UsageError(f"--workers must be 1 or more (got {workers})")
-    clips, failed = by_name(paths)
+    clips, failed = clips_by_name(paths)
     for outcome in failed:
         print_outcome(outcome, debug)
     jobs = [made for name, folder in clips.items() if (made := job(name, folder)) is not None]
 
     def died(one: J) -> R | Outcome:
-        return Outcome(one.clip.name, "failed", DIED)
+        return Outcome(one.clip.name, "failed", PROCESS_DIED_TWICE)
 
     def ended(result: R | Outcome) -> None:
         if isinstance(result, Outcome):
@@ -115,6 +115,6 @@ def each_clip(
             bar.update(stage, visible=True)
             return work(one, partial(show_stage, bar, stage, one.clip.name))
 
-        results = each(work, jobs, died, ended, workers, here)
+        results = for_each_job(work, jobs, died, ended, workers, here)
     found = [result for result in results if not isinstance(result, Outcome)]
     return found, len(failed) + len(jobs) - len(found)

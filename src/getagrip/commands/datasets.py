@@ -14,7 +14,7 @@ from typing import Annotated, Generic, TypeVar, Union
 from tyro.conf import arg, subcommand
 
 from getagrip.batch.imports import import_clips
-from getagrip.batch.share import Executors, Share
+from getagrip.batch.share import Executors, SchedulingOptions
 from getagrip.commands.command import Command
 from getagrip.commands.import_cameras import ImportCameras
 from getagrip.commands.import_depth import ImportDepth
@@ -30,8 +30,8 @@ from getagrip.datasets.hot3d.reader import Hot3d
 from getagrip.datasets.track_files import Tracks
 from getagrip.fitting import pose_priors
 from getagrip.io.arguments import Folder, OptionalFolder
-from getagrip.io.plugins import Table
-from getagrip.io.terminal import report
+from getagrip.io.plugins import PluginTable
+from getagrip.io.terminal import print_note
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,17 +49,17 @@ class ImportEpic(EpicGrasps):
         return parts
 
     def _report(self, folder: Path) -> None:
-        learnt = pose_priors.read_folder(folder)
+        learnt = pose_priors.read_priors_folder(folder)
         kinds = sorted({(grasp.category, grasp.side) for grasp in self.grasps()})
         without = [f"{category} in a {side} hand" for category, side in kinds if not len(learnt.of(category, side))]
         print(f"to start from the poses of {folder}: getagrip reconstruct ... --init priors --priors {folder}")
         if without:
-            report(f"{folder} has no poses of {', '.join(without)}")
+            print_note(f"{folder} has no poses of {', '.join(without)}")
         if self.cad is None:
-            report("poses belong to the meshes they were made with: bring these with --cad")
+            print_note("poses belong to the meshes they were made with: bring these with --cad")
 
 
-_DATASETS: dict[str, type[Dataset]] = {
+_BUILTIN_DATASETS: dict[str, type[Dataset]] = {
     "hot3d": Hot3d,
     "dexycb": DexYcb,
     "arctic": Arctic,
@@ -70,7 +70,7 @@ _DATASETS: dict[str, type[Dataset]] = {
 }
 
 
-OTHERS = ("hands", "masks", "depth", "cameras", "segments")
+NON_DATASET_IMPORTS = ("hands", "masks", "depth", "cameras", "segments")
 """Imports into existing clips."""
 
 
@@ -78,7 +78,9 @@ def _is_dataset(_: str, it: object) -> bool:
     return isinstance(it, type) and issubclass(it, Dataset) and is_dataclass(it)
 
 
-DATASETS = Table("datasets", _DATASETS, "a dataclass that subclasses Dataset", _is_dataset, OTHERS)
+DATASETS = PluginTable(
+    "datasets", _BUILTIN_DATASETS, "a dataclass that subclasses Dataset", _is_dataset, NON_DATASET_IMPORTS
+)
 
 D = TypeVar("D", bound=Dataset)
 
@@ -90,13 +92,13 @@ class Import(Command, Generic[D]):
     dataset: Annotated[D, arg(name="")]
     out: Folder
     """Folder of the clips, one folder each. Existing clips are kept, unless they lack hands found now."""
-    share: Executors = field(default_factory=Share)
+    share: Executors = field(default_factory=SchedulingOptions)
 
     def run(self) -> int:
         return import_clips(self.dataset, self.out, self.debug, self.share)
 
 
-def _summary(dataset: type[Dataset]) -> str:
+def _dataset_summary(dataset: type[Dataset]) -> str:
     """Return the docstring of a dataset without its fields (``explain_all``)."""
     return (dataset.__doc__ or "").partition("\n\nAttributes:")[0]
 
@@ -106,12 +108,12 @@ def subcommands(name: str = "") -> object:
 
     Behind a ``name`` that there is, nothing else of other packages is loaded. Raises ``UsageError`` where it cannot be.
     """
-    datasets = {name: DATASETS[name]} if name in DATASETS else {} if name in OTHERS else DATASETS.working()
+    datasets = {name: DATASETS[name]} if name in DATASETS else {} if name in NON_DATASET_IMPORTS else DATASETS.working()
     kinds = [
-        Annotated[Import[dataset], subcommand(name, description=_summary(dataset))]  # type: ignore[valid-type]
+        Annotated[Import[dataset], subcommand(name, description=_dataset_summary(dataset))]  # type: ignore[valid-type]
         for name, dataset in datasets.items()
     ]
-    if name == "hands" or name not in (*DATASETS, *OTHERS):
+    if name == "hands" or name not in (*DATASETS, *NON_DATASET_IMPORTS):
         from getagrip.commands.import_hands import ImportHands  # the options of all trackers are in it
 
         kinds.append(Annotated[ImportHands, subcommand("hands")])

@@ -12,8 +12,8 @@ from getagrip.io.arguments import Folder
 if TYPE_CHECKING:
     from getagrip.clip import Clip
 
-CATEGORY, SEED = "mug", 2
-THREADS = 2
+DEMO_CATEGORY, DEMO_SEED = "mug", 2
+N_DEMO_THREADS = 2
 """More gain little."""
 
 
@@ -31,21 +31,21 @@ class Demo(Command):
         where something else is in the way.
         """
         from getagrip.clip import input_sha256, read_masks
-        from getagrip.compiling import WORDS, compile_once
+        from getagrip.compiling import COMPILATION_MESSAGE, compile_once
         from getagrip.evaluation import evaluate, results_table
         from getagrip.io import files
         from getagrip.io.terminal import console, progress_bar
         from getagrip.pages import write_page
         from getagrip.pictures.report import write_report
         from getagrip.pictures.shown import View
-        from getagrip.result import read_record, write_result
+        from getagrip.result import read_result_record, write_result
         from getagrip.timelines.reconstruct import reconstruct
 
         screen = console()
-        compile_once(lambda: screen.print(WORDS))
+        compile_once(lambda: screen.print(COMPILATION_MESSAGE))
         with progress_bar() as bar:
             steps = bar.add_task("make a clip", total=4.0)
-            clip = _clip(files.folder_inside(self.out, "clips"))
+            clip = _make_demo_clip(files.folder_inside(self.out, "clips"))
             masks = read_masks(clip)
             screen.print(f"clip     {clip.origin}: a {clip.category} in a {clip.side} hand, {len(clip)} frames")
 
@@ -54,7 +54,7 @@ class Demo(Command):
             def shown(stage: str, part: float) -> None:
                 bar.update(steps, completed=1.0 + part, description=stage)
 
-            result = reconstruct(clip, masks, progress=shown, threads=THREADS)
+            result = reconstruct(clip, masks, progress=shown, threads=N_DEMO_THREADS)
             screen.print(f"found    in {result.seconds['total']:.2f} s; {result.message}")
 
             bar.update(steps, completed=2.0, description="evaluate")
@@ -65,22 +65,24 @@ class Demo(Command):
 
             bar.update(steps, completed=3.0, description="draw the report")
             report = write_report(result, clip, masks, self.out / "report.png", evaluation.metrics)
-            page = write_page(View.of(result, clip, masks), evaluation, read_record(folder), self.out / "report.html")
+            page = write_page(
+                View.of(result, clip, masks), evaluation, read_result_record(folder), self.out / "report.html"
+            )
             screen.print(f"report   {report} and, to be opened in a browser, {page}\n")
         screen.print(results_table([evaluation]))
         return 0
 
 
-def _clip(folder: Path) -> Clip:
+def _make_demo_clip(folder: Path) -> Clip:
     """Return the demo's clip, made and written unless it is there from an earlier time."""
     from getagrip.clip import read_clip, write_clip
     from getagrip.datasets.synthetic import scene_options
     from getagrip.datasets.synthetic.noise import perturbed
-    from getagrip.datasets.synthetic.scene import clip_name, ground_truth_masks, make_scene, pictures
+    from getagrip.datasets.synthetic.scene import clip_name, ground_truth_masks, make_scene, render_pictures
 
-    options = scene_options.DEMO
-    there = folder / clip_name(CATEGORY, SEED, options)
+    options = scene_options.DEMO_SCENE_OPTIONS
+    there = folder / clip_name(DEMO_CATEGORY, DEMO_SEED, options)
     if not there.exists():
-        scene = make_scene(CATEGORY, SEED, options)
-        write_clip(*perturbed(scene.clip, ground_truth_masks(scene), options, SEED), there, pictures(scene))
+        scene = make_scene(DEMO_CATEGORY, DEMO_SEED, options)
+        write_clip(*perturbed(scene.clip, ground_truth_masks(scene), options, DEMO_SEED), there, render_pictures(scene))
     return read_clip(there)

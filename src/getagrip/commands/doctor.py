@@ -24,20 +24,20 @@ from getagrip.commands.command import Command
 from getagrip.errors import GetagripError, UsageError
 from getagrip.io import locks
 from getagrip.io.arguments import OptionalFolder, one_of
-from getagrip.io.extras import install
+from getagrip.io.extras import install_command
 
-EXTRAS = {
+EXTRA_PURPOSES = {
     "torch": "reads estimators' .pt files", "lerobot": "exports to LeRobot", "mujoco": "exports to MuJoCo",
     "usd": "exports to USD", "ray": "`--engine ray`", "slurm": "`--engine slurm`",
     "s3": "clips and results at s3:// addresses", "gs": "at gs:// addresses",
     "bench": "the peer of the speed benchmark", "hands": "finds hands in a video",
 }  # fmt: skip
 """Purpose of each extra of the package."""
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "firefox", "open", "xdg-open")
-LEAST_DISK, LEAST_MEMORY = 1.0, 2.0
+BROWSER_COMMANDS = ("chromium", "chromium-browser", "google-chrome", "firefox", "open", "xdg-open")
+MIN_DISK_GB, MIN_MEMORY_GB = 1.0, 2.0
 """Least free disk for results, and least memory [GB]."""
-_REQUIREMENT = re.compile(r"([\w.-]+)[^;]*?[>=]=([\d.]+)")
-_EXTRA = re.compile(r"extra == ['\"](\w+)['\"]")
+_REQUIREMENT_PATTERN = re.compile(r"([\w.-]+)[^;]*?[>=]=([\d.]+)")
+_EXTRA_PATTERN = re.compile(r"extra == ['\"](\w+)['\"]")
 
 Line = tuple[str, str]
 """How it is, and what to say."""
@@ -63,20 +63,20 @@ class Doctor(Command):
         """
         print(f"getagrip {metadata.version('getagrip')}, Python {platform.python_version()}, {platform.platform()}")
         if self.fetch:
-            from getagrip.landmarks import fetch
+            from getagrip.landmarks import download_models
 
-            for path in fetch():
+            for path in download_models():
                 print(f"ok       {path}")
         wrong = False
         checks = (
-            _libraries(),
-            _extras(),
-            _plugins(),
-            _clusters(self.address),
-            _machine(),
-            _mano(self.mano),
-            _hands(self.models),
-            _estimators(),
+            _check_libraries(),
+            _check_extras(),
+            _check_plugins(),
+            _check_clusters(self.address),
+            _check_machine(),
+            _check_mano(self.mano),
+            _check_hand_models(self.models),
+            _check_estimators(),
         )
         for check in checks:
             for state, words in check:
@@ -85,40 +85,40 @@ class Doctor(Command):
         if wrong:
             return 1
         try:
-            _try_out()
+            _smoke_test()
         except Exception as error:  # whatever it is, it is reported, not raised
             print(f"BROKEN   a synthetic clip cannot be reconstructed: {type(error).__name__}: {error}")
             return 1
         return 0
 
 
-def _libraries() -> Iterator[Line]:
+def _check_libraries() -> Iterator[Line]:
     """Yield a line for each required library."""
     for name, least, extra in _requirements():
         if not extra:
-            yield _library(name, least, "MISSING", f'pip install "{name}>={least}"')
+            yield _check_library(name, least, "MISSING", f'pip install "{name}>={least}"')
 
 
-def _extras() -> Iterator[Line]:
+def _check_extras() -> Iterator[Line]:
     """Yield a line for each optional library."""
     for name, least, extra in _requirements():
-        if extra in EXTRAS:
-            yield _library(name, least, "without", f"{EXTRAS[extra]}: {install(extra)}")
-    found = next(filter(None, map(shutil.which, BROWSERS)), None)
+        if extra in EXTRA_PURPOSES:
+            yield _check_library(name, least, "without", f"{EXTRA_PURPOSES[extra]}: {install_command(extra)}")
+    found = next(filter(None, map(shutil.which, BROWSER_COMMANDS)), None)
     needed = "pages of `report`, `view` and `annotate` open in one: install Chromium or Firefox, or open them elsewhere"
     yield ("ok", f"browser {found}") if found else ("without", f"browser; {needed}")
 
 
-def _plugins() -> Iterator[Line]:
+def _check_plugins() -> Iterator[Line]:
     """Yield a line for each plug-in of another package."""
     import getagrip.checks
     import getagrip.commands.datasets
     import getagrip.evaluation
     import getagrip.export
     import getagrip.hands.trackers  # noqa: F401 - all tables
-    from getagrip.io.plugins import TABLES
+    from getagrip.io.plugins import PLUGIN_TABLES
 
-    for table in TABLES.values():
+    for table in PLUGIN_TABLES.values():
         for name, plugin in table.plugins.items():
             try:
                 table[name]
@@ -128,9 +128,9 @@ def _plugins() -> Iterator[Line]:
                 yield "ok", str(plugin)
 
 
-def _clusters(address: str | None) -> Iterator[Line]:
+def _check_clusters(address: str | None) -> Iterator[Line]:
     """Yield a line each for Ray and Slurm, and whether they can be reached from here."""
-    from getagrip.batch.on_ray import check_answer
+    from getagrip.batch.on_ray import check_ray_address
 
     address = address or os.environ.get("RAY_ADDRESS")
     if address is None or ":" not in address:
@@ -140,7 +140,7 @@ def _clusters(address: str | None) -> Iterator[Line]:
         )
     else:
         try:
-            check_answer(address)
+            check_ray_address(address)
         except (OSError, ValueError) as error:
             advice = "is `ray start --head` running there, is the port open?"
             yield "BROKEN", f"Ray cluster {address} does not answer ({error}); {advice}"
@@ -154,41 +154,41 @@ def _clusters(address: str | None) -> Iterator[Line]:
 def _requirements() -> Iterator[tuple[str, str, str]]:
     """Name and least version of each library, and the extra that it belongs to, if any."""
     for requirement in metadata.requires("getagrip") or ():
-        match, extra = _REQUIREMENT.match(requirement), _EXTRA.search(requirement)
+        match, extra = _REQUIREMENT_PATTERN.match(requirement), _EXTRA_PATTERN.search(requirement)
         if match is not None:
             yield match[1], match[2], extra[1] if extra else ""
 
 
-def _library(name: str, least: str, otherwise: str, advice: str) -> Line:
-    version = _version(name)
+def _check_library(name: str, least: str, otherwise: str, advice: str) -> Line:
+    version = _installed_version(name)
     if version is None:
         return otherwise, f"{name} {least} or later; {advice}"
-    if _numbers(version) < _numbers(least):
+    if _version_numbers(version) < _version_numbers(least):
         return otherwise, f"{name} {least} or later, here is {version}; {advice}"
     return "ok", f"{name} {version}"
 
 
-def _machine() -> Iterator[Line]:
+def _check_machine() -> Iterator[Line]:
     """Cores, linear algebra, disk and memory."""
     import scipy.linalg  # noqa: F401 - brings its own
     from threadpoolctl import threadpool_info
 
-    from getagrip.batch.executor import cores
+    from getagrip.batch.executor import available_cores
 
-    yield "ok", f"{cores()} cores to use, a clip on each: --workers"
-    if not locks.KNOWN:
+    yield "ok", f"{available_cores()} cores to use, a clip on each: --workers"
+    if not locks.HAS_FILE_LOCKS:
         yield "without", "locks on files, which this system has none of: one call at a time into a folder"
     for blas in {str(one["filepath"]): one for one in threadpool_info() if one["user_api"] == "blas"}.values():
         name = f"{blas['internal_api']} {blas['version']} ({Path(blas['filepath']).name})"
         yield "ok", f"BLAS {name}, threads: {blas['num_threads']}; a reconstruction uses one, whatever is set"
     for what, folder in (("this folder", Path.cwd()), ("temporary files", Path(gettempdir()))):
         free = shutil.disk_usage(folder).free / 1e9
-        state = "ok" if free >= LEAST_DISK else "BROKEN"
+        state = "ok" if free >= MIN_DISK_GB else "BROKEN"
         yield state, f"{free:.1f} GB free for {what} ({folder})" + ("; make room" if state != "ok" else "")
     if (memory := _free_memory()) is not None:
         few = max(1, int(memory / 0.5))
-        advice = "" if memory >= LEAST_MEMORY else f"; end other programs, or --workers {few}"
-        yield "ok" if memory >= LEAST_MEMORY else "without", f"{memory:.1f} GB of memory free, 0.5 GB a worker{advice}"
+        advice = "" if memory >= MIN_MEMORY_GB else f"; end other programs, or --workers {few}"
+        yield "ok" if memory >= MIN_MEMORY_GB else "without", f"{memory:.1f} GB of memory free, 0.5 GB a worker{advice}"
 
 
 def _free_memory() -> float | None:
@@ -200,7 +200,7 @@ def _free_memory() -> float | None:
     return None if found is None else int(found[1]) / 1e6
 
 
-def _mano(folder: Path | None) -> Iterator[Line]:
+def _check_mano(folder: Path | None) -> Iterator[Line]:
     """Yield a line for the user's own MANO files, if they are named."""
     if folder is None:
         yield "without", "MANO: getagrip doctor --mano DIR tries your files (https://mano.is.tue.mpg.de)"
@@ -228,39 +228,39 @@ def _mano(folder: Path | None) -> Iterator[Line]:
     )
 
 
-def _hands(folder: Path | None) -> Iterator[Line]:
+def _check_hand_models(folder: Path | None) -> Iterator[Line]:
     """Yield lines on the models that find hands, and whether they run correctly."""
-    from getagrip.landmarks import load
-    from getagrip.landmarks.models import cache_folder, missing
+    from getagrip.landmarks import load_models
+    from getagrip.landmarks.models import missing_model_files, model_folder
 
-    where = folder or cache_folder()
-    if missing(folder):
+    where = folder or model_folder()
+    if missing_model_files(folder):
         yield "without", f"hand models in {where}, which `draft` needs: getagrip doctor --fetch hands"
         return
     try:
-        nets = load(folder)
+        nets = load_models(folder)
     except GetagripError as error:
         yield "BROKEN", f"hand models: {error}"
         return
-    slow = "" if nets.runtime == "LiteRT" else f"; six times as fast: {install('hands')}"
+    slow = "" if nets.runtime == "LiteRT" else f"; six times as fast: {install_command('hands')}"
     yield "ok", f"hand models in {where}, run by {nets.runtime}{slow}"
 
 
-def _estimators() -> Iterator[Line]:
+def _check_estimators() -> Iterator[Line]:
     """Yield a line for each estimator that ``draft`` can run."""
-    from getagrip.annotate.estimators import ESTIMATORS, advice, command
+    from getagrip.annotate.estimators import ESTIMATORS, estimator_command, setup_advice
 
     for name, one in ESTIMATORS.items():
         try:
-            words = command(name)
+            words = estimator_command(name)
         except UsageError as error:
             yield "BROKEN", str(error)
         else:
             what = f"draft --{one.makes} {name}"
-            yield ("ok", f"{what}: {' '.join(words)}") if words else ("without", f"{what}; {advice(name)}")
+            yield ("ok", f"{what}: {' '.join(words)}") if words else ("without", f"{what}; {setup_advice(name)}")
 
 
-def _version(name: str) -> str | None:
+def _installed_version(name: str) -> str | None:
     """Return the installed version of a library."""
     try:
         return metadata.version(name)
@@ -268,16 +268,16 @@ def _version(name: str) -> str | None:
         return None
 
 
-def _numbers(version: str) -> list[int]:
+def _version_numbers(version: str) -> list[int]:
     """Return the leading numbers of a version, for comparisons."""
     return [int(part) for part in re.findall(r"\d+", version)[:3]]
 
 
-def _try_out() -> None:
+def _smoke_test() -> None:
     """Make a small clip and take it through every step, twice; only the first time is anything compiled."""
     from getagrip.batch.job import Job, reconstruct_one
     from getagrip.clip import read_clip, read_masks, write_clip
-    from getagrip.compiling import WORDS, compile_once
+    from getagrip.compiling import COMPILATION_MESSAGE, compile_once
     from getagrip.datasets.synthetic.scene import synthesise
     from getagrip.datasets.synthetic.scene_options import SceneOptions
     from getagrip.evaluation import evaluate_result
@@ -289,7 +289,7 @@ def _try_out() -> None:
         read_masks(read_clip(clip))
         for n, words in enumerate(("compiling included", "compiled")):
             began = perf_counter()
-            compile_once(lambda: print(f"ok       {WORDS}", flush=True))
+            compile_once(lambda: print(f"ok       {COMPILATION_MESSAGE}", flush=True))
             out = Path(folder) / f"result-{n}"
             outcome = reconstruct_one(Job("can", clip, out, Options(), overwrite=False))
             if outcome.state != "done":

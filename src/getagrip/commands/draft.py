@@ -14,27 +14,27 @@ from getagrip.commands.command import Command, Labels, OptionalSide
 from getagrip.errors import GetagripError, UsageError
 from getagrip.geometry.lens import Lens
 from getagrip.io.arguments import Flag, OptionalFolder
-from getagrip.io.terminal import counted, report
+from getagrip.io.terminal import format_count, print_note
 
 if TYPE_CHECKING:
     from getagrip.annotate.drafted_grasps import DraftedGrasps
-    from getagrip.annotate.finding_hands import FoundHands
+    from getagrip.annotate.finding_hands import DetectedHands
     from getagrip.annotate.footage import Footage
     from getagrip.annotate.labels import FrameLabels
     from getagrip.annotate.labels import Labels as DrawnLabels
-    from getagrip.annotate.reconstruction import DepthFiles, Shape
-    from getagrip.commands.draft_inputs import Stretch
+    from getagrip.annotate.reconstruction import DepthFiles, RequestedMesh
+    from getagrip.commands.draft_inputs import VideoInterval
     from getagrip.landmarks import HandLandmarks
 
-MOST_FRAMES = 3000
+MAX_DRAFT_FRAMES = 3000
 """Largest number of frames of a draft: two networks are run on each."""
-LEAST_FILLED = 0.05
+MIN_BOX_FILL_FRACTION = 0.05
 """Least share of its box that an object fills."""
-DRAFTER = "draft"
+DRAFT_ANNOTATOR = "draft"
 """Name of the annotator whose marks a draft starts with."""
 
 
-def box_of(words: list[str]) -> tuple[float, ...]:
+def parse_box(words: list[str]) -> tuple[float, ...]:
     """Parse left, top, width and height in one word. Raises ``ValueError``."""
     box = tuple(float(number) for number in words[0].split(","))
     if len(box) != 4 or min(box[2:]) <= 0.0:
@@ -42,10 +42,10 @@ def box_of(words: list[str]) -> tuple[float, ...]:
     return box
 
 
-BOX: PrimitiveConstructorSpec[tuple[float, ...] | None] = PrimitiveConstructorSpec(
+BOX_ARGUMENT: PrimitiveConstructorSpec[tuple[float, ...] | None] = PrimitiveConstructorSpec(
     nargs=1,
     metavar="X,Y,W,H",
-    instance_from_str=box_of,
+    instance_from_str=parse_box,
     is_instance=lambda value: value is None or (isinstance(value, tuple) and len(value) == 4),
     str_from_instance=lambda value: [",".join(f"{x:g}" for x in value or ())],
 )
@@ -67,7 +67,7 @@ class Draft(Command):
     """The frames in which the object is held, counted from 1."""
     side: OptionalSide = None
     """The hand that holds the object (default: what it looks like)."""
-    object_box: Annotated[tuple[float, float, float, float] | None, BOX, arg(help_behavior_hint="")] = None
+    object_box: Annotated[tuple[float, float, float, float] | None, BOX_ARGUMENT, arg(help_behavior_hint="")] = None
     """Box around the object in the first frame [px]. The hand nearest to it is used, and what stands out from the
     background in it is marked as the object."""
     masks: Annotated[str | None, arg(metavar="sam2|sam3|FILE", help_behavior_hint="(default: marked on the page)")] = (
@@ -155,20 +155,20 @@ class Draft(Command):
         Raises ``InputError`` for a mesh, video or models that cannot be read, ``UsageError`` where there is no hand or
         the video is cut.
         """
-        from getagrip.annotate.finding_hands import write_found
+        from getagrip.annotate.finding_hands import write_detected_hands
         from getagrip.annotate.labels import Labels as Drawn
         from getagrip.annotate.project import Project
-        from getagrip.annotate.store import Store
+        from getagrip.annotate.store import MarkStore
         from getagrip.annotate.tasks import read_tasks
-        from getagrip.annotate.written_files import solve_labels
-        from getagrip.commands.annotate import DATABASE, serve
+        from getagrip.annotate.written_files import reconstruct_labelled_grasps
+        from getagrip.commands.annotate import MARKS_DATABASE, serve
         from getagrip.io.terminal import progress_bar
 
         shape = self._shape()
         video = self._source()
         task = read_tasks(video, None)[0]
         self.folder.mkdir(parents=True, exist_ok=True)
-        project = Project([task], Store(self.folder / DATABASE), self._lens)
+        project = Project([task], MarkStore(self.folder / MARKS_DATABASE), self._lens)
         try:
             footage = project.footage(task)
             stretch = self._stretch(footage)
@@ -177,45 +177,49 @@ class Draft(Command):
             self._say_sources(found)
             with progress_bar() as bar:
                 job = bar.add_task("the hand's masks", total=len(found.landmarks))
-                made = write_found(self.folder, found, footage.image, lambda n: bar.update(job, completed=n))
+                made = write_detected_hands(self.folder, found, footage.image, lambda n: bar.update(job, completed=n))
             between = len(found.frames) - len(found.landmarks)
             guessed = f", interpolated in {between} of them" if between > 0 else ""
             print(f"{made}: the {found.side} hand in {len(found.frames)} of {len(stretch.names)} frames{guessed}")
             drawn = self._drawn(stretch, found)
             whole = (found.frames[0], found.frames[-1])
-            labels = Drawn(video.name, footage.size, found.side, footage.fps, *whole, _within(drawn, whole))
+            labels = Drawn(
+                video.name, footage.size, found.side, footage.fps, *whole, _labels_within_extent(drawn, whole)
+            )
             extents = [whole]
             if self.find_grasps or (drawn and self.interval is None and not self.all_frames):
                 grasps = self._grasps(stretch, found, labels, shape, video)
                 labels, extents = grasps.labels, grasps.extents or [whole]
             labelled = []
             for extent in extents:
-                project.mark_grasp(task, DRAFTER, extent, found.side)
-                if frames := _within(labels.frames, extent):
+                project.mark_grasp(task, DRAFT_ANNOTATOR, extent, found.side)
+                if frames := _labels_within_extent(labels.frames, extent):
                     own = replace(labels, first=extent[0], last=extent[1], frames=frames)
-                    labelled.append(grasp := project.import_labels(own, DRAFTER))
+                    labelled.append(grasp := project.import_labels(own, DRAFT_ANNOTATOR))
                     if older := len(project.labelling.labels(grasp).frames) - len(frames):
-                        report(f"{self.folder} has labels of {counted(older, 'other frame')} already, which count, too")
+                        print_note(
+                            f"{self.folder} has labels of {format_count(older, 'other frame')} already, which count, too"
+                        )
             if self.no_page:
                 if drawn:
-                    return solve_labels(project, labelled, shape)
-                report("nothing is reconstructed: give --object-box or --masks, or mark the object on the page")
+                    return reconstruct_labelled_grasps(project, labelled, shape)
+                print_note("nothing is reconstructed: give --object-box or --masks, or mark the object on the page")
                 return 0
             print("the grasp is marked: mark the object on the page; it is reconstructed there")
             size = {} if self.size_mm is None else {"size-mm": f"{self.size_mm:g}"}
-            serve(project, self.port, DRAFTER, {"mesh": self.object, **size})
+            serve(project, self.port, DRAFT_ANNOTATOR, {"mesh": self.object, **size})
             return 0
         finally:
             project.close()
 
     def _source(self) -> Path:
         """Return the footage; of a single image, a folder with it twice, since a clip has two frames or more."""
-        from getagrip.annotate.footage import IMAGES
+        from getagrip.annotate.footage import IMAGE_SUFFIXES
         from getagrip.io import files
 
         folder = self.video.is_dir()
         names = sorted(path for path in self.video.iterdir() if path.name[0] != ".") if folder else [self.video]
-        images = [path for path in names if path.suffix.lower() in IMAGES and path.is_file()]
+        images = [path for path in names if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file()]
         if len(images) != 1:
             return self.video
         (image,) = images
@@ -223,91 +227,93 @@ class Draft(Command):
         twice.mkdir(parents=True, exist_ok=True)
         for name in ("000001", "000002"):
             files.write_bytes(twice / f"{name}{image.suffix}", files.read_bytes(image))
-        report("a single image: it is taken twice; nothing is known of motion")
+        print_note("a single image: it is taken twice; nothing is known of motion")
         return twice
 
     def _grasps(
-        self, stretch: Stretch, found: FoundHands, labels: DrawnLabels, shape: Shape, video: Path
+        self, stretch: VideoInterval, found: DetectedHands, labels: DrawnLabels, shape: RequestedMesh, video: Path
     ) -> DraftedGrasps:
         """Find the frames of the grasps, and say which. Raises as run."""
         from getagrip.annotate import found_hands
-        from getagrip.annotate.drafted_grasps import find_grasps, without_reach
+        from getagrip.annotate.drafted_grasps import find_grasps, trim_reach
 
         joints = dict(zip(found.frames, found.hand.joints_2d if found.hand.joints_2d is not None else (), strict=False))
         if self.find_grasps:
             grasps = find_grasps(labels, video, stretch.footage, self.folder, shape, joints)
         else:
-            hand = found_hands.FoundHands(self.folder / found_hands.FOLDER).mask
+            hand = found_hands.HandDetectionFiles(self.folder / found_hands.DETECTED_HANDS_FOLDER).mask
             box = None if self.object_box is None or self.masks is not None else (stretch.first, self.object_box)
-            grasps = without_reach(labels, stretch.footage.image, joints, hand, box)
+            grasps = trim_reach(labels, stretch.footage.image, joints, hand, box)
         if grasps.said:
-            report(grasps.said)
+            print_note(grasps.said)
         return grasps
 
-    def _drawn(self, stretch: Stretch, found: FoundHands) -> dict[int, FrameLabels]:
+    def _drawn(self, stretch: VideoInterval, found: DetectedHands) -> dict[int, FrameLabels]:
         """Return what is known of the object: masks that are given, or what stands out in the box. Raises as run."""
         from getagrip.annotate import found_hands
-        from getagrip.annotate.boxes import empty_side, followed_boxes, moving_in_box
-        from getagrip.annotate.drafting import traced
-        from getagrip.annotate.estimators import named
-        from getagrip.annotate.labels import OBJECT, FrameLabels
-        from getagrip.commands.draft_inputs import estimated, masks_of
+        from getagrip.annotate.boxes import empty_side, segment_box_by_motion, track_box
+        from getagrip.annotate.drafting import trace_polygons
+        from getagrip.annotate.estimators import estimators_making
+        from getagrip.annotate.labels import OBJECT_LABEL, FrameLabels
+        from getagrip.commands.draft_inputs import read_mask_polygons, run_draft_estimator
         from getagrip.io.terminal import progress_bar
 
         if self.masks is not None:
             path = Path(self.masks)
-            if self.masks in named("masks"):
+            if self.masks in estimators_making("masks"):
                 values: dict[str, Sequence[object]] = {} if self.object_box is None else {"box": self.object_box}
                 values |= {} if self._word is None else {"word": [self._word]}
-                path = estimated(self.masks, stretch, self.folder, values)
+                path = run_draft_estimator(self.masks, stretch, self.folder, values)
             with progress_bar() as bar:
                 job = bar.add_task("the object's masks", total=len(stretch.names))
                 update = lambda n: bar.update(job, completed=n)  # noqa: E731
-                return masks_of(path, stretch, self.mask_object, self.mask_hand, update)
+                return read_mask_polygons(path, stretch, self.mask_object, self.mask_hand, update)
         if self.object_box is None:
             return {}
         n, image = found.frames[0], stretch.footage.image
-        *_, (box, _) = followed_boxes(image, self.object_box, stretch.first, n)
+        *_, (box, _) = track_box(image, self.object_box, stretch.first, n)
         if n > stretch.first:
-            report(f"--object-box: followed to {stretch.footage.name(n)}, the first frame with a hand")
-        hand = found_hands.FoundHands(self.folder / found_hands.FOLDER).mask(n)
-        labels = moving_in_box(image, n, (stretch.first, stretch.last), box, hand)
-        shapes = traced(labels == OBJECT)
+            print_note(f"--object-box: followed to {stretch.footage.name(n)}, the first frame with a hand")
+        hand = found_hands.HandDetectionFiles(self.folder / found_hands.DETECTED_HANDS_FOLDER).mask(n)
+        labels = segment_box_by_motion(image, n, (stretch.first, stretch.last), box, hand)
+        shapes = trace_polygons(labels == OBJECT_LABEL)
         if not shapes:
             nothing = f"nothing in the box stands out from the background in {stretch.footage.name(n)}"
             raise UsageError(f"--object-box: {nothing}; mark the object on the page")
-        filled = float((labels == OBJECT).sum()) / (box[2] * box[3])
-        if filled < LEAST_FILLED:
+        filled = float((labels == OBJECT_LABEL).sum()) / (box[2] * box[3])
+        if filled < MIN_BOX_FILL_FRACTION:
             little = f"what stands out in the box in {stretch.footage.name(n)} fills {100 * filled:.1f} % of it"
             raise UsageError(f"--object-box: {little}: that is not the object; mark it on the page, or give --masks")
         if empty := empty_side(labels, box):
             side, share = empty
-            report(f"--object-box: {100 * share:.0f} % of it is empty at the {side}: is a part of the object missing?")
+            print_note(
+                f"--object-box: {100 * share:.0f} % of it is empty at the {side}: is a part of the object missing?"
+            )
         return {n: FrameLabels(object=tuple(shapes))}
 
-    def _shape(self) -> Shape:
+    def _shape(self) -> RequestedMesh:
         """Return the object's mesh. It is read before minutes of work. Raises ``InputError``, ``UsageError``."""
-        from getagrip.annotate.reconstruction import Shape
-        from getagrip.commands.own_mesh import MeshOptions, own_mesh
+        from getagrip.annotate.reconstruction import RequestedMesh
+        from getagrip.commands.own_mesh import MeshOptions, read_own_mesh
 
-        own_mesh(MeshOptions(mesh=Path(self.object), size_mm=self.size_mm))
-        return Shape(self.object, self.size_mm)
+        read_own_mesh(MeshOptions(mesh=Path(self.object), size_mm=self.size_mm))
+        return RequestedMesh(self.object, self.size_mm)
 
-    def _depth(self, stretch: Stretch) -> DepthFiles | None:
-        from getagrip.commands.draft_inputs import depth_of
+    def _depth(self, stretch: VideoInterval) -> DepthFiles | None:
+        from getagrip.commands.draft_inputs import open_depth_images
 
         if self.depth is None or self.depth_from is None:
             return None
-        return depth_of(self.depth, self.depth_from, self.depth_first, stretch)
+        return open_depth_images(self.depth, self.depth_from, self.depth_first, stretch)
 
-    def _say_sources(self, found: FoundHands) -> None:
+    def _say_sources(self, found: DetectedHands) -> None:
         """Print where the hands come from; guesses once: where a clip is made without the page, it prints them."""
         from getagrip.provenance import is_assumed
 
         solved = self.no_page and bool(self.masks or self.object_box)
         for key, source in found.provenance.items():
             if not (solved and is_assumed(source)):
-                report(f"{key}: {source}")
+                print_note(f"{key}: {source}")
 
     @property
     def _lens(self) -> Lens:
@@ -318,62 +324,68 @@ class Draft(Command):
         if footage.frames < 2:
             raise UsageError(f"VIDEO must have two frames or more (got {footage.frames})")
         first, last = self.interval or (1, footage.frames)
-        if not 1 <= first < last <= footage.frames or last - first >= MOST_FRAMES:
-            allowed = f"two frames from 1 to {footage.frames}, the later one last, at most {MOST_FRAMES} apart"
+        if not 1 <= first < last <= footage.frames or last - first >= MAX_DRAFT_FRAMES:
+            allowed = f"two frames from 1 to {footage.frames}, the later one last, at most {MAX_DRAFT_FRAMES} apart"
             raise UsageError(f"--interval must be {allowed} (got {first} {last})")
         return first - 1, last - 1
 
-    def _stretch(self, footage: Footage) -> Stretch:
+    def _stretch(self, footage: Footage) -> VideoInterval:
         """Return the interval and its camera. Raises ``UsageError``, also for a box beside the image."""
-        from getagrip.annotate.boxes import window
-        from getagrip.commands.draft_inputs import Stretch
+        from getagrip.annotate.boxes import box_to_slices
+        from getagrip.commands.draft_inputs import VideoInterval
         from getagrip.commands.hand_file import HandFile, camera_of
 
         if self.object_box is not None:
-            window(self.object_box, footage.size)
+            box_to_slices(self.object_box, footage.size)
         of_file = self.hands is not None and self.hands_from is None and Path(self.hands).suffix == ".npz"
         own = HandFile.of(Path(self.hands)) if of_file and self.hands is not None else None
         lens = self.lens if own is not None and own.K is not None else self._lens
-        return Stretch(footage, *self._interval(footage), *camera_of(lens, own, footage.size))
+        return VideoInterval(footage, *self._interval(footage), *camera_of(lens, own, footage.size))
 
-    def _find(self, stretch: Stretch) -> FoundHands:
+    def _find(self, stretch: VideoInterval) -> DetectedHands:
         """Find the hand that holds the object, or read it. Raises as ``run`` does."""
-        from getagrip.annotate.estimators import ESTIMATORS, named
-        from getagrip.annotate.finding_hands import lifted
-        from getagrip.annotate.reach import followed
-        from getagrip.commands.draft_inputs import boxes_file, boxes_of, estimated, hands_by, hands_of
+        from getagrip.annotate.estimators import ESTIMATORS, estimators_making
+        from getagrip.annotate.finding_hands import lift_detected_landmarks
+        from getagrip.annotate.reach import track_visible_box
+        from getagrip.commands.draft_inputs import (
+            landmark_boxes,
+            read_estimated_hands,
+            read_found_hands,
+            run_draft_estimator,
+            write_boxes_file,
+        )
 
-        name = self.hands if self.hands in named("hands") else None
+        name = self.hands if self.hands in estimators_making("hands") else None
         if self.hands is not None and name is None:
-            return hands_of(Path(self.hands), self.hands_from, self.side, stretch)
+            return read_found_hands(Path(self.hands), self.hands_from, self.side, stretch)
         if name is None:
             landmarks = self._landmarks(stretch)
-            return lifted(landmarks, stretch.first, stretch.footage.size, stretch.K, stretch.camera)
+            return lift_detected_landmarks(landmarks, stretch.first, stretch.footage.size, stretch.K, stretch.camera)
         side, values, near = self.side, dict[str, Sequence[object]](), {}
         if "{boxes}" in ESTIMATORS[name].words:  # it has a detector of its own, too
             try:
                 landmarks = self._landmarks(stretch)
                 side = side or landmarks.side
-                values["boxes"] = [boxes_file(boxes_of(landmarks, stretch), self.folder / "boxes.json")]
+                values["boxes"] = [write_boxes_file(landmark_boxes(landmarks, stretch), self.folder / "boxes.json")]
             except GetagripError as error:
-                report(f"{name} looks for the hand itself: {error}")
+                print_note(f"{name} looks for the hand itself: {error}")
         if self.object_box is not None:
-            followed_boxes = followed(stretch.footage.image, self.object_box, stretch.first, stretch.last)
+            followed_boxes = track_visible_box(stretch.footage.image, self.object_box, stretch.first, stretch.last)
             near = {n: (x, y, x + w, y + h) for n, (x, y, w, h) in followed_boxes}
-            values["near"] = [boxes_file(stretch.numbered(near), self.folder / "object-boxes.json")]
+            values["near"] = [write_boxes_file(stretch.numbered(near), self.folder / "object-boxes.json")]
         if side is not None:
             values["side"] = [side]
-        return hands_by(name, estimated(name, stretch, self.folder, values), side, stretch, near)
+        return read_estimated_hands(name, run_draft_estimator(name, stretch, self.folder, values), side, stretch, near)
 
-    def _landmarks(self, stretch: Stretch) -> HandLandmarks:
+    def _landmarks(self, stretch: VideoInterval) -> HandLandmarks:
         """Find the hand's landmarks. Raises as ``run`` does."""
         import numpy as np
 
         from getagrip.annotate.finding_hands import find_landmarks
         from getagrip.io.terminal import progress_bar
-        from getagrip.landmarks import load
+        from getagrip.landmarks import load_models
 
-        nets, interval = load(self.models), (stretch.first, stretch.last)
+        nets, interval = load_models(self.models), (stretch.first, stretch.last)
         box = None if self.object_box is None else np.array(self.object_box)
         with progress_bar() as bar:
             job = bar.add_task("looking for hands", total=len(stretch.names))
@@ -381,5 +393,5 @@ class Draft(Command):
             return find_landmarks(stretch.footage, interval, nets, self.side, box, update)
 
 
-def _within(drawn: Mapping[int, FrameLabels], extent: tuple[int, int]) -> dict[int, FrameLabels]:
+def _labels_within_extent(drawn: Mapping[int, FrameLabels], extent: tuple[int, int]) -> dict[int, FrameLabels]:
     return {n: frame for n, frame in drawn.items() if extent[0] <= n <= extent[1]}

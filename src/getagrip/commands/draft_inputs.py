@@ -10,24 +10,24 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.annotate.drafting import traced
-from getagrip.annotate.estimators import ESTIMATORS, check, named, run
-from getagrip.annotate.finding_hands import FoundHands
+from getagrip.annotate.drafting import trace_polygons
+from getagrip.annotate.estimators import ESTIMATORS, check_estimator, estimators_making, run_estimator
+from getagrip.annotate.finding_hands import DetectedHands
 from getagrip.annotate.footage import Footage
 from getagrip.annotate.labels import FrameLabels
 from getagrip.annotate.reconstruction import DepthFiles
-from getagrip.clip.depth_files import check_shape
-from getagrip.clip.depth_sources import SOURCES, open_depth
+from getagrip.clip.depth_files import check_depth_shape
+from getagrip.clip.depth_sources import DEPTH_FORMATS, open_depth
 from getagrip.clip.mask_request import MaskRequest
 from getagrip.clip.mask_sources import open_masks
-from getagrip.clip.naming import number_of, renumbered
+from getagrip.clip.naming import number_of, renumber_frames
 from getagrip.clip.plausible import check_in_view
 from getagrip.commands.hand_file import HandFile
-from getagrip.errors import InputError, MissingOptionError, UsageError, unknown
+from getagrip.errors import InputError, MissingOptionError, UsageError, unknown_choice_error
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands.model import Side
-from getagrip.hands.trackers import TRACKERS, Hands, Request, read
+from getagrip.hands.trackers import TRACKERS, Request, TrackedHands, read_tracked_hands
 from getagrip.hands.trackers.hawor import HaWoR
 from getagrip.io import files
 from getagrip.landmarks import HandLandmarks
@@ -38,7 +38,7 @@ Corners = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
-class Stretch:
+class VideoInterval:
     """Frames of a video, from 0, both ends included, and its camera."""
 
     footage: Footage
@@ -54,7 +54,7 @@ class Stretch:
 
     def numbered(self, boxes: Mapping[int, Corners]) -> dict[str, Corners]:
         """Return boxes by the names of the images that ``write_images`` writes."""
-        return {f"{_number(self.names[n - self.first], n):06d}": box for n, box in boxes.items()}
+        return {f"{_frame_number_in_name(self.names[n - self.first], n):06d}": box for n, box in boxes.items()}
 
     def request(self, side: Side, names: tuple[str, ...] | None = None) -> Request:
         """Make the request for the hand in all frames, under other names if these are given."""
@@ -65,11 +65,11 @@ class Stretch:
         """Write the frames as JPEG, named by the numbers of their names."""
         folder.mkdir()
         for n, name in enumerate(self.names, start=self.first):
-            files.write_bytes(folder / f"{_number(name, n):06d}.jpg", self.footage.jpeg(n, whole=True))
+            files.write_bytes(folder / f"{_frame_number_in_name(name, n):06d}.jpg", self.footage.jpeg(n, whole=True))
         return folder
 
 
-def _number(name: str, n: int) -> int:
+def _frame_number_in_name(name: str, n: int) -> int:
     """Return the number in a frame's name, or its place from 1."""
     number = number_of(name)
     return n + 1 if number is None else number
@@ -77,27 +77,29 @@ def _number(name: str, n: int) -> int:
 
 def check_source(option: str, given: str) -> None:
     """Raise ``UsageError`` for what is neither a file nor an estimator that is set up."""
-    names = named(option)
+    names = estimators_making(option)
     if given in names:
-        check(given)
+        check_estimator(given)
     elif not Path(given).exists():
-        raise unknown(f"--{option}", given, [*names, "a file or folder that exists"])
+        raise unknown_choice_error(f"--{option}", given, [*names, "a file or folder that exists"])
 
 
-def depth_of(path: Path, form: str, first: int | None, stretch: Stretch) -> DepthFiles:
+def open_depth_images(path: Path, form: str, first: int | None, stretch: VideoInterval) -> DepthFiles:
     """Return depth images of a video's frames. Raises ``InputError`` and ``UsageError`` where they are not.
 
     The first of them is read, so that one that does not fit is refused before any work.
     """
-    names = stretch.names if first is None else renumbered(stretch.names, first, "--depth-first")
-    if form not in SOURCES:
-        raise unknown("--depth-from", form, SOURCES)
+    names = stretch.names if first is None else renumber_frames(stretch.names, first, "--depth-first")
+    if form not in DEPTH_FORMATS:
+        raise unknown_choice_error("--depth-from", form, DEPTH_FORMATS)
     reader = open_depth(path, form, names, "--depth-first" if first is None else "", counted=first is not None)
-    check_shape(*reader.read(reader.known[0])[:2], stretch.footage.size)
-    return DepthFiles(reader, stretch.names, SOURCES[form].source, f"from {path.name}, {form}")
+    check_depth_shape(*reader.read(reader.known[0])[:2], stretch.footage.size)
+    return DepthFiles(reader, stretch.names, DEPTH_FORMATS[form].source, f"from {path.name}, {form}")
 
 
-def estimated(name: str, stretch: Stretch, folder: Path, values: Mapping[str, Sequence[object]]) -> Path:
+def run_draft_estimator(
+    name: str, stretch: VideoInterval, folder: Path, values: Mapping[str, Sequence[object]]
+) -> Path:
     """Run an estimator on the frames; return the folder of its files, which is in ``folder``.
 
     Raises ``UsageError`` where it fails, and where the folder exists: it is the result of minutes.
@@ -112,7 +114,7 @@ def estimated(name: str, stretch: Stretch, folder: Path, values: Mapping[str, Se
         images = stretch.write_images(Path(temporary) / "images")
         made = Path(temporary) / "made"
         made.mkdir()
-        run(name, {**values, "images": [images], "K": stretch.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()}, made)
+        run_estimator(name, {**values, "images": [images], "K": stretch.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()}, made)
         with files.new_folder(out) as new:
             for path in made.rglob("*"):
                 if path.is_file() and not path.is_symlink():
@@ -122,19 +124,19 @@ def estimated(name: str, stretch: Stretch, folder: Path, values: Mapping[str, Se
     return out
 
 
-def boxes_of(landmarks: HandLandmarks, stretch: Stretch) -> dict[str, Corners]:
+def landmark_boxes(landmarks: HandLandmarks, stretch: VideoInterval) -> dict[str, Corners]:
     """Return the box about the landmarks of each frame."""
     points = {stretch.first + row: landmarks.points[row] for row in landmarks.rows}
     return stretch.numbered({n: (*each.min(axis=0).tolist(), *each.max(axis=0).tolist()) for n, each in points.items()})
 
 
-def boxes_file(boxes: Mapping[str, Corners], path: Path) -> Path:
+def write_boxes_file(boxes: Mapping[str, Corners], path: Path) -> Path:
     """Write boxes, as the estimators' scripts take them; return the absolute path."""
     files.write_json(path, dict(boxes))
     return path.absolute()
 
 
-def hands_of(path: Path, source: str | None, side: Side | None, stretch: Stretch) -> FoundHands:
+def read_found_hands(path: Path, source: str | None, side: Side | None, stretch: VideoInterval) -> DetectedHands:
     """Read the hand in a file or folder: a hand file or, with ``source``, what ``import hands --from`` reads.
 
     Raises ``InputError``, and ``UsageError`` for options that are missing.
@@ -148,39 +150,41 @@ def hands_of(path: Path, source: str | None, side: Side | None, stretch: Stretch
         raise UsageError(f"missing --side: {path} does not say which hand it holds")
     which_side: Side = "left" if known == "left" else "right"
     if own is not None:
-        return as_found(path, own.at(stretch.names, which_side, None), which_side, stretch)
+        return to_found_hands(path, own.at(stretch.names, which_side, None), which_side, stretch)
     if source is None or source not in TRACKERS:
-        raise unknown("--hands-from", source, TRACKERS)
+        raise unknown_choice_error("--hands-from", source, TRACKERS)
     try:
-        hands = read([path], TRACKERS[source], stretch.request(which_side))
+        hands = read_tracked_hands([path], TRACKERS[source], stretch.request(which_side))
     except MissingOptionError as error:
         advice = "getagrip import hands has this option: --out FILE there, --hands FILE here"
         raise UsageError(f"{error} ({advice})") from error
-    return as_found(path, hands, which_side, stretch)
+    return to_found_hands(path, hands, which_side, stretch)
 
 
-def hands_by(name: str, out: Path, side: Side | None, stretch: Stretch, near: Mapping[int, Corners]) -> FoundHands:
+def read_estimated_hands(
+    name: str, out: Path, side: Side | None, stretch: VideoInterval, near: Mapping[int, Corners]
+) -> DetectedHands:
     """Read what an estimator has written. Raises ``InputError``.
 
     Without a side, of two hands the one that is nearer to the object's boxes in the frames of ``near``, else the one in
     more frames.
     """
     if ESTIMATORS[name].reader != "hawor":
-        return hands_of(out / "hand.npz", None, side, stretch)
+        return read_found_hands(out / "hand.npz", None, side, stretch)
     names = tuple(f"{n:06d}" for n in range(len(stretch.names)))  # it counts from 0, with a folder for each side
     sides: tuple[Side, ...] = ("left", "right") if side is None else (side,)
     found = []
     for each in sides:
         path = out / ("0" if each == "left" else "1")
         if side is not None or path.is_dir():
-            hands = read([path], HaWoR(float(stretch.K[0, 0])), stretch.request(each, names))
-            found.append(as_found(path, hands, each, stretch))
+            hands = read_tracked_hands([path], HaWoR(float(stretch.K[0, 0])), stretch.request(each, names))
+            found.append(to_found_hands(path, hands, each, stretch))
     if not found:
         raise InputError(out, "", "no hand", "a folder 0 (left) or 1 (right)")
-    return min(found, key=lambda one: (_apart(one, near), -len(one.frames)))
+    return min(found, key=lambda one: (_mean_box_distance(one, near), -len(one.frames)))
 
 
-def _apart(hands: FoundHands, near: Mapping[int, Corners]) -> float:
+def _mean_box_distance(hands: DetectedHands, near: Mapping[int, Corners]) -> float:
     """Return the mean distance of a hand's joints from the object's boxes [px]; infinite where it is not known."""
     off = []
     for n, (x0, y0, x1, y1) in near.items():
@@ -190,7 +194,7 @@ def _apart(hands: FoundHands, near: Mapping[int, Corners]) -> float:
     return float(np.mean(off)) if off else np.inf
 
 
-def as_found(path: Path, hands: Hands, side: Side, stretch: Stretch) -> FoundHands:
+def to_found_hands(path: Path, hands: TrackedHands, side: Side, stretch: VideoInterval) -> DetectedHands:
     """Return hands as if they had been found here: their joints, seen or projected, are drawn on the page."""
     track, frames = hands.track, tuple(stretch.first + row for row in hands.found)
     check_in_view(path, track, np.tile(stretch.K, (len(frames), 1, 1)), stretch.footage.size)
@@ -202,11 +206,11 @@ def as_found(path: Path, hands: Hands, side: Side, stretch: Stretch) -> FoundHan
         if track.joints_2d is not None:
             points = np.where(confidence[..., None] > 0.0, track.joints_2d, points)
         track = replace(track, joints_2d=points, joints_2d_confidence=confidence)  # without confidence only drawn
-    return FoundHands(track, side, frames, landmarks, stretch.K, {**hands.provenance, "camera": stretch.camera})
+    return DetectedHands(track, side, frames, landmarks, stretch.K, {**hands.provenance, "camera": stretch.camera})
 
 
-def masks_of(
-    path: Path, stretch: Stretch, labels: Sequence[str], hand: Sequence[str], done: Callable[[int], None]
+def read_mask_polygons(
+    path: Path, stretch: VideoInterval, labels: Sequence[str], hand: Sequence[str], done: Callable[[int], None]
 ) -> dict[int, FrameLabels]:
     """Read masks of the frames, as polygons. Raises ``InputError``, and ``UsageError`` for labels."""
     request = MaskRequest(stretch.names, stretch.footage.size, tuple(labels), (), tuple(hand))
@@ -217,19 +221,21 @@ def masks_of(
             masks = reader(row)
             done(row + 1)
             if masks is not None:
-                seen = None if masks.hand is None else tuple(traced(masks.hand))
+                seen = None if masks.hand is None else tuple(trace_polygons(masks.hand))
                 front = masks.ignore if masks.hand is None else masks.ignore & ~masks.hand
-                shapes = tuple(traced(masks.object)), tuple(traced(front))
+                shapes = tuple(trace_polygons(masks.object)), tuple(trace_polygons(front))
                 drawn[stretch.first + row] = FrameLabels(object=shapes[0], front=shapes[1] or None, hand=seen)
     except InputError as error:
-        raise InputError(error.path, error.key, _of_draft(error.got), _of_draft(error.expected)) from error
+        raise InputError(
+            error.path, error.key, _rename_mask_options(error.got), _rename_mask_options(error.expected)
+        ) from error
     except UsageError as error:
-        raise UsageError(_of_draft(str(error))) from error
+        raise UsageError(_rename_mask_options(str(error))) from error
     if not any(frame.object for frame in drawn.values()):
         raise UsageError(f"{path}: no mask shows a pixel of the object in the frames of the interval")
     return drawn
 
 
-def _of_draft(text: str) -> str:
+def _rename_mask_options(text: str) -> str:
     """Return what a reader of masks says, with the names that its options have here."""
     return text.replace("--object", "--mask-object").replace("--hand", "--mask-hand")

@@ -15,13 +15,13 @@ from getagrip.commands.command import Command
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.arguments import File, Folder, OptionalFile
-from getagrip.io.terminal import counted, progress_bar
+from getagrip.io.terminal import format_count, progress_bar
 
 if TYPE_CHECKING:
     from getagrip.datasets.epic import candidates
 
 Category = Literal["bottle", "bowl", "can", "cup", "glass", "mug", "pan", "plate", "saucepan"]
-COLUMNS = ("vid", "st_bound", "ed_bound", "contact", "handside", "cat", "hos_name", "mp4_name")
+CANDIDATE_COLUMNS = ("vid", "st_bound", "ed_bound", "contact", "handside", "cat", "hos_name", "mp4_name")
 """Columns of the table of candidates: EPIC-Grasps' own, without those that an annotator has still to fill."""
 
 
@@ -51,16 +51,16 @@ class EpicCandidates(Command):
         Raises ``UsageError`` without labels, ``InputError`` for labels that are malformed and where VISOR is not.
         """
         from getagrip.batch.clips import print_outcome
-        from getagrip.batch.job import failure
+        from getagrip.batch.job import failed_outcome
         from getagrip.datasets.epic import candidates, tables, visor
 
         if not self.actions:
             raise UsageError("missing --actions: name EPIC_100_train.csv or EPIC_100_validation.csv, or both")
         actions = tables.read_actions(self.actions)
         found, failed, unlabelled = list[candidates.Candidate](), 0, 0
-        there, mapping = visor.find(self.visor), visor.find_mapping(self.visor)
+        there, mapping = visor.find_visor_files(self.visor), visor.find_mapping(self.visor)
         if mapping is None:
-            print(visor.UNMAPPED, file=sys.stderr)
+            print(visor.NO_FRAME_MAPPING_NOTE, file=sys.stderr)
         with progress_bar() as bar:
             task = bar.add_task("videos", total=len(there))
             for video, paths in there.items():
@@ -68,14 +68,14 @@ class EpicCandidates(Command):
                     sparse = [path for path in paths if not visor.is_dense(path)]  # contacts are marked there
                     frames = (frame for path in sparse for frame in visor.read_frames(path))
                     touching = candidates.contacts(frames, visor.read_mapping(mapping, video))
-                    found += candidates.candidates(video, touching, actions.get(video, []))
+                    found += candidates.find_candidates(video, touching, actions.get(video, []))
                     unlabelled += video not in actions
                 except InputError as error:
-                    print_outcome(failure(video, error), self.debug)
+                    print_outcome(failed_outcome(video, error), self.debug)
                     failed += 1
                 bar.advance(task)
         chosen = [candidate for candidate in found if not self.categories or candidate.category in self.categories]
-        _write_table(self.out, chosen)
+        _write_candidates(self.out, chosen)
         if self.json is not None:
             rows = [asdict(candidate) | {"seconds": candidate.seconds, "name": candidate.name} for candidate in chosen]
             files.write_json(self.json, rows)
@@ -83,12 +83,12 @@ class EpicCandidates(Command):
             print(f"{category}: {count}")
         if unlabelled:
             print(f"{unlabelled} of {len(there)} videos have no labelled actions: skipped", file=sys.stderr)
-        print(f"{self.out}: {counted(len(chosen), 'candidate')} from {counted(len(there) - failed, 'video')}")
+        print(f"{self.out}: {format_count(len(chosen), 'candidate')} from {format_count(len(there) - failed, 'video')}")
         return 1 if failed else 0
 
 
-def _write_table(path: Path, found: Sequence[candidates.Candidate]) -> None:
-    """Write candidates as a table with ``COLUMNS``, as EPIC-Grasps has them: -1 for more than one contact."""
+def _write_candidates(path: Path, found: Sequence[candidates.Candidate]) -> None:
+    """Write candidates as a table with ``CANDIDATE_COLUMNS``, as EPIC-Grasps has them: -1 for more than one contact."""
     path.parent.mkdir(parents=True, exist_ok=True)
     rows = (
         (
@@ -97,4 +97,4 @@ def _write_table(path: Path, found: Sequence[candidates.Candidate]) -> None:
         )
         for one in found
     )  # fmt: skip
-    files.write_csv(path, [COLUMNS, *rows])
+    files.write_csv(path, [CANDIDATE_COLUMNS, *rows])

@@ -12,7 +12,7 @@ from getagrip.commands.command import ClipsFolder, Command, FirstNumber, Results
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.arguments import Flag, OptionalFile, OptionalFolder, one_of
-from getagrip.io.terminal import console, progress_bar, report
+from getagrip.io.terminal import console, print_note, progress_bar
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
@@ -69,8 +69,8 @@ class Evaluate(Command):
         the clip's. Raises ``InputError`` where there are no such meshes or poses.
         """
         from getagrip.batch.clips import print_outcome
-        from getagrip.batch.executor import each
-        from getagrip.batch.job import failure
+        from getagrip.batch.executor import for_each_job
+        from getagrip.batch.job import failed_outcome
         from getagrip.commands.evaluate_others import evaluate_other, mesh_jobs, pose_jobs
         from getagrip.evaluation import contact_tables, results_table, summary
 
@@ -78,21 +78,23 @@ class Evaluate(Command):
         problems: list[Outcome] = []
         for path in self.results:
             try:
-                jobs += [ResultJob(folder, self.clips) for folder in results_in(path)]
+                jobs += [ResultJob(folder, self.clips) for folder in list_result_folders(path)]
             except (InputError, OSError) as error:
-                problems.append(failure("", error))
+                problems.append(failed_outcome("", error))
         evaluations: list[Evaluation] = []
         folders = self._folders_of_clips(jobs)
         with progress_bar() as bar:
             task = bar.add_task("results", total=len(jobs), visible=bool(jobs))
-            for made, failed in each(evaluate_one, jobs, _died, lambda _: bar.advance(task)):
+            for made, failed in for_each_job(evaluate_one, jobs, _failed_evaluation, lambda _: bar.advance(task)):
                 evaluations += [] if made is None else [made]
                 problems += failed
             frames = {made.clip: tuple(made.frames) for made in evaluations}
             others = [] if self.meshes is None else mesh_jobs(self, frames, folders)
             others += [] if self.poses is None else pose_jobs(self, frames, folders)
             of_others = bar.add_task("of other systems", total=len(others), visible=bool(others))
-            for made, failed in each(evaluate_other, others, _died, lambda _: bar.advance(of_others)):
+            for made, failed in for_each_job(
+                evaluate_other, others, _failed_evaluation, lambda _: bar.advance(of_others)
+            ):
                 evaluations += [] if made is None else [made]
                 problems += failed
         for outcome in problems:
@@ -111,12 +113,12 @@ class Evaluate(Command):
         from contextlib import suppress
 
         from getagrip.evaluation.results import clip_folder
-        from getagrip.result import read_record
+        from getagrip.result import read_result_record
 
         folders: dict[str, Path] = {}
         for job in jobs if self.poses is not None or self.meshes is not None else []:
             with suppress(InputError, OSError):  # evaluating the result says what is wrong with it
-                record = read_record(job.folder)
+                record = read_result_record(job.folder)
                 folders[record["clip"]] = clip_folder(job.folder, record, job.clips)
         return folders
 
@@ -135,41 +137,41 @@ def _print_warnings(made: Evaluation) -> None:
     if missing := int(made.metrics.get("frames_without_mesh", 0)):
         warnings.append(f"no mesh of {missing} of {len(made.frames)} frames: IOU 0, no contact")
     for warning in warnings:
-        report(f"{made.method}, {made.clip}: {warning}")
+        print_note(f"{made.method}, {made.clip}: {warning}")
 
 
-def _died(job: ResultJob | OtherJob) -> Evaluated:
-    from getagrip.batch.executor import DIED
+def _failed_evaluation(job: ResultJob | OtherJob) -> Evaluated:
+    from getagrip.batch.executor import PROCESS_DIED_TWICE
     from getagrip.batch.job import Outcome
 
-    return None, [Outcome(str(job.folder), "failed", DIED)]
+    return None, [Outcome(str(job.folder), "failed", PROCESS_DIED_TWICE)]
 
 
 def evaluate_one(job: ResultJob) -> Evaluated:
     """Evaluate a result; failures are returned, not raised."""
-    from getagrip.batch.job import failure
+    from getagrip.batch.job import failed_outcome
     from getagrip.evaluation import evaluate_result
 
     try:
         return evaluate_result(job.folder, job.clips), []
     except Exception as error:  # one result's trouble must not end the others
-        return None, [failure("" if isinstance(error, InputError) else str(job.folder), error)]
+        return None, [failed_outcome("" if isinstance(error, InputError) else str(job.folder), error)]
 
 
-def of_batch(path: Path) -> bool:
+def is_batch_file(path: Path) -> bool:
     """Return whether a path is a file that a batch writes beside its results: ``results/*`` names them, too."""
-    from getagrip.batch.entries import FILE as LEDGER
-    from getagrip.batch.summary import PAGE, TABLE
+    from getagrip.batch.entries import LEDGER_FILE as LEDGER
+    from getagrip.batch.summary import INDEX_FILE, SUMMARY_FILE
 
-    return path.name in (LEDGER, TABLE, PAGE) and path.is_file()
+    return path.name in (LEDGER, SUMMARY_FILE, INDEX_FILE) and path.is_file()
 
 
-def results_in(path: Path) -> list[Path]:
+def list_result_folders(path: Path) -> list[Path]:
     """List the result folders that a path stands for, none for a batch's file.
 
     Raises ``InputError`` where it holds none.
     """
-    if of_batch(path):
+    if is_batch_file(path):
         return []
     if (path / "result.json").exists():
         return [path]
@@ -177,11 +179,11 @@ def results_in(path: Path) -> list[Path]:
         raise InputError(path, "", "no such folder", "a result, or a folder of results")
     results = sorted(found.parent for found in path.glob("*/result.json"))
     if not results:
-        raise no_result(path)
+        raise missing_result_error(path)
     return results
 
 
-def no_result(path: Path) -> InputError:
+def missing_result_error(path: Path) -> InputError:
     """Make the error for a folder in which there is no result."""
     got = "a clip" if (path / "clip.json").exists() else "no result.json in it or in its folders"
     return InputError(path, "", got, "a result that getagrip reconstruct made, or a folder of results")

@@ -9,14 +9,14 @@ from typing import Annotated
 from tyro.conf import arg
 
 from getagrip.commands.command import ClipsFolder, Command, Results
-from getagrip.errors import InputError, UsageError, unknown
+from getagrip.errors import InputError, UsageError, unknown_choice_error
 from getagrip.io import plugins
 from getagrip.io.arguments import Flag, OptionalFolder
 
 
-def _others(_: str) -> str:
+def _plugin_formats(_: str) -> str:
     """Return the formats of other packages, for the help."""
-    others = plugins.names("exports")
+    others = plugins.plugin_names("exports")
     return f"(required; of other packages: {', '.join(others)})" if others else "(required)"
 
 
@@ -26,7 +26,7 @@ class Export(Command):
 
     results: Results
     """Result folders, or folders of results."""
-    to: Annotated[str, arg(metavar="FORMAT", help_behavior_hint=_others)] = ""
+    to: Annotated[str, arg(metavar="FORMAT", help_behavior_hint=_plugin_formats)] = ""
     """csv: a table of poses; npz: arrays; obj: posed meshes, one per frame; glb: glTF, animated, for Blender and
     browsers; bop: files of the BOP benchmark; usd: a USD stage, animated; mujoco: an MJCF scene to
     replay and to simulate; lerobot: a dataset; mcap: a log for Foxglove; spider: keypoint trajectories;
@@ -45,13 +45,13 @@ class Export(Command):
     """Replace exports that are there already."""
 
     def check(self) -> None:
-        from getagrip.export import FORMATS
+        from getagrip.export import EXPORT_FORMATS
 
         super().check()
         if not self.to:
-            raise UsageError(f"missing --to; choose from {', '.join(FORMATS)}")
-        if self.to not in FORMATS:
-            raise unknown("--to", self.to, FORMATS)
+            raise UsageError(f"missing --to; choose from {', '.join(EXPORT_FORMATS)}")
+        if self.to not in EXPORT_FORMATS:
+            raise unknown_choice_error("--to", self.to, EXPORT_FORMATS)
         if self.one_dataset and (self.to != "lerobot" or self.out is None):
             raise UsageError("--one-dataset cannot be used without --to lerobot and --out")
         if not 0.0 <= self.test_share <= 1.0:
@@ -60,33 +60,33 @@ class Export(Command):
             raise UsageError("--test-share cannot be used without --one-dataset")
         if self.fps is not None and not 0.1 <= self.fps <= 1000.0:
             raise UsageError(f"--fps must be 0.1 to 1000 frames per second (got {self.fps:g})")
-        FORMATS[self.to]  # which raises where it cannot be loaded
+        EXPORT_FORMATS[self.to]  # which raises where it cannot be loaded
         if not self.results:
             raise UsageError("missing RESULT: name at least one result")
 
     def run(self) -> int:
         """Export results, each into a folder of its own; 1 if any failed, else 0."""
         from getagrip.batch.clips import print_outcome
-        from getagrip.batch.job import failure
-        from getagrip.commands.evaluate import results_in
+        from getagrip.batch.job import failed_outcome
+        from getagrip.commands.evaluate import list_result_folders
         from getagrip.evaluation.results import clip_of
         from getagrip.export import Scene, export
-        from getagrip.export.lerobot_dataset import Dataset
+        from getagrip.export.lerobot_dataset import LerobotDataset
         from getagrip.io import files, plugins
-        from getagrip.io.terminal import say
+        from getagrip.io.terminal import print_result
         from getagrip.result import read_result
 
-        dataset = Dataset.of(self.out) if self.one_dataset and self.out is not None else None
+        dataset = LerobotDataset.of(self.out) if self.one_dataset and self.out is not None else None
         found, failed = list[tuple[Path, Path]](), False
 
         def trouble(path: Path, error: Exception) -> None:
             nonlocal failed
             failed = True
-            print_outcome(failure("" if isinstance(error, InputError) else str(path), error), self.debug)
+            print_outcome(failed_outcome("" if isinstance(error, InputError) else str(path), error), self.debug)
 
         for path in self.results:
             try:
-                found += [(path, folder) for folder in results_in(path)]
+                found += [(path, folder) for folder in list_result_folders(path)]
             except Exception as error:  # one result's trouble must not end the others
                 trouble(path, error)
         if dataset is not None:
@@ -103,12 +103,12 @@ class Export(Command):
                 if dataset is not None:
                     there, split = scene.name in dataset.clips, "test" if scene.name in tests else "train"
                     said = "there already" if there else f"episode {dataset.add(scene, split)}, {split}"
-                    say(f"{scene.name}: {said}")
+                    print_result(f"{scene.name}: {said}")
                     continue
                 target = folder / f"export-{self.to}" if self.out is None else self.out / folder.resolve().name
-                with plugins.tamed():
+                with plugins.convert_base_exceptions():
                     made = export(scene, target, self.to, self.overwrite)
-                say(str(made))
+                print_result(str(made))
             except Exception as error:
                 trouble(path, error)
         return int(failed)
@@ -116,9 +116,9 @@ class Export(Command):
 
 def _clip_name(folder: Path) -> str:
     """Return the clip of a result; empty where its record cannot be read, which is said later."""
-    from getagrip.result import read_record
+    from getagrip.result import read_result_record
 
     try:
-        return str(read_record(folder)["clip"])
+        return str(read_result_record(folder)["clip"])
     except (InputError, OSError):
         return ""

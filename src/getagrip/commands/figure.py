@@ -13,19 +13,19 @@ from typing import Annotated, Generic, TypeVar, Union
 from tyro.conf import arg, subcommand
 
 from getagrip.batch.clips import print_outcome
-from getagrip.batch.job import failure
+from getagrip.batch.job import failed_outcome
 from getagrip.commands.command import ClipsFolder, Command, Results
-from getagrip.commands.evaluate import results_in
+from getagrip.commands.evaluate import list_result_folders
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.arguments import File
-from getagrip.pictures.figures import FIGURES, Kind, StoredResult
+from getagrip.pictures.figures import FIGURES, FigureKind, StoredResult
 from getagrip.pictures.stored_results import is_clip
-from getagrip.pictures.style import letters
+from getagrip.pictures.style import figure_style
 
-SUFFIXES = (".png", ".pdf")
+FIGURE_SUFFIXES = (".png", ".pdf")
 
-K = TypeVar("K", bound=Kind)
+K = TypeVar("K", bound=FigureKind)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,8 +41,8 @@ class DrawFigure(Command, Generic[K]):
     """A clip, or the folder that holds the clips by name."""
 
     def check(self) -> None:
-        if self.out.suffix.lower() not in SUFFIXES:
-            raise UsageError(f"--out must be a file whose name ends in {' or '.join(SUFFIXES)} (got {self.out})")
+        if self.out.suffix.lower() not in FIGURE_SUFFIXES:
+            raise UsageError(f"--out must be a file whose name ends in {' or '.join(FIGURE_SUFFIXES)} (got {self.out})")
         files.check_file("--out", self.out)
         if not self.results:
             raise UsageError("missing RESULT: name at least one result")
@@ -57,25 +57,25 @@ class DrawFigure(Command, Generic[K]):
         problems: list[Exception] = []
         for path in self.results:
             try:
-                folders = [path] if self.kind.draws_truth and is_clip(path) else results_in(path)
+                folders = [path] if self.kind.draws_truth and is_clip(path) else list_result_folders(path)
                 stored += [StoredResult(folder, self.clips) for folder in folders]
             except (InputError, OSError) as error:
                 if len(self.results) == 1:
                     raise
                 problems.append(error)
-        with letters():
+        with figure_style():
             figure = self.kind.draw(stored, problems.append)
             form = self.out.suffix.lower()[1:]
             undated = {"CreationDate": None} if form == "pdf" else {"Software": None}  # the same picture, the same file
             with files.new_file(self.out) as part:
                 figure.savefig(part, format=form, dpi=self.kind.dpi, metadata=undated)
         for problem in problems:
-            print_outcome(failure("", problem), self.debug)
+            print_outcome(failed_outcome("", problem), self.debug)
         print(self.out)
         return 1 if problems else 0
 
 
-def _subcommands() -> object:
+def _figure_subcommands() -> object:
     """Make a subcommand for each kind."""
     kinds = [
         Annotated[DrawFigure[kind], subcommand(name, description=cleandoc(kind.__doc__ or ""))]  # type: ignore[valid-type]
@@ -84,4 +84,4 @@ def _subcommands() -> object:
     return Union[tuple(kinds)]  # noqa: UP007
 
 
-Figures = _subcommands()
+Figures = _figure_subcommands()

@@ -11,26 +11,26 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import Positional, arg
 
-from getagrip.cameras import CameraPath, read_path
+from getagrip.cameras import CameraPath, read_camera_path
 from getagrip.clip.intrinsics import camera_warning
-from getagrip.clip.naming import check_numbers, meant, renumbered, stem_of
-from getagrip.clip.per_frame import world
+from getagrip.clip.naming import check_frame_numbers, matching_names, renumber_frames, stem_of
+from getagrip.clip.per_frame import parse_world
 from getagrip.clip.plausible import check_intrinsics
 from getagrip.clip.reading import ClipHeader, read_header
 from getagrip.commands.command import Command, FirstNumber
 from getagrip.errors import UsageError
 from getagrip.io import files, numbers
 from getagrip.io.arguments import Flag, one_of
-from getagrip.io.terminal import report, say, warn
+from getagrip.io.terminal import print_note, print_result, warn
 from getagrip.provenance import Source, assumed, estimated, measured, report_source
 
-WARNED = 3
+WARNING_EXIT_STATUS = 3
 """Exit status where the path is written and something about it is assumed or seems wrong."""
-APART = 0.02
+FOCAL_WARNING_FRACTION = 0.02
 """Largest share by which focal lengths differ without a word."""
-OFF_CENTRE = 0.1
+PRINCIPAL_POINT_WARNING_FRACTION = 0.1
 """Largest distance of principal points without a word [shares of the images' sides]."""
-STILL = 1e-9
+STATIC_POSE_TOLERANCE = 1e-9
 """Largest change of a pose that is none [m, or entries of a rotation]."""
 Quaternion = Literal["xyzw", "wxyz"]
 
@@ -76,19 +76,19 @@ class ImportCameras(Command):
             raise UsageError(f"--start must be a time in seconds (got {self.start:g})")
         found = self._found(header)
         counted = self.first is not None
-        names = header.frames if self.first is None else renumbered(header.frames, self.first, "--first")
-        stems = [stem_of(found.names[row]) for row in meant(found.names, self.images)]
-        check_numbers(header.frames, stems, self.path, "pose", "" if counted else "--first")
+        names = header.frames if self.first is None else renumber_frames(header.frames, self.first, "--first")
+        stems = [stem_of(found.names[row]) for row in matching_names(found.names, self.images)]
+        check_frame_numbers(header.frames, stems, self.path, "pose", "" if counted else "--first")
         how = names, header.times, self.start, counted, self.images
-        with numbers.guarded(self.path):
+        with numbers.convert_to_input_errors(self.path):
             poses, filled = found.scaled(self.metres or 1.0).at(*how)
             theirs = found.K_at(header.size, *how) if found.pinholes else None
         camera: dict[str, object] = {**header.fields["camera"], "T_world_cam": poses.tolist()}
         camera.pop("world_up", None), camera.pop("world_support", None)
         if found.up is not None:
             camera["world_up"] = found.up.tolist()
-        world(header.folder / "clip.json", camera, header.frames)
-        sources = {"world": _world(found, self.path.name, self.metres, int(filled.sum()), len(names))}
+        parse_world(header.folder / "clip.json", camera, header.frames)
+        sources = {"world": _camera_path_source(found, self.path.name, self.metres, int(filled.sum()), len(names))}
         K = header.K
         if theirs is not None and self.intrinsics:
             K = theirs
@@ -103,18 +103,22 @@ class ImportCameras(Command):
         warnings = [*self._warnings(found, poses, theirs, header), *filter(None, [camera_warning(K, header.size)])]
         for text in warnings:
             warn(f"camera: {text}")
-        say(f"{header.folder / 'clip.json'}: the camera in {len(names)} frames, {_extent(poses):.2f} m from end to end")
-        return WARNED if warnings or any(source.basis == "assumed" for source in sources.values()) else 0
+        print_result(
+            f"{header.folder / 'clip.json'}: the camera in {len(names)} frames, {_camera_path_extent(poses):.2f} m from end to end"
+        )
+        return WARNING_EXIT_STATUS if warnings or any(source.basis == "assumed" for source in sources.values()) else 0
 
     def _found(self, header: ClipHeader) -> CameraPath:
         """Read the path, of several models that with the most of the clip's frames. Raises ``UsageError``."""
-        found = read_path(self.path, self.quaternion or "")
-        report(f"{self.path}: taken for {found.source}")
+        found = read_camera_path(self.path, self.quaternion or "")
+        print_note(f"{self.path}: taken for {found.source}")
         if found.others:
             models = (found, *found.others)
             counts = ", ".join(f"{one.path.parent} ({len(one.names)} images)" for one in models)
             found = found.best(header.frames)
-            report(f"{self.path}: {len(models)} models, {counts}; {found.path.parent} is used, which has most frames")
+            print_note(
+                f"{self.path}: {len(models)} models, {counts}; {found.path.parent} is used, which has most frames"
+            )
         if self.intrinsics and not found.pinholes:
             raise UsageError(f"--intrinsics cannot be used with {self.path}: {found.source} have no intrinsics")
         return found
@@ -125,26 +129,26 @@ class ImportCameras(Command):
     ) -> list[str]:  # fmt: skip
         """Say where the files' intrinsics do not fit the clip's, and of a camera that stands still by mistake."""
         texts = []
-        if np.ptp(poses, axis=0).max() < STILL < np.ptp(found.T_world_cam, axis=0).max():
+        if np.ptp(poses, axis=0).max() < STATIC_POSE_TOLERANCE < np.ptp(found.T_world_cam, axis=0).max():
             texts.append("it stands still in all frames, although the files' camera moves: are these its times?")
         if any(one.distorted for one in found.pinholes):
             texts.append("the files' model has lens distortion: a clip is a pinhole (clip new --distortion)")
         if theirs is None or self.intrinsics:
             return texts
         f, ours = theirs[:, 0, 0], header.K[:, 0, 0]
-        if (apart := abs(f / ours - 1.0)).max() > APART:
+        if (apart := abs(f / ours - 1.0)).max() > FOCAL_WARNING_FRACTION:
             some = f"{f[0]:.5g} px" if np.ptp(f) < 1e-6 * f[0] else f"{f.min():.5g} to {f.max():.5g} px"
             texts.append(
                 f"focal length {some} in the files, {ours[apart.argmax()]:.5g} px in the clip; --intrinsics takes it"
             )
         off = abs(theirs[:, :2, 2] - header.K[:, :2, 2]) / header.size
-        if off.max() > OFF_CENTRE:
+        if off.max() > PRINCIPAL_POINT_WARNING_FRACTION:
             x, y = theirs[off.max(axis=1).argmax(), :2, 2]
             texts.append(f"principal point ({x:.4g}, {y:.4g}) px in the files, another in the clip: cropped images?")
         return texts
 
 
-def _world(found: CameraPath, name: str, metres: float | None, filled: int, frames: int) -> Source:
+def _camera_path_source(found: CameraPath, name: str, metres: float | None, filled: int, frames: int) -> Source:
     """Say where a path is from, what of it is assumed, and whether its scale is known."""
     known = found.metric or metres is not None
     scale = "" if known else "; its scale is not known, a guess: metres"
@@ -154,6 +158,6 @@ def _world(found: CameraPath, name: str, metres: float | None, filled: int, fram
     return estimated(text) if known else assumed(text)
 
 
-def _extent(poses: Float[ndarray, "T 4 4"]) -> float:
+def _camera_path_extent(poses: Float[ndarray, "T 4 4"]) -> float:
     """Measure the distance between the camera's farthest places along any axis of the world [m]."""
     return float(np.ptp(poses[:, :3, 3], axis=0).max())

@@ -10,34 +10,36 @@ import numpy as np
 from numpy import ndarray
 from tyro.conf import Positional, arg
 
-from getagrip.clip.depth import DEPTH
-from getagrip.clip.depth_files import check_shape
+from getagrip.clip.depth import DEPTH_KEY
+from getagrip.clip.depth_files import check_depth_shape
 from getagrip.clip.depth_sources import (
-    SOURCES,
+    DEPTH_FORMATS,
     DepthReader,
     add_depth,
-    check_camera,
-    check_order,
-    chosen_source,
+    check_depth_direction,
+    check_focal_length,
     open_depth,
+    select_depth_source,
 )
-from getagrip.clip.naming import renumbered
+from getagrip.clip.naming import renumber_frames
 from getagrip.clip.reading import ClipHeader, read_header
-from getagrip.clip.soft_edges import looked_at
+from getagrip.clip.soft_edges import sample_frames
 from getagrip.commands.command import Command, FirstNumber
 from getagrip.errors import UsageError
 from getagrip.io.arguments import Flag, one_of
 from getagrip.io.images import read_png
-from getagrip.io.terminal import say, warn
+from getagrip.io.terminal import print_result, warn
 
-WARNED = 3
+WARNING_EXIT_STATUS = 3
 """Exit status where depth is written, and something seems to be wrong with it."""
 Scale = Literal["metric", "clip", "frame"]
 if TYPE_CHECKING:
     Format: TypeAlias = str
 else:  # the choices of --from, as the table has them
-    TAKES = "; ".join(f"{name}: {form.takes}" for name, form in SOURCES.items())
-    Format = Annotated[Literal[tuple(SOURCES)], arg(name="from", help=f"Program or format of the files. {TAKES}.")]
+    TAKES = "; ".join(f"{name}: {form.takes}" for name, form in DEPTH_FORMATS.items())
+    Format = Annotated[
+        Literal[tuple(DEPTH_FORMATS)], arg(name="from", help=f"Program or format of the files. {TAKES}.")
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,32 +74,32 @@ class ImportDepth(Command):
         Raises ``InputError``, and ``UsageError`` where there is depth already.
         """
         header = read_header(self.clip)
-        target = header.folder / DEPTH
+        target = header.folder / DEPTH_KEY
         if target.exists() and not self.overwrite:
             raise UsageError(f"{target}: exists already; --overwrite replaces it")
-        frames = header.frames if self.first is None else renumbered(header.frames, self.first, "--first")
+        frames = header.frames if self.first is None else renumber_frames(header.frames, self.first, "--first")
         ask_first, counted = ("--first", False) if self.first is None else ("", True)
         reader = open_depth(self.path, self.source, frames, ask_first, self.images, counted)
-        source = chosen_source(self.source, self.scale, self.unit, self.error)
-        check_shape(*reader.read(reader.known[0])[:2], header.size)
-        order = check_order(reader, _masks(header, reader), source)
+        source = select_depth_source(self.source, self.scale, self.unit, self.error)
+        check_depth_shape(*reader.read(reader.known[0])[:2], header.size)
+        order = check_depth_direction(reader, _read_depth_masks(header, reader), source)
         said = f"from {self.path.name}, {self.source}"
         add_depth(header, reader, source, said, unit=self.unit, overwrite=self.overwrite)
-        say(f"{target}: depth of {len(reader.known)} of {len(frames)} frames")
-        warnings = [*filter(None, [check_camera(reader, source, header.K, header.size[0]), order])]
+        print_result(f"{target}: depth of {len(reader.known)} of {len(frames)} frames")
+        warnings = [*filter(None, [check_focal_length(reader, source, header.K, header.size[0]), order])]
         if len(reader.known) < len(frames):
             missing = [name for n, name in enumerate(header.frames) if n not in reader.known]
             warn(f"no depth in {len(missing)} of {len(frames)} frames (first: {missing[0]})")
         for warning in warnings:
             warn(f"{self.path}: {warning}")
-        return WARNED if warnings else 0
+        return WARNING_EXIT_STATUS if warnings else 0
 
 
-def _masks(header: ClipHeader, reader: DepthReader) -> dict[int, tuple[ndarray, ndarray]]:
+def _read_depth_masks(header: ClipHeader, reader: DepthReader) -> dict[int, tuple[ndarray, ndarray]]:
     """Read the masks of the object, and of what hides it, in some frames that have both these and depth."""
     found = dict[int, tuple[ndarray, ndarray]]()
     there = [n for n in reader.known if (header.folder / f"masks/object/{header.frames[n]}.png").is_file()]
-    for n in looked_at(there):
+    for n in sample_frames(there):
         seen, others = (
             read_png(header.folder / name, header.size) > 0 if (header.folder / name).is_file() else None
             for name in (f"masks/{kind}/{header.frames[n]}.png" for kind in ("object", "ignore"))

@@ -13,31 +13,41 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import Positional, arg
 
-from getagrip.clip.intrinsics import camera_warning, intrinsics
-from getagrip.clip.naming import renumbered
+from getagrip.clip.intrinsics import camera_warning, compute_intrinsics
+from getagrip.clip.naming import renumber_frames
 from getagrip.clip.plausible import check_in_view
 from getagrip.clip.reading import ClipHeader, read_header
-from getagrip.clip.reading_arrays import OTHER_HAND, frames_with_hand
-from getagrip.clip.writing import WITHOUT_HAND, without_hand, write_hand, write_hand_at
+from getagrip.clip.reading_arrays import OTHER_HAND_FILE, frames_with_hand
+from getagrip.clip.writing import FRAMES_WITHOUT_HAND, missing_hand_provenance, write_hand, write_hand_at
 from getagrip.commands.command import Command, FirstNumber, OptionalSide
 from getagrip.commands.import_many import import_many
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.lens import Lens
 from getagrip.hands.model import Side
-from getagrip.hands.trackers import CHOSEN, EXTRAPOLATED, Hands, Request, Tracker, choose, read, recognise, usable
+from getagrip.hands.trackers import (
+    CHOSEN_HANDS_KEY,
+    EXTRAPOLATED_HANDS_KEY,
+    Request,
+    TrackedHands,
+    Tracker,
+    choose_tracker,
+    read_tracked_hands,
+    recognise,
+    usable,
+)
 from getagrip.io import files
 from getagrip.io.arguments import Flag, OptionalFile, one_of
-from getagrip.io.terminal import report, say, warn
-from getagrip.provenance import as_arrays, report_source
+from getagrip.io.terminal import print_note, print_result, warn
+from getagrip.provenance import provenance_to_arrays, report_source
 
-PREFIX = "other_"
+OTHER_HAND_PREFIX = "other_"
 """Prefix of the other hand's topics in a clip's provenance."""
-MOST_FRAMES = 20_000
+MAX_HAND_FILE_FRAMES = 20_000
 """Most frames of a hand file."""
-WARNED = 3
+WARNING_EXIT_STATUS = 3
 """Exit status where the hands are written, and something seems to be wrong with them or with the camera."""
 if TYPE_CHECKING:
-    Source: TypeAlias = str | None
+    HandSource: TypeAlias = str | None
     Trackers: TypeAlias = object
 
 
@@ -67,7 +77,7 @@ class ImportHands(Command):
     paths: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE...", help_behavior_hint="")]
     """.npz, .json, .pkl, .pt, .npy, .obj, or folders of them: one file per image, named like it, or one file for all
     images (docs/estimators.md)."""
-    source: Source = None
+    source: HandSource = None
     trackers: Trackers
     clip: Annotated[Path | None, arg(metavar="CLIP", help_behavior_hint="")] = None
     """The clip's folder. Side, frames and camera are taken from the clip."""
@@ -98,10 +108,10 @@ class ImportHands(Command):
         """The tracker whose hands they are, with its options; without --from as the files are recognised."""
         trackers = vars(self.trackers)
         if self.source is not None:
-            return choose(self.source, trackers)
+            return choose_tracker(self.source, trackers)
         name, words = recognise(self.paths, trackers)
-        report(f"{self.paths[0]}: taken for {words}, as by --from {name}")
-        return choose(name, trackers)
+        print_note(f"{self.paths[0]}: taken for {words}, as by --from {name}")
+        return choose_tracker(name, trackers)
 
     def run(self) -> int:
         """Add hands to a clip, or write a file of them. Raises ``UsageError`` for options that do not fit."""
@@ -128,7 +138,7 @@ class ImportHands(Command):
         """Add hands to all clips in a folder, by their names."""
         if len(self.paths) != 1 or self.new.stated:
             raise UsageError("--clips takes one FILE, a folder, and no --side, --frames, --size or --K")
-        target = OTHER_HAND if self.other_hand else "hand.npz"
+        target = OTHER_HAND_FILE if self.other_hand else "hand.npz"
 
         def of_clip(source: Path, clip: Path) -> ImportHands:
             return replace(self, paths=(source,), clip=clip, clips=None)
@@ -147,7 +157,9 @@ class ImportHands(Command):
             raise UsageError(f"{target}: exists already; --overwrite replaces it")
         side: Side = header.fields["side"]
         request = self._request(side, header.frames, header.K, header.size)
-        hands = read(self.paths, self.tracker, replace(request, hand_masks=_hand_masks(header), times=header.times))
+        hands = read_tracked_hands(
+            self.paths, self.tracker, replace(request, hand_masks=_hand_mask_paths(header), times=header.times)
+        )
         check_in_view(self.paths[0], hands.track, header.K[list(hands.found)], header.size)
         hands = hands.extrapolate_to_ends(header.frames) if self.hold_ends else hands
         if len(hands.found) < len(header.frames) and (header.folder / "truth.npz").exists():
@@ -155,10 +167,10 @@ class ImportHands(Command):
             raise UsageError(f"missing hand in {missing} frames: {folder} has a truth.npz, which needs one in each")
         with files.new_file(target) as hand, files.new_file(header.folder / "clip.json") as fields:
             write_hand_at(hands.track, header.frames, hands.found, hand)
-            files.write_json(fields, _fields(header, hands))
-        _report(hands, header.frames)
-        say(str(target))
-        return _status(header.K, header.size, _warnings(hands, len(header.frames)))
+            files.write_json(fields, _changed_clip_fields(header, hands))
+        _print_hand_sources(hands, header.frames)
+        print_result(str(target))
+        return _exit_status(header.K, header.size, _hand_warnings(hands, len(header.frames)))
 
     def _other_into_clip(self, folder: Path) -> int:
         """Add ``other_hand.npz``, in the frames in which it was found.
@@ -166,13 +178,13 @@ class ImportHands(Command):
         Raises ``UsageError`` where there is one, and ``InputError`` where none of these frames has the clip's own hand.
         """
         header = read_header(folder)
-        target = header.folder / OTHER_HAND
+        target = header.folder / OTHER_HAND_FILE
         if target.exists() and not self.overwrite:
             raise UsageError(f"{target}: exists already; --overwrite replaces it")
         own = frames_with_hand(files.inside(header.folder, "hand.npz", "", "the clip's own hand first"), header.frames)
         side: Side = "left" if header.fields["side"] == "right" else "right"
         request = replace(self._request(side, header.frames, header.K, header.size), times=header.times)
-        hands = read(self.paths, self.tracker, request)
+        hands = read_tracked_hands(self.paths, self.tracker, request)
         check_in_view(self.paths[0], hands.track, header.K[list(hands.found)], header.size)
         alone = sorted({*hands.found} - {*own.tolist()})
         if len(alone) == len(hands.found):
@@ -180,19 +192,21 @@ class ImportHands(Command):
             raise InputError(
                 self.paths[0], "", got, "some in which it has: frames without it are left out (--hold-ends)"
             )
-        known = {key: text for key, text in header.fields["provenance"].items() if not key.startswith(PREFIX)}
-        provenance = {PREFIX + key: text for key, text in hands.provenance.items()}
+        known = {
+            key: text for key, text in header.fields["provenance"].items() if not key.startswith(OTHER_HAND_PREFIX)
+        }
+        provenance = {OTHER_HAND_PREFIX + key: text for key, text in hands.provenance.items()}
         with files.new_file(target) as hand, files.new_file(header.folder / "clip.json") as fields:
             write_hand_at(hands.track, header.frames, hands.found, hand)
             files.write_json(fields, header.changed({"provenance": known | provenance}))
         for key, text in provenance.items():
             report_source(key, text)
-        say(f"{target}: the {side} hand in {len(hands.found)} of {len(header.frames)} frames")
+        print_result(f"{target}: the {side} hand in {len(hands.found)} of {len(header.frames)} frames")
         if alone:
-            some = _some(header.frames[row] for row in alone)
+            some = _join_first_names(header.frames[row] for row in alone)
             left_out = f"{len(alone)} frames have the {side} hand only and are left out, as all without the clip's own"
             warn(f"{left_out}: {some}")
-        return _status(header.K, header.size, hands.warnings)
+        return _exit_status(header.K, header.size, hands.warnings)
 
     def _into_file(self, new: NewFrames, out: Path) -> int:
         """Write a hand file for ``clip new``, ``import epic``: a ``hand.npz`` with ``frames`` (T,) and ``K`` (3, 3)."""
@@ -205,25 +219,25 @@ class ImportHands(Command):
         if out.exists() and not self.overwrite:
             raise UsageError(f"{out}: exists already; --overwrite replaces it")
         first, last = new.frames
-        if not 0 <= first <= last < first + MOST_FRAMES or min(new.size) < 1:
+        if not 0 <= first <= last < first + MAX_HAND_FILE_FRAMES or min(new.size) < 1:
             got = f"{first} {last}, {new.size[0]} {new.size[1]}"
-            allowed = f"numbers of the first and the last frame, at most {MOST_FRAMES}, and a size in pixels"
+            allowed = f"numbers of the first and the last frame, at most {MAX_HAND_FILE_FRAMES}, and a size in pixels"
             raise UsageError(f"--frames, --size must be {allowed} (got {got})")
-        K, camera = intrinsics(new.lens, new.size)
+        K, camera = compute_intrinsics(new.lens, new.size)
         numbers = np.arange(first, last + 1)
         names = tuple(f"{n:06d}" for n in numbers)
         many = np.tile(K, (len(names), 1, 1))
-        hands = read(self.paths, self.tracker, self._request(new.side, names, many, new.size))
+        hands = read_tracked_hands(self.paths, self.tracker, self._request(new.side, names, many, new.size))
         check_in_view(self.paths[0], hands.track, many[list(hands.found)], new.size)
         hands = hands.extrapolate_to_ends(names) if self.hold_ends else hands
         provenance = hands.provenance | {"camera": camera}
         extra = {"frames": numbers[list(hands.found)], "K": K, "side": np.array(new.side)}
-        extra |= as_arrays(provenance)
+        extra |= provenance_to_arrays(provenance)
         with files.new_file(out) as part:
             write_hand(hands.track, part, extra)
-        _report(replace(hands, provenance=provenance), names)
+        _print_hand_sources(replace(hands, provenance=provenance), names)
         print(out)
-        return _status(many, new.size, _warnings(hands, len(names)))
+        return _exit_status(many, new.size, _hand_warnings(hands, len(names)))
 
     def _request(
         self, side: Side, frames: tuple[str, ...], K: Float[ndarray, "T 3 3"], size: tuple[int, int]
@@ -231,7 +245,9 @@ class ImportHands(Command):
         """Make the request; ``first`` is the number of the first frame's hand, where hands are counted differently."""
         if self.first is None:
             return Request(side, frames, K, size, self.mano)
-        return Request(side, renumbered(frames, self.first, "--first"), K, size, self.mano, ask_first="", counted=True)
+        return Request(
+            side, renumber_frames(frames, self.first, "--first"), K, size, self.mano, ask_first="", counted=True
+        )
 
 
 if not TYPE_CHECKING:  # the choices of --from, and the options of each tracker, as the table has them
@@ -239,43 +255,45 @@ if not TYPE_CHECKING:  # the choices of --from, and the options of each tracker,
     USABLE = usable(["from", *TAKEN])
     TAKES = "; ".join(f"{name}: {tracker.takes}" for name, tracker in USABLE.items())
     HELP = f"Program or format of the files; by default by their names and keys. {TAKES}."
-    Source = Annotated[str | None, one_of(*USABLE), arg(name="from", help=HELP, help_behavior_hint="")]
+    HandSource = Annotated[str | None, one_of(*USABLE), arg(name="from", help=HELP, help_behavior_hint="")]
     OPTIONS = [(name, type(tracker), field(default=tracker)) for name, tracker in USABLE.items()]
     Trackers = Annotated[make_dataclass("Trackers", OPTIONS, frozen=True), arg(name="")]
 
 
-def _fields(header: ClipHeader, hands: Hands) -> dict[str, object]:
+def _changed_clip_fields(header: ClipHeader, hands: TrackedHands) -> dict[str, object]:
     """Return the fields of ``clip.json`` that change with the hands: their sources, and the frames without a hand."""
-    old = (WITHOUT_HAND, EXTRAPOLATED, CHOSEN)
+    old = (FRAMES_WITHOUT_HAND, EXTRAPOLATED_HANDS_KEY, CHOSEN_HANDS_KEY)
     known = {key: text for key, text in header.fields["provenance"].items() if key not in old}
-    return header.changed({"provenance": known | hands.provenance | without_hand(header.frames, hands.found)})
+    return header.changed(
+        {"provenance": known | hands.provenance | missing_hand_provenance(header.frames, hands.found)}
+    )
 
 
-def _report(hands: Hands, frames: Sequence[str]) -> None:
+def _print_hand_sources(hands: TrackedHands, frames: Sequence[str]) -> None:
     """Print where the hands come from, with a warning for what is guessed or missing."""
     for key, text in hands.provenance.items():
         report_source(key, text)
     missing = [name for n, name in enumerate(frames) if n not in hands.found]
     if missing:
-        warn(f"no hand in {len(missing)} of {len(frames)} frames, skipped: {_some(missing)}")
+        warn(f"no hand in {len(missing)} of {len(frames)} frames, skipped: {_join_first_names(missing)}")
 
 
-def _warnings(hands: Hands, frames: int) -> tuple[str, ...]:
+def _hand_warnings(hands: TrackedHands, frames: int) -> tuple[str, ...]:
     """Return warnings about hands; that most frames lack them is one."""
     most = 2 * len(hands.found) < frames
     return (*hands.warnings, f"only {len(hands.found)} of {frames} frames have a hand") if most else hands.warnings
 
 
-def _status(K: Float[ndarray, "T 3 3"], size: tuple[int, int], warnings: tuple[str, ...]) -> int:
-    """0, or ``WARNED`` with warnings where the hands seem to be wrong, or the camera to belong to other images."""
+def _exit_status(K: Float[ndarray, "T 3 3"], size: tuple[int, int], warnings: tuple[str, ...]) -> int:
+    """0, or ``WARNING_EXIT_STATUS`` with warnings where the hands seem to be wrong, or the camera to belong to other images."""
     camera = camera_warning(K, size)
     texts = [*(f"hands: {text}" for text in warnings), *([f"camera: {camera}"] if camera else [])]
     for text in texts:
         warn(text)
-    return WARNED if texts else 0
+    return WARNING_EXIT_STATUS if texts else 0
 
 
-def _hand_masks(header: ClipHeader) -> tuple[Path | None, ...]:
+def _hand_mask_paths(header: ClipHeader) -> tuple[Path | None, ...]:
     """Return the clip's masks of its hand; None for frames without one."""
     images = [f"masks/hand/{frame}.png" for frame in header.frames]
     there = [(header.folder / image).is_file() for image in images]
@@ -285,7 +303,7 @@ def _hand_masks(header: ClipHeader) -> tuple[Path | None, ...]:
     )
 
 
-def _some(names: Iterable[str]) -> str:
+def _join_first_names(names: Iterable[str]) -> str:
     """List the first few of them."""
     stated = list(names)
     return ", ".join(stated[:5]) + (", ..." if len(stated) > 5 else "")

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from getagrip.commands.command import Command, each_clip
+from getagrip.commands.command import Command, for_each_clip
 from getagrip.errors import InputError
 from getagrip.io import files
-from getagrip.io.terminal import Silence, counted, kept_warnings, report, say
+from getagrip.io.terminal import NullOutput, collect_warnings, format_count, print_note, print_result
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
@@ -52,7 +52,7 @@ def import_many(
     if not source.is_dir():
         raise InputError(source, "", "no such folder", "a folder with something named like each clip")
     by_stem: dict[str, list[Path]] = {}
-    for one in sorted([*files.listed(source), *files.folders_in(source)]):
+    for one in sorted([*files.list_files(source), *files.folders_in(source)]):
         by_stem.setdefault(one.name if one.is_dir() else one.stem, []).append(one)
 
     def job(name: str, folder: Path) -> ImportJob:
@@ -61,18 +61,18 @@ def import_many(
         place = source / (" and ".join(one.name for one in found) or name)
         return ImportJob(folder, made, place, folder / target, overwrite, len(found) > 1)
 
-    imported, failed = each_clip([clips], job, import_one, 1, debug)
+    imported, failed = for_each_clip([clips], job, import_one, 1, debug)
     for each in imported:
         for text in each.warnings:
-            report(f"{each.clip}: warning: {text}")
+            print_note(f"{each.clip}: warning: {text}")
     kept = sum(one.kept for one in imported)
-    say(f"{counted(len(imported) - kept, 'clip')} imported, {kept} done already, {failed} failed")
+    print_result(f"{format_count(len(imported) - kept, 'clip')} imported, {kept} done already, {failed} failed")
     return 1 if failed else 3 if any(one.warnings for one in imported) else 0
 
 
 def import_one(job: ImportJob, progress: Callable[[str, float], None] = lambda *_: None) -> Imported | Outcome:
     """Import into one clip. Raises nothing: a failure is returned."""
-    from getagrip.batch.job import failure
+    from getagrip.batch.job import failed_outcome
 
     if job.target.exists() and not job.overwrite:
         return Imported(job.clip.name, kept=True)
@@ -80,8 +80,8 @@ def import_one(job: ImportJob, progress: Callable[[str, float], None] = lambda *
         if job.command is None:
             got = "several" if job.several else "no such file or folder"
             raise InputError(job.source, "", got, "one file or folder named like the clip")
-        with redirect_stdout(Silence()), redirect_stderr(Silence()), kept_warnings() as warnings:
+        with redirect_stdout(NullOutput()), redirect_stderr(NullOutput()), collect_warnings() as warnings:
             job.command.run()
     except Exception as error:  # one clip's trouble must not end the others
-        return failure(job.clip.name, error)
+        return failed_outcome(job.clip.name, error)
     return Imported(job.clip.name, kept=False, warnings=tuple(warnings))

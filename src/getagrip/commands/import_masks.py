@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg
 
 from getagrip.clip.mask_request import MaskReader, MaskRequest
 from getagrip.clip.mask_sources import open_masks
-from getagrip.clip.naming import renumbered
+from getagrip.clip.naming import renumber_frames
 from getagrip.clip.reading import read_header
 from getagrip.commands.command import Command, FirstNumber, Labels
 from getagrip.commands.import_many import import_many
@@ -18,9 +18,9 @@ from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.arguments import Flag
 from getagrip.io.images import write_mask
-from getagrip.io.terminal import counted, say, warn
+from getagrip.io.terminal import format_count, print_result, warn
 
-FEWEST = 2
+MIN_VISIBLE_FRAMES = 2
 """Frames that show the object."""
 
 
@@ -77,18 +77,18 @@ class ImportMasks(Command):
             raise UsageError(f"{target}: exists already; --overwrite replaces it")
         names = header.frames
         if self.first is not None:
-            names = renumbered(names, self.first, "--first")
+            names = renumber_frames(names, self.first, "--first")
         ask_first = "--first" if self.first is None else ""
         labels = self.object, self.ignore, self.hand
         counted_by = ask_first, self.first is not None
         request = MaskRequest(names, header.size, *labels, *counted_by, self.images, stretched=self.stretched)
         reader = open_masks(self.path, request)
-        whence = header.fields["provenance"] | {"masks": provenance(self.path, *labels, self.images)}
+        whence = header.fields["provenance"] | {"masks": masks_provenance(self.path, *labels, self.images)}
         with files.new_folder(target, ("object",) if self.overwrite else ()) as new:
-            visible = write_masks(reader, header.frames, new)
+            visible = write_reader_masks(reader, header.frames, new)
             with files.new_file(header.folder / "clip.json") as part:
                 files.write_json(part, header.changed({"provenance": whence}))
-        say(f"{target}: the object is visible in {visible} of {len(names)} frames")
+        print_result(f"{target}: the object is visible in {visible} of {len(names)} frames")
         return report_masks(reader, header.frames, visible)
 
 
@@ -99,16 +99,16 @@ def report_masks(reader: MaskReader, frames: tuple[str, ...], visible: int) -> i
     if missing := [name for n, name in enumerate(frames) if n not in reader.known]:
         some = f"no mask of {len(missing)} of {len(frames)} frames (first: {missing[0]})"
         warn(f"{reader.source}: {some}; reconstruct interpolates their poses")
-    if visible < FEWEST:
-        seen = f"the object is visible in {counted(visible, 'frame')}; reconstruct needs {FEWEST}"
+    if visible < MIN_VISIBLE_FRAMES:
+        seen = f"the object is visible in {format_count(visible, 'frame')}; reconstruct needs {MIN_VISIBLE_FRAMES}"
         warn(f"{reader.source}: {seen}")
     for warning in (*reader.warnings, *(f"no frame has a pixel of {named}" for named in sorted(reader.unmet))):
         warn(f"{reader.source}: {warning}")
     amiss = [named for named in reader.unmet if not named.startswith("--hand")]  # a hand may be hidden throughout
-    return 3 if reader.warnings or amiss or visible < FEWEST else 0
+    return 3 if reader.warnings or amiss or visible < MIN_VISIBLE_FRAMES else 0
 
 
-def write_masks(reader: MaskReader, frames: tuple[str, ...], folder: Path) -> int:
+def write_reader_masks(reader: MaskReader, frames: tuple[str, ...], folder: Path) -> int:
     """Write the masks of the frames that have some, one at a time in memory; returns in how many the object is visible.
 
     Raises ``InputError`` where it is visible in none.
@@ -128,7 +128,7 @@ def write_masks(reader: MaskReader, frames: tuple[str, ...], folder: Path) -> in
     return visible
 
 
-def provenance(
+def masks_provenance(
     source: Path, objects: tuple[str, ...], ignore: tuple[str, ...], hand: tuple[str, ...], images: str = ""
 ) -> str:
     """Return the source of masks, for a clip's provenance."""

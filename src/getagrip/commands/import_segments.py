@@ -10,11 +10,11 @@ from tyro.conf import Positional, arg
 
 from getagrip.clip import Segment, segment_files
 from getagrip.clip.reading import read_header
-from getagrip.clip.segment_files import STATED, SegmentList
+from getagrip.clip.segment_files import STATED_BY_USER, SegmentList
 from getagrip.commands.command import Command
 from getagrip.errors import UsageError
 from getagrip.io.arguments import Flag
-from getagrip.io.terminal import counted, say
+from getagrip.io.terminal import format_count, print_result
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,20 +37,22 @@ class ImportSegments(Command):
         another.
         """
         header = read_header(self.clip)
-        segment_files.check_free(header, self.overwrite)
-        listed = stated(segment_files.read(self.path, [header.fields["name"]]), self.still_camera)
+        segment_files.check_segments_replaceable(header, self.overwrite)
+        listed = add_camera_statement(
+            segment_files.read_segment_list(self.path, [header.fields["name"]]), self.still_camera
+        )
         if self.still_camera and "T_world_cam" in header.fields["camera"]:
             raise UsageError(f"--still-camera cannot be used with {header.folder}: it has camera.T_world_cam")
-        segments = segment_files.into_clip(header, listed)
-        say(f"{header.folder / 'clip.json'}: {in_words(segments)}")
+        segments = segment_files.write_clip_segments(header, listed)
+        print_result(f"{header.folder / 'clip.json'}: {describe_segments(segments)}")
         return 0
 
 
-def stated(listed: SegmentList, still_camera: bool) -> SegmentList:
+def add_camera_statement(listed: SegmentList, still_camera: bool) -> SegmentList:
     """Add the command line's statement about the camera to segments."""
-    return replace(listed, still_camera=STATED) if still_camera else listed
+    return replace(listed, still_camera=STATED_BY_USER) if still_camera else listed
 
 
-def in_words(segments: tuple[Segment, ...]) -> str:
+def describe_segments(segments: tuple[Segment, ...]) -> str:
     """List the segments, in words."""
-    return f"{counted(len(segments), 'segment')}: {', '.join(one.state for one in segments)}"
+    return f"{format_count(len(segments), 'segment')}: {', '.join(one.state for one in segments)}"

@@ -13,22 +13,22 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 from tyro.conf import Positional, arg
 
 from getagrip.commands.command import Command
-from getagrip.commands.draft import DRAFTER, Draft
+from getagrip.commands.draft import DRAFT_ANNOTATOR, Draft
 from getagrip.commands.export import Export
 from getagrip.errors import UsageError
 from getagrip.geometry.lens import Lens
 from getagrip.io.arguments import Flag, Folder, OptionalFolder
-from getagrip.io.terminal import counted, say
+from getagrip.io.terminal import format_count, print_result
 
 if TYPE_CHECKING:
     from getagrip.annotate.grasp import Grasp
     from getagrip.annotate.project import Project
-    from getagrip.annotate.reconstruction import Shape
+    from getagrip.annotate.reconstruction import RequestedMesh
     from getagrip.annotate.tasks import Task
 
-PAUSE = 30.0
+MAX_WORK_GAP_S = 30.0
 """Longer pauses between two changes are not counted as work [s]."""
-EFFORT = "effort.csv"
+EFFORT_FILE = "effort.csv"
 
 
 class Effort(NamedTuple):
@@ -41,8 +41,8 @@ class Effort(NamedTuple):
     active_s: float
 
     def __str__(self) -> str:
-        what = f"{counted(self.drawn, 'stroke or outline', 'strokes and outlines')} on {counted(self.frames, 'frame')}"
-        return f"{self.grasp}: {what}, {counted(self.changes, 'change')} in {self.active_s / 60:.1f} min without pauses"
+        what = f"{format_count(self.drawn, 'stroke or outline', 'strokes and outlines')} on {format_count(self.frames, 'frame')}"
+        return f"{self.grasp}: {what}, {format_count(self.changes, 'change')} in {self.active_s / 60:.1f} min without pauses"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,38 +74,38 @@ class Label(Command):
     def run(self) -> int:
         """Run all steps; return 1 where one video failed, else 0. What fails of one is reported and ends no other."""
         from getagrip.annotate.project import Project
-        from getagrip.annotate.reconstruction import Shape
-        from getagrip.annotate.store import Store
-        from getagrip.commands.annotate import DATABASE, serve
+        from getagrip.annotate.reconstruction import RequestedMesh
+        from getagrip.annotate.store import MarkStore
+        from getagrip.commands.annotate import MARKS_DATABASE, serve
         from getagrip.io import files
 
         found, failed = self._tasks()
         for n, task in enumerate(found, start=1):
-            say(f"{task.key}: draft {n} of {len(found)}")
+            print_result(f"{task.key}: draft {n} of {len(found)}")
             failed += not self._does(task.key, partial(self._draft, task))
         self.out.mkdir(parents=True, exist_ok=True)
-        project = Project(found, Store(self.out / DATABASE), self.lens)
+        project = Project(found, MarkStore(self.out / MARKS_DATABASE), self.lens)
         try:
             for task in found:
                 failed += not self._does(task.key, partial(self._mark, project, task))
             if not self.no_page:
                 size = {} if self.size_mm is None else {"size-mm": f"{self.size_mm:g}"}
-                serve(project, self.port, DRAFTER, {"mesh": self.object, **size})
+                serve(project, self.port, DRAFT_ANNOTATOR, {"mesh": self.object, **size})
             solved, efforts = [], []
             for grasp in project.labelled():
-                shape = Shape(self.object, self.size_mm)
-                if self._does(grasp.name, partial(_solve, project, grasp, shape)):
+                shape = RequestedMesh(self.object, self.size_mm)
+                if self._does(grasp.name, partial(_reconstruct_grasp, project, grasp, shape)):
                     solved.append(self.out / "results" / grasp.name)
-                    efforts.append(_effort(project, grasp))
-                    say(str(efforts[-1]))
+                    efforts.append(_measure_effort(project, grasp))
+                    print_result(str(efforts[-1]))
         finally:
             project.close()
         if solved:
             folder = self.out / self.to
-            files.write_csv(self.out / EFFORT, [Effort._fields, *efforts])
-            say(str(Effort("in all", *(sum(each) for each in list(zip(*efforts, strict=True))[1:]))))
+            files.write_csv(self.out / EFFORT_FILE, [Effort._fields, *efforts])
+            print_result(str(Effort("in all", *(sum(each) for each in list(zip(*efforts, strict=True))[1:]))))
             failed += Export(results=tuple(solved), to=self.to, out=folder, overwrite=True, debug=self.debug).run()
-            say(f"{folder}: the labels of {counted(len(solved), 'grasp')}")
+            print_result(f"{folder}: the labels of {format_count(len(solved), 'grasp')}")
         return int(failed > 0)
 
     def check(self) -> None:
@@ -117,12 +117,12 @@ class Label(Command):
     def _tasks(self) -> tuple[list[Task], int]:
         """Return a task for each video that opens, and how many do not. Raises ``UsageError`` without any video."""
         from getagrip.annotate.tasks import Task, read_tasks
-        from getagrip.annotate.video import SUFFIXES
+        from getagrip.annotate.video import VIDEO_SUFFIXES
         from getagrip.io import files
 
-        videos = files.listed(self.videos, {suffix.lower() for suffix in SUFFIXES})
+        videos = files.list_files(self.videos, {suffix.lower() for suffix in VIDEO_SUFFIXES})
         if not videos:
-            raise UsageError(f"missing videos in {self.videos}: files that end in {', '.join(SUFFIXES)}")
+            raise UsageError(f"missing videos in {self.videos}: files that end in {', '.join(VIDEO_SUFFIXES)}")
         stems, tasks = Counter(path.stem.casefold() for path in videos), list[Task]()
 
         def add(path: Path) -> None:
@@ -135,22 +135,22 @@ class Label(Command):
     def _does(self, name: str, do: Callable[[], None]) -> bool:
         """Do something for a video and return True; report what is wrong and return False."""
         from getagrip.batch.clips import print_outcome
-        from getagrip.batch.job import failure
+        from getagrip.batch.job import failed_outcome
 
         try:
             do()
         except Exception as error:  # one video's trouble must not end the others
-            print_outcome(failure(name, error), self.debug)
+            print_outcome(failed_outcome(name, error), self.debug)
             return False
         return True
 
     def _draft(self, task: Task) -> None:
         """Make the draft of a video, unless it is there."""
-        from getagrip.annotate.found_hands import DRAFTS, FOLDER
+        from getagrip.annotate.found_hands import DETECTED_HANDS_FOLDER, DRAFTS_FOLDER
         from getagrip.io import files
 
-        folder = files.folder_inside(self.out, DRAFTS, task.key)
-        if task.path is not None and not (folder / FOLDER / "hand.npz").is_file():
+        folder = files.folder_inside(self.out, DRAFTS_FOLDER, task.key)
+        if task.path is not None and not (folder / DETECTED_HANDS_FOLDER / "hand.npz").is_file():
             Draft(
                 video=task.path, object=self.object, out=folder, size_mm=self.size_mm, models=self.models,
                 lens=self.lens, no_page=True,
@@ -158,32 +158,32 @@ class Label(Command):
 
     def _mark(self, project: Project, task: Task) -> None:
         """Mark the frames of the hand that was found, unless somebody has marked some."""
-        from getagrip.annotate.found_hands import DRAFTS, FOLDER
+        from getagrip.annotate.found_hands import DETECTED_HANDS_FOLDER, DRAFTS_FOLDER
         from getagrip.commands.hand_file import HandFile
 
-        path = self.out / DRAFTS / task.key / FOLDER / "hand.npz"
+        path = self.out / DRAFTS_FOLDER / task.key / DETECTED_HANDS_FOLDER / "hand.npz"
         if not path.is_file() or project.store.marks.standing(task.key):
             return
         hands = HandFile.of(path)
         if hands.numbers and hands.side:
-            project.mark_grasp(task, DRAFTER, (min(hands.numbers) - 1, max(hands.numbers) - 1), hands.side)
+            project.mark_grasp(task, DRAFT_ANNOTATOR, (min(hands.numbers) - 1, max(hands.numbers) - 1), hands.side)
 
 
-def _solve(project: Project, grasp: Grasp, shape: Shape) -> None:
+def _reconstruct_grasp(project: Project, grasp: Grasp, shape: RequestedMesh) -> None:
     """Reconstruct a grasp, unless there is a result of its labels."""
     from getagrip.annotate.written_files import JobOnBar
     from getagrip.io.terminal import progress_bar
 
     if not project.labelling.is_solved(grasp):
         with progress_bar() as bar:
-            say(project.labelling.solve(grasp, shape, JobOnBar(bar, grasp.name)))
+            print_result(project.labelling.solve(grasp, shape, JobOnBar(bar, grasp.name)))
 
 
-def _effort(project: Project, grasp: Grasp) -> Effort:
+def _measure_effort(project: Project, grasp: Grasp) -> Effort:
     """Measure how much work a grasp's labels were."""
     times = project.store.keyframes.times(grasp.mark.mark, grasp.mark.annotator)
     gaps = [(b - a).total_seconds() for a, b in pairwise(times)]
-    worked = sum(gap for gap in gaps if gap <= PAUSE)
+    worked = sum(gap for gap in gaps if gap <= MAX_WORK_GAP_S)
     frames = project.labelling.labels(grasp).frames.values()
     drawn = sum(
         len(shapes) for frame in frames for shapes in (frame.object, frame.front, frame.on, frame.off) if shapes

@@ -12,7 +12,7 @@ from tyro.conf import arg
 from getagrip.commands.command import Clips, Command
 from getagrip.errors import UsageError
 from getagrip.io.arguments import File, OptionalFolder
-from getagrip.io.terminal import counted
+from getagrip.io.terminal import format_count
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -55,24 +55,24 @@ class LearnPoses(Command):
         poses have no place as a folder.
         """
         from getagrip.batch.clips import print_outcome
-        from getagrip.batch.job import failure
-        from getagrip.batch.plan import by_name
+        from getagrip.batch.job import failed_outcome
+        from getagrip.batch.plan import clips_by_name
         from getagrip.clip import read_clip
         from getagrip.fitting import learn_priors as clusters
 
         if not self.clips:
             raise UsageError("missing CLIP: name at least one clip")
-        if not 1 <= self.k <= clusters.MOST_CLUSTERS:
-            raise UsageError(f"--k must be 1 to {clusters.MOST_CLUSTERS} (got {self.k})")
+        if not 1 <= self.k <= clusters.MAX_CLUSTERS:
+            raise UsageError(f"--k must be 1 to {clusters.MAX_CLUSTERS} (got {self.k})")
         if not 0 <= self.seed < 2**63:
             raise UsageError(f"--seed must be 0 or more (got {self.seed})")
-        clips, failed = by_name(self.clips)
+        clips, failed = clips_by_name(self.clips)
         holds = []
         for name, folder in clips.items():
             try:
-                holds.append(clusters.hold(read_clip(folder)))
+                holds.append(clusters.true_grasp_pose(read_clip(folder)))
             except Exception as error:  # one clip's trouble must not end the others
-                failed.append(failure(name, error))
+                failed.append(failed_outcome(name, error))
         for outcome in failed:
             print_outcome(outcome, self.debug)
         subjects = {hold.subject for hold in holds}
@@ -89,8 +89,8 @@ class LearnPoses(Command):
             learnt.write(self.as_folder)
         grasps_learnt.write(self.out)
         _print_counts(learnt, kept)
-        whose = counted(len(learnt.subjects), "subject") if learnt.subjects else "unknown subjects"
-        made = f"{counted(len(learnt.side), 'pose')} from {counted(len(kept), 'clip')} of {whose}"
+        whose = format_count(len(learnt.subjects), "subject") if learnt.subjects else "unknown subjects"
+        made = f"{format_count(len(learnt.side), 'pose')} from {format_count(len(kept), 'clip')} of {whose}"
         print(f"{self.out}: {made}, {len(holds) - len(kept)} left out")
         if len(learnt.subjects) > 1:
             print("a clip of one of them starts from what is learnt without its subject")
@@ -98,14 +98,14 @@ class LearnPoses(Command):
             print(f"{self.as_folder}: the same poses as a folder, which does not say what they were learnt from")
         nameless = sum(not hold.subject for hold in kept)
         if nameless:
-            those = counted(nameless, "clip names", "clips name")
+            those = format_count(nameless, "clip names", "clips name")
             print(f"{those} no subject: each starts from the others, whoever they are", file=sys.stderr)
         return 1 if failed else 0
 
 
-def _print_counts(learnt: clusters.Priors, kept: Sequence[clusters.Hold]) -> None:
+def _print_counts(learnt: clusters.PosePriors, kept: Sequence[clusters.TrueGraspPose]) -> None:
     """How many poses each category and side of hand has, and from how many grasps."""
     poses = Counter(zip(learnt.category, learnt.side, strict=True))
     grasps = Counter((hold.category, hold.side) for hold in kept)
     for key in sorted(poses):
-        print(f"{', '.join(key)}: {counted(poses[key], 'pose')} from {counted(grasps[key], 'grasp')}")
+        print(f"{', '.join(key)}: {format_count(poses[key], 'pose')} from {format_count(grasps[key], 'grasp')}")

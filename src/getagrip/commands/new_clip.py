@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from getagrip.commands.command import Command, FirstNumber, Labels, OptionalSide
-from getagrip.commands.own_mesh import MeshOptions, own_mesh
+from getagrip.commands.own_mesh import MeshOptions, read_own_mesh
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.distortion import Distortion
 from getagrip.geometry.lens import Lens
@@ -30,17 +30,17 @@ if TYPE_CHECKING:
     from getagrip.clip import Clip, HandTrack
     from getagrip.clip.mask_request import MaskReader
     from getagrip.clip.segment_files import SegmentList
-    from getagrip.hands.trackers import Hands
+    from getagrip.hands.trackers import TrackedHands
     from getagrip.provenance import Provenance
 
-MOST_FRAMES = 20_000
+MAX_CLIP_FRAMES = 20_000
 """Most frames of a clip; a stable grasp of minutes."""
-INCOMPLETE = 3
+INCOMPLETE_EXIT_STATUS = 3
 """Exit status where the clip is made, and lacks masks or hands, or most frames lack a hand, or its camera seems to be
 of other images."""
 
 
-HOW = {
+MISSING_OPTION_HINTS = {
     "interval": "--interval START END: the frames between which the grasp is stable, counted from 1; "
     "getagrip annotate {video} --out DIR finds them; or all frames, for reconstruct --find-grasps",
     "side": "--side left|right: the hand that holds the object",
@@ -51,7 +51,7 @@ HOW = {
     "then guesses, too",
 }
 """How to get what a clip cannot be made without."""
-LATER = {
+NEXT_STEP_HINTS = {
     "masks": "masks of the object and the hand: SAM 2 or any segmentation of {out}/frames, as PNG labels, COCO "
     "or .npz; then getagrip import masks PATH --object LABEL --hand LABEL --clip {out}. Without a segmentation: "
     "getagrip annotate {video} --out DIR (docs/annotate.md)",
@@ -117,16 +117,16 @@ class NewClip(Command):
         import numpy as np
 
         from getagrip.clip import Clip
-        from getagrip.clip.footage import size_and_rate, stretch
+        from getagrip.clip.footage import footage_interval, size_and_rate
         from getagrip.clip.plausible import check_in_view
-        from getagrip.clip.segment_files import with_segments
-        from getagrip.clip.writing import without_hand
+        from getagrip.clip.segment_files import add_segments
+        from getagrip.clip.writing import missing_hand_provenance
         from getagrip.commands.hand_file import HandFile, camera_of
         from getagrip.commands.import_masks import report_masks
 
         if self.out.exists() and not self.overwrite:
             raise UsageError(f"{self.out}: exists already; --overwrite replaces it")
-        if not files.is_plain_name(self.out.name):
+        if not files.is_portable_name(self.out.name):
             raise UsageError(f"--out must be a folder whose name can be the clip's (got {self.out})")
         size, fps = size_and_rate(self.video, self.fps, self.images)
         print(f"video: {size[0]} x {size[1]}, {fps:.6g} frames per second")
@@ -139,22 +139,22 @@ class NewClip(Command):
         }
         missing = [key for key, there in has.items() if not there]
         for key in missing:
-            print(f"missing: {key}: {HOW[key].format(video=self.video)}", file=sys.stderr)
+            print(f"missing: {key}: {MISSING_OPTION_HINTS[key].format(video=self.video)}", file=sys.stderr)
         if missing or self.interval is None or self.side is None:
             return 2
-        numbers = _numbers(self.interval)
-        footage = stretch(self.video, numbers, size, fps, self.fps is not None, self.images)
+        numbers = _interval_frame_numbers(self.interval)
+        footage = footage_interval(self.video, numbers, size, fps, self.fps is not None, self.images)
         names = footage.names
         K, camera = camera_of(self.lens, hands, size)
         images, camera = footage.images(), replace(camera, text=camera.text + self.distorted.words)
         if self.distorted.words:
             images = map(self.distorted.removal(K, size), images)
-        found = own_mesh(self.shape)
+        found = read_own_mesh(self.shape)
         found_hands = None if hands is None else hands.at(names, self.side, self.hand_first)
         of_hands: Provenance = {"hands": "none yet"}
         if hands is not None and found_hands is not None:
             check_in_view(hands.path, found_hands.track, np.tile(K, (len(found_hands.found), 1, 1)), size)
-            of_hands = found_hands.provenance | without_hand(names, found_hands.found)
+            of_hands = found_hands.provenance | missing_hand_provenance(names, found_hands.found)
         clip = Clip(
             folder=self.out,
             name=self.out.name,
@@ -167,45 +167,45 @@ class NewClip(Command):
             K=np.tile(K, (len(numbers), 1, 1)),
             mesh=found.mesh,
             scale="known" if found.sized else "free",
-            hand=_no_hand(len(numbers)),
+            hand=_empty_hand_track(len(numbers)),
             provenance={
                 "source": f"{self.video.name}, frames {numbers[0]} to {numbers[-1]}",
                 "camera": camera,
                 **({"times": footage.rate} if footage.rate else {}),
                 **found.provenance,
-                "masks": _of_masks(self),
+                "masks": _masks_source(self),
                 **of_hands,
             },
         )
-        clip = with_segments(clip, _segments(self, self.out))
-        reader = None if self.masks is None else _masks(self, names, size)
-        visible = _write(clip, found_hands, images, reader, self.out, self.overwrite)
+        clip = add_segments(clip, _read_new_segments(self, self.out))
+        reader = None if self.masks is None else _open_clip_masks(self, names, size)
+        visible = _write_new_clip(clip, found_hands, images, reader, self.out, self.overwrite)
         unsure = report_masks(reader, clip.frames, visible) if reader else 0
-        return _summary(clip, self, found_hands, self.out) or unsure
+        return _print_new_clip(clip, self, found_hands, self.out) or unsure
 
 
-def _segments(new: NewClip, out: Path) -> SegmentList:
+def _read_new_segments(new: NewClip, out: Path) -> SegmentList:
     """Read the segments and the camera's motion; empty for a clip that is one stable grasp."""
-    from getagrip.clip.segment_files import SegmentList, read
-    from getagrip.commands.import_segments import stated
+    from getagrip.clip.segment_files import SegmentList, read_segment_list
+    from getagrip.commands.import_segments import add_camera_statement
 
     listed = SegmentList(out, "segments", [], None)
     if new.segments is not None:
-        listed = read(new.segments, [out.name, new.video.stem])
-    return stated(listed, new.still_camera)
+        listed = read_segment_list(new.segments, [out.name, new.video.stem])
+    return add_camera_statement(listed, new.still_camera)
 
 
-def _numbers(interval: tuple[int, int]) -> Int[ndarray, "T"]:
+def _interval_frame_numbers(interval: tuple[int, int]) -> Int[ndarray, "T"]:
     import numpy as np
 
     first, last = interval
-    if not 1 <= first < last or last - first >= MOST_FRAMES:
-        expected = f"two frames' numbers from 1, the later one last, at most {MOST_FRAMES} apart"
+    if not 1 <= first < last or last - first >= MAX_CLIP_FRAMES:
+        expected = f"two frames' numbers from 1, the later one last, at most {MAX_CLIP_FRAMES} apart"
         raise UsageError(f"--interval must be {expected} (got {first} {last})")
     return np.arange(first, last + 1)
 
 
-def _no_hand(frames: int) -> HandTrack:
+def _empty_hand_track(frames: int) -> HandTrack:
     """Make a hand without vertices, which is not written."""
     import numpy as np
 
@@ -215,33 +215,33 @@ def _no_hand(frames: int) -> HandTrack:
     return HandTrack(none, np.zeros((0, 3), dtype=int), np.tile(np.eye(4), (frames, 1, 1)), {})
 
 
-def _of_masks(new: NewClip) -> str:
+def _masks_source(new: NewClip) -> str:
     """Return the source of masks."""
-    from getagrip.commands.import_masks import provenance
+    from getagrip.commands.import_masks import masks_provenance
 
     if new.masks is None:
         return "none yet"
-    return provenance(new.masks, new.object, new.ignore, new.hand, new.mask_images)
+    return masks_provenance(new.masks, new.object, new.ignore, new.hand, new.mask_images)
 
 
-def _masks(new: NewClip, names: tuple[str, ...], size: tuple[int, int]) -> MaskReader:
+def _open_clip_masks(new: NewClip, names: tuple[str, ...], size: tuple[int, int]) -> MaskReader:
     """Open a reader of the masks of the clip's frames."""
     from getagrip.clip.mask_request import MaskRequest
     from getagrip.clip.mask_sources import open_masks
-    from getagrip.clip.naming import renumbered
+    from getagrip.clip.naming import renumber_frames
 
     assert new.masks is not None
     if new.mask_first is not None:
-        names = renumbered(names, new.mask_first, "--mask-first")
+        names = renumber_frames(names, new.mask_first, "--mask-first")
     ask_first = "--mask-first" if new.mask_first is None else ""
     labels = new.object, new.ignore, new.hand
     request = MaskRequest(names, size, *labels, ask_first, not ask_first, new.mask_images, "--mask-images")
     return open_masks(new.masks, request)
 
 
-def _write(
+def _write_new_clip(
     clip: Clip,
-    hands: Hands | None,
+    hands: TrackedHands | None,
     images: Iterator[UInt8[ndarray, "H W 3"]],
     masks: MaskReader | None,
     out: Path,
@@ -251,21 +251,21 @@ def _write(
 
     Returns in how many frames masks show the object.
     """
-    from getagrip.clip.writing import fill_folder, write_hand_at
-    from getagrip.commands.import_masks import write_masks
+    from getagrip.clip.writing import write_clip_contents, write_hand_at
+    from getagrip.commands.import_masks import write_reader_masks
 
     visible = 0
     with files.new_folder(out, ("clip.json",) if overwrite else ()) as new:
-        fill_folder(new, replace(clip, folder=None), None, images)  # an older clip may be in its folder
+        write_clip_contents(new, replace(clip, folder=None), None, images)  # an older clip may be in its folder
         if masks:
-            visible = write_masks(masks, clip.frames, new / "masks")
+            visible = write_reader_masks(masks, clip.frames, new / "masks")
         if hands:
             write_hand_at(hands.track, clip.frames, hands.found, new / "hand.npz")
-            _check(new, masks is not None, out)
+            _check_written_clip(new, masks is not None, out)
     return visible
 
 
-def _check(made: Path, masks: bool, out: Path) -> None:
+def _check_written_clip(made: Path, masks: bool, out: Path) -> None:
     """Read the clip as everybody will. Raises ``InputError``, in the name of the folder that it is to have."""
     from getagrip.clip import read_clip, read_observed
 
@@ -278,7 +278,7 @@ def _check(made: Path, masks: bool, out: Path) -> None:
         raise InputError(out / inside, error.key, error.got, error.expected) from error
 
 
-def _summary(clip: Clip, new: NewClip, hands: Hands | None, out: Path) -> int:
+def _print_new_clip(clip: Clip, new: NewClip, hands: TrackedHands | None, out: Path) -> int:
     """Print what was made, what is a guess and what is missing; 3 where something is."""
     from getagrip.clip.intrinsics import camera_warning
     from getagrip.provenance import is_assumed
@@ -297,6 +297,6 @@ def _summary(clip: Clip, new: NewClip, hands: Hands | None, out: Path) -> int:
         warn(f"camera: {warning}")
     missing = [key for key, there in (("masks", new.masks), ("hands", new.hands)) if there is None]
     for key in missing:
-        print(f"missing: {key}: {LATER[key].format(out=out, video=new.video)}", file=sys.stderr)
+        print(f"missing: {key}: {NEXT_STEP_HINTS[key].format(out=out, video=new.video)}", file=sys.stderr)
     few_hands = hands is not None and 2 * len(hands.found) < len(clip)
-    return INCOMPLETE if missing or warning or few_hands else 0
+    return INCOMPLETE_EXIT_STATUS if missing or warning or few_hands else 0

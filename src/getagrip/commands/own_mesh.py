@@ -10,7 +10,7 @@ from tyro.conf import arg
 
 from getagrip.errors import InputError, UsageError
 from getagrip.io.arguments import Flag, one_of
-from getagrip.io.terminal import counted
+from getagrip.io.terminal import format_count
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from getagrip.provenance import Source
 
 Unit = Literal["mm", "cm", "m", "in"]
-METRES: dict[Unit, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
-DEBRIS = 0.05
+METRES_PER_UNIT: dict[Unit, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
+MIN_PART_SIZE_FRACTION = 0.05
 """Parts smaller than this do not count as things of their own [share of the mesh's size]."""
-FREE_SIZE = 0.1
+FREE_SCALE_SIZE_M = 0.1
 """Largest side that a mesh of free scale gets where its own is no hand-held object's in metres [m]."""
 
 
@@ -56,10 +56,10 @@ class MeshOptions:
     @property
     def kind(self) -> str | None:
         """The kind of object whose own shape is wanted; None for a file."""
-        from getagrip.datasets.synthetic.categories import SHAPES
+        from getagrip.datasets.synthetic.categories import SHAPE_MAKERS
 
         name = str(self.mesh)
-        return name if name in SHAPES and not Path(name).is_file() else None
+        return name if name in SHAPE_MAKERS and not Path(name).is_file() else None
 
 
 @dataclass(frozen=True)
@@ -73,12 +73,12 @@ class OwnMesh:
     """Sources of the mesh and its size."""
 
 
-def own_mesh(request: MeshOptions) -> OwnMesh:
+def read_own_mesh(request: MeshOptions) -> OwnMesh:
     """Read the mesh at its size.
 
     Raises ``InputError`` for a file that is missing or no mesh, ``UsageError`` for sizes that make no sense.
     """
-    from getagrip.geometry.mesh_files import checked_mesh, with_area
+    from getagrip.geometry.mesh_files import checked_mesh, drop_degenerate_faces
     from getagrip.provenance import assumed
 
     if request.kind is not None and request.known_scale:
@@ -86,14 +86,14 @@ def own_mesh(request: MeshOptions) -> OwnMesh:
         raise UsageError(f"--known-scale cannot be used with {own}: --size-mm or --diameter-mm")
     if request.kind is not None and request.unit is not None:
         raise UsageError(f"--unit cannot be used with this package's own {request.kind}, which is in metres")
-    vertices, faces, shape = _shape(request)
+    vertices, faces, shape = _read_mesh_arrays(request)
     words = shape.text
-    kept = with_area(vertices, faces)  # generated meshes are full of slivers
+    kept = drop_degenerate_faces(vertices, faces)  # generated meshes are full of slivers
     if len(kept) < len(faces):
-        words += f", {counted(len(faces) - len(kept), 'face')} without area left out"
-    kept, words_of_part, guess = _part(vertices, kept, request)
+        words += f", {format_count(len(faces) - len(kept), 'face')} without area left out"
+    kept, words_of_part, guess = _select_mesh_part(vertices, kept, request)
     words += words_of_part
-    vertices, scale = _rescaled(vertices, kept, request)
+    vertices, scale = _rescale_vertices(vertices, kept, request)
     if request.unit is not None:
         words += f", in {request.unit}"
     shape = assumed(words) if guess else replace(shape, text=words)
@@ -102,23 +102,23 @@ def own_mesh(request: MeshOptions) -> OwnMesh:
     return OwnMesh(checked_mesh(request.path, vertices, kept), sized, provenance)
 
 
-def _shape(request: MeshOptions) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."], Source]:
+def _read_mesh_arrays(request: MeshOptions) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."], Source]:
     """Vertices, faces, and where they come from."""
-    from getagrip.datasets.synthetic.categories import SHAPES
-    from getagrip.geometry.mesh_files import SUFFIXES, parse_mesh
+    from getagrip.datasets.synthetic.categories import SHAPE_MAKERS
+    from getagrip.geometry.mesh_files import MESH_SUFFIXES, parse_mesh
     from getagrip.provenance import Source, assumed
 
     if request.kind is not None:
-        made = SHAPES[request.kind]()
+        made = SHAPE_MAKERS[request.kind]()
         return made.vertices, made.faces, assumed(f"this package's own {request.kind}: a guess of the object's shape")
     if not request.path.is_file():
-        kinds = ", ".join(sorted(SHAPES))
-        expected = f"a triangle mesh ({', '.join(SUFFIXES)}), or the name of one of this package's shapes: {kinds}"
+        kinds = ", ".join(sorted(SHAPE_MAKERS))
+        expected = f"a triangle mesh ({', '.join(MESH_SUFFIXES)}), or the name of one of this package's shapes: {kinds}"
         raise InputError(request.path, "mesh", "no such file", expected)
     return *parse_mesh(request.path), Source(request.path.name)
 
 
-def _part(
+def _select_mesh_part(
     vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."], request: MeshOptions
 ) -> tuple[Int[ndarray, "..."], str, bool]:
     """Return the faces of the part that is the object, what is said of it, and whether that is a guess.
@@ -137,9 +137,9 @@ def _part(
     parts = separate_parts(vertices, faces)
     sides = [np.ptp(vertices[faces[part].ravel()], axis=0) for part in parts]
     whole = float(np.ptp(vertices[faces.ravel()], axis=0).max())
-    count = sum(side.max() >= DEBRIS * whole for side in sides)
+    count = sum(side.max() >= MIN_PART_SIZE_FRACTION * whole for side in sides)
     listed = ", ".join(
-        " x ".join(f"{METRES[request.unit or 'm'] * each:.3g}" for each in side) for side in sides[:count]
+        " x ".join(f"{METRES_PER_UNIT[request.unit or 'm'] * each:.3g}" for each in side) for side in sides[:count]
     )
     if request.part is not None and request.part != "all":
         number = int(request.part)
@@ -156,7 +156,7 @@ def _part(
     return faces, f", {found}, all taken as the object: a guess; --part takes one", True
 
 
-def _rescaled(
+def _rescale_vertices(
     vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."], request: MeshOptions
 ) -> tuple[Float[ndarray, "..."], Source | None]:
     """Vertices at the size that is stated, and where it comes from; None where none is stated.
@@ -166,32 +166,34 @@ def _rescaled(
     import numpy as np
 
     from getagrip.geometry.mesh import diameter
-    from getagrip.geometry.mesh_files import LARGEST, SMALLEST
+    from getagrip.geometry.mesh_files import MAX_MESH_EXTENT_M, MIN_MESH_EXTENT_M
     from getagrip.provenance import Source, assumed
 
     sizes = {"--size-mm": request.size_mm, "--diameter-mm": request.diameter_mm}
     stated = [(option, value) for option, value in sizes.items() if value is not None]
     if len(stated) > 1:
         raise UsageError("--size-mm cannot be used with --diameter-mm")
-    known_unit = METRES[request.unit or "m"]
+    known_unit = METRES_PER_UNIT[request.unit or "m"]
     used = vertices
     if faces.size and vertices.size and 0 <= faces.min() <= faces.max() < len(vertices):
         used = vertices[np.unique(faces)]
     extent = float(np.ptp(used, axis=0).max()) if used.ndim == 2 and used.size and np.isfinite(used).all() else 0.0
-    plausible = SMALLEST <= known_unit * extent <= LARGEST or extent == 0
+    plausible = MIN_MESH_EXTENT_M <= known_unit * extent <= MAX_MESH_EXTENT_M or extent == 0
     if not stated and plausible:
         return known_unit * vertices, None
     if not stated and request.known_scale:
         got = f"the object {known_unit * extent:.4g} m large"
-        expected = f"{SMALLEST:g} to {LARGEST:g} m; if the file is in another unit than the metre, --unit mm, cm or in"
+        expected = f"{MIN_MESH_EXTENT_M:g} to {MAX_MESH_EXTENT_M:g} m; if the file is in another unit than the metre, --unit mm, cm or in"
         raise InputError(request.path, "vertices", got, f"{expected}, or --size-mm or --diameter-mm")
     if not stated:
-        factor = FREE_SIZE / extent
+        factor = FREE_SCALE_SIZE_M / extent
         text = f"the mesh, {extent:.4g} units large, rescaled by {factor:.6g}: its size is a guess"
         return factor * vertices, assumed(text)
     option, value = stated[0]
-    if not 1e3 * SMALLEST <= value <= 1e3 * LARGEST:
-        raise UsageError(f"{option} must be {1e3 * SMALLEST:g} to {1e3 * LARGEST:g} millimetres (got {value:g})")
+    if not 1e3 * MIN_MESH_EXTENT_M <= value <= 1e3 * MAX_MESH_EXTENT_M:
+        raise UsageError(
+            f"{option} must be {1e3 * MIN_MESH_EXTENT_M:g} to {1e3 * MAX_MESH_EXTENT_M:g} millimetres (got {value:g})"
+        )
     now = (diameter(used) if option == "--diameter-mm" else extent) if extent else 0.0
     factor = value / 1e3 / now if now > 0 else 1.0  # checked_mesh reports what is wrong with the others
     return vertices * factor, Source(f"the mesh rescaled by {factor:.6g}, to {option} {value:g}")

@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from tyro.conf import Positional, arg
 
-from getagrip.batch.keep import Keep
+from getagrip.batch.keep import KeepOptions
 from getagrip.commands.command import ClipsFolder, Command, Workers
-from getagrip.commands.evaluate import no_result, of_batch
+from getagrip.commands.evaluate import is_batch_file, missing_result_error
 from getagrip.errors import InputError, UsageError
 from getagrip.io.arguments import Flag
-from getagrip.io.terminal import progress_bar, say
+from getagrip.io.terminal import print_result, progress_bar
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
     from getagrip.pages import IndexRow
 
-PAGE, PICTURE, FILM, INDEX = "report.html", "report.png", "report.mp4", "index.html"
-DEEPEST = 4
+REPORT_PAGE, REPORT_PICTURE, REPORT_VIDEO, INDEX_PAGE = "report.html", "report.png", "report.mp4", "index.html"
+MAX_RESULTS_DEPTH = 4
 """Folders below the one that is named in which results are looked for; a benchmark's are three below."""
 Reported: TypeAlias = "tuple[IndexRow, Outcome | None]"
 
@@ -37,7 +37,7 @@ class ReportRequest:
     """Also write report.mp4, a film of the result over its images and from the side."""
     index_only: Flag = False
     """Write only the index of a folder of results, with links to pages that are there already."""
-    keep: Annotated[Keep, arg(name="")] = field(default_factory=Keep)
+    keep: Annotated[KeepOptions, arg(name="")] = field(default_factory=KeepOptions)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,22 +60,22 @@ class Report(Command):
     def run(self) -> int:
         """Write what is wanted of each path; 1 if anything failed, else 0."""
         from getagrip.batch.clips import print_outcome
-        from getagrip.batch.job import failure
+        from getagrip.batch.job import failed_outcome
 
         failed = False
-        for path in filterfalse(of_batch, self.paths):
+        for path in filterfalse(is_batch_file, self.paths):
             try:
                 if (path / "result.json").exists():
                     _, problem = report_one(ReportJob(path, None, self.request))
                     problems = [problem] if problem is not None else []
-                    written = [] if problems else [PAGE, PICTURE, *[FILM] * self.request.mp4]
+                    written = [] if problems else [REPORT_PAGE, REPORT_PICTURE, *[REPORT_VIDEO] * self.request.mp4]
                 else:
-                    problems = _folder(path, self.request, self.workers)
-                    written = [INDEX]
+                    problems = _report_folder(path, self.request, self.workers)
+                    written = [INDEX_PAGE]
             except (InputError, OSError) as error:
-                problems, written = [failure("", error)], []
+                problems, written = [failed_outcome("", error)], []
             for name in written:
-                say(str(path / name))
+                print_result(str(path / name))
             for problem in problems:
                 print_outcome(problem, self.debug)
             failed |= bool(problems)
@@ -96,7 +96,7 @@ class ReportJob:
         return "" if self.root is None else self.folder.relative_to(self.root).as_posix()
 
 
-def results_below(path: Path, may_lack: bool = False) -> list[Path]:
+def find_result_folders(path: Path, may_lack: bool = False) -> list[Path]:
     """List the result folders anywhere in a folder, sorted.
 
     Raises ``InputError`` where there is none but may not be.
@@ -108,79 +108,81 @@ def results_below(path: Path, may_lack: bool = False) -> list[Path]:
         here = Path(place)
         if "result.json" in names:
             found.append(here)
-        if "result.json" in names or len(here.relative_to(path).parts) >= DEEPEST:
+        if "result.json" in names or len(here.relative_to(path).parts) >= MAX_RESULTS_DEPTH:
             folders.clear()
         folders[:] = [name for name in folders if not name.startswith(".")]
     if not found and not may_lack:
-        raise no_result(path)
+        raise missing_result_error(path)
     return sorted(found)
 
 
 def report_one(job: ReportJob) -> Reported:
     """Write the pages of a result; its row of the index, and what went wrong. Raises nothing."""
-    from getagrip.batch.job import failure
+    from getagrip.batch.job import failed_outcome
 
     try:
-        return _written(job), None
+        return _write_result_pages(job), None
     except Exception as error:  # one result's trouble must not end the others
-        outcome = failure("" if isinstance(error, InputError) else str(job.folder), error)
-        return _unwritten(job, outcome.message), outcome
+        outcome = failed_outcome("" if isinstance(error, InputError) else str(job.folder), error)
+        return _failed_result_row(job, outcome.message), outcome
 
 
-def _written(job: ReportJob) -> IndexRow:
+def _write_result_pages(job: ReportJob) -> IndexRow:
     """Write the pages of a result."""
-    from getagrip.evaluation import evaluate, read_evaluated
+    from getagrip.evaluation import evaluate, read_result_clip_masks
     from getagrip.film import write_film
-    from getagrip.pages import row, write_page
+    from getagrip.pages import index_row, write_page
     from getagrip.pictures.report import write_report
     from getagrip.pictures.shown import View
-    from getagrip.result import read_record
+    from getagrip.result import read_result_record
 
     folder, request = job.folder, job.request
-    result, clip, masks = read_evaluated(folder, request.clips)
+    result, clip, masks = read_result_clip_masks(folder, request.clips)
     evaluation, view = evaluate(result, clip, masks), View.of(result, clip, masks)
     if job.root is None or not request.index_only:
-        write_page(view, evaluation, read_record(folder), folder / PAGE)
+        write_page(view, evaluation, read_result_record(folder), folder / REPORT_PAGE)
     if job.root is None:
-        write_report(result, clip, masks, folder / PICTURE, evaluation.metrics)
+        write_report(result, clip, masks, folder / REPORT_PICTURE, evaluation.metrics)
     if request.mp4:
-        write_film(view, folder / FILM)
-    return request.keep.marked(row(job.name, view, evaluation, (folder / PAGE).is_file()), result)
+        write_film(view, folder / REPORT_VIDEO)
+    return request.keep.marked(index_row(job.name, view, evaluation, (folder / REPORT_PAGE).is_file()), result)
 
 
-def _unwritten(job: ReportJob, problem: str) -> IndexRow:
+def _failed_result_row(job: ReportJob, problem: str) -> IndexRow:
     """Make the row of a result whose pages could not be written, from its own files, if they can be read."""
-    from getagrip.pages import IndexRow, row_without_clip
+    from getagrip.pages import IndexRow, index_row_without_clip
     from getagrip.result import read_result
 
     try:
         result, record = read_result(job.folder)
-        return job.request.keep.marked(row_without_clip(job.name, result, record["metrics"], problem), result)
+        return job.request.keep.marked(index_row_without_clip(job.name, result, record["metrics"], problem), result)
     except Exception:  # its files may hold anything
         return IndexRow(job.name, problem=problem, flags=("failed",))
 
 
-def _folder(path: Path, request: ReportRequest, workers: int | None) -> list[Outcome]:
+def _report_folder(path: Path, request: ReportRequest, workers: int | None) -> list[Outcome]:
     """Report on all results in a folder and write their index, with what its ledger knows; what went wrong."""
-    from getagrip.batch.entries import ledger_there
-    from getagrip.batch.executor import DIED, each
+    from getagrip.batch.entries import open_existing_ledger
+    from getagrip.batch.executor import PROCESS_DIED_TWICE, for_each_job
     from getagrip.batch.job import Outcome
-    from getagrip.batch.summary import TABLE, known_entries, row_without_result, write_table
+    from getagrip.batch.summary import SUMMARY_FILE, known_entries, row_without_result, write_summary_table
     from getagrip.pages import IndexRow, write_index
 
-    with ledger_there(path) as ledger:
+    with open_existing_ledger(path) as ledger:
         without = [] if ledger is None else [one for one in known_entries(ledger, path) if one.state != "done"]
         if ledger is not None:
-            write_table(ledger, path, path / TABLE, request.keep)
-    jobs = [ReportJob(folder, path, request) for folder in results_below(path, may_lack=bool(without))]
+            write_summary_table(ledger, path, path / SUMMARY_FILE, request.keep)
+    jobs = [ReportJob(folder, path, request) for folder in find_result_folders(path, may_lack=bool(without))]
 
     def died(job: ReportJob) -> Reported:
-        return IndexRow(job.name, problem=DIED, flags=("failed",)), Outcome(str(job.folder), "failed", DIED)
+        return IndexRow(job.name, problem=PROCESS_DIED_TWICE, flags=("failed",)), Outcome(
+            str(job.folder), "failed", PROCESS_DIED_TWICE
+        )
 
     with progress_bar(counted=True) as bar:
         task = bar.add_task("results", total=len(jobs))
-        ends = each(report_one, jobs, died, lambda _: bar.advance(task), workers)
+        ends = for_each_job(report_one, jobs, died, lambda _: bar.advance(task), workers)
     rows = [*(row for row, _ in ends), *map(row_without_result, without)]
-    tables = sorted(file.name for file in (*path.glob("*.md"), *path.glob(TABLE)))
-    write_index(rows, path.resolve().name, tables, path / INDEX)
+    tables = sorted(file.name for file in (*path.glob("*.md"), *path.glob(SUMMARY_FILE)))
+    write_index(rows, path.resolve().name, tables, path / INDEX_PAGE)
     return [problem for _, problem in ends if problem is not None]

@@ -10,24 +10,24 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from getagrip.commands.command import Clips, Command, Workers, each_clip
-from getagrip.commands.segment_masks import find_in_clips
+from getagrip.commands.command import Clips, Command, Workers, for_each_clip
+from getagrip.commands.segment_masks import segment_from_masks
 from getagrip.errors import UsageError
 from getagrip.grasps.definition import GraspOptions
 from getagrip.io import files
 from getagrip.io.arguments import Flag, OptionalFile, OptionalFolder
 from getagrip.io.files import Json
-from getagrip.io.terminal import console, counted, plain_table, report
+from getagrip.io.terminal import console, format_count, make_table, print_note
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from getagrip.batch.job import Outcome, Progress
-    from getagrip.grasps.cut import Cut
+    from getagrip.grasps.cut import CutRules
     from getagrip.grasps.lists import ListedGrasp
 
 
-COLUMNS = ("sequence", "side", "object", "start", "end", "duration", "first", "last")
+GRASP_COLUMNS = ("sequence", "side", "object", "start", "end", "duration", "first", "last")
 """Columns of ``segments.csv``: frames counted from 0, both included; seconds; names of the same frames."""
 
 
@@ -44,9 +44,9 @@ class GraspCommand(Command):
     workers: Workers = None
     """Number of processes."""
 
-    def cut(self) -> Cut:
+    def cut(self) -> CutRules:
         """Return the rule by which the clips are cut to grasps."""
-        return self.grasps.cut(report)
+        return self.grasps.cut(print_note)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +75,7 @@ class Segment(GraspCommand):
         from getagrip.grasps import lists
 
         if self.from_masks:
-            return find_in_clips(self)
+            return segment_from_masks(self)
         if self.write:
             raise UsageError("missing --from-masks: --write writes the segments that it finds")
         cut = self.cut()
@@ -85,16 +85,16 @@ class Segment(GraspCommand):
                 self.out.mkdir(parents=True, exist_ok=True)
             return SegmentJob(folder, cut, None if self.out is None else self.out / f"{name}.png")
 
-        in_order, failures = each_clip(self.clips, job, segment_one, self.workers, self.debug)
+        in_order, failures = for_each_clip(self.clips, job, find_clip_grasps, self.workers, self.debug)
         if in_order:
-            _print(in_order, self.out)
+            _print_grasps(in_order, self.out)
         grasps = [grasp for one in in_order for grasp in one.listed]
-        report_missing(cut, len(grasps))
+        print_missing_grasps(cut, len(grasps))
         if self.out is not None:
             rows = (row.values() for one in in_order for row in one.rows())
-            files.write_csv(self.out / "segments.csv", [COLUMNS, *rows])
-        for path in filter(None, (self.json, self.out and self.out / lists.FILE)):
-            lists.write(path, grasps, cut.record())
+            files.write_csv(self.out / "segments.csv", [GRASP_COLUMNS, *rows])
+        for path in filter(None, (self.json, self.out and self.out / lists.GRASP_LIST_FILE)):
+            lists.write_listed_grasps(path, grasps, cut.record())
         return 1 if failures else 0
 
 
@@ -103,7 +103,7 @@ class SegmentJob:
     """A clip to find grasps in."""
 
     clip: Path
-    cut: Cut
+    cut: CutRules
     picture: Path | None = None
 
 
@@ -122,18 +122,18 @@ class SegmentedClip:
     """Grasps as lists have them."""
 
     def rows(self) -> Iterator[Json]:
-        """Yield the row of ``segments.csv`` of each grasp, by ``COLUMNS``."""
+        """Yield the row of ``segments.csv`` of each grasp, by ``GRASP_COLUMNS``."""
         for (start, end), grasp in zip(self.grasps, self.listed, strict=True):
             row = {"start": start, "end": end} | grasp.row()
-            yield {column: row[column] for column in COLUMNS}
+            yield {column: row[column] for column in GRASP_COLUMNS}
 
 
-def segment_one(job: SegmentJob, progress: Progress = lambda *_: None) -> SegmentedClip | Outcome:
+def find_clip_grasps(job: SegmentJob, progress: Progress = lambda *_: None) -> SegmentedClip | Outcome:
     """Find the grasps of one clip, drawn where a picture is wanted; failures are returned, not raised.
 
     Raises nothing.
     """
-    from getagrip.batch.job import failure
+    from getagrip.batch.job import failed_outcome
     from getagrip.clip import read_clip
     from getagrip.grasps.cut import as_listed
 
@@ -148,31 +148,31 @@ def segment_one(job: SegmentJob, progress: Progress = lambda *_: None) -> Segmen
         listed = tuple(as_listed(clip, first, last) for first, last in grasps)
         return SegmentedClip(clip.name, clip.side, clip.category, len(clip), clip.fps, tuple(grasps), listed)
     except Exception as error:  # one clip's trouble must not end the others
-        return failure(job.clip.name, error)
+        return failed_outcome(job.clip.name, error)
 
 
-def report_missing(cut: Cut, found: int) -> None:
+def print_missing_grasps(cut: CutRules, found: int) -> None:
     """Report how many grasps of a list are not in the clips."""
     if cut.listed is not None and found < len(cut.listed.grasps):
-        report(f"{found} of the {len(cut.listed.grasps)} grasps of {cut.listed.file} are in these clips")
+        print_note(f"{found} of the {len(cut.listed.grasps)} grasps of {cut.listed.file} are in these clips")
 
 
-def _print(found: Sequence[SegmentedClip], out: Path | None) -> None:
+def _print_grasps(found: Sequence[SegmentedClip], out: Path | None) -> None:
     """Print a table of all grasps, and their sum in a line."""
-    console().print(_table(found))
+    console().print(_grasps_table(found))
     grasps = [end + 1 - start for one in found for start, end in one.grasps]
     grasped = sum(1 for one in found if one.grasps)
     share = 100.0 * sum(grasps) / sum(one.frames for one in found)
-    of = counted(len(found), "clip")
-    print(f"{counted(len(grasps), 'stable grasp')} in {grasped} of {of}, {share:.1f} % of their frames")
+    of = format_count(len(found), "clip")
+    print(f"{format_count(len(grasps), 'stable grasp')} in {grasped} of {of}, {share:.1f} % of their frames")
     if out is not None:
         print(out / "segments.csv")
 
 
-def _table(found: Sequence[SegmentedClip]) -> Table:
+def _grasps_table(found: Sequence[SegmentedClip]) -> Table:
     from rich.text import Text
 
-    table = plain_table()
+    table = make_table()
     table.add_column("clip", overflow="fold")
     table.add_column("hand")
     table.add_column("object", overflow="fold")

@@ -7,11 +7,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from getagrip.commands.command import each_clip
+from getagrip.commands.command import for_each_clip
 from getagrip.errors import UsageError
 from getagrip.io import files
 from getagrip.io.files import Json
-from getagrip.io.terminal import console, counted, plain_table, report
+from getagrip.io.terminal import console, format_count, make_table, print_note
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
     from getagrip.grasps.lists import ListedGrasp
     from getagrip.segmentation.found import DetectedSegments
 
-SEGMENTS = "segments.json"
-COLUMNS = ("sequence", "side", "object", "state", "start", "end", "duration", "first", "last", "margin")
+SEGMENTS_FILE = "segments.json"
+SEGMENT_COLUMNS = ("sequence", "side", "object", "state", "start", "end", "duration", "first", "last", "margin")
 """Columns of ``segments.csv``: frames counted from 0, both included; seconds; names of the same frames; nats."""
-LEGEND = (
+MARGIN_LEGEND = (
     "margin: how much worse the best division without the segment explains the masks [nats]; small ones are uncertain"
 )
 
 
 @dataclass(frozen=True)
-class SegmentJob:
+class MaskSegmentJob:
     """A clip to find segments in."""
 
     clip: Path
@@ -45,18 +45,18 @@ class SegmentJob:
 
 
 @dataclass(frozen=True)
-class SegmentedClip:
+class MaskSegmentedClip:
     """The segments found in a clip."""
 
     clip: str
     rows: tuple[Json, ...]
-    """One for each segment, by ``COLUMNS``."""
+    """One for each segment, by ``SEGMENT_COLUMNS``."""
     fields: Json
     """Fields of ``segments.json``."""
     grasps: tuple[ListedGrasp, ...]
 
 
-def find_in_clips(options: Segment) -> int:
+def segment_from_masks(options: Segment) -> int:
     """Print the segments of clips, found in their masks, and write them to files; 1 if any clip failed, else 0.
 
     ``out`` gets the grasps as a list, all segments as ``segments.csv``, and as ``clip.json`` has them, with margins, as
@@ -69,56 +69,56 @@ def find_in_clips(options: Segment) -> int:
         raise UsageError("--list cannot be used with --from-masks")
     definition, out = options.grasps.definition(contact_mm=10.0), options.out
 
-    def job(_: str, folder: Path) -> SegmentJob:
+    def job(_: str, folder: Path) -> MaskSegmentJob:
         if options.write and folder not in options.clips:
             files.refuse_link(folder)
-        return SegmentJob(folder, definition, options.write, options.overwrite)
+        return MaskSegmentJob(folder, definition, options.write, options.overwrite)
 
-    found, failures = each_clip(options.clips, job, find_one, options.workers, options.debug)
+    found, failures = for_each_clip(options.clips, job, find_clip_segments, options.workers, options.debug)
     if found:
-        console().print(_table(found))
-        print(LEGEND)
+        console().print(_segments_table(found))
+        print(MARGIN_LEGEND)
     for one in found:
         for note in one.fields["notes"]:
-            report(f"{one.clip}: {note}")
+            print_note(f"{one.clip}: {note}")
     grasps = [grasp for one in found for grasp in one.grasps]
     grasped = sum(bool(one.grasps) for one in found)
-    print(f"{counted(len(grasps), 'stable grasp')} in {grasped} of {counted(len(found), 'clip')}")
+    print(f"{format_count(len(grasps), 'stable grasp')} in {grasped} of {format_count(len(found), 'clip')}")
     if out is not None:
-        _write(found, out)
-    for path in filter(None, (options.json, out and out / lists.FILE)):
-        lists.write(path, grasps, {"found in": "masks", **asdict(definition)})
+        _write_segments(found, out)
+    for path in filter(None, (options.json, out and out / lists.GRASP_LIST_FILE)):
+        lists.write_listed_grasps(path, grasps, {"found in": "masks", **asdict(definition)})
     return 1 if failures else 0
 
 
-def find_one(job: SegmentJob, progress: Progress = lambda *_: None) -> SegmentedClip | Outcome:
+def find_clip_segments(job: MaskSegmentJob, progress: Progress = lambda *_: None) -> MaskSegmentedClip | Outcome:
     """Find the segments of one clip; failures are returned, not raised."""
-    from getagrip.batch.job import failure
+    from getagrip.batch.job import failed_outcome
     from getagrip.clip import read_clip, segment_files
     from getagrip.clip.reading import read_header
     from getagrip.grasps.cut import as_listed
-    from getagrip.segmentation.cut import segment_list
+    from getagrip.segmentation.cut import detected_segment_list
     from getagrip.segmentation.found import find_segments
 
     try:
         clip = read_clip(job.clip)
         if job.write:
-            segment_files.check_free(read_header(job.clip), job.overwrite)
+            segment_files.check_segments_replaceable(read_header(job.clip), job.overwrite)
         found = find_segments(clip, None, job.definition, progress=lambda part: progress("fits", part))
-        listed = segment_list(clip, found)
+        listed = detected_segment_list(clip, found)
         if job.write:
-            segment_files.into_clip(read_header(job.clip), listed)
+            segment_files.write_clip_segments(read_header(job.clip), listed)
     except Exception as error:  # one clip's trouble must not end the others
-        return failure(job.clip.name, error)
+        return failed_outcome(job.clip.name, error)
     grasped = [
         (clip.with_side(one.segment.side), one.segment) for one in found.segments if one.segment.state == "grasp"
     ]
     grasps = tuple(as_listed(by or clip, segment.first, segment.last) for by, segment in grasped)
-    return SegmentedClip(clip.name, tuple(_rows(clip, found)), _fields(listed, found), grasps)
+    return MaskSegmentedClip(clip.name, tuple(_segment_rows(clip, found)), _segment_json(listed, found), grasps)
 
 
-def _rows(clip: Clip, found: DetectedSegments) -> list[Json]:
-    """Return the rows of the segments, by ``COLUMNS``."""
+def _segment_rows(clip: Clip, found: DetectedSegments) -> list[Json]:
+    """Return the rows of the segments, by ``SEGMENT_COLUMNS``."""
     return [
         {
             "sequence": clip.name,
@@ -136,15 +136,15 @@ def _rows(clip: Clip, found: DetectedSegments) -> list[Json]:
     ]
 
 
-def _fields(listed: SegmentList, found: DetectedSegments) -> Json:
+def _segment_json(listed: SegmentList, found: DetectedSegments) -> Json:
     """Return the segments as ``clip.json`` has them, with the margins and what was assumed."""
     return listed.fields | {"margins": [one.margin for one in found.segments], "notes": list(found.notes)}
 
 
-def _table(found: Sequence[SegmentedClip]) -> Table:
+def _segments_table(found: Sequence[MaskSegmentedClip]) -> Table:
     from rich.text import Text
 
-    table = plain_table()
+    table = make_table()
     table.add_column("clip", overflow="fold")
     for heading in ("state", "hand"):
         table.add_column(heading)
@@ -158,9 +158,9 @@ def _table(found: Sequence[SegmentedClip]) -> Table:
     return table
 
 
-def _write(found: Sequence[SegmentedClip], out: Path) -> None:
+def _write_segments(found: Sequence[MaskSegmentedClip], out: Path) -> None:
     """All segments, into the folder."""
     out.mkdir(parents=True, exist_ok=True)
-    files.write_csv(out / "segments.csv", [COLUMNS, *(row.values() for one in found for row in one.rows)])
-    files.write_json(out / SEGMENTS, {one.clip: one.fields for one in found})
-    print(out / "segments.csv", out / SEGMENTS, sep="\n")
+    files.write_csv(out / "segments.csv", [SEGMENT_COLUMNS, *(row.values() for one in found for row in one.rows)])
+    files.write_json(out / SEGMENTS_FILE, {one.clip: one.fields for one in found})
+    print(out / "segments.csv", out / SEGMENTS_FILE, sep="\n")

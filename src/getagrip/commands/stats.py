@@ -14,13 +14,13 @@ from getagrip.errors import UsageError
 from getagrip.io import files
 from getagrip.io.arguments import OptionalFile, OptionalFolder, one_of
 from getagrip.io.tables import markdown_table
-from getagrip.io.terminal import console, plain_table, report
+from getagrip.io.terminal import console, make_table, print_note
 
 if TYPE_CHECKING:
-    from getagrip.experiments.dataset_tables import CategoryDurations, Counts
+    from getagrip.experiments.dataset_tables import CategoryDurations, DatasetCounts
 
-EPIC = "epic-grasps"
-HEADINGS = ("category", "avg [s]", "std [s]", "max [s]", "clips", "left", "right")
+EPIC_GRASPS_SOURCE = "epic-grasps"
+STATS_HEADINGS = ("category", "avg [s]", "std [s]", "max [s]", "clips", "left", "right")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,66 +54,69 @@ class Stats(Command):
         from getagrip.experiments import dataset_tables as tables
         from getagrip.grasps import lists
 
-        if self.source == EPIC:
+        if self.source == EPIC_GRASPS_SOURCE:
             if self.csv is None:
-                raise UsageError(f"missing CSV: {EPIC} needs the table of its grasps")
+                raise UsageError(f"missing CSV: {EPIC_GRASPS_SOURCE} needs the table of its grasps")
             chosen = chosen_errata(self.csv, self.errata or self.errata_file is not None, self.errata_file)
             if self.errata and chosen is None:
                 lacking = self.csv.with_name(f"{self.csv.stem}_errata.csv")
                 raise UsageError(f"missing {lacking}: --errata needs it, or --errata-file")
             grasps = read_grasps(self.csv, chosen)
             lasting = tables.epic_durations(grasps, self.fps or "paper")
-            counted = tables.epic_counts(grasps)
+            counted = tables.count_epic_grasps(grasps)
         else:
             if self.csv is not None:
-                raise UsageError(f"{self.csv} cannot be used with {self.source}, only with {EPIC}")
+                raise UsageError(f"{self.csv} cannot be used with {self.source}, only with {EPIC_GRASPS_SOURCE}")
             if self.errata or self.errata_file is not None:
-                raise UsageError(f"--errata cannot be used with {self.source}, only with {EPIC}")
+                raise UsageError(f"--errata cannot be used with {self.source}, only with {EPIC_GRASPS_SOURCE}")
             if self.fps is not None:
                 raise UsageError(f"--fps cannot be used with {self.source}: a list of grasps is in seconds")
             folder = Path(self.source) if Path(self.source).is_dir() else None
-            path = Path(self.source) if folder is None else folder / lists.FILE
-            listed = lists.read(path, report).grasps
-            lasting, counted = tables.list_durations(path, listed), tables.list_counts(listed, folder)
-        rows = tables.durations(lasting)
+            path = Path(self.source) if folder is None else folder / lists.GRASP_LIST_FILE
+            listed = lists.read_listed_grasps(path, print_note).grasps
+            lasting, counted = tables.grasp_list_durations(path, listed), tables.count_grasp_list(listed, folder)
+        rows = tables.durations_by_category(lasting)
         if not rows:
             print("no grasps")
         else:
-            _print(rows)
+            _print_stats(rows)
             print(", ".join(f"{number} {name}" for name, number in asdict(counted).items() if number is not None))
         if self.out is not None:
-            _write(rows, counted, self.out)
+            _write_stats(rows, counted, self.out)
         if self.json is not None:
             files.write_json(self.json, {"durations": [asdict(row) for row in rows], "counts": asdict(counted)})
         return 0
 
 
-def _cells(row: CategoryDurations) -> list[str]:
+def _stats_cells(row: CategoryDurations) -> list[str]:
     """Return a row as text."""
     seconds = [f"{value:.2f}" for value in (row.mean, row.std, row.longest)]
     return [row.category, *seconds, str(row.clips), str(row.left), str(row.right)]
 
 
-def _print(rows: Sequence[CategoryDurations]) -> None:
+def _print_stats(rows: Sequence[CategoryDurations]) -> None:
     from rich.text import Text
 
-    from getagrip.experiments.dataset_tables import ALL
+    from getagrip.experiments.dataset_tables import ALL_CATEGORIES_ROW
 
-    shown = plain_table()
-    for n, heading in enumerate(HEADINGS):
+    shown = make_table()
+    for n, heading in enumerate(STATS_HEADINGS):
         shown.add_column(Text(heading), justify="right" if n else "left", no_wrap=n > 0, overflow="fold")
     for row in rows:
-        if row.category == ALL:
+        if row.category == ALL_CATEGORIES_ROW:
             shown.add_section()
-        shown.add_row(*map(Text, _cells(row)))  # no markup: names may hold brackets
+        shown.add_row(*map(Text, _stats_cells(row)))  # no markup: names may hold brackets
     console().print(shown)
 
 
-def _write(rows: Sequence[CategoryDurations], counted: Counts, out: Path) -> None:
+def _write_stats(rows: Sequence[CategoryDurations], counted: DatasetCounts, out: Path) -> None:
     """Write the table as Markdown, and unrounded as CSV."""
     out.mkdir(parents=True, exist_ok=True)
     figures = {name: "-" if number is None else f"{number}" for name, number in asdict(counted).items()}
-    grids: list[list[Sequence[str]]] = [[HEADINGS, *map(_cells, rows)], [list(figures), list(figures.values())]]
+    grids: list[list[Sequence[str]]] = [
+        [STATS_HEADINGS, *map(_stats_cells, rows)],
+        [list(figures), list(figures.values())],
+    ]
     tables = ["\n".join(markdown_table(grid)) for grid in grids]
     files.write_text(out / "stats.md", "\n\n".join(tables) + "\n")
     files.write_csv(out / "counts.csv", [asdict(counted), asdict(counted).values()])

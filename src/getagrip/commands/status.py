@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from getagrip.commands.command import Command
-from getagrip.errors import InputError, cleaned
-from getagrip.io.arguments import OptionalFolder, placed
+from getagrip.errors import InputError, escape_unprintable
+from getagrip.io.arguments import OptionalFolder, place_argument
 from getagrip.io.storage import Place
 
 if TYPE_CHECKING:
-    from getagrip.batch.entries import Entry
+    from getagrip.batch.entries import LedgerEntry
 
-MOST = 40
+MAX_STATUS_ROWS = 40
 """Lines of the table; all clips are in ``summary.csv``."""
-CALLED = {"failed": "failed", "done": "done", "open": "left"}
+STATE_LABELS = {"failed": "failed", "done": "done", "open": "left"}
 """Words for the states."""
-LONGEST = 100
+MAX_REASON_LENGTH = 100
 """Letters of a reason."""
 
 
@@ -31,7 +31,7 @@ class Status(Command):
     Each clip is listed with its IOU and probabilities. Reconstruct may still be running.
     """
 
-    folder: Annotated[Positional[Place], placed("DIR"), arg(metavar="DIR", help_behavior_hint="")]
+    folder: Annotated[Positional[Place], place_argument("DIR"), arg(metavar="DIR", help_behavior_hint="")]
     """The --out of reconstruct."""
     ledger: OptionalFolder = None
     """The --ledger of reconstruct, if it had one. It is not changed."""
@@ -41,47 +41,55 @@ class Status(Command):
         import heapq
         from collections import Counter
 
-        from getagrip.batch.entries import ledger_there
+        from getagrip.batch.entries import open_existing_ledger
         from getagrip.batch.ledger import ledger_folder
-        from getagrip.batch.summary import badness, known_entries, write_summary
-        from getagrip.io.terminal import report, say
+        from getagrip.batch.summary import known_entries, ledger_severity_key, write_summary
+        from getagrip.io.terminal import print_note, print_result
 
         out = self.folder
         if isinstance(out, Path) and not out.is_dir():
             raise InputError(out, "", "no such folder", "the folder of results of getagrip reconstruct")
-        with ledger_there(ledger_folder(out, self.ledger)) as ledger:
+        with open_existing_ledger(ledger_folder(out, self.ledger)) as ledger:
             states = Counter(entry.state for entry in known_entries(ledger, out))
             if not states:
                 raise InputError(
                     str(out), "", "neither a ledger nor a result", "the folder of results of getagrip reconstruct"
                 )
-            _print_table(heapq.nsmallest(MOST, known_entries(ledger, out), key=badness))
-            if (more := states.total() - MOST) > 0:
-                say(f"and {more} more, in summary.csv")
-            say(", ".join(f"{states[state]} {CALLED[state]}" for state in ("done", "failed", "open")))
+            _print_status_table(heapq.nsmallest(MAX_STATUS_ROWS, known_entries(ledger, out), key=ledger_severity_key))
+            if (more := states.total() - MAX_STATUS_ROWS) > 0:
+                print_result(f"and {more} more, in summary.csv")
+            print_result(", ".join(f"{states[state]} {STATE_LABELS[state]}" for state in ("done", "failed", "open")))
             try:
                 for path in write_summary(ledger, out):
-                    say(str(path))
+                    print_result(str(path))
             except OSError as error:
-                report(f"no summary is written: {error}")
+                print_note(f"no summary is written: {error}")
         return 0
 
 
-def _print_table(entries: list[Entry]) -> None:
+def _print_status_table(entries: list[LedgerEntry]) -> None:
     """Print a line for each clip: its state, IOU and probabilities, or why there are none."""
     from rich.text import Text
 
-    from getagrip.batch.summary import PROBABILITIES, number_of, shown_name
-    from getagrip.io.terminal import console, plain_table
-    from getagrip.probability import percent
+    from getagrip.batch.summary import PROBABILITY_KEYS, display_name, entry_number
+    from getagrip.io.terminal import console, make_table
+    from getagrip.probability import format_probability
 
-    table = plain_table()
+    table = make_table()
     for heading in ("clip", "", "IOU", "right in the hand", "in the camera", ""):
         table.add_column(heading, justify="right" if heading.startswith(("IOU", "right", "in")) else "left")
     for entry in entries:
-        iou, *right = (number_of(entry, key) for key in ("iou", *PROBABILITIES))
-        shown = ["" if iou is None else f"{iou:.2f}", *("" if one is None else percent(one) for one in right)]
+        iou, *right = (entry_number(entry, key) for key in ("iou", *PROBABILITY_KEYS))
+        shown = [
+            "" if iou is None else f"{iou:.2f}",
+            *("" if one is None else format_probability(one) for one in right),
+        ]
         why = "" if entry.state == "done" else entry.why
-        why = why[:LONGEST] + "..." * (len(why) > LONGEST)
-        table.add_row(Text(cleaned(shown_name(entry))), CALLED[entry.state], *shown, Text(cleaned(why)))
+        why = why[:MAX_REASON_LENGTH] + "..." * (len(why) > MAX_REASON_LENGTH)
+        table.add_row(
+            Text(escape_unprintable(display_name(entry))),
+            STATE_LABELS[entry.state],
+            *shown,
+            Text(escape_unprintable(why)),
+        )
     console().print(table)

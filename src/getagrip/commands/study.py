@@ -8,18 +8,18 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from getagrip.commands.command import each_clip
-from getagrip.commands.segment import GraspCommand, SegmentJob, report_missing
+from getagrip.commands.command import for_each_clip
+from getagrip.commands.segment import GraspCommand, SegmentJob, print_missing_grasps
 from getagrip.io import files
 from getagrip.io.arguments import Folder
-from getagrip.io.terminal import console, counted, plain_table
+from getagrip.io.terminal import console, format_count, make_table
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome, Progress
-    from getagrip.grasps.cut import Cut
+    from getagrip.grasps.cut import CutRules
     from getagrip.grasps.study import Spread, StudiedGrasp
 
-ALL = "All"
+ALL_CATEGORIES_LABEL = "All"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,21 +39,23 @@ class Study(GraspCommand):
         def job(_: str, folder: Path) -> SegmentJob:
             return SegmentJob(folder, cut)
 
-        done, failures = each_clip(self.clips, job, study_one, self.workers, self.debug)
+        done, failures = for_each_clip(self.clips, job, study_one, self.workers, self.debug)
         studied = [grasp for grasps in done for grasp in grasps]
-        report_missing(cut, len(studied))
-        print(f"{counted(len(studied), 'stable grasp')} in {sum(map(bool, done))} of {counted(len(done), 'clip')}")
+        print_missing_grasps(cut, len(studied))
+        print(
+            f"{format_count(len(studied), 'stable grasp')} in {sum(map(bool, done))} of {format_count(len(done), 'clip')}"
+        )
         if studied:
-            _print(studied)
-            _write(studied, cut, len(done), self.out)
+            _print_study(studied)
+            _write_study(studied, cut, len(done), self.out)
         if self.json is not None:
-            files.write_json(self.json, _content(studied, cut))
+            files.write_json(self.json, _study_json(studied, cut))
         return 1 if failures else 0
 
 
 def study_one(job: SegmentJob, progress: Progress = lambda *_: None) -> list[StudiedGrasp] | Outcome:
     """Measure the grasps of one clip; failures are returned, not raised."""
-    from getagrip.batch.job import failure
+    from getagrip.batch.job import failed_outcome
     from getagrip.clip import read_clip
     from getagrip.grasps.study import study_grasp
 
@@ -62,7 +64,7 @@ def study_one(job: SegmentJob, progress: Progress = lambda *_: None) -> list[Stu
         iou, grasps = job.cut.of(clip, partial(progress, "contact"))
         return [study_grasp(clip, iou, first, last) for first, last in grasps]
     except Exception as error:  # one clip's trouble must not end the others
-        return failure(job.clip.name, error)
+        return failed_outcome(job.clip.name, error)
 
 
 def by_category(studied: Sequence[StudiedGrasp]) -> Iterator[tuple[str, list[StudiedGrasp]]]:
@@ -71,70 +73,75 @@ def by_category(studied: Sequence[StudiedGrasp]) -> Iterator[tuple[str, list[Stu
     for category in categories:
         yield category, [one for one in studied if one.object == category]
     if len(categories) > 1:
-        yield ALL, list(studied)
+        yield ALL_CATEGORIES_LABEL, list(studied)
 
 
-def _spreads(studied: Sequence[StudiedGrasp], where: str) -> dict[str, Spread]:
+def _measure_spreads(studied: Sequence[StudiedGrasp], where: str) -> dict[str, Spread]:
     """Each measure over grasps, ``inside`` them or ``outside``."""
-    from getagrip.grasps.study import MEASURES, Spread
+    from getagrip.grasps.study import STUDY_MEASURES, Spread
 
-    return {name: Spread.of([getattr(one, where)[name] for one in studied]) for name in MEASURES}
+    return {name: Spread.of([getattr(one, where)[name] for one in studied]) for name in STUDY_MEASURES}
 
 
-def _print(studied: Sequence[StudiedGrasp]) -> None:
+def _print_study(studied: Sequence[StudiedGrasp]) -> None:
     """Two tables: the approximations by category, and every measure inside and outside."""
     from rich.text import Text
 
-    from getagrip.grasps.study import MEASURES
+    from getagrip.grasps.study import STUDY_MEASURES
 
-    table = plain_table(title="error of the approximation, within grasps", title_style="")
+    table = make_table(title="error of the approximation, within grasps", title_style="")
     table.add_column("object", overflow="fold")
     headings = ("grasps", "static", "1-DoF", "full pose, axis anywhere", "axis at the hand")
     for heading in headings:
         table.add_column(heading, justify="right")
     for category, grasps in by_category(studied):
-        if category == ALL:
+        if category == ALL_CATEGORIES_LABEL:
             table.add_section()
-        means = {name: spread.mean * MEASURES[name].factor for name, spread in _spreads(grasps, "inside").items()}
+        means = {
+            name: spread.mean * STUDY_MEASURES[name].factor
+            for name, spread in _measure_spreads(grasps, "inside").items()
+        }
         cells = [f"{means['static_rotation']:.1f}°", f"{means['one_dof_rotation']:.1f}°"]
         cells += [f"{means[f'{fit}_rotation']:.1f}°, {means[f'{fit}_place']:.1f} mm" for fit in ("free", "at_hand")]
         table.add_row(Text(category), str(len(grasps)), *cells)  # no markup: names may hold brackets
     console().print(table)
 
-    table = plain_table(title="mean ± standard deviation over grasps", title_style="")
+    table = make_table(title="mean ± standard deviation over grasps", title_style="")
     for heading in ("measure", "within", "outside", "unit"):
         table.add_column(heading, justify="left" if heading in ("measure", "unit") else "right")
-    inside, outside = _spreads(studied, "inside"), _spreads(studied, "outside")
-    for name, measure in MEASURES.items():
-        table.add_row(measure.label, _cell(inside[name], name), _cell(outside[name], name), measure.unit)
+    inside, outside = _measure_spreads(studied, "inside"), _measure_spreads(studied, "outside")
+    for name, measure in STUDY_MEASURES.items():
+        table.add_row(
+            measure.label, _format_spread(inside[name], name), _format_spread(outside[name], name), measure.unit
+        )
     console().print(table)
-    print(f"with frames outside: {outside['static_rotation'].grasps} of {counted(len(studied), 'grasp')}")
+    print(f"with frames outside: {outside['static_rotation'].grasps} of {format_count(len(studied), 'grasp')}")
 
 
-def _cell(spread: Spread, name: str) -> str:
+def _format_spread(spread: Spread, name: str) -> str:
     """Mean and spread as people read them."""
-    from getagrip.grasps.study import MEASURES
+    from getagrip.grasps.study import STUDY_MEASURES
 
-    factor, digits = MEASURES[name].factor, 1 if MEASURES[name].unit else 2
+    factor, digits = STUDY_MEASURES[name].factor, 1 if STUDY_MEASURES[name].unit else 2
     return "-" if not spread.grasps else f"{spread.mean * factor:.{digits}f} ± {spread.std * factor:.{digits}f}"
 
 
-def _write(studied: Sequence[StudiedGrasp], cut: Cut, clips: int, out: Path) -> None:
+def _write_study(studied: Sequence[StudiedGrasp], cut: CutRules, clips: int, out: Path) -> None:
     """Write the files of a study."""
     from getagrip.grasps import lists
     from getagrip.grasps.study import mean_curves
     from getagrip.pictures.study import write_study
 
     out.mkdir(parents=True, exist_ok=True)
-    _write_csv(out / "grasps.csv", (_grasp(one) for one in studied))
-    _write_csv(out / "curves.csv", _curves(studied))
-    _write_csv(out / "summary.csv", _summary(studied))
-    lists.write(out / lists.FILE, [one.listed for one in studied], cut.record())
+    _write_records_csv(out / "grasps.csv", (_grasp_record(one) for one in studied))
+    _write_records_csv(out / "curves.csv", _curve_records(studied))
+    _write_records_csv(out / "summary.csv", _spread_records(studied))
+    lists.write_listed_grasps(out / lists.GRASP_LIST_FILE, [one.listed for one in studied], cut.record())
     title = f"{len(studied)} stable grasp{'s' * (len(studied) != 1)} in {clips} clip{'s' * (clips != 1)}"
     print(write_study(out / "study.png", mean_curves(studied), title, cut.description))
 
 
-def _grasp(one: StudiedGrasp) -> dict[str, object]:
+def _grasp_record(one: StudiedGrasp) -> dict[str, object]:
     """Return a grasp on one line, in SI units."""
     axis = {f"axis_{name}_{x}": v for name in ("point", "direction") for x, v in zip("xyz", getattr(one.hinge, name))}  # noqa: B905
     return {
@@ -151,34 +158,34 @@ def _grasp(one: StudiedGrasp) -> dict[str, object]:
     }
 
 
-def _curves(studied: Sequence[StudiedGrasp]) -> Iterator[dict[str, object]]:
+def _curve_records(studied: Sequence[StudiedGrasp]) -> Iterator[dict[str, object]]:
     """Yield the mean curves, a line for each normalised time and measure, in SI units."""
-    from getagrip.grasps.study import TIMES, mean_curves
+    from getagrip.grasps.study import NORMALISED_TIMES, mean_curves
 
     for name, spreads in mean_curves(studied).items():
-        for time, spread in zip(TIMES, spreads, strict=True):
+        for time, spread in zip(NORMALISED_TIMES, spreads, strict=True):
             yield {"measure": name, "time": round(float(time), 6), **asdict(spread)}
 
 
-def _summary(studied: Sequence[StudiedGrasp]) -> Iterator[dict[str, object]]:
+def _spread_records(studied: Sequence[StudiedGrasp]) -> Iterator[dict[str, object]]:
     """Every measure inside and outside, by category, in SI units."""
     for category, grasps in by_category(studied):
         for where in ("inside", "outside"):
-            for name, spread in _spreads(grasps, where).items():
+            for name, spread in _measure_spreads(grasps, where).items():
                 yield {"object": category, "where": where, "measure": name, **asdict(spread)}
 
 
-def _content(studied: Sequence[StudiedGrasp], cut: Cut) -> dict[str, object]:
+def _study_json(studied: Sequence[StudiedGrasp], cut: CutRules) -> dict[str, object]:
     """Everything, for ``--json``."""
     return {
         "cut": cut.record(),
         "units": "SI: m, rad, s; measures without unit are shares",
-        "summary": list(_summary(studied)),
-        "grasps": [_grasp(one) for one in studied],
-        "curves": list(_curves(studied)) if studied else [],
+        "summary": list(_spread_records(studied)),
+        "grasps": [_grasp_record(one) for one in studied],
+        "curves": list(_curve_records(studied)) if studied else [],
     }
 
 
-def _write_csv(path: Path, rows: Iterable[dict[str, object]]) -> None:
+def _write_records_csv(path: Path, rows: Iterable[dict[str, object]]) -> None:
     lines = list(rows)
     files.write_csv(path, [lines[0], *(line.values() for line in lines)])

@@ -12,14 +12,14 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from getagrip.commands.command import ClipsFolder, Command
-from getagrip.commands.evaluate import of_batch
-from getagrip.commands.report import results_below
+from getagrip.commands.evaluate import is_batch_file
+from getagrip.commands.report import find_result_folders
 from getagrip.errors import InputError, UsageError
-from getagrip.io.terminal import say
+from getagrip.io.terminal import print_result
 
 
 @dataclass(frozen=True, kw_only=True)
-class View(Command):
+class ViewResults(Command):
     """Play results and clips in 3D on a local page, which opens only at its secret address."""
 
     paths: Annotated[Positional[tuple[Path, ...]], arg(metavar="PATH...", help_behavior_hint="")] = ()
@@ -45,21 +45,21 @@ class View(Command):
         where nothing can be shown.
         """
         from getagrip.batch.clips import print_outcome
-        from getagrip.batch.job import failure
-        from getagrip.pages.served import Library, entries
-        from getagrip.pages.server import Server
+        from getagrip.batch.job import failed_outcome
+        from getagrip.pages.served import ViewerLibrary, group_entries
+        from getagrip.pages.server import ViewerServer
 
-        say(f"reading {', '.join(map(str, self.paths))} ...")  # to load what draws takes seconds, too
+        print_result(f"reading {', '.join(map(str, self.paths))} ...")  # to load what draws takes seconds, too
         problems: list[Exception] = []
-        results, alone = found(self.paths, problems)
-        library = Library(entries(results, alone, self.clips, problems.append), problems.append)
+        results, alone = find_results_and_clips(self.paths, problems)
+        library = ViewerLibrary(group_entries(results, alone, self.clips, problems.append), problems.append)
         if library.first is None:
             if len(problems) > 1:
                 print(f"{len(problems)} problems, of which the first is:", file=sys.stderr)
             raise problems[0]
         for problem in problems:
-            print_outcome(failure("", problem), self.debug)
-        with Server(library, self.port, self.host) as server:
+            print_outcome(failed_outcome("", problem), self.debug)
+        with ViewerServer(library, self.port, self.host) as server:
             print(f"open {server.url}\nCtrl-C ends", flush=True)
             try:
                 server.serve_forever()
@@ -68,12 +68,12 @@ class View(Command):
         return 1 if problems else 0
 
 
-def found(paths: Sequence[Path], problems: list[Exception]) -> tuple[list[Path], list[Path]]:
+def find_results_and_clips(paths: Sequence[Path], problems: list[Exception]) -> tuple[list[Path], list[Path]]:
     """List the folders of results anywhere below paths, and of clips where there are no results."""
     results: list[Path] = []
     clips: list[Path] = []
-    for path in filterfalse(of_batch, paths):
-        below = results_below(path, may_lack=True) if path.is_dir() else []
+    for path in filterfalse(is_batch_file, paths):
+        below = find_result_folders(path, may_lack=True) if path.is_dir() else []
         alone = [path] if (path / "clip.json").exists() else sorted(file.parent for file in path.glob("*/clip.json"))
         results += below
         clips += [] if below else alone

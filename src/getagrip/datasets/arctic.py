@@ -32,34 +32,34 @@ from getagrip.clip import HandTrack, Joint, World
 from getagrip.datasets import mano_tracks
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
-from getagrip.datasets.mano_tracks import numbers
-from getagrip.datasets.tracks import Source, Track, check_length, in_pixels
+from getagrip.datasets.mano_tracks import check_mano_numbers
+from getagrip.datasets.tracks import SequenceSource, Track, check_length, intrinsics_from_opencv
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.geometry.mesh_files import LARGEST_FILE, checked_mesh, with_area
+from getagrip.geometry.mesh_files import MAX_MESH_BYTES, checked_mesh, drop_degenerate_faces
 from getagrip.geometry.obj import parse_obj
 from getagrip.grasps.definition import GraspOptions
 from getagrip.hands.model import Side
 from getagrip.io import arrays, pickles
 from getagrip.io.arguments import OptionalFolder
-from getagrip.io.files import LARGEST_JSON, is_plain_name, read_bytes, read_json, shown
+from getagrip.io.files import MAX_JSON_BYTES, is_portable_name, read_bytes, read_json, shorten_value
 
-AUTHORS = GraspOptions(tau=0.5, contact_mm=0.0, points="fragments", rule="first", shortest=20)
+ARCTIC_GRASP_OPTIONS = GraspOptions(tau=0.5, contact_mm=0.0, points="fragments", rule="first", shortest=20)
 """The grasps of the authors' list (``stable_grasps_v3_frag_valid_min20``), found as their published code finds them.
 
 The paper defines them by vertices and all pairs (Eq. 2), and states no shortest length."""
-VIEWS = 9
-FPS = 30.0
-SCALE = 0.3
+N_ARCTIC_VIEWS = 9
+ARCTIC_FPS = 30.0
+ARCTIC_IMAGE_SCALE = 0.3
 """Masks are so much smaller than the images, 840 x 600 for view 0, as the paper's are."""
 SIDES: tuple[Side, ...] = ("left", "right")
-MM = 1e-3
-TOP = 0
+METRES_PER_MM = 1e-3
+TOP_PART_NUMBER = 0
 """The number of the top in ``parts.json``: ARCTIC's code adds 1 and turns what is then 1."""
-CLEAR = 0.002
+MIN_PART_MARGIN_M = 0.002
 """A vertex this much nearer to one part than to the other belongs to it [m]; else ``parts.json`` decides."""
-CONTRADICTION = 0.05
+MAX_PART_MISMATCH_FRACTION = 0.05
 """Share of the clear vertices that may differ from ``parts.json``: the template is coarser than its parts."""
 
 
@@ -74,7 +74,7 @@ class Template:
 
 
 @dataclass(frozen=True)
-class View:
+class ArcticCamera:
     """One of the cameras."""
 
     number: int
@@ -87,7 +87,7 @@ class View:
 class Arctic(TrackedDataset):
     """ARCTIC's raw sequences: every visible stable grasp."""
 
-    grasps: Annotated[GraspOptions, arg(name="")] = AUTHORS
+    grasps: Annotated[GraspOptions, arg(name="")] = ARCTIC_GRASP_OPTIONS
     """Definition of a stable grasp."""
 
     mano: OptionalFolder = None
@@ -95,28 +95,33 @@ class Arctic(TrackedDataset):
     view: Annotated[int, arg(metavar="N")] = 0
     """The camera: 0 on the head, 1 to 8 fixed."""
 
-    def sources(self) -> list[Source]:
+    def sources(self) -> list[SequenceSource]:
         """List the sequences below ``root``, ARCTIC's folder of ``raw_seqs`` and ``meta``, or one that holds it."""
-        if not 0 <= self.view < VIEWS:
-            raise UsageError(f"--view must be 0 (the camera on the head) to {VIEWS - 1} (got {self.view})")
+        if not 0 <= self.view < N_ARCTIC_VIEWS:
+            raise UsageError(f"--view must be 0 (the camera on the head) to {N_ARCTIC_VIEWS - 1} (got {self.view})")
         mano = mano_tracks.mano_folder(self.mano, "ARCTIC")
         places = (self.root, self.root / "data", self.root / "arctic_data" / "data")
         base = next((place for place in places if (place / "raw_seqs").is_dir()), self.root)
         found = sorted(base.glob("raw_seqs/*/*.object.npy"))
         if not found:
             raise InputError(self.root, "", "no raw_seqs/<subject>/<sequence>.object.npy in it", "ARCTIC's folder")
-        return [Source(f"{f.parent.name}/{_sequence(f)}", partial(_read, base, f, mano, self.view)) for f in found]
+        return [
+            SequenceSource(
+                f"{f.parent.name}/{_sequence_name(f)}", partial(_read_arctic_sequence, base, f, mano, self.view)
+            )
+            for f in found
+        ]
 
 
-def _sequence(file: Path) -> str:
+def _sequence_name(file: Path) -> str:
     return file.name.removesuffix(".object.npy")
 
 
-def _read(base: Path, file: Path, mano: Path, view: int, note: Note) -> Iterator[Track]:
+def _read_arctic_sequence(base: Path, file: Path, mano: Path, view: int, note: Note) -> Iterator[Track]:
     """Yield the object in each hand over a sequence."""
-    subject, sequence = file.parent.name, _sequence(file)
+    subject, sequence = file.parent.name, _sequence_name(file)
     name = sequence.partition("_")[0]
-    if not (is_plain_name(name) and is_plain_name(subject)):
+    if not (is_portable_name(name) and is_portable_name(subject)):
         raise InputError(file, "", f"the name {file.name!r}", "<object>_<use or grab>_<number>.object.npy")
     poses = arrays.floats(file, {"": arrays.parse_npy(file, "", read_bytes(file))}, "", (-1, 7))
     T = len(poses)
@@ -124,15 +129,15 @@ def _read(base: Path, file: Path, mano: Path, view: int, note: Note) -> Iterator
     subjects = base / "meta" / "misc.json"
     misc = read_json(subjects).get(subject)
     if not isinstance(misc, dict):
-        raise InputError(subjects, subject, shown(misc), "the cameras of this subject")
-    camera = _view(subjects, misc, subject, view, file.with_name(f"{sequence}.egocam.dist.npy"), T)
+        raise InputError(subjects, subject, shorten_value(misc), "the cameras of this subject")
+    camera = _read_arctic_camera(subjects, misc, subject, view, file.with_name(f"{sequence}.egocam.dist.npy"), T)
     offset = misc.get("ioi_offset")
     if type(offset) is not int or not 0 <= offset < 10**6:
-        raise InputError(subjects, f"{subject}.ioi_offset", shown(offset), "a number of frames")
+        raise InputError(subjects, f"{subject}.ioi_offset", shorten_value(offset), "a number of frames")
     template = read_template(base / "meta" / "object_vtemplates" / name)
-    T_world_template = se3.rigid(se3.exp_so3(poses[:, 1:4]), MM * poses[:, 4:])
+    T_world_template = se3.rigid(se3.exp_so3(poses[:, 1:4]), METRES_PER_MM * poses[:, 4:])
     T_cam_obj = camera.T_cam_world @ T_world_template @ se3.inverse(template.T_neutral_template)
-    hands = _hands(file.with_name(f"{sequence}.mano.npy"), mano, camera.T_cam_world, T)
+    hands = _read_arctic_hands(file.with_name(f"{sequence}.mano.npy"), mano, camera.T_cam_world, T)
     for side in SIDES:
         yield Track(
             file=file,
@@ -140,7 +145,7 @@ def _read(base: Path, file: Path, mano: Path, view: int, note: Note) -> Iterator
             sequence=sequence,
             category=name,
             side=side,
-            fps=FPS,
+            fps=ARCTIC_FPS,
             numbers=np.arange(T) + offset,
             digits=5,
             size=camera.size,
@@ -160,7 +165,7 @@ def _read(base: Path, file: Path, mano: Path, view: int, note: Note) -> Iterator
                 "camera": "the camera on the head; its images are distorted, these masks are not"
                 if view == 0
                 else f"fixed camera {view}",
-                "image": f"masks are {SCALE:g} times as large as the images",
+                "image": f"masks are {ARCTIC_IMAGE_SCALE:g} times as large as the images",
                 "scale": "ARCTIC's template, true size",
                 "frame": "z along the principal axis about which the closed object is most nearly round, origin in the "
                 "middle; ARCTIC's own frame has z along the joint",
@@ -168,45 +173,54 @@ def _read(base: Path, file: Path, mano: Path, view: int, note: Note) -> Iterator
         )
 
 
-def _hands(file: Path, mano: Path, T_cam_world: Float[ndarray, "T 4 4"], T: int) -> dict[Side, HandTrack]:
+def _read_arctic_hands(file: Path, mano: Path, T_cam_world: Float[ndarray, "T 4 4"], T: int) -> dict[Side, HandTrack]:
     """Both hands. ARCTIC was fitted with the published left hand, faults included."""
-    value = pickles.read_file(file, "ARCTIC's MANO parameters")
+    value = pickles.read_pickle_file(file, "ARCTIC's MANO parameters")
     hands: dict[Side, HandTrack] = {}
     for side in SIDES:
         values = value.get(side)
         if not isinstance(values, dict):
-            raise InputError(file, side, shown(values), "the parameters of this hand")
+            raise InputError(file, side, shorten_value(values), "the parameters of this hand")
         rot, pose, trans = (
-            numbers(file, values, key, (T, n), side) for key, n in (("rot", 3), ("pose", 45), ("trans", 3))
+            check_mano_numbers(file, values, key, (T, n), side) for key, n in (("rot", 3), ("pose", 45), ("trans", 3))
         )
-        shape = numbers(file, values, "shape", (10,) if np.size(values.get("shape", ())) == 10 else (T, 10), side)
-        model = mano_tracks.load(mano, side, repaired=False)
-        hands[side] = mano_tracks.track(model, rot, pose, trans, shape.reshape(-1, 10)[0], False, T_cam_world)
+        shape = check_mano_numbers(
+            file, values, "shape", (10,) if np.size(values.get("shape", ())) == 10 else (T, 10), side
+        )
+        model = mano_tracks.load_mano_hand(mano, side, repaired=False)
+        hands[side] = mano_tracks.mano_hand_track(model, rot, pose, trans, shape.reshape(-1, 10)[0], False, T_cam_world)
     return hands
 
 
-def _view(file: Path, misc: dict[str, object], subject: str, number: int, egocam: Path, T: int) -> View:
+def _read_arctic_camera(
+    file: Path, misc: dict[str, object], subject: str, number: int, egocam: Path, T: int
+) -> ArcticCamera:
     """Read the camera of a view, that on the head from its own file."""
     of = {key: np.array(misc[key]) for key in ("image_size", "world2cam", "intris_mat") if _is_table(misc.get(key))}
-    sizes = numbers(file, of, "image_size", (VIEWS, 2), subject)
-    width, height = (round(SCALE * float(side)) for side in sizes[number])
+    sizes = check_mano_numbers(file, of, "image_size", (N_ARCTIC_VIEWS, 2), subject)
+    width, height = (round(ARCTIC_IMAGE_SCALE * float(side)) for side in sizes[number])
     if not (0 < width < 10_000 and 0 < height < 10_000):
-        raise InputError(file, f"{subject}.image_size", shown(sizes[number].tolist()), "width and height in pixels")
+        raise InputError(
+            file, f"{subject}.image_size", shorten_value(sizes[number].tolist()), "width and height in pixels"
+        )
     if number == 0:
         file, subject = egocam, ""
-        value = pickles.read_file(egocam, "ARCTIC's camera on the head")
-        K = numbers(egocam, value, "intrinsics", (3, 3))
+        value = pickles.read_pickle_file(egocam, "ARCTIC's camera on the head")
+        K = check_mano_numbers(egocam, value, "intrinsics", (3, 3))
         T_cam_world = se3.rigid(
-            numbers(egocam, value, "R_k_cam_np", (T, 3, 3)), numbers(egocam, value, "T_k_cam_np", (T, 3, 1))[..., 0]
+            check_mano_numbers(egocam, value, "R_k_cam_np", (T, 3, 3)),
+            check_mano_numbers(egocam, value, "T_k_cam_np", (T, 3, 1))[..., 0],
         )
     else:
-        K = numbers(file, of, "intris_mat", (VIEWS - 1, 3, 3), subject)[number - 1]
-        T_cam_world = np.tile(numbers(file, of, "world2cam", (VIEWS - 1, 4, 4), subject)[number - 1], (T, 1, 1))
+        K = check_mano_numbers(file, of, "intris_mat", (N_ARCTIC_VIEWS - 1, 3, 3), subject)[number - 1]
+        T_cam_world = np.tile(
+            check_mano_numbers(file, of, "world2cam", (N_ARCTIC_VIEWS - 1, 4, 4), subject)[number - 1], (T, 1, 1)
+        )
     if not se3.is_rigid(T_cam_world).all():
         raise InputError(file, subject, f"a view {number} that is no rigid motion", "rotations and translations [m]")
     if not (K[0, 0] > 0 and K[1, 1] > 0 and np.all(K[2] == [0, 0, 1]) and abs(K[0, 1]) < 1e-6 * K[0, 0]):
-        raise InputError(file, subject, shown(K.tolist()), "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
-    return View(number, in_pixels(K, SCALE), T_cam_world, (width, height))
+        raise InputError(file, subject, shorten_value(K.tolist()), "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+    return ArcticCamera(number, intrinsics_from_opencv(K, ARCTIC_IMAGE_SCALE), T_cam_world, (width, height))
 
 
 def _is_table(value: object) -> bool:
@@ -218,14 +232,14 @@ def _is_table(value: object) -> bool:
 def read_template(folder: Path) -> Template:
     """Read an object's template. Raises ``InputError``."""
     file = folder / "mesh.obj"
-    vertices, faces = parse_obj(file, read_bytes(file, LARGEST_FILE))
-    vertices, faces = MM * vertices, with_area(MM * vertices, faces)
+    vertices, faces = parse_obj(file, read_bytes(file, MAX_MESH_BYTES))
+    vertices, faces = METRES_PER_MM * vertices, drop_degenerate_faces(METRES_PER_MM * vertices, faces)
     checked_mesh(file, vertices, faces)
     mesh = Mesh(vertices, faces)
-    return in_neutral_frame(mesh, is_top(folder, mesh))
+    return make_neutral_template(mesh, read_top_vertices(folder, mesh))
 
 
-def in_neutral_frame(mesh: Mesh, top: Bool[ndarray, "V"]) -> Template:
+def make_neutral_template(mesh: Mesh, top: Bool[ndarray, "V"]) -> Template:
     """Make a template of an object in ARCTIC's frame [m], whose ``top`` turns about -z of that frame."""
     T = neutral_frame(mesh)
     joint = Joint(moves=top, point=T[:3, 3], direction=-T[:3, 2])
@@ -252,25 +266,27 @@ def neutral_frame(mesh: Mesh) -> Float[ndarray, "4 4"]:
     return se3.rigid(R, -(turned.min(axis=0) + turned.max(axis=0)) / 2.0)
 
 
-def is_top(folder: Path, mesh: Mesh) -> Bool[ndarray, "V"]:
+def read_top_vertices(folder: Path, mesh: Mesh) -> Bool[ndarray, "V"]:
     """Return the vertices of the template in ``folder`` that turn. Raises ``InputError``."""
-    numbered = _numbered(folder / "parts.json", len(mesh.vertices)) == TOP
+    numbered = _read_part_numbers(folder / "parts.json", len(mesh.vertices)) == TOP_PART_NUMBER
     top, bottom = folder / "top.obj", folder / "bottom.obj"
     if not (top.is_file() and bottom.is_file()):
         return numbered
-    nearer = _distance(bottom, mesh.vertices) - _distance(top, mesh.vertices)
-    clear = np.abs(nearer) > CLEAR
+    nearer = _distance_to_mesh(bottom, mesh.vertices) - _distance_to_mesh(top, mesh.vertices)
+    clear = np.abs(nearer) > MIN_PART_MARGIN_M
     differ = clear & ((nearer > 0.0) != numbered)
-    if differ.sum() > CONTRADICTION * clear.sum():
+    if differ.sum() > MAX_PART_MISMATCH_FRACTION * clear.sum():
         got = f"{differ.sum()} of {clear.sum()} vertices numbered against top.obj and bottom.obj, which lie beside it"
-        raise InputError(folder / "parts.json", "", got, f"{TOP} for each vertex of mesh.obj at top.obj, else 1")
+        raise InputError(
+            folder / "parts.json", "", got, f"{TOP_PART_NUMBER} for each vertex of mesh.obj at top.obj, else 1"
+        )
     return np.where(clear, nearer > 0.0, numbered)
 
 
-def _numbered(file: Path, count: int) -> ndarray:
+def _read_part_numbers(file: Path, count: int) -> ndarray:
     """Read the numbers in ``parts.json``, (V,)."""
     try:
-        part = arrays.from_lists(json.loads(read_bytes(file, LARGEST_JSON)))
+        part = arrays.from_lists(json.loads(read_bytes(file, MAX_JSON_BYTES)))
     except (ValueError, RecursionError) as error:
         raise InputError(file, "", f"text that is no JSON ({error})", "a JSON list") from error
     if part is None or part.shape != (count,) or not np.isin(part, (0, 1)).all():
@@ -279,12 +295,12 @@ def _numbered(file: Path, count: int) -> ndarray:
     return part
 
 
-def _distance(file: Path, points: Float[ndarray, "V 3"]) -> Float[ndarray, "V"]:
+def _distance_to_mesh(file: Path, points: Float[ndarray, "V 3"]) -> Float[ndarray, "V"]:
     """From points [m] to the surface of the mesh in a file [mm]."""
     import igl
 
-    vertices, faces = parse_obj(file, read_bytes(file, LARGEST_FILE))
-    vertices, faces = MM * vertices, with_area(MM * vertices, faces)
+    vertices, faces = parse_obj(file, read_bytes(file, MAX_MESH_BYTES))
+    vertices, faces = METRES_PER_MM * vertices, drop_degenerate_faces(METRES_PER_MM * vertices, faces)
     checked_mesh(file, vertices, faces)
     tree = igl.AABB()
     tree.init(vertices, faces)

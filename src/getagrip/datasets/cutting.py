@@ -18,26 +18,26 @@ from numpy import ndarray
 from tyro.conf import Positional, arg
 
 from getagrip.clip import Clip, FrameMasks, Masks, OtherHand, Segment, Truth
-from getagrip.clip.plausible import FARTHEST, NEAREST, check_in_view
+from getagrip.clip.plausible import MAX_CAMERA_RANGE_M, MIN_CAMERA_RANGE_M, check_in_view
 from getagrip.clip.timeline import at_frames
 from getagrip.datasets.dataset import Dataset, Draft, Missing, Note, Part
-from getagrip.datasets.tracks import Piece, Source, Track
+from getagrip.datasets.tracks import SequenceSource, Track, TrackPiece
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import checked_mesh, used_vertices
-from getagrip.geometry.obj import DECIMALS
-from getagrip.grasps.cut import FIRST_FRAME, Cut, as_listed
-from getagrip.grasps.definition import FEWEST, GraspOptions
-from getagrip.grasps.lists import BETWEEN, ListedGrasp
+from getagrip.geometry.obj import OBJ_DECIMALS
+from getagrip.grasps.cut import FIRST_FRAME_KEY, CutRules, as_listed
+from getagrip.grasps.definition import MIN_GRASP_FRAMES, GraspOptions
+from getagrip.grasps.lists import CLIP_NAME_SEPARATOR, ListedGrasp
 from getagrip.io.arguments import Flag
-from getagrip.io.files import is_plain_name
+from getagrip.io.files import is_portable_name
 from getagrip.metrics.contact import stable_contact_area
 
-VISIBLE = 25
+MIN_VISIBLE_PIXELS = 25
 """Pixels of the smallest mask that counts as visible."""
-WHOLE = "all frames in which hand and object are known"
-Pieces = Callable[[Iterable[Track], Note], Iterator[Piece]]
+ALL_KNOWN_FRAMES = "all frames in which hand and object are known"
+Pieces = Callable[[Iterable[Track], Note], Iterator[TrackPiece]]
 """How tracks become the pieces that clips are made of."""
 
 
@@ -52,16 +52,16 @@ class TrackedDataset(Dataset):
     whole: Flag = False
     """Import all frames instead of grasps, without masks: for segment and study."""
 
-    def sources(self) -> list[Source]:
+    def sources(self) -> list[SequenceSource]:
         """List its sequences. Raises ``UsageError`` for wrong options, ``InputError`` where there is no sequence."""
         raise NotImplementedError
 
     def parts(self, note: Note) -> Sequence[Part]:
         """List its sequences, cut to stable grasps or, if ``whole``, at gaps only."""
         cut = self.cut(note)
-        return [CutSource(s, partial(pieces, cut=cut, whole=self.whole), cut.shortest) for s in self.sources()]
+        return [CutSource(s, partial(cut_into_grasps, cut=cut, whole=self.whole), cut.shortest) for s in self.sources()]
 
-    def cut(self, note: Note) -> Cut:
+    def cut(self, note: Note) -> CutRules:
         """Return the rule by which its sequences are cut.
 
         Raises ``UsageError`` for wrong options, ``InputError`` for a broken list.
@@ -79,7 +79,7 @@ class TrackedDataset(Dataset):
 class CutSource:
     """A sequence, and how it is cut into clips."""
 
-    source: Source
+    source: SequenceSource
     cut: Pieces
     shortest: int
     """The fewest frames of a clip."""
@@ -93,38 +93,44 @@ class CutSource:
         """Yield a clip for each piece."""
         for piece in self.cut(self.source.read(note), note):
             if missing(piece.name):
-                yield Draft(piece.name, partial(clip, piece, self.shortest, note))
+                yield Draft(piece.name, partial(clip_of_piece, piece, self.shortest, note))
 
 
-def pieces(tracks: Iterable[Track], note: Note, cut: Cut, whole: bool = False) -> Iterator[Piece]:
+def cut_into_grasps(tracks: Iterable[Track], note: Note, cut: CutRules, whole: bool = False) -> Iterator[TrackPiece]:
     """Yield the stable grasps of some tracks, or (``whole``) all of each, as far as nothing is missing.
 
     Whole pieces have no masks: they are for what looks at true poses only, and are many frames long.
     """
     for track in tracks:
-        if not is_plain_name(track.name):
+        if not is_portable_name(track.name):
             raise InputError(track.file, "", f"the name {track.name!r}", "names that can be part of a folder's")
-        found = _whole(track, cut) if whole else _found(track, cut) if cut.listed is None else _listed(track, cut, note)
+        found = (
+            _gapless_pieces(track, cut)
+            if whole
+            else _found_grasp_pieces(track, cut)
+            if cut.listed is None
+            else _listed_grasp_pieces(track, cut, note)
+        )
         number = 0
         for number, piece in enumerate(found, start=1):
-            name = piece.name or track.name + f"{BETWEEN}{number}" * (number > 1)
+            name = piece.name or track.name + f"{CLIP_NAME_SEPARATOR}{number}" * (number > 1)
             yield replace(piece, name=name, grasp=piece.grasp and replace(piece.grasp, sequence=track.name))
         if number == 0 and cut.listed is None and cut.definition.rule != "touch":  # hands touch few of many objects
             kind = "no run" if whole else "no stable grasp"
             note(f"{track.name}: {kind} of {cut.shortest} frames: skipped")
 
 
-def _whole(track: Track, cut: Cut) -> Iterator[Piece]:
+def _gapless_pieces(track: Track, cut: CutRules) -> Iterator[TrackPiece]:
     """Yield the parts of a track between its gaps."""
-    for part in without_gaps(track):
+    for part in split_track_at_gaps(track):
         if len(part) >= cut.shortest:
-            yield Piece(part, "", WHOLE, masks=False)
+            yield TrackPiece(part, "", ALL_KNOWN_FRAMES, masks=False)
 
 
-def _found(track: Track, cut: Cut) -> Iterator[Piece]:
+def _found_grasp_pieces(track: Track, cut: CutRules) -> Iterator[TrackPiece]:
     """Yield the stable grasps of a track, as ``segment`` finds them in its whole pieces."""
-    for part in without_gaps(track):
-        known = known_clip(part)
+    for part in split_track_at_gaps(track):
+        known = clip_of_track(part)
         iou, grasps = cut.of(known)
         for first, last in grasps:
             rows = slice(first, last + 1)
@@ -132,18 +138,18 @@ def _found(track: Track, cut: Cut) -> Iterator[Piece]:
             made_of = f"a stable grasp: {cut.description}; contact IOU {area} on average"
             grasp = as_listed(known, first, last)
             area = f"{area} at {1e3 * cut.definition.contact:.0f} mm"
-            yield Piece(part.take(np.arange(first, last + 1)), "", made_of, grasp, area)
+            yield TrackPiece(part.take(np.arange(first, last + 1)), "", made_of, grasp, area)
 
 
-def _listed(track: Track, cut: Cut, note: Note) -> Iterator[Piece]:
+def _listed_grasp_pieces(track: Track, cut: CutRules, note: Note) -> Iterator[TrackPiece]:
     """Yield the grasps of a list, in the frames in which hand and object are known."""
-    known = track.take(np.flatnonzero(ahead(track)))
+    known = track.take(np.flatnonzero(in_front_of_camera(track)))
     assert cut.listed is not None
     for grasp in cut.listed.of(track.name, track.side, track.category):
         rows = grasp.positions(known.frames, track.origin)
         first, last = (f"{n:05d}" if isinstance(n, int) else n for n in (grasp.first, grasp.last))
-        name = f"{track.name}{BETWEEN}{first}-{last}"
-        if len(rows) < FEWEST:
+        name = f"{track.name}{CLIP_NAME_SEPARATOR}{first}-{last}"
+        if len(rows) < MIN_GRASP_FRAMES:
             note(f"{name}: hand and object are known in {len(rows)} of its frames: skipped")
             continue
         made_of = f"a grasp of {cut.listed.file}, frames {first} to {last}"
@@ -151,17 +157,17 @@ def _listed(track: Track, cut: Cut, note: Note) -> Iterator[Piece]:
         duration = float(numbers[-1] + 1 - numbers[0]) / track.fps
         ends = known.frames[rows[0]], known.frames[rows[-1]]
         written = ListedGrasp(track.name, track.side, track.category, *ends, grasp.duration or duration)
-        yield Piece(known.take(rows), name, made_of, written)
+        yield TrackPiece(known.take(rows), name, made_of, written)
 
 
-def without_gaps(track: Track) -> list[Track]:
+def split_track_at_gaps(track: Track) -> list[Track]:
     """Split a track into parts whose frames follow each other, hand and object before the camera in all of them."""
-    rows = np.flatnonzero(ahead(track))
+    rows = np.flatnonzero(in_front_of_camera(track))
     breaks = np.flatnonzero(np.diff(track.numbers[rows]) != 1) + 1
     return [track.take(part) for part in np.split(rows, breaks) if part.size]
 
 
-def ahead(track: Track) -> Bool[ndarray, "T"]:
+def in_front_of_camera(track: Track) -> Bool[ndarray, "T"]:
     """Return the frames in which hand and object are before the camera."""
     seen = np.ones(len(track), dtype=bool)
     hands = [hand for hand in (track.hand, track.input_hand) if hand is not None]
@@ -169,11 +175,11 @@ def ahead(track: Track) -> Bool[ndarray, "T"]:
         *(se3.transform(hand.T_cam_hand, hand.vertices.mean(axis=1)[:, None])[:, 0] for hand in hands),
         se3.transform(track.T_cam_obj, track.mesh.centre[None])[:, 0],
     ):
-        seen &= (centre[:, 2] > NEAREST) & (np.linalg.norm(centre, axis=1) < FARTHEST)
+        seen &= (centre[:, 2] > MIN_CAMERA_RANGE_M) & (np.linalg.norm(centre, axis=1) < MAX_CAMERA_RANGE_M)
     return seen
 
 
-def known_clip(
+def clip_of_track(
     track: Track, name: str = "", provenance: dict[str, object] | None = None, segments: tuple[Segment, ...] = ()
 ) -> Clip:
     """Make a clip without masks of all that is known of a track.
@@ -186,7 +192,7 @@ def known_clip(
     mesh = track.object(angle)
     joint = track.joint
     if joint is not None:  # its vertices are those that a file of the mesh keeps apart
-        mesh = Mesh(mesh.vertices.round(DECIMALS), mesh.faces)
+        mesh = Mesh(mesh.vertices.round(OBJ_DECIMALS), mesh.faces)
         joint = replace(joint, angle=angle, moves=joint.moves[used_vertices(mesh.vertices, mesh.faces)[0]])
     return Clip(
         name=name or track.name,
@@ -207,26 +213,26 @@ def known_clip(
     )
 
 
-def clip(piece: Piece, shortest: int, note: Note) -> tuple[Clip, Masks | None] | None:
+def clip_of_piece(piece: TrackPiece, shortest: int, note: Note) -> tuple[Clip, Masks | None] | None:
     """Make a clip of the piece, and its masks; None if the object is visible in fewer than ``shortest`` frames.
 
-    Frames in which fewer than ``VISIBLE`` pixels of the object are visible are dropped. Masks show an object with a
+    Frames in which fewer than ``MIN_VISIBLE_PIXELS`` pixels of the object are visible are dropped. Masks show an object with a
     joint as it was.
     """
     track, masks, segments = piece.track, None, piece.segments
     if piece.masks:
-        rows, masks = _visible(track)
+        rows, masks = _visible_frames(track)
         if len(rows) < shortest:
             note(f"{piece.name}: the object is visible in fewer than {shortest} frames: skipped")
             return None
         if len(rows) < len(track):
             track, segments = track.take(rows), at_frames(segments, rows)
-    provenance = track.describe(piece) | {FIRST_FRAME: track.origin}
+    provenance = track.describe(piece) | {FIRST_FRAME_KEY: track.origin}
     if piece.grasp is not None:
         provenance["grasp"] = piece.grasp.row()
-    made = known_clip(track, piece.name, provenance, segments)
+    made = clip_of_track(track, piece.name, provenance, segments)
     if piece.other is not None:
-        made = replace(made, other_hand=_other_hand(piece.other, track))
+        made = replace(made, other_hand=_other_hand_of_track(piece.other, track))
     try:
         check_in_view(track.file, made.hand, made.K, track.size)
     except InputError:
@@ -235,7 +241,7 @@ def clip(piece: Piece, shortest: int, note: Note) -> tuple[Clip, Masks | None] |
     return made, masks
 
 
-def _other_hand(other: Track, track: Track) -> OtherHand | None:
+def _other_hand_of_track(other: Track, track: Track) -> OtherHand | None:
     """Return the other hand in a track's frames; None where it is never in the image."""
     _, rows, source = np.intersect1d(track.numbers, other.numbers, return_indices=True)
     if not len(rows):
@@ -248,7 +254,7 @@ def _other_hand(other: Track, track: Track) -> OtherHand | None:
     return OtherHand.at(hand, rows, len(track))
 
 
-def _visible(track: Track) -> tuple[Int[ndarray, "n"], Masks]:
+def _visible_frames(track: Track) -> tuple[Int[ndarray, "n"], Masks]:
     """Return the frames in which the object is visible, and their masks.
 
     Those of a long hold before a large camera are gigabytes: they are in a file, which goes with them.
@@ -259,8 +265,8 @@ def _visible(track: Track) -> tuple[Int[ndarray, "n"], Masks]:
     rows: list[int] = []
     hand_known = True
     for row in range(len(track)):
-        masks = frame_masks(track, row)
-        if np.count_nonzero(masks.object) >= VISIBLE:
+        masks = read_or_render_masks(track, row)
+        if np.count_nonzero(masks.object) >= MIN_VISIBLE_PIXELS:
             for kind, mask in zip(all_masks, masks, strict=True):
                 if mask is not None:
                     kind[len(rows)] = mask
@@ -270,7 +276,7 @@ def _visible(track: Track) -> tuple[Int[ndarray, "n"], Masks]:
     return np.array(rows, dtype=np.int64), Masks(visible, ignore, hand if hand_known else None)
 
 
-def frame_masks(track: Track, row: int) -> FrameMasks:
+def read_or_render_masks(track: Track, row: int) -> FrameMasks:
     """Return the dataset's own masks of a frame, or those rendered from the true poses."""
     if track.read_masks is not None:
         return track.read_masks(int(track.numbers[row]))

@@ -90,7 +90,7 @@ def clips(dataset: Dataset, note: Note = lambda _: None) -> Iterator[tuple[Clip,
             for draft in part.drafts(lambda name, with_hands=False: True, note):
                 made = draft.make()
                 if made is not None:
-                    yield made if draft.hand is None else _with_hand(*made, *draft.hand(made[0]))
+                    yield made if draft.hand is None else _clip_with_hand(*made, *draft.hand(made[0]))
         except InputError as error:
             failed.append(error)
     for other in failed[1:]:
@@ -99,6 +99,6 @@ def clips(dataset: Dataset, note: Note = lambda _: None) -> Iterator[tuple[Clip,
         raise failed[0]
 
 
-def _with_hand(clip: Clip, masks: Masks | None, hand: HandTrack, rows: Sequence[int]) -> tuple[Clip, Masks | None]:
+def _clip_with_hand(clip: Clip, masks: Masks | None, hand: HandTrack, rows: Sequence[int]) -> tuple[Clip, Masks | None]:
     index = np.array(rows, dtype=int)
     return replace(clip.take(index), hand=hand), masks and masks.take(index)

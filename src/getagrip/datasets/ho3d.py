@@ -28,10 +28,10 @@ from tyro.conf import arg
 
 from getagrip.clip import HandTrack
 from getagrip.datasets import mano_tracks, ycb
-from getagrip.datasets.cutting import WHOLE, CutSource, TrackedDataset
+from getagrip.datasets.cutting import ALL_KNOWN_FRAMES, CutSource, TrackedDataset
 from getagrip.datasets.dataset import Note, Part
-from getagrip.datasets.mano_tracks import numbers
-from getagrip.datasets.tracks import Piece, Source, Track, check_length, in_pixels
+from getagrip.datasets.mano_tracks import check_mano_numbers
+from getagrip.datasets.tracks import SequenceSource, Track, TrackPiece, check_length, intrinsics_from_opencv
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.grasps.definition import GraspOptions
@@ -40,21 +40,21 @@ from getagrip.hands.fit import fit_joints
 from getagrip.io import pickles
 from getagrip.io.arguments import Flag, OptionalFolder
 from getagrip.io.arrays import from_lists
-from getagrip.io.files import is_plain_name, read_any_json, read_bytes, shown
-from getagrip.io.terminal import counted
+from getagrip.io.files import is_portable_name, read_any_json, read_bytes, shorten_value
+from getagrip.io.terminal import format_count
 
-WITHIN_10_MM = GraspOptions(contact_mm=10.0)
-SIZE = (640, 480)
+GRASPS_WITHIN_10_MM = GraspOptions(contact_mm=10.0)
+HO3D_IMAGE_SIZE_PX = (640, 480)
 """Width and height of HO-3D's images [px]."""
-FPS = 30.0
-OPENGL = np.diag([1.0, -1.0, -1.0])
+HO3D_FPS = 30.0
+R_CV_OPENGL = np.diag([1.0, -1.0, -1.0])
 """From OpenGL's camera axes to this package's."""
-EVALUATION = "evaluation"
-SAME_WRIST = 0.005
+EVALUATION_SPLIT = "evaluation"
+MAX_WRIST_DISTANCE_M = 0.005
 """Largest distance of the two wrists of a frame of the evaluation split [m]."""
 
 
-class Frame(NamedTuple):
+class Ho3dFrame(NamedTuple):
     """The labels of one frame, in this package's axes."""
 
     number: int
@@ -73,7 +73,7 @@ class Frame(NamedTuple):
 class Ho3d(TrackedDataset):
     """HO-3D: every visible stable grasp."""
 
-    grasps: Annotated[GraspOptions, arg(name="")] = WITHIN_10_MM
+    grasps: Annotated[GraspOptions, arg(name="")] = GRASPS_WITHIN_10_MM
     """Definition of a stable grasp."""
 
     meshes: ycb.Models = None
@@ -81,14 +81,16 @@ class Ho3d(TrackedDataset):
     mano: OptionalFolder = None
     """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl; without, the generic hand is fitted to the joints."""
 
-    def sources(self) -> list[Source]:
+    def sources(self) -> list[SequenceSource]:
         """List the sequences of HO-3D, all splits."""
-        models = ycb.folder(self.root, self.meshes)
+        models = ycb.ycb_models_folder(self.root, self.meshes)
         mano = None if self.mano is None else mano_tracks.mano_folder(self.mano, "HO-3D")
         found = sorted({file.parent.parent for file in self.root.glob("*/*/meta/*.pkl")})
         if not found:
             raise InputError(self.root, "", "no <split>/<sequence>/meta/<frame>.pkl in it", "HO-3D's folder")
-        return [Source(f"{f.parent.name}/{f.name}", partial(_read, f, models, mano)) for f in found]
+        return [
+            SequenceSource(f"{f.parent.name}/{f.name}", partial(_read_ho3d_sequence, f, models, mano)) for f in found
+        ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,42 +99,45 @@ class Ho3dEvaluation(Ho3d):
 
     whole: Flag = True
 
-    def sources(self) -> list[Source]:
+    def sources(self) -> list[SequenceSource]:
         """List the sequences of the evaluation split."""
-        for name in (f"{EVALUATION}.txt", f"{EVALUATION}_xyz.json"):
+        for name in (f"{EVALUATION_SPLIT}.txt", f"{EVALUATION_SPLIT}_xyz.json"):
             if not (self.root / name).is_file():
                 raise InputError(self.root, "", f"no {name} in it", "HO-3D's folder with the list of evaluated joints")
-        found = [one for one in super().sources() if one.name.startswith(f"{EVALUATION}/")]
+        found = [one for one in super().sources() if one.name.startswith(f"{EVALUATION_SPLIT}/")]
         if not found:
-            raise InputError(self.root, "", f"no {EVALUATION}/<sequence>/meta in it", "HO-3D's folder")
+            raise InputError(self.root, "", f"no {EVALUATION_SPLIT}/<sequence>/meta in it", "HO-3D's folder")
         return found
 
     def parts(self, note: Note) -> Sequence[Part]:
         """List its sequences, with masks."""
-        return [CutSource(source, _as_they_are, 2) for source in self.sources()]
+        return [CutSource(source, _uncut_pieces, 2) for source in self.sources()]
 
 
-def _as_they_are(tracks: Iterable[Track], note: Note) -> Iterator[Piece]:
+def _uncut_pieces(tracks: Iterable[Track], note: Note) -> Iterator[TrackPiece]:
     for track in tracks:
-        yield Piece(track, track.name, WHOLE)
+        yield TrackPiece(track, track.name, ALL_KNOWN_FRAMES)
 
 
-def _read(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator[Track]:
+def _read_ho3d_sequence(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator[Track]:
     """Yield the object in the hand over a sequence."""
     name = f"{folder.parent.name}/{folder.name}"
     frames, unknown, joints = [], 0, {}
-    if folder.parent.name == EVALUATION and (listed := folder.parent.parent / f"{EVALUATION}_xyz.json").is_file():
+    if (
+        folder.parent.name == EVALUATION_SPLIT
+        and (listed := folder.parent.parent / f"{EVALUATION_SPLIT}_xyz.json").is_file()
+    ):
         joints, mano = _evaluation_joints(listed), None  # MANO's parameters are not public
     files = sorted((folder / "meta").glob("*.pkl"))
     check_length(folder, "meta", len(files))
     for file in files:
-        frame = _frame(file, mano is not None, joints.get(f"{folder.name}/{file.stem}"))
+        frame = _read_ho3d_frame(file, mano is not None, joints.get(f"{folder.name}/{file.stem}"))
         if frame is None:
             unknown += 1
         else:
             frames.append(frame)
     if unknown:
-        note(f"{name}: {counted(unknown, 'frame')} without the pose of the hand or of the object: skipped")
+        note(f"{name}: {format_count(unknown, 'frame')} without the pose of the hand or of the object: skipped")
     if not frames:
         return
     grasped = frames[0].name
@@ -141,7 +146,7 @@ def _read(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator
         raise InputError(
             folder / "meta" / f"{other.number:04d}.pkl", "objName or camMat", "another", "one per sequence"
         )
-    mesh = ycb.mesh(models, grasped)
+    mesh = ycb.read_ycb_mesh(models, grasped)
     letters = re.match(r"[A-Za-z]+", folder.name)
     yield Track(
         file=folder,
@@ -149,12 +154,12 @@ def _read(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator
         sequence=folder.name,
         category=grasped,
         side="right",
-        fps=FPS,
+        fps=HO3D_FPS,
         numbers=np.array([frame.number for frame in frames]),
         digits=4,
-        size=SIZE,
-        K=in_pixels(frames[0].K),
-        hand=_fitted(folder, frames) if mano is None else _by_mano(mano, frames),
+        size=HO3D_IMAGE_SIZE_PX,
+        K=intrinsics_from_opencv(frames[0].K),
+        hand=_fit_generic_hand(folder, frames) if mano is None else _pose_mano_hand(mano, frames),
         T_cam_obj=np.stack([frame.T_cam_obj for frame in frames]),
         mesh=mesh,
         provenance={
@@ -172,54 +177,55 @@ def _read(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator
 @cache
 def _evaluation_joints(listed: Path) -> dict[str, Float[ndarray, "21 3"]]:
     """Read the joints of the evaluation split, by ``<sequence>/<frame>``."""
-    names = read_bytes(listed.with_name(f"{EVALUATION}.txt")).decode("utf-8", "replace").split()
+    names = read_bytes(listed.with_name(f"{EVALUATION_SPLIT}.txt")).decode("utf-8", "replace").split()
     joints = from_lists(read_any_json(listed))
     if joints is None or joints.shape != (len(names), 21, 3) or joints.dtype.kind != "f":
         got = "no array of numbers" if joints is None else f"an array of shape {joints.shape}"
-        raise InputError(listed, "", got, f"21 joints for each of the {len(names)} lines of {EVALUATION}.txt")
+        raise InputError(listed, "", got, f"21 joints for each of the {len(names)} lines of {EVALUATION_SPLIT}.txt")
     return dict(zip(names, joints, strict=True))
 
 
-def _frame(file: Path, with_mano: bool, listed: Float[ndarray, "21 3"] | None) -> Frame | None:
+def _read_ho3d_frame(file: Path, with_mano: bool, listed: Float[ndarray, "21 3"] | None) -> Ho3dFrame | None:
     """Read the labels of a frame; None where the object or the hand is not known.
 
     ``listed`` are its joints in the list of the evaluation split. Raises ``InputError`` where their wrist is another.
     """
-    value = pickles.read_file(file, "the labels of a frame of HO-3D")
+    value = pickles.read_pickle_file(file, "the labels of a frame of HO-3D")
     if not file.stem.isdigit():
         raise InputError(file, "", f"the name {file.name!r}", "<number>.pkl")
     rotation, joints = value.get("objRot", 0), value.get("handJoints3D", 0)
     if listed is not None and isinstance(joints, ndarray) and joints.size == 3:
         apart = float(np.linalg.norm(joints.reshape(3) - listed[0]))
-        if not apart <= SAME_WRIST:
+        if not apart <= MAX_WRIST_DISTANCE_M:
             raise InputError(
-                file, "handJoints3D", f"a wrist {apart:.3g} m from the one in {EVALUATION}_xyz.json", "the same"
+                file, "handJoints3D", f"a wrist {apart:.3g} m from the one in {EVALUATION_SPLIT}_xyz.json", "the same"
             )
         value = {**value, "handJoints3D": listed}
         joints = listed
     if rotation is None or joints is None or (isinstance(joints, ndarray) and joints.size == 3):
         return None
     name = value.get("objName")
-    if not isinstance(name, str) or not is_plain_name(name):
-        raise InputError(file, "objName", shown(name), "the name of a YCB object")
+    if not isinstance(name, str) or not is_portable_name(name):
+        raise InputError(file, "objName", shorten_value(name), "the name of a YCB object")
     T_cam_obj = se3.rigid(
-        OPENGL @ se3.exp_so3(numbers(file, value, "objRot", (3,))), OPENGL @ numbers(file, value, "objTrans", (3,))
+        R_CV_OPENGL @ se3.exp_so3(check_mano_numbers(file, value, "objRot", (3,))),
+        R_CV_OPENGL @ check_mano_numbers(file, value, "objTrans", (3,)),
     )
-    K = numbers(file, value, "camMat", (3, 3))
+    K = check_mano_numbers(file, value, "camMat", (3, 3))
     if not (K[0, 0] > 0 and K[1, 1] > 0 and np.all(K[2] == [0, 0, 1]) and K[0, 1] == 0):
-        raise InputError(file, "camMat", shown(K.tolist()), "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
-    joints = numbers(file, value, "handJoints3D", (21, 3)) @ OPENGL
+        raise InputError(file, "camMat", shorten_value(K.tolist()), "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+    joints = check_mano_numbers(file, value, "handJoints3D", (21, 3)) @ R_CV_OPENGL
     mano = (np.zeros(48), np.zeros(3), np.zeros(10))
     if with_mano:
         mano = (
-            numbers(file, value, "handPose", (48,)),
-            numbers(file, value, "handTrans", (3,)),
-            numbers(file, value, "handBeta", (10,)),
+            check_mano_numbers(file, value, "handPose", (48,)),
+            check_mano_numbers(file, value, "handTrans", (3,)),
+            check_mano_numbers(file, value, "handBeta", (10,)),
         )
-    return Frame(int(file.stem), name, T_cam_obj, K, joints, *mano)
+    return Ho3dFrame(int(file.stem), name, T_cam_obj, K, joints, *mano)
 
 
-def _fitted(folder: Path, frames: list[Frame]) -> HandTrack:
+def _fit_generic_hand(folder: Path, frames: list[Ho3dFrame]) -> HandTrack:
     """Fit the generic hand, with one shape for all frames."""
     try:
         return fit_joints(generic.load("right"), np.stack([frame.joints for frame in frames]), "ho3d").hand
@@ -227,15 +233,15 @@ def _fitted(folder: Path, frames: list[Frame]) -> HandTrack:
         raise InputError(folder / "meta", "handJoints3D", str(error), "the 21 joints of a hand") from error
 
 
-def _by_mano(mano: Path, frames: list[Frame]) -> HandTrack:
+def _pose_mano_hand(mano: Path, frames: list[Ho3dFrame]) -> HandTrack:
     """MANO's hand, of the shape that the sequence has."""
     pose = np.stack([frame.pose for frame in frames])
-    return mano_tracks.track(
-        mano_tracks.load(mano, "right"),
+    return mano_tracks.mano_hand_track(
+        mano_tracks.load_mano_hand(mano, "right"),
         pose[:, :3],
         pose[:, 3:],
         np.stack([frame.translation for frame in frames]),
         frames[0].shape,
         flat_hand_mean=True,
-        T_cam=se3.rigid(OPENGL),
+        T_cam=se3.rigid(R_CV_OPENGL),
     )

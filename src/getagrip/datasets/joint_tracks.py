@@ -25,20 +25,20 @@ from getagrip.hands.fit import fit_joints
 from getagrip.hands.model import HandModel, Side, hand_track
 from getagrip.provenance import Provenance, Source, assumed, estimated
 
-DISTANCE = 0.7
+ASSUMED_CAMERA_DISTANCE_M = 0.7
 """Distance of the assumed camera from the object's usual place [m]: about an arm's length."""
-ELEVATION = np.radians(45.0)
+ASSUMED_CAMERA_ELEVATION_RAD = np.radians(45.0)
 """How steeply it looks down [rad]."""
-SIZE = (840, 600)
+ASSUMED_IMAGE_SIZE_PX = (840, 600)
 """Width and height of its images [px], those of this package's ARCTIC masks."""
-FOCAL = 600.0
+ASSUMED_FOCAL_PX = 600.0
 """Its focal length [px]: it sees 70 by 53 degrees."""
 MIDDLE_KNUCKLE = 9
 """Among the 21 joints; the wrist is the first."""
 
 
 @dataclass(frozen=True)
-class Motion:
+class HandObjectMotion:
     """Joints of the hands, and the object, in every frame of a sequence."""
 
     file: Path
@@ -66,7 +66,7 @@ class Motion:
     """The joints as an estimator found them: clips are given hands that are fitted to these."""
 
 
-def tracks(motion: Motion) -> Iterator[Track]:
+def motion_tracks(motion: HandObjectMotion) -> Iterator[Track]:
     """Yield the object in each hand. Raises ``InputError`` where joints are no hand's."""
     fitted = {side: fit_hand(motion.file, f"{side} joints", side, j) for side, j in motion.joints.items()}
     camera, up = motion.camera, None
@@ -74,17 +74,17 @@ def tracks(motion: Motion) -> Iterator[Track]:
         up = np.array([0.0, 0.0, 1.0])
         places = se3.transform(motion.T_world_obj, motion.mesh.centre[None])[:, 0]
         camera = assumed_camera(places, motion.joints.values())
-    hands = {side: seen(hand.track, camera.T_cam_world) for side, hand in fitted.items()}
+    hands = {side: hand_to_camera(hand.track, camera.T_cam_world) for side, hand in fitted.items()}
     for side, hand in hands.items():
         described = "the generic hand, fitted to the true 21 joints over all frames: not the true surface"
-        provenance = motion.provenance | {"hands": described, "hand_fit": _fit(fitted[side])}
+        provenance = motion.provenance | {"hands": described, "hand_fit": _describe_hand_fit(fitted[side])}
         input_hand = None
         if side in motion.estimated:
             value = fit_hand(motion.file, f"estimated {side} joints", side, motion.estimated[side])
-            input_hand = seen(value.track, camera.T_cam_world)
-            provenance["truth"] = f"{described}; {_fit(fitted[side])}"
+            input_hand = hand_to_camera(value.track, camera.T_cam_world)
+            provenance["truth"] = f"{described}; {_describe_hand_fit(fitted[side])}"
             provenance["hands"] = estimated("the generic hand, fitted to 21 joints that were estimated")
-            provenance["hand_fit"] = _fit(value)
+            provenance["hand_fit"] = _describe_hand_fit(value)
         yield Track(
             file=motion.file,
             subject=motion.subject,
@@ -108,12 +108,12 @@ def tracks(motion: Motion) -> Iterator[Track]:
         )
 
 
-def _fit(hand: FittedHand) -> str:
+def _describe_hand_fit(hand: FittedHand) -> str:
     """How well a hand fits, in words."""
     return describe_fit(hand.residuals) + ", over the sequence"
 
 
-def seen(hand: HandTrack, T_cam_world: Float[ndarray, "T 4 4"]) -> HandTrack:
+def hand_to_camera(hand: HandTrack, T_cam_world: Float[ndarray, "T 4 4"]) -> HandTrack:
     """Transform a hand from the world frame to a camera's."""
     return replace(hand, T_cam_hand=T_cam_world @ hand.T_cam_hand)
 
@@ -140,23 +140,35 @@ def assumed_camera(places: Float[ndarray, "T 3"], hands: Iterable[Float[ndarray,
     if np.linalg.norm(behind) < 1e-6:  # hands that point straight up or down: from anywhere
         behind = np.array([1.0, 0.0, 0.0])
     behind /= np.linalg.norm(behind)
-    z = -(np.cos(ELEVATION) * behind + np.sin(ELEVATION) * up)
-    x = np.cross(z, up) / np.cos(ELEVATION)
-    side = f"on the forearms' side, {np.degrees(ELEVATION):.0f} degrees above it"
-    return facing(np.stack([x, np.cross(z, x), z]), places, f"a guess: none is given; fixed, {side}")
+    z = -(np.cos(ASSUMED_CAMERA_ELEVATION_RAD) * behind + np.sin(ASSUMED_CAMERA_ELEVATION_RAD) * up)
+    x = np.cross(z, up) / np.cos(ASSUMED_CAMERA_ELEVATION_RAD)
+    side = f"on the forearms' side, {np.degrees(ASSUMED_CAMERA_ELEVATION_RAD):.0f} degrees above it"
+    return camera_facing_object(np.stack([x, np.cross(z, x), z]), places, f"a guess: none is given; fixed, {side}")
 
 
-def facing(R_cam_world: Float[ndarray, "3 3"], places: Float[ndarray, "T 3"], described: str) -> PosedCamera:
-    """Place a fixed camera of some orientation that looks at the median of an object's places [m] from ``DISTANCE``."""
-    T_cam_world = se3.rigid(R_cam_world, [0.0, 0.0, DISTANCE] - R_cam_world @ np.median(places, axis=0))
-    K, size = pinhole()
-    described += f", {DISTANCE:g} m from the object's median place, focal length {FOCAL:g} px"
+def camera_facing_object(
+    R_cam_world: Float[ndarray, "3 3"], places: Float[ndarray, "T 3"], described: str
+) -> PosedCamera:
+    """Place a fixed camera of some orientation that looks at the median of an object's places [m] from ``ASSUMED_CAMERA_DISTANCE_M``."""
+    T_cam_world = se3.rigid(
+        R_cam_world, [0.0, 0.0, ASSUMED_CAMERA_DISTANCE_M] - R_cam_world @ np.median(places, axis=0)
+    )
+    K, size = assumed_pinhole()
+    described += (
+        f", {ASSUMED_CAMERA_DISTANCE_M:g} m from the object's median place, focal length {ASSUMED_FOCAL_PX:g} px"
+    )
     return PosedCamera(K, size, np.tile(T_cam_world, (len(places), 1, 1)), assumed(described))
 
 
-def pinhole() -> tuple[Float[ndarray, "3 3"], tuple[int, int]]:
+def assumed_pinhole() -> tuple[Float[ndarray, "3 3"], tuple[int, int]]:
     """Return the camera's intrinsics, and the size of its images [px]."""
-    return np.array([[FOCAL, 0.0, SIZE[0] / 2.0], [0.0, FOCAL, SIZE[1] / 2.0], [0.0, 0.0, 1.0]]), SIZE
+    return np.array(
+        [
+            [ASSUMED_FOCAL_PX, 0.0, ASSUMED_IMAGE_SIZE_PX[0] / 2.0],
+            [0.0, ASSUMED_FOCAL_PX, ASSUMED_IMAGE_SIZE_PX[1] / 2.0],
+            [0.0, 0.0, 1.0],
+        ]
+    ), ASSUMED_IMAGE_SIZE_PX
 
 
 @dataclass(frozen=True)
@@ -179,7 +191,7 @@ def fit_hand(file: Path, key: str, side: Side, joints: Float[ndarray, "T 21 3"])
         fit = fit_joints(model, joints, "openpose")
     except UsageError as error:
         raise InputError(file, key, str(error), "the 21 joints of a hand") from error
-    posed = model.with_shape(_with_girth(model, fit.shape, joints)).with_pose(fit.pose)
+    posed = model.with_shape(_normalise_girth(model, fit.shape, joints)).with_pose(fit.pose)
     track = hand_track(posed, fit.hand.T_cam_hand)
     return FittedHand(track, np.linalg.norm(se3.transform(track.T_cam_hand, posed.joints) - joints, axis=-1))
 
@@ -191,18 +203,20 @@ def describe_fit(residuals: Float[ndarray, "T 21"]) -> str:
     return f"joints {rms:.1f} mm off (root mean square; median {np.median(off):.1f}, worst {off.max():.1f})"
 
 
-def _with_girth(model: HandModel, shape: Float[ndarray, "S"], joints: Float[ndarray, "T 21 3"]) -> Float[ndarray, "S"]:
+def _normalise_girth(
+    model: HandModel, shape: Float[ndarray, "S"], joints: Float[ndarray, "T 21 3"]
+) -> Float[ndarray, "S"]:
     """Return the shape with fingers as thick as the hand is long.
 
     Joints say nothing about girth, but enlarge it by chance.
     """
-    length = np.median(_length(joints)) / _length(model.with_shape().with_pose().joints)
+    length = np.median(_mean_finger_length(joints)) / _mean_finger_length(model.with_shape().with_pose().joints)
     shape = shape.copy()
     shape[model.shape_names.index("thickness")] = length - 1.0 - shape[model.shape_names.index("size")]
     return shape
 
 
-def _length(joints: Float[ndarray, "*batch 21 3"]) -> Float[ndarray, "*batch"]:
+def _mean_finger_length(joints: Float[ndarray, "*batch 21 3"]) -> Float[ndarray, "*batch"]:
     """Mean over the four fingers of the length along the bones from the wrist to the tip [m]."""
     wrist = np.broadcast_to(joints[..., None, :1, :], (*joints.shape[:-2], 4, 1, 3))
     chains = np.concatenate([wrist, joints[..., 5:, :].reshape(*joints.shape[:-2], 4, 4, 3)], axis=-2)

@@ -14,11 +14,11 @@ from getagrip.clip import HandTrack
 from getagrip.errors import InputError, MissingOptionError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands import mano
-from getagrip.hands.model import MIRROR, Side, hand_track, root_transform
+from getagrip.hands.model import SIDE_MIRROR, Side, hand_track, root_transform
 from getagrip.io import arrays
-from getagrip.io.files import shown
+from getagrip.io.files import shorten_value
 
-FILES: dict[Side, str] = {"left": "MANO_LEFT.pkl", "right": "MANO_RIGHT.pkl"}
+MANO_FILE_BY_SIDE: dict[Side, str] = {"left": "MANO_LEFT.pkl", "right": "MANO_RIGHT.pkl"}
 
 
 def mano_folder(folder: Path | None, dataset: str) -> Path:
@@ -26,20 +26,22 @@ def mano_folder(folder: Path | None, dataset: str) -> Path:
     if folder is None:
         raise MissingOptionError(
             f"missing --mano: {dataset} holds its hands as parameters of MANO; the folder of "
-            f"{' and '.join(FILES.values())} (https://mano.is.tue.mpg.de)"
+            f"{' and '.join(MANO_FILE_BY_SIDE.values())} (https://mano.is.tue.mpg.de)"
         )
-    if not any((folder / name).is_file() for name in FILES.values()):
-        raise UsageError(f"--mano must be a folder that holds {' and '.join(FILES.values())} (got {folder})")
+    if not any((folder / name).is_file() for name in MANO_FILE_BY_SIDE.values()):
+        raise UsageError(
+            f"--mano must be a folder that holds {' and '.join(MANO_FILE_BY_SIDE.values())} (got {folder})"
+        )
     return folder
 
 
-def load(folder: Path, side: Side, repaired: bool = True) -> mano.Mano:
+def load_mano_hand(folder: Path, side: Side, repaired: bool = True) -> mano.Mano:
     """Load a MANO hand; unless ``repaired``, with the published left hand's shape space as it is.
 
     Whoever fitted the published left hand found betas that give the right surface only with its fault (``hands.mano``).
     Raises ``InputError``.
     """
-    hand = mano.load(folder / FILES[side], side)
+    hand = mano.load(folder / MANO_FILE_BY_SIDE[side], side)
     if side == "right" or repaired:
         return hand
     model = hand.model
@@ -47,13 +49,13 @@ def load(folder: Path, side: Side, repaired: bool = True) -> mano.Mano:
         hand,
         model=replace(
             model,
-            shape_directions=model.shape_directions * MIRROR[:, None],
-            joint_directions=model.joint_directions * MIRROR[:, None],
+            shape_directions=model.shape_directions * SIDE_MIRROR[:, None],
+            joint_directions=model.joint_directions * SIDE_MIRROR[:, None],
         ),
     )
 
 
-def track(
+def mano_hand_track(
     hand: mano.Mano,
     rotation: Float[ndarray, "T 3"],
     pose: Float[ndarray, "T 45"],
@@ -71,7 +73,7 @@ def track(
     return hand_track(posed, T_cam @ root_transform(se3.exp_so3(rotation), translation, shaped.joints[0]))
 
 
-def numbers(
+def check_mano_numbers(
     path: Path, entry: Mapping[str, object], key: str, shape: tuple[int, ...], of: str = ""
 ) -> Float[ndarray, "..."]:
     """Check that an array is finite and has the given shape, with -1 for any length above 0 and any axes of 1 in front.
@@ -85,7 +87,7 @@ def numbers(
     if isinstance(value, list | tuple):
         value = arrays.from_lists(value)
     if not isinstance(value, ndarray):
-        raise InputError(path, name, shown(entry[key]), f"numbers of shape {shape}")
+        raise InputError(path, name, shorten_value(entry[key]), f"numbers of shape {shape}")
     if value.dtype.kind not in "fiu":
         raise InputError(path, name, f"an array of {value.dtype}", f"numbers of shape {shape}")
     if value.size == abs(int(np.prod(shape))) and -1 not in shape:

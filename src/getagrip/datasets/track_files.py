@@ -38,31 +38,42 @@ from tyro.conf import arg
 from getagrip.clip import Joint
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
-from getagrip.datasets.joint_tracks import Motion, PosedCamera, tracks
-from getagrip.datasets.tracks import Source, Track, check_length
+from getagrip.datasets.joint_tracks import HandObjectMotion, PosedCamera, motion_tracks
+from getagrip.datasets.tracks import SequenceSource, Track, check_length
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import read_mesh
-from getagrip.geometry.subdivide import fine
-from getagrip.grasps.definition import FEWEST, GraspOptions
-from getagrip.hands.fit import ORDERS
+from getagrip.geometry.subdivide import subdivide_parts
+from getagrip.grasps.definition import MIN_GRASP_FRAMES, GraspOptions
+from getagrip.hands.fit import JOINT_ORDERS
 from getagrip.hands.model import Side
 from getagrip.io import arrays
-from getagrip.io.files import inside, is_plain_name, listed, shown
+from getagrip.io.files import inside, is_portable_name, list_files, shorten_value
 from getagrip.provenance import assumed, measured
 
-SIDES: tuple[Side, ...] = ("left", "right")
-NAMES = ("category", "subject", "sequence")
-CAMERA = ("K", "size", "T_cam_world")
-JOINT = ("articulation", "mesh_top", "joint")
-TEXTS = ("source", "licence", "assumed_camera")
-JOINTS = tuple(f"{kind}_{side}" for kind in ("joints", "estimated") for side in SIDES)
-KEYS = {*JOINTS, "order", "T_world_obj", "mesh", "fps", "frames", *NAMES, *CAMERA, *JOINT, *TEXTS}
-WITHIN_10_MM = GraspOptions(contact_mm=10.0, shortest=FEWEST)
+HAND_SIDES: tuple[Side, ...] = ("left", "right")
+TRACK_NAME_KEYS = ("category", "subject", "sequence")
+CAMERA_KEYS = ("K", "size", "T_cam_world")
+ARTICULATION_KEYS = ("articulation", "mesh_top", "joint")
+SOURCE_TEXT_KEYS = ("source", "licence", "assumed_camera")
+JOINT_ARRAY_KEYS = tuple(f"{kind}_{side}" for kind in ("joints", "estimated") for side in HAND_SIDES)
+TRACK_FILE_KEYS = {
+    *JOINT_ARRAY_KEYS,
+    "order",
+    "T_world_obj",
+    "mesh",
+    "fps",
+    "frames",
+    *TRACK_NAME_KEYS,
+    *CAMERA_KEYS,
+    *ARTICULATION_KEYS,
+    *SOURCE_TEXT_KEYS,
+}
+GRASP_OPTIONS_10_MM = GraspOptions(contact_mm=10.0, shortest=MIN_GRASP_FRAMES)
 """Definition of ``arctic`` except for the contact: within 10 mm, fitted hands touch as true ones do (docs/arctic.md),
 at 0 mm not."""
-FASTEST = 1000.0
+MAX_TRACK_FPS = 1000.0
 """Frames per second."""
 
 Arrays = dict[str, Shaped[ndarray, "..."]]
@@ -72,33 +83,33 @@ Arrays = dict[str, Shaped[ndarray, "..."]]
 class Tracks(TrackedDataset):
     """Any motion capture: files of joints and object poses (docs/formats.md): every visible stable grasp."""
 
-    grasps: Annotated[GraspOptions, arg(name="")] = WITHIN_10_MM
+    grasps: Annotated[GraspOptions, arg(name="")] = GRASP_OPTIONS_10_MM
     """Definition of a stable grasp."""
 
-    def sources(self) -> list[Source]:
+    def sources(self) -> list[SequenceSource]:
         """List the file ``root``, or the files in a folder."""
-        files = [self.root] if self.root.is_file() else listed(self.root, (".npz",))
+        files = [self.root] if self.root.is_file() else list_files(self.root, (".npz",))
         if not files:
             raise InputError(self.root, "", "no .npz file", "a file of tracks, or a folder of them")
-        return [Source(file.stem, partial(_read, file)) for file in files]
+        return [SequenceSource(file.stem, partial(_read_tracks, file)) for file in files]
 
 
-def _read(file: Path, note: Note) -> Iterator[Track]:
+def _read_tracks(file: Path, note: Note) -> Iterator[Track]:
     """Yield the object in each hand, in the frames in which all that the file holds is known."""
     motion = read_motion(file, note)
     if motion is not None:
-        yield from tracks(motion)
+        yield from motion_tracks(motion)
 
 
-def read_motion(file: Path, note: Note) -> Motion | None:
+def read_motion(file: Path, note: Note) -> HandObjectMotion | None:
     """Read a file, in the frames in which all that it holds is known; None for fewer than 2. Raises ``InputError``."""
-    stored = arrays.read(file, KEYS.__contains__)
-    order = _order(file, stored)
-    category, subject, sequence = (_name(file, stored, key) for key in NAMES)
-    poses = _maybe_unknown(file, stored, "T_world_obj", (-1, 4, 4))
+    stored = arrays.read(file, TRACK_FILE_KEYS.__contains__)
+    order = _read_joint_order(file, stored)
+    category, subject, sequence = (_read_name(file, stored, key) for key in TRACK_NAME_KEYS)
+    poses = _read_with_unknown_frames(file, stored, "T_world_obj", (-1, 4, 4))
     T = len(poses)
     check_length(file, "T_world_obj", T)
-    joints, estimated = _joints(file, stored, "joints", T), _joints(file, stored, "estimated", T)
+    joints, estimated = _read_joint_arrays(file, stored, "joints", T), _read_joint_arrays(file, stored, "estimated", T)
     if not joints:
         raise InputError(file, "joints_left, joints_right", "none of them", "the joints of a hand or of both")
     if estimated and estimated.keys() != joints.keys():
@@ -112,44 +123,46 @@ def read_motion(file: Path, note: Note) -> Motion | None:
         return None
     if not se3.is_rigid(poses[rows]).all():
         raise InputError(file, "T_world_obj", "matrices that are no rigid motions", "rotations and translations [m]")
-    mesh, joint = _object(file, stored)
-    return Motion(
+    mesh, joint = _read_object(file, stored)
+    return HandObjectMotion(
         file=file,
         subject=subject,
         sequence=sequence,
         category=category,
-        fps=_rate(file, stored),
-        numbers=_numbers(file, stored, T)[rows],
+        fps=_read_fps(file, stored),
+        numbers=_read_frame_numbers(file, stored, T)[rows],
         joints={side: of_side[rows][:, order] for side, of_side in joints.items()},
         estimated={side: of_side[rows][:, order] for side, of_side in estimated.items()},
         T_world_obj=poses[rows],
         mesh=mesh,
         joint=joint,
         articulation=arrays.floats(file, stored, "articulation", (T,))[rows] if "articulation" in stored else None,
-        camera=_camera(file, stored, T, rows),
+        camera=_read_posed_camera(file, stored, T, rows),
         provenance={
             "source": f"{file.name}, {subject}/{sequence}",
-            **{key: _text(file, stored, key) for key in ("source", "licence") if key in stored},
+            **{key: _read_text(file, stored, key) for key in ("source", "licence") if key in stored},
             "scale": f"the file's mesh, taken as of true size; long edges halved: {len(mesh.vertices)} vertices",
         },
     )
 
 
-def _joints(file: Path, arrays: Arrays, kind: str, T: int) -> dict[Side, Float[ndarray, "T 21 3"]]:
+def _read_joint_arrays(file: Path, arrays: Arrays, kind: str, T: int) -> dict[Side, Float[ndarray, "T 21 3"]]:
     """Read the joints of each hand that the file has, in its own order."""
-    keys = {side: f"{kind}_{side}" for side in SIDES}
-    return {side: _maybe_unknown(file, arrays, key, (T, 21, 3)) for side, key in keys.items() if key in arrays}
+    keys = {side: f"{kind}_{side}" for side in HAND_SIDES}
+    return {
+        side: _read_with_unknown_frames(file, arrays, key, (T, 21, 3)) for side, key in keys.items() if key in arrays
+    }
 
 
-def _object(file: Path, value: Arrays) -> tuple[Mesh, Joint | None]:
+def _read_object(file: Path, value: Arrays) -> tuple[Mesh, Joint | None]:
     """Read the object from its mesh, or from two where it has a joint."""
-    has = [key for key in JOINT if key in value]
-    if has and len(has) < len(JOINT):
-        raise InputError(file, ", ".join(JOINT), f"only {', '.join(has)}", "all of them, or none")
+    has = [key for key in ARTICULATION_KEYS if key in value]
+    if has and len(has) < len(ARTICULATION_KEYS):
+        raise InputError(file, ", ".join(ARTICULATION_KEYS), f"only {', '.join(has)}", "all of them, or none")
     parts = []
     for key in ("mesh", "mesh_top") if has else ("mesh",):
-        parts.append(read_mesh(inside(file.parent, _text(file, value, key), key, "a mesh", file)))
-    mesh, part = fine(parts)
+        parts.append(read_mesh(inside(file.parent, _read_text(file, value, key), key, "a mesh", file)))
+    mesh, part = subdivide_parts(parts)
     if not has:
         return mesh, None
     point, direction = arrays.floats(file, value, "joint", (2, 3))
@@ -159,13 +172,13 @@ def _object(file: Path, value: Arrays) -> tuple[Mesh, Joint | None]:
     return mesh, Joint(moves=part == 1, point=point, direction=direction / length)
 
 
-def _camera(file: Path, value: Arrays, T: int, rows: Int[ndarray, "n"]) -> PosedCamera | None:
+def _read_posed_camera(file: Path, value: Arrays, T: int, rows: Int[ndarray, "n"]) -> PosedCamera | None:
     """Return the file's camera in some of its frames; None where it has none."""
-    has = [key for key in CAMERA if key in value]
+    has = [key for key in CAMERA_KEYS if key in value]
     if not has:
         return None
-    if len(has) < len(CAMERA):
-        raise InputError(file, ", ".join(CAMERA), f"only {', '.join(has)}", "all of them, or none")
+    if len(has) < len(CAMERA_KEYS):
+        raise InputError(file, ", ".join(CAMERA_KEYS), f"only {', '.join(has)}", "all of them, or none")
     K = arrays.floats(file, value, "K", (3, 3))
     width, height = (float(n) for n in arrays.floats(file, value, "size", (2,), kinds="iuf"))
     if not (1 <= width <= 10_000 and 1 <= height <= 10_000 and width % 1 == height % 1 == 0):
@@ -174,28 +187,28 @@ def _camera(file: Path, value: Arrays, T: int, rows: Int[ndarray, "n"]) -> Posed
     if not se3.is_rigid(T_cam_world).all():
         raise InputError(file, "T_cam_world", "what is no rigid motion", "rotations and translations [m]")
     described = (
-        assumed(_text(file, value, "assumed_camera")) if "assumed_camera" in value else measured("the file's own")
+        assumed(_read_text(file, value, "assumed_camera")) if "assumed_camera" in value else measured("the file's own")
     )
     return PosedCamera(K, (int(width), int(height)), np.broadcast_to(T_cam_world, (T, 4, 4))[rows], described)
 
 
-def _numbers(file: Path, value: Arrays, T: int) -> Int[ndarray, "T"]:
+def _read_frame_numbers(file: Path, value: Arrays, T: int) -> Int[ndarray, "T"]:
     if "frames" not in value:
         return np.arange(T)
     numbers = arrays.floats(file, value, "frames", (T,), kinds="iu").astype(np.int64)
     if numbers[0] < 0 or np.any(np.diff(numbers) <= 0) or numbers[-1] >= 10**9:
-        raise InputError(file, "frames", shown(numbers[:8].tolist()), "rising numbers from 0 to 999999999")
+        raise InputError(file, "frames", shorten_value(numbers[:8].tolist()), "rising numbers from 0 to 999999999")
     return numbers
 
 
-def _rate(file: Path, value: Arrays) -> float:
+def _read_fps(file: Path, value: Arrays) -> float:
     fps = float(arrays.floats(file, value, "fps", (), kinds="iuf"))
-    if not 0.0 < fps <= FASTEST:
-        raise InputError(file, "fps", f"{fps:g}", f"frames per second, up to {FASTEST:g}")
+    if not 0.0 < fps <= MAX_TRACK_FPS:
+        raise InputError(file, "fps", f"{fps:g}", f"frames per second, up to {MAX_TRACK_FPS:g}")
     return fps
 
 
-def _maybe_unknown(file: Path, value: Arrays, key: str, shape: tuple[int, ...]) -> Float[ndarray, "T ..."]:
+def _read_with_unknown_frames(file: Path, value: Arrays, key: str, shape: tuple[int, ...]) -> Float[ndarray, "T ..."]:
     """Check an array in which whole frames may be NaN.
 
     Raises ``InputError`` also for frames of which only a part is.
@@ -210,7 +223,7 @@ def _maybe_unknown(file: Path, value: Arrays, key: str, shape: tuple[int, ...]) 
     return arrays.floats(file, value, key, shape)
 
 
-def _text(file: Path, arrays: Arrays, key: str) -> str:
+def _read_text(file: Path, arrays: Arrays, key: str) -> str:
     if key not in arrays:
         raise InputError(file, key, "no such array", "a text")
     value = arrays[key]
@@ -219,17 +232,17 @@ def _text(file: Path, arrays: Arrays, key: str) -> str:
     return str(value)
 
 
-def _name(file: Path, arrays: Arrays, key: str) -> str:
-    name = _text(file, arrays, key)
-    if not is_plain_name(name):
-        raise InputError(file, key, shown(name), "a name that can be part of a folder's")
+def _read_name(file: Path, arrays: Arrays, key: str) -> str:
+    name = _read_text(file, arrays, key)
+    if not is_portable_name(name):
+        raise InputError(file, key, shorten_value(name), "a name that can be part of a folder's")
     return name
 
 
-def _order(file: Path, arrays: Arrays) -> list[int]:
+def _read_joint_order(file: Path, arrays: Arrays) -> list[int]:
     """Return the index of each of this package's joints in the file."""
-    order = _text(file, arrays, "order")
-    for name, places in ORDERS.items():
+    order = _read_text(file, arrays, "order")
+    for name, places in JOINT_ORDERS.items():
         if order == name:
             return places
-    raise InputError(file, "order", shown(order), f"one of {', '.join(ORDERS)}")
+    raise InputError(file, "order", shorten_value(order), f"one of {', '.join(JOINT_ORDERS)}")

@@ -19,24 +19,24 @@ from getagrip.datasets.dataset import Note
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.grasps.lists import BETWEEN, ListedGrasp
+from getagrip.grasps.lists import CLIP_NAME_SEPARATOR, ListedGrasp
 from getagrip.hands.model import Side
 from getagrip.io.files import Json
-from getagrip.io.terminal import counted
+from getagrip.io.terminal import format_count
 from getagrip.provenance import Provenance
 
 if TYPE_CHECKING:
     from getagrip.geometry.render import Surface
 
-MOST_FRAMES = 20_000
+MAX_SEQUENCE_FRAMES = 20_000
 """Most frames of a sequence: ten times as many as the longest of these datasets has. A hand in all of them takes 0.4
 GB."""
 
 
 def check_length(path: Path, key: str, frames: int) -> None:
     """Raise ``InputError`` for more frames than a sequence can have, before memory is taken for them."""
-    if frames > MOST_FRAMES:
-        raise InputError(path, key, f"{frames} frames", f"at most {MOST_FRAMES}")
+    if frames > MAX_SEQUENCE_FRAMES:
+        raise InputError(path, key, f"{frames} frames", f"at most {MAX_SEQUENCE_FRAMES}")
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Track:
     @property
     def name(self) -> str:
         """Name of its clips, without the count."""
-        return BETWEEN.join([self.subject, self.sequence, self.category, self.side])
+        return CLIP_NAME_SEPARATOR.join([self.subject, self.sequence, self.category, self.side])
 
     @property
     def frames(self) -> tuple[str, ...]:
@@ -125,7 +125,7 @@ class Track:
         mesh = self.object(0.0 if self.articulation is None else float(self.articulation[row]))
         return se3.transform(self.T_cam_obj[row], mesh.vertices), mesh.faces
 
-    def describe(self, piece: Piece) -> Json:
+    def describe(self, piece: TrackPiece) -> Json:
         """Return the provenance of a piece's clip; this track has the frames of the piece that were kept."""
         out = {"subject": self.subject, **self.provenance, "clip": piece.made_of}
         if piece.masks and self.read_masks is None:
@@ -138,12 +138,12 @@ class Track:
             angles = f"between {low:.1f} and {high:.1f} degrees"
             out["articulation"] = f"the joint is {angles}; the mesh has it at the mean, the masks as it was"
         if len(self) < len(piece.track):
-            out["dropped"] = f"{counted(len(piece.track) - len(self), 'frame')} in which the object is not visible"
+            out["dropped"] = f"{format_count(len(piece.track) - len(self), 'frame')} in which the object is not visible"
         return out
 
 
 @dataclass(frozen=True)
-class Piece:
+class TrackPiece:
     """A part of a track that becomes a clip."""
 
     track: Track
@@ -163,7 +163,7 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class Source:
+class SequenceSource:
     """A sequence that is yet to be read; it can be sent to another process."""
 
     name: str
@@ -171,15 +171,17 @@ class Source:
     """Read a hand file; raise ``InputError`` for a malformed one."""
 
 
-def subject_of(clip_name: str) -> str:
+def subject_from_clip_name(clip_name: str) -> str:
     """Return the person whose hand is in a clip. Raises ``UsageError`` for a name that no track has."""
-    subject, between, rest = clip_name.partition(BETWEEN)
+    subject, between, rest = clip_name.partition(CLIP_NAME_SEPARATOR)
     if not (subject and between and rest):
-        raise UsageError(f"clip's name must be <subject>{BETWEEN}<sequence>{BETWEEN}<object>... (got {clip_name!r})")
+        raise UsageError(
+            f"clip's name must be <subject>{CLIP_NAME_SEPARATOR}<sequence>{CLIP_NAME_SEPARATOR}<object>... (got {clip_name!r})"
+        )
     return subject
 
 
-def in_pixels(K: Float[ndarray, "3 3"], scale: float = 1.0) -> Float[ndarray, "3 3"]:
+def intrinsics_from_opencv(K: Float[ndarray, "3 3"], scale: float = 1.0) -> Float[ndarray, "3 3"]:
     """Convert OpenCV's intrinsics to those of an image ``scale`` times as large.
 
     OpenCV counts from the centre of the first pixel, this package from its corner.

@@ -10,13 +10,13 @@ from tyro.conf import arg
 
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.mesh import Mesh
-from getagrip.geometry.mesh_files import SUFFIXES, read_mesh
+from getagrip.geometry.mesh_files import MESH_SUFFIXES, read_mesh
 
 Models = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: ROOT/models)")]
 """The option that names their folder."""
 
 
-def folder(root: Path, value: Path | None) -> Path:
+def ycb_models_folder(root: Path, value: Path | None) -> Path:
     """Return the folder of the models: the one given, or else ``models`` in ``root``.
 
     Raises ``UsageError`` without it.
@@ -27,7 +27,7 @@ def folder(root: Path, value: Path | None) -> Path:
     return models
 
 
-def mesh(models: Path, name: str) -> Mesh:
+def read_ycb_mesh(models: Path, name: str) -> Mesh:
     """Read a model in metres. Raises ``InputError``, also where the folder has none of that name."""
     found = find_mesh(models, name)
     if found is None:
@@ -38,7 +38,7 @@ def mesh(models: Path, name: str) -> Mesh:
 @lru_cache
 def find_mesh(models: Path, name: str) -> Mesh | None:
     """Find ``<name>.obj`` (or another format), or as YCB has it, ``<name>/textured_simple.obj``; else None."""
-    for path in (*(models / f"{name}{suffix}" for suffix in SUFFIXES), models / name / "textured_simple.obj"):
+    for path in (*(models / f"{name}{suffix}" for suffix in MESH_SUFFIXES), models / name / "textured_simple.obj"):
         if path.is_file():
             return read_mesh(path)
     return None

@@ -6,7 +6,14 @@
 """
 
 from getagrip.evaluation.meshes import evaluate_meshes
-from getagrip.evaluation.results import Evaluation, clip_of, evaluate, evaluate_result, read_evaluated, read_with_clip
+from getagrip.evaluation.results import (
+    Evaluation,
+    clip_of,
+    evaluate,
+    evaluate_result,
+    read_result_and_clip,
+    read_result_clip_masks,
+)
 from getagrip.evaluation.tables import contact_tables, results_table, summary
 
 __all__ = [
@@ -16,8 +23,8 @@ __all__ = [
     "evaluate",
     "evaluate_meshes",
     "evaluate_result",
-    "read_evaluated",
-    "read_with_clip",
+    "read_result_and_clip",
+    "read_result_clip_masks",
     "results_table",
     "summary",
 ]

@@ -20,8 +20,8 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.metrics import visible_surface
 from getagrip.metrics.contact import (
     CONTACT_DEFINITIONS,
-    MAX_DISTANCE,
-    SIDES,
+    CONTACT_SIDES,
+    MAX_SIGNED_DISTANCE_M,
     ContactDefinition,
     ContactDistances,
     Side,
@@ -32,14 +32,14 @@ from getagrip.metrics.contact import (
 from getagrip.metrics.mask import MaskIou
 from getagrip.metrics.motion import ContactPairs
 from getagrip.metrics.pose import ObjectTrack, PoseErrors, best_symmetry, pose_errors
-from getagrip.metrics.recall import PIXELS, SHARES, SymmetricErrors, recall
+from getagrip.metrics.recall import MSPD_THRESHOLDS_PX, MSSD_THRESHOLDS, SymmetricErrors, recall_at_thresholds
 from getagrip.metrics.symmetry import Symmetries, find_symmetries
 
 V = TypeVar("V")
 
-SHARED = 8
+TRUTH_CACHE_SIZE = 8
 """Number of values of ground truths that are kept, the latest: of a clip, in all frames and in fitted ones."""
-_SHARED: dict[tuple[object, ...], Any] = {}
+_TRUTH_CACHE: dict[tuple[object, ...], Any] = {}
 
 
 class MissingPartError(Exception):
@@ -66,7 +66,7 @@ class Comparison:
     @property
     def reach(self) -> float:
         """Distance up to which distances of hand and object must be exact [m]."""
-        return max(MAX_DISTANCE, *(contact.threshold + 1e-3 for contact in self.contacts))
+        return max(MAX_SIGNED_DISTANCE_M, *(contact.threshold + 1e-3 for contact in self.contacts))
 
     @property
     def iou(self) -> MaskIou:
@@ -81,7 +81,7 @@ class Comparison:
     @property
     def sides(self) -> Sequence[Side]:
         """Sides whose points are the same in all frames."""
-        return SIDES
+        return CONTACT_SIDES
 
     @property
     def predicted(self) -> ObjectTrack:
@@ -125,7 +125,7 @@ class Comparison:
         if clip.truth is None:
             raise MissingPartError
         hand, mesh = clip.truth.hand_vertices, clip.mesh
-        return _shared(
+        return _compute_truth_cached(
             lambda: contact_distances(mesh, [true], hand, clip.hand.faces, self.reach)[0],
             mesh.vertices, mesh.faces, true.T_ref_obj, true.scale, hand, clip.hand.faces, self.reach,
         )  # fmt: skip
@@ -189,12 +189,14 @@ class Comparison:
     @cached_property
     def mssd_recall(self) -> Float[ndarray, "T"]:
         """BOP's recall of the largest distance in space."""
-        return recall(self.symmetric_errors.mssd(), SHARES * self.errors_cam.diameter)
+        return recall_at_thresholds(self.symmetric_errors.mssd(), MSSD_THRESHOLDS * self.errors_cam.diameter)
 
     @cached_property
     def mspd_recall(self) -> Float[ndarray, "T"]:
         """BOP's recall of the largest distance in the image."""
-        return recall(self.symmetric_errors.mspd(self.clip.K), PIXELS * self.clip.size[0] / 640)
+        return recall_at_thresholds(
+            self.symmetric_errors.mspd(self.clip.K), MSPD_THRESHOLDS_PX * self.clip.size[0] / 640
+        )
 
     @cached_property
     def vsd_recall(self) -> Float[ndarray, "T"]:
@@ -209,8 +211,10 @@ class Comparison:
                 for track in (self.predicted_in_camera, self.true_in_camera)
             )
             predicted, true = (rays * np.where(np.isfinite(z), z, 0.0) for z in (predicted, true))
-            tolerances = visible_surface.SHARES * clip.mesh.diameter * self.true_in_camera.scale
-            found[n] = visible_surface.recall(visible_surface.discrepancy(predicted, true, rays * image, tolerances))
+            tolerances = visible_surface.VSD_TOLERANCES * clip.mesh.diameter * self.true_in_camera.scale
+            found[n] = visible_surface.vsd_recall(
+                visible_surface.discrepancy(predicted, true, rays * image, tolerances)
+            )
         if np.isnan(found).all():
             raise MissingPartError
         return found
@@ -227,7 +231,7 @@ class Comparison:
     def contact_pairs(self) -> ContactPairs:
         """Vertices of the true hand and the nearest of the true object."""
         hand, object_ = self.hand_in_camera[1], self.object_in_camera[1]
-        return _shared(lambda: ContactPairs.of(hand, object_), hand, object_)
+        return _compute_truth_cached(lambda: ContactPairs.of(hand, object_), hand, object_)
 
     def contact(self, definition: ContactDefinition) -> StableContact:
         """Measure the stable contact of the reconstruction."""
@@ -268,12 +272,12 @@ class Comparison:
         return self.masks if self.masks.say_what_hides else occluded_by_hand(self.clip, self.masks)
 
 
-def _shared(compute: Callable[[], V], *inputs: ndarray | float) -> V:
+def _compute_truth_cached(compute: Callable[[], V], *inputs: ndarray | float) -> V:
     """Compute a value of the ground truth once for all methods compared on a clip; it depends on ``inputs`` alone."""
     key = tuple(part.tobytes() if isinstance(part, ndarray) else part for part in inputs)
-    if key not in _SHARED:
-        while len(_SHARED) >= SHARED:
-            _SHARED.pop(next(iter(_SHARED)))
-        _SHARED[key] = compute()
-    found: V = _SHARED[key]
+    if key not in _TRUTH_CACHE:
+        while len(_TRUTH_CACHE) >= TRUTH_CACHE_SIZE:
+            _TRUTH_CACHE.pop(next(iter(_TRUTH_CACHE)))
+        _TRUTH_CACHE[key] = compute()
+    found: V = _TRUTH_CACHE[key]
     return found

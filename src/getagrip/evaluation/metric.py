@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from getagrip.evaluation.comparison import Comparison, MissingPartError
 from getagrip.io import plugins
-from getagrip.io.plugins import Table
+from getagrip.io.plugins import PluginTable
 from getagrip.metrics import motion, recall
 from getagrip.metrics.contact import ContactDefinition
 
@@ -64,13 +64,13 @@ class Metric:
         return "-" if np.isnan(value) else f"{factor * value:.{self.decimals}f}"
 
 
-def mean_of(values: Float[ndarray, "n"]) -> float:
+def nan_mean(values: Float[ndarray, "n"]) -> float:
     """Compute the mean of the values that are known (not NaN); NaN if none is."""
     known = values[~np.isnan(values)]
     return float(known.mean()) if known.size else float("nan")
 
 
-def _penetration(
+def _penetration_metrics(
     name: str,
     depth: Callable[[Comparison], ndarray],
     heading: str = "",
@@ -82,7 +82,7 @@ def _penetration(
     def mean_inside(it: Comparison) -> float:
         millimetres = 1e3 * depth(it)
         inside = millimetres[millimetres > 0.0]
-        return mean_of(inside) if inside.size else 0.0
+        return nan_mean(inside) if inside.size else 0.0
 
     return (
         Metric(
@@ -98,18 +98,18 @@ def _penetration(
     )
 
 
-def _sca_iou(least: float) -> Metric:
+def _sca_iou_metric(least: float) -> Metric:
     """SCA where the mean IOU is above a threshold, else 0."""
     return Metric(
         f"sca_iou_{100 * least:.0f}",
-        lambda it, contact: it.contact(contact).sca * (mean_of(it.iou.crop) > least),
+        lambda it, contact: it.contact(contact).sca * (nan_mean(it.iou.crop) > least),
         heading=f"SCA-IOU\n> {least:g}",
         label=f"SCA-IOU {least:g}",
         by_contact=True,
     )
 
 
-def _closed(it: Comparison) -> float:
+def _closed_mesh_fraction(it: Comparison) -> float:
     """Share of the meshes that have no holes."""
     closed = [mesh.is_closed for mesh in it.meshes if mesh is not None]
     if not closed:
@@ -117,18 +117,20 @@ def _closed(it: Comparison) -> float:
     return float(np.mean(closed))
 
 
-def _known(values: Float[ndarray, "n"]) -> float:
+def _nan_mean_or_missing(values: Float[ndarray, "n"]) -> float:
     """Compute the mean of the values that are known; there is no such part where none is."""
     if np.isnan(values).all():
         raise MissingPartError
-    return mean_of(values)
+    return nan_mean(values)
 
 
 def _motion_deviation(it: Comparison) -> float:
     """Motion deviation of hand and object in stable contact; there is none without such contact."""
     hand, object_ = it.hand_in_camera[0], it.object_in_camera[0]
     vertices = it.true.scale * it.clip.mesh.vertices
-    return _known(np.array([motion.motion_deviation(it.contact_pairs, vertices, hand, object_, it.clip.time)]))
+    return _nan_mean_or_missing(
+        np.array([motion.motion_deviation(it.contact_pairs, vertices, hand, object_, it.clip.time)])
+    )
 
 
 IOU = Metric(
@@ -171,10 +173,12 @@ TRUE_SCA = Metric(
     "truth_sca", lambda it, contact: it.true_contact(contact).sca, heading="truth's", label="truth's SCA",
     by_contact=True, needs_truth=True, ranked=False,
 )  # fmt: skip
-REPLAY = Metric("replay_stays", lambda _, __: _known(np.full(1, np.nan)), label="stays", decimals=0)
+REPLAY_STABILITY = Metric(
+    "replay_stays", lambda _, __: _nan_mean_or_missing(np.full(1, np.nan)), label="stays", decimals=0
+)
 """Share of the frames in which the object stays in the simulated hand; known where ``export.replay`` measured it."""
 
-_of_bop = partial(Metric, group="recall", needs_truth=True)
+_bop_metric = partial(Metric, group="recall", needs_truth=True)
 _METRICS: tuple[Metric, ...] = (
     IOU,
     Metric("iou_soft", lambda it, _: it.iou.soft),
@@ -183,12 +187,12 @@ _METRICS: tuple[Metric, ...] = (
     Metric(
         "add_success", lambda it, _: float(it.errors.success), "%", "ADD", label="ADD", decimals=0, needs_truth=True,
     ),
-    Metric("add_frame_success", lambda it, _: mean_of(it.errors.frame_success), needs_truth=True),
+    Metric("add_frame_success", lambda it, _: nan_mean(it.errors.frame_success), needs_truth=True),
     Metric("rotation_deg", lambda it, _: np.degrees(it.errors.rotation), "deg", needs_truth=True),
     Metric("translation_mm", lambda it, _: 1e3 * it.errors.translation, "mm", needs_truth=True),
     ADD_SYM_MM,
     ADD_SYM,
-    Metric("add_sym_frame_success", lambda it, _: mean_of(it.errors_sym.frame_success), needs_truth=True),
+    Metric("add_sym_frame_success", lambda it, _: nan_mean(it.errors_sym.frame_success), needs_truth=True),
     Metric("add_cam_success", lambda it, _: float(it.errors_cam.success), needs_truth=True),
     ADD_SYM_CAM_MM,
     ADD_SYM_CAM,
@@ -198,10 +202,10 @@ _METRICS: tuple[Metric, ...] = (
         "scale_error", lambda it, _: it.scale_error, "%", "scale", meaning="scale: error of the size", needs_truth=True,
     ),
     Metric("diameter_mm", lambda it, _: 1e3 * it.errors.diameter, "mm", needs_truth=True),
-    *_penetration("penetration_object", lambda it: it.depth("object"), "penetr.", "penetr.: deepest point in the hand"),
-    *_penetration("penetration_hand", lambda it: it.depth("hand")),
-    *_penetration("truth_penetration_object", lambda it: it.true_depth("object"), needs_truth=True),
-    *_penetration("truth_penetration_hand", lambda it: it.true_depth("hand"), needs_truth=True),
+    *_penetration_metrics("penetration_object", lambda it: it.depth("object"), "penetr.", "penetr.: deepest point in the hand"),
+    *_penetration_metrics("penetration_hand", lambda it: it.depth("hand")),
+    *_penetration_metrics("truth_penetration_object", lambda it: it.true_depth("object"), needs_truth=True),
+    *_penetration_metrics("truth_penetration_hand", lambda it: it.true_depth("hand"), needs_truth=True),
     SCA,
     TRUE_SCA,
     Metric(
@@ -212,7 +216,7 @@ _METRICS: tuple[Metric, ...] = (
         "sca_add_sym", lambda it, contact: it.contact(contact).sca * it.errors_sym.success,
         heading="SCA-ADD\nsymmetric", label="SCA-ADD sym.", by_contact=True, needs_truth=True,
     ),
-    *(_sca_iou(least) for least in IOU_THRESHOLDS),
+    *(_sca_iou_metric(least) for least in IOU_THRESHOLDS),
     Metric("sca_diagonal", lambda it, contact: it.contact(contact).diagonal, by_contact=True),
     Metric("contact_share", lambda it, contact: it.contact(contact).share, by_contact=True, averaged=False),
     Metric(
@@ -232,11 +236,11 @@ _METRICS: tuple[Metric, ...] = (
         ranked=False,
     ),
     Metric(
-        "acc_hand", lambda it, _: _known(motion.acceleration_error(*it.hand_in_camera, it.clip.time)),
+        "acc_hand", lambda it, _: _nan_mean_or_missing(motion.acceleration_error(*it.hand_in_camera, it.clip.time)),
         "m/s^2", label="ACC of the hand, m/s²", group="motion", needs_truth=True, ranked=False,
     ),
     Metric(
-        "acc_object", lambda it, _: _known(motion.acceleration_error(*it.object_in_camera, it.clip.time)),
+        "acc_object", lambda it, _: _nan_mean_or_missing(motion.acceleration_error(*it.object_in_camera, it.clip.time)),
         "m/s^2", label="ACC of the object, m/s²", group="motion", needs_truth=True, ranked=False,
     ),
     Metric(
@@ -257,23 +261,23 @@ _METRICS: tuple[Metric, ...] = (
         "adds_cam_auc", lambda it, _: recall.area_under_curve(recall.nearest_add(*it.object_in_camera)),
         label="ADD-S AUC", group="recall", needs_truth=True,
     ),
-    REPLAY,
-    _of_bop("ar_cam", lambda it, _: np.mean([it.mssd_recall, it.mspd_recall, it.vsd_recall], axis=0), label="AR"),
-    _of_bop("ar_of_two_cam", lambda it, _: np.mean([it.mssd_recall, it.mspd_recall], axis=0), label="AR without VSD"),
-    _of_bop("mssd_cam_recall", lambda it, _: it.mssd_recall, label="MSSD"),
-    _of_bop("mspd_cam_recall", lambda it, _: it.mspd_recall, label="MSPD"),
-    _of_bop("vsd_cam_recall", lambda it, _: it.vsd_recall, label="VSD"),
+    REPLAY_STABILITY,
+    _bop_metric("ar_cam", lambda it, _: np.mean([it.mssd_recall, it.mspd_recall, it.vsd_recall], axis=0), label="AR"),
+    _bop_metric("ar_of_two_cam", lambda it, _: np.mean([it.mssd_recall, it.mspd_recall], axis=0), label="AR without VSD"),
+    _bop_metric("mssd_cam_recall", lambda it, _: it.mssd_recall, label="MSSD"),
+    _bop_metric("mspd_cam_recall", lambda it, _: it.mspd_recall, label="MSPD"),
+    _bop_metric("vsd_cam_recall", lambda it, _: it.vsd_recall, label="VSD"),
     Metric("frames_without_mesh", lambda it, _: float(sum(mesh is None for mesh in it.meshes)), "frames"),
-    Metric("closed", lambda it, _: _closed(it)),
+    Metric("closed", lambda it, _: _closed_mesh_fraction(it)),
 )  # fmt: skip
-METRICS = Table(
+METRICS = PluginTable(
     "metrics", {metric.name: metric for metric in _METRICS}, "a Metric of the same name",
     lambda name, it: isinstance(it, Metric) and it.name == name,
 )  # fmt: skip
 """All of them by name, in the order in which tables show them."""
 
 
-def measure(
+def compute_metrics(
     it: Comparison, wanted: Sequence[Metric] | None = None, on_metric: Callable[[str, float], None] | None = None
 ) -> tuple[dict[str, float], dict[str, list[float]]]:
     """Compute the wanted metrics, or all, that can be known: one number for the clip each, and those per frame.
@@ -289,20 +293,20 @@ def measure(
             on_metric(metric.name, done / len(wanted))
         for contact in it.contacts if metric.by_contact else it.contacts[:1]:
             try:
-                with plugins.tamed():
+                with plugins.convert_base_exceptions():
                     value = metric.of(it, contact)
             except MissingPartError:
                 continue
             except Exception as error:
-                if (plugin := plugins.origin(metric)) is None:
+                if (plugin := plugins.plugin_of(metric)) is None:
                     raise
-                plugins.warn(f"left out: {plugin} failed: {type(error).__name__}: {error}")
+                plugins.warn_once(f"left out: {plugin} failed: {type(error).__name__}: {error}")
                 continue
             key = metric.key(contact)
             if isinstance(value, ndarray):
                 per_frame[key] = value.tolist()
                 if not metric.averaged:
                     continue
-                value = mean_of(value)
+                value = nan_mean(value)
             metrics[key] = float(value)
     return metrics, per_frame

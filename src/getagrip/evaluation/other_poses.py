@@ -15,13 +15,13 @@ from getagrip.clip.sampling import frame_indices
 from getagrip.geometry import se3
 from getagrip.io import files
 from getagrip.metrics.mask import iou_of_poses
-from getagrip.object_poses.at_frames import place_of, read_poses
-from getagrip.probability import percent
+from getagrip.object_poses.at_frames import poses_path_of_clip, read_poses
+from getagrip.probability import format_probability
 from getagrip.result import FrameKind, Reconstruction, is_result, read_result
 
 
 @dataclass(frozen=True)
-class OtherSystem:
+class ExternalSystem:
     """A system by the name that tables show, and its poses of many clips (``object_poses.at_frames.place_of``)."""
 
     name: str
@@ -29,8 +29,8 @@ class OtherSystem:
 
     def inputs(self, clip: str) -> dict[str, Path]:
         """Return the files that hold the poses of a clip, by name. Raises ``InputError``."""
-        place = place_of(self.root, clip)
-        inside = files.listed(place) if place.is_dir() else [place]
+        place = poses_path_of_clip(self.root, clip)
+        inside = files.list_files(place) if place.is_dir() else [place]
         return {path.name: path for path in inside}
 
     def result(self, clip: Clip, masks: Masks | None, frames: Sequence[str]) -> Reconstruction:
@@ -38,15 +38,17 @@ class OtherSystem:
 
         A result folder of this package that has all of them keeps its hand, its checks and what else is in it.
         """
-        place = place_of(self.root, clip.name)
+        place = poses_path_of_clip(self.root, clip.name)
         if place.is_dir() and is_result(place):
             found, _ = read_result(place)
             if {*frames} <= {*found.frames}:
                 return replace(found.take(np.array([found.frames.index(name) for name in frames])), method=self.name)
-        return poses_of(place, self.name, clip, masks).take(clip.index_of(frames))
+        return read_external_poses(place, self.name, clip, masks).take(clip.index_of(frames))
 
 
-def poses_of(place: Path, name: str, clip: Clip, masks: Masks | None, first: int | None = None) -> Reconstruction:
+def read_external_poses(
+    place: Path, name: str, clip: Clip, masks: Masks | None, first: int | None = None
+) -> Reconstruction:
     """Read the poses of a file or folder as a result; arguments and errors are those of ``read_poses``.
 
     A frame without a pose has the nearest frame's, fixed in the hand, and counts as interpolated.
@@ -64,7 +66,9 @@ def poses_of(place: Path, name: str, clip: Clip, masks: Masks | None, first: int
         )
     if poses.scale is None and clip.scale == "free":
         notes.append("the scale 1 is a guess: the poses say none, and the clip's mesh has no known size")
-    if masks is not None and (text := misses(clip, masks, clip.hand.T_cam_hand @ poses.T_hand_obj, scale, iou)):
+    if masks is not None and (
+        text := diagnose_pose_convention(clip, masks, clip.hand.T_cam_hand @ poses.T_hand_obj, scale, iou)
+    ):
         notes.append(text)
     notes += poses.notes
     unknown = {"total": float("nan")}
@@ -74,19 +78,23 @@ def poses_of(place: Path, name: str, clip: Clip, masks: Masks | None, first: int
     )  # fmt: skip
 
 
-LOW_IOU, MET = 0.5, 0.6
+MISALIGNED_IOU_THRESHOLD, CONVENTION_IOU_THRESHOLD = 0.5, 0.6
 """Mean overlap with the masks below which poses may be in another convention, and from which on one is theirs."""
-MISSED = "no given pose meets the masks: are they inverse, in another frame, of another mesh or of another instance?"
-LOOKED_AT = 6
+MISALIGNED_POSES_MESSAGE = (
+    "no given pose meets the masks: are they inverse, in another frame, of another mesh or of another instance?"
+)
+N_CONVENTION_FRAMES = 6
 """Frames in which conventions are tried."""
 
 
-def misses(clip: Clip, masks: Masks, T_cam_obj: Float[ndarray, "T 4 4"], scale: float, iou: Float[ndarray, "T"]) -> str:
+def diagnose_pose_convention(
+    clip: Clip, masks: Masks, T_cam_obj: Float[ndarray, "T 4 4"], scale: float, iou: Float[ndarray, "T"]
+) -> str:
     """Say that poses miss the masks, and by which convention they would meet them; empty where they meet them."""
     known = np.flatnonzero(np.isfinite(iou))
-    if not len(known) or (mean := float(iou[known].mean())) >= LOW_IOU:
+    if not len(known) or (mean := float(iou[known].mean())) >= MISALIGNED_IOU_THRESHOLD:
         return ""
-    some = known[frame_indices(len(known), LOOKED_AT)]
+    some = known[frame_indices(len(known), N_CONVENTION_FRAMES)]
     T, mesh, seen = T_cam_obj[some], clip.mesh, masks.take(some)
     to_middle = se3.rigid(np.eye(3), -scale * mesh.centre)
     to_mean = se3.rigid(np.eye(3), -scale * mesh.vertices.mean(axis=0))
@@ -106,7 +114,11 @@ def misses(clip: Clip, masks: Masks, T_cam_obj: Float[ndarray, "T 4 4"], scale: 
         if (se3.transform(one, scale * mesh.vertices)[..., 2] > 0.0).all()
     }
     best = max(each, key=lambda name: each[name], default="")
-    beginning = MISSED.partition(":")[0] if mean == 0.0 else f"the poses meet the masks by {percent(mean)} only"
-    if best and each[best] >= max(MET, mean + 0.2):
-        return f"{beginning}; they meet them by {percent(each[best])} if they are {best}"
-    return f"{beginning}:{MISSED.partition(':')[2]}"
+    beginning = (
+        MISALIGNED_POSES_MESSAGE.partition(":")[0]
+        if mean == 0.0
+        else f"the poses meet the masks by {format_probability(mean)} only"
+    )
+    if best and each[best] >= max(CONVENTION_IOU_THRESHOLD, mean + 0.2):
+        return f"{beginning}; they meet them by {format_probability(each[best])} if they are {best}"
+    return f"{beginning}:{MISALIGNED_POSES_MESSAGE.partition(':')[2]}"

@@ -16,15 +16,15 @@ from numpy import ndarray
 from getagrip.clip import Clip, Masks, check_masks, find_masks, input_sha256, read_clip
 from getagrip.errors import InputError
 from getagrip.evaluation.comparison import Comparison
-from getagrip.evaluation.metric import METRICS, SCA, Metric, measure
-from getagrip.evaluation.own_hands import with_kept_hands
+from getagrip.evaluation.metric import METRICS, SCA, Metric, compute_metrics
+from getagrip.evaluation.own_hands import with_result_hands
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.io import files
 from getagrip.io.brief import Brief
 from getagrip.io.files import Json
-from getagrip.io.named import NamedFields, named
-from getagrip.io.terminal import Progressed, shown_progress
+from getagrip.io.named import NamedFields, check_arguments
+from getagrip.io.terminal import Progressed, progress_callback
 from getagrip.metrics.contact import (
     CONTACT_DEFINITIONS,
     ContactDefinition,
@@ -36,7 +36,7 @@ from getagrip.metrics.mask import MaskIou, iou_of_poses
 from getagrip.metrics.pose import ObjectTrack
 from getagrip.result import Reconstruction, read_result
 
-OF_TIMELINE = (
+TIMELINE_METRICS_NOTE = (
     "a timeline: poses are compared in the frame of the clip's own hand, and contact is with that hand, in all frames, "
     "also in those in which it does not hold the object; metrics_of_grasps has the stable contact area of its grasps"
 )
@@ -103,27 +103,27 @@ def evaluate_result(folder: str | Path, clips: str | Path | None = None) -> Eval
     ``result.json`` says and beside the result. Raises ``InputError`` where there is no such clip, where the clip is no
     longer the one that was reconstructed, and where a frame of the result is unknown to it.
     """
-    result, clip, masks = read_evaluated(Path(folder), clips)
+    result, clip, masks = read_result_clip_masks(Path(folder), clips)
     return replace(evaluate(result, clip, masks), result=str(folder))
 
 
-def read_evaluated(folder: Path, clips: str | Path | None = None) -> tuple[Reconstruction, Clip, Masks | None]:
+def read_result_clip_masks(folder: Path, clips: str | Path | None = None) -> tuple[Reconstruction, Clip, Masks | None]:
     """Read a result, and its clip and masks at the result's frames.
 
     Raises ``InputError`` as ``evaluate_result`` does.
     """
-    result, clip = read_with_clip(folder, clips)
+    result, clip = read_result_and_clip(folder, clips)
     return result, clip, find_masks(clip)
 
 
-def read_with_clip(folder: Path, clips: str | Path | None = None) -> tuple[Reconstruction, Clip]:
+def read_result_and_clip(folder: Path, clips: str | Path | None = None) -> tuple[Reconstruction, Clip]:
     """Read a result, and its clip at the result's frames. Raises ``InputError`` as ``evaluate_result`` does."""
     result, record = read_result(folder)
     clip = clip_of(folder, result, record, clips)
     return result, clip.take(clip.index_of(result.frames))
 
 
-@named
+@check_arguments
 def evaluate(
     result: Reconstruction,
     clip: Clip,
@@ -162,20 +162,20 @@ def evaluate(
     found, track = clip.warped(result.warp).mesh, ObjectTrack(result.T_hand_obj, result.scale)
     it = _ResultComparison(clip, masks, track, found, contacts=tuple(contacts))
     symmetry = None if clip.truth is None else it.symmetries.describe()
-    with shown_progress(progress, clip.name) as on_metric:
-        made = evaluation(it, result.method, symmetry, wanted, on_metric)
+    with progress_callback(progress, clip.name) as on_metric:
+        made = evaluate_comparison(it, result.method, symmetry, wanted, on_metric)
     hands, fitted = clip.with_hand_at(None, result.T_cam_other_hand), result.frames_of("sampled", "fitted")
     return replace(
         made,
-        metrics_of_grasps=contact_in_grasps(hands, found, track, it.contacts, it.reach) if SCA in wanted else {},
-        metrics_of_fitted=measure(it.take(fitted), wanted)[0] if 0 < len(fitted) < len(clip) else {},
+        metrics_of_grasps=sca_in_grasps(hands, found, track, it.contacts, it.reach) if SCA in wanted else {},
+        metrics_of_fitted=compute_metrics(it.take(fitted), wanted)[0] if 0 < len(fitted) < len(clip) else {},
         frame_kind=result.frame_kind,
         findings=tuple(map(str, result.findings)),
-        notes=(*clip.mesh.stands_for(whole_mesh, "measured"), *([OF_TIMELINE] if result.segments else [])),
+        notes=(*clip.mesh.stands_for(whole_mesh, "measured"), *([TIMELINE_METRICS_NOTE] if result.segments else [])),
     )
 
 
-def evaluation(
+def evaluate_comparison(
     it: Comparison,
     method: str,
     symmetry: str | None,
@@ -183,7 +183,7 @@ def evaluation(
     on_metric: Callable[[str, float], None] | None = None,
 ) -> Evaluation:
     """Measure a comparison."""
-    metrics, per_frame = measure(it, wanted, on_metric)
+    metrics, per_frame = compute_metrics(it, wanted, on_metric)
     return Evaluation(
         clip=it.clip.name,
         category=it.clip.category,
@@ -236,8 +236,10 @@ def clip_of(folder: Path, result: Reconstruction, record: Json, clips: str | Pat
     found = clip_folder(folder, record, clips)
     clip = read_clip(found)
     if clip.name != result.clip:
-        raise InputError(found / "clip.json", "name", files.shown(clip.name), f"{result.clip!r}, as {folder} says")
-    if (own := with_kept_hands(clip, folder)) is not None:
+        raise InputError(
+            found / "clip.json", "name", files.shorten_value(clip.name), f"{result.clip!r}, as {folder} says"
+        )
+    if (own := with_result_hands(clip, folder)) is not None:
         return own
     if record.get("input_sha256") != input_sha256(found):
         got = "another: its masks, hands or mesh have changed"
@@ -252,17 +254,17 @@ def clip_folder(folder: Path, record: Json, clips: str | Path | None) -> Path:
         places = [Path(clips) / name, Path(clips)]
     else:
         recorded = record.get("clip_folder")
-        places = [_recorded(recorded)] if isinstance(recorded, str) and recorded else []
+        places = [_decode_recorded_path(recorded)] if isinstance(recorded, str) and recorded else []
         places += [folder.parent / name, folder.parent.parent / name]
     found = next((place for place in places if _is_file(place / "clip.json")), None)
     if found is None:
         where = " or ".join(str(place) for place in places)
         expected = f"its folder at {where}; say where with --clips"
-        raise InputError(folder / "result.json", "clip", f"the clip {files.shown(name)}", expected)
+        raise InputError(folder / "result.json", "clip", f"the clip {files.shorten_value(name)}", expected)
     return found
 
 
-def _recorded(folder: str) -> Path:
+def _decode_recorded_path(folder: str) -> Path:
     """Return the path that a result has recorded (``result.folder``)."""
     address = folder.removeprefix("file://")
     return Path(folder if address == folder else os.fsdecode(unquote_to_bytes(address)))
@@ -275,7 +277,7 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def contact_in_grasps(
+def sca_in_grasps(
     clip: Clip, found: Mesh, track: ObjectTrack, contacts: Sequence[ContactDefinition], reach: float
 ) -> dict[str, float]:
     """Compute SCA by the metric's key, mean over the grasps of a timeline; each with the hand of its side.

@@ -12,10 +12,10 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.checks import Check, Evidence
-from getagrip.checks.check import percent
+from getagrip.checks.check import format_percent
 from getagrip.clip import Clip, Modality
 from getagrip.fitting.energy import Terms
-from getagrip.fitting.seen_joints import ELSEWHERE, share_elsewhere
+from getagrip.fitting.seen_joints import MAX_OUTSIDE_MASK_FRACTION, outside_mask_fraction
 from getagrip.io.array_data import ArrayData
 
 if TYPE_CHECKING:  # files of clips are asked for by commands that fit nothing
@@ -42,12 +42,12 @@ class Joints2D(ArrayData):
         return Joints2D(self.points[index], self.confidence[index])
 
 
-def left_out(it: Evidence) -> float:
+def joints_2d_excluded(it: Evidence) -> float:
     """Return 1 where the hand was refined without its 2D joints, for another reason than their place, else 0."""
-    return float(it.joints_left_out and not share_elsewhere(it.clip, it.masks) > ELSEWHERE)
+    return float(it.joints_left_out and not outside_mask_fraction(it.clip, it.masks) > MAX_OUTSIDE_MASK_FRACTION)
 
 
-def why_left_out(it: Evidence) -> str:
+def joints_2d_exclusion_reason(it: Evidence) -> str:
     """Say why 2D joints did not count."""
     confidence = it.clip.hand.joints_2d_confidence
     why = "contradict its pixels or its skeleton"
@@ -64,14 +64,14 @@ class HandJoints2D(Modality[Joints2D]):
     name = "joints-2d"
     input_checks = (
         Check(
-            "joints-elsewhere", lambda it: share_elsewhere(it.clip, it.masks), high=ELSEWHERE, serious=False,
-            shown=percent, fault="{value} of the hand's 2D joints are neither on the hand nor on the object",
+            "joints-elsewhere", lambda it: outside_mask_fraction(it.clip, it.masks), high=MAX_OUTSIDE_MASK_FRACTION, serious=False,
+            shown=format_percent, fault="{value} of the hand's 2D joints are neither on the hand nor on the object",
             advice="they were left out; check that they are of this hand, and of images of this size",
         ),
     )  # fmt: skip
     result_checks = (
         Check(
-            "joints-left-out", left_out, high=0.0, serious=False, fault=why_left_out,
+            "joints-left-out", joints_2d_excluded, high=0.0, serious=False, fault=joints_2d_exclusion_reason,
             advice="give this hand's, in pixels of these images and in the order of hand.npz",
         ),
     )  # fmt: skip
@@ -90,6 +90,6 @@ class HandJoints2D(Modality[Joints2D]):
         return None if points is None or confidence is None else Joints2D(points, confidence)
 
     def terms(self, problem: Problem) -> Terms | None:
-        from getagrip.fitting.objective import joints_of
+        from getagrip.fitting.objective import reprojection_energy
 
-        return None if self.of(problem.clip) is None else Terms(hand=joints_of(problem))
+        return None if self.of(problem.clip) is None else Terms(hand=reprojection_energy(problem))

@@ -6,8 +6,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from getagrip.clip import Clip, Masks, Modality, masks_in
-from getagrip.clip.masks import HAND, OBJECT, VisibleHand, mask_files, read_hand_masks, read_object_masks, write_masks
+from getagrip.clip import Clip, Masks, Modality, masks_in_memory
+from getagrip.clip.masks import (
+    HAND_MASKS_KEY,
+    OBJECT_MASKS_KEY,
+    VisibleHand,
+    mask_files,
+    read_hand_masks,
+    read_object_masks,
+    write_masks,
+)
 from getagrip.fitting.energy import Terms
 
 if TYPE_CHECKING:  # files of clips are asked for by commands that fit nothing
@@ -20,7 +28,7 @@ class ObjectMasks(Modality[Masks]):
     Its checks are those of ``checks.table``, which compare it with the mesh, the camera and the hand of any clip.
     """
 
-    name = OBJECT
+    name = OBJECT_MASKS_KEY
 
     def files(self, folder: Path, frames: Sequence[str]) -> list[str]:
         return [name for kind in ("object", "ignore") for name in mask_files(folder, kind, frames)]
@@ -37,15 +45,15 @@ class ObjectMasks(Modality[Masks]):
             write_masks(pixels, known, clip.frames, folder / "masks" / kind)
 
     def terms(self, problem: Problem) -> Terms:
-        from getagrip.fitting.objective import mask_of
+        from getagrip.fitting.objective import mask_energy
 
-        return Terms(object=mask_of(problem))
+        return Terms(object=mask_energy(problem))
 
 
 class HandMasks(Modality[VisibleHand]):
     """The hand's silhouette. Its check is ``hand-off-pixels`` (``checks.table``)."""
 
-    name = HAND
+    name = HAND_MASKS_KEY
 
     def files(self, folder: Path, frames: Sequence[str]) -> list[str]:
         return mask_files(folder, "hand", frames)
@@ -54,12 +62,12 @@ class HandMasks(Modality[VisibleHand]):
         return read_hand_masks(clip)
 
     def write(self, clip: Clip, folder: Path) -> None:
-        masks = masks_in(clip)
+        masks = masks_in_memory(clip)
         if masks is not None and masks.hand is not None:
             write_masks(masks.hand, masks.known, clip.frames, folder / "masks" / "hand")
 
     def terms(self, problem: Problem) -> Terms | None:
-        from getagrip.fitting.objective import hand_mask_of
+        from getagrip.fitting.objective import hand_mask_energy
 
         known = self.of(problem.clip) is not None or problem.refinement is not None
-        return Terms(hand=hand_mask_of(problem)) if known else None
+        return Terms(hand=hand_mask_energy(problem)) if known else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from getagrip.datasets.synthetic.noise import NOISE, Noise
+from getagrip.datasets.synthetic.noise import NOISE_PRESETS, Noise
 from getagrip.experiments.changes import (
     UNCHANGED,
     Change,
@@ -20,9 +20,14 @@ from getagrip.experiments.changes import (
     Wrong,
     WrongMasks,
 )
-from getagrip.experiments.settings import COMPARED, Ablation, Setting
-from getagrip.experiments.simulated_evidence import DEPTHS, JOINTS, SimulatedDepth, SimulatedJoints
-from getagrip.experiments.wrong_inputs import MISTAKES
+from getagrip.experiments.settings import DEFAULT_METHODS, Ablation, Setting
+from getagrip.experiments.simulated_evidence import (
+    DEPTH_ERROR_LEVELS,
+    JOINT_ERROR_LEVELS,
+    SimulatedDepth,
+    SimulatedJoints,
+)
+from getagrip.experiments.wrong_inputs import INPUT_MISTAKES
 from getagrip.fitting.options import Departures
 from getagrip.metrics.contact import CONTACT_DEFINITIONS
 
@@ -41,27 +46,29 @@ def _hand_noise(mm: float) -> Setting:
 
 def _noise_level(name: str) -> Setting:
     """Make a setting with the hands of a level of noise; the masks stay as they are."""
-    return Setting(name, change=Noisy(replace(NOISE[name], mask_ragged_px=0.0)))
+    return Setting(name, change=Noisy(replace(NOISE_PRESETS[name], mask_ragged_px=0.0)))
 
 
-def _with(label: str, *evidence: Change, level: str = "estimated") -> Setting:
+def _estimated_hands_setting(label: str, *evidence: Change, level: str = "estimated") -> Setting:
     """Name a change to estimated hands, at a level of noise where they are true; evidence is of true ones."""
-    return Setting(label, change=Several((*evidence, EstimatedHands(replace(NOISE[level], mask_ragged_px=0.0)))))
+    return Setting(
+        label, change=Several((*evidence, EstimatedHands(replace(NOISE_PRESETS[level], mask_ragged_px=0.0))))
+    )
 
 
 def _mask_noise(px: float) -> Setting:
     return Setting(f"{px:g} px", change=Noisy(Noise(mask_ragged_px=px)))
 
 
-def _masks_off(px: float) -> Setting:
+def _inaccurate_masks(px: float) -> Setting:
     return replace(_mask_noise(px), label=f"masks off by {px:g} px")
 
 
-WRONG_MASKS = (("another object", 0.2), ("another object", 0.4), ("half", 0.2), ("runs over", 0.2))
+MASK_FAULT_FRACTIONS = (("another object", 0.2), ("another object", 0.4), ("half", 0.2), ("runs over", 0.2))
 """Faults of masks, and the share of the frames that have them."""
 
 
-def _wrong_masks(fault: str, share: float) -> Setting:
+def _mask_fault(fault: str, share: float) -> Setting:
     return Setting(f"{fault} in {100 * share:.0f} %", change=WrongMasks(fault, share))
 
 
@@ -69,23 +76,23 @@ CATEGORY_MESHES = {
     "category mesh": OtherObject(),
     "category mesh, size unknown": Several((OtherObject(), ScaleFree())),
     "category mesh, size unknown, hands moderate": Several(
-        (OtherObject(), ScaleFree(), Noisy(replace(NOISE["moderate"], mask_ragged_px=0.0)))
+        (OtherObject(), ScaleFree(), Noisy(replace(NOISE_PRESETS["moderate"], mask_ragged_px=0.0)))
     ),
 }
 """Knowledge of an object without its own mesh; the last is the paper's own setting, footage without CADs."""
 
 
-ROUGH = _masks_off(4.0), Setting("size unknown", change=ScaleFree())
+DEGRADED_INPUT_SETTINGS = _inaccurate_masks(4.0), Setting("size unknown", change=ScaleFree())
 """Inputs that depth improves though hands are exact."""
-INPUTS = (
+INPUT_ERROR_SETTINGS = (
     Setting("exact"),
     _hand_noise(10.0),
     _noise_level("strong"),
     _noise_level("estimated"),
-    _masks_off(2.0),
-    ROUGH[0],
-    _wrong_masks("another object", 0.2),
-    ROUGH[1],
+    _inaccurate_masks(2.0),
+    DEGRADED_INPUT_SETTINGS[0],
+    _mask_fault("another object", 0.2),
+    DEGRADED_INPUT_SETTINGS[1],
     *(
         Setting(label, change=CATEGORY_MESHES[label])
         for label in ("category mesh", "category mesh, size unknown, hands moderate")
@@ -94,7 +101,7 @@ INPUTS = (
 """The errors that are summed up in README; the first four are run on the test objects, too."""
 
 
-STEPS = {
+DEPARTURE_STEPS = {
     "+ energy scale": "scale",
     "+ optimiser": "optimiser",
     "+ search": "search",
@@ -111,10 +118,10 @@ the printed units.
 
 def _departures(count: int) -> Departures:
     """Return the first ``count`` steps."""
-    return Departures(**dict.fromkeys(list(STEPS.values())[:count], True))
+    return Departures(**dict.fromkeys(list(DEPARTURE_STEPS.values())[:count], True))
 
 
-JOINT, USUAL = SimulatedJoints("landmarks"), ("mono", "realsense")
+SIMULATED_LANDMARKS, COMMON_DEPTH_SOURCES = SimulatedJoints("landmarks"), ("mono", "realsense")
 """Evidence that users often have: 2D joints of landmarks; depth of a network, or of a sensor."""
 ABLATIONS: dict[str, Ablation] = {
     "physical": Ablation(
@@ -160,20 +167,27 @@ ABLATIONS: dict[str, Ablation] = {
         "Estimated hands, with other evidence simulated at levels of errors (docs/datasets.md)",
         "nothing new",
         (
-            _with("nothing new"),
-            *(_with(f"2D joints, {level}", SimulatedJoints(level)) for level in JOINTS),
-            *(_with(f"depth, {level}", SimulatedDepth(level)) for level in DEPTHS),
+            _estimated_hands_setting("nothing new"),
+            *(_estimated_hands_setting(f"2D joints, {level}", SimulatedJoints(level)) for level in JOINT_ERROR_LEVELS),
+            *(_estimated_hands_setting(f"depth, {level}", SimulatedDepth(level)) for level in DEPTH_ERROR_LEVELS),
             *(
-                _with(f"2D joints, {joints}; depth, {level}", SimulatedJoints(joints), SimulatedDepth(level))
+                _estimated_hands_setting(
+                    f"2D joints, {joints}; depth, {level}", SimulatedJoints(joints), SimulatedDepth(level)
+                )
                 for joints in ("wild", "landmarks")
-                for level in USUAL
+                for level in COMMON_DEPTH_SOURCES
             ),
-            _with("strong, nothing new", level="strong"),
-            *(_with(f"strong, 2D joints; depth, {d}", JOINT, SimulatedDepth(d), level="strong") for d in USUAL),
+            _estimated_hands_setting("strong, nothing new", level="strong"),
+            *(
+                _estimated_hands_setting(
+                    f"strong, 2D joints; depth, {d}", SIMULATED_LANDMARKS, SimulatedDepth(d), level="strong"
+                )
+                for d in COMMON_DEPTH_SOURCES
+            ),
             *(
                 Setting(f"exact, {one.label}; depth, {d}", change=Several((SimulatedDepth(d), one.change)))
-                for one in ROUGH
-                for d in USUAL
+                for one in DEGRADED_INPUT_SETTINGS
+                for d in COMMON_DEPTH_SOURCES
             ),
         ),
         ("soft-hinge",),
@@ -182,9 +196,12 @@ ABLATIONS: dict[str, Ablation] = {
         "Estimated hands, with other evidence that is wrong",
         "nothing new",
         (
-            _with("nothing new"),
-            *(_with(f"2D joints, {level}", SimulatedJoints(level)) for level in ("other hand", "shifted camera")),
-            _with("depth, mono-warped", SimulatedDepth("mono-warped")),
+            _estimated_hands_setting("nothing new"),
+            *(
+                _estimated_hands_setting(f"2D joints, {level}", SimulatedJoints(level))
+                for level in ("other hand", "shifted camera")
+            ),
+            _estimated_hands_setting("depth, mono-warped", SimulatedDepth("mono-warped")),
         ),
         ("soft-hinge",),
     ),
@@ -226,7 +243,7 @@ ABLATIONS: dict[str, Ablation] = {
         "none, as given",
         tuple(
             replace(fault, label=f"{fault.label}, {word}", options={"masks": masks})
-            for fault in (Setting("none"), *(_wrong_masks(*fault) for fault in WRONG_MASKS))
+            for fault in (Setting("none"), *(_mask_fault(*fault) for fault in MASK_FAULT_FRACTIONS))
             for masks, word in (("as-given", "as given"), ("checked", "checked"))
         ),
         ("soft-hinge",),
@@ -253,32 +270,35 @@ ABLATIONS: dict[str, Ablation] = {
         "Definition of contact: whose points, and at which distance",
         None,
         tuple(Setting(f"{d.side}, {d.distance}", contact=d) for d in CONTACT_DEFINITIONS),
-        COMPARED,
+        DEFAULT_METHODS,
     ),
     "inputs": Ablation(
         "Errors of the input: none, or one of them; both methods with the same filters",
         None,
-        INPUTS,
+        INPUT_ERROR_SETTINGS,
     ),
     "final": Ablation(
         "Hands that are exact, off by 10 mm and 8°, or at the levels `strong` and `estimated`",
         None,
-        INPUTS[:4],
+        INPUT_ERROR_SETTINGS[:4],
     ),
     "final-evidence": Ablation(
         "Estimated hands, with 2D joints and depth simulated as they usually are",
         "nothing new",
         (
-            _with("nothing new"),
-            _with("2D joints", JOINT),
-            *(_with(f"2D joints, {d}", JOINT, SimulatedDepth(d)) for d in USUAL),
+            _estimated_hands_setting("nothing new"),
+            _estimated_hands_setting("2D joints", SIMULATED_LANDMARKS),
+            *(
+                _estimated_hands_setting(f"2D joints, {d}", SIMULATED_LANDMARKS, SimulatedDepth(d))
+                for d in COMMON_DEPTH_SOURCES
+            ),
         ),
         ("soft-hinge",),
     ),
     "wrong-input": Ablation(
         "Deliberate mistakes, and the findings of the checks",
         "none",
-        (Setting("none"), *(Setting(mistake, change=Wrong(mistake)) for mistake in MISTAKES)),
+        (Setting("none"), *(Setting(mistake, change=Wrong(mistake)) for mistake in INPUT_MISTAKES)),
         ("soft-hinge",),
     ),
     "departures": Ablation(
@@ -287,7 +307,10 @@ ABLATIONS: dict[str, Ablation] = {
         (
             Setting("one reading of the printed units", {"push": 100.0, "pull": 100.0}),
             Setting("as it is"),
-            *(Setting(label, {"departures": _departures(count)}) for count, label in enumerate(STEPS, start=1)),
+            *(
+                Setting(label, {"departures": _departures(count)})
+                for count, label in enumerate(DEPARTURE_STEPS, start=1)
+            ),
             # Hands as given, as in all rows: their correction has an ablation of its own.
             Setting("+ soft hinge", {"method": "soft-hinge", "hands": "as-given"}),
         ),

@@ -18,23 +18,23 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, FrameMasks, Masks
 from getagrip.clip.sampling import frame_indices
-from getagrip.datasets.synthetic.deform import drawn
+from getagrip.datasets.synthetic.deform import draw_deformation
 from getagrip.datasets.synthetic.noise import Noise, perturbed
 from getagrip.errors import InputError
-from getagrip.experiments.wrong_inputs import MISTAKES, flipped
+from getagrip.experiments.wrong_inputs import INPUT_MISTAKES, flip_hands
 from getagrip.geometry import se3
-from getagrip.geometry.depth import covered
+from getagrip.geometry.depth import render_coverage
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.render import Surface, true_masks
-from getagrip.geometry.warp import aligned
+from getagrip.geometry.warp import align_similarity
 from getagrip.metrics.surface_distance import signed_distance
 from getagrip.provenance import estimated, kind_of_hands
 
 Fault = Callable[[Bool[ndarray, "H W"], Float[ndarray, "2"]], Bool[ndarray, "H W"]]
 """From a mask that is not empty, and a direction (x, y) in the image, to a wrong one."""
-TOUCHING = 0.01
+TOUCH_DISTANCE_M = 0.01
 """Distance within which a hand touches an object [m]."""
-AWAY, BESIDE, RADIUS = 1.2, 0.6, 0.6
+OTHER_OBJECT_OFFSET, MASK_DISC_OFFSET, MASK_DISC_RADIUS = 1.2, 0.6, 0.6
 """Distance of another object; distance from the mask's middle, and radius, of the disc by which a mask runs over."""
 
 
@@ -96,7 +96,7 @@ class ScaleKnown(Change):
             return clip, masks
         if clip.truth is None:
             raise InputError(clip.origin / "truth.npz", "scale", "no ground truth", "the true scale, to make it known")
-        return replace(_resized(clip, clip.truth.scale), scale="known"), masks
+        return replace(_scale_clip_mesh(clip, clip.truth.scale), scale="known"), masks
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class ScaleFree(Change):
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
         factor = float(np.exp(np.random.default_rng([seed, *clip.name.encode()]).uniform(-1.0, 1.0) * np.log(1.25)))
-        return replace(_resized(clip, 1.0 / factor), scale="free"), masks
+        return replace(_scale_clip_mesh(clip, 1.0 / factor), scale="free"), masks
 
 
 @dataclass(frozen=True)
@@ -141,14 +141,14 @@ class OtherObject(Change):
         if truth is None:
             raise InputError(clip.origin / "truth.npz", "", "no ground truth", "poses at which to draw another object")
         rng = np.random.default_rng([seed, *clip.name.encode()])
-        deformation = drawn(mesh, self.deformed, rng)
+        deformation = draw_deformation(mesh, self.deformed, rng)
         sides = np.exp(rng.uniform(-1.0, 1.0, 3) * np.log(1.0 + self.stretched))
         other = Mesh(mesh.centre + sides * (deformation(mesh.vertices) - mesh.centre), mesh.faces)
-        T, size = aligned(mesh, other, resize=True)
+        T, size = align_similarity(mesh, other, resize=True)
         grasped = truth.scale * se3.transform(se3.inverse(T), other.vertices) / size
         hands = se3.transform(truth.T_cam_hand, truth.hand_vertices)
         return clip, Masks.of(
-            _drawn(
+            _render_changed_masks(
                 masks.take(np.array([n])),
                 (se3.transform(truth.T_cam_obj[n], grasped), mesh.faces),
                 (hands[n], clip.hand.faces),
@@ -185,7 +185,7 @@ class OtherSize(Change):
         points = se3.transform(se3.inverse(truth.T_cam_obj[few]), hands[few]).reshape(-1, 3)
         surface = truth.scale * mesh.vertices
         distance = np.abs(signed_distance(points, surface, mesh.faces))
-        touching = points[distance <= max(TOUCHING, np.quantile(distance, 0.02))]
+        touching = points[distance <= max(TOUCH_DISTANCE_M, np.quantile(distance, 0.02))]
         middle = touching.mean(axis=0)
         while True:
             grown = middle + factor * (surface - middle)
@@ -195,22 +195,26 @@ class OtherSize(Change):
             ):
                 break
             factor = float(np.sqrt(factor))
-        resized = _resized(clip, factor)
+        resized = _scale_clip_mesh(clip, factor)
         assert resized.truth is not None
         T_cam_obj = truth.T_cam_obj @ se3.rigid(None, (1.0 - factor) * middle)
         truth = replace(resized.truth, scale=truth.scale, T_cam_obj=T_cam_obj)
         clip = replace(resized, truth=truth)
         posed = se3.transform(T_cam_obj, truth.object_vertices(clip.mesh.vertices, slice(None)))
         return clip, Masks.of(
-            _drawn(masks.take(np.array([n])), (posed[n], mesh.faces), (hands[n], clip.hand.faces), clip.K[n], clip.size)
+            _render_changed_masks(
+                masks.take(np.array([n])), (posed[n], mesh.faces), (hands[n], clip.hand.faces), clip.K[n], clip.size
+            )
             for n in range(len(clip))
         )
 
 
-def _drawn(seen: Masks, grasped: Surface, hand: Surface, K: Float[ndarray, "3 3"], size: tuple[int, int]) -> FrameMasks:
+def _render_changed_masks(
+    seen: Masks, grasped: Surface, hand: Surface, K: Float[ndarray, "3 3"], size: tuple[int, int]
+) -> FrameMasks:
     """Render a frame's masks with another object; pixels that other things hid stay hidden."""
     visible, ignore, holding = true_masks(grasped, [hand], [], K, size)
-    others = seen.ignore[0] & ~covered(*hand, K, size)
+    others = seen.ignore[0] & ~render_coverage(*hand, K, size)
     return FrameMasks(visible & ~others, ignore | others, None if seen.hand is None else holding & ~others)
 
 
@@ -233,7 +237,7 @@ class FlippedHands(Change):
     share: float
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
-        return flipped(clip, self.share, np.random.default_rng([seed, *clip.name.encode()])), masks
+        return flip_hands(clip, self.share, np.random.default_rng([seed, *clip.name.encode()])), masks
 
 
 @dataclass(frozen=True)
@@ -247,7 +251,7 @@ class TrueHands(Change):
         return replace(clip, hand=hand), masks
 
 
-def _resized(clip: Clip, factor: float) -> Clip:
+def _scale_clip_mesh(clip: Clip, factor: float) -> Clip:
     """Scale a clip's mesh by a factor; the true object stays."""
     truth = clip.truth
     if truth is not None:
@@ -258,17 +262,17 @@ def _resized(clip: Clip, factor: float) -> Clip:
 
 @dataclass(frozen=True)
 class Wrong(Change):
-    """A mistake, a key of ``MISTAKES``. The ground truth goes: nothing true remains to be found."""
+    """A mistake, a key of ``INPUT_MISTAKES``. The ground truth goes: nothing true remains to be found."""
 
     mistake: str
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
-        return MISTAKES[self.mistake](replace(clip, truth=None), masks, np.random.default_rng(seed))
+        return INPUT_MISTAKES[self.mistake](replace(clip, truth=None), masks, np.random.default_rng(seed))
 
 
 @dataclass(frozen=True)
 class WrongMasks(Change):
-    """A fault, a key of ``FAULTS``, in a share of the masks that show the object; never in an ignored pixel."""
+    """A fault, a key of ``MASK_FAULTS``, in a share of the masks that show the object; never in an ignored pixel."""
 
     fault: str
     share: float
@@ -279,7 +283,7 @@ class WrongMasks(Change):
         changed = masks.object.copy()
         for n in shown[: round(self.share * len(shown))]:
             angle = rng.uniform(0.0, 2.0 * np.pi)
-            wrong = FAULTS[self.fault](masks.object[n], np.array([np.cos(angle), np.sin(angle)]))
+            wrong = MASK_FAULTS[self.fault](masks.object[n], np.array([np.cos(angle), np.sin(angle)]))
             changed[n] = wrong & (masks.object[n] | ~masks.ignore[n])
         return clip, replace(masks, object=changed)
 
@@ -287,10 +291,10 @@ class WrongMasks(Change):
 UNCHANGED = Unchanged()
 
 
-def another_object(mask: Bool[ndarray, "H W"], towards: Float[ndarray, "2"]) -> Bool[ndarray, "H W"]:
+def displace_mask(mask: Bool[ndarray, "H W"], towards: Float[ndarray, "2"]) -> Bool[ndarray, "H W"]:
     """Return a mask of the same shape beside the object."""
     rows, columns = np.nonzero(mask)
-    dx, dy = np.rint(AWAY * np.sqrt(len(rows)) * towards).astype(int)
+    dx, dy = np.rint(OTHER_OBJECT_OFFSET * np.sqrt(len(rows)) * towards).astype(int)
     rows, columns = rows + dy, columns + dx
     inside = (rows >= 0) & (rows < len(mask)) & (columns >= 0) & (columns < mask.shape[1])
     wrong = np.zeros_like(mask)
@@ -298,24 +302,27 @@ def another_object(mask: Bool[ndarray, "H W"], towards: Float[ndarray, "2"]) -> 
     return wrong
 
 
-def half(mask: Bool[ndarray, "H W"], towards: Float[ndarray, "2"]) -> Bool[ndarray, "H W"]:
+def halve_mask(mask: Bool[ndarray, "H W"], towards: Float[ndarray, "2"]) -> Bool[ndarray, "H W"]:
     """Return one side of the object."""
-    dx, dy = _from_middle(mask)
+    dx, dy = _offsets_from_centroid(mask)
     return mask & (dx * towards[0] + dy * towards[1] < 0.0)
 
 
-def over(mask: Bool[ndarray, "H W"], towards: Float[ndarray, "2"]) -> Bool[ndarray, "H W"]:
+def extend_mask_by_disc(mask: Bool[ndarray, "H W"], towards: Float[ndarray, "2"]) -> Bool[ndarray, "H W"]:
     """Return the object with a disc that its mask runs over."""
-    dx, dy = _from_middle(mask)
+    dx, dy = _offsets_from_centroid(mask)
     size = np.sqrt(np.count_nonzero(mask))
-    return mask | (np.hypot(dx - BESIDE * size * towards[0], dy - BESIDE * size * towards[1]) < RADIUS * size)
+    return mask | (
+        np.hypot(dx - MASK_DISC_OFFSET * size * towards[0], dy - MASK_DISC_OFFSET * size * towards[1])
+        < MASK_DISC_RADIUS * size
+    )
 
 
-def _from_middle(mask: Bool[ndarray, "H W"]) -> tuple[Float[ndarray, "1 W"], Float[ndarray, "H 1"]]:
+def _offsets_from_centroid(mask: Bool[ndarray, "H W"]) -> tuple[Float[ndarray, "1 W"], Float[ndarray, "H 1"]]:
     """Columns and rows, from those of the mask's middle."""
     rows, columns = np.nonzero(mask)
     return np.arange(mask.shape[1])[None] - columns.mean(), np.arange(len(mask))[:, None] - rows.mean()
 
 
-FAULTS: dict[str, Fault] = {"another object": another_object, "half": half, "runs over": over}
+MASK_FAULTS: dict[str, Fault] = {"another object": displace_mask, "half": halve_mask, "runs over": extend_mask_by_disc}
 """Each fault, by the name that tables call it."""

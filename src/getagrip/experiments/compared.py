@@ -7,18 +7,18 @@ from typing import Annotated, Literal
 
 from tyro.conf import arg
 
-from getagrip.batch.keep import Keep
-from getagrip.errors import unknown
+from getagrip.batch.keep import KeepOptions
+from getagrip.errors import unknown_choice_error
 from getagrip.fitting.methods import METHODS
 from getagrip.io.arguments import Flag
 
 
-def _methods(_: str) -> str:
+def _methods_help(_: str) -> str:
     """List the methods that there are when help is shown."""
     return f"(of {', '.join(METHODS)}; default: all of getagrip's but paper...)"
 
 
-def _ablations(_: str) -> str:
+def _ablations_help(_: str) -> str:
     """Return the names that an option takes, loaded only to show its help."""
     from getagrip.experiments.ablations import ABLATIONS
 
@@ -26,13 +26,13 @@ def _ablations(_: str) -> str:
 
 
 @dataclass(frozen=True)
-class Compared:
+class ComparisonOptions:
     """Methods, or settings of methods, hands or other systems. Raises ``UsageError``."""
 
-    methods: Annotated[tuple[str, ...], arg(metavar="METHOD...", help_behavior_hint=_methods)] = ()
+    methods: Annotated[tuple[str, ...], arg(metavar="METHOD...", help_behavior_hint=_methods_help)] = ()
     """Methods to compare. By default, ablations compare one-dof and soft-hinge, and the ablation departures compares
     the paper's. Methods of other packages, and the paper's, which are slow, run only if they are named."""
-    ablation: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_ablations)] = None
+    ablation: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_ablations_help)] = None
     """Compare settings of each method, instead of the methods as they are."""
     hands: Annotated[tuple[str, ...], arg(metavar="NAME=DIR...", help_behavior_hint="")] = ()
     """Compare hands of several estimators for the same clips, on the frames that all have: DIR holds clips of the same
@@ -57,9 +57,9 @@ class Compared:
     BOP's average recall."""
     refine: Flag = False
     """Add a row for each system of --with: our joint fit that starts from its poses, as of refine."""
-    keep: Annotated[Keep, arg(name="")] = field(default_factory=Keep)
+    keep: Annotated[KeepOptions, arg(name="")] = field(default_factory=KeepOptions)
 
     def __post_init__(self) -> None:
         for name in self.methods:
             if name not in METHODS:
-                raise unknown("--methods", name, METHODS)
+                raise unknown_choice_error("--methods", name, METHODS)

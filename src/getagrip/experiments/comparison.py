@@ -15,15 +15,15 @@ from numpy import ndarray
 from scipy.special import stdtrit
 
 from getagrip.evaluation.metric import ADD_SYM, METRICS, Group, Metric
-from getagrip.experiments.trials import Score, Scores
+from getagrip.experiments.trials import GraspClipScores, GraspVariantScore
 from getagrip.experiments.variants import Variant
 
-PAPER: tuple[Group, ...] = ("paper",)
+PAPER_METRIC_GROUPS: tuple[Group, ...] = ("paper",)
 
 
-def columns(groups: Sequence[Group] = PAPER) -> tuple[Metric, ...]:
+def mean_columns(groups: Sequence[Group] = PAPER_METRIC_GROUPS) -> tuple[Metric, ...]:
     """Return the metrics of some groups that are shown as means."""
-    return tuple(m for m in METRICS.working().values() if _is_of(m, groups) and m.unit == "%" and not m.folded)
+    return tuple(m for m in METRICS.working().values() if _is_in_groups(m, groups) and m.unit == "%" and not m.folded)
 
 
 def folded_columns() -> tuple[Metric, ...]:
@@ -31,29 +31,31 @@ def folded_columns() -> tuple[Metric, ...]:
     return tuple(metric for metric in METRICS.working().values() if metric.folded)
 
 
-def error_columns(groups: Sequence[Group] = PAPER) -> tuple[Metric, ...]:
+def error_columns(groups: Sequence[Group] = PAPER_METRIC_GROUPS) -> tuple[Metric, ...]:
     """Return the metrics that are shown as medians: those of some groups, and always the paper's."""
-    return tuple(m for m in METRICS.working().values() if _is_of(m, (*groups, *PAPER)) and m.unit != "%")
+    return tuple(
+        m for m in METRICS.working().values() if _is_in_groups(m, (*groups, *PAPER_METRIC_GROUPS)) and m.unit != "%"
+    )
 
 
-def _is_of(metric: Metric, groups: Sequence[Group]) -> bool:
+def _is_in_groups(metric: Metric, groups: Sequence[Group]) -> bool:
     return bool(metric.label) and metric.group in groups
 
 
-RESAMPLES = 2000
-LEVEL = 0.95
-FEWEST = 5
+N_BOOTSTRAP_RESAMPLES = 2000
+CONFIDENCE_LEVEL = 0.95
+MIN_INTERVAL_CLIPS = 5
 """Fewest clips with an interval: that of two would just span both values."""
 
 
 @dataclass(frozen=True)
-class Row:
+class ComparisonRow:
     """A variant over some clips."""
 
     variant: Variant
-    values: dict[str, Estimate]
+    values: dict[str, MeanEstimate]
     """Means by label of the metric, 0 to 1."""
-    differences: dict[str, Estimate]
+    differences: dict[str, MeanEstimate]
     """Mean differences in pairs from the variant that it is compared with; empty for that variant itself."""
     medians: dict[str, float]
     """Medians of ``error_columns``, by label, over clips on which the method did not fail."""
@@ -83,7 +85,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Table:
+class ComparisonTable:
     """All variants over the same clips: all of them, or those of a category."""
 
     title: str
@@ -92,7 +94,7 @@ class Table:
     """Those for which there are values."""
     folded: tuple[Metric, ...]
     """Metrics of ``folded_columns`` that can be known; none for results made before they were measured."""
-    rows: tuple[Row, ...]
+    rows: tuple[ComparisonRow, ...]
 
     def ranks(self, column: Metric) -> list[int]:
         """Rank the printed values of a column: 1 for the best, 2 for the second best, else 0.
@@ -109,12 +111,12 @@ class Table:
         return ranks
 
 
-def compare(
-    scores: Sequence[Scores],
+def compare_variants(
+    scores: Sequence[GraspClipScores],
     variants: Sequence[Variant],
-    shown: Sequence[Group] = PAPER,
-    part_of: Callable[[Scores], str] = lambda clip: clip.category,
-) -> list[Table]:
+    shown: Sequence[Group] = PAPER_METRIC_GROUPS,
+    part_of: Callable[[GraspClipScores], str] = lambda clip: clip.category,
+) -> list[ComparisonTable]:
     """Make a table over all clips, and one for each part of them, by default a category, where there are several.
 
     ``shown`` are the groups of metrics that are columns.
@@ -122,16 +124,16 @@ def compare(
     scores = [clip for clip in scores if clip.scores]
     if not scores:
         return []
-    of = groups(scores)
-    tables = [_table("all", scores, variants, of, shown)]
+    of = independent_groups(scores)
+    tables = [_comparison_table("all", scores, variants, of, shown)]
     parts = sorted({part_of(clip) for clip in scores})
     for part in parts if len(parts) > 1 else []:
         own = [n for n, clip in enumerate(scores) if part_of(clip) == part]
-        tables.append(_table(part, [scores[n] for n in own], variants, [of[n] for n in own], shown))
+        tables.append(_comparison_table(part, [scores[n] for n in own], variants, [of[n] for n in own], shown))
     return tables
 
 
-def groups(scores: Sequence[Scores]) -> list[str]:
+def independent_groups(scores: Sequence[GraspClipScores]) -> list[str]:
     """Return the groups of clips that are independent.
 
     Groups are subjects where every clip has one and there are several, else clips.
@@ -140,62 +142,68 @@ def groups(scores: Sequence[Scores]) -> list[str]:
     return subjects if all(subjects) and len(set(subjects)) > 1 else [clip.name for clip in scores]
 
 
-def _table(
-    title: str, scores: Sequence[Scores], variants: Sequence[Variant], of: Sequence[str], shown: Sequence[Group]
-) -> Table:
-    means = (*columns(shown), *folded_columns())
-    cells = {v.label: {column.label: _values(scores, v, column) for column in means} for v in variants}
-    there = tuple(c for c in columns(shown) if any(not np.isnan(values[c.label]).all() for values in cells.values()))
+def _comparison_table(
+    title: str,
+    scores: Sequence[GraspClipScores],
+    variants: Sequence[Variant],
+    of: Sequence[str],
+    shown: Sequence[Group],
+) -> ComparisonTable:
+    means = (*mean_columns(shown), *folded_columns())
+    cells = {v.label: {column.label: _column_values(scores, v, column) for column in means} for v in variants}
+    there = tuple(
+        c for c in mean_columns(shown) if any(not np.isnan(values[c.label]).all() for values in cells.values())
+    )
     folded = tuple(c for c in folded_columns() if not c.needs_truth or any(clip.has_truth for clip in scores))
     rows = []
     for variant in variants:
         own, other = cells[variant.label], cells.get(variant.against)
         compared = other is not None and variant.label != variant.against
-        tried = [score for clip in scores if (score := _score(clip, variant))]
+        tried = [score for clip in scores if (score := _score_of_variant(clip, variant))]
         done = [score for score in tried if not score.failed]
-        wrong = [score for score in done if _is_right(score, variant) is False]
+        wrong = [score for score in done if _is_correct_pose(score, variant) is False]
         errors = {
             e.label: [score.metrics.get(e.key(variant.contact), np.nan) for score in done] for e in error_columns(shown)
         }
         rows.append(
-            Row(
+            ComparisonRow(
                 variant,
-                values={c.label: estimate(own[c.label], of) for c in (*there, *folded)},
-                differences={c.label: estimate(own[c.label] - other[c.label], of) for c in (*there, *folded)}
+                values={c.label: estimate_mean(own[c.label], of) for c in (*there, *folded)},
+                differences={c.label: estimate_mean(own[c.label] - other[c.label], of) for c in (*there, *folded)}
                 if other is not None and compared
                 else {},
-                medians={label: _median(values) for label, values in errors.items()},
+                medians={label: _nan_median(values) for label, values in errors.items()},
                 ambiguous=sum(score.ambiguous for score in done),
                 wrong=len(wrong),
                 wrong_ambiguous=sum(score.ambiguous for score in wrong),
-                serious=_counts([score.serious for score in done]),
+                serious=_count_names([score.serious for score in done]),
                 flagged=sum(bool(score.serious) for score in done),
-                flagged_right=sum(bool(score.serious) for score in done if _is_right(score, variant)),
-                noted=_counts([score.noted for score in done]),
-                seconds=_median([score.seconds for score in done]),
+                flagged_right=sum(bool(score.serious) for score in done if _is_correct_pose(score, variant)),
+                noted=_count_names([score.noted for score in done]),
+                seconds=_nan_median([score.seconds for score in done]),
                 failed=len(tried) - len(done),
                 tried=len(tried),
             )
         )
-    return Table(title, len(scores), there, folded, tuple(rows))
+    return ComparisonTable(title, len(scores), there, folded, tuple(rows))
 
 
-def _score(clip: Scores, variant: Variant) -> Score | None:
+def _score_of_variant(clip: GraspClipScores, variant: Variant) -> GraspVariantScore | None:
     return next((score for score in clip.scores if score.variant == variant.folder), None)
 
 
-def _is_right(score: Score, variant: Variant) -> bool | None:
+def _is_correct_pose(score: GraspVariantScore, variant: Variant) -> bool | None:
     """Return whether the pose is right up to symmetries; None where it is not known."""
     success = score.metrics.get(ADD_SYM.key(variant.contact), np.nan)
     return None if np.isnan(success) else bool(success)
 
 
-def _counts(names: Sequence[tuple[str, ...]]) -> dict[str, int]:
+def _count_names(names: Sequence[tuple[str, ...]]) -> dict[str, int]:
     """How often each name occurs, the most frequent first."""
     return dict(Counter(name for some in names for name in some).most_common())
 
 
-def _values(scores: Sequence[Scores], variant: Variant, column: Metric) -> Float[ndarray, "n"]:
+def _column_values(scores: Sequence[GraspClipScores], variant: Variant, column: Metric) -> Float[ndarray, "n"]:
     """Return a column's value for each clip.
 
     It is zero, the worst, where the method failed, so that failures improve no score. Where it failed on all clips none
@@ -205,7 +213,7 @@ def _values(scores: Sequence[Scores], variant: Variant, column: Metric) -> Float
     key, values = column.key(variant.contact), np.full(len(scores), np.nan)
     if not any(key in score.metrics for clip in scores for score in clip.scores):
         return values
-    tried = [(n, clip, score) for n, clip in enumerate(scores) if (score := _score(clip, variant))]
+    tried = [(n, clip, score) for n, clip in enumerate(scores) if (score := _score_of_variant(clip, variant))]
     if column.needs_truth and any(c.has_truth and not s.failed and key not in s.metrics for _, c, s in tried):
         return values
     if all(score.failed for _, _, score in tried):
@@ -218,14 +226,14 @@ def _values(scores: Sequence[Scores], variant: Variant, column: Metric) -> Float
     return values
 
 
-def _median(values: Sequence[float]) -> float:
+def _nan_median(values: Sequence[float]) -> float:
     """Return the median of the values that are known (not NaN); NaN if none is."""
     known = [value for value in values if not np.isnan(value)]
     return float(np.median(known)) if known else float("nan")
 
 
 @dataclass(frozen=True)
-class Estimate:
+class MeanEstimate:
     """A mean over clips with its interval; NaN where there is nothing to average."""
 
     mean: float
@@ -234,7 +242,7 @@ class Estimate:
     clips: int
 
 
-def resamples(groups: Sequence[str]) -> Float[ndarray, "B n"]:
+def bootstrap_resamples(groups: Sequence[str]) -> Float[ndarray, "B n"]:
     """Draw how often each clip is in each bootstrap resample.
 
     Clips of the same group (subject) are drawn together, as many groups as there are: they are no independent
@@ -242,30 +250,30 @@ def resamples(groups: Sequence[str]) -> Float[ndarray, "B n"]:
     """
     names, member = np.unique(np.asarray(groups), return_inverse=True)
     rng = np.random.default_rng(0)
-    drawn = rng.multinomial(len(names), np.full(len(names), 1.0 / len(names)), size=RESAMPLES)
+    drawn = rng.multinomial(len(names), np.full(len(names), 1.0 / len(names)), size=N_BOOTSTRAP_RESAMPLES)
     return drawn[:, member].astype(float)
 
 
-def estimate(values: Float[ndarray, "n"], groups: Sequence[str]) -> Estimate:
+def estimate_mean(values: Float[ndarray, "n"], groups: Sequence[str]) -> MeanEstimate:
     """Estimate the mean of the values that are not NaN, with an interval that holds for few groups.
 
     Clips of a group (subject) are no independent evidence: the interval is Student's t with one degree of freedom less
     than there are groups, and the standard error that of a ratio, from the groups' sums of deviations from the mean.
 
-    There is no interval for fewer than ``FEWEST`` values, where all are equal (100 % of ten clips is no certainty), nor
+    There is no interval for fewer than ``MIN_INTERVAL_CLIPS`` values, where all are equal (100 % of ten clips is no certainty), nor
     where all are of one group.
     """
     known = ~np.isnan(values)
     n = int(known.sum())
     if not n:
-        return Estimate(float("nan"), float("nan"), float("nan"), 0)
+        return MeanEstimate(float("nan"), float("nan"), float("nan"), 0)
     x = values[known]
     mean = float(x.mean())
     names, member = np.unique(np.asarray(groups)[known], return_inverse=True)
     G = len(names)
-    if n < FEWEST or not np.ptp(x) or G < 2:
-        return Estimate(mean, float("nan"), float("nan"), n)
+    if n < MIN_INTERVAL_CLIPS or not np.ptp(x) or G < 2:
+        return MeanEstimate(mean, float("nan"), float("nan"), n)
     deviations = np.bincount(member, x - mean)
     error = float(np.sqrt(G / (G - 1) * np.sum(deviations**2))) / n
-    wide = float(stdtrit(G - 1, (1.0 + LEVEL) / 2.0)) * error
-    return Estimate(mean, mean - wide, mean + wide, n)
+    wide = float(stdtrit(G - 1, (1.0 + CONFIDENCE_LEVEL) / 2.0)) * error
+    return MeanEstimate(mean, mean - wide, mean + wide, n)

@@ -19,9 +19,9 @@ from getagrip.errors import InputError, UsageError
 from getagrip.experiments.changes import Change
 from getagrip.experiments.settings import Ablation, Setting
 from getagrip.io import arrays
-from getagrip.io.files import is_plain_name, shown
+from getagrip.io.files import is_portable_name, shorten_value
 
-FEWEST = 2
+MIN_COMMON_FRAMES = 2
 """Frames that all sources must have."""
 
 
@@ -36,7 +36,7 @@ class HandSource:
     def of(text: str) -> HandSource:
         """Parse ``NAME=FOLDER``. Raises ``UsageError``."""
         name, equals, folder = text.partition("=")
-        if not (equals and folder and is_plain_name(name)):
+        if not (equals and folder and is_portable_name(name)):
             raise UsageError(f"--hands must be NAME=FOLDER (got {text!r})")
         if not Path(folder).is_dir():
             raise UsageError(f"--hands must be a folder with clips, or with a .npz for each (got {text!r})")
@@ -52,7 +52,7 @@ class HandSource:
             )
         return found
 
-    def read(self, clip: Clip) -> Hands:
+    def read(self, clip: Clip) -> SourceHands:
         """Read its hands of a clip. Raises ``InputError`` where there are none, or where they are not of this clip."""
         path = self.file(clip.name)
         if path.name == "hand.npz":
@@ -60,23 +60,23 @@ class HandSource:
             for key in ("side", "size"):
                 if getattr(other, key) != getattr(clip, key):
                     raise InputError(
-                        path.parent / "clip.json", key, shown(getattr(other, key)), f"{getattr(clip, key)}"
+                        path.parent / "clip.json", key, shorten_value(getattr(other, key)), f"{getattr(clip, key)}"
                     )
-            return Hands(path, other.hand, other.frames, other.K)
+            return SourceHands(path, other.hand, other.frames, other.K)
         about = arrays.read(path, {"frames", "K", "side"}.__contains__)
         side = about.get("side")
         if side is not None and str(side) != clip.side:
-            raise InputError(path, "side", shown(side.tolist()), clip.side)
+            raise InputError(path, "side", shorten_value(side.tolist()), clip.side)
         numbers, K = arrays.frame_numbers(path, about), None
-        frames = clip.frames if numbers is None else _names(numbers, clip)
+        frames = clip.frames if numbers is None else _frame_names(numbers, clip)
         if "K" in about:
             K = np.tile(arrays.floats(path, about, "K", (3, 3)), (len(frames), 1, 1))
             check_intrinsics(path, K, clip.size)
-        return Hands(path, read_hand(path, len(frames)), frames, K)
+        return SourceHands(path, read_hand(path, len(frames)), frames, K)
 
 
 @dataclass(frozen=True)
-class Hands:
+class SourceHands:
     """The hands of a clip by one source."""
 
     file: Path
@@ -109,9 +109,11 @@ class WithHands(Change):
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
         found = {source: source.read(clip) for source in self.sources}
         common = reduce(set.intersection, ({*hands.frames} for hands in found.values()), {*clip.frames})
-        if len(common) < FEWEST:
+        if len(common) < MIN_COMMON_FRAMES:
             got = f"{len(common)} of the {len(clip)} frames of {clip.name} in {' and '.join(s.name for s in found)}"
-            raise InputError(found[self.source].file, "frames", got, f"{FEWEST} frames at least that all of them have")
+            raise InputError(
+                found[self.source].file, "frames", got, f"{MIN_COMMON_FRAMES} frames at least that all of them have"
+            )
         index = np.array([n for n, name in enumerate(clip.frames) if name in common])
         return found[self.source].in_clip(clip.take(index)), masks.take(index)
 
@@ -119,7 +121,7 @@ class WithHands(Change):
         return {source.name: source.file(clip) for source in self.sources}
 
 
-def comparison(sources: Sequence[HandSource]) -> Ablation:
+def hand_source_ablation(sources: Sequence[HandSource]) -> Ablation:
     """Make hand sources the settings of an ablation; the first is what the others are compared with.
 
     Raises ``UsageError`` where two have the same name.
@@ -132,7 +134,7 @@ def comparison(sources: Sequence[HandSource]) -> Ablation:
     return Ablation("Hands, on the frames that all of them have", names[0], settings)
 
 
-def _names(numbers: tuple[int, ...], clip: Clip) -> tuple[str, ...]:
+def _frame_names(numbers: tuple[int, ...], clip: Clip) -> tuple[str, ...]:
     """Return the clip's names of the numbered frames of a hand file; numbers stand for frames that it does not have."""
     name_of = {int(name): name for name in clip.frames if name.isdecimal()}
     return tuple(name_of.get(number, f"{number}") for number in numbers)

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from getagrip.clip import Clip, FrameMasks, Masks
-from getagrip.clip.depth import DEPTH
+from getagrip.clip.depth import DEPTH_KEY
 from getagrip.clip.mask_request import MaskRequest
 from getagrip.clip.mask_sources import open_masks
 from getagrip.experiments.changes import UNCHANGED, Change, Several
 from getagrip.experiments.sources.ho3d import sequence_of
 
-HAND = "_hand"
+HAND_MASKS_SUFFIX = "_hand"
 """End of the name of a folder with the hand's masks."""
 
 
@@ -28,7 +28,7 @@ class WithMasks(Change):
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
         request, place = MaskRequest(clip.frames, clip.size), self.folder / sequence_of(clip.name)
-        objects, hand = open_masks(place, request), place.with_name(place.name + HAND)
+        objects, hand = open_masks(place, request), place.with_name(place.name + HAND_MASKS_SUFFIX)
         hands = open_masks(hand, request) if hand.is_dir() else None
 
         def of_frame(n: int) -> FrameMasks:
@@ -42,7 +42,7 @@ class WithMasks(Change):
 
     def inputs(self, clip: str) -> Mapping[str, Path]:
         place = self.folder / sequence_of(clip)
-        folders = (place, place.with_name(place.name + HAND))
+        folders = (place, place.with_name(place.name + HAND_MASKS_SUFFIX))
         return {f"{one.name}/{file.name}": file for one in folders if one.is_dir() for file in sorted(one.iterdir())}
 
 
@@ -51,7 +51,7 @@ class WithoutDepth(Change):
     """The clip without depth."""
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
-        return replace(clip, evidence={**clip.evidence, DEPTH: None}), masks
+        return replace(clip, evidence={**clip.evidence, DEPTH_KEY: None}), masks
 
 
 def without_depth(change: Change | None, depth: bool) -> Change:

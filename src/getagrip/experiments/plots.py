@@ -10,37 +10,39 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.evaluation.metric import SCA, TRUE_SCA, Metric
-from getagrip.experiments.comparison import LEVEL, Row, Table
+from getagrip.experiments.comparison import CONFIDENCE_LEVEL, ComparisonRow, ComparisonTable
 from getagrip.io import files
-from getagrip.io.terminal import counted
+from getagrip.io.terminal import format_count
 
-SHOWN = ("iou", "add_sym_success", "sca", "sca_add_sym", "sca_iou_80")
+ABLATION_PLOT_METRICS = ("iou", "add_sym_success", "sca", "sca_add_sym", "sca_iou_80")
 """Names of the metrics drawn."""
-PER_ROW = 3
+N_PANELS_PER_ROW = 3
 """Panels side by side."""
 
 
-def plot(table: Table, title: str, path: Path) -> None:
+def plot_ablation(table: ComparisonTable, title: str, path: Path) -> None:
     """Draw a table's rows into a PNG."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    columns = [column for column in table.columns if column.name in SHOWN]
+    columns = [column for column in table.columns if column.name in ABLATION_PLOT_METRICS]
     methods = list(dict.fromkeys(row.variant.group for row in table.rows))
     steps = list(dict.fromkeys(row.variant.step for row in table.rows))
-    down = -(-(len(columns) + 1) // PER_ROW)  # one panel is the legend's
+    down = -(-(len(columns) + 1) // N_PANELS_PER_ROW)  # one panel is the legend's
     width = max(3.0, 0.35 * len(steps) + 1.2)
     slanted = max(map(len, steps)) * len(steps) > 25
     height = 2.9 + slanted * 0.04 * max(0, max(map(len, steps)) - 12)  # slanted labels hang down
-    figure, grid = plt.subplots(down, PER_ROW, figsize=(width * PER_ROW, height * down), layout="constrained")
+    figure, grid = plt.subplots(
+        down, N_PANELS_PER_ROW, figsize=(width * N_PANELS_PER_ROW, height * down), layout="constrained"
+    )
     panels = grid.ravel()
     turn = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if slanted else {}
     for panel, column in zip(panels, columns, strict=False):
         for n, method in enumerate(methods):
             rows = [row for row in table.rows if row.variant.group == method]
-            mean, low, high = _percent(rows, column)
+            mean, low, high = _percent_with_interval(rows, column)
             x = np.array([steps.index(row.variant.step) for row in rows]) + 0.12 * (n - (len(methods) - 1) / 2)
             bars = np.nan_to_num([mean - low, high - mean])  # no interval, no bar
             dots = panel.errorbar(x, mean, bars, fmt="o", markersize=4, elinewidth=1.2, capsize=2, label=method)
@@ -48,7 +50,11 @@ def plot(table: Table, title: str, path: Path) -> None:
         if column is SCA and TRUE_SCA in table.columns:
             rows = [row for row in table.rows if row.variant.group == methods[0]]
             panel.plot(
-                range(len(rows)), _percent(rows, TRUE_SCA)[0], "k:", linewidth=1, label="SCA of the ground truth"
+                range(len(rows)),
+                _percent_with_interval(rows, TRUE_SCA)[0],
+                "k:",
+                linewidth=1,
+                label="SCA of the ground truth",
             )
             panel.legend(handles=panel.lines[-1:], fontsize=8, frameon=False)
         bottom, top = panel.get_ylim()
@@ -62,13 +68,15 @@ def plot(table: Table, title: str, path: Path) -> None:
         panel.axis("off")
     panels[len(columns)].legend(*panels[0].get_legend_handles_labels(), fontsize=9, frameon=False, loc="center left")
     words = title.replace("`", "")
-    figure.suptitle(f"{words} ({counted(table.clips, 'clip')}, {100 * LEVEL:.0f} % intervals)", fontsize=10)
+    figure.suptitle(
+        f"{words} ({format_count(table.clips, 'clip')}, {100 * CONFIDENCE_LEVEL:.0f} % intervals)", fontsize=10
+    )
     with files.new_file(path) as part:
         figure.savefig(part, dpi=130)
     plt.close(figure)
 
 
-def _percent(rows: Sequence[Row], column: Metric) -> Float[ndarray, "3 n"]:
+def _percent_with_interval(rows: Sequence[ComparisonRow], column: Metric) -> Float[ndarray, "3 n"]:
     """Means and ends of the intervals of a column."""
     values = [row.values[column.label] for row in rows]
     return 100.0 * np.array([(value.mean, value.low, value.high) for value in values]).T

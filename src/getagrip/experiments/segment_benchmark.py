@@ -8,31 +8,31 @@ from pathlib import Path
 
 import numpy as np
 
-from getagrip.datasets.tracks import subject_of
-from getagrip.experiments.comparison import resamples
+from getagrip.datasets.tracks import subject_from_clip_name
+from getagrip.experiments.comparison import bootstrap_resamples
 from getagrip.experiments.segment_trials import (
-    DEFINITION,
-    DIRECTIONS,
-    VARIANTS,
-    Matched,
+    SEGMENT_GRASP_DEFINITION,
+    SEGMENT_VARIANTS,
+    TIME_DIRECTIONS,
+    MatchedSegments,
+    SegmentSummary,
     SequenceScores,
     SequenceTrial,
-    Summary,
-    summary,
+    summarise_segments,
 )
 from getagrip.experiments.sources import Sample
 from getagrip.experiments.sources.recorded import DexYcbSequences
-from getagrip.experiments.trial import Benchmark, Page, Trial
+from getagrip.experiments.trial import Benchmark, BenchmarkPage, Trial
 from getagrip.fitting.options import Options
 from getagrip.io import files
-from getagrip.io.code import stamp
+from getagrip.io.code import date_and_commit
 from getagrip.io.tables import markdown_page
-from getagrip.io.terminal import counted
+from getagrip.io.terminal import format_count
 
-HEADINGS = ("", "sequences", "grasps", "tIoU", "F1@.5", "F1@.7", "start", "end", "missed", "false")
-COLUMNS = ("sequence", "direction", "variant", "true", "found", "tiou", "start", "end")
+SEGMENT_TABLE_HEADINGS = ("", "sequences", "grasps", "tIoU", "F1@.5", "F1@.7", "start", "end", "missed", "false")
+SEGMENT_CSV_COLUMNS = ("sequence", "direction", "variant", "true", "found", "tiou", "start", "end")
 """Columns of the table of sequences."""
-DRAWS = 400
+N_F1_RESAMPLES = 400
 """Bootstrap resamples of F1, which is no mean."""
 
 
@@ -48,33 +48,38 @@ class SegmentBenchmark(Benchmark[SequenceScores]):
         folder = files.folder_inside(results, noise)
         return [SequenceTrial(sample, folder, overwrite, noise, self.options) for sample in samples]
 
-    def page(self, scores: Sequence[SequenceScores]) -> Page | None:
+    def page(self, scores: Sequence[SequenceScores]) -> BenchmarkPage | None:
         scores = [one for one in scores if not one.failure]
         if not scores:
             return None
-        rows = _rows(scores)
-        grid: list[Sequence[str]] = [HEADINGS]
+        rows = _matched_by_variant(scores)
+        grid: list[Sequence[str]] = [SEGMENT_TABLE_HEADINGS]
         for label, matched in rows.items():
-            subjects = [subject_of(one.name) for one in scores for _ in range(len(matched) // len(scores))]
-            grid.append((label, *_cells(matched, subjects)))
+            subjects = [subject_from_clip_name(one.name) for one in scores for _ in range(len(matched) // len(scores))]
+            grid.append((label, *_segment_cells(matched, subjects)))
         about = [
-            f"{self.source.title}: {counted(len(scores), 'sequence')}; noise of hands and masks: {self.source.preset}",
-            f"a stable grasp: {DEFINITION.description}",
+            f"{self.source.title}: {format_count(len(scores), 'sequence')}; noise of hands and masks: {self.source.preset}",
+            f"a stable grasp: {SEGMENT_GRASP_DEFINITION.description}",
             "tIoU: mean over true grasps, missed ones 0; F1: grasps with a tIoU of at least .5, .7; start, end: mean "
             "absolute errors of those that something overlaps, in frames; false: sequences without a grasp in which "
             "one is found",
-            f"in brackets: 95 % intervals from {DRAWS} bootstrap resamples of the subjects",
+            f"in brackets: 95 % intervals from {N_F1_RESAMPLES} bootstrap resamples of the subjects",
             f"{np.median([one.seconds for one in scores]):.1f} s of CPU per sequence and direction (median)",
-            f"made {stamp()}",
+            f"made {date_and_commit()}",
         ]
         text = markdown_page("Grasps found without 3D labels", grid, about)
-        content = {"noise": self.source.preset, "rows": {label: asdict(summary(own)) for label, own in rows.items()}}
-        return Page(self.source.preset, text, {".md": text}, {"-sequences.csv": _csv_rows(scores)}, content)
+        content = {
+            "noise": self.source.preset,
+            "rows": {label: asdict(summarise_segments(own)) for label, own in rows.items()},
+        }
+        return BenchmarkPage(
+            self.source.preset, text, {".md": text}, {"-sequences.csv": _segment_csv_rows(scores)}, content
+        )
 
 
-def _csv_rows(scores: Sequence[SequenceScores]) -> list[Sequence[object]]:
+def _segment_csv_rows(scores: Sequence[SequenceScores]) -> list[Sequence[object]]:
     """Every sequence's numbers, the headings first."""
-    lines: list[Sequence[object]] = [COLUMNS]
+    lines: list[Sequence[object]] = [SEGMENT_CSV_COLUMNS]
     for one in scores:
         for (direction, variant), of in one.by.items():
             for match in of.matches or (None,):
@@ -83,21 +88,21 @@ def _csv_rows(scores: Sequence[SequenceScores]) -> list[Sequence[object]]:
     return lines
 
 
-def _rows(scores: Sequence[SequenceScores]) -> dict[str, list[Matched]]:
+def _matched_by_variant(scores: Sequence[SequenceScores]) -> dict[str, list[MatchedSegments]]:
     """Return the rows of the table: every variant, in each direction and in both."""
     out = {}
-    for variant, label in VARIANTS.items():
-        for directions in (DIRECTIONS[:1], DIRECTIONS[1:], DIRECTIONS):
+    for variant, label in SEGMENT_VARIANTS.items():
+        for directions in (TIME_DIRECTIONS[:1], TIME_DIRECTIONS[1:], TIME_DIRECTIONS):
             words = "both" if len(directions) > 1 else directions[0]
             out[f"{label}, {words}"] = [one.by[direction, variant] for one in scores for direction in directions]
     return out
 
 
-def _cells(rows: Sequence[Matched], subjects: Sequence[str]) -> tuple[str, ...]:
+def _segment_cells(rows: Sequence[MatchedSegments], subjects: Sequence[str]) -> tuple[str, ...]:
     """Return a row's numbers as text."""
-    all_ = summary(rows)
-    low, high = _interval(rows, subjects, lambda s: s.tiou)
-    low1, high1 = _interval(rows, subjects, lambda s: s.f1[0])
+    all_ = summarise_segments(rows)
+    low, high = _bootstrap_interval(rows, subjects, lambda s: s.tiou)
+    low1, high1 = _bootstrap_interval(rows, subjects, lambda s: s.f1[0])
     return (
         str(all_.sequences),
         str(all_.true),
@@ -111,12 +116,14 @@ def _cells(rows: Sequence[Matched], subjects: Sequence[str]) -> tuple[str, ...]:
     )
 
 
-def _interval(
-    rows: Sequence[Matched], subjects: Sequence[str], statistic: Callable[[Summary], float]
+def _bootstrap_interval(
+    rows: Sequence[MatchedSegments], subjects: Sequence[str], statistic: Callable[[SegmentSummary], float]
 ) -> tuple[float, float]:
     """Return the interval of a statistic when subjects are resampled with all their sequences."""
     values = []
-    for weights in resamples(subjects)[:DRAWS]:
-        values.append(statistic(summary([row for row, n in zip(rows, weights, strict=True) for _ in range(int(n))])))
+    for weights in bootstrap_resamples(subjects)[:N_F1_RESAMPLES]:
+        values.append(
+            statistic(summarise_segments([row for row, n in zip(rows, weights, strict=True) for _ in range(int(n))]))
+        )
     low, high = np.nanquantile(values, [0.025, 0.975])
     return float(low), float(high)

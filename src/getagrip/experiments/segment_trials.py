@@ -9,20 +9,20 @@ from functools import partial
 
 import numpy as np
 
-from getagrip.batch.validity import kept_or_made, made_of
+from getagrip.batch.validity import load_or_compute, provenance_of
 from getagrip.clip import Clip, Masks, read_clip, read_masks
-from getagrip.datasets.synthetic.noise import NOISE, perturbed
+from getagrip.datasets.synthetic.noise import NOISE_PRESETS, perturbed
 from getagrip.experiments.trial import ClipScores, Trial
 from getagrip.fitting.options import Options
 from getagrip.grasps.definition import Definition
 from getagrip.io.files import Json
 
-DIRECTIONS = ("forwards", "in reverse")
-DEFINITION = Definition(contact=0.010)
+TIME_DIRECTIONS = ("forwards", "in reverse")
+SEGMENT_GRASP_DEFINITION = Definition(contact=0.010)
 """Definition of a stable grasp, as that of the truth (``datasets.dexycb.reader``)."""
-VARIANTS = {"fits": "fits and Eq. 2", "motion": "first to last motion"}
+SEGMENT_VARIANTS = {"fits": "fits and Eq. 2", "motion": "first to last motion"}
 """How grasps are found: ours; and what the image motion alone says, with no fit."""
-CODE = ("segmentation", "experiments/segment_trials.py")
+SEGMENT_CODE = ("segmentation", "experiments/segment_trials.py")
 """Code that what is found depends on, besides that of a reconstruction."""
 Span = tuple[int, int]
 """First and last frame, both included."""
@@ -32,7 +32,7 @@ Span = tuple[int, int]
 class SequenceScores(ClipScores):
     """The scores of a sequence."""
 
-    by: dict[tuple[str, str], Matched] = field(default_factory=dict)
+    by: dict[tuple[str, str], MatchedSegments] = field(default_factory=dict)
     """By direction and variant; empty where it failed."""
     seconds: float = 0.0
     """Time of the process for one direction [s]; the mean of both."""
@@ -43,7 +43,7 @@ class SequenceTrial(Trial[SequenceScores]):
     """A sequence to find the grasps of; a file for it goes into ``results``."""
 
     noise: str
-    """Key of ``NOISE``: the noise of hands and masks."""
+    """Key of ``NOISE_PRESETS``: the noise of hands and masks."""
     options: Options
 
     def failed(self, why: str, trace: str = "") -> SequenceScores:
@@ -51,13 +51,15 @@ class SequenceTrial(Trial[SequenceScores]):
 
     def scores(self) -> SequenceScores:
         by, seconds = {}, []
-        of = made_of(self.sample.folder, self.options, *CODE)
-        record, again = kept_or_made(self.results / f"{self.name}.json", of, self.overwrite, partial(_found, self))
-        for direction in DIRECTIONS:
+        of = provenance_of(self.sample.folder, self.options, *SEGMENT_CODE)
+        record, again = load_or_compute(
+            self.results / f"{self.name}.json", of, self.overwrite, partial(_find_in_both_directions, self)
+        )
+        for direction in TIME_DIRECTIONS:
             here = record[direction]
             seconds.append(float(here["seconds"]))
-            for variant in VARIANTS:
-                by[direction, variant] = matched(_spans(here["true"]), _spans(here[variant]))
+            for variant in SEGMENT_VARIANTS:
+                by[direction, variant] = match_segments(_parse_spans(here["true"]), _parse_spans(here[variant]))
         return SequenceScores(self.name, by, float(np.mean(seconds)), again=again)
 
 
@@ -68,27 +70,27 @@ def reversed_in_time(clip: Clip, masks: Masks) -> tuple[Clip, Masks]:
     return replace(back, frames=clip.frames, times=None, segments=(), name=f"{clip.name}--reversed"), masks.take(index)
 
 
-def mirrored(spans: list[Span], frames: int) -> list[Span]:
+def reverse_spans(spans: list[Span], frames: int) -> list[Span]:
     """Return the intervals of a sequence, in its reverse."""
     return [(frames - 1 - last, frames - 1 - first) for first, last in reversed(spans)]
 
 
-def _found(trial: SequenceTrial) -> Json:
+def _find_in_both_directions(trial: SequenceTrial) -> Json:
     """Return the true and the found segments, by direction."""
     from getagrip.segmentation.found import find_segments, moving_runs
 
     clip = read_clip(trial.sample.folder)
     masks = read_masks(clip)
     true = [(s.first, s.last) for s in clip.segments if s.state == "grasp"]
-    clip, masks = perturbed(clip, masks, NOISE[trial.noise], [0, *clip.name.encode()])
+    clip, masks = perturbed(clip, masks, NOISE_PRESETS[trial.noise], [0, *clip.name.encode()])
     out = {}
-    for direction in DIRECTIONS:
+    for direction in TIME_DIRECTIONS:
         if direction == "in reverse":
-            (clip, masks), true = reversed_in_time(clip, masks), mirrored(true, len(clip))
+            (clip, masks), true = reversed_in_time(clip, masks), reverse_spans(true, len(clip))
         since = time.process_time()
-        found = find_segments(clip, masks, DEFINITION, trial.options)
+        found = find_segments(clip, masks, SEGMENT_GRASP_DEFINITION, trial.options)
         seconds = time.process_time() - since
-        runs = [run for run in moving_runs(clip, masks) if run[1] + 1 - run[0] >= DEFINITION.shortest]
+        runs = [run for run in moving_runs(clip, masks) if run[1] + 1 - run[0] >= SEGMENT_GRASP_DEFINITION.shortest]
         whole = [(min(first for first, _ in runs), max(last for _, last in runs))] if runs else []
         out[direction] = {
             "true": true,
@@ -100,12 +102,12 @@ def _found(trial: SequenceTrial) -> Json:
     return out
 
 
-def _spans(value: list[list[int]]) -> list[Span]:
+def _parse_spans(value: list[list[int]]) -> list[Span]:
     return [(first, last) for first, last in value]
 
 
 @dataclass(frozen=True)
-class Match:
+class SegmentMatch:
     """A true interval, and the found one that overlaps it most; each found one is matched once.
 
     Attributes:
@@ -119,17 +121,17 @@ class Match:
 
 
 @dataclass(frozen=True)
-class Matched:
+class MatchedSegments:
     """The intervals of a sequence."""
 
-    matches: tuple[Match, ...]
+    matches: tuple[SegmentMatch, ...]
     """One for each true interval."""
     found: int
     """How many were found."""
 
 
 @dataclass(frozen=True)
-class Summary:
+class SegmentSummary:
     """Over sequences. NaN where there is nothing to average.
 
     Attributes:
@@ -150,15 +152,15 @@ class Summary:
     false: tuple[int, int]
 
 
-def tiou(a: Span, b: Span) -> float:
+def span_iou(a: Span, b: Span) -> float:
     """Compute the intersection over union of two intervals of frames."""
     both = min(a[1], b[1]) - max(a[0], b[0]) + 1
     return max(both, 0) / (max(a[1], b[1]) - min(a[0], b[0]) + 1) if both > 0 else 0.0
 
 
-def matched(true: Sequence[Span], found: Sequence[Span]) -> Matched:
+def match_segments(true: Sequence[Span], found: Sequence[Span]) -> MatchedSegments:
     """Match true and found intervals, those that overlap most first."""
-    pairs = sorted(((tiou(a, b), i, j) for i, a in enumerate(true) for j, b in enumerate(found)), reverse=True)
+    pairs = sorted(((span_iou(a, b), i, j) for i, a in enumerate(true) for j, b in enumerate(found)), reverse=True)
     partner: dict[int, int] = {}
     for overlap, i, j in pairs:
         if overlap > 0.0 and i not in partner and j not in partner.values():
@@ -166,14 +168,14 @@ def matched(true: Sequence[Span], found: Sequence[Span]) -> Matched:
     out = []
     for i, a in enumerate(true):
         if i not in partner:
-            out.append(Match(0.0, None, None))
+            out.append(SegmentMatch(0.0, None, None))
             continue
         b = found[partner[i]]
-        out.append(Match(tiou(a, b), b[0] - a[0], b[1] - a[1]))
-    return Matched(tuple(out), len(found))
+        out.append(SegmentMatch(span_iou(a, b), b[0] - a[0], b[1] - a[1]))
+    return MatchedSegments(tuple(out), len(found))
 
 
-def summary(sequences: Sequence[Matched]) -> Summary:
+def summarise_segments(sequences: Sequence[MatchedSegments]) -> SegmentSummary:
     """Summarise the intervals of all sequences together."""
     matches = [match for one in sequences for match in one.matches]
     overlaps = np.array([match.tiou for match in matches])
@@ -182,17 +184,17 @@ def summary(sequences: Sequence[Matched]) -> Summary:
     total = len(matches) + found
     f1 = [2.0 * n / total if total else float("nan") for n in right]
     empty = [one for one in sequences if not one.matches]
-    return Summary(
+    return SegmentSummary(
         sequences=len(sequences),
         true=len(matches),
-        tiou=_mean(overlaps),
+        tiou=_mean_or_nan(overlaps),
         f1=(f1[0], f1[1]),
-        start=_mean(np.abs([match.start for match in matches if match.start is not None])),
-        end=_mean(np.abs([match.end for match in matches if match.end is not None])),
+        start=_mean_or_nan(np.abs([match.start for match in matches if match.start is not None])),
+        end=_mean_or_nan(np.abs([match.end for match in matches if match.end is not None])),
         missed=sum(match.start is None for match in matches),
         false=(sum(one.found > 0 for one in empty), len(empty)),
     )
 
 
-def _mean(values: np.ndarray) -> float:
+def _mean_or_nan(values: np.ndarray) -> float:
     return float(np.mean(values)) if len(values) else float("nan")

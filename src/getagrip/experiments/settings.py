@@ -10,11 +10,11 @@ from getagrip.experiments.changes import UNCHANGED, Change
 from getagrip.fitting.methods import METHODS
 from getagrip.metrics.contact import ContactDefinition
 
-REFERENCE = "one-dof"
+REFERENCE_METHOD = "one-dof"
 """Ours after the paper, the plain hinge: what the others are compared with."""
-COMPARED = tuple(name for name, method in METHODS.own.items() if not method.slow)
+DEFAULT_METHODS = tuple(name for name, method in METHODS.own.items() if not method.slow)
 """Methods that are compared where none is named; those of other packages only where they are."""
-CONTACTS = (ContactDefinition("object", 0.010),)
+DEFAULT_CONTACT_DEFINITIONS = (ContactDefinition("object", 0.010),)
 """Definitions of contact (docs/metrics.md) in the tables, unless a run or a setting says otherwise."""
 
 
@@ -38,5 +38,5 @@ class Ablation:
     usual: str | None
     """Label of the setting that the others are compared with; None: methods are compared in each setting."""
     settings: tuple[Setting, ...]
-    methods: tuple[str, ...] = (REFERENCE, "soft-hinge")
+    methods: tuple[str, ...] = (REFERENCE_METHOD, "soft-hinge")
     """Unless others are named."""

@@ -18,21 +18,21 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
-from getagrip.clip.depth import DEPTH, SIDE, Depth, DepthSource, windows
+from getagrip.clip.depth import DEPTH_KEY, N_WINDOW_SAMPLES, Depth, DepthSource, sampling_windows
 from getagrip.errors import InputError
 from getagrip.experiments.changes import Change
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.depth import depth_and_face
 
-STAYS = 0.7
+CONSTANT_VARIANCE_FRACTION = 0.7
 """Share of the smooth errors' variance that is the same in all frames."""
-LUMPS = 4
+SMOOTH_NOISE_GRID = 4
 """Values along a side of the window between which smooth errors are interpolated."""
 
 
 @dataclass(frozen=True)
-class DepthErrors:
+class SimulatedDepthErrors:
     """Errors of depth images.
 
     Attributes:
@@ -58,11 +58,13 @@ class DepthErrors:
     warped: float = 0.0
 
 
-DEPTHS = {
-    "realsense": DepthErrors("sensor", clip_scale=0.003, smooth=0.002, white=0.002, holes=0.25),
-    "mono": DepthErrors("network", clip_scale=0.06, frame_scale=0.01, relief=0.15, smooth=0.006, apart=0.006),
-    "mono-bad": DepthErrors("network", clip_scale=0.10, frame_scale=0.03, relief=0.30, smooth=0.012, apart=0.012),
-    "mono-warped": DepthErrors(
+DEPTH_ERROR_LEVELS = {
+    "realsense": SimulatedDepthErrors("sensor", clip_scale=0.003, smooth=0.002, white=0.002, holes=0.25),
+    "mono": SimulatedDepthErrors("network", clip_scale=0.06, frame_scale=0.01, relief=0.15, smooth=0.006, apart=0.006),
+    "mono-bad": SimulatedDepthErrors(
+        "network", clip_scale=0.10, frame_scale=0.03, relief=0.30, smooth=0.012, apart=0.012
+    ),
+    "mono-warped": SimulatedDepthErrors(
         "network", clip_scale=0.06, frame_scale=0.01, relief=0.15, smooth=0.006, apart=0.006, warped=0.3
     ),
 }
@@ -71,7 +73,7 @@ DEPTHS = {
 
 @dataclass(frozen=True)
 class SimulatedDepth(Change):
-    """Depth images of the true hand and object, with the errors of a level of ``DEPTHS``."""
+    """Depth images of the true hand and object, with the errors of a level of ``DEPTH_ERROR_LEVELS``."""
 
     level: str
 
@@ -79,56 +81,77 @@ class SimulatedDepth(Change):
         if clip.truth is None:
             raise InputError(clip.origin / "truth.npz", "", "no ground truth", "poses at which to simulate depth")
         rng = np.random.default_rng([seed, *b"depth", *clip.name.encode()])
-        return replace(clip, evidence={**clip.evidence, DEPTH: simulated(clip, masks, DEPTHS[self.level], rng)}), masks
+        return replace(
+            clip,
+            evidence={**clip.evidence, DEPTH_KEY: simulate_depth(clip, masks, DEPTH_ERROR_LEVELS[self.level], rng)},
+        ), masks
 
 
-def simulated(clip: Clip, masks: Masks, errors: DepthErrors, rng: np.random.Generator) -> Depth:
+def simulate_depth(clip: Clip, masks: Masks, errors: SimulatedDepthErrors, rng: np.random.Generator) -> Depth:
     """Make the depth images of a clip with ground truth."""
     truth = clip.truth
     assert truth is not None
-    corner, stride = windows(clip, masks, clip.size)
+    corner, stride = sampling_windows(clip, masks, clip.size)
     source = DepthSource("metric", errors.source)
-    seen = Depth(np.zeros((len(clip), SIDE, SIDE)), corner, stride, clip.size, source)
+    seen = Depth(np.zeros((len(clip), N_WINDOW_SAMPLES, N_WINDOW_SAMPLES)), corner, stride, clip.size, source)
     hands = se3.transform(truth.T_cam_hand, truth.hand_vertices)
     grasped = se3.transform(truth.T_cam_obj, truth.scale * clip.mesh.vertices)
-    constant, z, relief, apart = _smooth(rng), seen.z.copy(), _normal(rng, errors.relief), _normal(rng, errors.apart)
-    warp = errors.warped * rng.choice([-1.0, 1.0]) * _ramp(rng.uniform(0.0, 2.0 * np.pi))
-    scale = np.exp(_normal(rng, errors.clip_scale))
+    constant, z, relief, apart = (
+        _draw_smooth_field(rng),
+        seen.z.copy(),
+        _draw_normal(rng, errors.relief),
+        _draw_normal(rng, errors.apart),
+    )
+    warp = errors.warped * rng.choice([-1.0, 1.0]) * _linear_ramp(rng.uniform(0.0, 2.0 * np.pi))
+    scale = np.exp(_draw_normal(rng, errors.clip_scale))
     for n, K in enumerate(seen.intrinsics(clip)):
         depths = [
-            depth_and_face(vertices, faces, K, (SIDE, SIDE))[0]
+            depth_and_face(vertices, faces, K, (N_WINDOW_SAMPLES, N_WINDOW_SAMPLES))[0]
             for vertices, faces in ((grasped[n], clip.mesh.faces), (hands[n], clip.hand.faces))
         ]
         true = np.minimum(*depths).astype(float)
         shown = np.isfinite(true)
         middle = float(true[shown].mean()) if shown.any() else 1.0
         true[~shown] = 1.5 * middle
-        error = errors.smooth * (np.sqrt(STAYS) * constant + np.sqrt(1.0 - STAYS) * _smooth(rng))
+        error = errors.smooth * (
+            np.sqrt(CONSTANT_VARIANCE_FRACTION) * constant
+            + np.sqrt(1.0 - CONSTANT_VARIANCE_FRACTION) * _draw_smooth_field(rng)
+        )
         error += relief * np.where(shown, true - middle, 0.0) + apart * (depths[1] < depths[0])
         error += rng.normal(scale=errors.white, size=true.shape)
-        holes = _smooth(rng) < np.quantile(_smooth(rng), errors.holes) if errors.holes else np.zeros_like(shown)
-        z[n] = np.where(holes, 0.0, scale * np.exp(_normal(rng, errors.frame_scale)) * (true + error) * (1.0 + warp))
+        holes = (
+            _draw_smooth_field(rng) < np.quantile(_draw_smooth_field(rng), errors.holes)
+            if errors.holes
+            else np.zeros_like(shown)
+        )
+        z[n] = np.where(
+            holes, 0.0, scale * np.exp(_draw_normal(rng, errors.frame_scale)) * (true + error) * (1.0 + warp)
+        )
     return replace(seen, z=z)
 
 
-def _normal(rng: np.random.Generator, scale: float) -> float:
+def _draw_normal(rng: np.random.Generator, scale: float) -> float:
     return float(rng.normal(scale=scale))
 
 
-def _smooth(rng: np.random.Generator) -> Float[ndarray, "n n"]:
+def _draw_smooth_field(rng: np.random.Generator) -> Float[ndarray, "n n"]:
     """Draw a smooth field over a window, of about unit variance."""
-    field = cv2.resize(rng.normal(size=(LUMPS, LUMPS)), (SIDE, SIDE), interpolation=cv2.INTER_CUBIC)
+    field = cv2.resize(
+        rng.normal(size=(SMOOTH_NOISE_GRID, SMOOTH_NOISE_GRID)),
+        (N_WINDOW_SAMPLES, N_WINDOW_SAMPLES),
+        interpolation=cv2.INTER_CUBIC,
+    )
     return np.asarray(field / field.std())
 
 
-def _ramp(angle: float) -> Float[ndarray, "n n"]:
+def _linear_ramp(angle: float) -> Float[ndarray, "n n"]:
     """Return a field that goes from -1 to 1 across a window in one direction."""
-    x = np.linspace(-1.0, 1.0, SIDE)
+    x = np.linspace(-1.0, 1.0, N_WINDOW_SAMPLES)
     return np.cos(angle) * x + np.sin(angle) * x[:, None]
 
 
 @dataclass(frozen=True)
-class JointErrors:
+class SimulatedJointErrors:
     """Errors of 2D joints, as standard deviations along each axis in shares of the hand's box.
 
     Attributes:
@@ -150,24 +173,24 @@ class JointErrors:
     mistake: Literal["", "other hand", "shifted camera"] = ""
 
 
-JOINTS = {
-    "lab": JointErrors(0.02, 0.02),
-    "wild": JointErrors(0.035, 0.035, outliers=0.05),
-    "landmarks": JointErrors(0.032, 0.032, together=0.028, palm=1.8, outliers=0.1),
-    "other hand": JointErrors(0.02, 0.02, mistake="other hand"),
-    "shifted camera": JointErrors(0.02, 0.02, mistake="shifted camera"),
+JOINT_ERROR_LEVELS = {
+    "lab": SimulatedJointErrors(0.02, 0.02),
+    "wild": SimulatedJointErrors(0.035, 0.035, outliers=0.05),
+    "landmarks": SimulatedJointErrors(0.032, 0.032, together=0.028, palm=1.8, outliers=0.1),
+    "other hand": SimulatedJointErrors(0.02, 0.02, mistake="other hand"),
+    "shifted camera": SimulatedJointErrors(0.02, 0.02, mistake="shifted camera"),
 }
 """Levels of errors, by name. ``landmarks`` is that of our detector on real images (``results/landmark-errors.json``),
 half of which is taken to last; ``lab`` and ``wild`` are assumed."""
-PALM = [0, 1, 5, 9, 13, 17]
+PALM_JOINTS = [0, 1, 5, 9, 13, 17]
 """Joints: wrist and knuckles."""
-CARRY = 40
+N_JOINT_VERTICES = 40
 """Vertices nearest to a joint, with which it goes."""
 
 
 @dataclass(frozen=True)
 class SimulatedJoints(Change):
-    """2D joints of the true hand, with the errors of a level of ``JOINTS``."""
+    """2D joints of the true hand, with the errors of a level of ``JOINT_ERROR_LEVELS``."""
 
     level: str
 
@@ -175,18 +198,20 @@ class SimulatedJoints(Change):
         if clip.truth is None or clip.hand.joints is None:
             raise InputError(clip.origin / "truth.npz", "", "no ground truth", "a true hand, whose joints are seen")
         rng = np.random.default_rng([seed, *b"joints", *clip.name.encode()])
-        points = seen_joints(clip, masks, JOINTS[self.level], rng)
+        points = simulate_joints_2d(clip, masks, JOINT_ERROR_LEVELS[self.level], rng)
         hand = replace(clip.hand, joints_2d=points, joints_2d_confidence=np.ones(points.shape[:2]))
         return replace(clip, hand=hand), masks
 
 
-def seen_joints(clip: Clip, masks: Masks, errors: JointErrors, rng: np.random.Generator) -> Float[ndarray, "T 21 2"]:
+def simulate_joints_2d(
+    clip: Clip, masks: Masks, errors: SimulatedJointErrors, rng: np.random.Generator
+) -> Float[ndarray, "T 21 2"]:
     """Simulate where the joints of the true hand are seen [px]."""
     points = project(clip.K, true_joints(clip))
-    hidden, size = _hidden(masks, points), np.ptp(points, axis=1).max(axis=-1)[:, None, None]
+    hidden, size = _is_hidden_by_object(masks, points), np.ptp(points, axis=1).max(axis=-1)[:, None, None]
     off = errors.own * rng.normal(size=points.shape) + errors.lasting * rng.normal(size=points.shape[1:])
     off[hidden] *= errors.hidden
-    off[:, PALM] *= errors.palm
+    off[:, PALM_JOINTS] *= errors.palm
     far = rng.random(hidden.shape) < errors.outliers
     off[far] += rng.uniform(-0.5, 0.5, (np.count_nonzero(far), 2))
     off += errors.together * rng.normal(size=(len(points), 1, 2))
@@ -205,7 +230,9 @@ def true_joints(clip: Clip) -> Float[ndarray, "T 21 3"]:
     assert joints is not None
     found = np.empty_like(joints)
     for j in range(joints.shape[1]):
-        near = np.argsort(np.linalg.norm(clip.hand.vertices - joints[:, j, None], axis=-1).mean(axis=0))[:CARRY]
+        near = np.argsort(np.linalg.norm(clip.hand.vertices - joints[:, j, None], axis=-1).mean(axis=0))[
+            :N_JOINT_VERTICES
+        ]
         given, true = clip.hand.vertices[:, near], truth.hand_vertices[:, near]
         a, b = given.mean(axis=1, keepdims=True), true.mean(axis=1, keepdims=True)
         R = se3.nearest_rotation(np.swapaxes(true - b, 1, 2) @ (given - a))
@@ -213,7 +240,7 @@ def true_joints(clip: Clip) -> Float[ndarray, "T 21 3"]:
     return np.asarray(se3.transform(truth.T_cam_hand, found))
 
 
-def _hidden(masks: Masks, points: Float[ndarray, "T 21 2"]) -> Bool[ndarray, "T 21"]:
+def _is_hidden_by_object(masks: Masks, points: Float[ndarray, "T 21 2"]) -> Bool[ndarray, "T 21"]:
     """Tell which points lie in the object's masks."""
     height, width = masks.object.shape[1:]
     places = np.clip(points, 0.0, [width - 1, height - 1]).astype(int)

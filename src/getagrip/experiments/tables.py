@@ -7,18 +7,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from getagrip.experiments.comparison import LEVEL, Estimate, Table
-from getagrip.experiments.trials import Scores
+from getagrip.experiments.comparison import CONFIDENCE_LEVEL, ComparisonTable, MeanEstimate
+from getagrip.experiments.trials import GraspClipScores
 from getagrip.experiments.variants import Variant
 from getagrip.io.tables import markdown_table as table_lines
-from getagrip.io.terminal import counted, plain_table
+from getagrip.io.terminal import format_count, make_table
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
 
 @dataclass(frozen=True)
-class Style:
+class MarkupStyle:
     """How a page marks the best value, the second best, and an interval."""
 
     best: str
@@ -41,43 +41,43 @@ LATEX_SYMBOLS = {
     "_": r"\_", "%": r"\%", "&": r"\&", "#": r"\#", "°": r"$^\circ$", "λ": r"$\lambda$", "₂": "$_2$", "₃": "$_3$",
     "−": "$-$", "–": "--",
 }  # fmt: skip
-MARKDOWN = Style("**{}**", "<u>{}</u>", " <sub>{}</sub>")
-LATEX = Style(r"\textbf{{{}}}", r"\underline{{{}}}", r" {{\tiny {}}}", LATEX_SYMBOLS)
-SCREEN = Style("[bold]{}[/]", "[u]{}[/]", "\n[dim]{}[/]")
+MARKDOWN_STYLE = MarkupStyle("**{}**", "<u>{}</u>", " <sub>{}</sub>")
+LATEX_STYLE = MarkupStyle(r"\textbf{{{}}}", r"\underline{{{}}}", r" {{\tiny {}}}", LATEX_SYMBOLS)
+TERMINAL_STYLE = MarkupStyle("[bold]{}[/]", "[u]{}[/]", "\n[dim]{}[/]")
 
-SETTINGS = "How it was made, and how to read it"
-DIFFERENCES = "Differences, clip by clip; the intervals are of single cells, not corrected for their number"
-MEDIANS = (
+SETTINGS_TITLE = "How it was made, and how to read it"
+DIFFERENCES_TITLE = "Differences, clip by clip; the intervals are of single cells, not corrected for their number"
+MEDIANS_TITLE = (
     "Right in the camera (ADD sym.); medians over clips; results marked ambiguous, of all and of those whose pose is "
     "wrong (ADD sym.)"
 )
-FLAGGED = "Results with serious findings, the right ones among them, and the checks"
-CATEGORIES = "Each category"
+FINDINGS_TITLE = "Results with serious findings, the right ones among them, and the checks"
+CATEGORIES_TITLE = "Each category"
 """Titles of what a page folds away."""
-FAILED = "failed"
+FAILED_CELL = "failed"
 """In place of numbers, of a method that has failed on every clip."""
 
 
-def _number(share: float) -> str:
+def _format_percent(share: float) -> str:
     """Write a share in per cent."""
     return "–" if math.isnan(share) else f"{100.0 * share:.1f}"
 
 
-def _interval(value: Estimate) -> str:
+def _format_interval(value: MeanEstimate) -> str:
     """Write the interval of a share in per cent; nothing where there is none."""
     return "" if math.isnan(value.low) else f"[{100.0 * value.low:.0f}, {100.0 * value.high:.0f}]"
 
 
-def _difference(share: float) -> str:
+def _format_difference(share: float) -> str:
     """Write a difference of shares, with its sign."""
     return "–" if math.isnan(share) else f"{100.0 * share:+.1f}".replace("-", "−")
 
 
-def _seconds(value: float) -> str:
+def _format_seconds(value: float) -> str:
     return "–" if math.isnan(value) else f"{value:.2f}"
 
 
-def _body(table: Table, style: Style) -> list[list[str]]:
+def _table_body(table: ComparisonTable, style: MarkupStyle) -> list[list[str]]:
     """Return the rows of a table as texts: label, columns, seconds."""
     ranks = {column.label: table.ranks(column) for column in table.columns}
     rows = []
@@ -85,17 +85,17 @@ def _body(table: Table, style: Style) -> list[list[str]]:
         cells = [style.text(row.variant.label + (f" ({row.failed} failed)" if row.failed else ""))]
         for column in table.columns:
             value = row.values[column.label]
-            shown = FAILED if row.has_failed else _number(value.mean)
-            cells.append(style.cell(shown, ranks[column.label][n], _interval(value)))
-        rows.append([*cells, _seconds(row.seconds)])
+            shown = FAILED_CELL if row.has_failed else _format_percent(value.mean)
+            cells.append(style.cell(shown, ranks[column.label][n], _format_interval(value)))
+        rows.append([*cells, _format_seconds(row.seconds)])
     return rows
 
 
-def _headings(table: Table) -> list[str]:
+def _table_headings(table: ComparisonTable) -> list[str]:
     return ["", *(column.label for column in table.columns), "s"]
 
 
-def _differences(table: Table, style: Style) -> list[list[str]]:
+def _difference_rows(table: ComparisonTable, style: MarkupStyle) -> list[list[str]]:
     """Headings and rows of the differences in pairs, unmarked: intervals are not corrected for their number."""
     columns = [column for column in table.columns if column.ranked]
     rows = [["", *(column.label for column in columns)]]
@@ -104,21 +104,24 @@ def _differences(table: Table, style: Style) -> list[list[str]]:
             cells = [style.text(f"{row.variant.label} − {row.variant.against}")]
             for column in columns:
                 value = row.differences[column.label]
-                ends = f"[{_difference(value.low)}, {_difference(value.high)}]"
-                cells.append(style.cell(_difference(value.mean), 0, "" if math.isnan(value.low) else ends))
+                ends = f"[{_format_difference(value.low)}, {_format_difference(value.high)}]"
+                cells.append(style.cell(_format_difference(value.mean), 0, "" if math.isnan(value.low) else ends))
             rows.append(cells)
     return rows
 
 
-def _errors(table: Table, style: Style) -> list[list[str]]:
+def _error_rows(table: ComparisonTable, style: MarkupStyle) -> list[list[str]]:
     """Headings and rows of the means that are folded away, of the medians, and of what is marked ambiguous."""
     labels = [label for label in table.rows[0].medians if not all(math.isnan(row.medians[label]) for row in table.rows)]
     rows = [["", *(f"{column.label}, %" for column in table.folded), *labels, "ambiguous", "of wrong poses"]]
     for row in table.rows:
         means = [row.values[column.label] for column in table.folded]
-        shares = [style.cell(FAILED if row.has_failed else _number(mean.mean), 0, _interval(mean)) for mean in means]
+        shares = [
+            style.cell(FAILED_CELL if row.has_failed else _format_percent(mean.mean), 0, _format_interval(mean))
+            for mean in means
+        ]
         medians = [
-            FAILED if row.has_failed else "–" if math.isnan(row.medians[label]) else f"{row.medians[label]:.1f}"
+            FAILED_CELL if row.has_failed else "–" if math.isnan(row.medians[label]) else f"{row.medians[label]:.1f}"
             for label in labels
         ]
         marked = [f"{row.ambiguous} of {table.clips}", f"{row.wrong_ambiguous} of {row.wrong}"]
@@ -126,7 +129,7 @@ def _errors(table: Table, style: Style) -> list[list[str]]:
     return rows
 
 
-def _findings(table: Table, style: Style) -> list[list[str]]:
+def _finding_rows(table: ComparisonTable, style: MarkupStyle) -> list[list[str]]:
     """Return headings and rows of the number of results that each check flags (docs/checks.md)."""
     rows = [["", "flagged", "right ones", "serious findings", "notes"]]
     for row in table.rows:
@@ -137,42 +140,51 @@ def _findings(table: Table, style: Style) -> list[list[str]]:
     return rows
 
 
-def markdown(tables: Sequence[Table], title: str, about: Sequence[str], settings: Sequence[str]) -> str:
+def comparison_markdown(
+    tables: Sequence[ComparisonTable], title: str, about: Sequence[str], settings: Sequence[str]
+) -> str:
     """Write a page: the run, and means over all clips; settings, differences, medians and categories are folded."""
     lines = [f"# {title}", "", *(f"- {line}" for line in about), ""]
     for table in tables[:1]:
-        lines += _means(table)
-        lines += _folded(SETTINGS, [f"- {line}" for line in settings])
-        differences = _differences(table, MARKDOWN)
+        lines += _means_markdown(table)
+        lines += _details_block(SETTINGS_TITLE, [f"- {line}" for line in settings])
+        differences = _difference_rows(table, MARKDOWN_STYLE)
         if len(differences) > 1:
-            lines += _folded(DIFFERENCES, table_lines(differences))
-        lines += _folded(MEDIANS, table_lines(_errors(table, MARKDOWN)))
-        lines += _folded(FLAGGED, table_lines(_findings(table, MARKDOWN)))
+            lines += _details_block(DIFFERENCES_TITLE, table_lines(differences))
+        lines += _details_block(MEDIANS_TITLE, table_lines(_error_rows(table, MARKDOWN_STYLE)))
+        lines += _details_block(FINDINGS_TITLE, table_lines(_finding_rows(table, MARKDOWN_STYLE)))
     if tables[1:]:
-        lines += _folded(CATEGORIES, [line for table in tables[1:] for line in _means(table)][:-1])
+        lines += _details_block(
+            CATEGORIES_TITLE, [line for table in tables[1:] for line in _means_markdown(table)][:-1]
+        )
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _means(table: Table) -> list[str]:
-    return [f"{_heading(table)}:", "", *table_lines([_headings(table), *_body(table, MARKDOWN)]), ""]
+def _means_markdown(table: ComparisonTable) -> list[str]:
+    return [
+        f"{_table_title(table)}:",
+        "",
+        *table_lines([_table_headings(table), *_table_body(table, MARKDOWN_STYLE)]),
+        "",
+    ]
 
 
-def _folded(title: str, lines: list[str]) -> list[str]:
+def _details_block(title: str, lines: list[str]) -> list[str]:
     """Lines under a title that opens them; blank lines around them, since else they are no Markdown."""
     return [f"<details><summary>{title}</summary>", "", *lines, "", "</details>", ""]
 
 
-def _heading(table: Table) -> str:
+def _table_title(table: ComparisonTable) -> str:
     contacts = {row.variant.contact.description for row in table.rows}
     contact = f", contact: {contacts.pop()}" if len(contacts) == 1 else ""
-    return f"{table.title[:1].upper()}{table.title[1:]}: {counted(table.clips, 'clip')}{contact}"
+    return f"{table.title[:1].upper()}{table.title[1:]}: {format_count(table.clips, 'clip')}{contact}"
 
 
-def latex(tables: Sequence[Table], title: str, about: Sequence[str]) -> str:
+def comparison_latex(tables: Sequence[ComparisonTable], title: str, about: Sequence[str]) -> str:
     """Write the same tables for a paper (needs the package booktabs)."""
     lines = [f"% {title}", *(f"% {line}" for line in about)]
     for table in tables:
-        headings = [LATEX.text(heading) for heading in _headings(table)]
+        headings = [LATEX_STYLE.text(heading) for heading in _table_headings(table)]
         lines += [
             "",
             r"\begin{table}",
@@ -181,16 +193,16 @@ def latex(tables: Sequence[Table], title: str, about: Sequence[str]) -> str:
             r"\toprule",
             " & ".join(headings) + r" \\",
             r"\midrule",
-            *(" & ".join(row) + r" \\" for row in _body(table, LATEX)),
+            *(" & ".join(row) + r" \\" for row in _table_body(table, LATEX_STYLE)),
             r"\bottomrule",
             r"\end{tabular}",
-            rf"\caption{{{LATEX.text(f'{title}. {_heading(table)}.')}}}",
+            rf"\caption{{{LATEX_STYLE.text(f'{title}. {_table_title(table)}.')}}}",
             r"\end{table}",
         ]
     return "\n".join(lines) + "\n"
 
 
-def csv_rows(tables: Sequence[Table]) -> list[list[object]]:
+def comparison_csv_rows(tables: Sequence[ComparisonTable]) -> list[list[object]]:
     """Return the headings, and one line for each table, row and column, unrounded, shares from 0 to 1."""
     numbers = ("mean", "low", "high", "clips")
     lines: list[list[object]] = [
@@ -200,19 +212,23 @@ def csv_rows(tables: Sequence[Table]) -> list[list[object]]:
         for column in (*table.columns, *table.folded):
             for row, rank in zip(table.rows, table.ranks(column), strict=True):
                 value, difference = row.values[column.label], row.differences.get(column.label)
-                compared = ["", *[""] * 4] if difference is None else [row.variant.against, *_numbers(difference)]
-                lines.append([table.title, row.variant.label, column.label, *_numbers(value), rank or "", *compared])
+                compared = (
+                    ["", *[""] * 4] if difference is None else [row.variant.against, *_estimate_cells(difference)]
+                )
+                lines.append(
+                    [table.title, row.variant.label, column.label, *_estimate_cells(value), rank or "", *compared]
+                )
         for row in table.rows:
             for label, median in (*row.medians.items(), ("seconds", row.seconds)):
                 lines.append([table.title, row.variant.label, f"{label} (median)", median, *[""] * 9])
     return lines
 
 
-def _numbers(estimate: Estimate) -> list[float | int]:
+def _estimate_cells(estimate: MeanEstimate) -> list[float | int]:
     return [estimate.mean, estimate.low, estimate.high, estimate.clips]
 
 
-def clips_csv_rows(scores: Sequence[Scores], variants: Sequence[Variant]) -> list[list[object]]:
+def clips_csv_rows(scores: Sequence[GraspClipScores], variants: Sequence[Variant]) -> list[list[object]]:
     """Return the headings, and one line for each clip and variant with every metric, unrounded."""
     of = {variant.folder: variant for variant in variants}
     keys = list(dict.fromkeys(key for clip in scores for score in clip.scores for key in score.metrics))
@@ -236,22 +252,22 @@ def clips_csv_rows(scores: Sequence[Scores], variants: Sequence[Variant]) -> lis
     return lines
 
 
-def terminal(table: Table, below: Sequence[str] = ()) -> RichTable:
+def terminal_table(table: ComparisonTable, below: Sequence[str] = ()) -> RichTable:
     """Make the table over all clips for a screen, with lines below it."""
-    out = plain_table(title=_heading(table), title_justify="left")
+    out = make_table(title=_table_title(table), title_justify="left")
     out.caption, out.caption_justify = "\n".join(below), "left"
     out.add_column("")
-    for heading in _headings(table)[1:]:
+    for heading in _table_headings(table)[1:]:
         out.add_column(heading.replace(" ", "\n").replace("SCA-", "SCA-\n", 1), justify="right", no_wrap=True)
-    for row in _body(table, SCREEN):
+    for row in _table_body(table, TERMINAL_STYLE):
         out.add_row(*row)
     return out
 
 
-def as_json(tables: Sequence[Table], scores: Sequence[Scores]) -> dict[str, object]:
+def comparison_json(tables: Sequence[ComparisonTable], scores: Sequence[GraspClipScores]) -> dict[str, object]:
     """Return every number, unrounded: the tables' and each clip's."""
     return {
-        "level": LEVEL,
+        "level": CONFIDENCE_LEVEL,
         "tables": [
             {
                 "table": table.title,

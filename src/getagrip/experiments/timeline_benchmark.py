@@ -8,48 +8,67 @@ from pathlib import Path
 
 import numpy as np
 
-from getagrip.datasets.tracks import subject_of
+from getagrip.datasets.tracks import subject_from_clip_name
 from getagrip.errors import UsageError
-from getagrip.experiments.comparison import estimate
+from getagrip.experiments.comparison import estimate_mean
 from getagrip.experiments.sources import Sample
-from getagrip.experiments.sources.recorded import Timelines
-from getagrip.experiments.timeline_trials import ALL, LEVELS, TimelineScores, TimelineTrial, VariantScores
-from getagrip.experiments.trial import Benchmark, Page, Trial
+from getagrip.experiments.sources.recorded import TimelineSource
+from getagrip.experiments.timeline_trials import (
+    ALL_NOISE_LEVELS,
+    TIMELINE_NOISE_LEVELS,
+    TimelineScores,
+    TimelineTrial,
+    VariantScores,
+)
+from getagrip.experiments.trial import Benchmark, BenchmarkPage, Trial
 from getagrip.fitting.options import Options
 from getagrip.io import files
-from getagrip.io.code import stamp
+from getagrip.io.code import date_and_commit
 from getagrip.io.tables import markdown_page
-from getagrip.io.terminal import counted
+from getagrip.io.terminal import format_count
 
-HEADINGS = ("hands", "", "static", "between", "grasp", "grasp, ADD", "mugs, grasp", "jump, mm", "SCA", "s")
+TIMELINE_TABLE_HEADINGS = (
+    "hands",
+    "",
+    "static",
+    "between",
+    "grasp",
+    "grasp, ADD",
+    "mugs, grasp",
+    "jump, mm",
+    "SCA",
+    "s",
+)
 
 
 @dataclass(frozen=True)
 class TimelineBenchmark(Benchmark[TimelineScores]):
     """A benchmark that reconstructs every timeline with every variant."""
 
-    source: Timelines
+    source: TimelineSource
     options: Options
 
     def trials(self, samples: Sequence[Sample], results: Path, overwrite: bool) -> list[Trial[TimelineScores]]:
         preset = self.source.preset
-        levels = tuple(LEVELS) if preset == ALL else (preset,)
+        levels = tuple(TIMELINE_NOISE_LEVELS) if preset == ALL_NOISE_LEVELS else (preset,)
         for level in levels:
             files.folder_inside(results, level)
         return [TimelineTrial(sample, results, overwrite, levels, self.options) for sample in samples]
 
-    def page(self, scores: Sequence[TimelineScores]) -> Page | None:
+    def page(self, scores: Sequence[TimelineScores]) -> BenchmarkPage | None:
         """Make the page; raise ``UsageError`` where no timeline has both a static segment and a stable grasp."""
         done = [one for one in scores if not one.failure]
         whole = [one for one in done if one.by]
         if done and not whole:
             lacking = "a timeline with both a static segment and a stable grasp"
-            raise UsageError(f"missing {lacking} in {self.source.dataset}: none of {counted(len(done), 'timeline')}")
+            raise UsageError(
+                f"missing {lacking} in {self.source.dataset}: none of {format_count(len(done), 'timeline')}"
+            )
         if not whole:
             return None
-        grid: list[Sequence[str]] = [HEADINGS]
+        grid: list[Sequence[str]] = [TIMELINE_TABLE_HEADINGS]
         grid += [
-            (level, variant, *_cells(whole, level, variant))
+            (level, variant, *_timeline_cells(whole, level, variant))
             for level, variants in whole[0].by.items()
             for variant in variants
         ]
@@ -63,18 +82,18 @@ class TimelineBenchmark(Benchmark[TimelineScores]):
             "SCA: mean over grasps, object vertices within 10 mm of the hand that was found",
             "s: median seconds of CPU for a timeline, reading not included",
             "in brackets: 95 % intervals by Student's t over the subjects",
-            f"{self.options.inits} initial poses, seed {self.options.seed}; made {stamp()}",
+            f"{self.options.inits} initial poses, seed {self.options.seed}; made {date_and_commit()}",
         ]
         text = markdown_page("Timelines", grid, about, words=2)
-        return Page(self.source.preset, text, {".md": text}, {}, {one.name: one.by for one in whole})
+        return BenchmarkPage(self.source.preset, text, {".md": text}, {}, {one.name: one.by for one in whole})
 
 
-def _cells(scores: Sequence[TimelineScores], level: str, variant: str) -> list[str]:
+def _timeline_cells(scores: Sequence[TimelineScores], level: str, variant: str) -> list[str]:
     """Return a row's numbers as text."""
     found = [(one, one.by[level][variant]) for one in scores]
-    cells = [_share(found, kind, "right_sym") for kind in ("static", "between", "grasp")]
-    cells.append(_share(found, "grasp", "right"))
-    cells.append(_share([(one, of) for one, of in found if "mug" in one.category], "grasp", "right_sym"))
+    cells = [_segment_percentage(found, kind, "right_sym") for kind in ("static", "between", "grasp")]
+    cells.append(_segment_percentage(found, "grasp", "right"))
+    cells.append(_segment_percentage([(one, of) for one, of in found if "mug" in one.category], "grasp", "right_sym"))
     gaps = [jump for _, of in found for jump in of.get("jumps", [])]
     sca = [s["sca"] for _, of in found for s in of.get("segments", []) if s["sca"] is not None]
     seconds = [of["seconds"] for _, of in found]
@@ -82,15 +101,15 @@ def _cells(scores: Sequence[TimelineScores], level: str, variant: str) -> list[s
     return [*cells, f"{np.median(seconds):.1f}"]
 
 
-def _share(found: Sequence[tuple[TimelineScores, VariantScores]], kind: str, key: str) -> str:
+def _segment_percentage(found: Sequence[tuple[TimelineScores, VariantScores]], kind: str, key: str) -> str:
     """Per cent of the segments of a kind, with an interval; a failed timeline counts as one wrong segment."""
     values, subjects = [], []
     for one, of in found:
         right = [float(s[key]) for s in of.get("segments", []) if s["kind"] == kind] if "segments" in of else [0.0]
         values += right
-        subjects += [subject_of(one.name)] * len(right)
+        subjects += [subject_from_clip_name(one.name)] * len(right)
     if not values:
         return "–"
-    value = estimate(np.array(values), subjects)
+    value = estimate_mean(np.array(values), subjects)
     interval = "" if np.isnan(value.low) else f" [{100 * value.low:.0f}, {100 * value.high:.0f}]"
     return f"{100 * value.mean:.1f}{interval} (n = {value.clips})"

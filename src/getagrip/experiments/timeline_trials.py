@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.batch.validity import kept_or_made, made_of
+from getagrip.batch.validity import load_or_compute, provenance_of
 from getagrip.clip import Clip, read_clip, read_masks
-from getagrip.datasets.synthetic.noise import NOISE, Noise, perturbed
+from getagrip.datasets.synthetic.noise import NOISE_PRESETS, Noise, perturbed
 from getagrip.errors import GetagripError
 from getagrip.experiments.trial import ClipScores, Trial
 from getagrip.fitting.options import Options
@@ -24,19 +24,19 @@ from getagrip.metrics.contact import ContactDefinition, contact_distances, stabl
 from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
 from getagrip.metrics.symmetry import Symmetries, find_symmetries
 
-LEVELS: dict[str, Noise] = {
+TIMELINE_NOISE_LEVELS: dict[str, Noise] = {
     "exact": Noise(),
-    "moderate": replace(NOISE["moderate"], mask_ragged_px=0.0),
-    "strong": replace(NOISE["strong"], mask_ragged_px=0.0),
-    "ragged": NOISE["strong"],
+    "moderate": replace(NOISE_PRESETS["moderate"], mask_ragged_px=0.0),
+    "strong": replace(NOISE_PRESETS["strong"], mask_ragged_px=0.0),
+    "ragged": NOISE_PRESETS["strong"],
 }
 """Noise of hands; ``ragged`` is strong noise, and that of masks, too: 1 px."""
-CODE = ("experiments/timeline_trials.py",)
+TIMELINE_CODE = ("experiments/timeline_trials.py",)
 """Code that scores depend on, besides that of a reconstruction."""
-ALL = "all"
+ALL_NOISE_LEVELS = "all"
 """All levels, one after the other."""
-CONTACT = ContactDefinition("object", 0.010)
-KINDS = {"static": "static", "contact": "between", "free": "between", "grasp": "grasp"}
+TIMELINE_CONTACT_DEFINITION = ContactDefinition("object", 0.010)
+SEGMENT_KINDS = {"static": "static", "contact": "between", "free": "between", "grasp": "grasp"}
 """Words for the states of segments in tables."""
 
 
@@ -67,7 +67,7 @@ class TimelineTrial(Trial[TimelineScores]):
     """A timeline to reconstruct; a folder for each level, with a file for it, goes into ``results``."""
 
     levels: tuple[str, ...]
-    """Keys of ``LEVELS``."""
+    """Keys of ``TIMELINE_NOISE_LEVELS``."""
     options: Options
 
     def failed(self, why: str, trace: str = "") -> TimelineScores:
@@ -75,10 +75,10 @@ class TimelineTrial(Trial[TimelineScores]):
 
     def scores(self) -> TimelineScores:
         by, category = dict[str, Mapping[str, VariantScores]](), ""
-        of, again = made_of(self.sample.folder, self.options, *CODE), dict[str, None]()
+        of, again = provenance_of(self.sample.folder, self.options, *TIMELINE_CODE), dict[str, None]()
         for level in self.levels:
             path = self.results / level / f"{self.name}.json"
-            record, why = kept_or_made(path, of, self.overwrite, partial(_found, self, level))
+            record, why = load_or_compute(path, of, self.overwrite, partial(_score_noise_level, self, level))
             again |= {why: None} if why else {}
             category = record["category"]
             if record["by"]:
@@ -86,9 +86,9 @@ class TimelineTrial(Trial[TimelineScores]):
         return TimelineScores(self.name, category, by, again="; ".join(again))
 
 
-def _found(trial: TimelineTrial, level: str) -> Json:
+def _score_noise_level(trial: TimelineTrial, level: str) -> Json:
     """Return the scores of every variant at a level, for timelines with both a static segment and a grasp."""
-    from getagrip.timelines.baselines import VARIANTS, reconstruct_with
+    from getagrip.timelines.baselines import TIMELINE_VARIANTS, reconstruct_variant
 
     tracked = read_clip(trial.sample.folder)
     input_masks = read_masks(tracked)
@@ -97,18 +97,20 @@ def _found(trial: TimelineTrial, level: str) -> Json:
     if not {"static", "grasp"} <= states:
         return {"category": tracked.category, "by": by}
     symmetries = find_symmetries(tracked.mesh)
-    clip, masks = perturbed(tracked, input_masks, LEVELS[level], [trial.options.seed, *tracked.name.encode()])
-    for variant in VARIANTS:
+    clip, masks = perturbed(
+        tracked, input_masks, TIMELINE_NOISE_LEVELS[level], [trial.options.seed, *tracked.name.encode()]
+    )
+    for variant in TIMELINE_VARIANTS:
         since = time.process_time()
         try:
-            motion = reconstruct_with(variant, clip, masks, trial.options)
+            motion = reconstruct_variant(variant, clip, masks, trial.options)
         except GetagripError as error:
             by[variant] = {"failure": str(error), "seconds": time.process_time() - since}
             continue
         by[variant] = {
             "seconds": time.process_time() - since,
             "segments": [asdict(s) for s in segment_scores(clip, symmetries, motion.T_cam_obj, motion.T_cam_hand)],
-            "jumps": jumps(clip, motion.T_cam_obj),
+            "jumps": segment_jumps(clip, motion.T_cam_obj),
         }
     return {"category": tracked.category, "by": by}
 
@@ -118,7 +120,7 @@ class SegmentScore:
     """A segment's poses in the camera frame.
 
     Attributes:
-        kind: of ``KINDS``.
+        kind: of ``SEGMENT_KINDS``.
         right: whether its mean ADD is below a tenth of the diameter.
         right_sym: the same up to the object's symmetries.
         add_sym: that mean, in diameters.
@@ -147,13 +149,13 @@ def segment_scores(
         if segment.state == "grasp":
             grasped = ObjectTrack(se3.inverse(T_cam_hand[rows]) @ T_cam_obj[rows], 1.0)
             (distances,) = contact_distances(clip.mesh, [grasped], clip.hand.vertices[rows], clip.hand.faces)
-            sca = stable_contact(distances, CONTACT).sca
+            sca = stable_contact(distances, TIMELINE_CONTACT_DEFINITION).sca
         share = float(sym.add.mean() / sym.diameter)
-        out.append(SegmentScore(KINDS[segment.state], plain.success, sym.success, share, sca))
+        out.append(SegmentScore(SEGMENT_KINDS[segment.state], plain.success, sym.success, share, sca))
     return out
 
 
-def jumps(clip: Clip, T_cam_obj: Float[ndarray, "T 4 4"]) -> Sequence[float]:
+def segment_jumps(clip: Clip, T_cam_obj: Float[ndarray, "T 4 4"]) -> Sequence[float]:
     """Measure the object's jump from each segment to the next beyond its true motion [m]: the mean over vertices."""
     assert clip.truth is not None
     out = []

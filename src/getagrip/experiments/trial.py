@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from getagrip.batch.entries import Entry
-from getagrip.batch.job import Outcome, failure
+from getagrip.batch.entries import LedgerEntry
+from getagrip.batch.job import Outcome, failed_outcome
 from getagrip.experiments.sources import Sample
 from getagrip.io import files
 from getagrip.io.files import Json
@@ -17,12 +17,12 @@ from getagrip.io.terminal import console
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from getagrip.experiments.comparison import Table as ComparisonTable
+    from getagrip.experiments.comparison import ComparisonTable
 
 
 @dataclass(frozen=True)
 class ClipScores:
-    """The scores of a clip; ``failure`` says why there are none."""
+    """The scores of a clip; ``failed_outcome`` says why there are none."""
 
     name: str
     failure: str = field(default="", kw_only=True)
@@ -57,7 +57,7 @@ class Trial(Generic[S]):
         raise NotImplementedError
 
 
-def run(trial: Trial[S]) -> S:
+def run_trial(trial: Trial[S]) -> S:
     """Score a clip, which is made where it is not there yet; failures are returned, not raised. Raises nothing."""
     sample = trial.sample
     try:
@@ -65,11 +65,11 @@ def run(trial: Trial[S]) -> S:
             sample.make(sample.folder)
         return trial.scores()
     except Exception as error:  # one clip's trouble must not end the others
-        outcome = failure(sample.name, error)
+        outcome = failed_outcome(sample.name, error)
         return trial.failed(outcome.message, outcome.trace)
 
 
-def lost(trial: Trial[S], why: str) -> S:
+def failure_of(trial: Trial[S], why: str) -> S:
     """Make the scores of a clip that no process could do."""
     return trial.failed(why)
 
@@ -84,7 +84,7 @@ class Benchmark(Generic[S]):
         """Make a trial for each clip."""
         raise NotImplementedError
 
-    def page(self, scores: Sequence[S]) -> Page | None:
+    def page(self, scores: Sequence[S]) -> BenchmarkPage | None:
         """Make the page of all clips' scores; None where there are none."""
         raise NotImplementedError
 
@@ -96,13 +96,13 @@ class Benchmark(Generic[S]):
         """Describe the trial of a clip in words; empty where that needs none."""
         return f"{scores.name}: done again, since {scores.again}" if scores.again else ""
 
-    def entry(self, scores: S) -> Entry:
+    def entry(self, scores: S) -> LedgerEntry:
         """Make the ledger's entry of a clip."""
-        return Entry("", "failed" if scores.failure else "done", scores.failure)
+        return LedgerEntry("", "failed" if scores.failure else "done", scores.failure)
 
 
 @dataclass(frozen=True)
-class Page:
+class BenchmarkPage:
     """Tables on the screen and as files."""
 
     name: str
@@ -131,10 +131,10 @@ class Page:
             written.append(out / f"{self.name}{end}")
             files.write_text(written[-1], text)
         if self.plotted is not None:
-            from getagrip.experiments.plots import plot
+            from getagrip.experiments.plots import plot_ablation
 
             written.append(out / f"{self.name}.png")
-            plot(*self.plotted, written[-1])
+            plot_ablation(*self.plotted, written[-1])
         if json is not None:
             files.write_json(json, self.content)
             written.append(json)

@@ -13,14 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from getagrip.batch.job import failure
-from getagrip.batch.validity import good_result, made_by
+from getagrip.batch.job import failed_outcome
+from getagrip.batch.validity import software_of_method, valid_result
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
 from getagrip.errors import InputError
-from getagrip.evaluation.metric import METRICS, REPLAY, SCA
-from getagrip.evaluation.own_hands import keep_hands
+from getagrip.evaluation.metric import METRICS, REPLAY_STABILITY, SCA
+from getagrip.evaluation.own_hands import write_result_hands
 from getagrip.experiments.changes import UNCHANGED
-from getagrip.experiments.other_systems import options_of, result_of
+from getagrip.experiments.other_systems import external_result, options_with_checksum
 from getagrip.experiments.trial import ClipScores, Trial
 from getagrip.experiments.variants import Variant
 from getagrip.finding import read_findings
@@ -28,20 +28,20 @@ from getagrip.io import code, files
 from getagrip.io.files import Json
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
 from getagrip.probability import read_probability
-from getagrip.result import Reconstruction, read_record, software, write_result
+from getagrip.result import Reconstruction, read_result_record, software_versions, write_result
 
-EVALUATION = "evaluation"
-CHANGES = tuple(
+EVALUATION_CODE = "evaluation"
+CHANGES_CODE = tuple(
     f"experiments/{name}.py"
     for name in ("changes", "hand_sources", "other_masks", "simulated_evidence", "wrong_inputs")
 )
-SYSTEMS = (EVALUATION, "experiments/other_systems.py")
+EXTERNAL_SYSTEMS_CODE = (EVALUATION_CODE, "experiments/other_systems.py")
 """Code that results depend on, besides that of a reconstruction: the metrics in them; those of changed clips; those of
 other systems."""
 
 
 @dataclass(frozen=True)
-class GraspTrial(Trial["Scores"]):
+class GraspTrial(Trial["GraspClipScores"]):
     """A clip and the variants that are run on it; results go to ``results/<variant's folder>/<clip>``."""
 
     variants: tuple[Variant, ...]
@@ -50,30 +50,30 @@ class GraspTrial(Trial["Scores"]):
     replay: bool = False
     """True if they are simulated, too."""
 
-    def failed(self, why: str, trace: str = "") -> Scores:
-        return Scores(self.name, failure=why, trace=trace)
+    def failed(self, why: str, trace: str = "") -> GraspClipScores:
+        return GraspClipScores(self.name, failure=why, trace=trace)
 
-    def scores(self) -> Scores:
+    def scores(self) -> GraspClipScores:
         """Reconstruct and evaluate a clip with every variant: failures of these are part of the scores."""
         clip = read_clip(self.sample.folder)
         checksum = input_sha256(self.sample.folder)
-        scores, missing = dict[str, Score](), list[Variant]()
+        scores, missing = dict[str, GraspVariantScore](), list[Variant]()
         for variant in self.variants:
-            place = _place(self, variant)
-            there, _ = _good(self, variant, clip.name, _checksum(checksum, variant, clip.name))
-            if there is None or not _measured(there[1], self.contacts, self.replay):
+            place = _variant_folder(self, variant)
+            there, _ = _existing_result(self, variant, clip.name, _changed_clip_checksum(checksum, variant, clip.name))
+            if there is None or not _is_evaluation_current(there[1], self.contacts, self.replay):
                 missing.append(variant)
             else:
-                scores[variant.folder] = _score(variant, place, there[1])
+                scores[variant.folder] = _read_score(variant, place, there[1])
         if missing:
-            scores |= _made(self, clip, missing, checksum)
+            scores |= _score_missing_variants(self, clip, missing, checksum)
         subject = str(clip.provenance.get("subject", ""))
         ordered = tuple(scores[variant.folder] for variant in self.variants if variant.folder in scores)
-        return Scores(clip.name, clip.category, subject, clip.truth is not None, ordered, len(missing))
+        return GraspClipScores(clip.name, clip.category, subject, clip.truth is not None, ordered, len(missing))
 
 
 @dataclass(frozen=True)
-class Score:
+class GraspVariantScore:
     """The score of a variant on a clip."""
 
     variant: str
@@ -100,7 +100,7 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Scores(ClipScores):
+class GraspClipScores(ClipScores):
     """The scores of all variants on a clip."""
 
     category: str = ""
@@ -108,14 +108,16 @@ class Scores(ClipScores):
     """Who holds the object; empty where unknown."""
     has_truth: bool = False
     """True if the clip has ground truth."""
-    scores: tuple[Score, ...] = ()
+    scores: tuple[GraspVariantScore, ...] = ()
     made: int = 0
     """How many results are new."""
 
 
-def _made(trial: GraspTrial, clip: Clip, variants: list[Variant], checksum: str) -> dict[str, Score]:
+def _score_missing_variants(
+    trial: GraspTrial, clip: Clip, variants: list[Variant], checksum: str
+) -> dict[str, GraspVariantScore]:
     """Score the variants without a result yet; masks are read once, and each change of the clip is made once."""
-    masks, scores = read_masks(clip), dict[str, Score]()
+    masks, scores = read_masks(clip), dict[str, GraspVariantScore]()
 
     def change(variant: Variant) -> str:
         return repr(variant.change)
@@ -125,53 +127,59 @@ def _made(trial: GraspTrial, clip: Clip, variants: list[Variant], checksum: str)
         changed = alike[0].change(clip, masks, alike[0].options.seed)
         judged = masks.take(clip.index_of(changed[0].frames))
         for variant in alike:
-            identity = _checksum(checksum, variant, clip.name)
-            scores[variant.folder] = _try(trial, variant, changed, judged, identity)
+            identity = _changed_clip_checksum(checksum, variant, clip.name)
+            scores[variant.folder] = _run_variant(trial, variant, changed, judged, identity)
     return scores
 
 
-def _try(trial: GraspTrial, variant: Variant, changed: tuple[Clip, Masks], masks: Masks, checksum: str) -> Score:
+def _run_variant(
+    trial: GraspTrial, variant: Variant, changed: tuple[Clip, Masks], masks: Masks, checksum: str
+) -> GraspVariantScore:
     """Reconstruct, evaluate and write the result: against the clip as the variant has it, and the masks as they are.
 
     A method's error, and another system's files that are missing or wrong, become its score; else ``InputError`` is
     raised.
     """
     from getagrip.evaluation import evaluate
-    from getagrip.export.replay import replay
+    from getagrip.export.replay import simulate_replay
     from getagrip.export.scene import Scene
     from getagrip.timelines.reconstruct import reconstruct
 
-    clip, place = changed[0], _place(trial, variant)
+    clip, place = changed[0], _variant_folder(trial, variant)
     try:
-        there, why = _good(trial, variant, clip.name, checksum)
+        there, why = _existing_result(trial, variant, clip.name, checksum)
         if there is not None:
             result = there[0]
         elif variant.system is not None:
-            result = replace(result_of(variant, *changed), options=options_of(variant, clip.name))
+            result = replace(external_result(variant, *changed), options=options_with_checksum(variant, clip.name))
         else:
             result = reconstruct(replace(clip, segments=()), changed[1], variant.options)
         metrics = evaluate(result, clip, masks, trial.contacts).metrics
         if trial.replay:
-            metrics[REPLAY.name] = replay(Scene.of(result, clip)).stays if clip.hand.joints is not None else np.nan
-        write_result(result, place, checksum, metrics, clip.folder, overwrite=True, made_by=_made_by(variant))
+            metrics[REPLAY_STABILITY.name] = (
+                simulate_replay(Scene.of(result, clip)).stays if clip.hand.joints is not None else np.nan
+            )
+        write_result(result, place, checksum, metrics, clip.folder, overwrite=True, made_by=_software_of(variant))
         if variant.change.other_hands:
-            keep_hands(clip, place, input_sha256(clip.origin))
+            write_result_hands(clip, place, input_sha256(clip.origin))
     except Exception as error:
         if isinstance(error, InputError) and variant.system is None:
             raise
-        return Score(variant.folder, {}, np.nan, np.nan, False, failure(clip.name, error).message, failed=True)
-    return replace(_score(variant, place, read_record(place)), again=why)
+        return GraspVariantScore(
+            variant.folder, {}, np.nan, np.nan, False, failed_outcome(clip.name, error).message, failed=True
+        )
+    return replace(_read_score(variant, place, read_result_record(place)), again=why)
 
 
-def _measured(record: Json, contacts: Sequence[ContactDefinition], replay: bool) -> bool:
+def _is_evaluation_current(record: Json, contacts: Sequence[ContactDefinition], replay: bool) -> bool:
     """Return whether a result was evaluated by this code, by all these definitions; else only that is done again."""
-    by_this = record["software"].get("evaluation") == _evaluation()
-    if replay and REPLAY.name not in record["metrics"]:
+    by_this = record["software"].get("evaluation") == _evaluation_fingerprint()
+    if replay and REPLAY_STABILITY.name not in record["metrics"]:
         return False
     return by_this and all(SCA.key(contact) in record["metrics"] for contact in contacts)
 
 
-def _score(variant: Variant, place: Path, record: Json) -> Score:
+def _read_score(variant: Variant, place: Path, record: Json) -> GraspVariantScore:
     """Read the score in a result's record."""
     metrics = {key: np.nan if value is None else float(value) for key, value in record["metrics"].items()}
     of_all = (record["seconds"]["total"], record["energy"]["total"])
@@ -182,18 +190,18 @@ def _score(variant: Variant, place: Path, record: Json) -> Score:
     known = [read_probability(place / "result.json", record[key], key) for key in keys]
     right, in_camera = (None if one is None else one.value for one in known)
     keep, keep_in_camera = (None if one is None else one.keep for one in known)
-    return Score(
+    return GraspVariantScore(
         variant.folder, metrics, seconds, energy, record["ambiguous"], record["message"], serious=serious, noted=noted,
         probability_right=right, probability_right_in_camera=in_camera, keep=keep, keep_in_camera=keep_in_camera,
     )  # fmt: skip
 
 
-def _place(trial: GraspTrial, variant: Variant) -> Path:
+def _variant_folder(trial: GraspTrial, variant: Variant) -> Path:
     """Return the folder of a variant's result."""
     return trial.results / variant.folder / trial.sample.name
 
 
-def _checksum(checksum: str, variant: Variant, clip: str) -> str:
+def _changed_clip_checksum(checksum: str, variant: Variant, clip: str) -> str:
     """Return the checksum of the clip as the variant changes it: ``evaluate`` must not take it for the folder's."""
     if variant.change == UNCHANGED:
         return checksum
@@ -203,26 +211,26 @@ def _checksum(checksum: str, variant: Variant, clip: str) -> str:
     return hashlib.sha256(changed.encode()).hexdigest()
 
 
-def _good(
+def _existing_result(
     trial: GraspTrial, variant: Variant, clip: str, checksum: str
 ) -> tuple[tuple[Reconstruction, Json] | None, str]:
-    """Return a variant's existing result, as ``good_result``.
+    """Return a variant's existing result, as ``valid_result``.
 
     ``checksum`` is that of the clip as the variant has it.
     """
-    options, place = options_of(variant, clip), _place(trial, variant)
-    return good_result(place, checksum, variant.method, options, _made_by(variant), trial.overwrite)
+    options, place = options_with_checksum(variant, clip), _variant_folder(trial, variant)
+    return valid_result(place, checksum, variant.method, options, _software_of(variant), trial.overwrite)
 
 
-def _made_by(variant: Variant) -> dict[str, str]:
+def _software_of(variant: Variant) -> dict[str, str]:
     """Return the software that makes a variant's result, and the code of ``evaluation`` that measures it."""
-    also = () if variant.change == UNCHANGED else CHANGES
+    also = () if variant.change == UNCHANGED else CHANGES_CODE
     if variant.system is not None:
-        also += SYSTEMS
-    made = made_by(variant.method, *also) if variant.system is None else software(*also)
-    return made | {"evaluation": _evaluation()}
+        also += EXTERNAL_SYSTEMS_CODE
+    made = software_of_method(variant.method, *also) if variant.system is None else software_versions(*also)
+    return made | {"evaluation": _evaluation_fingerprint()}
 
 
-def _evaluation() -> str:
+def _evaluation_fingerprint() -> str:
     """Return the checksum of ``evaluation``, and of other packages' metrics."""
-    return " with ".join([code.fingerprint(EVALUATION, "export/replay.py"), *METRICS.made_of()])
+    return " with ".join([code.fingerprint(EVALUATION_CODE, "export/replay.py"), *METRICS.made_of()])

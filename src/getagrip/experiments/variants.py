@@ -6,10 +6,16 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from getagrip.evaluation.other_poses import OtherSystem
+from getagrip.evaluation.other_poses import ExternalSystem
 from getagrip.experiments.ablations import ABLATIONS
 from getagrip.experiments.changes import UNCHANGED, Change
-from getagrip.experiments.settings import COMPARED, CONTACTS, REFERENCE, Ablation, Setting
+from getagrip.experiments.settings import (
+    DEFAULT_CONTACT_DEFINITIONS,
+    DEFAULT_METHODS,
+    REFERENCE_METHOD,
+    Ablation,
+    Setting,
+)
 from getagrip.fitting.options import Options
 from getagrip.metrics.contact import ContactDefinition
 
@@ -30,7 +36,7 @@ class Variant:
     """Name of the line in a plot: the method."""
     step: str
     """The place on the plot's axis."""
-    system: OtherSystem | None = None
+    system: ExternalSystem | None = None
     """Whose results these are, where they are not ours."""
 
     @property
@@ -40,11 +46,11 @@ class Variant:
 
 
 def method_variants(
-    methods: Sequence[str], base: Options, contacts: Sequence[ContactDefinition] = CONTACTS
+    methods: Sequence[str], base: Options, contacts: Sequence[ContactDefinition] = DEFAULT_CONTACT_DEFINITIONS
 ) -> list[Variant]:
     """Make a variant of each method, by each definition of contact; all but the slow ones where none is named."""
-    named: Sequence[str] = methods or COMPARED
-    plain = [Variant(m, m, replace(base, method=m), UNCHANGED, contacts[0], REFERENCE, m, m) for m in named]
+    named: Sequence[str] = methods or DEFAULT_METHODS
+    plain = [Variant(m, m, replace(base, method=m), UNCHANGED, contacts[0], REFERENCE_METHOD, m, m) for m in named]
     return by_contact(plain, contacts)
 
 
@@ -52,7 +58,7 @@ def ablation_variants(
     name: str,
     methods: Sequence[str],
     base: Options,
-    contacts: Sequence[ContactDefinition] = CONTACTS,
+    contacts: Sequence[ContactDefinition] = DEFAULT_CONTACT_DEFINITIONS,
     ablation: Ablation | None = None,
 ) -> list[Variant]:
     """Make a variant of each method in each setting of an ablation, by default that of the name in ``ABLATIONS``.
@@ -66,8 +72,10 @@ def ablation_variants(
         for setting in ablation.settings:
             options = replace(usual, **setting.options)
             same = options == usual and setting.change == UNCHANGED
-            folder = method if same else f"{method}+{_folder(name, setting, usual)}"
-            against = f"{REFERENCE}, {setting.label}" if ablation.usual is None else f"{method}, {ablation.usual}"
+            folder = method if same else f"{method}+{_setting_folder(name, setting, usual)}"
+            against = (
+                f"{REFERENCE_METHOD}, {setting.label}" if ablation.usual is None else f"{method}, {ablation.usual}"
+            )
             label, contact = f"{method}, {setting.label}", setting.contact or contacts[0]
             variants.append(Variant(label, folder, options, setting.change, contact, against, method, setting.label))
     own = any(setting.contact for setting in ablation.settings)
@@ -91,7 +99,7 @@ def by_contact(variants: Sequence[Variant], contacts: Sequence[ContactDefinition
     ]
 
 
-def _folder(name: str, setting: Setting, usual: Options) -> str:
+def _setting_folder(name: str, setting: Setting, usual: Options) -> str:
     """Name the folder of a setting after the first ablation that has one with the same options and change."""
 
     def changed(one: Setting) -> tuple[dict[str, object], Change]:

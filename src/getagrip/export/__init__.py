@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from getagrip.errors import unknown
+from getagrip.errors import unknown_choice_error
 from getagrip.export import (
     arrays_npz,
     bop,
@@ -21,9 +21,9 @@ from getagrip.export import (
 )
 from getagrip.export.scene import Scene
 from getagrip.io import files
-from getagrip.io.plugins import Table
+from getagrip.io.plugins import PluginTable
 
-__all__ = ["FORMATS", "Scene", "export"]
+__all__ = ["EXPORT_FORMATS", "Scene", "export"]
 
 Write = Callable[[Scene, Path], dict[str, str]]
 """Writes a scene's files into an empty folder; returns what each file holds, with units and axes."""
@@ -41,19 +41,19 @@ _FORMATS: dict[str, Write] = {
     "spider": spider.write,
     "dex-retargeting": dex_retargeting.write,
 }
-FORMATS = Table("exports", _FORMATS, "a function write(scene, folder)", lambda _, it: callable(it))
-ABOUT = "about.json"
+EXPORT_FORMATS = PluginTable("exports", _FORMATS, "a function write(scene, folder)", lambda _, it: callable(it))
+ABOUT_FILE = "about.json"
 
 
 def export(scene: Scene, folder: str | Path, to: str, overwrite: bool = False) -> Path:
-    """Write a scene in one of ``FORMATS`` into a folder, with ``about.json``: files, units, axes, times and notes.
+    """Write a scene in one of ``EXPORT_FORMATS`` into a folder, with ``about.json``: files, units, axes, times and notes.
 
     Raises ``UsageError`` for an unknown format, or where the folder exists and may not be replaced.
     """
-    if to not in FORMATS:
-        raise unknown("--to", to, FORMATS)
-    folder, write = Path(folder), FORMATS[to]
-    with files.new_folder(folder, (ABOUT,) if overwrite else ()) as new:
+    if to not in EXPORT_FORMATS:
+        raise unknown_choice_error("--to", to, EXPORT_FORMATS)
+    folder, write = Path(folder), EXPORT_FORMATS[to]
+    with files.new_folder(folder, (ABOUT_FILE,) if overwrite else ()) as new:
         about = scene.about(write(scene, new))
-        files.write_json(new / ABOUT, {"format": to} | about)
+        files.write_json(new / ABOUT_FILE, {"format": to} | about)
     return folder

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from getagrip.export.scene import AXES, Scene
+from getagrip.export.scene import CAMERA_AXES_NOTE, Scene
 from getagrip.io import arrays
 
 
@@ -41,4 +41,6 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     if scene.angle is not None:
         content["angle_rad"] = scene.angle
     arrays.write(folder / "scene.npz", content)
-    return {"scene.npz": f"arrays; {AXES}; joints: wrist, then thumb to pinky, each from the palm to the tip"}
+    return {
+        "scene.npz": f"arrays; {CAMERA_AXES_NOTE}; joints: wrist, then thumb to pinky, each from the palm to the tip"
+    }

@@ -19,18 +19,18 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.export.scene import Scene, word
+from getagrip.export.scene import Scene, safe_file_name
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import files
 
-SCENE, OBJECT = 1, 1
+BOP_SCENE_ID, BOP_OBJECT_ID = 1, 1
 """Ids of the one scene and the one object."""
 
 
 @dataclass(frozen=True)
-class Naming:
+class BopFileNames:
     """Names of the files."""
 
     dataset: str
@@ -43,18 +43,19 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     """Write the results, the scene's two files and the model."""
     images, naming = image_ids(scene.frames), naming_of(scene)
     R, t = scene.T_cam_obj[:, :3, :3], 1e3 * scene.T_cam_obj[:, :3, 3]
-    method = word(f"getagrip-{scene.method}").replace(".", "-")
+    method = safe_file_name(f"getagrip-{scene.method}").replace(".", "-")
     results = f"{method}_{naming.dataset}-{naming.split}.csv"
-    files.write_bytes(folder / results, _results(images, R, t, np.nan_to_num(scene.iou)).encode())
+    files.write_bytes(folder / results, _results_csv(images, R, t, np.nan_to_num(scene.iou)).encode())
     poses = {
-        str(image): [{"cam_R_m2c": R[n].ravel(), "cam_t_m2c": t[n], "obj_id": OBJECT}] for n, image in enumerate(images)
+        str(image): [{"cam_R_m2c": R[n].ravel(), "cam_t_m2c": t[n], "obj_id": BOP_OBJECT_ID}]
+        for n, image in enumerate(images)
     }
-    cameras = {str(image): _camera(scene, n) for n, image in enumerate(images)}
+    cameras = {str(image): _camera_entry(scene, n) for n, image in enumerate(images)}
     ground_truth, camera = f"scene_gt{naming.camera}.json", f"scene_camera{naming.camera}.json"
     files.write_json(folder / ground_truth, poses)
     files.write_json(folder / camera, cameras)
     (folder / "models").mkdir()
-    model = f"models/obj_{OBJECT:06d}.ply"
+    model = f"models/obj_{BOP_OBJECT_ID:06d}.ply"
     write_mesh(Mesh(1e3 * scene.object.vertices, scene.object.faces), folder / model)
     extent = scene.object.vertices
     info = {
@@ -62,7 +63,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
         **{f"min_{axis}": 1e3 * extent[:, k].min() for k, axis in enumerate("xyz")},
         **{f"size_{axis}": 1e3 * np.ptp(extent[:, k]) for k, axis in enumerate("xyz")},
     }
-    files.write_json(folder / "models" / "models_info.json", {str(OBJECT): info})
+    files.write_json(folder / "models" / "models_info.json", {str(BOP_OBJECT_ID): info})
     return {
         results: "BOP results: R row by row, t in mm, model to camera; score is the mask IOU, 0 where no mask shows "
         "the object; time -1: not per image",
@@ -73,11 +74,11 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     }
 
 
-def naming_of(scene: Scene) -> Naming:
+def naming_of(scene: Scene) -> BopFileNames:
     """Name the files of a scene as BOP's own dataset does, where the clip is of one."""
     if {"dataset", "split", "camera"} <= scene.bop.keys():
-        return Naming(scene.bop["dataset"], scene.bop["split"], f"_{scene.bop['camera']}")
-    return Naming("".join(filter(str.isalnum, word(scene.name))) or "clip")
+        return BopFileNames(scene.bop["dataset"], scene.bop["split"], f"_{scene.bop['camera']}")
+    return BopFileNames("".join(filter(str.isalnum, safe_file_name(scene.name))) or "clip")
 
 
 def image_ids(frames: tuple[str, ...]) -> list[int]:
@@ -87,7 +88,7 @@ def image_ids(frames: tuple[str, ...]) -> list[int]:
     return list(range(len(frames)))
 
 
-def _camera(scene: Scene, n: int) -> dict[str, object]:
+def _camera_entry(scene: Scene, n: int) -> dict[str, object]:
     """Describe the camera of one image."""
     out: dict[str, object] = {"cam_K": scene.K[n].ravel(), "depth_scale": 1.0}
     if scene.world is not None:
@@ -96,7 +97,7 @@ def _camera(scene: Scene, n: int) -> dict[str, object]:
     return out
 
 
-def _results(
+def _results_csv(
     images: list[int], R: Float[ndarray, "T 3 3"], t: Float[ndarray, "T 3"], score: Float[ndarray, "T"]
 ) -> str:
     """Write the text of the results."""
@@ -104,9 +105,11 @@ def _results(
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["scene_id", "im_id", "obj_id", "score", "R", "t", "time"])
     for n, image in enumerate(images):
-        rows.writerow([SCENE, image, OBJECT, f"{score[n]:.6g}", _spaced(R[n]), _spaced(t[n]), -1])
+        rows.writerow(
+            [BOP_SCENE_ID, image, BOP_OBJECT_ID, f"{score[n]:.6g}", _format_vector(R[n]), _format_vector(t[n]), -1]
+        )
     return text.getvalue()
 
 
-def _spaced(values: Float[ndarray, "*n"]) -> str:
+def _format_vector(values: Float[ndarray, "*n"]) -> str:
     return " ".join(f"{x:.9g}" for x in np.ravel(values))

@@ -12,34 +12,43 @@ from pathlib import Path
 
 import numpy as np
 
-from getagrip.export.scene import Scene, word
-from getagrip.export.stage import MIDDLE, WRIST, Stage, besides, joints_on_stage, palm, pose7
+from getagrip.export.scene import Scene, safe_file_name
+from getagrip.export.stage import (
+    MIDDLE_KNUCKLE_JOINT,
+    WRIST_JOINT,
+    StageFrame,
+    extra_arrays,
+    joints_on_stage,
+    palm_orientation,
+    pose7,
+)
 from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import arrays
 
-FILE, MESH = "trajectory.npz", "object.obj"
+TRAJECTORY_FILE, OBJECT_MESH_FILE = "trajectory.npz", "object.obj"
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
     """Write ``trajectory.npz`` and the object. Raises ``UsageError`` where joints are not known."""
-    stage = Stage.of(scene)
+    stage = StageFrame.of(scene)
     joints = joints_on_stage(scene, stage, "dex-retargeting")
     T_stage_obj, T_stage_hand = stage.poses(scene)
     content = {
         "joint_pos": joints,
-        "joint_pos_wrist": (joints - joints[:, WRIST, None]) @ palm(joints, scene.side, MIDDLE),
+        "joint_pos_wrist": (joints - joints[:, WRIST_JOINT, None])
+        @ palm_orientation(joints, scene.side, MIDDLE_KNUCKLE_JOINT),
         "wrist_quat": se3.quaternions_in_time(T_stage_hand[:, :3, :3]),
         "object_pose": pose7(T_stage_obj, "xyzw")[:, None],
         "extrinsics": np.eye(4),
-        "object_mesh_file": np.array([MESH]),
-        "capture_name": np.array(word(scene.name)),
+        "object_mesh_file": np.array([OBJECT_MESH_FILE]),
+        "capture_name": np.array(safe_file_name(scene.name)),
         "hand_type": np.array(scene.side),
-        **besides(scene),
+        **extra_arrays(scene),
     }
-    arrays.write(folder / FILE, content)
-    write_mesh(scene.object, folder / MESH)
+    arrays.write(folder / TRAJECTORY_FILE, content)
+    write_mesh(scene.object, folder / OBJECT_MESH_FILE)
     return {
-        FILE: f"joint_pos (T, 21, 3), object_pose (T, 1, 7): quaternion (x, y, z, w), position; {stage.words}",
-        MESH: "the object at the size that was found; metres",
+        TRAJECTORY_FILE: f"joint_pos (T, 21, 3), object_pose (T, 1, 7): quaternion (x, y, z, w), position; {stage.words}",
+        OBJECT_MESH_FILE: "the object at the size that was found; metres",
     }

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int, Shaped
 from numpy import ndarray
 
-from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, MovingHand, Scene
+from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, ExportedHand, Scene
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import vertex_normals
 from getagrip.io import files
@@ -22,7 +22,7 @@ from getagrip.io import files
 if TYPE_CHECKING:
     import pygltflib
 
-FILE = "scene.glb"
+GLB_FILE = "scene.glb"
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
@@ -36,31 +36,33 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
         pbr = PbrMetallicRoughness(baseColorFactor=[*colour, 1.0], metallicFactor=0.0, roughnessFactor=0.8)
         gltf.materials.append(Material(pbrMetallicRoughness=pbr, doubleSided=True))
     hands = scene.hands
-    gltf.meshes = [_mesh(buffers, "object", scene.object.vertices, scene.object.faces, 0)]
-    gltf.meshes += [_mesh(buffers, hand.name, hand.vertices[0], hand.faces, 1, _bending(hand)) for hand in hands]
+    gltf.meshes = [_gltf_mesh(buffers, "object", scene.object.vertices, scene.object.faces, 0)]
+    gltf.meshes += [
+        _gltf_mesh(buffers, hand.name, hand.vertices[0], hand.faces, 1, _morph_displacements(hand)) for hand in hands
+    ]
     flip = [1.0, 0.0, 0.0, 0.0]  # half a turn about x: y down, z forward becomes y up, z back
     names = ["object", *(hand.name for hand in hands)]
     gltf.nodes = [Node(name="camera frame", rotation=flip, children=[n + 1 for n in range(len(names))])]
     gltf.nodes += [Node(name=name, mesh=n) for n, name in enumerate(names)]
     gltf.scenes, gltf.scene = [Root(name=scene.name, nodes=[0])], 0
-    time = buffers.add(_rising(scene.time), bounds=True)
+    time = buffers.add(_strictly_rising_seconds(scene.time), bounds=True)
     animation = Animation(name="grasp")
     for node, T in enumerate((scene.T_cam_obj, *(hand.T_cam_hand for hand in hands)), start=1):
-        _channel(animation, time, buffers.add(T[:, :3, 3].astype(np.float32)), node, "translation")
-        _channel(animation, time, buffers.add(_rotations(T)), node, "rotation")
+        _add_channel(animation, time, buffers.add(T[:, :3, 3].astype(np.float32)), node, "translation")
+        _add_channel(animation, time, buffers.add(_quaternions_xyzw(T)), node, "rotation")
     for node, hand in enumerate(hands, start=2):
-        if steps := len(_bending(hand)):
-            _channel(animation, time, buffers.add(np.eye(steps, dtype=np.float32).ravel()), node, "weights")
+        if steps := len(_morph_displacements(hand)):
+            _add_channel(animation, time, buffers.add(np.eye(steps, dtype=np.float32).ravel()), node, "weights")
         if not hand.known.all():
             shown = np.repeat(hand.known[:, None].astype(np.float32), 3, axis=1)
-            _channel(animation, time, buffers.add(shown), node, "scale", "STEP")
+            _add_channel(animation, time, buffers.add(shown), node, "scale", "STEP")
     gltf.animations = [animation]
     buffers.into(gltf)
-    files.write_bytes(folder / FILE, b"".join(gltf.save_to_bytes()))
-    return {FILE: f"glTF 2.0: y up, z towards the viewer; metres; an animation of the nodes {', '.join(names)}"}
+    files.write_bytes(folder / GLB_FILE, b"".join(gltf.save_to_bytes()))
+    return {GLB_FILE: f"glTF 2.0: y up, z towards the viewer; metres; an animation of the nodes {', '.join(names)}"}
 
 
-def _bending(hand: MovingHand) -> Float[ndarray, "S V 3"]:
+def _morph_displacements(hand: ExportedHand) -> Float[ndarray, "S V 3"]:
     """How a hand differs from the first frame in each; of a stiff one nothing."""
     bent = hand.vertices - hand.vertices[0]
     return bent if np.abs(bent).max() > 1e-7 else bent[:0]
@@ -77,12 +79,12 @@ def _extras(scene: Scene) -> dict[str, object]:
     }
 
 
-def _rotations(T: Float[ndarray, "T 4 4"]) -> Shaped[ndarray, "T 4"]:
+def _quaternions_xyzw(T: Float[ndarray, "T 4 4"]) -> Shaped[ndarray, "T 4"]:
     """Quaternions (x, y, z, w)."""
     return np.roll(se3.quaternions_in_time(T[:, :3, :3]), -1, axis=1).astype(np.float32)
 
 
-def _mesh(
+def _gltf_mesh(
     buffers: _Buffers,
     name: str,
     vertices: Float[ndarray, "V 3"],
@@ -104,7 +106,7 @@ def _mesh(
     return Mesh(name=name, primitives=[part], weights=[0.0] * len(targets))
 
 
-def _rising(time: Float[ndarray, "T"]) -> Float32[ndarray, "T"]:
+def _strictly_rising_seconds(time: Float[ndarray, "T"]) -> Float32[ndarray, "T"]:
     """Seconds since the first frame, which rise from frame to frame in single precision, too, as glTF demands."""
     out = (time - time[0]).astype(np.float32)
     for n in range(1, len(out)):
@@ -112,7 +114,7 @@ def _rising(time: Float[ndarray, "T"]) -> Float32[ndarray, "T"]:
     return out
 
 
-def _channel(
+def _add_channel(
     animation: pygltflib.Animation, time: int, values: int, node: int, path: str, between: str = "LINEAR"
 ) -> None:
     """Let a node's property go through values."""

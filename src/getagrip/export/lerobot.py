@@ -22,9 +22,9 @@ import numpy as np
 from jaxtyping import Shaped, UInt8
 from numpy import ndarray
 
-from getagrip.export.bones import JOINTS
+from getagrip.export.bones import HAND_JOINT_NAMES
 from getagrip.export.scene import Scene
-from getagrip.export.stage import Stage, joints_on_stage, pose7
+from getagrip.export.stage import StageFrame, joints_on_stage, pose7
 from getagrip.io import extras, files
 from getagrip.io.images import read_image
 from getagrip.io.videos import write_video
@@ -32,16 +32,22 @@ from getagrip.io.videos import write_video
 if TYPE_CHECKING:
     import pyarrow
 
-VERSION = "v3.0"
-CHUNK, FILE = {"chunk_index": 0, "file_index": 0}, "chunk-{chunk_index:03d}/file-{file_index:03d}"
-DATA, EPISODES = f"data/{FILE}.parquet", f"meta/episodes/{FILE}.parquet"
-VIDEO, CAMERA = "videos/{video_key}/" + f"{FILE}.mp4", "observation.images.camera"
-POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
-STATE = [*(f"wrist_{name}" for name in POSE), *(f"{joint}_{axis}" for joint in JOINTS for axis in "xyz")]
-QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
-CHUNK_SIZE = 1000
+LEROBOT_VERSION = "v3.0"
+FIRST_CHUNK, CHUNK_FILE_PATTERN = {"chunk_index": 0, "file_index": 0}, "chunk-{chunk_index:03d}/file-{file_index:03d}"
+DATA_FILE_PATTERN, EPISODES_FILE_PATTERN = (
+    f"data/{CHUNK_FILE_PATTERN}.parquet",
+    f"meta/episodes/{CHUNK_FILE_PATTERN}.parquet",
+)
+VIDEO_FILE_PATTERN, CAMERA_FEATURE = "videos/{video_key}/" + f"{CHUNK_FILE_PATTERN}.mp4", "observation.images.camera"
+POSE_COMPONENTS = ("x", "y", "z", "qw", "qx", "qy", "qz")
+STATE_COMPONENTS = [
+    *(f"wrist_{name}" for name in POSE_COMPONENTS),
+    *(f"{joint}_{axis}" for joint in HAND_JOINT_NAMES for axis in "xyz"),
+]
+STATISTICS_QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
+N_EPISODES_PER_CHUNK = 1000
 """Files in a folder, one of each episode."""
-MOST_PIXELS = 200_000
+MAX_STATISTICS_PIXELS = 200_000
 """Most pixels of an image that statistics use: as many as a small image has."""
 
 
@@ -52,24 +58,24 @@ class Episode(NamedTuple):
     features: dict[str, object]
     stats: dict[str, dict[str, Shaped[ndarray, "..."]]]
     task: str
-    pictures: Pictures | None
+    pictures: EpisodeImages | None
     fps: int
-    stage: Stage
+    stage: StageFrame
 
     @staticmethod
     def of(scene: Scene) -> Episode:
         """Make it. Raises ``UsageError`` without pyarrow or joints, ``InputError`` for unreadable images."""
-        extras.load("pyarrow", "lerobot")
-        scene = scene.even(rate(scene))
-        stage, pictures, fps = Stage.of(scene), Pictures.of(scene), rate(scene)
-        columns = _columns(scene, stage)
+        extras.import_extra("pyarrow", "lerobot")
+        scene = scene.even(integer_fps(scene))
+        stage, pictures, fps = StageFrame.of(scene), EpisodeImages.of(scene), integer_fps(scene)
+        columns = _feature_columns(scene, stage)
         features: dict[str, object] = {
-            name: {"dtype": _dtype(values), "shape": list(values.shape[1:]) or [1], "names": _names(name)}
+            name: {"dtype": _dtype(values), "shape": list(values.shape[1:]) or [1], "names": _feature_names(name)}
             for name, values in columns.items()
         }
-        stats = {name: statistics(values) for name, values in columns.items() if values.dtype.kind != "U"}
+        stats = {name: feature_statistics(values) for name, values in columns.items() if values.dtype.kind != "U"}
         if pictures is not None:
-            features[CAMERA], stats[CAMERA] = pictures.feature(fps), image_stats(iter(pictures))
+            features[CAMERA_FEATURE], stats[CAMERA_FEATURE] = pictures.feature(fps), image_stats(iter(pictures))
         task = f"hold the {scene.category} with the {scene.side} hand"
         return Episode(columns, features, stats, task, pictures, fps, stage)
 
@@ -80,7 +86,7 @@ class Episode(NamedTuple):
 
         ``task`` is the number of its task, ``more`` what the record says besides.
         """
-        place = {"chunk_index": number // CHUNK_SIZE, "file_index": number % CHUNK_SIZE}
+        place = {"chunk_index": number // N_EPISODES_PER_CHUNK, "file_index": number % N_EPISODES_PER_CHUNK}
         count = len(self.columns["index"])
         offsets = {"episode_index": number, "index": begin, "task_index": task}
         moved = {name: self.columns[name] + offset for name, offset in offsets.items()}
@@ -95,19 +101,25 @@ class Episode(NamedTuple):
             **{f"meta/episodes/{key}": value for key, value in place.items()},
         }
         if self.pictures is not None:
-            path = _inside(folder, VIDEO.format(video_key=CAMERA, **place))
+            path = _path_in_dataset(folder, VIDEO_FILE_PATTERN.format(video_key=CAMERA_FEATURE, **place))
             write_video(path, iter(self.pictures), Fraction(self.fps), self.pictures.size, seek=True)
-            record |= {f"videos/{CAMERA}/{key}": value for key, value in place.items()}
-            record |= {f"videos/{CAMERA}/from_timestamp": 0.0, f"videos/{CAMERA}/to_timestamp": count / self.fps}
-        stats = self.stats | {name: statistics(values) for name, values in moved.items()}
+            record |= {f"videos/{CAMERA_FEATURE}/{key}": value for key, value in place.items()}
+            record |= {
+                f"videos/{CAMERA_FEATURE}/from_timestamp": 0.0,
+                f"videos/{CAMERA_FEATURE}/to_timestamp": count / self.fps,
+            }
+        stats = self.stats | {name: feature_statistics(values) for name, values in moved.items()}
         record |= {f"stats/{name}/{key}": value for name, of in stats.items() for key, value in of.items()}
         record |= more or {}
-        _write_table(_inside(folder, DATA.format(**place)), columns)
-        _write_table(_inside(folder, EPISODES.format(**place)), {key: [_plain(value)] for key, value in record.items()})
+        _write_table(_path_in_dataset(folder, DATA_FILE_PATTERN.format(**place)), columns)
+        _write_table(
+            _path_in_dataset(folder, EPISODES_FILE_PATTERN.format(**place)),
+            {key: [_as_python_value(value)] for key, value in record.items()},
+        )
         return record
 
 
-def _inside(folder: Path, name: str) -> Path:
+def _path_in_dataset(folder: Path, name: str) -> Path:
     """Return the path of a file in a dataset; its folder is made, and is no link."""
     *folders, last = name.split("/")
     return files.folder_inside(folder, *folders) / last
@@ -118,13 +130,17 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     made = Episode.of(scene)
     made.write(folder)
     write_meta(folder, made, [made.task], made.stats, {"train": "0:1"}, len(made.columns["index"]))
-    video = {VIDEO.format(video_key=CAMERA, **CHUNK): "the images, H.264, at the same fps"} if made.pictures else {}
+    video = (
+        {VIDEO_FILE_PATTERN.format(video_key=CAMERA_FEATURE, **FIRST_CHUNK): "the images, H.264, at the same fps"}
+        if made.pictures
+        else {}
+    )
     return {
-        DATA.format(
-            **CHUNK
+        DATA_FILE_PATTERN.format(
+            **FIRST_CHUNK
         ): f"a row per frame; {made.stage.words}; quaternions (w, x, y, z); T_a_b row by row; action "
         "is the next frame's state (a guess: people give no commands)",
-        EPISODES.format(**CHUNK): "the one episode, with its statistics; the same units",
+        EPISODES_FILE_PATTERN.format(**FIRST_CHUNK): "the one episode, with its statistics; the same units",
         "meta/tasks.parquet": "the task in words, in the same order as task_index",
         "meta/stats.json": "statistics of each feature, in the same units; images from 0 to 1",
         "meta/info.json": "the dataset's features; the same units",
@@ -143,17 +159,17 @@ def write_meta(
     """Write what makes the dataset complete: tasks and statistics, then ``info.json``."""
     _write_tasks(folder / "meta" / "tasks.parquet", tasks)
     files.write_json(folder / "meta" / "stats.json", stats)
-    info = _info(made, splits, frames, len(tasks))
+    info = _dataset_info(made, splits, frames, len(tasks))
     files.write_json(folder / "meta" / "info.json", info)
 
 
-def rate(scene: Scene) -> int:
+def integer_fps(scene: Scene) -> int:
     """Return the frames per second as a whole number: of the median step between frames."""
     step = float(np.median(np.diff(scene.time))) if len(scene.frames) > 1 else 1.0 / scene.fps
     return int(np.clip(round(1.0 / step), 1, 1000))
 
 
-class Pictures:
+class EpisodeImages:
     """The images of all frames, cut to an even width and height, as H.264 wants them; they are read one at a time."""
 
     def __init__(self, paths: list[Path], value: tuple[int, int]) -> None:
@@ -161,10 +177,10 @@ class Pictures:
         self.size = (value[0] // 2 * 2, value[1] // 2 * 2)
 
     @staticmethod
-    def of(scene: Scene) -> Pictures | None:
+    def of(scene: Scene) -> EpisodeImages | None:
         """Read the pictures of a scene; None where a frame has none."""
         paths = [path for path in scene.image_files if path is not None]
-        return Pictures(paths, scene.size) if paths and len(paths) == len(scene.frames) else None
+        return EpisodeImages(paths, scene.size) if paths and len(paths) == len(scene.frames) else None
 
     def __iter__(self) -> Iterator[UInt8[ndarray, "H W 3"]]:
         width, height = self.size
@@ -180,7 +196,7 @@ class Pictures:
         return {"dtype": "video", "shape": [height, width, 3], "names": names, "info": info | {"has_audio": False}}
 
 
-def _columns(scene: Scene, stage: Stage) -> dict[str, Shaped[ndarray, "T ..."]]:
+def _feature_columns(scene: Scene, stage: StageFrame) -> dict[str, Shaped[ndarray, "T ..."]]:
     """Every feature but the video, by name."""
     joints = joints_on_stage(scene, stage, "lerobot")
     T_stage_obj, T_stage_hand = stage.poses(scene)
@@ -200,7 +216,7 @@ def _columns(scene: Scene, stage: Stage) -> dict[str, Shaped[ndarray, "T ..."]]:
         "mask_iou": np.nan_to_num(scene.iou, nan=-1.0).astype(np.float32),
         "interpolated": np.array([kind == "interpolated" for kind in scene.frame_kind]),
         "frame_kind": np.array(scene.frame_kind, dtype=np.str_),
-        "timestamp": (number / rate(scene)).astype(np.float32),
+        "timestamp": (number / integer_fps(scene)).astype(np.float32),
         "frame_index": number,
         "episode_index": np.zeros_like(number),
         "index": number,
@@ -208,9 +224,13 @@ def _columns(scene: Scene, stage: Stage) -> dict[str, Shaped[ndarray, "T ..."]]:
     }
 
 
-def _names(name: str) -> list[str] | None:
+def _feature_names(name: str) -> list[str] | None:
     """Return the names of a feature's numbers."""
-    of = {"observation.state": STATE, "action": STATE, "observation.environment_state": [f"object_{p}" for p in POSE]}
+    of = {
+        "observation.state": STATE_COMPONENTS,
+        "action": STATE_COMPONENTS,
+        "observation.environment_state": [f"object_{p}" for p in POSE_COMPONENTS],
+    }
     return of.get(name)
 
 
@@ -218,28 +238,28 @@ def _dtype(values: Shaped[ndarray, "T ..."]) -> str:
     return "string" if values.dtype.kind == "U" else str(values.dtype)
 
 
-def _info(made: Episode, splits: Mapping[str, str], frames: int, tasks: int) -> dict[str, object]:
+def _dataset_info(made: Episode, splits: Mapping[str, str], frames: int, tasks: int) -> dict[str, object]:
     ends = [int(each.split(":")[1]) for ranges in splits.values() for each in ranges.split(",")]
     return {
-        "codebase_version": VERSION,
+        "codebase_version": LEROBOT_VERSION,
         "robot_type": "human_hand",
         "total_episodes": max(ends),
         "total_frames": frames,
         "total_tasks": tasks,
-        "chunks_size": CHUNK_SIZE,
+        "chunks_size": N_EPISODES_PER_CHUNK,
         "data_files_size_in_mb": 100,
         "video_files_size_in_mb": 200,
         "fps": made.fps,
         "splits": splits,
-        "data_path": DATA,
-        "video_path": VIDEO if made.pictures is not None else None,
+        "data_path": DATA_FILE_PATTERN,
+        "video_path": VIDEO_FILE_PATTERN if made.pictures is not None else None,
         "features": made.features,
     }
 
 
 def _write_table(path: Path, columns: Mapping[str, object], metadata: dict[bytes, bytes] | None = None) -> None:
     """Write a Parquet file; arrays with several numbers in a row become lists of that length."""
-    pa, parquet = extras.load("pyarrow", "lerobot"), extras.load("pyarrow.parquet", "lerobot")
+    pa, parquet = extras.import_extra("pyarrow", "lerobot"), extras.import_extra("pyarrow.parquet", "lerobot")
 
     def column(values: object) -> pyarrow.Array:
         if isinstance(values, ndarray) and values.ndim == 2:
@@ -266,15 +286,15 @@ def _write_tasks(path: Path, tasks: Sequence[str]) -> None:
     )
 
 
-def _plain(value: object) -> object:
+def _as_python_value(value: object) -> object:
     return value.tolist() if isinstance(value, ndarray) else value
 
 
-def statistics(values: Shaped[ndarray, "T ..."]) -> dict[str, Shaped[ndarray, "..."]]:
+def feature_statistics(values: Shaped[ndarray, "T ..."]) -> dict[str, Shaped[ndarray, "..."]]:
     """Compute statistics of numbers over all frames, a number for each entry."""
     rows = values.reshape(len(values), -1).astype(float)
     low, high, mean, std = rows.min(axis=0), rows.max(axis=0), rows.mean(axis=0), rows.std(axis=0)
-    quantiles = {f"q{round(100 * q):02d}": np.quantile(rows, q, axis=0) for q in QUANTILES}
+    quantiles = {f"q{round(100 * q):02d}": np.quantile(rows, q, axis=0) for q in STATISTICS_QUANTILES}
     return {"min": low, "max": high, "mean": mean, "std": std, "count": np.array([len(rows)]), **quantiles}
 
 
@@ -282,7 +302,7 @@ def image_stats(images: Iterable[UInt8[ndarray, "H W 3"]]) -> dict[str, Shaped[n
     """Compute statistics of the three channels over all images, from 0 to 1, as arrays (3, 1, 1)."""
     histogram, count = np.zeros((3, 256)), 0
     for image in images:
-        step = max(1, int(np.sqrt(image.shape[0] * image.shape[1] / MOST_PIXELS)))
+        step = max(1, int(np.sqrt(image.shape[0] * image.shape[1] / MAX_STATISTICS_PIXELS)))
         histogram += [np.bincount(image[::step, ::step, k].ravel(), minlength=256) for k in range(3)]
         count += 1
     levels = np.arange(256) / 255.0
@@ -295,6 +315,6 @@ def image_stats(images: Iterable[UInt8[ndarray, "H W 3"]]) -> dict[str, Shaped[n
         "max": levels[[of[-1] for of in there]],
         "mean": mean,
         "std": np.sqrt(np.maximum(share @ levels**2 - mean**2, 0.0)),
-        **{f"q{round(100 * q):02d}": levels[np.argmax(total >= q, axis=1)] for q in QUANTILES},
+        **{f"q{round(100 * q):02d}": levels[np.argmax(total >= q, axis=1)] for q in STATISTICS_QUANTILES},
     }
     return {key: value.reshape(3, 1, 1) for key, value in out.items()} | {"count": np.array([count])}

@@ -22,17 +22,25 @@ import numpy as np
 from numpy import ndarray
 
 from getagrip.errors import InputError
-from getagrip.export.lerobot import CHUNK_SIZE, DATA, EPISODES, QUANTILES, VIDEO, Episode, write_meta
+from getagrip.export.lerobot import (
+    DATA_FILE_PATTERN,
+    EPISODES_FILE_PATTERN,
+    N_EPISODES_PER_CHUNK,
+    STATISTICS_QUANTILES,
+    VIDEO_FILE_PATTERN,
+    Episode,
+    write_meta,
+)
 from getagrip.export.scene import Scene
 from getagrip.io import extras, files, leftovers, locks, numbers
 from getagrip.io.files import Json
 
-STATISTICS = ("min", "max", "mean", "std", "count", *(f"q{round(100 * q):02d}" for q in QUANTILES))
+STATISTIC_NAMES = ("min", "max", "mean", "std", "count", *(f"q{round(100 * q):02d}" for q in STATISTICS_QUANTILES))
 """Statistics in a record, of each feature that is no text."""
 
 
 @dataclass
-class Dataset:
+class LerobotDataset:
     """The dataset in a folder.
 
     Attributes:
@@ -48,12 +56,12 @@ class Dataset:
     tasks: list[str] = field(default_factory=list)
 
     @staticmethod
-    def of(folder: Path) -> Dataset:
+    def of(folder: Path) -> LerobotDataset:
         """Open the dataset in a folder, or begin one. Raises ``InputError`` for other things."""
-        made = Dataset(folder)
+        made = LerobotDataset(folder)
         if folder.is_dir():
-            leftovers.sweep(folder)
-            with locks.holding(folder):  # else another process may add episodes after its description was read
+            leftovers.remove_stale_folders(folder)
+            with locks.hold_lock(folder):  # else another process may add episodes after its description was read
                 made._catch_up()
         if not made.info and folder.exists() and {one.name for one in folder.iterdir()} - {"data", "meta", "videos"}:
             raise InputError(folder, "", "other files", "a dataset of LeRobot, or a new folder")
@@ -68,24 +76,26 @@ class Dataset:
         if not path.exists():
             self._refuse_others(path, 0)
             return
-        parquet = extras.load("pyarrow.parquet", "lerobot")
+        parquet = extras.import_extra("pyarrow.parquet", "lerobot")
         self.info = files.read_json(files.inside(self.folder, "meta/info.json", "", "the dataset's description"))
         _check_info(path, self.info)
         self._refuse_others(path, self.info["total_episodes"])
         for number in range(len(self.records), self.info["total_episodes"]):
-            place = _place(number)
-            source = files.inside(self.folder, EPISODES.format(**place), "", "an episode's record")
-            files.inside(self.folder, DATA.format(**place), "", "an episode's data")
+            place = _chunk_indices(number)
+            source = files.inside(self.folder, EPISODES_FILE_PATTERN.format(**place), "", "an episode's record")
+            files.inside(self.folder, DATA_FILE_PATTERN.format(**place), "", "an episode's data")
             for name, feature in self.info["features"].items():
                 if feature["dtype"] == "video":
-                    files.inside(self.folder, VIDEO.format(video_key=name, **place), "", "an episode's video")
+                    files.inside(
+                        self.folder, VIDEO_FILE_PATTERN.format(video_key=name, **place), "", "an episode's video"
+                    )
             try:
-                with numbers.guarded(source):
+                with numbers.convert_to_input_errors(source):
                     table = parquet.ParquetFile(source)
                     if table.metadata.num_rows != 1:
                         raise InputError(source, "", f"{table.metadata.num_rows} rows", "one, the episode's record")
                     (record,) = table.read().to_pylist()
-                    record = {key: _arrays(key, value) for key, value in record.items()}
+                    record = {key: _statistics_as_array(key, value) for key, value in record.items()}
             except OSError as error:
                 raise InputError(source, "", f"a damaged file ({error})", "an episode's record") from error
             begin = self.records[-1]["dataset_to_index"] if self.records else 0
@@ -95,11 +105,17 @@ class Dataset:
 
     def _refuse_others(self, path: Path, total: int) -> None:
         """Raise ``InputError`` for files of episodes that are not counted, but for one that was not finished."""
-        counted = {of.format(**_place(number)) for of in (DATA, EPISODES) for number in range(total + 1)}
+        counted = {
+            of.format(**_chunk_indices(number))
+            for of in (DATA_FILE_PATTERN, EPISODES_FILE_PATTERN)
+            for number in range(total + 1)
+        }
         for pattern in ("data/*/*.parquet", "meta/episodes/*/*.parquet"):
             for found in sorted(self.folder.glob(pattern)):
                 if (name := found.relative_to(self.folder).as_posix()) not in counted:
-                    raise InputError(path, "total_episodes", f"{total}, and {files.plain(name)}", "the files' count")
+                    raise InputError(
+                        path, "total_episodes", f"{total}, and {files.printable(name)}", "the files' count"
+                    )
 
     @property
     def clips(self) -> set[str]:
@@ -122,7 +138,7 @@ class Dataset:
         """
         made = Episode.of(scene)
         files.folder_inside(self.folder, "meta")
-        with locks.holding(self.folder):
+        with locks.hold_lock(self.folder):
             self._catch_up()
             clips = [record.get("clip") for record in self.records]
             return clips.index(scene.name) if scene.name in clips else self._append(made, scene.name, split)
@@ -133,7 +149,7 @@ class Dataset:
         self._check(made, clip)
         tasks = self.tasks if made.task in self.tasks else [*self.tasks, made.task]
         begin = int(self.records[-1]["dataset_to_index"]) if self.records else 0
-        with leftovers.workplace(self.folder) as work:
+        with leftovers.temporary_folder(self.folder) as work:
             record = made.write(work, number, begin, tasks.index(made.task), {"clip": clip, "split": split})
             for path in filter(Path.is_file, sorted(work.rglob("*"))):
                 place = path.relative_to(work)
@@ -176,44 +192,46 @@ class Dataset:
     def statistics(self) -> dict[str, dict[str, ndarray]]:
         """Compute the statistics of all episodes from those of each, as LeRobot does: quantiles are means of theirs."""
         keys = [key.split("/")[1:] for key in self.records[0] if key.startswith("stats/")]
-        return {name: _together(self._each(name, of_name)) for name, of_name in _grouped(keys).items()}
+        return {name: _merge_statistics(self._each(name, of_name)) for name, of_name in _group_keys(keys).items()}
 
     def _each(self, name: str, keys: list[str]) -> dict[str, ndarray]:
         """Return some statistics of a feature, for each episode."""
         return {key: np.array([np.asarray(one[f"stats/{name}/{key}"]) for one in self.records]) for key in keys}
 
 
-def _place(number: int) -> dict[str, int]:
+def _chunk_indices(number: int) -> dict[str, int]:
     """Return where the files of an episode are."""
-    return {"chunk_index": number // CHUNK_SIZE, "file_index": number % CHUNK_SIZE}
+    return {"chunk_index": number // N_EPISODES_PER_CHUNK, "file_index": number % N_EPISODES_PER_CHUNK}
 
 
 def _check_info(path: Path, info: Json) -> None:
     """Raise ``InputError`` for a description that is not as ``write_meta`` writes it."""
     for key, kind in {"fps": int, "total_episodes": int, "features": dict}.items():
         if type(info.get(key)) is not kind or (kind is int and info[key] < (key == "fps")):
-            got = files.shown(info[key]) if key in info else "no such key"
+            got = files.shorten_value(info[key]) if key in info else "no such key"
             raise InputError(path, key, got, "as this program wrote it")
     for name, feature in info["features"].items():
         sides = feature.get("shape") if isinstance(feature, dict) else None
         if not isinstance(sides, list) or not all(type(side) is int for side in sides) or "dtype" not in feature:
-            raise InputError(path, f"features.{files.plain(name)}", files.shown(feature), "its dtype and shape")
+            raise InputError(
+                path, f"features.{files.printable(name)}", files.shorten_value(feature), "its dtype and shape"
+            )
 
 
 def _check_record(path: Path, record: Json, features: Json, number: int, begin: int) -> None:
     """Raise ``InputError`` for a record that is not that of an episode, which begins at the frame ``begin``."""
     length, tasks = record.get("length"), record.get("tasks")
     if type(length) is not int or length < 1:
-        raise InputError(path, "length", files.shown(length), "the episode's frames")
+        raise InputError(path, "length", files.shorten_value(length), "the episode's frames")
     known = {"episode_index": number, "dataset_from_index": begin, "dataset_to_index": begin + length}
     for key, value in known.items():
         if record.get(key) != value:
-            raise InputError(path, key, files.shown(record.get(key)), str(value))
+            raise InputError(path, key, files.shorten_value(record.get(key)), str(value))
     if not isinstance(tasks, list) or not all(isinstance(task, str) for task in tasks):
-        raise InputError(path, "tasks", files.shown(tasks), "texts")
+        raise InputError(path, "tasks", files.shorten_value(tasks), "texts")
     for name, feature in features.items():
         whole = (3, 1, 1) if feature["dtype"] == "video" else (math.prod(feature["shape"]),)
-        for of in STATISTICS if feature["dtype"] != "string" else ():
+        for of in STATISTIC_NAMES if feature["dtype"] != "string" else ():
             key, shape = f"stats/{name}/{of}", (1,) if of == "count" else whole
             found = np.asarray(record.get(key))
             if found.dtype.kind not in "iuf" or found.shape != shape or not np.isfinite(found).all():
@@ -221,14 +239,14 @@ def _check_record(path: Path, record: Json, features: Json, number: int, begin: 
                 raise InputError(path, key, got, f"numbers of shape {shape}")
 
 
-def _grouped(keys: list[list[str]]) -> dict[str, list[str]]:
+def _group_keys(keys: list[list[str]]) -> dict[str, list[str]]:
     out: dict[str, list[str]] = {}
     for name, key in keys:
         out.setdefault(name, []).append(key)
     return out
 
 
-def _together(each: dict[str, ndarray]) -> dict[str, ndarray]:
+def _merge_statistics(each: dict[str, ndarray]) -> dict[str, ndarray]:
     """Join the statistics of episodes (N, ...)."""
     count = each["count"].reshape(len(each["count"]), *[1] * (each["mean"].ndim - 1))
     share = count / count.sum()
@@ -239,5 +257,5 @@ def _together(each: dict[str, ndarray]) -> dict[str, ndarray]:
     return {**known, "count": each["count"].sum(axis=0), **quantiles}
 
 
-def _arrays(key: str, value: object) -> object:
+def _statistics_as_array(key: str, value: object) -> object:
     return np.array(value) if key.startswith("stats/") else value

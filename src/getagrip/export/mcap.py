@@ -17,55 +17,63 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.export.scene import Scene
-from getagrip.export.stage import Stage
+from getagrip.export.stage import StageFrame
 from getagrip.geometry import se3
 from getagrip.io import extras, files
 from getagrip.io.images import read_image
 
-FILE = "scene.mcap"
-MAGIC = {b"\xff\xd8\xff": "jpeg", b"\x89PNG": "png"}
+MCAP_FILE = "scene.mcap"
+IMAGE_SIGNATURES = {b"\xff\xd8\xff": "jpeg", b"\x89PNG": "png"}
 """How image files begin that are kept as they are."""
 
 
-def _object(title: str, **properties: object) -> dict[str, object]:
+def _object_schema(title: str, **properties: object) -> dict[str, object]:
     return {"title": title, "type": "object", "properties": properties, "required": list(properties)}
 
 
-def _list(of: Mapping[str, object], count: int = 0) -> dict[str, object]:
+def _array_schema(of: Mapping[str, object], count: int = 0) -> dict[str, object]:
     return {"type": "array", "items": of} | ({"minItems": count, "maxItems": count} if count else {})
 
 
-TEXT, NUMBER, INTEGER = {"type": "string"}, {"type": "number"}, {"type": "integer", "minimum": 0}
-TIME = _object("time", sec=INTEGER, nsec=INTEGER)
-VECTOR = _object("foxglove.Vector3", x=NUMBER, y=NUMBER, z=NUMBER)
-QUATERNION = _object("foxglove.Quaternion", x=NUMBER, y=NUMBER, z=NUMBER, w=NUMBER)
-TRANSFORM = _object(
-    "foxglove.FrameTransform", timestamp=TIME, parent_frame_id=TEXT, child_frame_id=TEXT, translation=VECTOR,
-    rotation=QUATERNION,
-)  # fmt: skip
-POSE = _object("foxglove.Pose", position=VECTOR, orientation=QUATERNION)
-TRANSFORMS = _object("foxglove.FrameTransforms", transforms=_list(TRANSFORM))
-POSES = _object("foxglove.PosesInFrame", timestamp=TIME, frame_id=TEXT, poses=_list(POSE))
-IMAGE = _object(
-    "foxglove.CompressedImage", timestamp=TIME, frame_id=TEXT, data=TEXT | {"contentEncoding": "base64"}, format=TEXT
+TEXT_SCHEMA, NUMBER_SCHEMA, INTEGER_SCHEMA = {"type": "string"}, {"type": "number"}, {"type": "integer", "minimum": 0}
+TIME_SCHEMA = _object_schema("time", sec=INTEGER_SCHEMA, nsec=INTEGER_SCHEMA)
+VECTOR_SCHEMA = _object_schema("foxglove.Vector3", x=NUMBER_SCHEMA, y=NUMBER_SCHEMA, z=NUMBER_SCHEMA)
+QUATERNION_SCHEMA = _object_schema(
+    "foxglove.Quaternion", x=NUMBER_SCHEMA, y=NUMBER_SCHEMA, z=NUMBER_SCHEMA, w=NUMBER_SCHEMA
 )
-CALIBRATION = _object(
-    "foxglove.CameraCalibration", timestamp=TIME, frame_id=TEXT, width=INTEGER, height=INTEGER, distortion_model=TEXT,
-    D=_list(NUMBER), K=_list(NUMBER, 9), R=_list(NUMBER, 9), P=_list(NUMBER, 12),
+TRANSFORM_SCHEMA = _object_schema(
+    "foxglove.FrameTransform", timestamp=TIME_SCHEMA, parent_frame_id=TEXT_SCHEMA, child_frame_id=TEXT_SCHEMA, translation=VECTOR_SCHEMA,
+    rotation=QUATERNION_SCHEMA,
+)  # fmt: skip
+POSE_SCHEMA = _object_schema("foxglove.Pose", position=VECTOR_SCHEMA, orientation=QUATERNION_SCHEMA)
+TRANSFORMS_SCHEMA = _object_schema("foxglove.FrameTransforms", transforms=_array_schema(TRANSFORM_SCHEMA))
+POSES_SCHEMA = _object_schema(
+    "foxglove.PosesInFrame", timestamp=TIME_SCHEMA, frame_id=TEXT_SCHEMA, poses=_array_schema(POSE_SCHEMA)
+)
+IMAGE_SCHEMA = _object_schema(
+    "foxglove.CompressedImage",
+    timestamp=TIME_SCHEMA,
+    frame_id=TEXT_SCHEMA,
+    data=TEXT_SCHEMA | {"contentEncoding": "base64"},
+    format=TEXT_SCHEMA,
+)
+CALIBRATION_SCHEMA = _object_schema(
+    "foxglove.CameraCalibration", timestamp=TIME_SCHEMA, frame_id=TEXT_SCHEMA, width=INTEGER_SCHEMA, height=INTEGER_SCHEMA, distortion_model=TEXT_SCHEMA,
+    D=_array_schema(NUMBER_SCHEMA), K=_array_schema(NUMBER_SCHEMA, 9), R=_array_schema(NUMBER_SCHEMA, 9), P=_array_schema(NUMBER_SCHEMA, 12),
 )  # fmt: skip
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
     """Write ``scene.mcap`` and meshes. Raises ``UsageError`` without mcap, ``InputError`` for unreadable images."""
-    writing = extras.load("mcap.writer", "mcap")
-    stage, channels = Stage.of(scene), dict[str, int]()
-    with files.new_file(folder / FILE) as path, path.open("wb") as stream:
+    writing = extras.import_extra("mcap.writer", "mcap")
+    stage, channels = StageFrame.of(scene), dict[str, int]()
+    with files.new_file(folder / MCAP_FILE) as path, path.open("wb") as stream:
         writer = writing.Writer(stream)
         writer.start(profile="", library="getagrip")
         writer.add_metadata("about", {"clip": scene.name, "method": scene.method, "notes": "\n".join(scene.notes)})
         for n, time in enumerate(scene.time):
             nanoseconds = max(0, round(1e9 * float(time)))
-            for topic, schema, message in _messages(scene, stage, n, nanoseconds):
+            for topic, schema, message in _frame_messages(scene, stage, n, nanoseconds):
                 if topic not in channels:
                     known = writer.register_schema(str(schema["title"]), "jsonschema", json.dumps(schema).encode())
                     channels[topic] = writer.register_channel(topic, "json", known)
@@ -80,10 +88,12 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
         files.write_bytes(folder / name, scene_file)
     about = {name: f"the mesh in the frame {name[:-4]}, axes as they are; metres" for name in meshes}
     hands = {name: f"{words}; as it is bent in the first frame" for name, words in about.items() if "hand" in name}
-    return {FILE: f"JSON by Foxglove's schemas; {stage.words}; quaternions (x, y, z, w)", **about, **hands}
+    return {MCAP_FILE: f"JSON by Foxglove's schemas; {stage.words}; quaternions (x, y, z, w)", **about, **hands}
 
 
-def _messages(scene: Scene, stage: Stage, n: int, nanoseconds: int) -> Iterator[tuple[str, dict[str, object], object]]:
+def _frame_messages(
+    scene: Scene, stage: StageFrame, n: int, nanoseconds: int
+) -> Iterator[tuple[str, dict[str, object], object]]:
     """Yield the topic, the schema and the content of each message of frame ``n``."""
     sec, nsec = divmod(nanoseconds, 10**9)
     now = {"timestamp": {"sec": sec, "nsec": nsec}}
@@ -94,36 +104,36 @@ def _messages(scene: Scene, stage: Stage, n: int, nanoseconds: int) -> Iterator[
     transforms = [
         now | {"parent_frame_id": parent, "child_frame_id": child, "translation": t, "rotation": q}
         for parent, child, T in tree
-        for t, q in [_pose(T)]
+        for t, q in [_pose_message(T)]
     ]
-    yield "/tf", TRANSFORMS, {"transforms": transforms}
+    yield "/tf", TRANSFORMS_SCHEMA, {"transforms": transforms}
     K, (width, height) = scene.K[n], scene.size
     size = {"width": width, "height": height, "distortion_model": "", "D": []}
     matrices = {"K": K, "R": np.eye(3), "P": np.column_stack([K, np.zeros(3)])}
     numbers = {name: M.ravel().tolist() for name, M in matrices.items()}
-    yield "/camera/calibration", CALIBRATION, seen | size | numbers
+    yield "/camera/calibration", CALIBRATION_SCHEMA, seen | size | numbers
     for hand in hands:
         if hand.joints is not None:
-            poses = [_pose(se3.rigid(np.eye(3), joint)) for joint in hand.joints[n]]
+            poses = [_pose_message(se3.rigid(np.eye(3), joint)) for joint in hand.joints[n]]
             joints = {"poses": [{"position": t, "orientation": q} for t, q in poses]}
-            yield f"/{hand.name}/joints", POSES, now | {"frame_id": hand.name} | joints
+            yield f"/{hand.name}/joints", POSES_SCHEMA, now | {"frame_id": hand.name} | joints
     if scene.image_files and (source := scene.image_files[n]) is not None:
-        content, kind = _picture(source, scene.size)
-        yield "/camera/image", IMAGE, seen | {"data": base64.b64encode(content).decode(), "format": kind}
+        content, kind = _read_encoded_image(source, scene.size)
+        yield "/camera/image", IMAGE_SCHEMA, seen | {"data": base64.b64encode(content).decode(), "format": kind}
 
 
-def _pose(T: Float[ndarray, "4 4"]) -> tuple[dict[str, float], dict[str, float]]:
+def _pose_message(T: Float[ndarray, "4 4"]) -> tuple[dict[str, float], dict[str, float]]:
     """Write a pose as a translation and a quaternion."""
     w, x, y, z = se3.quaternion(T[:3, :3]).tolist()
     return dict(zip("xyz", T[:3, 3].tolist(), strict=True)), {"x": x, "y": y, "z": z, "w": w}
 
 
-def _picture(path: Path, size: tuple[int, int]) -> tuple[bytes, str]:
+def _read_encoded_image(path: Path, size: tuple[int, int]) -> tuple[bytes, str]:
     """Return an image as a file's content, and its format: as it is, or as PNG. Raises ``InputError``."""
     import cv2
 
     image, content = read_image(path, size), files.read_bytes(path)
-    for begins, kind in MAGIC.items():
+    for begins, kind in IMAGE_SIGNATURES.items():
         if content.startswith(begins):
             return content, kind
     return cv2.imencode(".png", image[..., ::-1])[1].tobytes(), "png"

@@ -16,65 +16,69 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.errors import UsageError
-from getagrip.export.bones import ENDS, JOINTS, Bones
-from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, Scene, word
-from getagrip.export.stage import Stage
+from getagrip.export.bones import BONE_END_JOINTS, HAND_JOINT_NAMES, Bones
+from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, Scene, safe_file_name
+from getagrip.export.stage import StageFrame
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import extras, files
 
-FILE = "scene.xml"
-MOST_PIECES = 32
-VOXELS = 100_000
+MJCF_FILE = "scene.xml"
+MAX_CONVEX_PIECES = 32
+N_DECOMPOSITION_VOXELS = 100_000
 """Number of voxels of the convex decomposition."""
-DENSITY = 1000.0
+OBJECT_DENSITY_KG_M3 = 1000.0
 """Density of the object [kg/m^3], assumed: that of water and of most plastics."""
-OBJECT_BITS, HAND_BITS = {"contype": "1", "conaffinity": "2"}, {"contype": "2", "conaffinity": "1"}
+OBJECT_CONTACT_BITS, HAND_CONTACT_BITS = {"contype": "1", "conaffinity": "2"}, {"contype": "2", "conaffinity": "1"}
 """The object touches the hand; bones do not touch each other."""
-FOLLOW = {"solref": "0.01 1", "solimp": "0.98 0.99 0.001"}
+WELD_STIFFNESS = {"solref": "0.01 1", "solimp": "0.98 0.99 0.001"}
 """How stiff the weld is: more than contacts are, so that bones that are drawn too thick do not hold the object off."""
-SEEN_ONLY = {"contype": "0", "conaffinity": "0", "group": "2"}
-FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+VISUAL_GEOM_ATTRIBUTES = {"contype": "0", "conaffinity": "0", "group": "2"}
+MUJOCO_CAMERA_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 """From MuJoCo's camera axes (y up, looking along -z) to this package's."""
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
     """Write ``scene.xml`` and its meshes. Raises ``UsageError`` without mujoco, and where MuJoCo refuses the scene."""
-    library = extras.load("mujoco", "mujoco")
-    on_stage, bones = Stage.of(scene), Bones.of(scene)
+    library = extras.import_extra("mujoco", "mujoco")
+    on_stage, bones = StageFrame.of(scene), Bones.of(scene)
     T_stage_obj, T_stage_hand = on_stage.poses(scene)
     (folder / "assets").mkdir()
-    pieces = convex_pieces(scene.object)
+    pieces = convex_decomposition(scene.object)
     for n, part in enumerate(pieces):
         write_mesh(part, folder / "assets" / f"piece_{n:02d}.obj")
     write_mesh(scene.object, folder / "assets" / "object.obj")
-    root = Xml.Element("mujoco", model=word(scene.name))
-    _add(root, "compiler", angle="radian", meshdir="assets")
-    _add(root, "option", timestep="0.002", integrator="implicitfast")
-    assets, world = _add(root, "asset"), _add(root, "worldbody")
+    root = Xml.Element("mujoco", model=safe_file_name(scene.name))
+    _add_element(root, "compiler", angle="radian", meshdir="assets")
+    _add_element(root, "option", timestep="0.002", integrator="implicitfast")
+    assets, world = _add_element(root, "asset"), _add_element(root, "worldbody")
     _mesh_asset(assets, "object", "shell")
-    _add(world, "light", pos="0 0 3", directional="true")
-    body = _add(world, "body", name="object", **_pose(T_stage_obj[0]))
-    _add(body, "freejoint", name="object")
-    _add(body, "geom", type="mesh", mesh="object", mass="0", rgba=_rgba(OBJECT_COLOUR), **SEEN_ONLY)
+    _add_element(world, "light", pos="0 0 3", directional="true")
+    body = _add_element(world, "body", name="object", **_pose_attributes(T_stage_obj[0]))
+    _add_element(body, "freejoint", name="object")
+    _add_element(
+        body, "geom", type="mesh", mesh="object", mass="0", rgba=_rgba(OBJECT_COLOUR), **VISUAL_GEOM_ATTRIBUTES
+    )
     for n in range(len(pieces)):
         _mesh_asset(assets, f"piece_{n:02d}", "convex")
-        piece = {"mesh": f"piece_{n:02d}", "density": f"{DENSITY:g}", "group": "3", **OBJECT_BITS}
-        _add(body, "geom", type="mesh", **piece)
-    moved = _hand(world, assets, scene, bones, T_stage_hand, folder)
-    moved |= {"target": T_stage_obj, "camera": np.asarray(on_stage.T_stage_cam @ FLIP)}
-    _add(world, "body", name="target", mocap="true", **_pose(T_stage_obj[0]))
-    camera = _add(world, "body", name="camera", mocap="true", **_pose(moved["camera"][0]))
+        piece = {"mesh": f"piece_{n:02d}", "density": f"{OBJECT_DENSITY_KG_M3:g}", "group": "3", **OBJECT_CONTACT_BITS}
+        _add_element(body, "geom", type="mesh", **piece)
+    moved = _add_mjcf_hand(world, assets, scene, bones, T_stage_hand, folder)
+    moved |= {"target": T_stage_obj, "camera": np.asarray(on_stage.T_stage_cam @ MUJOCO_CAMERA_AXES)}
+    _add_element(world, "body", name="target", mocap="true", **_pose_attributes(T_stage_obj[0]))
+    camera = _add_element(world, "body", name="camera", mocap="true", **_pose_attributes(moved["camera"][0]))
     tall = 2.0 * np.degrees(np.arctan(scene.size[1] / 2.0 / scene.K[0, 1, 1]))  # degrees, whatever the compiler says
-    _add(camera, "camera", name="clip", fovy=f"{tall:.6g}")
-    equality = _add(root, "equality")
-    _add(equality, "weld", name="follow", body1="target", body2="object", relpose="0 0 0 1 0 0 0", **FOLLOW)
-    _keys(root, scene, T_stage_obj, moved)
+    _add_element(camera, "camera", name="clip", fovy=f"{tall:.6g}")
+    equality = _add_element(root, "equality")
+    _add_element(
+        equality, "weld", name="follow", body1="target", body2="object", relpose="0 0 0 1 0 0 0", **WELD_STIFFNESS
+    )
+    _add_keyframes(root, scene, T_stage_obj, moved)
     Xml.indent(root)
-    files.write_bytes(folder / FILE, Xml.tostring(root, encoding="utf-8"))
+    files.write_bytes(folder / MJCF_FILE, Xml.tostring(root, encoding="utf-8"))
     try:
-        library.MjModel.from_xml_path(str(folder / FILE))
+        library.MjModel.from_xml_path(str(folder / MJCF_FILE))
     except ValueError as error:
         raise UsageError(f"--to mujoco: MuJoCo refuses the scene of {scene.name}: {error}") from error
     fit = (
@@ -82,17 +86,17 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
         if bones
         else "its rigid mesh of the first frame, touching nothing"
     )
-    about = f"MJCF: {on_stage.words}; key n is frame n; mass by a density of {DENSITY:g} kg/m^3 (a guess)"
+    about = f"MJCF: {on_stage.words}; key n is frame n; mass by a density of {OBJECT_DENSITY_KG_M3:g} kg/m^3 (a guess)"
     meshes = {f"assets/piece_{n:02d}.obj": "a convex piece of the object; metres" for n in range(len(pieces))}
     shown = {} if bones else {"assets/hand.obj": "the hand in the first frame, hand frame; metres"}
-    return {FILE: f"{about}; the hand is {fit}", "assets/object.obj": "the object; metres", **meshes, **shown}
+    return {MJCF_FILE: f"{about}; the hand is {fit}", "assets/object.obj": "the object; metres", **meshes, **shown}
 
 
-def convex_pieces(mesh: Mesh) -> list[Mesh]:
+def convex_decomposition(mesh: Mesh) -> list[Mesh]:
     """Split a mesh into convex pieces (V-HACD), or return its hull where it has no inside. Raises ``UsageError``."""
     faces = np.column_stack([np.full(len(mesh.faces), 3), mesh.faces]).astype(np.uint32).ravel()
-    found = extras.load("vhacdx", "mujoco").compute_vhacd(
-        mesh.vertices, faces, maxConvexHulls=MOST_PIECES, resolution=VOXELS, asyncACD=False
+    found = extras.import_extra("vhacdx", "mujoco").compute_vhacd(
+        mesh.vertices, faces, maxConvexHulls=MAX_CONVEX_PIECES, resolution=N_DECOMPOSITION_VOXELS, asyncACD=False
     )
     pieces = [Mesh(np.asarray(v, dtype=float), np.asarray(f).reshape(-1, 3).astype(np.int64)) for v, f in found]
     solid = [piece for piece in pieces if abs(piece.volume) > 1e-10]  # a cube of half a millimetre
@@ -104,7 +108,7 @@ def convex_pieces(mesh: Mesh) -> list[Mesh]:
     return [Mesh(np.asarray(hull.vertices), np.asarray(hull.faces, dtype=np.int64))]
 
 
-def _hand(
+def _add_mjcf_hand(
     world: Xml.Element,
     assets: Xml.Element,
     scene: Scene,
@@ -117,49 +121,49 @@ def _hand(
     if bones is None:
         write_mesh(Mesh(scene.hand_vertices[0], scene.hand_faces), folder / "assets" / "hand.obj")
         _mesh_asset(assets, "hand", "shell")
-        body = _add(world, "body", name="hand", mocap="true", **_pose(T_stage_hand[0]))
-        _add(body, "geom", type="mesh", mesh="hand", rgba=colour, **SEEN_ONLY)
+        body = _add_element(world, "body", name="hand", mocap="true", **_pose_attributes(T_stage_hand[0]))
+        _add_element(body, "geom", type="mesh", mesh="hand", rgba=colour, **VISUAL_GEOM_ATTRIBUTES)
         return {"hand": T_stage_hand}
     moved = {}
     T_stage_bone = T_stage_hand[:, None] @ bones.T_hand_bone
-    for n, (_, joint) in enumerate(ENDS):
-        name = f"bone_{JOINTS[joint]}"
-        body = _add(world, "body", name=name, mocap="true", **_pose(T_stage_bone[0, n]))
+    for n, (_, joint) in enumerate(BONE_END_JOINTS):
+        name = f"bone_{HAND_JOINT_NAMES[joint]}"
+        body = _add_element(world, "body", name=name, mocap="true", **_pose_attributes(T_stage_bone[0, n]))
         shape = {"fromto": f"0 0 0 0 0 {max(bones.length[n], 1e-4):.6g}", "size": f"{bones.radius[n]:.6g}"}
-        _add(body, "geom", type="capsule", rgba=colour, **shape, **HAND_BITS)
+        _add_element(body, "geom", type="capsule", rgba=colour, **shape, **HAND_CONTACT_BITS)
         moved[name] = T_stage_bone[:, n]
     return moved
 
 
-def _keys(
+def _add_keyframes(
     root: Xml.Element, scene: Scene, T_stage_obj: Float[ndarray, "T 4 4"], moved: dict[str, Float[ndarray, "T 4 4"]]
 ) -> None:
     """Add a key per frame: its time, the object's position, and the positions of the mocap bodies."""
-    keyframe = _add(root, "keyframe")
+    keyframe = _add_element(root, "keyframe")
     places = np.stack([T[:, :3, 3] for T in moved.values()], axis=1)
     turns = np.stack([se3.quaternions_in_time(T[:, :3, :3]) for T in moved.values()], axis=1)
     qpos = np.concatenate([T_stage_obj[:, :3, 3], se3.quaternions_in_time(T_stage_obj[:, :3, :3])], axis=1)
     for n, time in enumerate(scene.time - scene.time[0]):
         arrays = {"qpos": qpos[n], "mpos": places[n], "mquat": turns[n]}
-        numbers = {name: _numbers(values) for name, values in arrays.items()}
-        _add(keyframe, "key", name=f"frame_{n:06d}", time=f"{time:.9g}", **numbers)
+        numbers = {name: _format_vector(values) for name, values in arrays.items()}
+        _add_element(keyframe, "key", name=f"frame_{n:06d}", time=f"{time:.9g}", **numbers)
 
 
-def _add(parent: Xml.Element, tag: str, **attributes: str) -> Xml.Element:
+def _add_element(parent: Xml.Element, tag: str, **attributes: str) -> Xml.Element:
     return Xml.SubElement(parent, tag, attributes)
 
 
 def _mesh_asset(assets: Xml.Element, name: str, inertia: str) -> None:
-    _add(assets, "mesh", name=name, file=f"{name}.obj", inertia=inertia)
+    _add_element(assets, "mesh", name=name, file=f"{name}.obj", inertia=inertia)
 
 
-def _pose(T: Float[ndarray, "4 4"]) -> dict[str, str]:
-    return {"pos": _numbers(T[:3, 3]), "quat": _numbers(se3.quaternion(T[:3, :3]))}
+def _pose_attributes(T: Float[ndarray, "4 4"]) -> dict[str, str]:
+    return {"pos": _format_vector(T[:3, 3]), "quat": _format_vector(se3.quaternion(T[:3, :3]))}
 
 
 def _rgba(colour: tuple[float, float, float]) -> str:
-    return _numbers(np.array([*colour, 1.0]))
+    return _format_vector(np.array([*colour, 1.0]))
 
 
-def _numbers(values: Float[ndarray, "*n"]) -> str:
+def _format_vector(values: Float[ndarray, "*n"]) -> str:
     return " ".join(f"{x:.9g}" for x in np.ravel(values))

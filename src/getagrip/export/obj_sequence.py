@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from getagrip.export.scene import Scene, file_names
+from getagrip.export.scene import Scene, frame_file_names
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import write_mesh
@@ -17,7 +17,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     moving |= {hand.name: (hand.in_camera, hand.faces, hand.known) for hand in scene.hands}
     for name, (vertices, faces, known) in moving.items():
         (folder / name).mkdir()
-        for frame, posed, there in zip(file_names(scene.frames), vertices, known, strict=True):
+        for frame, posed, there in zip(frame_file_names(scene.frames), vertices, known, strict=True):
             if there:
                 write_mesh(Mesh(posed, faces), folder / name / f"{frame}.obj")
     axes = "camera frame of its image: x right, y down, z forward; metres"

@@ -10,50 +10,57 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from getagrip.export.scene import AXES, Scene
+from getagrip.export.scene import CAMERA_AXES_NOTE, Scene
 from getagrip.geometry import se3
 from getagrip.io import files
-from getagrip.io.tables import text_cell
+from getagrip.io.tables import escape_cell
 
-POSE = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
+POSE_CSV_COLUMNS = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
     """Write ``poses.csv`` and, where joints are known, ``joints.csv``; of the other hand ``other_joints.csv``."""
-    columns = {name: _row(T) for name, T in scene.poses.items()}
+    columns = {name: _pose_rows(T) for name, T in scene.poses.items()}
     for other in scene.hands[1:]:
-        columns["T_cam_other_hand"] = np.where(other.known[:, None], _row(other.T_cam_hand), np.nan)
+        columns["T_cam_other_hand"] = np.where(other.known[:, None], _pose_rows(other.T_cam_hand), np.nan)
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(
-        ["frame", "time_s", *(f"{name}_{part}" for name in columns for part in POSE), "angle_deg", "iou", "frame_kind"]
+        [
+            "frame",
+            "time_s",
+            *(f"{name}_{part}" for name in columns for part in POSE_CSV_COLUMNS),
+            "angle_deg",
+            "iou",
+            "frame_kind",
+        ]
     )
     angle = np.full(len(scene.frames), np.nan) if scene.angle is None else np.degrees(scene.angle)
     poses = np.concatenate([*columns.values()], axis=1)
     for n, frame in enumerate(scene.frames):
         numbers = [scene.time[n], *poses[n], angle[n], scene.iou[n]]
-        rows.writerow([text_cell(frame), *("" if np.isnan(x) else f"{x:.9g}" for x in numbers), scene.frame_kind[n]])
+        rows.writerow([escape_cell(frame), *("" if np.isnan(x) else f"{x:.9g}" for x in numbers), scene.frame_kind[n]])
     files.write_bytes(folder / "poses.csv", text.getvalue().encode())
     about = {
-        "poses.csv": f"a row per frame; {AXES}; quaternions (w, x, y, z); the object's mesh is not scaled by poses"
+        "poses.csv": f"a row per frame; {CAMERA_AXES_NOTE}; quaternions (w, x, y, z); the object's mesh is not scaled by poses"
     }
     for hand, name in zip(scene.hands, ("joints.csv", "other_joints.csv"), strict=False):
         if (joints := hand.joints_in_camera) is not None:
-            files.write_bytes(folder / name, _joints(scene, joints, hand.known).encode())
+            files.write_bytes(folder / name, _joints_csv(scene, joints, hand.known).encode())
             about[name] = "a row per frame; 21 joints in the camera frame, metres; wrist, then thumb to pinky"
     return about
 
 
-def _joints(scene: Scene, joints: Float[ndarray, "T 21 3"], known: Bool[ndarray, "T"]) -> str:
+def _joints_csv(scene: Scene, joints: Float[ndarray, "T 21 3"], known: Bool[ndarray, "T"]) -> str:
     """Write the joints' table, of the frames in which they are known."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["frame", "time_s", *(f"joint{k:02d}_{axis}_m" for k in range(joints.shape[1]) for axis in "xyz")])
     for n in np.flatnonzero(known):
-        rows.writerow([text_cell(scene.frames[n]), *(f"{x:.9g}" for x in (scene.time[n], *joints[n].ravel()))])
+        rows.writerow([escape_cell(scene.frames[n]), *(f"{x:.9g}" for x in (scene.time[n], *joints[n].ravel()))])
     return text.getvalue()
 
 
-def _row(T: Float[ndarray, "T 4 4"]) -> Float[ndarray, "T 7"]:
+def _pose_rows(T: Float[ndarray, "T 4 4"]) -> Float[ndarray, "T 7"]:
     """Position and quaternion."""
     return np.concatenate([T[:, :3, 3], se3.quaternion(T[:, :3, :3])], axis=1)

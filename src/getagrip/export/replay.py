@@ -2,7 +2,7 @@
 
 The hand is 20 rigid parts, a convex hull about each bone, drawn after the reconstruction by welds: bodies that have a
 velocity, since friction with a mocap body, which has none, would hold the object in the world. A reconstructed hand
-touches but does not press: surfaces meet ``PRESS`` before they touch, as skin that is pressed in.
+touches but does not press: surfaces meet ``SKIN_PRESS_DEPTH_M`` before they touch, as skin that is pressed in.
 The object is convex pieces, welded to its reconstructed pose at first, then free.
 
 The friction, the density, the stiffness of skin and, where the clip has no ``world_up``, the direction of gravity are
@@ -21,10 +21,10 @@ from numpy import ndarray
 from scipy.interpolate import CubicSpline
 
 from getagrip.errors import UsageError
-from getagrip.export.bones import distances
-from getagrip.export.mujoco import DENSITY, convex_pieces
+from getagrip.export.bones import bone_distances
+from getagrip.export.mujoco import OBJECT_DENSITY_KG_M3, convex_decomposition
 from getagrip.export.scene import Scene
-from getagrip.export.stage import Stage
+from getagrip.export.stage import StageFrame
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.io import extras
@@ -32,27 +32,27 @@ from getagrip.io import extras
 if TYPE_CHECKING:
     from mujoco import MjData, MjModel
 
-FRICTION = 1.0
+FRICTION_COEFFICIENT = 1.0
 """Coefficient of friction of skin and object, assumed."""
-PRESS = 0.003
+SKIN_PRESS_DEPTH_M = 0.003
 """Depth by which the surfaces of hand and object are pressed into each other where they just touch [m]."""
-SOFT = 0.04
+CONTACT_TIME_CONSTANT_S = 0.04
 """Time constant of contact [s]: stiffer, what is pressed in too deep throws the object out."""
-FEWEST = 4
+MIN_PART_VERTICES = 4
 """Least number of vertices of a part of the hand, so that it has an inside."""
-OVERLAP = 0.003
+BONE_OVERLAP_M = 0.003
 """A vertex belongs to its nearest bone, and to those that are farther by less than this [m]."""
-STEP = 0.002
+SIMULATION_STEP_S = 0.002
 """Time of a step of the simulation [s]."""
-SETTLES = 0.2
+SETTLING_TIME_S = 0.2
 """How long the hand stands still in the first frame, the object welded, until contacts are at rest [s]."""
-WELDED = 0.1
+WELD_TIME_S = 0.1
 """How long the object is welded from the first frame on: it is let go as fast as it is [s]; at most half of a clip."""
-STAYS = 0.02
+MAX_STABLE_DISPLACEMENT_M = 0.02
 """The object is in the hand while its vertices are nearer than this to the reconstruction, on average [m]."""
-FOLLOWS = 0.008
+WELD_TIME_CONSTANT_S = 0.008
 """Time constant of the welds [s]."""
-HEAVY = 1.0
+HAND_PART_MASS_KG = 1.0
 """Mass of a part of the hand [kg], so that the object does not move it."""
 
 
@@ -75,26 +75,28 @@ class Replay:
     @property
     def stays(self) -> float:
         """Share of the frames after the object was let go in which it is in the hand."""
-        return float((self.displacement[self.free] < STAYS).mean())
+        return float((self.displacement[self.free] < MAX_STABLE_DISPLACEMENT_M).mean())
 
 
-def replay(scene: Scene) -> Replay:
+def simulate_replay(scene: Scene) -> Replay:
     """Simulate a scene. Raises ``UsageError`` without mujoco, joints or a second frame."""
-    library = extras.load("mujoco", "mujoco", "replay")
+    library = extras.import_extra("mujoco", "mujoco", "replay")
     if len(scene.frames) < 2:
         raise UsageError(f"replay needs two frames or more (got {len(scene.frames)})")
-    stage = Stage.of(scene)
+    stage = StageFrame.of(scene)
     T_stage_obj, T_stage_hand = stage.poses(scene)
-    parts, T_hand_part = hand_parts(scene)
+    parts, T_hand_part = split_hand_by_bones(scene)
     moved = np.concatenate([T_stage_hand[:, None] @ T_hand_part, T_stage_obj[:, None]], axis=1)
-    model, data = _model(library, parts, scene.object, moved[0])
+    model, data = _build_model(library, parts, scene.object, moved[0])
     turns = [se3.quaternions_in_time(moved[:, n, :3, :3]) for n in range(moved.shape[1])]
     times = scene.time - scene.time[0]
     path = CubicSpline(times, np.concatenate([moved[..., :3, 3], np.stack(turns, axis=1)], axis=-1))
-    released, found = min(WELDED, times[-1] / 2.0), []
+    released, found = min(WELD_TIME_S, times[-1] / 2.0), []
     for time in times:
-        while (now := data.time - SETTLES) < time:
-            at = path(np.clip(now + 2.0 * FOLLOWS, 0.0, times[-1]))  # critically damped, welds lag by so much
+        while (now := data.time - SETTLING_TIME_S) < time:
+            at = path(
+                np.clip(now + 2.0 * WELD_TIME_CONSTANT_S, 0.0, times[-1])
+            )  # critically damped, welds lag by so much
             data.mocap_pos[:] = at[:, :3]
             data.mocap_quat[:] = at[:, 3:] / np.linalg.norm(at[:, 3:], axis=1, keepdims=True)
             data.eq_active[-1] = now < released
@@ -102,17 +104,17 @@ def replay(scene: Scene) -> Replay:
         found.append(se3.rigid(se3.from_quaternion(data.xquat[-1]), data.xpos[-1]))  # the object is the last body
     T = np.stack(found)
     away = se3.transform(T, scene.object.vertices[None]) - se3.transform(T_stage_obj, scene.object.vertices[None])
-    assumed = f"friction {FRICTION:g}, density {DENSITY:g} kg/m^3, skin pressed in by {1e3 * PRESS:g} mm; {stage.words}"
+    assumed = f"friction {FRICTION_COEFFICIENT:g}, density {OBJECT_DENSITY_KG_M3:g} kg/m^3, skin pressed in by {1e3 * SKIN_PRESS_DEPTH_M:g} mm; {stage.words}"
     return Replay(T, np.linalg.norm(away, axis=-1).mean(axis=1), times > released, assumed)
 
 
-def hand_parts(scene: Scene) -> tuple[list[Float[ndarray, "n 3"]], Float[ndarray, "T P 4 4"]]:
+def split_hand_by_bones(scene: Scene) -> tuple[list[Float[ndarray, "n 3"]], Float[ndarray, "T P 4 4"]]:
     """Split the hand's vertices by its bones into rigid parts, posed as their vertices move. Raises ``UsageError``."""
     if scene.joints is None:
         raise UsageError(f"missing joints in hand.npz of the clip {scene.name}: replay needs 21")
-    distance = distances(scene)
-    near = distance < distance.min(axis=1, keepdims=True) + OVERLAP
-    near = near[:, near.sum(axis=0) >= FEWEST]
+    distance = bone_distances(scene)
+    near = distance < distance.min(axis=1, keepdims=True) + BONE_OVERLAP_M
+    near = near[:, near.sum(axis=0) >= MIN_PART_VERTICES]
     parts, poses = [], []
     for own in near.T if near.size else np.ones((1, len(near)), dtype=bool):  # a coarse mesh is one part
         points = scene.hand_vertices[:, own]
@@ -123,31 +125,36 @@ def hand_parts(scene: Scene) -> tuple[list[Float[ndarray, "n 3"]], Float[ndarray
     return parts, np.stack(poses, axis=1)
 
 
-def _model(
+def _build_model(
     library: ModuleType, parts: list[Float[ndarray, "n 3"]], object_: Mesh, T: Float[ndarray, "N 4 4"]
 ) -> tuple[MjModel, MjData]:
     """Make the model, its bodies where they begin: those of the hand, then the object; MuJoCo makes points convex."""
     spec = library.MjSpec()
-    spec.option.timestep, spec.option.impratio = STEP, 10.0
+    spec.option.timestep, spec.option.impratio = SIMULATION_STEP_S, 10.0
     spec.option.cone = library.mjtCone.mjCONE_ELLIPTIC
     spec.option.integrator = library.mjtIntegrator.mjINT_IMPLICITFAST
-    pieces = [piece.vertices for piece in convex_pieces(object_)]
+    pieces = [piece.vertices for piece in convex_decomposition(object_)]
     for n, meshes in enumerate([*([part] for part in parts), pieces]):
         is_object = n == len(parts)
         place = {"pos": T[n, :3, 3], "quat": se3.quaternion(T[n, :3, :3])}
         spec.worldbody.add_body(name=f"target_{n}", mocap=True, **place)
         body = spec.worldbody.add_body(name=f"body_{n}", gravcomp=0.0 if is_object else 1.0, **place)
         body.add_freejoint()
-        of_object = {"density": DENSITY, "margin": PRESS, "contype": 1, "conaffinity": 2}
-        kind = of_object if is_object else {"mass": HEAVY, "contype": 2, "conaffinity": 1}
+        of_object = {"density": OBJECT_DENSITY_KG_M3, "margin": SKIN_PRESS_DEPTH_M, "contype": 1, "conaffinity": 2}
+        kind = of_object if is_object else {"mass": HAND_PART_MASS_KG, "contype": 2, "conaffinity": 1}
         for k, points in enumerate(meshes):
             name = f"mesh_{n}_{k}"
             spec.add_mesh(name=name, uservert=points.ravel())
-            shape = {"type": library.mjtGeom.mjGEOM_MESH, "meshname": name, "condim": 4, "solref": [SOFT, 1.0]}
-            body.add_geom(**shape, friction=[FRICTION, 0.005, 1e-4], **kind)
+            shape = {
+                "type": library.mjtGeom.mjGEOM_MESH,
+                "meshname": name,
+                "condim": 4,
+                "solref": [CONTACT_TIME_CONSTANT_S, 1.0],
+            }
+            body.add_geom(**shape, friction=[FRICTION_COEFFICIENT, 0.005, 1e-4], **kind)
         weld = spec.add_equality(
             type=library.mjtEq.mjEQ_WELD, objtype=library.mjtObj.mjOBJ_BODY, name1=f"target_{n}", name2=f"body_{n}",
-            solref=[FOLLOWS, 1.0],
+            solref=[WELD_TIME_CONSTANT_S, 1.0],
         )  # fmt: skip
         weld.data[:] = np.isin(np.arange(len(weld.data)), [6, 10])  # both at one place, turned by no angle
     try:

@@ -17,16 +17,16 @@ from getagrip.clip import Clip, OtherHand, World
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.io import files
-from getagrip.io.terminal import report
+from getagrip.io.terminal import print_note
 from getagrip.result import FrameKind, Reconstruction
 
 OBJECT_COLOUR, HAND_COLOUR = (0.47, 0.60, 0.68), (0.86, 0.68, 0.58)
-UNEVEN = 0.5
+EVEN_STEP_TOLERANCE = 0.5
 """Frames that are no farther off even times are taken for even [steps]."""
-AXES = "camera frame of each image: x right, y down, z forward; X_cam = T_cam_obj @ X_obj; metres"
+CAMERA_AXES_NOTE = "camera frame of each image: x right, y down, z forward; X_cam = T_cam_obj @ X_obj; metres"
 
 
-class MovingHand(NamedTuple):
+class ExportedHand(NamedTuple):
     """A hand in T frames; arrays as in ``Scene``."""
 
     name: str
@@ -144,7 +144,7 @@ class Scene:
             angle=None if result.axis is None else result.axis.angle,
             notes=result.notes,
             world=some.world,
-            bop=_names(clip.provenance.get("bop")),
+            bop=_provenance_file_names(clip.provenance.get("bop")),
             image_files=tuple(some.image_file(n) for n in range(len(some))),
             other_hand=some.other_hand,
             probability=None if result.probability_right is None else result.probability_right.value,
@@ -161,11 +161,13 @@ class Scene:
         there, count = self.time, round(float(self.time[-1] - self.time[0]) * fps) + 1
         wanted = np.minimum(there[0] + np.arange(count) / fps, there[-1])
         off = np.abs(there - there[0] - np.arange(len(there)) / fps).max()
-        if off <= UNEVEN / fps:
+        if off <= EVEN_STEP_TOLERANCE / fps:
             return self
         near = np.abs(there - wanted[:, None]).argmin(axis=1)
-        between = np.abs(there[near] - wanted) > UNEVEN / fps / 5.0
-        report(f"{self.name}: frames are up to {1e3 * off:.0f} ms off {fps:g} a second: resampled to {count} even ones")
+        between = np.abs(there[near] - wanted) > EVEN_STEP_TOLERANCE / fps / 5.0
+        print_note(
+            f"{self.name}: frames are up to {1e3 * off:.0f} ms off {fps:g} a second: resampled to {count} even ones"
+        )
 
         def vectors(values: Float[ndarray, "T ..."]) -> Float[ndarray, "n ..."]:
             flat = values.reshape(len(values), -1)
@@ -201,18 +203,18 @@ class Scene:
         return None if self.world is None else np.asarray(self.world.T_world_cam @ self.T_cam_obj)
 
     @property
-    def hand(self) -> MovingHand:
+    def hand(self) -> ExportedHand:
         """The clip's own hand."""
         everywhere = np.ones(len(self.frames), dtype=bool)
-        return MovingHand("hand", self.T_cam_hand, self.hand_vertices, self.hand_faces, self.joints, everywhere)
+        return ExportedHand("hand", self.T_cam_hand, self.hand_vertices, self.hand_faces, self.joints, everywhere)
 
     @property
-    def hands(self) -> list[MovingHand]:
+    def hands(self) -> list[ExportedHand]:
         """The clip's own hand and, where there is one, that of the other side."""
         if self.other_hand is None:
             return [self.hand]
         of = self.other_hand.track
-        other = MovingHand("other_hand", of.T_cam_hand, of.vertices, of.faces, of.joints, self.other_hand.known)
+        other = ExportedHand("other_hand", of.T_cam_hand, of.vertices, of.faces, of.joints, self.other_hand.known)
         return [self.hand, other]
 
     @property
@@ -253,28 +255,28 @@ class Scene:
             "world_up": None if self.world is None else self.world.up,
             "poses": self.poses,
             "joints_cam": self.joints_in_camera,
-            "other_hand": None if self.other_hand is None else _about_hand(self.hands[1]),
+            "other_hand": None if self.other_hand is None else _hand_arrays(self.hands[1]),
         }
 
 
-def _about_hand(hand: MovingHand) -> dict[str, object]:
+def _hand_arrays(hand: ExportedHand) -> dict[str, object]:
     """Describe a hand's pose, and the frames in which it is known."""
     return {"known": hand.known, "T_cam_hand": hand.T_cam_hand, "joints_cam": hand.joints_in_camera}
 
 
-def word(text: str) -> str:
+def safe_file_name(text: str) -> str:
     """Turn a text into a part of a file name or an identifier of any program: letters, digits, points and hyphens."""
     return re.sub(r"[^A-Za-z0-9.-]+", "-", text).strip("-.")[:80] or "clip"
 
 
-def file_names(frames: Sequence[str]) -> list[str]:
+def frame_file_names(frames: Sequence[str]) -> list[str]:
     """Return file names of the frames: their own names where all can be, else their places."""
-    if all(map(files.is_plain_name, frames)):
+    if all(map(files.is_portable_name, frames)):
         return list(frames)
     return [f"{n:06d}" for n in range(len(frames))]
 
 
-def _names(entry: object) -> dict[str, str]:
+def _provenance_file_names(entry: object) -> dict[str, str]:
     """Names of a clip's provenance as they can be in those of files; nothing of what are none."""
     named = entry.items() if isinstance(entry, dict) else ()
-    return {str(key): word(value) for key, value in named if isinstance(value, str)}
+    return {str(key): safe_file_name(value) for key, value in named if isinstance(value, str)}

@@ -12,36 +12,54 @@ from pathlib import Path
 
 import numpy as np
 
-from getagrip.export.scene import Scene, word
-from getagrip.export.stage import RING, TIPS, WRIST, Stage, besides, joints_on_stage, palm, pose7
+from getagrip.export.scene import Scene, safe_file_name
+from getagrip.export.stage import (
+    FINGERTIP_JOINTS,
+    RING_KNUCKLE_JOINT,
+    WRIST_JOINT,
+    StageFrame,
+    extra_arrays,
+    joints_on_stage,
+    palm_orientation,
+    pose7,
+)
 from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import arrays, files
 
-DATASET = "getagrip"
-IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+SPIDER_DATASET_NAME = "getagrip"
+IDENTITY_POSE7 = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
     """Write SPIDER's ``processed`` folder. Raises ``UsageError`` where joints are not known."""
     if len(scene.frames) > 1:
         scene = scene.even(1.0 / float(np.median(np.diff(scene.time))))
-    stage = Stage.of(scene)
+    stage = StageFrame.of(scene)
     joints = joints_on_stage(scene, stage, "spider")
     T_stage_obj, _ = stage.poses(scene)
     count = len(scene.frames)
     value = {
-        "wrist": pose7(se3.rigid(palm(joints, scene.side, RING), joints[:, WRIST]), "wxyz"),
-        "finger": np.concatenate([joints[:, TIPS], np.tile(IDENTITY[3:], (count, len(TIPS), 1))], axis=-1),
+        "wrist": pose7(
+            se3.rigid(palm_orientation(joints, scene.side, RING_KNUCKLE_JOINT), joints[:, WRIST_JOINT]), "wxyz"
+        ),
+        "finger": np.concatenate(
+            [joints[:, FINGERTIP_JOINTS], np.tile(IDENTITY_POSE7[3:], (count, len(FINGERTIP_JOINTS), 1))], axis=-1
+        ),
         "obj": pose7(T_stage_obj, "wxyz"),
     }
     content = {}
     for side in ("right", "left"):
         for name, poses in value.items():
-            content[f"qpos_{name}_{side}"] = poses if side == scene.side else np.broadcast_to(IDENTITY, poses.shape)
-    content |= {"timestamps": np.round(1e9 * scene.time).astype(np.int64), "joints": joints, **besides(scene)}
-    task, mesh_folder = word(scene.name), f"processed/{DATASET}/assets/objects/{word(scene.name)}"
-    clip_folder = f"processed/{DATASET}/mano/{scene.side}/{task}"
+            content[f"qpos_{name}_{side}"] = (
+                poses if side == scene.side else np.broadcast_to(IDENTITY_POSE7, poses.shape)
+            )
+    content |= {"timestamps": np.round(1e9 * scene.time).astype(np.int64), "joints": joints, **extra_arrays(scene)}
+    task, mesh_folder = (
+        safe_file_name(scene.name),
+        f"processed/{SPIDER_DATASET_NAME}/assets/objects/{safe_file_name(scene.name)}",
+    )
+    clip_folder = f"processed/{SPIDER_DATASET_NAME}/mano/{scene.side}/{task}"
     trajectory, info, mesh = f"{clip_folder}/0/trajectory_keypoints.npz", f"{clip_folder}/task_info.json", "visual.obj"
     (folder / trajectory).parent.mkdir(parents=True)
     (folder / mesh_folder).mkdir(parents=True)
@@ -49,7 +67,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     write_mesh(scene.object, folder / mesh_folder / mesh)
     about = {
         "task": task,
-        "dataset_name": DATASET,
+        "dataset_name": SPIDER_DATASET_NAME,
         "robot_type": "mano",
         "embodiment_type": scene.side,
         "data_id": 0,

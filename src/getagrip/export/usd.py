@@ -15,23 +15,23 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, MovingHand, Scene
-from getagrip.export.stage import Stage
+from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, ExportedHand, Scene
+from getagrip.export.stage import StageFrame
 from getagrip.io import extras
 
 if TYPE_CHECKING:
     from pxr import Gf, Usd, Vt
 
-FILE = "scene.usdc"
-FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+USD_FILE = "scene.usdc"
+USD_CAMERA_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 """From USD's camera axes to this package's."""
-APERTURE = 20.955
+CAMERA_APERTURE = 20.955
 """Width of a camera's image in USD's tenths of a unit; any would do, USD's default is taken."""
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
     """Write ``scene.usdc``. Raises ``UsageError`` without usd-core."""
-    Usd, UsdGeom = extras.load("pxr.Usd", "usd"), extras.load("pxr.UsdGeom", "usd")
+    Usd, UsdGeom = extras.import_extra("pxr.Usd", "usd"), extras.import_extra("pxr.UsdGeom", "usd")
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
@@ -40,13 +40,13 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     codes = [float(code) for code in (scene.time - scene.time[0]) * scene.fps]
     stage.SetStartTimeCode(codes[0])
     stage.SetEndTimeCode(codes[-1])
-    on_stage = Stage.of(scene)
+    on_stage = StageFrame.of(scene)
     root = UsdGeom.Xform.Define(stage, "/clip").GetPrim()
     stage.SetDefaultPrim(root)
-    _describe(root, scene, on_stage, codes)
+    _write_metadata(root, scene, on_stage, codes)
     T_stage_obj, _ = on_stage.poses(scene)
-    _moving(stage, "/clip/object", T_stage_obj, codes)
-    _mesh(
+    _add_animated_transform(stage, "/clip/object", T_stage_obj, codes)
+    _add_mesh(
         stage,
         "/clip/object/mesh",
         scene.object.faces,
@@ -55,20 +55,20 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
         [Usd.TimeCode.Default()],
     )
     for hand in scene.hands:
-        _hand(stage, hand, np.asarray(on_stage.T_stage_cam @ hand.T_cam_hand), codes)
-    _camera(stage, scene, on_stage, codes)
-    if not stage.GetRootLayer().Export(str(folder / FILE)):
-        raise OSError(f"{folder / FILE}: USD could not write it")
+        _add_usd_hand(stage, hand, np.asarray(on_stage.T_stage_cam @ hand.T_cam_hand), codes)
+    _add_camera(stage, scene, on_stage, codes)
+    if not stage.GetRootLayer().Export(str(folder / USD_FILE)):
+        raise OSError(f"{folder / USD_FILE}: USD could not write it")
     return {
-        FILE: f"USD: {on_stage.words}; /clip/object and {' and '.join(f'/clip/{hand.name}' for hand in scene.hands)} "
+        USD_FILE: f"USD: {on_stage.words}; /clip/object and {' and '.join(f'/clip/{hand.name}' for hand in scene.hands)} "
         "with time-sampled transforms, a hand's points and joints in its own frame, /clip/camera; /clip has "
         "T_cam_obj and the like (as USD has it, transposed)"
     }
 
 
-def _describe(root: Usd.Prim, scene: Scene, on_stage: Stage, codes: list[float]) -> None:
+def _write_metadata(root: Usd.Prim, scene: Scene, on_stage: StageFrame, codes: list[float]) -> None:
     """Write what USD has no place for: notes; in time, the frames' names, the kinds of their poses, and all poses."""
-    Sdf = extras.load("pxr.Sdf", "usd")
+    Sdf = extras.import_extra("pxr.Sdf", "usd")
     notes = {"clip": scene.name, "method": scene.method, "frame": on_stage.words, "notes": "\n".join(scene.notes)}
     root.SetCustomData({"getagrip": {key: text.replace("\0", " ") for key, text in notes.items()}})
     for name, values in {"frame": scene.frames, "frame_kind": scene.frame_kind}.items():
@@ -81,36 +81,38 @@ def _describe(root: Usd.Prim, scene: Scene, on_stage: Stage, codes: list[float])
     for name, T in scene.poses.items():
         attribute = root.CreateAttribute(name, Sdf.ValueTypeNames.Matrix4d)
         for code, matrix in zip(codes, T, strict=True):
-            attribute.Set(_matrix(matrix), code)
+            attribute.Set(_usd_matrix(matrix), code)
 
 
-def _moving(stage: Usd.Stage, path: str, T: Float[ndarray, "T 4 4"], codes: list[float]) -> None:
+def _add_animated_transform(stage: Usd.Stage, path: str, T: Float[ndarray, "T 4 4"], codes: list[float]) -> None:
     """Add a node whose transform is sampled in time."""
-    UsdGeom = extras.load("pxr.UsdGeom", "usd")
+    UsdGeom = extras.import_extra("pxr.UsdGeom", "usd")
     op = UsdGeom.Xform.Define(stage, path).AddTransformOp()
     for code, matrix in zip(codes, T, strict=True):
-        op.Set(_matrix(matrix), code)
+        op.Set(_usd_matrix(matrix), code)
 
 
-def _hand(stage: Usd.Stage, hand: MovingHand, T_stage_hand: Float[ndarray, "T 4 4"], codes: list[float]) -> None:
+def _add_usd_hand(
+    stage: Usd.Stage, hand: ExportedHand, T_stage_hand: Float[ndarray, "T 4 4"], codes: list[float]
+) -> None:
     """Add a hand's transform, mesh and joints; invisible while it is not known."""
-    UsdGeom = extras.load("pxr.UsdGeom", "usd")
+    UsdGeom = extras.import_extra("pxr.UsdGeom", "usd")
     path = f"/clip/{hand.name}"
-    _moving(stage, path, T_stage_hand, codes)
-    _mesh(stage, f"{path}/mesh", hand.faces, HAND_COLOUR, hand.vertices, codes)
+    _add_animated_transform(stage, path, T_stage_hand, codes)
+    _add_mesh(stage, f"{path}/mesh", hand.faces, HAND_COLOUR, hand.vertices, codes)
     if hand.joints is not None:
         joints = UsdGeom.Points.Define(stage, f"{path}/joints")
         joints.CreateWidthsAttr([0.006] * hand.joints.shape[1])
         joints.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
         for code, points in zip(codes, hand.joints, strict=True):
-            joints.CreatePointsAttr().Set(_points(points), code)
+            joints.CreatePointsAttr().Set(_usd_points(points), code)
     if not hand.known.all():
         seen = UsdGeom.Imageable(stage.GetPrimAtPath(path)).CreateVisibilityAttr()
         for code, known in zip(codes, hand.known, strict=True):
             seen.Set(UsdGeom.Tokens.inherited if known else UsdGeom.Tokens.invisible, code)
 
 
-def _mesh(
+def _add_mesh(
     stage: Usd.Stage,
     path: str,
     faces: Int[ndarray, "F 3"],
@@ -119,28 +121,30 @@ def _mesh(
     codes: Sequence[float | Usd.TimeCode],
 ) -> None:
     """Add a mesh of triangles, its points at some times."""
-    UsdGeom, Vt = extras.load("pxr.UsdGeom", "usd"), extras.load("pxr.Vt", "usd")
+    UsdGeom, Vt = extras.import_extra("pxr.UsdGeom", "usd"), extras.import_extra("pxr.Vt", "usd")
     mesh = UsdGeom.Mesh.Define(stage, path)
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray([3] * len(faces)))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.astype(np.int32).ravel()))
     mesh.CreateDisplayColorAttr([colour])
     for code, points in zip(codes, vertices, strict=True):
-        mesh.CreatePointsAttr().Set(_points(points), code)
-        mesh.CreateExtentAttr().Set(_points(np.stack([points.min(axis=0), points.max(axis=0)])), code)
+        mesh.CreatePointsAttr().Set(_usd_points(points), code)
+        mesh.CreateExtentAttr().Set(_usd_points(np.stack([points.min(axis=0), points.max(axis=0)])), code)
 
 
-def _camera(stage: Usd.Stage, scene: Scene, on_stage: Stage, codes: list[float]) -> None:
+def _add_camera(stage: Usd.Stage, scene: Scene, on_stage: StageFrame, codes: list[float]) -> None:
     """Add the clip's camera: apertures in tenths of a unit for the image's width and height."""
-    UsdGeom, Gf = extras.load("pxr.UsdGeom", "usd"), extras.load("pxr.Gf", "usd")
+    UsdGeom, Gf = extras.import_extra("pxr.UsdGeom", "usd"), extras.import_extra("pxr.Gf", "usd")
     camera = UsdGeom.Camera.Define(stage, "/clip/camera")
     move = camera.AddTransformOp()
     width, height = scene.size
-    camera.CreateHorizontalApertureAttr(APERTURE)
+    camera.CreateHorizontalApertureAttr(CAMERA_APERTURE)
     camera.CreateClippingRangeAttr(Gf.Vec2f(0.01, 100.0))
-    for code, T, K in zip(codes, on_stage.T_stage_cam @ FLIP, scene.K, strict=True):
-        move.Set(_matrix(T), code)
-        pixel = APERTURE / width  # USD's pixels are square: K's two focal lengths differ in the height of the image
+    for code, T, K in zip(codes, on_stage.T_stage_cam @ USD_CAMERA_AXES, scene.K, strict=True):
+        move.Set(_usd_matrix(T), code)
+        pixel = (
+            CAMERA_APERTURE / width
+        )  # USD's pixels are square: K's two focal lengths differ in the height of the image
         camera.CreateFocalLengthAttr().Set(float(K[0, 0] * pixel), code)
         tall = pixel * K[0, 0] / K[1, 1]
         camera.CreateVerticalApertureAttr().Set(float(height * tall), code)
@@ -148,9 +152,9 @@ def _camera(stage: Usd.Stage, scene: Scene, on_stage: Stage, codes: list[float])
         camera.CreateVerticalApertureOffsetAttr().Set(float((K[1, 2] - height / 2.0) * tall), code)
 
 
-def _points(points: Float[ndarray, "V 3"]) -> Vt.Vec3fArray:
-    return extras.load("pxr.Vt", "usd").Vec3fArray.FromNumpy(np.ascontiguousarray(points, dtype=np.float32))
+def _usd_points(points: Float[ndarray, "V 3"]) -> Vt.Vec3fArray:
+    return extras.import_extra("pxr.Vt", "usd").Vec3fArray.FromNumpy(np.ascontiguousarray(points, dtype=np.float32))
 
 
-def _matrix(T: Float[ndarray, "4 4"]) -> Gf.Matrix4d:
-    return extras.load("pxr.Gf", "usd").Matrix4d(np.ascontiguousarray(T.T))
+def _usd_matrix(T: Float[ndarray, "4 4"]) -> Gf.Matrix4d:
+    return extras.import_extra("pxr.Gf", "usd").Matrix4d(np.ascontiguousarray(T.T))

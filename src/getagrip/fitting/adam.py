@@ -6,7 +6,7 @@ parameters as ``solve.minimise``, which is far quicker.
 - **Parameters** are those of the motion model (``Motion.retract``): a step turns and shifts the current pose and axis,
   so that rotations stay rotations. Moments are kept in these local coordinates.
 - **Units.** Adam's steps are about as long in every parameter, so lengths need a unit: 1 rad (of angles, and 1 of the
-  log scale) is worth ``METRES``, as in the Levenberg-Marquardt steps (``solve.LONGEST``).
+  log scale) is worth ``METRES_PER_RADIAN``, as in the Levenberg-Marquardt steps (``solve.LONGEST``).
 - **Rate.** It falls to zero by half a cosine, and the best iterate counts, not the last.
 """
 
@@ -27,9 +27,9 @@ from getagrip.result import Status
 
 M = TypeVar("M", bound=Motion)
 
-METRES = 0.1
+METRES_PER_RADIAN = 0.1
 """Metres worth a radian."""
-DECAY = (0.9, 0.999)
+ADAM_DECAY_RATES = (0.9, 0.999)
 """Decay rates of the first and the second moment: Adam's defaults."""
 
 
@@ -54,19 +54,24 @@ class Adam:
         g = np.nan_to_num(self.unit * g)
         now = 0.5 * self.rate * (1.0 + np.cos(np.pi * self.done / self.iterations))
         self.done += 1
-        self.mean = DECAY[0] * self.mean + (1.0 - DECAY[0]) * g
-        self.square = DECAY[1] * self.square + (1.0 - DECAY[1]) * g**2
-        mean, square = self.mean / (1.0 - DECAY[0] ** self.done), self.square / (1.0 - DECAY[1] ** self.done)
+        self.mean = ADAM_DECAY_RATES[0] * self.mean + (1.0 - ADAM_DECAY_RATES[0]) * g
+        self.square = ADAM_DECAY_RATES[1] * self.square + (1.0 - ADAM_DECAY_RATES[1]) * g**2
+        mean, square = (
+            self.mean / (1.0 - ADAM_DECAY_RATES[0] ** self.done),
+            self.square / (1.0 - ADAM_DECAY_RATES[1] ** self.done),
+        )
         return -now * self.unit * mean / (np.sqrt(square) + 1e-12)
 
 
-def descend(
+def minimise_by_adam(
     motion: M, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"], iterations: int, rate: float
 ) -> Solution[M]:
     """Take each of B hypotheses downhill, at ``rate`` [rad] a step to begin with; the best iterate of each."""
     shared, local = motion.lengths()
     B, S = len(motion.poses().scale), len(shared)
-    adam = Adam(np.where(np.concatenate([shared, np.tile(local, len(T_cam_hand))]), METRES, 1.0), iterations, rate)
+    adam = Adam(
+        np.where(np.concatenate([shared, np.tile(local, len(T_cam_hand))]), METRES_PER_RADIAN, 1.0), iterations, rate
+    )
     free = np.full(B, np.inf)
     best, least = motion, free
     values = np.zeros((B, len(terms) + 1))
@@ -75,7 +80,7 @@ def descend(
         better = state.cost < least
         best, least = motion.where(better, best), np.where(better, state.cost, least)
         values = np.where(better[:, None], state.values, values)
-        g_shared, g_local = gradient(motion, state.local, T_cam_hand)
+        g_shared, g_local = energy_gradient(motion, state.local, T_cam_hand)
         step = adam.step(np.concatenate([g_shared, g_local.reshape(B, -1)], axis=1))
         motion = motion.retract(step[:, :S], step[:, S:].reshape(g_local.shape))
     names = [*(term.name for term in terms), "prior"]
@@ -84,7 +89,7 @@ def descend(
     return Solution(best, least, dict(zip(names, values.T, strict=True)), status, evaluations)
 
 
-def gradient(
+def energy_gradient(
     motion: Motion, local: Quadratic, T_cam_hand: Float[ndarray, "N 4 4"]
 ) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
     """Compute the energy's gradient by the shared and by the per-frame parameters, the motion's own prior included."""

@@ -14,13 +14,13 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.kernels.closest import FaceGrid, screen, signed_distance
 
-MARGIN = 0.03
+CONTACT_GRID_MARGIN_M = 0.03
 """Margin around the object within which contact is computed [m]."""
 
 
-def solid(mesh: Mesh, centre: Float[ndarray, "3"]) -> FaceGrid:
+def build_contact_grid(mesh: Mesh, centre: Float[ndarray, "3"]) -> FaceGrid:
     """Build the object's solid for contact, about its centre."""
-    return FaceGrid.of(mesh.vertices[mesh.faces] - centre, margin=MARGIN)
+    return FaceGrid.of(mesh.vertices[mesh.faces] - centre, margin=CONTACT_GRID_MARGIN_M)
 
 
 @kernel("f2 f3 f2 f f4 f3 f1 f f3 f3 n3 f3 f1 f")
@@ -31,7 +31,7 @@ def rms_distances(
     """Compute the root mean square distance of points (P, 3), posed in N frames, to C others' poses of a mesh [m].
 
     Infinite where it is more than ``within``. The mesh is that of a ``FaceGrid``; beyond the grid, where no face is
-    known to be near, a distance is a lower bound: ``MARGIN`` and the distance to the grid.
+    known to be near, a distance is a lower bound: ``CONTACT_GRID_MARGIN_M`` and the distance to the grid.
     """
     N, P = len(R), len(points)
     most, out, moved = within * within * N * P, np.empty(len(others_scale)), np.empty((N, P, 3))
@@ -58,7 +58,7 @@ def rms_distances(
                     for k in range(3):
                         last = origin[k] + spacing * (distance.shape[k] - 1)
                         squared += max(max(origin[k] - local[p, k], local[p, k] - last), 0.0) ** 2
-                    gap = MARGIN + np.sqrt(squared)
+                    gap = CONTACT_GRID_MARGIN_M + np.sqrt(squared)
                 total += gap * gap
                 if total > most:
                     break
@@ -94,10 +94,10 @@ def contact_ids(hand: HandTrack, per_region: int | None = None) -> list[Int[ndar
     ids = [hand.regions[name] for name in (*FINGERS, *sorted(set(hand.regions) - set(FINGERS)))]
     if per_region is None:
         return ids
-    return [i[spread_points(hand.vertices[0, i], per_region)] for i in ids]
+    return [i[farthest_point_sampling(hand.vertices[0, i], per_region)] for i in ids]
 
 
-def spread_points(points: Float[ndarray, "P 3"], wanted: int) -> Int[ndarray, "n"]:
+def farthest_point_sampling(points: Float[ndarray, "P 3"], wanted: int) -> Int[ndarray, "n"]:
     """Choose ``wanted`` points spread evenly (farthest point first, starting nearest to the mean).
 
     Return their indices.
@@ -114,7 +114,7 @@ def spread_points(points: Float[ndarray, "P 3"], wanted: int) -> Int[ndarray, "n
 
 
 @kernel()
-def add_height(d, tolerance, m0, m1, m2, x, y, z, R, centre, scale, weight, delta, g, H):
+def add_height_residual(d, tolerance, m0, m1, m2, x, y, z, R, centre, scale, weight, delta, g, H):
     """Add ``weight |scale d + tolerance|`` to the normal equations, d the height of a hand point over the object.
 
     The point (x, y, z) and the direction m of d are in the camera's and in the object's frame, d is of the unscaled
@@ -157,7 +157,7 @@ def nearest_points(queries, points, begin, end, squared, nearest):
 
 
 @kernel()
-def add_plane(slope, curvature, a, g, H):
+def add_rank_one(slope, curvature, a, g, H):
     """Add ``slope a`` to g (7,) and ``curvature a a^T`` to the upper half of H (7, 7)."""
     for i in range(7):
         g[i] += slope * a[i]

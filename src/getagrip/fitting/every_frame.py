@@ -18,27 +18,27 @@ from numpy import ndarray
 
 from getagrip.clip import Clip
 from getagrip.fitting.energy import Term
-from getagrip.fitting.energy.smoothness import BendingTerm, TermInFrame, moments
+from getagrip.fitting.energy.smoothness import BendingTerm, TermInFrame, vertex_moments
 from getagrip.fitting.image_iou import image_iou
-from getagrip.fitting.misfit import misfit
-from getagrip.fitting.motion import Frozen, Motion, PosesInHand, interpolated, placed
+from getagrip.fitting.misfit import relative_contour_error
+from getagrip.fitting.motion import Frozen, Motion, PosesInHand, hand_object_transforms, interpolate_object_poses
 from getagrip.fitting.predicted_silhouette import NeighbourPrediction
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.solve import minimise
 from getagrip.geometry import se3
 from getagrip.result import FrameKind
 
-CHUNK = 30
+FIT_CHUNK_FRAMES = 30
 """Number of other frames that are read and fitted at once."""
-STAGES = ((128, 5), (256, 5))
+REMAINING_FRAMES_STAGES = ((128, 5), (256, 5))
 """Resolution [px] and iterations of their fit."""
-SMOOTH = 1e6
+BENDING_WEIGHT = 1e6
 """Energy of a motion in the hand that bends [px^2 per (m per frame^2)^2], times what the misfit is above 1: masks that
 the object's own mesh meets tell each pose better than its neighbours do. Chosen on a video of a mug."""
 
 
 @dataclass(frozen=True)
-class Track:
+class SolutionTrack:
     """K solutions in T frames.
 
     Attributes:
@@ -61,17 +61,17 @@ class Track:
     outliers: tuple[str, ...] = ()
 
 
-def at_sampled_frames(problem: Problem, found: MethodResult) -> Track:
+def at_sampled_frames(problem: Problem, found: MethodResult) -> SolutionTrack:
     """Return a method's solutions as they are."""
     clip = problem.clip
-    T_hand_obj = placed(found.poses, clip.mesh.centre)
+    T_hand_obj = hand_object_transforms(found.poses, clip.mesh.centre)
     iou = image_iou(clip, problem.masks, T_hand_obj[0], float(found.poses.scale[0]))
     kind: tuple[FrameKind, ...] = tuple("sampled" for _ in clip.frames)
     angle = None if found.axis is None else found.axis.angle
-    return Track(clip.frames, kind, clip.hand.T_cam_hand, T_hand_obj, angle, iou)
+    return SolutionTrack(clip.frames, kind, clip.hand.T_cam_hand, T_hand_obj, angle, iou)
 
 
-def at_every_frame(clip: Clip, problem: Problem, found: MethodResult, track: Track) -> Track:
+def extend_to_every_frame(clip: Clip, problem: Problem, found: MethodResult, track: SolutionTrack) -> SolutionTrack:
     """Extend a method's solutions to every frame of the clip; in the problem's frames, those of ``track`` stay.
 
     Masks beyond the outlier threshold of the problem's frames are outliers, too (``Trust.outlier_threshold``).
@@ -90,41 +90,41 @@ def at_every_frame(clip: Clip, problem: Problem, found: MethodResult, track: Tra
     predicted = (
         NeighbourPrediction.by(problem, found.poses, sampled) if np.isfinite(problem.trust.outlier_threshold) else None
     )
-    times = misfit(problem.observation, found.terms.get("mask", 0.0) / len(sampled))
-    smooth = SMOOTH * max(0.0, times - 1.0)
+    times = relative_contour_error(problem.observation, found.terms.get("mask", 0.0) / len(sampled))
+    smooth = BENDING_WEIGHT * max(0.0, times - 1.0)
     shown = np.flatnonzero([name not in {*problem.clip.left_out, *outliers} for name in clip.frames])
     others = np.setdiff1d(shown, sampled)
-    for index, part in _at(clip, problem, others, predicted):
+    for index, part in _chunks_of_frames(clip, problem, others, predicted):
         if found.motion is not None and found.energy_of is not None:
-            at = _beside(known, index)
+            at = _neighbouring_frames(known, index)
             near = PosesInHand(R[:, at], centre[:, at], found.poses.scale)
-            beside = partial(_tied, part, index, near, at, smooth) if smooth > 0.0 else None
-            fitted = own_fit(part, found, sampled, index, beside)
+            beside = partial(_bending_term, part, index, near, at, smooth) if smooth > 0.0 else None
+            fitted = fit_frame_parameters(part, found, sampled, index, beside)
             poses = fitted.poses()
-            angle[index] = _angle(fitted)
+            angle[index] = _angles_of_best(fitted)
             for n in index:
                 kind[n] = "fitted"
         else:
-            poses = interpolated(found.poses, sampled, index)
+            poses = interpolate_object_poses(found.poses, sampled, index)
         R[:, index], centre[:, index], known[index] = poses.R, poses.centre, True
-        iou[index] = image_iou(part.clip, part.masks, placed(poses, clip.mesh.centre)[0], scale)
+        iou[index] = image_iou(part.clip, part.masks, hand_object_transforms(poses, clip.mesh.centre)[0], scale)
     outliers += [clip.frames[n] for n in others[~known[others]]]
     rest, there = np.flatnonzero(~known), np.flatnonzero(known)
-    poses = interpolated(PosesInHand(R[:, there], centre[:, there], found.poses.scale), there, rest)
+    poses = interpolate_object_poses(PosesInHand(R[:, there], centre[:, there], found.poses.scale), there, rest)
     R[:, rest], centre[:, rest] = poses.R, poses.centre
-    T_hand_obj = placed(PosesInHand(R, centre, found.poses.scale), clip.mesh.centre)
+    T_hand_obj = hand_object_transforms(PosesInHand(R, centre, found.poses.scale), clip.mesh.centre)
     T_hand_obj[:, sampled] = track.T_hand_obj
     for n in sampled:
         kind[n] = "sampled"
     names = tuple(name for name in clip.frames if name in outliers)
     if track.angle is None:
-        return Track(clip.frames, tuple(kind), clip.hand.T_cam_hand, T_hand_obj, None, iou, names)
+        return SolutionTrack(clip.frames, tuple(kind), clip.hand.T_cam_hand, T_hand_obj, None, iou, names)
     seen = ~np.isnan(angle)
     angle[~seen] = np.interp(np.flatnonzero(~seen), np.flatnonzero(seen), angle[seen])
-    return Track(clip.frames, tuple(kind), clip.hand.T_cam_hand, T_hand_obj, angle, iou, names)
+    return SolutionTrack(clip.frames, tuple(kind), clip.hand.T_cam_hand, T_hand_obj, angle, iou, names)
 
 
-def own_fit(
+def fit_frame_parameters(
     problem: Problem,
     found: MethodResult,
     sampled: Int[ndarray, "n"],
@@ -140,7 +140,7 @@ def own_fit(
     assert found.energy_of is not None
     motion: Frozen[Motion] = Frozen(found.motion.resampled(sampled, index))
     energy, everywhere = found.energy_of(problem), np.arange(len(index))
-    for level, iterations in STAGES if len(motion.lengths()[1]) else ():
+    for level, iterations in REMAINING_FRAMES_STAGES if len(motion.lengths()[1]) else ():
         terms = energy(level, everywhere)
         fitted = [
             minimise(
@@ -155,13 +155,13 @@ def own_fit(
     return motion.core
 
 
-def _beside(known: Bool[ndarray, "T"], index: Int[ndarray, "m"]) -> Int[ndarray, "n"]:
+def _neighbouring_frames(known: Bool[ndarray, "T"], index: Int[ndarray, "m"]) -> Int[ndarray, "n"]:
     """Return the known frames among and beside others."""
     at = np.flatnonzero(known)
     return at[max(int(np.searchsorted(at, index[0])) - 2, 0) : int(np.searchsorted(at, index[-1])) + 2]
 
 
-def _tied(
+def _bending_term(
     problem: Problem,
     index: Int[ndarray, "m"],
     known: PosesInHand,
@@ -171,16 +171,16 @@ def _tied(
 ) -> Term:
     """Return the term by which the object's motion in the hand bends little, at and between known frames."""
     mesh = problem.clip.mesh
-    spread = moments(mesh.vertices - mesh.centre)
+    spread = vertex_moments(mesh.vertices - mesh.centre)
     term = BendingTerm(spread, weight, index, at, known.R[hypothesis], known.centre[hypothesis])
     return TermInFrame(term, se3.inverse(problem.clip.hand.T_cam_hand))
 
 
-def _at(
+def _chunks_of_frames(
     clip: Clip, problem: Problem, others: Int[ndarray, "n"], predicted: NeighbourPrediction | None
 ) -> Iterator[tuple[Int[ndarray, "m"], Problem]]:
     """Yield other frames, a few neighbours at a time, without those whose masks are outliers."""
-    for some in np.array_split(others, -(-len(others) // CHUNK)) if len(others) else ():
+    for some in np.array_split(others, -(-len(others) // FIT_CHUNK_FRAMES)) if len(others) else ():
         index, part = some, problem.at(clip.take(some))
         if predicted is not None:
             wrong = predicted.overlap(part, some).differing > problem.trust.outlier_threshold
@@ -190,7 +190,7 @@ def _at(
             yield index, part
 
 
-def _angle(motion: Motion) -> Float[ndarray, "T"] | float:
+def _angles_of_best(motion: Motion) -> Float[ndarray, "T"] | float:
     """Return the angles of the best hypothesis; NaN where the motion has no latent axis."""
     angles = motion.angles()
     return np.nan if angles is None else angles[0]

@@ -18,11 +18,17 @@ from numpy import ndarray
 
 from getagrip.clip import HandTrack
 from getagrip.geometry import se3
-from getagrip.hands.bending import CHAINS, bent, finger_weights, hinges, uprights
+from getagrip.hands.bending import FINGER_CHAINS, bend_fingers, finger_hinge_axes, finger_spread_axes, finger_weights
 
-TURN, SHIFT, SIZE, BENDS, SIDEWAYS = slice(0, 3), slice(3, 6), 6, slice(7, 22), slice(22, 27)
+ROTATION_ERRORS, TRANSLATION_ERRORS, SIZE_ERROR, FLEXION_ERRORS, ABDUCTION_ERRORS = (
+    slice(0, 3),
+    slice(3, 6),
+    6,
+    slice(7, 22),
+    slice(22, 27),
+)
 """Position of each error among the numbers of a frame: [rad], [m], logarithm, [rad], [rad]."""
-RIGID = 7
+N_RIGID_ERRORS = 7
 """Number of errors without the fingers."""
 
 
@@ -33,7 +39,7 @@ class HandErrors:
     Attributes:
         tracked: the hand as it was given.
         middle: (3,) the point that it turns about, in the hand frame [m].
-        weights: (V, 5, 3) how far vertices go with each bone; None: the fingers keep their bends, and P is ``RIGID``.
+        weights: (V, 5, 3) how far vertices go with each bone; None: the fingers keep their bends, and P is ``N_RIGID_ERRORS``.
         sideways: whether they may turn sideways, too; P is 27, else 22.
     """
 
@@ -56,7 +62,9 @@ class HandErrors:
     @property
     def size(self) -> int:
         """How many numbers each frame has."""
-        return RIGID if self.weights is None else SIDEWAYS.stop if self.sideways else BENDS.stop
+        return (
+            N_RIGID_ERRORS if self.weights is None else ABDUCTION_ERRORS.stop if self.sideways else FLEXION_ERRORS.stop
+        )
 
     def take(self, index: Int[ndarray, "n"]) -> HandErrors:
         """Return the hand at some of its frames."""
@@ -64,15 +72,15 @@ class HandErrors:
 
     def T_cam_hand(self, x: Float[ndarray, "N P"]) -> Float[ndarray, "N 4 4"]:
         """Return the poses of the refined hand."""
-        R = se3.exp_so3(x[:, TURN])
-        return self.tracked.T_cam_hand @ se3.rigid(R, self.middle + x[:, SHIFT] - R @ self.middle)
+        R = se3.exp_so3(x[:, ROTATION_ERRORS])
+        return self.tracked.T_cam_hand @ se3.rigid(R, self.middle + x[:, TRANSLATION_ERRORS] - R @ self.middle)
 
     def surface(self, x: Float[ndarray, "N P"]) -> tuple[Float[ndarray, "N V 3"], Float[ndarray, "N 21 3"] | None]:
         """Return vertices and joints in the refined hand's frame, with the size and the bends that fit best."""
         vertices, joints = self.tracked.vertices, self.tracked.joints
         if self.weights is not None and joints is not None:
-            vertices, joints = bent(vertices, joints, self.weights, *_of_fingers(x))
-        size = np.exp(x[:, SIZE, None, None])
+            vertices, joints = bend_fingers(vertices, joints, self.weights, *_finger_errors(x))
+        size = np.exp(x[:, SIZE_ERROR, None, None])
         return (
             self.middle + size * (vertices - self.middle),
             None if joints is None else self.middle + size * (joints - self.middle),
@@ -91,14 +99,14 @@ class HandErrors:
         ``nearest`` is the vertex that each of M points goes with, ``along`` the direction that counts, in the camera
         frame.
         """
-        turn = se3.exp_so3(x[:, TURN])
+        turn = se3.exp_so3(x[:, ROTATION_ERRORS])
         in_input = along @ self.tracked.T_cam_hand[:, :3, :3]
         X = np.take_along_axis(vertices, nearest[..., None], axis=1)
         arm = (X - self.middle) @ np.swapaxes(turn, 1, 2)
         J = np.empty((*nearest.shape, x.shape[1]))
-        J[..., TURN] = np.cross(arm, in_input) @ se3.left_jacobian(x[:, TURN])
-        J[..., SHIFT] = in_input
-        J[..., SIZE] = np.sum(arm * in_input, axis=-1)
+        J[..., ROTATION_ERRORS] = np.cross(arm, in_input) @ se3.left_jacobian(x[:, ROTATION_ERRORS])
+        J[..., TRANSLATION_ERRORS] = in_input
+        J[..., SIZE_ERROR] = np.sum(arm * in_input, axis=-1)
         if self.weights is None or joints is None or self.tracked.joints is None:
             return J
         in_hand = in_input @ turn
@@ -110,19 +118,21 @@ class HandErrors:
             return np.asarray(moment @ axis[..., None] - offset)
 
         # Hinges of a finger are parallel, so bends do not turn them; turning it sideways, which comes last, does.
-        aside = uprights(self.tracked.joints)
-        axes, sideways = hinges(self.tracked.joints), _of_fingers(x)[1]
+        aside = finger_spread_axes(self.tracked.joints)
+        axes, sideways = finger_hinge_axes(self.tracked.joints), _finger_errors(x)[1]
         if sideways is not None:
             axes = (se3.exp_so3(sideways[..., None] * aside) @ axes[..., None])[..., 0]
         beyond = np.cumsum(self.weights[..., ::-1], axis=-1)[..., ::-1][nearest]  # what moves with a joint
-        for f, chain in enumerate(CHAINS):
-            first = BENDS.start + 3 * f
+        for f, chain in enumerate(FINGER_CHAINS):
+            first = FLEXION_ERRORS.start + 3 * f
             J[..., first : first + 3] = beyond[..., f, :] * turned(axes[:, f], joints[:, chain[:3]])
             if sideways is not None:
-                J[..., SIDEWAYS.start + f] = beyond[..., f, 0] * turned(aside[:, f], joints[:, chain[:1]])[..., 0]
+                J[..., ABDUCTION_ERRORS.start + f] = (
+                    beyond[..., f, 0] * turned(aside[:, f], joints[:, chain[:1]])[..., 0]
+                )
         return J
 
 
-def _of_fingers(x: Float[ndarray, "N P"]) -> tuple[Float[ndarray, "N 5 3"], Float[ndarray, "N 5"] | None]:
+def _finger_errors(x: Float[ndarray, "N P"]) -> tuple[Float[ndarray, "N 5 3"], Float[ndarray, "N 5"] | None]:
     """Return bends, and turns sideways where these are among the errors."""
-    return x[:, BENDS].reshape(-1, 5, 3), x[:, SIDEWAYS] if x.shape[1] > BENDS.stop else None
+    return x[:, FLEXION_ERRORS].reshape(-1, 5, 3), x[:, ABDUCTION_ERRORS] if x.shape[1] > FLEXION_ERRORS.stop else None

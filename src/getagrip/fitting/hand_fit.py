@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip.least_squares import Arrow
+from getagrip.least_squares import BlockArrow
 
 OnErrors = Callable[[Float[ndarray, "N P"]], tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]]
 """From the errors of each frame to the evidence's value, gradient and Gauss-Newton Hessian."""
@@ -63,7 +63,7 @@ class HandFit:
     def trial(self, active: Int[ndarray, "n"], damping: Float[ndarray, "n"]) -> HandFit:
         P, unit = len(self.shared), self.assumed.unit
         bias, jitter = self.assumed.bias[:P] ** -2.0, self.assumed.jitter[:P] ** -2.0
-        arrow = Arrow.of(unit * self.H[None], self.g[None], slice(P), slice(P))
+        arrow = BlockArrow.of(unit * self.H[None], self.g[None], slice(P), slice(P))
         arrow = replace(arrow, g_s=unit * arrow.g_s, g_l=unit * arrow.g_l)
         arrow = arrow.plus(np.diag(bias), bias * self.shared, np.diag(jitter), jitter * self.own)
         shared, own = arrow.step(damping)

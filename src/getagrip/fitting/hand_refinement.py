@@ -21,22 +21,26 @@ from numpy import ndarray
 from getagrip import least_squares
 from getagrip.clip import Clip, HandTrack, Masks
 from getagrip.clip.sampling import frame_indices
-from getagrip.fitting.hand_errors import RIGID, SIZE, TURN, HandErrors
+from getagrip.fitting.hand_errors import N_RIGID_ERRORS, ROTATION_ERRORS, SIZE_ERROR, HandErrors
 from getagrip.fitting.hand_fit import AssumedErrors, HandFit
 from getagrip.fitting.hand_silhouette import HandSilhouette
 from getagrip.fitting.seen_joints import SeenJoints
 from getagrip.geometry import se3
 from getagrip.provenance import HandsKind, kind_of_hands
 
-PIXEL = 0.03
+HAND_PIXEL_WEIGHT = 0.03
 """Weight of a pixel against the prior: thirty of them, side by side along a contour, are as much as one fact."""
-_EACH = [3, 3, 1, 20]
-_ASSUMED: Mapping[HandsKind, AssumedErrors] = {
+_ERROR_GROUP_SIZES = [3, 3, 1, 20]
+_ASSUMED_ERRORS: Mapping[HandsKind, AssumedErrors] = {
     "measured": AssumedErrors(
-        np.repeat([0.08, 0.008, 0.01, 0.2], _EACH), np.repeat([0.03, 0.003, 0.003, 0.1], _EACH), PIXEL
+        np.repeat([0.08, 0.008, 0.01, 0.2], _ERROR_GROUP_SIZES),
+        np.repeat([0.03, 0.003, 0.003, 0.1], _ERROR_GROUP_SIZES),
+        HAND_PIXEL_WEIGHT,
     ),
     "estimated": AssumedErrors(
-        np.repeat([0.14, 0.008, 0.01, 0.2], _EACH), np.repeat([0.08, 0.006, 0.003, 0.1], _EACH), PIXEL
+        np.repeat([0.14, 0.008, 0.01, 0.2], _ERROR_GROUP_SIZES),
+        np.repeat([0.08, 0.006, 0.003, 0.1], _ERROR_GROUP_SIZES),
+        HAND_PIXEL_WEIGHT,
     ),
 }
 """Assumed standard deviations of the errors that all frames share, and of each frame's own, which are taken as
@@ -44,27 +48,27 @@ independent: turn about each axis [rad], shift along each [m], logarithm of the 
 each finger sideways, beside joints of an estimate [rad].
 Those of estimates from images are measured (docs/datasets.md), but for the size, without which nothing tells the
 distance."""
-SIZE_BESIDE_JOINTS = 0.05
+SIZE_SIGMA_WITH_JOINTS = 0.05
 """Standard deviation of the size of an estimated hand whose joints are seen; chosen on real ones (docs/trials.md)."""
-WORTH = 0.01
+MIN_CORRECTED_FRACTION = 0.01
 """Share of the hand's visible pixels that a refinement must correct; less is noise of masks."""
-LEAST = 0.01, 0.002
+MIN_JOINT_CORRECTION = 0.01, 0.002
 """Turn [rad] and shift [m] that joints must ask for where pixels ask for none; hands that were lifted from the same
 joints agree with them."""
-AGREE, BESIDE_JOINTS = 0.25, 0.4
+MAX_DIFFERING_FRACTION, MAX_DIFFERING_WITH_JOINTS = 0.25, 0.4
 """Share of them that may still differ afterwards; otherwise the mask is another hand's. Beside joints from which the
 fingers are known it is that of the finding ``hand-off-pixels``."""
-SUSPICIOUS, CONTRADICTED = 0.12, 0.05
+SUSPECT_JOINTS_FRACTION, JOINTS_CONTRADICTION_FRACTION = 0.12, 0.05
 """Joints with which more than the first share of the pixels differ are left out, if without them fewer do, by the
 second: they are another hand's, or another camera's."""
-UNLIKE_MEASURED, EXPLAINED = np.radians(4.5), 0.5
+MAX_MEASURED_TURN_RAD, MAX_REMAINING_FRACTION = np.radians(4.5), 0.5
 """A hand that its evidence turns farther, and of whose differing pixels less than this share then still differ, is an
 estimate, whatever its source says. On training clips hands of 10 mm and 8 degrees are turned by 4.9 or more,
 ``moderate`` ones by up to 4.3, and ``strong`` ones leave 36 % at most. Masks that are off by 4 px turn exact hands by
 up to 6.2 degrees, but then leave 80 %."""
-STEPS = 10, 8, 3
+REFINEMENT_ITERATIONS = 10, 8, 3
 """Iterations: without bends; with them, at some of the frames; at all of them."""
-FEW = 10
+N_FLEXION_FRAMES = 10
 """Frames of the second of these."""
 
 
@@ -108,7 +112,7 @@ class HandRefinement:
     def bent(self) -> HandErrors:
         """The hand where it was given, its fingers bent as its evidence says, and its rigid errors."""
         errors, x = self.seen.errors, self.shared + self.own
-        return replace(errors, tracked=_with_fingers(errors, x), weights=None)
+        return replace(errors, tracked=_apply_finger_errors(errors, x), weights=None)
 
     def with_fingers(self, hand: HandTrack, at: Int[ndarray, "N"]) -> HandTrack:
         """Return a hand with its fingers bent as found; this refinement has its frames ``at``.
@@ -119,7 +123,7 @@ class HandRefinement:
             return hand
         found, every = self.shared + self.own, np.arange(len(hand.T_cam_hand))
         x = np.stack([np.interp(every, at, one) for one in found.T], axis=1)
-        return _with_fingers(replace(self.seen.errors, tracked=hand), x)
+        return _apply_finger_errors(replace(self.seen.errors, tracked=hand), x)
 
     def __str__(self) -> str:
         pixels = f"{100 * self.before:.0f} % of its pixels differed, {100 * self.after:.0f} % still do"
@@ -131,19 +135,19 @@ class HandRefinement:
         )
 
 
-def _with_fingers(errors: HandErrors, x: Float[ndarray, "N P"]) -> HandTrack:
+def _apply_finger_errors(errors: HandErrors, x: Float[ndarray, "N P"]) -> HandTrack:
     """Return a hand with the bends of its errors, and nothing else of them."""
-    vertices, joints = errors.surface(np.where(np.arange(x.shape[1]) < RIGID, 0.0, x))
+    vertices, joints = errors.surface(np.where(np.arange(x.shape[1]) < N_RIGID_ERRORS, 0.0, x))
     return replace(errors.tracked, vertices=vertices, joints=joints)
 
 
 def assumed_errors(kind: HandsKind, joints: SeenJoints | None) -> AssumedErrors:
     """Return the assumed errors of hands of a kind, whose joints are seen or not."""
-    assumed = _ASSUMED[kind]
+    assumed = _ASSUMED_ERRORS[kind]
     if joints is None or not joints.loose:
         return assumed
     bias = assumed.bias.copy()
-    bias[SIZE] = SIZE_BESIDE_JOINTS
+    bias[SIZE_ERROR] = SIZE_SIGMA_WITH_JOINTS
     return replace(assumed, bias=bias)
 
 
@@ -158,32 +162,36 @@ def refine_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[Hand
     seen, joints = HandSilhouette.of(clip, masks), SeenJoints.of(clip, masks)
     if seen.mask.pixels == 0 and joints is None:
         return None, float("nan")
-    unrefined = np.zeros((len(clip), RIGID))
+    unrefined = np.zeros((len(clip), N_RIGID_ERRORS))
     before = seen.share(unrefined)
     if np.isinf(before):  # it goes behind the camera, and has no silhouette
         return None, 1.0
     if have_gaps and seen.mask.pixels:
         seen = seen.with_masks_grown(unrefined)
         before = seen.share(unrefined)
-    if before < WORTH:
+    if before < MIN_CORRECTED_FRACTION:
         return None, before
     seen, kind = seen.with_field, kind_of_hands(clip.provenance)
-    fitted = _Fitted.to(seen, joints, kind)
-    turned_far = np.linalg.norm(fitted.found.errors[:, TURN], axis=1).mean() > UNLIKE_MEASURED
-    if kind == "measured" and turned_far and not fitted.after > EXPLAINED * before:
-        fitted = _Fitted.to(seen, joints, "estimated")
-    if joints is not None and fitted.after > SUSPICIOUS:
-        by_pixels = _Fitted.to(seen, None, fitted.kind)
-        if fitted.after - by_pixels.after > CONTRADICTED:
+    fitted = _FittedHandErrors.to(seen, joints, kind)
+    turned_far = np.linalg.norm(fitted.found.errors[:, ROTATION_ERRORS], axis=1).mean() > MAX_MEASURED_TURN_RAD
+    if kind == "measured" and turned_far and not fitted.after > MAX_REMAINING_FRACTION * before:
+        fitted = _FittedHandErrors.to(seen, joints, "estimated")
+    if joints is not None and fitted.after > SUSPECT_JOINTS_FRACTION:
+        by_pixels = _FittedHandErrors.to(seen, None, fitted.kind)
+        if fitted.after - by_pixels.after > JOINTS_CONTRADICTION_FRACTION:
             fitted = by_pixels
     found, joints, after = fitted.found, fitted.joints, fitted.after
-    agree = BESIDE_JOINTS if joints is not None and joints.loose else AGREE
-    if after > agree or (before - after < WORTH and joints is None):
+    agree = MAX_DIFFERING_WITH_JOINTS if joints is not None and joints.loose else MAX_DIFFERING_FRACTION
+    if after > agree or (before - after < MIN_CORRECTED_FRACTION and joints is None):
         return None, before
     T, T_input, middle = seen.errors.T_cam_hand(found.errors), clip.hand.T_cam_hand, seen.errors.middle[None]
     turned = se3.angle_between(T[:, :3, :3], T_input[:, :3, :3])
     moved = np.linalg.norm(se3.transform(T, middle) - se3.transform(T_input, middle), axis=-1)
-    if not before - after >= WORTH and turned.mean() < LEAST[0] and moved.mean() < LEAST[1]:
+    if (
+        not before - after >= MIN_CORRECTED_FRACTION
+        and turned.mean() < MIN_JOINT_CORRECTION[0]
+        and moved.mean() < MIN_JOINT_CORRECTION[1]
+    ):
         return None, before
     how = float(turned.mean()), float(moved.mean()), before, after, fitted.silhouette.mask.grown
     return HandRefinement(T, *how, fitted.silhouette, found.shared, found.own, joints, fitted.kind), after
@@ -211,13 +219,13 @@ class _SeenHand:
         found = self.silhouette(x)
         if self.joints is None:
             return found
-        joints = self.joints.rigid if x.shape[1] == RIGID else self.joints
-        value, g, H = (a + b / PIXEL for a, b in zip(found, joints(x), strict=True))
+        joints = self.joints.rigid if x.shape[1] == N_RIGID_ERRORS else self.joints
+        value, g, H = (a + b / HAND_PIXEL_WEIGHT for a, b in zip(found, joints(x), strict=True))
         return value, g, H
 
 
 @dataclass(frozen=True)
-class _Fitted:
+class _FittedHandErrors:
     """Errors that were found, the silhouette that they move, and what was assumed of them."""
 
     found: HandFit
@@ -226,20 +234,24 @@ class _Fitted:
     joints: SeenJoints | None
 
     @staticmethod
-    def to(silhouette: HandSilhouette, joints: SeenJoints | None, kind: HandsKind) -> _Fitted:
+    def to(silhouette: HandSilhouette, joints: SeenJoints | None, kind: HandsKind) -> _FittedHandErrors:
         """Minimise the cost: first by rigid errors alone, since bends, too, could explain a hand that is turned."""
-        seen, assumed, (rigid, few, all_frames) = _SeenHand(silhouette, joints), assumed_errors(kind, joints), STEPS
-        unrefined = np.zeros((len(silhouette.errors.tracked.T_cam_hand), RIGID))
+        seen, assumed, (rigid, few, all_frames) = (
+            _SeenHand(silhouette, joints),
+            assumed_errors(kind, joints),
+            REFINEMENT_ITERATIONS,
+        )
+        unrefined = np.zeros((len(silhouette.errors.tracked.T_cam_hand), N_RIGID_ERRORS))
         found = least_squares.minimise(HandFit.of(seen, assumed, unrefined), rigid).state
         seen = seen.with_fingers
         if seen.silhouette.errors.weights is None:
-            return _Fitted(found, silhouette, kind, joints)
-        spare = seen.silhouette.errors.size - RIGID
+            return _FittedHandErrors(found, silhouette, kind, joints)
+        spare = seen.silhouette.errors.size - N_RIGID_ERRORS
         shared, own = np.pad(found.shared, (0, spare)), np.pad(found.own, ((0, 0), (0, spare)))
-        index = frame_indices(len(own), FEW)
+        index = frame_indices(len(own), N_FLEXION_FRAMES)
         some = least_squares.minimise(HandFit.of(seen.take(index), assumed, own[index], shared), few).state
         found = least_squares.minimise(HandFit.of(seen, assumed, own, some.shared), all_frames).state
-        return _Fitted(found, seen.silhouette, kind, joints)
+        return _FittedHandErrors(found, seen.silhouette, kind, joints)
 
     @cached_property
     def after(self) -> float:

@@ -17,24 +17,24 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import Crops, crops_of_boxes, project
 from getagrip.geometry.mesh import edge_table
 from getagrip.io.packed_masks import PackedMasks
-from getagrip.kernels.contour import DISTANCE, NX, NY, WEIGHT, U, V, Z
+from getagrip.kernels.contour import NX, NY, ROW_DISTANCE, ROW_WEIGHT, U, V, Z
 from getagrip.kernels.hand import contours
 from getagrip.kernels.silhouette import pack, unpack
 
-SIZE = 128
+HAND_CROP_SIZE_PX = 128
 """Side of the crops [px]; a hand is half as large. Resampled directly: a reduced mask is a little too large."""
-EXPAND = 1.8
+HAND_CROP_EXPANSION = 1.8
 """Side of the crops in the largest side of a given hand's box."""
-STEP = 4.0
+HAND_CONTOUR_STEP_PX = 4.0
 """Distance of contour points [px]."""
-DELTA = 1.0
+HAND_CONTOUR_DELTA_PX = 1.0
 """Distances below this count as this in the curvature [px]."""
-MOST_POINTS = 200
-GROWTH = 0.7, 4.0
+MAX_HAND_CONTOUR_POINTS = 200
+MASK_GROWTH_RANGE_PX = 0.7, 4.0
 """Masks are grown if they are too small all round by more than the first [px], and by no more than the second."""
-REACH = 16
+HAND_CROP_DILATION_PX = 16
 """Ignored pixels farther than this from the input hand may be anything else [px]: a quarter of a hand."""
-WRIST, MIDDLE = 0, 9
+WRIST_JOINT, MIDDLE_KNUCKLE_JOINT = 0, 9
 """Joints: wrist, and knuckle of the middle finger."""
 
 
@@ -70,30 +70,30 @@ class HandMask:
         valid = ~objects
         fxfycxcy = np.stack([K[:, 0, 0], K[:, 1, 1], K[:, 0, 2], K[:, 1, 2]], axis=1)
         if masks.hand is None:
-            valid &= ~hand | _near(_mask_bits(clip.hand, fxfycxcy))
+            valid &= ~hand | _dilated_silhouettes(_mask_bits(clip.hand, fxfycxcy))
         else:
             valid &= hand | ~crops.resample(masks.ignore, outside=True)
             valid &= masks.hand.any(axis=(1, 2), keepdims=True)
         valid &= ~_beyond_wrist(clip.hand, K)
         hand &= valid
-        return HandMask(fxfycxcy, pack(hand), pack(valid), _no_field(len(K)))
+        return HandMask(fxfycxcy, pack(hand), pack(valid), _empty_fields(len(K)))
 
     @property
     def with_field(self) -> HandMask:
         """Mask with its field."""
-        frames = zip(unpack(self.observed, SIZE), unpack(self.valid, SIZE), strict=True)
+        frames = zip(unpack(self.observed, HAND_CROP_SIZE_PX), unpack(self.valid, HAND_CROP_SIZE_PX), strict=True)
         return replace(self, field=np.stack([signed_distance(hand, valid) for hand, valid in frames]))
 
     def grown_to(self, silhouettes: UInt64[ndarray, "N _ _"]) -> HandMask:
         """Grow the masks by one distance in all frames until they are as large as these silhouettes.
 
         Masks that keep away from the object often keep away from everything else, too. A hand that shall meet such a
-        mask turns, for its size is known. Masks that are too small by less than the first of ``GROWTH`` stay as they
+        mask turns, for its size is known. Masks that are too small by less than the first of ``MASK_GROWTH_RANGE_PX`` stay as they
         are. So do masks that are too large: the hand may be elsewhere.
         """
-        valid, field = unpack(self.valid, SIZE), self.with_field.field
-        least, most = GROWTH
-        distances, area = field[valid], int(np.count_nonzero(unpack(silhouettes, SIZE) & valid))
+        valid, field = unpack(self.valid, HAND_CROP_SIZE_PX), self.with_field.field
+        least, most = MASK_GROWTH_RANGE_PX
+        distances, area = field[valid], int(np.count_nonzero(unpack(silhouettes, HAND_CROP_SIZE_PX) & valid))
         if not np.count_nonzero(distances < least) < area < len(distances):
             return self
         grown = min(float(np.partition(distances, area)[area]), most)
@@ -106,7 +106,7 @@ class HandMask:
     @cached_property
     def pixels(self) -> int:
         """How many pixels of the hand are seen, in all frames."""
-        return int(unpack(self.observed, SIZE).sum())
+        return int(unpack(self.observed, HAND_CROP_SIZE_PX).sum())
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ class HandSilhouette:
     @staticmethod
     def of(clip: Clip, masks: Masks) -> HandSilhouette:
         """Make the silhouette of a clip and its input masks, without their field and without bends."""
-        return HandSilhouette(HandErrors.of(clip.hand), HandMask.of(clip, masks), _edges(clip.hand))
+        return HandSilhouette(HandErrors.of(clip.hand), HandMask.of(clip, masks), _hand_edges(clip.hand))
 
     @property
     def with_field(self) -> HandSilhouette:
@@ -156,7 +156,7 @@ class HandSilhouette:
     def with_masks_grown(self, x: Float[ndarray, "N P"]) -> HandSilhouette:
         """Grow the masks to the size of the silhouettes at x, if they are much too small."""
         in_camera = se3.transform(self.errors.T_cam_hand(x), self.errors.surface(x)[0])
-        silhouettes = _contours(in_camera, self.errors.tracked, self.edges, self.mask, 0)[3]
+        silhouettes = _compute_contours(in_camera, self.errors.tracked, self.edges, self.mask, 0)[3]
         return replace(self, mask=self.mask.grown_to(silhouettes))
 
     def with_fingers(self, sideways: bool = False) -> HandSilhouette:
@@ -170,7 +170,7 @@ class HandSilhouette:
     def differing(self, x: Float[ndarray, "N P"]) -> float:
         """Count the pixels in which silhouette and mask differ, in all frames."""
         in_camera = se3.transform(self.errors.T_cam_hand(x), self.errors.surface(x)[0])
-        return float(_contours(in_camera, self.errors.tracked, self.edges, self.mask, 0)[0].sum())
+        return float(_compute_contours(in_camera, self.errors.tracked, self.edges, self.mask, 0)[0].sum())
 
     def share(self, x: Float[ndarray, "N P"]) -> float:
         """Return which share of the hand's seen pixels differ from its silhouette; NaN where none is seen."""
@@ -186,26 +186,28 @@ class HandSilhouette:
 
     def contour(self, in_camera: Float[ndarray, "N V 3"]) -> HandContour:
         """Return the contour of the hand's vertices in the camera frame, beside that of its mask."""
-        value, points, nearest, _ = _contours(in_camera, self.errors.tracked, self.edges, self.mask)
+        value, points, nearest, _ = _compute_contours(in_camera, self.errors.tracked, self.edges, self.mask)
         z, (fx, fy, cx, cy) = np.maximum(points[:, Z], 1e-6), self.mask.K.T[..., None]
         nx, ny = points[:, NX] / z, points[:, NY] / z
         depth = -(nx * (points[:, U] - cx) + ny * (points[:, V] - cy))
         along = np.stack([nx * fx, ny * fy, depth], axis=-1)
-        return HandContour(value, points[:, WEIGHT], points[:, DISTANCE], nearest, along)
+        return HandContour(value, points[:, ROW_WEIGHT], points[:, ROW_DISTANCE], nearest, along)
 
 
 def hand_crops(clip: Clip) -> Crops:
     """Return the crops about a clip's hand."""
     uv = project(clip.K, se3.transform(clip.hand.T_cam_hand, clip.hand.vertices))
-    return crops_of_boxes(np.concatenate([uv.min(axis=1), uv.max(axis=1)], axis=1), EXPAND, SIZE)
+    return crops_of_boxes(
+        np.concatenate([uv.min(axis=1), uv.max(axis=1)], axis=1), HAND_CROP_EXPANSION, HAND_CROP_SIZE_PX
+    )
 
 
-def _contours(
+def _compute_contours(
     vertices: Float[ndarray, "N V 3"],
     hand: HandTrack,
     edges: Int[ndarray, "4 E"],
     mask: HandMask,
-    most: int = MOST_POINTS,
+    most: int = MAX_HAND_CONTOUR_POINTS,
 ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N 7 M"], Int[ndarray, "N M"], UInt64[ndarray, "N _ _"]]:
     """Return the output of ``kernels.hand.contours``: value, at most ``most`` points, nearest, bits."""
     N = len(vertices)
@@ -214,40 +216,42 @@ def _contours(
     contours(
         np.ascontiguousarray(np.swapaxes(vertices, 1, 2)), np.ascontiguousarray(hand.faces), edges,
         bool(np.all(edges[3] < len(hand.faces))),
-        mask.K, mask.observed, mask.valid, mask.field, STEP, DELTA, bits, value, points, nearest,
+        mask.K, mask.observed, mask.valid, mask.field, HAND_CONTOUR_STEP_PX, HAND_CONTOUR_DELTA_PX, bits, value, points, nearest,
     )  # fmt: skip
     return value, points, nearest, bits
 
 
-def _edges(hand: HandTrack) -> Int[ndarray, "4 E"]:
+def _hand_edges(hand: HandTrack) -> Int[ndarray, "4 E"]:
     return np.ascontiguousarray(edge_table(hand.faces).T)
 
 
 def _mask_bits(hand: HandTrack, K: Float[ndarray, "N 4"]) -> UInt64[ndarray, "N _ _"]:
     """Render the input hand's silhouette in the crops."""
     N = len(K)
-    nothing = np.zeros((N, SIZE, SIZE // 64), np.uint64)
-    unseen = HandMask(K, nothing, nothing, _no_field(N))
-    return _contours(se3.transform(hand.T_cam_hand, hand.vertices), hand, _edges(hand), unseen, 0)[3]
+    nothing = np.zeros((N, HAND_CROP_SIZE_PX, HAND_CROP_SIZE_PX // 64), np.uint64)
+    unseen = HandMask(K, nothing, nothing, _empty_fields(N))
+    return _compute_contours(se3.transform(hand.T_cam_hand, hand.vertices), hand, _hand_edges(hand), unseen, 0)[3]
 
 
-def _no_field(frames: int) -> Float32[ndarray, "N 0 0"]:
+def _empty_fields(frames: int) -> Float32[ndarray, "N 0 0"]:
     """Fields that are not known."""
     return np.empty((frames, 0, 0), np.float32)
 
 
-def _near(bits: UInt64[ndarray, "N _ _"]) -> Bool[ndarray, "N n n"]:
-    """Pixels at most ``REACH`` from a silhouette."""
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * REACH + 1, 2 * REACH + 1))
-    return np.stack([cv2.dilate(m.view(np.uint8), disc) for m in unpack(bits, SIZE)]).view(bool)
+def _dilated_silhouettes(bits: UInt64[ndarray, "N _ _"]) -> Bool[ndarray, "N n n"]:
+    """Pixels at most ``HAND_CROP_DILATION_PX`` from a silhouette."""
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * HAND_CROP_DILATION_PX + 1, 2 * HAND_CROP_DILATION_PX + 1))
+    return np.stack([cv2.dilate(m.view(np.uint8), disc) for m in unpack(bits, HAND_CROP_SIZE_PX)]).view(bool)
 
 
 def _beyond_wrist(hand: HandTrack, K: Float[ndarray, "N 3 3"]) -> Bool[ndarray, "N n n"]:
     """Pixels on the arm's side of the wrist; none where the joints are not known."""
     if hand.joints is None:
-        return np.zeros((len(K), SIZE, SIZE), dtype=bool)
-    wrist, knuckle = np.moveaxis(project(K, se3.transform(hand.T_cam_hand, hand.joints[:, [WRIST, MIDDLE]])), 1, 0)
-    v, u = np.mgrid[:SIZE, :SIZE] + 0.5
+        return np.zeros((len(K), HAND_CROP_SIZE_PX, HAND_CROP_SIZE_PX), dtype=bool)
+    wrist, knuckle = np.moveaxis(
+        project(K, se3.transform(hand.T_cam_hand, hand.joints[:, [WRIST_JOINT, MIDDLE_KNUCKLE_JOINT]])), 1, 0
+    )
+    v, u = np.mgrid[:HAND_CROP_SIZE_PX, :HAND_CROP_SIZE_PX] + 0.5
     return np.stack(
         [(u - x) * du + (v - y) * dv > 0.0 for (x, y), (du, dv) in zip(wrist, wrist - knuckle, strict=True)]
     )

@@ -15,18 +15,18 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip import Clip, read_masks
-from getagrip.clip.depth import DEPTH, UNIT, Depth
-from getagrip.fitting.depth_samples import hand_ratio_of, samples_of
+from getagrip.clip.depth import DEPTH_KEY, MAX_DEPTH_RATIO, Depth
+from getagrip.fitting.depth_samples import median_hand_depth_ratio, sample_depth
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import sampled
+from getagrip.fitting.problem import sample_clip_frames
 from getagrip.provenance import assumed, estimated, is_assumed
 from getagrip.result import Reconstruction
 
-SPREAD = 0.1
+HAND_SIZE_SIGMA = 0.1
 """Standard deviation of the logarithm of a lifted hand's size. Assumed; 0.1 to 0.6 do alike (docs/trials.md)."""
-FOLLOWS = assumed("it follows from the object's, which is known")
-SHOWN = estimated("from the distance at which a sensor's depth shows the hand")
-FRAMES, SAMPLES, FEWEST = 12, 100, 20
+HAND_SIZE_FROM_OBJECT = assumed("it follows from the object's, which is known")
+HAND_SIZE_FROM_DEPTH = estimated("from the distance at which a sensor's depth shows the hand")
+N_HAND_SIZE_FRAMES, MAX_HAND_SIZE_SAMPLES, MIN_HAND_SIZE_SAMPLES = 12, 100, 20
 """Frames in which depth is looked at; most samples of the hand in each; fewest in all that tell its size."""
 
 
@@ -38,32 +38,36 @@ def with_hand_size(clip: Clip, options: Options) -> Clip:
     """
     if not is_assumed(clip.provenance.get("hands_scale")) or clip.segments or options.as_published:
         return clip
-    size = shown_size(clip)
+    size = hand_size_from_depth(clip)
     if not np.isnan(size):
-        hand = replace(clip.hand.scaled(size), T_cam_hand=_scaled(clip.hand.T_cam_hand, size))
-        return replace(clip, hand=hand, hand_scale=size, provenance=clip.provenance | {"hands_scale": SHOWN})
+        hand = replace(clip.hand.scaled(size), T_cam_hand=_scale_translations(clip.hand.T_cam_hand, size))
+        return replace(
+            clip, hand=hand, hand_scale=size, provenance=clip.provenance | {"hands_scale": HAND_SIZE_FROM_DEPTH}
+        )
     if clip.scale != "known":
         return clip
-    return replace(clip, scale="free", size_beside_hand=True, provenance=clip.provenance | {"hands_scale": FOLLOWS})
+    return replace(
+        clip, scale="free", size_beside_hand=True, provenance=clip.provenance | {"hands_scale": HAND_SIZE_FROM_OBJECT}
+    )
 
 
-def shown_size(clip: Clip) -> float:
+def hand_size_from_depth(clip: Clip) -> float:
     """Return how many times as far away a sensor's depth shows the hand as it is given; NaN where it does not.
 
     Raises ``InputError`` for masks and depth that cannot be read.
     """
-    if not clip.evidence.get(DEPTH, clip.folder is not None and (clip.folder / DEPTH).exists()):
+    if not clip.evidence.get(DEPTH_KEY, clip.folder is not None and (clip.folder / DEPTH_KEY).exists()):
         return np.nan
-    few = sampled(clip, FRAMES)
-    depth = few.evidence.get(DEPTH)
+    few = sample_clip_frames(clip, N_HAND_SIZE_FRAMES)
+    depth = few.evidence.get(DEPTH_KEY)
     if not isinstance(depth, Depth) or (depth.source.scale, depth.source.source) != ("metric", "sensor"):
         return np.nan
-    samples = samples_of(few, read_masks(few), depth, SAMPLES)
-    size, on_hand = hand_ratio_of(samples), np.sum(samples.used - samples.on_object)
-    return size if on_hand >= FEWEST and abs(np.log(size)) < np.log(UNIT) else np.nan
+    samples = sample_depth(few, read_masks(few), depth, MAX_HAND_SIZE_SAMPLES)
+    size, on_hand = median_hand_depth_ratio(samples), np.sum(samples.used - samples.on_object)
+    return size if on_hand >= MIN_HAND_SIZE_SAMPLES and abs(np.log(size)) < np.log(MAX_DEPTH_RATIO) else np.nan
 
 
-def at_true_size(result: Reconstruction, clip: Clip) -> Reconstruction:
+def restore_object_size(result: Reconstruction, clip: Clip) -> Reconstruction:
     """Return the result of a clip ``with_hand_size`` as one of the clip before: the object at its own size.
 
     What was found is scaled about the camera, where the object's size is known and was free.
@@ -77,17 +81,19 @@ def at_true_size(result: Reconstruction, clip: Clip) -> Reconstruction:
     return replace(
         result,
         scale=1.0 if clip.size_beside_hand else result.scale,
-        T_hand_obj=_scaled(result.T_hand_obj, size),
+        T_hand_obj=_scale_translations(result.T_hand_obj, size),
         axis=None if axis is None else replace(axis, point=size * axis.point),
-        candidates=replace(found, T_hand_obj=_scaled(found.T_hand_obj, size), scale=size * found.scale),
-        T_cam_hand=_scaled(result.T_cam_hand, size),
+        candidates=replace(found, T_hand_obj=_scale_translations(found.T_hand_obj, size), scale=size * found.scale),
+        T_cam_hand=_scale_translations(result.T_cam_hand, size),
         hand_scale=size * clip.hand_scale,
         hand_covariance=None if covariance is None else covariance * np.outer(units, units),
-        hand_alternatives=None if result.hand_alternatives is None else _scaled(result.hand_alternatives, size),
+        hand_alternatives=None
+        if result.hand_alternatives is None
+        else _scale_translations(result.hand_alternatives, size),
     )
 
 
-def _scaled(T: Float[ndarray, "*batch 4 4"], size: float) -> Float[ndarray, "*batch 4 4"]:
+def _scale_translations(T: Float[ndarray, "*batch 4 4"], size: float) -> Float[ndarray, "*batch 4 4"]:
     """Return poses whose places are scaled."""
     out = T.copy()
     out[..., :3, 3] *= size

@@ -12,11 +12,11 @@ from getagrip.clip import Clip, Masks
 from getagrip.fitting.energy.mask import SilhouetteMesh
 from getagrip.kernels.silhouette import silhouettes, unpack
 
-AT_ONCE = 64
+RENDER_BATCH_FRAMES = 64
 """Frames that are rendered at once: those of a long clip would fill the memory."""
 
 
-class Overlap(NamedTuple):
+class MaskOverlap(NamedTuple):
     """Rendered and observed object mask of each frame, on the full image [px].
 
     Attributes:
@@ -40,7 +40,7 @@ class Overlap(NamedTuple):
         return self.either - self.both
 
 
-def overlap(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale: float) -> Overlap:
+def mask_overlap(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale: float) -> MaskOverlap:
     """Compute the overlap of the posed object with the masks."""
     T_cam_obj = clip.hand.T_cam_hand @ T_hand_obj
     K = np.stack([clip.K[:, 0, 0], clip.K[:, 1, 1], clip.K[:, 0, 2], clip.K[:, 1, 2]], axis=1)
@@ -48,9 +48,9 @@ def overlap(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale
     R, t = np.ascontiguousarray(T_cam_obj[:, :3, :3]), np.ascontiguousarray(T_cam_obj[:, :3, 3])
     tables = SilhouetteMesh.of(clip.mesh, np.zeros(3)).tables
     both, either, silhouette = np.empty(len(clip)), np.empty(len(clip)), np.empty(len(clip))
-    bits = np.empty((min(len(clip), AT_ONCE), height, -(-width // 64)), np.uint64)
-    for first in range(0, len(clip), AT_ONCE):
-        some = slice(first, first + AT_ONCE)
+    bits = np.empty((min(len(clip), RENDER_BATCH_FRAMES), height, -(-width // 64)), np.uint64)
+    for first in range(0, len(clip), RENDER_BATCH_FRAMES):
+        some = slice(first, first + RENDER_BATCH_FRAMES)
         drawn = bits[: len(R[some])]
         silhouettes(R[some], t[some], np.full(len(drawn), scale), *tables, K[some], drawn)
         for n, (there, ignored) in enumerate(zip(masks.object[some], masks.ignore[some], strict=True), start=first):
@@ -58,9 +58,9 @@ def overlap(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale
             silhouette[n] = np.count_nonzero(rendered)
             rendered &= there | ~ignored
             both[n], either[n] = np.count_nonzero(rendered & there), np.count_nonzero(rendered | there)
-    return Overlap(both, either, silhouette)
+    return MaskOverlap(both, either, silhouette)
 
 
 def image_iou(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale: float) -> Float[ndarray, "T"]:
     """Compute the IOU of rendered and observed object mask on the full image, outside ignored pixels."""
-    return overlap(clip, masks, T_hand_obj, scale).iou
+    return mask_overlap(clip, masks, T_hand_obj, scale).iou

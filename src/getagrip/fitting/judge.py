@@ -9,42 +9,54 @@ from typing import get_args
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.checks import Solved
-from getagrip.checks.calibrated import CALIBRATIONS, CORRECTED, ESTIMATED, KEEPING
+from getagrip.checks import SolvedEvidence
+from getagrip.checks.calibrated import CALIBRATIONS, CORRECTED_CALIBRATIONS, ESTIMATED_CALIBRATIONS, KEEP_THRESHOLDS
 from getagrip.checks.calibration import Where
 from getagrip.checks.keeping import InputKind, kind_of_input
 from getagrip.checks.signs import was_corrected
 from getagrip.clip import Clip
 from getagrip.finding import Finding
-from getagrip.fitting.every_frame import Track
-from getagrip.fitting.misfit import misfit
+from getagrip.fitting.every_frame import SolutionTrack
+from getagrip.fitting.misfit import relative_contour_error
 from getagrip.fitting.options import Options
 from getagrip.fitting.pose_spread import pose_spread
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.scale_check import scale_check
-from getagrip.fitting.usual import turned_away
+from getagrip.fitting.usual import opening_angle
 from getagrip.probability import ASSUMED_MESH, Probability
 from getagrip.provenance import is_assumed, kind_of_hands
 from getagrip.result import Candidates
 
-CHOICES = ("method", "inits", "init", "priors", "priors_only", "thorough", "seed", "frames", "every_frame")
+CALIBRATION_NEUTRAL_OPTIONS = (
+    "method",
+    "inits",
+    "init",
+    "priors",
+    "priors_only",
+    "thorough",
+    "seed",
+    "frames",
+    "every_frame",
+)
 """Options that leave a calibration valid; it was made with the usual values of all."""
-TERMS = (
+CALIBRATED_TERMS = (
     "total", "mask", "push", "pull", "consistency", "prior", "hand-mask", "joints-2d", "depth",
     "order", "size", "upright", "opening",
 )  # fmt: skip
 """Names in the energy that was calibrated; the last four count only for inputs that are assumed, as which kind of
 object it is, of which there were none, so that its probability is carried over to them."""
-APART = 0.14
+HAND_ALTERNATIVE_DISTANCE = 0.14
 """Distance by which alternatives of a hand move the object in it [diameters]; a pose is right within 0.1. Chosen on
 training clips."""
-WRONG_EVIDENCE = "depth-elsewhere", "depth-misfit", "depth-warped"
+UNCALIBRATED_DEPTH_FINDINGS = "depth-elsewhere", "depth-misfit", "depth-warped"
 """Findings that next to no result of the calibration had: with them no share of right results can be promised."""
-UNSOLVED = 0.03
+ESTIMATED_HAND_SPREAD_M = 0.03
 """Spread of an object in an estimated hand that was not solved with it [m]: the measured errors (docs/datasets.md)."""
 
 
-def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: Track, whole: Track) -> Solved:
+def solved_of(
+    input_clip: Clip, problem: Problem, found: MethodResult, sampled: SolutionTrack, whole: SolutionTrack
+) -> SolvedEvidence:
     """Make the view of a result for its checks and signs.
 
     ``input_clip`` has the hand and the mesh as they came; ``sampled`` and ``whole`` are the poses in the frames that
@@ -52,43 +64,43 @@ def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: 
     """
     scale = float(found.poses.scale[0])
     deformed = 0.0 if found.warp is None else found.warp.displacement(input_clip.mesh)
-    return Solved(
+    return SolvedEvidence(
         problem.clip, problem.input_masks, sampled.T_hand_obj[0], scale, whole.iou,
         iou_frames=whole.frames, outliers=whole.outliers,
         deformed=deformed / input_clip.mesh.diameter, deformed_mm=1e3 * scale * deformed,
         candidates=Candidates(sampled.T_hand_obj, found.poses.scale, found.energy), axis=found.axis,
         hand_differing=problem.trust.hand_differing, joints_left_out=problem.trust.joints_left_out,
         T_cam_hand_input=input_clip.hand.T_cam_hand[input_clip.index_of(problem.clip.frames)],
-        misfit=misfit(problem.observation, found.terms["mask"] / len(problem.clip)),
+        misfit=relative_contour_error(problem.observation, found.terms["mask"] / len(problem.clip)),
         spread=pose_spread(problem, found), hand_spread=_hand_spread(input_clip, problem, found),
         scale_check=scale_check(problem, found), joint_error=_joint_error(problem),
-        turned_away=turned_away(problem.clip, sampled.T_hand_obj[0]),
+        turned_away=opening_angle(problem.clip, sampled.T_hand_obj[0]),
     )  # fmt: skip
 
 
 def _hand_spread(clip: Clip, problem: Problem, found: MethodResult) -> float:
     """Compute the standard deviation of the object in the hand that the hand's errors leave [m]."""
     if found.hand is None:
-        return 0.0 if kind_of_hands(clip.provenance) == "measured" else UNSOLVED
-    return found.hand.spread(_in_hand(problem, found) - _middle(problem))
+        return 0.0 if kind_of_hands(clip.provenance) == "measured" else ESTIMATED_HAND_SPREAD_M
+    return found.hand.spread(_object_points_in_hand(problem, found) - _hand_centre(problem))
 
 
 def hand_alternatives(problem: Problem, found: MethodResult) -> Float[ndarray, "M 4 4"] | None:
     """Return where a hand that was solved with the object may be instead; None of another."""
     if found.hand is None:
         return None
-    middle = _middle(problem)
-    apart = APART * float(found.poses.scale[0]) * problem.surface.diameter
-    return found.hand.alternatives(_in_hand(problem, found) - middle, middle, apart)
+    middle = _hand_centre(problem)
+    apart = HAND_ALTERNATIVE_DISTANCE * float(found.poses.scale[0]) * problem.surface.diameter
+    return found.hand.alternatives(_object_points_in_hand(problem, found) - middle, middle, apart)
 
 
-def _middle(problem: Problem) -> Float[ndarray, "3"]:
+def _hand_centre(problem: Problem) -> Float[ndarray, "3"]:
     """Return the point that a hand was solved about, in the hand [m]."""
     assert problem.refinement is not None
     return problem.refinement.seen.errors.tracked.vertices.mean(axis=(0, 1))
 
 
-def _in_hand(problem: Problem, found: MethodResult) -> Float[ndarray, "P 3"]:
+def _object_points_in_hand(problem: Problem, found: MethodResult) -> Float[ndarray, "P 3"]:
     """Return points of the object's surface in the hand, in the middle frame [m]."""
     n, scale = len(problem.clip) // 2, float(found.poses.scale[0])
     return scale * problem.surface.points @ found.poses.R[0, n].T + found.poses.centre[0, n]
@@ -114,13 +126,13 @@ def probabilities(
     hands, depth = kind_of_hands(clip.provenance), signs.get("depth-images", 0.0)
     kind = kind_of_input(hands, terms, depth, was_corrected(signs))
     found = {where: probability_right(options, signs, findings, where, terms, kind) for where in get_args(Where)}
-    beyond = [finding.check for finding in findings if finding.check in WRONG_EVIDENCE]
+    beyond = [finding.check for finding in findings if finding.check in UNCALIBRATED_DEPTH_FINDINGS]
     if hands != "measured" and is_assumed(clip.provenance.get("mesh")):  # these were calibrated on exact meshes
         beyond.insert(0, ASSUMED_MESH)
     if beyond:
         kept = (right and replace(right, beyond=(*beyond, *right.beyond)) for right in found.values())
     else:
-        kept = (right and KEEPING[kind, where].applied(right) for where, right in found.items())
+        kept = (right and KEEP_THRESHOLDS[kind, where].applied(right) for where, right in found.items())
     in_hand, in_camera = kept
     # No pixel tells a wrong focal length from another distance.
     guessed = is_assumed(clip.provenance.get("camera"))
@@ -139,19 +151,19 @@ def probability_right(
 
     ``findings`` are those about its input and itself, ``kind`` is that of its input; by default its hands are measured.
 
-    None where nothing is calibrated (``uncalibrated``).
+    None where nothing is calibrated (``uncalibrated_reason``).
     """
     kind = kind or kind_of_input("measured", terms, 0.0, was_corrected(signs))
-    calibrations = {"measured": CALIBRATIONS, "corrected": CORRECTED}.get(kind, ESTIMATED)
+    calibrations = {"measured": CALIBRATIONS, "corrected": CORRECTED_CALIBRATIONS}.get(kind, ESTIMATED_CALIBRATIONS)
     calibration = calibrations.get((options.method, where))
-    if calibration is None or uncalibrated(options, findings, terms):
+    if calibration is None or uncalibrated_reason(options, findings, terms):
         return None
     if not signs.keys() >= calibration.weights.keys():  # of a motion of one's own
         return None
     return calibration.probability(signs)
 
 
-def uncalibrated(options: Options, findings: Sequence[Finding], terms: Iterable[str] = ()) -> str:
+def uncalibrated_reason(options: Options, findings: Sequence[Finding], terms: Iterable[str] = ()) -> str:
     """Say why there is no probability that a result is right; empty where there is one.
 
     There is none for methods and energies (``terms``: their names) other than those that were calibrated, for shorter
@@ -164,8 +176,11 @@ def uncalibrated(options: Options, findings: Sequence[Finding], terms: Iterable[
     if options.priors_only:
         return "none is calibrated without uniform rotations among the initial poses"
     for option in fields(Options):
-        if option.name not in CHOICES and (value := getattr(options, option.name)) != option.default:
+        if (
+            option.name not in CALIBRATION_NEUTRAL_OPTIONS
+            and (value := getattr(options, option.name)) != option.default
+        ):
             return f"none is calibrated with {option.name} {value}"
-    if others := [name for name in terms if name not in TERMS]:
+    if others := [name for name in terms if name not in CALIBRATED_TERMS]:
         return f"none is calibrated with the evidence {', '.join(others)}"
     return "a finding is serious" if any(finding.serious for finding in findings) else ""

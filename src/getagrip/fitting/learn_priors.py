@@ -24,17 +24,17 @@ from getagrip.io import arrays, files
 Way = Literal["geodesic", "axis-angle"]
 """How rotations are clustered."""
 CLUSTERINGS: tuple[Way, ...] = get_args(Way)
-VERSION = 2
+PRIORS_VERSION = 2
 """Version of the file."""
-MOST_CLUSTERS = 1000
-_ROUNDS = 100
+MAX_CLUSTERS = 1000
+_MAX_K_MEANS_ITERATIONS = 100
 """Rounds of k-means or of a mean, if it does not settle before."""
-_SAME = 1e-6
+_ROTATION_TOLERANCE_RAD = 1e-6
 """Rotations nearer than this are one [rad]."""
 
 
 @dataclass(frozen=True)
-class Priors:
+class PosePriors:
     """Poses of objects in hands: N of them.
 
     Attributes:
@@ -63,22 +63,22 @@ class Priors:
         """
         with files.new_folder(folder) as work:
             for category, side in sorted({*zip(self.category, self.side, strict=True)}):
-                if not files.is_plain_name(category):
+                if not files.is_portable_name(category):
                     raise UsageError(
-                        f"{folder} cannot be used with {files.shown(category)}, which cannot name a folder"
+                        f"{folder} cannot be used with {files.shorten_value(category)}, which cannot name a folder"
                     )
                 (work / category).mkdir(exist_ok=True)
                 for n, T in enumerate(self.of(category, side)):
                     np.save(work / category / f"{side}_{n:03d}.npy", T)
 
 
-def subject_of(clip: Clip) -> str:
+def subject_from_provenance(clip: Clip) -> str:
     """Return the subject whose hand is in a clip, as its provenance says; empty where it does not."""
     return str(clip.provenance.get("subject", ""))
 
 
 @dataclass(frozen=True)
-class Hold:
+class TrueGraspPose:
     """The true pose of the object in the hand of one clip."""
 
     category: str
@@ -94,21 +94,21 @@ class Hold:
     """Whose hand it is; empty where unknown."""
 
 
-def hold(clip: Clip) -> Hold:
+def true_grasp_pose(clip: Clip) -> TrueGraspPose:
     """Learn from a clip. Raises ``InputError`` where it has no truth."""
     truth = clip.truth
     if truth is None:
         raise InputError(clip.origin / "truth.npz", "", "no such file", "the true poses, to learn from")
     T_hand_obj = se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj
     mesh_centre = truth.scale * clip.mesh.centre
-    return Hold(
+    return TrueGraspPose(
         category=clip.category,
         side=clip.side,
         R=T_hand_obj[len(clip) // 2, :3, :3],
         centre=se3.transform(T_hand_obj, mesh_centre[None])[:, 0].mean(axis=0),
         mesh_centre=mesh_centre,
         clip=clip.name,
-        subject=subject_of(clip),
+        subject=subject_from_provenance(clip),
     )
 
 
@@ -116,7 +116,7 @@ def hold(clip: Clip) -> Hold:
 class LearntGrasps:
     """Grasps, and how poses to start from are learnt from them: what ``init learn`` writes."""
 
-    holds: tuple[Hold, ...]
+    holds: tuple[TrueGraspPose, ...]
     k: int = 50
     """Rotations of each category and side of hand, at most."""
     way: Way = "geodesic"
@@ -131,9 +131,13 @@ class LearntGrasps:
         """Return those of a category in a hand."""
         return replace(self, holds=tuple(h for h in self.holds if (h.category, h.side) == (category, side)))
 
-    def poses(self) -> Priors:
+    def poses(self) -> PosePriors:
         """Return the initial poses."""
-        return learn(self.holds, self.k, self.way, self.seed) if self.holds else Priors((), (), np.zeros((0, 4, 4)))
+        return (
+            learn_pose_priors(self.holds, self.k, self.way, self.seed)
+            if self.holds
+            else PosePriors((), (), np.zeros((0, 4, 4)))
+        )
 
     def write(self, path: Path) -> None:
         """Write it as an ``.npz`` file, its folder made where there is none."""
@@ -141,11 +145,11 @@ class LearntGrasps:
         names = {"category": "category", "side": "side", "clips": "clip", "subjects": "subject"}
         texts = {key: np.array([getattr(h, name) for h in self.holds], np.str_) for key, name in names.items()}
         numbers = {key: np.stack([getattr(h, key) for h in self.holds]) for key in ("R", "centre", "mesh_centre")}
-        how = {"version": VERSION, "k": self.k, "way": self.way, "seed": self.seed}
+        how = {"version": PRIORS_VERSION, "k": self.k, "way": self.way, "seed": self.seed}
         arrays.write(path, {**{key: np.array(value) for key, value in how.items()}, **texts, **numbers})
 
 
-def learn(holds: Sequence[Hold], k: int, way: Way = "geodesic", seed: int = 0) -> Priors:
+def learn_pose_priors(holds: Sequence[TrueGraspPose], k: int, way: Way = "geodesic", seed: int = 0) -> PosePriors:
     """Learn k rotations and one translation for each category and side of hand.
 
     The translation is the mean place of the object's centre, so that it does not matter where a CAD has its origin:
@@ -154,16 +158,20 @@ def learn(holds: Sequence[Hold], k: int, way: Way = "geodesic", seed: int = 0) -
     category, side, poses = list[str](), list[str](), list[ndarray]()
     for key in sorted({(h.category, h.side) for h in holds}):
         here = [h for h in holds if (h.category, h.side) == key]
-        R = clustered(np.stack([h.R for h in here]), k, way, seed)
+        R = cluster_rotations(np.stack([h.R for h in here]), k, way, seed)
         centre, mesh_centre = (np.mean([getattr(h, name) for h in here], axis=0) for name in ("centre", "mesh_centre"))
         poses.append(se3.rigid(R, centre - R @ mesh_centre))
         category += [key[0]] * len(R)
         side += [key[1]] * len(R)
     subjects = tuple(sorted({h.subject for h in holds} - {""}))
-    return Priors(tuple(category), tuple(side), np.concatenate(poses), tuple(sorted(h.clip for h in holds)), subjects)
+    return PosePriors(
+        tuple(category), tuple(side), np.concatenate(poses), tuple(sorted(h.clip for h in holds)), subjects
+    )
 
 
-def clustered(R: Float[ndarray, "n 3 3"], k: int, way: Way = "geodesic", seed: int = 0) -> Float[ndarray, "m 3 3"]:
+def cluster_rotations(
+    R: Float[ndarray, "n 3 3"], k: int, way: Way = "geodesic", seed: int = 0
+) -> Float[ndarray, "m 3 3"]:
     """Cluster n rotations into at most k by k-means, those that stand for most first.
 
     ``geodesic``: on SO(3), with the angle between rotations for their distance, and for their mean the rotation of
@@ -187,7 +195,7 @@ def karcher_mean(R: Float[ndarray, "n 3 3"]) -> Float[ndarray, "3 3"]:
     It is found by fixed point, from the mean matrix's nearest rotation.
     """
     mean = se3.nearest_rotation(R.mean(axis=0))
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_K_MEANS_ITERATIONS):
         step = se3.log_so3(R @ mean.T).mean(axis=0)
         mean = se3.exp_so3(step) @ mean
         if np.linalg.norm(step) < 1e-9:
@@ -206,12 +214,12 @@ def _k_means(
     chosen = [int(rng.integers(len(points)))]
     while len(chosen) < k:
         squared = distances(points, points[chosen]).min(axis=1) ** 2
-        if squared.max() < _SAME**2:
+        if squared.max() < _ROTATION_TOLERANCE_RAD**2:
             break
         chosen.append(int(rng.choice(len(points), p=squared / squared.sum())))
     means = points[chosen]
     label = np.full(len(points), -1)
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_K_MEANS_ITERATIONS):
         nearest = distances(points, means).argmin(axis=1)
         if np.array_equal(nearest, label):
             break

@@ -10,25 +10,25 @@ import numpy as np
 
 from getagrip.fitting.observation import Observation
 
-PIXEL, CROP_PIXEL = 0.4, 0.15
+IMAGE_CONTOUR_ERROR_PX, CROP_CONTOUR_ERROR_PX = 0.4, 0.15
 """Mean distance between the contour of the object's own mesh and that of a mask: pixels of the image, plus pixels of
 the crop. Right grasps of DexYCB's training subjects have 0.4 to 0.75 times as much (docs/method.md).
 """
-POWER = 3.0
+STIFFNESS_EXPONENT = 3.0
 """Stiffness grows with this power of the misfit; 4 held measured motions too stiffly."""
 
 
-def misfit(observation: Observation, mask: float) -> float:
+def relative_contour_error(observation: Observation, mask: float) -> float:
     """Compute the mean distance of contours from those of the masks, relative to that of the object's own mesh.
 
     ``mask`` is the mean E_mask of a frame [px^2 of the crop], that distance times the visible length.
     """
     length = float(observation.targets[..., 4].sum(axis=1).mean())
-    expected = PIXEL * observation.crops.zoom + CROP_PIXEL
+    expected = IMAGE_CONTOUR_ERROR_PX * observation.crops.zoom + CROP_CONTOUR_ERROR_PX
     return mask / (length * expected) if length > 0.0 else 1.0
 
 
-def stiffened(ridge: tuple[float, float], times: float) -> tuple[float, float]:
+def stiffen_ridge(ridge: tuple[float, float], times: float) -> tuple[float, float]:
     """Return the stiffness of deviations at a misfit of ``times``: unchanged up to one."""
-    factor = float(np.maximum(times, 1.0) ** POWER)
+    factor = float(np.maximum(times, 1.0) ** STIFFNESS_EXPONENT)
     return ridge[0] * factor, ridge[1] * factor

@@ -1,6 +1,6 @@
 """The energy of Eq. 5 for a clip, at any of its resolutions and frames: E_mask, E_push and E_pull.
 
-Other evidence of the clip counts beside its masks (``evidence_of``). A method adds a term where it builds its energy:
+Other evidence of the clip counts beside its masks (``object_evidence_energy``). A method adds a term where it builds its energy:
 ``plus(energy_of(...), mine)``.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.fitting.contact import HandContacts, spread_points
+from getagrip.fitting.contact import HandContacts, farthest_point_sampling
 from getagrip.fitting.energy import Energy, HandEnergy, HandTerm, InHand, OnHand, Term
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
 from getagrip.fitting.energy.hand_mask import HandMaskTerm
@@ -23,47 +23,47 @@ from getagrip.fitting.energy.order import HandOrder, OrderTerm, corners_of
 from getagrip.fitting.energy.pull import PullTerm
 from getagrip.fitting.energy.push import PushTerm
 from getagrip.fitting.energy.seen_joints import SeenJointsTerm
-from getagrip.fitting.hand_refinement import PIXEL
+from getagrip.fitting.hand_refinement import HAND_PIXEL_WEIGHT
 from getagrip.fitting.hand_silhouette import HandSilhouette, hand_crops
 from getagrip.fitting.problem import Problem
 from getagrip.fitting.seen_joints import SeenJoints
 from getagrip.geometry.mesh import decimate
 
-STEP = {64: 1.0, 128: 2.0, 256: 3.0}
+MASK_STEP_PX = {64: 1.0, 128: 2.0, 256: 3.0}
 """Distance of contour points at each level [px of the level]."""
-DELTA = {64: 2.0, 128: 1.0, 256: 1.0}
+MIN_CURVATURE_DISTANCE_PX = {64: 2.0, 128: 1.0, 256: 1.0}
 """Distances below this count as this in the curvature of E_mask [px of the crop]."""
-CONTACTS = {64: 8, 128: None, 256: None}
+N_REGION_CONTACTS = {64: 8, 128: None, 256: None}
 """Vertices of each contact region in use at each level; all of them at the finer ones."""
-FINE_FACES = 4000
+MAX_FINE_FACES = 4000
 """Most faces for the finer silhouettes; larger objects are decimated (for the others: ``surface``)."""
-PUSH, PULL = 0.125, 0.015
+PUSH_WEIGHT, PULL_WEIGHT = 0.125, 0.015
 """The paper sums E_mask over pixels, which leaves push and pull without effect; the authors' code divides it by the
 area of the mask. Ours multiplies push and pull by these fractions of the mean area of the masks instead. Pull has less:
 a hand may well go without touching with all five fingertips, but not into the object.
 """
-PER_REGION, POINTS = 2, 20
+N_CONSISTENCY_REGION_POINTS, N_CONSISTENCY_OBJECT_POINTS = 2, 20
 """Points of each contact region of the hand, and of the object, that stand for all where distances are to stay."""
 
 
 def energy_of(problem: Problem, push: float, pull: float) -> Energy:
     """Return E_mask, the terms of other evidence, E_push and E_pull."""
-    return plus(evidence_of(problem), contact_of(problem, push, pull))
+    return sum_energies(object_evidence_energy(problem), contact_energy(problem, push, pull))
 
 
-def evidence_of(problem: Problem) -> Energy:
+def object_evidence_energy(problem: Problem) -> Energy:
     """Return the terms of all evidence on the object: E_mask first, since masks are the first modality."""
     energies = (terms.object for terms in problem.evidence)
-    return plus(*(energy for energy in energies if energy is not None))
+    return sum_energies(*(energy for energy in energies if energy is not None))
 
 
-def evidence_on_hand(problem: Problem) -> Energy:
+def hand_evidence_energy(problem: Problem) -> Energy:
     """Return the terms of all evidence on a hand that is unknown as well; nothing where it is fixed."""
     energies = [terms.hand for terms in problem.evidence]
     return lambda level, index: [OnHand(one) for hand in energies if hand is not None for one in hand(level, index)]
 
 
-def hand_mask_of(problem: Problem) -> HandEnergy:
+def hand_mask_energy(problem: Problem) -> HandEnergy:
     """Return E_mask of the hand; a pixel of the image counts as much as one of the object's mask."""
 
     @cache
@@ -79,7 +79,7 @@ def hand_mask_of(problem: Problem) -> HandEnergy:
     return terms
 
 
-def joints_of(problem: Problem) -> HandEnergy:
+def reprojection_energy(problem: Problem) -> HandEnergy:
     """Return the reprojection of the hand's joints."""
 
     @cache
@@ -99,74 +99,83 @@ def joints_of(problem: Problem) -> HandEnergy:
 def energy_of_nat(problem: Problem) -> float:
     """Compute the energy that weighs as much as a nat of likelihood [px^2 of the object's crop]."""
     crop = hand_crops(problem.clip).intrinsics(problem.clip.K)[:, 0, 0]
-    return float(np.mean((problem.observation.K[:, 0] / crop) ** 2)) / PIXEL
+    return float(np.mean((problem.observation.K[:, 0] / crop) ** 2)) / HAND_PIXEL_WEIGHT
 
 
-def mask_of(problem: Problem) -> Energy:
+def mask_energy(problem: Problem) -> Energy:
     """Return E_mask."""
     clip, observation, coarse = problem.clip, problem.observation, problem.surface.coarse
-    fine, centre = decimate(clip.mesh, FINE_FACES), clip.mesh.centre
+    fine, centre = decimate(clip.mesh, MAX_FINE_FACES), clip.mesh.centre
     mesh = {64: SilhouetteMesh.of(coarse, centre)}
     mesh[128] = mesh[256] = mesh[64] if fine is coarse else SilhouetteMesh.of(fine, centre)
 
     def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[Term]:
         coverage = 1.0 if level == 64 else 0.0
         observed = observation.take(index)
-        return [MaskTerm(mesh[level], observed, level, step=STEP[level], delta=DELTA[level], coverage=coverage)]
+        return [
+            MaskTerm(
+                mesh[level],
+                observed,
+                level,
+                step=MASK_STEP_PX[level],
+                delta=MIN_CURVATURE_DISTANCE_PX[level],
+                coverage=coverage,
+            )
+        ]
 
     return terms
 
 
-def contact_of(problem: Problem, push: float, pull: float) -> Energy:
+def contact_energy(problem: Problem, push: float, pull: float) -> Energy:
     """Return E_push and E_pull, with lambda_f, the focal length in pixels of the crop.
 
     ``push`` and ``pull`` are the paper's lambda_2 and lambda_3 without the focal length; weight 0 leaves a term out.
     """
     push_weight, pull_weight = contact_weights(problem, push, pull)
-    return plus(
-        push_of(problem, push_weight) if push else NOTHING,
-        pull_of(problem, pull_weight) if pull else NOTHING,
+    return sum_energies(
+        push_energy(problem, push_weight) if push else NO_TERMS,
+        pull_energy(problem, pull_weight) if pull else NO_TERMS,
     )
 
 
 def contact_weights(problem: Problem, push: float, pull: float) -> tuple[Float[ndarray, "N"], Float[ndarray, "N"]]:
     """Compute the weight of a metre of mean push and of mean pull in each frame, by the masks' mean area [px^2 / m]."""
     unit = problem.observation.area.mean() * problem.observation.K[:, 0]
-    return push * PUSH * unit, pull * PULL * unit
+    return push * PUSH_WEIGHT * unit, pull * PULL_WEIGHT * unit
 
 
-def push_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
+def push_energy(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
     """Return our E_push, by its weight in each frame [px^2 / m]."""
-    hands, solid = _contacts(problem), problem.surface.solid
+    hands, solid = _contacts_by_level(problem), problem.surface.solid
     return lambda level, index: [InHand(PushTerm(solid, hands[level].take(index), weight[index]))]
 
 
-def pull_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
+def pull_energy(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
     """Return our E_pull, by its weight in each frame [px^2 / m]."""
-    hands, solid = _contacts(problem), problem.surface.solid
+    hands, solid = _contacts_by_level(problem), problem.surface.solid
     reach = problem.trust.reach
     return lambda level, index: [InHand(PullTerm(solid, hands[level].take(index), weight[index], reach))]
 
 
-def order_of(problem: Problem) -> Energy:
+def depth_order_energy(problem: Problem) -> Energy:
     """Return the term of order in depth, by the weight of push, for hands that were lifted and whose pixels are known.
 
     Other hands are placed by what their estimators know of depth; what push lets through there is small.
     """
     masks, weight = problem.input_masks, problem.trust.contact * problem.options.push
     if not (problem.trust.hand_lifted and weight) or masks.hand is None:
-        return NOTHING
+        return NO_TERMS
     corners, (each, _) = corners_of(problem.clip.mesh), contact_weights(problem, weight, 0.0)
     hand = HandOrder.of(problem.clip.hand, problem.clip.K, masks)
     return lambda level, index: [InHand(OrderTerm(corners, hand.take(index), each[index]))]
 
 
-def _contacts(problem: Problem) -> dict[int, HandContacts]:
+def _contacts_by_level(problem: Problem) -> dict[int, HandContacts]:
     """Return the hand's contacts, at each level."""
-    return {level: HandContacts.of(problem.clip.hand, count) for level, count in CONTACTS.items()}
+    return {level: HandContacts.of(problem.clip.hand, count) for level, count in N_REGION_CONTACTS.items()}
 
 
-def consistency_of(problem: Problem, weight: float) -> Energy:
+def distance_consistency_energy(problem: Problem, weight: float) -> Energy:
     """Make the term by which hand and object keep their distances, at any level.
 
     ``weight`` is that of the mean absolute change of squared distances, before the focal length and the masks' mean
@@ -174,8 +183,8 @@ def consistency_of(problem: Problem, weight: float) -> Energy:
     """
     observation = problem.observation
     vertices = problem.clip.mesh.vertices - problem.clip.mesh.centre
-    points = vertices[spread_points(vertices, POINTS)]
-    hand = HandContacts.of(problem.clip.hand, PER_REGION)
+    points = vertices[farthest_point_sampling(vertices, N_CONSISTENCY_OBJECT_POINTS)]
+    hand = HandContacts.of(problem.clip.hand, N_CONSISTENCY_REGION_POINTS)
     # Their masks' term is divided by the mask's area, ours is not.
     each = weight * observation.area.mean() * observation.K[:, 0]
 
@@ -185,10 +194,10 @@ def consistency_of(problem: Problem, weight: float) -> Energy:
     return terms
 
 
-def plus(*energies: Energy) -> Energy:
+def sum_energies(*energies: Energy) -> Energy:
     """Join the terms of all energies."""
     return lambda level, index: [term for energy in energies for term in energy(level, index)]
 
 
-NOTHING = plus()
+NO_TERMS = sum_energies()
 """No term."""

@@ -11,18 +11,18 @@ from numpy import ndarray
 
 from getagrip.clip import Masks
 from getagrip.compiling import kernel
-from getagrip.fitting.mask_gaps import GAP_SHARE, in_gaps
+from getagrip.fitting.mask_gaps import GAP_SHARE, find_gap_pixels
 from getagrip.geometry.camera import Crops, crops_around
 from getagrip.kernels.silhouette import pack
 
-CROP = 256
+MASK_CROP_SIZE_PX = 256
 """Side of the crops [px]: the paper's render_size."""
-LEVELS = (64, 128, 256)
-FIELD = 128
+MASK_LEVELS_PX = (64, 128, 256)
+DISTANCE_FIELD_SIZE_PX = 128
 """Side of the distance fields [px]."""
-GOLDEN = np.array([0.7548776662466927, 0.5698402909980532])
+R2_SEQUENCE_STEP = np.array([0.7548776662466927, 0.5698402909980532])
 """Multiples of these fill the unit square evenly, modulo 1."""
-TARGETS = 28
+N_COVERAGE_TARGETS = 28
 """Observed boundary points per frame in the coverage term."""
 
 
@@ -66,7 +66,7 @@ class Observation:
         )
 
 
-def observe(
+def observe_masks(
     masks: Masks, K: Float[ndarray, "T 3 3"], use_ignore: bool = True, gap_share: float = GAP_SHARE
 ) -> Observation:
     """Crop the masks of a clip and prepare them for fitting. Every object mask must have a pixel.
@@ -74,22 +74,25 @@ def observe(
     ``use_ignore=False`` counts hidden pixels as background (the paper's ablation of C_o). Those in gaps between
     the masks do not count either, where these are more than ``gap_share`` of the masks' border (``mask_gaps.in_gaps``).
     """
-    crops = _dithered(crops_around(masks.object, size=CROP))
-    levels = {level: _sampled(masks, replace(crops, size=level), use_ignore) for level in {*LEVELS, FIELD}}
-    Kc, observed = crops.intrinsics(K), levels[CROP][0]
-    gaps = in_gaps(observed, ~levels[CROP][1], gap_share)
+    crops = _dither_crops(crops_around(masks.object, size=MASK_CROP_SIZE_PX))
+    levels = {
+        level: _sample_masks(masks, replace(crops, size=level), use_ignore)
+        for level in {*MASK_LEVELS_PX, DISTANCE_FIELD_SIZE_PX}
+    }
+    Kc, observed = crops.intrinsics(K), levels[MASK_CROP_SIZE_PX][0]
+    gaps = find_gap_pixels(observed, ~levels[MASK_CROP_SIZE_PX][1], gap_share)
     if has_gaps := bool(gaps.any()):
-        levels = {level: (s, s | (c & ~_coarser(gaps, level))) for level, (s, c) in levels.items()}
-    field = np.empty((len(observed), FIELD, FIELD), np.float32)
-    targets = np.empty((len(observed), TARGETS, 5))
-    for n, (s, c) in enumerate(zip(*levels[FIELD], strict=True)):
-        field[n] = signed_distance(s, c) * (CROP / FIELD)
-        _boundary(s, c, field[n], CROP / FIELD, targets[n])
+        levels = {level: (s, s | (c & ~_downsample_any(gaps, level))) for level, (s, c) in levels.items()}
+    field = np.empty((len(observed), DISTANCE_FIELD_SIZE_PX, DISTANCE_FIELD_SIZE_PX), np.float32)
+    targets = np.empty((len(observed), N_COVERAGE_TARGETS, 5))
+    for n, (s, c) in enumerate(zip(*levels[DISTANCE_FIELD_SIZE_PX], strict=True)):
+        field[n] = signed_distance(s, c) * (MASK_CROP_SIZE_PX / DISTANCE_FIELD_SIZE_PX)
+        _spread_boundary_targets(s, c, field[n], MASK_CROP_SIZE_PX / DISTANCE_FIELD_SIZE_PX, targets[n])
     return Observation(
         crops=crops,
         K=np.stack([Kc[:, 0, 0], Kc[:, 1, 1], Kc[:, 0, 2], Kc[:, 1, 2]], axis=1),
-        observed={level: pack(levels[level][0]) for level in LEVELS},
-        valid={level: pack(levels[level][1]) for level in LEVELS},
+        observed={level: pack(levels[level][0]) for level in MASK_LEVELS_PX},
+        valid={level: pack(levels[level][1]) for level in MASK_LEVELS_PX},
         field=field,
         targets=targets,
         area=observed.sum(axis=(1, 2)).astype(float),
@@ -97,16 +100,18 @@ def observe(
     )
 
 
-def _dithered(crops: Crops) -> Crops:
+def _dither_crops(crops: Crops) -> Crops:
     """Shift each crop by another part of a pixel of the image, which depends on its place.
 
     A mask's contour runs along its pixels' borders, up to half a pixel from the object's. Crops centred on whole pixels
     would sample the left and right of it alike in every frame, and err in the object's size alike in every frame.
     """
-    return replace(crops, corner=crops.corner + crops.corner.sum(axis=1, keepdims=True) * GOLDEN % 1.0 - 0.5)
+    return replace(crops, corner=crops.corner + crops.corner.sum(axis=1, keepdims=True) * R2_SEQUENCE_STEP % 1.0 - 0.5)
 
 
-def _sampled(masks: Masks, crops: Crops, use_ignore: bool) -> tuple[Bool[ndarray, "N s s"], Bool[ndarray, "N s s"]]:
+def _sample_masks(
+    masks: Masks, crops: Crops, use_ignore: bool
+) -> tuple[Bool[ndarray, "N s s"], Bool[ndarray, "N s s"]]:
     """Sample the object's pixels, and those that count.
 
     Each level is sampled from the masks themselves, where silhouettes are: at the centres of its pixels. Majorities of
@@ -117,7 +122,7 @@ def _sampled(masks: Masks, crops: Crops, use_ignore: bool) -> tuple[Bool[ndarray
     return observed, ~crops.resample(hidden, outside=True) | observed
 
 
-def _coarser(pixels: Bool[ndarray, "N s s"], size: int) -> Bool[ndarray, "N n n"]:
+def _downsample_any(pixels: Bool[ndarray, "N s s"], size: int) -> Bool[ndarray, "N n n"]:
     """Pixels of a coarser level that any of the given ones is in."""
     while pixels.shape[1] > size:
         pixels = pixels[:, ::2] | pixels[:, 1::2]
@@ -131,11 +136,11 @@ def signed_distance(observed: Bool[ndarray, "s s"], valid: Bool[ndarray, "s s"])
     On hidden pixels it is the distance to the object, minus that to the background.
     """
     background = valid & ~observed
-    to_object, to_background = distance_to(observed), distance_to(background)
+    to_object, to_background = distance_transform(observed), distance_transform(background)
     return np.where(observed, 0.5 - to_background, np.where(background, to_object - 0.5, to_object - to_background))
 
 
-def distance_to(target: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:
+def distance_transform(target: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:
     """Compute the distance of each pixel's centre to the nearest of the target [px], correctly rounded.
 
     2 s if the target is empty.
@@ -146,7 +151,7 @@ def distance_to(target: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:
     return np.sqrt(np.rint(rounded * rounded))  # OpenCV's last bits differ from process to process
 
 
-def _boundary(
+def _spread_boundary_targets(
     observed: Bool[ndarray, "s s"],
     valid: Bool[ndarray, "s s"],
     field: Float32[ndarray, "s s"],
@@ -160,11 +165,11 @@ def _boundary(
     n, used = len(pixels), min(len(pixels), len(targets))
     chosen = (2 * np.arange(used) + 1) * n // (2 * max(used, 1))
     targets[:, :4], targets[:, 4] = 0.0, np.where(np.arange(len(targets)) < used, zoom * n / max(used, 1), 0.0)
-    _place(np.ascontiguousarray(pixels[chosen]), field, zoom, targets)
+    _fill_boundary_targets(np.ascontiguousarray(pixels[chosen]), field, zoom, targets)
 
 
 @kernel("i2 s2 f f2")
-def _place(pixels, field, zoom, targets):
+def _fill_boundary_targets(pixels, field, zoom, targets):
     """Fill in position and outward normal of the targets on pixels (n, 2)."""
     for q in range(len(pixels)):
         i, j = pixels[q, 0], pixels[q, 1]

@@ -11,8 +11,8 @@ from tyro.conf import Fixed, FlagConversionOff, Suppress, arg
 
 from getagrip.errors import UsageError
 from getagrip.fitting.methods import METHODS, method_of
-from getagrip.io.arguments import Flag, meant, parsed, switch
-from getagrip.io.choices import check_values, explained
+from getagrip.io.arguments import Flag, expand_user_path, parsed_argument, switch
+from getagrip.io.choices import check_values, explain_fields
 from getagrip.io.named import NamedFields
 
 Hands = Literal["corrected", "as-given"]
@@ -34,7 +34,7 @@ class PriorsFile:
     @classmethod
     def of(cls, text: str) -> PriorsFile:
         """Make it from a path, as a user types it."""
-        return cls(Path(meant(text)))
+        return cls(Path(expand_user_path(text)))
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ NO_DEPARTURE = Departures()
 """No departure."""
 
 
-WITH_FREE_SCALE = 2
+FREE_SCALE_START_FACTOR = 2
 """Times as many initial poses where the scale is free: another size makes up for a wrong turn for longer."""
 
 
@@ -87,7 +87,7 @@ def _methods(default: str) -> str:
     return f"(one of {', '.join(METHODS)}; default: {default})"
 
 
-@explained
+@explain_fields
 @dataclass(frozen=True)
 class SearchOptions(NamedFields):
     """Options that all methods of a comparison share. Raises ``UsageError`` for a value that is not allowed."""
@@ -101,7 +101,9 @@ class SearchOptions(NamedFields):
     system's poses of the clip in each frame, as for evaluate --poses. These come first and are filled up with evenly
     spread ones."""
     priors: Annotated[
-        PriorsFile | None, parsed("PATH", PriorsFile.of, PriorsFile), arg(metavar="PATH", help_behavior_hint="")
+        PriorsFile | None,
+        parsed_argument("PATH", PriorsFile.of, PriorsFile),
+        arg(metavar="PATH", help_behavior_hint=""),
     ] = None
     """The file of --init clusters, the folder of --init priors, or the file or folder of --init poses."""
     priors_only: Flag = False
@@ -134,12 +136,14 @@ class SearchOptions(NamedFields):
         if self.init != "uniform" and self.priors is None:
             raise UsageError(f"missing --priors: --init {self.init} needs a file or folder")
         if self.priors is not None and not self.priors.sha256:
-            from getagrip.fitting.pose_priors import identified
+            from getagrip.fitting.pose_priors import priors_checksum
 
-            object.__setattr__(self, "priors", replace(self.priors, sha256=identified(self.priors.path, self.init)))
+            object.__setattr__(
+                self, "priors", replace(self.priors, sha256=priors_checksum(self.priors.path, self.init))
+            )
 
 
-@explained
+@explain_fields
 @dataclass(frozen=True)
 class Options(SearchOptions):
     """Options of a reconstruction. Raises ``UsageError`` for a value that is not allowed."""

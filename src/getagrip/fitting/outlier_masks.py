@@ -12,18 +12,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from getagrip.fitting.image_iou import Overlap
+from getagrip.fitting.image_iou import MaskOverlap
 from getagrip.fitting.predicted_silhouette import NeighbourPrediction
 from getagrip.fitting.problem import MethodResult, Problem
-from getagrip.fitting.solved_hand import hand_between
+from getagrip.fitting.solved_hand import interpolate_solved_hand
 
-FITS = 4
+MAX_OUTLIER_FITS = 4
 """Most fits, the first one with all masks."""
-FEWEST = 4
+MIN_OUTLIER_FIT_FRAMES = 4
 """With fewer frames, outliers cannot be determined."""
-SHARE = 0.3
+OUTLIER_AREA_FRACTION = 0.3
 """An outlier differs from the predicted silhouette by more than this share of the object's silhouette,"""
-TIMES = 4.0
+OUTLIER_MEDIAN_FACTOR = 4.0
 """and by more than this multiple of the median mask's difference. Chosen on DexYCB's training subjects."""
 
 
@@ -34,12 +34,12 @@ def fit_without_outliers(problem: Problem, fit: Callable[[Problem], MethodResult
     """
     everywhere = np.arange(len(problem.clip))
     found, some, used, limit = fit(problem), problem, everywhere, np.inf
-    for _ in range(FITS - 1):
-        if len(used) < FEWEST:
+    for _ in range(MAX_OUTLIER_FITS - 1):
+        if len(used) < MIN_OUTLIER_FIT_FRAMES:
             break
         solved = some.as_found(found)
         predicted = NeighbourPrediction.by(solved, found.poses, used)
-        T = hand_between(problem.clip.hand.T_cam_hand, solved.clip.hand.T_cam_hand, used)
+        T = interpolate_solved_hand(problem.clip.hand.T_cam_hand, solved.clip.hand.T_cam_hand, used)
         whole = replace(problem, clip=problem.clip.with_hand_at(T)) if found.hand else problem
         met = predicted.overlap(whole.warped(found.warp), everywhere)
         limit = outlier_threshold(met)
@@ -54,7 +54,7 @@ def fit_without_outliers(problem: Problem, fit: Callable[[Problem], MethodResult
     return replace(some, trust=replace(some.trust, outliers=names, outlier_threshold=limit)), found
 
 
-def outlier_threshold(met: Overlap) -> float:
+def outlier_threshold(met: MaskOverlap) -> float:
     """Return the outlier threshold: the largest difference of a mask from its predicted silhouette [px]."""
     size = float(np.median(met.silhouette))
-    return max(SHARE * size, TIMES * float(np.median(met.differing)))
+    return max(OUTLIER_AREA_FRACTION * size, OUTLIER_MEDIAN_FACTOR * float(np.median(met.differing)))

@@ -16,15 +16,15 @@ from jaxtyping import Float
 from numpy import ndarray
 from threadpoolctl import threadpool_limits
 
-from getagrip.checks import LEAST_IOU
+from getagrip.checks import MIN_MEAN_IOU
 from getagrip.checks.calibration import Where
 from getagrip.checks.evidence import Glitches
 from getagrip.clip import Clip, Masks, check_clip, check_masks, with_masks
-from getagrip.compiling import WORDS, compile_once
+from getagrip.compiling import COMPILATION_MESSAGE, compile_once
 from getagrip.errors import UsageError
 from getagrip.finding import Finding
-from getagrip.fitting.every_frame import Track
-from getagrip.fitting.hand_size import at_true_size, with_hand_size
+from getagrip.fitting.every_frame import SolutionTrack
+from getagrip.fitting.hand_size import restore_object_size, with_hand_size
 from getagrip.fitting.options import Options
 from getagrip.fitting.solved_hand import SolvedHand
 from getagrip.fitting.tracker_glitches import repair_hand
@@ -33,35 +33,37 @@ from getagrip.probability import Probability
 from getagrip.provenance import assumptions
 from getagrip.result import Axis, Candidates, Reconstruction, SegmentResult, Status
 
-AMBIGUOUS = 1.05
+AMBIGUOUS_ENERGY_RATIO = 1.05
 """A distinct solution within this factor of the best energy makes a result ambiguous."""
 
-SCALE_GUESSED = "the scale {:.3f} is estimated from the masks and the hand's size, not measured"
-SHAPE_GUESSED = "the object's shape is an assumption from the masks: no pose of the mesh explains their contours"
+SCALE_ASSUMPTION_NOTE = "the scale {:.3f} is estimated from the masks and the hand's size, not measured"
+SHAPE_ASSUMPTION_NOTE = (
+    "the object's shape is an assumption from the masks: no pose of the mesh explains their contours"
+)
 """A note where the mesh was not taken as it is given."""
 
-UNEXPLAINED = "failed: even the best pose has a mean mask IOU of only {:.2f}; the object's pose is unknown"
-"""The message of a result whose mean IOU is below ``LEAST_IOU``, however the minimisation ended."""
-PARTLY_UNEXPLAINED = "partly failed: low mask IOU in the segments {}"
-"""The message of a result some of whose segments are below ``LEAST_IOU``."""
-CONVERGED_TO = "converged to {:.1f} mm: further iterations would move the object by no more"
-CUT_OFF = (
+RESULT_MISFIT_MESSAGE = "failed: even the best pose has a mean mask IOU of only {:.2f}; the object's pose is unknown"
+"""The message of a result whose mean IOU is below ``MIN_MEAN_IOU``, however the minimisation ended."""
+PARTIAL_MISFIT_MESSAGE = "partly failed: low mask IOU in the segments {}"
+"""The message of a result some of whose segments are below ``MIN_MEAN_IOU``."""
+CONVERGED_MESSAGE = "converged to {:.1f} mm: further iterations would move the object by no more"
+ITERATION_LIMIT_MESSAGE = (
     "stopped at the iteration limit: further iterations would move the object by {:.1f} mm; --thorough, in Python "
     "Options(thorough=True), goes on longer"
 )
 """The messages of a fit that ended at the iteration limit."""
-WITHIN = 1e-4
+CONVERGENCE_TOLERANCE_M = 1e-4
 """A fit whose object further iterations would move by no more has converged [m]."""
-NEARLY = 0.02
+CONVERGENCE_TOLERANCE_DIAMETERS = 0.02
 """Share of the diameter up to which a fit at the iteration limit is near its end: a pose is right within 0.1."""
 
 P = TypeVar("P")
 F = TypeVar("F")
-A = TypeVar("A", bound="Answer")
+A = TypeVar("A", bound="FrameSolutions")
 
 
 @dataclass(frozen=True)
-class Input:
+class RepairedInput:
     """A clip to reconstruct, its hand repaired.
 
     Attributes:
@@ -80,7 +82,7 @@ class Input:
 
 
 @dataclass(frozen=True)
-class Answer:
+class FrameSolutions:
     """The answer in every frame that the options ask for.
 
     Attributes:
@@ -98,7 +100,7 @@ class Answer:
         cut_off: how far further iterations would move the object [m]; NaN where that is not known.
     """
 
-    track: Track
+    track: SolutionTrack
     scale: Float[ndarray, "K"]
     energy: Float[ndarray, "K"]
     next_best: float
@@ -153,7 +155,7 @@ class Clock:
 
 
 @dataclass(frozen=True)
-class Steps(Generic[P, F, A]):
+class PipelineSteps(Generic[P, F, A]):
     """The steps after the hand's repair. Search and fit call the clock with the name of every stage that has ended.
 
     Attributes:
@@ -164,15 +166,15 @@ class Steps(Generic[P, F, A]):
         stages: how many stages there are.
     """
 
-    prepare: Callable[[Input], P]
+    prepare: Callable[[RepairedInput], P]
     search: Callable[[P, Clock], F]
     fit_all_frames: Callable[[P, F, Clock], A]
     judge: Callable[[P, F, A], Judgement]
     stages: int
 
 
-def run(
-    steps: Steps[P, F, A],
+def run_pipeline(
+    steps: PipelineSteps[P, F, A],
     clip: Clip,
     masks: Masks | None,
     options: Options,
@@ -191,33 +193,38 @@ def run(
         check_masks(clip, masks)
         clip = with_masks(clip, masks)
     clip = with_hand_size(clip, options)
-    compile_once(lambda: progress and progress(WORDS, 0.0))
+    compile_once(lambda: progress and progress(COMPILATION_MESSAGE, 0.0))
     with threadpool_limits(1, user_api="blas"):
         clock = Clock(progress, steps.stages)
-        source = repair(clip, options, threads)
+        source = repair_input(clip, options, threads)
         prepared = steps.prepare(source)
         clock("prepare")
         found = steps.search(prepared, clock)
         answer = steps.fit_all_frames(prepared, found, clock)
         judgement = steps.judge(prepared, found, answer)
         clock("check of the result")
-    result = _result(source.original, source.notes, options, answer, judgement, clock.seconds())
-    return at_true_size(result, source.original)
+    result = _make_reconstruction(source.original, source.notes, options, answer, judgement, clock.seconds())
+    return restore_object_size(result, source.original)
 
 
-def repair(clip: Clip, options: Options, threads: int = 1) -> Input:
+def repair_input(clip: Clip, options: Options, threads: int = 1) -> RepairedInput:
     """Repair the hand's tracker glitches, and simplify a mesh that is too large."""
     light = clip.light()
     steady, glitches = repair_hand(light, options)
-    return Input(light, steady, options, threads, glitches, tuple(light.mesh.stands_for(clip.mesh, "fitted")))
+    return RepairedInput(light, steady, options, threads, glitches, tuple(light.mesh.stands_for(clip.mesh, "fitted")))
 
 
-def _result(
-    clip: Clip, notes: tuple[str, ...], options: Options, answer: Answer, judged: Judgement, seconds: dict[str, float]
+def _make_reconstruction(
+    clip: Clip,
+    notes: tuple[str, ...],
+    options: Options,
+    answer: FrameSolutions,
+    judged: Judgement,
+    seconds: dict[str, float],
 ) -> Reconstruction:
     """Make the result, with all that is known about how it was found."""
-    track, energy, guesses = answer.track, float(answer.energy[0]), _guesses(clip, answer)
-    status, message = _ending(answer, judged.failed, clip.mesh.diameter)
+    track, energy, guesses = answer.track, float(answer.energy[0]), _list_assumptions(clip, answer)
+    status, message = _final_status(answer, judged.failed, clip.mesh.diameter)
     return Reconstruction(
         clip=clip.name,
         method=options.method,
@@ -231,7 +238,7 @@ def _result(
         energy={"total": energy, **answer.terms},
         status=status,
         message=message,
-        ambiguous=answer.next_best < AMBIGUOUS * energy,
+        ambiguous=answer.next_best < AMBIGUOUS_ENERGY_RATIO * energy,
         seconds=seconds,
         options=asdict(options),
         seed=options.seed,
@@ -252,17 +259,17 @@ def _result(
     )
 
 
-def _guesses(clip: Clip, answer: Answer) -> dict[str, str]:
+def _list_assumptions(clip: Clip, answer: FrameSolutions) -> dict[str, str]:
     """Return what the fit had to assume, by topic."""
     guesses = {}
     if clip.scale == "free" and not clip.size_beside_hand:
-        guesses["scale"] = SCALE_GUESSED.format(float(answer.scale[0]))
+        guesses["scale"] = SCALE_ASSUMPTION_NOTE.format(float(answer.scale[0]))
     if answer.warp is not None:
-        guesses["shape"] = SHAPE_GUESSED
+        guesses["shape"] = SHAPE_ASSUMPTION_NOTE
     return guesses
 
 
-def _ending(answer: Answer, failed: str, diameter: float) -> tuple[Status, str]:
+def _final_status(answer: FrameSolutions, failed: str, diameter: float) -> tuple[Status, str]:
     """Return how it ended, in a word and a sentence.
 
     ``failed`` are the segments that hardly meet their masks, ``diameter`` is the mesh's [m].
@@ -270,13 +277,13 @@ def _ending(answer: Answer, failed: str, diameter: float) -> tuple[Status, str]:
     track = answer.track
     shown = np.count_nonzero(~np.isnan(track.iou)) + len(track.outliers)
     mean_iou = float(np.nansum(track.iou)) / shown  # an outlier mask is not explained
-    if mean_iou < LEAST_IOU:
-        return Status.MISFIT, UNEXPLAINED.format(mean_iou)
+    if mean_iou < MIN_MEAN_IOU:
+        return Status.MISFIT, RESULT_MISFIT_MESSAGE.format(mean_iou)
     if failed:
-        return Status.PARTLY_FAILED, PARTLY_UNEXPLAINED.format(failed)
+        return Status.PARTLY_FAILED, PARTIAL_MISFIT_MESSAGE.format(failed)
     if answer.status is not Status.LIMIT or np.isnan(answer.cut_off):
         return answer.status, answer.status.sentence
-    if answer.cut_off <= NEARLY * answer.scale[0] * diameter:
-        status = Status.CONVERGED if answer.cut_off <= WITHIN else Status.LIMIT
-        return status, CONVERGED_TO.format(1e3 * max(answer.cut_off, WITHIN))
-    return Status.LIMIT, CUT_OFF.format(1e3 * answer.cut_off)
+    if answer.cut_off <= CONVERGENCE_TOLERANCE_DIAMETERS * answer.scale[0] * diameter:
+        status = Status.CONVERGED if answer.cut_off <= CONVERGENCE_TOLERANCE_M else Status.LIMIT
+        return status, CONVERGED_MESSAGE.format(1e3 * max(answer.cut_off, CONVERGENCE_TOLERANCE_M))
+    return Status.LIMIT, ITERATION_LIMIT_MESSAGE.format(1e3 * answer.cut_off)

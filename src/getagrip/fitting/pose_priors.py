@@ -20,38 +20,38 @@ from getagrip.clip import Clip
 from getagrip.errors import InputError
 from getagrip.fitting.learn_priors import (
     CLUSTERINGS,
-    MOST_CLUSTERS,
-    VERSION,
-    Hold,
+    MAX_CLUSTERS,
+    PRIORS_VERSION,
     LearntGrasps,
-    Priors,
+    PosePriors,
+    TrueGraspPose,
     Way,
-    subject_of,
+    subject_from_provenance,
 )
 from getagrip.fitting.options import Init, Options, PriorsFile
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.io import arrays, files
-from getagrip.io.terminal import counted
-from getagrip.object_poses.at_frames import place_in, read_poses
-from getagrip.object_poses.files import SUFFIXES
+from getagrip.io.terminal import format_count
+from getagrip.object_poses.at_frames import find_poses_path, read_poses
+from getagrip.object_poses.files import POSE_FILE_SUFFIXES
 
-NAMES = ("category", "side", "clips", "subjects")
+PRIOR_NAME_KEYS = ("category", "side", "clips", "subjects")
 """Arrays of names in a file: of version 1 for each pose, each clip and each subject, of version 2 for each grasp."""
-NUMBERS = ("version", "k", "seed", "R", "centre", "mesh_centre", "T_hand_obj")
-SIDES = ("left", "right")
-APART = 0.15
+PRIOR_NUMBER_KEYS = ("version", "k", "seed", "R", "centre", "mesh_centre", "T_hand_obj")
+HAND_SIDES = ("left", "right")
+REPRESENTATIVE_DISTANCE_DIAMETERS = 0.15
 """Poses of a track whose surfaces are nearer than this, in diameters, are represented by one."""
-FARTHEST = 2.0
+MAX_PRIOR_DISTANCE_M = 2.0
 """Largest plausible distance of an object's origin from that of the hand frame [m]."""
 
 
-def identified(path: Path, init: Init) -> str:
+def priors_checksum(path: Path, init: Init) -> str:
     """Return the checksum of what a user names for a kind of initial poses. Raises ``InputError``."""
-    return files.sha256(_parts(path, init))
+    return files.sha256(_list_prior_files(path, init))
 
 
-def poses_for(clip: Clip, options: Options) -> tuple[Float[ndarray, "k 4 4"], tuple[str, ...]]:
+def read_initial_poses(clip: Clip, options: Options) -> tuple[Float[ndarray, "k 4 4"], tuple[str, ...]]:
     """Return the poses that the search may start from before uniform rotations, or alone, and notes on them.
 
     Raises ``InputError`` for files that are missing, malformed or not what they were when the options were made, for
@@ -61,21 +61,21 @@ def poses_for(clip: Clip, options: Options) -> tuple[Float[ndarray, "k 4 4"], tu
     if options.priors is None:
         return np.zeros((0, 4, 4)), ()
     if options.init == "poses":
-        return _of_clip(options.priors, clip, options)
-    path, learnt = options.priors.path, _read(options.priors, options.init)
+        return _read_external_poses(options.priors, clip, options)
+    path, learnt = options.priors.path, _read_priors(options.priors, options.init)
     without = ""
     if isinstance(learnt, LearntGrasps):
-        subject = subject_of(clip)
+        subject = subject_from_provenance(clip)
         priors = _without_own(options.priors, clip.category, clip.side, clip.name, subject)
         left_out = len(learnt.holds) - len(learnt.without(clip.name, subject).holds)
-        without = f" without {counted(left_out, 'grasp')} of its own subject" if left_out else ""
+        without = f" without {format_count(left_out, 'grasp')} of its own subject" if left_out else ""
     else:
         priors = learnt
         _refuse_own(path, priors, clip)
     poses = priors.of(clip.category, clip.side)[: options.inits]
     more = "no others" if options.priors_only else f"{options.inits - len(poses)} uniform rotations"
     if not len(poses):
-        none = f"no poses of {files.plain(clip.category)} in a {clip.side} hand"
+        none = f"no poses of {files.printable(clip.category)} in a {clip.side} hand"
         if options.priors_only:
             raise InputError(path, "", f"{none}{without}", "some, or uniform rotations as well (no --priors-only)")
         return poses, (f"{path.name}{without} has {none}: {more}",)
@@ -83,18 +83,20 @@ def poses_for(clip: Clip, options: Options) -> tuple[Float[ndarray, "k 4 4"], tu
     return poses, (f"started from {len(poses)} poses of {path.name}{without}{whence}, and {more}",)
 
 
-def _of_clip(file: PriorsFile, clip: Clip, options: Options) -> tuple[Float[ndarray, "k 4 4"], tuple[str, ...]]:
+def _read_external_poses(
+    file: PriorsFile, clip: Clip, options: Options
+) -> tuple[Float[ndarray, "k 4 4"], tuple[str, ...]]:
     """Return another system's poses of the clip, those alike represented by one. Raises ``InputError``."""
     _check_unchanged(file, "poses")
-    poses = read_poses(place_in(file.path, clip.name), clip, file.first)
+    poses = read_poses(find_poses_path(file.path, clip.name), clip, file.first)
     T = _representatives(poses.T_hand_obj[poses.found], clip.mesh, options.inits)
     more = "no others" if options.priors_only else f"{options.inits - len(T)} uniform rotations"
-    count = counted(int(poses.found.sum()), "pose")
+    count = format_count(int(poses.found.sum()), "pose")
     return T, (f"started from {len(T)} of {count} of {file.path.name}, which represent the others, and {more}",)
 
 
 def _representatives(T: Float[ndarray, "n 4 4"], mesh: Mesh, most: int) -> Float[ndarray, "k 4 4"]:
-    """Choose poses, the most central first, then each time the farthest, until none is ``APART`` from all of them."""
+    """Choose poses, the most central first, then each time the farthest, until none is ``REPRESENTATIVE_DISTANCE_DIAMETERS`` from all of them."""
     points = se3.transform(T, mesh.vertices[:: max(1, len(mesh.vertices) // 50)]) / mesh.diameter
 
     def distance(n: int) -> Float[ndarray, "n"]:
@@ -103,7 +105,7 @@ def _representatives(T: Float[ndarray, "n 4 4"], mesh: Mesh, most: int) -> Float
     middle = np.median(points, axis=0)
     chosen = [int(np.argmin(np.sum((points - middle) ** 2, axis=(1, 2))))]
     nearest = distance(chosen[0])
-    while len(chosen) < most and nearest.max() > APART:
+    while len(chosen) < most and nearest.max() > REPRESENTATIVE_DISTANCE_DIAMETERS:
         chosen.append(int(nearest.argmax()))
         nearest = np.minimum(nearest, distance(chosen[-1]))
     return T[chosen]
@@ -112,57 +114,60 @@ def _representatives(T: Float[ndarray, "n 4 4"], mesh: Mesh, most: int) -> Float
 @lru_cache(maxsize=4)
 def _check_unchanged(file: PriorsFile, init: Init) -> None:
     """Raise ``InputError`` where the content is not what it was when the options were made."""
-    if identified(file.path, init) != file.sha256:
+    if priors_checksum(file.path, init) != file.sha256:
         raise InputError(file.path, "", "another content than a moment ago", "a file that stays as it is")
 
 
 @lru_cache(maxsize=256)
-def _without_own(file: PriorsFile, category: str, side: str, clip: str, subject: str) -> Priors:
+def _without_own(file: PriorsFile, category: str, side: str, clip: str, subject: str) -> PosePriors:
     """Return the poses learnt from others' grasps of a category in a hand."""
-    learnt = _read(file, "clusters")
+    learnt = _read_priors(file, "clusters")
     assert isinstance(learnt, LearntGrasps)
     return learnt.without(clip, subject).of(category, side).poses()
 
 
-def _refuse_own(path: Path, priors: Priors, clip: Clip) -> None:
+def _refuse_own(path: Path, priors: PosePriors, clip: Clip) -> None:
     """Raise ``InputError`` for poses that were learnt from the clip, or from its subject."""
-    subject = subject_of(clip)
+    subject = subject_from_provenance(clip)
     if clip.name in priors.clips:
         raise InputError(path, "clips", f"poses learnt from {clip.name} itself", "poses learnt from other clips")
     if subject and subject in priors.subjects:
-        expected = f"poses learnt from others, for {clip.name}: init learn --leave-out {files.plain(subject)}"
-        raise InputError(path, "subjects", f"poses learnt from the hands of {files.plain(subject)}", expected)
+        expected = f"poses learnt from others, for {clip.name}: init learn --leave-out {files.printable(subject)}"
+        raise InputError(path, "subjects", f"poses learnt from the hands of {files.printable(subject)}", expected)
 
 
 @lru_cache(maxsize=4)
-def _read(file: PriorsFile, init: Init) -> Priors | LearntGrasps:
+def _read_priors(file: PriorsFile, init: Init) -> PosePriors | LearntGrasps:
     """Read and check the poses or grasps of a file or folder. Raises ``InputError``."""
     _check_unchanged(file, init)
-    return read_learnt(file.path) if init == "clusters" else read_folder(file.path)
+    return read_learnt(file.path) if init == "clusters" else read_priors_folder(file.path)
 
 
-def read_learnt(path: Path) -> Priors | LearntGrasps:
+def read_learnt(path: Path) -> PosePriors | LearntGrasps:
     """Read a file of ``init learn``: grasps, or poses by its first version. Raises ``InputError``."""
-    content = arrays.read(path, lambda key: key in {*NUMBERS, *NAMES, "way"})
+    content = arrays.read(path, lambda key: key in {*PRIOR_NUMBER_KEYS, *PRIOR_NAME_KEYS, "way"})
     version = content.get("version", np.array(0))
-    if version.shape != () or version.dtype.kind not in "iu" or version not in (1, VERSION):
-        raise InputError(path, "version", files.shown(version.tolist()), f"1 or {VERSION}")
-    names = {key: _texts(path, content, key) for key in NAMES}
+    if version.shape != () or version.dtype.kind not in "iu" or version not in (1, PRIORS_VERSION):
+        raise InputError(path, "version", files.shorten_value(version.tolist()), f"1 or {PRIORS_VERSION}")
+    names = {key: _read_text_array(path, content, key) for key in PRIOR_NAME_KEYS}
     if version == 1:
         T = arrays.floats(path, content, "T_hand_obj", (-1, 4, 4))
-        _check_poses(path, "T_hand_obj", T)
-        _check_counts(path, names, ("category", "side"), len(T))
-        return Priors(T_hand_obj=T, **names)
+        _check_prior_poses(path, "T_hand_obj", T)
+        _check_name_counts(path, names, ("category", "side"), len(T))
+        return PosePriors(T_hand_obj=T, **names)
     R = arrays.floats(path, content, "R", (-1, 3, 3))
     centre, mesh_centre = (arrays.floats(path, content, key, (len(R), 3)) for key in ("centre", "mesh_centre"))
-    _check_poses(path, "R", se3.rigid(R))
+    _check_prior_poses(path, "R", se3.rigid(R))
     for key, at in (("centre", centre), ("mesh_centre", mesh_centre)):
-        _check_poses(path, key, se3.rigid(t=at))
-    _check_counts(path, names, NAMES, len(R))
+        _check_prior_poses(path, key, se3.rigid(t=at))
+    _check_name_counts(path, names, PRIOR_NAME_KEYS, len(R))
     way = content.get("way", np.array(""))
     if way.shape != () or str(way) not in CLUSTERINGS:
-        raise InputError(path, "way", files.shown(way.tolist()), f"one of {', '.join(CLUSTERINGS)}")
-    k, seed = _whole(path, content, "k", 1, MOST_CLUSTERS), _whole(path, content, "seed", 0, 2**63 - 1)
+        raise InputError(path, "way", files.shorten_value(way.tolist()), f"one of {', '.join(CLUSTERINGS)}")
+    k, seed = (
+        _read_whole_number(path, content, "k", 1, MAX_CLUSTERS),
+        _read_whole_number(path, content, "seed", 0, 2**63 - 1),
+    )
     rows = zip(
         *(names[key] for key in ("category", "side")),
         R,
@@ -172,73 +177,76 @@ def read_learnt(path: Path) -> Priors | LearntGrasps:
         names["subjects"],
         strict=True,
     )
-    return LearntGrasps(tuple(Hold(*row) for row in rows), k, cast(Way, str(way)), seed)
+    return LearntGrasps(tuple(TrueGraspPose(*row) for row in rows), k, cast(Way, str(way)), seed)
 
 
-def _check_counts(path: Path, names: dict[str, tuple[str, ...]], keys: Sequence[str], count: int) -> None:
+def _check_name_counts(path: Path, names: dict[str, tuple[str, ...]], keys: Sequence[str], count: int) -> None:
     for key in keys:
         if len(names[key]) != count:
             raise InputError(path, key, f"{len(names[key])} names", f"{count}, one for each pose")
 
 
-def _whole(path: Path, content: dict[str, ndarray], key: str, least: int, most: int) -> int:
+def _read_whole_number(path: Path, content: dict[str, ndarray], key: str, least: int, most: int) -> int:
     number = content.get(key, np.array(-1.0))
     if number.shape != () or number.dtype.kind not in "iu" or not least <= int(number) <= most:
-        raise InputError(path, key, files.shown(number.tolist()), f"a whole number from {least} to {most}")
+        raise InputError(path, key, files.shorten_value(number.tolist()), f"a whole number from {least} to {most}")
     return int(number)
 
 
-def read_folder(folder: Path) -> Priors:
+def read_priors_folder(folder: Path) -> PosePriors:
     """Read the poses of a folder ``<category>/<left or right>_<anything>.npy``: a 4x4 ``T_hand_obj`` each.
 
     So the authors keep theirs. A factor on a rotation is dropped, as their code does. Raises ``InputError``.
     """
     category, side, poses = list[str](), list[str](), list[ndarray]()
-    for name, path in _parts(folder, "priors").items():
+    for name, path in _list_prior_files(folder, "priors").items():
         T = arrays.floats(path, {"": arrays.parse_npy(path, "", files.read_bytes(path))}, "", (4, 4))
         with np.errstate(over="ignore", invalid="ignore"):  # what comes of it is no rotation then
             factor = np.cbrt(np.linalg.det(T[:3, :3]))
             if factor > 0:
                 T[:3, :3] /= factor
-        _check_poses(path, "T_hand_obj", T[None])
+        _check_prior_poses(path, "T_hand_obj", T[None])
         poses.append(T)
         category.append(name.split("/")[0])
         side.append(path.name.split("_")[0])
-    return Priors(tuple(category), tuple(side), np.stack(poses))
+    return PosePriors(tuple(category), tuple(side), np.stack(poses))
 
 
-def _parts(path: Path, init: Init) -> dict[str, Path]:
+def _list_prior_files(path: Path, init: Init) -> dict[str, Path]:
     """List the files that a user's choice is made of, by name. Raises ``InputError`` where there are none."""
     if init == "poses":
-        alone = [path] if path.is_file() and path.suffix.lower() in SUFFIXES else []
-        inside = [*alone, *(one for pattern in ("*", "*/*") for one in files.listed(path, SUFFIXES, pattern))]
+        alone = [path] if path.is_file() and path.suffix.lower() in POSE_FILE_SUFFIXES else []
+        inside = [
+            *alone,
+            *(one for pattern in ("*", "*/*") for one in files.list_files(path, POSE_FILE_SUFFIXES, pattern)),
+        ]
         tracks = {str(p.relative_to(path)): p for p in inside}
         if not tracks:
-            raise InputError(path, "", "no poses", f"files of poses ({', '.join(SUFFIXES)})")
+            raise InputError(path, "", "no poses", f"files of poses ({', '.join(POSE_FILE_SUFFIXES)})")
         return tracks
     if init == "clusters":
         if not path.is_file():
             raise InputError(path, "", "no such file", "a file that init learn has written")
         return {"": path}
-    found = {f"{p.parent.name}/{p.name}": p for side in SIDES for p in sorted(path.glob(f"*/{side}_*.npy"))}
+    found = {f"{p.parent.name}/{p.name}": p for side in HAND_SIDES for p in sorted(path.glob(f"*/{side}_*.npy"))}
     if not found:
         raise InputError(path, "", "no poses", "a folder with <category>/<left or right>_<anything>.npy in it")
     return found
 
 
-def _check_poses(path: Path, key: str, T: Float[ndarray, "N 4 4"]) -> None:
+def _check_prior_poses(path: Path, key: str, T: Float[ndarray, "N 4 4"]) -> None:
     """Raise ``InputError`` for what is no rigid motion in metres."""
     rigid = se3.is_rigid(T)
     if not rigid.all():
         got = f"a matrix that is no rigid motion ({int(np.argmin(rigid))})"
         raise InputError(path, key, got, "rotations and translations [m]")
     far = float(np.linalg.norm(T[:, :3, 3], axis=1).max())
-    if far > FARTHEST:
+    if far > MAX_PRIOR_DISTANCE_M:
         got = f"an object {far:.4g} m from the hand"
-        raise InputError(path, key, got, f"at most {FARTHEST:g} m; are these millimetres?")
+        raise InputError(path, key, got, f"at most {MAX_PRIOR_DISTANCE_M:g} m; are these millimetres?")
 
 
-def _texts(path: Path, content: dict[str, ndarray], key: str) -> tuple[str, ...]:
+def _read_text_array(path: Path, content: dict[str, ndarray], key: str) -> tuple[str, ...]:
     """Read an array of names, which may be empty."""
     array = content.get(key)
     if array is None or array.dtype.kind != "U" or array.ndim != 1:

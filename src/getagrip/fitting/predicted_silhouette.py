@@ -15,12 +15,12 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.fitting.image_iou import Overlap, overlap
-from getagrip.fitting.motion import Free, PosesInHand, interpolated, moved, placed
+from getagrip.fitting.image_iou import MaskOverlap, mask_overlap
+from getagrip.fitting.motion import Free, PosesInHand, hand_object_transforms, interpolate_object_poses, transform_poses
 from getagrip.fitting.problem import Problem
 from getagrip.geometry import se3
 
-NEIGHBOURS = 6
+N_NEIGHBOUR_FRAMES = 6
 """Number of frames on either side, beside the frame itself, that determine the typical pose."""
 
 
@@ -42,19 +42,24 @@ class NeighbourPrediction:
     def by(problem: Problem, poses: PosesInHand, at: Int[ndarray, "n"]) -> NeighbourPrediction:
         """Predict from the best of the poses in a problem's frames, which are ``at`` these places."""
         best = poses.take(np.zeros(1, dtype=int))
-        return NeighbourPrediction(typical(best, problem.surface.points), moved(best, problem.clip.hand.T_cam_hand), at)
+        return NeighbourPrediction(
+            medoid_poses(best, problem.surface.points), transform_poses(best, problem.clip.hand.T_cam_hand), at
+        )
 
-    def overlap(self, problem: Problem, at: Int[ndarray, "m"]) -> Overlap:
+    def overlap(self, problem: Problem, at: Int[ndarray, "m"]) -> MaskOverlap:
         """Compare the masks of a problem's frames, which are ``at`` these places, with the predicted silhouettes.
 
         Of the two silhouettes, the one that differs less.
         """
         clip, centre, scale = problem.clip, problem.clip.mesh.centre, float(self.typical.scale[0])
-        in_hand = interpolated(self.typical, self.at, at)
-        between = moved(self.between(at), se3.inverse(clip.hand.T_cam_hand))
-        one, two = (overlap(clip, problem.masks, placed(poses, centre)[0], scale) for poses in (in_hand, between))
+        in_hand = interpolate_object_poses(self.typical, self.at, at)
+        between = transform_poses(self.between(at), se3.inverse(clip.hand.T_cam_hand))
+        one, two = (
+            mask_overlap(clip, problem.masks, hand_object_transforms(poses, centre)[0], scale)
+            for poses in (in_hand, between)
+        )
         first = one.differing <= two.differing
-        return Overlap(*(np.where(first, x, y) for x, y in zip(one, two, strict=True)))
+        return MaskOverlap(*(np.where(first, x, y) for x, y in zip(one, two, strict=True)))
 
     def between(self, at: Int[ndarray, "m"]) -> PosesInHand:
         """Interpolate the pose in the camera frame between the nearest other frames; extrapolate it at the ends."""
@@ -70,11 +75,11 @@ class NeighbourPrediction:
         return found.R[0, 0], found.centre[0, 0]
 
 
-def typical(poses: PosesInHand, points: Float[ndarray, "P 3"]) -> PosesInHand:
+def medoid_poses(poses: PosesInHand, points: Float[ndarray, "P 3"]) -> PosesInHand:
     """Choose in each frame, for one hypothesis, the pose among it and its neighbours that is nearest to all of them."""
     x = float(poses.scale[0]) * points @ np.swapaxes(poses.R[0], -1, -2) + poses.centre[0, :, None]
     apart = np.sqrt(np.mean(np.sum((x[:, None] - x[None]) ** 2, axis=-1), axis=-1))
     frame = np.arange(len(x))
-    near = [np.flatnonzero(np.abs(frame - n) <= NEIGHBOURS) for n in frame]
+    near = [np.flatnonzero(np.abs(frame - n) <= N_NEIGHBOUR_FRAMES) for n in frame]
     chosen = [some[apart[np.ix_(some, some)].sum(axis=1).argmin()] for some in near]
     return PosesInHand(poses.R[:, chosen], poses.centre[:, chosen], poses.scale)

@@ -14,7 +14,7 @@ from numpy import ndarray
 from getagrip.clip import (
     Clip,
     Masks,
-    masks_in,
+    masks_in_memory,
     modalities,
     observed_frames,
     read_masks,
@@ -24,29 +24,29 @@ from getagrip.clip import (
 )
 from getagrip.clip.occlusion import occluded_by_hand
 from getagrip.fitting import pose_priors
-from getagrip.fitting.contact import MARGIN
+from getagrip.fitting.contact import CONTACT_GRID_MARGIN_M
 from getagrip.fitting.energy import Energy, Terms
 from getagrip.fitting.hand_refinement import HandRefinement, refine_hand
 from getagrip.fitting.mask_gaps import GAP_SHARE
 from getagrip.fitting.motion import Motion, PosesInHand
-from getagrip.fitting.observation import Observation, observe
-from getagrip.fitting.options import WITH_FREE_SCALE, Options
-from getagrip.fitting.solved_hand import SolvedHand, hand_between
+from getagrip.fitting.observation import Observation, observe_masks
+from getagrip.fitting.options import FREE_SCALE_START_FACTOR, Options
+from getagrip.fitting.solved_hand import SolvedHand, interpolate_solved_hand
 from getagrip.fitting.surface import ObjectSurface
 from getagrip.geometry.warp import Warp
-from getagrip.io.terminal import counted
+from getagrip.io.terminal import format_count
 from getagrip.provenance import assumptions, is_assumed, kind_of_hands
 from getagrip.result import Axis, Status
 
-CONTACT_IF_FITTED = 4.0
+FITTED_MESH_CONTACT_FACTOR = 4.0
 """Factor on the weight of contact where the mesh is fitted. The masks then tell size and distance less well, and the
 hand determines them better."""
-REACH, REACH_IF_FITTED = 0.01, MARGIN
+MAX_PULL_DISTANCE_M, FITTED_PULL_DISTANCE_M = 0.01, CONTACT_GRID_MARGIN_M
 """Farthest that a finger may be from the object and still be drawn to it [m]; beyond, it is taken to hold nothing. A
 fitted mesh may be that much nearer or farther than the object."""
 
 
-LOOSE = 0.2
+LIFTED_HAND_COUPLING_FACTOR = 0.2
 """Factor on what holds the object to the hand's motion where the hand's size is assumed: hands that were lifted from 2D
 turn and move by ten degrees and a centimetre where the true ones rest. Chosen on the phone videos of docs/draft.md."""
 
@@ -78,17 +78,17 @@ class Trust:
     @property
     def contact(self) -> float:
         """Factor on the weight of contact."""
-        return CONTACT_IF_FITTED if self.mesh_fitted else 1.0
+        return FITTED_MESH_CONTACT_FACTOR if self.mesh_fitted else 1.0
 
     @property
     def firmness(self) -> float:
         """Factor on the stiffness of deviations, and on the weight of contact that stays."""
-        return LOOSE if self.hand_lifted else 1.0
+        return LIFTED_HAND_COUPLING_FACTOR if self.hand_lifted else 1.0
 
     @property
     def reach(self) -> float:
         """Farthest that a finger may be from the object and still be drawn to it [m]."""
-        return REACH_IF_FITTED if self.mesh_fitted else REACH
+        return FITTED_PULL_DISTANCE_M if self.mesh_fitted else MAX_PULL_DISTANCE_M
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ class Problem:
     @property
     def input_masks(self) -> Masks:
         """The masks of the clip, as they were given."""
-        masks = masks_in(self.clip)
+        masks = masks_in_memory(self.clip)
         assert masks is not None
         return masks
 
@@ -147,7 +147,7 @@ class Problem:
         masks = read_masks(clip)
         shown = occluded_by_hand(clip, masks) if self.trust.hand_drawn and not masks.say_what_hides else masks
         gap_share = 0.0 if self.observation.has_gaps else 1.0
-        observation = observe(shown, clip.K, self.options.occlusion, gap_share)
+        observation = observe_masks(shown, clip.K, self.options.occlusion, gap_share)
         return replace(self, clip=clip, masks=shown, observation=observation, refinement=self._refinement_at(clip))
 
     def _refinement_at(self, clip: Clip) -> HandRefinement | None:
@@ -163,7 +163,7 @@ class Problem:
         at = clip.index_of(self.clip.frames)
         if self.refinement is not None:
             clip = replace(clip, hand=self.refinement.with_fingers(clip.hand, at))
-        return clip.with_hand_at(hand_between(clip.hand.T_cam_hand, self.clip.hand.T_cam_hand, at))
+        return clip.with_hand_at(interpolate_solved_hand(clip.hand.T_cam_hand, self.clip.hand.T_cam_hand, at))
 
     def with_input_hand(self) -> Problem:
         """Return the problem with the hand where it was given."""
@@ -224,39 +224,39 @@ class MethodResult:
     hand: SolvedHand | None = None
 
 
-def prepare(clip: Clip, options: Options, threads: int = 1) -> Problem:
+def prepare_problem(clip: Clip, options: Options, threads: int = 1) -> Problem:
     """Leave out frames without an object, sample the rest linearly, crop.
 
     Masks that the clip does not have in memory are read from its folder, in the frames that are used. With a free scale
-    there are ``WITH_FREE_SCALE`` times as many initial poses. Raises ``InputError`` for fewer than 2 frames, and for
+    there are ``FREE_SCALE_START_FACTOR`` times as many initial poses. Raises ``InputError`` for fewer than 2 frames, and for
     initial poses as ``pose_priors.poses_for`` does.
     """
     if clip.scale == "free" and not options.as_published:
-        options = replace(options, inits=WITH_FREE_SCALE * options.inits)
-    initial = pose_priors.poses_for(clip, options)
-    clip = sampled(clip, options.frames)
+        options = replace(options, inits=FREE_SCALE_START_FACTOR * options.inits)
+    initial = pose_priors.read_initial_poses(clip, options)
+    clip = sample_clip_frames(clip, options.frames)
     with ThreadPoolExecutor(1) as pool:
         surface = pool.submit(ObjectSurface.of, clip.mesh)  # knows nothing of hands and masks
         if threads == 1:
             wait([surface])
-        return _prepared(clip, options, surface, threads, initial)
+        return _prepare_sampled(clip, options, surface, threads, initial)
 
 
-def _prepared(
+def _prepare_sampled(
     clip: Clip,
     options: Options,
     surface: Future[ObjectSurface],
     threads: int,
     initial: tuple[Float[ndarray, "k 4 4"], tuple[str, ...]],
 ) -> Problem:
-    """``prepare`` at the frames that are used."""
+    """``prepare_problem`` at the frames that are used."""
     masks, notes = read_masks(clip), []
     if clip.left_out:
         one, more = "frame without a mask that shows the object was", "frames without masks that show the object were"
-        notes.append(f"{counted(len(clip.left_out), one, more)} left out of the fit: {', '.join(clip.left_out)}")
+        notes.append(f"{format_count(len(clip.left_out), one, more)} left out of the fit: {', '.join(clip.left_out)}")
     # For the paper's method gaps between the masks are background.
     gap_share = 1.0 if options.as_published else GAP_SHARE
-    observation = observe(masks, clip.K, options.occlusion, gap_share)
+    observation = observe_masks(masks, clip.K, options.occlusion, gap_share)
     correction, differing = None, float("nan")
     if options.hands == "corrected" and not options.as_published:
         correction, differing = refine_hand(clip, masks, observation.has_gaps)
@@ -269,7 +269,7 @@ def _prepared(
     hand_drawn = options.occlusion and not masks.say_what_hides
     if hand_drawn:
         masks = occluded_by_hand(clip, masks)
-        observation = observe(masks, clip.K, options.occlusion, gap_share)
+        observation = observe_masks(masks, clip.K, options.occlusion, gap_share)
         notes.append("no ignore masks: pixels that the rendered hand covers outside the object's mask count as hidden")
     notes += initial[1]
     notes += [f"{topic}: {text}" for topic, text in assumptions(clip.provenance).items()]
@@ -287,13 +287,13 @@ def _prepared(
     )  # fmt: skip
 
 
-def sampled(clip: Clip, frames: int) -> Clip:
+def sample_clip_frames(clip: Clip, frames: int) -> Clip:
     """Return the frames that are used, with their evidence. That of other frames is read one by one, and not kept.
 
     Raises ``InputError`` as reading it does, and for fewer than two frames that show the object.
     """
-    if masks_in(clip) is None and len(clip) <= frames:
+    if masks_in_memory(clip) is None and len(clip) <= frames:
         clip = with_masks(clip, read_masks(clip))
-    masks = masks_in(clip)
+    masks = masks_in_memory(clip)
     observed = read_observed(clip) if masks is None else masks.observed
     return with_evidence(observed_frames(clip, observed, frames))

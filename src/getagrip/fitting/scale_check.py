@@ -11,7 +11,7 @@ import numpy as np
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.solve import minimise
 
-LEVEL, ITERATIONS = 128, 8
+SCALE_CHECK_LEVEL_PX, SCALE_CHECK_ITERATIONS = 128, 8
 """Resolution [px] and iterations of the fit."""
 
 
@@ -25,8 +25,8 @@ def scale_check(problem: Problem, found: MethodResult) -> tuple[float, float]:
     if found.motion is None or found.energy_of is None or problem.clip.scale == "free":
         return float("nan"), float("nan")
     frames, T_cam_hand = np.arange(len(problem.clip)), problem.clip.hand.T_cam_hand
-    terms, motion = found.energy_of(problem)(LEVEL, frames), found.motion.take(np.zeros(1, int))
+    terms, motion = found.energy_of(problem)(SCALE_CHECK_LEVEL_PX, frames), found.motion.take(np.zeros(1, int))
     before = float(minimise(motion, terms, T_cam_hand, 0).energy[0])
-    after = minimise(motion.with_free_scale(), terms, T_cam_hand, ITERATIONS)
+    after = minimise(motion.with_free_scale(), terms, T_cam_hand, SCALE_CHECK_ITERATIONS)
     factor = float(after.motion.poses().scale[0] / found.poses.scale[0])
     return factor, (before - float(after.energy[0])) / max(abs(before), 1e-9)

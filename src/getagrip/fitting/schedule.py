@@ -20,12 +20,12 @@ class Rotations:
     principal: tuple[float, float]
 
 
-FAR = Rotations(random=(10.0, 40.0), principal=(180.0, 180.0))
+GLOBAL_ROTATIONS = Rotations(random=(10.0, 40.0), principal=(180.0, 180.0))
 """To other poses; half a turn about a principal axis shows nearly the same silhouette."""
-NEAR = Rotations(random=(5.0, 20.0), principal=(8.0, 25.0))
+LOCAL_ROTATIONS = Rotations(random=(5.0, 20.0), principal=(8.0, 25.0))
 """Out of a minimum beside the best."""
 
-ALL = 10**9
+ALL_FRAMES = 10**9
 """Number that stands for all frames."""
 
 
@@ -56,7 +56,7 @@ class Stage:
     keep: int
     rounds: int = 0
     parents: int = 8
-    rotations: Rotations = FAR
+    rotations: Rotations = GLOBAL_ROTATIONS
     within: float = np.inf
     half_turns: bool = False
 
@@ -78,24 +78,34 @@ class Schedule:
     relaxed: int = 30
     coarse: tuple[Stage, ...] = (
         Stage("coarse", level=64, frames=8, iterations=5, keep=16, rounds=3),
-        Stage("middle", level=64, frames=15, iterations=6, keep=6, rounds=1, parents=6, rotations=NEAR, within=4.0),
+        Stage(
+            "middle",
+            level=64,
+            frames=15,
+            iterations=6,
+            keep=6,
+            rounds=1,
+            parents=6,
+            rotations=LOCAL_ROTATIONS,
+            within=4.0,
+        ),
     )
     fine: tuple[Stage, ...] = (
-        Stage("fine", level=128, frames=ALL, iterations=8, keep=4, within=2.5),
-        Stage("finest", level=256, frames=ALL, iterations=8, keep=4, half_turns=True),
+        Stage("fine", level=128, frames=ALL_FRAMES, iterations=8, keep=4, within=2.5),
+        Stage("finest", level=256, frames=ALL_FRAMES, iterations=8, keep=4, half_turns=True),
     )
 
 
-USUAL = Schedule()
-THOROUGH = Schedule(
-    relaxed=ALL,
+DEFAULT_SCHEDULE = Schedule()
+THOROUGH_SCHEDULE = Schedule(
+    relaxed=ALL_FRAMES,
     coarse=(
         Stage("coarse", level=64, frames=8, iterations=5, keep=32, rounds=8, parents=12),
-        Stage("middle", level=64, frames=15, iterations=8, keep=12, rounds=2, parents=8, rotations=NEAR),
+        Stage("middle", level=64, frames=15, iterations=8, keep=12, rounds=2, parents=8, rotations=LOCAL_ROTATIONS),
     ),
     fine=(
-        Stage("fine", level=128, frames=ALL, iterations=12, keep=6, rounds=2, parents=3),
-        Stage("finest", level=256, frames=ALL, iterations=16, keep=4, half_turns=True),
+        Stage("fine", level=128, frames=ALL_FRAMES, iterations=12, keep=6, rounds=2, parents=3),
+        Stage("finest", level=256, frames=ALL_FRAMES, iterations=16, keep=4, half_turns=True),
     ),
 )
 """A longer search: more hypotheses go on, and further, and are rotated once more with all frames in view."""

@@ -35,17 +35,17 @@ from getagrip.result import Status
 
 M = TypeVar("M", bound=Motion)
 
-RIDGE = (2e5 / 16, 1.2e3 / 16)
+DEVIATION_STIFFNESS = (2e5 / 16, 1.2e3 / 16)
 """Stiffness of the deviations in the relaxed fit [px^2 per m^2, px^2 per rad^2]."""
-SAME = 0.03
+DUPLICATE_DISTANCE_DIAMETERS = 0.03
 """Hypotheses whose surfaces are nearer than this, in diameters, are one."""
-ALIKE = 1.02
+AMBIGUOUS_SIDE_RATIO = 1.02
 """Energies within this factor do not decide which way round an object is.
 
 In a trial on 94 training clips of DexYCB and ARCTIC it was 1.005 where the best was wrong, and 1.007 or more where it
 was right.
 """
-OPPOSITE = np.radians(60.0)
+HANDLE_FLIP_TOLERANCE_RAD = np.radians(60.0)
 """Solutions with the handle on opposite sides differ by half a turn, but for so much."""
 
 
@@ -70,7 +70,7 @@ class Search:
         terms, T = energy(stage.level, index), self.T_cam_hand[index]
         fixed, schedule, threads = replace(initial, frames=len(index)), self.schedule, self.threads
         static = minimise(fixed, terms, T, schedule.static_iterations, threads=threads).motion
-        relaxed = Soft(static, np.zeros((len(static.R), len(index), 6)), RIDGE)
+        relaxed = Soft(static, np.zeros((len(static.R), len(index), 6)), DEVIATION_STIFFNESS)
         found = minimise(relaxed, terms, T, schedule.relaxed_iterations, threads=threads)
         return found.motion.take(np.sort(np.argsort(found.energy, kind="stable")[: schedule.relaxed]))
 
@@ -117,12 +117,12 @@ class Search:
                 motion = motion.concatenate(motion.take(np.zeros(len(turns), int)).rotated(turns))
             terms, T = energy(stage.level, index), self.T_cam_hand[index]
             solution = minimise(motion, terms, T, stage.iterations, threads=self.threads)
-            solution = explored(solution, terms, T, self.surface, stage, self.threads)
+            solution = explore_rotations(solution, terms, T, self.surface, stage, self.threads)
             poses, energies = solution.motion.poses(), solution.energy
             best = suppress_duplicates(poses, energies, self.surface, stage.keep, stage.half_turns)
             if not len(best):
                 raise GetagripError(Status.INVISIBLE.sentence)
-            kept = best[near(solution.energy[best], stage.within)]
+            kept = best[within_factor(solution.energy[best], stage.within)]
             if stage in self.schedule.fine:
                 kept = self._with_opposite(kept, poses, energies, stage.keep)
             solution = solution.take(kept)
@@ -138,13 +138,13 @@ class Search:
         between = np.swapaxes(poses.R[kept[0], few], -1, -2) @ poses.R[:, few]
         for turn in self.opposite:
             off = se3.angle_between(between, turn).mean(axis=-1)
-            there = np.flatnonzero((off < OPPOSITE) & np.isfinite(energy))
+            there = np.flatnonzero((off < HANDLE_FLIP_TOLERANCE_RAD) & np.isfinite(energy))
             if len(there) and not np.isin(there, kept).any():
                 kept = np.append(kept[: most - 1], there[energy[there].argmin()])
         return kept
 
 
-def explored(
+def explore_rotations(
     solution: Solution[M],
     terms: Sequence[Term],
     T_cam_hand: Float[ndarray, "N 4 4"],
@@ -164,7 +164,7 @@ def explored(
     return solution
 
 
-def near(energy: Float[ndarray, "n"], within: float) -> Bool[ndarray, "n"]:
+def within_factor(energy: Float[ndarray, "n"], within: float) -> Bool[ndarray, "n"]:
     """Return which energies are at most ``within`` times the first, which is the least.
 
     Some terms may be below zero.
@@ -187,7 +187,7 @@ def suppress_duplicates(
 ) -> Int[ndarray, "n"]:
     """Choose the ``keep`` lowest finite energies, near-copies of a better one left out; return their indices.
 
-    Two hypotheses are the same if the object's surface moves by less than ``SAME`` of its diameter; with ``half_turns``
+    Two hypotheses are the same if the object's surface moves by less than ``DUPLICATE_DISTANCE_DIAMETERS`` of its diameter; with ``half_turns``
     not those that differ by half a turn that can be seen and have nearly the least energy.
     """
     few = frame_indices(poses.R.shape[1], 3)
@@ -197,8 +197,12 @@ def suppress_duplicates(
         if len(chosen) == keep or not np.isfinite(energy[b]):
             break
         here, others = (R[b], centre[b], float(scale[b])), (R[chosen], centre[chosen], scale[chosen])
-        copies = surface.rms_distance(*here, *others, SAME) <= SAME if chosen else np.zeros(0, dtype=bool)
-        if half_turns and copies.any() and near(energy[[chosen[0], b]], ALIKE)[1]:
+        copies = (
+            surface.rms_distance(*here, *others, DUPLICATE_DISTANCE_DIAMETERS) <= DUPLICATE_DISTANCE_DIAMETERS
+            if chosen
+            else np.zeros(0, dtype=bool)
+        )
+        if half_turns and copies.any() and within_factor(energy[[chosen[0], b]], AMBIGUOUS_SIDE_RATIO)[1]:
             copies &= ~surface.half_turned(R[b], R[chosen])
         if not copies.any():
             chosen.append(int(b))

@@ -16,38 +16,38 @@ from numpy import ndarray
 
 from getagrip import least_squares
 from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
-from getagrip.fitting.energy.mask_by_shape import SHAPE, MaskByShape
+from getagrip.fitting.energy.mask_by_shape import N_SHAPE_PARAMETERS, MaskByShape
 from getagrip.fitting.motion import Fixed, Soft
-from getagrip.fitting.objective import DELTA, STEP
+from getagrip.fitting.objective import MASK_STEP_PX, MIN_CURVATURE_DISTANCE_PX
 from getagrip.fitting.problem import Problem
-from getagrip.fitting.solve import FLOOR, in_camera, minimise, seen_from_camera
-from getagrip.fitting.usual import kind_of
-from getagrip.geometry.warp import Warp, settled
-from getagrip.least_squares import Arrow
+from getagrip.fitting.solve import CURVATURE_FLOOR, jacobian_in_camera, minimise, poses_in_camera
+from getagrip.fitting.usual import unmeasured_kind
+from getagrip.geometry.warp import Warp, remove_similarity
+from getagrip.least_squares import BlockArrow
 
-MISFIT = 1.2
+MIN_MESH_MISFIT = 1.2
 """A mesh is fitted if its misfit (``misfit``) is above this,"""
-GAIN = 0.85
+MAX_SHAPE_ENERGY_RATIO = 0.85
 """and stays as it is unless another shape has at most this share of the energy. On 26 training clips of DexYCB,
 under each of four errors of hands, masks and size, at most one own mesh met both conditions."""
-LEAST = 0.008
+MIN_DEFORMATION_DIAMETERS = 0.008
 """A shape that is nearer to the mesh [diameters] is the mesh's own: what explains the masks better is the pose. Of 111
 other objects on training clips the fitted shape of 5 was that near."""
-LEVEL, ITERATIONS = 128, 12
+SHAPE_FIT_LEVEL_PX, MAX_SHAPE_ITERATIONS = 128, 12
 """Resolution [px] and most iterations of the fit."""
-STRETCH, BEND = 0.1, 0.05
+STRETCH_SIGMA, BEND_SIGMA = 0.1, 0.05
 """Standard deviations of the prior: of stretches, and of all else, as displacements at half a diameter from the middle,
 in these."""
-WEIGHT = 5.0
+SHAPE_PRIOR_WEIGHT = 5.0
 """Energy of one standard deviation in each frame, times 1/2 [px^2]. Between 2 and 20 little changes; 200 hold too much.
 """
-LEAST_EXPANSION = 0.1
+MIN_WARP_EXPANSION = 0.1
 """A warp that shrinks some part of space to less than this, or turns it inside out, is no shape."""
-KNOWN = 100.0
+KNOWN_SIZE_STIFFNESS = 100.0
 """Times as stiff is the prior of the object's size, the mean of the three stretches, where the size is known."""
 
 
-def _modes() -> Float[ndarray, "24 27"]:
+def _deformation_modes() -> Float[ndarray, "24 27"]:
     """Displacements that are no rotation: by symmetric matrices, and by each second-degree monomial along each axis."""
     modes = []
     for i in range(3):
@@ -55,16 +55,16 @@ def _modes() -> Float[ndarray, "24 27"]:
             linear = np.zeros((9, 3))
             linear[i, j] = linear[j, i] = 1.0
             modes.append(linear.ravel())
-    return np.array([*modes, *np.eye(SHAPE)[9:]])
+    return np.array([*modes, *np.eye(N_SHAPE_PARAMETERS)[9:]])
 
 
-MODES = _modes()
-STRETCHES = np.flatnonzero(MODES[:, [0, 4, 8]].any(axis=1))
+DEFORMATION_MODES = _deformation_modes()
+STRETCH_MODES = np.flatnonzero(DEFORMATION_MODES[:, [0, 4, 8]].any(axis=1))
 """The modes that stretch along x, y and z."""
 
 
 @dataclass
-class _State:
+class _ShapeState:
     """Hypotheses with a shape each (``least_squares.State``)."""
 
     motion: Soft[Fixed]
@@ -75,10 +75,10 @@ class _State:
     T_cam_hand: Float[ndarray, "N 4 4"]
 
     def __post_init__(self) -> None:
-        shapes = (self.weights @ MODES).reshape(-1, 9, 3)
-        value, g, H = self.term(in_camera(self.motion, self.T_cam_hand), shapes)
-        by = np.zeros((7 + len(MODES), 7 + SHAPE))
-        by[:7, :7], by[7:, 7:] = np.eye(7), MODES
+        shapes = (self.weights @ DEFORMATION_MODES).reshape(-1, 9, 3)
+        value, g, H = self.term(poses_in_camera(self.motion, self.T_cam_hand), shapes)
+        by = np.zeros((7 + len(DEFORMATION_MODES), 7 + N_SHAPE_PARAMETERS))
+        by[:7, :7], by[7:, 7:] = np.eye(7), DEFORMATION_MODES
         self.g, self.H = g @ by.T, by @ H @ by.T
         self.pull = self.weights @ self.stiffness
         prior = self.motion.prior().value + 0.5 * np.sum(self.pull * self.weights, axis=1)
@@ -88,22 +88,22 @@ class _State:
     def cost(self) -> Float[ndarray, "B"]:
         return self._cost
 
-    def trial(self, active: Int[ndarray, "n"], damping: Float[ndarray, "n"]) -> _State:
+    def trial(self, active: Int[ndarray, "n"], damping: Float[ndarray, "n"]) -> _ShapeState:
         motion, weights = self.motion.take(active), self.weights[active]
         J_shared, J_local = motion.jacobian()
         B, N, _, S = J_shared.shape
-        M, L, prior = len(MODES), J_local.shape[-1], motion.prior()
-        seen = seen_from_camera(J_shared, J_local, self.T_cam_hand)
+        M, L, prior = len(DEFORMATION_MODES), J_local.shape[-1], motion.prior()
+        seen = jacobian_in_camera(J_shared, J_local, self.T_cam_hand)
         J = np.zeros((B, N, 7 + M, S + M + L))
         J[..., :7, :S], J[..., 7:, S : S + M], J[..., :7, S + M :] = seen[..., :S], np.eye(M), seen[..., S:]
         Jt = np.swapaxes(J, -1, -2)
         A, b = Jt @ self.H[active] @ J, (Jt @ self.g[active][..., None])[..., 0]
         of_shape = np.pad(self.stiffness, (S, 0)), np.pad(self.pull[active], ((0, 0), (S, 0)))
-        arrow = Arrow.of(A, b, slice(S + M), slice(S + M, None)).plus(*of_shape, prior.H, prior.g)
-        step, per_frame = arrow.step(damping, FLOOR)
+        arrow = BlockArrow.of(A, b, slice(S + M), slice(S + M, None)).plus(*of_shape, prior.H, prior.g)
+        step, per_frame = arrow.step(damping, CURVATURE_FLOOR)
         return replace(self, motion=motion.retract(step[:, :S], per_frame), weights=weights + step[:, S:])
 
-    def accept(self, trial: _State, active: Int[ndarray, "n"], better: Bool[ndarray, "n"]) -> _State:
+    def accept(self, trial: _ShapeState, active: Int[ndarray, "n"], better: Bool[ndarray, "n"]) -> _ShapeState:
         position, accepted = np.zeros(len(self.cost), int), np.zeros(len(self.cost), bool)
         position[active], accepted[active[better]] = np.arange(len(active)), True
         self.motion = trial.motion.take(position).where(accepted, self.motion)
@@ -115,40 +115,49 @@ class _State:
         return self.weights, self.g, self.H, self.pull, self._cost
 
 
-def own_shape(problem: Problem, motion: Soft[Fixed], index: Int[ndarray, "n"], misfit: float) -> Warp | None:
+def fit_shape(problem: Problem, motion: Soft[Fixed], index: Int[ndarray, "n"], misfit: float) -> Warp | None:
     """Fit the mesh to the masks, from hypotheses in some frames of the problem.
 
     ``misfit`` is how far off the best of them leaves the contours. None where the mesh stays as it is.
     """
-    if misfit < MISFIT:
+    if misfit < MIN_MESH_MISFIT:
         return None
     mesh, observation = problem.clip.mesh, problem.observation.take(index)
     coarse, radius = problem.surface.coarse, problem.surface.diameter / 2.0
-    seen = observation, LEVEL, STEP[LEVEL], DELTA[LEVEL]
-    kind = kind_of(problem.clip)
-    stretch = STRETCH if kind is None or kind.stretch is None else kind.stretch
-    bend = BEND if kind is None or kind.bend is None else kind.bend
+    seen = (
+        observation,
+        SHAPE_FIT_LEVEL_PX,
+        MASK_STEP_PX[SHAPE_FIT_LEVEL_PX],
+        MIN_CURVATURE_DISTANCE_PX[SHAPE_FIT_LEVEL_PX],
+    )
+    kind = unmeasured_kind(problem.clip)
+    stretch = STRETCH_SIGMA if kind is None or kind.stretch is None else kind.stretch
+    bend = BEND_SIGMA if kind is None or kind.bend is None else kind.bend
     T_cam_hand = problem.clip.hand.T_cam_hand[index]
-    stiffness = len(index) * _prior(stretch, bend, problem.clip.scale == "known")
-    undeformed = minimise(motion, [MaskTerm(SilhouetteMesh.of(coarse, mesh.centre), *seen)], T_cam_hand, ITERATIONS)
-    start = np.zeros((len(undeformed.energy), len(MODES)))
-    begun = _State(undeformed.motion, start, MaskByShape(coarse, mesh.centre, radius, *seen), stiffness, T_cam_hand)
-    warped = least_squares.minimise(begun, ITERATIONS).state
+    stiffness = len(index) * _shape_stiffness(stretch, bend, problem.clip.scale == "known")
+    undeformed = minimise(
+        motion, [MaskTerm(SilhouetteMesh.of(coarse, mesh.centre), *seen)], T_cam_hand, MAX_SHAPE_ITERATIONS
+    )
+    start = np.zeros((len(undeformed.energy), len(DEFORMATION_MODES)))
+    begun = _ShapeState(
+        undeformed.motion, start, MaskByShape(coarse, mesh.centre, radius, *seen), stiffness, T_cam_hand
+    )
+    warped = least_squares.minimise(begun, MAX_SHAPE_ITERATIONS).state
     best = int(warped.cost.argmin())
-    if not warped.cost[best] < GAIN * undeformed.energy.min():
+    if not warped.cost[best] < MAX_SHAPE_ENERGY_RATIO * undeformed.energy.min():
         return None
-    warp = Warp.by(mesh.centre, radius, (warped.weights[best] @ MODES).reshape(9, 3))
-    if warp.expansion(mesh.vertices).min() < LEAST_EXPANSION:
+    warp = Warp.by(mesh.centre, radius, (warped.weights[best] @ DEFORMATION_MODES).reshape(9, 3))
+    if warp.expansion(mesh.vertices).min() < MIN_WARP_EXPANSION:
         return None
-    shape = settled(warp, mesh, resize=problem.clip.scale == "free")[0]
-    return shape if shape.displacement(mesh) > LEAST * mesh.diameter else None
+    shape = remove_similarity(warp, mesh, resize=problem.clip.scale == "free")[0]
+    return shape if shape.displacement(mesh) > MIN_DEFORMATION_DIAMETERS * mesh.diameter else None
 
 
-def _prior(stretch: float, bend: float, size_known: bool) -> Float[ndarray, "24 24"]:
+def _shape_stiffness(stretch: float, bend: float, size_known: bool) -> Float[ndarray, "24 24"]:
     """Return the stiffness of the modes in each frame [px^2]."""
-    deviation = np.full(len(MODES), bend)
-    deviation[STRETCHES] = stretch
-    stiffness = np.diag(WEIGHT / deviation**2)
+    deviation = np.full(len(DEFORMATION_MODES), bend)
+    deviation[STRETCH_MODES] = stretch
+    stiffness = np.diag(SHAPE_PRIOR_WEIGHT / deviation**2)
     if size_known:
-        stiffness[np.ix_(STRETCHES, STRETCHES)] += KNOWN * WEIGHT / stretch**2 / 9.0
+        stiffness[np.ix_(STRETCH_MODES, STRETCH_MODES)] += KNOWN_SIZE_STIFFNESS * SHAPE_PRIOR_WEIGHT / stretch**2 / 9.0
     return stiffness

@@ -19,19 +19,19 @@ from numpy import ndarray
 
 from getagrip import least_squares
 from getagrip.fitting.energy import HandInCamera, ObjectWithHand, PosesInCamera, Quadratic, Term
-from getagrip.fitting.motion import HandPoses, Motion, PosesInHand, moved
-from getagrip.least_squares import DEFAULT, Arrow, Ending, Rules
+from getagrip.fitting.motion import HandPoses, Motion, PosesInHand, transform_poses
+from getagrip.least_squares import DEFAULT_DAMPING_RULES, BlockArrow, DampingRules, Ending
 from getagrip.result.data import Status
 
 M = TypeVar("M", bound=Motion)
 
-FLOOR = 1e2
+CURVATURE_FLOOR = 1e2
 """Curvature assumed in directions that the energy does not see [px^2 per m^2 or rad^2]."""
-LONGEST = 0.6
+MAX_ROTATION_STEP_RAD = 0.6
 """Longest step of a frame's rotation [rad]; translations scale with it at 10 cm a radian."""
 
 
-STATUS = {
+STATUS_OF_ENDING = {
     Ending.LOST: Status.INVISIBLE,
     Ending.CONVERGED: Status.CONVERGED,
     Ending.STUCK: Status.STUCK,
@@ -78,16 +78,16 @@ class Solution(Generic[M]):
         )
 
 
-def in_camera(motion: Motion, T_cam_hand: Float[ndarray, "N 4 4"]) -> PosesInCamera:
+def poses_in_camera(motion: Motion, T_cam_hand: Float[ndarray, "N 4 4"]) -> PosesInCamera:
     """Return the motion's poses as the terms read them."""
-    seen = moved(motion.poses(), T_cam_hand)
+    seen = transform_poses(motion.poses(), T_cam_hand)
     if seen.hand is None:
-        return PosesInCamera(*_body(seen))
-    hand = HandInCamera(*_body(seen.hand), seen.hand.frame.middle)
-    return ObjectWithHand(*_body(seen), hand, PosesInCamera(*_body(seen.hand.grasped)))
+        return PosesInCamera(*_to_kernel_layout(seen))
+    hand = HandInCamera(*_to_kernel_layout(seen.hand), seen.hand.frame.middle)
+    return ObjectWithHand(*_to_kernel_layout(seen), hand, PosesInCamera(*_to_kernel_layout(seen.hand.grasped)))
 
 
-def _body(
+def _to_kernel_layout(
     poses: PosesInHand | HandPoses,
 ) -> tuple[Float[ndarray, "B N 3 3"], Float[ndarray, "B N 3"], Float[ndarray, "B"]]:
     """Poses in the one layout that kernels are compiled for; another would compile each of them again."""
@@ -95,7 +95,7 @@ def _body(
 
 
 @dataclass
-class _State(Generic[M]):
+class _MotionState(Generic[M]):
     """Hypotheses with everything known about them at their current parameters (``least_squares.State``)."""
 
     motion: M
@@ -109,12 +109,12 @@ class _State(Generic[M]):
     def cost(self) -> Float[ndarray, "B"]:
         return np.asarray(self.values.sum(axis=1))
 
-    def trial(self, active: Int[ndarray, "n"], damping: Float[ndarray, "n"]) -> _State[M]:
+    def trial(self, active: Int[ndarray, "n"], damping: Float[ndarray, "n"]) -> _MotionState[M]:
         motion, local = self.motion.take(active), self.local.take(active)
-        shared, per_frame = _step(motion, local, damping, self.T_cam_hand)
+        shared, per_frame = _damped_step(motion, local, damping, self.T_cam_hand)
         return evaluate(motion.retract(shared, per_frame), self.terms, self.T_cam_hand, self.cost[active])
 
-    def accept(self, trial: _State[M], active: Int[ndarray, "n"], better: Bool[ndarray, "n"]) -> _State[M]:
+    def accept(self, trial: _MotionState[M], active: Int[ndarray, "n"], better: Bool[ndarray, "n"]) -> _MotionState[M]:
         if not better.any():
             return self
         rows = active[better]
@@ -130,9 +130,9 @@ class _State(Generic[M]):
 
 def evaluate(
     motion: M, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"], bound: Float[ndarray, "B"]
-) -> _State[M]:
+) -> _MotionState[M]:
     """Evaluate energy and derivatives; derivatives may be missing where the energy exceeds ``bound``."""
-    poses = in_camera(motion, T_cam_hand)
+    poses = poses_in_camera(motion, T_cam_hand)
     prior = motion.prior().value
     values = np.empty((len(prior), len(terms) + 1))
     values[:, -1] = prior
@@ -143,7 +143,7 @@ def evaluate(
         values[:, k] = local.value.sum(axis=1)
         total = local if total is None else total + local
     assert total is not None
-    return _State(motion, total, values, terms, T_cam_hand)
+    return _MotionState(motion, total, values, terms, T_cam_hand)
 
 
 def minimise(
@@ -151,7 +151,7 @@ def minimise(
     terms: Sequence[Term],
     T_cam_hand: Float[ndarray, "N 4 4"],
     iterations: int,
-    rules: Rules = DEFAULT,
+    rules: DampingRules = DEFAULT_DAMPING_RULES,
     threads: int = 1,
 ) -> Solution[M]:
     """Minimise the sum of terms from each of B hypotheses; the rules say when one stops.
@@ -161,14 +161,14 @@ def minimise(
     shares = np.array_split(np.arange(len(motion.poses().scale)), threads)
     some = [motion.take(share) for share in shares if len(share)]
     if len(some) < 2:
-        return _minimised(motion, terms, T_cam_hand, iterations, rules)
+        return _minimise_together(motion, terms, T_cam_hand, iterations, rules)
     with ThreadPoolExecutor(len(some)) as pool:
-        found = pool.map(lambda part: _minimised(part, terms, T_cam_hand, iterations, rules), some)
+        found = pool.map(lambda part: _minimise_together(part, terms, T_cam_hand, iterations, rules), some)
         return reduce(lambda first, then: first.concatenate(then), found)
 
 
-def _minimised(
-    motion: M, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"], iterations: int, rules: Rules
+def _minimise_together(
+    motion: M, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"], iterations: int, rules: DampingRules
 ) -> Solution[M]:
     """``minimise``, all hypotheses side by side."""
     B, N = len(motion.poses().scale), len(T_cam_hand)
@@ -176,34 +176,34 @@ def _minimised(
     found = least_squares.minimise(start, iterations, rules)
     names = [*(t.name for t in terms), "prior"]
     values = dict(zip(names, found.state.values.T, strict=True))
-    status = [STATUS[ending] for ending in found.endings]
+    status = [STATUS_OF_ENDING[ending] for ending in found.endings]
     return Solution(found.state.motion, found.state.cost, values, status, found.evaluations * N)
 
 
-def _step(
+def _damped_step(
     motion: Motion, local: Quadratic, damping: Float[ndarray, "B"], T_cam_hand: Float[ndarray, "N 4 4"]
 ) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
-    """Solve for the damped Gauss-Newton step of the shared and per-frame parameters, not longer than ``LONGEST``."""
+    """Solve for the damped Gauss-Newton step of the shared and per-frame parameters, not longer than ``MAX_ROTATION_STEP_RAD``."""
     J_shared, J_local = motion.jacobian()
-    shared, per_frame = _equations(motion, J_shared, J_local, local, T_cam_hand).step(damping, FLOOR)
+    shared, per_frame = _motion_equations(motion, J_shared, J_local, local, T_cam_hand).step(damping, CURVATURE_FLOOR)
     moved = (J_shared @ shared[:, None, :, None] + J_local @ per_frame[..., None])[..., 0]
     if moved.shape[-1] > 7:
         moved = np.concatenate([moved[..., :7], moved[..., 7:14]], axis=1)
     turn, shift = np.linalg.norm(moved[..., 3:6], axis=-1), np.linalg.norm(moved[..., :3], axis=-1)
-    shrink = np.minimum(1.0, LONGEST / np.maximum(np.maximum(turn, 10.0 * shift).max(axis=1), 1e-12))
+    shrink = np.minimum(1.0, MAX_ROTATION_STEP_RAD / np.maximum(np.maximum(turn, 10.0 * shift).max(axis=1), 1e-12))
     return shared * shrink[:, None], per_frame * shrink[:, None, None]
 
 
-def _equations(
+def _motion_equations(
     motion: Motion,
     J_shared: Float[ndarray, "B N P S"],
     J_local: Float[ndarray, "B N P L"],
     local: Quadratic,
     T_cam_hand: Float[ndarray, "N 4 4"],
-) -> Arrow:
+) -> BlockArrow:
     """Sum the normal equations of the motion's parameters, its own prior among them."""
-    prior, J = motion.prior(), seen_from_camera(J_shared, J_local, T_cam_hand)
-    arrow = Arrow.by(J, J_shared.shape[-1], local.H, local.g, local.cross)
+    prior, J = motion.prior(), jacobian_in_camera(J_shared, J_local, T_cam_hand)
+    arrow = BlockArrow.by(J, J_shared.shape[-1], local.H, local.g, local.cross)
     arrow = arrow.plus(H_ll=prior.H, g_l=prior.g, cross=prior.cross)
     if prior.diagonal_shared is None:
         return arrow
@@ -219,14 +219,14 @@ def inverse_of_shared(
     """
     motion = motion.take(np.zeros(1, int))
     local = evaluate(motion, terms, T_cam_hand, np.full(1, np.inf)).local
-    arrow = _equations(motion, *motion.jacobian(), local, T_cam_hand)
+    arrow = _motion_equations(motion, *motion.jacobian(), local, T_cam_hand)
     S, L = arrow.g_s.shape[-1], arrow.g_l.shape[-1]
-    arrow = replace(arrow, H_ss=arrow.H_ss + FLOOR * np.eye(S), H_ll=arrow.H_ll + FLOOR * np.eye(L))
+    arrow = replace(arrow, H_ss=arrow.H_ss + CURVATURE_FLOOR * np.eye(S), H_ll=arrow.H_ll + CURVATURE_FLOOR * np.eye(L))
     unit = np.eye(S)[-last:, None]
     return -np.stack([replace(arrow, g_s=one, g_l=np.zeros_like(arrow.g_l)).solved()[0][0, -last:] for one in unit])
 
 
-def seen_from_camera(
+def jacobian_in_camera(
     J_shared: Float[ndarray, "B N P S"], J_local: Float[ndarray, "B N P L"], T_cam_hand: Float[ndarray, "N 4 4"]
 ) -> Float[ndarray, "B N P Q"]:
     """Put a motion's Jacobians side by side, of local vectors in the camera's frame."""
@@ -244,5 +244,5 @@ def hessian(motion: Motion, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N
     Without the motion's own prior, and without what ties frames to each other.
     """
     local = evaluate(motion, terms, T_cam_hand, np.full(len(motion.poses().scale), np.inf)).local
-    J = seen_from_camera(*motion.jacobian(), T_cam_hand)
+    J = jacobian_in_camera(*motion.jacobian(), T_cam_hand)
     return np.asarray(np.swapaxes(J, -1, -2) @ (local.H @ J))

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.fitting.motion import PosesInHand, interpolated
+from getagrip.fitting.motion import PosesInHand, interpolate_object_poses
 from getagrip.geometry import se3
 
-PAIRS, TINY = 3, 1e-12
+N_ALTERNATIVE_DIRECTIONS, MIN_POINT_VARIANCE_M2 = 3, 1e-12
 """Directions in which alternatives of a hand lie; least squared movement of points by a standard deviation [m^2]."""
 
 
@@ -36,7 +36,7 @@ class SolvedHand:
     def alternatives(
         self, points: Float[ndarray, "P 3"], middle: Float[ndarray, "3"], apart: float
     ) -> Float[ndarray, "M 4 4"]:
-        """Return where the hand may be instead: either way along the ``PAIRS`` directions in which it is known least.
+        """Return where the hand may be instead: either way along the ``N_ALTERNATIVE_DIRECTIONS`` directions in which it is known least.
 
         Args:
             points: points in the hand, from its middle [m].
@@ -47,16 +47,18 @@ class SolvedHand:
             Poses of the hand in the hand frame, in pairs, the least certain direction first.
         """
         certain, axes = np.linalg.eigh(self.covariance)
-        root, moved = axes * np.sqrt(np.maximum(certain, 0.0)), _moved(points)
+        root, moved = axes * np.sqrt(np.maximum(certain, 0.0)), _hand_point_jacobian(points)
         spread, axes = np.linalg.eigh(root.T @ np.einsum("pij,pik->jk", moved, moved) @ root / len(points))
-        x = (apart * root @ axes[:, ::-1] / np.sqrt(np.maximum(spread[::-1], TINY))).T[:PAIRS]
+        x = (apart * root @ axes[:, ::-1] / np.sqrt(np.maximum(spread[::-1], MIN_POINT_VARIANCE_M2))).T[
+            :N_ALTERNATIVE_DIRECTIONS
+        ]
         x = np.stack([x, -x], axis=1).reshape(-1, 6)
         R = se3.exp_so3(x[:, 3:])
         return se3.rigid(R, middle + x[:, :3] - R @ middle)
 
     def spread(self, points: Float[ndarray, "P 3"]) -> float:
         """Compute the standard deviation of points in the hand, from its middle, that its shared error leaves [m]."""
-        moved = _moved(points)
+        moved = _hand_point_jacobian(points)
         return float(np.sqrt(np.einsum("pij,jk,pik->p", moved, self.covariance, moved).mean()))
 
     def __str__(self) -> str:
@@ -68,17 +70,19 @@ class SolvedHand:
         )
 
 
-def _moved(points: Float[ndarray, "P 3"]) -> Float[ndarray, "P 3 6"]:
+def _hand_point_jacobian(points: Float[ndarray, "P 3"]) -> Float[ndarray, "P 3 6"]:
     """How points move with the hand's shift and turn."""
     return np.concatenate([np.broadcast_to(np.eye(3), (len(points), 3, 3)), -se3.hat(points)], axis=-1)
 
 
-def hand_between(
+def interpolate_solved_hand(
     T_input: Float[ndarray, "T 4 4"], T_found: Float[ndarray, "n 4 4"], at: ndarray
 ) -> Float[ndarray, "T 4 4"]:
     """Return the hand of every frame, by interpolating what was found of it in the frames ``at``."""
     C = (se3.inverse(T_input[at]) @ T_found)[None]
-    between = interpolated(PosesInHand(C[..., :3, :3], C[..., :3, 3], np.ones(1)), at, np.arange(len(T_input)))
+    between = interpolate_object_poses(
+        PosesInHand(C[..., :3, :3], C[..., :3, 3], np.ones(1)), at, np.arange(len(T_input))
+    )
     T_cam_hand = T_input @ se3.rigid(between.R[0], between.centre[0])
     T_cam_hand[at] = T_found
     return np.asarray(T_cam_hand)

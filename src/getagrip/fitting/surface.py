@@ -9,19 +9,19 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from getagrip.fitting.contact import rms_distances, solid
+from getagrip.fitting.contact import build_contact_grid, rms_distances
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh, decimate
 from getagrip.kernels.closest import FaceGrid
 
-COARSE_FACES = 1000
+MAX_COARSE_FACES = 1000
 """Most faces for contact and for 64-pixel silhouettes; larger objects are decimated."""
-POINTS = 48
+N_SURFACE_POINTS = 48
 """Points of the surface that are compared."""
-HALF_TURNS = (0.003, 0.06)
+HALF_TURN_DISTANCE_RANGE = (0.003, 0.06)
 """A half turn about a principal axis nearly leaves the surface as it is, where it moves it by so much [diameters]: less
 is not seen, and after more another fit is not taken for a copy (``search.SAME``)."""
-OFF_HALF_TURN = np.radians(30.0)
+HALF_TURN_TOLERANCE_RAD = np.radians(30.0)
 """Fits of an object both ways round differ by half a turn, but for so much."""
 
 
@@ -46,18 +46,18 @@ class ObjectSurface:
     @staticmethod
     def of(mesh: Mesh) -> ObjectSurface:
         """Sample the surface of a mesh, about ``mesh.centre``."""
-        coarse = decimate(mesh, COARSE_FACES)
+        coarse = decimate(mesh, MAX_COARSE_FACES)
         about = mesh.vertices - mesh.centre
         _, axes = np.linalg.eigh(np.cov(about.T))
-        spread = np.linspace(0, len(about) - 1, min(POINTS, len(about))).round().astype(int)
-        return ObjectSurface(coarse, solid(coarse, mesh.centre), about[spread], axes.T, mesh.diameter)
+        spread = np.linspace(0, len(about) - 1, min(N_SURFACE_POINTS, len(about))).round().astype(int)
+        return ObjectSurface(coarse, build_contact_grid(coarse, mesh.centre), about[spread], axes.T, mesh.diameter)
 
     @cached_property
     def half_turns(self) -> Float[ndarray, "T 3 3"]:
         """Half turns about the principal axes that nearly leave the surface as it is: T from 0 to 3."""
         turns = se3.exp_so3(np.pi * self.axes)
         moved = self.moved_by(turns)
-        return turns[(moved > HALF_TURNS[0]) & (moved < HALF_TURNS[1])]
+        return turns[(moved > HALF_TURN_DISTANCE_RANGE[0]) & (moved < HALF_TURN_DISTANCE_RANGE[1])]
 
     def moved_by(self, turns: Float[ndarray, "T 3 3"]) -> Float[ndarray, "T"]:
         """Return how far turns move the surface, root mean square distance [diameters]."""
@@ -68,7 +68,7 @@ class ObjectSurface:
         """Return which of C other rotations, over N frames, differ by one of the half turns."""
         between = np.swapaxes(R, -1, -2) @ others
         off = [se3.angle_between(between, turn).max(axis=-1) for turn in self.half_turns]
-        return np.any(np.array(off).reshape(-1, len(others)) < OFF_HALF_TURN, axis=0)
+        return np.any(np.array(off).reshape(-1, len(others)) < HALF_TURN_TOLERANCE_RAD, axis=0)
 
     def rms_distance(
         self,

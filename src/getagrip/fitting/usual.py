@@ -16,54 +16,54 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.clip import Clip
-from getagrip.datasets.synthetic.categories import KINDS, Kind
+from getagrip.datasets.synthetic.categories import OBJECT_KINDS, ObjectKind
 from getagrip.fitting.energy import Energy, InHand, PosesInCamera, Quadratic, Term
-from getagrip.fitting.hand_size import SPREAD
-from getagrip.fitting.surface import HALF_TURNS, ObjectSurface
+from getagrip.fitting.hand_size import HAND_SIZE_SIGMA
+from getagrip.fitting.surface import HALF_TURN_DISTANCE_RANGE, ObjectSurface
 from getagrip.geometry import se3
 from getagrip.provenance import is_assumed
 
-TURNS = 8
+N_UPRIGHT_TURNS = 8
 """Turns of each grasp about the upright axis."""
-WEIGHT = 20.0
+CATEGORY_PRIOR_WEIGHT = 20.0
 """Energy of one standard deviation of size or tilt in each frame, times 1/2 [px^2]."""
-TILT = 0.15
+TILT_SIGMA = 0.15
 """Standard deviation of the cosine to the usual upright axis, below zero."""
-MIRROR = np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
+SIDE_REFLECTIONS = np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
 """Reflections: of the left hand's frame to the right's, and of an object whose handle points along x."""
 
 
-def kind_of(clip: Clip) -> Kind | None:
+def unmeasured_kind(clip: Clip) -> ObjectKind | None:
     """Return the kind of a clip's object, if its kind is all that is known of its shape and size."""
     unmeasured = clip.scale == "free" and is_assumed(clip.provenance.get("mesh"))
-    return KINDS.get(clip.category) if unmeasured else None
+    return OBJECT_KINDS.get(clip.category) if unmeasured else None
 
 
-def usual_rotations(clip: Clip) -> Float[ndarray, "k 3 3"]:
+def category_rotations(clip: Clip) -> Float[ndarray, "k 3 3"]:
     """Return rotations of the object in the hand, those of the most usual grasps first; none where it was measured."""
-    kind = kind_of(clip)
+    kind = unmeasured_kind(clip)
     if kind is None:
         return np.zeros((0, 3, 3))
     grips = np.array([grip.R_hand_obj for grip in (*kind.grips, *kind.rarer)])
-    about = se3.exp_so3(np.arange(TURNS)[:, None] * np.array([0.0, 0.0, 2.0 * np.pi / TURNS]))
+    about = se3.exp_so3(np.arange(N_UPRIGHT_TURNS)[:, None] * np.array([0.0, 0.0, 2.0 * np.pi / N_UPRIGHT_TURNS]))
     R = (grips[None] @ about[:, None]).reshape(-1, 3, 3)
-    return R if clip.side == "right" else MIRROR[0] @ R @ MIRROR[1]
+    return R if clip.side == "right" else SIDE_REFLECTIONS[0] @ R @ SIDE_REFLECTIONS[1]
 
 
-def opposite_turns(clip: Clip, surface: ObjectSurface) -> Float[ndarray, "k 3 3"]:
+def handle_half_turns(clip: Clip, surface: ObjectSurface) -> Float[ndarray, "k 3 3"]:
     """Return the half turn that swaps the sides of an unmeasured object's handle; none if nothing sticks out."""
     half = se3.exp_so3(np.array([[0.0, 0.0, np.pi]]))
-    if kind_of(clip) is None or surface.moved_by(half)[0] < HALF_TURNS[1]:
+    if unmeasured_kind(clip) is None or surface.moved_by(half)[0] < HALF_TURN_DISTANCE_RANGE[1]:
         return half[:0]
     return half
 
 
-def turned_away(clip: Clip, T_hand_obj: Float[ndarray, "T 4 4"]) -> float:
+def opening_angle(clip: Clip, T_hand_obj: Float[ndarray, "T 4 4"]) -> float:
     """Measure how far the opening of an unmeasured vessel points away from the camera, median over frames [degrees].
 
     NaN for all other objects.
     """
-    kind = kind_of(clip)
+    kind = unmeasured_kind(clip)
     if kind is None or not kind.opens_up:
         return float("nan")
     T = clip.hand.T_cam_hand @ T_hand_obj
@@ -76,7 +76,7 @@ class SizeTerm:
     """``weight / 2 * (log(scale) / spread)^2`` in each frame."""
 
     spread: float
-    weight: float = WEIGHT
+    weight: float = CATEGORY_PRIOR_WEIGHT
     name: str = "size"
 
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
@@ -96,7 +96,7 @@ class UprightTerm:
 
     axes: Float[ndarray, "N k 3"]
     """Its usual directions in the camera frame."""
-    weight: float = WEIGHT
+    weight: float = CATEGORY_PRIOR_WEIGHT
     name: str = "upright"
 
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
@@ -107,18 +107,18 @@ class UprightTerm:
         error = np.minimum(cosine.max(axis=-1), 0.0)
         J = np.zeros((*z.shape[:2], 1, 7))
         J[..., 0, 3:6] = np.where(error[..., None] < 0.0, np.cross(z, axis), 0.0)
-        return Quadratic.of_squares(error[..., None], J, 0.5 * self.weight / TILT**2)
+        return Quadratic.of_squares(error[..., None], J, 0.5 * self.weight / TILT_SIGMA**2)
 
 
-def usual_of(clip: Clip) -> Energy:
+def category_energy(clip: Clip) -> Energy:
     """Return the terms of an unmeasured object's upright axis, and of a size that is drawn to the usual or known one.
 
     No terms for others.
     """
-    kind = kind_of(clip)
+    kind = unmeasured_kind(clip)
     spread = None if kind is None else kind.spread
     if clip.size_beside_hand:
-        spread = SPREAD
+        spread = HAND_SIZE_SIGMA
 
     def terms(level: int, index: Int[ndarray, "n"]) -> list[Term]:
         if spread is None:
@@ -126,7 +126,7 @@ def usual_of(clip: Clip) -> Energy:
         size = SizeTerm(spread)
         if kind is None or not kind.opens_up:
             return [size]
-        axes = usual_rotations(clip)[: len(kind.grips), :, 2]
+        axes = category_rotations(clip)[: len(kind.grips), :, 2]
         in_camera = axes @ np.swapaxes(clip.hand.T_cam_hand[index, :3, :3], 1, 2)
         from_above = -clip.hand.T_cam_hand[index, None, :3, 3]
         from_above /= np.linalg.norm(from_above, axis=-1, keepdims=True)

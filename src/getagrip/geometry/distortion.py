@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
     from numpy import ndarray
 
-COUNTS = (4, 5, 8, 12, 14)
+N_DISTORTION_COEFFICIENTS = (4, 5, 8, 12, 14)
 """Numbers of coefficients of OpenCV's model of usual lenses."""
-LEAST = 0.5
+MIN_UNDISTORTED_COVERAGE = 0.5
 """Share of the pixels that the image must cover, once its distortion is removed."""
 
 
@@ -58,14 +58,14 @@ class Distortion:
         import cv2
         import numpy as np
 
-        counts = (4,) if self.fisheye else COUNTS
+        counts = (4,) if self.fisheye else N_DISTORTION_COEFFICIENTS
         if len(self.distortion) not in counts:
             raise UsageError(f"--distortion must be {' or '.join(map(str, counts))} (got {len(self.distortion)})")
         in_opencv = K - np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
         coefficients, maps = np.array(self.distortion), cv2.fisheye if self.fisheye else cv2
         u, v = maps.initUndistortRectifyMap(in_opencv, coefficients, np.eye(3), in_opencv, size, cv2.CV_32FC1)
         inside = (u >= -0.5) & (u <= size[0] - 0.5) & (v >= -0.5) & (v <= size[1] - 0.5)
-        if not inside.mean() > LEAST:
+        if not inside.mean() > MIN_UNDISTORTED_COVERAGE:
             got = f"{100.0 * inside.mean():.0f} % of the pixels inside the image"
             raise UsageError(f"--distortion must be this lens's (got coefficients that leave {got}); is it --fisheye?")
         return lambda image: np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR), dtype=np.uint8)

@@ -17,19 +17,19 @@ from jaxtyping import Float, Int, Shaped
 from numpy import ndarray
 
 from getagrip.errors import InputError
-from getagrip.geometry.obj import MOST
+from getagrip.geometry.obj import MAX_OBJ_ELEMENTS
 from getagrip.geometry.se3 import from_quaternion, transform
 from getagrip.io import files
 
-LARGEST_TREE = 16 * 2**20
+MAX_GLTF_JSON_BYTES = 16 * 2**20
 """Bytes of the JSON."""
-MOST_PARTS = 2**16
+MAX_GLTF_PARTS = 2**16
 """Nodes, and parts of meshes at them."""
-FARTHEST = 1e6
+MAX_NODE_TRANSFORM = 1e6
 """Largest number in a node's transform."""
-NUMBERS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+COMPONENT_DTYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 """The types of numbers by ``componentType``."""
-TRIANGLES, STRIP = 4, 5
+TRIANGLES_MODE, TRIANGLE_STRIP_MODE = 4, 5
 """Modes of parts that have triangles."""
 
 
@@ -41,13 +41,13 @@ def parse_glb(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[nd
     Materials, normals, textures, skins and animations are passed over. Raises ``InputError``.
     """
     try:
-        return _scene(_opened(path, content))
+        return _scene_triangles(_split_chunks(path, content))
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
         raise InputError(path, "mesh", f"a file that does not parse ({error})", "a whole .glb file") from error
 
 
 @dataclass(frozen=True)
-class _File:
+class _GltfFile:
     """A file's JSON, not checked, and the bytes of its arrays."""
 
     path: Path
@@ -70,7 +70,7 @@ class _File:
             raise ValueError(f"accessors[{n}] is not what it is used for")
         if view["buffer"] != 0 or "uri" in self.item("buffers", 0):
             raise InputError(self.path, "buffers", "arrays outside the file", "a .glb with all arrays in it")
-        start, dtype = view.get("byteOffset", 0), np.dtype(NUMBERS[accessor["componentType"]])
+        start, dtype = view.get("byteOffset", 0), np.dtype(COMPONENT_DTYPES[accessor["componentType"]])
         return np.ndarray(
             (accessor["count"], width),
             dtype,
@@ -80,7 +80,7 @@ class _File:
         )
 
 
-class _Part(NamedTuple):
+class _MeshPrimitive(NamedTuple):
     """A part of a mesh, as it lies in the file."""
 
     points: Shaped[ndarray, "n 3"]
@@ -90,44 +90,50 @@ class _Part(NamedTuple):
     """True if each corner from the third on makes a triangle with the two before."""
 
 
-def _opened(path: Path, content: bytes) -> _File:
+def _split_chunks(path: Path, content: bytes) -> _GltfFile:
     """Split a file into its two chunks."""
     if content[:4] != b"glTF" or content[16:20] != b"JSON":
         raise ValueError("no glTF header")
     end = 20 + int.from_bytes(content[12:16], "little")
-    if end - 20 > LARGEST_TREE:
-        raise InputError(path, "JSON", f"{end - 20} bytes", f"at most {LARGEST_TREE}")
+    if end - 20 > MAX_GLTF_JSON_BYTES:
+        raise InputError(path, "JSON", f"{end - 20} bytes", f"at most {MAX_GLTF_JSON_BYTES}")
     tree = json.loads(content[20:end])
     compressed = [name for name in tree.get("extensionsRequired", []) if "compress" in name]
     if compressed:
-        raise InputError(path, "mesh", files.plain(str(compressed[0])), "a .glb exported without compression")
+        raise InputError(path, "mesh", files.printable(str(compressed[0])), "a .glb exported without compression")
     data = memoryview(content)[end + 8 :]
     length = int.from_bytes(content[end : end + 4], "little")
     if len(data) < length:
         raise ValueError("it is cut short")
-    return _File(path, tree, data[:length])
+    return _GltfFile(path, tree, data[:length])
 
 
-def _scene(file: _File) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
+def _scene_triangles(file: _GltfFile) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
     """Vertices and faces of all parts."""
     parts, vertices, corners = [], 0, 0
-    of_mesh: dict[int, list[_Part]] = {}
-    for mesh, T_scene_node in _placed(file):
+    of_mesh: dict[int, list[_MeshPrimitive]] = {}
+    for mesh, T_scene_node in _iterate_mesh_poses(file):
         if mesh not in of_mesh:
-            of_mesh[mesh] = list(_parts(file, mesh))
+            of_mesh[mesh] = list(_triangle_primitives(file, mesh))
         for points, ids, is_strip in of_mesh[mesh]:
             vertices, corners = vertices + len(points), corners + len(points if ids is None else ids)
             parts.append((points, ids, is_strip, T_scene_node))
-            if len(parts) > MOST_PARTS:
-                raise InputError(file.path, "nodes", f"more than {MOST_PARTS} parts of meshes", f"at most {MOST_PARTS}")
-            if vertices > MOST or corners > 3 * MOST:
+            if len(parts) > MAX_GLTF_PARTS:
+                raise InputError(
+                    file.path, "nodes", f"more than {MAX_GLTF_PARTS} parts of meshes", f"at most {MAX_GLTF_PARTS}"
+                )
+            if vertices > MAX_OBJ_ELEMENTS or corners > 3 * MAX_OBJ_ELEMENTS:
                 got = f"{vertices} vertices and {corners} corners of faces, or more"
-                raise InputError(file.path, "nodes", got, f"at most {MOST} vertices and {3 * MOST} corners")
+                raise InputError(
+                    file.path, "nodes", got, f"at most {MAX_OBJ_ELEMENTS} vertices and {3 * MAX_OBJ_ELEMENTS} corners"
+                )
     if not parts:
         return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
     first, found = 0, []
     for points, ids, is_strip, T_scene_node in parts:
-        faces = _faces(file.path, np.arange(len(points)) if ids is None else ids.ravel(), len(points), is_strip)
+        faces = _primitive_faces(
+            file.path, np.arange(len(points)) if ids is None else ids.ravel(), len(points), is_strip
+        )
         is_mirrored = np.linalg.det(T_scene_node[:3, :3]) < 0
         found.append(
             (transform(T_scene_node, points.astype(float)), first + (faces[:, ::-1] if is_mirrored else faces))
@@ -137,7 +143,7 @@ def _scene(file: _File) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
     return np.concatenate(placed), np.concatenate(joined)
 
 
-def _placed(file: _File) -> Iterator[tuple[int, Float[ndarray, "4 4"]]]:
+def _iterate_mesh_poses(file: _GltfFile) -> Iterator[tuple[int, Float[ndarray, "4 4"]]]:
     """Yield each mesh of the scene with its pose there, scale included."""
     if not file.tree.get("scenes"):
         return
@@ -149,19 +155,19 @@ def _placed(file: _File) -> Iterator[tuple[int, Float[ndarray, "4 4"]]]:
             if n in seen:
                 raise ValueError(f"nodes[{n}] is in two places")
             seen.add(n)
-            if len(seen) > MOST_PARTS:
-                raise InputError(file.path, "nodes", f"more than {MOST_PARTS} in the scene", "at most that")
+            if len(seen) > MAX_GLTF_PARTS:
+                raise InputError(file.path, "nodes", f"more than {MAX_GLTF_PARTS} in the scene", "at most that")
             with np.errstate(all="ignore"):
-                T_scene_node = T_scene_parent @ _transform(node)
-            if not (np.abs(T_scene_node) <= FARTHEST).all():
+                T_scene_node = T_scene_parent @ _node_transform(node)
+            if not (np.abs(T_scene_node) <= MAX_NODE_TRANSFORM).all():
                 got = "a transform with numbers that are vast or not finite"
-                raise InputError(file.path, f"nodes[{n}]", got, f"at most {FARTHEST:g}, in the scene")
+                raise InputError(file.path, f"nodes[{n}]", got, f"at most {MAX_NODE_TRANSFORM:g}, in the scene")
             waiting.append((node.get("children", []), T_scene_node))
             if "mesh" in node:
                 yield node["mesh"], T_scene_node
 
 
-def _transform(node: files.Json) -> Float[ndarray, "4 4"]:
+def _node_transform(node: files.Json) -> Float[ndarray, "4 4"]:
     """Return the pose of a node in its parent, scale included."""
     if "matrix" in node:
         return np.array(node["matrix"], dtype=float).reshape(4, 4).T  # it is stored by columns
@@ -174,16 +180,16 @@ def _transform(node: files.Json) -> Float[ndarray, "4 4"]:
     return T
 
 
-def _parts(file: _File, mesh: int) -> Iterator[_Part]:
+def _triangle_primitives(file: _GltfFile, mesh: int) -> Iterator[_MeshPrimitive]:
     """Yield the parts of a mesh that have triangles."""
     for part in file.item("meshes", mesh)["primitives"]:
-        mode = part.get("mode", TRIANGLES)
-        if mode in (TRIANGLES, STRIP):
+        mode = part.get("mode", TRIANGLES_MODE)
+        if mode in (TRIANGLES_MODE, TRIANGLE_STRIP_MODE):
             ids = file.array(part["indices"], 1) if "indices" in part else None
-            yield _Part(file.array(part["attributes"]["POSITION"], 3), ids, mode == STRIP)
+            yield _MeshPrimitive(file.array(part["attributes"]["POSITION"], 3), ids, mode == TRIANGLE_STRIP_MODE)
 
 
-def _faces(path: Path, ids: Shaped[ndarray, "n"], vertices: int, is_strip: bool) -> Int[ndarray, "F 3"]:
+def _primitive_faces(path: Path, ids: Shaped[ndarray, "n"], vertices: int, is_strip: bool) -> Int[ndarray, "F 3"]:
     """Return the triangles of a part."""
     if ids.dtype.kind == "f" or (len(ids) and not 0 <= ids.min() <= ids.max() < vertices):
         raise InputError(path, "faces", f"the vertex index {ids.max()}", f"0 to {vertices - 1}, counted from 0")

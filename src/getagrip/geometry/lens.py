@@ -7,7 +7,7 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from getagrip.io.arguments import Flag, numbers
+from getagrip.io.arguments import Flag, numbers_argument
 
 
 @dataclass(frozen=True)
@@ -15,7 +15,9 @@ class Lens:
     """Knowledge about the camera: at most one of three fields is set."""
 
     K: Annotated[
-        tuple[float, float, float, float] | None, numbers(4, "FX FY CX CY"), arg(name="K", help_behavior_hint="")
+        tuple[float, float, float, float] | None,
+        numbers_argument(4, "FX FY CX CY"),
+        arg(name="K", help_behavior_hint=""),
     ] = None
     """The camera's focal lengths and principal point [px]."""
     focal: Annotated[float | None, arg(metavar="PX", help_behavior_hint="")] = None

@@ -11,18 +11,18 @@ from numpy import ndarray
 
 from getagrip.io.array_data import ArrayData, check_finite, check_ids
 
-PAIRS = 50_000
+DISTANCE_CHUNK_SIZE = 50_000
 """Number of distances that are computed at once."""
-LEFT = 2
+MAX_DECIMATION_RATIO = 2
 """Times the faces that were asked for: when edge collapse leaves more, it has not worked."""
-HASTE = (3.0, 7.0)
+DECIMATION_AGGRESSIVENESS = (3.0, 7.0)
 """How hastily edges collapse. At the library's 7 thin parts are lost: a notebook of 28 cm was 7 mm off on average, and
 0.2 mm at 3. Rough meshes of a million faces need more, though."""
-MOST_PARTS = 500
+MAX_MESH_PARTS = 500
 """Parts beyond which none is looked at alone."""
-NEAR_PARTS = (0.02, 0.001)
+PART_GAP_FRACTIONS = (0.02, 0.001)
 """Parts nearer to each other than this belong together, if both are closed and if not [shares of the mesh's size]."""
-MOST_FACES = 100_000
+MAX_MESH_FACES = 100_000
 """Most faces of a mesh that is fitted, measured and drawn: millimetre-sized ones on a can. More only take time and
 memory."""
 
@@ -89,8 +89,8 @@ class Mesh(ArrayData):
 
     @cached_property
     def light(self) -> Mesh:
-        """The mesh, simplified to about ``MOST_FACES`` faces if it has more."""
-        return clustered(self, MOST_FACES)
+        """The mesh, simplified to about ``MAX_MESH_FACES`` faces if it has more."""
+        return cluster_vertices(self, MAX_MESH_FACES)
 
     def stands_for(self, whole: Mesh, done: str) -> list[str]:
         """Return a note that this mesh was fitted or measured (``done``) in place of the whole one."""
@@ -132,17 +132,17 @@ def vertex_normals(vertices: Float[ndarray, "*batch V 3"], faces: Int[ndarray, "
 
 def edge_table(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "E 4"]:
     """Pair the half-edges of a mesh; see ``Mesh.edges``. Those of very large meshes are not kept."""
-    if len(faces) > MOST_FACES:
-        return _paired(faces)
-    return _kept(np.ascontiguousarray(faces, dtype=np.int64).tobytes()).copy()
+    if len(faces) > MAX_MESH_FACES:
+        return _pair_half_edges(faces)
+    return _cached_edge_table(np.ascontiguousarray(faces, dtype=np.int64).tobytes()).copy()
 
 
 @lru_cache(maxsize=8)  # of a hand, its closed surface and some objects, which are posed again and again
-def _kept(content: bytes) -> Int[ndarray, "E 4"]:
-    return _paired(np.frombuffer(content, np.int64).reshape(-1, 3))
+def _cached_edge_table(content: bytes) -> Int[ndarray, "E 4"]:
+    return _pair_half_edges(np.frombuffer(content, np.int64).reshape(-1, 3))
 
 
-def _paired(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "E 4"]:
+def _pair_half_edges(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "E 4"]:
     """``edge_table``. Half-edge h begins at corner h % 3 of face h // 3."""
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     key = np.minimum(start, end).astype(np.int64)
@@ -189,8 +189,8 @@ def diameter(points: Float[ndarray, "V 3"]) -> float:
         best = max(best, cdist(low[[down.argmin()]], high[[up.argmax()]]).item())
         least = best * cosine - rounding
         low, high = low[down <= up.max() - least], high[up >= down.min() + least]
-        if len(low) * len(high) <= PAIRS or best * (1.0 - cosine) <= rounding:
-            for some in np.array_split(low, 1 + len(low) * len(high) // PAIRS):
+        if len(low) * len(high) <= DISTANCE_CHUNK_SIZE or best * (1.0 - cosine) <= rounding:
+            for some in np.array_split(low, 1 + len(low) * len(high) // DISTANCE_CHUNK_SIZE):
                 best = max(best, cdist(some, high).max(initial=0.0))
         else:
             quarters = [*(0.5 * (corners + corner) for corner in corners), 0.5 * (corners.sum(axis=0) - corners)]
@@ -198,7 +198,7 @@ def diameter(points: Float[ndarray, "V 3"]) -> float:
     return float(best)
 
 
-def merged(vertices: Float[ndarray, "V 3"]) -> Int[ndarray, "V"]:
+def merge_vertices(vertices: Float[ndarray, "V 3"]) -> Int[ndarray, "V"]:
     """Return for each vertex the index of the first vertex at the same place."""
     place = same_rows(vertices)
     _, first = np.unique(place, return_index=True)
@@ -216,28 +216,30 @@ def separate_parts(vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]) 
 
     if not len(faces):
         return []
-    ids = merged(vertices)[faces]
+    ids = merge_vertices(vertices)[faces]
     ends = np.concatenate([ids[:, [0, 1]], ids[:, [1, 2]]])
     joined = coo_matrix((np.ones(len(ends)), ends.T), shape=(len(vertices),) * 2)
     _, of_face = np.unique(connected_components(joined, directed=False)[1][ids[:, 0]], return_inverse=True)
-    if of_face.max() >= MOST_PARTS:
+    if of_face.max() >= MAX_MESH_PARTS:
         return [np.arange(len(faces))]
     parts = [np.flatnonzero(of_face == k) for k in range(of_face.max() + 1)]
     boxes = np.array([[f(vertices[faces[part].ravel()], axis=0) for f in (np.min, np.max)] for part in parts])
-    closed = np.array([_every_edge_twice(ids[part]) for part in parts])
-    room = np.where(closed[:, None] & closed, *np.ptp(vertices[faces.ravel()], axis=0).max() * np.array(NEAR_PARTS))
+    closed = np.array([_is_closed_manifold(ids[part]) for part in parts])
+    room = np.where(
+        closed[:, None] & closed, *np.ptp(vertices[faces.ravel()], axis=0).max() * np.array(PART_GAP_FRACTIONS)
+    )
     gap = np.maximum(boxes[:, None, 0] - boxes[None, :, 1], boxes[None, :, 0] - boxes[:, None, 1]).max(axis=-1)
     _, group = connected_components(coo_matrix(gap <= room), directed=False)
     together = [np.concatenate([parts[k] for k in np.flatnonzero(group == g)]) for g in range(group.max() + 1)]
     return sorted(together, key=lambda part: -float(np.ptp(vertices[faces[part].ravel()], axis=0).max()))
 
 
-def _every_edge_twice(faces: Int[ndarray, "F 3"]) -> bool:
+def _is_closed_manifold(faces: Int[ndarray, "F 3"]) -> bool:
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     return bool((np.unique(edges, axis=0, return_counts=True)[1] == 2).all())
 
 
-def clustered(mesh: Mesh, faces: int) -> Mesh:
+def cluster_vertices(mesh: Mesh, faces: int) -> Mesh:
     """Simplify a very large mesh to about ``faces`` faces by vertex clustering, which is fast.
 
     Vertices in the same cell of a grid become their mean, and faces with two corners in one cell vanish: no vertex
@@ -265,14 +267,14 @@ def decimate(mesh: Mesh, faces: int) -> Mesh:
     import fast_simplification
 
     few = mesh
-    for haste in HASTE:
+    for haste in DECIMATION_AGGRESSIVENESS:
         v, f = fast_simplification.simplify(
             few.vertices.astype(np.float32), few.faces.astype(np.int32), target_count=faces, agg=haste
         )
         few = Mesh(np.asarray(v, dtype=float), np.asarray(f, dtype=np.int64))
-        if len(f) <= LEFT * faces:
+        if len(f) <= MAX_DECIMATION_RATIO * faces:
             return few
-    return clustered(few, faces)
+    return cluster_vertices(few, faces)
 
 
 def same_rows(rows: Shaped[ndarray, "N K"]) -> Int[ndarray, "N"]:

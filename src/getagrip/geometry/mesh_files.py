@@ -11,23 +11,23 @@ from numpy import ndarray
 
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.glb import parse_glb
-from getagrip.geometry.mesh import Mesh, face_areas, merged
+from getagrip.geometry.mesh import Mesh, face_areas, merge_vertices
 from getagrip.geometry.obj import obj_content, parse_obj
 from getagrip.geometry.ply import parse_ply
 from getagrip.io import files
-from getagrip.io.named import named
+from getagrip.io.named import check_arguments
 
-SUFFIXES = (".obj", ".ply", ".stl", ".glb")
-LARGEST, SMALLEST = 2.0, 0.005
+MESH_SUFFIXES = (".obj", ".ply", ".stl", ".glb")
+MAX_MESH_EXTENT_M, MIN_MESH_EXTENT_M = 2.0, 0.005
 """Plausible sizes of hands and objects [m]."""
-FARTHEST = 100.0
+MAX_ORIGIN_DISTANCE_M = 100.0
 """Farthest that a mesh may be from its origin [m]; the shape of one that is farther has too few digits."""
-OTHER_UNITS = " Scale the file to metres; of a clip's own mesh, getagrip clip new takes the unit (--unit mm, cm, in)"
-LARGEST_FILE = 128 * 2**20
+UNIT_HINT = " Scale the file to metres; of a clip's own mesh, getagrip clip new takes the unit (--unit mm, cm, in)"
+MAX_MESH_BYTES = 128 * 2**20
 """Limit in bytes: parsing takes several times as much memory."""
 
 
-@named
+@check_arguments
 def read_mesh(path: str | Path) -> Mesh:
     """Read and check a triangle mesh in metres (.obj, .ply, .stl, .glb), placed by the file's own transforms.
 
@@ -41,11 +41,13 @@ def read_mesh(path: str | Path) -> Mesh:
 def parse_mesh(path: Path) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."]]:
     """Parse vertices and faces of a mesh file, not checked, in the file's own unit. Raises ``InputError``."""
     suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(path, "mesh", f"the suffix {files.shown(path.suffix)}", f"one of {', '.join(SUFFIXES)}")
+    if suffix not in MESH_SUFFIXES:
+        raise InputError(
+            path, "mesh", f"the suffix {files.shorten_value(path.suffix)}", f"one of {', '.join(MESH_SUFFIXES)}"
+        )
     if not path.is_file():
         raise InputError(path, "mesh", "no such file", "a triangle mesh")
-    content = files.read_bytes(path, LARGEST_FILE)
+    content = files.read_bytes(path, MAX_MESH_BYTES)
     if suffix == ".obj":
         return parse_obj(path, content)
     if suffix == ".glb":
@@ -62,7 +64,7 @@ def _parse_stl(path: Path, content: bytes) -> tuple[Float[ndarray, "..."], Int[n
     kind, stream = "stl", io.BytesIO(content)  # without a path nothing beside the file is ever opened
     binary = len(content) >= 84 and len(content) == 84 + 50 * int.from_bytes(content[80:84], "little")
     if not binary:
-        kind, stream = "stl_ascii", io.BytesIO(files.without_mark(content).decode("utf-8", "replace").encode())
+        kind, stream = "stl_ascii", io.BytesIO(files.strip_byte_order_mark(content).decode("utf-8", "replace").encode())
         if not stream.getvalue().lstrip().startswith(b"solid"):
             raise InputError(path, "mesh", "a file that does not parse", "a whole .stl file, binary or text")
     try:
@@ -89,10 +91,12 @@ def checked_mesh(path: Path, vertices: Float[ndarray, "..."], faces: Int[ndarray
     used, faces = used_vertices(vertices, faces)
     vertices = vertices[used]
     extent = float(np.ptp(vertices, axis=0).max())
-    check_size(path, "vertices", extent, "the object", OTHER_UNITS)
+    check_size(path, "vertices", extent, "the object", UNIT_HINT)
     away = float(np.abs(vertices.mean(axis=0)).max())
-    if away > FARTHEST:
-        expected = f"at most {FARTHEST:g} m: so far off, as in a map, its shape has too few digits; move it"
+    if away > MAX_ORIGIN_DISTANCE_M:
+        expected = (
+            f"at most {MAX_ORIGIN_DISTANCE_M:g} m: so far off, as in a map, its shape has too few digits; move it"
+        )
         raise InputError(path, "vertices", f"an object {away:.4g} m from its origin", expected)
     bad = np.flatnonzero(face_areas(vertices, faces) < 1e-12 * extent**2)
     if bad.size:
@@ -105,11 +109,11 @@ def used_vertices(
     vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]
 ) -> tuple[Int[ndarray, "U"], Int[ndarray, "F 3"]]:
     """Return the vertices that faces need, one at each place, and the faces of these: formats like .stl repeat them."""
-    used, remapped = np.unique(merged(vertices)[faces], return_inverse=True)
+    used, remapped = np.unique(merge_vertices(vertices)[faces], return_inverse=True)
     return used, remapped.reshape(faces.shape)
 
 
-def with_area(vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]) -> Int[ndarray, "..."]:
+def drop_degenerate_faces(vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]) -> Int[ndarray, "..."]:
     """Drop the faces without area, which scans and CAD models may hold.
 
     All are returned where they are no triangles of these vertices: ``checked_mesh`` says what is wrong with them.
@@ -128,18 +132,18 @@ def check_size(path: Path, key: str, extent: float, what: str, units: str = "") 
     ``units``: what can be done where the unit is not the metre.
     """
     got = f"{what} {extent:.4g} m large"
-    if extent > LARGEST:
-        raise InputError(path, key, got, f"at most {LARGEST:g} m; are these millimetres?{units}")
-    if extent < SMALLEST:
-        raise InputError(path, key, got, f"at least {SMALLEST:g} m; is the unit the metre?{units}")
+    if extent > MAX_MESH_EXTENT_M:
+        raise InputError(path, key, got, f"at most {MAX_MESH_EXTENT_M:g} m; are these millimetres?{units}")
+    if extent < MIN_MESH_EXTENT_M:
+        raise InputError(path, key, got, f"at least {MIN_MESH_EXTENT_M:g} m; is the unit the metre?{units}")
 
 
-@named
+@check_arguments
 def write_mesh(mesh: Mesh, path: str | Path) -> Path:
     """Write a mesh as .obj, .ply, .stl or .glb, and return its path. Raises ``UsageError`` for other suffixes."""
     path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
-        raise UsageError(f"unknown suffix {path.suffix!r} of {path}; choose from {', '.join(SUFFIXES)}")
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise UsageError(f"unknown suffix {path.suffix!r} of {path}; choose from {', '.join(MESH_SUFFIXES)}")
     if path.suffix.lower() == ".obj":
         files.write_bytes(path, obj_content(mesh.vertices, mesh.faces))
         return path

@@ -15,23 +15,23 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.errors import InputError
-from getagrip.geometry.obj import MOST
-from getagrip.geometry.polygons import triangles
+from getagrip.geometry.obj import MAX_OBJ_ELEMENTS
+from getagrip.geometry.polygons import triangulate_polygons
 from getagrip.io import files
 
-TYPES = {
+PLY_DTYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
     "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
     "double": "f8", "float64": "f8",
 }  # fmt: skip
-ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-CORNERS = ("vertex_indices", "vertex_index")
-WHOLE = "a whole .ply file"
-MOST_ONE_BY_ONE = 2**20
+PLY_BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+VERTEX_INDEX_PROPERTIES = ("vertex_indices", "vertex_index")
+EXPECTED_PLY = "a whole .ply file"
+MAX_RAGGED_ROWS = 2**20
 """Rows that are read one by one: some seconds."""
 
 
-class Property(NamedTuple):
+class PlyProperty(NamedTuple):
     """A number, or a list of them; types as numpy names them."""
 
     name: str
@@ -41,12 +41,12 @@ class Property(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Element:
+class PlyElement:
     """Rows of a kind."""
 
     name: str
     length: int
-    properties: list[Property]
+    properties: list[PlyProperty]
 
 
 Columns = dict[str, tuple[Int[ndarray, "n"], ndarray]]
@@ -60,71 +60,73 @@ def parse_ply(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[nd
 
     Raises ``InputError``.
     """
-    content = files.without_mark(content)
-    order, elements, start = _header(path, content)
+    content = files.strip_byte_order_mark(content)
+    order, elements, start = _parse_ply_header(path, content)
     try:
-        body = _Text(content[start:]) if order == "ascii" else _Binary(content, start, ORDERS[order])
+        body = _TextBody(content[start:]) if order == "ascii" else _BinaryBody(content, start, PLY_BYTE_ORDERS[order])
     except (ValueError, DeprecationWarning) as error:
-        raise InputError(path, "mesh", "words where numbers should be", WHOLE) from error
+        raise InputError(path, "mesh", "words where numbers should be", EXPECTED_PLY) from error
     points, polygons = np.zeros((0, 3)), None
     for element in elements:
         key = {"vertex": "vertices", "face": "faces"}.get(element.name, "mesh")
         try:
-            columns = _rows(element, body)
+            columns = _read_element_rows(element, body)
         except (ValueError, OverflowError) as error:
-            got = f"fewer rows of {files.shown(element.name)} than {element.length}, or other ones"
+            got = f"fewer rows of {files.shorten_value(element.name)} than {element.length}, or other ones"
             raise InputError(path, key, got, f"{element.length}, as its header says; is it cut short?") from error
         if columns is None:
-            got = f"more than {MOST_ONE_BY_ONE} rows of {files.shown(element.name)} with lists of several lengths"
+            got = (
+                f"more than {MAX_RAGGED_ROWS} rows of {files.shorten_value(element.name)} with lists of several lengths"
+            )
             raise InputError(path, key, got, "triangles: triangulate the mesh where it was made")
         if element.name == "vertex":
             if not all(axis in columns for axis in "xyz"):
                 raise InputError(path, "vertices", "no x, y and z", "three coordinates for each vertex")
             points = np.stack([columns[axis][1] for axis in "xyz"], axis=1).astype(float)
         elif element.name == "face":
-            polygons = next((columns[name] for name in CORNERS if name in columns), None)
+            polygons = next((columns[name] for name in VERTEX_INDEX_PROPERTIES if name in columns), None)
     if polygons is None or not len(polygons[0]):
         raise InputError(path, "faces", "no faces", "a mesh with faces")
     counts, corners = polygons
     few = np.flatnonzero(counts < 3)
     if few.size:
         raise InputError(path, "faces", f"face {few[0]} with {counts[few[0]]} corners", "three or more")
-    if len(corners) - 2 * len(counts) > MOST:
-        raise InputError(path, "faces", f"more than {MOST} triangles", f"at most {MOST}")
+    if len(corners) - 2 * len(counts) > MAX_OBJ_ELEMENTS:
+        raise InputError(path, "faces", f"more than {MAX_OBJ_ELEMENTS} triangles", f"at most {MAX_OBJ_ELEMENTS}")
     with np.errstate(invalid="ignore"):
-        return points, triangles(path, points, counts, corners.astype(np.int64))
+        return points, triangulate_polygons(path, points, counts, corners.astype(np.int64))
 
 
-def _header(path: Path, content: bytes) -> tuple[str, list[Element], int]:
+def _parse_ply_header(path: Path, content: bytes) -> tuple[str, list[PlyElement], int]:
     """Read the header: format, kinds of rows, and the position where the rows begin. Raises ``InputError``."""
     end = content.find(b"end_header", 0, 2**16)
     after = content.find(b"\n", end) + 1
     if not content.startswith(b"ply") or end < 0 or not after:
-        raise InputError(path, "mesh", "a file without a header of .ply", WHOLE)
-    order, elements = "", list[Element]()
+        raise InputError(path, "mesh", "a file without a header of .ply", EXPECTED_PLY)
+    order, elements = "", list[PlyElement]()
     for line in content[:end].decode("ascii", "replace").splitlines():
         try:
             match line.split():
-                case ["format", name, *_] if name in ORDERS:
+                case ["format", name, *_] if name in PLY_BYTE_ORDERS:
                     order = name
-                case ["element", name, length] if 0 <= int(length) <= MOST:
-                    elements.append(Element(name, int(length), []))
-                case ["property", "list", counted, kind, name] if TYPES[counted][0] != "f":
-                    elements[-1].properties.append(Property(name, TYPES[kind], TYPES[counted]))
+                case ["element", name, length] if 0 <= int(length) <= MAX_OBJ_ELEMENTS:
+                    elements.append(PlyElement(name, int(length), []))
+                case ["property", "list", counted, kind, name] if PLY_DTYPES[counted][0] != "f":
+                    elements[-1].properties.append(PlyProperty(name, PLY_DTYPES[kind], PLY_DTYPES[counted]))
                 case ["property", kind, name]:
-                    elements[-1].properties.append(Property(name, TYPES[kind], ""))
+                    elements[-1].properties.append(PlyProperty(name, PLY_DTYPES[kind], ""))
                 case ["ply"] | ["comment" | "obj_info", *_] | []:
                     pass
                 case _:
                     raise ValueError
         except (ValueError, KeyError, IndexError) as error:
-            raise InputError(path, "mesh", f"the line {line[:80]!r} in its header", WHOLE) from error
+            raise InputError(path, "mesh", f"the line {line[:80]!r} in its header", EXPECTED_PLY) from error
     if not order:
-        raise InputError(path, "mesh", "no format in its header", f"one of {', '.join(ORDERS)}")
+        raise InputError(path, "mesh", "no format in its header", f"one of {', '.join(PLY_BYTE_ORDERS)}")
     return order, elements, after
 
 
-class _Text:
+class _TextBody:
     """The numbers of a text file."""
 
     def __init__(self, content: bytes) -> None:
@@ -133,7 +135,7 @@ class _Text:
             self.values = np.fromstring(content.decode("ascii", "replace"), sep=" ")
         self.at = 0
 
-    def table(self, element: Element, counts: list[int]) -> Columns | None:
+    def table(self, element: PlyElement, counts: list[int]) -> Columns | None:
         """Read all rows of an element whose lists have the lengths ``counts``; None where a row's are others."""
         width = sum(count + bool(p.counted) for p, count in zip(element.properties, counts, strict=True))
         values = self.values[self.at : self.at + element.length * width]
@@ -158,13 +160,13 @@ class _Text:
         return self.values[self.at - count : self.at]
 
 
-class _Binary:
+class _BinaryBody:
     """The numbers of a binary file."""
 
     def __init__(self, content: bytes, start: int, order: str) -> None:
         self.content, self.at, self.order = content, start, order
 
-    def table(self, element: Element, counts: list[int]) -> Columns | None:
+    def table(self, element: PlyElement, counts: list[int]) -> Columns | None:
         """Read all rows of an element whose lists have the lengths ``counts``; None where a row's are others."""
         fields: list[tuple[str, str, int]] = []
         for n, (p, count) in enumerate(zip(element.properties, counts, strict=True)):
@@ -191,7 +193,7 @@ class _Binary:
         return np.frombuffer(self.content, dtype, count, self.at - count * dtype.itemsize)
 
 
-def _rows(element: Element, body: _Text | _Binary) -> Columns | None:
+def _read_element_rows(element: PlyElement, body: _TextBody | _BinaryBody) -> Columns | None:
     """Read the rows of an element: at once where all lists are as long as those of the first, else one by one.
 
     None where these are too many. Raises ``ValueError`` and ``OverflowError`` for what is not there.
@@ -204,7 +206,7 @@ def _rows(element: Element, body: _Text | _Binary) -> Columns | None:
     table = body.table(element, counts) if element.length else Columns()
     if table is not None:
         return table
-    if element.length > MOST_ONE_BY_ONE:
+    if element.length > MAX_RAGGED_ROWS:
         return None
     lengths: list[list[int]] = [[] for _ in element.properties]
     values: list[list[ndarray]] = [[] for _ in element.properties]

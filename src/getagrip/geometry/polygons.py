@@ -13,24 +13,24 @@ from numpy import ndarray
 
 from getagrip.errors import InputError
 
-STRAIGHT = 1e-14
+COLLINEAR_TOLERANCE = 1e-14
 """Corners that turn less are straight, in polygons about 1 large."""
-FEW = 50
+MAX_SCALAR_TESTS = 50
 """Corners that are tested one by one; more are tested at once, each in a fraction of the time."""
-MOST_TESTS = 10_000_000
+MAX_EAR_TESTS = 10_000_000
 """Most tests of corners against triangles, in the concave polygons of a file: some seconds."""
-AT_ONCE = 2**18
+POLYGON_CHUNK_CORNERS = 2**18
 """Corners of polygons that are looked at at a time."""
 
 
 @dataclass
-class Effort:
+class EarTestBudget:
     """Number of further tests that a file may take."""
 
     left: int
 
 
-def triangles(
+def triangulate_polygons(
     path: Path, points: Float[ndarray, "V 3"], counts: Int[ndarray, "n"], corners: Int[ndarray, "c"]
 ) -> Int[ndarray, "F 3"]:
     """Triangulate polygons with ``counts`` corners each (3 or more), which are listed one after the other.
@@ -39,18 +39,18 @@ def triangles(
     long to be cut.
     """
     starts, firsts = np.cumsum(counts) - counts, np.cumsum(counts - 2) - (counts - 2)
-    made, effort = np.empty((int(np.sum(counts - 2)), 3), dtype=np.int64), Effort(MOST_TESTS)
+    made, effort = np.empty((int(np.sum(counts - 2)), 3), dtype=np.int64), EarTestBudget(MAX_EAR_TESTS)
     for count in np.unique(counts):
-        of_count, step = np.flatnonzero(counts == count), max(1, AT_ONCE // int(count))
+        of_count, step = np.flatnonzero(counts == count), max(1, POLYGON_CHUNK_CORNERS // int(count))
         for begin in range(0, len(of_count), step):
             rows = of_count[begin : begin + step]
             polygons = corners[starts[rows, None] + np.arange(count)]
-            made[firsts[rows, None] + np.arange(count - 2)] = _cut(path, points, polygons, effort)
+            made[firsts[rows, None] + np.arange(count - 2)] = _triangulate_equal_sized(path, points, polygons, effort)
     return made
 
 
-def _cut(
-    path: Path, points: Float[ndarray, "V 3"], polygons: Int[ndarray, "n N"], effort: Effort
+def _triangulate_equal_sized(
+    path: Path, points: Float[ndarray, "V 3"], polygons: Int[ndarray, "n N"], effort: EarTestBudget
 ) -> Int[ndarray, "n f 3"]:
     """Triangulate polygons that have the same number of corners."""
     count = polygons.shape[1]
@@ -62,25 +62,27 @@ def _cut(
     flat = _in_plane(points[np.where(known[:, None], polygons, 0)])
     concave = known & ~_are_convex(flat)
     if count == 4:
-        cut[concave] = np.where(_split_at_first(flat[concave])[:, None, None], cut[concave], _other(polygons[concave]))
+        cut[concave] = np.where(
+            _split_at_first(flat[concave])[:, None, None], cut[concave], _split_second_diagonal(polygons[concave])
+        )
         return cut
     for row in np.flatnonzero(concave):
-        cut[row] = polygons[row][np.array(_ears(path, flat[row], effort))]
+        cut[row] = polygons[row][np.array(_clip_ears(path, flat[row], effort))]
     return cut
 
 
 def _split_at_first(flat: Float[ndarray, "n 4 2"]) -> Bool[ndarray, "n"]:
     """Return whether the diagonal from a quad's first corner lies in it; one of the two diagonals does."""
     a, b, c, d = np.moveaxis(flat, 1, 0)
-    return (_turns(a, b, c) > 0) & (_turns(a, c, d) > 0)
+    return (_twice_signed_areas(a, b, c) > 0) & (_twice_signed_areas(a, c, d) > 0)
 
 
-def _other(quads: Int[ndarray, "n 4"]) -> Int[ndarray, "n 2 3"]:
+def _split_second_diagonal(quads: Int[ndarray, "n 4"]) -> Int[ndarray, "n 2 3"]:
     """Quads cut at the diagonal from their second corner."""
     return quads[:, np.array([[1, 2, 3], [1, 3, 0]])]
 
 
-def _ears(path: Path, flat: Float[ndarray, "N 2"], effort: Effort) -> list[tuple[int, int, int]]:
+def _clip_ears(path: Path, flat: Float[ndarray, "N 2"], effort: EarTestBudget) -> list[tuple[int, int, int]]:
     """N - 2 triangles of a simple polygon in the plane, by its corners, turning as it turns.
 
     Corners are cut off that are convex and whose triangle holds no other corner, or that are straight where there are
@@ -91,30 +93,30 @@ def _ears(path: Path, flat: Float[ndarray, "N 2"], effort: Effort) -> list[tuple
     count = len(at)
     before, after = [n - 1 for n in range(count)], [n + 1 for n in range(count)]
     before[0], after[-1] = count - 1, 0
-    turn = [_turn(at[before[n]], at[n], at[after[n]]) for n in range(count)]
+    turn = [_twice_signed_area(at[before[n]], at[n], at[after[n]]) for n in range(count)]
     reflex = {n for n in range(count) if turn[n] <= 0}
     is_reflex = np.array(turn) <= 0
     cut: list[tuple[int, int, int]] = []
     n = passed = 0
     while count > 3:
         a, c = before[n], after[n]
-        convex, straight = turn[n] > STRAIGHT, passed > count and abs(turn[n]) <= STRAIGHT
-        few = len(reflex) <= FEW
+        convex, straight = turn[n] > COLLINEAR_TOLERANCE, passed > count and abs(turn[n]) <= COLLINEAR_TOLERANCE
+        few = len(reflex) <= MAX_SCALAR_TESTS
         if convex:
-            effort.left -= 1 + (len(reflex) if few else 20 * FEW + len(flat) // 4)
+            effort.left -= 1 + (len(reflex) if few else 20 * MAX_SCALAR_TESTS + len(flat) // 4)
         if effort.left < 0:
             got = f"concave polygons, one of {len(flat)} corners, that take too long to be cut"
             raise InputError(path, "faces", got, "triangles; triangulate the mesh first")
         if convex and few:
-            convex = not any(_holds(at[a], at[n], at[c], at[r]) for r in reflex)
+            convex = not any(_triangle_contains(at[a], at[n], at[c], at[r]) for r in reflex)
         elif convex:
-            convex = not _holds_any(flat[a], flat[n], flat[c], flat[is_reflex])
+            convex = not _triangle_contains_any(flat[a], flat[n], flat[c], flat[is_reflex])
         if straight or convex:
             cut.append((a, n, c))
             after[a], before[c] = c, a
             turn[n] = np.inf
             for k in (a, c):
-                turn[k] = _turn(at[before[k]], at[k], at[after[k]])
+                turn[k] = _twice_signed_area(at[before[k]], at[k], at[after[k]])
             for k in (a, n, c):
                 is_reflex[k] = turn[k] <= 0
                 (reflex.add if turn[k] <= 0 else reflex.discard)(k)
@@ -128,22 +130,30 @@ def _ears(path: Path, flat: Float[ndarray, "N 2"], effort: Effort) -> list[tuple
     return cut + [(n, b, c) for b, c in pairwise(rest[1:])]
 
 
-def _turn(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> float:
+def _twice_signed_area(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> float:
     """Twice the signed area of a triangle, positive where it is counter-clockwise."""
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
-def _holds(a: Sequence[float], b: Sequence[float], c: Sequence[float], point: Sequence[float]) -> bool:
+def _triangle_contains(a: Sequence[float], b: Sequence[float], c: Sequence[float], point: Sequence[float]) -> bool:
     """Return whether a point is in a counter-clockwise triangle, edges included and corners not."""
-    inside = _turn(a, b, point) >= 0 and _turn(b, c, point) >= 0 and _turn(c, a, point) >= 0
+    inside = (
+        _twice_signed_area(a, b, point) >= 0
+        and _twice_signed_area(b, c, point) >= 0
+        and _twice_signed_area(c, a, point) >= 0
+    )
     return inside and point not in (a, b, c)
 
 
-def _holds_any(
+def _triangle_contains_any(
     a: Float[ndarray, "2"], b: Float[ndarray, "2"], c: Float[ndarray, "2"], points: Float[ndarray, "n 2"]
 ) -> bool:
-    """Return whether any of many points is in a triangle, as ``_holds`` defines it."""
-    inside = (_turns(a, b, points) >= 0) & (_turns(b, c, points) >= 0) & (_turns(c, a, points) >= 0)
+    """Return whether any of many points is in a triangle, as ``_triangle_contains`` defines it."""
+    inside = (
+        (_twice_signed_areas(a, b, points) >= 0)
+        & (_twice_signed_areas(b, c, points) >= 0)
+        & (_twice_signed_areas(c, a, points) >= 0)
+    )
     corner = np.any([(points == point).all(axis=1) for point in (a, b, c)], axis=0)
     return bool((inside & ~corner).any())
 
@@ -168,7 +178,9 @@ def _in_plane(points: Float[ndarray, "n N 3"]) -> Float[ndarray, "n N 2"]:
     return np.stack([(off * across[:, None]).sum(axis=-1), (off * up[:, None]).sum(axis=-1)], axis=-1)
 
 
-def _turns(a: Float[ndarray, "*n 2"], b: Float[ndarray, "*m 2"], c: Float[ndarray, "*k 2"]) -> Float[ndarray, "*l"]:
+def _twice_signed_areas(
+    a: Float[ndarray, "*n 2"], b: Float[ndarray, "*m 2"], c: Float[ndarray, "*k 2"]
+) -> Float[ndarray, "*l"]:
     """Twice the signed areas of triangles, positive where they are counter-clockwise."""
     ab, ac = b - a, c - a
     return np.asarray(ab[..., 0] * ac[..., 1] - ab[..., 1] * ac[..., 0])
@@ -177,7 +189,7 @@ def _turns(a: Float[ndarray, "*n 2"], b: Float[ndarray, "*m 2"], c: Float[ndarra
 def _are_convex(flat: Float[ndarray, "n N 2"]) -> Bool[ndarray, "n"]:
     """Which polygons turn back at no corner and go round once."""
     before, after = np.roll(flat, 1, axis=1), np.roll(flat, -1, axis=1)
-    turns_left: Bool[ndarray, "n"] = np.all(_turns(before, flat, after) >= -1e-12, axis=1)
+    turns_left: Bool[ndarray, "n"] = np.all(_twice_signed_areas(before, flat, after) >= -1e-12, axis=1)
     if flat.shape[1] < 5:
         return turns_left
     step = after - flat

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
-from getagrip.geometry.depth import covered, depth_and_face, interpolated
+from getagrip.geometry.depth import depth_and_face, interpolate_vertex_values, render_coverage
 from getagrip.geometry.mesh import vertex_normals
 
 Surface = tuple[Float[ndarray, "_V 3"], Int[ndarray, "_F 3"]]
@@ -17,10 +17,10 @@ Surface = tuple[Float[ndarray, "_V 3"], Int[ndarray, "_F 3"]]
 Colour = tuple[float, float, float]
 """Red, green, blue in [0, 1]."""
 
-HIDES = 0.01
+MIN_OCCLUDER_FRACTION = 0.01
 """Share of the grasped object's silhouette that another object must cover to count as in front of it. Less is noise of
 the poses, such as a keyboard that cuts into the mouse on it."""
-LIGHT = np.array([-0.35, -0.6, -0.72])
+KEY_LIGHT_DIRECTION = np.array([-0.35, -0.6, -0.72])
 """Direction to the light in the camera frame: from above the left shoulder."""
 
 
@@ -28,7 +28,7 @@ def nearest_surface(
     surfaces: Sequence[Surface], K: Float[ndarray, "3 3"], size: tuple[int, int]
 ) -> Int[ndarray, "H W"]:
     """Return the index of the nearest surface in each pixel; -1 where there is none."""
-    vertices, faces, _ = _joined(surfaces)
+    vertices, faces, _ = _concatenate_surfaces(surfaces)
     owner = np.repeat(np.arange(len(surfaces)), [len(f) for _, f in surfaces])
     return np.append(owner, -1)[depth_and_face(vertices, faces, K, size)[1]]  # no face, -1, is the last entry
 
@@ -49,9 +49,9 @@ def true_masks(
     part = nearest_surface([grasped, *hands, *others], K, size)  # 0: held, then hands, then others
     ignore = (part > 0) & (part <= len(hands))
     if others:
-        shown = np.bincount(part[covered(*grasped, K, size)], minlength=1 + len(hands) + len(others))
+        shown = np.bincount(part[render_coverage(*grasped, K, size)], minlength=1 + len(hands) + len(others))
         for k in range(1 + len(hands), len(shown)):
-            if shown[k] > HIDES * shown.sum():
+            if shown[k] > MIN_OCCLUDER_FRACTION * shown.sum():
                 ignore |= part == k
     return part == 0, ignore, (part == 1) & bool(hands)
 
@@ -75,12 +75,14 @@ def render_rgb(
     )
     picture = np.repeat(np.repeat(behind.astype(np.float32), 2, axis=0), 2, axis=1)
     if meshes:
-        vertices, faces, _ = _joined([(v, f) for v, f, _ in meshes])
+        vertices, faces, _ = _concatenate_surfaces([(v, f) for v, f, _ in meshes])
         brightness = _lambert(vertices, np.concatenate([vertex_normals(v, f) for v, f, _ in meshes]))
         colours = np.concatenate([np.broadcast_to(np.asarray(colour), v.shape) for v, _, colour in meshes])
         K2 = np.diag([2.0, 2.0, 1.0]) @ K
         _, face = depth_and_face(vertices, faces, K2, (2 * width, 2 * height))
-        lit = interpolated(vertices, faces, K2, face, np.concatenate([brightness[:, None], colours], axis=1))
+        lit = interpolate_vertex_values(
+            vertices, faces, K2, face, np.concatenate([brightness[:, None], colours], axis=1)
+        )
         picture[face >= 0] = np.clip(lit[:, :1] * lit[:, 1:], 0.0, 1.0)
     mean = (picture[::2, ::2] + picture[::2, 1::2] + picture[1::2, ::2] + picture[1::2, 1::2]) / 4.0
     return np.asarray(np.round(255.0 * mean), dtype=np.uint8)
@@ -92,11 +94,13 @@ def _lambert(points: Float[ndarray, "n 3"], normals: Float[ndarray, "n 3"]) -> F
     n = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     facing = np.sum(n * to_eye, axis=1)
     n = np.where(facing[:, None] < 0.0, -n, n)  # the inside of an open mesh is lit as well
-    key = np.clip(n @ (LIGHT / np.linalg.norm(LIGHT)), 0.0, 1.0)
+    key = np.clip(n @ (KEY_LIGHT_DIRECTION / np.linalg.norm(KEY_LIGHT_DIRECTION)), 0.0, 1.0)
     return np.asarray(0.3 + 0.5 * key + 0.3 * np.abs(facing))
 
 
-def _joined(surfaces: Sequence[Surface]) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"], Int[ndarray, "n"]]:
+def _concatenate_surfaces(
+    surfaces: Sequence[Surface],
+) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"], Int[ndarray, "n"]]:
     """One mesh from several, and the first face of each."""
     offsets = [0, *accumulate(len(v) for v, _ in surfaces)]
     first = np.array([0, *accumulate(len(f) for _, f in surfaces)])[:-1]

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-_SMALL = 1e-8
+_MIN_QUATERNION_NORM = 1e-8
 
 
 def hat(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
@@ -44,8 +44,8 @@ def log_so3(R: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 3"]:
     vec = q[..., 1:]
     norm = np.linalg.norm(vec, axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(norm, q[..., :1])
-    safe = np.where(norm < _SMALL, 1.0, norm)
-    return np.where(norm < _SMALL, 2.0 * vec, angle * vec / safe)
+    safe = np.where(norm < _MIN_QUATERNION_NORM, 1.0, norm)
+    return np.where(norm < _MIN_QUATERNION_NORM, 2.0 * vec, angle * vec / safe)
 
 
 def left_jacobian(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
@@ -90,7 +90,7 @@ def quaternions_in_time(R: Float[ndarray, "T 3 3"]) -> Float[ndarray, "T 4"]:
     return q
 
 
-def between(a: Float[ndarray, "*#batch 3"], b: Float[ndarray, "*#batch 3"]) -> Float[ndarray, "*batch 3 3"]:
+def rotation_between(a: Float[ndarray, "*#batch 3"], b: Float[ndarray, "*#batch 3"]) -> Float[ndarray, "*batch 3 3"]:
     """Return the smallest rotation that takes the unit vector a to the unit vector b."""
     a, b = np.broadcast_arrays(a, b)
     cosine = np.sum(a * b, axis=-1)

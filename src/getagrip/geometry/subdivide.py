@@ -10,19 +10,19 @@ from numpy import ndarray
 
 from getagrip.geometry.mesh import Mesh
 
-FINE = 4500
+N_SUBDIVIDED_VERTICES = 4500
 """Vertices, about, of a mesh on which contact is counted by vertices."""
-ROUNDS = 24
+MAX_SUBDIVISION_PASSES = 24
 """Most rounds of halving: edges of any size are short after them."""
 
 
-def fine(parts: Sequence[Mesh], vertices: int = FINE) -> tuple[Mesh, Int[ndarray, "V"]]:
+def subdivide_parts(parts: Sequence[Mesh], vertices: int = N_SUBDIVIDED_VERTICES) -> tuple[Mesh, Int[ndarray, "V"]]:
     """Join the parts of an object to one mesh without long edges, and return the part (0, 1, ...) of each vertex.
 
     It has about ``vertices`` vertices, or more where the parts have more.
     """
     longest = edge_length(sum(float(part.vertex_areas.sum()) for part in parts), vertices)
-    made = [subdivided(part.vertices, part.faces, longest) for part in parts]
+    made = [subdivide_surface(part.vertices, part.faces, longest) for part in parts]
     counts = [len(points) for points, _ in made]
     first = np.cumsum([0, *counts[:-1]])
     faces = np.concatenate([faces + start for (_, faces), start in zip(made, first, strict=True)])
@@ -30,7 +30,7 @@ def fine(parts: Sequence[Mesh], vertices: int = FINE) -> tuple[Mesh, Int[ndarray
 
 
 def edge_length(area: float, vertices: int) -> float:
-    """Return the ``longest`` edge [m] with which ``subdivided`` makes about ``vertices`` vertices of a surface [m^2].
+    """Return the ``longest`` edge [m] with which ``subdivide_surface`` makes about ``vertices`` vertices of a surface [m^2].
 
     A mesh has two triangles for each vertex; one of three edges e covers sqrt(3) / 4 e^2. Halving leaves edges about
     half as long as the longest: some were just too long.
@@ -38,7 +38,7 @@ def edge_length(area: float, vertices: int) -> float:
     return float(2.0 * np.sqrt(area / (2.0 * vertices) / (np.sqrt(3.0) / 4.0)))
 
 
-def subdivided(
+def subdivide_surface(
     vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], longest: float
 ) -> tuple[Float[ndarray, "W 3"], Int[ndarray, "G 3"]]:
     """Subdivide a surface until no edge is above ``longest`` [m]; old vertices stay, new ones follow them.
@@ -46,7 +46,7 @@ def subdivided(
     Each round halves the edges that are too long. A triangle with one of them becomes two, with two three, with three
     four. Neighbours share the new vertices, so a closed mesh stays closed.
     """
-    for _ in range(ROUNDS):
+    for _ in range(MAX_SUBDIVISION_PASSES):
         edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=-1).reshape(-1, 2)
         unique, of = np.unique(edges, axis=0, return_inverse=True)
         ends = vertices[unique]
@@ -54,12 +54,12 @@ def subdivided(
         if not long.any():
             break
         middle = np.where(long, len(vertices) + np.cumsum(long) - 1, -1)
-        faces = _split(faces, middle[of.reshape(-1, 3)])
+        faces = _split_faces(faces, middle[of.reshape(-1, 3)])
         vertices = np.concatenate([vertices, ends[long].mean(axis=1)])
     return vertices, faces
 
 
-def _split(faces: Int[ndarray, "F 3"], middle: Int[ndarray, "F 3"]) -> Int[ndarray, "G 3"]:
+def _split_faces(faces: Int[ndarray, "F 3"], middle: Int[ndarray, "F 3"]) -> Int[ndarray, "G 3"]:
     """Triangles, and the new vertices in the middle of their edges 01, 12 and 20 (-1: none), as smaller triangles."""
     halved = middle >= 0
     count = halved.sum(axis=1)

@@ -12,7 +12,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.io.array_data import ArrayData
 
-MONOMIALS = 10
+N_MONOMIALS = 10
 """1, x, y, z, xx, xy, xz, yy, yz, zz."""
 
 
@@ -35,7 +35,7 @@ class Warp(ArrayData):
     @staticmethod
     def by(centre: Float[ndarray, "3"], radius: float, displacement: Float[ndarray, "9 3"]) -> Warp:
         """Make the warp that displaces points by ``radius`` times these coefficients of each monomial but 1."""
-        coefficients = np.zeros((MONOMIALS, 3))
+        coefficients = np.zeros((N_MONOMIALS, 3))
         coefficients[1:] = displacement
         coefficients[1:4] += np.eye(3)
         return Warp(centre, radius, coefficients)
@@ -64,13 +64,13 @@ class Warp(ArrayData):
         return float(np.sqrt(np.average(squared, weights=mesh.vertex_areas)))
 
 
-def settled(warp: Warp, mesh: Mesh, resize: bool) -> tuple[Warp, Float[ndarray, "4 4"], float]:
+def remove_similarity(warp: Warp, mesh: Mesh, resize: bool) -> tuple[Warp, Float[ndarray, "4 4"], float]:
     """Split a warp into one that leaves the mesh in place (with ``resize``, also its size) and a similarity (T, size).
 
-    No such similarity brings the mesh nearer to what the settled warp makes of it (``aligned``): a pose of the one is a
+    No such similarity brings the mesh nearer to what the settled warp makes of it (``align_similarity``): a pose of the one is a
     pose of the other. ``warp.moved(X) = T (size * settled.moved(X))``.
     """
-    T, size = aligned(mesh, warp(mesh), resize)
+    T, size = align_similarity(mesh, warp(mesh), resize)
     R, shift = T[:3, :3], T[:3, 3]
     coefficients = warp.coefficients @ R / size
     coefficients[0] += (R.T @ (warp.centre - shift) / size - warp.centre) / warp.radius
@@ -83,7 +83,7 @@ def monomials(x: Float[ndarray, "n 3"]) -> Float[ndarray, "n 10"]:
     return np.concatenate([np.ones((len(x), 1)), x, x[:, first] * x[:, second]], axis=1)
 
 
-def aligned(mesh: Mesh, other: Mesh, resize: bool) -> tuple[Float[ndarray, "4 4"], float]:
+def align_similarity(mesh: Mesh, other: Mesh, resize: bool) -> tuple[Float[ndarray, "4 4"], float]:
     """Return ``T_other_mesh`` and the scale that bring a mesh nearest to another with the same faces, vertex by vertex.
 
     Minimised is sum_i a_i |x_i - (R s y_i + t)|^2 over corresponding vertices x of ``other`` and y of ``mesh``, with

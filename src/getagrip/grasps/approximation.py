@@ -26,9 +26,9 @@ from threadpoolctl import ThreadpoolController
 
 from getagrip.geometry import se3
 
-PRECISION = 1e-10
+HINGE_TOLERANCE = 1e-10
 """Relative change of E, and of the hinge, at which the search for the best hinge ends."""
-TRIAL, LONGEST = 20, 200
+HINGE_TRIAL_STEPS, MAX_HINGE_STEPS = 20, 200
 """Steps from each initial guess, and then from the best of them."""
 
 
@@ -86,7 +86,7 @@ def mean_rotation(R: Float[ndarray, "N 3 3"]) -> Float[ndarray, "3 3"]:
 
 def rotation_hinge(R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> AxisRotation:
     """Fit the hinge whose rotations are nearest to R, then its line to the centres."""
-    return next(_circles(R, c, np.inf, None))
+    return next(_initial_hinges(R, c, np.inf, None))
 
 
 def pose_hinge(
@@ -98,29 +98,31 @@ def pose_hinge(
     the two best axes that the eigenvectors of the quaternions span with the mean rotation, each with the best angles
     of its rotations, and with all angles zero. The latter begin at the E of the best single pose, and E only falls.
     """
-    with _libraries().limit(limits=1, user_api="blas"):  # several threads on such small matrices wait for each other
-        guesses = list(_circles(R, c, size, through))[:2]
-        guesses += [_still(guess, R, c, through) for guess in guesses]
-        tried = [_refined(guess, R, c, through, TRIAL) for guess in guesses]
+    with _threadpool_controller().limit(
+        limits=1, user_api="blas"
+    ):  # several threads on such small matrices wait for each other
+        guesses = list(_initial_hinges(R, c, size, through))[:2]
+        guesses += [_static_hinge(guess, R, c, through) for guess in guesses]
+        tried = [_minimise_hinge(guess, R, c, through, HINGE_TRIAL_STEPS) for guess in guesses]
         best = min(tried, key=lambda hinge: hinge.energy(R, c))
-        return _refined(best, R, c, through, LONGEST)
+        return _minimise_hinge(best, R, c, through, MAX_HINGE_STEPS)
 
 
 def nearby_hinge(start: AxisRotation, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> AxisRotation:
     """Refine a good guess of the hinge by a few steps; several times as quick as ``pose_hinge``."""
-    with _libraries().limit(limits=1, user_api="blas"):
-        return _refined(start, R, c, None, TRIAL)
+    with _threadpool_controller().limit(limits=1, user_api="blas"):
+        return _minimise_hinge(start, R, c, None, HINGE_TRIAL_STEPS)
 
 
 @cache  # to look for them takes longer than a few steps
-def _libraries() -> ThreadpoolController:
+def _threadpool_controller() -> ThreadpoolController:
     """Return a controller of the libraries that use several threads."""
     import scipy.optimize  # noqa: F401  (first: it brings a BLAS of its own)
 
     return ThreadpoolController()
 
 
-def _circles(
+def _initial_hinges(
     R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"], size: float, through: Float[ndarray, "3"] | None
 ) -> Iterator[AxisRotation]:
     """Hinges through the mean rotation, the nearest to the rotations first."""
@@ -133,11 +135,11 @@ def _circles(
         direction = w * other[1:] - other[0] * v - np.cross(other[1:], v)  # other times mean's conjugate
         direction /= np.linalg.norm(direction)
         angle = AxisRotation(R_mean, direction, np.zeros(3), np.zeros(3), np.inf).angles(R, c)
-        point, arm = _line(direction, angle, c, through)
+        point, arm = _fit_axis_line(direction, angle, c, through)
         yield AxisRotation(R_mean, direction, point, arm, size)
 
 
-def _line(
+def _fit_axis_line(
     direction: Float[ndarray, "3"],
     angle: Float[ndarray, "N"],
     c: Float[ndarray, "N 3"],
@@ -153,7 +155,7 @@ def _line(
     return solution[:3], solution[3:]
 
 
-def _still(
+def _static_hinge(
     hinge: AxisRotation, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"], through: Float[ndarray, "3"] | None
 ) -> AxisRotation:
     """Return the hinge of the same direction through the mean centre (or the given point), the mean pose at angle 0."""
@@ -161,7 +163,7 @@ def _still(
     return replace(hinge, R=mean_rotation(R), point=point, arm=c.mean(axis=0) - point)
 
 
-def _refined(
+def _minimise_hinge(
     start: AxisRotation,
     R: Float[ndarray, "N 3 3"],
     c: Float[ndarray, "N 3"],
@@ -171,7 +173,7 @@ def _refined(
     """Refine a hinge by at most ``steps`` steps; E never rises."""
     from scipy.optimize import least_squares
 
-    moves = _Moves.of(start, free=through is None)
+    moves = _HingeTangents.of(start, free=through is None)
 
     def residuals(x: Float[ndarray, "k"]) -> Float[ndarray, "m"]:
         R_found, c_found = moves.hinge(x).nearest(R, c)
@@ -181,12 +183,14 @@ def _refined(
         return moves.jacobian(x, moves.hinge(x).angles(R, c))
 
     x = np.zeros(11 if through is None else 8)
-    solution = least_squares(residuals, x, jacobian, xtol=PRECISION, ftol=PRECISION, gtol=1e-14, max_nfev=steps)
+    solution = least_squares(
+        residuals, x, jacobian, xtol=HINGE_TOLERANCE, ftol=HINGE_TOLERANCE, gtol=1e-14, max_nfev=steps
+    )
     return moves.hinge(solution.x)
 
 
 @dataclass(frozen=True)
-class _Moves:
+class _HingeTangents:
     """Hinges around one: rotation of R (3), tilt of the axis (2), step of the arm (3) and of the point (3 if free).
 
     Some of these move nothing (a rotation of R and arm about the axis, a step of the point along it): the solver takes
@@ -198,7 +202,7 @@ class _Moves:
     free: bool
 
     @classmethod
-    def of(cls, start: AxisRotation, free: bool) -> _Moves:
+    def of(cls, start: AxisRotation, free: bool) -> _HingeTangents:
         return cls(start, np.linalg.svd(start.direction[None])[2][1:], free)
 
     def hinge(self, x: Float[ndarray, "k"]) -> AxisRotation:

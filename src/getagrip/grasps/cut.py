@@ -6,16 +6,16 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 
 from getagrip.clip import Clip
-from getagrip.grasps.definition import FEWEST, Definition
+from getagrip.grasps.definition import MIN_GRASP_FRAMES, Definition
 from getagrip.grasps.lists import GraspList, ListedGrasp
 from getagrip.grasps.stable import PairwiseIou, segment
 
-FIRST_FRAME = "first_frame"
+FIRST_FRAME_KEY = "first_frame"
 """In a clip's provenance: the number in the name of its sequence's first frame, by which lists count."""
 
 
 @dataclass(frozen=True)
-class Cut:
+class CutRules:
     """How sequences are cut into stable grasps."""
 
     definition: Definition = field(default_factory=Definition)
@@ -26,7 +26,7 @@ class Cut:
     @property
     def shortest(self) -> int:
         """Frames of the shortest grasp."""
-        return self.definition.shortest if self.listed is None else FEWEST
+        return self.definition.shortest if self.listed is None else MIN_GRASP_FRAMES
 
     @property
     def description(self) -> str:
@@ -49,12 +49,12 @@ class Cut:
         """
         iou, found = segment(clip, self.definition, progress)
         if self.listed is not None:
-            origin = clip.provenance.get(FIRST_FRAME)
+            origin = clip.provenance.get(FIRST_FRAME_KEY)
             spans = [
                 grasp.positions(clip.frames, origin if type(origin) is int else None)
                 for grasp in self.listed.of(clip.name, clip.side, clip.category)
             ]
-            found = sorted({(int(span[0]), int(span[-1])) for span in spans if len(span) >= FEWEST})
+            found = sorted({(int(span[0]), int(span[-1])) for span in spans if len(span) >= MIN_GRASP_FRAMES})
         return iou, found
 
 

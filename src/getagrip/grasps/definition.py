@@ -13,13 +13,13 @@ from getagrip.io.arguments import OptionalFile
 from getagrip.io.choices import check_values
 
 if TYPE_CHECKING:
-    from getagrip.grasps.cut import Cut
+    from getagrip.grasps.cut import CutRules
 
 Points = Literal["vertices", "area", "fragments"]
 Rule = Literal["all-pairs", "first", "consecutive", "touch"]
 """Which frames are tested: all pairs (Eq. 2), pairs as in the authors' codes, or none, see ``stable.stable_grasps``."""
-RULES: tuple[Rule, ...] = get_args(Rule)
-FEWEST = 2
+GRASP_RULES: tuple[Rule, ...] = get_args(Rule)
+MIN_GRASP_FRAMES = 2
 """Frames of the shortest grasp that can be a clip: one silhouette says nothing about a motion."""
 
 
@@ -57,7 +57,7 @@ class Definition:
         return f"{self.points} within {1e3 * self.contact:g} mm, {tested}, {self.shortest} frames or more"
 
 
-def _distance(value: str) -> str:
+def _distance_help(value: str) -> str:
     """Return the text that help shows for a distance that was not given."""
     return f"(default: {'0, or 10 with --from-masks' if value == 'None' else value})"
 
@@ -68,7 +68,7 @@ class GraspOptions:
 
     tau: float = 0.5
     """In a stable grasp, the contacts of any two frames have an intersection over union (IOU) above this."""
-    contact_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint=_distance)] = None
+    contact_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint=_distance_help)] = None
     """Points of the object at most this far from the hand's surface, or inside it, are in contact."""
     points: Points = "vertices"
     """Points of the object that are tested for contact: its vertices, points sampled evenly over its surface (area), or
@@ -90,9 +90,9 @@ class GraspOptions:
         within = contact_mm if self.contact_mm is None else self.contact_mm
         return Definition(self.tau, within / 1e3, self.points, self.rule, self.shortest)
 
-    def cut(self, note: Callable[[str], None]) -> Cut:
+    def cut(self, note: Callable[[str], None]) -> CutRules:
         """Return the rule for cutting sequences; the list is read. Raises ``UsageError`` and ``InputError``."""
         from getagrip.grasps import lists
-        from getagrip.grasps.cut import Cut
+        from getagrip.grasps.cut import CutRules
 
-        return Cut(self.definition(), None if self.listed is None else lists.read(self.listed, note))
+        return CutRules(self.definition(), None if self.listed is None else lists.read_listed_grasps(self.listed, note))

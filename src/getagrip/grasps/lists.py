@@ -24,23 +24,23 @@ from numpy import ndarray
 
 from getagrip.errors import InputError
 from getagrip.grasps import timelines
-from getagrip.grasps.timelines import Timeline
+from getagrip.grasps.timelines import ListedTimeline
 from getagrip.hands.model import Side
 from getagrip.io import files
-from getagrip.io.files import plain, shown
+from getagrip.io.files import printable, shorten_value
 
-VERSION = 1
-FILE = "grasps.json"
+GRASP_LIST_VERSION = 1
+GRASP_LIST_FILE = "grasps.json"
 """The name of the list beside the clips that were cut by it."""
-LARGEST = 64 * 2**20
+MAX_GRASP_LIST_BYTES = 64 * 2**20
 """Limit in bytes of a list."""
-LONGEST = 86400.0
+MAX_GRASP_S = 86400.0
 """No grasp lasts longer [s]."""
-LAST_FRAME = 10_000_000
-BETWEEN = "--"
+MAX_FRAME_NUMBER = 10_000_000
+CLIP_NAME_SEPARATOR = "--"
 """Stands between subject, sequence, object and side in a clip's name."""
-WHAT = "a list of grasps, CSV or JSON"
-NEEDED = ("sequence", "side", "object")
+EXPECTED_GRASP_LIST = "a list of grasps, CSV or JSON"
+REQUIRED_GRASP_COLUMNS = ("sequence", "side", "object")
 """Columns that no table can lack."""
 
 
@@ -67,9 +67,11 @@ class ListedGrasp:
         """
         if (self.side, self.object) != (side, category):
             return False
-        parts = name.split(BETWEEN)
+        parts = name.split(CLIP_NAME_SEPARATOR)
         begins = [parts[:n] for n in range(min(2, len(parts)), len(parts) + 1)]
-        return any(self.sequence == between.join(begin) for begin in begins for between in (BETWEEN, "/", "_"))
+        return any(
+            self.sequence == between.join(begin) for begin in begins for between in (CLIP_NAME_SEPARATOR, "/", "_")
+        )
 
     def positions(self, frames: Sequence[str], origin: int | None = None) -> Int[ndarray, "n"]:
         """Return the indices of the frames, named in order, that belong to it.
@@ -107,7 +109,7 @@ class GraspList:
     grasps: tuple[ListedGrasp, ...]
     lengths: Mapping[str, int] = field(default_factory=dict)
     """How many frames each recording has, where the list says."""
-    timelines: tuple[Timeline, ...] = ()
+    timelines: tuple[ListedTimeline, ...] = ()
     """Timelines, where the list is one of these."""
 
     def of(self, name: str, side: Side, category: str) -> list[ListedGrasp]:
@@ -115,128 +117,135 @@ class GraspList:
         return [grasp for grasp in self.grasps if grasp.is_of(name, side, category)]
 
 
-def write(path: Path, grasps: Sequence[ListedGrasp], cut: Mapping[str, object]) -> None:
+def write_listed_grasps(path: Path, grasps: Sequence[ListedGrasp], cut: Mapping[str, object]) -> None:
     """Write a list; ``cut`` says how it was made."""
     with files.new_file(path) as part:
-        files.write_json(part, {"version": VERSION, "cut": cut, "grasps": [grasp.row() for grasp in grasps]})
+        files.write_json(part, {"version": GRASP_LIST_VERSION, "cut": cut, "grasps": [grasp.row() for grasp in grasps]})
 
 
 def read_cut(path: Path) -> object:
-    """Read how a list that ``write`` has written was made. Raises ``InputError``."""
+    """Read how a list that ``write_listed_grasps`` has written was made. Raises ``InputError``."""
     content = files.read_json(path)
     _check_version(path, content)
     return content.get("cut")
 
 
-def metres(path: Path, key: str, value: object) -> float:
+def parse_contact_distance(path: Path, key: str, value: object) -> float:
     """Parse a distance within which points are in contact [m]. Raises ``InputError``."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 0.05:
-        raise InputError(path, key, shown(value), "0 to 0.05 m")
+        raise InputError(path, key, shorten_value(value), "0 to 0.05 m")
     return float(value)
 
 
-def read(path: Path, note: Callable[[str], None] = lambda _: None) -> GraspList:
+def read_listed_grasps(path: Path, note: Callable[[str], None] = lambda _: None) -> GraspList:
     """Read a list of grasps, in any of the formats that are known.
 
     Raises ``InputError``, which names the row and the key.
     """
-    content = files.read_bytes(path, LARGEST)
+    content = files.read_bytes(path, MAX_GRASP_LIST_BYTES)
     checksum = sha256(content).hexdigest()
     if content.lstrip()[:1] not in (b"[", b"{"):
-        heads, table = files.csv_rows(path, content, WHAT)
+        heads, table = files.csv_rows(path, content, EXPECTED_GRASP_LIST)
         _check_heads(path, heads)
-        return GraspList(path.name, checksum, tuple(grasp_of(path, where, row) for where, row in table))
+        return GraspList(path.name, checksum, tuple(parse_grasp_row(path, where, row) for where, row in table))
     try:
         value = json.loads(content)
     except (ValueError, RecursionError) as error:  # RecursionError: nested thousands deep
-        raise InputError(path, "", f"text that is no JSON ({error})", WHAT) from error
+        raise InputError(path, "", f"text that is no JSON ({error})", EXPECTED_GRASP_LIST) from error
     where = ""
     if isinstance(value, dict):
         _check_version(path, value)
         value, where = value.get("grasps"), "grasps"
     if not isinstance(value, list):
-        raise InputError(path, where, shown(value), "a list of grasps")
+        raise InputError(path, where, shorten_value(value), "a list of grasps")
     for n, row in enumerate(value):
         if not isinstance(row, dict):
-            raise InputError(path, f"{where}[{n}]", shown(row), "a grasp: an object with sequence, side and object")
+            raise InputError(
+                path, f"{where}[{n}]", shorten_value(row), "a grasp: an object with sequence, side and object"
+            )
     if value and "segments" in value[0]:
-        found, lengths = timelines.read(path, value, note)
+        found, lengths = timelines.read_hot3d_timelines(path, value, note)
         grasps = tuple(
             ListedGrasp(one.sequence, cast(Side, s.side), one.category, s.first, s.last)
             for one in found
             for s in one.grasped
         )
         return GraspList(path.name, checksum, grasps, lengths, found)
-    rows = [grasp_of(path, f"{where}[{n}].", row) for n, row in enumerate(value)]
+    rows = [parse_grasp_row(path, f"{where}[{n}].", row) for n, row in enumerate(value)]
     return GraspList(path.name, checksum, tuple(rows))
 
 
 def _check_version(path: Path, content: Mapping[str, object]) -> None:
     version = content.get("version")
-    if type(version) is not int or version != VERSION:
-        raise InputError(path, "version", shown(version), f"{VERSION}")
+    if type(version) is not int or version != GRASP_LIST_VERSION:
+        raise InputError(path, "version", shorten_value(version), f"{GRASP_LIST_VERSION}")
     unknown = next((key for key in content if key not in ("version", "cut", "grasps")), None)
     if unknown is not None:
-        raise InputError(path, plain(unknown), "an unknown key", "version, cut and grasps")
+        raise InputError(path, printable(unknown), "an unknown key", "version, cut and grasps")
 
 
 def _check_heads(path: Path, heads: Sequence[str]) -> None:
-    for head in (*NEEDED, *heads):
+    for head in (*REQUIRED_GRASP_COLUMNS, *heads):
         if heads.count(head) != 1:
-            got = f"{heads.count(head)} columns of this name among {shown(heads)}"
-            raise InputError(path, f"line 1, {plain(head)}", got, f"one; those of a list are {', '.join(NEEDED)}, ...")
+            got = f"{heads.count(head)} columns of this name among {shorten_value(heads)}"
+            raise InputError(
+                path,
+                f"line 1, {printable(head)}",
+                got,
+                f"one; those of a list are {', '.join(REQUIRED_GRASP_COLUMNS)}, ...",
+            )
 
 
-def grasp_of(path: Path, where: str, row: files.Json) -> ListedGrasp:
+def parse_grasp_row(path: Path, where: str, row: files.Json) -> ListedGrasp:
     """Parse a row; ``where`` begins its key. Raises ``InputError``."""
     sequence = row.get("sequence", row.get("clip"))
     for key, value in (("sequence", sequence), ("object", row.get("object"))):
         if not (isinstance(value, str) and value.strip() and value.isprintable() and len(value) <= 400):
-            raise InputError(path, f"{where}{key}", shown(value), "a name")
+            raise InputError(path, f"{where}{key}", shorten_value(value), "a name")
     side = row.get("side")
     if side not in ("left", "right"):
-        raise InputError(path, f"{where}side", shown(side), "left or right")
-    first, last = _frames(path, where, row)
+        raise InputError(path, f"{where}side", shorten_value(side), "left or right")
+    first, last = _parse_frame_range(path, where, row)
     duration = row.get("duration")
     if duration is not None and duration != "":
-        duration = _seconds(path, f"{where}duration", duration)
+        duration = _parse_seconds(path, f"{where}duration", duration)
     return ListedGrasp(str(sequence), side, row["object"], first, last, duration or None)
 
 
-def _frames(path: Path, where: str, row: Mapping[str, object]) -> tuple[str, str] | tuple[int, int]:
+def _parse_frame_range(path: Path, where: str, row: Mapping[str, object]) -> tuple[str, str] | tuple[int, int]:
     """Names of the first and the last frame; or, where there are none, their numbers from 0."""
     if row.get("first") or row.get("last"):
         names = []
         for key in ("first", "last"):
             value = row.get(key)
-            if not (isinstance(value, str) and files.is_plain_name(value)):
-                raise InputError(path, f"{where}{key}", shown(value), "the name of a frame, as a text")
+            if not (isinstance(value, str) and files.is_portable_name(value)):
+                raise InputError(path, f"{where}{key}", shorten_value(value), "the name of a frame, as a text")
             names.append(value)
         first, last = names
         if first.isdecimal() and last.isdecimal() and int(last) < int(first):
-            raise InputError(path, f"{where}last", shown(last), f"{first} or later")
+            raise InputError(path, f"{where}last", shorten_value(last), f"{first} or later")
         return first, last
-    start, end = (_count(path, f"{where}{key}", row.get(key)) for key in ("start", "end"))
+    start, end = (_parse_listed_frame(path, f"{where}{key}", row.get(key)) for key in ("start", "end"))
     if end < start:
         raise InputError(path, f"{where}end", str(end), f"{start}, the start, or later")
     return start, end
 
 
-def _count(path: Path, key: str, value: object) -> int:
+def _parse_listed_frame(path: Path, key: str, value: object) -> int:
     number = value if type(value) is int else -1
     if isinstance(value, str) and value.isdecimal() and len(value) < 10:
         number = int(value)
-    if not 0 <= number <= LAST_FRAME:
-        expected = f"a frame counted from 0, up to {LAST_FRAME} (or first and last: frames' names)"
-        raise InputError(path, key, shown(value), expected)
+    if not 0 <= number <= MAX_FRAME_NUMBER:
+        expected = f"a frame counted from 0, up to {MAX_FRAME_NUMBER} (or first and last: frames' names)"
+        raise InputError(path, key, shorten_value(value), expected)
     return number
 
 
-def _seconds(path: Path, key: str, value: object) -> float:
+def _parse_seconds(path: Path, key: str, value: object) -> float:
     try:
         seconds = math.nan if isinstance(value, bool) else float(cast(float, value))
     except (TypeError, ValueError, OverflowError):
         seconds = math.nan
-    if not 0.0 < seconds <= LONGEST:
-        raise InputError(path, key, plain(str(value)), f"seconds, above 0, {LONGEST:g} at most")
+    if not 0.0 < seconds <= MAX_GRASP_S:
+        raise InputError(path, key, printable(str(value)), f"seconds, above 0, {MAX_GRASP_S:g} at most")
     return seconds

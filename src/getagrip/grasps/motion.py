@@ -16,22 +16,22 @@ from numpy import ndarray
 from getagrip.geometry import se3
 from getagrip.grasps.approximation import AxisRotation, pose_hinge, rotation_hinge
 
-LEAST_TURN = np.radians(5.0)
+MIN_DRIFT_TURN_RAD = np.radians(5.0)
 """Each half of a grasp turns at least so far where the drift of the axis is measured."""
-MODES = 12
+N_SPECTRUM_MODES = 12
 """Number of cosines over the grasp's time in a spectrum, the constant left out; the last has all that is faster."""
-ENDS = 0.2
+SLIP_END_FRACTION = 0.2
 """Share of the frames at either end between which slip is measured."""
-QUANTILES = (10, 25, 50, 75, 90)
+MOTION_PERCENTILES = (10, 25, 50, 75, 90)
 """Per cent."""
-JOINT = ("duration", "turn", "rotation", "place", "drift", "pivot", "slip")
+LOGNORMAL_MEASURES = ("duration", "turn", "rotation", "place", "drift", "pivot", "slip")
 """Measures of a grasp whose logarithms are taken to be jointly normal: how long it lasts, the range of the angle about
 the best hinge, rotation and translation besides it (root mean square), the angle between the axes of both halves, the
 axis's distance from the middle of the contact, and the way of the contact points in the hand, first to last fifth."""
 
 
 @dataclass(frozen=True)
-class Residual:
+class HingeResidual:
     """A motion beside its best hinge.
 
     Attributes:
@@ -47,18 +47,18 @@ class Residual:
     place: Float[ndarray, "N 3"]
 
     @staticmethod
-    def of(R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"], size: float) -> Residual:
+    def of(R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"], size: float) -> HingeResidual:
         """Compute the residual from rotations and centres [m] of an object of some size [m]."""
-        return Residual.beside(pose_hinge(R, c, size), R, c)
+        return HingeResidual.beside(pose_hinge(R, c, size), R, c)
 
     @staticmethod
-    def beside(hinge: AxisRotation, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> Residual:
+    def beside(hinge: AxisRotation, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> HingeResidual:
         """Compute the residual beside a hinge that is known."""
         angle = np.unwrap(hinge.angles(R, c))
         R_hinge, c_hinge = hinge.at(angle)
         axes = hinge_axes(hinge.direction, se3.exp_so3(np.median(angle) * hinge.direction) @ hinge.arm)
         rotation = se3.log_so3(R @ np.swapaxes(R_hinge, -1, -2))
-        return Residual(hinge, angle, rotation @ axes, (c - c_hinge) @ axes)
+        return HingeResidual(hinge, angle, rotation @ axes, (c - c_hinge) @ axes)
 
     @property
     def sizes(self) -> Float[ndarray, "3"]:
@@ -79,14 +79,14 @@ def hinge_axes(direction: Float[ndarray, "3"], arm: Float[ndarray, "3"]) -> Floa
     return np.stack([direction, across, np.cross(direction, across)], axis=1)
 
 
-def measure(
+def measure_motion(
     T_hand_obj: Float[ndarray, "N 4 4"],
     centre: Float[ndarray, "3"],
     size: float,
     touched: Float[ndarray, "P 3"],
     fps: float,
-) -> tuple[dict[str, float], Residual]:
-    """Measure ``JOINT`` of one grasp in SI units, NaN where one has no value; also return the residual of the hinge.
+) -> tuple[dict[str, float], HingeResidual]:
+    """Measure ``LOGNORMAL_MEASURES`` of one grasp in SI units, NaN where one has no value; also return the residual of the hinge.
 
     Args:
         T_hand_obj: poses of the object, of unit scale.
@@ -96,7 +96,7 @@ def measure(
         fps: frames per second.
     """
     R, c = T_hand_obj[:, :3, :3], se3.transform(T_hand_obj, centre[None])[:, 0]
-    residual = Residual.of(R, c, size)
+    residual = HingeResidual.of(R, c, size)
     turn, rotation, place = map(float, residual.sizes)
     values = {
         "duration": len(R) / fps,
@@ -111,7 +111,7 @@ def measure(
         way = se3.transform(T_hand_obj, touched)
         direction = residual.hinge.direction
         off = way.mean(axis=(0, 1)) - residual.hinge.point
-        end = max(1, round(ENDS * len(R)))
+        end = max(1, round(SLIP_END_FRACTION * len(R)))
         values["pivot"] = float(np.linalg.norm(off - direction * (direction @ off)))
         moved = way[-end:].mean(axis=0) - way[:end].mean(axis=0)
         values["slip"] = float(np.linalg.norm(moved, axis=-1).mean())
@@ -123,12 +123,12 @@ def axis_drift(R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> float:
     half = len(R) // 2
     hinges = [rotation_hinge(R[part], c[part]) for part in (slice(half), slice(half, None))]
     for hinge, part in zip(hinges, (slice(half), slice(half, None)), strict=True):
-        if np.ptp(np.unwrap(hinge.angles(R[part], c[part]))) < LEAST_TURN:
+        if np.ptp(np.unwrap(hinge.angles(R[part], c[part]))) < MIN_DRIFT_TURN_RAD:
             return float("nan")
     return float(np.arccos(min(1.0, abs(float(hinges[0].direction @ hinges[1].direction)))))
 
 
-def bend(residual: Residual) -> float:
+def parabola_share(residual: HingeResidual) -> float:
     """Measure the share of the residual's rotation square to the axis that a parabola of the angle explains."""
     x = residual.rotation[:, 1:]
     powers = np.vander(residual.angle - residual.angle.mean(), 3)
@@ -138,13 +138,13 @@ def bend(residual: Residual) -> float:
 
 
 def spectrum(x: Float[ndarray, "N k"]) -> Float[ndarray, "M"]:
-    """Measure the share of a curve's energy in each of ``MODES`` cosines cos(pi m t), without the constant."""
+    """Measure the share of a curve's energy in each of ``N_SPECTRUM_MODES`` cosines cos(pi m t), without the constant."""
     from scipy.fft import dct
 
     energy = np.sum(dct(x, axis=0, norm="ortho")[1:] ** 2, axis=1)
-    shares = np.zeros(MODES)
-    shares[: min(MODES, len(energy))] = energy[:MODES]
-    shares[-1] += energy[MODES:].sum()
+    shares = np.zeros(N_SPECTRUM_MODES)
+    shares[: min(N_SPECTRUM_MODES, len(energy))] = energy[:N_SPECTRUM_MODES]
+    shares[-1] += energy[N_SPECTRUM_MODES:].sum()
     return shares / shares.sum()
 
 
@@ -154,8 +154,8 @@ class MotionStatistics:
 
     Attributes:
         grasps: number of grasps.
-        quantiles: of each measure, in SI units, at ``QUANTILES``; of the grasps that have a value.
-        log_mean: (J,) mean of the logarithms of ``JOINT``, in SI units, of the grasps that have a value.
+        quantiles: of each measure, in SI units, at ``MOTION_PERCENTILES``; of the grasps that have a value.
+        log_mean: (J,) mean of the logarithms of ``LOGNORMAL_MEASURES``, in SI units, of the grasps that have a value.
         log_covariance: (J, J) their covariance, of each two in the grasps that have both.
         angle: (M,) ``spectrum`` of the angle about the hinge, mean over grasps.
         rotation: (M,) spectrum of the residual's rotation.

@@ -12,7 +12,7 @@ What counts as a point of the object is a choice (``Points``):
 - ``vertices``: its vertices: the paper's;
 - ``area``: points sampled evenly over its surface, so that shares of them are shares of its area, whatever the
   triangulation: those of the metric of the same name;
-- ``fragments``: patches, each in contact where a vertex of it is: those of the authors' ARCTIC grasps.
+- ``assign_fragments``: patches, each in contact where a vertex of it is: those of the authors' ARCTIC grasps.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from getagrip.clip import Clip
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.grasps.definition import RULES, Definition, Points, Rule
+from getagrip.grasps.definition import GRASP_RULES, Definition, Points, Rule
 from getagrip.io.choices import check_word
-from getagrip.metrics.contact import AREA_POINTS
+from getagrip.metrics.contact import N_AREA_SAMPLES
 from getagrip.metrics.surface_distance import close_holes, moving_distance
-from getagrip.metrics.symmetry import at_places, surface_places
+from getagrip.metrics.symmetry import points_at_samples, surface_samples
 
-BLOCK = 128
+IOU_BLOCK_FRAMES = 128
 """Frames whose contact or IOU is computed at once."""
-FRAGMENTS = 0.01
+FRAGMENT_VERTEX_FRACTION = 0.01
 """Fragments of an object, as a share of its vertices."""
-OPENED = np.radians(5.0)
+ARTICULATION_THRESHOLD_RAD = np.radians(5.0)
 """An object whose joint has rotated by more than this [rad] has been opened or closed."""
 
 
@@ -47,7 +47,7 @@ def segment(
 ) -> tuple[PairwiseIou, list[tuple[int, int]]]:
     """Find the stable grasps of a clip from the ground truth; also return the contact IOU of its frames.
 
-    Where an object has a joint, frames between which it has rotated by more than ``OPENED`` have IOU 0: opening or
+    Where an object has a joint, frames between which it has rotated by more than ``ARTICULATION_THRESHOLD_RAD`` have IOU 0: opening or
     closing an object ends a grasp. ``progress`` is called with the share of the frames done. Raises ``InputError`` for
     a clip without ground truth.
     """
@@ -73,31 +73,31 @@ def contact_sets(
     if truth is None:
         raise InputError(clip.origin / "truth.npz", "", "no such file", "the true poses, from which grasps are found")
     mesh = clip.mesh
-    on_faces = surface_places(mesh, AREA_POINTS) if points == "area" else None
+    on_faces = surface_samples(mesh, N_AREA_SAMPLES) if points == "area" else None
     T_hand_obj = se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj
     hands, faces = close_holes(truth.hand_vertices, clip.hand.faces)
-    contact = np.zeros((len(clip), AREA_POINTS if on_faces else len(mesh.vertices)), dtype=bool)
+    contact = np.zeros((len(clip), N_AREA_SAMPLES if on_faces else len(mesh.vertices)), dtype=bool)
     for rows in _blocks(len(clip)):
         local = truth.object_vertices(mesh.vertices, rows)
         if on_faces:
-            local = np.stack([at_places(Mesh(vertices, mesh.faces), *on_faces) for vertices in local])
+            local = np.stack([points_at_samples(Mesh(vertices, mesh.faces), *on_faces) for vertices in local])
         in_hand = se3.transform(T_hand_obj[rows], local)
         contact[rows] = moving_distance(in_hand, hands[rows], faces, threshold) <= threshold
         progress(rows.stop / len(clip))
     if points == "fragments":
-        patch = fragments(mesh.vertices)
+        patch = assign_fragments(mesh.vertices)
         return np.stack([contact[:, patch == k].any(axis=1) for k in range(patch.max() + 1)], axis=1)
     return contact
 
 
-def fragments(vertices: Float[ndarray, "V 3"]) -> Int[ndarray, "V"]:
+def assign_fragments(vertices: Float[ndarray, "V 3"]) -> Int[ndarray, "V"]:
     """Assign each vertex to the nearest of some vertices spread over the object.
 
     Each is the vertex farthest from those before it and from the mean of all (Hodan et al., "EPOS", CVPR 2020).
     """
     nearest = np.linalg.norm(vertices - vertices.mean(axis=0), axis=1)
     distances = []
-    for _ in range(max(1, int(FRAGMENTS * len(vertices)))):
+    for _ in range(max(1, int(FRAGMENT_VERTEX_FRACTION * len(vertices)))):
         distances.append(np.linalg.norm(vertices - vertices[np.argmax(nearest)], axis=1))
         nearest = np.minimum(nearest, distances[-1])
     return np.argmin(distances, axis=0)
@@ -113,7 +113,7 @@ class PairwiseIou:
         sets: (T, Q) 1 where a point is in contact; points that never are have been left out.
         weighted: (T, Q) the same times the points' weights.
         size: (T,) weight of each frame's set.
-        articulation: (T,) angle of the object's joint [rad]; frames that differ by more than ``OPENED`` have IOU 0.
+        articulation: (T,) angle of the object's joint [rad]; frames that differ by more than ``ARTICULATION_THRESHOLD_RAD`` have IOU 0.
     """
 
     sets: Float[ndarray, "T Q"]
@@ -149,7 +149,7 @@ class PairwiseIou:
         rows, columns = at
         both = (self.weighted[rows] @ self.sets[columns].T).astype(float)
         either = self.size[rows, None] + self.size[None, columns] - both
-        alike = np.abs(self.articulation[rows, None] - self.articulation[None, columns]) <= OPENED
+        alike = np.abs(self.articulation[rows, None] - self.articulation[None, columns]) <= ARTICULATION_THRESHOLD_RAD
         return np.divide(both, either, out=np.zeros_like(both), where=alike & (either > 0))
 
 
@@ -185,16 +185,16 @@ def stable_grasps(
     if rule == "first":
         return _longest_whole(_ends_by_first(iou, tau), shortest)
     if rule == "consecutive":
-        return _runs(_steady(iou, tau), shortest)
+        return _runs(_resembling_frames(iou, tau), shortest)
     if rule == "touch":
         touched = [iou[rows, rows].diagonal() > 0.0 for rows in _blocks(len(iou))]
         return _runs(np.concatenate(touched or [np.zeros(0, dtype=bool)]), shortest)
-    raise UsageError(f"unknown rule {rule!r}; choose from {', '.join(RULES)}")
+    raise UsageError(f"unknown rule {rule!r}; choose from {', '.join(GRASP_RULES)}")
 
 
 def _blocks(frames: int) -> Iterator[slice]:
     """All frames, some at a time."""
-    return (slice(begin, min(begin + BLOCK, frames)) for begin in range(0, frames, BLOCK))
+    return (slice(begin, min(begin + IOU_BLOCK_FRAMES, frames)) for begin in range(0, frames, IOU_BLOCK_FRAMES))
 
 
 def _earliest_starts(iou: Float[ndarray, "T T"] | PairwiseIou, tau: float) -> Int[ndarray, "T"]:
@@ -261,7 +261,7 @@ def _longest_whole(ends: Int[ndarray, "T"], shortest: int) -> list[tuple[int, in
     return sorted(taken)
 
 
-def _steady(iou: Float[ndarray, "T T"] | PairwiseIou, tau: float) -> Bool[ndarray, "T"]:
+def _resembling_frames(iou: Float[ndarray, "T T"] | PairwiseIou, tau: float) -> Bool[ndarray, "T"]:
     """Frames that resemble the frame before, as that one does the one before it."""
     alike = np.zeros(len(iou), dtype=bool)
     for rows in _blocks(len(iou) - 1):

@@ -21,11 +21,11 @@ from getagrip.grasps.definition import Definition
 from getagrip.grasps.stable import PairwiseIou, contact_sets, stable_grasps
 from getagrip.hands.model import Side
 
-STILL = 0.003
+MAX_STATIC_DISPLACEMENT_M = 0.003
 """A static object's surface is displaced by less than this, on average over its vertices [m]."""
-SHORTEST_STATIC = 5
+MIN_STATIC_RUN_FRAMES = 5
 """Frames: fewer are a pause, or chance."""
-MARGIN = 30
+STATIC_MARGIN_FRAMES = 30
 """Frames of a long static segment that belong to what comes before it, and to what comes after."""
 
 
@@ -35,10 +35,10 @@ def true_segments(clip: Clip, definition: Definition) -> tuple[Segment, ...]:
     ``definition`` is what contact and a grasp are. Raises ``InputError`` for a clip without ground truth or without
     the camera's poses.
     """
-    return segments_of(clip, {clip.side: contact_sets(clip, definition.contact, definition.points)}, definition)
+    return segment_by_contact(clip, {clip.side: contact_sets(clip, definition.contact, definition.points)}, definition)
 
 
-def segments_of(
+def segment_by_contact(
     clip: Clip, contact: Mapping[Side, Bool[ndarray, "T P"]], definition: Definition
 ) -> tuple[Segment, ...]:
     """Segment a whole clip by the contact sets of one hand or both.
@@ -57,11 +57,13 @@ def segments_of(
     for side, sets in contact.items():
         spans = stable_grasps(PairwiseIou.of(sets), definition.tau, definition.shortest, definition.rule)
         found += [Segment("grasp", first, last, side) for first, last in spans]
-    apart = [s for s in painted(found, len(clip), clip.side) if s.state == "static" or len(s) >= definition.shortest]
-    return tuple(_with_rest(apart, touched, len(clip)))
+    apart = [
+        s for s in resolve_overlaps(found, len(clip), clip.side) if s.state == "static" or len(s) >= definition.shortest
+    ]
+    return tuple(_fill_between_segments(apart, touched, len(clip)))
 
 
-def painted(segments: Sequence[Segment], frames: int, side: Side) -> tuple[Segment, ...]:
+def resolve_overlaps(segments: Sequence[Segment], frames: int, side: Side) -> tuple[Segment, ...]:
     """Resolve overlaps of segments.
 
     Grasps of hand ``side`` take precedence over those of the other hand, these over contacts, these over static and
@@ -80,7 +82,7 @@ def painted(segments: Sequence[Segment], frames: int, side: Side) -> tuple[Segme
 def interactions(segments: Sequence[Segment]) -> Iterator[Int[ndarray, "n"]]:
     """Yield the frames of each timeline of a long recording: the interactions between two long static segments.
 
-    Such a segment is longer than twice ``MARGIN``; its first frames belong to the timeline before it, its last to that
+    Such a segment is longer than twice ``STATIC_MARGIN_FRAMES``; its first frames belong to the timeline before it, its last to that
     after it. Where the object is never held or touched in between, there is no timeline.
     """
     if not segments:
@@ -88,10 +90,10 @@ def interactions(segments: Sequence[Segment]) -> Iterator[Int[ndarray, "n"]]:
     begin = segments[0].first
     grasped = False
     for segment in segments:
-        if segment.state == "static" and len(segment) > 2 * MARGIN:
+        if segment.state == "static" and len(segment) > 2 * STATIC_MARGIN_FRAMES:
             if grasped:
-                yield np.arange(begin, segment.first + MARGIN)
-            begin, grasped = segment.last + 1 - MARGIN, False
+                yield np.arange(begin, segment.first + STATIC_MARGIN_FRAMES)
+            begin, grasped = segment.last + 1 - STATIC_MARGIN_FRAMES, False
         grasped |= segment.state in ("contact", "grasp")
     if grasped:
         yield np.arange(begin, segments[-1].last + 1)
@@ -103,28 +105,32 @@ def static_runs(
     """Yield the first and last frame of each run in which the untouched object stays where the run began."""
     first = 0
     while first < len(T_world_obj):
-        length = _still(T_world_obj[first:], vertices, touched[first:])
-        if length >= SHORTEST_STATIC:
+        length = _static_length(T_world_obj[first:], vertices, touched[first:])
+        if length >= MIN_STATIC_RUN_FRAMES:
             yield first, first + length - 1
             first += length
         else:
             first += 1
 
 
-def _still(T_world_obj: Float[ndarray, "T 4 4"], vertices: Float[ndarray, "V 3"], touched: Bool[ndarray, "T"]) -> int:
+def _static_length(
+    T_world_obj: Float[ndarray, "T 4 4"], vertices: Float[ndarray, "V 3"], touched: Bool[ndarray, "T"]
+) -> int:
     """For how many frames the object stays where it is in the first, untouched."""
     at_first = se3.transform(T_world_obj[0], vertices)
-    begin, end = 0, SHORTEST_STATIC
+    begin, end = 0, MIN_STATIC_RUN_FRAMES
     while begin < len(T_world_obj):
         posed = se3.transform(T_world_obj[begin:end], vertices[None])
-        ends = (np.linalg.norm(posed - at_first, axis=2).mean(axis=1) >= STILL) | touched[begin:end]
+        ends = (np.linalg.norm(posed - at_first, axis=2).mean(axis=1) >= MAX_STATIC_DISPLACEMENT_M) | touched[begin:end]
         if ends.any():
             return begin + int(np.argmax(ends))
         begin, end = end, min(2 * end, end + 128)
     return len(T_world_obj)
 
 
-def _with_rest(found: Sequence[Segment], touched: Mapping[Side, Bool[ndarray, "T"]], frames: int) -> Iterator[Segment]:
+def _fill_between_segments(
+    found: Sequence[Segment], touched: Mapping[Side, Bool[ndarray, "T"]], frames: int
+) -> Iterator[Segment]:
     """Yield the segments, and what lies between them."""
     at = 0
     for segment in (*found, None):

@@ -31,14 +31,14 @@ from getagrip.grasps.definition import Definition
 from getagrip.grasps.lists import ListedGrasp
 from getagrip.grasps.stable import PairwiseIou, segment
 
-MARGIN = 0.5
+STUDY_MARGIN_FRACTION = 0.5
 """How much is measured before and after a grasp, as a share of its length."""
-TIMES: Float[ndarray, "S"] = np.linspace(-MARGIN, 1.0 + MARGIN, 81)
+NORMALISED_TIMES: Float[ndarray, "S"] = np.linspace(-STUDY_MARGIN_FRACTION, 1.0 + STUDY_MARGIN_FRACTION, 81)
 """Normalised times at which curves are drawn."""
 
 
 @dataclass(frozen=True)
-class Measure:
+class StudyMeasure:
     """A quantity that is measured in every frame.
 
     Attributes:
@@ -52,18 +52,18 @@ class Measure:
     factor: float
 
 
-_DEGREES, _MM = float(np.degrees(1.0)), 1e3
-MEASURES = {
-    "contact_iou": Measure("contact IOU with the grasp", "", 1.0),
-    "fingers_turned": Measure("fingertip rotation", "deg", _DEGREES),
-    "fingers_moved": Measure("fingertip translation", "mm", _MM),
-    "static_rotation": Measure("rotation error, static", "deg", _DEGREES),
-    "one_dof_rotation": Measure("rotation error, 1-DoF", "deg", _DEGREES),
-    "static_place": Measure("centre error, static", "mm", _MM),
-    "free_rotation": Measure("rotation error, 1-DoF of the full pose, axis anywhere", "deg", _DEGREES),
-    "free_place": Measure("centre error, 1-DoF of the full pose, axis anywhere", "mm", _MM),
-    "at_hand_rotation": Measure("rotation error, 1-DoF of the full pose, axis at the hand", "deg", _DEGREES),
-    "at_hand_place": Measure("centre error, 1-DoF of the full pose, axis at the hand", "mm", _MM),
+_DEG_PER_RAD, _MM_PER_M = float(np.degrees(1.0)), 1e3
+STUDY_MEASURES = {
+    "contact_iou": StudyMeasure("contact IOU with the grasp", "", 1.0),
+    "fingers_turned": StudyMeasure("fingertip rotation", "deg", _DEG_PER_RAD),
+    "fingers_moved": StudyMeasure("fingertip translation", "mm", _MM_PER_M),
+    "static_rotation": StudyMeasure("rotation error, static", "deg", _DEG_PER_RAD),
+    "one_dof_rotation": StudyMeasure("rotation error, 1-DoF", "deg", _DEG_PER_RAD),
+    "static_place": StudyMeasure("centre error, static", "mm", _MM_PER_M),
+    "free_rotation": StudyMeasure("rotation error, 1-DoF of the full pose, axis anywhere", "deg", _DEG_PER_RAD),
+    "free_place": StudyMeasure("centre error, 1-DoF of the full pose, axis anywhere", "mm", _MM_PER_M),
+    "at_hand_rotation": StudyMeasure("rotation error, 1-DoF of the full pose, axis at the hand", "deg", _DEG_PER_RAD),
+    "at_hand_place": StudyMeasure("centre error, 1-DoF of the full pose, axis at the hand", "mm", _MM_PER_M),
 }
 """By name. ``one_dof_rotation`` is of the best approximation of the rotations alone, as in the paper's figures."""
 
@@ -81,9 +81,9 @@ class StudiedGrasp:
         duration: duration [s].
         listed: the same, as lists have it.
         inside: per measure, its mean over the grasp's frames; NaN where it has no value.
-        outside: per measure, its mean over the frames within ``MARGIN`` before and after that do not belong to the
+        outside: per measure, its mean over the frames within ``STUDY_MARGIN_FRACTION`` before and after that do not belong to the
             grasp.
-        curves: per measure, (S,): its value at ``TIMES``; NaN where the sequence has no frame.
+        curves: per measure, (S,): its value at ``NORMALISED_TIMES``; NaN where the sequence has no frame.
         turned: range of the angle about the best axis of the rotations [rad].
         hinge: best rotation about one axis for the full poses, the axis anywhere.
     """
@@ -143,7 +143,7 @@ def study(
 
 def study_grasp(clip: Clip, iou: PairwiseIou, first: int, last: int) -> StudiedGrasp:
     """Measure one grasp, from its first to its last frame. Raises ``InputError`` for a clip without ground truth."""
-    margin = int(np.ceil(MARGIN * (last - first)))
+    margin = int(np.ceil(STUDY_MARGIN_FRACTION * (last - first)))
     frames = slice(max(0, first - margin), min(len(clip), last + 1 + margin))
     grasp = slice(first - frames.start, last + 1 - frames.start)
     R, c, size = object_in_hand(clip)
@@ -152,17 +152,17 @@ def study_grasp(clip: Clip, iou: PairwiseIou, first: int, last: int) -> StudiedG
     free = pose_hinge(R[grasp], c[grasp], size)
     at_hand = pose_hinge(R[grasp], c[grasp], size, through=np.zeros(3))
     pads = [clip.hand.regions[finger] for finger in FINGERS]
-    rotated, moved = fingers(_truth(clip).hand_vertices[frames], pads, grasp)
+    rotated, moved = fingertip_motion(_require_truth(clip).hand_vertices[frames], pads, grasp)
     values = {
-        "contact_iou": kept_contact(iou, frames, slice(first, last + 1)),
+        "contact_iou": mean_contact_iou(iou, frames, slice(first, last + 1)),
         "fingers_turned": rotated,
         "fingers_moved": moved,
         "static_rotation": se3.angle_between(mean_rotation(R[grasp]), R),
-        "one_dof_rotation": _errors(rotations, R, c)[0],
+        "one_dof_rotation": _hinge_errors(rotations, R, c)[0],
         "static_place": np.linalg.norm(c - c[grasp].mean(axis=0), axis=1),
     }
-    values["free_rotation"], values["free_place"] = _errors(free, R, c)
-    values["at_hand_rotation"], values["at_hand_place"] = _errors(at_hand, R, c)
+    values["free_rotation"], values["free_place"] = _hinge_errors(free, R, c)
+    values["at_hand_rotation"], values["at_hand_place"] = _hinge_errors(at_hand, R, c)
     is_inside = np.zeros(len(R), dtype=bool)
     is_inside[grasp] = True
     time = (np.arange(len(R)) - grasp.start) / max(last - first, 1)
@@ -174,15 +174,15 @@ def study_grasp(clip: Clip, iou: PairwiseIou, first: int, last: int) -> StudiedG
         end=last,
         duration=(last + 1 - first) / clip.fps,
         listed=as_listed(clip, first, last),
-        inside={name: Spread.of(values[name][is_inside]).mean for name in MEASURES},
-        outside={name: Spread.of(values[name][~is_inside]).mean for name in MEASURES},
-        curves={name: np.interp(TIMES, time, values[name], np.nan, np.nan) for name in MEASURES},
+        inside={name: Spread.of(values[name][is_inside]).mean for name in STUDY_MEASURES},
+        outside={name: Spread.of(values[name][~is_inside]).mean for name in STUDY_MEASURES},
+        curves={name: np.interp(NORMALISED_TIMES, time, values[name], np.nan, np.nan) for name in STUDY_MEASURES},
         turned=float(np.ptp(np.unwrap(rotations.angles(R[grasp], c[grasp])))),
         hinge=free,
     )
 
 
-def _errors(
+def _hinge_errors(
     hinge: AxisRotation, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]
 ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N"]]:
     """Angle [rad] and distance of the centre [m] between poses and a hinge's nearest."""
@@ -196,7 +196,7 @@ def object_in_hand(clip: Clip) -> tuple[Float[ndarray, "T 3 3"], Float[ndarray, 
     The centre is that of the object's surface, and the size its radius of gyration over the root of 3. Raises
     ``InputError`` for a clip without ground truth.
     """
-    truth = _truth(clip)
+    truth = _require_truth(clip)
     areas = clip.mesh.vertex_areas / clip.mesh.vertex_areas.sum()
     centre = areas @ clip.mesh.vertices
     size = truth.scale * float(np.sqrt(areas @ np.sum((clip.mesh.vertices - centre) ** 2, axis=1) / 3.0))
@@ -204,13 +204,13 @@ def object_in_hand(clip: Clip) -> tuple[Float[ndarray, "T 3 3"], Float[ndarray, 
     return T_hand_obj[:, :3, :3], se3.transform(T_hand_obj, truth.scale * centre[None])[:, 0], size
 
 
-def _truth(clip: Clip) -> Truth:
+def _require_truth(clip: Clip) -> Truth:
     if clip.truth is None:
         raise InputError(clip.origin / "truth.npz", "", "no such file", "the true poses, which are studied")
     return clip.truth
 
 
-def kept_contact(iou: PairwiseIou | Float[ndarray, "T T"], frames: slice, grasp: slice) -> Float[ndarray, "N"]:
+def mean_contact_iou(iou: PairwiseIou | Float[ndarray, "T T"], frames: slice, grasp: slice) -> Float[ndarray, "N"]:
     """Return the mean contact IOU of each of some frames with all frames of a grasp but itself.
 
     NaN where there is none.
@@ -224,7 +224,7 @@ def kept_contact(iou: PairwiseIou | Float[ndarray, "T T"], frames: slice, grasp:
     return np.divide((pairs * others).sum(axis=1), count, out=np.full(len(rows), np.nan), where=count > 0)
 
 
-def fingers(
+def fingertip_motion(
     vertices: Float[ndarray, "N V 3"], pads: Sequence[Int[ndarray, "_"]], grasp: slice
 ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N"]]:
     """Compute how far a hand's pads have rotated [rad] and moved [m] in the hand frame, on average.
@@ -236,13 +236,13 @@ def fingers(
     for ids in pads:
         pad = vertices[:, ids]
         centre = pad.mean(axis=1, keepdims=True)
-        R = _rotations(pad - centre, grasp)
+        R = _fit_rotations(pad - centre, grasp)
         rotated.append(np.full(len(pad), np.nan) if R is None else se3.angle_between(mean_rotation(R[grasp]), R))
         moved.append(np.linalg.norm((centre - centre[grasp].mean(axis=0))[:, 0], axis=1))
     return np.mean(rotated, axis=0), np.mean(moved, axis=0)
 
 
-def _rotations(pad: Float[ndarray, "N P 3"], grasp: slice) -> Float[ndarray, "N 3 3"] | None:
+def _fit_rotations(pad: Float[ndarray, "N P 3"], grasp: slice) -> Float[ndarray, "N 3 3"] | None:
     """Rotations of points about their mean, from the grasp's first frame (Kabsch); nothing where they are on a line."""
     model = pad[grasp][0]
     if len(model) < 3 or np.linalg.svd(model, compute_uv=False)[1] < 1e-6:
@@ -251,7 +251,8 @@ def _rotations(pad: Float[ndarray, "N P 3"], grasp: slice) -> Float[ndarray, "N 
 
 
 def mean_curves(studied: Sequence[StudiedGrasp]) -> dict[str, list[Spread]]:
-    """Compute the spread of each measure over grasps, at each of ``TIMES``."""
+    """Compute the spread of each measure over grasps, at each of ``NORMALISED_TIMES``."""
     return {
-        name: [Spread.of(values) for values in np.array([one.curves[name] for one in studied]).T] for name in MEASURES
+        name: [Spread.of(values) for values in np.array([one.curves[name] for one in studied]).T]
+        for name in STUDY_MEASURES
     }

@@ -23,19 +23,19 @@ from getagrip.clip import Segment
 from getagrip.clip.timeline import State
 from getagrip.errors import InputError
 from getagrip.hands.model import Side
-from getagrip.io.files import Json, is_plain_name, shown
-from getagrip.io.terminal import counted
+from getagrip.io.files import Json, is_portable_name, shorten_value
+from getagrip.io.terminal import format_count
 
-STATES: dict[str, State] = {"inhand": "grasp", "scene_static": "static", "scene_dynamic": "contact"}
+STATE_OF_REF: dict[str, State] = {"inhand": "grasp", "scene_static": "static", "scene_dynamic": "contact"}
 """Our name of each ``ref``."""
-SIDES: dict[object, Side | None] = {"left": "left", "right": "right", None: None}
-LAST_FRAME = 10_000_000
-MOST_SEGMENTS = 100_000
+SIDE_OF_NAME: dict[object, Side | None] = {"left": "left", "right": "right", None: None}
+MAX_FRAME_NUMBER = 10_000_000
+MAX_TIMELINE_SEGMENTS = 100_000
 """Most segments of a list; HOT3D's has 3288."""
 
 
 @dataclass(frozen=True)
-class Timeline:
+class ListedTimeline:
     """An interaction with an object; its segments count frames as the list does."""
 
     sequence: str
@@ -48,9 +48,9 @@ class Timeline:
         return tuple(segment for segment in self.segments if segment.state == "grasp")
 
 
-def read(
+def read_hot3d_timelines(
     path: Path, content: Sequence[Json], note: Callable[[str], None]
-) -> tuple[tuple[Timeline, ...], dict[str, int]]:
+) -> tuple[tuple[ListedTimeline, ...], dict[str, int]]:
     """Read HOT3D's timelines, and the number of frames of each recording.
 
     Segments that end before they start are skipped, and reported. Raises ``InputError`` in the name of the file.
@@ -59,36 +59,42 @@ def read(
     frames: dict[str, int] = {}
     for n, timeline in enumerate(content):
         name = timeline.get("seq_name")
-        if not isinstance(name, str) or not is_plain_name(name):
-            raise InputError(path, f"[{n}].seq_name", shown(name), "a recording, as P0010_b152143e")
-        length = whole(path, f"[{n}].total_end", timeline.get("total_end"))
+        if not isinstance(name, str) or not is_portable_name(name):
+            raise InputError(path, f"[{n}].seq_name", shorten_value(name), "a recording, as P0010_b152143e")
+        length = parse_frame_number(path, f"[{n}].total_end", timeline.get("total_end"))
         if frames.setdefault(name, length) != length:
             raise InputError(path, f"[{n}].total_end", str(length), f"{frames[name]}, as before for {name}")
         category = timeline.get("cat")
         if not isinstance(category, str):
-            raise InputError(path, f"[{n}].cat", shown(category), "the name of an object")
-        found.append(Timeline(name, category, segments_of(path, f"[{n}].segments", timeline.get("segments"))))
+            raise InputError(path, f"[{n}].cat", shorten_value(category), "the name of an object")
+        found.append(
+            ListedTimeline(name, category, parse_timeline_segments(path, f"[{n}].segments", timeline.get("segments")))
+        )
     report_backwards(path, content, note)
     return tuple(found), frames
 
 
-def segments_of(path: Path, key: str, value: object) -> tuple[Segment, ...]:
+def parse_timeline_segments(path: Path, key: str, value: object) -> tuple[Segment, ...]:
     """Parse the segments of a timeline; those that end before they start are left out. Raises ``InputError``."""
     if not isinstance(value, list) or not all(isinstance(segment, dict) for segment in value):
-        raise InputError(path, key, shown(value), "a list of objects")
-    if len(value) > MOST_SEGMENTS:
-        raise InputError(path, key, f"{len(value)} segments", f"at most {MOST_SEGMENTS}")
+        raise InputError(path, key, shorten_value(value), "a list of objects")
+    if len(value) > MAX_TIMELINE_SEGMENTS:
+        raise InputError(path, key, f"{len(value)} segments", f"at most {MAX_TIMELINE_SEGMENTS}")
     out = []
     for k, segment in enumerate(value):
-        first, last = (whole(path, f"{key}[{k}].{end}", segment.get(end)) for end in ("st", "ed"))
+        first, last = (parse_frame_number(path, f"{key}[{k}].{end}", segment.get(end)) for end in ("st", "ed"))
         ref, side = segment.get("ref"), segment.get("side")
-        if not isinstance(ref, str) or ref not in STATES:
-            raise InputError(path, f"{key}[{k}].ref", shown(ref), f"one of {', '.join(STATES)}")
-        state = STATES[ref]
-        if (side is not None and not isinstance(side, str)) or side not in SIDES or (side is None and state == "grasp"):
-            raise InputError(path, f"{key}[{k}].side", shown(side), "left or right")
+        if not isinstance(ref, str) or ref not in STATE_OF_REF:
+            raise InputError(path, f"{key}[{k}].ref", shorten_value(ref), f"one of {', '.join(STATE_OF_REF)}")
+        state = STATE_OF_REF[ref]
+        if (
+            (side is not None and not isinstance(side, str))
+            or side not in SIDE_OF_NAME
+            or (side is None and state == "grasp")
+        ):
+            raise InputError(path, f"{key}[{k}].side", shorten_value(side), "left or right")
         if first <= last:
-            out.append(Segment(state, first, last, None if state == "static" else SIDES[side]))
+            out.append(Segment(state, first, last, None if state == "static" else SIDE_OF_NAME[side]))
     return tuple(out)
 
 
@@ -96,13 +102,13 @@ def report_backwards(path: Path, content: Sequence[Json], note: Callable[[str], 
     """Say how many segments end before they start; ``content`` has been read."""
     backwards = [s["ref"] for timeline in content for s in timeline["segments"] if s["ed"] < s["st"]]
     if backwards:
-        grasps = counted(count := backwards.count("inhand"), "grasp")
-        others = counted(len(backwards) - count, "other segment")
+        grasps = format_count(count := backwards.count("inhand"), "grasp")
+        others = format_count(len(backwards) - count, "other segment")
         note(f"{path.name}: {grasps} and {others} end before they start: skipped")
 
 
-def whole(path: Path, key: str, value: object) -> int:
+def parse_frame_number(path: Path, key: str, value: object) -> int:
     """Parse the number of a frame. Raises ``InputError``."""
-    if type(value) is not int or not 0 <= value <= LAST_FRAME:
-        raise InputError(path, key, shown(value), f"a whole number from 0 to {LAST_FRAME}")
+    if type(value) is not int or not 0 <= value <= MAX_FRAME_NUMBER:
+        raise InputError(path, key, shorten_value(value), f"a whole number from 0 to {MAX_FRAME_NUMBER}")
     return value

@@ -17,14 +17,14 @@ from getagrip.compiling import kernel
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import edge_table
 
-_WRIST, _INDEX, _PINKY = 0, 5, 17
-CHAINS = np.arange(1, 21).reshape(5, 4)
+_WRIST_JOINT, _INDEX_KNUCKLE, _PINKY_KNUCKLE = 0, 5, 17
+FINGER_CHAINS = np.arange(1, 21).reshape(5, 4)
 """Joints of each finger, from the palm to the tip."""
 BONE_OF_JOINT = np.zeros((21, 5, 3))
 """Share by which each joint goes with each of the five fingers' three bones; of vertices: ``finger_weights``."""
 for _k in range(3):
-    BONE_OF_JOINT[CHAINS[:, _k + 1], np.arange(5), _k] = 1.0
-_SMOOTHINGS = 4
+    BONE_OF_JOINT[FINGER_CHAINS[:, _k + 1], np.arange(5), _k] = 1.0
+_N_WEIGHT_SMOOTHINGS = 4
 
 
 def finger_weights(hand: HandTrack) -> Float[ndarray, "V 5 3"]:
@@ -33,15 +33,15 @@ def finger_weights(hand: HandTrack) -> Float[ndarray, "V 5 3"]:
     The hand must have joints.
     """
     assert hand.joints is not None
-    ends = [(a, b) for chain in CHAINS for a, b in pairwise(chain)]
-    ends += [(_WRIST, knuckle) for knuckle in CHAINS[:, 0]]
+    ends = [(a, b) for chain in FINGER_CHAINS for a, b in pairwise(chain)]
+    ends += [(_WRIST_JOINT, knuckle) for knuckle in FINGER_CHAINS[:, 0]]
     some = np.unique(np.linspace(0, len(hand.vertices) - 1, 5).astype(int))
     a, b = (hand.joints[some][:, [pair[k] for pair in ends]] for k in (0, 1))
     nearest = np.argmin(_to_segments(hand.vertices[some], a, b).sum(axis=0), axis=1)
     weights = np.eye(len(ends))[nearest]
     first, second = edge_table(hand.faces)[:, :2].T
     count = np.bincount(np.concatenate([first, second]), minlength=len(weights)).astype(float)
-    for _ in range(_SMOOTHINGS):
+    for _ in range(_N_WEIGHT_SMOOTHINGS):
         around = np.zeros_like(weights)
         np.add.at(around, first, weights[second])
         np.add.at(around, second, weights[first])
@@ -49,7 +49,7 @@ def finger_weights(hand: HandTrack) -> Float[ndarray, "V 5 3"]:
     return weights[:, :15].reshape(-1, 5, 3)
 
 
-def bent(
+def bend_fingers(
     vertices: Float[ndarray, "T V 3"],
     joints: Float[ndarray, "T 21 3"],
     weights: Float[ndarray, "V 5 3"],
@@ -61,19 +61,22 @@ def bent(
     Fingers bend about an axis across the palm, the thumb towards the knuckle of the index finger or away from it.
     Afterwards each is turned ``sideways``, about its first joint [rad].
     """
-    turns = se3.rotation_about_line(joints[:, CHAINS[:, :3]], hinges(joints)[:, :, None], angles)
+    turns = se3.rotation_about_line(joints[:, FINGER_CHAINS[:, :3]], finger_hinge_axes(joints)[:, :, None], angles)
     if sideways is not None:
-        turns[:, :, 0] = se3.rotation_about_line(joints[:, CHAINS[:, 0]], uprights(joints), sideways) @ turns[:, :, 0]
+        turns[:, :, 0] = (
+            se3.rotation_about_line(joints[:, FINGER_CHAINS[:, 0]], finger_spread_axes(joints), sideways)
+            @ turns[:, :, 0]
+        )
     for k in (1, 2):
         turns[:, :, k] = turns[:, :, k - 1] @ turns[:, :, k]
     moved, skeleton = np.empty_like(vertices), joints.copy()
-    skeleton[:, CHAINS[:, 1:]] = se3.transform(turns, joints[:, CHAINS[:, 1:], None])[..., 0, :]
-    _skin(vertices, np.ascontiguousarray(weights.reshape(-1, 15)), turns.reshape(-1, 15, 4, 4), moved)
+    skeleton[:, FINGER_CHAINS[:, 1:]] = se3.transform(turns, joints[:, FINGER_CHAINS[:, 1:], None])[..., 0, :]
+    _skin_vertices(vertices, np.ascontiguousarray(weights.reshape(-1, 15)), turns.reshape(-1, 15, 4, 4), moved)
     return moved, skeleton
 
 
 @kernel("f3 f2 f4 f3", fastmath=False)
-def _skin(vertices: ndarray, weights: ndarray, T: ndarray, moved: ndarray) -> None:
+def _skin_vertices(vertices: ndarray, weights: ndarray, T: ndarray, moved: ndarray) -> None:
     """Vertices (T, V, 3) moved by as much as their weights (V, 15) say of what each bone's pose (T, 15, 4, 4) does."""
     for v in range(vertices.shape[1]):
         for t in range(len(vertices)):
@@ -90,20 +93,23 @@ def _skin(vertices: ndarray, weights: ndarray, T: ndarray, moved: ndarray) -> No
                     moved[t, v, i] += w * (to - vertices[t, v, i])
 
 
-def hinges(joints: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 5 3"]:
+def finger_hinge_axes(joints: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 5 3"]:
     """Compute the unit axes about which fingers bend: across the palm; the thumb's across its plane with the index."""
-    index, pinky = (joints[:, k] - joints[:, _WRIST] for k in (_INDEX, _PINKY))
+    index, pinky = (joints[:, k] - joints[:, _WRIST_JOINT] for k in (_INDEX_KNUCKLE, _PINKY_KNUCKLE))
     palm = np.cross(index, pinky)
-    thumb, ahead = joints[:, CHAINS[0, 3]] - joints[:, CHAINS[0, 0]], joints[:, _INDEX] - joints[:, CHAINS[0, 0]]
-    along = joints[:, CHAINS[1:, 1]] - joints[:, CHAINS[1:, 0]]
+    thumb, ahead = (
+        joints[:, FINGER_CHAINS[0, 3]] - joints[:, FINGER_CHAINS[0, 0]],
+        joints[:, _INDEX_KNUCKLE] - joints[:, FINGER_CHAINS[0, 0]],
+    )
+    along = joints[:, FINGER_CHAINS[1:, 1]] - joints[:, FINGER_CHAINS[1:, 0]]
     fingers = np.cross(along, palm[:, None])
     axes = np.concatenate([np.cross(thumb, ahead)[:, None], fingers], axis=1)
     return np.asarray(axes / np.maximum(np.linalg.norm(axes, axis=-1, keepdims=True), 1e-12))
 
 
-def uprights(joints: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 5 3"]:
+def finger_spread_axes(joints: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 5 3"]:
     """Compute the unit axes about which fingers turn sideways: at right angles to hinges and first bones."""
-    axes = np.cross(joints[:, CHAINS[:, 1]] - joints[:, CHAINS[:, 0]], hinges(joints))
+    axes = np.cross(joints[:, FINGER_CHAINS[:, 1]] - joints[:, FINGER_CHAINS[:, 0]], finger_hinge_axes(joints))
     return np.asarray(axes / np.maximum(np.linalg.norm(axes, axis=-1, keepdims=True), 1e-12))
 
 

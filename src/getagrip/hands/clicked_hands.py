@@ -24,34 +24,34 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from getagrip.clip import HandTrack
-from getagrip.clip.plausible import FARTHEST, NEAREST
+from getagrip.clip.plausible import MAX_CAMERA_RANGE_M, MIN_CAMERA_RANGE_M
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands import generic
 from getagrip.hands.descent import Equations, descend
-from getagrip.hands.fit import Chains, joints_and_jacobian, stepped
-from getagrip.hands.hidden_joints import Hiding
+from getagrip.hands.fit import Chains, apply_hand_step, joints_and_jacobian
+from getagrip.hands.hidden_joints import OcclusionDistances
 from getagrip.hands.model import KNUCKLES, HandModel, Side, hand_track
-from getagrip.hands.placed_hands import OUTLIER, Clicks, equations, place, turning
+from getagrip.hands.placed_hands import CLICK_OUTLIER_SIGMAS, Clicks, click_equations, place_rigid_hands, turning_cost
 from getagrip.hands.pose_prior import PosePrior
 
-SCALE = "a guess: the generic hand has the size of a mean one, and its distance follows from that"
+ASSUMED_SCALE_NOTE = "a guess: the generic hand has the size of a mean one, and its distance follows from that"
 
-FEWEST = 6
+MIN_CLICKED_JOINTS = 6
 """Joints that a frame must have."""
-SMALLEST = 10.0
+MIN_CLICK_EXTENT_PX = 10.0
 """Extent of the clicks of a frame [px]."""
-LOOSENESS = 0.12
+GRASP_POSE_SIGMA_RAD = 0.12
 """Standard deviation of each number of the fingers' pose from that of the grasp [rad]."""
-CURLS = ((0.3, 0.3, 0.3), (0.9, 0.6, 0.4))
+INITIAL_CURLS_RAD = ((0.3, 0.3, 0.3), (0.9, 0.6, 0.4))
 """Bends of the fingers that are tried at first, from knuckle to fingertip [rad]."""
-ROUNDS = 4
+MAX_PLACEMENT_ITERATIONS = 4
 """Rounds of placing hands and fitting them."""
-STEPS = 60
-TOLERANCE = 1e-5
+MAX_CLICK_STEPS = 60
+COST_TOLERANCE = 1e-5
 """Stop when a round lowers the cost by less than this share of it."""
-SHARED = 45
+N_GRASP_PARAMETERS = 45
 """Numbers of the grasp, after the frames' 51 and before the shape."""
 
 Curl = tuple[float, float, float]
@@ -78,20 +78,20 @@ def hands_from_clicks(
     """Fit the hand in the frames ``first`` to ``last``, both included, to joints clicked on some of them [px].
 
     ``clicks`` (21, 2) are wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip, NaN where not
-    clicked. Raises ``UsageError`` for no clicked frame, for one with fewer than ``FEWEST`` joints or outside the
+    clicked. Raises ``UsageError`` for no clicked frame, for one with fewer than ``MIN_CLICKED_JOINTS`` joints or outside the
     interval, and for clicks that no hand looks like.
     """
-    _check(clicks, first, last)
+    _check_clicks(clicks, first, last)
     keys = tuple(sorted(clicks))
     value = Clicks.of(K, np.array([clicks[n] for n in keys], dtype=float))
     model = generic.load(side)
     chains, prior = Chains.of(model), PosePrior.of(model)
-    fit = Fit(model, chains, prior, value)
-    found = fitted(fit)
+    fit = ClickFit(model, chains, prior, value)
+    found = fit_clicked_hands(fit)
     check_found(keys, found)
     residuals = fit.residuals(found)
-    outliers = value.there & (residuals > OUTLIER * value.noise)
-    T, q = between(keys, found.T, found.q, first, last)
+    outliers = value.there & (residuals > CLICK_OUTLIER_SIGMAS * value.noise)
+    T, q = interpolate_key_hands(keys, found.T, found.q, first, last)
     posed = model.with_shape(found.shape).with_pose(model_pose(q))
     seen = np.zeros((len(T), 21, 3))
     seen[np.array(keys) - first] = np.concatenate([value.y, value.there[..., None]], axis=-1)
@@ -99,7 +99,7 @@ def hands_from_clicks(
     return ClickedHands(hand, keys, residuals, outliers, found.shape)
 
 
-def _check(clicks: Mapping[int, Float[ndarray, "..."]], first: int, last: int) -> None:
+def _check_clicks(clicks: Mapping[int, Float[ndarray, "..."]], first: int, last: int) -> None:
     if not clicks:
         raise UsageError("missing joints: one frame at least needs some")
     for n, points in clicks.items():
@@ -108,23 +108,23 @@ def _check(clicks: Mapping[int, Float[ndarray, "..."]], first: int, last: int) -
         if np.shape(points) != (21, 2) or np.isinf(points).any():
             raise UsageError(f"joints of frame {n} must be finite, of shape (21, 2) (got {np.shape(points)})")
         count = int(np.count_nonzero(~np.isnan(points).any(axis=1)))
-        if count < FEWEST:
-            raise UsageError(f"joints of frame {n} must be {FEWEST} at least, or none (got {count})")
+        if count < MIN_CLICKED_JOINTS:
+            raise UsageError(f"joints of frame {n} must be {MIN_CLICKED_JOINTS} at least, or none (got {count})")
         extent = float(np.max(np.nanmax(points, axis=0) - np.nanmin(points, axis=0)))
-        if extent < SMALLEST:
+        if extent < MIN_CLICK_EXTENT_PX:
             raise UsageError(
-                f"joints of frame {n} must be {SMALLEST:g} px apart or more (got all within {extent:.3g} px)"
+                f"joints of frame {n} must be {MIN_CLICK_EXTENT_PX:g} px apart or more (got all within {extent:.3g} px)"
             )
 
 
-def check_found(keys: Sequence[int], found: Guess) -> None:
+def check_found(keys: Sequence[int], found: ClickUnknowns) -> None:
     """Raise ``UsageError`` where clicks led to no hand."""
     for n, T, q in zip(keys, found.T, found.q, strict=True):
-        if not NEAREST < T[2, 3] < FARTHEST or np.abs(q).max() > np.pi:
+        if not MIN_CAMERA_RANGE_M < T[2, 3] < MAX_CAMERA_RANGE_M or np.abs(q).max() > np.pi:
             raise UsageError(f"joints of frame {n}: no hand looks like that; is the side right, and each joint's name?")
 
 
-class Guess(NamedTuple):
+class ClickUnknowns(NamedTuple):
     """The unknowns of the fit."""
 
     T: Float[ndarray, "n 4 4"]
@@ -138,37 +138,37 @@ class Guess(NamedTuple):
     wrist: Float[ndarray, "3"]
     """Wrist of the mean hand, which rotations are about."""
 
-    def retract(self, frames: Float[ndarray, "n 51"], shared: Float[ndarray, "s"]) -> Guess:
+    def retract(self, frames: Float[ndarray, "n 51"], shared: Float[ndarray, "s"]) -> ClickUnknowns:
         """Apply a step: each hand shifts in its own axes and turns about the wrist, the rest adds up."""
         return self._replace(
-            T=stepped(self.T, frames[:, :6], self.wrist),
+            T=apply_hand_step(self.T, frames[:, :6], self.wrist),
             q=self.q + frames[:, 6:].reshape(self.q.shape),
-            grasp=self.grasp + shared[:SHARED].reshape(self.grasp.shape),
-            shape=self.shape + shared[SHARED:],
+            grasp=self.grasp + shared[:N_GRASP_PARAMETERS].reshape(self.grasp.shape),
+            shape=self.shape + shared[N_GRASP_PARAMETERS:],
         )
 
 
-class Fit(NamedTuple):
+class ClickFit(NamedTuple):
     """The fit: unknowns, observations and their weights."""
 
     model: HandModel
     chains: Chains
     prior: PosePrior
     clicks: Clicks
-    looseness: float = LOOSENESS
+    looseness: float = GRASP_POSE_SIGMA_RAD
     """Standard deviation of each number of the fingers' pose from that of the grasp [rad]."""
     repeats: float = 1.0
     """Frames whose joints are wrong in the same way: their evidence of what frames share counts as that of one."""
-    hiding: Hiding | None = None
+    hiding: OcclusionDistances | None = None
     """Places that can hide joints; None: anywhere."""
 
-    def equations(self, guess: Guess) -> Equations:
+    def equations(self, guess: ClickUnknowns) -> Equations:
         """Compute the cost, and per frame J^T J and J^T r of (T_cam_hand step, pose, grasp, shape)."""
         n, S = len(self.clicks.y), len(guess.shape)
         X, J_hand = joints_and_jacobian(self.chains, guess.q, guess.shape)
-        J = np.zeros((n, 21, 3, 51 + SHARED + S))
-        J[..., :51], J[..., 51 + SHARED :] = J_hand[..., :51], J_hand[..., 51:]
-        costs, H, g = equations(self.clicks, guess.T, X, J)
+        J = np.zeros((n, 21, 3, 51 + N_GRASP_PARAMETERS + S))
+        J[..., :51], J[..., 51 + N_GRASP_PARAMETERS :] = J_hand[..., :51], J_hand[..., 51:]
+        costs, H, g = click_equations(self.clicks, guess.T, X, J)
         if self.hiding is not None:
             hidden = self.hiding.equations(self.clicks.K, self.clicks.noise, guess.T, X, J)
             costs, H, g = costs + hidden[0], H + hidden[1], g + hidden[2]
@@ -187,24 +187,24 @@ class Fit(NamedTuple):
         g[:, 96:] += share * b / self.model.shape_spread
         return float(np.sum(costs) + np.sum(off**2) + self.repeats * (np.sum(p**2) + b @ b)), H, g
 
-    def residuals(self, guess: Guess) -> Float[ndarray, "n 21"]:
+    def residuals(self, guess: ClickUnknowns) -> Float[ndarray, "n 21"]:
         """Compute the distance of each joint from its click [px]; NaN where there is none."""
         X, _ = joints_and_jacobian(self.chains, guess.q, guess.shape)
         off = project(self.clicks.K, se3.transform(guess.T, X)) - self.clicks.y
         return np.where(self.clicks.there, np.linalg.norm(off, axis=-1), np.nan)
 
-    def near(self, guess: Guess) -> tuple[Guess, float]:
+    def near(self, guess: ClickUnknowns) -> tuple[ClickUnknowns, float]:
         """Fit the hands near a guess; also return their cost."""
-        found, cost, _ = descend(guess, self.equations, STEPS)
+        found, cost, _ = descend(guess, self.equations, MAX_CLICK_STEPS)
         return found, cost
 
 
-def fitted(fit: Fit) -> Guess:
+def fit_clicked_hands(fit: ClickFit) -> ClickUnknowns:
     """Fit the hands, from fingers that are bent in several ways."""
-    return min((_from_curl(fit, curl) for curl in CURLS), key=lambda each: each[1])[0]
+    return min((_fit_from_curl(fit, curl) for curl in INITIAL_CURLS_RAD), key=lambda each: each[1])[0]
 
 
-def _from_curl(fit: Fit, curl: Curl) -> tuple[Guess, float]:
+def _fit_from_curl(fit: ClickFit, curl: Curl) -> tuple[ClickUnknowns, float]:
     """Fit the hands from fingers that are bent by ``curl``; also return their cost.
 
     After a fit the orientation of the hands is known better: they are placed and fitted anew
@@ -214,18 +214,20 @@ def _from_curl(fit: Fit, curl: Curl) -> tuple[Guess, float]:
     grasp, shape = prior.mean.copy(), np.zeros(len(fit.model.shape_names))
     grasp[1:] = np.array(curl)[:, None] * prior.axes[1:, :, 1]
     best, cost = None, np.inf
-    for _ in range(ROUNDS):
-        T = place(chains, fit.clicks, grasp, shape)
-        found, new_cost = fit.near(Guess(T, np.tile(grasp, (len(T), 1, 1, 1)), grasp[None], shape, chains.wrist))
-        new_cost += float(turning(found.T[:-1, :3, :3], found.T[1:, :3, :3]).sum())
-        if best is not None and new_cost > (1.0 - TOLERANCE) * cost:
+    for _ in range(MAX_PLACEMENT_ITERATIONS):
+        T = place_rigid_hands(chains, fit.clicks, grasp, shape)
+        found, new_cost = fit.near(
+            ClickUnknowns(T, np.tile(grasp, (len(T), 1, 1, 1)), grasp[None], shape, chains.wrist)
+        )
+        new_cost += float(turning_cost(found.T[:-1, :3, :3], found.T[1:, :3, :3]).sum())
+        if best is not None and new_cost > (1.0 - COST_TOLERANCE) * cost:
             break
         best, cost, grasp, shape = found, new_cost, found.grasp[0], found.shape
     assert best is not None
     return best, cost
 
 
-def between(
+def interpolate_key_hands(
     keys: Sequence[int], T: Float[ndarray, "n 4 4"], q: Float[ndarray, "n 5 3 3"], first: int, last: int
 ) -> tuple[Float[ndarray, "T 4 4"], Float[ndarray, "T 5 3 3"]]:
     """Interpolate hands in all frames: smooth through those of the keys, at rest beyond them.

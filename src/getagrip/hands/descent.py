@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip.least_squares import Arrow, Ending, Rules, minimise
+from getagrip.least_squares import BlockArrow, DampingRules, Ending, minimise
 
-LOCAL = 51
+N_FRAME_PARAMETERS = 51
 """Numbers of each frame: the step of T_cam_hand and the pose. What all frames share follows them."""
-RULES = Rules(
+DESCENT_RULES = DampingRules(
     damping=1e-3, success=0.1, failure=10.0, least=1e-9, most=1e8, rejections=np.inf, tolerance=1e-5, small_steps=1
 )
 
@@ -22,7 +22,7 @@ Equations = tuple[float, Float[ndarray, "T D D"], Float[ndarray, "T D"]]
 """The cost, and per frame J^T J and J^T r of its own numbers and of the shared ones."""
 
 
-class Hands(Protocol):
+class HandUnknowns(Protocol):
     """The unknowns."""
 
     def retract(self, frames: Float[ndarray, "T 51"], shared: Float[ndarray, "S"]) -> Self:
@@ -30,11 +30,11 @@ class Hands(Protocol):
         ...
 
 
-Sought = TypeVar("Sought", bound=Hands)
+Sought = TypeVar("Sought", bound=HandUnknowns)
 
 
 @dataclass(frozen=True)
-class _State(Generic[Sought]):
+class _DescentState(Generic[Sought]):
     """Hands with their cost and its derivatives (``least_squares.State``)."""
 
     hands: Sought
@@ -47,13 +47,17 @@ class _State(Generic[Sought]):
     def cost(self) -> Float[ndarray, "1"]:
         return np.array([self.value])
 
-    def trial(self, active: Int[ndarray, "1"], damping: Float[ndarray, "1"]) -> _State[Sought]:
-        arrow = Arrow.of(self.H[None], self.g[None], shared=slice(LOCAL, None), own=slice(LOCAL))
+    def trial(self, active: Int[ndarray, "1"], damping: Float[ndarray, "1"]) -> _DescentState[Sought]:
+        arrow = BlockArrow.of(
+            self.H[None], self.g[None], shared=slice(N_FRAME_PARAMETERS, None), own=slice(N_FRAME_PARAMETERS)
+        )
         shared, frames = arrow.step(damping)
         hands = self.hands.retract(frames[0], shared[0])
-        return _State(hands, self.equations, *self.equations(hands))
+        return _DescentState(hands, self.equations, *self.equations(hands))
 
-    def accept(self, trial: _State[Sought], active: Int[ndarray, "1"], better: Bool[ndarray, "1"]) -> _State[Sought]:
+    def accept(
+        self, trial: _DescentState[Sought], active: Int[ndarray, "1"], better: Bool[ndarray, "1"]
+    ) -> _DescentState[Sought]:
         return trial if better[0] else self
 
 
@@ -62,5 +66,5 @@ def descend(hands: Sought, equations: Callable[[Sought], Equations], steps: int)
 
     Return it, its cost, and whether the last step changed next to nothing.
     """
-    found = minimise(_State(hands, equations, *equations(hands)), steps, RULES)
+    found = minimise(_DescentState(hands, equations, *equations(hands)), steps, DESCENT_RULES)
     return found.state.hands, found.state.value, found.endings[0] is not Ending.LIMIT

@@ -28,17 +28,17 @@ JointOrder = Literal["openpose", "ho3d"]
 """``openpose``, this package's own: wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip.
 ``ho3d``, also DexYCB's MANO joints: wrist, then index, middle, pinky, ring, thumb, three joints each, then the tips of
 thumb, index, middle, ring, pinky."""
-ORDERS: dict[JointOrder, list[int]] = {
+JOINT_ORDERS: dict[JointOrder, list[int]] = {
     "openpose": list(range(21)),
     "ho3d": [0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20],
 }
 """Index of each of this package's 21 joints in the given order."""
 
-JOINT_NOISE = np.array([0.003, 0.010, *[0.003] * 19])
+JOINT_SIGMA_M = np.array([0.003, 0.010, *[0.003] * 19])
 """Standard deviation of each joint's position [m]. Models disagree by a centimetre on the thumb's saddle joint."""
 
-STEPS = 40
-FARTHEST = 1e5
+MAX_JOINT_STEPS = 40
+MAX_JOINT_COORDINATE_M = 1e5
 """Farthest joint from the camera [m]; in millimetres, a hundred metres."""
 
 
@@ -74,11 +74,13 @@ def fit_joints(model: HandModel, joints_cam: Float[ndarray, "..."], order: Joint
 
     Raises ``UsageError`` for an unknown order, another shape, numbers that are not finite, or a hand of absurd size.
     """
-    Y = _checked(joints_cam, order)
+    Y = _check_joint_positions(joints_cam, order)
     chains, prior = Chains.of(model), PosePrior.of(model)
-    start = State(_place(model, Y), np.zeros((len(Y), 5, 3, 3)), np.zeros(len(model.shape_names)), chains.wrist)
+    start = JointFitUnknowns(
+        _align_flat_hand(model, Y), np.zeros((len(Y), 5, 3, 3)), np.zeros(len(model.shape_names)), chains.wrist
+    )
     start.q[..., :, :] = prior.mean
-    state, _, converged = descend(start, lambda at: _normal_equations(model, chains, prior, at, Y), STEPS)
+    state, _, converged = descend(start, lambda at: _normal_equations(model, chains, prior, at, Y), MAX_JOINT_STEPS)
     pose = np.zeros((len(Y), 45))
     for n, knuckle in enumerate(KNUCKLES):
         pose[:, 3 * knuckle - 3 : 3 * knuckle + 6] = state.q[:, n].reshape(len(Y), 9)
@@ -87,7 +89,7 @@ def fit_joints(model: HandModel, joints_cam: Float[ndarray, "..."], order: Joint
     return HandFit(hand_track(posed, state.T), state.shape, pose, residuals, converged)
 
 
-class State(NamedTuple):
+class JointFitUnknowns(NamedTuple):
     """The unknowns of the fit."""
 
     T: Float[ndarray, "T 4 4"]
@@ -99,13 +101,13 @@ class State(NamedTuple):
     wrist: Float[ndarray, "3"]
     """Wrist of the mean hand, which rotations are about."""
 
-    def retract(self, frames: Float[ndarray, "T 51"], shared: Float[ndarray, "S"]) -> State:
+    def retract(self, frames: Float[ndarray, "T 51"], shared: Float[ndarray, "S"]) -> JointFitUnknowns:
         """Apply a step: the hand shifts in its own axes and turns about the wrist, the rest adds up."""
-        T = stepped(self.T, frames[:, :6], self.wrist)
+        T = apply_hand_step(self.T, frames[:, :6], self.wrist)
         return self._replace(T=T, q=self.q + frames[:, 6:].reshape(self.q.shape), shape=self.shape + shared)
 
 
-def stepped(
+def apply_hand_step(
     T: Float[ndarray, "T 4 4"], step: Float[ndarray, "T 6"], wrist: Float[ndarray, "3"]
 ) -> Float[ndarray, "T 4 4"]:
     """Shift hands in their own axes and turn them about the wrist."""
@@ -169,14 +171,14 @@ def joints_and_jacobian(
 
 
 def _normal_equations(
-    model: HandModel, chains: Chains, prior: PosePrior, state: State, Y: Float[ndarray, "T 21 3"]
+    model: HandModel, chains: Chains, prior: PosePrior, state: JointFitUnknowns, Y: Float[ndarray, "T 21 3"]
 ) -> Equations:
     """Compute the cost, and per frame J^T J and J^T r of (T_cam_hand step, pose, shape)."""
     X, J = joints_and_jacobian(chains, state.q, state.shape)
     R = state.T[:, :3, :3]
     # Distances are the same in the hand's axes, where the Jacobian stands.
-    r: ndarray = ((X - (Y - state.T[:, None, :3, 3]) @ R) / JOINT_NOISE[:, None]).reshape(len(Y), 63)
-    J = (J / JOINT_NOISE[:, None, None]).reshape(len(Y), 63, -1)
+    r: ndarray = ((X - (Y - state.T[:, None, :3, 3]) @ R) / JOINT_SIGMA_M[:, None]).reshape(len(Y), 63)
+    J = (J / JOINT_SIGMA_M[:, None, None]).reshape(len(Y), 63, -1)
     p, P = prior.residuals(state.q)
     b = state.shape / model.shape_spread
     cost = float(np.sum(r * r) + np.sum(p * p) + b @ b)
@@ -189,7 +191,7 @@ def _normal_equations(
     return cost, H, g
 
 
-def _place(model: HandModel, Y: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 4 4"]:
+def _align_flat_hand(model: HandModel, Y: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 4 4"]:
     """T_cam_hand that lays the flat mean hand's wrist and knuckles on the given ones (Kabsch's algorithm)."""
     X = model.joints[[0, *KNUCKLES[1:]]]
     palm = Y[:, [0, 5, 9, 13, 17]]
@@ -197,9 +199,9 @@ def _place(model: HandModel, Y: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 4
     return se3.rigid(R, palm.mean(axis=1) - R @ X.mean(axis=0))
 
 
-def _checked(joints_cam: Float[ndarray, "..."], order: JointOrder) -> Float[ndarray, "T 21 3"]:
-    if order not in ORDERS:
-        raise UsageError(f"unknown joint order {order!r}; choose from {', '.join(ORDERS)}")
+def _check_joint_positions(joints_cam: Float[ndarray, "..."], order: JointOrder) -> Float[ndarray, "T 21 3"]:
+    if order not in JOINT_ORDERS:
+        raise UsageError(f"unknown joint order {order!r}; choose from {', '.join(JOINT_ORDERS)}")
     Y = np.asarray(joints_cam, dtype=float)
     if Y.ndim != 3 or Y.shape[1:] != (21, 3) or len(Y) == 0:
         raise JointsError(f"{Y.shape}", "of shape (T, 21, 3) with T > 0")
@@ -207,9 +209,9 @@ def _checked(joints_cam: Float[ndarray, "..."], order: JointOrder) -> Float[ndar
     if bad.size:
         got = f"NaN or infinite numbers in {bad.size} frames, first {bad[0]}"
         raise JointsError(got, "finite", "leave these frames out")
-    if np.abs(Y).max() > FARTHEST:
-        raise JointsError(f"a coordinate of {np.abs(Y).max():.4g} m", f"at most {FARTHEST:g} m away")
-    Y = Y[:, ORDERS[order]]
+    if np.abs(Y).max() > MAX_JOINT_COORDINATE_M:
+        raise JointsError(f"a coordinate of {np.abs(Y).max():.4g} m", f"at most {MAX_JOINT_COORDINATE_M:g} m away")
+    Y = Y[:, JOINT_ORDERS[order]]
     palm = np.linalg.norm(Y[:, 9] - Y[:, 0], axis=1)
     if palm.min() < 0.03 or palm.max() > 0.25:
         got = f"{1e3 * palm.min():.3g} to {1e3 * palm.max():.3g} mm"

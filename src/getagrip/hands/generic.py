@@ -21,9 +21,9 @@ from getagrip.hands.generic_skeleton import Finger, metacarpal_base, rest_finger
 from getagrip.hands.model import KNUCKLES, PARENTS, HandModel, Side, mirrored_model
 from getagrip.io.choices import check_word
 
-FILE = Path(__file__).with_name("generic_hand.npz")
+GENERIC_HAND_FILE = Path(__file__).with_name("generic_hand.npz")
 """Its vertices and faces."""
-SHAPES = (
+SHAPE_PARAMETER_NAMES = (
     "size",
     "thickness",
     "palm_length",
@@ -40,7 +40,7 @@ SHAPES = (
 )
 """Names of the shape parameters, each of which enlarges one part."""
 
-SPREAD = 0.1
+SHAPE_SIGMA = 0.1
 """Standard deviation of the shape parameters; those of single bones are 7 to 15 % (Buryanov, Kotiuk, Table I)."""
 
 
@@ -53,7 +53,7 @@ def load(side: Side) -> HandModel:
     check_word("side", side, Side)
     if side == "left":
         return mirrored_model(load("right"))
-    with np.load(FILE, allow_pickle=False) as file:
+    with np.load(GENERIC_HAND_FILE, allow_pickle=False) as file:
         vertices, faces = file["vertices"].astype(float), file["faces"].astype(np.int64)
     fingers, joints = rest_fingers(), rest_joints()
     weights = skin_weights(vertices, faces, fingers)
@@ -66,11 +66,11 @@ def load(side: Side) -> HandModel:
         joints=joints,
         weights=weights,
         tips=np.array([np.argmin(np.linalg.norm(vertices - f.points[3], axis=1)) for f in fingers.values()]),
-        regions=contact_regions(vertices, faces, fingers),
-        shape_names=SHAPES,
+        regions=generic_contact_regions(vertices, faces, fingers),
+        shape_names=SHAPE_PARAMETER_NAMES,
         shape_directions=shape,
         joint_directions=joint_shape,
-        shape_spread=np.full(len(SHAPES), SPREAD),
+        shape_spread=np.full(len(SHAPE_PARAMETER_NAMES), SHAPE_SIGMA),
     )
 
 
@@ -117,19 +117,19 @@ def stretch_directions(
     A parameter stretches the space around each bone by a 3x3 matrix M_j: a point x that goes with joint j moves by
     d_j + M_j (x - J_j), where d_j is what the parent's stretch does to J_j; skinning weights blend these.
     """
-    M = _stretches(fingers)
-    shift = np.zeros((len(SHAPES), 16, 3))
+    M = _bone_stretches(fingers)
+    shift = np.zeros((len(SHAPE_PARAMETER_NAMES), 16, 3))
     for child, parent in enumerate(PARENTS):
         if parent >= 0:
             shift[:, child] = shift[:, parent] + M[:, parent] @ (joints[child] - joints[parent])
-    shift[SHAPES.index("thickness")] = 0.0  # thicker flesh leaves the bones where they are
+    shift[SHAPE_PARAMETER_NAMES.index("thickness")] = 0.0  # thicker flesh leaves the bones where they are
     arm = vertices[:, None] - joints
     moved = shift[:, None] + np.einsum("sjab,vjb->svja", M, arm)
     return np.einsum("vj,svja->vas", weights, moved), np.moveaxis(shift, 0, -1)
 
 
-def _stretches(fingers: Mapping[str, Finger]) -> Float[ndarray, "S 16 3 3"]:
-    M = {name: np.zeros((16, 3, 3)) for name in SHAPES}
+def _bone_stretches(fingers: Mapping[str, Finger]) -> Float[ndarray, "S 16 3 3"]:
+    M = {name: np.zeros((16, 3, 3)) for name in SHAPE_PARAMETER_NAMES}
     M["size"][:] = np.eye(3)
     M["palm_length"][0, 0, 0] = M["thickness"][0, 1, 1] = M["palm_breadth"][0, 2, 2] = 1.0
     for finger, knuckle in zip(fingers, KNUCKLES, strict=True):
@@ -143,10 +143,10 @@ def _stretches(fingers: Mapping[str, Finger]) -> Float[ndarray, "S 16 3 3"]:
                 M[f"{phalanx}_phalanges"][knuckle + k] = along
             if f"{finger}_length" in M:
                 M[f"{finger}_length"][knuckle + k] = along
-    return np.stack([M[name] for name in SHAPES])
+    return np.stack([M[name] for name in SHAPE_PARAMETER_NAMES])
 
 
-def contact_regions(
+def generic_contact_regions(
     vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], fingers: Mapping[str, Finger]
 ) -> dict[str, Int[ndarray, "_"]]:
     """Return the pads of the fingertips, then the ball of the thumb, the fingers' roots and the edge of the palm."""

@@ -12,13 +12,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from getagrip.hands.placed_hands import OUTLIER, projected
+from getagrip.hands.placed_hands import CLICK_OUTLIER_SIGMAS, project_hand_joints
 
-SIDE = 320
+MAX_DISTANCE_IMAGE_PX = 320
 """Largest side of the images of distances [px]."""
 
 
-class Hiding(NamedTuple):
+class OcclusionDistances(NamedTuple):
     """Pixels that show a hand or may hide it, in n frames."""
 
     distance: Float[ndarray, "n h w"]
@@ -27,15 +27,15 @@ class Hiding(NamedTuple):
     """Pixels of these images per pixel of the video's."""
 
     @staticmethod
-    def of(possible: Bool[ndarray, "n h w"], zoom: float) -> Hiding:
+    def of(possible: Bool[ndarray, "n h w"], zoom: float) -> OcclusionDistances:
         """Measure distances from the pixels that show the hand or may hide it, in images reduced by ``zoom``."""
         import cv2
 
         off = [cv2.distanceTransform((~each).astype(np.uint8), cv2.DIST_L2, 5) / zoom for each in possible]
         known = np.asarray(possible.any(axis=(1, 2)))
-        return Hiding(np.where(known[:, None, None], np.array(off).reshape(possible.shape), 0.0), zoom)
+        return OcclusionDistances(np.where(known[:, None, None], np.array(off).reshape(possible.shape), 0.0), zoom)
 
-    def take(self, rows: ndarray) -> Hiding:
+    def take(self, rows: ndarray) -> OcclusionDistances:
         """Return some of the frames."""
         return self._replace(distance=self.distance[rows])
 
@@ -63,10 +63,10 @@ class Hiding(NamedTuple):
         J: Float[ndarray, "n 21 3 D"],
     ) -> tuple[Float[ndarray, "n"], Float[ndarray, "n D D"], Float[ndarray, "n D"]]:
         """Compute each frame's cost, J^T J and J^T r, as ``placed_hands.equations`` does for clicks."""
-        uv, by_joint = projected(K, T, X, J)
+        uv, by_joint = project_hand_joints(K, T, X, J)
         off, slope = self.at(uv)
         r = off / noise
         A = (slope[..., None, :] @ by_joint)[..., 0, :] / noise[..., None]
-        weighted = A / (1.0 + r * r / OUTLIER**2)[..., None]
-        costs = OUTLIER**2 * np.sum(np.log1p(r * r / OUTLIER**2), axis=1)
+        weighted = A / (1.0 + r * r / CLICK_OUTLIER_SIGMAS**2)[..., None]
+        costs = CLICK_OUTLIER_SIGMAS**2 * np.sum(np.log1p(r * r / CLICK_OUTLIER_SIGMAS**2), axis=1)
         return costs, np.swapaxes(weighted, 1, 2) @ A, (r[:, None] @ weighted)[:, 0]

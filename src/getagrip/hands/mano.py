@@ -27,10 +27,10 @@ from getagrip.hands.regions import contact_regions, position_on_palm
 from getagrip.io import arrays, files, pickles
 from getagrip.io.choices import check_word
 from getagrip.io.files import Json
-from getagrip.io.pickles import Instance
+from getagrip.io.pickles import PickledInstance
 from getagrip.io.user_folders import cache_folder
 
-ARRAYS = {
+MANO_ARRAY_SHAPES = {
     "v_template": (778, 3),
     "f": (1538, 3),
     "J_regressor": (16, 778),
@@ -42,13 +42,13 @@ ARRAYS = {
     "kintree_table": (2, 16),
 }
 """Arrays of a MANO file that are read, and their shapes."""
-TIPS = {"right": (745, 317, 444, 556, 673), "left": (745, 317, 445, 556, 673)}
+FINGERTIP_VERTICES = {"right": (745, 317, 444, 556, 673), "left": (745, 317, 445, 556, 673)}
 """Vertices at the tips of thumb, index, middle, ring and little finger, as in manopth, DexYCB and HO-3D."""
-PALM_FACES = np.array([0.0, -1.0, 0.0])
-THUMB_FACES = np.array([0.0, -1.0, -2.0])
+MANO_PALM_DIRECTION = np.array([0.0, -1.0, 0.0])
+MANO_THUMB_DIRECTION = np.array([0.0, -1.0, -2.0])
 """Direction that the thumb's pad faces on the flat hand: palm and fingers face -y, the thumb turns to the fingers."""
-WHAT = "a MANO pickle"
-CLASSES = {
+EXPECTED_MANO_PICKLE = "a MANO pickle"
+MANO_PICKLE_CLASSES = {
     ("chumpy", "Ch"): "Ch",
     ("chumpy.ch", "Ch"): "Ch",
     ("chumpy.reordering", "Select"): "Select",
@@ -58,7 +58,7 @@ CLASSES = {
         for module in (f"scipy.sparse.{kind}", f"scipy.sparse._{kind}", "scipy.sparse")
     },
 }
-LARGEST_MATRIX = 2**24
+MAX_MATRIX_ENTRIES = 2**24
 """Numbers in a matrix, and of those that are selected from one."""
 
 
@@ -103,21 +103,21 @@ def load(path: str | Path, side: Side) -> Mano:
     """
     check_word("side", side, Side)
     path = Path(path)
-    content = files.read_bytes(path, pickles.LARGEST)
+    content = files.read_bytes(path, pickles.MAX_PICKLE_BYTES)
     cache = cache_folder() / f"mano-{hashlib.sha256(content).hexdigest()}.npz"
-    values = _read_cache(cache)
+    values = _read_mano_cache(cache)
     if values is None:
-        values = checked(path, read_pickle(path, content))
+        values = check_mano_arrays(path, read_mano_pickle(path, content))
         # A full or read-only disk costs only the time of reading the pickle again.
         with suppress(OSError), files.new_file(cache) as part:
             np.savez_compressed(part, **values)  # type: ignore[arg-type]
-    return _hand(path, values, side)
+    return _make_mano(path, values, side)
 
 
-def checked(path: Path, values: dict[str, object]) -> dict[str, ndarray]:
+def check_mano_arrays(path: Path, values: dict[str, object]) -> dict[str, ndarray]:
     """Check that the arrays of a MANO file have the right shapes and are finite; raise ``InputError`` otherwise."""
     found = {}
-    for key, shape in ARRAYS.items():
+    for key, shape in MANO_ARRAY_SHAPES.items():
         if key not in values:
             raise InputError(path, key, "nothing", f"an array of shape {shape}")
         value = values[key]
@@ -134,7 +134,7 @@ def checked(path: Path, values: dict[str, object]) -> dict[str, ndarray]:
     return found
 
 
-def _hand(path: Path, values: dict[str, ndarray], side: Side) -> Mano:
+def _make_mano(path: Path, values: dict[str, ndarray], side: Side) -> Mano:
     template, shape = values["v_template"], values["shapedirs"].copy()
     joints = values["J_regressor"] @ template
     found = "right" if joints[0, 0] > 0 else "left"  # the wrist of a right hand lies towards +x
@@ -143,7 +143,7 @@ def _hand(path: Path, values: dict[str, ndarray], side: Side) -> Mano:
     if side == "left":
         shape[:, 0] *= -1.0
     weights = values["weights"] / values["weights"].sum(axis=1, keepdims=True)
-    found_regions = regions(template, values["f"], joints, weights)
+    found_regions = mano_contact_regions(template, values["f"], joints, weights)
     empty = next((name for name, ids in found_regions.items() if len(ids) == 0), None)
     if empty is not None:
         raise InputError(path, "weights", f"no vertex in the region {empty}", "MANO's skinning weights")
@@ -154,7 +154,7 @@ def _hand(path: Path, values: dict[str, ndarray], side: Side) -> Mano:
         faces=values["f"],
         joints=joints,
         weights=weights,
-        tips=np.array(TIPS[side]),
+        tips=np.array(FINGERTIP_VERTICES[side]),
         regions=found_regions,
         shape_names=tuple(f"beta{k}" for k in range(10)),
         shape_directions=shape,
@@ -165,7 +165,7 @@ def _hand(path: Path, values: dict[str, ndarray], side: Side) -> Mano:
     return Mano(model, values["hands_components"], values["hands_mean"])
 
 
-def regions(
+def mano_contact_regions(
     template: Float[ndarray, "V 3"],
     faces: Int[ndarray, "F 3"],
     joints: Float[ndarray, "16 3"],
@@ -180,67 +180,69 @@ def regions(
     length, across = position_on_palm(template, joints[0], joints[KNUCKLES[1]], joints[KNUCKLES[4]])
     last = np.array(KNUCKLES) + 2
     along = _unit(joints[last] - joints[last - 1])
-    faced = np.stack([THUMB_FACES, *[PALM_FACES] * 4])
+    faced = np.stack([MANO_THUMB_DIRECTION, *[MANO_PALM_DIRECTION] * 4])
     faced = _unit(faced - np.sum(faced * along, axis=1, keepdims=True) * along)
-    return contact_regions(weights[:, 0], of_fingers, normals @ faced.T, normals @ PALM_FACES, length, across)
+    return contact_regions(weights[:, 0], of_fingers, normals @ faced.T, normals @ MANO_PALM_DIRECTION, length, across)
 
 
 def _unit(v: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
     return np.asarray(v / np.linalg.norm(v, axis=1, keepdims=True))
 
 
-def _read_cache(cache: Path) -> dict[str, ndarray] | None:
+def _read_mano_cache(cache: Path) -> dict[str, ndarray] | None:
     if not cache.is_file():
         return None
     state = cache.stat()
     try:
-        return _cached(cache, state.st_mtime_ns, state.st_size)
+        return _cached_mano_arrays(cache, state.st_mtime_ns, state.st_size)
     except InputError:
         return None  # a damaged cache is made again
 
 
 @lru_cache(maxsize=2)  # one for each side: it is asked for at every clip
-def _cached(cache: Path, changed: int, size: int) -> dict[str, ndarray]:
-    return checked(cache, dict(arrays.read(cache, ARRAYS.__contains__)))
+def _cached_mano_arrays(cache: Path, changed: int, size: int) -> dict[str, ndarray]:
+    return check_mano_arrays(cache, dict(arrays.read(cache, MANO_ARRAY_SHAPES.__contains__)))
 
 
-def read_pickle(path: Path, content: bytes) -> dict[str, object]:
+def read_mano_pickle(path: Path, content: bytes) -> dict[str, object]:
     """Read the dictionary in a MANO pickle; chumpy's and sparse arrays become plain ones.
 
     Raises ``InputError`` for pickles that name anything but arrays, are malformed, or hold no dictionary.
     """
-    values = pickles.read(path, content, WHAT, CLASSES)
+    values = pickles.read_pickle_dict(path, content, EXPECTED_MANO_PICKLE, MANO_PICKLE_CLASSES)
     try:
-        return {key: _plain(value) if isinstance(value, Instance) else value for key, value in values.items()}
+        return {
+            key: _expand_chumpy(value) if isinstance(value, PickledInstance) else value for key, value in values.items()
+        }
     except Exception as error:  # what is wrong with a state is as various as states are
-        raise InputError(path, "", f"a pickle that does not load ({error})", WHAT) from error
+        raise InputError(path, "", f"a pickle that does not load ({error})", EXPECTED_MANO_PICKLE) from error
 
 
-def _plain(value: Instance) -> Shaped[ndarray, "..."]:
+def _expand_chumpy(value: PickledInstance) -> Shaped[ndarray, "..."]:
     """Convert a chumpy or sparse object to an array."""
     if value.kind == "Ch":
-        return _array(value.state["x"])
+        return _require_array(value.state["x"])
     if value.kind == "Select":  # chumpy's compute_r: some elements of the flattened array, in a new shape
-        whole, ids = value.state["a"], _array(value.state["idxs"])
-        if ids.size > LARGEST_MATRIX:
+        whole, ids = value.state["a"], _require_array(value.state["idxs"])
+        if ids.size > MAX_MATRIX_ENTRIES:
             raise ValueError(f"{ids.size} selected elements")
-        array = _array(whole.state["x"] if isinstance(whole, Instance) else whole)
+        array = _require_array(whole.state["x"] if isinstance(whole, PickledInstance) else whole)
         return array.ravel()[ids].reshape(value.state["preferred_shape"])
-    return _dense(value.kind, value.state)
+    return _expand_sparse(value.kind, value.state)
 
 
-def _array(value: object) -> Shaped[ndarray, "..."]:
+def _require_array(value: object) -> Shaped[ndarray, "..."]:
     if not isinstance(value, ndarray) or value.dtype.kind not in "biuf":
         raise ValueError(f"a {type(value).__name__} in place of an array of numbers")
     return value
 
 
-def _dense(kind: str, state: Json) -> Float[ndarray, "R C"]:
+def _expand_sparse(kind: str, state: Json) -> Float[ndarray, "R C"]:
     """Expand a compressed sparse matrix."""
     rows, cols = (int(n) for n in (state["_shape"] if "_shape" in state else state.get("shape", ())))
-    starts, inner, data = (_array(state[key]) for key in ("indptr", "indices", "data"))
+    starts, inner, data = (_require_array(state[key]) for key in ("indptr", "indices", "data"))
     outer_size, inner_size = (cols, rows) if kind == "csc" else (rows, cols)
-    if min(rows, cols) < 0 or rows * cols > LARGEST_MATRIX or starts.shape != (outer_size + 1,):
+    if min(rows, cols) < 0 or rows * cols > MAX_MATRIX_ENTRIES or starts.shape != (outer_size + 1,):
         raise ValueError(f"a {rows} x {cols} matrix with {starts.size} starts")
     if data.shape != inner.shape or data.ndim != 1 or data.size > rows * cols:
         raise ValueError(f"{data.size} values at {inner.size} places of a {rows} x {cols} matrix")

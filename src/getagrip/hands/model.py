@@ -31,18 +31,18 @@ from getagrip.geometry.mesh import vertex_normals
 
 Side = Literal["left", "right"]
 
-JOINTS = (
+MANO_JOINTS = (
     "wrist",
     *(f"{finger}{n}" for finger in ("index", "middle", "pinky", "ring", "thumb") for n in (1, 2, 3)),
 )
 """The 16 joints in MANO's order; the pose holds three numbers for each but the wrist."""
 PARENTS = (-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 0, 10, 11, 0, 13, 14)
 """Parent of each of the 16 joints."""
-KNUCKLES = tuple(JOINTS.index(f"{finger}1") for finger in FINGERS)
+KNUCKLES = tuple(MANO_JOINTS.index(f"{finger}1") for finger in FINGERS)
 """The first joint of each finger, in the order of ``FINGERS``."""
 PALM_REGIONS = ("palm_thumb", "palm_fingers", "palm_edge")
 """Contact regions of the palm: the ball of the thumb, below the fingers' roots, the edge below the little finger."""
-MIRROR = np.array([-1.0, 1.0, 1.0])
+SIDE_MIRROR = np.array([-1.0, 1.0, 1.0])
 """Mirrors points between right and left hands."""
 
 
@@ -80,7 +80,7 @@ class HandModel:
         side: ``left`` or ``right``.
         template: (V, 3) vertices of the flat mean hand, in the hand frame [m].
         faces: (F, 3) vertex ids of the corners of each face, counter-clockwise seen from outside.
-        joints: (16, 3) joints of the flat mean hand, in the hand frame [m], in the order of ``JOINTS``.
+        joints: (16, 3) joints of the flat mean hand, in the hand frame [m], in the order of ``MANO_JOINTS``.
         weights: (V, 16) skinning weights; rows sum to one.
         tips: (5,) the vertex at the tip of each of the ``FINGERS``.
         regions: contact regions by name, (n,) vertex ids each.
@@ -204,7 +204,7 @@ def root_transform(
 
 def mirrored(points: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3"]:
     """Mirror points of a right hand into the frame of the left one, and back."""
-    return points * MIRROR
+    return points * SIDE_MIRROR
 
 
 def mirrored_pose(pose: Float[ndarray, "*batch 45"]) -> Float[ndarray, "*batch 45"]:
@@ -224,8 +224,8 @@ def mirrored_model(model: HandModel) -> HandModel:
         tips=model.tips,
         regions=model.regions,
         shape_names=model.shape_names,
-        shape_directions=model.shape_directions * MIRROR[:, None],
-        joint_directions=model.joint_directions * MIRROR[:, None],
+        shape_directions=model.shape_directions * SIDE_MIRROR[:, None],
+        joint_directions=model.joint_directions * SIDE_MIRROR[:, None],
         shape_spread=model.shape_spread,
         pose_directions=None,
     )

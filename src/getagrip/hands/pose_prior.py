@@ -14,18 +14,18 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip import FINGERS
-from getagrip.hands.generic_skeleton import THUMB_PAD
+from getagrip.hands.generic_skeleton import THUMB_PAD_DIRECTION
 from getagrip.hands.model import KNUCKLES, HandModel, mirrored
 
 FINGER_BEND, THUMB_BEND = 0.3, 0.1
 """Most likely bend of each joint [rad]."""
-FINGER_SPREAD = np.array([[0.10, 0.8, 0.25], [0.05, 0.8, 0.05], [0.05, 0.6, 0.05]])
+FINGER_SIGMA_RAD = np.array([[0.10, 0.8, 0.25], [0.05, 0.8, 0.05], [0.05, 0.6, 0.05]])
 """Standard deviations of twist, bend and spread, from knuckle to fingertip [rad]."""
-THUMB_SPREAD = np.array([[0.30, 0.5, 0.50], [0.15, 0.6, 0.20], [0.05, 0.6, 0.05]])
+THUMB_SIGMA_RAD = np.array([[0.30, 0.5, 0.50], [0.15, 0.6, 0.20], [0.05, 0.6, 0.05]])
 FINGER_LIMITS = np.radians([[-30.0, 100.0], [-10.0, 115.0], [-15.0, 90.0]])
 """Smallest and largest bend [rad]."""
 THUMB_LIMITS = np.radians([[-40.0, 60.0], [-30.0, 70.0], [-25.0, 95.0]])
-LIMIT_STIFFNESS = 0.05
+LIMIT_SIGMA_RAD = 0.05
 """A bend so far beyond its limit costs one unit [rad]."""
 
 
@@ -52,7 +52,7 @@ class PosePrior(NamedTuple):
         bone = np.diff(points, axis=1)
         bone /= np.linalg.norm(bone, axis=-1, keepdims=True)
         pad = np.array([[0.0, -1.0, 0.0]] * 5)
-        pad[FINGERS.index("thumb")] = THUMB_PAD if model.side == "right" else mirrored(THUMB_PAD)
+        pad[FINGERS.index("thumb")] = THUMB_PAD_DIRECTION if model.side == "right" else mirrored(THUMB_PAD_DIRECTION)
         hinge = np.cross(bone, pad[:, None])
         hinge /= np.linalg.norm(hinge, axis=-1, keepdims=True)
         axes = np.stack([bone, hinge, np.cross(bone, hinge)], axis=2)
@@ -60,7 +60,7 @@ class PosePrior(NamedTuple):
         return PosePrior(
             axes=axes,
             mean=bend[..., None] * hinge,
-            spread=np.stack([THUMB_SPREAD] + [FINGER_SPREAD] * 4),
+            spread=np.stack([THUMB_SIGMA_RAD] + [FINGER_SIGMA_RAD] * 4),
             limits=np.stack([THUMB_LIMITS] + [FINGER_LIMITS] * 4),
         )
 
@@ -70,12 +70,12 @@ class PosePrior(NamedTuple):
         own = np.einsum("fkab,tfkb->tfka", self.axes, q - self.mean) / self.spread
         bend = np.einsum("fkb,tfkb->tfk", self.axes[:, :, 1], q)
         low, high = self.limits[..., 0], self.limits[..., 1]
-        beyond = (np.minimum(bend - low, 0.0) + np.maximum(bend - high, 0.0)) / LIMIT_STIFFNESS
+        beyond = (np.minimum(bend - low, 0.0) + np.maximum(bend - high, 0.0)) / LIMIT_SIGMA_RAD
         J = np.zeros((T, 60, 45))
         scaled = self.axes / self.spread[..., None]
         for joint in range(15):
             f, k = divmod(joint, 3)
             at = slice(3 * joint, 3 * joint + 3)
             J[:, at, at] = scaled[f, k]
-            J[:, 45 + joint, at] = (beyond[:, f, k] != 0.0)[:, None] * self.axes[f, k, 1] / LIMIT_STIFFNESS
+            J[:, 45 + joint, at] = (beyond[:, f, k] != 0.0)[:, None] * self.axes[f, k, 1] / LIMIT_SIGMA_RAD
         return np.concatenate([own.reshape(T, 45), beyond.reshape(T, 15)], axis=1), J

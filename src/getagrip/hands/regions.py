@@ -14,7 +14,7 @@ from numpy import ndarray
 from getagrip.clip import FINGERS
 from getagrip.hands.model import PALM_REGIONS
 
-BELONGS = 0.5
+MIN_BONE_WEIGHT = 0.5
 """A vertex belongs to a bone that has more than this share of its weight."""
 
 
@@ -32,7 +32,7 @@ def contact_regions(
     ``towards_pads`` and ``towards_palm`` are the components of the unit normals in the direction that each last phalanx
     and the palm face. ``length`` and ``across`` say where on the palm a vertex lies (``position_on_palm``).
     """
-    palm, bones = of_palm > BELONGS, of_fingers > BELONGS
+    palm, bones = of_palm > MIN_BONE_WEIGHT, of_fingers > MIN_BONE_WEIGHT
     pads = [bones[:, n, 2] & (towards_pads[:, n] > 0.2) for n in range(len(FINGERS))]
     below_thumb, below_fingers = palm | bones[:, 0, 0], palm | bones[:, 1:, 0].any(axis=1)
     ball = below_thumb & (towards_palm > 0.2) & (length > 0.1) & (length < 0.75) & (across < 0.35)

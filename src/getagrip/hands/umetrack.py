@@ -26,12 +26,12 @@ from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh, edge_table
 from getagrip.geometry.mesh_files import check_size
-from getagrip.hands.generic_skeleton import WRIST
-from getagrip.hands.model import MIRROR, PosedHand, Side, mirrored
+from getagrip.hands.generic_skeleton import MANO_WRIST_M
+from getagrip.hands.model import SIDE_MIRROR, PosedHand, Side, mirrored
 from getagrip.hands.regions import contact_regions, position_on_palm
 from getagrip.io.files import Json, read_json
 
-SHAPES = {
+UMETRACK_SHAPES = {
     "mesh_vertices": (None, 3),
     "mesh_triangles": (None, 3),
     "dense_bone_weights": (None, 17),
@@ -124,7 +124,7 @@ def load(path: Path) -> UmeTrackHand:
     model = read_json(path).get("hand_model")
     if not isinstance(model, dict):
         raise InputError(path, "hand_model", "nothing", "a UmeTrack hand model")
-    arrays = {key: _array(path, model, key, shape) for key, shape in SHAPES.items()}
+    arrays = {key: _read_profile_array(path, model, key, shape) for key, shape in UMETRACK_SHAPES.items()}
     v, f, weights = arrays["mesh_vertices"] / 1e3, arrays["mesh_triangles"], arrays["dense_bone_weights"]
     if len(weights) != len(v):
         raise InputError(path, "dense_bone_weights", f"{len(weights)} rows", f"one for each of {len(v)} vertices")
@@ -132,7 +132,7 @@ def load(path: Path) -> UmeTrackHand:
     if len(f) == 0 or np.any(faces != f) or faces.min() < 0 or faces.max() >= len(v):
         raise InputError(path, "mesh_triangles", "something else", f"vertex indices below {len(v)}")
     check_size(path, "mesh_vertices", float(np.ptp(v, axis=0).max()), "the hand")
-    rest = Mesh(v, closed(faces))
+    rest = Mesh(v, close_boundary(faces))
     if rest.volume < 0:
         rest = Mesh(v, rest.faces[:, ::-1].copy())
     axes = arrays["joint_rotation_axes"][:20]
@@ -152,12 +152,12 @@ def T_world_hand(side: Side, T_world_wrist: Float[ndarray, "*batch 4 4"]) -> Flo
 
 def _t_wrist_hand(side: Side) -> Float[ndarray, "4 4"]:
     R = se3.exp_so3(ROTATION_WRIST_HAND)
-    left = se3.rigid(R, ROOT_IN_WRIST - R @ mirrored(WRIST))
-    M = np.diag([*MIRROR, 1.0])
+    left = se3.rigid(R, ROOT_IN_WRIST - R @ mirrored(MANO_WRIST_M))
+    M = np.diag([*SIDE_MIRROR, 1.0])
     return left if side == "left" else M @ left @ M
 
 
-def closed(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "G 3"]:
+def close_boundary(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "G 3"]:
     """Close an open mesh along one ring by a fan of faces from one of its vertices."""
     edges = edge_table(faces)
     rim = edges[edges[:, 3] == len(faces), :2]
@@ -169,7 +169,9 @@ def closed(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "G 3"]:
     return np.concatenate([faces, fan])
 
 
-def _array(path: Path, model: Json, key: str, shape: tuple[int | None, int]) -> Float[ndarray, "rows cols"]:
+def _read_profile_array(
+    path: Path, model: Json, key: str, shape: tuple[int | None, int]
+) -> Float[ndarray, "rows cols"]:
     wanted = f"numbers of shape ({shape[0] or 'n'}, {shape[1]})"
     try:
         value = np.asarray(model[key], dtype=float)

@@ -13,7 +13,7 @@ from typing import Annotated, TypeVar
 from tyro.conf import FlagCreatePairsOff, arg
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from getagrip.io.storage import Place, Remote, place
+from getagrip.io.storage import Place, RemotePath, parse_place
 
 Folder = Annotated[Path, arg(metavar="DIR")]
 OptionalFolder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
@@ -24,25 +24,25 @@ Flag = Annotated[bool, FlagCreatePairsOff, arg(help_behavior_hint="")]
 
 T = TypeVar("T")
 
-PATHS = ConstructorRegistry()
+PATH_REGISTRY = ConstructorRegistry()
 """How paths are read, of all commands."""
 
 
-@PATHS.primitive_rule
-def _path(of: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Path | None] | None:
+@PATH_REGISTRY.primitive_rule
+def _path_rule(of: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Path | None] | None:
     """Take a path on a disk, or nothing, which is not offered as a word."""
     if of.type not in (Path, Path | None):
         return None
     return PrimitiveConstructorSpec(
         nargs=1,
         metavar="PATH",
-        instance_from_str=lambda words: Path(meant(words[0])),
+        instance_from_str=lambda words: Path(expand_user_path(words[0])),
         is_instance=lambda value: value is None or isinstance(value, Path),
         str_from_instance=lambda value: [str(value)],
     )
 
 
-def meant(text: str) -> str:
+def expand_user_path(text: str) -> str:
     """Expand ``~`` at the beginning of a path.
 
     Shells do so only at the beginning of a word, not in ``--out=~/results``.
@@ -54,18 +54,18 @@ def meant(text: str) -> str:
     return os.path.expanduser(text)
 
 
-def placed(metavar: str) -> PrimitiveConstructorSpec[Place]:
+def place_argument(metavar: str) -> PrimitiveConstructorSpec[Place]:
     """Take a path, or an address in an object store."""
     return PrimitiveConstructorSpec(
         nargs=1,
         metavar=metavar,
-        instance_from_str=lambda words: place(meant(words[0])),
-        is_instance=lambda value: isinstance(value, Path | Remote),
+        instance_from_str=lambda words: parse_place(expand_user_path(words[0])),
+        is_instance=lambda value: isinstance(value, Path | RemotePath),
         str_from_instance=lambda value: [str(value)],
     )
 
 
-def parsed(metavar: str, parse: Callable[[str], T], kind: type[T]) -> PrimitiveConstructorSpec[T | None]:
+def parsed_argument(metavar: str, parse: Callable[[str], T], kind: type[T]) -> PrimitiveConstructorSpec[T | None]:
     """Take one word that is parsed to a value of a ``kind``, or nothing. What ``parse`` raises ends the call."""
     return PrimitiveConstructorSpec(
         nargs=1,
@@ -99,7 +99,7 @@ def one_of(*choices: str) -> PrimitiveConstructorSpec[str | None]:
     )
 
 
-def numbers(count: int, metavar: str) -> PrimitiveConstructorSpec[tuple[float, ...] | None]:
+def numbers_argument(count: int, metavar: str) -> PrimitiveConstructorSpec[tuple[float, ...] | None]:
     """Take a fixed number of numbers, or nothing."""
     return PrimitiveConstructorSpec(
         nargs=count,

@@ -15,10 +15,10 @@ from numpy import ndarray
 from getagrip.errors import UsageError
 from getagrip.io import files
 from getagrip.io.brief import Brief
-from getagrip.io.named import NamedFields, check_kinds, kinds_of
+from getagrip.io.named import NamedFields, argument_types, check_types
 from getagrip.io.packed_masks import PackedMasks
 
-KINDS: dict[object, tuple[str, type, str]] = {
+ARRAY_KINDS: dict[object, tuple[str, type, str]] = {
     Float: ("f", float, "floats"),
     Int: ("iu", np.int64, "integers"),
     Bool: ("b", bool, "booleans"),
@@ -37,7 +37,7 @@ class ArrayData(NamedFields, Brief):  # noqa: PLW1641 - not hashable, as arrays 
 
     def __post_init__(self) -> None:
         data: type = type(self)
-        check_kinds(f"{data.__name__}.{{}}", vars(self), _kinds(data))
+        check_types(f"{data.__name__}.{{}}", vars(self), _field_kinds(data))
         lengths: dict[str, int] = {}
         for name, kind, axes in _array_fields(data):
             if (value := getattr(self, name)) is not None:
@@ -47,19 +47,19 @@ class ArrayData(NamedFields, Brief):  # noqa: PLW1641 - not hashable, as arrays 
     def __eq__(self, other: object) -> bool:
         if type(self) is not type(other):
             return NotImplemented
-        return all(same(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))  # type: ignore[arg-type]
+        return all(equal_content(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))  # type: ignore[arg-type]
 
 
-def same(a: object, b: object) -> bool:
+def equal_content(a: object, b: object) -> bool:
     """Return whether two values are equal, arrays in dictionaries, lists and tuples included; NaN equals NaN."""
     a, b = (np.asarray(each) if isinstance(each, PackedMasks) else each for each in (a, b))
     if isinstance(a, ndarray | float) and isinstance(b, ndarray | float):
         a, b = np.asarray(a), np.asarray(b)
         return np.array_equal(a, b, equal_nan=a.dtype.kind == b.dtype.kind == "f")
     if isinstance(a, Mapping) and isinstance(b, Mapping):
-        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+        return a.keys() == b.keys() and all(equal_content(a[key], b[key]) for key in a)
     if isinstance(a, list | tuple) and type(a) is type(b):
-        return len(a) == len(b) and all(map(same, a, b))
+        return len(a) == len(b) and all(map(equal_content, a, b))
     return not isinstance(a, ndarray) and not isinstance(b, ndarray) and a == b
 
 
@@ -73,16 +73,16 @@ def check_ids(name: str, ids: Int[ndarray, "..."], count: int) -> None:
 def as_array(
     name: str, value: object, kind: object, axes: tuple[str, ...], lengths: dict[str, int]
 ) -> Shaped[ndarray, "..."]:
-    """Convert a field's value to an array of one of the ``KINDS`` with the given axes.
+    """Convert a field's value to an array of one of the ``ARRAY_KINDS`` with the given axes.
 
     The ``lengths`` of axes are checked where they are known, and set where not. Raises ``UsageError`` in the name of
     the field.
     """
-    numpy_kinds, dtype, called = KINDS[kind]
+    numpy_kinds, dtype, called = ARRAY_KINDS[kind]
     known = [int(axis) if axis.isdecimal() else lengths.get(axis) for axis in axes]
     expected = str(tuple(axis if n is None else n for axis, n in zip(axes, known, strict=True))).replace("'", "")
     if not isinstance(value, ndarray | PackedMasks):
-        raise UsageError(f"{name} must be an array of {called} of shape {expected} (got {files.shown(value)})")
+        raise UsageError(f"{name} must be an array of {called} of shape {expected} (got {files.shorten_value(value)})")
     fits = value.ndim == len(axes) and all(n in (None, m) for n, m in zip(known, value.shape, strict=True))
     if not fits or value.dtype.kind not in numpy_kinds:
         raise UsageError(f"{name} must be {called} of shape {expected} (got {value.dtype} of shape {value.shape})")
@@ -98,8 +98,8 @@ def check_finite(name: str, array: Float[ndarray, "..."] | None) -> None:
 
 
 @cache
-def _kinds(data: type) -> dict[str, tuple[str, ...]]:
-    return kinds_of({field.name: field.type for field in fields(data)})
+def _field_kinds(data: type) -> dict[str, tuple[str, ...]]:
+    return argument_types({field.name: field.type for field in fields(data)})
 
 
 @cache

@@ -15,13 +15,13 @@ from numpy import ndarray
 from getagrip.errors import InputError
 from getagrip.io import archives, files
 
-LARGEST = 2**29
+MAX_NPZ_BYTES = 2**29
 """Limit in bytes of the arrays of one file, unpacked, and of each once its numbers have 8 bytes, as here."""
-DEEPEST = 8
+MAX_LIST_DEPTH = 8
 """Lists within lists of numbers."""
-LONGEST_NAME = 1000
+MAX_NAME_CHARS = 1000
 """Characters of a name in a list: as an array, all take as much as the longest."""
-MOST_NAMES = 2**20
+MAX_ARRAY_NAMES = 2**20
 """Texts, and numbers of frames, of an array: as Python's own, each takes many times as much."""
 
 
@@ -29,23 +29,23 @@ def read(path: Path, wanted: Callable[[str], bool]) -> dict[str, Shaped[ndarray,
     """Read the wanted arrays of an ``.npz`` file; others stay unread.
 
     Raises ``InputError`` for damaged files, for arrays of Python objects, and for files that unpack to more than
-    ``LARGEST`` bytes.
+    ``MAX_NPZ_BYTES`` bytes.
     """
     content = files.read_bytes(path)
     out: dict[str, ndarray] = {}
     try:
-        with archives.archive(path, content) as archive:
+        with archives.open_archive_bytes(path, content) as archive:
             members = [m for m in archive.infolist() if m.filename.endswith(".npy") and wanted(m.filename[:-4])]
             unpacked = sum(member.file_size for member in members)
-            if unpacked > LARGEST:
-                raise InputError(path, "", f"arrays of {unpacked} bytes", f"at most {LARGEST}")
+            if unpacked > MAX_NPZ_BYTES:
+                raise InputError(path, "", f"arrays of {unpacked} bytes", f"at most {MAX_NPZ_BYTES}")
             for member in members:
                 key = member.filename[:-4]
                 if key in out:
                     raise InputError(path, key, "the array twice", "each array once")
-                out[key] = array = parse_npy(path, key, archives.content_of(archive, member))
-                if array.dtype.kind in "US" and array.size > MOST_NAMES:
-                    raise InputError(path, key, f"{array.size} texts", f"at most {MOST_NAMES}")
+                out[key] = array = parse_npy(path, key, archives.read_archive_member(archive, member))
+                if array.dtype.kind in "US" and array.size > MAX_ARRAY_NAMES:
+                    raise InputError(path, key, f"{array.size} texts", f"at most {MAX_ARRAY_NAMES}")
     except InputError:
         raise
     except Exception as error:  # zipfile and its decompressors raise whatever they meet
@@ -83,13 +83,13 @@ def from_lists(value: object) -> Shaped[ndarray, "..."] | None:
     size, waiting = 0, [(value, 0)]
     while waiting:
         item, depth = waiting.pop()
-        if isinstance(item, list | tuple) and depth < DEEPEST:
+        if isinstance(item, list | tuple) and depth < MAX_LIST_DEPTH:
             waiting += [(inner, depth + 1) for inner in item]
         elif isinstance(item, ndarray) and item.dtype.kind in "fiub":
             size += item.size
         elif not isinstance(item, float | int | np.number | np.bool_):
             return None
-        if size + len(waiting) > LARGEST // 8:
+        if size + len(waiting) > MAX_NPZ_BYTES // 8:
             return None
     try:
         return np.array(value)
@@ -97,16 +97,21 @@ def from_lists(value: object) -> Shaped[ndarray, "..."] | None:
         return None
 
 
-def names(value: object) -> Shaped[ndarray, "n"] | None:
+def array_from_names(value: object) -> Shaped[ndarray, "n"] | None:
     """Convert a list of short names or of whole numbers from 0 on, or an array, to an array.
 
     None for anything else.
 
-    None also for more than ``MOST_NAMES``.
+    None also for more than ``MAX_ARRAY_NAMES``.
     """
     if isinstance(value, list):
         value = np.array(value) if all(map(_is_name, value)) else None
-    if not isinstance(value, ndarray) or value.ndim != 1 or value.dtype.kind not in "Uiu" or len(value) > MOST_NAMES:
+    if (
+        not isinstance(value, ndarray)
+        or value.ndim != 1
+        or value.dtype.kind not in "Uiu"
+        or len(value) > MAX_ARRAY_NAMES
+    ):
         return None
     if value.dtype.kind == "i" and value.size and value.min() < 0:
         return None
@@ -118,14 +123,14 @@ def names(value: object) -> Shaped[ndarray, "n"] | None:
 
 
 def _is_name(value: object) -> bool:
-    return type(value) is int or (isinstance(value, str) and len(value) <= LONGEST_NAME)
+    return type(value) is int or (isinstance(value, str) and len(value) <= MAX_NAME_CHARS)
 
 
 def floats(
     path: Path, arrays: dict[str, ndarray], key: str, shape: tuple[int, ...], kinds: str = "f"
 ) -> Float[ndarray, "..."]:
     """Check that an array is finite and has the given shape, with -1 for any length above 0."""
-    array = _shaped(path, arrays, key, shape, kinds, "floating-point numbers")
+    array = _check_shaped(path, arrays, key, shape, kinds, "floating-point numbers")
     with np.errstate(over="ignore"):
         array = array.astype(float)
     finite = np.isfinite(array)
@@ -140,7 +145,7 @@ def indices(
     path: Path, arrays: dict[str, ndarray], key: str, vertices: int, shape: tuple[int, ...]
 ) -> Int[ndarray, "..."]:
     """Check that an array holds vertex indices."""
-    array = _shaped(path, arrays, key, shape, "iu", "integers")
+    array = _check_shaped(path, arrays, key, shape, "iu", "integers")
     if array.min() < 0 or array.max() >= vertices:
         bad = array.min() if array.min() < 0 else array.max()
         raise InputError(path, key, f"the vertex id {bad}", f"ids of the hand's vertices, 0 to {vertices - 1}")
@@ -152,9 +157,9 @@ def frame_numbers(path: Path, arrays: dict[str, ndarray]) -> tuple[int, ...] | N
     if "frames" not in arrays:
         return None
     array = arrays["frames"]
-    if array.dtype.kind not in "iu" or array.ndim != 1 or not 0 < len(array) <= MOST_NAMES:
-        expected = f"the numbers of 1 to {MOST_NAMES} frames"
-        raise InputError(path, "frames", f"{files.plain(str(array.dtype))} of shape {array.shape}", expected)
+    if array.dtype.kind not in "iu" or array.ndim != 1 or not 0 < len(array) <= MAX_ARRAY_NAMES:
+        expected = f"the numbers of 1 to {MAX_ARRAY_NAMES} frames"
+        raise InputError(path, "frames", f"{files.printable(str(array.dtype))} of shape {array.shape}", expected)
     if array.min() < 0:
         raise InputError(path, "frames", f"the number {array.min()}", "numbers of frames, from 0 on")
     numbers = tuple(array.tolist())
@@ -163,7 +168,7 @@ def frame_numbers(path: Path, arrays: dict[str, ndarray]) -> tuple[int, ...] | N
     return numbers
 
 
-def _shaped(
+def _check_shaped(
     path: Path, arrays: dict[str, ndarray], key: str, shape: tuple[int, ...], kinds: str, what: str
 ) -> Shaped[ndarray, "..."]:
     """Check that an array is there, of the expected kind and shape, and not too large at 8 bytes a number."""
@@ -171,15 +176,15 @@ def _shaped(
         raise InputError(path, key, "no such array", f"an array of {what}")
     array = arrays[key]
     if array.dtype.kind not in kinds:
-        raise InputError(path, key, f"the type {files.shown(str(array.dtype))}", what)
+        raise InputError(path, key, f"the type {files.shorten_value(str(array.dtype))}", what)
     fits = len(array.shape) == len(shape) and all(
         have == want or (want == -1 and have > 0) for have, want in zip(array.shape, shape, strict=True)
     )
     if not fits:
         expected = tuple("any" if length == -1 else length for length in shape)
         raise InputError(path, key, f"the shape {array.shape}", f"({', '.join(map(str, expected))})")
-    if 8 * array.size > LARGEST:
-        raise InputError(path, key, f"{array.size} numbers", f"at most {LARGEST // 8}")
+    if 8 * array.size > MAX_NPZ_BYTES:
+        raise InputError(path, key, f"{array.size} numbers", f"at most {MAX_NPZ_BYTES // 8}")
     return array
 
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from getagrip.io.packed_masks import PackedMasks
 
-LINES, WIDTH = 6, 100
+MAX_BRIEF_LINES, BRIEF_WIDTH_CHARS = 6, 100
 """The most lines, and the letters in each."""
-SHOWN = 3
+MAX_BRIEF_ITEMS = 3
 """Entries of a collection that are written out."""
 
 
@@ -24,40 +24,44 @@ class Brief:
 
     def __init_subclass__(cls) -> None:
         """Give the class its short form; ``dataclass`` keeps one that is there."""
-        cls.__repr__ = in_short  # type: ignore[method-assign]
+        cls.__repr__ = summarise_dataclass  # type: ignore[method-assign]
 
     def _repr_html_(self) -> str:
-        return str(view("table_and_picture")(self))
+        return str(view("render_html")(self))
 
 
-def in_short(data: object) -> str:
-    """Write a dataclass in at most ``LINES`` lines: arrays by kind and shape, long collections by their ends."""
-    parts = [f"{name}={text}" for name, text in facts(data).items()]
+def summarise_dataclass(data: object) -> str:
+    """Write a dataclass in at most ``MAX_BRIEF_LINES`` lines: arrays by kind and shape, long collections by their ends."""
+    parts = [f"{name}={text}" for name, text in summarise_fields(data).items()]
     text = f"{type(data).__name__}({', '.join(parts)})"
-    return "\n".join(wrap(text, WIDTH, subsequent_indent="  ", max_lines=LINES, placeholder=" ...)"))
+    return "\n".join(
+        wrap(text, BRIEF_WIDTH_CHARS, subsequent_indent="  ", max_lines=MAX_BRIEF_LINES, placeholder=" ...)")
+    )
 
 
-def facts(data: Any) -> dict[str, str]:
+def summarise_fields(data: Any) -> dict[str, str]:
     """Write each field of a dataclass in short; fields that are None or empty are left out."""
     values = {field.name: getattr(data, field.name) for field in fields(data)}
     sized = str | list | tuple | Mapping
-    return {name: short(it) for name, it in values.items() if (it if isinstance(it, sized) else it is not None)}
+    return {
+        name: summarise_value(it) for name, it in values.items() if (it if isinstance(it, sized) else it is not None)
+    }
 
 
-def short(value: object) -> str:
+def summarise_value(value: object) -> str:
     """Write a value in some words."""
     if isinstance(value, np.ndarray | PackedMasks):
-        return _array(value)
+        return _summarise_array(value)
     if isinstance(value, Mapping):
-        return f"{{{_ends([f'{key}: {short(one)}' for key, one in value.items()])}}}"
+        return f"{{{_abbreviate_items([f'{key}: {summarise_value(one)}' for key, one in value.items()])}}}"
     if isinstance(value, list | tuple):
-        return f"({_ends([short(one) for one in value])})"
+        return f"({_abbreviate_items([summarise_value(one) for one in value])})"
     if isinstance(value, Enum | float):
         return str(value.value) if isinstance(value, Enum) else f"{value:.6g}"
     text = " ".join(str(value).split())
     if is_dataclass(value):
-        return text if len(text) <= WIDTH / 2 else type(value).__name__
-    text = text if len(text) <= WIDTH / 2 else f"{text[: WIDTH // 2]}..."
+        return text if len(text) <= BRIEF_WIDTH_CHARS / 2 else type(value).__name__
+    text = text if len(text) <= BRIEF_WIDTH_CHARS / 2 else f"{text[: BRIEF_WIDTH_CHARS // 2]}..."
     return repr(text) if isinstance(value, str) else text
 
 
@@ -66,16 +70,16 @@ def view(name: str) -> Callable[..., Any]:
     return getattr(import_module("getagrip.notebook"), name)
 
 
-def _array(value: np.ndarray | PackedMasks) -> str:
+def _summarise_array(value: np.ndarray | PackedMasks) -> str:
     """Write an array: few numbers as they are, a row of numbers by their range, else kind and shape."""
-    if isinstance(value, np.ndarray) and value.size <= SHOWN:
+    if isinstance(value, np.ndarray) and value.size <= MAX_BRIEF_ITEMS:
         return np.array2string(value, precision=4, separator=", ")
     if isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype.kind == "f" and np.isfinite(value).any():
         return f"{len(value)} of {np.nanmin(value):.4g} to {np.nanmax(value):.4g}"
     return f"{value.dtype}{value.shape}".replace(" ", "")
 
 
-def _ends(items: list[str]) -> str:
-    if len(items) <= SHOWN:
+def _abbreviate_items(items: list[str]) -> str:
+    if len(items) <= MAX_BRIEF_ITEMS:
         return ", ".join(items)
     return f"{items[0]}, {items[1]}, ..., {items[-1]}; {len(items)} in all"

@@ -30,7 +30,7 @@ def check_values(options: object) -> None:
     Fields of other types are not looked at.
     """
     kind: type = type(options)
-    for name, hint in _hints(kind).items():
+    for name, hint in _type_hints(kind).items():
         value = getattr(options, name)
         if get_origin(hint) is Literal:
             check_word(name, value, hint)
@@ -41,11 +41,11 @@ def check_values(options: object) -> None:
 
 
 @cache
-def _hints(data: type) -> dict[str, object]:
+def _type_hints(data: type) -> dict[str, object]:
     return get_type_hints(data)
 
 
-def explained(kind: T) -> T:
+def explain_fields(kind: T) -> T:
     """Give a dataclass a ``help`` that lists its fields with their docstrings, and types without terminal markers."""
     _list_fields(kind)
     plain = get_type_hints(kind)
@@ -72,11 +72,11 @@ def explain_all(hint: object) -> None:
 
 def _list_fields(kind: type) -> None:
     """Append the fields of a dataclass and of its bases to its docstring."""
-    lines = [line for one in reversed(kind.__mro__) if is_dataclass(one) for line in _fields(one)]
+    lines = [line for one in reversed(kind.__mro__) if is_dataclass(one) for line in _field_lines(one)]
     kind.__doc__ = "\n".join([cleandoc(kind.__doc__ or ""), "", "Attributes:", *lines])
 
 
-def _fields(kind: type) -> Iterator[str]:
+def _field_lines(kind: type) -> Iterator[str]:
     """Yield a line for each of its own fields; none for a class that was made without source."""
     try:
         body = ast.parse(dedent(getsource(kind))).body[0]

@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[1]
-ABOVE = (
+UNFINGERPRINTED_PARTS = (
     "cli", "commands", "annotate", "experiments", "batch", "pages", "film", "pictures", "export", "segmentation",
     "evaluation", "notebook", "reproduction",
 )  # fmt: skip
@@ -21,13 +21,13 @@ where ``reconstruct`` is; and ``evaluation``."""
 def fingerprint(*also: str) -> str:
     """Compute the checksum of all sources and tables that a reconstruction may depend on, 16 hexadecimal digits.
 
-    What is made otherwise depends on more: ``also`` are the folders and files ``ABOVE`` that it depends on, relative to
+    What is made otherwise depends on more: ``also`` are the folders and files ``UNFINGERPRINTED_PARTS`` that it depends on, relative to
     the package. It changes with a comment, too: that a change does not matter cannot be seen from outside.
     """
     total = hashlib.sha256()
     for path in sorted((*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.json"))):
         name = path.relative_to(PACKAGE).as_posix()
-        if name.split("/")[0].removesuffix(".py") not in ABOVE or f"{name}/".startswith(
+        if name.split("/")[0].removesuffix(".py") not in UNFINGERPRINTED_PARTS or f"{name}/".startswith(
             tuple(f"{part}/" for part in also)
         ):
             content = path.read_bytes()
@@ -36,7 +36,7 @@ def fingerprint(*also: str) -> str:
     return total.hexdigest()[:16]
 
 
-def stamp() -> str:
+def date_and_commit() -> str:
     """Return the date and, in a git checkout, the package's commit: "2025-03-01, commit a1b2c3d".
 
     The commit is marked where files of the package differ from it.

@@ -17,14 +17,14 @@ from numpy import ndarray
 from getagrip.errors import InputError
 from getagrip.io import files
 
-MAGIC, SINGLE_IMAGE = 20000630, 2
+EXR_MAGIC, SINGLE_IMAGE = 20000630, 2
 """The first two numbers: OpenEXR, and version 2 without tiles, long names, depth lists or parts."""
-LINES = {0: 1, 2: 1, 3: 16}
+EXR_BLOCK_LINES = {0: 1, 2: 1, 3: 16}
 """Lines of a block by the compression: none, ZIPS, ZIP."""
-TYPES: dict[int, np.dtype[np.floating]] = {1: np.dtype("<f2"), 2: np.dtype("<f4")}
-LARGEST_BLOCK, LARGEST = 32 * 2**20, 2**30
+EXR_DTYPES: dict[int, np.dtype[np.floating]] = {1: np.dtype("<f2"), 2: np.dtype("<f4")}
+MAX_EXR_BLOCK_BYTES, MAX_EXR_BYTES = 32 * 2**20, 2**30
 """Bytes of a block of lines, all channels of it, and of all blocks, unpacked."""
-PREFERRED = ("Z", "Y", "depth", "depth.Z", "R")
+EXR_DEPTH_CHANNELS = ("Z", "Y", "depth", "depth.Z", "R")
 """Channels that are taken where there are several."""
 
 
@@ -32,32 +32,34 @@ def read_channel(path: Path, most: int) -> Float[ndarray, "H W"]:
     """Read the channel of distances of an EXR file of at most ``most`` pixels. Raises ``InputError``."""
     content = files.read_bytes(path)
     try:
-        return _channel(path, content, most)
+        return _decode_channel(path, content, most)
     except InputError:
         raise
     except (struct.error, ValueError, KeyError, IndexError, OverflowError, zlib.error) as error:
         raise InputError(path, "", f"a damaged file ({error})", "a whole EXR file") from error
 
 
-def _channel(path: Path, content: bytes, most: int) -> Float[ndarray, "H W"]:
-    if struct.unpack_from("<ii", content) != (MAGIC, SINGLE_IMAGE):
+def _decode_channel(path: Path, content: bytes, most: int) -> Float[ndarray, "H W"]:
+    if struct.unpack_from("<ii", content) != (EXR_MAGIC, SINGLE_IMAGE):
         raise InputError(path, "", "no EXR file of one image of scan lines", "such a file, as OpenCV writes it")
-    header, start = _header(content)
+    header, start = _parse_exr_header(content)
     left, top, right, bottom = struct.unpack("<4i", header["dataWindow"])
     width, height, compression = right - left + 1, bottom - top + 1, header["compression"][0]
     if min(width, height) < 1 or width * height > most:
         raise InputError(path, "dataWindow", f"{width} x {height} pixels", f"at most {most} pixels")
-    if compression not in LINES:
+    if compression not in EXR_BLOCK_LINES:
         raise InputError(path, "compression", f"kind {compression}", "none, ZIPS or ZIP")
-    channels = _channels(header["channels"])
-    wanted = next((name for name in PREFERRED if name in channels), next(iter(channels)))
+    channels = _parse_channel_types(header["channels"])
+    wanted = next((name for name in EXR_DEPTH_CHANNELS if name in channels), next(iter(channels)))
     offsets, row = {}, 0
     for name, dtype in channels.items():  # of each line, all of one channel, then of the next
         offsets[name], row = row, row + dtype.itemsize * width
-    lines = LINES[compression]
-    if row * lines > LARGEST_BLOCK or row * height > LARGEST:
+    lines = EXR_BLOCK_LINES[compression]
+    if row * lines > MAX_EXR_BLOCK_BYTES or row * height > MAX_EXR_BYTES:
         got = f"{len(channels)} channels of {width} x {height} pixels"
-        raise InputError(path, "channels", got, f"blocks of at most {LARGEST_BLOCK} bytes, {LARGEST} in all")
+        raise InputError(
+            path, "channels", got, f"blocks of at most {MAX_EXR_BLOCK_BYTES} bytes, {MAX_EXR_BYTES} in all"
+        )
     out = np.zeros((height, width))
     for at in struct.unpack_from(f"<{-(-height // lines)}q", content, start):
         y, size = struct.unpack_from("<ii", content, at)
@@ -65,13 +67,15 @@ def _channel(path: Path, content: bytes, most: int) -> Float[ndarray, "H W"]:
         count = min(lines, height - first)
         if not 0 <= first < height or size < 0:
             raise ValueError("a block of other lines")
-        block = np.frombuffer(_block(content[at + 8 : at + 8 + size], row * count), np.uint8).reshape(count, row)
+        block = np.frombuffer(_inflate_block(content[at + 8 : at + 8 + size], row * count), np.uint8).reshape(
+            count, row
+        )
         part = block[:, offsets[wanted] :][:, : channels[wanted].itemsize * width]
         out[first : first + count] = np.ascontiguousarray(part).view(channels[wanted])
     return out
 
 
-def _header(content: bytes) -> tuple[dict[str, bytes], int]:
+def _parse_exr_header(content: bytes) -> tuple[dict[str, bytes], int]:
     """Return the header's values by their names, and where it ends."""
     header, at = dict[str, bytes](), 8
     while content[at]:
@@ -84,7 +88,7 @@ def _header(content: bytes) -> tuple[dict[str, bytes], int]:
     return header, at + 1
 
 
-def _channels(value: bytes) -> dict[str, np.dtype[np.floating]]:
+def _parse_channel_types(value: bytes) -> dict[str, np.dtype[np.floating]]:
     """Return the type of each channel, in the order of the file."""
     found: dict[str, np.dtype[np.floating]] = {}
     at = 0
@@ -93,12 +97,12 @@ def _channels(value: bytes) -> dict[str, np.dtype[np.floating]]:
         kind, _, x, y = struct.unpack_from("<iiii", value, end + 1)
         if (x, y) != (1, 1):
             raise ValueError("a channel of another size")
-        found[value[at:end].decode("latin-1")] = TYPES[kind]
+        found[value[at:end].decode("latin-1")] = EXR_DTYPES[kind]
         at = end + 17
     return found
 
 
-def _block(stored: bytes, size: int) -> bytes:
+def _inflate_block(stored: bytes, size: int) -> bytes:
     """Return the bytes of a block of lines: differences of neighbours, even ones before odd ones, deflated."""
     if len(stored) == size:
         return stored

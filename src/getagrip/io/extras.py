@@ -14,7 +14,7 @@ from urllib.request import url2pathname
 from getagrip.errors import UsageError
 
 
-def load(module: str, extra: str, option: str = "") -> ModuleType:
+def import_extra(module: str, extra: str, option: str = "") -> ModuleType:
     """Import a module of an extra of this package.
 
     Raises ``UsageError`` that says how to install it.
@@ -25,17 +25,17 @@ def load(module: str, extra: str, option: str = "") -> ModuleType:
         return importlib.import_module(module)
     except ImportError as error:
         raise UsageError(
-            f"missing module {module!r} ({error}): {option or f'--to {extra}'} needs it; {install(extra)}"
+            f"missing module {module!r} ({error}): {option or f'--to {extra}'} needs it; {install_command(extra)}"
         ) from error
 
 
-def install(extra: str) -> str:
+def install_command(extra: str) -> str:
     """Write the command that installs an extra, as this package was installed: from a clone, a wheel or otherwise.
 
     Where that is not known or gone, it names the libraries themselves: never our name, which an index may not have or
     may have from somebody else.
     """
-    source = _source()
+    source = _install_source()
     if source:
         option, path = source
         return f'pip install {option}"{path}[{extra}]"'
@@ -56,7 +56,7 @@ def libraries_of(extra: str) -> list[str]:
     return found
 
 
-def _source() -> tuple[str, str] | None:
+def _install_source() -> tuple[str, str] | None:
     """Return pip's option and the folder or wheel that this package was installed from, where it is there (PEP 610)."""
     try:
         record = json.loads(metadata.distribution("getagrip").read_text("direct_url.json") or "null")

@@ -24,50 +24,55 @@ from dataclasses import asdict, is_dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, TextIO
 
-from getagrip.errors import InputError, UsageError, legible
+from getagrip.errors import InputError, UsageError, replace_surrogates
 from getagrip.io import leftovers
-from getagrip.io.tables import CsvTable, cell_text
+from getagrip.io.tables import CsvTable, unescape_cell
 
 Json = dict[str, Any]
 """A JSON object: whoever reads one checks its values."""
-LARGEST_JSON = 64 * 2**20
-LARGEST_FILE = 2**30
+MAX_JSON_BYTES = 64 * 2**20
+MAX_FILE_BYTES = 2**30
 """Limits in bytes."""
-MARKS = (
+BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF32_LE, "utf-32"), (codecs.BOM_UTF32_BE, "utf-32"), (codecs.BOM_UTF8, "utf-8"),
     (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"),
 )  # fmt: skip
 """How texts begin that say how they are encoded."""
-FORBIDDEN = {*"/\\"} | ({*'<>:"|?*'} if os.name == "nt" else set())
+FORBIDDEN_NAME_CHARS = {*"/\\"} | ({*'<>:"|?*'} if os.name == "nt" else set())
 """Letters of no name here."""
-DEVICE = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])(\..*)?$", re.IGNORECASE)
+WINDOWS_DEVICE_NAME = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])(\..*)?$", re.IGNORECASE)
 """Names that Windows opens as devices, in every folder and with any suffix."""
-FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
+UNNAMED_WRITE_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 """Errors of writing that come without a file's name."""
 
 
-def shown(value: object) -> str:
+def shorten_value(value: object) -> str:
     """Shorten a value for an error message, on one line."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
-def plain(text: str) -> str:
+def printable(text: str) -> str:
     """Shorten a name from a file for an error message, on one line and without quotes."""
-    return shown(text)[1:-1]
+    return shorten_value(text)[1:-1]
 
 
-def is_plain_name(name: str) -> bool:
+def is_portable_name(name: str) -> bool:
     """Return whether a text can name a file or folder.
 
     It must be printable, of 1 to 200 bytes, without separators, not hidden and not ``..``. So that a folder can be
     moved to Windows, it is none of the names of devices there and ends in no dot.
     """
-    plain = name.isprintable() and name == name.strip() and not name.startswith((".", "~")) and not FORBIDDEN & {*name}
-    return plain and not name.endswith(".") and not DEVICE.match(name) and 0 < len(name.encode()) <= 200
+    plain = (
+        name.isprintable()
+        and name == name.strip()
+        and not name.startswith((".", "~"))
+        and not FORBIDDEN_NAME_CHARS & {*name}
+    )
+    return plain and not name.endswith(".") and not WINDOWS_DEVICE_NAME.match(name) and 0 < len(name.encode()) <= 200
 
 
-def listed(folder: Path, suffixes: Collection[str] = (), pattern: str = "*") -> list[Path]:
+def list_files(folder: Path, suffixes: Collection[str] = (), pattern: str = "*") -> list[Path]:
     """List the files in a folder that end in one of some ``suffixes``, in any case, by name.
 
     Files that begin with a dot are no content: other systems leave them beside each file, as ``._000001.jpg``.
@@ -90,21 +95,23 @@ def inside(folder: Path, relative: str, key: str, what: str, source: Path | None
     named = source or folder / relative
     parts = PurePosixPath(relative)
     if not relative or "\0" in relative or "\\" in relative or parts.is_absolute() or ".." in parts.parts:
-        raise InputError(named, key, f"the path {shown(relative)}", f"{what} inside the folder")
+        raise InputError(named, key, f"the path {shorten_value(relative)}", f"{what} inside the folder")
     path = folder / relative
     try:
         leaves = not os.path.realpath(path).startswith(os.path.join(os.path.realpath(folder), ""))
         there = path.is_file()
     except OSError as error:  # names that are too long, no permission
-        raise InputError(named, key, f"the path {shown(relative)} ({error.strerror})", what) from error
+        raise InputError(named, key, f"the path {shorten_value(relative)} ({error.strerror})", what) from error
     if leaves:
-        raise InputError(named, key, f"the path {shown(relative)}, which leads out", f"{what} inside the folder")
+        raise InputError(
+            named, key, f"the path {shorten_value(relative)}, which leads out", f"{what} inside the folder"
+        )
     if not there:
         raise InputError(path, "" if source is None else key, "no such file", what)
     return path
 
 
-def read_bytes(path: Path, limit: int = LARGEST_FILE) -> bytes:
+def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
     """Read a file of at most ``limit`` bytes. Raises ``InputError``."""
     try:
         if not path.is_file():
@@ -117,17 +124,17 @@ def read_bytes(path: Path, limit: int = LARGEST_FILE) -> bytes:
         raise InputError(path, "", f"a file that cannot be read ({error.strerror})", "a readable file") from error
 
 
-def without_mark(content: bytes) -> bytes:
+def strip_byte_order_mark(content: bytes) -> bytes:
     """Return a text in UTF-8 without the mark that says how it is encoded, as Windows writes it: also from UTF-16."""
-    for mark, encoding in MARKS:
+    for mark, encoding in BYTE_ORDER_MARKS:
         if content.startswith(mark):
             return content[len(mark) :] if encoding == "utf-8" else content.decode(encoding, "replace").encode()
     return content
 
 
-def read_text(path: Path, limit: int = LARGEST_FILE) -> str:
+def read_text(path: Path, limit: int = MAX_FILE_BYTES) -> str:
     """Read a text of at most ``limit`` bytes, encoded as its mark says, else in UTF-8. Raises ``InputError``."""
-    return without_mark(read_bytes(path, limit)).decode(errors="replace")
+    return strip_byte_order_mark(read_bytes(path, limit)).decode(errors="replace")
 
 
 def read_json(path: Path) -> Json:
@@ -148,16 +155,16 @@ def read_any_json(path: Path, *, nan: bool = False) -> object:
         out = dict(pairs)
         if len(out) < len(pairs):
             twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
-            raise InputError(path, plain(twice), "the key twice", "each key once")
+            raise InputError(path, printable(twice), "the key twice", "each key once")
         return out
 
     def number(text: str) -> float:
         value = float(text)
         if not (math.isfinite(value) or (nan and text == "NaN")):
-            raise InputError(path, "", f"the number {shown(text)}", "finite numbers")
+            raise InputError(path, "", f"the number {shorten_value(text)}", "finite numbers")
         return value
 
-    content = read_bytes(path, LARGEST_JSON)
+    content = read_bytes(path, MAX_JSON_BYTES)
     try:
         text = content.decode(json.detect_encoding(content))
         value = json.loads(text, object_pairs_hook=unique, parse_float=number, parse_constant=number)
@@ -180,13 +187,13 @@ def csv_rows(path: Path, content: bytes, what: str) -> tuple[list[str], list[tup
     ``what`` the file should be, in words. Raises ``InputError`` for what is no CSV in UTF-8, and for ragged rows.
     """
     try:
-        lines = csv.reader(io.StringIO(without_mark(content).decode(), newline=""), strict=True)
+        lines = csv.reader(io.StringIO(strip_byte_order_mark(content).decode(), newline=""), strict=True)
         heads = next(lines, [])
         rows = []
         for cells in filter(None, lines):
             if len(cells) != len(heads):
                 raise InputError(path, f"line {lines.line_num}", f"{len(cells)} cells", f"{len(heads)}, as in line 1")
-            rows.append((f"line {lines.line_num}, ", dict(zip(heads, map(cell_text, cells), strict=True))))
+            rows.append((f"line {lines.line_num}, ", dict(zip(heads, map(unescape_cell, cells), strict=True))))
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(path, "", f"text that is no CSV ({error})", what) from error
     return heads, rows
@@ -223,21 +230,21 @@ def write_json(path: Path, content: Mapping[str, object] | Sequence[object]) -> 
 
 def to_json(content: Mapping[str, object] | Sequence[object]) -> str:
     """Write a JSON object or list as a text, as ``write_json`` does into a file."""
-    return legible(json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False))
+    return replace_surrogates(json.dumps(_to_json_types(content), indent=2, ensure_ascii=False, allow_nan=False))
 
 
-def _plain(value: object) -> object:
+def _to_json_types(value: object) -> object:
     """Convert content to JSON's own types."""
     if hasattr(value, "tolist"):  # numpy's, which need not be loaded here
         value = value.tolist()
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): _to_json_types(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [_to_json_types(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if is_dataclass(value) and not isinstance(value, type):
-        return _plain(asdict(value))
+        return _to_json_types(asdict(value))
     return str(value) if isinstance(value, Path) else value
 
 
@@ -298,12 +305,12 @@ def new_folder(target: Path, replace: tuple[str, ...] = ()) -> Iterator[Path]:
     if target.exists() and (missing or not replace):
         raise UsageError(f"{target}: exists already{''.join(missing[:1])}; it is not overwritten")
     target.parent.mkdir(parents=True, exist_ok=True)
-    with leftovers.workplace(target.parent) as beside:
+    with leftovers.temporary_folder(target.parent) as beside:
         work, old = beside / "new" / target.name, beside / "old" / target.name
         work.mkdir(parents=True)
         old.parent.mkdir()
         try:
-            with _named(work, target):
+            with _rename_in_errors(work, target):
                 yield work
             if target.exists():
                 os.rename(target, old)
@@ -322,7 +329,7 @@ def new_file(target: Path) -> Iterator[Path]:
     target.parent.mkdir(parents=True, exist_ok=True)
     part = target.with_name(f".{secrets.token_hex(8)}{target.suffix}")
     try:
-        with _named(part, target):
+        with _rename_in_errors(part, target):
             os.close(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
             yield part
             part.replace(target)
@@ -338,12 +345,14 @@ def new_text(target: Path) -> Iterator[TextIO]:
 
 
 @contextmanager
-def _named(part: Path, target: Path) -> Iterator[None]:
+def _rename_in_errors(part: Path, target: Path) -> Iterator[None]:
     """Give the files that an ``OSError`` is about the names that they were to have."""
     try:
         yield
     except OSError as error:
-        if error.filename is None and error.errno in FULL:  # Python and libraries do not say which file they wrote
+        if (
+            error.filename is None and error.errno in UNNAMED_WRITE_ERRORS
+        ):  # Python and libraries do not say which file they wrote
             raise OSError(error.errno, error.strerror, str(target)) from error
         if isinstance(error.filename, str) and (file := Path(error.filename)).is_relative_to(part):
             error.filename = str(target / file.relative_to(part))

@@ -8,14 +8,16 @@ from collections.abc import Mapping
 
 from getagrip.errors import InputError
 
-KINDS = ("http", "https")
-LONGEST_LISTING = 64 * 2**20
+HTTP_PROTOCOLS = ("http", "https")
+MAX_LISTING_BYTES = 64 * 2**20
 """Bytes of an answer to what asks for no range, such as a folder's page."""
 
 
-def options(url: str) -> dict[str, object]:
+def fsspec_options(url: str) -> dict[str, object]:
     """Return fsspec's options for the protocols in an address; empty where there are none."""
-    return {kind: {"client_kwargs": _client()} for kind in KINDS if re.search(rf"(^|::){kind}://", url)}
+    return {
+        kind: {"client_kwargs": _client_arguments()} for kind in HTTP_PROTOCOLS if re.search(rf"(^|::){kind}://", url)
+    }
 
 
 def asked_bytes(headers: Mapping[str, str]) -> int | None:
@@ -25,7 +27,7 @@ def asked_bytes(headers: Mapping[str, str]) -> int | None:
 
 
 @functools.cache
-def _client() -> dict[str, object]:
+def _client_arguments() -> dict[str, object]:
     """Arguments of aiohttp's ``ClientSession``."""
     import aiohttp
 
@@ -38,7 +40,7 @@ def _client() -> dict[str, object]:
             body = self._body
             if body is None:
                 asked = asked_bytes(self.request_info.headers)
-                left = LONGEST_LISTING + 1 if asked is None else asked
+                left = MAX_LISTING_BYTES + 1 if asked is None else asked
                 parts: list[bytes] = []
                 while left and (part := await self.content.read(left)):
                     parts.append(part)
@@ -47,7 +49,7 @@ def _client() -> dict[str, object]:
                     self.close()
                     if asked is None:
                         raise InputError(
-                            str(self.url), "", f"more than {LONGEST_LISTING} bytes", "at most that in a listing"
+                            str(self.url), "", f"more than {MAX_LISTING_BYTES} bytes", "at most that in a listing"
                         )
                 self._body = body = b"".join(parts)
             return body

@@ -26,18 +26,18 @@ if TYPE_CHECKING:
     from PIL.JpegImagePlugin import JpegImageFile
     from PIL.PngImagePlugin import PngImageFile
 
-QUALITY = 92
+WRITTEN_JPEG_QUALITY = 92
 """Quality of JPEG images, of 100."""
-MOST_SCANS = 100
+MAX_JPEG_SCANS = 100
 """Passes over an image: 1 to 4 of plain ones, about 10 of those that load step by step."""
-_MARKER = re.compile(rb"\xff([^\x00\x01\xd0-\xd7\xff])", re.DOTALL)
+_JPEG_MARKER = re.compile(rb"\xff([^\x00\x01\xd0-\xd7\xff])", re.DOTALL)
 """Start of a segment, wherever a decoder looks for one: in coded data, FF is followed by 00 or D0 to D7."""
-SCAN, LAST = 0xDA, 0xD9
-LARGEST = 64 * 2**20
+JPEG_SCAN_MARKER, JPEG_END_MARKER = 0xDA, 0xD9
+MAX_ENCODED_IMAGE_BYTES = 64 * 2**20
 """Limit of a file in bytes."""
-END = b"\0\0\0\0IEND\xaeB`\x82"
+PNG_END_CHUNK = b"\0\0\0\0IEND\xaeB`\x82"
 """The last chunk of every PNG."""
-COLOURS = {
+PNG_COLOUR_NAMES = {
     "1": "grey",
     "L": "grey",
     "I": "grey",
@@ -60,7 +60,7 @@ def read_image(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
         return read_colour_png(path, size)
     from PIL import ImageOps
 
-    content = files.read_bytes(path, LARGEST)
+    content = files.read_bytes(path, MAX_ENCODED_IMAGE_BYTES)
     try:
         image = open_jpeg(path, "", content)
         if size not in (image.size, image.size[::-1]):  # upright images may be stored on their side, with a note
@@ -76,7 +76,7 @@ def read_image(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
     return np.array(upright)
 
 
-def decoded(path: Path, key: str, content: bytes, largest: int) -> UInt8[ndarray, "H W 3"]:
+def decode_image(path: Path, key: str, content: bytes, largest: int) -> UInt8[ndarray, "H W 3"]:
     """Decode red, green and blue of a JPEG or PNG in memory, of at most ``largest`` pixels a side, upright.
 
     ``path`` and ``key`` are named in errors. Raises ``InputError``, for too large ones before memory is taken.
@@ -104,7 +104,7 @@ def write_image(path: Path, image: UInt8[ndarray, "H W"] | UInt8[ndarray, "H W 3
     """
     import cv2
 
-    _write(path, image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY] if path.suffix == ".jpg" else [])
+    _encode_image(path, image, [cv2.IMWRITE_JPEG_QUALITY, WRITTEN_JPEG_QUALITY] if path.suffix == ".jpg" else [])
 
 
 def write_mask(path: Path, mask: Bool[ndarray, "H W"]) -> None:
@@ -114,15 +114,15 @@ def write_mask(path: Path, mask: Bool[ndarray, "H W"]) -> None:
     """
     import cv2
 
-    _write(path, mask.astype(np.uint8) * 255, [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE])
+    _encode_image(path, mask.astype(np.uint8) * 255, [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE])
 
 
 def write_depth(path: Path, depth: UInt16[ndarray, "H W"]) -> None:
     """Write a depth image as a 16-bit PNG. Raises ``OSError``."""
-    _write(path, depth, [])
+    _encode_image(path, depth, [])
 
 
-def _write(
+def _encode_image(
     path: Path, image: UInt8[ndarray, "H W"] | UInt8[ndarray, "H W 3"] | UInt16[ndarray, "H W"], options: list[int]
 ) -> None:
     import cv2
@@ -144,10 +144,10 @@ def open_jpeg(path: Path, key: str, content: bytes) -> JpegImageFile:
     from PIL.JpegImagePlugin import JpegImageFile
 
     scans, at = 0, 2
-    while (marker := _MARKER.search(content, at)) and content[marker.start() + 1] != LAST:
-        scans += content[marker.start() + 1] == SCAN
-        if scans > MOST_SCANS:
-            raise InputError(path, f"{key} scans".strip(), f"more than {MOST_SCANS}", f"at most {MOST_SCANS}")
+    while (marker := _JPEG_MARKER.search(content, at)) and content[marker.start() + 1] != JPEG_END_MARKER:
+        scans += content[marker.start() + 1] == JPEG_SCAN_MARKER
+        if scans > MAX_JPEG_SCANS:
+            raise InputError(path, f"{key} scans".strip(), f"more than {MAX_JPEG_SCANS}", f"at most {MAX_JPEG_SCANS}")
         length = int.from_bytes(content[marker.end() : marker.end() + 2], "big")
         at = marker.end() + max(length, 2)  # as libjpeg goes on; of a scan, before its coded data
     return JpegImageFile(io.BytesIO(content))
@@ -195,7 +195,7 @@ def open_png(path: Path, size: tuple[int, int]) -> tuple[PngImageFile, str, int]
     """
     from PIL.PngImagePlugin import PngImageFile
 
-    content = read_bytes(path, LARGEST)
+    content = read_bytes(path, MAX_ENCODED_IMAGE_BYTES)
     try:
         stream = io.BytesIO(content)
         header = PngImageFile(stream)
@@ -204,7 +204,7 @@ def open_png(path: Path, size: tuple[int, int]) -> tuple[PngImageFile, str, int]
             value, expected = (f"{width} x {height}" for width, height in (header.size, size))
             raise InputError(path, "size", f"{value} pixels", f"{expected}, the size of the images")
         header.verify()  # up to the head of the last chunk
-        if content[stream.tell() - 8 :] != END:
+        if content[stream.tell() - 8 :] != PNG_END_CHUNK:
             raise InputError(path, "", "a PNG that does not end where it should", "a whole PNG file")
         image = PngImageFile(io.BytesIO(content))
         image.load()
@@ -212,4 +212,4 @@ def open_png(path: Path, size: tuple[int, int]) -> tuple[PngImageFile, str, int]
         raise
     except Exception as error:  # Pillow raises whatever its parsers meet
         raise InputError(path, "", f"a damaged file, or no PNG ({error})", "a whole PNG file") from error
-    return image, COLOURS[colours], 1 if colours == "1" else int(bits.rstrip("B") or 8)
+    return image, PNG_COLOUR_NAMES[colours], 1 if colours == "1" else int(bits.rstrip("B") or 8)

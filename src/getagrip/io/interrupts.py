@@ -8,55 +8,55 @@ import sys
 from threading import current_thread, main_thread
 from types import FrameType
 
-PROGRAM = ("getagrip", "getagrip.exe")
-STATUS = 130
+PROGRAM_NAMES = ("getagrip", "getagrip.exe")
+INTERRUPT_EXIT_STATUS = 130
 """Exit status of a program that was interrupted."""
-_times = 0
+_interrupt_count = 0
 
 
 def is_program() -> bool:
     """Return whether this process was started as the program, and not to use the package."""
-    return os.path.basename(sys.argv[0] if sys.argv else "").lower() in PROGRAM
+    return os.path.basename(sys.argv[0] if sys.argv else "").lower() in PROGRAM_NAMES
 
 
-def while_loading() -> None:
+def exit_on_interrupt() -> None:
     """End the process at once from now on: nothing is done yet, and imports make other errors of an interrupt."""
-    _set(_end)
+    _set_interrupt_handler(_exit_handler)
 
 
-def while_working() -> None:
+def raise_on_interrupt() -> None:
     """Raise ``KeyboardInterrupt`` from now on, and count it."""
-    _set(_raise)
+    _set_interrupt_handler(_raise_handler)
 
 
-def while_ending() -> None:
+def restore_default_interrupt() -> None:
     """Let the system end the process from now on, without a word."""
-    _set(signal.SIG_DFL)
+    _set_interrupt_handler(signal.SIG_DFL)
 
 
-def times() -> int:
-    """Return how often the user has interrupted ``while_working``."""
-    return _times
+def interrupt_count() -> int:
+    """Return how often the user has interrupted ``raise_on_interrupt``."""
+    return _interrupt_count
 
 
-def is_pressed(error: BaseException, before: int) -> bool:
-    """Return whether an error is the user's interrupt, given the ``times`` before it; else code of others raised it."""
-    known = signal.getsignal(signal.SIGINT) in (_end, _raise, signal.SIG_IGN)
-    return isinstance(error, KeyboardInterrupt) and (_times > before or not known)
+def is_user_interrupt(error: BaseException, before: int) -> bool:
+    """Return whether an error is the user's interrupt, given the ``interrupt_count`` before it; else code of others raised it."""
+    known = signal.getsignal(signal.SIGINT) in (_exit_handler, _raise_handler, signal.SIG_IGN)
+    return isinstance(error, KeyboardInterrupt) and (_interrupt_count > before or not known)
 
 
-def _set(handler: object) -> None:
-    own = (signal.default_int_handler, _end, _raise)
+def _set_interrupt_handler(handler: object) -> None:
+    own = (signal.default_int_handler, _exit_handler, _raise_handler)
     if current_thread() is main_thread() and signal.getsignal(signal.SIGINT) in own:
         signal.signal(signal.SIGINT, handler)  # type: ignore[arg-type]
 
 
-def _end(number: int, frame: FrameType | None) -> None:
+def _exit_handler(number: int, frame: FrameType | None) -> None:
     os.write(2, b"interrupted\n")
-    os._exit(STATUS)
+    os._exit(INTERRUPT_EXIT_STATUS)
 
 
-def _raise(number: int, frame: FrameType | None) -> None:
-    global _times  # noqa: PLW0603
-    _times += 1
+def _raise_handler(number: int, frame: FrameType | None) -> None:
+    global _interrupt_count  # noqa: PLW0603
+    _interrupt_count += 1
     signal.default_int_handler(number, frame)

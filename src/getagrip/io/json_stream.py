@@ -18,24 +18,24 @@ from typing import IO
 
 from getagrip.errors import InputError
 from getagrip.io import archives
-from getagrip.io.files import plain, shown
+from getagrip.io.files import printable, shorten_value
 
-LARGEST_ITEM = 4 * 2**20
+MAX_JSON_ITEM_CHARACTERS = 4 * 2**20
 """Limit in characters of one item; in memory it may take some twenty times as much."""
-LARGEST, MOST = 2**31, 10**6
+MAX_JSON_STREAM_BYTES, MAX_JSON_STREAM_VALUES = 2**31, 10**6
 """Limits of one file, in bytes that are read (unpacked) and in values: a small ``.zip`` may hold any number."""
-CHUNK = 2**16
-_SPACE = re.compile(r"[ \t\n\r]*")
+JSON_CHUNK_BYTES = 2**16
+_JSON_WHITESPACE = re.compile(r"[ \t\n\r]*")
 
 
-def items(path: Path, key: str) -> Iterator[dict[str, object]]:
+def stream_items(path: Path, key: str) -> Iterator[dict[str, object]]:
     """Yield the objects in the list ``key`` of a JSON object, in order; other members stay unread.
 
     ``path`` is the file, or a ``.zip`` that holds it alone. Raises ``InputError`` for text that is no JSON, a file that
     is cut short, NaN, a list that is missing or holds anything but objects, and an item or a file above the limits.
     """
-    with _opened(path) as stream:
-        text = _Text(path, stream)
+    with _open_json_stream(path) as stream:
+        text = _JsonWindow(path, stream)
         text.enter(key)
         text.expect("[", key)
         n = 0
@@ -44,18 +44,18 @@ def items(path: Path, key: str) -> Iterator[dict[str, object]]:
                 text.expect(",", key)
             item = text.value(f"{key}[{n}]")
             if not isinstance(item, dict):
-                raise InputError(path, f"{key}[{n}]", shown(item), "an object")
+                raise InputError(path, f"{key}[{n}]", shorten_value(item), "an object")
             yield item
             n += 1
 
 
-def entries(path: Path, key: str) -> Iterator[tuple[str, object]]:
+def stream_entries(path: Path, key: str) -> Iterator[tuple[str, object]]:
     """Yield names and values in the object ``key`` of a JSON object, in order.
 
-    Raises ``InputError`` as ``items`` does.
+    Raises ``InputError`` as ``stream_items`` does.
     """
-    with _opened(path) as stream:
-        text = _Text(path, stream)
+    with _open_json_stream(path) as stream:
+        text = _JsonWindow(path, stream)
         text.enter(key)
         text.expect("{", key)
         first = True
@@ -64,28 +64,28 @@ def entries(path: Path, key: str) -> Iterator[tuple[str, object]]:
                 text.expect(",", key)
             name = text.value(key)
             if not isinstance(name, str):
-                raise InputError(path, key, shown(name), "an object")
-            text.expect(":", f"{key}.{plain(name)}")
-            yield name, text.value(f"{key}.{plain(name)}")
+                raise InputError(path, key, shorten_value(name), "an object")
+            text.expect(":", f"{key}.{printable(name)}")
+            yield name, text.value(f"{key}.{printable(name)}")
             first = False
 
 
-def member(path: Path, key: str) -> dict[str, object]:
+def read_json_member(path: Path, key: str) -> dict[str, object]:
     """Read the object ``key`` of a JSON object; the rest of the file stays unread.
 
-    Raises ``InputError`` as ``items`` does.
+    Raises ``InputError`` as ``stream_items`` does.
     """
-    with _opened(path) as stream:
-        text = _Text(path, stream)
+    with _open_json_stream(path) as stream:
+        text = _JsonWindow(path, stream)
         text.enter(key)
         value = text.value(key)
     if not isinstance(value, dict):
-        raise InputError(path, key, shown(value), "an object")
+        raise InputError(path, key, shorten_value(value), "an object")
     return value
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[IO[bytes]]:
+def _open_json_stream(path: Path) -> Iterator[IO[bytes]]:
     """Open a file's bytes, unpacked while they are read where it is a ``.zip``."""
     try:
         if not path.is_file():  # a pipe would be waited for
@@ -94,11 +94,11 @@ def _opened(path: Path) -> Iterator[IO[bytes]]:
             with path.open("rb") as stream:
                 yield stream
             return
-        with archives.archive_at(path) as archive:
+        with archives.open_archive_file(path) as archive:
             inside = [it for it in archive.infolist() if it.filename.endswith(".json")]
             if len(inside) != 1:
                 raise InputError(path, "", f"{len(inside)} JSON files in it", "one")
-            with archives.opened(archive, inside[0]) as packed:
+            with archives.open_archive_member(archive, inside[0]) as packed:
                 yield packed
     except InputError:
         raise
@@ -106,7 +106,7 @@ def _opened(path: Path) -> Iterator[IO[bytes]]:
         raise InputError(path, "", f"a file that cannot be read ({error})", "a JSON file") from error
 
 
-class _Text:
+class _JsonWindow:
     """A window on the text of a JSON object, and the place in it up to which it is read."""
 
     def __init__(self, path: Path, stream: IO[bytes]) -> None:
@@ -125,11 +125,11 @@ class _Text:
                 self.expect(",", "")
             key = self.value("")
             if not isinstance(key, str):
-                raise InputError(self.path, "", shown(key), "a JSON object")
-            self.expect(":", plain(key))
+                raise InputError(self.path, "", shorten_value(key), "a JSON object")
+            self.expect(":", printable(key))
             if key == wanted:
                 return
-            self.value(plain(key))
+            self.value(printable(key))
             first = False
         raise InputError(self.path, wanted, "no such key", "the key")
 
@@ -147,14 +147,16 @@ class _Text:
         """Read a mark that must come next."""
         if not self.skip(mark):
             rest = self.window[self.at : self.at + 20]
-            value = shown(rest) if rest else "the end of the file"
+            value = shorten_value(rest) if rest else "the end of the file"
             raise InputError(self.path, key, value, f"{mark!r}, as in a JSON object; is the file cut short?")
 
     def value(self, key: str) -> object:
         """Read a value: with the text that is there or, where that does not parse, with twice as much."""
         self.values += 1
-        if self.values > MOST:
-            raise InputError(self.path, key, f"more than {MOST} values", f"at most {MOST}")
+        if self.values > MAX_JSON_STREAM_VALUES:
+            raise InputError(
+                self.path, key, f"more than {MAX_JSON_STREAM_VALUES} values", f"at most {MAX_JSON_STREAM_VALUES}"
+            )
         while True:
             self._pass_space()
             try:
@@ -168,23 +170,27 @@ class _Text:
             except ValueError as error:
                 trouble = f"text that is no JSON ({error})"
             unread = len(self.window) - self.at
-            if unread > LARGEST_ITEM:
-                raise InputError(self.path, key, f"more than {LARGEST_ITEM} characters, or {trouble}", "a JSON value")
+            if unread > MAX_JSON_ITEM_CHARACTERS:
+                raise InputError(
+                    self.path, key, f"more than {MAX_JSON_ITEM_CHARACTERS} characters, or {trouble}", "a JSON value"
+                )
             if not self._more(unread):
                 raise InputError(self.path, key, trouble, "a JSON value; is the file cut short?")
 
     def _pass_space(self) -> None:
-        self.at = _SPACE.match(self.window, self.at).end()  # type: ignore[union-attr]
+        self.at = _JSON_WHITESPACE.match(self.window, self.at).end()  # type: ignore[union-attr]
 
     def _more(self, least: int = 0) -> bool:
         """Widen the window; false at the end of the file."""
         if self.ended:
             return False
-        content = self.stream.read(max(least, CHUNK))
+        content = self.stream.read(max(least, JSON_CHUNK_BYTES))
         self.ended = not content
         self.length += len(content)
-        if self.length > LARGEST:
-            raise InputError(self.path, "", f"more than {LARGEST} bytes", f"at most {LARGEST}, unpacked")
+        if self.length > MAX_JSON_STREAM_BYTES:
+            raise InputError(
+                self.path, "", f"more than {MAX_JSON_STREAM_BYTES} bytes", f"at most {MAX_JSON_STREAM_BYTES}, unpacked"
+            )
         try:
             self.window, self.at = self.window[self.at :] + self.decode(content, self.ended), 0
         except UnicodeDecodeError as error:

@@ -15,25 +15,25 @@ from pathlib import Path
 
 from getagrip.io import locks
 
-PREFIX = ".getagrip.new."
+TEMPORARY_FOLDER_PREFIX = ".getagrip.new."
 """Prefix of the folders' names."""
 
 
 @contextmanager
-def workplace(parent: Path) -> Iterator[Path]:
+def temporary_folder(parent: Path) -> Iterator[Path]:
     """Make an empty hidden folder, which is removed in the end."""
     while True:
-        folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=parent))
+        folder = Path(tempfile.mkdtemp(prefix=TEMPORARY_FOLDER_PREFIX, dir=parent))
         with suppress(FileNotFoundError):  # swept before it was locked
-            lock = locks.locked(folder, wait=True)
+            lock = locks.acquire_lock(folder, wait=True)
             if folder.exists():
                 break
-            locks.release(lock)
+            locks.release_lock(lock)
     try:
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-        locks.release(lock)
+        locks.release_lock(lock)
 
 
 def restore(folder: Path) -> None:
@@ -46,16 +46,16 @@ def restore(folder: Path) -> None:
             os.rename(old, target)
 
 
-def sweep(parent: Path) -> list[Path]:
+def remove_stale_folders(parent: Path) -> list[Path]:
     """Remove this user's workplaces whose writers are dead, and return them; restore folders being replaced."""
     swept = []
-    for folder in parent.glob(f"{PREFIX}*") if locks.KNOWN else ():
+    for folder in parent.glob(f"{TEMPORARY_FOLDER_PREFIX}*") if locks.HAS_FILE_LOCKS else ():
         if folder.is_symlink() or not folder.is_dir():
             continue
         try:
             if folder.stat().st_uid != os.geteuid():
                 continue
-            lock = locks.locked(folder, wait=False)
+            lock = locks.acquire_lock(folder, wait=False)
         except OSError:  # it lives, or is another user's, or gone
             continue
         try:
@@ -63,5 +63,5 @@ def sweep(parent: Path) -> list[Path]:
             shutil.rmtree(folder, ignore_errors=True)
             swept.append(folder)
         finally:
-            locks.release(lock)
+            locks.release_lock(lock)
     return swept

@@ -12,21 +12,21 @@ try:
 except ImportError:  # no POSIX: nothing is locked
     fcntl = None  # type: ignore[assignment]
 
-KNOWN = fcntl is not None
+HAS_FILE_LOCKS = fcntl is not None
 """True if this system has locks."""
 
 
 @contextmanager
-def holding(path: Path) -> Iterator[None]:
+def hold_lock(path: Path) -> Iterator[None]:
     """Hold the lock of a file or folder, after waiting for it; go on without where it cannot be locked."""
-    lock = locked(path, wait=True)
+    lock = acquire_lock(path, wait=True)
     try:
         yield
     finally:
-        release(lock)
+        release_lock(lock)
 
 
-def locked(path: Path, wait: bool) -> int | None:
+def acquire_lock(path: Path, wait: bool) -> int | None:
     """Lock a file or folder until the descriptor is closed; None where it cannot be locked.
 
     Raises ``OSError`` where it is not there, and where it is locked already and we do not ``wait``.
@@ -44,7 +44,7 @@ def locked(path: Path, wait: bool) -> int | None:
     return descriptor
 
 
-def release(lock: int | None) -> None:
-    """Give back what ``locked`` has returned."""
+def release_lock(lock: int | None) -> None:
+    """Give back what ``acquire_lock`` has returned."""
     if lock is not None:
         os.close(lock)

@@ -14,10 +14,10 @@ from getagrip.io import plugins
 
 
 @contextmanager
-def guarded(path: Path) -> Iterator[None]:
+def convert_to_input_errors(path: Path) -> Iterator[None]:
     """Turn warnings of numpy, and all errors but those of files, into ``InputError``: what a file holds causes them."""
     try:
-        with warnings.catch_warnings(), plugins.tamed():
+        with warnings.catch_warnings(), plugins.convert_base_exceptions():
             for warning in (RuntimeWarning, np.exceptions.ComplexWarning):
                 warnings.simplefilter("error", warning)
             yield

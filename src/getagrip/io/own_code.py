@@ -22,9 +22,9 @@ from numpy import ndarray
 
 from getagrip.io.code import PACKAGE
 
-PLAIN = (type(None), bool, int, float, complex, str, bytes, np.generic, Path)
+REPR_TYPES = (type(None), bool, int, float, complex, str, bytes, np.generic, Path)
 """Types whose ``repr`` says all about a value."""
-PARTS: Mapping[type, Callable[[Any], Iterable[object]]] = {
+CONTAINER_PARTS: Mapping[type, Callable[[Any], Iterable[object]]] = {
     partial: lambda of: (of.func, of.args, of.keywords),
     MethodType: lambda of: (of.__func__, of.__self__),
     dict: lambda of: of.items(),
@@ -35,22 +35,22 @@ PARTS: Mapping[type, Callable[[Any], Iterable[object]]] = {
     ndarray: lambda of: (str(of.dtype), of.shape, of.tolist() if of.dtype.hasobject else of.tobytes()),
 }
 """Functions that list the objects within objects of some types."""
-INSTALLED = ("site-packages", "dist-packages")
-STDLIB = Path(sysconfig.get_path("stdlib")).resolve()
+SITE_PACKAGES_FOLDERS = ("site-packages", "dist-packages")
+STDLIB_FOLDER = Path(sysconfig.get_path("stdlib")).resolve()
 
 
 class UnknownSourceError(Exception):
     """An object whose source code cannot be determined."""
 
 
-def checksum(value: object) -> str:
+def source_checksum(value: object) -> str:
     """Compute the checksum of all that a function or another value is made of besides this package.
 
     That are the source files of functions and classes, those that they import and that belong to no installed library,
     and the values that partials, closures, defaults and objects hold. Raises ``UnknownSourceError`` where a source is
     in no file, as of what is typed at a prompt, or where a value holds what only its own code knows.
     """
-    made_of = _Parts()
+    made_of = _CodeParts()
     try:
         made_of.add(value)
         sources = sorted(made_of.digests())
@@ -59,25 +59,25 @@ def checksum(value: object) -> str:
     return hashlib.sha256("\0".join([*made_of.values, *sources]).encode()).hexdigest()[:16]
 
 
-def place(error: BaseException) -> str:
+def locate_error(error: BaseException) -> str:
     """Return the place of an error in code from outside, "mine.py:14": the last line in no installed library.
 
     Empty where all of its code is of this package, of Python or of libraries.
     """
     lines = [(line.filename, line.lineno) for line in traceback.extract_tb(error.__traceback__)]
-    own = [f"{Path(name).name}:{number}" for name, number in lines if _is_own(Path(name))]
+    own = [f"{Path(name).name}:{number}" for name, number in lines if _is_user_code(Path(name))]
     return own[-1] if own else ""
 
 
-def _is_own(file: Path) -> bool:
+def _is_user_code(file: Path) -> bool:
     """Return whether a file, or the prompt that an error's line names, is a user's own."""
     if not file.is_file():
         return file.name == "<stdin>" or (not file.name.startswith("<") and bool(linecache.getlines(str(file))))
-    return not _is_known(file.resolve()) and not _is_installed(file.resolve())
+    return not _is_package_or_stdlib(file.resolve()) and not _is_in_site_packages(file.resolve())
 
 
 @dataclass
-class _Parts:
+class _CodeParts:
     """The parts of a value, found recursively."""
 
     files: set[Path] = field(default_factory=set)
@@ -87,7 +87,7 @@ class _Parts:
 
     def add(self, value: object) -> None:
         """Add a value and what it holds."""
-        if isinstance(value, PLAIN):
+        if isinstance(value, REPR_TYPES):
             self.values.append(f"{type(value).__name__} {value!r}")
         elif id(value) not in self.seen:
             self.seen[id(value)] = value
@@ -101,7 +101,7 @@ class _Parts:
         while left:
             file = left.pop()
             if file not in found:
-                source = _source(file)
+                source = _read_source_file(file)
                 found[file] = source.digest
                 left += source.imports
         return list(found.values())
@@ -121,20 +121,20 @@ class _Parts:
         elif isinstance(value, BuiltinFunctionType | np.ufunc):
             yield value.__name__
         else:
-            yield from _parts(value)
+            yield from _parts_of_object(value)
 
     def _note(self, name: str) -> None:
         """Note a source file, if it is not the package's or Python's own."""
         file = Path(name)
         if not file.is_file():
             raise UnknownSourceError(name)
-        if not _is_known(file.resolve()):
+        if not _is_package_or_stdlib(file.resolve()):
             self.files.add(file.resolve())
 
 
-def _parts(value: object) -> Iterable[object]:
+def _parts_of_object(value: object) -> Iterable[object]:
     """Return the parts of a container or of another object without code of its own."""
-    for kind, parts in PARTS.items():
+    for kind, parts in CONTAINER_PARTS.items():
         if isinstance(value, kind):
             return parts(value)
     if hasattr(value, "__wrapped__"):  # a function that a decorator keeps
@@ -144,17 +144,17 @@ def _parts(value: object) -> Iterable[object]:
     return type(value), vars(value)
 
 
-def _is_known(file: Path) -> bool:
+def _is_package_or_stdlib(file: Path) -> bool:
     """Return whether a file is of this package, whose code is known, or of Python's library."""
-    return file.is_relative_to(PACKAGE) or (file.is_relative_to(STDLIB) and not _is_installed(file))
+    return file.is_relative_to(PACKAGE) or (file.is_relative_to(STDLIB_FOLDER) and not _is_in_site_packages(file))
 
 
-def _is_installed(file: Path) -> bool:
-    return any(name in file.parts for name in INSTALLED)
+def _is_in_site_packages(file: Path) -> bool:
+    return any(name in file.parts for name in SITE_PACKAGES_FOLDERS)
 
 
 @dataclass(frozen=True)
-class _Source:
+class _SourceFile:
     """A source file."""
 
     digest: str
@@ -162,20 +162,20 @@ class _Source:
     """Files from outside that it imports, wherever in it."""
 
 
-def _source(file: Path) -> _Source:
+def _read_source_file(file: Path) -> _SourceFile:
     content = file.read_bytes()
     found = set[Path]()
     if file.suffix == ".py":
         for node in ast.walk(ast.parse(content)):
             if isinstance(node, ast.Import):
-                found.update(*(_files_of(file, 0, one.name, ()) for one in node.names))
+                found.update(*(_imported_files(file, 0, one.name, ()) for one in node.names))
             elif isinstance(node, ast.ImportFrom):
                 names = tuple(one.name for one in node.names)
-                found.update(_files_of(file, node.level, node.module or "", names))
-    return _Source(hashlib.sha256(content).hexdigest(), frozenset(found))
+                found.update(_imported_files(file, node.level, node.module or "", names))
+    return _SourceFile(hashlib.sha256(content).hexdigest(), frozenset(found))
 
 
-def _files_of(importer: Path, level: int, module: str, names: tuple[str, ...]) -> Iterator[Path]:
+def _imported_files(importer: Path, level: int, module: str, names: tuple[str, ...]) -> Iterator[Path]:
     """Yield the files that an import loads: the module's, its packages', and those of ``names`` that are modules.
 
     None of a library that is installed, unless the importing file is of the same.
@@ -189,22 +189,22 @@ def _files_of(importer: Path, level: int, module: str, names: tuple[str, ...]) -
             spec = find_spec(first)
         except (ImportError, ValueError):  # the script that is run has none
             spec = None
-        if spec is None or (_is_installed(Path(spec.origin or "")) and first not in importer.parts):
+        if spec is None or (_is_in_site_packages(Path(spec.origin or "")) and first not in importer.parts):
             return
-        yield from _foreign(spec.origin)
+        yield from _foreign_file(spec.origin)
         folders = [*(spec.submodule_search_locations or ())]
     for name in rest:
         inner = PathFinder.find_spec(name, folders)
         if inner is None:
             return
-        yield from _foreign(inner.origin)
+        yield from _foreign_file(inner.origin)
         folders = [*(inner.submodule_search_locations or ())]
     for name in names if folders else ():
         inner = PathFinder.find_spec(name, folders)
-        yield from _foreign(None if inner is None else inner.origin)
+        yield from _foreign_file(None if inner is None else inner.origin)
 
 
-def _foreign(origin: str | None) -> Iterator[Path]:
+def _foreign_file(origin: str | None) -> Iterator[Path]:
     """Yield the file of a module from outside."""
-    if origin is not None and (file := Path(origin)).is_file() and not _is_known(file.resolve()):
+    if origin is not None and (file := Path(origin)).is_file() and not _is_package_or_stdlib(file.resolve()):
         yield file.resolve()

@@ -18,21 +18,21 @@ if TYPE_CHECKING:
     from pyarrow import Array, DataType, RecordBatch
     from pyarrow.parquet import ParquetFile
 
-LARGEST = 2**30
+MAX_PARQUET_BYTES = 2**30
 """Bytes of a file."""
-MOST_READ, MOST_KEPT = 2**28, 2**25
+MAX_PARQUET_VALUES_READ, MAX_PARQUET_VALUES_RETURNED = 2**28, 2**25
 """Numbers of a file's columns that are gone through, and those of the rows that are kept."""
-ROWS = 1024
+PARQUET_BATCH_ROWS = 1024
 """Rows of a part."""
-LONGEST_ROW = 4096
+MAX_PARQUET_ROW_VALUES = 4096
 """Numbers of a row."""
-DEEPEST = 4
+MAX_PARQUET_LIST_DEPTH = 4
 """Lists within lists."""
 
 
-def columns_of(path: Path) -> list[str]:
+def parquet_columns(path: Path) -> list[str]:
     """Return the names of a Parquet file's columns. Raises as ``read_columns`` does."""
-    return list(_opened(path).schema_arrow.names)
+    return list(_open_parquet(path).schema_arrow.names)
 
 
 def read_columns(
@@ -43,40 +43,40 @@ def read_columns(
     ``where`` is one of the columns, and the number in it of the rows that are kept. Raises ``InputError`` for other
     columns, rows of different lengths and too many numbers, and ``UsageError`` without pyarrow.
     """
-    file = _opened(path)
+    file = _open_parquet(path)
     for name in names:
         if name not in file.schema_arrow.names:
             raise InputError(path, name, "no such column", f"one of {', '.join(file.schema_arrow.names)}")
         kind = file.schema_arrow.field(name).type
-        if not _holds_numbers(kind):
-            raise InputError(path, name, f"the type {files.plain(str(kind))}", "numbers, or lists of numbers")
+        if not _is_numeric_type(kind):
+            raise InputError(path, name, f"the type {files.printable(str(kind))}", "numbers, or lists of numbers")
     kept: dict[str, list[ndarray]] = {name: [] for name in names}
     total = 0
-    for batch in _batches(path, file, names):
-        columns = {name: _numbers(path, name, batch.column(name)) for name in names}
+    for batch in _read_parquet_batches(path, file, names):
+        columns = {name: _column_to_array(path, name, batch.column(name)) for name in names}
         if where is not None:
             chosen = columns[where[0]] == where[1]
             columns = {name: values[chosen] for name, values in columns.items()}
         total += sum(values.size for values in columns.values())
-        if total > MOST_KEPT:
-            raise InputError(path, "", f"more than {MOST_KEPT} numbers in the columns", "fewer")
+        if total > MAX_PARQUET_VALUES_RETURNED:
+            raise InputError(path, "", f"more than {MAX_PARQUET_VALUES_RETURNED} numbers in the columns", "fewer")
         for name, values in columns.items():
             kept[name].append(values)
-    return {name: _joined(path, name, parts) for name, parts in kept.items()}
+    return {name: _concatenate_batches(path, name, parts) for name, parts in kept.items()}
 
 
-def _opened(path: Path) -> ParquetFile:
+def _open_parquet(path: Path) -> ParquetFile:
     """Open a Parquet file."""
-    parquet = extras.load("pyarrow.parquet", "lerobot", path.name)
-    if path.stat().st_size > LARGEST:
-        raise InputError(path, "", f"{path.stat().st_size} bytes", f"at most {LARGEST}")
+    parquet = extras.import_extra("pyarrow.parquet", "lerobot", path.name)
+    if path.stat().st_size > MAX_PARQUET_BYTES:
+        raise InputError(path, "", f"{path.stat().st_size} bytes", f"at most {MAX_PARQUET_BYTES}")
     try:
         return parquet.ParquetFile(path)
     except (OSError, ValueError, KeyError) as error:
         raise InputError(path, "", f"a damaged file ({error})", "Parquet") from error
 
 
-def _batches(path: Path, file: ParquetFile, names: Sequence[str]) -> Iterator[RecordBatch]:
+def _read_parquet_batches(path: Path, file: ParquetFile, names: Sequence[str]) -> Iterator[RecordBatch]:
     """Yield the columns part by part, after a look at how many numbers they say to have."""
     try:
         about = file.metadata
@@ -84,24 +84,30 @@ def _batches(path: Path, file: ParquetFile, names: Sequence[str]) -> Iterator[Re
         parts = [group.column(k) for group in groups for k in range(group.num_columns)]
         numbers = sum(part.num_values for part in parts if part.path_in_schema.split(".")[0] in names)
         rows = max(about.num_rows, 1)
-        if numbers > MOST_READ or rows > MOST_READ or numbers / rows > LONGEST_ROW * len(names):
+        if (
+            numbers > MAX_PARQUET_VALUES_READ
+            or rows > MAX_PARQUET_VALUES_READ
+            or numbers / rows > MAX_PARQUET_ROW_VALUES * len(names)
+        ):
             got = f"{numbers} numbers in {about.num_rows} rows"
-            raise InputError(path, "", got, f"at most {MOST_READ}, {LONGEST_ROW} in a row")
-        yield from file.iter_batches(ROWS, columns=list(names))
+            raise InputError(path, "", got, f"at most {MAX_PARQUET_VALUES_READ}, {MAX_PARQUET_ROW_VALUES} in a row")
+        yield from file.iter_batches(PARQUET_BATCH_ROWS, columns=list(names))
     except (OSError, ValueError, KeyError) as error:
         raise InputError(path, "", f"a damaged file ({error})", "Parquet") from error
 
 
-def _holds_numbers(kind: DataType, deep: int = 0) -> bool:
+def _is_numeric_type(kind: DataType, deep: int = 0) -> bool:
     """Return whether a type is one of numbers, or of lists of them."""
     from pyarrow import types
 
-    if deep < DEEPEST and (types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind)):
-        return _holds_numbers(kind.value_type, deep + 1)
+    if deep < MAX_PARQUET_LIST_DEPTH and (
+        types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind)
+    ):
+        return _is_numeric_type(kind.value_type, deep + 1)
     return bool(types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind))
 
 
-def _numbers(path: Path, name: str, column: Array) -> Float[ndarray, "T *n"]:
+def _column_to_array(path: Path, name: str, column: Array) -> Float[ndarray, "T *n"]:
     from pyarrow import compute, types
 
     there, shape, flat = column.is_valid().to_numpy(zero_copy_only=False), list[int](), column
@@ -122,7 +128,7 @@ def _numbers(path: Path, name: str, column: Array) -> Float[ndarray, "T *n"]:
     return out
 
 
-def _joined(path: Path, name: str, parts: list[ndarray]) -> Float[ndarray, "T *n"]:
+def _concatenate_batches(path: Path, name: str, parts: list[ndarray]) -> Float[ndarray, "T *n"]:
     """Join the parts; those without a number have as many columns as the others."""
     width = max((part.shape[1] for part in parts if part.ndim == 2), default=0)
     parts = [np.full((len(part), width), np.nan) if part.ndim == 2 and not part.shape[1] else part for part in parts]

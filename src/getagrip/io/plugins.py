@@ -18,44 +18,44 @@ from getagrip.io import code, interrupts, terminal
 
 T = TypeVar("T")
 
-PREFIX = "getagrip."
+ENTRY_POINT_PREFIX = "getagrip."
 """Prefix of the groups of entry points."""
 
 
 @cache
-def _entries() -> tuple[metadata.EntryPoint, ...]:
+def _find_entry_points() -> tuple[metadata.EntryPoint, ...]:
     """All entry points for this package, by group and name."""
     try:
         every = metadata.entry_points()
-        found = [e for group in every.groups if group.startswith(PREFIX) for e in every.select(group=group)]
+        found = [e for group in every.groups if group.startswith(ENTRY_POINT_PREFIX) for e in every.select(group=group)]
     except Exception as error:  # of any package that is installed
-        warn(f"plug-ins cannot be listed: an entry_points.txt among the installed packages is malformed ({error})")
+        warn_once(f"plug-ins cannot be listed: an entry_points.txt among the installed packages is malformed ({error})")
         return ()
-    return tuple(sorted(found, key=lambda entry: (entry.group, entry.name, _package(entry))))
+    return tuple(sorted(found, key=lambda entry: (entry.group, entry.name, _package_version(entry))))
 
 
-def _package(entry: metadata.EntryPoint) -> str:
+def _package_version(entry: metadata.EntryPoint) -> str:
     """Name and version of the package that an entry point is of."""
     return f"{entry.dist.name} {entry.dist.version}" if entry.dist else "a package without a name"
 
 
-def names(kind: str) -> list[str]:
+def plugin_names(kind: str) -> list[str]:
     """List the names that other packages give things of a kind, such as ``exports``."""
-    return list(dict.fromkeys(entry.name for entry in _entries() if entry.group == PREFIX + kind))
+    return list(dict.fromkeys(entry.name for entry in _find_entry_points() if entry.group == ENTRY_POINT_PREFIX + kind))
 
 
-def installed() -> list[str]:
+def plugin_packages() -> list[str]:
     """List names and versions of the packages that add anything."""
-    return sorted({_package(entry) for entry in _entries()})
+    return sorted({_package_version(entry) for entry in _find_entry_points()})
 
 
-def fingerprint() -> str:
+def fingerprint_with_plugins() -> str:
     """Return ``code.fingerprint``, and the packages that add anything."""
-    return " with ".join(filter(None, [code.fingerprint(), ", ".join(installed())]))
+    return " with ".join(filter(None, [code.fingerprint(), ", ".join(plugin_packages())]))
 
 
 @cache
-def warn(words: str) -> None:
+def warn_once(words: str) -> None:
     """Print a warning, once, and not in each process that shares the work."""
     from multiprocessing import parent_process
 
@@ -64,15 +64,15 @@ def warn(words: str) -> None:
 
 
 @contextmanager
-def tamed() -> Iterator[None]:
+def convert_base_exceptions() -> Iterator[None]:
     """Turn what is no ``Exception`` into one, as code of others may raise it; a Ctrl-C stays what it is."""
-    before = interrupts.times()
+    before = interrupts.interrupt_count()
     try:
         yield
     except (Exception, GeneratorExit):
         raise
     except BaseException as error:
-        if interrupts.is_pressed(error, before):
+        if interrupts.is_user_interrupt(error, before):
             raise
         raise RuntimeError(f"{type(error).__name__}: {error}") from error
 
@@ -86,11 +86,11 @@ class Plugin:
     @property
     def packages(self) -> str:
         """Names and versions."""
-        return ", ".join(map(_package, self.entries))
+        return ", ".join(map(_package_version, self.entries))
 
     def __str__(self) -> str:
         return " and ".join(
-            f"{entry.group} {entry.name!r} of {_package(entry)} ({entry.value})" for entry in self.entries
+            f"{entry.group} {entry.name!r} of {_package_version(entry)} ({entry.value})" for entry in self.entries
         )
 
     def load(self) -> Any:
@@ -98,14 +98,14 @@ class Plugin:
         if len(self.entries) > 1:
             raise UsageError(f"{self} have the same name: rename one, or uninstall its package")
         try:
-            with tamed():
+            with convert_base_exceptions():
                 return self.entries[0].load()
         except Exception as error:
             raise UsageError(f"{self} cannot be loaded: {type(error).__name__}: {error}") from error
 
 
 @dataclass(eq=False)
-class Table(MutableMapping[str, T], Generic[T]):
+class PluginTable(MutableMapping[str, T], Generic[T]):
     """Things of a kind by name: this package's, those that a script sets, and those of other packages.
 
     The names of all are known without loading anything. One of another package that cannot be loaded raises
@@ -113,7 +113,7 @@ class Table(MutableMapping[str, T], Generic[T]):
     """
 
     kind: str
-    """The group of the entry points, behind ``PREFIX``."""
+    """The group of the entry points, behind ``ENTRY_POINT_PREFIX``."""
     own: dict[str, T]
     """Those of this package and of scripts."""
     expected: str
@@ -128,20 +128,22 @@ class Table(MutableMapping[str, T], Generic[T]):
 
     def __post_init__(self) -> None:
         self._reserved = frozenset((*self.own, *self.taken))
-        TABLES[self.kind] = self
+        PLUGIN_TABLES[self.kind] = self
 
     @cached_property
     def plugins(self) -> Mapping[str, Plugin]:
         """Those of other packages, by name; without those whose names are taken or cannot be a folder's."""
-        from getagrip.io.files import is_plain_name
+        from getagrip.io.files import is_portable_name
 
         found: dict[str, Plugin] = {}
-        for name in names(self.kind):
-            plugin = Plugin(tuple(e for e in _entries() if (e.group, e.name) == (PREFIX + self.kind, name)))
+        for name in plugin_names(self.kind):
+            plugin = Plugin(
+                tuple(e for e in _find_entry_points() if (e.group, e.name) == (ENTRY_POINT_PREFIX + self.kind, name))
+            )
             if name in self._reserved:
-                warn(f"{plugin} is left out: getagrip has {name!r} itself; rename the entry point")
-            elif not is_plain_name(name):
-                warn(f"{plugin} is left out: its name must be one that a folder can have")
+                warn_once(f"{plugin} is left out: getagrip has {name!r} itself; rename the entry point")
+            elif not is_portable_name(name):
+                warn_once(f"{plugin} is left out: its name must be one that a folder can have")
             else:
                 found[name] = plugin
         return found
@@ -179,7 +181,7 @@ class Table(MutableMapping[str, T], Generic[T]):
             try:
                 there[name] = self[name]
             except UsageError as error:
-                warn(f"left out: {error}")
+                warn_once(f"left out: {error}")
         return there
 
     def made_of(self, *only: str) -> Iterator[str]:
@@ -187,35 +189,37 @@ class Table(MutableMapping[str, T], Generic[T]):
         for name, value in self.working().items():
             if name not in self.own and (not only or name in only):
                 if name not in self._made_of:
-                    self._made_of[name] = f"{self.plugins[name].packages} ({self.kind} {name} {_checksum(value)})"
+                    self._made_of[name] = (
+                        f"{self.plugins[name].packages} ({self.kind} {name} {_plugin_checksum(value)})"
+                    )
                 yield self._made_of[name]
 
 
-def _checksum(value: object) -> str:
+def _plugin_checksum(value: object) -> str:
     """Return the checksum of its sources, if these can be known."""
-    from getagrip.io.own_code import UnknownSourceError, checksum
+    from getagrip.io.own_code import UnknownSourceError, source_checksum
 
     try:
-        return checksum(value)
+        return source_checksum(value)
     except UnknownSourceError:
         return "of unknown source"
 
 
-TABLES: dict[str, Table[Any]] = {}
+PLUGIN_TABLES: dict[str, PluginTable[Any]] = {}
 """The tables that are loaded, by kind."""
 
 
-def made_with(method: str) -> dict[str, str]:
+def plugin_dependencies(method: str) -> dict[str, str]:
     """Return the dependencies of a method's result besides this package: an entry of its record, or none."""
-    methods = TABLES["methods"].made_of(method) if "methods" in TABLES else ()
+    methods = PLUGIN_TABLES["methods"].made_of(method) if "methods" in PLUGIN_TABLES else ()
     kinds = ("modalities", "input_checks", "result_checks")
-    parts = [*methods, *(part for kind in kinds if kind in TABLES for part in TABLES[kind].made_of())]
+    parts = [*methods, *(part for kind in kinds if kind in PLUGIN_TABLES for part in PLUGIN_TABLES[kind].made_of())]
     return {"plugins": "; ".join(parts)} if parts else {}
 
 
-def origin(value: object) -> Plugin | None:
+def plugin_of(value: object) -> Plugin | None:
     """Return the origin of an entry of a table; None for one of this package or of a script."""
-    for table in TABLES.values():
+    for table in PLUGIN_TABLES.values():
         for name, loaded in table._loaded.items():
             if loaded is value:
                 return table.plugins[name]

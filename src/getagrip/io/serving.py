@@ -15,32 +15,32 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 LOOPBACK = "127.0.0.1"
-PATIENCE = 60.0
+IDLE_TIMEOUT_S = 60.0
 """A connection without requests is closed after so long [s]."""
-MOST = 64
+MAX_CONNECTIONS = 64
 """Connections at once, each with a thread: others wait."""
-RESTS = 2.0
+BUSY_IDLE_TIMEOUT_S = 2.0
 """A connection without requests is closed after so long where others wait [s]."""
-LOOK_EVERY = 0.1
-HEADERS = {
+CONNECTION_POLL_S = 0.1
+SECURITY_HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'; base-uri 'none'",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-OF_PAGE = {"Content-Security-Policy": "frame-ancestors 'none'; base-uri 'none'"}
+SCRIPTED_PAGE_HEADERS = {"Content-Security-Policy": "frame-ancestors 'none'; base-uri 'none'"}
 """Headers of a page that names in itself which scripts may run, and what they may load."""
 
 
 class QuietServer(ThreadingHTTPServer):
-    """A thread for each of at most ``MOST`` connections, none of which keeps the program from ending."""
+    """A thread for each of at most ``MAX_CONNECTIONS`` connections, none of which keeps the program from ending."""
 
     daemon_threads = True
     allow_reuse_address = os.name != "nt"  # where two servers would share a port
     request_queue_size = 512
 
-    def __init__(self, address: tuple[str, int], handler: type[Handler]) -> None:
+    def __init__(self, address: tuple[str, int], handler: type[QuietHandler]) -> None:
         """Listen. Raises ``OSError``, ``OverflowError``."""
         self._rest_since: dict[object, float] = {}
         """When each connection began to wait for a request; infinity while one is answered."""
@@ -50,12 +50,12 @@ class QuietServer(ThreadingHTTPServer):
     def process_request(self, request: Any, client_address: Any) -> None:
         """Answer a connection in a thread, once there is room for it."""
         with self._ended:
-            while len(self._rest_since) >= MOST:
+            while len(self._rest_since) >= MAX_CONNECTIONS:
                 for other, since in self._rest_since.items():
-                    if time.monotonic() - since > RESTS:
+                    if time.monotonic() - since > BUSY_IDLE_TIMEOUT_S:
                         with suppress(OSError):  # it has ended by itself
                             other.shutdown(socket.SHUT_RDWR)  # type: ignore[attr-defined]
-                self._ended.wait(LOOK_EVERY)
+                self._ended.wait(CONNECTION_POLL_S)
             self.note(request, at_work=False)
         super().process_request(request, client_address)
 
@@ -74,13 +74,13 @@ class QuietServer(ThreadingHTTPServer):
         """Say nothing of connections that end early."""
 
 
-class Handler(BaseHTTPRequestHandler):
+class QuietHandler(BaseHTTPRequestHandler):
     """Answers in one piece each, and prints nothing."""
 
     server: QuietServer
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "getagrip", ""
-    timeout = PATIENCE
+    timeout = IDLE_TIMEOUT_S
     wbufsize = -1  # an answer in one piece: in two, the second waits for the first to be acknowledged
     disable_nagle_algorithm = True
 
@@ -102,10 +102,10 @@ class Handler(BaseHTTPRequestHandler):
     def send(
         self, content: bytes, kind: str, head: dict[str, str] | None = None, status: HTTPStatus = HTTPStatus.OK
     ) -> None:
-        """Answer with some content of a media type; ``head`` adds to ``HEADERS``, or replaces them."""
+        """Answer with some content of a media type; ``head`` adds to ``SECURITY_HEADERS``, or replaces them."""
         self.send_response(status)
         own = {"Content-Type": kind, "Content-Length": str(len(content))}
-        for key, value in {**HEADERS, **own, **(head or {})}.items():
+        for key, value in {**SECURITY_HEADERS, **own, **(head or {})}.items():
             self.send_header(key, value)
         self.end_headers()
         self.wfile.write(content)

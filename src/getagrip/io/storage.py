@@ -20,25 +20,25 @@ from getagrip.io import archives, extras, files, http_store
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
 
-EXTRAS = {"s3": "s3", "s3a": "s3", "gs": "gs", "gcs": "gs"}
+STORE_EXTRAS = {"s3": "s3", "s3a": "s3", "gs": "gs", "gcs": "gs"}
 """The extra of this package that reads a kind of address."""
-MOST_FILES, MOST_BYTES, DEEPEST = 20_000, files.LARGEST_FILE, 8
+MAX_REMOTE_FILES, MAX_REMOTE_BYTES, MAX_REMOTE_DEPTH = 20_000, files.MAX_FILE_BYTES, 8
 """Limits of a folder that is copied: files, bytes in all, and levels."""
-ARCHIVE = ".zip"
+ARCHIVE_SUFFIX = ".zip"
 """A clip may be one object of this kind."""
-TRIAL = ".getagrip.trial"
+WRITE_TEST_NAME = ".getagrip.trial"
 """Name of an object that is written, and removed, to see whether that can be done."""
 
 
 @dataclass(frozen=True)
-class Remote:
+class RemotePath:
     """A folder in an object store, or an object. Every method raises ``GetagripError`` where the store cannot do it."""
 
     url: str
     """Without a slash at its end."""
 
-    def __truediv__(self, name: str) -> Remote:
-        return Remote(f"{self.url}/{name}")
+    def __truediv__(self, name: str) -> RemotePath:
+        return RemotePath(f"{self.url}/{name}")
 
     def __str__(self) -> str:
         return self.url
@@ -49,9 +49,9 @@ class Remote:
         return self.url.rpartition("/")[2]
 
     @property
-    def parent(self) -> Remote:
+    def parent(self) -> RemotePath:
         """The folder that it is in."""
-        return Remote(self.url.rpartition("/")[0])
+        return RemotePath(self.url.rpartition("/")[0])
 
     def children(self) -> list[tuple[str, bool]]:
         """List the names in the folder, sorted, and whether each is a folder.
@@ -64,14 +64,14 @@ class Remote:
                 entries = fs.ls(path, detail=True)
             except FileNotFoundError as error:
                 raise UsageError(f"{self}: no such folder or bucket") from error
-            there = ((_name(entry), entry["type"] == "directory") for entry in entries)
+            there = ((_name_in_listing(entry), entry["type"] == "directory") for entry in entries)
             return sorted((name, is_folder) for name, is_folder in there if name and name != self.name)
 
-    def matches(self) -> list[Remote]:
+    def matches(self) -> list[RemotePath]:
         """List the addresses that match this one as a pattern, sorted."""
         with self._named():
             fs, path = self._opened()
-            return sorted((Remote(fs.unstrip_protocol(found)) for found in fs.glob(path)), key=str)
+            return sorted((RemotePath(fs.unstrip_protocol(found)) for found in fs.glob(path)), key=str)
 
     def read(self, limit: int) -> bytes | None:
         """Read an object of at most ``limit`` bytes; None where there is none."""
@@ -110,25 +110,25 @@ class Remote:
                 raise InputError(
                     self.url, "", "files that changed while they were read", "a folder that stays as it is"
                 )
-        _write(folder, contents)
+        _write_folder_files(folder, contents)
 
     def unpack_to(self, folder: Path, leave_out: Sequence[str] = ()) -> None:
         """Copy what a zip archive holds into a new folder, as ``copy_to`` does; it may all be in one folder there.
 
         Also raises ``InputError`` for damaged archives, links in them, and names that stand twice.
         """
-        content = self.read(MOST_BYTES)
+        content = self.read(MAX_REMOTE_BYTES)
         if content is None:
             raise InputError(self.url, "", "no such archive", "a zip archive")
         try:
-            with archives.archive(self.url, content) as archive:
+            with archives.open_archive_bytes(self.url, content) as archive:
                 members = self._members(archive, leave_out)
-                contents = {name: archives.content_of(archive, member) for name, member in members.items()}
+                contents = {name: archives.read_archive_member(archive, member) for name, member in members.items()}
         except InputError:
             raise
         except Exception as error:  # zipfile and its decompressors raise whatever they meet
             raise InputError(self.url, "", f"a file that does not unpack ({error})", "a zip archive") from error
-        _write(folder, contents)
+        _write_folder_files(folder, contents)
 
     def fetch(self, names: Sequence[str], limit: int, folder: Path) -> None:
         """Copy objects below it by name, in parallel, each of at most ``limit`` bytes; missing ones are skipped."""
@@ -143,7 +143,7 @@ class Remote:
 
     def check_writable(self, option: str) -> None:
         """Raise ``UsageError``, in the name of an option, where nothing can be written into the folder."""
-        trial = self / TRIAL
+        trial = self / WRITE_TEST_NAME
         try:
             trial.write(b"")
             trial.remove()
@@ -157,7 +157,7 @@ class Remote:
         found = fs.find(root, detail=True).items()
         there = {name.removeprefix(f"{root}/"): entry for name, entry in found if name.startswith(f"{root}/")}
         is_file = {name: entry["type"] == "file" and not name.endswith("/") for name, entry in there.items()}
-        wanted = {name: there[name] for name in wanted_names(self.url, filter(is_file.get, there), leave_out)}
+        wanted = {name: there[name] for name in select_names(self.url, filter(is_file.get, there), leave_out)}
         check_size(self.url, [entry["size"] for entry in wanted.values()])
         return wanted
 
@@ -171,7 +171,7 @@ class Remote:
         by_name = {member.filename.removeprefix(shared): member for member in members}
         if len(by_name) < len(members):
             raise InputError(self.url, "", "a name twice", "each file once")
-        wanted = {name: by_name[name] for name in wanted_names(self.url, by_name, leave_out)}
+        wanted = {name: by_name[name] for name in select_names(self.url, by_name, leave_out)}
         check_size(self.url, [member.file_size for member in wanted.values()])
         return wanted
 
@@ -190,12 +190,12 @@ class Remote:
     def _opened(self) -> tuple[AbstractFileSystem, str]:
         """Open the file system; also return the path in it. Raises ``UsageError`` where a library for it is missing."""
         kind = self.url.split(":", 1)[0]
-        extra = EXTRAS.get(kind, "s3")  # any of them brings fsspec
-        core = extras.load("fsspec.core", extra, self.url)
+        extra = STORE_EXTRAS.get(kind, "s3")  # any of them brings fsspec
+        core = extras.import_extra("fsspec.core", extra, self.url)
         try:
-            fs, path = core.url_to_fs(self.url, use_listings_cache=False, **http_store.options(self.url))
+            fs, path = core.url_to_fs(self.url, use_listings_cache=False, **http_store.fsspec_options(self.url))
         except ImportError as error:
-            advice = extras.install(extra) if kind in EXTRAS else "install fsspec's library for it"
+            advice = extras.install_command(extra) if kind in STORE_EXTRAS else "install fsspec's library for it"
             raise UsageError(f"missing library for {kind}:// ({error}), which {self} needs: {advice}") from error
         except ValueError as error:
             known = "those that fsspec knows, such as s3:// and gs://"
@@ -210,53 +210,55 @@ class Remote:
         except GetagripError:
             raise
         except FileNotFoundError as error:
-            raise GetagripError(f"{self}: no such file, folder or bucket ({_brief(error)})") from error
+            raise GetagripError(f"{self}: no such file, folder or bucket ({_shorten_error(error)})") from error
         except Exception as error:
-            raise GetagripError(f"{self}: it cannot be reached ({type(error).__name__}: {_brief(error)})") from error
+            raise GetagripError(
+                f"{self}: it cannot be reached ({type(error).__name__}: {_shorten_error(error)})"
+            ) from error
 
 
-Place = Path | Remote
+Place = Path | RemotePath
 """A folder: on a disk, or in an object store."""
 
 
-def place(text: str) -> Place:
+def parse_place(text: str) -> Place:
     """Parse a path or an address: ``file://`` and plain paths are on a disk."""
     kind, mark, rest = text.partition("://")
     if not mark:
         return Path(text)
     if kind == "file":
         return Path(unquote(urlsplit(text).path))
-    return Remote(f"{kind}://{rest.rstrip('/')}")
+    return RemotePath(f"{kind}://{rest.rstrip('/')}")
 
 
-def wanted_names(source: str, names: Iterable[str], leave_out: Sequence[str]) -> list[str]:
+def select_names(source: str, names: Iterable[str], leave_out: Sequence[str]) -> list[str]:
     """List the names of an untrusted folder, without hidden ones and those to be left out. Raises ``InputError``."""
     wanted = []
     for name in names:
         parts = name.split("/")
         if parts[0] in leave_out or any(map(_is_hidden, parts)):
             continue
-        if len(parts) > DEEPEST or not all(map(files.is_plain_name, parts)):
-            raise InputError(source, "", f"the name {files.shown(name)}", "names of files inside the folder")
+        if len(parts) > MAX_REMOTE_DEPTH or not all(map(files.is_portable_name, parts)):
+            raise InputError(source, "", f"the name {files.shorten_value(name)}", "names of files inside the folder")
         wanted.append(name)
     return wanted
 
 
 def check_size(source: str, sizes: Sequence[int]) -> None:
     """Raise ``InputError`` for too many files of a folder, or too many bytes in all."""
-    if len(sizes) > MOST_FILES or sum(sizes) > MOST_BYTES:
+    if len(sizes) > MAX_REMOTE_FILES or sum(sizes) > MAX_REMOTE_BYTES:
         got = f"{len(sizes)} files of {sum(sizes)} bytes"
-        raise InputError(source, "", got, f"at most {MOST_FILES} files of {MOST_BYTES} bytes")
+        raise InputError(source, "", got, f"at most {MAX_REMOTE_FILES} files of {MAX_REMOTE_BYTES} bytes")
 
 
-def on_disk(option: str, value: Place) -> Path:
+def require_local_path(option: str, value: Place) -> Path:
     """Return a path on a disk; an option that takes no address. Raises ``UsageError``."""
-    if isinstance(value, Remote):
+    if isinstance(value, RemotePath):
         raise UsageError(f"{option} cannot be used with {value}, only with folders on a disk")
     return value
 
 
-def _write(folder: Path, contents: Mapping[str, bytes]) -> None:
+def _write_folder_files(folder: Path, contents: Mapping[str, bytes]) -> None:
     """Files into a folder, by name."""
     for name, content in contents.items():
         path = folder / name
@@ -264,7 +266,7 @@ def _write(folder: Path, contents: Mapping[str, bytes]) -> None:
         files.write_bytes(path, content)
 
 
-def _name(entry: Mapping[str, object]) -> str:
+def _name_in_listing(entry: Mapping[str, object]) -> str:
     """Return the last part of what a listing names."""
     return str(entry["name"]).rstrip("/").rpartition("/")[2]
 
@@ -273,5 +275,5 @@ def _is_hidden(part: str) -> bool:
     return part.startswith(".") and part not in (".", "..")
 
 
-def _brief(error: Exception) -> str:
+def _shorten_error(error: Exception) -> str:
     return " ".join(str(error).split())[:300]

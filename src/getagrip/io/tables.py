@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import TextIO
 
-_FORMULA = re.compile(r"'*[=+\-@\t\r\n]")
+_FORMULA_PATTERN = re.compile(r"'*[=+\-@\t\r\n]")
 """Beginning of a text that gets an apostrophe; one that has some already gets one more, so that reading undoes it."""
 
 
@@ -24,7 +24,7 @@ class CsvTable:
 
     def write_row(self, cells: Iterable[object]) -> None:
         """Add a row: texts so that none is a formula, numbers as they are."""
-        self._rows.writerow([text_cell(cell) if isinstance(cell, str) else cell for cell in cells])
+        self._rows.writerow([escape_cell(cell) if isinstance(cell, str) else cell for cell in cells])
 
     def write_rows(self, rows: Iterable[Iterable[object]]) -> None:
         """Add rows."""
@@ -32,14 +32,14 @@ class CsvTable:
             self.write_row(cells)
 
 
-def text_cell(text: str) -> str:
+def escape_cell(text: str) -> str:
     """Write a text as a cell holds it."""
-    return f"'{text}" if _FORMULA.match(text) else text
+    return f"'{text}" if _FORMULA_PATTERN.match(text) else text
 
 
-def cell_text(cell: str) -> str:
-    """Return the text of a cell that ``text_cell`` wrote; other cells stay as they are."""
-    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
+def unescape_cell(cell: str) -> str:
+    """Return the text of a cell that ``escape_cell`` wrote; other cells stay as they are."""
+    return cell[1:] if cell.startswith("'") and _FORMULA_PATTERN.match(cell) else cell
 
 
 def markdown_page(title: str, grid: Sequence[Sequence[str]], about: Sequence[str], words: int = 1) -> str:

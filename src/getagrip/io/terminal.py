@@ -11,7 +11,7 @@ from functools import partial
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
-from getagrip.errors import cleaned
+from getagrip.errors import escape_unprintable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 Progressed: TypeAlias = Callable[[str, float], None] | bool | None
-"""Progress as public functions take it (``shown_progress``)."""
+"""Progress as public functions take it (``progress_callback``)."""
 PIPE_WIDTH = 200
 """Columns of a pipe, which has no width of its own: enough for every table."""
 
 
-PLAIN_WIDTH = 70
+PROGRESS_LINE_WIDTH = 70
 """Letters of a line that the next one overwrites."""
 
 
-class Silence(io.TextIOBase):
+class NullOutput(io.TextIOBase):
     """Standard output under ``--quiet``, which shows neither text nor progress bars."""
 
     def writable(self) -> bool:
@@ -38,38 +38,38 @@ class Silence(io.TextIOBase):
         return len(text)
 
 
-def report(words: str) -> None:
+def print_note(words: str) -> None:
     """Print a note, apart from the results; what files say in it moves no cursor."""
-    print(cleaned(words), file=sys.stderr)
+    print(escape_unprintable(words), file=sys.stderr)
 
 
-_kept: ContextVar[list[str] | None] = ContextVar("_kept", default=None)
+_collected_warnings: ContextVar[list[str] | None] = ContextVar("_kept", default=None)
 """The list that warnings are added to instead of being printed; None: they are printed."""
 
 
 def warn(words: str) -> None:
-    """Print a warning, or keep it, within ``kept_warnings``."""
-    kept = _kept.get()
+    """Print a warning, or keep it, within ``collect_warnings``."""
+    kept = _collected_warnings.get()
     if kept is None:
-        report(f"warning: {words}")
+        print_note(f"warning: {words}")
     else:
         kept.append(words)
 
 
 @contextmanager
-def kept_warnings() -> Iterator[list[str]]:
+def collect_warnings() -> Iterator[list[str]]:
     """Keep warnings in a list instead of printing them."""
     warnings = list[str]()
-    token = _kept.set(warnings)
+    token = _collected_warnings.set(warnings)
     try:
         yield warnings
     finally:
-        _kept.reset(token)
+        _collected_warnings.reset(token)
 
 
-def say(words: str) -> None:
+def print_result(words: str) -> None:
     """Print a result at once; names in it move no cursor, and lines stay lines."""
-    print(cleaned(words, "\n"), flush=True)
+    print(escape_unprintable(words, "\n"), flush=True)
 
 
 def console() -> Console:
@@ -79,7 +79,7 @@ def console() -> Console:
     return Console(highlight=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
 
 
-def plain_table(
+def make_table(
     title: str | None = None, title_style: str | None = None, title_justify: Literal["left", "center"] = "center"
 ) -> Table:
     """Make an empty table, its only line below the headings."""
@@ -100,7 +100,7 @@ def _in_notebook() -> bool:
 
 @contextmanager
 def progress_bar(counted: bool = False) -> Iterator[Progress]:
-    """Show a bar on stderr, where that is a terminal; ``counted`` adds the counts and the time left."""
+    """Show a bar on stderr, where that is a terminal; ``format_count`` adds the counts and the time left."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -120,7 +120,7 @@ def progress_bar(counted: bool = False) -> Iterator[Progress]:
     with Progress(
         *columns,
         console=stderr,
-        disable=not (stderr.is_terminal or in_notebook) or isinstance(sys.stdout, Silence),
+        disable=not (stderr.is_terminal or in_notebook) or isinstance(sys.stdout, NullOutput),
         transient=True,
         redirect_stdout=sys.stdout.isatty(),  # else what is printed would leave a pipe for the terminal
         speed_estimate_period=600.0,  # a clip takes seconds: the default of half a minute holds only a few
@@ -130,17 +130,17 @@ def progress_bar(counted: bool = False) -> Iterator[Progress]:
 
 def show_stage(bar: Progress, task: TaskID, name: str, stage: str, part: float) -> None:
     """Show how far the clip at work is: its stage in words, and how much of that is done, 0 to 1."""
-    bar.update(task, description=cleaned(f"{name}: {stage}"), completed=part)
+    bar.update(task, description=escape_unprintable(f"{name}: {stage}"), completed=part)
 
 
 @contextmanager
-def shown_progress(progress: Progressed, name: str) -> Iterator[Callable[[str, float], None] | None]:
+def progress_callback(progress: Progressed, name: str) -> Iterator[Callable[[str, float], None] | None]:
     """Give the function that is called with a stage in words and how much is done, 0 to 1.
 
     True shows a bar on a terminal or in a notebook; False and None show nothing.
     """
     if progress is True and _in_notebook() and find_spec("ipywidgets") is None:
-        yield lambda stage, part: print(f"\r{part:4.0%} {name}: {stage}".ljust(PLAIN_WIDTH), end="", flush=True)
+        yield lambda stage, part: print(f"\r{part:4.0%} {name}: {stage}".ljust(PROGRESS_LINE_WIDTH), end="", flush=True)
         print()
     elif progress is True:
         with progress_bar() as bar:
@@ -149,12 +149,12 @@ def shown_progress(progress: Progressed, name: str) -> Iterator[Callable[[str, f
         yield progress or None
 
 
-def counted(number: int, thing: str, things: str = "") -> str:
+def format_count(number: int, thing: str, things: str = "") -> str:
     """Write a count, such as "1 clip" or "2 clips"; ``things`` is the plural where it takes more than an s."""
     return f"{number} {thing if number == 1 else things or f'{thing}s'}"
 
 
-def ranges(frames: Sequence[int], counted_from: int) -> str:
+def format_ranges(frames: Sequence[int], counted_from: int) -> str:
     """Write which frames, such as "3 to 7, 12"; the first frame has the number ``counted_from``."""
     runs: list[list[int]] = []
     for n in frames:

@@ -11,30 +11,30 @@ from getagrip.errors import UsageError
 
 def cache_folder() -> Path:
     """Return the folder of what can be made again. Raises ``UsageError`` where the user has none."""
-    return _folder("XDG_CACHE_HOME", ".cache")
+    return _xdg_folder("XDG_CACHE_HOME", ".cache")
 
 
 def state_folder() -> Path:
     """Return the folder of what is worth keeping. Raises ``UsageError`` where the user has none."""
-    return _folder("XDG_STATE_HOME", ".local/state")
+    return _xdg_folder("XDG_STATE_HOME", ".local/state")
 
 
-def _folder(variable: str, below_home: str) -> Path:
+def _xdg_folder(variable: str, below_home: str) -> Path:
     try:
         return Path(os.environ.get(variable) or Path.home() / below_home) / "getagrip"
     except RuntimeError as error:  # as in a container, for a user whom it does not know
         raise UsageError(f"missing HOME or {variable}: this user has no home folder") from error
 
 
-def is_ours(folder: Path) -> bool:
+def is_private_folder(folder: Path) -> bool:
     """Return whether nobody but this user and root can write into a folder, or put another one in its place."""
     if os.name == "nt":
         return True
     whole, real = folder.absolute(), folder.resolve()
-    return all(_is_safe(path, path == real) for path in {whole, *whole.parents, real, *real.parents})
+    return all(_is_protected_path(path, path == real) for path in {whole, *whole.parents, real, *real.parents})
 
 
-def _is_safe(path: Path, last: bool) -> bool:
+def _is_protected_path(path: Path, last: bool) -> bool:
     """Return whether nobody else can exchange what a path leads to; nor, of the ``last`` folder, add to it."""
     try:
         about = path.lstat()

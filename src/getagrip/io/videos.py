@@ -13,7 +13,7 @@ from numpy import ndarray
 from getagrip.errors import GetagripError
 from getagrip.io import files
 
-QUALITY = "20"
+H264_CRF = "20"
 """H.264's constant rate factor: lower is better."""
 
 
@@ -31,7 +31,7 @@ def write_video(
         av.codec.Codec("libx264", "w")
     except av.codec.codec.UnknownCodecError as error:
         raise GetagripError("PyAV was built without libx264: no film can be written") from error
-    options = {"crf": QUALITY} | ({"g": "2", "bf": "0"} if seek else {})
+    options = {"crf": H264_CRF} | ({"g": "2", "bf": "0"} if seek else {})
     with files.new_file(path) as part, av.open(str(part), "w", format="mp4", options={"movflags": "faststart"}) as film:
         stream = film.add_stream("libx264", rate=rate, options=options)
         (stream.width, stream.height), stream.pix_fmt = size, "yuv420p"

@@ -17,7 +17,7 @@ import numpy as np
 from getagrip.compiling import kernel
 from getagrip.geometry.mesh import same_rows
 
-SLACK = 0.867
+GRID_SLACK_SPACINGS = 0.867
 """No point of a grid is farther from its nearest node than this many spacings."""
 
 

@@ -15,10 +15,10 @@ import numpy as np
 from getagrip.compiling import kernel
 from getagrip.kernels.silhouette import fma
 
-U, V, Z, NX, NY, DISTANCE, WEIGHT = range(7)
+U, V, Z, NX, NY, ROW_DISTANCE, ROW_WEIGHT = range(7)
 """Rows of a table of contour points: position [px of the full crop], depth [m], outward normal, distance, weight."""
 
-_ONE = np.uint64(1)
+_UINT64_ONE = np.uint64(1)
 
 
 @kernel()
@@ -62,7 +62,7 @@ def _is_set(bits, x, y):
     size = float(bits.shape[0])
     inside = (x >= 0.0) & (x < size) & (y >= 0.0) & (y < size)
     i, j = np.uint64(min(max(0.0, y), size - 1.0)), np.uint64(min(max(0.0, x), size - 1.0))  # 0 where it is no number
-    return inside & ((bits[i, j >> np.uint64(6)] >> (j & np.uint64(63))) & _ONE == _ONE)
+    return inside & ((bits[i, j >> np.uint64(6)] >> (j & np.uint64(63))) & _UINT64_ONE == _UINT64_ONE)
 
 
 @kernel()
@@ -77,8 +77,8 @@ def sample_field(points, n, field, zoom, spacing, delta):
         top = field[i, j] + s * (field[i, j + 1] - field[i, j])
         bottom = field[i + 1, j] + s * (field[i + 1, j + 1] - field[i + 1, j])
         d = top + t * (bottom - top)
-        points[DISTANCE, k] = d
-        points[WEIGHT, k] = spacing / max(abs(d), delta)
+        points[ROW_DISTANCE, k] = d
+        points[ROW_WEIGHT, k] = spacing / max(abs(d), delta)
 
 
 @kernel()
@@ -117,8 +117,8 @@ def match_boundary(points, n, targets, gate, strength, delta, matched):
             for row in range(5):
                 matched[row, q] = points[row, k]
             d = (points[U, k] - targets[q, 0]) * points[NX, k] + (points[V, k] - targets[q, 1]) * points[NY, k]
-            matched[DISTANCE, q] = d
-            matched[WEIGHT, q] = strength * length / max(abs(d), delta)
+            matched[ROW_DISTANCE, q] = d
+            matched[ROW_WEIGHT, q] = strength * length / max(abs(d), delta)
     return value
 
 
@@ -132,8 +132,8 @@ def accumulate(points, n, centre, K, g, H):
     h22 = h23 = h24 = h25 = h26 = h33 = h34 = h35 = h36 = h44 = h45 = h46 = h55 = h56 = h66 = 0.0
     for k in range(n):
         u, v, z, nx, ny = points[U, k] - cx, points[V, k] - cy, points[Z, k], points[NX, k], points[NY, k]
-        h = points[WEIGHT, k]
-        hd = h * points[DISTANCE, k]
+        h = points[ROW_WEIGHT, k]
+        hd = h * points[ROW_DISTANCE, k]
         inverse = 1.0 / z
         a0, a1, a2 = nx * fx * inverse, ny * fy * inverse, -(nx * u + ny * v) * inverse
         r0, r1, r2 = u * z / fx - c0, v * z / fy - c1, z - c2

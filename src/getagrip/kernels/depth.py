@@ -7,9 +7,9 @@ import numpy as np
 from getagrip.compiling import kernel
 from getagrip.kernels.silhouette import project
 
-WARP_TAIL = 2.0
+WARP_STUDENT_DOF = 2.0
 """Degrees of freedom of the errors that warp depth: nearly always small, and in wrong depth any."""
-LEAST_COSINE = 0.1
+MIN_INCIDENCE_COSINE = 0.1
 """Samples whose ray meets the surface at a smaller cosine with its normal count as missed: they say where, not how far.
 """
 
@@ -43,7 +43,7 @@ def distances(
         n2 = R[2, 0] * p0 + R[2, 1] * p1 + R[2, 2] * p2
         q0, q1 = (place[m, 1] + 0.5 - cx) * fx, (place[m, 0] + 0.5 - cy) * fy
         along = n0 * q0 + n1 * q1 + n2
-        if along * along < LEAST_COSINE**2 * (q0 * q0 + q1 * q1 + 1.0):
+        if along * along < MIN_INCIDENCE_COSINE**2 * (q0 * q0 + q1 * q1 + 1.0):
             continue
         whole = n0 * c0 + n1 * c1 + n2 * c2 - scale * planes[3, f]  # n . x
         z = whole / along
@@ -172,7 +172,9 @@ def prior_cost(of_clip, priors, rigid):
             total += square
         else:
             warps += square
-    return total + WARP_TAIL * np.log1p(warps / WARP_TAIL), priors[rigid] / (1.0 + warps / WARP_TAIL)
+    return total + WARP_STUDENT_DOF * np.log1p(warps / WARP_STUDENT_DOF), priors[rigid] / (
+        1.0 + warps / WARP_STUDENT_DOF
+    )
 
 
 @kernel()

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from getagrip.compiling import kernel
-from getagrip.kernels.contour import WEIGHT, U, V, Z, sample_contour, sample_field
-from getagrip.kernels.silhouette import PLANES, mismatch, project, rasterise, silhouette_edges
+from getagrip.kernels.contour import ROW_WEIGHT, U, V, Z, sample_contour, sample_field
+from getagrip.kernels.silhouette import N_COUNTER_BITS, mismatch, project, rasterise, silhouette_edges
 
 
 @kernel("f3 i2 i2 b f2 u3 u3 s3 f f u3 f1 f3 i2")
@@ -28,7 +28,7 @@ def contours(vertices, faces, edges, closed, K, observed, valid, field, step, de
     sign = np.empty(len(faces) + 1, np.int64)
     edge = np.empty((3, edges.shape[1] + 1), np.int64)
     lines = np.empty((12, edges.shape[1] + 1))
-    counters = np.empty((observed.shape[1], observed.shape[2], PLANES), np.uint64)
+    counters = np.empty((observed.shape[1], observed.shape[2], N_COUNTER_BITS), np.uint64)
     here, origin, least = np.zeros((3, 3)), np.zeros(3), np.empty(nearest.shape[1])
     here[0, 0] = here[1, 1] = here[2, 2] = 1.0
     for n in range(len(vertices)):
@@ -56,7 +56,7 @@ def contours(vertices, faces, edges, closed, K, observed, valid, field, step, de
         found = sample_contour(uvz, edge, count, 1.0, step, bits[n], valid[n], lines, points[n])
         sample_field(points[n], found, field[n], 1.0, step, delta)
         for k in range(found, len(least)):
-            points[n, WEIGHT, k] = 0.0
+            points[n, ROW_WEIGHT, k] = 0.0
         for i in range(uvz.shape[1]):  # points inside: they go side by side
             x, y, depth = uvz[0, i], uvz[1, i], uvz[2, i]
             for k in range(found):

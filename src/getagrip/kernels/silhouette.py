@@ -16,12 +16,12 @@ from numba.extending import intrinsic
 
 from getagrip.compiling import kernel
 
-NEAR = 0.02
+MIN_SILHOUETTE_DEPTH_M = 0.02
 """Objects nearer than this to the camera plane are not rendered [m]."""
 
-PLANES = 4
-_ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
-_ZERO = np.uint64(0)
+N_COUNTER_BITS = 4
+_ALL_BITS = np.uint64(0xFFFFFFFFFFFFFFFF)
+_UINT64_ZERO = np.uint64(0)
 
 
 @intrinsic
@@ -48,7 +48,7 @@ def fma(typingctx, a, b, c):
 def project(vertices, R, centre, scale, K, uvz):
     """Project centred vertices (3, V), posed as ``scale R x + centre``, into uvz (3, V).
 
-    Returns whether the object can be rendered: no vertex is nearer than ``NEAR``.
+    Returns whether the object can be rendered: no vertex is nearer than ``MIN_SILHOUETTE_DEPTH_M``.
     """
     fx, fy, cx, cy = K[0], K[1], K[2], K[3]
     r00, r01, r02 = scale * R[0, 0], scale * R[0, 1], scale * R[0, 2]
@@ -60,7 +60,7 @@ def project(vertices, R, centre, scale, K, uvz):
         x, y, z = vertices[0, i], vertices[1, i], vertices[2, i]
         depth = fma(r22, z, fma(r21, y, fma(r20, x, t2)))
         uvz[2, i] = depth
-        too_near += depth < NEAR
+        too_near += depth < MIN_SILHOUETTE_DEPTH_M
     for i in range(vertices.shape[1]):
         x, y, z = vertices[0, i], vertices[1, i], vertices[2, i]
         uvz[0, i] = fma(fx * fma(r02, z, fma(r01, y, fma(r00, x, t0))), 1.0 / uvz[2, i], cx)
@@ -122,31 +122,31 @@ def rasterise(uvz, edges, n_edges, closed, zoom, lines, planes, bits):  # noqa: 
     begin, end = int(top), int(bottom)
     for row in range(height):
         for word in range(words):
-            bits[row, word] = _ZERO
+            bits[row, word] = _UINT64_ZERO
     for row in range(begin, end):
         for word in range(words):
-            for p in range(PLANES):
-                planes[row, word, p] = _ZERO
+            for p in range(N_COUNTER_BITS):
+                planes[row, word, p] = _UINT64_ZERO
     for k in range(n):
         x, slope, weight = lines[2, k], lines[3, k], lines[4, k]
         times = int(abs(weight)) // 2 if closed else int(abs(weight))
-        down = _ZERO if weight > 0.0 else _ALL
+        down = _UINT64_ZERO if weight > 0.0 else _ALL_BITS
         for row in range(np.uint64(lines[0, k]), np.uint64(lines[1, k])):
             column = np.uint64(max(np.ceil(min(x, 1e6)), 0.0))
             x += slope
             if column >= width:
                 continue
             for _ in range(times):
-                suffix = _ALL << (column & np.uint64(63))
+                suffix = _ALL_BITS << (column & np.uint64(63))
                 for word in range(column >> np.uint64(6), np.uint64(words)):
                     carry = suffix
-                    for p in range(PLANES):
+                    for p in range(N_COUNTER_BITS):
                         old = planes[row, word, p]
                         planes[row, word, p] = old ^ carry
                         carry &= old ^ down
-                        if carry == _ZERO:
+                        if carry == _UINT64_ZERO:
                             break
-                    suffix = _ALL
+                    suffix = _ALL_BITS
     for row in range(begin, end):
         for word in range(words):
             bits[row, word] = planes[row, word, 0] | planes[row, word, 1] | planes[row, word, 2] | planes[row, word, 3]
@@ -171,7 +171,10 @@ def silhouettes(R, centre, scale, vertices, planes, edges, closed, K, bits):
     uvz = np.empty(vertices.shape)
     sign = np.empty(planes.shape[1] + 1, np.int64)
     edge = np.empty((3, edges.shape[1] + 1), np.int64)
-    lines, counters = np.empty((5, edges.shape[1] + 1)), np.empty((bits.shape[1], bits.shape[2], PLANES), np.uint64)
+    lines, counters = (
+        np.empty((5, edges.shape[1] + 1)),
+        np.empty((bits.shape[1], bits.shape[2], N_COUNTER_BITS), np.uint64),
+    )
     for p in range(len(R)):
         if project(vertices, R[p], centre[p], scale[p], K[p], uvz):
             n = silhouette_edges(planes, edges, R[p], centre[p], scale[p], sign, edge)
@@ -179,7 +182,7 @@ def silhouettes(R, centre, scale, vertices, planes, edges, closed, K, bits):
         else:
             for row in range(bits.shape[1]):
                 for word in range(bits.shape[2]):
-                    bits[p, row, word] = _ZERO
+                    bits[p, row, word] = _UINT64_ZERO
 
 
 def pack(masks: np.ndarray) -> np.ndarray:

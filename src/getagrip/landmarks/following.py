@@ -14,35 +14,35 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from getagrip.landmarks import crops
-from getagrip.landmarks.crops import Crop
+from getagrip.landmarks.crops import HandCrop
 from getagrip.landmarks.nets import Nets
 
-LEAST = 0.5
+MIN_HAND_CONFIDENCE = 0.5
 """Confidence of a hand."""
-SURE = 0.75
+HIGH_HAND_CONFIDENCE = 0.75
 """Confidence of a hand tracked from the frame before, below which it is also searched for at detections and from the
 frame after."""
-MEMORY = 10
+RECOVERY_WINDOW_FRAMES = 10
 """Number of frames for which a lost hand is searched for where it was last seen."""
-AROUND, LEAST_AROUND = 0.9, 0.33
+SEARCH_REGION_SCALE, MIN_SEARCH_REGION_FRACTION = 0.9, 0.33
 """Half the side of that search region, in sides of the hand's square, and its least value as a share of the image's
 shorter side."""
-SHRUNK = 0.5
+DETECTOR_FILL_FRACTION = 0.5
 """Share of the detector's input that an image without a palm fills next: it misses hands that fill its input."""
-TURNS = (-0.8, 0.8)
+PALM_CROP_TURNS_RAD = (-0.8, 0.8)
 """Angles by which the square about a palm is turned, if no hand is seen in it [rad]."""
-SAME = 0.4
+DUPLICATE_HAND_DISTANCE = 0.4
 """Distance, in palm sizes, below which two sightings are the same hand."""
-SMALL = 0.5
+MAX_PART_SIZE_RATIO = 0.5
 """Size of what is taken for a hand, as a share of the hand that it is within, below which it is a part of that."""
-JUMP, ALONE = 0.25, 0.5
+MAX_LANDMARK_DEVIATION, MAX_GAP_LANDMARK_DEVIATION = 0.25, 0.5
 """Largest distance of landmarks from the median of neighbouring frames, in hand sizes (root mean square), and of those
 of a few frames alone in a gap from the straight line between its ends."""
-ABOUT = 3
+MEDIAN_WINDOW_FRAMES = 3
 """Number of frames before and after for that median, and of the few frames; those so near to each other are no gap."""
-LONGEST = 30
+MAX_INTERPOLATION_GAP_FRAMES = 30
 """Length of a gap, in frames, beyond which the hand may have been anywhere in it."""
-PALM = [0, 5, 9, 13, 17]
+PALM_LANDMARKS = [0, 5, 9, 13, 17]
 """Wrist and knuckles."""
 
 Image = UInt8[ndarray, "H W 3"]
@@ -62,7 +62,7 @@ class Sighting(NamedTuple):
     @property
     def middle(self) -> Float[ndarray, "2"]:
         """Middle of the palm [px]."""
-        return np.asarray(self.points[PALM].mean(axis=0))
+        return np.asarray(self.points[PALM_LANDMARKS].mean(axis=0))
 
     @property
     def size(self) -> float:
@@ -72,7 +72,7 @@ class Sighting(NamedTuple):
 
     def same(self, other: Sighting) -> bool:
         """Return whether both are of one hand."""
-        return bool(np.linalg.norm(self.middle - other.middle) < SAME * max(self.size, other.size))
+        return bool(np.linalg.norm(self.middle - other.middle) < DUPLICATE_HAND_DISTANCE * max(self.size, other.size))
 
     def covers(self, other: Sighting) -> bool:
         """Return whether at least half of the smaller of both outlines is within the other."""
@@ -89,15 +89,15 @@ class Sighting(NamedTuple):
         """Return whether this is less than half as large as another hand, and within it."""
         low, high = other.points.min(axis=0), other.points.max(axis=0)
         inside = np.all((low <= self.middle) & (self.middle <= high))
-        return bool(inside) and self.size < SMALL * other.size
+        return bool(inside) and self.size < MAX_PART_SIZE_RATIO * other.size
 
 
-def follow(
+def track_hands(
     image: Callable[[int], Image],
     count: int,
     nets: Nets,
     on_frame: Callable[[int], None] = lambda n: None,
-    about: Sequence[Crop] = (),
+    about: Sequence[HandCrop] = (),
 ) -> list[list[Sighting]]:
     """Follow the hands over ``count`` frames; return each frame's, the most certain first.
 
@@ -108,88 +108,104 @@ def follow(
     for n in range(count):
         on_frame(n)
         now = image(n)
-        expected = _crops(seen[-1]) if seen else []
-        followed = _looked(now, expected, nets)
-        known = [crop for crop, hand in zip(expected, followed, strict=True) if hand.confidence >= SURE]
-        palms = nets.palms(now) or ([] if known else nets.palms(now, SHRUNK))
-        detected = [crop for crop in map(crops.of_palm, palms) if not any(map(crop.near, known))]
-        before: list[Sighting] = next((hands for hands in reversed(seen[-MEMORY:]) if hands), [])
-        lost = [crop for crop in _crops(before) if not any(map(crop.near, [*known, *detected]))]
-        around = [_turned(now, crop, nets) for crop in detected]
-        hands = one_each([*followed, *around, *_looked(now, _nearby(now, lost, nets), nets)])
-        about = [each for each in about if not any(_is_at(hand, each) for hand in hands)]
-        seen.append(one_each([*hands, *(_turned(now, crop, nets) for crop in _nearby(now, about, nets))]))
+        expected = _crops_of_hands(seen[-1]) if seen else []
+        followed = _detect_in_crops(now, expected, nets)
+        known = [crop for crop, hand in zip(expected, followed, strict=True) if hand.confidence >= HIGH_HAND_CONFIDENCE]
+        palms = nets.palms(now) or ([] if known else nets.palms(now, DETECTOR_FILL_FRACTION))
+        detected = [crop for crop in map(crops.crop_of_palm, palms) if not any(map(crop.near, known))]
+        before: list[Sighting] = next((hands for hands in reversed(seen[-RECOVERY_WINDOW_FRAMES:]) if hands), [])
+        lost = [crop for crop in _crops_of_hands(before) if not any(map(crop.near, [*known, *detected]))]
+        around = [_detect_turned(now, crop, nets) for crop in detected]
+        hands = suppress_duplicate_hands(
+            [*followed, *around, *_detect_in_crops(now, _detect_palms_nearby(now, lost, nets), nets)]
+        )
+        about = [each for each in about if not any(_is_seen_at(hand, each) for hand in hands)]
+        seen.append(
+            suppress_duplicate_hands(
+                [*hands, *(_detect_turned(now, crop, nets) for crop in _detect_palms_nearby(now, about, nets))]
+            )
+        )
     for n in range(count - 2, -1, -1):
-        again = [each for each in seen[n + 1] if not any(each.same(old) and old.confidence >= SURE for old in seen[n])]
+        again = [
+            each
+            for each in seen[n + 1]
+            if not any(each.same(old) and old.confidence >= HIGH_HAND_CONFIDENCE for old in seen[n])
+        ]
         if again:
-            now, where = image(n), _crops(again)
-            seen[n] = one_each([*seen[n], *_looked(now, [*where, *_nearby(now, where, nets)], nets)])
+            now, where = image(n), _crops_of_hands(again)
+            seen[n] = suppress_duplicate_hands(
+                [*seen[n], *_detect_in_crops(now, [*where, *_detect_palms_nearby(now, where, nets)], nets)]
+            )
     return seen
 
 
-def _crops(hands: Sequence[Sighting]) -> list[Crop]:
-    return [crops.of_landmarks(each.points) for each in hands]
+def _crops_of_hands(hands: Sequence[Sighting]) -> list[HandCrop]:
+    return [crops.crop_of_landmarks(each.points) for each in hands]
 
 
-def _nearby(image: Image, where: Sequence[Crop], nets: Nets) -> list[Crop]:
+def _detect_palms_nearby(image: Image, where: Sequence[HandCrop], nets: Nets) -> list[HandCrop]:
     """Detect palms in enlarged parts of an image: the detector sees a whole image at only 192 pixels."""
     out = []
     for crop in where:
-        half = max(AROUND * crop.side, LEAST_AROUND * min(image.shape[:2]))
+        half = max(SEARCH_REGION_SCALE * crop.side, MIN_SEARCH_REGION_FRACTION * min(image.shape[:2]))
         low = np.maximum(np.floor(crop.middle - half), 0).astype(int)
         high = np.minimum(np.ceil(crop.middle + half), image.shape[1::-1]).astype(int)
-        if (high - low).min() > crops.SIDE // 4:
+        if (high - low).min() > crops.HAND_INPUT_PX // 4:
             part = np.ascontiguousarray(image[low[1] : high[1], low[0] : high[0]])
             found = (
                 palm._replace(box=palm.box + np.tile(low, 2), points=palm.points + low) for palm in nets.palms(part)
             )
-            out += [crops.of_palm(palm) for palm in found]
+            out += [crops.crop_of_palm(palm) for palm in found]
     return out
 
 
-def _is_at(hand: Sighting, crop: Crop) -> bool:
+def _is_seen_at(hand: Sighting, crop: HandCrop) -> bool:
     """Return whether a hand is surely seen at a square, at most its own size beside it."""
     apart = float(np.abs(hand.middle - crop.middle).max())
-    return hand.confidence >= SURE and apart < 0.5 * crop.side + hand.size
+    return hand.confidence >= HIGH_HAND_CONFIDENCE and apart < 0.5 * crop.side + hand.size
 
 
-def _looked(image: Image, where: Sequence[Crop], nets: Nets) -> list[Sighting]:
+def _detect_in_crops(image: Image, where: Sequence[HandCrop], nets: Nets) -> list[Sighting]:
     """Find the hands in some squares of an image."""
     return [Sighting(*nets.landmarks(image, crop)) for crop in where]
 
 
-def _turned(image: Image, crop: Crop, nets: Nets) -> Sighting:
+def _detect_turned(image: Image, crop: HandCrop, nets: Nets) -> Sighting:
     """Find the hand in the square about a palm; where there is none, in that square turned: the detector errs."""
     hand = Sighting(*nets.landmarks(image, crop))
-    if hand.confidence >= LEAST:
+    if hand.confidence >= MIN_HAND_CONFIDENCE:
         return hand
-    turned = (Sighting(*nets.landmarks(image, crop._replace(angle=crop.angle + turn))) for turn in TURNS)
+    turned = (Sighting(*nets.landmarks(image, crop._replace(angle=crop.angle + turn))) for turn in PALM_CROP_TURNS_RAD)
     return max([hand, *turned], key=lambda each: each.confidence)
 
 
-def one_each(hands: Sequence[Sighting]) -> list[Sighting]:
+def suppress_duplicate_hands(hands: Sequence[Sighting]) -> list[Sighting]:
     """Choose the most certain sighting of each hand, the most certain first."""
     out: list[Sighting] = []
     for each in sorted(hands, key=lambda hand: -hand.confidence):
-        if each.confidence >= LEAST and not any(each.same(other) for other in out):
+        if each.confidence >= MIN_HAND_CONFIDENCE and not any(each.same(other) for other in out):
             out.append(each)
     return out
 
 
-def steady(hand: Mapping[int, Sighting]) -> tuple[dict[int, Sighting], list[int]]:
+def drop_outlier_sightings(hand: Mapping[int, Sighting]) -> tuple[dict[int, Sighting], list[int]]:
     """Drop sightings that differ from those about them; also return the frames of the dropped ones."""
     frames = np.array(sorted(hand), int)
-    runs = [run for run in np.split(frames, np.flatnonzero(np.diff(frames) > ABOUT) + 1) if len(run) > ABOUT]
+    runs = [
+        run
+        for run in np.split(frames, np.flatnonzero(np.diff(frames) > MEDIAN_WINDOW_FRAMES) + 1)
+        if len(run) > MEDIAN_WINDOW_FRAMES
+    ]
     within = {n for run in runs for n in run.tolist()}
     kept, out = {}, []
     for n, each in hand.items():
-        about = [hand[m].points for m in range(n - ABOUT, n + ABOUT + 1) if m in hand]
+        about = [hand[m].points for m in range(n - MEDIAN_WINDOW_FRAMES, n + MEDIAN_WINDOW_FRAMES + 1) if m in hand]
         before, after = [run[-1] for run in runs if run[-1] < n], [run[0] for run in runs if run[0] > n]
-        expected, most = each.points, JUMP
-        if len(about) > ABOUT:
+        expected, most = each.points, MAX_LANDMARK_DEVIATION
+        if len(about) > MEDIAN_WINDOW_FRAMES:
             expected = np.median(about, axis=0)
-        elif n not in within and before and after and after[0] - before[-1] <= LONGEST:
-            share, most = (n - before[-1]) / (after[0] - before[-1]), ALONE
+        elif n not in within and before and after and after[0] - before[-1] <= MAX_INTERPOLATION_GAP_FRAMES:
+            share, most = (n - before[-1]) / (after[0] - before[-1]), MAX_GAP_LANDMARK_DEVIATION
             expected = (1.0 - share) * hand[before[-1]].points + share * hand[after[0]].points
         if float(np.sqrt(np.mean(np.sum((each.points - expected) ** 2, axis=1)))) > most * each.size:
             out.append(n)

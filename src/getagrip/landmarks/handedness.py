@@ -4,7 +4,7 @@ The network is less sure of left hands than of right ones, and of hands whose pa
 out, since each sighting is compared with one in the mirror image, where the hand must be one of the other side. What it
 says of the side is supported by how it sees the fingers in 3D: they bend towards the palm.
 
-Where the side is known, frames in which the hand is seen as one of the other side are wrong (``seen_mirrored``).
+Where the side is known, frames in which the hand is seen as one of the other side are wrong (``find_mirrored_frames``).
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
-from getagrip.io.terminal import counted
+from getagrip.io.terminal import format_count
 from getagrip.landmarks import crops
 from getagrip.landmarks.following import Sighting
 from getagrip.landmarks.nets import Nets
 from getagrip.provenance import Source, assumed, estimated
 
-BEND = 0.01
+FINGER_BEND_SCALE_M = 0.01
 """Distance of the fingers from the plane of the palm that counts as much as odds of 1 : e [m]."""
-MOST = 4.0
+MAX_CUE_LOG_ODDS = 4.0
 """Largest log odds of either cue in a frame, so that no single frame decides."""
-SURE = 3.0, 0.8
+HANDEDNESS_CERTAINTY_LIMITS = 3.0, 0.8
 """Mean log odds of a side, and share of frames that look like it, below which a side is assumed. Of eight grasps in
 public videos the two whose side was wrong had 2.1 and 2.3, the others 2.2 to 7.4."""
-MIRRORED = 1.0
+MIN_MIRRORED_LOG_ODDS = 1.0
 """Mean log odds of the other side from which on frames in a row are seen mirrored."""
-MINOR = 0.5
+MAX_MIRRORED_FRACTION = 0.5
 """Share of a hand's frames that may be seen mirrored: else its side is the wrong one."""
-BESIDE = 2
+HANDEDNESS_WINDOW_FRAMES = 2
 """Number of frames before and after that decide with a frame whether it is seen mirrored."""
 
 Side = Literal["left", "right"]
@@ -63,12 +63,12 @@ class Handedness(NamedTuple):
 
     @property
     def words(self) -> str:
-        return f"it looks like a {self.side} hand in {self.alike} of {counted(len(self.odds), 'frame')}"
+        return f"it looks like a {self.side} hand in {self.alike} of {format_count(len(self.odds), 'frame')}"
 
     @property
     def sure(self) -> bool:
         """True if the frames agree."""
-        least, share = SURE
+        least, share = HANDEDNESS_CERTAINTY_LIMITS
         return abs(self.mean) >= least and self.alike >= share * len(self.odds)
 
     @property
@@ -84,7 +84,7 @@ class Handedness(NamedTuple):
         return assumed(f"{self.side}, a guess, since {reason}; --side {other} overrules this")
 
 
-UNKNOWN = Handedness(())
+UNKNOWN_HANDEDNESS = Handedness(())
 
 
 def log_odds(hand: Sighting) -> float:
@@ -94,26 +94,31 @@ def log_odds(hand: Sighting) -> float:
     normal = np.cross(index - wrist, pinky - wrist)  # out of the palm of a right hand, in axes with z ahead
     fingers = hand.world[5:].reshape(4, 4, 3)
     ahead = (fingers[:, 1:] - fingers[:, :1]).mean(axis=(0, 1)) @ normal / max(float(np.linalg.norm(normal)), 1e-9)
-    cues = np.array([np.log(p / (1.0 - p)), np.nan_to_num(ahead) / BEND])
-    return float(np.clip(cues, -MOST, MOST).sum())
+    cues = np.array([np.log(p / (1.0 - p)), np.nan_to_num(ahead) / FINGER_BEND_SCALE_M])
+    return float(np.clip(cues, -MAX_CUE_LOG_ODDS, MAX_CUE_LOG_ODDS).sum())
 
 
-def compared(image: UInt8[ndarray, "H W 3"], hand: Sighting, nets: Nets) -> float:
+def unbiased_log_odds(image: UInt8[ndarray, "H W 3"], hand: Sighting, nets: Nets) -> float:
     """Compute the log odds that a hand in an image is a right one, from the image and its mirror image."""
-    return 0.5 * (log_odds(hand) - log_odds(Sighting(*nets.mirrored(image, crops.of_landmarks(hand.points)))))
+    return 0.5 * (log_odds(hand) - log_odds(Sighting(*nets.mirrored(image, crops.crop_of_landmarks(hand.points)))))
 
 
-def seen_mirrored(hand: Mapping[int, Sighting], side: Side, odds: Odds, most: float = MINOR) -> list[int]:
+def find_mirrored_frames(
+    hand: Mapping[int, Sighting], side: Side, odds: Odds, most: float = MAX_MIRRORED_FRACTION
+) -> list[int]:
     """Return the frames in which a hand is seen as one of the other side: some in a row, less than ``most`` of all.
 
     Seen from its edge a hand looks like its mirror image, with the thumb where the little finger is.
     """
     right, frames = (1.0 if side == "right" else -1.0), sorted(hand)
     raw = [right * log_odds(hand[n]) for n in frames]
-    unlike = [float(np.median(raw[max(0, i - BESIDE) : i + BESIDE + 1])) < 0.0 for i in range(len(raw))]
+    unlike = [
+        float(np.median(raw[max(0, i - HANDEDNESS_WINDOW_FRAMES) : i + HANDEDNESS_WINDOW_FRAMES + 1])) < 0.0
+        for i in range(len(raw))
+    ]
     out: list[int] = []
     for other, run in groupby(zip(unlike, frames, strict=True), key=lambda each: each[0]):
         some = [n for _, n in run]
-        if other and np.mean([right * odds(n, hand[n]) for n in some]) < -MIRRORED:
+        if other and np.mean([right * odds(n, hand[n]) for n in some]) < -MIN_MIRRORED_LOG_ODDS:
             out += some
     return out if len(out) < most * len(frames) else []

@@ -14,42 +14,49 @@ import numpy as np
 from jaxtyping import Bool, Float, Int32, UInt8
 from numpy import ndarray
 
-from getagrip.landmarks.following import PALM
+from getagrip.landmarks.following import PALM_LANDMARKS
 
-WIDEST = 320
+MAX_GRABCUT_PX = 320
 """Largest side of the image that GrabCut runs on [px]."""
-SURE, MAYBE = 0.055, 0.17
+CERTAIN_BONE_RADIUS, POSSIBLE_BONE_RADIUS = 0.055, 0.17
 """Radii about bones, in sizes of the hand."""
-THICK = 0.25
+PALM_BONE_RADIUS = 0.25
 """The larger radius about the bones of the palm, which is thick where it is seen from its side."""
-ARM = (1.6, 0.34)
+FOREARM_SIZE = (1.6, 0.34)
 """Length and half width of the forearm, in sizes of the hand."""
-SKIN, NO_SKIN = 3.5, 8.0
+SKIN_SIGMAS, NON_SKIN_SIGMAS = 3.5, 8.0
 """Robust standard deviations from the palm's colour beyond which a pixel is no longer certainly the hand, and beyond
 which it is certainly not."""
-FEWEST = 20
+MIN_COLOUR_PIXELS = 20
 """Number of pixels that is enough to estimate the colour of the palm, the thumb, the wrist or the fingers."""
-ALIKE, OTHER = 8.0, 10.0
+SKIN_LAB_DISTANCE, NON_SKIN_LAB_DISTANCE = 8.0, 10.0
 """Distances of Lab's two colours within which thumb and wrist, or fingers, are alike, and from which on the palm is
 unlike them: an object is before it."""
-WRIST = 0.25
+WRIST_LENGTH_RATIO = 0.25
 """Length of the wrist, in lengths of the palm."""
-LEAST_SPREAD = 6.0
+MIN_SKIN_COLOUR_SPREAD = 6.0
 """Least spread of the palm's colours [of 255]."""
-SHADOW, COLOURED = 20.0, 0.5
+MIN_SHADOW_LIGHTNESS_SPREAD, MIN_SHADOW_CHROMA_RATIO = 20.0, 0.5
 """Least spread of lightness along bones, where fingers may be in shadow [of 255], for pixels of at least this share of
 the palm's colour: grey has none."""
-GREY = 128.0
+LAB_GREY = 128.0
 """Lab's two colours of grey, as OpenCV has them."""
-PALE, FAINT, GLARE = 0.3, 9.0, 245.0
+MIN_SKIN_CHROMA_RATIO, MIN_PALM_CHROMA, OVEREXPOSURE_THRESHOLD = 0.3, 9.0, 245.0
 """Pixels with less than the first share of the palm's colour are not the hand, if this colour differs from grey by more
 than the second. Where a channel is at least the third [of 255], overexposed skin loses its colour: such pixels are
 probably the hand."""
-ROUNDS = 3
-THUMB, KNUCKLES = [1, 2, 3, 4], [5, 9, 13, 17]
-WEB = [0, 1, 2, 3, 5, 6]
+N_SKIN_GRABCUT_ITERATIONS = 3
+THUMB_LANDMARKS, KNUCKLE_LANDMARKS = [1, 2, 3, 4], [5, 9, 13, 17]
+THUMB_WEB_LANDMARKS = [0, 1, 2, 3, 5, 6]
 """The skin between thumb and index finger is within these."""
-BONES = [(0, 1), *((a, a + 1) for k in range(5) for a in range(1 + 4 * k, 4 + 4 * k)), (0, 5), (0, 9), (0, 13), (0, 17)]
+LANDMARK_BONES = [
+    (0, 1),
+    *((a, a + 1) for k in range(5) for a in range(1 + 4 * k, 4 + 4 * k)),
+    (0, 5),
+    (0, 9),
+    (0, 13),
+    (0, 17),
+]
 
 
 def hand_mask(
@@ -62,47 +69,55 @@ def hand_mask(
     import cv2
 
     height, width = image.shape[:2]
-    size = _size(points)
-    arm = _arm(points, size)
+    size = _hand_size_px(points)
+    arm = _forearm_polygon(points, size)
     around = np.concatenate([points, arm])
     low = np.clip(np.floor(around.min(axis=0) - 0.5 * size), 0, [width - 1, height - 1]).astype(int)
     high = np.clip(np.ceil(around.max(axis=0) + 0.5 * size), low + 1, [width, height]).astype(int)
     out = np.zeros((height, width), dtype=bool)
-    scale = min(1.0, WIDEST / float((high - low).max()))
+    scale = min(1.0, MAX_GRABCUT_PX / float((high - low).max()))
     small = tuple(int(n) for n in np.maximum(1, np.round((high - low) * scale)))
     window = (slice(low[1], high[1]), slice(low[0], high[0]))
     colours = np.asarray(cv2.resize(image[window], small, interpolation=cv2.INTER_AREA), np.uint8)
     not_hand = np.zeros(small[::-1], dtype=bool)
     if other is not None:
         not_hand = cv2.resize(other[window].astype(np.uint8), small, interpolation=cv2.INTER_NEAREST) > 0
-    labels = _labels(colours, (points - low) * scale, (arm - low) * scale, size * scale, not_hand)
+    labels = _grabcut_labels(colours, (points - low) * scale, (arm - low) * scale, size * scale, not_hand)
     if (labels == cv2.GC_FGD).sum() < 10 or (labels == cv2.GC_BGD).sum() < 10:
         return out
     cv2.setRNGSeed(0)
-    cv2.grabCut(colours, labels, (0, 0, 0, 0), np.zeros((1, 65)), np.zeros((1, 65)), ROUNDS, cv2.GC_INIT_WITH_MASK)
+    cv2.grabCut(
+        colours,
+        labels,
+        (0, 0, 0, 0),
+        np.zeros((1, 65)),
+        np.zeros((1, 65)),
+        N_SKIN_GRABCUT_ITERATIONS,
+        cv2.GC_INIT_WITH_MASK,
+    )
     found = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
-    whole = _connected(found)
+    whole = _remove_small_components(found)
     large = cv2.resize(whole.astype(np.float32), tuple((high - low).tolist()), interpolation=cv2.INTER_LINEAR)
     out[window] = large > 0.5
     return out if other is None else out & ~other
 
 
-def _size(points: Float[ndarray, "21 2"]) -> float:
+def _hand_size_px(points: Float[ndarray, "21 2"]) -> float:
     """Measure the size of the hand [px]: the longest distance on the palm, which is not short from any view."""
-    palm = points[PALM]
+    palm = points[PALM_LANDMARKS]
     return max(float(np.linalg.norm(palm[:, None] - palm, axis=-1).max()), 4.0)
 
 
-def _arm(points: Float[ndarray, "21 2"], size: float) -> Float[ndarray, "4 2"]:
+def _forearm_polygon(points: Float[ndarray, "21 2"], size: float) -> Float[ndarray, "4 2"]:
     """Corners of the area in which the forearm may be."""
     back = points[0] - points[[5, 9, 13, 17]].mean(axis=0)
     back = back / max(float(np.linalg.norm(back)), 1e-6)
-    across = np.array([-back[1], back[0]]) * ARM[1] * size
-    far = points[0] + ARM[0] * size * back
+    across = np.array([-back[1], back[0]]) * FOREARM_SIZE[1] * size
+    far = points[0] + FOREARM_SIZE[0] * size * back
     return np.array([points[0] - across, points[0] + across, far + 1.4 * across, far - 1.4 * across])
 
 
-def _labels(
+def _grabcut_labels(
     colours: UInt8[ndarray, "h w 3"],
     points: Float[ndarray, "21 2"],
     arm: Float[ndarray, "4 2"],
@@ -112,33 +127,33 @@ def _labels(
     """Make GrabCut's label of each pixel."""
     import cv2
 
-    maybe = _capsules(colours.shape[:2], points, MAYBE * size)
-    for knuckle in (1, *KNUCKLES):
-        maybe |= _lines(colours.shape[:2], points[[0, knuckle]], THICK * size)
-    for region in (points[PALM], points[WEB], arm):
-        cv2.fillConvexPoly(maybe, _whole(cv2.convexHull(region.astype(np.float32))[:, 0]), 1)
+    maybe = _draw_bones(colours.shape[:2], points, POSSIBLE_BONE_RADIUS * size)
+    for knuckle in (1, *KNUCKLE_LANDMARKS):
+        maybe |= _draw_thick_lines(colours.shape[:2], points[[0, knuckle]], PALM_BONE_RADIUS * size)
+    for region in (points[PALM_LANDMARKS], points[THUMB_WEB_LANDMARKS], arm):
+        cv2.fillConvexPoly(maybe, _round_to_pixels(cv2.convexHull(region.astype(np.float32))[:, 0]), 1)
     palm = np.zeros_like(maybe)
-    cv2.fillConvexPoly(palm, _whole(cv2.convexHull(points[PALM].astype(np.float32))[:, 0]), 1)
+    cv2.fillConvexPoly(palm, _round_to_pixels(cv2.convexHull(points[PALM_LANDMARKS].astype(np.float32))[:, 0]), 1)
     palm = cv2.erode(palm, np.ones((3, 3), np.uint8), iterations=max(1, round(0.05 * size)))
-    sure = (_capsules(colours.shape[:2], points, SURE * size) | palm).astype(bool) & ~not_hand
+    sure = (_draw_bones(colours.shape[:2], points, CERTAIN_BONE_RADIUS * size) | palm).astype(bool) & ~not_hand
     lab = cv2.cvtColor(colours, cv2.COLOR_RGB2LAB).astype(float)
-    shown = _skin(lab, points, size, palm.astype(bool) & ~not_hand, ~not_hand)
-    skin = lab[shown] if shown.sum() >= FEWEST else lab[sure]
-    off, in_shadow = _off(lab, skin), _off(lab, skin, SHADOW)
-    colour, own = lab[..., 1:] - GREY, np.median(skin, axis=0)[1:] - GREY if len(skin) else np.zeros(2)
+    shown = _skin_pixels(lab, points, size, palm.astype(bool) & ~not_hand, ~not_hand)
+    skin = lab[shown] if shown.sum() >= MIN_COLOUR_PIXELS else lab[sure]
+    off, in_shadow = _skin_colour_distance(lab, skin), _skin_colour_distance(lab, skin, MIN_SHADOW_LIGHTNESS_SPREAD)
+    colour, own = lab[..., 1:] - LAB_GREY, np.median(skin, axis=0)[1:] - LAB_GREY if len(skin) else np.zeros(2)
     along, whole = colour @ own, own @ own
-    coloured = along > COLOURED * whole
-    glare = (colours.max(axis=-1) >= GLARE) & ~coloured
-    pale = (along < PALE * whole) & (whole > FAINT**2) & ~glare
+    coloured = along > MIN_SHADOW_CHROMA_RATIO * whole
+    glare = (colours.max(axis=-1) >= OVEREXPOSURE_THRESHOLD) & ~coloured
+    pale = (along < MIN_SKIN_CHROMA_RATIO * whole) & (whole > MIN_PALM_CHROMA**2) & ~glare
     labels = np.full(colours.shape[:2], cv2.GC_BGD, np.uint8)
-    possible = (maybe > 0) & ~not_hand & ~pale & ((off < NO_SKIN) | coloured)
+    possible = (maybe > 0) & ~not_hand & ~pale & ((off < NON_SKIN_SIGMAS) | coloured)
     labels[possible] = cv2.GC_PR_BGD
-    labels[possible & ((off < SKIN) | glare)] = cv2.GC_PR_FGD
-    labels[possible & sure & ((off < SKIN) | coloured & (in_shadow < SKIN))] = cv2.GC_FGD
+    labels[possible & ((off < SKIN_SIGMAS) | glare)] = cv2.GC_PR_FGD
+    labels[possible & sure & ((off < SKIN_SIGMAS) | coloured & (in_shadow < SKIN_SIGMAS))] = cv2.GC_FGD
     return labels
 
 
-def _skin(
+def _skin_pixels(
     lab: Float[ndarray, "h w 3"],
     points: Float[ndarray, "21 2"],
     size: float,
@@ -149,51 +164,59 @@ def _skin(
 
     Fingers take the place of a wrist that is not seen, but for their ends, which an object may hide.
     """
-    behind = points[0] + WRIST * (points[0] - points[9])
-    lines = points[THUMB], np.stack([points[0], behind]), *(points[knuckle : knuckle + 3] for knuckle in KNUCKLES)
-    thumb, wrist, *fingers = (seen & (_lines(lab.shape[:2], line, SURE * size) > 0) for line in lines)
-    other = wrist if wrist.sum() >= FEWEST else np.any(fingers, axis=0)
-    if min(part.sum() for part in (thumb, other, palm)) < FEWEST:
+    behind = points[0] + WRIST_LENGTH_RATIO * (points[0] - points[9])
+    lines = (
+        points[THUMB_LANDMARKS],
+        np.stack([points[0], behind]),
+        *(points[knuckle : knuckle + 3] for knuckle in KNUCKLE_LANDMARKS),
+    )
+    thumb, wrist, *fingers = (
+        seen & (_draw_thick_lines(lab.shape[:2], line, CERTAIN_BONE_RADIUS * size) > 0) for line in lines
+    )
+    other = wrist if wrist.sum() >= MIN_COLOUR_PIXELS else np.any(fingers, axis=0)
+    if min(part.sum() for part in (thumb, other, palm)) < MIN_COLOUR_PIXELS:
         return palm
     colours = [np.median(lab[part][:, 1:], axis=0) for part in (thumb, other, palm)]
-    alike = np.linalg.norm(colours[0] - colours[1]) < ALIKE
-    covered = alike and min(np.linalg.norm(colours[2] - each) for each in colours[:2]) > OTHER
+    alike = np.linalg.norm(colours[0] - colours[1]) < SKIN_LAB_DISTANCE
+    covered = alike and min(np.linalg.norm(colours[2] - each) for each in colours[:2]) > NON_SKIN_LAB_DISTANCE
     return thumb | other if covered else palm
 
 
-def _off(lab: Float[ndarray, "h w 3"], skin: Float[ndarray, "n 3"], shadow: float = 0.0) -> Float[ndarray, "h w"]:
+def _skin_colour_distance(
+    lab: Float[ndarray, "h w 3"], skin: Float[ndarray, "n 3"], shadow: float = 0.0
+) -> Float[ndarray, "h w"]:
     """How many robust standard deviations a colour is from the skin's."""
     if not len(skin):
         return np.zeros(lab.shape[:2])
     middle = np.median(skin, axis=0)
-    spread = np.maximum(1.48 * np.median(np.abs(skin - middle), axis=0), LEAST_SPREAD)
+    spread = np.maximum(1.48 * np.median(np.abs(skin - middle), axis=0), MIN_SKIN_COLOUR_SPREAD)
     spread[0] = max(2.0 * spread[0], shadow)  # light and shadow
     return np.sqrt(np.sum(((lab - middle) / spread) ** 2, axis=-1))
 
 
-def _capsules(shape: Sequence[int], points: Float[ndarray, "21 2"], radius: float) -> UInt8[ndarray, "h w"]:
+def _draw_bones(shape: Sequence[int], points: Float[ndarray, "21 2"], radius: float) -> UInt8[ndarray, "h w"]:
     """1 within a radius of a bone."""
     out = np.zeros(tuple(shape), np.uint8)
-    for bone in BONES:
-        out |= _lines(shape, points[list(bone)], radius)
+    for bone in LANDMARK_BONES:
+        out |= _draw_thick_lines(shape, points[list(bone)], radius)
     return out
 
 
-def _lines(shape: Sequence[int], points: Float[ndarray, "n 2"], radius: float) -> UInt8[ndarray, "h w"]:
+def _draw_thick_lines(shape: Sequence[int], points: Float[ndarray, "n 2"], radius: float) -> UInt8[ndarray, "h w"]:
     """1 within a radius of the lines between successive points."""
     import cv2
 
     out = np.zeros(tuple(shape), np.uint8)
-    cv2.polylines(out, [_whole(points)], False, 1, max(1, round(2.0 * radius)))
+    cv2.polylines(out, [_round_to_pixels(points)], False, 1, max(1, round(2.0 * radius)))
     return out
 
 
-def _whole(points: Float[ndarray, "n 2"]) -> Int32[ndarray, "n 2"]:
+def _round_to_pixels(points: Float[ndarray, "n 2"]) -> Int32[ndarray, "n 2"]:
     """Round to the nearest pixels; far ones are brought to where OpenCV still draws."""
     return np.clip(np.round(points - 0.5), -4096, 4096).astype(np.int32)
 
 
-def _connected(found: Bool[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
+def _remove_small_components(found: Bool[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
     """Remove the parts that are small compared with the largest; holes stay."""
     import cv2
 

@@ -14,18 +14,18 @@ import numpy as np
 from jaxtyping import Float, Float32, UInt8
 from numpy import ndarray
 
-SIDE = 192
+PALM_INPUT_PX = 192
 """Side of the network's input [px]."""
-CELLS = ((24, 2), (12, 6))
+ANCHOR_GRIDS = ((24, 2), (12, 6))
 """Cells along a side of each grid of anchors, and anchors in each cell."""
-LEAST = 0.5
+MIN_PALM_PROBABILITY = 0.5
 """Probability of a palm."""
-OVERLAP = 0.3
+PALM_IOU_THRESHOLD = 0.3
 """Boxes with a larger intersection over union are of one palm."""
-BRIGHT, DARK, LIT, MOST = 0.98, 0.4, 0.8, 20.0
+BRIGHTNESS_QUANTILE, DARK_IMAGE_THRESHOLD, TARGET_BRIGHTNESS, MAX_BRIGHTNESS_GAIN = 0.98, 0.4, 0.8, 20.0
 """An image is dark if this share of its values is below the second number. It is then scaled so that the share is below
 the third, but by no more than the fourth."""
-WRIST, MIDDLE_KNUCKLE = 0, 2
+PALM_WRIST_INDEX, PALM_KNUCKLE_INDEX = 0, 2
 """Two of the seven points."""
 
 
@@ -43,7 +43,7 @@ class Palm(NamedTuple):
 def anchors() -> Float[ndarray, "2016 2"]:
     """Return the middle of each anchor, in units of the input's side."""
     grids = []
-    for cells, each in CELLS:
+    for cells, each in ANCHOR_GRIDS:
         v, u = np.mgrid[:cells, :cells]
         grids.append(np.repeat((np.stack([u, v], axis=-1).reshape(-1, 2) + 0.5) / cells, each, axis=0))
     return np.concatenate(grids)
@@ -58,8 +58,8 @@ class Letterbox(NamedTuple):
     @staticmethod
     def of(size: tuple[int, int], fill: float = 1.0) -> Letterbox:
         """Make it for images of this width and height [px], whose longer side is ``fill`` of the square's."""
-        scale = fill * SIDE / max(size)
-        return Letterbox(scale, (SIDE - scale * np.array(size, dtype=float)) / 2.0)
+        scale = fill * PALM_INPUT_PX / max(size)
+        return Letterbox(scale, (PALM_INPUT_PX - scale * np.array(size, dtype=float)) / 2.0)
 
     def image(self, image: UInt8[ndarray, "H W 3"]) -> Float32[ndarray, "192 192 3"]:
         """Return the network's input: red, green, blue from 0 to 1, black beside the image."""
@@ -68,37 +68,48 @@ class Letterbox(NamedTuple):
         size = max(1, round(image.shape[1] * self.scale)), max(1, round(image.shape[0] * self.scale))
         skip = max(1, int(0.5 / self.scale))  # at least two pixels are left for each of the small image
         small = cv2.resize(np.ascontiguousarray(image[::skip, ::skip]), size, interpolation=cv2.INTER_AREA)
-        out = np.zeros((SIDE, SIDE, 3), np.float32)
+        out = np.zeros((PALM_INPUT_PX, PALM_INPUT_PX, 3), np.float32)
         left, top = (round(float(x)) for x in self.shift)
-        out[top : top + size[1], left : left + size[0]] = small[: SIDE - top, : SIDE - left] / np.float32(255.0)
-        return lit(out)
+        out[top : top + size[1], left : left + size[0]] = small[
+            : PALM_INPUT_PX - top, : PALM_INPUT_PX - left
+        ] / np.float32(255.0)
+        return brighten(out)
 
     def back(self, points: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
         """Convert points of the square to the image [px]."""
         return np.asarray((points - self.shift) / self.scale)
 
 
-def lit(image: Float32[ndarray, "H W 3"]) -> Float32[ndarray, "H W 3"]:
+def brighten(image: Float32[ndarray, "H W 3"]) -> Float32[ndarray, "H W 3"]:
     """Scale a dark image (0 to 1) up: the networks have not learnt such."""
-    high = float(np.quantile(image[::4, ::4], BRIGHT))
-    return image if high >= DARK else np.minimum(image * np.float32(LIT / max(high, LIT / MOST)), np.float32(1.0))
+    high = float(np.quantile(image[::4, ::4], BRIGHTNESS_QUANTILE))
+    return (
+        image
+        if high >= DARK_IMAGE_THRESHOLD
+        else np.minimum(
+            image * np.float32(TARGET_BRIGHTNESS / max(high, TARGET_BRIGHTNESS / MAX_BRIGHTNESS_GAIN)), np.float32(1.0)
+        )
+    )
 
 
-def decoded(
-    boxes: Float32[ndarray, "2016 18"], logits: Float32[ndarray, "2016"], frame: Letterbox, least: float = LEAST
+def decode_palms(
+    boxes: Float32[ndarray, "2016 18"],
+    logits: Float32[ndarray, "2016"],
+    frame: Letterbox,
+    least: float = MIN_PALM_PROBABILITY,
 ) -> list[Palm]:
     """Decode the palms in the network's output, the most certain first; each the mean of overlapping ones by score."""
     scores = 1.0 / (1.0 + np.exp(-np.clip(logits.astype(float), -100.0, 100.0)))
     there = np.flatnonzero(scores >= least)
     there = there[np.argsort(-scores[there], kind="stable")]
     raw = boxes[there].astype(float).reshape(-1, 9, 2)
-    middle = SIDE * anchors()[there]
+    middle = PALM_INPUT_PX * anchors()[there]
     half = 0.5 * raw[:, 1:2]
     middles = raw[:, :1] + middle[:, None]
     corners = np.concatenate([middles - half, middles + half, raw[:, 2:] + middle[:, None]], axis=1)
     found, left = [], np.arange(len(there))
     while left.size:
-        same = _overlap(corners[left[0], :2], corners[left, :2]) > OVERLAP
+        same = _box_iou(corners[left[0], :2], corners[left, :2]) > PALM_IOU_THRESHOLD
         same[0] = True
         weights = scores[there[left[same]]]
         mean = frame.back(np.average(corners[left[same]], axis=0, weights=weights))
@@ -107,7 +118,7 @@ def decoded(
     return found
 
 
-def _overlap(one: Float[ndarray, "2 2"], many: Float[ndarray, "n 2 2"]) -> Float[ndarray, "n"]:
+def _box_iou(one: Float[ndarray, "2 2"], many: Float[ndarray, "n 2 2"]) -> Float[ndarray, "n"]:
     """Intersection over union of a box and others."""
     inner = np.prod(np.clip(np.minimum(one[1], many[:, 1]) - np.maximum(one[0], many[:, 0]), 0.0, None), axis=1)
     area = np.prod(many[:, 1] - many[:, 0], axis=1)

@@ -17,33 +17,41 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.errors import UsageError
-from getagrip.io.terminal import counted, ranges
-from getagrip.landmarks.crops import SIDE, of_landmarks
-from getagrip.landmarks.following import Sighting, steady
-from getagrip.landmarks.handedness import MINOR, UNKNOWN, Handedness, Odds, Side, log_odds, seen_mirrored
+from getagrip.io.terminal import format_count, format_ranges
+from getagrip.landmarks.crops import HAND_INPUT_PX, crop_of_landmarks
+from getagrip.landmarks.following import Sighting, drop_outlier_sightings
+from getagrip.landmarks.handedness import (
+    MAX_MIRRORED_FRACTION,
+    UNKNOWN_HANDEDNESS,
+    Handedness,
+    Odds,
+    Side,
+    find_mirrored_frames,
+    log_odds,
+)
 from getagrip.provenance import Source, measured
 
-GAP = 10
+MAX_LINK_GAP_FRAMES = 10
 """Longest gap [frames] over which a hand is linked and later interpolated; longer gaps remain."""
-REACH = 1.0
+MAX_PALM_STEP = 1.0
 """Largest motion of a palm between successive frames that have it, in palm sizes."""
-GROWTH = 2.5
+MAX_HAND_SIZE_RATIO = 2.5
 """Factor by which a hand's size changes less from one sighting to the next; 2.25 in the blur of the kitchen clip."""
-SHORTEST = 4
+MIN_TRACK_FRAMES = 4
 """Least number of frames of a track; half the frames of a clip of fewer than eight."""
-LOOKS = 20
+N_HANDEDNESS_FRAMES = 20
 """Number of frames of a track, spread evenly, that decide on its side."""
-ALIKE = 0.9
+SIMILAR_TRACK_FRACTION = 0.9
 """Tracks of at least this share of the largest number of frames have about as many: the steadiest of them is chosen."""
-FAR = 0.6
+MAX_OBJECT_BOX_DISTANCE = 0.6
 """Distance from the object's box, in sizes of the hand, above which the hand is far from it."""
-LITTLE = 0.5
+MIN_DETECTED_FRACTION = 0.5
 """Share of the hand's frames in which it is seen without a second look, below which this is said."""
-STILL, LONG = 0.1, 10
+MAX_STATIC_MOTION, MIN_STATIC_HAND_FRAMES = 0.1, 10
 """A hand does not move whose middle stays within this share of its size, in at least this number of frames."""
-OTHERS = 0.2
+SECOND_PERSON_FRACTION = 0.2
 """Share of frames with another hand of the same side from which on two people are assumed."""
-PART = "what looks like a hand in the object's box does not move, and is taken for a part of the object"
+OBJECT_PART_NOTE = "what looks like a hand in the object's box does not move, and is taken for a part of the object"
 
 
 @dataclass(frozen=True)
@@ -75,11 +83,11 @@ class HandLandmarks:
 
 
 @dataclass
-class Track:
+class HandTracklet:
     """A hand that was linked from frame to frame."""
 
     seen: dict[int, Sighting] = field(default_factory=dict)
-    handedness: Handedness = UNKNOWN
+    handedness: Handedness = UNKNOWN_HANDEDNESS
 
     @property
     def last(self) -> int:
@@ -93,32 +101,32 @@ class Track:
     def bending(self) -> float:
         """How much the hand changes its shape, as it is seen: in its own square, of side 1, the median over frames."""
         hands = [each.points for each in self.seen.values()]
-        own = np.array([of_landmarks(points).from_image(points) / SIDE for points in hands])
+        own = np.array([crop_of_landmarks(points).from_image(points) / HAND_INPUT_PX for points in hands])
         own -= own.mean(axis=1, keepdims=True)
         off = np.linalg.norm(own - np.median(own, axis=0), axis=-1)
         return float(np.median(np.sqrt(np.mean(off**2, axis=-1))))
 
-    def part_of(self, other: Track) -> bool:
+    def part_of(self, other: HandTracklet) -> bool:
         """Return whether this is a finger or knuckle of another hand that the networks take for a hand of its own."""
         both = [(self.seen[n], other.seen[n]) for n in self.seen.keys() & other.seen.keys()]
         return bool(both) and float(np.mean([each.part_of(whole) for each, whole in both])) > 0.5
 
     def belongs_to_object(self, boxes: Mapping[int, Float[ndarray, "4"]]) -> bool:
         """Return whether it lies in the object's first box and does not move: a part of it that looks like a hand."""
-        if not boxes or len(self.seen) < LONG:
+        if not boxes or len(self.seen) < MIN_STATIC_HAND_FRAMES:
             return False
         x, y, w, h = boxes[min(boxes)]
         points = np.array([each.points for each in self.seen.values()])
         inside = ((points >= [x, y]) & (points <= [x + w, y + h])).all(axis=-1).mean()
         middle = points.mean(axis=1)
         moved = np.linalg.norm(middle - np.median(middle, axis=0), axis=-1).max()
-        return bool(inside > 0.9 and moved < STILL * np.median([each.size for each in self.seen.values()]))
+        return bool(inside > 0.9 and moved < MAX_STATIC_MOTION * np.median([each.size for each in self.seen.values()]))
 
-    def read_otherwise(self, other: Track) -> int:
+    def read_otherwise(self, other: HandTracklet) -> int:
         """Count the frames in which another track shows this hand as one of the other side, if it mostly does."""
         common = self.seen.keys() & other.seen.keys()
         covered = sum(self.seen[n].covers(other.seen[n]) for n in common)
-        return covered if self.side != other.side and covered > max(SHORTEST, 0.5 * len(common)) else 0
+        return covered if self.side != other.side and covered > max(MIN_TRACK_FRAMES, 0.5 * len(common)) else 0
 
     def distance(self, boxes: Mapping[int, Float[ndarray, "4"]]) -> float:
         """Measure the mean distance of the landmarks from the object's boxes, in sizes of the hand.
@@ -128,7 +136,7 @@ class Track:
         apart = []
         for n, (x, y, w, h) in sorted(boxes.items()):
             near = min(self.seen, key=lambda m: abs(m - n))
-            if abs(near - n) <= GAP:
+            if abs(near - n) <= MAX_LINK_GAP_FRAMES:
                 points = self.seen[near].points
                 off = points - np.clip(points, [x, y], [x + w, y + h])
                 apart.append(float(np.linalg.norm(off, axis=1).mean()) / self.seen[near].size)
@@ -137,11 +145,11 @@ class Track:
         return float(np.mean(apart)) if apart else np.inf
 
 
-def tracks(seen: Sequence[Sequence[Sighting]]) -> list[Track]:
+def link_tracks(seen: Sequence[Sequence[Sighting]]) -> list[HandTracklet]:
     """Link sightings from frame to frame, the nearest first. Those of a few frames, and parts of hands are left out."""
-    out: list[Track] = []
+    out: list[HandTracklet] = []
     for n, hands in enumerate(seen):
-        open_ones = [track for track in out if n - track.last <= GAP]
+        open_ones = [track for track in out if n - track.last <= MAX_LINK_GAP_FRAMES]
         pairs = sorted(
             (float(np.linalg.norm(hand.middle - track.seen[track.last].middle)) / hand.size / (n - track.last), k, i)
             for k, track in enumerate(open_ones)
@@ -151,17 +159,17 @@ def tracks(seen: Sequence[Sequence[Sighting]]) -> list[Track]:
         taken: set[int] = set()
         for apart, k, i in pairs:
             before = open_ones[k].seen[open_ones[k].last].size
-            alike = 1.0 / GROWTH < hands[i].size / before < GROWTH
-            if apart < REACH and alike and k not in used and i not in taken:
+            alike = 1.0 / MAX_HAND_SIZE_RATIO < hands[i].size / before < MAX_HAND_SIZE_RATIO
+            if apart < MAX_PALM_STEP and alike and k not in used and i not in taken:
                 open_ones[k].seen[n] = hands[i]
                 used.add(k)
                 taken.add(i)
-        out += [Track({n: hand}) for i, hand in enumerate(hands) if i not in taken]
-    out = [track for track in out if len(track.seen) >= min(SHORTEST, (len(seen) + 1) // 2)]
+        out += [HandTracklet({n: hand}) for i, hand in enumerate(hands) if i not in taken]
+    out = [track for track in out if len(track.seen) >= min(MIN_TRACK_FRAMES, (len(seen) + 1) // 2)]
     return [track for track in out if not any(map(track.part_of, out))]
 
 
-def select(
+def select_hand(
     seen: Sequence[Sequence[Sighting]],
     side: Side | None = None,
     boxes: Mapping[int, Float[ndarray, "4"]] | None = None,
@@ -181,67 +189,81 @@ def select(
 
     Raises ``UsageError`` where there is no such hand.
     """
-    found = tracks(seen)
-    looks = sorted((n, k) for k, track in enumerate(found) for n in _spread(track))  # footage is read forwards
+    found = link_tracks(seen)
+    looks = sorted(
+        (n, k) for k, track in enumerate(found) for n in _handedness_frames(track)
+    )  # footage is read forwards
     all_odds = [(k, odds(n, found[k].seen[n])) for n, k in looks]
     for k, track in enumerate(found):
         track.handedness = Handedness(tuple(value for of, value in all_odds if of == k))
     hands = [track for track in found if not track.belongs_to_object(boxes or {})]
     parts = len(found) > len(hands)
-    found = _candidates(hands, side, boxes or {})
+    found = _candidate_tracks(hands, side, boxes or {})
     if not found:
-        raise UsageError(f"no hand: {PART}" if parts else _none(seen, side, boxes is not None))
-    often = ALIKE * max(map(_weight, found))
-    first = min(found, key=lambda track: (track.distance(boxes or {}), _weight(track) < often, track.bending))
-    first = max([first, *filter(first.read_otherwise, found)], key=_weight)
+        raise UsageError(f"no hand: {OBJECT_PART_NOTE}" if parts else _explain_no_hand(seen, side, boxes is not None))
+    often = SIMILAR_TRACK_FRACTION * max(map(_track_confidence, found))
+    first = min(found, key=lambda track: (track.distance(boxes or {}), _track_confidence(track) < often, track.bending))
+    first = max([first, *filter(first.read_otherwise, found)], key=_track_confidence)
     otherwise = max(map(first.read_otherwise, found))
     majority = side or first.side
-    hand, others = _completed(first, _of_side([track for track in found if track is not first], first.side))
+    hand, others = _fill_gaps_from_tracks(
+        first, _tracks_of_side([track for track in found if track is not first], first.side)
+    )
     as_stated = side in (None, first.side)
-    mirrored = seen_mirrored(hand, majority, odds) if as_stated else []
+    mirrored = find_mirrored_frames(hand, majority, odds) if as_stated else []
     before = {n: each for n, each in hand.items() if n not in mirrored}
     hand = again(before, dict.fromkeys(mirrored, first.side))
     sure = first.handedness.sure and not otherwise
-    still = seen_mirrored(hand, majority, odds, 1.0 if sure else MINOR) if as_stated else []
-    most = len(still) >= MINOR * len(hand)  # a few are of more use than none, where nothing else speaks against them
+    still = find_mirrored_frames(hand, majority, odds, 1.0 if sure else MAX_MIRRORED_FRACTION) if as_stated else []
+    most = len(still) >= MAX_MIRRORED_FRACTION * len(
+        hand
+    )  # a few are of more use than none, where nothing else speaks against them
     mirrored = sorted({*still} - {*before} if most else {*still} & {*mirrored})
-    hand, flickering = steady({n: each for n, each in hand.items() if n not in mirrored})
-    notes = [f"left out: {PART}"] * parts + [f"a guess: {first.handedness.words}, but the side is stated"] * (
-        not as_stated
-    )
+    hand, flickering = drop_outlier_sightings({n: each for n, each in hand.items() if n not in mirrored})
+    notes = [f"left out: {OBJECT_PART_NOTE}"] * parts + [
+        f"a guess: {first.handedness.words}, but the side is stated"
+    ] * (not as_stated)
     if boxes is not None:
         apart = first.distance(dict(sorted(boxes.items())[:1]))  # where the object is stated to be
         near = "of the hands that were seen, the one nearest to the object"
-        far = f"{near}, but it is far off: is the object's box right?" if apart > FAR else near
+        far = f"{near}, but it is far off: is the object's box right?" if apart > MAX_OBJECT_BOX_DISTANCE else near
         notes.append(
             far if np.isfinite(apart) else "the object's box decides nothing: there is no hand about that frame"
         )
     if flickering:
-        notes.append(f"left out, since they differ from the frames about them: {ranges(flickering, counted_from)}")
-    if len(before) < LITTLE * len(hand):
-        rest = f"in {counted(len({*hand} - {*before}), 'frame')} only where it was expected: check those"
-        notes.append(f"seen at once in the frames {ranges(sorted(before), counted_from)}, {rest}")
+        notes.append(
+            f"left out, since they differ from the frames about them: {format_ranges(flickering, counted_from)}"
+        )
+    if len(before) < MIN_DETECTED_FRACTION * len(hand):
+        rest = f"in {format_count(len({*hand} - {*before}), 'frame')} only where it was expected: check those"
+        notes.append(f"seen at once in the frames {format_ranges(sorted(before), counted_from)}, {rest}")
     if mirrored:
-        notes.append(f"left out, since they look like a hand of the other side: {ranges(mirrored, counted_from)}")
-    if gaps := ranges(sorted({*range(len(seen))} - {*hand}), counted_from):
+        notes.append(
+            f"left out, since they look like a hand of the other side: {format_ranges(mirrored, counted_from)}"
+        )
+    if gaps := format_ranges(sorted({*range(len(seen))} - {*hand}), counted_from):
         notes.append(f"no hand in the frames {gaps} (counted from 1)")
     opposite = [track for track in found if track.side != first.side]
     for beside, overrules in ((others, "--object-box"), (opposite, "--object-box or --side")):
         also = {n: [each for track in beside if (each := track.seen.get(n)) and each.apart(hand[n])] for n in hand}
         twice = [n for n in hand if also[n]]
-        if len(twice) > OTHERS * len(hand):
+        if len(twice) > SECOND_PERSON_FRACTION * len(hand):
             n, it = twice[0], also[twice[0]][0]
-            which = f"chosen is the one {_place(hand[n])} in frame {n + counted_from}, not that {_place(it)}"
-            notes.append(f"two hands in {counted(len(twice), 'frame')}: {which}; {overrules} overrules this")
+            which = f"chosen is the one {_format_position(hand[n])} in frame {n + counted_from}, not that {_format_position(it)}"
+            notes.append(f"two hands in {format_count(len(twice), 'frame')}: {which}; {overrules} overrules this")
     source = measured(f"{side}, as stated") if side else first.handedness.source
     if otherwise:
-        source = first.handedness.guess(f"in {counted(otherwise, 'frame')} it also looks like a hand of the other side")
-    return HandLandmarks(majority, *_as_arrays(hand, len(seen)), source, tuple(notes))
+        source = first.handedness.guess(
+            f"in {format_count(otherwise, 'frame')} it also looks like a hand of the other side"
+        )
+    return HandLandmarks(majority, *_sightings_to_arrays(hand, len(seen)), source, tuple(notes))
 
 
-def _candidates(found: list[Track], side: Side | None, boxes: Mapping[int, Float[ndarray, "4"]]) -> list[Track]:
+def _candidate_tracks(
+    found: list[HandTracklet], side: Side | None, boxes: Mapping[int, Float[ndarray, "4"]]
+) -> list[HandTracklet]:
     """Return the tracks of a stated side; without one, or of no such side, those that may be the hand."""
-    stated = found if side is None else _of_side(found, side)
+    stated = found if side is None else _tracks_of_side(found, side)
     if stated:
         return stated
     # The networks may take a hand seen from behind the object for the other one.
@@ -249,29 +271,31 @@ def _candidates(found: list[Track], side: Side | None, boxes: Mapping[int, Float
     return at_object or [track for track in found if not track.handedness.sure]
 
 
-def _spread(track: Track) -> list[int]:
+def _handedness_frames(track: HandTracklet) -> list[int]:
     """Choose the frames that decide on a track's side."""
     frames = sorted(track.seen)
-    return sorted({frames[i] for i in np.linspace(0, len(frames) - 1, LOOKS).round().astype(int)})
+    return sorted({frames[i] for i in np.linspace(0, len(frames) - 1, N_HANDEDNESS_FRAMES).round().astype(int)})
 
 
-def _place(hand: Sighting) -> str:
+def _format_position(hand: Sighting) -> str:
     """Say where a hand is."""
     return "at ({:.0f}, {:.0f})".format(*hand.middle)
 
 
-def _weight(track: Track) -> float:
+def _track_confidence(track: HandTracklet) -> float:
     return sum(each.confidence for each in track.seen.values())
 
 
-def _of_side(found: Sequence[Track], side: Side) -> list[Track]:
+def _tracks_of_side(found: Sequence[HandTracklet], side: Side) -> list[HandTracklet]:
     return [track for track in found if track.side == side]
 
 
-def _completed(first: Track, same_side: Sequence[Track]) -> tuple[dict[int, Sighting], list[Track]]:
+def _fill_gaps_from_tracks(
+    first: HandTracklet, same_side: Sequence[HandTracklet]
+) -> tuple[dict[int, Sighting], list[HandTracklet]]:
     """Add tracks that fill the gaps of a track, the longest first; also return the tracks that overlap it."""
     hand, beside = dict(first.seen), []
-    for track in sorted(same_side, key=_weight, reverse=True):
+    for track in sorted(same_side, key=_track_confidence, reverse=True):
         if any(n in hand for n in track.seen):
             beside.append(track)
         else:
@@ -279,10 +303,10 @@ def _completed(first: Track, same_side: Sequence[Track]) -> tuple[dict[int, Sigh
     return dict(sorted(hand.items())), beside
 
 
-def _none(seen: Sequence[Sequence[Sighting]], side: Side | None, boxed: bool) -> str:
+def _explain_no_hand(seen: Sequence[Sequence[Sighting]], side: Side | None, boxed: bool) -> str:
     """Why there is no hand."""
     some = sum(bool(hands) for hands in seen)
-    where = f"{counted(len(seen), 'frame')}{', also enlarged about the object' if boxed else ''}"
+    where = f"{format_count(len(seen), 'frame')}{', also enlarged about the object' if boxed else ''}"
     tried = f"palms were looked for in {where}, and hands were followed in both directions"
     if side is not None and some:
         box = "begin --interval where one is" if boxed else "mark the object by --object-box"
@@ -294,7 +318,7 @@ def _none(seen: Sequence[Sequence[Sighting]], side: Side | None, boxed: bool) ->
     return f"no hand: {tried}; found in {some}. Is there a glove, blur, or a hand half out of view? {advice}"
 
 
-def _as_arrays(
+def _sightings_to_arrays(
     hand: Mapping[int, Sighting], count: int
 ) -> tuple[Float[ndarray, "T 21 2"], Float[ndarray, "T 21"], Float[ndarray, "T 21 3"]]:
     points, world = np.full((count, 21, 2), np.nan), np.full((count, 21, 3), np.nan)

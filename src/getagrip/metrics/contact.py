@@ -31,15 +31,19 @@ from getagrip.metrics.surface_distance import close_holes, moving_distance
 from getagrip.metrics.symmetry import surface_points
 
 Side = Literal["object", "hand", "area"]
-SIDES: tuple[Side, ...] = get_args(Side)
-THRESHOLDS = (0.0, 0.005, 0.010)
+CONTACT_SIDES: tuple[Side, ...] = get_args(Side)
+CONTACT_THRESHOLDS_M = (0.0, 0.005, 0.010)
 """Contact thresholds in use [m]."""
-MAX_DISTANCE = 0.011
+MAX_SIGNED_DISTANCE_M = 0.011
 """Signed distances are exact up to here [m]; beyond, they may be infinite."""
-LARGEST_MM = 50.0
+MAX_CONTACT_THRESHOLD_MM = 50.0
 """Largest threshold that anybody may ask for [mm]."""
-AREA_POINTS = 2000
-_POINTS: dict[Side, str] = {"object": "object vertices", "hand": "hand vertices", "area": "object points by area"}
+N_AREA_SAMPLES = 2000
+_POINT_DESCRIPTIONS: dict[Side, str] = {
+    "object": "object vertices",
+    "hand": "hand vertices",
+    "area": "object points by area",
+}
 
 
 @dataclass(frozen=True)
@@ -70,27 +74,29 @@ class ContactDefinition:
     @property
     def description(self) -> str:
         """In a sentence: "object vertices within 10 mm"."""
-        return f"{_POINTS[self.side]} within {self.distance}"
+        return f"{_POINT_DESCRIPTIONS[self.side]} within {self.distance}"
 
 
-def at_millimetres(thresholds: Sequence[float]) -> tuple[ContactDefinition, ...]:
+def contact_definitions_at(thresholds: Sequence[float]) -> tuple[ContactDefinition, ...]:
     """Return the paper's definition, by object vertices, at thresholds of 0 to 50 mm.
 
     Raises ``UsageError`` for others.
     """
-    bad = next((mm for mm in thresholds if not 0.0 <= mm <= LARGEST_MM), None)
+    bad = next((mm for mm in thresholds if not 0.0 <= mm <= MAX_CONTACT_THRESHOLD_MM), None)
     if bad is not None:
-        raise UsageError(f"--contact must be 0 to {LARGEST_MM:g} mm (got {bad:g} mm)")
+        raise UsageError(f"--contact must be 0 to {MAX_CONTACT_THRESHOLD_MM:g} mm (got {bad:g} mm)")
     return tuple(dict.fromkeys(ContactDefinition("object", mm / 1e3) for mm in thresholds))
 
 
-CONTACT_DEFINITIONS = tuple(ContactDefinition(side, threshold) for side in SIDES for threshold in THRESHOLDS)
+CONTACT_DEFINITIONS = tuple(
+    ContactDefinition(side, threshold) for side in CONTACT_SIDES for threshold in CONTACT_THRESHOLDS_M
+)
 """All that are evaluated."""
 
 
 @dataclass(frozen=True)
 class ContactDistances:
-    """Signed distances [m] between hand and object in each frame, negative inside; exact up to ``MAX_DISTANCE``.
+    """Signed distances [m] between hand and object in each frame, negative inside; exact up to ``MAX_SIGNED_DISTANCE_M``.
 
     Attributes:
         object: (T, Vo) object vertices to the hand.
@@ -122,13 +128,13 @@ def contact_distances(
     tracks: Sequence[ObjectTrack],
     hand_vertices: Float[ndarray, "T V 3"],
     hand_faces: Int[ndarray, "F 3"],
-    max_distance: float = MAX_DISTANCE,
+    max_distance: float = MAX_SIGNED_DISTANCE_M,
 ) -> list[ContactDistances]:
     """Compute distances between an object and a hand (in the hand frame), both ways, for each track of the object.
 
     They are exact up to ``max_distance`` [m]. Holes of the hand are closed first. Tracks share the hand's search trees.
     """
-    points = np.concatenate([mesh.vertices, surface_points(mesh, AREA_POINTS)])
+    points = np.concatenate([mesh.vertices, surface_points(mesh, N_AREA_SAMPLES)])
     V, P = len(mesh.vertices), len(points)
     in_hand = np.concatenate([se3.transform(track.T_ref_obj, track.scale * points) for track in tracks], axis=1)
     to_hand = moving_distance(in_hand, *close_holes(hand_vertices, hand_faces), max_distance)

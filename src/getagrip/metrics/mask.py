@@ -18,7 +18,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import crops_around
 from getagrip.geometry.mesh import Mesh
 
-CROP = 256
+IOU_CROP_PX = 256
 """Side of the crops [px]: the paper's render_size."""
 
 
@@ -38,11 +38,11 @@ class MaskIou:
     full: Float[ndarray, "T"]
 
 
-def _rendered(mesh: Mesh | None, K: Float[ndarray, "3 3"], size: tuple[int, int]) -> Bool[ndarray, "H W"]:
+def _render_mask(mesh: Mesh | None, K: Float[ndarray, "3 3"], size: tuple[int, int]) -> Bool[ndarray, "H W"]:
     """Pixels whose centre a mesh in the camera frame covers; none where there is no mesh."""
-    from getagrip.geometry.depth import covered
+    from getagrip.geometry.depth import render_coverage
 
-    return np.zeros(size[::-1], dtype=bool) if mesh is None else covered(mesh.vertices, mesh.faces, K, size)
+    return np.zeros(size[::-1], dtype=bool) if mesh is None else render_coverage(mesh.vertices, mesh.faces, K, size)
 
 
 def iou(predicted: Bool[ndarray, "H W"], observed: Bool[ndarray, "H W"], ignore: Bool[ndarray, "H W"]) -> float:
@@ -80,14 +80,14 @@ def iou_of_meshes(meshes: Sequence[Mesh | None], K: Float[ndarray, "T 3 3"], mas
     frames = np.flatnonzero(masks.observed)
     if not frames.size:
         return out
-    crops = crops_around(masks.object[frames], size=CROP)
+    crops = crops_around(masks.object[frames], size=IOU_CROP_PX)
     observed = crops.resample(masks.object[frames], outside=False)
     ignore = crops.resample(masks.ignore[frames], outside=True)
     once = crops.intrinsics(K[frames])
     twice = np.array([2.0, 2.0, 1.0])[:, None] * once  # twice as many pixels each way
     for i, n in enumerate(frames):
         mesh = meshes[int(n)]
-        out.full[n] = iou(_rendered(mesh, K[n], (W, H)), masks.object[n], masks.ignore[n])
-        out.crop[n] = iou(_rendered(mesh, once[i], (CROP, CROP)), observed[i], ignore[i])
-        out.soft[n] = soft_iou(_rendered(mesh, twice[i], (2 * CROP, 2 * CROP)), observed[i], ignore[i])
+        out.full[n] = iou(_render_mask(mesh, K[n], (W, H)), masks.object[n], masks.ignore[n])
+        out.crop[n] = iou(_render_mask(mesh, once[i], (IOU_CROP_PX, IOU_CROP_PX)), observed[i], ignore[i])
+        out.soft[n] = soft_iou(_render_mask(mesh, twice[i], (2 * IOU_CROP_PX, 2 * IOU_CROP_PX)), observed[i], ignore[i])
     return out

@@ -14,9 +14,9 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.geometry.mesh import Mesh
-from getagrip.metrics.contact import AREA_POINTS, MAX_DISTANCE, SIDES, ContactDistances, Side
+from getagrip.metrics.contact import CONTACT_SIDES, MAX_SIGNED_DISTANCE_M, N_AREA_SAMPLES, ContactDistances, Side
 from getagrip.metrics.surface_distance import close_holes, signed_distance
-from getagrip.metrics.symmetry import at_places, surface_places
+from getagrip.metrics.symmetry import points_at_samples, surface_samples
 
 
 def mesh_distances(
@@ -30,7 +30,7 @@ def mesh_distances(
     there = [mesh for mesh in meshes if mesh is not None]
     same = bool(there) and all(np.array_equal(mesh.faces, there[0].faces) for mesh in there)
     face, along = (
-        surface_places(there[0], AREA_POINTS if same else 0) if there else (np.zeros(0, int), np.zeros((0, 2)))
+        surface_samples(there[0], N_AREA_SAMPLES if same else 0) if there else (np.zeros(0, int), np.zeros((0, 2)))
     )
     hands, faces = close_holes(hand_vertices, hand_faces)
     T = len(meshes)
@@ -42,8 +42,8 @@ def mesh_distances(
     for n, mesh in enumerate(meshes):
         if mesh is not None:
             V = len(mesh.vertices)
-            points = np.concatenate([mesh.vertices, at_places(mesh, face, along)])
-            to_hand = signed_distance(points, hands[n], faces, MAX_DISTANCE)
+            points = np.concatenate([mesh.vertices, points_at_samples(mesh, face, along)])
+            to_hand = signed_distance(points, hands[n], faces, MAX_SIGNED_DISTANCE_M)
             out.object[n, :V], out.area[n] = to_hand[:V], to_hand[V:]
-            out.hand[n] = signed_distance(hand_vertices[n], mesh.vertices, mesh.faces, MAX_DISTANCE)
-    return out, SIDES if same else ("hand",)
+            out.hand[n] = signed_distance(hand_vertices[n], mesh.vertices, mesh.faces, MAX_SIGNED_DISTANCE_M)
+    return out, CONTACT_SIDES if same else ("hand",)

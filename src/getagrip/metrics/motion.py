@@ -15,11 +15,11 @@ from numpy import ndarray
 from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist
 
-TOUCHING = 3e-3
+ARCTIC_CONTACT_DISTANCE_M = 3e-3
 """Vertices nearer than this are in contact [m]."""
-SHORTEST = 0.5
+MIN_CONTACT_WINDOW_S = 0.5
 """Duration of the shortest window of stable contact [s]: 15 frames of ARCTIC's."""
-SUCCESS = 0.05
+VERTEX_SUCCESS_FRACTION = 0.05
 """A vertex is right when its error, relative to the object's middle, is below this share of the diameter."""
 
 
@@ -45,7 +45,7 @@ class ContactPairs:
     @property
     def touching(self) -> Bool[ndarray, "T Vh"]:
         """The vertices of the hand in contact."""
-        return self.distance < TOUCHING
+        return self.distance < ARCTIC_CONTACT_DISTANCE_M
 
 
 def contact_deviation(
@@ -67,14 +67,14 @@ def motion_deviation(
 ) -> float:
     """Compute how differently two vertices in stable contact move from frame to frame, as predicted [m] (MDev).
 
-    Mean over the windows in which a vertex of the hand truly touches for ``SHORTEST`` without sliding: the vertices
-    nearest to it, in the object's own frame (``rigid``), are ``TOUCHING`` apart on average. NaN where there is none.
+    Mean over the windows in which a vertex of the hand truly touches for ``MIN_CONTACT_WINDOW_S`` without sliding: the vertices
+    nearest to it, in the object's own frame (``rigid``), are ``ARCTIC_CONTACT_DISTANCE_M`` apart on average. NaN where there is none.
     Unlike in ARCTIC's code, a window may begin with the clip's first frame or end with its last: a stable grasp does.
     """
     deviations = []
     for first, last, i in _windows(pairs.touching, time):
         partners = pairs.nearest[first : last + 1, i]
-        if pdist(rigid[partners]).mean() > TOUCHING:
+        if pdist(rigid[partners]).mean() > ARCTIC_CONTACT_DISTANCE_M:
             continue
         j = np.bincount(partners).argmax()
         apart = hand[first : last + 1, i] - object_[first : last + 1, j]
@@ -90,7 +90,7 @@ def _windows(touching: Bool[ndarray, "T Vh"], time: Float[ndarray, "T"]) -> Iter
     for i in np.flatnonzero(touching.any(axis=0)):
         edges = np.flatnonzero(np.diff(touching[:, i].astype(np.int8), prepend=0, append=0))
         for first, end in edges.reshape(-1, 2):
-            if time[end - 1] - time[first] + frame > SHORTEST - 1e-6 and end - first > 1:
+            if time[end - 1] - time[first] + frame > MIN_CONTACT_WINDOW_S - 1e-6 and end - first > 1:
                 yield int(first), int(end) - 1, int(i)
 
 
@@ -123,4 +123,4 @@ def vertex_success(
 ) -> Float[ndarray, "T"]:
     """Compute the share of the object's vertices that are right relative to its middle (ARCTIC's success rate)."""
     error = (predicted - predicted.mean(axis=1, keepdims=True)) - (true - true.mean(axis=1, keepdims=True))
-    return np.asarray((np.linalg.norm(error, axis=-1) < SUCCESS * diameter).mean(axis=1))
+    return np.asarray((np.linalg.norm(error, axis=-1) < VERTEX_SUCCESS_FRACTION * diameter).mean(axis=1))

@@ -12,13 +12,13 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.symmetry import Symmetries
 
-SUCCESS = 0.1
+ADD_SUCCESS_FRACTION = 0.1
 """A pose is right when its ADD is below this share of the true object's diameter."""
-STEPS = 36
+N_AXIS_ANGLES = 36
 """Sampled angles about a continuous axis; the best one is then refined."""
-BALL = 500
+N_BALL_ROTATIONS = 500
 """Sampled rotations of a ball."""
-VERTICES = 500
+N_SYMMETRY_VERTICES = 500
 """Vertices that choose among symmetries; all of them count in the error that is reported."""
 
 
@@ -58,12 +58,12 @@ class PoseErrors:
     @property
     def frame_success(self) -> Float[ndarray, "T"]:
         """1 in frames whose own ADD is below 10 % of the diameter, 0 in the others."""
-        return (self.add < SUCCESS * self.diameter).astype(float)
+        return (self.add < ADD_SUCCESS_FRACTION * self.diameter).astype(float)
 
     @property
     def success(self) -> bool:
         """The paper's ADD: mean over vertices and frames below 10 % of the diameter."""
-        return bool(self.add.mean() < SUCCESS * self.diameter)
+        return bool(self.add.mean() < ADD_SUCCESS_FRACTION * self.diameter)
 
 
 def pose_errors(
@@ -74,7 +74,7 @@ def pose_errors(
     ``symmetry``, a map of the unscaled object onto itself, applies to the true one.
     """
     S = np.eye(4) if symmetry is None else symmetry
-    A, b = _difference(predicted, true, S)
+    A, b = _displacement_map(predicted, true, S)
     add = np.stack([np.linalg.norm(mesh.vertices @ M.T + c, axis=1).mean() for M, c in zip(A, b, strict=True)])
     return PoseErrors(
         add=add,
@@ -92,19 +92,19 @@ def best_symmetry(
     Continuous rotations are sampled (36 angles; 500 rotations of a ball) and the best sample is refined by a simplex
     search, so that sampling adds no error.
     """
-    vertices = mesh.vertices[:: max(1, len(mesh.vertices) // VERTICES)]
+    vertices = mesh.vertices[:: max(1, len(mesh.vertices) // N_SYMMETRY_VERTICES)]
 
     def cost(S: Float[ndarray, "4 4"]) -> float:
-        A, b = _difference(predicted, true, S)
+        A, b = _displacement_map(predicted, true, S)
         return float(np.linalg.norm(vertices @ np.swapaxes(A, 1, 2) + b[:, None], axis=2).mean())
 
     free = len(symmetries.axes)
     if free == 0:
         angles = np.zeros((1, 0))
     elif free == 1:
-        angles = np.arange(STEPS)[:, None] * 2.0 * np.pi / STEPS
+        angles = np.arange(N_AXIS_ANGLES)[:, None] * 2.0 * np.pi / N_AXIS_ANGLES
     else:
-        angles = se3.log_so3(se3.super_fibonacci(BALL))
+        angles = se3.log_so3(se3.super_fibonacci(N_BALL_ROTATIONS))
     rotations = symmetries.about(angles)
     samples = [(cost(rotation @ S), k, S) for k, rotation in enumerate(rotations) for S in symmetries.elements]
     _, k, S = min(samples, key=lambda sample: sample[0])
@@ -118,7 +118,7 @@ def best_symmetry(
     return symmetries.about(found.x) @ S
 
 
-def _difference(
+def _displacement_map(
     predicted: ObjectTrack, true: ObjectTrack, S: Float[ndarray, "4 4"]
 ) -> tuple[Float[ndarray, "T 3 3"], Float[ndarray, "T 3"]]:
     """Return (A, b) with A x + b the displacement [m], in the frame of reference, of the unscaled object point x."""

@@ -21,29 +21,29 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.pose import ObjectTrack
 from getagrip.metrics.symmetry import Symmetries
 
-TOP = 0.10
+MAX_AUC_ERROR_M = 0.10
 """Largest threshold of the areas under curves [m]."""
-SHARES = np.arange(1, 11) * 0.05
+MSSD_THRESHOLDS = np.arange(1, 11) * 0.05
 """BOP's thresholds of MSSD, in diameters."""
-PIXELS = np.arange(1, 11) * 5.0
+MSPD_THRESHOLDS_PX = np.arange(1, 11) * 5.0
 """BOP's thresholds of MSPD [px], in images 640 px wide."""
-ANGLES = 72
+N_RECALL_AXIS_ANGLES = 72
 """Angles about a continuous axis."""
-BALL = 500
+N_RECALL_BALL_ROTATIONS = 500
 """Rotations of a ball."""
-VERTICES = 2000
+MAX_RECALL_VERTICES = 2000
 """Most vertices whose nearest one is looked for."""
 
 
 def nearest_add(predicted: Float[ndarray, "T V 3"], true: Float[ndarray, "T V 3"]) -> Float[ndarray, "T"]:
     """Compute the mean distance of the true vertices to the nearest predicted ones (ADD-S) [m]."""
-    some = true[:, :: -(-true.shape[1] // VERTICES)]
+    some = true[:, :: -(-true.shape[1] // MAX_RECALL_VERTICES)]
     return np.array([KDTree(p).query(t)[0].mean() for p, t in zip(predicted, some, strict=True)])
 
 
 def area_under_curve(error: Float[ndarray, "T"]) -> Float[ndarray, "T"]:
-    """Compute what each frame adds to the area under the curve of recall by threshold, 0 to ``TOP``, as a share."""
-    return np.clip(1.0 - error / TOP, 0.0, 1.0)
+    """Compute what each frame adds to the area under the curve of recall by threshold, 0 to ``MAX_AUC_ERROR_M``, as a share."""
+    return np.clip(1.0 - error / MAX_AUC_ERROR_M, 0.0, 1.0)
 
 
 def all_symmetries(symmetries: Symmetries) -> Float[ndarray, "S 4 4"]:
@@ -51,8 +51,8 @@ def all_symmetries(symmetries: Symmetries) -> Float[ndarray, "S 4 4"]:
     free = len(symmetries.axes)
     if free == 0:
         return symmetries.elements
-    turns = np.arange(ANGLES)[:, None] * (2.0 * np.pi / ANGLES)
-    angles = turns if free == 1 else se3.log_so3(se3.super_fibonacci(BALL))
+    turns = np.arange(N_RECALL_AXIS_ANGLES)[:, None] * (2.0 * np.pi / N_RECALL_AXIS_ANGLES)
+    angles = turns if free == 1 else se3.log_so3(se3.super_fibonacci(N_RECALL_BALL_ROTATIONS))
     return (symmetries.about(angles)[:, None] @ symmetries.elements).reshape(-1, 4, 4)
 
 
@@ -95,6 +95,6 @@ class SymmetricErrors:
         return np.asarray(np.min(worst, axis=0))
 
 
-def recall(error: Float[ndarray, "T"], thresholds: Float[ndarray, "k"]) -> Float[ndarray, "T"]:
+def recall_at_thresholds(error: Float[ndarray, "T"], thresholds: Float[ndarray, "k"]) -> Float[ndarray, "T"]:
     """Compute the share of the thresholds that each frame's error is below."""
     return np.asarray((error[:, None] < thresholds).mean(axis=1))

@@ -14,11 +14,11 @@ from numpy import ndarray
 from getagrip.errors import GetagripError
 from getagrip.geometry.mesh import edge_table
 
-FARTHEST = 1e5
+MAX_SCENE_COORDINATE_M = 1e5
 """No point of any scene is farther from its origin [m]."""
-SURFACES = 64
-"""Most surfaces whose search trees are kept, of at most ``FACES`` faces each: hands of the latest frames, 50 MB."""
-FACES = 2000
+MAX_CACHED_SURFACES = 64
+"""Most surfaces whose search trees are kept, of at most ``MAX_CACHED_SURFACE_FACES`` faces each: hands of the latest frames, 50 MB."""
+MAX_CACHED_SURFACE_FACES = 2000
 
 
 def signed_distance(
@@ -48,8 +48,10 @@ def moving_distance(
     be the same as before, is not computed again. Raises ``GetagripError`` for coordinates beyond all scenes, at which
     libigl's search would run out of its memory.
     """
-    if not max(np.abs(points).max(initial=0.0), np.abs(vertices).max(initial=0.0)) < FARTHEST:
-        raise GetagripError(f"distances of points more than {FARTHEST:g} m away, or of no number, are not computed")
+    if not max(np.abs(points).max(initial=0.0), np.abs(vertices).max(initial=0.0)) < MAX_SCENE_COORDINATE_M:
+        raise GetagripError(
+            f"distances of points more than {MAX_SCENE_COORDINATE_M:g} m away, or of no number, are not computed"
+        )
 
     closed = bool(np.all(edge_table(faces)[:, 3] < len(faces)))  # else one can get inside without crossing the surface
     inside, least = np.zeros(points.shape[1], dtype=bool), np.full(points.shape[1], -np.inf)
@@ -61,7 +63,7 @@ def moving_distance(
             step = x - points[n - 1]
             least -= np.sqrt(np.einsum("pk,pk->p", step, step)) + moved + 1e-9
         if moved > 0.0:
-            here = _Surface.of(surface, faces)
+            here = _SearchSurface.of(surface, faces)
         sides = np.maximum(surface.min(axis=0) - x, x - surface.max(axis=0))
         outside = np.maximum(np.maximum(sides[:, 0], sides[:, 1]), sides[:, 2])  # the bounding box, by so much
         boxed = outside <= 0.0
@@ -77,17 +79,21 @@ def moving_distance(
 
 
 @dataclass(frozen=True)
-class _Surface:
+class _SearchSurface:
     """A surface at rest and its search trees, each made when it is first needed."""
 
     vertices: Float[ndarray, "V 3"]
     faces: Int[ndarray, "F 3"]
 
     @staticmethod
-    def of(vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]) -> _Surface:
+    def of(vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]) -> _SearchSurface:
         """Return a surface; results that are compared on a clip share those of its hand."""
         vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
-        return _kept(vertices.tobytes(), faces.tobytes()) if len(faces) <= FACES else _Surface(vertices, faces)
+        return (
+            _cached_surface(vertices.tobytes(), faces.tobytes())
+            if len(faces) <= MAX_CACHED_SURFACE_FACES
+            else _SearchSurface(vertices, faces)
+        )
 
     def distance(self, points: Float[ndarray, "P 3"]) -> Float[ndarray, "P"]:
         """Compute the distance of points [m], without a sign."""
@@ -114,12 +120,12 @@ class _Surface:
         return winding
 
 
-@lru_cache(maxsize=SURFACES)
-def _kept(vertices: bytes, faces: bytes) -> _Surface:
-    return _Surface(np.frombuffer(vertices).reshape(-1, 3), np.frombuffer(faces, np.int64).reshape(-1, 3))
+@lru_cache(maxsize=MAX_CACHED_SURFACES)
+def _cached_surface(vertices: bytes, faces: bytes) -> _SearchSurface:
+    return _SearchSurface(np.frombuffer(vertices).reshape(-1, 3), np.frombuffer(faces, np.int64).reshape(-1, 3))
 
 
-atexit.register(_kept.cache_clear)  # libigl's bindings report trees that outlive them as leaks
+atexit.register(_cached_surface.cache_clear)  # libigl's bindings report trees that outlive them as leaks
 
 
 def close_holes(

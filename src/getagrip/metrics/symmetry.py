@@ -1,7 +1,7 @@
 """The rotations that map an object onto itself, found from its surface. Mirrorings do not count.
 
 A rotation T is a symmetry when points sampled evenly over the surface, rotated by T, lie on the surface again: at most
-``MEAN`` of the diameter away in the mean and ``WORST`` at the worst. The second bound keeps a handle or a spout, a
+``MAX_MEAN_SYMMETRY_DISTANCE`` of the diameter away in the mean and ``MAX_SYMMETRY_DISTANCE`` at the worst. The second bound keeps a handle or a spout, a
 few per cent of the area, from going unnoticed. Candidates are rotations about the principal axes of the surface (and
 about more axes where those are not unique), each refined by a few steps of point-to-plane ICP.
 """
@@ -18,17 +18,17 @@ from numpy import ndarray
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh, decimate, face_areas
 
-MEAN, WORST = 0.015, 0.06
+MAX_MEAN_SYMMETRY_DISTANCE, MAX_SYMMETRY_DISTANCE = 0.015, 0.06
 """Largest mean and largest single distance between the rotated and the resting surface [diameters]."""
-ORDERS = (2, 3, 4, 5, 6)
+ROTATION_ORDERS = (2, 3, 4, 5, 6)
 """Orders of the discrete rotations that are tried: 180, 120, 90, 72 and 60 degrees."""
-PROBES = np.radians([17.0, 40.0, 73.0, 101.0, 139.0, 180.0])
+CONTINUOUS_AXIS_ANGLES_RAD = np.radians([17.0, 40.0, 73.0, 101.0, 139.0, 180.0])
 """An axis about which all these rotations are symmetries is continuous [rad]."""
-UNIQUE = 1.25
+AXIS_MOMENT_RATIO = 1.25
 """Principal axes whose second moments are within this factor of each other are not unique."""
-SAME = np.radians(10.0)
+DUPLICATE_SYMMETRY_ANGLE_RAD = np.radians(10.0)
 """Turns closer than this are the same symmetry; none is fitted further away from its candidate [rad]."""
-POINTS, FACES = 600, 2000
+N_SYMMETRY_POINTS, MAX_SYMMETRY_FACES = 600, 2000
 """Points that are rotated, and faces of the mesh they are compared with."""
 
 
@@ -63,13 +63,13 @@ class Symmetries:
 
 def find_symmetries(mesh: Mesh) -> Symmetries:
     """Find the symmetries of a mesh, once for all clips that hold it; at least the identity."""
-    return _found(mesh.vertices.tobytes(), mesh.faces.tobytes())
+    return _cached_symmetries(mesh.vertices.tobytes(), mesh.faces.tobytes())
 
 
 @lru_cache(maxsize=32)
-def _found(vertices: bytes, faces: bytes) -> Symmetries:
+def _cached_symmetries(vertices: bytes, faces: bytes) -> Symmetries:
     mesh = Mesh(np.frombuffer(vertices).reshape(-1, 3), np.frombuffer(faces, np.int64).reshape(-1, 3))
-    surface = _Surface(decimate(mesh, FACES))
+    surface = _SymmetrySurface(decimate(mesh, MAX_SYMMETRY_FACES))
     centre, second_moment = _moments(mesh)
     moments, axes = np.linalg.eigh(second_moment)
     lines = _candidate_axes(moments, axes.T)
@@ -77,7 +77,7 @@ def _found(vertices: bytes, faces: bytes) -> Symmetries:
     halves = surface.promising(_rotations(centre, lines, np.pi))
     first: tuple[ndarray, ndarray] | None = None
     for half in halves:
-        if (symmetry := surface.refined(half)) is None or (line := _continuous(surface, centre, symmetry)) is None:
+        if (symmetry := surface.refined(half)) is None or (line := _continuous_axis(surface, centre, symmetry)) is None:
             continue
         first = first or line
         if abs(line[1] @ first[1]) < np.cos(np.radians(30.0)):  # two axes make all of them
@@ -89,23 +89,23 @@ def _found(vertices: bytes, faces: bytes) -> Symmetries:
         return Symmetries(np.stack([np.eye(4)] if flip is None else [np.eye(4), flip]), axis[None], point)
 
     elements = [np.eye(4)]
-    for order in ORDERS:
+    for order in ROTATION_ORDERS:
         for T in halves if order == 2 else surface.promising(_rotations(centre, lines, 2.0 * np.pi / order)):
-            _add(elements, T, surface)
+            _add_symmetry(elements, T, surface)
     for a in elements:  # grows while it runs: what two symmetries make together is one, if it passes
         for b in elements[: len(elements)]:
-            _add(elements, a @ b, surface)
+            _add_symmetry(elements, a @ b, surface)
     return Symmetries(np.stack(elements), np.zeros((0, 3)), centre)
 
 
-class _Surface:
+class _SymmetrySurface:
     """A mesh's surface: points spread over it, and how far others are from it."""
 
     def __init__(self, mesh: Mesh) -> None:
         import igl
         from scipy.spatial import cKDTree
 
-        self.mesh, self.points = mesh, surface_points(mesh, POINTS)
+        self.mesh, self.points = mesh, surface_points(mesh, N_SYMMETRY_POINTS)
         self.tree = igl.AABB()
         self.tree.init(mesh.vertices, mesh.faces)
         self.dense = cKDTree(surface_points(mesh, 5000))
@@ -114,7 +114,7 @@ class _Surface:
     def promising(self, rotations: Float[ndarray, "n 4 4"]) -> Float[ndarray, "m 4 4"]:
         """Return the rotations that a coarse test of all of them at once does not exclude."""
         distance = self.dense.query(se3.transform(rotations, self.points[::5]))[0]
-        return rotations[distance.mean(axis=1) < 3.0 * MEAN * self.mesh.diameter]
+        return rotations[distance.mean(axis=1) < 3.0 * MAX_MEAN_SYMMETRY_DISTANCE * self.mesh.diameter]
 
     def nearest(self, X: Float[ndarray, "P 3"]) -> tuple[ndarray, ndarray, ndarray]:
         """Return distances [m], nearest points and the normals there."""
@@ -124,7 +124,7 @@ class _Surface:
     def fits(self, T: Float[ndarray, "4 4"]) -> bool:
         """Return whether the rotated surface lies on the resting one."""
         distance = self.nearest(se3.transform(T, self.points))[0] / self.mesh.diameter
-        return bool(distance.mean() < MEAN and distance.max() < WORST)
+        return bool(distance.mean() < MAX_MEAN_SYMMETRY_DISTANCE and distance.max() < MAX_SYMMETRY_DISTANCE)
 
     def refined(self, rotation: Float[ndarray, "4 4"]) -> Float[ndarray, "4 4"] | None:
         """Refine a rotation to its best fit nearby; None where that is no symmetry. Half turns are asked for twice."""
@@ -135,11 +135,13 @@ class _Surface:
     def _refine(self, rotation: Float[ndarray, "4 4"]) -> Float[ndarray, "4 4"] | None:
         few = self.points[::6]
         off = self.nearest(se3.transform(self.aligned(rotation, few), few))[0] / (1.5 * self.mesh.diameter)
-        if off.mean() > MEAN or off.max() > WORST:  # most are far off, and a few points show it
+        if (
+            off.mean() > MAX_MEAN_SYMMETRY_DISTANCE or off.max() > MAX_SYMMETRY_DISTANCE
+        ):  # most are far off, and a few points show it
             return None
         T = self.aligned(rotation, self.points)
         moved = se3.angle_between(rotation[:3, :3], T[:3, :3])
-        return T if moved < SAME and self.fits(T) else None
+        return T if moved < DUPLICATE_SYMMETRY_ANGLE_RAD and self.fits(T) else None
 
     def aligned(self, rotation: Float[ndarray, "4 4"], points: Float[ndarray, "P 3"]) -> Float[ndarray, "4 4"]:
         """Refine a rotation to its best fit of points to the surface (point-to-plane ICP)."""
@@ -158,10 +160,10 @@ class _Surface:
 
 def surface_points(mesh: Mesh, count: int) -> Float[ndarray, "count 3"]:
     """Sample points evenly over a surface by area; the same ones every time."""
-    return at_places(mesh, *surface_places(mesh, count))
+    return points_at_samples(mesh, *surface_samples(mesh, count))
 
 
-def surface_places(mesh: Mesh, count: int) -> tuple[Int[ndarray, "n"], Float[ndarray, "n 2"]]:
+def surface_samples(mesh: Mesh, count: int) -> tuple[Int[ndarray, "n"], Float[ndarray, "n 2"]]:
     """Return the face of each of the ``surface_points``, and their position along its first two edges."""
     filled = np.cumsum(face_areas(mesh.vertices, mesh.faces))
     face = np.searchsorted(filled, (np.arange(count) + 0.5) / count * filled[-1])
@@ -170,7 +172,7 @@ def surface_places(mesh: Mesh, count: int) -> tuple[Int[ndarray, "n"], Float[nda
     return face, np.where(u.sum(axis=1, keepdims=True) > 1.0, 1.0 - u, u)
 
 
-def at_places(mesh: Mesh, face: Int[ndarray, "n"], along: Float[ndarray, "n 2"]) -> Float[ndarray, "n 3"]:
+def points_at_samples(mesh: Mesh, face: Int[ndarray, "n"], along: Float[ndarray, "n 2"]) -> Float[ndarray, "n 3"]:
     """Return the points of a mesh at places of another one with the same faces."""
     a, b, c = np.moveaxis(mesh.vertices[mesh.faces[face]], 1, 0)
     return np.asarray(a + along[:, :1] * (b - a) + along[:, 1:] * (c - a))
@@ -188,7 +190,7 @@ def _moments(mesh: Mesh) -> tuple[Float[ndarray, "3"], Float[ndarray, "3 3"]]:
 
 def _candidate_axes(moments: Float[ndarray, "3"], axes: Float[ndarray, "3 3"]) -> Float[ndarray, "n 3"]:
     """Principal axes (moments ascending), and axes between those that are not unique."""
-    low, high = moments[1] < UNIQUE * moments[0], moments[2] < UNIQUE * moments[1]
+    low, high = moments[1] < AXIS_MOMENT_RATIO * moments[0], moments[2] < AXIS_MOMENT_RATIO * moments[1]
     if low and high:
         z = (np.arange(150) + 0.5) / 150  # Fibonacci points on the half sphere
         angle = np.arange(150) * np.pi * (3.0 - np.sqrt(5.0))
@@ -207,24 +209,28 @@ def _rotations(
     return se3.rotation_about_line(point, axis, np.full(axis.shape[:-1], angle))
 
 
-def _continuous(
-    surface: _Surface, centre: Float[ndarray, "3"], half: Float[ndarray, "4 4"]
+def _continuous_axis(
+    surface: _SymmetrySurface, centre: Float[ndarray, "3"], half: Float[ndarray, "4 4"]
 ) -> tuple[Float[ndarray, "3"], Float[ndarray, "3"]] | None:
     """Return the line (point, direction) of a half turn, if any rotation about it is a symmetry."""
     w = se3.log_so3(half[:3, :3])
     axis = w / np.linalg.norm(w)
     point = (centre + se3.transform(half, centre[None])[0]) / 2.0  # halfway between a point and its image
-    return (point, axis) if all(surface.fits(_rotations(point, axis, angle)) for angle in PROBES) else None
+    return (
+        (point, axis)
+        if all(surface.fits(_rotations(point, axis, angle)) for angle in CONTINUOUS_AXIS_ANGLES_RAD)
+        else None
+    )
 
 
-def _add(elements: list[ndarray], T: Float[ndarray, "4 4"], surface: _Surface) -> None:
+def _add_symmetry(elements: list[ndarray], T: Float[ndarray, "4 4"], surface: _SymmetrySurface) -> None:
     """Add the symmetry nearest to T, unless there is none or it is known."""
-    if _known(elements, T):
+    if _is_known_symmetry(elements, T):
         return
     refined = surface.refined(T)
-    if refined is not None and not _known(elements, refined):
+    if refined is not None and not _is_known_symmetry(elements, refined):
         elements.append(refined)
 
 
-def _known(elements: list[ndarray], T: Float[ndarray, "4 4"]) -> bool:
-    return bool(np.any(se3.angle_between(np.stack(elements)[:, :3, :3], T[:3, :3]) < SAME))
+def _is_known_symmetry(elements: list[ndarray], T: Float[ndarray, "4 4"]) -> bool:
+    return bool(np.any(se3.angle_between(np.stack(elements)[:, :3, :3], T[:3, :3]) < DUPLICATE_SYMMETRY_ANGLE_RAD))

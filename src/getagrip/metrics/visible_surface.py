@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-SHARES = np.arange(1, 11) * 0.05
+VSD_TOLERANCES = np.arange(1, 11) * 0.05
 """Tolerances of misalignment, in diameters; and the thresholds of the recall."""
-BEHIND = 0.015
+VSD_VISIBILITY_TOLERANCE_M = 0.015
 """A surface is visible up to so far behind the scene's [m]."""
 
 Image = Float[ndarray, "h w"]
@@ -31,7 +31,8 @@ def discrepancy(predicted: Image, true: Image, scene: Image, tolerances: Float[n
     """
     in_front = (predicted > 0.0), (true > 0.0)
     seen = [
-        there & ((z - scene <= BEHIND) | (scene == 0.0)) for there, z in zip(in_front, (predicted, true), strict=True)
+        there & ((z - scene <= VSD_VISIBILITY_TOLERANCE_M) | (scene == 0.0))
+        for there, z in zip(in_front, (predicted, true), strict=True)
     ]
     visible, visible_true = seen[0] | (seen[1] & in_front[0]), seen[1]
     both, count = visible & visible_true, np.count_nonzero(visible | visible_true)
@@ -42,6 +43,6 @@ def discrepancy(predicted: Image, true: Image, scene: Image, tolerances: Float[n
     return np.asarray((wrong + count - len(apart)) / count)
 
 
-def recall(errors: Float[ndarray, "k"]) -> float:
+def vsd_recall(errors: Float[ndarray, "k"]) -> float:
     """Compute the mean recall over tolerances and thresholds."""
-    return float((errors[:, None] < SHARES).mean())
+    return float((errors[:, None] < VSD_TOLERANCES).mean())

@@ -13,12 +13,12 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.io import arrays, files
-from getagrip.io.tables import text_cell
-from getagrip.object_poses.files import ALONE, COLUMNS
+from getagrip.io.tables import escape_cell
+from getagrip.object_poses.files import BOP_COLUMNS, SINGLE_POSE_SUFFIXES
 
 
 @dataclass(frozen=True)
-class Track:
+class ExternalTrack:
     """Poses of an object in T frames.
 
     Attributes:
@@ -36,32 +36,32 @@ class Track:
     score: Float[ndarray, "T"]
 
 
-def write_like(place: Path, track: Track, folder: Path) -> Path:
+def write_poses_like(place: Path, track: ExternalTrack, folder: Path) -> Path:
     """Write a track into a folder as ``place`` has one, under the same name; return where it is.
 
     ``place`` is a file, or a folder with a file for each frame. Raises ``InputError`` where it cannot be read.
     """
     out = folder / place.name
     if place.is_dir():
-        suffix = files.listed(place, ALONE)[0].suffix.lower()
+        suffix = files.list_files(place, SINGLE_POSE_SUFFIXES)[0].suffix.lower()
         files.folder_inside(folder, place.name)  # a call that is repeated finds it there
         for name, T in zip(track.names, track.T_cam_obj, strict=True):
-            files.write_bytes(out / f"{name}{suffix}", _matrices(suffix, T))
+            files.write_bytes(out / f"{name}{suffix}", _encode_pose_matrices(suffix, T))
         return out
     suffix = place.suffix.lower()
     if suffix == ".csv":
-        content = _bop_results(place, track)
+        content = _encode_bop_results(place, track)
     elif suffix == ".npz":
-        content = _record(place, track)
+        content = _encode_pose_record(place, track)
     elif suffix == ".json":
-        content = _json(place, track)
+        content = _encode_pose_json(place, track)
     else:
-        content = _matrices(suffix, track.T_cam_obj)
+        content = _encode_pose_matrices(suffix, track.T_cam_obj)
     files.write_bytes(out, content)
     return out
 
 
-def _matrices(suffix: str, T: Float[ndarray, "*T 4 4"]) -> bytes:
+def _encode_pose_matrices(suffix: str, T: Float[ndarray, "*T 4 4"]) -> bytes:
     if suffix == ".json":
         return json.dumps(T.tolist()).encode()
     stream = io.BytesIO()
@@ -72,20 +72,20 @@ def _matrices(suffix: str, T: Float[ndarray, "*T 4 4"]) -> bytes:
     return stream.getvalue()
 
 
-def _bop_results(place: Path, track: Track) -> bytes:
+def _encode_bop_results(place: Path, track: ExternalTrack) -> bytes:
     """BOP's table, of the scene and object that the file is of."""
     _, rows = files.csv_rows(place, files.read_bytes(place), "BOP's results as CSV in UTF-8")
     _, first = next(iter(rows))
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow([*COLUMNS, "time"])
+    table.writerow([*BOP_COLUMNS, "time"])
     for name, T, score in zip(track.names, track.T_cam_obj, np.nan_to_num(track.score), strict=True):
         R, t = (" ".join(f"{x:.9g}" for x in values) for values in (T[:3, :3].ravel(), 1e3 * T[:3, 3]))
-        table.writerow([*map(text_cell, (first["scene_id"], name, first["obj_id"])), f"{score:.6g}", R, t, -1])
+        table.writerow([*map(escape_cell, (first["scene_id"], name, first["obj_id"])), f"{score:.6g}", R, t, -1])
     return text.getvalue().encode()
 
 
-def _record(place: Path, track: Track) -> bytes:
+def _encode_pose_record(place: Path, track: ExternalTrack) -> bytes:
     """Arrays by name, in the frame that the file's are in."""
     key = "T_hand_obj" if "T_hand_obj" in arrays.read(place, {"T_cam_obj", "T_hand_obj"}.__contains__) else "T_cam_obj"
     stream = io.BytesIO()
@@ -93,7 +93,7 @@ def _record(place: Path, track: Track) -> bytes:
     return stream.getvalue()
 
 
-def _json(place: Path, track: Track) -> bytes:
+def _encode_pose_json(place: Path, track: ExternalTrack) -> bytes:
     """Write a list, a record, a matrix by frame, or BOP's ``scene_gt``: whichever the file has."""
     given = files.read_any_json(place)
     content: object = track.T_cam_obj.tolist()

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from getagrip.checks import RESULT_CHECKS, Evidence, examine
-from getagrip.checks.plausibility import gap, penetration
+from getagrip.checks import RESULT_CHECKS, Evidence, run_checks
+from getagrip.checks.plausibility import median_hand_object_gap, penetration_depth
 from getagrip.clip.occlusion import occluded_by_hand
 from getagrip.finding import Finding
 from getagrip.metrics.contact import pairwise_iou, stable_contact_area
@@ -16,13 +16,13 @@ from getagrip.metrics.mask import iou_of_poses
 from getagrip.metrics.pose import ObjectTrack, pose_errors
 from getagrip.pictures.shown import View
 
-HEAD = ("", "energy", "IOU %", "gap mm", "depth mm", "SCA %", "ADD mm")
-TOUCHING = 0.010
+CANDIDATE_TABLE_HEADINGS = ("", "energy", "IOU %", "gap mm", "depth mm", "SCA %", "ADD mm")
+SCA_CONTACT_DISTANCE_M = 0.010
 """Points of the hand within this distance of the object are in contact, in the stable contact area [m]."""
 
 
 @dataclass(frozen=True)
-class Numbers:
+class CandidateMetrics:
     """About one candidate; NaN where not known.
 
     Attributes:
@@ -47,10 +47,10 @@ class Numbers:
 
 
 @dataclass(frozen=True)
-class Question:
+class CandidateCriterion:
     """A number by which candidates are compared."""
 
-    value: Callable[[Numbers], float]
+    value: Callable[[CandidateMetrics], float]
     more_is_better: bool
     margin: float
     """Differences below this say nothing."""
@@ -59,17 +59,19 @@ class Question:
     factor: float = 1.0
 
 
-QUESTIONS = (
-    Question(lambda it: it.excess, False, 0.05, "energy {value:.0f} % above the lowest", 100.0),
-    Question(lambda it: it.iou, True, 0.01, "mask IOU {value:.1f} % (best: {best:.1f} %)", 100.0),
-    Question(lambda it: it.gap, False, 2.0, "gap between hand and object {value:.1f} mm (least: {best:.1f} mm)"),
-    Question(lambda it: it.depth, False, 3.0, "hand {value:.1f} mm deep inside (least: {best:.1f} mm)"),
-    Question(lambda it: it.sca, True, 0.05, "stable contact area {value:.0f} % (most: {best:.0f} %)", 100.0),
+CANDIDATE_CRITERIA = (
+    CandidateCriterion(lambda it: it.excess, False, 0.05, "energy {value:.0f} % above the lowest", 100.0),
+    CandidateCriterion(lambda it: it.iou, True, 0.01, "mask IOU {value:.1f} % (best: {best:.1f} %)", 100.0),
+    CandidateCriterion(
+        lambda it: it.gap, False, 2.0, "gap between hand and object {value:.1f} mm (least: {best:.1f} mm)"
+    ),
+    CandidateCriterion(lambda it: it.depth, False, 3.0, "hand {value:.1f} mm deep inside (least: {best:.1f} mm)"),
+    CandidateCriterion(lambda it: it.sca, True, 0.05, "stable contact area {value:.0f} % (most: {best:.0f} %)", 100.0),
 )
 """Ground truth is none of them: it is shown, but nobody has it for footage of their own."""
 
 
-def numbers(view: View) -> list[Numbers]:
+def compute_candidate_metrics(view: View) -> list[CandidateMetrics]:
     """Compute the numbers about each candidate of a result, best energy first.
 
     ``view`` is at the frames to compare in.
@@ -91,39 +93,39 @@ def numbers(view: View) -> list[Numbers]:
         mean, deep, far, stable = (float("nan"),) * 4
         if view.masks is not None and np.isfinite(iou).any():
             grasp = Evidence(view.clip, view.masks, T_hand_obj, track.scale, iou)
-            findings = examine(RESULT_CHECKS.working().values(), grasp)[1]
-            mean, deep, far = float(np.nanmean(iou)), penetration(grasp), gap(grasp)
-            stable = stable_contact_area(pairwise_iou(grasp.to_object <= TOUCHING))
+            findings = run_checks(RESULT_CHECKS.working().values(), grasp)[1]
+            mean, deep, far = float(np.nanmean(iou)), penetration_depth(grasp), median_hand_object_gap(grasp)
+            stable = stable_contact_area(pairwise_iou(grasp.to_object <= SCA_CONTACT_DISTANCE_M))
         excess = float(energy) / lowest - 1.0 if lowest > 0.0 else float("nan")
-        out.append(Numbers(float(energy), excess, mean, far, deep, stable, add, findings))
+        out.append(CandidateMetrics(float(energy), excess, mean, far, deep, stable, add, findings))
     return out
 
 
-def compared(view: View) -> dict[str, object]:
+def compare_candidates(view: View) -> dict[str, object]:
     """Make a table of all candidates, and the arguments for and against each, as the page shows them."""
-    known = numbers(view)
-    rows = [[str(rank + 1), *_cells(it)] for rank, it in enumerate(known)]
-    columns = [k for k in range(len(HEAD)) if any(row[k] for row in rows)]
-    pros, cons = zip(*(arguments(known, rank) for rank in range(len(known))), strict=True)
+    known = compute_candidate_metrics(view)
+    rows = [[str(rank + 1), *_format_candidate_row(it)] for rank, it in enumerate(known)]
+    columns = [k for k in range(len(CANDIDATE_TABLE_HEADINGS)) if any(row[k] for row in rows)]
+    pros, cons = zip(*(weigh_candidate(known, rank) for rank in range(len(known))), strict=True)
     return {
-        "head": [HEAD[k] for k in columns],
+        "head": [CANDIDATE_TABLE_HEADINGS[k] for k in columns],
         "rows": [[row[k] for k in columns] for row in rows],
         "pros": pros,
         "cons": cons,
     }
 
 
-def _cells(it: Numbers) -> list[str]:
-    """Return a candidate's line, under all but the first of ``HEAD``; empty where a number is not known."""
+def _format_candidate_row(it: CandidateMetrics) -> list[str]:
+    """Return a candidate's line, under all but the first of ``CANDIDATE_TABLE_HEADINGS``; empty where a number is not known."""
     values = (it.energy, 100 * it.iou, it.gap, it.depth, 100 * it.sca, it.add)
     return ["" if np.isnan(v) else f"{v:.{d}f}" for v, d in zip(values, (0, 1, 1, 1, 0, 1), strict=True)]
 
 
-def arguments(all_of_them: Sequence[Numbers], rank: int) -> tuple[list[str], list[str]]:
+def weigh_candidate(all_of_them: Sequence[CandidateMetrics], rank: int) -> tuple[list[str], list[str]]:
     """Return the arguments for a candidate, and those against it: compared with the others, and by the checks."""
     it = all_of_them[rank]
     pro, con = [], [str(finding) for finding in it.findings]
-    for question in QUESTIONS:
+    for question in CANDIDATE_CRITERIA:
         values = np.array([question.value(other) for other in all_of_them])
         if len(values) < 2 or not np.isfinite(values[rank]):
             continue
@@ -133,5 +135,5 @@ def arguments(all_of_them: Sequence[Numbers], rank: int) -> tuple[list[str], lis
         if abs(values[rank] - best) > question.margin:
             con.append(text)
         elif np.any(np.abs(values - best) > question.margin):
-            pro.append("lowest energy" if question is QUESTIONS[0] else text)
+            pro.append("lowest energy" if question is CANDIDATE_CRITERIA[0] else text)
     return pro, con

@@ -14,39 +14,39 @@ from getagrip.errors import GetagripError
 from getagrip.geometry.camera import Crops
 from getagrip.geometry.render import Surface
 from getagrip.pictures.shown import View
-from getagrip.pictures.tiles import image_in, intrinsics_of, mask_lines, silhouette_lines
+from getagrip.pictures.tiles import crop_image, mask_contours, silhouette_lines, window_intrinsics
 
-PICTURE, QUALITY = 480, 78
+FRAME_PICTURE_PX, FRAME_JPEG_QUALITY = 480, 78
 """Side [px] and JPEG quality of the images."""
 
 
-def drawn(view: View, n: int, crops: Crops, k: int) -> dict[str, object]:
+def draw_page_frame(view: View, n: int, crops: Crops, k: int) -> dict[str, object]:
     """Draw frame ``n`` in window ``k``.
 
     The image, and the contours of the object, the hands, the truth and the mask.
     """
-    outlines = {"hand": _contour(view.hands(n), view, n, crops, k)}
+    outlines = {"hand": _surfaces_outline(view.hands(n), view, n, crops, k)}
     if view.posed:
-        outlines["object"] = outline(view, n, crops, k)
+        outlines["object"] = object_outline(view, n, crops, k)
     if not view.of_truth and (true := view.true()) is not None:
-        outlines["true"] = outline(true, n, crops, k)
+        outlines["true"] = object_outline(true, n, crops, k)
     if view.masks is not None:
-        lines = mask_lines(view.masks.object[n])
-        outlines["observed"] = paths((line - crops.corner[k]) * crops.zoom for line in lines)
-    return {"picture": jpeg(image_in(view, n, crops, k), QUALITY), "outlines": outlines}
+        lines = mask_contours(view.masks.object[n])
+        outlines["observed"] = svg_paths((line - crops.corner[k]) * crops.zoom for line in lines)
+    return {"picture": jpeg_base64(crop_image(view, n, crops, k), FRAME_JPEG_QUALITY), "outlines": outlines}
 
 
-def outline(view: View, n: int, crops: Crops, k: int) -> str:
+def object_outline(view: View, n: int, crops: Crops, k: int) -> str:
     """Return the contour of the posed object."""
-    return _contour([(view.object(n), view.clip.mesh.faces)], view, n, crops, k)
+    return _surfaces_outline([(view.object(n), view.clip.mesh.faces)], view, n, crops, k)
 
 
-def _contour(surfaces: Iterable[Surface], view: View, n: int, crops: Crops, k: int) -> str:
-    K = intrinsics_of(view, n, crops, k)
-    return "".join(paths(silhouette_lines(*surface, K, crops.size)) for surface in surfaces)
+def _surfaces_outline(surfaces: Iterable[Surface], view: View, n: int, crops: Crops, k: int) -> str:
+    K = window_intrinsics(view, n, crops, k)
+    return "".join(svg_paths(silhouette_lines(*surface, K, crops.size)) for surface in surfaces)
 
 
-def jpeg(picture: UInt8[ndarray, "H W 3"], quality: int) -> str:
+def jpeg_base64(picture: UInt8[ndarray, "H W 3"], quality: int) -> str:
     """Encode an RGB picture as JPEG, in base64."""
     done, content = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not done:
@@ -54,7 +54,7 @@ def jpeg(picture: UInt8[ndarray, "H W 3"], quality: int) -> str:
     return base64.b64encode(content.tobytes()).decode("ascii")
 
 
-def paths(lines: Iterable[Float[ndarray, "_n 2"]]) -> str:
+def svg_paths(lines: Iterable[Float[ndarray, "_n 2"]]) -> str:
     """Write closed lines as SVG paths, without points that hardly change them."""
     out = []
     for line in lines:

@@ -13,24 +13,24 @@ from urllib.parse import quote
 import numpy as np
 
 from getagrip import __version__
-from getagrip.errors import legible
+from getagrip.errors import replace_surrogates
 from getagrip.evaluation.metric import METRICS, Metric
 from getagrip.evaluation.results import Evaluation
 from getagrip.fitting.methods import label_of
 from getagrip.io import files
-from getagrip.pages.document import document
-from getagrip.pages.frames import jpeg
-from getagrip.pages.report import CONTACT, MAIN
+from getagrip.pages.document import build_document
+from getagrip.pages.frames import jpeg_base64
+from getagrip.pages.report import MAIN_METRICS, PAGE_SCA_CONTACT
 from getagrip.pictures.shown import View
-from getagrip.pictures.stills import overlay, turned
+from getagrip.pictures.stills import draw_overlay, draw_side_view
 from getagrip.pictures.tiles import input_windows
-from getagrip.probability import LEAST
+from getagrip.probability import MIN_SHOWN_PROBABILITY
 from getagrip.result import Reconstruction
 
-THUMBNAIL, QUALITY = 220, 72
+RESULT_THUMBNAIL_PX, THUMBNAIL_JPEG_QUALITY = 220, 72
 """Side of each of the two pictures of a result [px], and their JPEG quality."""
-PENETRATION = METRICS["penetration_object_mm"]
-COLUMNS: Mapping[str, Metric] = {**MAIN, "penetration": PENETRATION}
+PENETRATION_METRIC = METRICS["penetration_object_mm"]
+INDEX_COLUMNS: Mapping[str, Metric] = {**MAIN_METRICS, "penetration": PENETRATION_METRIC}
 """Metrics of the index beside the IOU, each under a short name."""
 
 
@@ -61,19 +61,19 @@ class IndexRow:
         return next((kind for kind in ("failed", "left") if kind in self.flags), "results")
 
 
-def row(folder: str, view: View, evaluation: Evaluation, page: bool) -> IndexRow:
+def index_row(folder: str, view: View, evaluation: Evaluation, page: bool) -> IndexRow:
     """Make a result's row; its thumbnail shows the frame of the lowest IOU."""
     result = view.result
     known = not np.isnan(result.iou).all()
     worst = int(np.nanargmin(result.iou)) if known else 0
-    crops = input_windows([view], np.array([worst]), THUMBNAIL)
-    pair = np.concatenate([overlay(view, worst, crops, 0), turned(view, worst, crops, 0)], axis=1)
-    plain = _row(folder, result, evaluation.headline)
+    crops = input_windows([view], np.array([worst]), RESULT_THUMBNAIL_PX)
+    pair = np.concatenate([draw_overlay(view, worst, crops, 0), draw_side_view(view, worst, crops, 0)], axis=1)
+    plain = _base_index_row(folder, result, evaluation.headline)
     values = plain.values | {"worst frame": float(result.iou[worst]) if known else np.nan}
-    return replace(plain, page=page, values=values, thumbnail=jpeg(pair, QUALITY))
+    return replace(plain, page=page, values=values, thumbnail=jpeg_base64(pair, THUMBNAIL_JPEG_QUALITY))
 
 
-def row_without_clip(
+def index_row_without_clip(
     folder: str, result: Reconstruction, metrics: Mapping[str, object], problem: str, page: bool = False
 ) -> IndexRow:
     """Make the row of a result whose clip is not read: the metrics of its ``result.json``, and why there are no more.
@@ -81,12 +81,12 @@ def row_without_clip(
     So it is with results of inputs that a benchmark has changed on purpose, and of batches.
     """
     known = {key: float(value) for key, value in metrics.items() if isinstance(value, int | float)}
-    plain = _row(folder, result, known)
+    plain = _base_index_row(folder, result, known)
     worst = np.nan if np.isnan(result.iou).all() else float(np.nanmin(result.iou))
     return replace(plain, problem=problem, page=page, values=plain.values | {"worst frame": worst})
 
 
-def _row(folder: str, result: Reconstruction, metrics: Mapping[str, float]) -> IndexRow:
+def _base_index_row(folder: str, result: Reconstruction, metrics: Mapping[str, float]) -> IndexRow:
     flags = {
         "misfit": result.status.failed,
         "serious": any(finding.serious for finding in result.findings),
@@ -94,7 +94,7 @@ def _row(folder: str, result: Reconstruction, metrics: Mapping[str, float]) -> I
         "ambiguous": result.ambiguous,
         "guess": bool(result.assumptions),
     }
-    values = {name: metrics.get(metric.key(CONTACT), np.nan) for name, metric in COLUMNS.items()}
+    values = {name: metrics.get(metric.key(PAGE_SCA_CONTACT), np.nan) for name, metric in INDEX_COLUMNS.items()}
     probable = {f"probability right {where}": right.value for where, right in result.probabilities.items()}
     return IndexRow(
         folder=folder,
@@ -115,22 +115,22 @@ def write_index(
     ``tables`` are files beside it that it links to; ``all_rows`` counts by ``IndexRow.kind`` where these are not all.
     """
     units: dict[str, tuple[str, int]] = {"IOU": ("%", 1)}
-    units |= {name: (metric.unit, metric.decimals) for name, metric in COLUMNS.items()}
+    units |= {name: (metric.unit, metric.decimals) for name, metric in INDEX_COLUMNS.items()}
     units |= {f"probability right {where}": ("%", 0) for where in ("in the hand", "in the camera")}
     units |= {"worst frame": ("%", 1), "time": ("s", 2)}
     known = [name for name in units if any(np.isfinite(one.values.get(name, np.nan)) for one in rows)] or ["IOU"]
-    counts, title = all_rows or Counter(one.kind for one in rows), legible(title)
+    counts, title = all_rows or Counter(one.kind for one in rows), replace_surrogates(title)
     data = {
         "title": title,
         "rows": [
             {
                 **asdict(one),
-                "folder": legible(one.folder),
-                "problem": legible(one.problem),
+                "folder": replace_surrogates(one.folder),
+                "problem": replace_surrogates(one.problem),
                 "link": f"./{quote(os.fsencode(one.folder))}/report.html" if one.page else "",
-                "set": legible(name),
+                "set": replace_surrogates(name),
             }
-            for one, name in zip(rows, _sets([one.folder for one in rows]), strict=True)
+            for one, name in zip(rows, _result_sets([one.folder for one in rows]), strict=True)
         ],
         "columns": [
             {
@@ -138,21 +138,21 @@ def write_index(
                 "unit": units[name][0],
                 "decimals": units[name][1],
                 "more": units[name][0] == "%",
-                "least": LEAST if name.startswith("probability") else 0.0,
+                "least": MIN_SHOWN_PROBABILITY if name.startswith("probability") else 0.0,
             }
             for name in known
         ],
         "first": "ADD sym." if "ADD sym." in known else "IOU",
-        "tables": [{"name": legible(name), "link": f"./{quote(os.fsencode(name))}"} for name in tables],
+        "tables": [{"name": replace_surrogates(name), "link": f"./{quote(os.fsencode(name))}"} for name in tables],
         "counts": {kind: counts[kind] for kind in ("results", "failed", "left")},
         "version": __version__,
     }
-    page = document(title, "index.html", ("page.js", "index.js"), data)
+    page = build_document(title, "index.html", ("page.js", "index.js"), data)
     files.write_text(path, page)
     return path
 
 
-def _sets(folders: Sequence[str]) -> list[str]:
+def _result_sets(folders: Sequence[str]) -> list[str]:
     """Return the folder that each result shares with others, such as its method's in a benchmark.
 
     It is "" where all share one.

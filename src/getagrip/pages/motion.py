@@ -7,20 +7,20 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.geometry.mesh import Mesh
-from getagrip.pictures.shown import View, candidate
-from getagrip.pictures.stills import smoothed
+from getagrip.pictures.shown import View, candidate_view
+from getagrip.pictures.stills import smooth_track
 from getagrip.pictures.tiles import axis_points
-from getagrip.pictures.touched import BORDER, distances
+from getagrip.pictures.touched import CONTACT_BORDER_M, surface_distances
 
-CONTACT, MOST = 0.010, 0.020
+DEFAULT_CONTACT_DISTANCE_M, MAX_CONTACT_SLIDER_M = 0.010, 0.020
 """Distance of surfaces that counts as contact at first, and the largest that can be chosen [m]."""
-REACH = MOST + BORDER
-"""Distances are exact up to here; contact fades over ``BORDER`` to both sides of the one chosen [m]."""
-FOLLOWED = 0.35
+MAX_EXACT_DISTANCE_M = MAX_CONTACT_SLIDER_M + CONTACT_BORDER_M
+"""Distances are exact up to here; contact fades over ``CONTACT_BORDER_M`` to both sides of the one chosen [m]."""
+FOCUS_SMOOTHING_S = 0.35
 """The camera looks at the mean place of hand and object over this time [s]."""
 
 
-def fixed(view: View, surface: Mesh) -> dict[str, ndarray]:
+def constant_arrays(view: View, surface: Mesh) -> dict[str, ndarray]:
     """Return arrays by their names, as ``parts/viewer.js`` reads them.
 
     Metres, and poses as 4x4 matrices, of all frames.
@@ -31,14 +31,16 @@ def fixed(view: View, surface: Mesh) -> dict[str, ndarray]:
     """
     clip, result = view.clip, view.result
     hands = [np.mean([vertices.mean(axis=0) for vertices, _ in view.hands(n)], axis=0) for n in range(len(clip))]
-    middles = [(hand + _middle(view.object(n))) / 2.0 if view.posed else hand for n, hand in enumerate(hands)]
+    middles = [
+        (hand + _bounding_box_centre(view.object(n))) / 2.0 if view.posed else hand for n, hand in enumerate(hands)
+    ]
     out: dict[str, ndarray] = {
         "hand_faces": clip.hand.faces,
         "T_cam_hand": clip.hand.T_cam_hand,
         "T_hand_obj": result.candidates.T_hand_obj,
         "scale": result.candidates.scale,
-        "focus": smoothed(np.array(middles), FOLLOWED * clip.fps),
-        "extent": np.array([_extent(view)]),
+        "focus": smooth_track(np.array(middles), FOCUS_SMOOTHING_S * clip.fps),
+        "extent": np.array([_scene_extent(view)]),
     }
     if view.posed:
         out |= {"object_vertices": surface.vertices, "object_faces": surface.faces}
@@ -46,8 +48,8 @@ def fixed(view: View, surface: Mesh) -> dict[str, ndarray]:
         out |= {"other_hand_faces": other.track.faces, "other_hand_known": other.known}
         out["T_cam_other_hand"] = other.track.T_cam_hand
     if result.axis is not None:
-        each = [candidate(view, rank) for rank in range(len(result.candidates.scale))]
-        out["axis"] = np.stack([_axis(one) for one in each])
+        each = [candidate_view(view, rank) for rank in range(len(result.candidates.scale))]
+        out["axis"] = np.stack([_axis_endpoints(one) for one in each])
     if clip.world is not None:
         out["T_world_cam"] = clip.world.T_world_cam
         if clip.world.up is not None:
@@ -55,32 +57,36 @@ def fixed(view: View, surface: Mesh) -> dict[str, ndarray]:
     if clip.truth is not None and not view.of_truth:
         out |= {"true_T_cam_obj": clip.truth.T_cam_obj, "true_scale": np.array([clip.truth.scale])}
         out["true_T_cam_hand"] = clip.truth.T_cam_hand
-    return {name: _small(name, values) for name, values in out.items()}
+    return {name: _compact_dtype(name, values) for name, values in out.items()}
 
 
-def moving(view: View, surface: Mesh) -> dict[str, ndarray]:
+def per_frame_arrays(view: View, surface: Mesh) -> dict[str, ndarray]:
     """Return arrays with one block for each frame: hands in their own frames, and the closeness of the surfaces.
 
-    ``object_near``, ``hand_near`` and ``other_hand_near`` go from 0, at ``REACH`` or farther, to 1, touching or inside.
+    ``object_near``, ``hand_near`` and ``other_hand_near`` go from 0, at ``MAX_EXACT_DISTANCE_M`` or farther, to 1, touching or inside.
     """
     hand, other, truth = view.clip.hand, view.clip.other_hand, view.clip.truth
     out: dict[str, ndarray] = {"hand_vertices": hand.vertices}
     if view.posed:
-        on_object, out["hand_near"] = (_near(values) for values in distances(view, surface, REACH))
+        on_object, out["hand_near"] = (
+            _closeness(values) for values in surface_distances(view, surface, MAX_EXACT_DISTANCE_M)
+        )
         if other is not None:
             out["other_hand_near"] = np.zeros(other.track.vertices.shape[:2])
             if (seen := view.by_other_hand()) is not None:
-                by_other, out["other_hand_near"][other.known] = (_near(d) for d in distances(seen, surface, REACH))
+                by_other, out["other_hand_near"][other.known] = (
+                    _closeness(d) for d in surface_distances(seen, surface, MAX_EXACT_DISTANCE_M)
+                )
                 on_object[other.known] = np.maximum(on_object[other.known], by_other)
         out["object_near"] = on_object
     if other is not None:
         out["other_hand_vertices"] = other.track.vertices
     if truth is not None and not np.array_equal(truth.hand_vertices, hand.vertices):
         out["true_hand_vertices"] = truth.hand_vertices
-    return {name: _small(name, values) for name, values in out.items()}
+    return {name: _compact_dtype(name, values) for name, values in out.items()}
 
 
-def _extent(view: View) -> float:
+def _scene_extent(view: View) -> float:
     """Diameter of hands and object together, in nine of ten frames; of two hands, those that have both."""
     shown = [(len(view.hands(n)), n) for n in range(len(view.clip))]
     most = max(shown)[0]
@@ -91,20 +97,20 @@ def _extent(view: View) -> float:
     return float(np.quantile(sizes, 0.9))
 
 
-def _near(distance: Float[ndarray, "T V"]) -> Float[ndarray, "T V"]:
-    return np.clip(1.0 - distance / REACH, 0.0, 1.0)
+def _closeness(distance: Float[ndarray, "T V"]) -> Float[ndarray, "T V"]:
+    return np.clip(1.0 - distance / MAX_EXACT_DISTANCE_M, 0.0, 1.0)
 
 
-def _axis(view: View) -> Float[ndarray, "2 3"]:
+def _axis_endpoints(view: View) -> Float[ndarray, "2 3"]:
     """Return the ends of the latent axis in the hand frame; NaN where it is not known."""
     return np.full((2, 3), np.nan) if view.result.axis is None else axis_points(view)[[0, -1]]
 
 
-def _middle(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "3"]:
+def _bounding_box_centre(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "3"]:
     return np.asarray((vertices.min(axis=0) + vertices.max(axis=0)) / 2.0)
 
 
-def _small(name: str, values: ndarray) -> ndarray:
+def _compact_dtype(name: str, values: ndarray) -> ndarray:
     """Values in the smallest of a page's types that will do."""
     if name.endswith("_near"):
         return np.round(255.0 * values).astype(np.uint8)

@@ -13,98 +13,104 @@ import numpy as np
 from jaxtyping import Int
 from numpy import ndarray
 
-from getagrip.clip import masks_of_some, read_clip
+from getagrip.clip import read_available_masks, read_clip
 from getagrip.clip.sampling import frame_indices
 from getagrip.errors import GetagripError
-from getagrip.evaluation import read_with_clip
+from getagrip.evaluation import read_result_and_clip
 from getagrip.evaluation.results import Evaluation
 from getagrip.fitting.methods import label_of
 from getagrip.geometry.camera import Crops, project
 from getagrip.geometry.mesh import Mesh
 from getagrip.io.files import Json
 from getagrip.pages import motion
-from getagrip.pages.document import document, pack
-from getagrip.pages.evidence import compared
-from getagrip.pages.frames import PICTURE, drawn
-from getagrip.pages.report import SCRIPTS, described, gap_plot, over_time
-from getagrip.pictures.shown import View, candidate
-from getagrip.pictures.stills import ROOM, STEADY, smoothed
-from getagrip.pictures.stored_results import StoredResult, at_common_frames, distinct, hand_alone, true_view
+from getagrip.pages.document import build_document, pack_arrays
+from getagrip.pages.evidence import compare_candidates
+from getagrip.pages.frames import FRAME_PICTURE_PX, draw_page_frame
+from getagrip.pages.report import RESULT_PAGE_SCRIPTS, describe_result, gap_plot, timeline_data
+from getagrip.pictures.shown import View, candidate_view
+from getagrip.pictures.stills import WINDOW_MARGIN_FACTOR, WINDOW_SMOOTHING_S, smooth_track
+from getagrip.pictures.stored_results import (
+    StoredResult,
+    at_common_frames,
+    distinct_path_parts,
+    ground_truth_view,
+    hand_only_view,
+)
 from getagrip.pictures.tiles import input_windows
-from getagrip.pictures.touched import coarse, finer, gap
-from getagrip.result import Reconstruction, read_record, read_result
+from getagrip.pictures.touched import decimate_view, subdivide_object, surface_gap
+from getagrip.result import Reconstruction, read_result, read_result_record
 
-SAMPLED = 20
+N_SAMPLED_FRAMES = 20
 """Frames whose masks are read before any is shown; candidates are compared in them."""
-AT_ONCE = 25
+GAP_BATCH_FRAMES = 25
 """Frames whose gap is measured before others may be, or the server ends."""
-TRUTH, ALONE = "ground truth", "the hand alone: no result and no ground truth"
+GROUND_TRUTH_LABEL, HAND_ONLY_LABEL = "ground truth", "the hand alone: no result and no ground truth"
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class OpenColumn:
     """A column that is open: its view has a simplified mesh and no masks, which are read with the frames."""
 
-    column: Column
+    column: ViewerColumn
     view: View
     surface: Mesh
 
     @staticmethod
-    def of(column: Column) -> Shown:
+    def of(column: ViewerColumn) -> OpenColumn:
         """Open a column."""
-        view = coarse(column.view)
-        return Shown(column, view, finer(view))
+        view = decimate_view(column.view)
+        return OpenColumn(column, view, subdivide_object(view))
 
     def about(self) -> Json:
         """Return what is the same in all frames."""
         metrics = {k: float(v) for k, v in self.column.record.get("metrics", {}).items() if isinstance(v, int | float)}
-        arrays, packed = pack(motion.fixed(self.view, self.surface))
+        arrays, packed = pack_arrays(motion.constant_arrays(self.view, self.surface))
         known = Evaluation.recorded(self.view.clip, self.view.result.method, metrics)
-        said = described(self.view, self.column.label, known, self.column.record)
+        said = describe_result(self.view, self.column.label, known, self.column.record)
         more = {"result": bool(self.column.record), "masked": self.at(self.sampled[:1]).masks is not None}
         return {**said, **more, "arrays": arrays, "packed": packed}
 
     def frame(self, rank: int, n: int) -> dict[str, object]:
         """Return a frame with one of the candidates."""
-        view = candidate(self.at(np.array([n])), rank)
-        arrays, packed = pack(motion.moving(view, self.surface))
-        return {**drawn(view, 0, self.windows, n), "arrays": arrays, "packed": packed}
+        view = candidate_view(self.at(np.array([n])), rank)
+        arrays, packed = pack_arrays(motion.per_frame_arrays(view, self.surface))
+        return {**draw_page_frame(view, 0, self.windows, n), "arrays": arrays, "packed": packed}
 
     def at(self, index: Int[ndarray, "n"], with_hand: bool = False) -> View:
         """Return some frames, with the masks of the object, and of the hand if wanted."""
         some = self.view.at([self.view.result.frames[n] for n in index])
-        return replace(some, masks=masks_of_some(some.clip, with_hand))
+        return replace(some, masks=read_available_masks(some.clip, with_hand))
 
     @cached_property
     def sampled(self) -> Int[ndarray, "n"]:
-        """The frames ``SAMPLED``."""
-        return frame_indices(len(self.view.clip), SAMPLED)
+        """The frames ``N_SAMPLED_FRAMES``."""
+        return frame_indices(len(self.view.clip), N_SAMPLED_FRAMES)
 
     @cached_property
     def windows(self) -> Crops:
         """Square windows around hand and masks in each frame, of one size; they follow the hand smoothly."""
         some = self.at(self.sampled)
-        crops = input_windows([some], np.arange(len(some.clip)), PICTURE)
+        crops = input_windows([some], np.arange(len(some.clip)), FRAME_PICTURE_PX)
         hand = np.array([np.mean(project(K, self.view.hand(n)), axis=0) for n, K in enumerate(self.view.clip.K)])
         aside, every = crops.corner - hand[self.sampled], np.arange(len(hand))
         moved = np.stack([np.interp(every, self.sampled, aside[:, k]) for k in range(2)], axis=1)
-        middle = smoothed(hand + moved + crops.side / 2.0, STEADY * self.view.clip.fps)
-        side = ROOM * crops.side
-        return Crops(middle - side / 2.0, side, PICTURE)
+        middle = smooth_track(hand + moved + crops.side / 2.0, WINDOW_SMOOTHING_S * self.view.clip.fps)
+        side = WINDOW_MARGIN_FACTOR * crops.side
+        return Crops(middle - side / 2.0, side, FRAME_PICTURE_PX)
 
 
-class Library:
+class ViewerLibrary:
     """The entries of a page.
 
     One thread makes all frames, one after the other, and another measures what takes time: few large images are in
     memory at once.
     """
 
-    def __init__(self, entries: Sequence[Entry], fail: Callable[[Exception], None]) -> None:
+    def __init__(self, entries: Sequence[ViewerEntry], fail: Callable[[Exception], None]) -> None:
         """Open the first entry that can be read; the errors of those before it go to ``fail``."""
         self.entries = tuple(entries)
         self._frames, self._measured = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
-        self._opened = lru_cache(maxsize=2)(lambda n: [Shown.of(column) for column in self.entries[n].read()])
+        self._opened = lru_cache(maxsize=2)(lambda n: [OpenColumn.of(column) for column in self.entries[n].read()])
         self.first = next((n for n in range(len(entries)) if self._can_be_read(n, fail)), None)
 
     def _can_be_read(self, n: int, fail: Callable[[Exception], None]) -> bool:
@@ -117,7 +123,7 @@ class Library:
     def page(self) -> bytes:
         """Return the HTML page, which requests everything else."""
         data = {"entries": [entry.label for entry in self.entries], "first": self.first}
-        return document("getagrip view", "viewer.html", SCRIPTS, data, asks=True).encode()
+        return build_document("getagrip view", "viewer.html", RESULT_PAGE_SCRIPTS, data, asks=True).encode()
 
     def entry(self, n: int) -> dict[str, object]:
         """Return all that is the same in all frames of an entry."""
@@ -125,7 +131,7 @@ class Library:
         def made() -> dict[str, object]:
             columns = self._opened(n)
             view = columns[0].view
-            return {**over_time(view, np.arange(len(view.clip))), "columns": [column.about() for column in columns]}
+            return {**timeline_data(view, np.arange(len(view.clip))), "columns": [column.about() for column in columns]}
 
         return self._frames.submit(made).result()
 
@@ -139,20 +145,20 @@ class Library:
         if not view.posed:
             return {}
         names = view.result.frames
-        parts = [view.at(names[first : first + AT_ONCE]) for first in range(0, len(names), AT_ONCE)]
-        return gap_plot(np.concatenate([self._measured.submit(gap, part).result() for part in parts]))
+        parts = [view.at(names[first : first + GAP_BATCH_FRAMES]) for first in range(0, len(names), GAP_BATCH_FRAMES)]
+        return gap_plot(np.concatenate([self._measured.submit(surface_gap, part).result() for part in parts]))
 
     def candidates(self, n: int, column: int) -> dict[str, object]:
         """Return the evidence for and against the candidates of a column."""
         shown = self._shown(n, column)
-        return self._measured.submit(lambda: compared(shown.at(shown.sampled, with_hand=True))).result()
+        return self._measured.submit(lambda: compare_candidates(shown.at(shown.sampled, with_hand=True))).result()
 
-    def _shown(self, n: int, column: int) -> Shown:
+    def _shown(self, n: int, column: int) -> OpenColumn:
         return self._frames.submit(lambda: self._opened(n)[column]).result()
 
 
 @dataclass(frozen=True, eq=False)
-class Column:
+class ViewerColumn:
     """A result or a clip, and what it is called; ``record`` is the content of its ``result.json``."""
 
     label: str
@@ -161,7 +167,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Entry:
+class ViewerEntry:
     """A line of the list.
 
     Attributes:
@@ -176,20 +182,22 @@ class Entry:
     clip: Path | None = None
     clips: Path | None = None
 
-    def read(self) -> list[Column]:
+    def read(self) -> list[ViewerColumn]:
         """Read a column for each result, at the frames that all of them have, without masks. Raises ``InputError``."""
         if self.clip is not None:
             clip = read_clip(self.clip)
             return [
-                Column(ALONE, hand_alone(clip), {}) if clip.truth is None else Column(TRUTH, true_view(self.clip), {})
+                ViewerColumn(HAND_ONLY_LABEL, hand_only_view(clip), {})
+                if clip.truth is None
+                else ViewerColumn(GROUND_TRUTH_LABEL, ground_truth_view(self.clip), {})
             ]
         stored = [StoredResult(folder, self.clips) for folder in self.results]
-        read = [(one, View.of(*read_with_clip(one.folder, one.clips), None)) for one in stored]
-        views, names = at_common_frames(read), labels([view for _, view in read], distinct(stored))
-        return [Column(*each) for each in zip(names, views, map(read_record, self.results), strict=True)]
+        read = [(one, View.of(*read_result_and_clip(one.folder, one.clips), None)) for one in stored]
+        views, names = at_common_frames(read), label_views([view for _, view in read], distinct_path_parts(stored))
+        return [ViewerColumn(*each) for each in zip(names, views, map(read_result_record, self.results), strict=True)]
 
 
-def labels(views: Sequence[View], folders: Sequence[str]) -> list[str]:
+def label_views(views: Sequence[View], folders: Sequence[str]) -> list[str]:
     """Return the results' methods; where these agree, also the folders that tell the results apart."""
     named = [label_of(v.result.method) for v in views]
     return [
@@ -198,9 +206,9 @@ def labels(views: Sequence[View], folders: Sequence[str]) -> list[str]:
     ]
 
 
-def entries(
+def group_entries(
     results: Sequence[Path], clip_folders: Sequence[Path], clips: Path | None, fail: Callable[[Exception], None]
-) -> list[Entry]:
+) -> list[ViewerEntry]:
     """Group results of the same clip and inputs: the serious ones first, then by mean IOU; clips follow.
 
     Those that cannot be read go to ``fail``.
@@ -212,26 +220,26 @@ def entries(
             groups.setdefault((result.clip, record["input_sha256"]), []).append((folder, result))
         except (GetagripError, OSError) as error:
             fail(error)
-    ranked = sorted(groups.values(), key=lambda group: badness([result for _, result in group]))
-    found = [Entry(_label(group), tuple(folder for folder, _ in group), clips=clips) for group in ranked]
-    found += [Entry(folder.resolve().name, clip=folder) for folder in clip_folders]
+    ranked = sorted(groups.values(), key=lambda group: entry_severity_key([result for _, result in group]))
+    found = [ViewerEntry(_label_entry(group), tuple(folder for folder, _ in group), clips=clips) for group in ranked]
+    found += [ViewerEntry(folder.resolve().name, clip=folder) for folder in clip_folders]
     twice = {label for label, count in Counter(entry.label for entry in found).items() if count > 1}
     return [replace(e, label=f"{n + 1}. {e.label}") if e.label in twice else e for n, e in enumerate(found)]
 
 
-def badness(results: Sequence[Reconstruction]) -> tuple[bool, float]:
+def entry_severity_key(results: Sequence[Reconstruction]) -> tuple[bool, float]:
     """Return a key that sorts the worst first: whether nothing serious is found, then the lowest mean IOU."""
     serious = any(finding.serious for result in results for finding in result.findings)
-    return not serious, min(_iou(result) for result in results)
+    return not serious, min(_mean_iou(result) for result in results)
 
 
-def _label(group: Sequence[tuple[Path, Reconstruction]]) -> str:
+def _label_entry(group: Sequence[tuple[Path, Reconstruction]]) -> str:
     results = [result for _, result in group]
-    overlap = f"IOU {100 * min(_iou(result) for result in results):.0f} %"
+    overlap = f"IOU {100 * min(_mean_iou(result) for result in results):.0f} %"
     serious = {finding.check for result in results for finding in result.findings if finding.serious}
     several = [f"{len(group)} results"] if len(group) > 1 else []
     return ", ".join([results[0].clip, overlap, *several, *sorted(serious)])
 
 
-def _iou(result: Reconstruction) -> float:
+def _mean_iou(result: Reconstruction) -> float:
     return float(np.nan_to_num(result.mean_iou))

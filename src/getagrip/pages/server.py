@@ -1,7 +1,7 @@
 """The page of ``getagrip view`` over HTTP, for whoever knows its whole address.
 
 Every path begins with a secret, new at each start: other users of the machine and pages of other sites that a browser
-has open do not know it. What follows is the name of a method of ``Library`` with whole numbers: no path names a file.
+has open do not know it. What follows is the name of a method of ``ViewerLibrary`` with whole numbers: no path names a file.
 A site that takes this machine's address for its own name (DNS rebinding) is recognised by that name (``Host``), and
 requests from pages of other sites by what the browser says of them (``Sec-Fetch-Site``).
 """
@@ -18,36 +18,36 @@ from http import HTTPStatus
 
 from getagrip.errors import GetagripError, UsageError
 from getagrip.io import files
-from getagrip.io.serving import LOOPBACK, OF_PAGE, Handler, QuietServer
-from getagrip.pages.served import Library
+from getagrip.io.serving import LOOPBACK, SCRIPTED_PAGE_HEADERS, QuietHandler, QuietServer
+from getagrip.pages.served import ViewerLibrary
 
-PORT = 8770
+VIEWER_PORT = 8770
 """Port of the page, if that is free."""
-ASKED: dict[str, tuple[Callable[..., dict[str, object]], int]] = {
-    "entry": (Library.entry, 1),
-    "frame": (Library.frame, 4),
-    "gap": (Library.gap, 2),
-    "candidates": (Library.candidates, 2),
+VIEWER_ROUTES: dict[str, tuple[Callable[..., dict[str, object]], int]] = {
+    "entry": (ViewerLibrary.entry, 1),
+    "frame": (ViewerLibrary.frame, 4),
+    "gap": (ViewerLibrary.gap, 2),
+    "candidates": (ViewerLibrary.candidates, 2),
 }
 """Paths that may be asked for, and the number of numbers in each."""
 
 
-class Server(QuietServer):
+class ViewerServer(QuietServer):
     """Serves one library."""
 
-    def __init__(self, library: Library, port: int | None = None, host: str = LOOPBACK) -> None:
-        """Listen on a port, 0 for any free one; without one on ``PORT``, or on any free one if that is taken.
+    def __init__(self, library: ViewerLibrary, port: int | None = None, host: str = LOOPBACK) -> None:
+        """Listen on a port, 0 for any free one; without one on ``VIEWER_PORT``, or on any free one if that is taken.
 
         Raises ``UsageError`` for a port that is taken or an address that is not this machine's.
         """
         self.library, self.host, self.secret = library, host, secrets.token_urlsafe(16)
         try:
-            super().__init__((host, PORT if port is None else port), _Handler)
+            super().__init__((host, VIEWER_PORT if port is None else port), _ViewerHandler)
         except (OSError, OverflowError) as error:
             if port is None and isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
-                super().__init__((host, 0), _Handler)
+                super().__init__((host, 0), _ViewerHandler)
             else:
-                got = f"{PORT if port is None else port}, {host}: {error}"
+                got = f"{VIEWER_PORT if port is None else port}, {host}: {error}"
                 raise UsageError(f"--port, --host must be a free port of this machine (got {got})") from error
 
     @property
@@ -67,8 +67,8 @@ class Server(QuietServer):
         return True
 
 
-class _Handler(Handler):
-    server: Server
+class _ViewerHandler(QuietHandler):
+    server: ViewerServer
 
     def do_GET(self) -> None:
         """Answer with the page or a part of it; errors become one line of JSON, never a traceback."""
@@ -78,7 +78,7 @@ class _Handler(Handler):
             elif (rest := self._below_secret()) is None:
                 self._refuse("this page opens only at the whole address that getagrip view has printed")
             elif rest == "":
-                self.send(self.server.library.page(), "text/html; charset=utf-8", OF_PAGE)
+                self.send(self.server.library.page(), "text/html; charset=utf-8", SCRIPTED_PAGE_HEADERS)
             elif self.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
                 self._refuse("requests from other sites are refused")
             else:
@@ -98,7 +98,7 @@ class _Handler(Handler):
     def _part(self, path: str) -> None:
         """Answer with what a method of the library gives."""
         name, *numbers = path.split("/")
-        method, count = ASKED.get(name, (None, 0))
+        method, count = VIEWER_ROUTES.get(name, (None, 0))
         if method is None or len(numbers) != count or not all(re.fullmatch("[0-9]{1,6}", one) for one in numbers):
             self._refuse("no such page", HTTPStatus.NOT_FOUND)
             return

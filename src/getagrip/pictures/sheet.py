@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from getagrip.pictures.style import FAINT, INK, LINE, PAPER
+from getagrip.pictures.style import INK_COLOUR, LINE_COLOUR, MUTED_COLOUR, PAPER_COLOUR
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-HEAD = 0.78
+SHEET_TITLE_INCHES = 0.78
 """Height of the title and the line under it [in]."""
 
 
@@ -52,7 +52,7 @@ class Sheet:
     def tile(self, x: float, top: float, side: float) -> Axes:
         """Add square axes without ticks, which count pixels."""
         size, axes = self.pixels(side), self.axes(x, top, side, side)
-        axes.set(xticks=[], yticks=[], xlim=(0, size), ylim=(size, 0), facecolor=PAPER)
+        axes.set(xticks=[], yticks=[], xlim=(0, size), ylim=(size, 0), facecolor=PAPER_COLOUR)
         return axes
 
     def text(self, x: float, top: float, words: str, within: float = np.inf, **style: Any) -> None:
@@ -60,7 +60,7 @@ class Sheet:
 
         Words that are wider than ``within`` [in] are shortened in the middle: names of clips differ at their ends.
         """
-        style = {"va": "top", "color": INK} | style
+        style = {"va": "top", "color": INK_COLOUR} | style
         text = self.figure.text(x / self.width, 1.0 - top / self.height, words, parse_math=False, **style)
         kept = len(words)
         while kept > 1 and text.get_window_extent().width > within * self.dpi:
@@ -68,9 +68,9 @@ class Sheet:
             text.set_text(f"{words[: (kept + 1) // 2].rstrip()}...{words[len(words) - kept // 2 :].lstrip()}")
 
     def title(self, words: str, under: str) -> None:
-        """Write the title, and a line under it; ``HEAD`` is their height."""
+        """Write the title, and a line under it; ``SHEET_TITLE_INCHES`` is their height."""
         self.text(0.25, 0.17, words, self.width - 0.4, fontsize=13, fontweight="bold")
-        self.text(0.25, 0.47, under, self.width - 0.4, fontsize=9.5, color=FAINT)
+        self.text(0.25, 0.47, under, self.width - 0.4, fontsize=9.5, color=MUTED_COLOUR)
 
     def legend(self, x: float, top: float, entries: Sequence[tuple[str, str]], style: str = "line") -> None:
         """Draw colours and the meaning of each, side by side: as lines, dots or squares."""
@@ -90,7 +90,7 @@ class Sheet:
         )  # fmt: skip
 
 
-def frame(axes: Axes, colour: str = LINE, width: float = 0.8) -> None:
+def draw_border(axes: Axes, colour: str = LINE_COLOUR, width: float = 0.8) -> None:
     """Draw a border of a colour around axes."""
     for spine in axes.spines.values():
         spine.set(edgecolor=colour, linewidth=width)

@@ -143,13 +143,13 @@ class View:
         return View(clip, self.masks, replace(result, warp=None))
 
 
-def candidate(view: View, rank: int) -> View:
+def candidate_view(view: View, rank: int) -> View:
     """Return the result for rank 0; else the candidate, with the axis that fits its poses best, and without an IOU."""
     if rank == 0:
         return view
     found = view.result
     T_hand_obj, scale = found.candidates.T_hand_obj[rank], float(found.candidates.scale[rank])
-    axis = None if found.axis is None else hinge(T_hand_obj, scale * view.clip.mesh.vertices)
+    axis = None if found.axis is None else fit_hinge_axis(T_hand_obj, scale * view.clip.mesh.vertices)
     other = replace(
         found, T_hand_obj=T_hand_obj, scale=scale, iou=np.full(len(found.frames), np.nan), axis=axis,
         findings=(), probability_right=None, probability_right_in_camera=None,
@@ -157,7 +157,7 @@ def candidate(view: View, rank: int) -> View:
     return replace(view, result=other)
 
 
-def hinge(T_hand_obj: Float[ndarray, "T 4 4"], vertices: Float[ndarray, "V 3"]) -> Axis | None:
+def fit_hinge_axis(T_hand_obj: Float[ndarray, "T 4 4"], vertices: Float[ndarray, "V 3"]) -> Axis | None:
     """Fit the axis about which poses turn best (Eq. 4), with the angles from the first frame on.
 
     None for a single pose.
@@ -181,7 +181,7 @@ class AngleCurve:
     true: Float[ndarray, "T"] | None
 
 
-def seconds(view: View) -> Float[ndarray, "T"]:
+def result_times(view: View) -> Float[ndarray, "T"]:
     """Return the times of the frames since the first."""
     times = view.clip.time[view.clip.index_of(view.result.frames)]
     return np.asarray(times - times[0])

@@ -12,27 +12,27 @@ from numpy import ndarray
 
 from getagrip.geometry.camera import Crops
 from getagrip.pictures.shown import View
-from getagrip.pictures.style import AXIS, FOUND, HAND_LINE, HIDDEN
-from getagrip.pictures.tiles import image_in, input_windows, intrinsics_of, posed, silhouette_lines
+from getagrip.pictures.style import AXIS_COLOUR, HAND_LINE_COLOUR, HIDDEN_AXIS_COLOUR, RESULT_COLOUR
+from getagrip.pictures.tiles import crop_image, input_windows, render_posed, silhouette_lines, window_intrinsics
 
-STEADY = 0.35
+WINDOW_SMOOTHING_S = 0.35
 """Windows move as smoothly as a mean over this time [s]."""
-ROOM = 1.12
+WINDOW_MARGIN_FACTOR = 1.12
 """Factor by which they are larger than those of single frames, since they lag behind."""
-SUBPIXEL = 3
+SUBPIXEL_BITS = 3
 """Bits after the point of coordinates that OpenCV draws at."""
 
 
-def steady_windows(view: View, size: int) -> Crops:
+def smooth_windows(view: View, size: int) -> Crops:
     """Return a square window around hand and masks in each frame, of one size, that moves smoothly."""
     crops = input_windows([view], np.arange(len(view.result.frames)), size)
     middle = crops.corner + crops.side / 2.0
-    smooth = smoothed(middle, STEADY * view.clip.fps)
-    side = max(ROOM * crops.side, float(crops.side + 2.0 * np.abs(smooth - middle).max()))
+    smooth = smooth_track(middle, WINDOW_SMOOTHING_S * view.clip.fps)
+    side = max(WINDOW_MARGIN_FACTOR * crops.side, float(crops.side + 2.0 * np.abs(smooth - middle).max()))
     return replace(crops, corner=smooth - side / 2.0, side=side)
 
 
-def smoothed(track: Float[ndarray, "T k"], over: float) -> Float[ndarray, "T k"]:
+def smooth_track(track: Float[ndarray, "T k"], over: float) -> Float[ndarray, "T k"]:
     """Smooth a track by a Gaussian of ``over`` frames; its ends are repeated beyond it."""
     reach = int(4.0 * over + 0.5)
     weight = np.exp(-0.5 * (np.arange(-reach, reach + 1) / over) ** 2)
@@ -40,27 +40,29 @@ def smoothed(track: Float[ndarray, "T k"], over: float) -> Float[ndarray, "T k"]
     return np.stack([np.convolve(column, weight / weight.sum(), mode="valid") for column in padded.T], axis=1)
 
 
-def overlay(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size size 3"]:
+def draw_overlay(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size size 3"]:
     """Draw frame ``n`` in window ``k``, with the contours of hand and object."""
-    picture, K = image_in(view, n, crops, k), intrinsics_of(view, n, crops, k)
+    picture, K = crop_image(view, n, crops, k), window_intrinsics(view, n, crops, k)
     for hand in view.hands(n):
-        _draw(picture, silhouette_lines(*hand, K, crops.size), HAND_LINE, crops.size / 400.0)
+        _draw_polylines(picture, silhouette_lines(*hand, K, crops.size), HAND_LINE_COLOUR, crops.size / 400.0)
     found = silhouette_lines(view.object(n), view.clip.mesh.faces, K, crops.size)
-    _draw(picture, found, FOUND, max(1.5, crops.size / 320.0))
+    _draw_polylines(picture, found, RESULT_COLOUR, max(1.5, crops.size / 320.0))
     return picture
 
 
-def turned(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size size 3"]:
+def draw_side_view(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size size 3"]:
     """Draw hand, object and axis of frame ``n``, from the side."""
-    picture, line = posed(view, n, crops, k, from_side=True)
+    picture, line = render_posed(view, n, crops, k, from_side=True)
     if line is not None:
         uv, visible = line
-        _draw(picture, _stretches(uv, ~visible), HIDDEN, crops.size / 480.0, closed=False, halo=False)
-        _draw(picture, _stretches(uv, visible), AXIS, crops.size / 320.0, closed=False)
+        _draw_polylines(
+            picture, _contiguous_parts(uv, ~visible), HIDDEN_AXIS_COLOUR, crops.size / 480.0, closed=False, halo=False
+        )
+        _draw_polylines(picture, _contiguous_parts(uv, visible), AXIS_COLOUR, crops.size / 320.0, closed=False)
     return picture
 
 
-def _stretches(uv: Float[ndarray, "n 2"], chosen: Bool[ndarray, "n"]) -> list[Float[ndarray, "_n 2"]]:
+def _contiguous_parts(uv: Float[ndarray, "n 2"], chosen: Bool[ndarray, "n"]) -> list[Float[ndarray, "_n 2"]]:
     """Return the chosen points of a line, where they follow one another."""
     ends = np.flatnonzero(np.diff(chosen.astype(int))) + 1
     return [
@@ -68,7 +70,7 @@ def _stretches(uv: Float[ndarray, "n 2"], chosen: Bool[ndarray, "n"]) -> list[Fl
     ]
 
 
-def _draw(
+def _draw_polylines(
     picture: UInt8[ndarray, "H W 3"],
     lines: Iterable[Float[ndarray, "_n 2"]],
     colour: str,
@@ -79,6 +81,6 @@ def _draw(
     """Lines of a colour ``#rrggbb``, on a white halo if wanted."""
     rgb = tuple(bytes.fromhex(colour[1:]))
     # OpenCV counts from the centre of the first pixel
-    points = [np.round((line - 0.5) * 2**SUBPIXEL).astype(np.int32)[:, None] for line in lines]
+    points = [np.round((line - 0.5) * 2**SUBPIXEL_BITS).astype(np.int32)[:, None] for line in lines]
     for drawn, thick in (((255, 255, 255), 2.8 * width), (rgb, 1.3 * width))[not halo :]:
-        cv2.polylines(picture, points, closed, drawn, max(1, round(thick)), cv2.LINE_AA, SUBPIXEL)
+        cv2.polylines(picture, points, closed, drawn, max(1, round(thick)), cv2.LINE_AA, SUBPIXEL_BITS)

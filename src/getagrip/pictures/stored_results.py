@@ -11,7 +11,7 @@ import numpy as np
 
 from getagrip.clip import Clip, read_clip
 from getagrip.errors import InputError
-from getagrip.evaluation import read_evaluated
+from getagrip.evaluation import read_result_clip_masks
 from getagrip.geometry import se3
 from getagrip.grasps.approximation import pose_hinge
 from getagrip.grasps.study import object_in_hand
@@ -29,8 +29,8 @@ class StoredResult:
     def read(self) -> View:
         """Read the result with its clip and masks, or the ground truth of a clip. Raises ``InputError``."""
         if is_clip(self.folder):
-            return true_view(self.folder)
-        result, clip, masks = read_evaluated(self.folder, self.clips)
+            return ground_truth_view(self.folder)
+        result, clip, masks = read_result_clip_masks(self.folder, self.clips)
         return View.of(result, clip, masks)
 
 
@@ -39,7 +39,7 @@ def is_clip(folder: Path) -> bool:
     return (folder / "clip.json").exists()
 
 
-def true_view(folder: Path) -> View:
+def ground_truth_view(folder: Path) -> View:
     """Return all frames of a clip with the true poses of hand and object (the paper's Fig.
 
     2, 3). Raises ``InputError``.
@@ -59,7 +59,7 @@ def true_view(folder: Path) -> View:
     return View(replace(clip, hand=hand, scale="known"), None, motion, of_truth=True)
 
 
-def hand_alone(clip: Clip) -> View:
+def hand_only_view(clip: Clip) -> View:
     """Return a clip of which no pose of the object is known."""
     still = np.tile(np.eye(4), (len(clip), 1, 1))
     nothing = Reconstruction.external(clip.name, "", clip.frames, still)
@@ -84,17 +84,17 @@ def at_common_frames(results: Sequence[tuple[StoredResult, View]]) -> list[View]
     return [view.at(names) for _, view in results]
 
 
-def distinct(results: Sequence[StoredResult]) -> list[str]:
+def distinct_path_parts(results: Sequence[StoredResult]) -> list[str]:
     """Return the distinct parts of the results' paths, without what all begin and end with."""
     paths = [value.folder.resolve().parts for value in results]
     if len(paths) == 1:
         return [paths[0][-1]]
-    begin = _same(paths)
-    end = min(_same([path[::-1] for path in paths]), *(len(path) - begin - 1 for path in paths))
+    begin = _common_prefix_length(paths)
+    end = min(_common_prefix_length([path[::-1] for path in paths]), *(len(path) - begin - 1 for path in paths))
     return ["/".join(path[begin : len(path) - end]) for path in paths]
 
 
-def _same(paths: Sequence[Sequence[str]]) -> int:
+def _common_prefix_length(paths: Sequence[Sequence[str]]) -> int:
     """Parts that all begin with."""
     alike = (len(set(parts)) == 1 for parts in zip(*paths, strict=False))
     return next((n for n, same in enumerate(alike) if not same), min(map(len, paths)))

@@ -13,30 +13,41 @@ from numpy import ndarray
 
 from getagrip.geometry import se3
 from getagrip.geometry.camera import Crops, bounding_boxes, project
-from getagrip.geometry.depth import covered, depth_and_face
+from getagrip.geometry.depth import depth_and_face, render_coverage
 from getagrip.geometry.render import Surface, render_rgb
 from getagrip.io.images import read_image
 from getagrip.pictures.shown import View
-from getagrip.pictures.style import AXIS, BLANK, FOUND, HAND, HAND_LINE, HIDDEN, IGNORED, OBJECT, OBSERVED, PAPER_RGB
+from getagrip.pictures.style import (
+    AXIS_COLOUR,
+    BLANK_RGB,
+    HAND_LINE_COLOUR,
+    HAND_RGB,
+    HIDDEN_AXIS_COLOUR,
+    IGNORED_MASK_RGB,
+    OBJECT_RGB,
+    OBSERVED_MASK_RGB,
+    PAPER_RGB,
+    RESULT_COLOUR,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SIDE_VIEW = np.radians(80.0)
+SIDE_VIEW_ANGLE_RAD = np.radians(80.0)
 """The turned view looks from this far to the left."""
-BEYOND = 1.10
+CROP_MARGIN_FACTOR = 1.10
 """Size of windows, relative to the content."""
 AxisLine = tuple[Float[ndarray, "n 2"], Bool[ndarray, "n"]]
 """The latent axis in a picture: its points [px], and which of them nothing hides."""
 
 
-def windows(views: Sequence[View], frames: Int[ndarray, "n"], size: int) -> Crops:
+def content_windows(views: Sequence[View], frames: Int[ndarray, "n"], size: int) -> Crops:
     """Return square windows of one size around hand and object of all views, at the same frames of one clip."""
     boxes = []
     for n in frames:
         uv = np.concatenate([project(v.clip.K[n], np.concatenate([v.hand(n), v.object(n)])) for v in views])
         boxes.append(np.concatenate([uv.min(axis=0), uv.max(axis=0)]))
-    return _crops(np.array(boxes), size)
+    return _square_windows(np.array(boxes), size)
 
 
 def input_windows(views: Sequence[View], frames: Int[ndarray, "n"], size: int) -> Crops:
@@ -48,57 +59,57 @@ def input_windows(views: Sequence[View], frames: Int[ndarray, "n"], size: int) -
             uv.append(bounding_boxes(masks.object[n : n + 1]).reshape(2, 2).astype(float))
         corners = np.concatenate(uv)
         boxes.append(np.concatenate([corners.min(axis=0), corners.max(axis=0)]))
-    return _crops(np.array(boxes), size)
+    return _square_windows(np.array(boxes), size)
 
 
-def _crops(boxes: Float[ndarray, "n 4"], size: int) -> Crops:
+def _square_windows(boxes: Float[ndarray, "n 4"], size: int) -> Crops:
     low, high = np.split(boxes, 2, axis=1)
-    side = BEYOND * float((high - low).max())
+    side = CROP_MARGIN_FACTOR * float((high - low).max())
     return Crops(corner=(low + high - side) / 2.0, side=side, size=size)
 
 
-def over_image(axes: Axes, view: View, n: int, crops: Crops, k: int, with_hand: bool = False) -> None:
+def draw_over_image(axes: Axes, view: View, n: int, crops: Crops, k: int, with_hand: bool = False) -> None:
     """Draw the image or the masks in window ``k``, the object's contour and, if wanted, the hand's."""
-    show(axes, image_in(view, n, crops, k))
-    K = intrinsics_of(view, n, crops, k)
+    show_picture(axes, crop_image(view, n, crops, k))
+    K = window_intrinsics(view, n, crops, k)
     if with_hand:
         for hand in view.hands(n):
-            contour(axes, *hand, K, crops.size, HAND_LINE)
+            draw_contour(axes, *hand, K, crops.size, HAND_LINE_COLOUR)
     if len((found := view.surface(n))[1]):
-        contour(axes, *found, K, crops.size, FOUND)
+        draw_contour(axes, *found, K, crops.size, RESULT_COLOUR)
 
 
-def image_in(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size size 3"]:
+def crop_image(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size size 3"]:
     """Return the image or the masks of frame ``n`` in window ``k``."""
     shift = -crops.corner[k] * crops.zoom
     centre = shift + crops.zoom / 2.0 - 0.5  # cv2 counts from the centre of the first pixel
     warp = np.array([[crops.zoom, 0.0, centre[0]], [0.0, crops.zoom, centre[1]]])
     size = (crops.size, crops.size)
     picture = cv2.warpAffine(
-        _image(view, n), warp, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=BLANK
+        _frame_image(view, n), warp, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=BLANK_RGB
     )
     return np.asarray(picture, dtype=np.uint8)
 
 
-def rendered(axes: Axes, view: View, n: int, crops: Crops, k: int, from_side: bool) -> None:
+def draw_rendered(axes: Axes, view: View, n: int, crops: Crops, k: int, from_side: bool) -> None:
     """Draw hand, object and axis in window ``k``, from the camera; or from the side, at the same scale if it fits."""
-    picture, line = posed(view, n, crops, k, from_side)
-    show(axes, picture)
+    picture, line = render_posed(view, n, crops, k, from_side)
+    show_picture(axes, picture)
     if line is not None:
-        _draw_line(axes, *line)
+        _draw_axis_segments(axes, *line)
 
 
-def posed(
+def render_posed(
     view: View, n: int, crops: Crops, k: int, from_side: bool
 ) -> tuple[UInt8[ndarray, "size size 3"], AxisLine | None]:
-    """Render hand and object in window ``k``, as ``rendered`` shows it, and return the axis in it, if there is one."""
-    K, size = intrinsics_of(view, n, crops, k), crops.size
+    """Render hand and object in window ``k``, as ``draw_rendered`` shows it, and return the axis in it, if there is one."""
+    K, size = window_intrinsics(view, n, crops, k), crops.size
     hand, (grasped, faces) = view.hand(n), view.surface(n)
     T_view_cam = np.eye(4)
     if from_side:
         both = np.concatenate([hand, grasped])
         middle = (both.min(axis=0) + both.max(axis=0)) / 2.0
-        R = se3.exp_so3(np.array([0.0, -SIDE_VIEW, 0.0]))
+        R = se3.exp_so3(np.array([0.0, -SIDE_VIEW_ANGLE_RAD, 0.0]))
         T_view_cam = se3.rigid(R, np.array([0.0, 0.0, np.linalg.norm(middle)]) - R @ middle)
         K = np.array([[K[0, 0], 0.0, size / 2.0], [0.0, K[1, 1], size / 2.0], [0.0, 0.0, 1.0]])
     others = [(se3.transform(T_view_cam, v), f) for v, f in view.hands(n)[1:]]
@@ -106,13 +117,13 @@ def posed(
     if from_side:  # an object far before or behind the hand would be cut off
         reach = np.abs(project(K, np.concatenate([hand, grasped])) - size / 2.0).max()
         K[:2, :2] *= min(1.0, 0.48 * size / reach)
-    meshes = [(hand, view.clip.hand.faces, HAND), *(((grasped, faces, OBJECT),) if len(faces) else ())]
-    meshes += [(*other, HAND) for other in others]
+    meshes = [(hand, view.clip.hand.faces, HAND_RGB), *(((grasped, faces, OBJECT_RGB),) if len(faces) else ())]
+    meshes += [(*other, HAND_RGB) for other in others]
     picture = render_rgb(meshes, K, (size, size), PAPER_RGB)
     if view.result.axis is None:
         return picture, None
     line = se3.transform(T_view_cam @ view.clip.hand.T_cam_hand[n], axis_points(view))
-    return picture, _visible(line, [mesh[:2] for mesh in meshes], K, size)
+    return picture, _project_visible(line, [mesh[:2] for mesh in meshes], K, size)
 
 
 def axis_points(view: View) -> Float[ndarray, "n 3"]:
@@ -124,17 +135,19 @@ def axis_points(view: View) -> Float[ndarray, "n 3"]:
     return np.asarray(nearest + np.linspace(-0.85, 0.85, 400)[:, None] * scale * mesh.diameter * axis.direction)
 
 
-def axis_line(
+def draw_axis_line(
     axes: Axes, line: Float[ndarray, "n 3"], surfaces: Sequence[Surface], K: Float[ndarray, "3 3"], size: int
 ) -> None:
     """Draw a line in the frame of the view.
 
     Whole where it is visible, dots where one of the surfaces is in front of it.
     """
-    _draw_line(axes, *_visible(line, surfaces, K, size))
+    _draw_axis_segments(axes, *_project_visible(line, surfaces, K, size))
 
 
-def _visible(line: Float[ndarray, "n 3"], surfaces: Sequence[Surface], K: Float[ndarray, "3 3"], size: int) -> AxisLine:
+def _project_visible(
+    line: Float[ndarray, "n 3"], surfaces: Sequence[Surface], K: Float[ndarray, "3 3"], size: int
+) -> AxisLine:
     """Return the places of a line in a picture, and where none of the surfaces is in front of it."""
     line = line[line[:, 2] > 0.05]
     uv = project(K, line)
@@ -143,19 +156,21 @@ def _visible(line: Float[ndarray, "n 3"], surfaces: Sequence[Surface], K: Float[
     return uv, line[:, 2] < depth[row, column] + 1e-3
 
 
-def _draw_line(axes: Axes, uv: Float[ndarray, "n 2"], visible: Bool[ndarray, "n"]) -> None:
+def _draw_axis_segments(axes: Axes, uv: Float[ndarray, "n 2"], visible: Bool[ndarray, "n"]) -> None:
     axes.plot(*np.where(visible[:, None], uv, np.nan).T, color="white", linewidth=3.0, alpha=0.7)
-    axes.plot(*np.where(visible[:, None], uv, np.nan).T, color=AXIS, linewidth=1.6)
-    axes.plot(*np.where(visible[:, None], np.nan, uv).T, color=HIDDEN, linewidth=1.3, linestyle=(0, (1, 1.6)))
+    axes.plot(*np.where(visible[:, None], uv, np.nan).T, color=AXIS_COLOUR, linewidth=1.6)
+    axes.plot(
+        *np.where(visible[:, None], np.nan, uv).T, color=HIDDEN_AXIS_COLOUR, linewidth=1.3, linestyle=(0, (1, 1.6))
+    )
 
 
-def show(axes: Axes, picture: UInt8[ndarray, "H W 3"]) -> None:
+def show_picture(axes: Axes, picture: UInt8[ndarray, "H W 3"]) -> None:
     """Fill a tile with a picture."""
     size = len(picture)
     axes.imshow(picture, extent=(0, size, size, 0), interpolation="antialiased")
 
 
-def contour(
+def draw_contour(
     axes: Axes,
     vertices: Float[ndarray, "_V 3"],
     faces: Int[ndarray, "_F 3"],
@@ -176,29 +191,29 @@ def silhouette_lines(
 ) -> list[Float[ndarray, "_n 2"]]:
     """Return the closed lines that bound a surface's silhouette in a picture [px]."""
     fine = np.diag([2.0, 2.0, 1.0]) @ K  # else the contour shows the picture's pixels
-    return [line / 2.0 for line in mask_lines(covered(vertices, faces, fine, (2 * size, 2 * size)))]
+    return [line / 2.0 for line in mask_contours(render_coverage(vertices, faces, fine, (2 * size, 2 * size)))]
 
 
-def intrinsics_of(view: View, n: int, crops: Crops, k: int) -> Float[ndarray, "3 3"]:
+def window_intrinsics(view: View, n: int, crops: Crops, k: int) -> Float[ndarray, "3 3"]:
     """Return the intrinsics of window ``k``, which shows frame ``n``."""
     return np.asarray(replace(crops, corner=crops.corner[k : k + 1]).intrinsics(view.clip.K[n : n + 1])[0])
 
 
-def _image(view: View, n: int) -> UInt8[ndarray, "H W 3"]:
+def _frame_image(view: View, n: int) -> UInt8[ndarray, "H W 3"]:
     """Return the frame's image where the clip has one, else its masks in colours."""
     file = view.image_file(n)
     if file is not None:
         return read_image(file, view.clip.size)
     width, height = view.clip.size
-    picture = np.full((height, width, 3), BLANK, dtype=np.uint8)
+    picture = np.full((height, width, 3), BLANK_RGB, dtype=np.uint8)
     if view.masks is not None:
         ignored = view.masks.ignore[n]
-        picture[ignored & ~ignored.all()] = IGNORED  # all of them: the mask is not known
-        picture[view.masks.object[n]] = OBSERVED
+        picture[ignored & ~ignored.all()] = IGNORED_MASK_RGB  # all of them: the mask is not known
+        picture[view.masks.object[n]] = OBSERVED_MASK_RGB
     return picture
 
 
-def mask_lines(mask: Bool[ndarray, "H W"]) -> list[Float[ndarray, "_n 2"]]:
+def mask_contours(mask: Bool[ndarray, "H W"]) -> list[Float[ndarray, "_n 2"]]:
     """Return closed boundary lines of a mask, in pixel coordinates."""
     contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     lines = [contour[:, 0].astype(float) + 0.5 for contour in contours if len(contour) > 8]

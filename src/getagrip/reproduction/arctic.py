@@ -5,23 +5,23 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from getagrip.reproduction.needed import MANO, Need, found
-from getagrip.reproduction.reproduce import OURS, Reproduce
+from getagrip.reproduction.needed import MANO_DOWNLOAD, RequiredFile, find_required
+from getagrip.reproduction.reproduce import OWN_METHODS, Reproduce
 
-NEEDS = {
-    "root": Need(
+ARCTIC_REQUIREMENTS = {
+    "root": RequiredFile(
         "ARCTIC, the folder of raw_seqs and meta", (".", "arctic", "arctic/data", "arctic_data/data", "data"),
         "https://arctic.is.tue.mpg.de, after registration", ("raw_seqs/*/*.object.npy",),
     ),
-    "mano": MANO,
+    "mano": MANO_DOWNLOAD,
 }  # fmt: skip
-COLUMNS = {"IOU": "IOU", "SCA-IOU": "SCA-IOU 0.8", "ADD": "ADD", "SCA-ADD": "SCA-ADD"}
-PAPERS = {
+ARCTIC_COLUMNS = {"IOU": "IOU", "SCA-IOU": "SCA-IOU 0.8", "ADD": "ADD", "SCA-ADD": "SCA-ADD"}
+ARCTIC_PAPER_METHODS = {
     "Single Frame": "paper-single-frame", "HOMan": "paper-homan", "Static": "paper-static", "Dynamic": "paper-dynamic",
     "1-DoF": "paper",
 }  # fmt: skip
 """The paper's groups, and their methods, all by its energy and optimiser."""
-BASELINES = {"Single Frame, ours": "single-frame", "HOMan, ours": "homan"}
+ARCTIC_BASELINES = {"Single Frame, ours": "single-frame", "HOMan, ours": "homan"}
 """Groups of ours that have the paper's baselines by our energy and solver."""
 
 
@@ -39,11 +39,17 @@ class ReproduceArctic(Reproduce):
         from getagrip.commands.stats import Stats
         from getagrip.commands.study import Study
         from getagrip.datasets.arctic import Arctic
-        from getagrip.experiments.compared import Compared
+        from getagrip.experiments.compared import ComparisonOptions
         from getagrip.fitting.options import PriorsFile, SearchOptions
-        from getagrip.reproduction.tables import ALL, PaperTable, bench_values, durations, on_clips
+        from getagrip.reproduction.tables import (
+            ALL_ROW_LABEL,
+            PaperTable,
+            bench_values,
+            describe_clip_count,
+            read_durations,
+        )
 
-        there, clips, whole = found(NEEDS, self.roots), self.out / "clips", self.out / "whole"
+        there, clips, whole = find_required(ARCTIC_REQUIREMENTS, self.roots), self.out / "clips", self.out / "whole"
         cut = Arctic(root=there["root"], mano=there["mano"])
         good = self.step("import arctic", Import[Arctic](dataset=cut, out=clips, share=self.share, debug=self.debug))
         uncut = replace(cut, whole=True)
@@ -53,8 +59,8 @@ class ReproduceArctic(Reproduce):
             learn = LearnPoses(clips=(clips,), out=starts, as_folder=priors, way="axis-angle", debug=self.debug)
             good &= self.step("init learn", learn)
         search = SearchOptions(init="priors", priors=PriorsFile(priors), priors_only=True, hands="as-given")
-        groups = PAPERS | BASELINES | OURS
-        compared = Compared(methods=(*groups.values(),), contact=(0.0,))
+        groups = ARCTIC_PAPER_METHODS | ARCTIC_BASELINES | OWN_METHODS
+        compared = ComparisonOptions(methods=(*groups.values(),), contact=(0.0,))
         good &= self.bench("methods", search, compared)
         statistics, studied = self.out / "statistics.json", self.out / "study.json"
         good &= self.step("stats", Stats(source=str(clips), json=statistics))
@@ -63,11 +69,11 @@ class ReproduceArctic(Reproduce):
         )
         if not studied.exists():
             good &= self.step("study", study)
-        methods = {g: bench_values(self.page("methods"), m, COLUMNS) for g, m in groups.items()}
+        methods = {g: bench_values(self.page("methods"), m, ARCTIC_COLUMNS) for g, m in groups.items()}
         tables = [
-            PaperTable("Table 2", methods, on_clips(self.page("methods"))),
-            PaperTable("Table 8", durations(statistics)),
-            PaperTable("Sec. 3", {"grasps": {ALL: self._errors()}}),
+            PaperTable("Table 2", methods, describe_clip_count(self.page("methods"))),
+            PaperTable("Table 8", read_durations(statistics)),
+            PaperTable("Sec. 3", {"grasps": {ALL_ROW_LABEL: self._errors()}}),
         ]
         about = [
             "the paper's settings: true hands, contact at 0 mm, all initial poses learnt from the same grasps",

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from getagrip.errors import UsageError
-from getagrip.io.terminal import report
+from getagrip.io.terminal import print_note
 
-AUTHORS = "https://github.com/zhifanzhu/objects-along-hit"
+AUTHORS_CODE_URL = "https://github.com/zhifanzhu/objects-along-hit"
 
 
 @dataclass(frozen=True)
-class Need:
+class RequiredFile:
     """A file or folder of others."""
 
     what: str
@@ -38,12 +38,14 @@ class Need:
         return f"{self.what}: {self.source}; put it at {place.as_posix()}"
 
 
-MANO = Need(
+MANO_DOWNLOAD = RequiredFile(
     "MANO", (".", "mano", "mano_v1_2/models"), "https://mano.is.tue.mpg.de, after registration", ("MANO_RIGHT.pkl",)
 )
 
 
-def found(needs: dict[str, Need], roots: Sequence[Path], later: Iterable[Need] = ()) -> dict[str, Path]:
+def find_required(
+    needs: dict[str, RequiredFile], roots: Sequence[Path], later: Iterable[RequiredFile] = ()
+) -> dict[str, Path]:
     """Return the place of each. Raises ``UsageError`` where some are missing; where to get each is printed before.
 
     What is needed ``later`` is printed with it.
@@ -51,10 +53,10 @@ def found(needs: dict[str, Need], roots: Sequence[Path], later: Iterable[Need] =
     places = {name: need.find(roots) for name, need in needs.items()}
     if missing := [need for name, need in needs.items() if places[name] is None]:
         for need in missing:
-            report(f"missing: {need.advice}")
+            print_note(f"missing: {need.advice}")
         for need in later:
             if need.find(roots) is None:
-                report(f"needed later: {need.advice}")
+                print_note(f"needed later: {need.advice}")
         where = ", ".join(map(str, roots)) or "ROOT, which names no folder"
         raise UsageError(f"missing in {where}: {', '.join(need.what for need in missing)}")
     return {name: place for name, place in places.items() if place is not None}

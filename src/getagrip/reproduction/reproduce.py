@@ -12,19 +12,19 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from getagrip.batch.share import Executors, Share
+from getagrip.batch.share import Executors, SchedulingOptions
 from getagrip.commands.command import Command
 from getagrip.io.arguments import Folder
-from getagrip.io.terminal import report
+from getagrip.io.terminal import print_note
 
 if TYPE_CHECKING:
-    from getagrip.experiments.compared import Compared
+    from getagrip.experiments.compared import ComparisonOptions
     from getagrip.fitting.options import SearchOptions
     from getagrip.reproduction.tables import PaperTable
 
-OURS = {"1-DoF, ours": "one-dof", "soft hinge": "soft-hinge"}
+OWN_METHODS = {"1-DoF, ours": "one-dof", "soft hinge": "soft-hinge"}
 """Groups of ours that follow the paper's, and their methods."""
-WARNED = 3
+WARNING_EXIT_STATUS = 3
 """Exit status of an import that has succeeded with a warning."""
 
 
@@ -38,14 +38,14 @@ class Reproduce(Command):
     """Folder of clips, results and tables. Called again with the same folder, it continues where it stopped."""
     count: Annotated[int | None, arg(name="clips", metavar="N", help_behavior_hint="(default: all)")] = None
     """Compare methods on N clips, evenly sampled: the paper's own methods take half a minute a clip each."""
-    share: Executors = field(default_factory=Share)
+    share: Executors = field(default_factory=SchedulingOptions)
 
     def step(self, words: str, command: Command) -> bool:
         """Run a verb, and return whether all of it succeeded."""
-        report(f"== {words}")
-        return command.run() in (0, WARNED)
+        print_note(f"== {words}")
+        return command.run() in (0, WARNING_EXIT_STATUS)
 
-    def bench(self, name: str, search: SearchOptions, compared: Compared) -> bool:
+    def bench(self, name: str, search: SearchOptions, compared: ComparisonOptions) -> bool:
         """Compare methods on the clips into ``bench/NAME.json``, and return whether nothing failed."""
         from getagrip.commands.bench import BenchGrasps
         from getagrip.experiments.sources.source import ClipFolder
@@ -62,8 +62,8 @@ class Reproduce(Command):
 
     def write(self, tables: Sequence[PaperTable], good: bool, about: Sequence[str]) -> int:
         """Write the tables; return 0, or 1 where some of it failed."""
-        from getagrip.reproduction.tables import write
+        from getagrip.reproduction.tables import write_paper_tables
 
         failed = [] if good else ["some clips failed: the lines above say which; this command goes on where it stopped"]
-        write(tables, self.out, [*about, *failed])
+        write_paper_tables(tables, self.out, [*about, *failed])
         return 0 if good else 1

@@ -14,16 +14,16 @@ from functools import cache
 from importlib import resources
 from pathlib import Path
 
-from getagrip.experiments.tables import LATEX, MARKDOWN
+from getagrip.experiments.tables import LATEX_STYLE, MARKDOWN_STYLE
 from getagrip.io import files
 from getagrip.io.files import Json
 from getagrip.io.tables import markdown_table
-from getagrip.io.terminal import counted
+from getagrip.io.terminal import format_count
 
 Values = Mapping[str, Mapping[str, Mapping[str, float]]]
 """Measured numbers by group, row and column."""
-ALL = "All"
-UNRANKED = ("avg", "std", "max", "clips", "static", "1-DoF")
+ALL_ROW_LABEL = "All"
+UNRANKED_COLUMNS = ("avg", "std", "max", "clips", "static", "1-DoF")
 """Columns in which nothing is best."""
 
 
@@ -64,7 +64,7 @@ class PaperTable:
         """The paper's rows, then categories that it does not have, all of them last."""
         known = [*(row for group in published()[self.number]["groups"].values() for row in group)]
         rows = [*dict.fromkeys([*known, *(row for group in self.measured.values() for row in group)])]
-        return sorted(rows, key=ALL.__eq__)
+        return sorted(rows, key=ALL_ROW_LABEL.__eq__)
 
     def printed(self, group: str, row: str, column: str) -> float:
         """Return the paper's number; NaN where it has none."""
@@ -75,15 +75,15 @@ class PaperTable:
         """Write our number, marked where it is the best or the second of its row, and the paper's in brackets."""
         ours = {g: self.measured.get(g, {}).get(row, {}).get(column, math.nan) for g in self.groups}
         known = sorted({round(v, 1) for v in ours.values() if not math.isnan(v)}, reverse=True)
-        ranked = column not in UNRANKED and len(known) > 1
+        ranked = column not in UNRANKED_COLUMNS and len(known) > 1
         rank = known.index(round(ours[group], 1)) + 1 if ranked and not math.isnan(ours[group]) else 0
-        text = _number(ours[group], column)
+        text = _format_table_number(ours[group], column)
         if latex:
-            shown = {1: r"\cellcolor{green!25}", 2: r"\cellcolor{yellow!25}"}.get(rank, "") + LATEX.text(text)
+            shown = {1: r"\cellcolor{green!25}", 2: r"\cellcolor{yellow!25}"}.get(rank, "") + LATEX_STYLE.text(text)
         else:
-            shown = MARKDOWN.cell(text, rank, "")
+            shown = MARKDOWN_STYLE.cell(text, rank, "")
         printed = self.printed(group, row, column)
-        return shown if math.isnan(printed) else f"{shown} ({_number(printed, column)})"
+        return shown if math.isnan(printed) else f"{shown} ({_format_table_number(printed, column)})"
 
     def grids(self) -> Iterator[tuple[str, list[list[str]]]]:
         """Yield a grid for each column, rows by groups; one grid, rows by columns, where there is one group."""
@@ -104,28 +104,28 @@ class PaperTable:
     def latex(self) -> str:
         """Write it in the paper's layout (needs booktabs, and xcolor with its option table)."""
         width = len(self.columns)
-        heads = [rf"\multicolumn{{{width}}}{{c}}{{{LATEX.text(group)}}}" for group in self.groups]
+        heads = [rf"\multicolumn{{{width}}}{{c}}{{{LATEX_STYLE.text(group)}}}" for group in self.groups]
         lines = [
             r"\begin{table*}", r"\centering", rf"\begin{{tabular}}{{l{('|' + 'c' * width) * len(self.groups)}}}",
             r"\toprule", " & ".join(["", *heads]) + r" \\",
-            " & ".join(["", *map(LATEX.text, self.columns * len(self.groups))]) + r" \\", r"\midrule",
+            " & ".join(["", *map(LATEX_STYLE.text, self.columns * len(self.groups))]) + r" \\", r"\midrule",
         ]  # fmt: skip
         for row in self.rows:
             cells = [self.cell(group, row, column, True) for group in self.groups for column in self.columns]
-            lines += [r"\hline"] * (row == ALL) + [" & ".join([LATEX.text(row), *cells]) + r" \\"]
+            lines += [r"\hline"] * (row == ALL_ROW_LABEL) + [" & ".join([LATEX_STYLE.text(row), *cells]) + r" \\"]
         caption = " ".join([f"{self.title}.", *filter(None, [self.note]), "In brackets the paper's numbers."])
         return "\n".join(
-            [*lines, r"\bottomrule", r"\end{tabular}", rf"\caption{{{LATEX.text(caption)}}}", r"\end{table*}"]
+            [*lines, r"\bottomrule", r"\end{tabular}", rf"\caption{{{LATEX_STYLE.text(caption)}}}", r"\end{table*}"]
         )
 
 
-def _number(value: float, column: str) -> str:
+def _format_table_number(value: float, column: str) -> str:
     """Write a number: counts whole, seconds with two decimals, shares with one."""
     digits = {"clips": 0, "avg": 2, "std": 2, "max": 2}.get(column, 1)
     return "–" if math.isnan(value) else f"{value:.{digits}f}"
 
 
-def write(tables: Sequence[PaperTable], out: Path, about: Sequence[str]) -> None:
+def write_paper_tables(tables: Sequence[PaperTable], out: Path, about: Sequence[str]) -> None:
     """Print the tables, and write ``tables.md``, ``tables.tex`` and ``tables.json`` into a folder."""
     lines = ["# The paper's tables", "", *(f"- {line}" for line in about)]
     for table in tables:
@@ -147,29 +147,29 @@ def bench_values(page: Path, label: str, columns: Mapping[str, str]) -> dict[str
     ``columns`` maps the paper's columns to ours. Without results, or where all have failed, there is none.
     """
     found: dict[str, dict[str, float]] = {}
-    tables = _tables_of(page)
+    tables = _read_bench_tables(page)
     for table in tables:
         for row in table["rows"]:
             if row["row"] == label and row["failed"] < table["clips"]:
                 means = {name: row["values"].get(ours, {}).get("mean") for name, ours in columns.items()}
                 values = {name: math.nan if mean is None else 100.0 * mean for name, mean in means.items()}
-                found[ALL if table["table"] == "all" else table["table"]] = values
-    if len(tables) == 1 and ALL in found:  # the clips are of one category, which has no table of its own
-        found[next(clip["category"] for clip in files.read_json(page)["clips"])] = found[ALL]
+                found[ALL_ROW_LABEL if table["table"] == "all" else table["table"]] = values
+    if len(tables) == 1 and ALL_ROW_LABEL in found:  # the clips are of one category, which has no table of its own
+        found[next(clip["category"] for clip in files.read_json(page)["clips"])] = found[ALL_ROW_LABEL]
     return found
 
 
-def on_clips(page: Path) -> str:
+def describe_clip_count(page: Path) -> str:
     """Say on how many clips such a page is."""
-    return "".join(f"On {counted(table['clips'], 'clip')}." for table in _tables_of(page)[:1])
+    return "".join(f"On {format_count(table['clips'], 'clip')}." for table in _read_bench_tables(page)[:1])
 
 
-def _tables_of(page: Path) -> Sequence[Json]:
+def _read_bench_tables(page: Path) -> Sequence[Json]:
     """Return the tables of a page; none where no clip gave a result."""
     return files.read_json(page)["tables"] if page.is_file() else ()
 
 
-def durations(page: Path) -> Values:
+def read_durations(page: Path) -> Values:
     """Return the statistics that ``stats --json`` wrote, in seconds."""
     keys = {"avg": "mean", "std": "std", "max": "longest", "clips": "clips"}
     rows = files.read_json(page)["durations"]

@@ -1,12 +1,12 @@
 """Results: the object in the hand in every frame, and the folder that holds it."""
 
 from getagrip.result.data import Axis, Candidates, FrameKind, Reconstruction, Status
-from getagrip.result.folder import FILES, is_result, software, write_result
-from getagrip.result.reading import read_record, read_result
+from getagrip.result.folder import RESULT_FILES, is_result, software_versions, write_result
+from getagrip.result.reading import read_result, read_result_record
 from getagrip.result.segments import SegmentResult
 
 __all__ = [
-    "FILES",
+    "RESULT_FILES",
     "Axis",
     "Candidates",
     "FrameKind",
@@ -14,8 +14,8 @@ __all__ = [
     "SegmentResult",
     "Status",
     "is_result",
-    "read_record",
     "read_result",
-    "software",
+    "read_result_record",
+    "software_versions",
     "write_result",
 ]

@@ -16,7 +16,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.warp import Warp
 from getagrip.io.array_data import ArrayData
 from getagrip.io.brief import view
-from getagrip.io.named import named
+from getagrip.io.named import check_arguments
 from getagrip.probability import Probability
 from getagrip.result.segments import SegmentResult
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from getagrip.clip import Clip, Masks
-    from getagrip.notebook import Page
+    from getagrip.notebook import HtmlPage
 
 FrameKind = Literal["sampled", "fitted", "interpolated"]
 """How the pose of a frame was found: together with the other sampled ones; from its own mask, with the parameters that
@@ -178,22 +178,22 @@ class Reconstruction(ArrayData):
         """The clip and masks that ``reconstruct`` used; None for a result that was read, or changed since."""
         return self.__dict__.get("_inputs")
 
-    @named
+    @check_arguments
     def plot(self, clip: Clip | None = None, masks: Masks | None = None) -> Figure:
         """Draw the result: silhouettes, the axis in two views, angle and IOU over time; a notebook shows the figure.
 
         Without arguments it is drawn with the clip and the masks that ``reconstruct`` made it of. Raises ``UsageError``
         where a clip is needed: for a result that was read from a folder.
         """
-        return view("plotted")(self, clip, masks)
+        return view("plot_result")(self, clip, masks)
 
-    @named
-    def show(self, clip: Clip | None = None, masks: Masks | None = None, height: int = 820) -> Page:
+    @check_arguments
+    def show(self, clip: Clip | None = None, masks: Masks | None = None, height: int = 820) -> HtmlPage:
         """Make the page of the result, which plays in 3D; a notebook shows it, ``height`` pixels high.
 
         Takes and raises what ``plot`` does.
         """
-        return view("page")(self, clip, masks, height)
+        return view("make_result_page")(self, clip, masks, height)
 
     @property
     def probabilities(self) -> dict[str, Probability]:

@@ -11,21 +11,21 @@ import numpy as np
 from jaxtyping import Shaped
 from numpy import ndarray
 
-from getagrip.errors import legible
+from getagrip.errors import replace_surrogates
 from getagrip.io import arrays, code, files, plugins
-from getagrip.io.named import named
+from getagrip.io.named import check_arguments
 from getagrip.result.data import Reconstruction
 
-VERSION = 2
+RESULT_VERSION = 2
 """Version of the results that are written; older ones are read, too."""
-FILES = ("result.json", "result.npz")
+RESULT_FILES = ("result.json", "result.npz")
 """Files of a result's folder."""
-AXIS = ("axis_point", "axis_direction", "angle")
-WARP = ("warp_centre", "warp_radius", "warp_coefficients")
+AXIS_ARRAYS = ("axis_point", "axis_direction", "angle")
+WARP_ARRAYS = ("warp_centre", "warp_radius", "warp_coefficients")
 """Arrays of ``result.npz`` that are there together or not at all."""
 
 
-@named
+@check_arguments
 def write_result(
     result: Reconstruction,
     folder: str | Path,
@@ -53,19 +53,19 @@ def write_result(
     Raises:
         UsageError: the folder exists, and ``overwrite`` is False or it holds something other than a result.
     """
-    folder, made_by = Path(folder), made_by or software() | plugins.made_with(result.method)
-    with files.new_folder(folder, FILES if overwrite else ()) as new:
-        arrays.write(new / "result.npz", _arrays(result))
-        files.write_json(new / "result.json", _fields(result, input_sha256, metrics, clip_folder, made_by))
+    folder, made_by = Path(folder), made_by or software_versions() | plugins.plugin_dependencies(result.method)
+    with files.new_folder(folder, RESULT_FILES if overwrite else ()) as new:
+        arrays.write(new / "result.npz", _result_arrays(result))
+        files.write_json(new / "result.json", _result_fields(result, input_sha256, metrics, clip_folder, made_by))
     return folder
 
 
 def is_result(folder: Path) -> bool:
     """Return whether a folder holds a result, and may be replaced."""
-    return all((folder / name).is_file() for name in FILES)
+    return all((folder / name).is_file() for name in RESULT_FILES)
 
 
-def _arrays(result: Reconstruction) -> dict[str, Shaped[ndarray, "..."]]:
+def _result_arrays(result: Reconstruction) -> dict[str, Shaped[ndarray, "..."]]:
     """Return the arrays of ``result.npz``."""
     out: dict[str, ndarray] = {
         "T_hand_obj": result.T_hand_obj,
@@ -89,14 +89,14 @@ def _arrays(result: Reconstruction) -> dict[str, Shaped[ndarray, "..."]]:
         out["T_cam_other_hand"] = result.T_cam_other_hand
     if result.warp is not None:
         warp = result.warp
-        out |= dict(zip(WARP, (warp.centre, np.array(warp.radius), warp.coefficients), strict=True))
+        out |= dict(zip(WARP_ARRAYS, (warp.centre, np.array(warp.radius), warp.coefficients), strict=True))
     if result.axis is not None:
         axis = result.axis
         out |= {"axis_point": axis.point, "axis_direction": axis.direction, "angle": axis.angle}
     return out
 
 
-def _fields(
+def _result_fields(
     result: Reconstruction,
     input_sha256: str,
     metrics: Mapping[str, object] | None,
@@ -105,9 +105,9 @@ def _fields(
 ) -> dict[str, object]:
     """Return the fields of ``result.json``."""
     return {
-        "version": VERSION,
+        "version": RESULT_VERSION,
         "clip": result.clip,
-        "clip_folder": None if clip_folder is None else _resolved(str(clip_folder)),
+        "clip_folder": None if clip_folder is None else _resolve_folder(str(clip_folder)),
         "method": result.method,
         "options": result.options,
         "seed": result.seed,
@@ -131,15 +131,15 @@ def _fields(
     }
 
 
-def _resolved(folder: str) -> str:
+def _resolve_folder(folder: str) -> str:
     """Return an absolute path, as an address where it is no UTF-8; addresses in object stores stay as they are."""
     if "://" in folder:
         return folder
     whole = Path(folder).resolve()
-    return str(whole) if legible(str(whole)) == str(whole) else whole.as_uri()
+    return str(whole) if replace_surrogates(str(whole)) == str(whole) else whole.as_uri()
 
 
-def software(*also: str) -> dict[str, str]:
+def software_versions(*also: str) -> dict[str, str]:
     """Return the versions of the package, of Python and of the libraries, and the code's checksum.
 
     ``also`` are parts of the package that a reconstruction does not depend on, but what is made does.

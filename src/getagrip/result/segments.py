@@ -14,10 +14,10 @@ from getagrip.errors import InputError
 from getagrip.finding import read_checks
 from getagrip.geometry import se3
 from getagrip.io.array_data import ArrayData
-from getagrip.io.files import shown
+from getagrip.io.files import shorten_value
 from getagrip.probability import Probability, read_probability
 
-FARTHEST = 1e4
+MAX_RESULT_DISTANCE_M = 1e4
 """No object is farther than this from its hand, and no hand from the camera [m]."""
 
 
@@ -68,7 +68,7 @@ class SegmentResult(ArrayData):
         return out | {"checks": self.checks}
 
 
-def probabilities_of_grasps(segments: Sequence[SegmentResult]) -> str:
+def describe_grasp_probabilities(segments: Sequence[SegmentResult]) -> str:
     """Say how probable it is that each grasp of a timeline is right; empty where there is no grasp."""
     each = [str(segment.probability_right or "unknown") for segment in segments if segment.state == "grasp"]
     return f"probability that its grasps are right: {', '.join(each)}" if each else ""
@@ -76,14 +76,14 @@ def probabilities_of_grasps(segments: Sequence[SegmentResult]) -> str:
 
 def read_segments(path: Path, value: list[object]) -> tuple[SegmentResult, ...]:
     """Read the segments in a ``result.json``. Raises ``InputError``."""
-    return tuple(_read(path, f"segments[{n}]", segment) for n, segment in enumerate(value))
+    return tuple(_read_segment_result(path, f"segments[{n}]", segment) for n, segment in enumerate(value))
 
 
-def _read(path: Path, key: str, value: object) -> SegmentResult:
+def _read_segment_result(path: Path, key: str, value: object) -> SegmentResult:
     if not isinstance(value, dict) or not all(isinstance(value.get(k), str) for k in ("state", "first", "last")):
-        raise InputError(path, key, shown(value), "a JSON object with state, first and last")
+        raise InputError(path, key, shorten_value(value), "a JSON object with state, first and last")
     if value.get("side") not in (None, "left", "right"):
-        raise InputError(path, f"{key}.side", shown(value["side"]), "left or right")
+        raise InputError(path, f"{key}.side", shorten_value(value["side"]), "left or right")
     iou = read_checks(path, {"iou": value.get("iou")}, key)["iou"]
     return SegmentResult(
         state=value["state"],
@@ -92,42 +92,48 @@ def _read(path: Path, key: str, value: object) -> SegmentResult:
         side=value.get("side"),
         iou=None if np.isnan(iou) else iou,
         by_masks=value.get("followed") is True,
-        T_world_obj=_pose(path, f"{key}.T_world_obj", value["T_world_obj"]) if "T_world_obj" in value else None,
-        axis_point=_vector(path, f"{key}.axis_point", value.get("axis_point")),
-        axis_direction=_vector(path, f"{key}.axis_direction", value.get("axis_direction")),
-        signs=_numbers(path, f"{key}.signs", value.get("signs")),
-        checks=_numbers(path, f"{key}.checks", value.get("checks")),
+        T_world_obj=_read_segment_pose(path, f"{key}.T_world_obj", value["T_world_obj"])
+        if "T_world_obj" in value
+        else None,
+        axis_point=_read_vector(path, f"{key}.axis_point", value.get("axis_point")),
+        axis_direction=_read_vector(path, f"{key}.axis_direction", value.get("axis_direction")),
+        signs=_read_segment_numbers(path, f"{key}.signs", value.get("signs")),
+        checks=_read_segment_numbers(path, f"{key}.checks", value.get("checks")),
         probability_right=read_probability(path, value.get("probability_right"), f"{key}.probability_right"),
     )
 
 
-def _numbers(path: Path, key: str, value: object) -> dict[str, float]:
+def _read_segment_numbers(path: Path, key: str, value: object) -> dict[str, float]:
     """Read numbers by name; none where the entry is missing."""
     if value is not None and not isinstance(value, dict):
-        raise InputError(path, key, shown(value), "a JSON object")
+        raise InputError(path, key, shorten_value(value), "a JSON object")
     return read_checks(path, value or {}, key)
 
 
-def _floats(value: object) -> list[float]:
+def _parse_segment_floats(value: object) -> list[float]:
     """Return the numbers in a list; none where it is no list."""
     values = value if isinstance(value, list) else []
-    return [float(x) for x in values if isinstance(x, int | float) and not isinstance(x, bool) and abs(x) <= FARTHEST]
+    return [
+        float(x)
+        for x in values
+        if isinstance(x, int | float) and not isinstance(x, bool) and abs(x) <= MAX_RESULT_DISTANCE_M
+    ]
 
 
-def _vector(path: Path, key: str, value: object) -> Float[ndarray, "3"] | None:
+def _read_vector(path: Path, key: str, value: object) -> Float[ndarray, "3"] | None:
     """Three numbers; None for null."""
-    numbers = _floats(value)
+    numbers = _parse_segment_floats(value)
     if value is not None and (len(numbers) != 3 or numbers != value):
-        raise InputError(path, key, shown(value), f"3 numbers, at most {FARTHEST:g} [m]")
+        raise InputError(path, key, shorten_value(value), f"3 numbers, at most {MAX_RESULT_DISTANCE_M:g} [m]")
     return None if value is None else np.array(numbers)
 
 
-def _pose(path: Path, key: str, value: object) -> Float[ndarray, "4 4"]:
+def _read_segment_pose(path: Path, key: str, value: object) -> Float[ndarray, "4 4"]:
     """Four rows of four numbers: a rigid motion that takes nothing too far."""
     expected = "4 rows of 4 numbers: a rotation and a translation [m]"
-    rows = [_floats(row) for row in value] if isinstance(value, list) else []
+    rows = [_parse_segment_floats(row) for row in value] if isinstance(value, list) else []
     if [len(row) for row in rows] != [4] * 4:
-        raise InputError(path, key, shown(value), expected)
+        raise InputError(path, key, shorten_value(value), expected)
     if not se3.is_rigid(np.array(rows)).all():
         raise InputError(path, key, "a matrix that is no rigid motion", expected)
     return np.array(rows)

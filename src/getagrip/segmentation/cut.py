@@ -11,20 +11,20 @@ from jaxtyping import Int
 from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
-from getagrip.clip.segment_files import SegmentList, with_segments
-from getagrip.clip.writing import fill_folder
+from getagrip.clip.segment_files import SegmentList, add_segments
+from getagrip.clip.writing import write_clip_contents
 from getagrip.grasps.cut import as_listed
-from getagrip.grasps.lists import BETWEEN
+from getagrip.grasps.lists import CLIP_NAME_SEPARATOR
 from getagrip.io import files
 from getagrip.provenance import assumed
-from getagrip.segmentation.found import STILL, DetectedSegment, DetectedSegments
+from getagrip.segmentation.found import STATIC_CAMERA_NOTE, DetectedSegment, DetectedSegments
 
 
-def segment_list(clip: Clip, found: DetectedSegments) -> SegmentList:
+def detected_segment_list(clip: Clip, found: DetectedSegments) -> SegmentList:
     """Return the segments and their source."""
     least = min(one.margin for one in found.segments)
     source = f"found in masks and hands, each at least {least:.0f} nats before the next best"
-    still = STILL if clip.world is None else None
+    still = STATIC_CAMERA_NOTE if clip.world is None else None
     return SegmentList.of(clip, [one.segment for one in found.segments], source, still)
 
 
@@ -33,8 +33,8 @@ def write_timeline(clip: Clip, masks: Masks, found: DetectedSegments, folder: Pa
 
     Images are copied where the clip's folder has them. The folder of an earlier call is replaced.
     """
-    whole = with_segments(clip, segment_list(clip, found))
-    return [_write(whole, masks, clip, np.arange(len(clip)), folder / clip.name)]
+    whole = add_segments(clip, detected_segment_list(clip, found))
+    return [_write_clip_part(whole, masks, clip, np.arange(len(clip)), folder / clip.name)]
 
 
 def write_grasps(clip: Clip, masks: Masks, found: DetectedSegments, folder: Path) -> list[Path]:
@@ -44,7 +44,8 @@ def write_grasps(clip: Clip, masks: Masks, found: DetectedSegments, folder: Path
     """
     grasps = [one for one in found.segments if one.segment.state == "grasp"]
     return [
-        _write_grasp(clip, masks, found, one, folder / f"{clip.name}{BETWEEN}{n}") for n, one in enumerate(grasps, 1)
+        _write_grasp(clip, masks, found, one, folder / f"{clip.name}{CLIP_NAME_SEPARATOR}{n}")
+        for n, one in enumerate(grasps, 1)
     ]
 
 
@@ -62,14 +63,14 @@ def _write_grasp(clip: Clip, masks: Masks, found: DetectedSegments, one: Detecte
         **{f"assumed {n}": assumed(note) for n, note in enumerate(found.notes, start=1)},
     }
     alone = replace(by, name=folder.name, segments=(), other_hand=None, provenance=provenance)
-    return _write(alone.take(rows), masks.take(rows), clip, rows, folder)
+    return _write_clip_part(alone.take(rows), masks.take(rows), clip, rows, folder)
 
 
-def _write(part: Clip, masks: Masks, clip: Clip, rows: Int[ndarray, "n"], folder: Path) -> Path:
+def _write_clip_part(part: Clip, masks: Masks, clip: Clip, rows: Int[ndarray, "n"], folder: Path) -> Path:
     """Write some frames of a clip as a clip of their own."""
     images = [clip.image_file(int(n)) for n in rows]
     with files.new_folder(folder, ("clip.json",) if folder.exists() else ()) as new:
-        fill_folder(new, part, masks, None)
+        write_clip_contents(new, part, masks, None)
         if all(images):
             (new / "frames").mkdir()
             for image in images:

@@ -20,27 +20,35 @@ from getagrip.fitting.tracker_glitches import repair_hand
 from getagrip.geometry import se3
 from getagrip.grasps.definition import Definition
 from getagrip.grasps.stable import segment
-from getagrip.hands.trackers import EXTRAPOLATED
-from getagrip.segmentation.hinge_fits import METHOD, HingeFit, NothingToFitError, fit_hinge, pieces
+from getagrip.hands.trackers import EXTRAPOLATED_HANDS_KEY
+from getagrip.segmentation.hinge_fits import HINGE_FIT_METHOD, HingeFit, NothingToFitError, fit_hinge, split_runs
 from getagrip.segmentation.image_motion import ImageMotion, image_motion
-from getagrip.segmentation.semi_markov import MOTIONS, Division, Motion, cheapest, chosen, margins, window_costs
+from getagrip.segmentation.semi_markov import (
+    MOTION_STATES,
+    Division,
+    Motion,
+    best_fit_in_window,
+    cheapest_division,
+    division_margins,
+    window_costs,
+)
 
-OTHERWISE: dict[Motion, State] = {"static": "static", "held": "contact", "free": "free"}
+STATE_WITHOUT_GRASP: dict[Motion, State] = {"static": "static", "held": "contact", "free": "free"}
 """State of a segment where no grasp is stable."""
-LAG = 0.13
+MAX_MASK_LAG_S = 0.13
 """Longest time between masks that are compared [s]."""
-LONGEST, LEAST = 60, 6
+MAX_FIT_FRAMES, MIN_FIT_FRAMES = 60, 6
 """Frames of a fit, at most and at least."""
-INTO, AROUND = 30, 150
+FIT_OVERLAP_FRAMES, FIT_CONTEXT_FRAMES = 30, 150
 """A fit is tried in the pauses beside it and this many frames beyond them, up to the second number on either side."""
-MOST_FRAMES = 3000
+MAX_SEGMENTED_FRAMES = 3000
 """Most frames of a clip: every window of frames has a cost."""
-WITHIN_10_MM = Definition(contact=0.010)
+CONTACT_10_MM_DEFINITION = Definition(contact=0.010)
 
 
-STILL = "which is a guess: nothing is known of its motion"
+STATIC_CAMERA_NOTE = "which is a guess: nothing is known of its motion"
 """Said of a camera that is taken to stand still (``clip.segment_files``)."""
-STEADIED = 0.067
+FINGER_SMOOTHING_SIGMA_S = 0.067
 """Fingers are smoothed in time by a Gaussian of this standard deviation [s]: those of trackers tremble, and with them
 what they touch."""
 
@@ -75,7 +83,7 @@ class DetectedSegments:
 def find_segments(
     clip: Clip,
     masks: Masks | None = None,
-    definition: Definition = WITHIN_10_MM,
+    definition: Definition = CONTACT_10_MM_DEFINITION,
     options: Options | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> DetectedSegments:
@@ -84,35 +92,41 @@ def find_segments(
     Without ``clip.world`` the camera is taken to stand still. Frames whose mask is not known are left out; halfway
     between two others one segment ends and the next begins. The clip's own segments and truth are not read. Of
     ``options`` the method and the frames that follow from others do not matter. Raises ``UsageError`` for masks of
-    another clip, and ``InputError`` for what no clip can be, and for more than ``MOST_FRAMES`` frames.
+    another clip, and ``InputError`` for what no clip can be, and for more than ``MAX_SEGMENTED_FRAMES`` frames.
     """
     check_clip(clip)
-    if len(clip) > MOST_FRAMES:
-        raise InputError(clip.origin, "frames", f"{len(clip)} frames", f"at most {MOST_FRAMES}: cut the clip")
+    if len(clip) > MAX_SEGMENTED_FRAMES:
+        raise InputError(clip.origin, "frames", f"{len(clip)} frames", f"at most {MAX_SEGMENTED_FRAMES}: cut the clip")
     masks = read_masks(clip) if masks is None else masks
     check_masks(clip, masks)
-    options = replace(options or Options(), method=METHOD)
+    options = replace(options or Options(), method=HINGE_FIT_METHOD)
     rows = np.flatnonzero(masks.known)
     if 1 < len(rows) < len(clip):
         rate = clip.fps * (len(rows) - 1) / (rows[-1] - rows[0])
         some = replace(replace(clip, segments=(), truth=None).take(rows), fps=rate)
-        return _at_all(find_segments(some, masks.take(rows), definition, options, progress), rows, len(clip))
+        return _spread_to_all_frames(
+            find_segments(some, masks.take(rows), definition, options, progress), rows, len(clip)
+        )
     clip, glitches = repair_hand(replace(clip, segments=(), truth=None), options)
-    moved = _moved(clip, masks)
+    moved = _image_motion_of_clip(clip, masks)
     with threadpool_limits(1, user_api="blas"):
-        fits = _fits(clip, masks, _runs(moved), options, progress)
+        fits = _fit_moving_parts(clip, masks, _runs_between_static(moved), options, progress)
     cost = window_costs(moved, fits)
-    division = cheapest(cost)
+    division = cheapest_division(cost)
     notes = [] if clip.world is not None else ["the camera is taken to stand still: a guess"]
-    if EXTRAPOLATED in clip.provenance:
-        notes.append(f"{EXTRAPOLATED}: {clip.provenance[EXTRAPOLATED]}: a grasp found there is one, too")
+    if EXTRAPOLATED_HANDS_KEY in clip.provenance:
+        notes.append(
+            f"{EXTRAPOLATED_HANDS_KEY}: {clip.provenance[EXTRAPOLATED_HANDS_KEY]}: a grasp found there is one, too"
+        )
     if glitches is not None and glitches.frames:
         notes.append(str(glitches))
-    margin = margins(cost, division)
-    return DetectedSegments(tuple(_segments(clip, division, margin, fits, moved.jitter, definition)), tuple(notes))
+    margin = division_margins(cost, division)
+    return DetectedSegments(
+        tuple(_detected_segments(clip, division, margin, fits, moved.jitter, definition)), tuple(notes)
+    )
 
 
-def _at_all(found: DetectedSegments, rows: Int[ndarray, "n"], frames: int) -> DetectedSegments:
+def _spread_to_all_frames(found: DetectedSegments, rows: Int[ndarray, "n"], frames: int) -> DetectedSegments:
     """Segments found in some of the frames, in all."""
     begins = [0, *(int(rows[s.segment.first - 1] + rows[s.segment.first]) // 2 + 1 for s in found.segments[1:])]
     ends = [*(begin - 1 for begin in begins[1:]), frames - 1]
@@ -126,24 +140,24 @@ def _at_all(found: DetectedSegments, rows: Int[ndarray, "n"], frames: int) -> De
 
 def moving_runs(clip: Clip, masks: Masks) -> list[tuple[int, int]]:
     """Return first and last frame of each run of frames in which the object moves, by image motion alone."""
-    return _runs(_moved(clip, masks))
+    return _runs_between_static(_image_motion_of_clip(clip, masks))
 
 
-def _moved(clip: Clip, masks: Masks) -> ImageMotion:
-    return image_motion(clip, masks, min(max(1, round(LAG * clip.fps)), len(clip) - 1))
+def _image_motion_of_clip(clip: Clip, masks: Masks) -> ImageMotion:
+    return image_motion(clip, masks, min(max(1, round(MAX_MASK_LAG_S * clip.fps)), len(clip) - 1))
 
 
-def _runs(moved: ImageMotion) -> list[tuple[int, int]]:
+def _runs_between_static(moved: ImageMotion) -> list[tuple[int, int]]:
     """Return the runs between the static segments of the cheapest division into static and free."""
-    division = cheapest(window_costs(moved, []))
+    division = cheapest_division(window_costs(moved, []))
     lies = np.zeros(moved.moved.shape[1], dtype=bool)
     for (first, last), state in zip(division.spans, division.states, strict=True):
-        lies[first : last + 1] = MOTIONS[state] == "static"
+        lies[first : last + 1] = MOTION_STATES[state] == "static"
     edges = np.flatnonzero(np.diff(np.concatenate([[True], lies, [True]])))
     return [(int(first), int(end) - 1) for first, end in edges.reshape(-1, 2)]
 
 
-def _fits(
+def _fit_moving_parts(
     clip: Clip,
     masks: Masks,
     runs: Sequence[tuple[int, int]],
@@ -151,11 +165,13 @@ def _fits(
     progress: Callable[[float], None],
 ) -> list[HingeFit]:
     """Fit the object to each known hand wherever it does not lie still; none where nothing can be fitted."""
-    hands, parts, fits = _hands(clip, masks), list(pieces(runs, LONGEST, LEAST)), []
+    hands, parts, fits = _clips_by_hand(clip, masks), list(split_runs(runs, MAX_FIT_FRAMES, MIN_FIT_FRAMES)), []
     for k, frames in enumerate(parts):
-        before = parts[k - 1][-1] + 1 - INTO if k else 0
-        after = parts[k + 1][0] + INTO if k + 1 < len(parts) else len(clip)
-        around = np.arange(max(0, before, frames[0] - AROUND), min(len(clip), after, frames[-1] + 1 + AROUND))
+        before = parts[k - 1][-1] + 1 - FIT_OVERLAP_FRAMES if k else 0
+        after = parts[k + 1][0] + FIT_OVERLAP_FRAMES if k + 1 < len(parts) else len(clip)
+        around = np.arange(
+            max(0, before, frames[0] - FIT_CONTEXT_FRAMES), min(len(clip), after, frames[-1] + 1 + FIT_CONTEXT_FRAMES)
+        )
         for by, seen, known in hands:
             with suppress(NothingToFitError):
                 fits.append(fit_hinge(by, seen, frames[known[frames]], around[known[around]], options))
@@ -163,7 +179,7 @@ def _fits(
     return fits
 
 
-def _hands(clip: Clip, masks: Masks) -> list[tuple[Clip, Masks, Bool[ndarray, "T"]]]:
+def _clips_by_hand(clip: Clip, masks: Masks) -> list[tuple[Clip, Masks, Bool[ndarray, "T"]]]:
     """Return the clip with each known hand for its own, and the frames in which that is known."""
     hands = [(clip, masks, clip.hand_known(clip.side))]
     for side in SIDES:
@@ -173,7 +189,7 @@ def _hands(clip: Clip, masks: Masks) -> list[tuple[Clip, Masks, Bool[ndarray, "T
     return hands
 
 
-def _segments(
+def _detected_segments(
     clip: Clip,
     division: Division,
     margin: Float[ndarray, "n"],
@@ -186,7 +202,7 @@ def _segments(
     A hand may hold an object steadily before it lifts it, and after it has set it down: then the grasp takes frames
     from the static segments beside it.
     """
-    spans, motions = division.spans, [MOTIONS[state] for state in division.states]
+    spans, motions = division.spans, [MOTION_STATES[state] for state in division.states]
     lengths = spans[:, 1] + 1 - spans[:, 0]
     owner = np.repeat(np.arange(len(spans)), lengths)
     stable, sides = np.full(len(clip), -1), dict[int, Side]()
@@ -194,14 +210,14 @@ def _segments(
     for k in np.flatnonzero(np.array(motions) == "held"):
         first, last = (int(n) for n in spans[k])
         before, after = (int(lying[n]) if 0 <= n < len(spans) else 0 for n in (k - 1, k + 1))
-        fit = chosen(fits, first, last, jitter)
+        fit = best_fit_in_window(fits, first, last, jitter)
         by, known = clip.with_side(fit.side), clip.hand_known(fit.side)
         assert by is not None
         before = before - int(np.flatnonzero(~known[first - before : first]).max(initial=-1)) - 1
         after = int(np.argmin([*known[last + 1 : last + 1 + after], False]))
         sides[int(k)] = fit.side
-        found = reconstructed(by, fit, first, last, before, after)
-        for n, (a, b) in enumerate(stable_in(by, found, definition)):
+        found = reconstruct_segment(by, fit, first, last, before, after)
+        for n, (a, b) in enumerate(stable_grasps_in(by, found, definition)):
             taken = np.arange(a, b + 1)
             taken = taken[stable[a : b + 1] < 0]
             owner[taken], stable[taken] = k, n
@@ -209,13 +225,13 @@ def _segments(
     breaks = np.flatnonzero(np.any(np.diff(key, axis=0), axis=1)) + 1
     for rows in np.split(np.arange(len(clip)), breaks):
         k = owner[rows[0]]
-        state = "grasp" if stable[rows[0]] >= 0 else OTHERWISE[motions[k]]
+        state = "grasp" if stable[rows[0]] >= 0 else STATE_WITHOUT_GRASP[motions[k]]
         side = sides.get(int(k)) if state in ("grasp", "contact") else None
         yield DetectedSegment(Segment(state, int(rows[0]), int(rows[-1]), side), float(margin[k]))
 
 
 @dataclass(frozen=True)
-class Reconstructed:
+class ReconstructedMotion:
     """An object in some frames that follow each other: as a hand holds it, and as it lies before and after.
 
     Attributes:
@@ -233,9 +249,9 @@ class Reconstructed:
     scale: float
 
 
-def reconstructed(
+def reconstruct_segment(
     clip: Clip, fit: HingeFit, first: int, last: int, still_before: int, still_after: int
-) -> Reconstructed:
+) -> ReconstructedMotion:
     """Return a fit in its segment, with the object still in the world before and after.
 
     There the hand's pose is the fit's if it was tried there, else the clip's.
@@ -249,13 +265,13 @@ def reconstructed(
     T_cam_obj[still_before : still_before + last + 1 - first] = fit.T_cam_obj[inside]
     T_cam_hand = clip.hand.T_cam_hand.copy()
     T_cam_hand[fit.frames] = fit.T_cam_hand
-    return Reconstructed(frames, (frames >= first) & (frames <= last), T_cam_obj, T_cam_hand[frames], fit.scale)
+    return ReconstructedMotion(frames, (frames >= first) & (frames <= last), T_cam_obj, T_cam_hand[frames], fit.scale)
 
 
-def stable_in(clip: Clip, found: Reconstructed, definition: Definition) -> list[tuple[int, int]]:
+def stable_grasps_in(clip: Clip, found: ReconstructedMotion, definition: Definition) -> list[tuple[int, int]]:
     """Return first and last frame of each stable grasp (Eq. 2) that contains a grasped frame."""
     part = clip.take(found.frames)
-    fingers = gaussian_filter1d(part.hand.vertices, STEADIED * clip.fps, axis=0, mode="nearest")
+    fingers = gaussian_filter1d(part.hand.vertices, FINGER_SMOOTHING_SIGMA_S * clip.fps, axis=0, mode="nearest")
     posed = Truth(found.T_cam_obj, found.scale, found.T_cam_hand, fingers)
     _, grasps = segment(replace(part, truth=posed), definition)
     return [

@@ -17,16 +17,16 @@ from numpy import ndarray
 from getagrip.clip import Clip, Masks, with_masks
 from getagrip.clip.timeline import Side
 from getagrip.errors import GetagripError
-from getagrip.fitting.every_frame import own_fit
+from getagrip.fitting.every_frame import fit_frame_parameters
 from getagrip.fitting.methods import METHODS
-from getagrip.fitting.misfit import CROP_PIXEL, PIXEL
-from getagrip.fitting.motion import placed
+from getagrip.fitting.misfit import CROP_CONTOUR_ERROR_PX, IMAGE_CONTOUR_ERROR_PX
+from getagrip.fitting.motion import hand_object_transforms
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import MethodResult, Problem, prepare
-from getagrip.fitting.solve import in_camera
+from getagrip.fitting.problem import MethodResult, Problem, prepare_problem
+from getagrip.fitting.solve import poses_in_camera
 
-METHOD = "soft-hinge"
-CHUNK = 30
+HINGE_FIT_METHOD = "soft-hinge"
+TRIAL_BATCH_FRAMES = 30
 """Number of frames that are tried at once."""
 
 
@@ -64,15 +64,15 @@ def fit_hinge(
     """Fit the object in some frames, and try the best fit in those ``around``, which are to include them.
 
     Raises ``NothingToFitError`` where fewer than two masks show the object, or where it cannot be rendered, and
-    ``InputError`` for initial poses as ``prepare`` does.
+    ``InputError`` for initial poses as ``prepare_problem`` does.
     """
     observed = masks.observed
     if observed[frames].sum() < 2:
         raise NothingToFitError("fewer than two masks show the object")
     clip = with_masks(clip, masks)
-    problem = prepare(clip.take(frames), options)
+    problem = prepare_problem(clip.take(frames), options)
     try:
-        found = METHODS[METHOD].fit(problem, lambda _: None)
+        found = METHODS[HINGE_FIT_METHOD].fit(problem, lambda _: None)
     except GetagripError as error:
         raise NothingToFitError(str(error)) from error
     assert found.motion is not None
@@ -81,12 +81,12 @@ def fit_hinge(
     part = problem.with_hand_found(clip.take(around))
     sampled = part.index_of(problem.clip.frames)
     n = len(around)
-    T_hand_obj, misfit, expected = np.tile(np.eye(4), (n, 1, 1)), np.full(n, np.nan), np.full(n, PIXEL)
+    T_hand_obj, misfit, expected = np.tile(np.eye(4), (n, 1, 1)), np.full(n, np.nan), np.full(n, IMAGE_CONTOUR_ERROR_PX)
     seen = np.flatnonzero(observed[around])
-    for index in np.array_split(seen, -(-len(seen) // CHUNK)):
+    for index in np.array_split(seen, -(-len(seen) // TRIAL_BATCH_FRAMES)):
         at = problem.at(part.take(index))
-        T_hand_obj[index], misfit[index] = _tried(at, found, sampled, index)
-        expected[index] = PIXEL + CROP_PIXEL / at.observation.crops.zoom
+        T_hand_obj[index], misfit[index] = _evaluate_fit(at, found, sampled, index)
+        expected[index] = IMAGE_CONTOUR_ERROR_PX + CROP_CONTOUR_ERROR_PX / at.observation.crops.zoom
     for t in np.setdiff1d(np.arange(n), seen):
         T_hand_obj[t] = T_hand_obj[seen[np.argmin(np.abs(seen - t))]]
     T_cam_hand = part.hand.T_cam_hand
@@ -95,23 +95,23 @@ def fit_hinge(
     )
 
 
-def _tried(
+def _evaluate_fit(
     problem: Problem, found: MethodResult, sampled: Int[ndarray, "n"], index: Int[ndarray, "m"]
 ) -> tuple[Float[ndarray, "m 4 4"], Float[ndarray, "m"]]:
     """Poses in the hand in the problem's frames, and their misfit [px of the image]."""
-    motion = own_fit(problem, found, sampled, index)
+    motion = fit_frame_parameters(problem, found, sampled, index)
     assert found.energy_of is not None
     mask = next(term for term in found.energy_of(problem)(256, np.arange(len(index))) if term.name == "mask")
-    energy = mask(in_camera(motion, problem.clip.hand.T_cam_hand), np.full(1, np.inf)).value[0]
+    energy = mask(poses_in_camera(motion, problem.clip.hand.T_cam_hand), np.full(1, np.inf)).value[0]
     here = np.arange(len(index))
     energy = energy + [motion.resampled(here, here[t : t + 1]).prior().value[0] for t in here]
     observation = problem.observation
     length = observation.targets[..., 4].sum(axis=1)
     misfit = np.divide(energy, length * observation.crops.zoom, out=np.full(len(index), np.nan), where=length > 0.0)
-    return placed(motion.poses(), problem.clip.mesh.centre)[0], misfit
+    return hand_object_transforms(motion.poses(), problem.clip.mesh.centre)[0], misfit
 
 
-def pieces(runs: Sequence[tuple[int, int]], longest: int, shortest: int) -> Iterator[Int[ndarray, "n"]]:
+def split_runs(runs: Sequence[tuple[int, int]], longest: int, shortest: int) -> Iterator[Int[ndarray, "n"]]:
     """Yield the frames of runs, long ones in equal parts of ``longest`` frames at most, short ones left out."""
     for first, last in runs:
         n = last + 1 - first

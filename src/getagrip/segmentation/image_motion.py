@@ -19,13 +19,13 @@ from getagrip.clip import Clip, Masks
 from getagrip.geometry import se3
 from getagrip.geometry.camera import bounding_boxes
 
-DEPTHS = (0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0)
+RELATIVE_DEPTHS = (0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0)
 """Depths that are tried, as shares of the hand's."""
-SHORTEST = 12.0
+MIN_VISIBLE_CONTOUR_PX = 12.0
 """Pixels of visible contour below which a pair of frames says nothing."""
 Window = tuple[int, int, int, int]
 """Left, top, right and bottom [px], the last two exclusive."""
-STILL = 1e-4
+CAMERA_MOTION_TOLERANCE = 1e-4
 """Cameras less far apart than this are one [m, and radians times 1]."""
 
 
@@ -75,11 +75,11 @@ def image_motion(clip: Clip, masks: Masks, lags: int) -> ImageMotion:
         for lag in range(1, min(lags, t) + 1):
             s = t - lag
             length = (contour[s] + contour[t]) / 2.0
-            if min(contour[s], contour[t]) < SHORTEST:
+            if min(contour[s], contour[t]) < MIN_VISIBLE_CONTOUR_PX:
                 continue
-            window = _around(boxes[[s, t]], clip.size)
+            window = _enlarged_window(boxes[[s, t]], clip.size)
             homographies = _homographies(clip, s, t, depth)
-            moved[lag - 1, t] = min(_differ(masks, s, t, H, window) / length for H in homographies)
+            moved[lag - 1, t] = min(_count_differing_pixels(masks, s, t, H, window) / length for H in homographies)
             by_camera[lag - 1, t] = _displacement(
                 homographies[len(homographies) // 2], (boxes[s, :2] + boxes[s, 2:]) / 2.0
             )
@@ -99,7 +99,7 @@ def visible_contour(object_: Bool[ndarray, "H W"], ignore: Bool[ndarray, "H W"])
     return float(across.sum() + down.sum()) * np.pi / 4.0
 
 
-def _around(boxes: Int[ndarray, "n 4"], size: tuple[int, int]) -> Window:
+def _enlarged_window(boxes: Int[ndarray, "n 4"], size: tuple[int, int]) -> Window:
     """Return a window around boxes, half as large again on each side."""
     low, high = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
     edge = (high - low) // 2
@@ -114,10 +114,10 @@ def _homographies(clip: Clip, s: int, t: int, depth: float) -> list[Float[ndarra
         return [None] if same else [clip.K[t] @ np.linalg.inv(clip.K[s])]
     T_ts = se3.inverse(clip.world.T_world_cam[t]) @ clip.world.T_world_cam[s]
     R, shift = T_ts[:3, :3], T_ts[:3, 3]
-    if same and np.abs(R - np.eye(3)).max() < STILL and np.abs(shift).max() < STILL:
+    if same and np.abs(R - np.eye(3)).max() < CAMERA_MOTION_TOLERANCE and np.abs(shift).max() < CAMERA_MOTION_TOLERANCE:
         return [None]
     K_s = np.linalg.inv(clip.K[s])
-    return [clip.K[t] @ (R + np.outer(shift, [0.0, 0.0, 1.0 / (d * depth)])) @ K_s for d in DEPTHS]
+    return [clip.K[t] @ (R + np.outer(shift, [0.0, 0.0, 1.0 / (d * depth)])) @ K_s for d in RELATIVE_DEPTHS]
 
 
 def _displacement(H: Float[ndarray, "3 3"] | None, uv: Float[ndarray, "2"]) -> float:
@@ -128,7 +128,7 @@ def _displacement(H: Float[ndarray, "3 3"] | None, uv: Float[ndarray, "2"]) -> f
     return float(np.hypot(x / w - uv[0], y / w - uv[1]))
 
 
-def _differ(masks: Masks, s: int, t: int, H: Float[ndarray, "3 3"] | None, window: Window) -> float:
+def _count_differing_pixels(masks: Masks, s: int, t: int, H: Float[ndarray, "3 3"] | None, window: Window) -> float:
     """Pixels of a window in which two masks differ and neither is hidden, the first one moved by a homography."""
     left, top, right, bottom = window
     box = slice(top, bottom), slice(left, right)

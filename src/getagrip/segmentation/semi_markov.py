@@ -4,7 +4,7 @@ Costs belong to whole windows of frames, not to single frames, so that a segment
 share: ``F(j) = min over i, s of F(i) + C(i, j, s)``.
 
 A cost is a code length: misfit of the masks, and the state's parameters. A state's claim is that few parameters explain
-all masks of a window: one pose in the world, one motion in the hand, or a pose per frame. With ``SAMPLES`` independent
+all masks of a window: one pose in the world, one motion in the hand, or a pose per frame. With ``CONTOUR_SAMPLES_PER_FRAME`` independent
 contour points per frame, whose distances have the standard deviation sigma, n frames cost
 ``SAMPLES / 2 sum_t (d_t / sigma)^2 + p / 2 log(SAMPLES n)``; distances up to sigma, which every right fit leaves, cost
 nothing. A pose per frame explains everything and costs six parameters each. Where a segment ends is a choice of T,
@@ -25,22 +25,22 @@ from getagrip.segmentation.hinge_fits import HingeFit
 from getagrip.segmentation.image_motion import ImageMotion
 
 Motion = Literal["static", "held", "free"]
-MOTIONS: tuple[Motion, ...] = ("static", "held", "free")
+MOTION_STATES: tuple[Motion, ...] = ("static", "held", "free")
 """States of the object, before Eq. 2 separates stable grasps from unstable contacts."""
 
-SAMPLES = 10.0
+CONTOUR_SAMPLES_PER_FRAME = 10.0
 """Contour points per frame that are independent."""
-POSE, HINGE = 6, 11
+N_POSE_PARAMETERS, N_HINGE_PARAMETERS = 6, 11
 """Parameters of a pose; of a motion in the hand: a pose, a line, an angle's range."""
-MOST = 40.0
+MAX_FRAME_COST = 40.0
 """A frame that is explained badly costs no more than this: it may be the mask that is wrong."""
-STILL = 0.3
+STATIC_CONTOUR_SIGMA_PX = 0.3
 """Mean displacement of a still object's contour between two masks [px]."""
-UNEXPLAINED = 0.1
+PARALLAX_SIGMA_FRACTION = 0.1
 """And as a share of the displacement by the camera's motion: parallax within the object turns its outline."""
-SHORTEST = {"static": 6, "held": 6, "free": 1}
+MIN_SEGMENT_FRAMES = {"static": 6, "held": 6, "free": 1}
 """Frames of the shortest segment: fewer are no evidence that one pose explains them."""
-NOT_TRIED = 1e3
+UNTRIED_FRAME_COST = 1e3
 """Cost of a frame in which a fit was not tried."""
 
 
@@ -59,7 +59,7 @@ class Division:
     cost: float
 
 
-def cheapest(cost: Float[ndarray, "S T T"]) -> Division:
+def cheapest_division(cost: Float[ndarray, "S T T"]) -> Division:
     """Find the cheapest division of T frames; ``cost[s, i, j]`` is that of state s in the frames i to j, both included.
 
     Costs may be infinite, where a state is impossible; entries with j < i are not read. If no division is finite, the
@@ -82,7 +82,7 @@ def cheapest(cost: Float[ndarray, "S T T"]) -> Division:
     return Division(span, state[span[:, 0], span[:, 1]], float(best[T]))
 
 
-def margins(cost: Float[ndarray, "S T T"], division: Division) -> Float[ndarray, "n"]:
+def division_margins(cost: Float[ndarray, "S T T"], division: Division) -> Float[ndarray, "n"]:
     """Return how much more the next best division costs, for each segment of the cheapest one.
 
     The next best is that of the divisions in which none of the middle half of the segment's frames is in its state. Not
@@ -93,28 +93,34 @@ def margins(cost: Float[ndarray, "S T T"], division: Division) -> Float[ndarray,
         edge = (last + 1 - first) // 4
         without = cost.copy()
         without[state, : last - edge + 1, first + edge :] = np.inf
-        out[k] = cheapest(without).cost - division.cost
+        out[k] = cheapest_division(without).cost - division.cost
     return np.maximum(out, 0.0)
 
 
 def window_costs(moved: ImageMotion, fits: Sequence[HingeFit]) -> Float[ndarray, "3 T T"]:
-    """Compute ``cost[s, i, j]``: state s (``MOTIONS``) in the frames i to j, both included; infinite where j < i."""
+    """Compute ``cost[s, i, j]``: state s (``MOTION_STATES``) in the frames i to j, both included; infinite where j < i."""
     T = moved.moved.shape[1]
     frames = np.arange(T)
     length = frames[None] - frames[:, None] + 1.0
-    known = np.log(SAMPLES * np.maximum(length, 1.0))
-    free = length * POSE / 2.0 * np.log(SAMPLES)
+    known = np.log(CONTOUR_SAMPLES_PER_FRAME * np.maximum(length, 1.0))
+    free = length * N_POSE_PARAMETERS / 2.0 * np.log(CONTOUR_SAMPLES_PER_FRAME)
     cost = np.stack(
-        [_static(moved) + POSE / 2.0 * known, _in_hand_cost(fits, T, moved.jitter) + HINGE / 2.0 * known, free]
+        [
+            _static_cost(moved) + N_POSE_PARAMETERS / 2.0 * known,
+            _in_hand_cost(fits, T, moved.jitter) + N_HINGE_PARAMETERS / 2.0 * known,
+            free,
+        ]
     )
     cost += np.log(T)
-    shortest = np.array([SHORTEST[motion] for motion in MOTIONS])
+    shortest = np.array([MIN_SEGMENT_FRAMES[motion] for motion in MOTION_STATES])
     return np.where(length >= shortest[:, None, None], cost, np.inf)
 
 
-def _static(moved: ImageMotion) -> Float[ndarray, "T T"]:
+def _static_cost(moved: ImageMotion) -> Float[ndarray, "T T"]:
     """Misfit of a still object: each frame against the one ``lags`` before it, or the window's first."""
-    each = residual(moved.moved / (np.hypot(STILL, moved.jitter) + UNEXPLAINED * moved.by_camera))
+    each = residual(
+        moved.moved / (np.hypot(STATIC_CONTOUR_SIGMA_PX, moved.jitter) + PARALLAX_SIGMA_FRACTION * moved.by_camera)
+    )
     L, T = each.shape
     out = np.zeros((T, T))
     for i in range(T):
@@ -127,14 +133,14 @@ def _in_hand_cost(fits: Sequence[HingeFit], T: int, jitter: float) -> Float[ndar
     """Misfit of the fit to the hand that is best in each window."""
     out = np.full((T, T), np.inf)
     for one in fits:
-        each = np.full(T, NOT_TRIED)
-        each[one.frames] = _misfit(one, jitter)
+        each = np.full(T, UNTRIED_FRAME_COST)
+        each[one.frames] = _misfit_cost(one, jitter)
         total = np.concatenate([[0.0], np.cumsum(each)])
         out = np.minimum(out, total[None, 1:] - total[:-1, None])
     return out
 
 
-def _misfit(one: HingeFit, jitter: float) -> Float[ndarray, "n"]:
+def _misfit_cost(one: HingeFit, jitter: float) -> Float[ndarray, "n"]:
     """Cost of each frame in which a fit was tried. Of two masks' jitter, one has its share."""
     return residual(one.misfit / np.hypot(one.expected, jitter / np.sqrt(2.0)))
 
@@ -142,13 +148,13 @@ def _misfit(one: HingeFit, jitter: float) -> Float[ndarray, "n"]:
 def residual(distance: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
     """Compute the cost of distances in standard deviations; unknown ones cost nothing."""
     excess = np.maximum(np.nan_to_num(distance, nan=0.0) - 1.0, 0.0)
-    return np.asarray(np.minimum(0.5 * SAMPLES * excess**2, MOST))
+    return np.asarray(np.minimum(0.5 * CONTOUR_SAMPLES_PER_FRAME * excess**2, MAX_FRAME_COST))
 
 
-def chosen(fits: Sequence[HingeFit], first: int, last: int, jitter: float) -> HingeFit:
-    """Return the fit of least cost in a window; a frame in which it was not tried costs ``NOT_TRIED``."""
+def best_fit_in_window(fits: Sequence[HingeFit], first: int, last: int, jitter: float) -> HingeFit:
+    """Return the fit of least cost in a window; a frame in which it was not tried costs ``UNTRIED_FRAME_COST``."""
     costs = []
     for one in fits:
         inside = (one.frames >= first) & (one.frames <= last)
-        costs.append(_misfit(one, jitter)[inside].sum() + NOT_TRIED * (last + 1 - first - inside.sum()))
+        costs.append(_misfit_cost(one, jitter)[inside].sum() + UNTRIED_FRAME_COST * (last + 1 - first - inside.sum()))
     return fits[int(np.argmin(costs))]

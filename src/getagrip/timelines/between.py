@@ -13,59 +13,63 @@ from jaxtyping import Int
 from numpy import ndarray
 
 from getagrip.clip import Segment
-from getagrip.fitting.energy.smoothness import SmoothnessTerm, TermInFrame, moments
+from getagrip.fitting.energy.smoothness import SmoothnessTerm, TermInFrame, vertex_moments
 from getagrip.fitting.motion import Free
-from getagrip.fitting.objective import evidence_of
+from getagrip.fitting.objective import object_evidence_energy
 from getagrip.fitting.problem import Problem
 from getagrip.fitting.solve import minimise
 from getagrip.geometry import se3
-from getagrip.timelines.following import follow
-from getagrip.timelines.footage import Footage
+from getagrip.timelines.following import track_hypotheses
+from getagrip.timelines.footage import TimelineInputs
 from getagrip.timelines.hypotheses import Hypotheses
-from getagrip.timelines.motion import Motion
+from getagrip.timelines.motion import TimelineMotion
 
-SMOOTH = 2e5
+WORLD_SMOOTHNESS_WEIGHT = 2e5
 """Energy of a surface that moves from one frame to the next [px^2 / m^2]: 20 for a centimetre."""
-STAGES = ((128, 6), (256, 4))
+GAP_FIT_STAGES = ((128, 6), (256, 4))
 """Resolution [px] and iterations."""
 
 
-def smooth_in_world(problem: Problem) -> TermInFrame:
+def world_smoothness_term(problem: Problem) -> TermInFrame:
     """Make the term by which the object's surface moves little in the world from each of the frames to the next."""
     mesh, world = problem.clip.mesh, problem.clip.world
     assert world is not None
-    return TermInFrame(SmoothnessTerm(moments(mesh.vertices - mesh.centre), SMOOTH), world.T_world_cam)
+    return TermInFrame(
+        SmoothnessTerm(vertex_moments(mesh.vertices - mesh.centre), WORLD_SMOOTHNESS_WEIGHT), world.T_world_cam
+    )
 
 
-def fill_between(motion: Motion, footage: Footage, known: list[Segment]) -> None:
+def fill_gaps(motion: TimelineMotion, footage: TimelineInputs, known: list[Segment]) -> None:
     """Fill the frames between segments that are known, and before and after them."""
     edges = [(None, known[0]), *itertools.pairwise(known), (known[-1], None)]
     for one, other in edges:
         rows = np.arange(0 if one is None else one.last + 1, len(footage) if other is None else other.first)
         if not len(rows):
             continue
-        ahead = None if one is None else follow(footage, one.last, rows, motion.at(one.last)).found
-        behind = None if other is None else follow(footage, other.first, rows[::-1], motion.at(other.first)).found
+        ahead = None if one is None else track_hypotheses(footage, one.last, rows, motion.at(one.last)).found
+        behind = (
+            None if other is None else track_hypotheses(footage, other.first, rows[::-1], motion.at(other.first)).found
+        )
         behind = behind and behind.at(np.arange(len(rows))[::-1])
-        found, shown = _known_motions(ahead, behind), footage.shown[rows]
+        found, shown = _candidate_motions(ahead, behind), footage.shown[rows]
         if shown.sum() > 1:
-            found = _fitted(footage.problem(rows[shown]), np.flatnonzero(shown), found)
+            found = _fit_smooth_motion(footage.problem(rows[shown]), np.flatnonzero(shown), found)
         else:
             found = found.take(np.array([-1]))
         motion.put(rows, found, "fitted")
 
 
-def _known_motions(ahead: Hypotheses | None, behind: Hypotheses | None) -> Hypotheses:
+def _candidate_motions(ahead: Hypotheses | None, behind: Hypotheses | None) -> Hypotheses:
     """Return the motions that are known; of two, the blend of the best as well."""
     if ahead is None or behind is None:
         start = ahead or behind
         assert start is not None
         return start
     best = np.zeros(1, int)
-    return ahead.concatenate(behind).concatenate(_blended(ahead.take(best), behind.take(best)))
+    return ahead.concatenate(behind).concatenate(_blend_motions(ahead.take(best), behind.take(best)))
 
 
-def _blended(ahead: Hypotheses, behind: Hypotheses) -> Hypotheses:
+def _blend_motions(ahead: Hypotheses, behind: Hypotheses) -> Hypotheses:
     """From the one to the other, evenly in time: rotations along the shortest path, centres on a line."""
     n = ahead.R.shape[1]
     share = (np.arange(n) + 1.0)[:, None] / (n + 1)
@@ -74,14 +78,14 @@ def _blended(ahead: Hypotheses, behind: Hypotheses) -> Hypotheses:
     return Hypotheses(R, ahead.centre + share * (behind.centre - ahead.centre), ahead.scale, ahead.energy)
 
 
-def _fitted(problem: Problem, at: Int[ndarray, "m"], start: Hypotheses) -> Hypotheses:
+def _fit_smooth_motion(problem: Problem, at: Int[ndarray, "m"], start: Hypotheses) -> Hypotheses:
     """Fit the best smooth motion near these that meets the masks; the problem is at the frames ``at`` of theirs."""
     world = problem.clip.world
     assert world is not None
     motion = Free(start.R[:, at], start.centre[:, at], np.log(start.scale))
-    energy, smooth = evidence_of(problem), smooth_in_world(problem)
+    energy, smooth = object_evidence_energy(problem), world_smoothness_term(problem)
     everywhere, T_cam_world = np.arange(len(at)), se3.inverse(world.T_world_cam)
-    for level, iterations in STAGES:
+    for level, iterations in GAP_FIT_STAGES:
         found = minimise(motion, [*energy(level, everywhere), smooth], T_cam_world, iterations)
         motion = found.motion
     poses = motion.poses()

@@ -17,26 +17,26 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.clip import Clip
-from getagrip.fitting.energy.smoothness import moments
+from getagrip.fitting.energy.smoothness import vertex_moments
 from getagrip.fitting.motion import Fixed, Frozen, PosesInHand, Soft
-from getagrip.fitting.objective import evidence_of
+from getagrip.fitting.objective import object_evidence_energy
 from getagrip.fitting.problem import Problem
 from getagrip.fitting.solve import minimise
 from getagrip.geometry import se3
-from getagrip.timelines.footage import Footage
+from getagrip.timelines.footage import TimelineInputs
 from getagrip.timelines.hypotheses import Hypotheses
 
-RIDGE = (5e4, 300.0)
+PROPOSAL_RIDGE = (5e4, 300.0)
 """Stiffness of a frame's motion from where it was proposed [px^2 per m^2, per rad^2]."""
-TURN = np.radians(15.0)
+PROPOSAL_TURN_RAD = np.radians(15.0)
 """Angles of proposals that turn about the object's principal axes [rad]."""
-PATHS = 4
+N_PATHS = 4
 """Kept of each pose."""
-ROUNDS = ((2, ((64, 2),)), (1, ((64, 4), (128, 5))))
+TRACKING_STAGES = ((2, ((64, 2),)), (1, ((64, 4), (128, 5))))
 """In each frame: how many times as many paths are kept afterwards; resolutions [px] and iterations."""
-SAME = 0.03
+DUPLICATE_PATH_DISTANCE = 0.03
 """Paths whose poses are nearer than this, in diameters, go on as one."""
-LOST = 1e9
+UNRENDERABLE_ENERGY = 1e9
 """Energy of a pose that cannot be rendered [px^2]."""
 
 
@@ -53,7 +53,7 @@ class Paths:
         return Paths(self.found.at(frames), self.start)
 
 
-def follow(footage: Footage, begin: int, rows: Int[ndarray, "n"], start: Hypotheses) -> Paths:
+def track_hypotheses(footage: TimelineInputs, begin: int, rows: Int[ndarray, "n"], start: Hypotheses) -> Paths:
     """Follow hypotheses of the frame ``begin`` into later frames, or earlier ones, in the order of the frames.
 
     Frames between are passed as well. In frames that do not show the object it stays where it was.
@@ -64,11 +64,11 @@ def follow(footage: Footage, begin: int, rows: Int[ndarray, "n"], start: Hypothe
     seen = through[shown]
     if not len(seen):
         return Paths(start.at(np.zeros(len(rows), int)), np.arange(len(start.R)))
-    carried = [carried_by_hands(footage.clip, int(last), int(row)) for last, row in itertools.pairwise([begin, *seen])]
-    return _followed(footage.problem(seen), shown, carried, start).at((rows - through[0]) * step)
+    carried = [hand_motions(footage.clip, int(last), int(row)) for last, row in itertools.pairwise([begin, *seen])]
+    return _track_frames(footage.problem(seen), shown, carried, start).at((rows - through[0]) * step)
 
 
-def carried_by_hands(clip: Clip, before: int, after: int) -> list[Float[ndarray, "4 4"]]:
+def hand_motions(clip: Clip, before: int, after: int) -> list[Float[ndarray, "4 4"]]:
     """Return how something that goes with a hand moves in the world from one frame to another.
 
     One motion for the clip's own hand, and one for the other hand if it is known in both frames.
@@ -81,31 +81,35 @@ def carried_by_hands(clip: Clip, before: int, after: int) -> list[Float[ndarray,
     return [end @ se3.inverse(start) for start, end in T_world_hands]
 
 
-def _followed(
+def _track_frames(
     problem: Problem, shown: Bool[ndarray, "n"], carried: Sequence[Sequence[Float[ndarray, "4 4"]]], start: Hypotheses
 ) -> Paths:
     """Hypotheses from frame to frame; the problem is at those of n frames that show the object.
 
     ``carried`` is what hands do to an object that goes with them, from each of these frames to the next.
     """
-    energy, mesh, world = evidence_of(problem), problem.clip.mesh, problem.clip.world
+    energy, mesh, world = object_evidence_energy(problem), problem.clip.mesh, problem.clip.world
     assert world is not None
-    T_cam_world, about = se3.inverse(world.T_world_cam), moments(mesh.vertices - mesh.centre)
+    T_cam_world, about = se3.inverse(world.T_world_cam), vertex_moments(mesh.vertices - mesh.centre)
     here, before, frame = start, start, 0
     K, N = len(start.R), len(shown)
     room = np.empty((K, N, 3, 3)), np.empty((K, N, 3))
     paths = Paths(Hypotheses(*room, start.scale, start.energy), np.arange(K))
     for n in range(N):
         if shown[n]:
-            motion, parent = _proposals(here, before, carried[frame], problem.surface.axes)
-            for times, steps in ROUNDS:
+            motion, parent = _propose_steps(here, before, carried[frame], problem.surface.axes)
+            for times, steps in TRACKING_STAGES:
                 for level, iterations in steps:
                     terms = energy(level, np.array([frame]))
                     fitted = minimise(motion, terms, T_cam_world[[frame]], iterations)
                     motion = fitted.motion
-                cost = here.energy[parent] + np.nan_to_num(fitted.energy, nan=LOST, posinf=LOST)
-                spots = _spots(about, motion.poses())
-                best = _distinct(spots, cost, paths.start[parent], times * PATHS, SAME * mesh.diameter)
+                cost = here.energy[parent] + np.nan_to_num(
+                    fitted.energy, nan=UNRENDERABLE_ENERGY, posinf=UNRENDERABLE_ENERGY
+                )
+                spots = _pose_embedding(about, motion.poses())
+                best = _select_distinct_paths(
+                    spots, cost, paths.start[parent], times * N_PATHS, DUPLICATE_PATH_DISTANCE * mesh.diameter
+                )
                 motion, parent, cost = motion.take(best), parent[best], cost[best]
             poses = motion.poses()
             before, here = here.take(parent), Hypotheses(poses.R, poses.centre, poses.scale, cost)
@@ -115,7 +119,7 @@ def _followed(
     return paths
 
 
-def _proposals(
+def _propose_steps(
     here: Hypotheses, before: Hypotheses, carried: Sequence[Float[ndarray, "4 4"]], axes: Float[ndarray, "3 3"]
 ) -> tuple[Frozen[Soft[Fixed]], Int[ndarray, "M"]]:
     """Propose how paths may go on, one frame each, and the path that each proposal is of.
@@ -124,7 +128,7 @@ def _proposals(
     """
     R, centre, n = here.R[:, 0], here.centre[:, 0], len(here.R)
     step, turn = centre - before.centre[:, 0], R @ np.swapaxes(before.R[:, 0], -1, -2)
-    turned = R @ se3.exp_so3(TURN * np.concatenate([axes, -axes]))[:, None]
+    turned = R @ se3.exp_so3(PROPOSAL_TURN_RAD * np.concatenate([axes, -axes]))[:, None]
     places = [
         (R, centre + 0.5 * step),
         (turn @ R, centre + step),
@@ -135,16 +139,16 @@ def _proposals(
         np.concatenate([r for r, _ in places]), np.concatenate([c for _, c in places]),
         np.tile(np.log(here.scale), len(places)), 1,
     )  # fmt: skip
-    return Frozen(Soft(every, np.zeros((len(every.R), 1, 6)), RIDGE)), np.tile(np.arange(n), len(places))
+    return Frozen(Soft(every, np.zeros((len(every.R), 1, 6)), PROPOSAL_RIDGE)), np.tile(np.arange(n), len(places))
 
 
-def _spots(about: Float[ndarray, "4 4"], poses: PosesInHand) -> Float[ndarray, "M 12"]:
-    """Poses as points, as far apart as surfaces are, root mean square [m]; ``about``: ``moments`` of the vertices."""
+def _pose_embedding(about: Float[ndarray, "4 4"], poses: PosesInHand) -> Float[ndarray, "M 12"]:
+    """Poses as points, as far apart as surfaces are, root mean square [m]; ``about``: ``vertex_moments`` of the vertices."""
     arm = poses.scale[:, None, None] * about[:, :3] @ np.swapaxes(poses.R[:, 0], -1, -2)
     return np.asarray((arm + about[:, 3:] * poses.centre[:, :1]).reshape(-1, 12))
 
 
-def _distinct(
+def _select_distinct_paths(
     spots: Float[ndarray, "M 12"], cost: Float[ndarray, "M"], start: Int[ndarray, "M"], keep: int, same: float
 ) -> Int[ndarray, "P"]:
     """Return the ``keep`` cheapest of each start, near-copies of a cheaper one left out, cheapest first."""

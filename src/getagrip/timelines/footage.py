@@ -12,17 +12,17 @@ from getagrip.clip import Clip, Masks, Segment, World, read_masks, with_masks
 from getagrip.errors import UsageError
 from getagrip.fitting.methods.all_frames import soft_hinges
 from getagrip.fitting.options import Options
-from getagrip.fitting.pipeline import Input
-from getagrip.fitting.problem import Problem, prepare
+from getagrip.fitting.pipeline import RepairedInput
+from getagrip.fitting.problem import Problem, prepare_problem
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 
-METHOD = "soft-hinge"
+TIMELINE_METHOD = "soft-hinge"
 """How objects move in the grasps of a timeline."""
 
 
 @dataclass(frozen=True)
-class Footage:
+class TimelineInputs:
     """The inputs of a timeline's reconstruction.
 
     Attributes:
@@ -36,7 +36,7 @@ class Footage:
         shown: (T,) the frames whose masks show the object.
     """
 
-    source: Input
+    source: RepairedInput
     clip: Clip
     masks: Masks
     scale: float
@@ -46,15 +46,15 @@ class Footage:
     shown: Bool[ndarray, "T"]
 
     @staticmethod
-    def of(source: Input) -> Footage:
+    def of(source: RepairedInput) -> TimelineInputs:
         """Read masks that were not given, and find a free scale.
 
         Raises ``UsageError`` for another method than the soft hinge, ``InputError`` where the object is visible in
         fewer than two frames.
         """
         clip, options, scale = source.clip, source.options, 1.0
-        if options.method != METHOD:
-            raise UsageError(f"method must be {METHOD!r} for a clip with segments (got {options.method!r})")
+        if options.method != TIMELINE_METHOD:
+            raise UsageError(f"method must be {TIMELINE_METHOD!r} for a clip with segments (got {options.method!r})")
         masks = read_masks(clip)
         clip = with_masks(clip, masks)
         if clip.scale == "free":
@@ -62,9 +62,9 @@ class Footage:
             clip = replace(clip, mesh=Mesh(scale * clip.mesh.vertices, clip.mesh.faces), scale="known", truth=None)
         world = clip.world or World(np.tile(np.eye(4), (len(clip), 1, 1)))
         clip = replace(clip, world=world)
-        some = prepare(clip, replace(options, frames=2, hands="as-given"))
+        some = prepare_problem(clip, replace(options, frames=2, hands="as-given"))
         T_world_cam = world.T_world_cam
-        return Footage(source, clip, masks, scale, some, T_world_cam, se3.inverse(T_world_cam), masks.observed)
+        return TimelineInputs(source, clip, masks, scale, some, T_world_cam, se3.inverse(T_world_cam), masks.observed)
 
     def __len__(self) -> int:
         return len(self.clip)
@@ -75,7 +75,7 @@ class Footage:
 
 
 @dataclass(frozen=True)
-class Grasp:
+class GraspClip:
     """A grasp as a clip of the hand that holds the object, in the frames in which that hand is known.
 
     Attributes:
@@ -87,7 +87,7 @@ class Grasp:
     rows: Int[ndarray, "n"]
 
     @staticmethod
-    def of(clip: Clip, segment: Segment) -> Grasp | None:
+    def of(clip: Clip, segment: Segment) -> GraspClip | None:
         """Make the grasp of a clip with its masks; None where fewer than two of its frames show the object.
 
         The other hand's pixels are not known apart from all ignored.
@@ -99,7 +99,7 @@ class Grasp:
         masks = read_masks(of_grasp)
         if masks.observed.sum() < 2:
             return None
-        return Grasp(segment, of_grasp if by is clip else with_masks(of_grasp, replace(masks, hand=None)), rows)
+        return GraspClip(segment, of_grasp if by is clip else with_masks(of_grasp, replace(masks, hand=None)), rows)
 
 
 def find_scale(clip: Clip, options: Options) -> float:
@@ -107,7 +107,7 @@ def find_scale(clip: Clip, options: Options) -> float:
 
     Raises ``InputError``.
     """
-    grasps = [Grasp.of(clip, segment) for segment in clip.segments if segment.state == "grasp"]
+    grasps = [GraspClip.of(clip, segment) for segment in clip.segments if segment.state == "grasp"]
     longest = max((grasp for grasp in grasps if grasp is not None), key=lambda grasp: len(grasp.rows), default=None)
-    problem = prepare(longest.clip if longest else clip, options)
+    problem = prepare_problem(longest.clip if longest else clip, options)
     return float(soft_hinges(problem, lambda _: None).motion.poses().scale[0])

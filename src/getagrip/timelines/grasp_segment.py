@@ -15,34 +15,34 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.fitting.energy import Energy, PosesInCamera, Quadratic, Term
-from getagrip.fitting.energy.smoothness import moments
-from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frames
+from getagrip.fitting.energy.smoothness import vertex_moments
+from getagrip.fitting.every_frame import SolutionTrack, at_sampled_frames, extend_to_every_frame
 from getagrip.fitting.hand_with_object import solve_with_hand
-from getagrip.fitting.methods.all_frames import result_of, soft_energy, soft_hinges
-from getagrip.fitting.motion import Hinge, Soft, moved
-from getagrip.fitting.objective import NOTHING, plus
+from getagrip.fitting.methods.all_frames import make_method_result, soft_energy, soft_hinges
+from getagrip.fitting.motion import Hinge, Soft, transform_poses
+from getagrip.fitting.objective import NO_TERMS, sum_energies
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.solve import Solution, evaluate, minimise
 from getagrip.geometry import se3
 from getagrip.result import Axis, Status
 from getagrip.timelines.following import Paths
-from getagrip.timelines.footage import Grasp
+from getagrip.timelines.footage import GraspClip
 from getagrip.timelines.hypotheses import Hypotheses
 
-FINEST = 256
+COMPARISON_RESOLUTION_PX = 256
 """Resolution at which solutions are compared [px]."""
-STARTS = 8
+MAX_NEIGHBOUR_STARTS = 8
 """Paths of a neighbour's poses that the search begins with, too."""
-POLISH = 6
+N_FINAL_ITERATIONS = 6
 """Iterations of the last fit."""
-WEIGHT = 0.03
+LINK_WEIGHT = 0.03
 """Most that a link can cost, in areas of the object's mask times frames of the segment."""
-SLIP = 0.08
+LINK_SLIP_DIAMETERS = 0.08
 """Distance of the surface at which it costs half of that, in diameters: about 15 degrees."""
 
 
 @dataclass(frozen=True)
-class Expected:
+class ExpectedPoses:
     """The object's pose in some frames of a segment, by a neighbouring segment's hypotheses, in the camera frame.
 
     Attributes:
@@ -67,7 +67,7 @@ class LinkTerm:
 
     moments: Float[ndarray, "4 4"]
     """Second moments of the vertices about the centre (``smoothness.moments``)."""
-    expected: Expected
+    expected: ExpectedPoses
     weight: float
     """Most that a link can cost in all its frames together [px^2]."""
     slip: float
@@ -116,7 +116,7 @@ class Neighbour:
 class GraspSolutions:
     """Solutions of a grasp at the frames of its problem."""
 
-    grasp: Grasp
+    grasp: GraspClip
     problem: Problem
     """At the frames that are fitted together."""
     sampled: Int[ndarray, "m"]
@@ -128,20 +128,20 @@ class GraspSolutions:
     @property
     def hypotheses(self) -> Hypotheses:
         """In the world, at the problem's frames."""
-        poses = moved(self.motion.poses(), _T_world_hand(self.problem))
+        poses = transform_poses(self.motion.poses(), _T_world_hand(self.problem))
         return Hypotheses(poses.R, poses.centre, poses.scale, self.energy)
 
 
-def solve_grasp(grasp: Grasp, problem: Problem, neighbours: Sequence[Neighbour]) -> GraspSolutions:
+def solve_grasp(grasp: GraspClip, problem: Problem, neighbours: Sequence[Neighbour]) -> GraspSolutions:
     """Search for the solutions of a grasp, by its problem. Raises ``GetagripError`` where nothing can be rendered."""
     found = soft_hinges(problem, lambda _: None)
     motion = found.motion
     if neighbours:
-        starts = [_starts(problem, neighbour) for neighbour in neighbours]
+        starts = [_starts_from_neighbour(problem, neighbour) for neighbour in neighbours]
         begun = replace(problem, prior_poses=np.concatenate([*starts, problem.prior_poses]))
-        linked = soft_hinges(begun, lambda _: None, links_of(problem, neighbours))
+        linked = soft_hinges(begun, lambda _: None, link_energy(problem, neighbours))
         motion = motion.concatenate(replace(linked.motion, ridge=motion.ridge))
-    terms, N = soft_energy(problem)(FINEST, np.arange(len(problem.clip))), len(motion.deviation)
+    terms, N = soft_energy(problem)(COMPARISON_RESOLUTION_PX, np.arange(len(problem.clip))), len(motion.deviation)
     cost = evaluate(motion, terms, problem.clip.hand.T_cam_hand, np.full(N, np.inf)).cost
     order = np.argsort(cost, kind="stable")  # all of them: a box turned by half is the same, but for its links
     sampled = grasp.rows[grasp.clip.index_of(problem.clip.frames)]
@@ -157,7 +157,7 @@ class GraspTrack:
     """Which of its solutions."""
     found: MethodResult
     """That, fitted once more with its links, at the problem's frames."""
-    track: Track
+    track: SolutionTrack
     """That, in all frames."""
 
     @property
@@ -175,55 +175,55 @@ def fit_in_all_frames(solutions: GraspSolutions, k: int, neighbours: Sequence[Ne
         solutions = replace(solutions, problem=solutions.problem.with_hand(hand))
     energy = {"total": solutions.energy[[k]]}
     solution = Solution(motion, solutions.energy[[k]], energy, [Status.FINISHED], 0)
-    grasp, problem, found = solutions.grasp, solutions.problem, result_of(solution, motion.core, soft_energy)
+    grasp, problem, found = solutions.grasp, solutions.problem, make_method_result(solution, motion.core, soft_energy)
     if neighbours or hand is not None:
-        found = replace(_polished(problem, found, neighbours), hand=hand)
+        found = replace(_refit_with_links(problem, found, neighbours), hand=hand)
     sampled = at_sampled_frames(problem, found)
-    return GraspTrack(solutions, k, found, at_every_frame(grasp.clip, problem, found, sampled))
+    return GraspTrack(solutions, k, found, extend_to_every_frame(grasp.clip, problem, found, sampled))
 
 
-def _polished(problem: Problem, found: MethodResult, neighbours: Sequence[Neighbour]) -> MethodResult:
+def _refit_with_links(problem: Problem, found: MethodResult, neighbours: Sequence[Neighbour]) -> MethodResult:
     """Fitted again, links included."""
     assert isinstance(found.motion, Soft)
-    terms = linked_energy(problem, neighbours)(FINEST, np.arange(len(problem.clip)))
-    solution = minimise(found.motion, terms, problem.clip.hand.T_cam_hand, POLISH)
-    return result_of(solution, solution.motion.core, soft_energy)
+    terms = linked_energy(problem, neighbours)(COMPARISON_RESOLUTION_PX, np.arange(len(problem.clip)))
+    solution = minimise(found.motion, terms, problem.clip.hand.T_cam_hand, N_FINAL_ITERATIONS)
+    return make_method_result(solution, solution.motion.core, soft_energy)
 
 
 def linked_energy(problem: Problem, neighbours: Sequence[Neighbour]) -> Energy:
     """Return the energy of a grasp with its links."""
-    return plus(soft_energy(problem), links_of(problem, neighbours))
+    return sum_energies(soft_energy(problem), link_energy(problem, neighbours))
 
 
-def links_of(problem: Problem, neighbours: Sequence[Neighbour]) -> Energy:
+def link_energy(problem: Problem, neighbours: Sequence[Neighbour]) -> Energy:
     """Return the energy of the links of a grasp."""
-    return plus(*(_link(problem, neighbour) for neighbour in neighbours)) if neighbours else NOTHING
+    return sum_energies(*(_link_terms(problem, neighbour) for neighbour in neighbours)) if neighbours else NO_TERMS
 
 
-def most(problem: Problem) -> float:
+def max_link_cost(problem: Problem) -> float:
     """Return the most that a link to a problem can cost [px^2]."""
-    return WEIGHT * float(problem.observation.area.mean()) * len(problem.clip)
+    return LINK_WEIGHT * float(problem.observation.area.mean()) * len(problem.clip)
 
 
-def _link(problem: Problem, neighbour: Neighbour) -> Energy:
+def _link_terms(problem: Problem, neighbour: Neighbour) -> Energy:
     clip, frames, expected = problem.clip, neighbour.frames, neighbour.paths.found
     assert clip.world is not None
-    seen = moved(expected, se3.inverse(clip.world.T_world_cam[frames]))
-    of, size = moments(clip.mesh.vertices - clip.mesh.centre), SLIP * clip.mesh.diameter
+    seen = transform_poses(expected, se3.inverse(clip.world.T_world_cam[frames]))
+    of, size = vertex_moments(clip.mesh.vertices - clip.mesh.centre), LINK_SLIP_DIAMETERS * clip.mesh.diameter
     cost = expected.energy - expected.energy.min()
 
     def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[Term]:
         share = len(index) / len(clip)
         here = np.flatnonzero(np.isin(frames, index))
-        known = Expected(np.searchsorted(index, frames[here]), seen.R[:, here], seen.centre[:, here], share * cost)
-        return [LinkTerm(of, known, share * most(problem), size)]
+        known = ExpectedPoses(np.searchsorted(index, frames[here]), seen.R[:, here], seen.centre[:, here], share * cost)
+        return [LinkTerm(of, known, share * max_link_cost(problem), size)]
 
     return terms
 
 
-def _starts(problem: Problem, neighbour: Neighbour) -> Float[ndarray, "k 4 4"]:
+def _starts_from_neighbour(problem: Problem, neighbour: Neighbour) -> Float[ndarray, "k 4 4"]:
     """``T_hand_obj`` as the neighbour has it in the first and in the last of its frames."""
-    T_world_obj = neighbour.paths.found.T_world_obj(problem.clip.mesh.centre)[:STARTS]
+    T_world_obj = neighbour.paths.found.T_world_obj(problem.clip.mesh.centre)[:MAX_NEIGHBOUR_STARTS]
     T_hand_world = se3.inverse(_T_world_hand(problem)[neighbour.frames])
     return np.concatenate([T_hand_world[n] @ T_world_obj[:, n] for n in (0, -1)])
 

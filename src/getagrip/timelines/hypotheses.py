@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.fitting.motion import PosesInHand, placed
+from getagrip.fitting.motion import PosesInHand, hand_object_transforms
 from getagrip.geometry import se3
 
 
@@ -28,7 +28,7 @@ class Hypotheses(PosesInHand):
 
     def T_world_obj(self, centre: Float[ndarray, "3"]) -> Float[ndarray, "K n 4 4"]:
         """Return poses of the mesh's own frame, in which its centre is where it is given."""
-        return placed(self, centre)
+        return hand_object_transforms(self, centre)
 
     @staticmethod
     def of_pose(T_world_obj: Float[ndarray, "4 4"], centre: Float[ndarray, "3"]) -> Hypotheses:

@@ -22,20 +22,27 @@ from numpy import ndarray
 
 from getagrip.clip import Segment
 from getagrip.errors import InputError
-from getagrip.fitting.problem import prepare
+from getagrip.fitting.problem import prepare_problem
 from getagrip.fitting.search import suppress_duplicates
 from getagrip.fitting.surface import ObjectSurface
 from getagrip.geometry.mesh import Mesh
-from getagrip.timelines.between import fill_between
-from getagrip.timelines.following import Paths, follow
-from getagrip.timelines.footage import Footage, Grasp
-from getagrip.timelines.grasp_segment import SLIP, GraspSolutions, Neighbour, fit_in_all_frames, most, solve_grasp
+from getagrip.timelines.between import fill_gaps
+from getagrip.timelines.following import Paths, track_hypotheses
+from getagrip.timelines.footage import GraspClip, TimelineInputs
+from getagrip.timelines.grasp_segment import (
+    LINK_SLIP_DIAMETERS,
+    GraspSolutions,
+    Neighbour,
+    fit_in_all_frames,
+    max_link_cost,
+    solve_grasp,
+)
 from getagrip.timelines.hypotheses import Hypotheses
-from getagrip.timelines.motion import Motion, split_at_gaps
-from getagrip.timelines.settled import LEAST_JITTER, depth_jitter, settle
-from getagrip.timelines.static_pose import frames_to_fit, static_hypotheses
+from getagrip.timelines.motion import TimelineMotion, split_at_gaps
+from getagrip.timelines.settled import MIN_DEPTH_JITTER_M, correct_depth, depth_jitter
+from getagrip.timelines.static_pose import select_static_frames, static_hypotheses
 
-REACH = 6
+LINK_FRAMES = 6
 """Frames of a grasp's problem that a link to it holds in."""
 
 
@@ -76,32 +83,36 @@ class Chain:
     next_best: float
 
 
-def choose_hypotheses(footage: Footage, support: bool, on_stage: Callable[[str], None] = lambda _: None) -> Chain:
+def choose_hypotheses(
+    footage: TimelineInputs, support: bool, on_stage: Callable[[str], None] = lambda _: None
+) -> Chain:
     """Find the chain of least energy; ``support`` includes the plane that static objects lie on.
 
     Raises ``InputError`` where no static segment and no grasp shows the object.
     """
     static = {}
     for segment in footage.clip.segments:
-        if segment.state == "static" and len(rows := frames_to_fit(segment, footage.shown)):
+        if segment.state == "static" and len(rows := select_static_frames(segment, footage.shown)):
             static[segment] = static_hypotheses(footage.problem(rows), len(segment), support)
     on_stage("static")
-    anchors = _with_grasps(footage, static)
+    anchors = _add_grasps(footage, static)
     on_stage("grasps")
     if not anchors:
         got = "no static segment and no grasp by a known hand that shows the object in two frames"
         raise InputError(footage.clip.origin, "segments", got, "one at least")
-    links = [_link(footage, *ends) for ends in itertools.pairwise(anchors)]
+    links = [_pairwise_link_cost(footage, *ends) for ends in itertools.pairwise(anchors)]
     energies = [anchor.found.energy for anchor in anchors]
     chosen, energy = best_chain(energies, links)
     on_stage("links")
-    copies = [_copies(footage.some.surface, one.found, k) for one, k in zip(anchors, chosen, strict=True)]
+    copies = [_equal_hypotheses(footage.some.surface, one.found, k) for one, k in zip(anchors, chosen, strict=True)]
     return Chain(tuple(anchors), tuple(chosen), energy, second_best(energies, links, copies))
 
 
-def fill_all_frames(footage: Footage, chain: Chain, on_stage: Callable[[str], None] = lambda _: None) -> Motion:
+def fill_all_frames(
+    footage: TimelineInputs, chain: Chain, on_stage: Callable[[str], None] = lambda _: None
+) -> TimelineMotion:
     """Extend the chosen hypotheses to all frames of their segments, and fill the frames between."""
-    motion, known = Motion.of(footage.clip, footage.shown), list[Segment]()
+    motion, known = TimelineMotion.of(footage.clip, footage.shown), list[Segment]()
     for anchor, k in zip(chain.anchors, chain.chosen, strict=True):
         if anchor.solutions is None:
             motion.put(anchor.segment.rows, anchor.found.take(np.array([k])), "sampled")
@@ -110,18 +121,18 @@ def fill_all_frames(footage: Footage, chain: Chain, on_stage: Callable[[str], No
             grasp = anchor.solutions.grasp
             motion.put_grasp(fit_in_all_frames(anchor.solutions, k, anchor.near))
             seen = grasp.rows[footage.shown[grasp.rows]]
-            if (jitter := depth_jitter(motion.places(seen))) >= LEAST_JITTER:
-                settle(motion, footage.problem(seen), seen, grasp.clip.side, jitter)
+            if (jitter := depth_jitter(motion.places(seen))) >= MIN_DEPTH_JITTER_M:
+                correct_depth(motion, footage.problem(seen), seen, grasp.clip.side, jitter)
             known += split_at_gaps(anchor.segment, grasp.rows)
     on_stage("all frames")
-    fill_between(motion, footage, known)
+    fill_gaps(motion, footage, known)
     on_stage("between")
     return motion
 
 
-def _with_grasps(footage: Footage, static: dict[Segment, Hypotheses]) -> list[Anchor]:
+def _add_grasps(footage: TimelineInputs, static: dict[Segment, Hypotheses]) -> list[Anchor]:
     """Return static segments and grasps in their order."""
-    grasps = {s: Grasp.of(footage.clip, s) for s in footage.clip.segments if s.state == "grasp"}
+    grasps = {s: GraspClip.of(footage.clip, s) for s in footage.clip.segments if s.state == "grasp"}
     order = [s for s in footage.clip.segments if s in static or grasps.get(s) is not None]
     anchors = []
     for before, segment, after in zip([None, *order], order, [*order[1:], None], strict=False):
@@ -129,50 +140,52 @@ def _with_grasps(footage: Footage, static: dict[Segment, Hypotheses]) -> list[An
         if grasp is None:
             anchors.append(Anchor(segment, static[segment]))
             continue
-        problem = prepare(grasp.clip, footage.source.options)
+        problem = prepare_problem(grasp.clip, footage.source.options)
         rows = grasp.rows[grasp.clip.index_of(problem.clip.frames)]
-        m = min(REACH, len(rows))
+        m = min(LINK_FRAMES, len(rows))
         near, frames = list[Neighbour](), np.arange(m)
         if before in static:
-            paths = follow(footage, before.last, rows[:m], static[before].at(np.zeros(1, int)))
+            paths = track_hypotheses(footage, before.last, rows[:m], static[before].at(np.zeros(1, int)))
             near.append(Neighbour(paths, frames, earlier=True))
         if after in static:
-            paths = follow(footage, after.first, rows[::-1][:m], static[after].at(np.zeros(1, int)))
+            paths = track_hypotheses(footage, after.first, rows[::-1][:m], static[after].at(np.zeros(1, int)))
             near.append(Neighbour(paths.at(frames[::-1]), len(rows) - m + frames, earlier=False))
         solutions = solve_grasp(grasp, problem, near)
         anchors.append(Anchor(segment, solutions.hypotheses, solutions, tuple(near)))
     return anchors
 
 
-def _copies(surface: ObjectSurface, hypotheses: Hypotheses, k: int) -> Bool[ndarray, "K"]:
+def _equal_hypotheses(surface: ObjectSurface, hypotheses: Hypotheses, k: int) -> Bool[ndarray, "K"]:
     """Which hypotheses put the object's surface where hypothesis k has it, k included."""
     pairs = (hypotheses.take(np.array([k, other])) for other in range(len(hypotheses.scale)))
     return np.array([len(suppress_duplicates(pair, np.zeros(2), surface, 2)) == 1 for pair in pairs])
 
 
-def _link(footage: Footage, one: Anchor, other: Anchor) -> Float[ndarray, "K L"]:
+def _pairwise_link_cost(footage: TimelineInputs, one: Anchor, other: Anchor) -> Float[ndarray, "K L"]:
     """Compute the cost of each pair of hypotheses of two neighbouring segments."""
     mesh, (before, end), (after, begin) = footage.clip.mesh, one.end(-1), other.end(0)
     problems = [anchor.solutions.problem for anchor in (one, other) if anchor.solutions is not None]
-    weight = most(problems[0]) if problems else float(min(one.found.energy.min(), other.found.energy.min()))
-    ahead = other.near_at(earlier=True) or follow(footage, end, np.array([begin]), before)
-    behind = one.near_at(earlier=False) or follow(footage, begin, np.array([end]), after)
+    weight = max_link_cost(problems[0]) if problems else float(min(one.found.energy.min(), other.found.energy.min()))
+    ahead = other.near_at(earlier=True) or track_hypotheses(footage, end, np.array([begin]), before)
+    behind = one.near_at(earlier=False) or track_hypotheses(footage, begin, np.array([end]), after)
     return np.minimum(link_cost(mesh, ahead, before, after, weight), link_cost(mesh, behind, after, before, weight).T)
 
 
 def link_cost(mesh: Mesh, paths: Paths, start: Hypotheses, ends: Hypotheses, most: float) -> Float[ndarray, "K L"]:
-    """Compute the energy of each pair of hypotheses of two segments [px^2], ``most`` at the most, each at one frame.
+    """Compute the energy of each pair of hypotheses of two segments [px^2], ``max_link_cost`` at the most, each at one frame.
 
     ``paths`` lead from ``start`` to the frame that ``ends`` are of.
     """
-    d2 = distance2(mesh, paths.found, ends)
+    d2 = squared_vertex_distance(mesh, paths.found, ends)
     own = paths.found.energy - start.energy[paths.start]
     cost = np.full((len(start.R), len(ends.R)), most)
-    np.minimum.at(cost, paths.start, own[:, None] - own.min() + most * d2 / (d2 + (SLIP * mesh.diameter) ** 2))
+    np.minimum.at(
+        cost, paths.start, own[:, None] - own.min() + most * d2 / (d2 + (LINK_SLIP_DIAMETERS * mesh.diameter) ** 2)
+    )
     return cost
 
 
-def distance2(mesh: Mesh, one: Hypotheses, other: Hypotheses) -> Float[ndarray, "K L"]:
+def squared_vertex_distance(mesh: Mesh, one: Hypotheses, other: Hypotheses) -> Float[ndarray, "K L"]:
     """Compute the mean squared distance of the vertices between hypotheses, each at one frame [m^2]."""
     about = mesh.vertices - mesh.centre
     posed = [h.scale[:, None, None] * about @ np.swapaxes(h.R[:, 0], -1, -2) + h.centre[:, :1] for h in (one, other)]

@@ -10,9 +10,9 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.checks import INPUT_CHECKS
-from getagrip.checks.calibration import MEANING as MEANING_ALONE
-from getagrip.checks.of_timeline import examine_timeline
-from getagrip.checks.signs import read_signs
+from getagrip.checks.calibration import PROBABILITY_MEANING as MEANING_ALONE
+from getagrip.checks.of_timeline import check_timeline
+from getagrip.checks.signs import compute_features
 from getagrip.clip import Clip, Segment, other_evidence
 from getagrip.finding import Finding
 from getagrip.fitting.every_frame import at_sampled_frames
@@ -20,48 +20,50 @@ from getagrip.fitting.judge import probability_right, solved_of
 from getagrip.fitting.methods.all_frames import soft_energy
 from getagrip.fitting.motion import PosesInHand
 from getagrip.fitting.options import Options
-from getagrip.fitting.pipeline import Answer, Judgement
+from getagrip.fitting.pipeline import FrameSolutions, Judgement
 from getagrip.fitting.search import suppress_duplicates
-from getagrip.fitting.solve import in_camera
+from getagrip.fitting.solve import poses_in_camera
 from getagrip.probability import Probability
 from getagrip.result import SegmentResult
-from getagrip.timelines.footage import Footage
-from getagrip.timelines.grasp_segment import FINEST, GraspTrack
+from getagrip.timelines.footage import TimelineInputs
+from getagrip.timelines.grasp_segment import COMPARISON_RESOLUTION_PX, GraspTrack
 from getagrip.timelines.joint import Chain
-from getagrip.timelines.motion import Motion
+from getagrip.timelines.motion import TimelineMotion
 
-CANDIDATES = 4
+N_JUDGED_CANDIDATES = 4
 """Solutions that count, the chosen one included: as many as a search by itself ends with."""
-MEANING = f"{MEANING_ALONE.format('hand')}; calibrated on single grasps, a rough guide for timelines"
+TIMELINE_PROBABILITY_MEANING = (
+    f"{MEANING_ALONE.format('hand')}; calibrated on single grasps, a rough guide for timelines"
+)
 """Meaning of a grasp's probability (docs/checks.md)."""
 
 
 @dataclass(frozen=True)
-class TimelineAnswer(Answer):
+class TimelineAnswer(FrameSolutions):
     """The answer of a timeline, and the motion that it is made of."""
 
-    motion: Motion
+    motion: TimelineMotion
 
 
-def judge_timeline(footage: Footage, chain: Chain, answer: TimelineAnswer) -> Judgement:
+def judge_timeline(footage: TimelineInputs, chain: Chain, answer: TimelineAnswer) -> Judgement:
     """Check a timeline and its segments, and say how probable it is that its grasps are right."""
     source, motion, iou = footage.source, answer.motion, answer.track.iou
     hands = motion.T_cam_hand, motion.T_cam_obj, footage.scale, iou, motion.T_cam_other_hand
-    examined = examine_timeline(source.original, footage.masks, *hands, source.glitches)
+    examined = check_timeline(source.original, footage.masks, *hands, source.glitches)
     segments = []
     for n, (segment, checks) in enumerate(zip(source.original.segments, examined.of_segments, strict=True)):
-        found = replace(_segment_result(source.original, segment, motion, iou), checks=checks)
+        found = replace(_summarise_segment(source.original, segment, motion, iou), checks=checks)
         track = motion.grasps.get(segment.first) if segment.state == "grasp" else None
         if track is not None:
             signs = read_grasp_signs(track)
             evidence = other_evidence(track.solutions.problem.clip)
-            right = _probability(source.options, signs, (*examined.of_clip, *examined.own[n]), evidence)
+            right = _grasp_probability(source.options, signs, (*examined.of_clip, *examined.own[n]), evidence)
             found = replace(found, signs=signs, probability_right=right)
         segments.append(found)
     return Judgement(examined.checks, examined.findings, segments=tuple(segments), failed=examined.failed)
 
 
-def _segment_result(clip: Clip, segment: Segment, motion: Motion, iou: Float[ndarray, "T"]) -> SegmentResult:
+def _summarise_segment(clip: Clip, segment: Segment, motion: TimelineMotion, iou: Float[ndarray, "T"]) -> SegmentResult:
     """Describe what was found in a segment."""
     rows, is_grasp = segment.rows, segment.state == "grasp"
     seen = iou[rows][~np.isnan(iou[rows])]
@@ -81,14 +83,14 @@ def _segment_result(clip: Clip, segment: Segment, motion: Motion, iou: Float[nda
     )
 
 
-def _probability(
+def _grasp_probability(
     options: Options, signs: dict[str, float], findings: Sequence[Finding], evidence: Sequence[str]
 ) -> Probability | None:
     """Compute how probable it is that a grasp is right, with the findings about it and about the clip."""
     names = {*INPUT_CHECKS}
     of_input = [one for one in findings if one.check in names]
     right = probability_right(options, signs, of_input, terms=evidence)
-    return right and replace(right, meaning=MEANING)
+    return right and replace(right, meaning=TIMELINE_PROBABILITY_MEANING)
 
 
 def read_grasp_signs(track: GraspTrack) -> dict[str, float]:
@@ -97,13 +99,13 @@ def read_grasp_signs(track: GraspTrack) -> dict[str, float]:
     problem, poses = solutions.problem, solutions.motion.poses()
     energy = solutions.energy.copy()
     energy[track.chosen] = min(0.0, float(energy.min())) - 1.0
-    best = suppress_duplicates(poses, energy, problem.surface, CANDIDATES)
+    best = suppress_duplicates(poses, energy, problem.surface, N_JUDGED_CANDIDATES)
     distinct = poses.take(best)
     R, centre = distinct.R.copy(), distinct.centre.copy()
     R[0], centre[0] = found.poses.R[0], found.poses.centre[0]
-    mask, *_ = soft_energy(problem)(FINEST, np.arange(len(problem.clip)))
+    mask, *_ = soft_energy(problem)(COMPARISON_RESOLUTION_PX, np.arange(len(problem.clip)))
     assert found.motion is not None
-    missed = float(mask(in_camera(found.motion, problem.clip.hand.T_cam_hand), np.full(1, np.inf)).value.sum())
+    missed = float(mask(poses_in_camera(found.motion, problem.clip.hand.T_cam_hand), np.full(1, np.inf)).value.sum())
     result = replace(
         found,
         poses=PosesInHand(R, centre, distinct.scale),
@@ -111,4 +113,4 @@ def read_grasp_signs(track: GraspTrack) -> dict[str, float]:
         terms=found.terms | {"mask": missed},
     )
     sampled = at_sampled_frames(problem, result)
-    return read_signs(solved_of(solutions.grasp.clip, problem, result, sampled, sampled))
+    return compute_features(solved_of(solutions.grasp.clip, problem, result, sampled, sampled))

@@ -17,7 +17,7 @@ from getagrip.timelines.hypotheses import Hypotheses
 
 
 @dataclass
-class Motion:
+class TimelineMotion:
     """An object's motion over a clip, as it is filled in; frames that are not yet known are NaN.
 
     Attributes:
@@ -41,7 +41,7 @@ class Motion:
     grasps: dict[int, GraspTrack] = field(default_factory=dict)
 
     @staticmethod
-    def of(clip: Clip, shown: Bool[ndarray, "T"]) -> Motion:
+    def of(clip: Clip, shown: Bool[ndarray, "T"]) -> TimelineMotion:
         """Make a motion of which nothing is known yet."""
         assert clip.world is not None
         T = len(clip)
@@ -50,7 +50,7 @@ class Motion:
             hands[clip.other_side] = clip.other_hand.track.T_cam_hand.copy()
         unknown: list[FrameKind] = ["interpolated"] * T
         where = clip.side, clip.mesh.centre, clip.world.T_world_cam, shown
-        return Motion(*where, np.full((T, 4, 4), np.nan), hands, unknown)
+        return TimelineMotion(*where, np.full((T, 4, 4), np.nan), hands, unknown)
 
     @property
     def T_cam_hand(self) -> Float[ndarray, "T 4 4"]:

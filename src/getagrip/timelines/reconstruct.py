@@ -7,26 +7,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from getagrip.checks import INPUT_CHECKS, Evidence, examine
-from getagrip.checks.of_timeline import WITH_HAND
+from getagrip.checks import INPUT_CHECKS, Evidence, run_checks
+from getagrip.checks.of_timeline import GRASP_CHECKS
 from getagrip.clip import Clip, Masks
 from getagrip.errors import GetagripError
-from getagrip.fitting.every_frame import Track
-from getagrip.fitting.grasp import GRASP
+from getagrip.fitting.every_frame import SolutionTrack
+from getagrip.fitting.grasp import GRASP_STEPS
 from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.options import Options
-from getagrip.fitting.pipeline import Clock, Steps, run
+from getagrip.fitting.pipeline import Clock, PipelineSteps, run_pipeline
 from getagrip.geometry import se3
-from getagrip.io.named import named
-from getagrip.io.terminal import Progressed, shown_progress
+from getagrip.io.named import check_arguments
+from getagrip.io.terminal import Progressed, progress_callback
 from getagrip.result import Reconstruction, Status
-from getagrip.timelines.footage import Footage
+from getagrip.timelines.footage import TimelineInputs
 from getagrip.timelines.joint import Chain, choose_hypotheses, fill_all_frames
 from getagrip.timelines.judge import TimelineAnswer, judge_timeline
-from getagrip.timelines.motion import Motion
+from getagrip.timelines.motion import TimelineMotion
 
 
-@named
+@check_arguments
 def reconstruct(
     clip: Clip,
     masks: Masks | None = None,
@@ -64,13 +64,13 @@ def reconstruct(
         GetagripError: the object is out of view in every hypothesis, so there is nothing to compare with the masks.
     """
     options = options or Options()
-    with shown_progress(progress, clip.name) as on_stage:
+    with progress_callback(progress, clip.name) as on_stage:
         if clip.segments:
-            return run(TIMELINE, clip, masks, options, on_stage, threads).made_of(clip, masks)
-        return run(GRASP, clip, masks, options, on_stage, threads).made_of(clip, masks)
+            return run_pipeline(TIMELINE_STEPS, clip, masks, options, on_stage, threads).made_of(clip, masks)
+        return run_pipeline(GRASP_STEPS, clip, masks, options, on_stage, threads).made_of(clip, masks)
 
 
-def _search(footage: Footage, clock: Clock) -> Chain:
+def _search_hypotheses(footage: TimelineInputs, clock: Clock) -> Chain:
     """Search for the hypotheses of all segments that are best together.
 
     Where there are none, the error also says what is unusual about the inputs.
@@ -78,23 +78,23 @@ def _search(footage: Footage, clock: Clock) -> Chain:
     try:
         return choose_hypotheses(footage, support=True, on_stage=clock)
     except GetagripError as error:
-        of_clip = [check for check in INPUT_CHECKS.working().values() if check.name not in WITH_HAND]
+        of_clip = [check for check in INPUT_CHECKS.working().values() if check.name not in GRASP_CHECKS]
         original = footage.source.original
         clip = replace(footage.clip, hand=original.hand, world=original.world)
-        serious = [finding for finding in examine(of_clip, Evidence(clip, footage.masks))[1] if finding.serious]
+        serious = [finding for finding in run_checks(of_clip, Evidence(clip, footage.masks))[1] if finding.serious]
         if not serious:
             raise
         raise GetagripError("; ".join(map(str, (error, *serious)))) from error
 
 
-def _fit_all_frames(footage: Footage, chain: Chain, clock: Clock) -> TimelineAnswer:
+def _fill_timeline_frames(footage: TimelineInputs, chain: Chain, clock: Clock) -> TimelineAnswer:
     """Fill the motion over all segments and between them."""
     motion, clip = fill_all_frames(footage, chain, clock), footage.clip
     T_cam_hand = motion.T_cam_hand
     T_hand_obj = se3.inverse(T_cam_hand) @ motion.T_cam_obj
     iou = np.where(footage.shown, image_iou(clip.with_hand_at(T_cam_hand), footage.masks, T_hand_obj, 1.0), np.nan)
     return TimelineAnswer(
-        track=Track(clip.frames, tuple(motion.kind), T_cam_hand, T_hand_obj[None], None, iou),
+        track=SolutionTrack(clip.frames, tuple(motion.kind), T_cam_hand, T_hand_obj[None], None, iou),
         scale=np.array([footage.scale]),
         energy=np.array([chain.energy]),
         next_best=chain.next_best,
@@ -108,7 +108,7 @@ def _fit_all_frames(footage: Footage, chain: Chain, clock: Clock) -> TimelineAns
     )
 
 
-def _notes_of_grasps(clip: Clip, motion: Motion, known: Sequence[str]) -> list[str]:
+def _notes_of_grasps(clip: Clip, motion: TimelineMotion, known: Sequence[str]) -> list[str]:
     """Say what is to be known about grasps beyond what is ``known``, and which could not be solved as such."""
     out, masks_only = list[str](), list[str]()
     for segment in (segment for segment in clip.segments if segment.state == "grasp"):
@@ -128,4 +128,4 @@ def _notes_of_grasps(clip: Clip, motion: Motion, known: Sequence[str]) -> list[s
     return [*out, *masks_only]
 
 
-TIMELINE = Steps(Footage.of, _search, _fit_all_frames, judge_timeline, stages=7)
+TIMELINE_STEPS = PipelineSteps(TimelineInputs.of, _search_hypotheses, _fill_timeline_frames, judge_timeline, stages=7)

@@ -17,27 +17,27 @@ from getagrip.clip import Segment
 from getagrip.clip.sampling import frame_indices
 from getagrip.fitting.energy import Energy, PosesInCamera, Quadratic, Term
 from getagrip.fitting.motion import Fixed
-from getagrip.fitting.objective import evidence_of, plus
+from getagrip.fitting.objective import object_evidence_energy, sum_energies
 from getagrip.fitting.problem import Problem
-from getagrip.fitting.schedule import USUAL
+from getagrip.fitting.schedule import DEFAULT_SCHEDULE
 from getagrip.fitting.search import Search
 from getagrip.geometry import camera, se3
 from getagrip.timelines.hypotheses import Hypotheses
 
-FRAMES = 8
+N_STATIC_FRAMES = 8
 """Number of frames of a static segment that are fitted: they show nearly the same."""
-SUPPORT = 0.01
-"""Energy, in mean areas of the masks, of an object that floats at ``FLOATS``."""
-FLOATS = 0.01
+SUPPORT_WEIGHT = 0.01
+"""Energy, in mean areas of the masks, of an object that floats at ``FLOATING_HEIGHT_M``."""
+FLOATING_HEIGHT_M = 0.01
 """[m]."""
-LIKELY = 1.5
+MAX_ENERGY_RATIO = 1.5
 """Solutions with more than this multiple of the least energy are dropped."""
 
 
-def frames_to_fit(segment: Segment, shown: Bool[ndarray, "T"]) -> Int[ndarray, "n"]:
+def select_static_frames(segment: Segment, shown: Bool[ndarray, "T"]) -> Int[ndarray, "n"]:
     """Choose the frames of a static segment that determine its pose; none where fewer than two show the object."""
     seen = segment.rows[shown[segment.rows]]
-    return seen[frame_indices(len(seen), FRAMES)] if len(seen) > 1 else seen[:0]
+    return seen[frame_indices(len(seen), N_STATIC_FRAMES)] if len(seen) > 1 else seen[:0]
 
 
 def static_hypotheses(problem: Problem, frames: int, support: bool, start: Hypotheses | None = None) -> Hypotheses:
@@ -48,23 +48,27 @@ def static_hypotheses(problem: Problem, frames: int, support: bool, start: Hypot
     """
     assert problem.clip.world is not None
     T_cam_world = se3.inverse(problem.clip.world.T_world_cam)
-    energy = plus(evidence_of(problem), support_of(problem)) if support else evidence_of(problem)
-    search = Search(T_cam_world, problem.surface, USUAL, lambda _: None)
-    found = search.run(search.relax(initial_poses(problem, start), energy).core, energy)
-    best = found.take(np.flatnonzero(found.energy <= LIKELY * found.energy[0]))
+    energy = (
+        sum_energies(object_evidence_energy(problem), support_energy(problem))
+        if support
+        else object_evidence_energy(problem)
+    )
+    search = Search(T_cam_world, problem.surface, DEFAULT_SCHEDULE, lambda _: None)
+    found = search.run(search.relax(static_initial_poses(problem, start), energy).core, energy)
+    best = found.take(np.flatnonzero(found.energy <= MAX_ENERGY_RATIO * found.energy[0]))
     poses = replace(best.motion, frames=frames).poses()
     return Hypotheses(poses.R, poses.centre, poses.scale, best.energy)
 
 
-def support_of(problem: Problem) -> Energy:
+def support_energy(problem: Problem) -> Energy:
     """Return the energy of an object above or below its support; zero where the plane is not known."""
     clip = problem.clip
     world = clip.world
     if world is None or world.up is None or world.support is None:
-        return plus()
+        return sum_energies()
     normal, height = plane_in_camera(world.T_world_cam, world.up, world.support)
     vertices = hull_vertices(clip.mesh.vertices - clip.mesh.centre)
-    weight = SUPPORT * float(problem.observation.area.mean()) / FLOATS**2
+    weight = SUPPORT_WEIGHT * float(problem.observation.area.mean()) / FLOATING_HEIGHT_M**2
 
     def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[Term]:
         return [SupportTerm(vertices, normal[index], height[index], weight)]
@@ -72,7 +76,7 @@ def support_of(problem: Problem) -> Energy:
     return terms
 
 
-def initial_poses(problem: Problem, start: Hypotheses | None) -> Fixed:
+def static_initial_poses(problem: Problem, start: Hypotheses | None) -> Fixed:
     """Return the poses of ``start``, then uniform rotations on the ray through the first mask.
 
     These are as far away as the mask's size implies; with a free scale, as far as the hand is on average.

@@ -10,7 +10,7 @@ import pytest
 
 from getagrip.annotate import propagated_masks
 from getagrip.annotate.tasks import Task
-from getagrip.commands.annotate import DATABASE
+from getagrip.commands.annotate import MARKS_DATABASE
 from helpers.annotation_page import Served
 from helpers.browser import close
 from helpers.labelling_page import FIRST, LAST, MARK
@@ -27,9 +27,9 @@ def context(browser: Any) -> Iterator[Any]:
 @pytest.fixture
 def served(scene_video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
     """A video in which a grasp is marked. Masks are carried at a quarter of the size, which is quicker."""
-    monkeypatch.setattr(propagated_masks, "SIDE", 50.0)
+    monkeypatch.setattr(propagated_masks, "OBJECT_WORKING_SIZE_PX", 50.0)
     tasks = [Task("scene", "scene", scene_video), Task("another", "another", scene_video)]
-    made = Served(tasks, tmp_path / DATABASE)
+    made = Served(tasks, tmp_path / MARKS_DATABASE)
     about = {"mark": MARK, "task": "scene", "annotator": "ann", "tab": "a-tab-of-old"}
     sets = ({"start": FIRST, "side": "left", "category": "disc"}, {"end": LAST})
     for n, one in enumerate(sets):

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from getagrip.annotate.tasks import Task
-from getagrip.commands.annotate import DATABASE
+from getagrip.commands.annotate import MARKS_DATABASE
 from helpers.annotation_page import Served, saved
 from helpers.browser import IN_BROWSER, expect
 from helpers.numbered_footage import BITS, FRAMES, write_video
@@ -39,7 +39,7 @@ def videos(tmp_path_factory: Any) -> list[Path]:
 def served(videos: list[Path], tmp_path: Path) -> Iterator[Served]:
     first, second = videos
     tasks = [Task("first", "first", first), Task("second", "second", second, 11, 50, "left", "mug", "red mug", 20)]
-    made = Served(tasks, tmp_path / DATABASE)
+    made = Served(tasks, tmp_path / MARKS_DATABASE)
     yield made
     made.stop()
 

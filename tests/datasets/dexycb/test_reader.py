@@ -8,10 +8,10 @@ import trimesh
 
 from getagrip.batch.imports import import_clips
 from getagrip.clip import read_clip, read_masks
-from getagrip.datasets.cutting import clip as clip_of
-from getagrip.datasets.dexycb.reader import DexYcb, fit_hand
-from getagrip.datasets.dexycb.recording import PACKED_K, ObjectPoses, Recording, find
-from getagrip.datasets.tracks import subject_of
+from getagrip.datasets.cutting import clip_of_piece as clip_of
+from getagrip.datasets.dexycb.reader import DexYcb, fit_recording_hand
+from getagrip.datasets.dexycb.recording import PACKED_K, DexYcbRecording, ObjectPoses, find_dexycb_sequences
+from getagrip.datasets.tracks import subject_from_clip_name
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.depth import depth_and_face
@@ -138,15 +138,15 @@ def test_an_object_outside_the_image_gives_no_clip(root):
 @pytest.mark.parametrize("size", [0.9, 1.0, 1.15])
 def test_fingers_are_as_thick_as_the_hand_is_long(size):
     """Joints of the generic hand at another size: the fitted hand has that size, in girth as well."""
-    shape = np.zeros(len(generic.SHAPES))
-    shape[generic.SHAPES.index("size")] = size - 1.0
+    shape = np.zeros(len(generic.SHAPE_PARAMETER_NAMES))
+    shape[generic.SHAPE_PARAMETER_NAMES.index("size")] = size - 1.0
     posed, _ = grip(shape)
     T_cam_hand, T_cam_obj, _ = scene()
     joints = se3.transform(T_cam_hand, posed.joints)
     known = np.ones(FRAMES, dtype=bool)
     poses = {HELD: ObjectPoses(T_cam_obj, known)}
-    recording = Recording(Path("x"), "s", "q", "", "right", HELD, poses, joints, known, PACKED_K)
-    hand = fit_hand(recording)
+    recording = DexYcbRecording(Path("x"), "s", "q", "", "right", HELD, poses, joints, known, PACKED_K)
+    hand = fit_recording_hand(recording)
     assert np.median(hand.residuals) < 0.002
     pads = hand.track.vertices[0][hand.track.regions["index"]]
     expected = posed.vertices[posed.regions["index"]]
@@ -156,10 +156,10 @@ def test_fingers_are_as_thick_as_the_hand_is_long(size):
 
 
 def test_subjects_are_known_by_the_name():
-    assert subject_of(NAME) == SUBJECT
+    assert subject_from_clip_name(NAME) == SUBJECT
     for name in ("mug-right-0001", "--a--b", ""):
         with pytest.raises(UsageError, match="clip's name must be"):
-            subject_of(name)
+            subject_from_clip_name(name)
 
 
 @pytest.mark.slow
@@ -197,7 +197,7 @@ def test_import_writes_clips_and_goes_on_where_it_stopped(root, own, tmp_path, c
 @needs(DATA / "dexycb")
 @pytest.mark.slow
 def test_real_sequences():
-    sequences = find(DATA / "dexycb")
+    sequences = find_dexycb_sequences(DATA / "dexycb")
     recordings = [sequence.read() for sequence in sequences]
     assert len(recordings) == 162
     assert {r.side for r in recordings} == {"left"}

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from getagrip.datasets.dexycb import recording as files
-from getagrip.datasets.dexycb.calibration import intrinsics as intrinsics_of
-from getagrip.datasets.dexycb.recording import bent_side, find
-from getagrip.datasets.tracks import subject_of
+from getagrip.datasets.dexycb.calibration import read_dexycb_intrinsics as intrinsics_of
+from getagrip.datasets.dexycb.recording import find_dexycb_sequences, infer_hand_side
+from getagrip.datasets.tracks import subject_from_clip_name
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands.model import mirrored
@@ -35,7 +35,7 @@ def test_the_camera_that_sees_most_is_taken(root, own):
     label = dict(np.load(path))
     label["seg"][:] = 14
     np.savez(path, **label)
-    (recording,) = (s.read() for s in find(root))
+    (recording,) = (s.read() for s in find_dexycb_sequences(root))
     assert recording.camera == SERIALS[1]
     assert first.object.any()
 
@@ -46,7 +46,7 @@ def test_a_packed_file_holds_the_same(own, pack):
     own, _, _ = own
     for at, subjects in ((folder, [SUBJECT, "20200813-subject-02"]), (folder / "sequences.npz", [SUBJECT])):
         found = [clip for clip, _ in islice(read(at, meshes), len(subjects))]
-        assert [subject_of(clip.name) for clip in found] == subjects
+        assert [subject_from_clip_name(clip.name) for clip in found] == subjects
         for clip in found:
             assert (clip.side, clip.category, clip.frames) == (own.side, own.category, own.frames)
             np.testing.assert_allclose(clip.truth.T_cam_obj, own.truth.T_cam_obj, atol=1e-6)
@@ -59,7 +59,7 @@ def test_the_table_is_the_world_where_extrinsics_are_there(root):
     T_master_cam = se3.rigid(se3.exp_so3(np.array([0.3, -0.2, 0.1])), np.array([0.5, 0.1, -0.2]))
     T_master_tag = se3.rigid(se3.exp_so3(np.array([2.0, 0.4, -0.3])), np.array([0.1, 0.3, 1.2]))
     path = write_extrinsics(root, T_master_cam, T_master_tag)
-    (sequence,) = find(root)
+    (sequence,) = find_dexycb_sequences(root)
     T_table_cam = sequence.read().T_table_cam
     np.testing.assert_allclose(T_master_tag @ T_table_cam, T_master_cam, atol=1e-12)
     write_extrinsics(root, 1.1 * T_master_cam, T_master_tag)
@@ -72,8 +72,8 @@ def test_the_table_is_the_world_where_extrinsics_are_there(root):
 
 def test_bent_fingers_determine_the_hand():
     _, _, joints = scene()
-    assert bent_side(joints) == "right"
-    assert bent_side(mirrored(joints)) == "left"
+    assert infer_hand_side(joints) == "right"
+    assert infer_hand_side(mirrored(joints)) == "left"
 
 
 @pytest.mark.parametrize(
@@ -163,14 +163,14 @@ def test_broken_packed_files_are_named(pack, key, value, named):
 
 
 def test_sequences_of_absurd_lengths_are_refused(pack, monkeypatch):
-    monkeypatch.setattr(files, "MOST_FRAMES", FRAMES - 1)
+    monkeypatch.setattr(files, "MAX_DEXYCB_FRAMES", FRAMES - 1)
     with pytest.raises(InputError, match=f"offset must be .*got a sequence of {FRAMES} frames"):
-        find(pack[0])
+        find_dexycb_sequences(pack[0])
 
 
 @needs(DATA / "frame")
 def test_real_labels_and_intrinsics_are_read():
-    poses, joints = files._label(DATA / "frame" / "labels.npz", 4)
+    poses, joints = files._read_label(DATA / "frame" / "labels.npz", 4)
     assert se3.is_rigid(np.concatenate([poses, np.tile([[[0.0, 0.0, 0.0, 1.0]]], (4, 1, 1))], axis=1)).all()
     K = intrinsics_of(DATA / "frame" / "836212060125_640x480.yml")
     label = np.load(DATA / "frame" / "labels.npz")

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.datasets.epic.images import Archive, Frames
+from getagrip.datasets.epic.images import FrameArchive, Frames
 from getagrip.errors import InputError
 from helpers.command_line import Run
 from helpers.epic_files import NAME, V, import_epic
@@ -76,7 +76,7 @@ def test_clips_come_from_archives_as_from_folders(run: Run, epic_folder: Path, t
 def test_of_a_frame_that_is_there_twice_the_last_counts(tmp_path: Path) -> None:
     once = packed({"frame_0000000001.jpg": b"old"})[:1024]
     (tmp_path / "a.tar").write_bytes(once + packed({"./frame_0000000001.jpg": b"new!"}))
-    assert Archive(tmp_path / "a.tar").read(1, 10) == b"new!"
+    assert FrameArchive(tmp_path / "a.tar").read(1, 10) == b"new!"
 
 
 def test_hostile_archives_are_refused(tmp_path: Path, refused: Callable[..., str]) -> None:

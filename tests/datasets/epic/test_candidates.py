@@ -19,7 +19,7 @@ EPIC = DATA / "epic"
 TABLE = EPIC / "epicgrasps_2431.csv"
 
 
-def visor_frame(number: int, *annotations: dict[str, Any], tmp: Path) -> visor.Frame:
+def visor_frame(number: int, *annotations: dict[str, Any], tmp: Path) -> visor.VisorFrame:
     return next(visor.read_frames(write(tmp / f"{V}.json", [sparse(V, number, *annotations)])))
 
 
@@ -32,16 +32,16 @@ def test_contacts_are_of_hands_and_of_what_their_gloves_touch(tmp_path: Path) ->
     glove = thing("g", "right glove", 304, box(0, 0, 9, 9), in_contact_object="p", on_which_hand=["right hand"])
     knife = thing("k", "knife", 4, box(0, 0, 9, 9))
     frame = visor_frame(7, cup, pan, knife, glove, hand("left", "c", box(0, 0, 5, 5)), hand("right", "g"), tmp=tmp_path)
-    (found,) = candidates.contacts([frame], visor.Mapping({7: 5}))
+    (found,) = candidates.contacts([frame], visor.FrameMapping({7: 5}))
     assert {(c.frame, c.side, c.category, c.entity) for c in found} == {
         (5, "left", "cup", "coffee cup"),
         (5, "right", "pan", "pan"),
     }
     nameless = thing("", "cup", 13, box(0, 0, 9, 9))
     idle = visor_frame(8, nameless, hand("left", "hand-not-in-contact"), hand("right", None), tmp=tmp_path)
-    assert candidates.contacts([idle], visor.Mapping({})) == [[]]
+    assert candidates.contacts([idle], visor.FrameMapping({})) == [[]]
     free = visor_frame(8, cup, hand("left", "k", box(0, 0, 5, 5)), knife, tmp=tmp_path)
-    assert candidates.contacts([free], visor.Mapping({})) == [[]]  # marked, and no category
+    assert candidates.contacts([free], visor.FrameMapping({})) == [[]]  # marked, and no category
 
 
 def test_contacts_that_follow_each_other_are_one_candidate() -> None:
@@ -50,7 +50,7 @@ def test_contacts_that_follow_each_other_are_one_candidate() -> None:
 
     labelled = actions((1, 20), (30, 60), (50, 90), (100, 140), (150, 180), (190, 220))
     touching = [[touch(55)], [touch(70), touch(70, "right", "oil bottle")], [], [touch(160)]]
-    found = candidates.candidates(V, touching, labelled)
+    found = candidates.find_candidates(V, touching, labelled)
     assert [(c.side, c.entity, c.contacts, c.start_bound, c.end_bound) for c in found] == [
         ("left", "cup", (55, 70), 1, 180),
         ("right", "oil bottle", (70,), 1, 180),
@@ -58,7 +58,7 @@ def test_contacts_that_follow_each_other_are_one_candidate() -> None:
     ]
     assert found[0].name == f"{V}_1_55_70_180_left_cup"
     assert found[0].narrations == ("take cup",) * 5
-    assert candidates.candidates(V, touching, []) == []  # nothing bounds them
+    assert candidates.find_candidates(V, touching, []) == []  # nothing bounds them
 
 
 @pytest.mark.parametrize(
@@ -83,9 +83,9 @@ def test_the_real_table_follows_the_rules_by_which_candidates_are_made() -> None
         frames = [int(n) for n in cells["mp4_name"].split("_")[3:-3]]
         if not frames:
             continue
-        side = tables.SIDES[cells["handside"]]
+        side = tables.SIDE_BY_HAND_NAME[cells["handside"]]
         touching = [[candidates.Contact(n, side, category, cells["hos_name"])] for n in frames]
-        (made,) = candidates.candidates(cells["vid"], touching, labels[cells["vid"]])
+        (made,) = candidates.find_candidates(cells["vid"], touching, labels[cells["vid"]])
         count += 1
         exact += (made.start_bound, made.end_bound) == (int(cells["st_bound"]), int(cells["ed_bound"]))
         if (made.start_bound, made.end_bound) == (int(cells["st_bound"]), int(cells["ed_bound"])):

@@ -17,7 +17,7 @@ from getagrip.clip import read_clip, read_masks
 from getagrip.commands.datasets import ImportEpic
 from getagrip.datasets.epic import clips, tables
 from getagrip.datasets.epic.images import Frames
-from getagrip.datasets.synthetic.categories import CATEGORIES
+from getagrip.datasets.synthetic.categories import SYNTHETIC_CATEGORIES
 from getagrip.errors import InputError
 from getagrip.io import arrays
 from helpers.command_line import Run
@@ -145,7 +145,7 @@ def test_meshes_and_cameras_are_brought_along(run: Run, epic_folder: Path, refus
     from getagrip.geometry.mesh_files import write_mesh
 
     (epic_folder / "cad").mkdir()
-    write_mesh(CATEGORIES["can"].make(), epic_folder / "cad" / "bottle.obj")
+    write_mesh(SYNTHETIC_CATEGORIES["can"].make(), epic_folder / "cad" / "bottle.obj")
     (epic_folder / "cameras").mkdir()
     camera = {"id": 1, "model": "OPENCV", "width": 456, "height": 256, "params": [240, 250, 228, 128, 0.1, 0, 0, 0]}
     (epic_folder / "cameras" / f"{V}.json").write_text(json.dumps({"images": {}, "camera": camera, "points": []}))
@@ -157,14 +157,14 @@ def test_meshes_and_cameras_are_brought_along(run: Run, epic_folder: Path, refus
         content["camera"]["K"], [[240 * 854 / 456, 0, 427], [0, 250 * 480 / 256, 240], [0, 0, 1]]
     )
     mesh, _ = clips.category_mesh("bottle", epic_folder / "cad")
-    assert len(mesh.vertices) == len(CATEGORIES["can"].make().vertices)
+    assert len(mesh.vertices) == len(SYNTHETIC_CATEGORIES["can"].make().vertices)
     refused(lambda: clips.category_mesh("pan", epic_folder / "cad"), "no pan.obj")
     (epic_folder / "cameras" / f"{V}.json").write_text('{"camera": {"model": "FISHEYE"}}')
-    refused(lambda: clips.read_camera(epic_folder / "cameras" / f"{V}.json"), "camera")
+    refused(lambda: clips.read_epic_camera(epic_folder / "cameras" / f"{V}.json"), "camera")
 
 
 @needs(DATA / "epic")
-@pytest.mark.parametrize("category", tables.CATEGORIES)
+@pytest.mark.parametrize("category", tables.EPIC_CATEGORIES)
 def test_the_authors_meshes_are_read_and_ours_stand_for_them(category: str) -> None:
     theirs, _ = clips.category_mesh(category, DATA / "epic" / "cad")
     ours, _ = clips.category_mesh(category, None)
@@ -213,9 +213,9 @@ def test_a_hand_file_that_does_not_fit_is_refused(tmp_path: Path, refused: Calla
         ("K", np.eye(3)),
     ]:
         arrays.write(path, hand_arrays(3) | {key: value})
-        refused(lambda: clips.hand_file(path), str(path), key)
+        refused(lambda: clips.read_epic_hand_file(path), str(path), key)
     arrays.write(path, hand_arrays(3))
-    refused(lambda: clips.hand_file(path).track([1, 2]), str(path), "vertices", "(2, any, 3)")
+    refused(lambda: clips.read_epic_hand_file(path).track([1, 2]), str(path), "vertices", "(2, any, 3)")
 
 
 @given(content=st.binary(max_size=64), header=st.booleans())
@@ -228,8 +228,8 @@ def test_any_bytes_for_images_cameras_and_hands_are_refused_in_words(
     path.write_bytes(b"\xff\xd8\xff" * header + content)
     reads: list[tuple[Path, Callable[[], object]]] = [
         (path, lambda: Frames(folder, V)([1])),
-        (path, lambda: clips.read_camera(path)),
-        (path, lambda: clips.hand_file(path)),
+        (path, lambda: clips.read_epic_camera(path)),
+        (path, lambda: clips.read_epic_hand_file(path)),
     ]
     for file, read in reads:
         with pytest.raises(InputError) as caught:

@@ -99,6 +99,6 @@ def test_videos_without_a_metric_world_are_skipped(root: Path) -> None:
 
 
 def test_a_similarity_is_scale_and_motion(root: Path) -> None:
-    scale, T = fields.metric(root / "metric" / f"{V}.json")
+    scale, T = fields.read_metric_similarity(root / "metric" / f"{V}.json")
     assert scale == pytest.approx(0.4)
     assert se3.is_rigid(T[None]).all()

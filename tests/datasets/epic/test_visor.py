@@ -23,7 +23,7 @@ from helpers.visor_files import box, dense, hand, sparse, thing, write, write_ma
 V = "P01_101"
 
 
-def frames(path: Path) -> list[visor.Frame]:
+def frames(path: Path) -> list[visor.VisorFrame]:
     return list(visor.read_frames(path))
 
 
@@ -78,7 +78,7 @@ def test_frame_numbers_move_as_the_mapping_says(tmp_path: Path) -> None:
     mapping = visor.read_mapping(path, V)
 
     def moved(number: int, ends: tuple[int, int] | None = None) -> int:
-        return mapping.number(visor.Frame(number, ends is not None, (), ends))
+        return mapping.number(visor.VisorFrame(number, ends is not None, (), ends))
 
     assert moved(140) == 138
     assert [moved(n, (140, 150)) for n in (140, 141, 144, 147, 150)] == [138, 139, 142, 144, 147]  # the nearer end's
@@ -86,20 +86,22 @@ def test_frame_numbers_move_as_the_mapping_says(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="missing P02_01"):
         visor.read_mapping(path, "P02_01")
     assert visor.find_mapping(tmp_path / "nowhere") is None
-    assert visor.read_mapping(None, V).number(visor.Frame(7, False, ())) == 7
+    assert visor.read_mapping(None, V).number(visor.VisorFrame(7, False, ())) == 7
 
 
 def test_a_mask_has_the_pixels_that_the_polygon_has() -> None:
-    def drawn(*polygons: Any, size: tuple[int, int] = visor.DENSE_SIZE) -> Any:
+    def drawn(*polygons: Any, size: tuple[int, int] = visor.DENSE_IMAGE_SIZE_PX) -> Any:
         arrays = tuple(np.array(polygon, np.float32) for polygon in polygons)
-        return visor.mask([visor.Annotation("", "cup", 13, arrays, (), None)], size, visor.DENSE_SIZE)
+        return visor.draw_visor_mask(
+            [visor.Annotation("", "cup", 13, arrays, (), None)], size, visor.DENSE_IMAGE_SIZE_PX
+        )
 
     square = drawn(box(10, 20, 29, 39))
     assert square.sum() == square[20:40, 10:30].sum() == 400  # borders included
     assert drawn(box(10.9, 20.9, 29.9, 39.9)).sum() == 400  # cut down, as VISOR's own code does
     assert drawn(box(10, 20, 29, 39), box(15, 25, 24, 34)).sum() < 400  # even-odd: holes
     assert drawn(box(-500, -300, 800, 100)).sum() == 801 * 101  # what is outside is cut off
-    large = drawn(box(480, 270, 1439, 809), size=visor.SPARSE_SIZE)
+    large = drawn(box(480, 270, 1439, 809), size=visor.SPARSE_IMAGE_SIZE_PX)
     assert large.shape == (480, 854)
     assert abs(large.sum() - 0.25 * 480 * 854) < 900  # half as wide, half as high
     np.testing.assert_allclose(np.argwhere(large).mean(axis=0), [239.5, 426.5], atol=0.6)
@@ -111,14 +113,14 @@ def test_files_are_found_wherever_they_are_and_as_they_come(tmp_path: Path) -> N
         archive.write(path, "P02_01_interpolations.json")
     (tmp_path / "P02_01.zip").write_bytes(b"images")
     write(tmp_path / "b" / f"{V}.json", [sparse(V, 1)])
-    found = visor.find(tmp_path)
+    found = visor.find_visor_files(tmp_path)
     assert {video: sorted(p.name for p in paths) for video, paths in found.items()} == {
         V: [f"{V}.json", f"{V}_interpolations.json"],
         "P02_01": ["P02_01_interpolations.zip"],
     }
     assert frames(found["P02_01"][0]) == frames(path)
     with pytest.raises(InputError, match="VISOR's annotations"):
-        visor.find(tmp_path / "nowhere")
+        visor.find_visor_files(tmp_path / "nowhere")
 
 
 @pytest.mark.parametrize(
@@ -169,7 +171,7 @@ def test_text_that_is_no_annotation_is_refused(
 
 @pytest.mark.slow
 def test_a_file_is_read_in_little_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(json_stream, "CHUNK", 2**12)
+    monkeypatch.setattr(json_stream, "JSON_CHUNK_BYTES", 2**12)
     one = json.dumps(sparse(V, 7, thing("b", "cup", 13, box(0, 0, 5, 5) * 50)))
     path = tmp_path / f"{V}.json"
     path.write_text('{"video_annotations": [' + ", ".join([one] * 100) + "]}")
@@ -184,7 +186,7 @@ def test_a_file_is_read_in_little_memory(tmp_path: Path, monkeypatch: pytest.Mon
 def test_an_endless_item_is_refused_before_memory_is_out(
     tmp_path: Path, refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(json_stream, "LARGEST_ITEM", 2**17)
+    monkeypatch.setattr(json_stream, "MAX_JSON_ITEM_CHARACTERS", 2**17)
     path = tmp_path / f"{V}.json"
     path.write_text('{"video_annotations": [{"a": [' + "[]," * 2_000_000)
     tracemalloc.start()
@@ -193,7 +195,10 @@ def test_an_endless_item_is_refused_before_memory_is_out(
     tracemalloc.stop()
 
 
-@pytest.mark.parametrize(("limit", "words"), [("LARGEST", "more than 100000 bytes"), ("MOST", "100000 values")])
+@pytest.mark.parametrize(
+    ("limit", "words"),
+    [("MAX_JSON_STREAM_BYTES", "more than 100000 bytes"), ("MAX_JSON_STREAM_VALUES", "100000 values")],
+)
 @pytest.mark.slow
 def test_an_endless_file_is_refused(
     tmp_path: Path, refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch, limit: str, words: str
@@ -203,7 +208,7 @@ def test_an_endless_file_is_refused(
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("any.json", '{"wanted": [' + "{}," * 400_000 + "{}]}")
     assert path.stat().st_size < 10_000
-    refused(lambda: list(json_stream.items(path, "wanted")), words)
+    refused(lambda: list(json_stream.stream_items(path, "wanted")), words)
 
 
 JSON = st.recursive(
@@ -224,7 +229,7 @@ def test_items_are_those_of_the_list_wherever_it_stands(
     path = tmp_path_factory.mktemp("json") / "any.json"
     before.pop("wanted", None)
     path.write_text(json.dumps(before | {"wanted": items, "after": 1}, ensure_ascii=False), "utf-8")
-    assert list(json_stream.items(path, "wanted")) == items
+    assert list(json_stream.stream_items(path, "wanted")) == items
 
 
 @given(cut=st.integers(0, 10_000), swap=st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 255)), max_size=4))
@@ -240,7 +245,7 @@ def test_damaged_files_are_reported_or_read(
     path.write_bytes(content[: max(len(content) - cut, 0)] if cut % 2 else content)
     with suppress(InputError):
         for frame in visor.read_frames(path):
-            visor.mask(frame.annotations, frame.size, visor.DENSE_SIZE)
+            visor.draw_visor_mask(frame.annotations, frame.size, visor.DENSE_IMAGE_SIZE_PX)
 
 
 @given(content=st.binary(max_size=300))

@@ -7,19 +7,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from getagrip.datasets.synthetic.deform import drawn, misfit
-from getagrip.datasets.synthetic.in_hand import MEASURED, UNUSUAL, draw, motion
+from getagrip.datasets.synthetic.deform import draw_deformation, misfit
+from getagrip.datasets.synthetic.in_hand import (
+    MAX_ABS_Z_SCORE,
+    MOTION_STATISTICS,
+    draw_motion_curves,
+    draw_motion_measures,
+)
 from getagrip.datasets.synthetic.scene import make_scene, synthesise
 from getagrip.datasets.synthetic.shapes import bottle
-from getagrip.datasets.synthetic.splits import PRESETS
+from getagrip.datasets.synthetic.splits import SYNTHETIC_PRESETS
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.render import true_masks
 from getagrip.grasps.approximation import AxisRotation
-from getagrip.grasps.motion import JOINT, QUANTILES, bend, measure, spectrum
+from getagrip.grasps.motion import LOGNORMAL_MEASURES, MOTION_PERCENTILES, measure_motion, parabola_share, spectrum
 from helpers.error_measures import correlation_time
 
-SMALL = replace(PRESETS["measured"], frames=12, size=(160, 120), focal=150.0)
+SMALL = replace(SYNTHETIC_PRESETS["measured"], frames=12, size=(160, 120), focal=150.0)
 SIZE = 0.04
 TOUCHED = np.array([0.0, 0.05, 0.0]) + 0.02 * np.concatenate([np.eye(3), -np.eye(3)])
 """Points in contact, from the object's centre."""
@@ -27,7 +32,7 @@ TOUCHED = np.array([0.0, 0.05, 0.0]) + 0.02 * np.concatenate([np.eye(3), -np.eye
 
 def moved(name: str, rng: np.random.Generator) -> tuple[dict[str, float], np.ndarray, np.ndarray]:
     """What was drawn, and the motion of an object whose centre is 5 cm from the middle of the contact."""
-    wanted = draw(MEASURED[name], rng)
+    wanted = draw_motion_measures(MOTION_STATISTICS[name], rng)
     around = rng.normal(size=(6, 2, 3))
     directions = around[:, 0] / np.linalg.norm(around[:, 0], axis=1, keepdims=True)
     off = np.cross(directions, around[:, 1])
@@ -36,24 +41,24 @@ def moved(name: str, rng: np.random.Generator) -> tuple[dict[str, float], np.nda
     starts = [
         AxisRotation(np.eye(3), direction, point, -TOUCHED.mean(axis=0) - point, SIZE) for direction, point in pairs
     ]
-    R, c, _ = motion(starts, wanted, TOUCHED, MEASURED[name], 30, rng)
+    R, c, _ = draw_motion_curves(starts, wanted, TOUCHED, MOTION_STATISTICS[name], 30, rng)
     return wanted, R, c
 
 
-@pytest.mark.parametrize("name", MEASURED)
+@pytest.mark.parametrize("name", MOTION_STATISTICS)
 def test_drawn_numbers_have_the_stored_mean_and_quantiles(name: str) -> None:
-    statistics, rng = MEASURED[name], np.random.default_rng(0)
-    grasps = [draw(statistics, rng) for _ in range(2000)]
-    logs = np.log([[grasp[key] for key in JOINT] for grasp in grasps])
+    statistics, rng = MOTION_STATISTICS[name], np.random.default_rng(0)
+    grasps = [draw_motion_measures(statistics, rng) for _ in range(2000)]
+    logs = np.log([[grasp[key] for key in LOGNORMAL_MEASURES] for grasp in grasps])
     deviation = np.sqrt(np.diag(statistics.log_covariance))
     np.testing.assert_allclose(logs.mean(axis=0), statistics.log_mean, atol=0.1 * deviation.max())
     cut = 0.88  # what is left of a deviation where more than UNUSUAL is left out
-    assert UNUSUAL == 2.0
+    assert MAX_ABS_Z_SCORE == 2.0
     np.testing.assert_allclose(logs.std(axis=0), cut * deviation, rtol=0.05)
     np.testing.assert_allclose(np.corrcoef(logs.T), _correlation(statistics.log_covariance), atol=0.07)
-    for key in JOINT:  # the quantiles were measured apart from the normal law
+    for key in LOGNORMAL_MEASURES:  # the quantiles were measured apart from the normal law
         middle = np.percentile([grasp[key] for grasp in grasps], 50)
-        assert middle == pytest.approx(statistics.quantiles[key][QUANTILES.index(50)], rel=0.2), key
+        assert middle == pytest.approx(statistics.quantiles[key][MOTION_PERCENTILES.index(50)], rel=0.2), key
 
 
 def _correlation(covariance: tuple[tuple[float, ...], ...]) -> np.ndarray:
@@ -62,31 +67,33 @@ def _correlation(covariance: tuple[tuple[float, ...], ...]) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", MEASURED)
+@pytest.mark.parametrize("name", MOTION_STATISTICS)
 def test_drawn_motions_are_measured_as_they_were_drawn(name: str) -> None:
-    statistics, rng = MEASURED[name], np.random.default_rng(1)
+    statistics, rng = MOTION_STATISTICS[name], np.random.default_rng(1)
     spectra, memory, bends, chosen = [], [], [], []
     for _ in range(4):
         wanted, R, c = moved(name, rng)
-        values, residual = measure(se3.rigid(R, c), np.zeros(3), SIZE, TOUCHED, 30.0 / wanted["duration"])
+        values, residual = measure_motion(se3.rigid(R, c), np.zeros(3), SIZE, TOUCHED, 30.0 / wanted["duration"])
         for key in ("duration", "turn", "rotation", "place"):
             assert values[key] == pytest.approx(wanted[key], rel=0.2), key
         spectra.append([spectrum(residual.angle[:, None]), spectrum(residual.rotation), spectrum(residual.place)])
         memory.append(correlation_time(residual.rotation, 30.0 / wanted["duration"]))
-        bends.append(bend(residual))
+        bends.append(parabola_share(residual))
         chosen.append(np.log([values[key] / wanted[key] for key in ("drift", "pivot", "slip")]))
     stored = [statistics.angle, statistics.rotation, statistics.place]
     np.testing.assert_allclose(np.cumsum(np.mean(spectra, axis=0), axis=1), np.cumsum(stored, axis=1), atol=0.15)
     for key, found in (("rotation_memory", memory), ("bend", bends)):  # few are drawn: where most measured ones lie
         assert statistics.quantiles[key][0] < np.median(found) < statistics.quantiles[key][-1], key
-    spread = np.sqrt(np.diag(statistics.log_covariance))[[JOINT.index(key) for key in ("drift", "pivot", "slip")]]
+    spread = np.sqrt(np.diag(statistics.log_covariance))[
+        [LOGNORMAL_MEASURES.index(key) for key in ("drift", "pivot", "slip")]
+    ]
     assert (np.nanmedian(np.abs(chosen), axis=0) < 0.5 * spread).all()  # each is nearer than chance would have it
 
 
 @pytest.mark.parametrize("share", [0.01, 0.05])
 def test_a_deformation_leaves_what_no_similarity_undoes(share: float) -> None:
     mesh = bottle()
-    deformed = Mesh(drawn(mesh, share, np.random.default_rng(0))(mesh.vertices), mesh.faces)
+    deformed = Mesh(draw_deformation(mesh, share, np.random.default_rng(0))(mesh.vertices), mesh.faces)
     assert misfit(mesh, deformed) == pytest.approx(share * mesh.diameter, rel=0.1)
     assert deformed.volume > 0.5 * mesh.volume
 

@@ -11,13 +11,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.clip import Clip, Masks
-from getagrip.datasets.synthetic.noise import NOISE, TABLE, Noise, draw, noisy_hand, perturbed, ragged
+from getagrip.datasets.synthetic.noise import (
+    ESTIMATED_HANDS_FILE,
+    NOISE_PRESETS,
+    Noise,
+    draw_hand_errors,
+    noisy_hand,
+    perturb_mask_boundary,
+    perturbed,
+)
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands import generic
-from getagrip.hands.bending import bent, finger_weights, hinges
+from getagrip.hands.bending import bend_fingers, finger_hinge_axes, finger_weights
 from getagrip.hands.model import KNUCKLES
 from helpers.error_measures import ERROR_MEASURES, ErrorCurves, measure
 
@@ -39,7 +47,7 @@ def displaced(clip: Clip, noise: Noise, seed: int = 0) -> tuple[np.ndarray, np.n
 
 @pytest.mark.slow
 def test_no_noise_changes_nothing(made: tuple[Clip, Masks]) -> None:
-    clip, masks = perturbed(*made, NOISE["none"], 3)
+    clip, masks = perturbed(*made, NOISE_PRESETS["none"], 3)
     np.testing.assert_allclose(clip.hand.T_cam_hand, made[0].hand.T_cam_hand, atol=1e-12)
     assert clip.hand.vertices is made[0].hand.vertices
     assert masks is made[1]
@@ -47,10 +55,10 @@ def test_no_noise_changes_nothing(made: tuple[Clip, Masks]) -> None:
 
 @pytest.mark.slow
 def test_the_truth_keeps_the_true_hand(made: tuple[Clip, Masks]) -> None:
-    clip, _ = perturbed(*made, NOISE["strong"], 3)
+    clip, _ = perturbed(*made, NOISE_PRESETS["strong"], 3)
     assert clip.truth is made[0].truth
     assert not np.allclose(clip.hand.vertices, made[0].hand.vertices, atol=1e-3)
-    assert clip.provenance["noise"]["hand_bias_deg"] == NOISE["strong"].hand_bias_deg
+    assert clip.provenance["noise"]["hand_bias_deg"] == NOISE_PRESETS["strong"].hand_bias_deg
 
 
 @given(deg=st.floats(0.1, 10.0), mm=st.floats(0.1, 20.0), seed=st.integers(0, 2**31))
@@ -125,11 +133,11 @@ def test_weights_found_from_joints_agree_with_the_skin(made: tuple[Clip, Masks])
 def test_no_bend_is_no_change(made: tuple[Clip, Masks]) -> None:
     hand = made[0].hand
     assert hand.joints is not None
-    vertices, joints = bent(hand.vertices, hand.joints, finger_weights(hand), np.zeros((len(made[0]), 5, 3)))
+    vertices, joints = bend_fingers(hand.vertices, hand.joints, finger_weights(hand), np.zeros((len(made[0]), 5, 3)))
     np.testing.assert_allclose(vertices, hand.vertices, atol=1e-12)
     np.testing.assert_allclose(joints, hand.joints, atol=1e-12)
     still = np.zeros((len(made[0]), 5, 3)), np.zeros((len(made[0]), 5))
-    sideways = bent(hand.vertices, hand.joints, finger_weights(hand), *still)
+    sideways = bend_fingers(hand.vertices, hand.joints, finger_weights(hand), *still)
     np.testing.assert_array_equal(sideways[0], vertices)
 
 
@@ -137,7 +145,7 @@ def test_fingers_turn_sideways_as_a_whole_at_right_angles_to_their_bends(made: t
     hand = made[0].hand
     assert hand.joints is not None
     still, angle = np.zeros((len(made[0]), 5, 3)), np.full((len(made[0]), 5), 0.3)
-    joints = bent(hand.vertices, hand.joints, finger_weights(hand), still, angle)[1]
+    joints = bend_fingers(hand.vertices, hand.joints, finger_weights(hand), still, angle)[1]
     first, moved = (j[:, 1:].reshape(-1, 5, 4, 3) for j in (hand.joints, joints))
     np.testing.assert_array_equal(first[:, :, 0], moved[:, :, 0])
     shape = [np.linalg.norm(one[:, :, :, None] - one[:, :, None], axis=-1) for one in (first, moved)]
@@ -145,7 +153,7 @@ def test_fingers_turn_sideways_as_a_whole_at_right_angles_to_their_bends(made: t
     a, b = (one[:, :, 1] - one[:, :, 0] for one in (first, moved))
     cosine = np.sum(a * b, axis=-1) / np.linalg.norm(a, axis=-1) ** 2
     np.testing.assert_allclose(cosine, np.cos(0.3), atol=1e-9)
-    out_of_plane = np.sum((b - a * cosine[..., None]) * hinges(hand.joints), axis=-1)
+    out_of_plane = np.sum((b - a * cosine[..., None]) * finger_hinge_axes(hand.joints), axis=-1)
     # The thumb's hinge is that of its first two bones.
     np.testing.assert_allclose(np.abs(out_of_plane) / np.linalg.norm(a, axis=-1), np.sin(0.3), atol=1e-3)
 
@@ -153,7 +161,7 @@ def test_fingers_turn_sideways_as_a_whole_at_right_angles_to_their_bends(made: t
 def test_fingers_without_joints_are_refused(made: tuple[Clip, Masks]) -> None:
     bare = replace(made[0], hand=replace(made[0].hand, joints=None))
     with pytest.raises(InputError, match="joints"):
-        perturbed(bare, made[1], NOISE["moderate"], 0)
+        perturbed(bare, made[1], NOISE_PRESETS["moderate"], 0)
     perturbed(bare, made[1], Noise(hand_bias_mm=3.0), 0)
 
 
@@ -163,7 +171,7 @@ def test_ragged_masks_keep_to_the_object_and_an_empty_one_stays_empty(made: tupl
     union, both = masks.object | made[1].object, masks.object & made[1].object
     assert 0.8 < both.sum() / union.sum() < 1.0
     empty = np.zeros((20, 30), dtype=bool)
-    assert not ragged(empty, 2.0, np.random.default_rng(0)).any()
+    assert not perturb_mask_boundary(empty, 2.0, np.random.default_rng(0)).any()
 
 
 @pytest.mark.slow
@@ -207,7 +215,7 @@ def test_measures_of_drawn_errors_are_those_that_were_drawn() -> None:
         hand_bias_deg=12.0, hand_jitter_deg=3.0, hand_bias_depth_mm=20.0, hand_jitter_depth_mm=5.0, hand_jitter_mm=0.1,
         finger_bias_deg=10.0, finger_jitter_deg=4.0, jitter_memory_s=0.05,
     )  # fmt: skip
-    clips = [ErrorCurves.of(draw(noise, 200, 30.0, rng)) for _ in range(40)]
+    clips = [ErrorCurves.of(draw_hand_errors(noise, 200, 30.0, rng)) for _ in range(40)]
     found = measure(clips, 30.0)
     for name, expected in (("turn_bias", 12.0), ("turn_jitter", 3.0), ("finger_bias", 10.0), ("finger_jitter", 4.0)):
         assert np.degrees(found[name]) == pytest.approx(expected, rel=0.15)
@@ -220,8 +228,11 @@ def test_measures_of_drawn_errors_are_those_that_were_drawn() -> None:
 
 @pytest.mark.slow
 def test_errors_drawn_as_estimated_have_the_measures_of_the_estimates() -> None:
-    rng, table = np.random.default_rng(0), json.loads(TABLE.read_text())
-    clips = [ErrorCurves.of(draw(NOISE["estimated"], int(n), 30.0, rng)) for n in rng.choice(table["lengths"], 300)]
+    rng, table = np.random.default_rng(0), json.loads(ESTIMATED_HANDS_FILE.read_text())
+    clips = [
+        ErrorCurves.of(draw_hand_errors(NOISE_PRESETS["estimated"], int(n), 30.0, rng))
+        for n in rng.choice(table["lengths"], 300)
+    ]
     found = measure(clips, 30.0)
     for name in {*ERROR_MEASURES, "spread"} - {"finger_bias", "finger_jitter"}:
         assert found[name] == pytest.approx(table["measured"][name], rel=0.25), name
@@ -231,7 +242,7 @@ def test_errors_drawn_as_estimated_have_the_measures_of_the_estimates() -> None:
 def test_the_strong_level_displaces_hands_further_than_the_moderate_level(made: tuple[Clip, Masks]) -> None:
     def off(level: str) -> np.ndarray:
         """Distance of the vertices from the true ones, by frame [m]."""
-        hand = perturbed(*made, NOISE[level], 5)[0].hand
+        hand = perturbed(*made, NOISE_PRESETS[level], 5)[0].hand
         posed, true = (se3.transform(one.T_cam_hand, one.vertices) for one in (hand, made[0].hand))
         return np.linalg.norm(posed - true, axis=-1).mean(axis=1)
 

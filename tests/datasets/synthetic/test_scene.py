@@ -10,16 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.clip import Clip, read_clip, read_masks, write_clip
-from getagrip.datasets.synthetic.categories import CATEGORIES
-from getagrip.datasets.synthetic.noise import ragged
-from getagrip.datasets.synthetic.scene import clip_name, make_scene, pictures, synthesise
+from getagrip.datasets.synthetic.categories import SYNTHETIC_CATEGORIES
+from getagrip.datasets.synthetic.noise import perturb_mask_boundary
+from getagrip.datasets.synthetic.scene import clip_name, make_scene, render_pictures, synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.datasets.synthetic.signed_distance import SignedDistance
-from getagrip.datasets.synthetic.splits import PRESETS, split
+from getagrip.datasets.synthetic.splits import SYNTHETIC_PRESETS, clips_of_split
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.geometry.warp import aligned
+from getagrip.geometry.warp import align_similarity
 from helpers.scenes import SHORT, scene
 
 FEW = SHORT
@@ -100,7 +100,7 @@ def test_the_residual_and_the_turn_keep_to_their_limits() -> None:
         assert np.linalg.norm(at, axis=1).max() <= 1e-3 * np.sqrt(3.0)
 
 
-@pytest.mark.parametrize("category", sorted(CATEGORIES))
+@pytest.mark.parametrize("category", sorted(SYNTHETIC_CATEGORIES))
 @pytest.mark.slow
 def test_grasps_touch_and_do_not_cut_in(category: str) -> None:
     clip, masks = scene(category, 0, FEW)
@@ -148,7 +148,7 @@ def test_a_free_scale_hides_the_size_and_nothing_else() -> None:
 def test_ragged_masks_move_by_the_given_distance() -> None:
     mask = np.zeros((200, 400), dtype=bool)
     mask[100:] = True
-    moved = ragged(mask, 2.0, np.random.default_rng(0))
+    moved = perturb_mask_boundary(mask, 2.0, np.random.default_rng(0))
     height = moved.sum(axis=0) - 100
     assert np.sqrt(np.mean(height**2.0)) == pytest.approx(2.0, abs=0.7)
     assert abs(np.mean(height)) < 0.7
@@ -168,7 +168,7 @@ def test_a_mean_cad_is_aligned_with_the_object_it_stands_for() -> None:
         atol=1e-9,
     )
     cad = Mesh(truth.scale * scene.clip.mesh.vertices, scene.clip.mesh.faces)
-    T, size = aligned(cad, scene.object, resize=True)  # nothing is left to align
+    T, size = align_similarity(cad, scene.object, resize=True)  # nothing is left to align
     np.testing.assert_allclose(T, np.eye(4), atol=1e-9)
     assert size == pytest.approx(1.0)
     off = np.linalg.norm(cad.vertices - scene.object.vertices, axis=1).mean()
@@ -179,10 +179,10 @@ def test_a_mean_cad_is_aligned_with_the_object_it_stands_for() -> None:
 @settings(max_examples=20, deadline=None)
 def test_alignment_undoes_any_similarity(seed: int, size: float, w: list[float]) -> None:
     rng = np.random.default_rng(seed)
-    cad = CATEGORIES["cup"].make()
+    cad = SYNTHETIC_CATEGORIES["cup"].make()
     T = se3.rigid(se3.exp_so3(np.array(w)), rng.normal(size=3))
     held = Mesh(se3.transform(T, size * cad.vertices), cad.faces)
-    found, factor = aligned(cad, held, resize=True)
+    found, factor = align_similarity(cad, held, resize=True)
     np.testing.assert_allclose(found, T, atol=1e-6)
     assert factor == pytest.approx(size)
 
@@ -195,24 +195,26 @@ def test_grips_vary_where_they_are_asked_to() -> None:
     assert spread[0] > 2.0 * spread[1]
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("preset", SYNTHETIC_PRESETS)
 def test_splits_are_disjoint_and_hold_every_category_and_both_hands(preset: str) -> None:
-    train, test = split("train", preset), split("validation", preset)
+    train, test = clips_of_split("train", preset), clips_of_split("validation", preset)
     assert not {(category, seed) for category, seed, _ in train} & {(category, seed) for category, seed, _ in test}
     for clips in (train, test):
-        assert {category for category, _, _ in clips} == set(CATEGORIES)
-        for category in CATEGORIES:
+        assert {category for category, _, _ in clips} == set(SYNTHETIC_CATEGORIES)
+        for category in SYNTHETIC_CATEGORIES:
             assert {o.side for c, _, o in clips if c == category} == {"left", "right"}
         assert 0.15 < np.mean([o.other_hand for _, _, o in clips]) < 0.45
         assert len({clip_name(*clip) for clip in clips}) == len(clips)
     assert len(test) > 190
     assert len(train) > 90
-    assert split("validation", preset) == test
+    assert clips_of_split("validation", preset) == test
 
 
 @pytest.mark.slow
 def test_presets_share_their_truth() -> None:
-    (category, seed, clean), (_, _, noisy) = (split("validation", preset)[4] for preset in ("clean", "moderate"))
+    (category, seed, clean), (_, _, noisy) = (
+        clips_of_split("validation", preset)[4] for preset in ("clean", "moderate")
+    )
     few = {"frames": 3, "size": (160, 120), "focal": 150.0}
     (a, _), (b, _) = (synthesise(category, seed, replace(o, **few)) for o in (clean, noisy))
     assert a.truth is not None
@@ -221,13 +223,13 @@ def test_presets_share_their_truth() -> None:
     assert not np.allclose(a.hand.T_cam_hand, b.hand.T_cam_hand)
     for wrong, what in ((("validation", "dirty"), "--preset 'dirty'"), (("test", "clean"), "split 'test'")):
         with pytest.raises(UsageError, match=f"unknown {what}"):
-            split(*wrong)
+            clips_of_split(*wrong)
 
 
 @pytest.mark.slow
 def test_clips_survive_their_folder(tmp_path) -> None:
     clip, masks = scene("pan", 0, FEW)
-    images = pictures(make_scene("pan", 0, FEW))
+    images = render_pictures(make_scene("pan", 0, FEW))
     back = read_clip(write_clip(clip, masks, tmp_path / "pan", images))
     assert back.name == clip.name
     np.testing.assert_allclose(back.hand.T_cam_hand, clip.hand.T_cam_hand, atol=1e-6)

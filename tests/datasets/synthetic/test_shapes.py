@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.datasets.synthetic import categories, shapes
-from getagrip.datasets.synthetic.categories import SHAPES
-from getagrip.datasets.synthetic.loft import Tube, loft, together, torus
+from getagrip.datasets.synthetic.categories import SHAPE_MAKERS
+from getagrip.datasets.synthetic.loft import Tube, loft, merge_closed_meshes, torus
 from getagrip.geometry.mesh import Mesh
-from getagrip.geometry.mesh_files import LARGEST
+from getagrip.geometry.mesh_files import MAX_MESH_EXTENT_M
 
 PARTS = {"scissors": 4, "capsule_machine": 4, "espresso_machine": 4, "microwave": 2, "mixer": 3}
 """How many closed parts, where it is not one."""
@@ -31,23 +31,23 @@ def is_manifold(mesh: Mesh) -> bool:
     return set(halves.values()) == {1} and all((b, a) in halves for a, b in halves)
 
 
-@pytest.mark.parametrize("name", sorted(SHAPES))
+@pytest.mark.parametrize("name", sorted(SHAPE_MAKERS))
 def test_objects_are_closed_outward_and_of_plausible_size(name: str) -> None:
-    mesh = SHAPES[name]()
+    mesh = SHAPE_MAKERS[name]()
     assert is_manifold(mesh)
     assert mesh.volume > 0.0
     assert 500 <= len(mesh.faces) <= 1400
-    assert 0.05 < mesh.diameter < LARGEST
+    assert 0.05 < mesh.diameter < MAX_MESH_EXTENT_M
     assert len(np.unique(mesh.vertices, axis=0)) == len(mesh.vertices)
     corners = mesh.vertices[mesh.faces]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     assert areas.min() > 1e-12 * mesh.diameter**2
 
 
-@pytest.mark.parametrize("name", sorted(SHAPES))
+@pytest.mark.parametrize("name", sorted(SHAPE_MAKERS))
 def test_euler_characteristic_counts_parts_and_handles(name: str) -> None:
     """Scissors are two blades and two rings, and a ring has a hole as a handle has."""
-    assert euler(SHAPES[name]()) == 2 * PARTS.get(name, 1) - 2 * HANDLES.get(name, 0)
+    assert euler(SHAPE_MAKERS[name]()) == 2 * PARTS.get(name, 1) - 2 * HANDLES.get(name, 0)
 
 
 def test_machines_are_as_tall_as_asked_for() -> None:
@@ -101,6 +101,6 @@ def test_a_tube_adds_volume_and_keeps_the_surface_closed() -> None:
 
 def test_parts_keep_their_volumes() -> None:
     can, box = shapes.can(), shapes.box()
-    both = together([can, box])
+    both = merge_closed_meshes([can, box])
     assert both.volume == pytest.approx(can.volume + box.volume)
     assert euler(both) == 4

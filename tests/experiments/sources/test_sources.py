@@ -10,37 +10,37 @@ import pytest
 
 from getagrip.batch import engine
 from getagrip.batch.limits import Limits
-from getagrip.batch.share import Shard, Share
+from getagrip.batch.share import SchedulingOptions, Shard
 from getagrip.clip import write_clip
 from getagrip.errors import GetagripError, InputError, UsageError
-from getagrip.experiments.sources import names_in, samples
-from getagrip.experiments.sources.recorded import DexYcb, Recorded
+from getagrip.experiments.sources import read_clip_names, sample_clips
+from getagrip.experiments.sources.recorded import DexYcb, RecordedSource
 from getagrip.experiments.sources.source import ClipFolder
-from getagrip.experiments.sources.synthetic import Synthetic
+from getagrip.experiments.sources.synthetic import SyntheticSource
 from getagrip.grasps import lists
 from helpers.library import Library, Shelf
 from helpers.scenes import SHORT, scene
 
 
 def test_a_folder_of_synthetic_clips_belongs_to_one_preset(tmp_path: Path) -> None:
-    clean, clips = Synthetic(), tmp_path / "clips"
-    found, _ = samples(clean, clips, None, debug=False)
+    clean, clips = SyntheticSource(), tmp_path / "clips"
+    found, _ = sample_clips(clean, clips, None, debug=False)
     assert len({sample.name for sample in found}) == len(found) > 100
     assert not list(clips.glob("*/"))  # clips are made when they are needed
-    assert len(samples(clean, clips, 7, debug=False)[0]) == 7
-    both = {sample.name for sample in samples(replace(clean, split="all"), clips, None, debug=False)[0]}
-    train = {sample.name for sample in samples(replace(clean, split="train"), clips, None, debug=False)[0]}
+    assert len(sample_clips(clean, clips, 7, debug=False)[0]) == 7
+    both = {sample.name for sample in sample_clips(replace(clean, split="all"), clips, None, debug=False)[0]}
+    train = {sample.name for sample in sample_clips(replace(clean, split="train"), clips, None, debug=False)[0]}
     assert both - train == {sample.name for sample in found}
     two = frozenset({found[3].name, "teapot"})
-    chosen, failed = samples(Synthetic(only=two), clips, None, debug=False)
+    chosen, failed = sample_clips(SyntheticSource(only=two), clips, None, debug=False)
     assert [sample.name for sample in chosen] == [found[3].name]
     assert [(outcome.name, outcome.message) for outcome in failed] == [
         ("teapot", "no such clip of synthetic, clean, clips by name")
     ]
     with pytest.raises(UsageError, match="--split validation cannot be used with --only"):
-        Synthetic(only=two, split="validation")
+        SyntheticSource(only=two, split="validation")
     with pytest.raises(UsageError, match="another dataset"):
-        samples(Synthetic(preset="wild"), clips, None, debug=False)
+        sample_clips(SyntheticSource(preset="wild"), clips, None, debug=False)
 
 
 def test_a_folder_that_could_not_be_claimed_is_nobodys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -53,25 +53,25 @@ def test_a_folder_that_could_not_be_claimed_is_nobodys(tmp_path: Path, monkeypat
     with monkeypatch.context() as patch:
         patch.setattr("getagrip.io.files.write_json", torn)
         with pytest.raises(OSError, match="no space left"):
-            Synthetic(preset="wild").claim(tmp_path)
+            SyntheticSource(preset="wild").claim(tmp_path)
     assert list(tmp_path.iterdir()) == []
-    Synthetic().claim(tmp_path)
+    SyntheticSource().claim(tmp_path)
     with pytest.raises(UsageError, match="holds clips of another dataset"):
-        Synthetic(preset="wild").claim(tmp_path)
+        SyntheticSource(preset="wild").claim(tmp_path)
 
 
 def test_names_are_read_one_a_line(tmp_path: Path) -> None:
     path = tmp_path / "names.txt"
     path.write_text("b--1\r\n\n a \n")
-    assert names_in(path) == {"a", "b--1"}
+    assert read_clip_names(path) == {"a", "b--1"}
     for text in ("", "a\n../b\n"):
         path.write_text(text)
         with pytest.raises(InputError, match="must be names of clips, one a line"):
-            names_in(path)
+            read_clip_names(path)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shelves(Recorded):
+class Shelves(RecordedSource):
     dataset: ClassVar[str] = "shelves"
 
     def reader(self, root: Path) -> Library:
@@ -81,9 +81,9 @@ class Shelves(Recorded):
 def test_a_dataset_is_imported_first_which_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(engine, "EVERY", 0.0)
+    monkeypatch.setattr(engine, "PROGRESS_LINE_INTERVAL_S", 0.0)
     source = Shelves(root=tmp_path, split="all")
-    assert len(samples(source, tmp_path / "clips", 1, debug=False)[0]) == 1
+    assert len(sample_clips(source, tmp_path / "clips", 1, debug=False)[0]) == 1
     said = capsys.readouterr().err
     assert said.startswith("shelves: all clips are imported first")
     assert "\n1 of 2 shelves, " in said
@@ -91,24 +91,28 @@ def test_a_dataset_is_imported_first_which_is_said(
 
 
 def test_an_import_is_shared_as_the_call_is_but_for_its_shard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    shares = list[Share]()
+    shares = list[SchedulingOptions]()
 
     def imported(*given: object) -> int:
-        shares.extend(one for one in given if isinstance(one, Share))
+        shares.extend(one for one in given if isinstance(one, SchedulingOptions))
         return 1
 
     monkeypatch.setattr("getagrip.batch.imports.import_clips", imported)
     source = Shelves(root=tmp_path, split="all")
-    of_call = Share(workers=2, engine="ray", limits=Limits(60.0), shard=Shard(2, 2), ledger=tmp_path, fail_fast=True)
+    of_call = SchedulingOptions(
+        workers=2, engine="ray", limits=Limits(60.0), shard=Shard(2, 2), ledger=tmp_path, fail_fast=True
+    )
     with pytest.raises(GetagripError, match="shelves: not all could be imported, and --fail-fast ends the call"):
-        samples(source, tmp_path / "clips", None, False, of_call)
-    assert shares == [Share(workers=2, engine="ray", limits=Limits(60.0), fail_fast=True)]
+        sample_clips(source, tmp_path / "clips", None, False, of_call)
+    assert shares == [SchedulingOptions(workers=2, engine="ray", limits=Limits(60.0), fail_fast=True)]
 
 
 def test_only_what_is_named_is_imported(tmp_path: Path) -> None:
     source = Shelves(root=tmp_path, only=frozenset({"s1--b--can-0"}))
     for _ in range(2):
-        assert [sample.name for sample in samples(source, tmp_path / "clips", None, debug=False)[0]] == ["s1--b--can-0"]
+        assert [sample.name for sample in sample_clips(source, tmp_path / "clips", None, debug=False)[0]] == [
+            "s1--b--can-0"
+        ]
         assert [path.parent.name for path in tmp_path.glob("clips/*/clip.json")] == ["s1--b--can-0"]
 
 
@@ -122,7 +126,7 @@ def test_subjects_of_dexycb_are_split(tmp_path: Path) -> None:
     source = DexYcb(root=tmp_path)
     (folder / "imported").touch()  # as if from somewhere
     part = {
-        which: [sample.name[8] for sample in samples(replace(source, split=which), folder, None, debug=False)[0]]
+        which: [sample.name[8] for sample in sample_clips(replace(source, split=which), folder, None, debug=False)[0]]
         for which in ("train", "validation", "all")
     }
     assert part == {"train": list("036"), "validation": list("1245"), "all": list("0123456")}
@@ -131,8 +135,8 @@ def test_subjects_of_dexycb_are_split(tmp_path: Path) -> None:
 def test_the_list_beside_clips_says_what_contact_is(tmp_path: Path) -> None:
     source = ClipFolder(folder=tmp_path)
     assert source.contact_mm == 10.0
-    lists.write(tmp_path / "grasps.json", [], {"contact": 0.0})
+    lists.write_listed_grasps(tmp_path / "grasps.json", [], {"contact": 0.0})
     assert source.contact_mm == 0.0
-    lists.write(tmp_path / "grasps.json", [], {"contact": "wide"})
+    lists.write_listed_grasps(tmp_path / "grasps.json", [], {"contact": "wide"})
     with pytest.raises(InputError, match=r"grasps\.json: cut\.contact"):
         _ = source.contact_mm

@@ -9,20 +9,20 @@ import pytest
 
 from getagrip.clip import with_masks
 from getagrip.fitting.energy import no_bound
-from getagrip.fitting.methods.all_frames import coarse_energy, initial_of, steady
+from getagrip.fitting.methods.all_frames import add_contact_consistency, coarse_energy, make_initial_poses
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import prepare
-from getagrip.fitting.solve import in_camera
+from getagrip.fitting.problem import prepare_problem
+from getagrip.fitting.solve import poses_in_camera
 from helpers.scenes import SHORT, scene
 
 
 @pytest.mark.parametrize("k", range(4))
 @pytest.mark.slow
 def test_a_bound_changes_nothing_within_it(k: int) -> None:
-    problem = prepare(with_masks(*scene("mug", 1, SHORT)), Options(inits=4))
-    poses = in_camera(initial_of(problem), problem.clip.hand.T_cam_hand)
+    problem = prepare_problem(with_masks(*scene("mug", 1, SHORT)), Options(inits=4))
+    poses = poses_in_camera(make_initial_poses(problem), problem.clip.hand.T_cam_hand)
     poses = replace(poses, scale=2.0 * poses.scale)  # so large that the hand is in it
-    term = steady(problem, coarse_energy(problem))(64, np.arange(len(problem.clip)))[k]
+    term = add_contact_consistency(problem, coarse_energy(problem))(64, np.arange(len(problem.clip)))[k]
     free = term(poses, no_bound(poses))
     total = free.value.sum(axis=1)
     assert (total > 0.0).any(), term.name

@@ -10,12 +10,19 @@ from numpy import ndarray
 from scipy.optimize import minimize
 
 from getagrip.clip.depth import DepthSource
-from getagrip.fitting.depth_samples import INDEPENDENT, errors_of
+from getagrip.fitting.depth_samples import N_INDEPENDENT_SAMPLES, depth_errors_of
 from getagrip.fitting.energy import HandInCamera, ObjectWithHand, PosesInCamera, no_bound
 from getagrip.fitting.energy import depth as depth_term
-from getagrip.fitting.energy.depth import MISSED, RIGID, TAIL, DepthErrors, DepthSamples, DepthTerm
+from getagrip.fitting.energy.depth import (
+    DEPTH_TAIL_SIGMAS,
+    N_DEPTH_SCALE_ERRORS,
+    RAY_MISS_ERROR,
+    DepthErrors,
+    DepthSamples,
+    DepthTerm,
+)
 from getagrip.geometry import se3
-from getagrip.kernels.depth import WARP_TAIL
+from getagrip.kernels.depth import WARP_STUDENT_DOF
 from helpers.depth_terms import FREE, METRIC, MIDDLE, N, poses, seen, term
 from helpers.terms import is_trustworthy
 
@@ -49,8 +56,8 @@ def turned(at: PosesInCamera, step: ndarray) -> PosesInCamera:
 @pytest.mark.parametrize("errors", [METRIC, FREE], ids=["metric", "free"])
 @pytest.mark.parametrize("moves", [False, True], ids=["object", "both"])
 def test_gradient_is_that_of_differences(monkeypatch: pytest.MonkeyPatch, errors: DepthErrors, moves: bool) -> None:
-    monkeypatch.setattr(depth_term, "ROUNDS", 500)
-    monkeypatch.setattr(depth_term, "EXACT", 1e-12)
+    monkeypatch.setattr(depth_term, "MAX_IRLS_ITERATIONS", 500)
+    monkeypatch.setattr(depth_term, "IRLS_TOLERANCE", 1e-12)
     samples, of_object, hand = scene(0)
     one = term(samples, errors)
 
@@ -126,7 +133,7 @@ def test_a_ray_that_misses_costs_as_much_as_its_sample_counts(moves: bool) -> No
     poses = with_hand(there, hand) if moves else there
     on_object = np.arange(samples.weight.shape[1]) < samples.on_object[:, None]
     count = samples.weight.sum(where=True if moves else on_object)
-    missed = TAIL**2 * np.log1p((MISSED / (TAIL * METRIC.noise)) ** 2)
+    missed = DEPTH_TAIL_SIGMAS**2 * np.log1p((RAY_MISS_ERROR / (DEPTH_TAIL_SIGMAS * METRIC.noise)) ** 2)
     assert N * term(samples, METRIC).squared_deviations(poses)[0] == pytest.approx(missed * count)
 
 
@@ -163,8 +170,8 @@ def test_an_object_nearer_than_a_sensor_shows_it_costs_more_than_errors_that_las
     samples, _, _ = scene(5, noise=0.0)
     of_object, _ = true_poses(5)
     farther = replace(samples, log_z=samples.log_z - 0.05 + 0.03)
-    off = term(farther, errors_of(DepthSource("metric", "sensor"))).squared_deviations(of_object)[0]
-    assert N * off > 30 * INDEPENDENT
+    off = term(farther, depth_errors_of(DepthSource("metric", "sensor"))).squared_deviations(of_object)[0]
+    assert N * off > 30 * N_INDEPENDENT_SAMPLES
 
 
 def test_holes_say_nothing_and_other_samples_are_rejected_or_independent() -> None:
@@ -216,7 +223,11 @@ def test_an_object_behind_the_camera_is_no_solution() -> None:
 
 def warped(samples: DepthSamples, by: float) -> DepthSamples:
     """Depth that is ``by`` farther at one corner of the image, and as much nearer at the other one."""
-    return replace(samples, log_z=samples.log_z + by * (samples.modes[:, RIGID] + samples.modes[:, RIGID + 1]) / 2.0)
+    return replace(
+        samples,
+        log_z=samples.log_z
+        + by * (samples.modes[:, N_DEPTH_SCALE_ERRORS] + samples.modes[:, N_DEPTH_SCALE_ERRORS + 1]) / 2.0,
+    )
 
 
 @pytest.mark.parametrize("by", [-0.3, 0.03, 0.3])
@@ -224,7 +235,7 @@ def test_a_warp_costs_no_more_than_its_prior(by: float) -> None:
     samples, of_object, hand = scene(8)
     there = with_hand(of_object, hand)
     one, other = term(samples, METRIC), term(warped(samples, by), METRIC)
-    prior = WARP_TAIL * np.log1p(2.0 * (by / 2.0 / METRIC.warp) ** 2 / WARP_TAIL)
+    prior = WARP_STUDENT_DOF * np.log1p(2.0 * (by / 2.0 / METRIC.warp) ** 2 / WARP_STUDENT_DOF)
     assert N * (other.squared_deviations(there) - one.squared_deviations(there))[0] < 1.2 * prior
 
 

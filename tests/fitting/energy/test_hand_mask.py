@@ -10,9 +10,9 @@ import pytest
 from getagrip.clip import with_masks
 from getagrip.fitting.energy import HandInCamera, ObjectWithHand, PosesInCamera, no_bound
 from getagrip.fitting.hand_silhouette import HandSilhouette
-from getagrip.fitting.objective import evidence_on_hand
+from getagrip.fitting.objective import hand_evidence_energy
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import Problem, prepare
+from getagrip.fitting.problem import Problem, prepare_problem
 from getagrip.geometry import se3
 from helpers.scenes import SHORT, scene
 
@@ -20,7 +20,7 @@ from helpers.scenes import SHORT, scene
 @pytest.fixture(scope="module")
 def problem() -> Problem:
     clip, masks = scene("mug", 2, SHORT)
-    return prepare(with_masks(clip, masks), Options(hands="as-given", frames=4))
+    return prepare_problem(with_masks(clip, masks), Options(hands="as-given", frames=4))
 
 
 def hands(problem: Problem, shift: np.ndarray, scale: float = 1.0) -> HandInCamera:
@@ -37,7 +37,7 @@ def with_object(hand: HandInCamera) -> ObjectWithHand:
 
 
 def test_it_is_least_where_the_hand_is(problem: Problem) -> None:
-    (term,) = evidence_on_hand(problem)(128, np.arange(4))
+    (term,) = hand_evidence_energy(problem)(128, np.arange(4))
     assert term.name == "hand-mask"
     here = with_object(hands(problem, np.zeros(3)))
     value = term(here, no_bound(here)).value
@@ -51,7 +51,7 @@ def test_it_is_least_where_the_hand_is(problem: Problem) -> None:
 
 def test_its_derivatives_are_those_of_the_silhouette_by_its_errors(problem: Problem) -> None:
     """At no error, turns and shifts by the errors are those of the local vector, in the hand's frame."""
-    (term,) = evidence_on_hand(problem)(128, np.arange(4))
+    (term,) = hand_evidence_energy(problem)(128, np.arange(4))
     seen = HandSilhouette.of(problem.clip, problem.input_masks).with_field
     T = problem.clip.hand.T_cam_hand
     value, g, H = seen(np.zeros((4, 7)))
@@ -66,7 +66,7 @@ def test_its_derivatives_are_those_of_the_silhouette_by_its_errors(problem: Prob
 
 
 def test_a_pixel_of_the_image_counts_as_much_as_one_of_the_object(problem: Problem) -> None:
-    (term,) = evidence_on_hand(problem)(128, np.array([2]))
+    (term,) = hand_evidence_energy(problem)(128, np.array([2]))
     seen = HandSilhouette.of(problem.clip, problem.input_masks).take(np.array([2]))
     far = with_object(far_hand(problem))
     missed = term(far, no_bound(far)).value[0, 0]
@@ -82,7 +82,7 @@ def far_hand(problem: Problem) -> HandInCamera:
 
 
 def test_a_held_hand_has_no_such_energy(problem: Problem) -> None:
-    (term,) = evidence_on_hand(problem)(128, np.arange(4))
+    (term,) = hand_evidence_energy(problem)(128, np.arange(4))
     hand = hands(problem, np.zeros(3))
     poses = PosesInCamera(hand.R, hand.centre, hand.scale)
     assert not term(poses, no_bound(poses)).value.any()
@@ -90,4 +90,4 @@ def test_a_held_hand_has_no_such_energy(problem: Problem) -> None:
 
 def test_there_is_none_without_masks_of_the_hand(problem: Problem) -> None:
     unknown = replace(problem.clip, evidence={**problem.clip.evidence, "hand-masks": None})
-    assert not evidence_on_hand(replace(problem, clip=unknown))(128, np.arange(4))
+    assert not hand_evidence_energy(replace(problem, clip=unknown))(128, np.arange(4))

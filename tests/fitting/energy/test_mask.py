@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from getagrip.fitting.energy import PosesInCamera, no_bound
 from getagrip.fitting.energy.mask import MaskTerm
-from getagrip.fitting.observation import CROP, LEVELS, Observation
+from getagrip.fitting.observation import MASK_CROP_SIZE_PX, MASK_LEVELS_PX, Observation
 from getagrip.geometry.mesh import Mesh
 from getagrip.kernels.silhouette import pack, unpack
 from helpers import reference_kernels as reference
@@ -36,7 +36,7 @@ def test_a_finer_energy_is_what_the_specification_says() -> None:
     mesh, o = MESHES["box"], term.observation
     off = moved(truth, np.array([0.004, -0.002, 0.01, 0.1, -0.05, 0.08, 0.03]))
     uvz = reference.project(mesh.vertices - mesh.centre, off.R[0, 0], off.centre[0, 0], off.scale[0], o.K[0])
-    seen, valid = (unpack(bits[CROP][0], CROP) for bits in (o.observed, o.valid))
+    seen, valid = (unpack(bits[MASK_CROP_SIZE_PX][0], MASK_CROP_SIZE_PX) for bits in (o.observed, o.valid))
     assert smooth_energy(term, mesh, off, finer=3)[0, 0] == reference.mask_energy(uvz, mesh.faces, seen, valid, finer=3)
 
 
@@ -71,7 +71,9 @@ def test_the_contour_gives_the_gradient_of_e_mask(occluded: bool) -> None:
 
 
 @settings(max_examples=10)
-@given(st.sampled_from(sorted(MESHES)), st.integers(0, 10**6), st.sampled_from(LEVELS), st.sampled_from([0.0, 1.0]))
+@given(
+    st.sampled_from(sorted(MESHES)), st.integers(0, 10**6), st.sampled_from(MASK_LEVELS_PX), st.sampled_from([0.0, 1.0])
+)
 def test_hessians_of_e_mask(which: str, seed: int, level: int, coverage: float) -> None:
     term, truth = scene(which, seed % 3)
     step = np.random.default_rng(seed).normal(0.0, 0.1, 7) * [0.1, 0.1, 0.1, 1, 1, 1, 1]
@@ -82,7 +84,7 @@ def test_hessians_of_e_mask(which: str, seed: int, level: int, coverage: float) 
 def test_levels_agree_on_the_energy() -> None:
     term, truth = scene("mug")
     off = moved(truth, np.array([0.01, 0.0, 0.0, 0.0, 0.2, 0.0, 0.0]))
-    values = [replace(term, level=level)(off, no_bound(off)).value for level in LEVELS]
+    values = [replace(term, level=level)(off, no_bound(off)).value for level in MASK_LEVELS_PX]
     for value in values[:-1]:
         np.testing.assert_allclose(value, values[-1], rtol=0.15)
 
@@ -90,8 +92,11 @@ def test_levels_agree_on_the_energy() -> None:
 def test_hidden_pixels_say_nothing() -> None:
     """An object that moves behind an occluder costs nothing and feels nothing."""
     term, truth = scene("box", frames=1)
-    seen, valid = (unpack(bits[CROP], CROP) for bits in (term.observation.observed, term.observation.valid))
-    hidden = replace(term.observation, valid={**term.observation.valid, CROP: pack(np.zeros_like(valid))})
+    seen, valid = (
+        unpack(bits[MASK_CROP_SIZE_PX], MASK_CROP_SIZE_PX)
+        for bits in (term.observation.observed, term.observation.valid)
+    )
+    hidden = replace(term.observation, valid={**term.observation.valid, MASK_CROP_SIZE_PX: pack(np.zeros_like(valid))})
     off = moved(truth, np.array([0.01, 0.0, 0.0, 0.0, 0.2, 0.0, 0.0]))
     local = replace(term, observation=hidden)(off, no_bound(off))
     assert seen.any()
@@ -136,13 +141,13 @@ def test_observed_points_pull_an_object_that_overlaps_nothing() -> None:
     assert -with_coverage @ home > abs(-without @ home)
 
 
-@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("level", MASK_LEVELS_PX)
 def test_observed_points_reach_40_pixels_of_the_level(level: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """A thin rod beside itself is pulled home from within their reach and from no farther; 64 pixels end before."""
     monkeypatch.setitem(MESHES, "rod", box(0.12, 0.003, 0.003))
     term, truth = scene("rod", frames=1)
     across = np.array([-truth.R[0, 0, 1, 0], truth.R[0, 0, 0, 0], 0.0]) / np.linalg.norm(truth.R[0, 0, :2, 0])
-    pixel = CROP / level * truth.centre[0, 0, 2] / term.observation.K[0, 0]
+    pixel = MASK_CROP_SIZE_PX / level * truth.centre[0, 0, 2] / term.observation.K[0, 0]
     for shift, reached in ((5.0, True), (30.0 if level == 64 else 37.0, True), (46.0, False)):
         off = moved(truth, np.array([*shift * pixel * across, 0.0, 0.0, 0.0, 0.0]))
         with_coverage, without = (
@@ -161,7 +166,7 @@ def test_observation_is_not_changed_by_its_reader() -> None:
     term, truth = scene("box", occluded=True)
     before = deepcopy(term.observation)
     off = moved(truth, np.full(7, 0.03))
-    for level in LEVELS:
+    for level in MASK_LEVELS_PX:
         replace(term, level=level, coverage=1.0)(off, no_bound(off))
     for one, other in zip(leaves(before), leaves(term.observation), strict=True):
         np.testing.assert_array_equal(one, other)

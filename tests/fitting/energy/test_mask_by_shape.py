@@ -11,14 +11,14 @@ from getagrip.fitting.energy import PosesInCamera, mask_by_shape, no_bound
 from getagrip.fitting.energy.mask import MaskTerm
 from getagrip.fitting.energy.mask_by_shape import MaskByShape
 from getagrip.geometry.mesh import Mesh
-from getagrip.geometry.subdivide import subdivided
+from getagrip.geometry.subdivide import subdivide_surface
 from getagrip.geometry.warp import Warp
 from helpers.drawn_masks import scene, smooth_energy
 from helpers.parts import callable_part
 from helpers.terms import MESHES, moved
 
 RADIUS = 0.05
-unwarped = callable_part(mask_by_shape._unwarped)
+unwarped = callable_part(mask_by_shape._unwarp_monomials)
 
 
 def by_shape(which: str, term: MaskTerm) -> MaskByShape:
@@ -74,7 +74,7 @@ def test_the_contour_gives_the_gradient_by_shape() -> None:
         term, truth = scene(which, seed)
         off = moved(truth, np.array([0.001, -0.001, 0.004, 0.02, -0.02, 0.02, 0.15]))
         rng = np.random.default_rng(seed)
-        mesh = Mesh(*subdivided(MESHES[which].vertices, MESHES[which].faces, 0.008))  # edges bend, too
+        mesh = Mesh(*subdivide_surface(MESHES[which].vertices, MESHES[which].faces, 0.008))  # edges bend, too
         shape = rng.normal(0.0, 0.04, (9, 3))
         fine = replace(by_shape(which, term), mesh=mesh, step=1.0, delta=1e-3)
         gradient = fine(off, shape[None])[1][0, :, 7:].sum(axis=0)

@@ -116,6 +116,6 @@ def test_what_lies_well_within_a_mask_is_what_erosion_leaves(near: int) -> None:
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * near + 1, 2 * near + 1))
     v, u = np.indices(mask.shape).reshape(2, -1)
     left = cv2.erode(mask.astype(np.uint8), disc).astype(bool)
-    np.testing.assert_array_equal(order._well_within(mask, u, v, disc > 0), left.ravel())
+    np.testing.assert_array_equal(order._disc_in_mask(mask, u, v, disc > 0), left.ravel())
     whole = np.ones_like(mask)
-    assert order._well_within(whole, u, v, disc > 0).all()  # what is beyond the image is unknown
+    assert order._disc_in_mask(whole, u, v, disc > 0).all()  # what is beyond the image is unknown

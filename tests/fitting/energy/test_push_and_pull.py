@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip.fitting.contact import HandContacts, solid
+from getagrip.fitting.contact import HandContacts, build_contact_grid
 from getagrip.fitting.energy import PosesInCamera, no_bound
 from getagrip.fitting.energy.pull import PullTerm
 from getagrip.fitting.energy.push import PushTerm
@@ -28,7 +28,7 @@ def contacts(rng: np.random.Generator, frames: int, spread: float = 0.03) -> Han
 
 def physical_terms(mesh: Mesh, hand: HandContacts, delta: float = 0.002) -> tuple[PushTerm, PullTerm]:
     frames = len(hand.position)
-    body, weight = solid(mesh, mesh.centre), 1000.0 * np.arange(1, frames + 1)
+    body, weight = build_contact_grid(mesh, mesh.centre), 1000.0 * np.arange(1, frames + 1)
     # Half a millimetre, for the mug's wall is thin.
     return PushTerm(body, hand, weight, tolerance=5e-4, delta=delta), PullTerm(body, hand, weight, 0.01, delta=delta)
 
@@ -105,7 +105,9 @@ def test_a_little_depth_does_not_push() -> None:
     poses = PosesInCamera(np.eye(3)[None, None], np.array([[[0.0, 0.0, 0.5]]]), np.ones(1))
     for depth in (0.0, 0.9 * give, 1.5 * give):
         hand = HandContacts(np.tile(poses.centre[0, 0] + face - depth * out, (1, 26, 1)), np.arange(0, 24, 4))
-        local = PushTerm(solid(mesh, mesh.centre), hand, np.ones(1), tolerance=give)(poses, no_bound(poses))
+        local = PushTerm(build_contact_grid(mesh, mesh.centre), hand, np.ones(1), tolerance=give)(
+            poses, no_bound(poses)
+        )
         assert local.value[0, 0] == pytest.approx(max(0.0, depth - give), abs=1e-6)
         assert local.g.any() == (depth > give)
 

@@ -10,9 +10,9 @@ import pytest
 from getagrip.clip import Clip, with_masks
 from getagrip.fitting.energy import HandInCamera, no_bound
 from getagrip.fitting.energy.hand_term import OnHand
-from getagrip.fitting.objective import evidence_on_hand
+from getagrip.fitting.objective import hand_evidence_energy
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import Problem, prepare
+from getagrip.fitting.problem import Problem, prepare_problem
 from getagrip.fitting.seen_joints import SeenJoints
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
@@ -32,7 +32,7 @@ def seen_in(clip: Clip, px: float = 0.0) -> Clip:
 @pytest.fixture(scope="module")
 def problem() -> Problem:
     clip, masks = scene("mug", 2, SHORT)
-    return prepare(with_masks(seen_in(clip, 3.0), masks), Options(hands="as-given", frames=4))
+    return prepare_problem(with_masks(seen_in(clip, 3.0), masks), Options(hands="as-given", frames=4))
 
 
 def hands(problem: Problem, x: np.ndarray) -> HandInCamera:
@@ -44,7 +44,7 @@ def hands(problem: Problem, x: np.ndarray) -> HandInCamera:
 
 
 def test_its_gradient_is_that_of_finite_differences(problem: Problem) -> None:
-    term = next(term for term in evidence_on_hand(problem)(128, np.arange(4)) if term.name == "joints-2d")
+    term = next(term for term in hand_evidence_energy(problem)(128, np.arange(4)) if term.name == "joints-2d")
     assert isinstance(term, OnHand)
     rng, step = np.random.default_rng(1), 1e-5
     at = rng.normal(size=7) * np.repeat([0.01, 0.2, 0.1], [3, 3, 1])
@@ -78,7 +78,7 @@ def test_by_the_hands_errors_its_gradient_is_that_of_finite_differences(problem:
 
 def test_it_is_least_where_the_joints_are_seen(problem: Problem) -> None:
     exact = replace(problem, clip=seen_in(problem.clip))
-    term = next(term for term in evidence_on_hand(exact)(64, np.arange(4)) if term.name == "joints-2d")
+    term = next(term for term in hand_evidence_energy(exact)(64, np.arange(4)) if term.name == "joints-2d")
     assert isinstance(term, OnHand)
     x = np.concatenate([np.zeros((1, 7)), 0.02 * np.eye(7)])
     value = term.term(hands(exact, x), np.full(8, np.inf)).value.sum(axis=1)
@@ -86,7 +86,7 @@ def test_it_is_least_where_the_joints_are_seen(problem: Problem) -> None:
 
 
 def test_joints_behind_the_camera_cost_infinitely_much(problem: Problem) -> None:
-    term = next(term for term in evidence_on_hand(problem)(64, np.arange(4)) if term.name == "joints-2d")
+    term = next(term for term in hand_evidence_energy(problem)(64, np.arange(4)) if term.name == "joints-2d")
     assert isinstance(term, OnHand)
     behind = hands(problem, np.eye(7)[None, 2] * -5.0)
     assert np.isinf(term.term(behind, no_bound(behind)).value).all()
@@ -116,5 +116,5 @@ def test_the_size_of_errors_is_estimated_from_the_clip(own: float, lasting: floa
 def test_a_clip_without_joints_has_no_such_term() -> None:
     clip, masks = scene("mug", 2, SHORT)
     assert SeenJoints.of(clip, masks) is None
-    plain = prepare(with_masks(clip, masks), Options(hands="as-given", frames=4))
-    assert [term.name for term in evidence_on_hand(plain)(64, np.arange(4))] == ["hand-mask"]
+    plain = prepare_problem(with_masks(clip, masks), Options(hands="as-given", frames=4))
+    assert [term.name for term in hand_evidence_energy(plain)(64, np.arange(4))] == ["hand-mask"]

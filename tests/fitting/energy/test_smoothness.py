@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from getagrip.fitting.energy import PosesInCamera, no_bound
-from getagrip.fitting.energy.smoothness import BendingTerm, SmoothnessTerm, moments, second_differences
+from getagrip.fitting.energy.smoothness import BendingTerm, SmoothnessTerm, second_differences, vertex_moments
 from helpers.terms import B, N, moved, random_poses, total_hessian
 
 
 def test_smoothness_is_the_mean_square_of_the_vertices_steps() -> None:
     rng = np.random.default_rng(5)
     vertices, poses = rng.normal(0.01, 0.05, (40, 3)), random_poses(rng)
-    value = SmoothnessTerm(moments(vertices), 7.0)(poses, no_bound(poses)).value.sum(axis=1)
+    value = SmoothnessTerm(vertex_moments(vertices), 7.0)(poses, no_bound(poses)).value.sum(axis=1)
     placed = poses.scale[:, None, None, None] * vertices @ np.swapaxes(poses.R, -1, -2) + poses.centre[:, :, None]
     expected = 7.0 * np.sum(np.diff(placed, axis=1) ** 2, axis=-1).mean(axis=-1).sum(axis=-1)
     np.testing.assert_allclose(value, expected, rtol=1e-9)
@@ -23,7 +23,7 @@ def test_smoothness_is_the_mean_square_of_the_vertices_steps() -> None:
 def test_curvature_is_that_of_the_energy_where_the_object_rests() -> None:
     """A step s from rest costs ``s^T H s / 2``, in every frame, between frames and at every scale."""
     rng = np.random.default_rng(11)
-    term, one = SmoothnessTerm(moments(rng.normal(0.01, 0.05, (40, 3))), 7.0), random_poses(rng, frames=1)
+    term, one = SmoothnessTerm(vertex_moments(rng.normal(0.01, 0.05, (40, 3))), 7.0), random_poses(rng, frames=1)
     rest = PosesInCamera(one.R.repeat(N, axis=1), one.centre.repeat(N, axis=1), one.scale)
     H, h = total_hessian(term(rest, no_bound(rest))), 1e-4
     for n, k in np.ndindex(N, 6):
@@ -40,7 +40,7 @@ def test_curvature_is_that_of_the_energy_where_the_object_rests() -> None:
 def bending(rng: np.random.Generator) -> BendingTerm:
     known = random_poses(rng, 1, 3)
     index, at = 1 + 2 * np.arange(N), np.array([0, 2, 2 * N + 3])
-    return BendingTerm(moments(rng.normal(0.0, 0.03, (9, 3))), 1e5, index, at, known.R[0], known.centre[0])
+    return BendingTerm(vertex_moments(rng.normal(0.0, 0.03, (9, 3))), 1e5, index, at, known.R[0], known.centre[0])
 
 
 def test_bending_has_the_derivatives_of_its_value() -> None:

@@ -14,7 +14,7 @@ from getagrip.fitting.energy import PosesInCamera, Term, no_bound
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
 from getagrip.fitting.energy.interaction import InteractionTerm
 from getagrip.fitting.energy.reprojection import ReprojectionTerm
-from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
+from getagrip.fitting.energy.smoothness import SmoothnessTerm, vertex_moments
 from getagrip.geometry import camera, se3
 from helpers.terms import K4, N, hypotheses_are_independent, moved, random_poses, some_term, total_hessian
 
@@ -62,7 +62,7 @@ def test_a_still_body_is_smooth_and_at_its_image() -> None:
     K = np.array([[560.0, 0.0, 128.0], [0.0, 570.0, 120.0], [0.0, 0.0, 1.0]])
     seen = np.tile(camera.project(K, points @ R.T + centre), (N, 1, 1))
     terms: list[Term] = [
-        SmoothnessTerm(moments(points), 1e5),
+        SmoothnessTerm(vertex_moments(points), 1e5),
         ReprojectionTerm(np.tile(points, (N, 1, 1)), K4, seen, 3.0),
         InteractionTerm(np.tile(centre, (N, 1)), 1e4),
     ]

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from getagrip.fitting.contact import HandContacts, solid
+from getagrip.fitting.contact import HandContacts, build_contact_grid
 from getagrip.fitting.energy.pull import PullTerm
 from getagrip.fitting.energy.push import PushTerm
-from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
-from getagrip.fitting.methods.homan import in_box
-from getagrip.fitting.methods.homan_refine import Bodies, JointEnergy, descend
+from getagrip.fitting.energy.smoothness import SmoothnessTerm, vertex_moments
+from getagrip.fitting.methods.homan import place_in_box
+from getagrip.fitting.methods.homan_refine import JointEnergy, RigidBodies, refine_by_levenberg_marquardt
 from getagrip.geometry import camera, se3
 from helpers.clips import box
 from helpers.terms import N, some_term
@@ -30,14 +30,14 @@ def test_an_object_is_placed_in_its_box(seed: int) -> None:
     K = np.array([[600.0, 0.0, 320.0], [0.0, 600.0, 240.0], [0.0, 0.0, 1.0]])
     low = rng.uniform(0.0, 400.0, 2)
     seen = np.concatenate([low, low + rng.uniform(40.0, 120.0, 2)])
-    centre = in_box(R, BOX.vertices, K, seen)
+    centre = place_in_box(R, BOX.vertices, K, seen)
     uv = camera.project(K, BOX.vertices @ np.swapaxes(R, 1, 2) + centre[:, None])
     least, most = uv.min(axis=1), uv.max(axis=1)
     np.testing.assert_allclose((least + most) / 2.0, np.tile((seen[:2] + seen[2:]) / 2.0, (6, 1)), atol=0.5)
     np.testing.assert_allclose(np.linalg.norm(most - least, axis=1), np.linalg.norm(seen[2:] - seen[:2]), rtol=0.02)
 
 
-def joint_scene(seed: int = 0) -> tuple[JointEnergy, Bodies]:
+def joint_scene(seed: int = 0) -> tuple[JointEnergy, RigidBodies]:
     """Object and hand near each other, the hand a little off where it was given; all terms but the mask."""
     rng = np.random.default_rng(seed)
     input_hand = se3.rigid(
@@ -46,10 +46,13 @@ def joint_scene(seed: int = 0) -> tuple[JointEnergy, Bodies]:
     grip = rng.normal(0.0, 0.01, (N, 3))
     points = np.array([0.0, 0.0, 0.5]) + rng.normal(0.0, 0.03, (N, 26, 3))
     contacts, weight = HandContacts(points, np.arange(0, 24, 4)), np.full(N, 1e5)
-    body = solid(BOX, BOX.centre)
+    body = build_contact_grid(BOX, BOX.centre)
     energy = JointEnergy(
-        object_in_camera=[SmoothnessTerm(moments(BOX.vertices), 1e5)],
-        hand_in_camera=[some_term("reprojection", rng), SmoothnessTerm(moments(points[0] - points[0].mean(0)), 1e5)],
+        object_in_camera=[SmoothnessTerm(vertex_moments(BOX.vertices), 1e5)],
+        hand_in_camera=[
+            some_term("reprojection", rng),
+            SmoothnessTerm(vertex_moments(points[0] - points[0].mean(0)), 1e5),
+        ],
         object_in_hand=[
             PushTerm(body, contacts, weight, delta=1e-9),
             PullTerm(body, contacts, weight, 0.01, delta=1e-9),
@@ -58,7 +61,7 @@ def joint_scene(seed: int = 0) -> tuple[JointEnergy, Bodies]:
         T_cam_hand=input_hand,
     )
     hand_centre = se3.transform(input_hand, grip[:, None])[:, 0]
-    bodies = Bodies(
+    bodies = RigidBodies(
         R=se3.exp_so3(rng.normal(size=(N, 3))),
         centre=np.array([0.0, 0.0, 0.5]) + rng.normal(0.0, 0.005, (N, 3)),
         log_scale=0.05,
@@ -91,7 +94,7 @@ def test_the_gradient_of_the_joint_energy() -> None:
 @pytest.mark.parametrize("free_scale", [False, True])
 def test_descent_goes_down_and_keeps_a_known_scale(free_scale: bool) -> None:
     energy, bodies = joint_scene(1)
-    found = descend(energy, bodies, 5, free_scale)
+    found = refine_by_levenberg_marquardt(energy, bodies, 5, free_scale)
     assert found.energy < sum(energy(bodies)[0].values())
     assert found.energy == pytest.approx(sum(energy(found.bodies)[0].values()))
     assert (found.bodies.log_scale == bodies.log_scale) == (not free_scale)

@@ -19,8 +19,8 @@ from getagrip.fitting.initial_poses import initial_poses
 from getagrip.fitting.methods import method_of, paper, single_frame
 from getagrip.fitting.motion import Fixed
 from getagrip.fitting.options import Departures, Options
-from getagrip.fitting.problem import Problem, prepare
-from getagrip.fitting.solve import evaluate, in_camera
+from getagrip.fitting.problem import Problem, prepare_problem
+from getagrip.fitting.solve import evaluate, poses_in_camera
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.render import true_masks
@@ -36,7 +36,7 @@ def small_problem(options: Options | None = None) -> Problem:
     """A clip whose object's origin is not its centre."""
     clip, masks = small_clip()
     mesh = Mesh(clip.mesh.vertices + np.array([0.01, 0.02, 0.03]), clip.mesh.faces)
-    return prepare(with_masks(replace(clip, mesh=mesh), masks), options or Options(method="paper", inits=3))
+    return prepare_problem(with_masks(replace(clip, mesh=mesh), masks), options or Options(method="paper", inits=3))
 
 
 @pytest.mark.slow
@@ -61,7 +61,7 @@ def test_at_a_free_scale_one_dof_has_twice_as_many_initial_poses() -> None:
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.slow
 def test_each_departure_can_be_made_alone(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(paper, "ITERATIONS", 5)
+    monkeypatch.setattr(paper, "PAPER_ITERATIONS", 5)
     made = Departures(**{name: True, "optimiser": name in ("optimiser", "search")})
     letter = reconstruct(*small_clip(), Options(method="paper", inits=3))
     result = reconstruct(*small_clip(), Options(method="paper", inits=3, departures=made))
@@ -94,7 +94,7 @@ def grasp_seen_from(focal: float, moves: bool, free: bool) -> tuple[Problem, nda
     scale: Literal["known", "free"] = "free" if free else "known"
     clip = replace(clip.with_hand_at(T_cam_hand), K=K, scale=scale, truth=None)
     turned = se3.rigid(se3.exp_so3(np.array([[0.0, 0.0, 0.0], [1.5, 0.0, 0.0], [0.0, 1.5, 0.0]])))
-    problem = prepare(with_masks(clip, masks), Options(method="paper", inits=len(turned)))
+    problem = prepare_problem(with_masks(clip, masks), Options(method="paper", inits=len(turned)))
     return replace(problem, prior_poses=T_hand_obj[2] @ turned), T_hand_obj
 
 
@@ -107,7 +107,7 @@ def test_it_ends_at_the_truth_that_is_among_its_starts(focal: float, free: bool,
     problem, T_hand_obj = grasp_seen_from(focal, moves, free)
     found = paper.fit(problem, lambda _: None)
     assert found.motion is not None
-    assert paper.crop_iou(problem, in_camera(found.motion, problem.clip.hand.T_cam_hand))[0] >= 0.95
+    assert paper.crop_iou(problem, poses_in_camera(found.motion, problem.clip.hand.T_cam_hand))[0] >= 0.95
     assert found.poses.scale[0] == pytest.approx(1.0, abs=0.1)
     about = problem.clip.mesh.vertices - problem.clip.mesh.centre
     vertices = found.poses.scale[0] * about @ np.swapaxes(found.poses.R[0], 1, 2) + found.poses.centre[0, :, None]
@@ -126,7 +126,7 @@ def test_no_size_has_less_energy_than_the_true_one(focal: float) -> None:
     for centre in (nearer, np.tile(true_centre, (len(sizes), 1))):
         R = np.tile(T_hand_obj[2, :3, :3], (len(sizes), 1, 1))
         motion = Fixed(R, centre, np.log(sizes), len(problem.clip), free_scale=True)
-        terms = paper.energy_of(problem)(256, np.arange(len(problem.clip)))
+        terms = paper.paper_energy(problem)(256, np.arange(len(problem.clip)))
         cost = evaluate(motion, terms, problem.clip.hand.T_cam_hand, np.full(len(sizes), np.inf)).cost
         assert (cost > 0.0).all()
         assert cost[0] == cost.min()
@@ -137,7 +137,7 @@ def test_no_size_has_less_energy_than_the_true_one(focal: float) -> None:
 def test_the_papers_baselines_have_its_energy_optimiser_and_choice(
     method: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(paper, "ITERATIONS", 60)
+    monkeypatch.setattr(paper, "PAPER_ITERATIONS", 60)
     problem, T_hand_obj = grasp_seen_from(600.0, moves=False, free=False)
     problem = replace(problem, options=replace(problem.options, method=method))
     calls: list[str] = []
@@ -154,12 +154,12 @@ def test_the_papers_baselines_have_its_energy_optimiser_and_choice(
 
 def test_single_frames_know_nothing_of_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """The pose of a frame is the same, whatever the other frames show."""
-    monkeypatch.setattr(paper, "ITERATIONS", 10)
+    monkeypatch.setattr(paper, "PAPER_ITERATIONS", 10)
     problem, _ = grasp_seen_from(600.0, moves=True, free=False)
     whole = paper.single_frame(problem, lambda _: None)
-    energy = paper.energy_of(problem)
+    energy = paper.paper_energy(problem)
     start = single_frame.initial_of_frame(problem, 3)
-    alone = paper.chosen(
+    alone = paper.choose_solutions(
         problem, paper.every_start(problem, start, energy, lambda _: None, np.array([3])), np.array([3])
     )
     np.testing.assert_array_equal(alone.motion.R[0], whole.poses.R[0, 3])
@@ -178,7 +178,7 @@ def test_other_methods_have_no_departures() -> None:
 def test_the_axis_starts_as_the_z_axis_through_the_origin_of_the_cad() -> None:
     problem = small_problem()
     initial = initial_poses(problem.clip, problem.masks, 3)
-    hinge = paper.about_z(initial, problem.clip.mesh.centre)
+    hinge = paper.hinge_about_z(initial, problem.clip.mesh.centre)
     assert not hinge.angle.any()
     assert hinge.ridge == 0.0
     held = hinge.poses()
@@ -190,34 +190,35 @@ def test_the_axis_starts_as_the_z_axis_through_the_origin_of_the_cad() -> None:
 
 
 def test_the_iou_by_which_is_chosen_is_the_metrics(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(paper, "ITERATIONS", 5)
+    monkeypatch.setattr(paper, "PAPER_ITERATIONS", 5)
     clip, masks = small_clip()
     result = reconstruct(clip, masks, Options(method="paper", inits=2))
-    problem = prepare(with_masks(clip, masks), Options(method="paper", inits=2))
+    problem = prepare_problem(with_masks(clip, masks), Options(method="paper", inits=2))
     T = result.T_hand_obj[0]
     motion = Fixed(T[None, :3, :3], (T[:3, :3] @ clip.mesh.centre + T[:3, 3])[None], np.zeros(1), len(clip))
     still = replace(result, T_hand_obj=np.tile(T, (len(clip), 1, 1)))
     measured = evaluation.evaluate(still, clip, masks, wanted=[IOU]).metrics["iou"]
-    poses = in_camera(motion, problem.clip.hand.T_cam_hand)
+    poses = poses_in_camera(motion, problem.clip.hand.T_cam_hand)
     assert paper.crop_iou(problem, poses)[0] == pytest.approx(measured, abs=0.01)
 
 
 def test_the_best_iou_is_chosen_not_the_least_energy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(paper, "ITERATIONS", 5)
+    monkeypatch.setattr(paper, "PAPER_ITERATIONS", 5)
     problem = small_problem(Options(method="paper", inits=8))
-    found = paper.every_start(problem, paper.initial_of(problem), paper.energy_of(problem), lambda _: None)
+    found = paper.every_start(problem, paper.make_initial_poses(problem), paper.paper_energy(problem), lambda _: None)
     all_poses, best = (
-        in_camera(one.motion, problem.clip.hand.T_cam_hand) for one in (found, paper.chosen(problem, found))
+        poses_in_camera(one.motion, problem.clip.hand.T_cam_hand)
+        for one in (found, paper.choose_solutions(problem, found))
     )
     by_iou = paper.crop_iou(problem, best)
     assert by_iou[0] == paper.crop_iou(problem, all_poses).max()
     assert (np.diff(by_iou) <= 0.0).all()
     ours = replace(problem, options=replace(problem.options, departures=Departures(choice=True)))
-    assert paper.chosen(ours, found).energy[0] == found.energy.min()
+    assert paper.choose_solutions(ours, found).energy[0] == found.energy.min()
 
 
 def test_all_poses_are_reported_quarter_by_quarter(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(paper, "ITERATIONS", 2)
+    monkeypatch.setattr(paper, "PAPER_ITERATIONS", 2)
     stages: list[str] = []
     reconstruct(*small_clip(), Options(method="paper", inits=2), lambda name, _: stages.append(name))
-    assert [name for name in stages if name in paper.PARTS] == list(paper.PARTS)
+    assert [name for name in stages if name in paper.START_QUARTERS] == list(paper.START_QUARTERS)

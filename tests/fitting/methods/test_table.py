@@ -24,7 +24,7 @@ def test_an_unknown_method_is_refused_with_the_known_ones() -> None:
 @pytest.mark.parametrize("name", METHODS)
 @pytest.mark.slow
 def test_results_have_an_axis_where_the_table_says_so(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(paper, "ITERATIONS", 5)
+    monkeypatch.setattr(paper, "PAPER_ITERATIONS", 5)
     result = reconstruct(*small_clip(), Options(method=name, inits=4))
     assert (result.axis is not None) == METHODS[name].has_axis
     assert result.method == name

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.hands.trackers.estimates import Estimate, Parameters, Request
-from getagrip.hands.trackers.reading import one_each
+from getagrip.hands.trackers.estimates import Estimate, HandParameters, Request
+from getagrip.hands.trackers.reading import choose_frame_hands
 from getagrip.provenance import estimated
 from helpers.estimator_files import SIZE, K
 
@@ -29,7 +29,7 @@ def request(masks: tuple[Path | None, ...] = ()) -> Request:
 
 def chosen(hands: list[Estimate], masks: tuple[Path | None, ...] = ()) -> tuple[ndarray, str]:
     """Where the chosen hands are, and how they were."""
-    found, how = one_each(hands, request(masks))
+    found, how = choose_frame_hands(hands, request(masks))
     assert [each.frame for each in found] == sorted({each.frame for each in hands})
     return np.array([each.joints.mean(axis=0) - SHAPE.mean(axis=0) for each in found if each.joints is not None]), str(
         how or ""
@@ -79,8 +79,8 @@ def test_the_hands_mask_tells_first(tmp_path: Path) -> None:
 
 def test_hands_without_joints_are_placed_by_their_pose() -> None:
     def of_mano(frame: int, at: ndarray) -> Estimate:
-        return Estimate(Path("x"), frame, estimated(""), Parameters(np.eye(3), np.zeros(45), np.zeros(10), at))
+        return Estimate(Path("x"), frame, estimated(""), HandParameters(np.eye(3), np.zeros(45), np.zeros(10), at))
 
     hands = [of_mano(0, HELD[0]), of_mano(1, OTHER[1]), of_mano(1, HELD[1])]
-    found, _ = one_each(hands, request())
+    found, _ = choose_frame_hands(hands, request())
     assert [each.mano.t.tolist() for each in found if each.mano is not None] == HELD[:2].tolist()

@@ -12,7 +12,7 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands import mano
 from getagrip.hands.model import Side, mirrored_pose
-from getagrip.hands.trackers import read
+from getagrip.hands.trackers import read_tracked_hands
 from getagrip.hands.trackers.frankmocap import FrankMocap
 from helpers.estimator_files import (
     FRAMES,
@@ -42,21 +42,21 @@ def test_frankmocap(tmp_path: Path, mano_folder: Path, side: Side) -> None:
         record = frankmocap_record(flat, n, mean)
         record["pred_output_list"][0][f"{side}_hand"]["joints_2d"] = PIXELS[n]
         paths[-1].write_bytes(pickle.dumps(record))
-    hands = read(paths, FrankMocap(), request(side, mano_folder))
+    hands = read_tracked_hands(paths, FrankMocap(), request(side, mano_folder))
     np.testing.assert_allclose(joints_of(hands), flat.joints, atol=1e-6)
     assert hands.track.joints_2d is not None
     np.testing.assert_allclose(hands.track.joints_2d, PIXELS)
     with pytest.raises(UsageError, match="--mano"):
-        read(paths, FrankMocap(), request(side))
+        read_tracked_hands(paths, FrankMocap(), request(side))
     with pytest.raises(InputError, match=f"no {'left' if side == 'right' else 'right'} hand"):
-        read(paths, FrankMocap(), request("left" if side == "right" else "right", mano_folder))
+        read_tracked_hands(paths, FrankMocap(), request("left" if side == "right" else "right", mano_folder))
     other = frankmocap_record(flat, 0)
     del other["pred_output_list"][0][f"{side}_hand"]["pred_vertices_smpl"]
     paths[0].write_bytes(pickle.dumps(other))
     with pytest.raises(InputError, match="--save_mesh"):
-        read(paths, FrankMocap(), request(side, mano_folder))
+        read_tracked_hands(paths, FrankMocap(), request(side, mano_folder))
     other = frankmocap_record(flat, 0)
     other["pred_output_list"][0][f"{side}_hand"]["pred_hand_pose"] = np.full((1, 48), 1.0)
     paths[0].write_bytes(pickle.dumps(other))
     with pytest.raises(InputError, match="pred_vertices_smpl"):
-        read(paths, FrankMocap(), request(side, mano_folder))
+        read_tracked_hands(paths, FrankMocap(), request(side, mano_folder))

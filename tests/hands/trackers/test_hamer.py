@@ -13,8 +13,8 @@ import pytest
 
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
-from getagrip.hands.model import MIRROR, Side
-from getagrip.hands.trackers import Request, read
+from getagrip.hands.model import SIDE_MIRROR, Side
+from getagrip.hands.trackers import Request, read_tracked_hands
 from getagrip.hands.trackers.hamer import HaMeR
 from getagrip.provenance import is_assumed
 from helpers.estimator_files import (
@@ -34,7 +34,7 @@ def test_hamer(tmp_path: Path, mano_folder: Path, side: Side, kind: str, with_ma
     folder = mano_folder if with_mano else None
     known = Known(side, folder)
     paths = [write_npz(tmp_path / f"{name}_0.npz", hamer_record(known, n, kind)) for n, name in enumerate(FRAMES)]
-    hands = read(paths, HaMeR(), request(side, folder))
+    hands = read_tracked_hands(paths, HaMeR(), request(side, folder))
     np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
     seen = se3.transform(hands.track.T_cam_hand, hands.track.vertices)
     np.testing.assert_allclose(seen, known.vertices, atol=1e-6)
@@ -67,7 +67,7 @@ def test_later_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, side: Side)
         contents[path.read_bytes()] = record
     fake_torch(monkeypatch, contents)
     paths = sorted(tmp_path.glob("*.pt"))
-    hands = read(paths, HaMeR(), Request(side, FRAMES, np.tile(K2, (3, 1, 1)), size))
+    hands = read_tracked_hands(paths, HaMeR(), Request(side, FRAMES, np.tile(K2, (3, 1, 1)), size))
     np.testing.assert_allclose(joints_of(hands), both[side].joints, atol=1e-6)
 
 
@@ -92,7 +92,7 @@ def test_torch_is_named_where_it_is_missing(tmp_path: Path, monkeypatch: pytest.
     path = tmp_path / "000007.pt"
     path.write_bytes(b"PK")
     with pytest.raises(UsageError, match=r"pip install .*\[torch\]"):
-        read([path], HaMeR(), request("right"))
+        read_tracked_hands([path], HaMeR(), request("right"))
 
 
 @pytest.mark.parametrize("flipped", [False, True])
@@ -104,10 +104,10 @@ def test_keypoints_serve_where_there_is_no_mano(tmp_path: Path, side: Side, flip
     for n, name in enumerate(FRAMES):
         joints = known.joints[n] - known.t[n]
         if side == "left" and flipped:
-            joints = joints * MIRROR
+            joints = joints * SIDE_MIRROR
         record = hamer_record(known, n, "crop") | {"pred_keypoints_3d": joints}
         paths.append(write_npz(tmp_path / f"{name}.npz", record))
-    hands = read(paths, HaMeR(), request(side))
+    hands = read_tracked_hands(paths, HaMeR(), request(side))
     assert np.abs(joints_of(hands) - known.joints).max() < 0.01
     assert "fitted" in str(hands.provenance["hands"])
 
@@ -119,10 +119,10 @@ def test_several_hands_in_one_record(tmp_path: Path) -> None:
     both = {key: np.stack([r[key] for r in records]) for key in records[0]}
     path = write_npz(tmp_path / "000007.npz", both)
     for side, known in (("right", right), ("left", left)):
-        hands = read([path], HaMeR(), request(side))  # type: ignore[arg-type]
+        hands = read_tracked_hands([path], HaMeR(), request(side))  # type: ignore[arg-type]
         np.testing.assert_allclose(joints_of(hands), known.joints[:1], atol=1e-6)
     write_npz(path, both | {"right": np.ones(2)})
-    chosen = read([path], HaMeR(), request("right")).provenance["hands_chosen"]
+    chosen = read_tracked_hands([path], HaMeR(), request("right")).provenance["hands_chosen"]
     assert "several right hands in 1 of 1 frames" in str(chosen)
     assert is_assumed(chosen)
 
@@ -132,12 +132,12 @@ def test_img_size_as_height_and_width(tmp_path: Path) -> None:
     known = Known("right", None)
     record = hamer_record(known, 0, "full")
     path = write_npz(tmp_path / "000007.npz", record | {"img_size": record["img_size"][::-1]})
-    hands = read([path], HaMeR(), request("right"))
+    hands = read_tracked_hands([path], HaMeR(), request("right"))
     np.testing.assert_allclose(joints_of(hands), known.joints[:1], atol=1e-6)
     assert "img_size read as height and width, a guess" in str(hands.provenance["hands_focal"])
     write_npz(path, record | {"img_size": np.array([480.0, 480.0])})
     with pytest.raises(InputError, match=r"must be width and height like the clip's images, 640 x 480.*got 480 x 480"):
-        read([path], HaMeR(), request("right"))
+        read_tracked_hands([path], HaMeR(), request("right"))
 
 
 def test_one_file_of_many_images(tmp_path: Path) -> None:
@@ -155,8 +155,8 @@ def test_one_file_of_many_images(tmp_path: Path) -> None:
     ):  # fmt: skip
         path = tmp_path / "results.pkl"
         path.write_bytes(pickle.dumps(content))
-        hands = read([path], HaMeR(), request("left"))
+        hands = read_tracked_hands([path], HaMeR(), request("left"))
         np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
     path.write_bytes(pickle.dumps({"/data/video/000010.jpg": records[0]}))
     with pytest.raises(InputError, match=r"no name of a frame \(/data/video/000010.jpg"):
-        read([path], HaMeR(), request("left"))
+        read_tracked_hands([path], HaMeR(), request("left"))

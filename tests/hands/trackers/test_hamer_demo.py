@@ -11,7 +11,7 @@ import pytest
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands.model import Side
-from getagrip.hands.trackers import read
+from getagrip.hands.trackers import read_tracked_hands
 from getagrip.hands.trackers.hamer import HaMeR, WiLoR
 from helpers.estimator_files import (
     Known,
@@ -29,7 +29,7 @@ def test_what_hamers_demo_saves(tmp_path: Path, mano_folder: Path, side: Side) -
     for n in range(3):
         demo_files(folder, known, n)
     (folder / "000007_0.png").touch()
-    hands = read([folder], HaMeR(), request(side, mano_folder))
+    hands = read_tracked_hands([folder], HaMeR(), request(side, mano_folder))
     assert hands.found == (0, 1, 2)
     seen = se3.transform(hands.track.T_cam_hand, hands.track.vertices)
     off = seen - known.vertices
@@ -37,10 +37,10 @@ def test_what_hamers_demo_saves(tmp_path: Path, mano_folder: Path, side: Side) -
     assert np.abs(off[..., :2]).max() < 1e-4
     assert np.abs(off[..., 2]).max() < 0.003  # as far as the wrist is off
     assert np.abs(joints_of(hands) - known.joints).max() < 0.006
-    wilor = read([folder / "*.obj"], WiLoR(), request(side, mano_folder))
+    wilor = read_tracked_hands([folder / "*.obj"], WiLoR(), request(side, mano_folder))
     np.testing.assert_array_equal(wilor.track.vertices, hands.track.vertices)
     with pytest.raises(InputError, match=f"no {'left' if side == 'right' else 'right'} hand"):
-        read([folder], HaMeR(), request("left" if side == "right" else "right", mano_folder))
+        read_tracked_hands([folder], HaMeR(), request("left" if side == "right" else "right", mano_folder))
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -50,13 +50,13 @@ def test_joints_of_hamers_demo(tmp_path: Path, side: Side) -> None:
     for n in range(3):
         demo_files(tmp_path, known, n, mesh=False)
     with pytest.raises(UsageError, match="--save_mesh"):
-        read([tmp_path], HaMeR(), request(side))
-    stated = read([tmp_path], HaMeR(joints_of=side), request(side))
+        read_tracked_hands([tmp_path], HaMeR(), request(side))
+    stated = read_tracked_hands([tmp_path], HaMeR(joints_of=side), request(side))
     assert np.abs(joints_of(stated) - known.joints).max() < 0.006  # the generic hand's wrist is not MANO's
     known.vertices = known.vertices[:, :778]
     for n in range(3):
         demo_files(tmp_path, known, n, joints=False)
-    found = read([tmp_path], HaMeR(), request(side))
+    found = read_tracked_hands([tmp_path], HaMeR(), request(side))
     np.testing.assert_array_equal(joints_of(found), joints_of(stated))
 
 
@@ -71,10 +71,10 @@ def test_damaged_files_of_the_demo(tmp_path: Path, mano_folder: Path, refused: C
         (text.replace("v ", "v 1 2 3\nv ", 1), "779 vertices"),
     ):
         path.write_text(bad)
-        refused(lambda: read([path], HaMeR(), request("right", mano_folder)), str(path), words)
+        refused(lambda: read_tracked_hands([path], HaMeR(), request("right", mano_folder)), str(path), words)
     path.write_text(text)
     with pytest.raises(UsageError, match="--mano"):
-        read([path], HaMeR(), request("right"))
+        read_tracked_hands([path], HaMeR(), request("right"))
     joints = tmp_path / "000007_9_3dkeypoints.npy"  # the second of its batch
     np.save(joints, known.joints[:1])
-    refused(lambda: read([joints], HaMeR("right"), request("right")), "1 hands", "hand 9")
+    refused(lambda: read_tracked_hands([joints], HaMeR("right"), request("right")), "1 hands", "hand 9")

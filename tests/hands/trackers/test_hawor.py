@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from getagrip.clip.naming import renumbered
+from getagrip.clip.naming import renumber_frames
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.hands.model import Side
-from getagrip.hands.trackers import Request, read
+from getagrip.hands.trackers import Request, read_tracked_hands
 from getagrip.hands.trackers.hawor import HaWoR
 from helpers.estimator_files import (
     PIXELS,
@@ -27,7 +27,7 @@ from helpers.tracked_hands import SIDES, joints_of, request
 def from_0(side: Side, folder: Path) -> Request:
     """What is asked for where --first 0 is given."""
     asked = request(side, folder)
-    return replace(asked, frames=renumbered(asked.frames, 0, "--first"), ask_first="")
+    return replace(asked, frames=renumber_frames(asked.frames, 0, "--first"), ask_first="")
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -48,11 +48,13 @@ def test_hawor(tmp_path: Path, mano_folder: Path, side: Side) -> None:
     for name, asked in (("6_8.json", request(side, mano_folder)), ("0_2.json", from_0(side, mano_folder))):
         path = tmp_path / name
         path.write_text(json.dumps({key: value.tolist() for key, value in record.items()}))
-        hands = read([path], HaWoR(focal), asked)
+        hands = read_tracked_hands([path], HaWoR(focal), asked)
         np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
         assert hands.track.joints_2d is not None
         np.testing.assert_allclose(hands.track.joints_2d, PIXELS)
     with pytest.raises(UsageError, match="--first 0 if the clip's images were its input"):
-        read([path], HaWoR(focal), replace(request(side, mano_folder), frames=("000003", "000004", "000005")))
+        read_tracked_hands(
+            [path], HaWoR(focal), replace(request(side, mano_folder), frames=("000003", "000004", "000005"))
+        )
     with pytest.raises(UsageError, match="--estimator-focal"):
-        read([path], HaWoR(), request(side, mano_folder))
+        read_tracked_hands([path], HaWoR(), request(side, mano_folder))

@@ -11,10 +11,10 @@ import pytest
 
 from getagrip.errors import InputError, UsageError
 from getagrip.hands import generic
-from getagrip.hands.fit import ORDERS
-from getagrip.hands.model import MIRROR
-from getagrip.hands.trackers import read, records
-from getagrip.hands.trackers.joint_checks import check_before_camera, in_order
+from getagrip.hands.fit import JOINT_ORDERS
+from getagrip.hands.model import SIDE_MIRROR
+from getagrip.hands.trackers import read_tracked_hands, records
+from getagrip.hands.trackers.joint_checks import check_before_camera, reorder_joints
 from getagrip.hands.trackers.joints import Joints
 from helpers.estimator_files import Known, write_npz
 from helpers.tracked_hands import SIDES, joints_of, request
@@ -22,18 +22,18 @@ from helpers.tracked_hands import SIDES, joints_of, request
 PATH = Path("j.npz")
 HAND = generic.load("right").with_shape().with_pose(np.zeros(45))
 JOINTS = np.tile(np.reshape(HAND.joints, (1, 21, 3)) + np.array([0.0, 0.0, 0.6]), (3, 1, 1))
-HO3D = np.argsort(ORDERS["ho3d"])
+HO3D = np.argsort(JOINT_ORDERS["ho3d"])
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.005, 0.015])
 def test_the_order_that_fits_is_named(noise: float) -> None:
     """Noise alone is no reason to refuse joints."""
     joints = JOINTS + np.random.default_rng(0).normal(scale=noise, size=JOINTS.shape)
-    assert in_order(PATH, joints, "openpose", "right") == (pytest.approx(joints), "", "")
+    assert reorder_joints(PATH, joints, "openpose", "right") == (pytest.approx(joints), "", "")
     with pytest.raises(InputError, match="--order ho3d fits"):
-        in_order(PATH, joints[:, HO3D], "openpose", "right")
+        reorder_joints(PATH, joints[:, HO3D], "openpose", "right")
     with pytest.raises(InputError, match="--order openpose fits"):
-        in_order(PATH, joints, "ho3d", "right")
+        reorder_joints(PATH, joints, "ho3d", "right")
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -41,36 +41,36 @@ def test_order_auto(tmp_path: Path, side: str) -> None:
     known = Known(side, None)  # type: ignore[arg-type]
     for order, joints in (("openpose", known.joints), ("ho3d", known.joints[:, HO3D])):
         path = write_npz(tmp_path / "j.npz", {"joints": joints})
-        hands = read([path], Joints("auto"), request(side))  # type: ignore[arg-type]
+        hands = read_tracked_hands([path], Joints("auto"), request(side))  # type: ignore[arg-type]
         assert np.abs(joints_of(hands) - known.joints).max() < 0.01
         assert f"order {order}, a guess" in str(hands.provenance["hands_scale"])
     write_npz(path, {"joints": known.joints[:, np.random.default_rng(0).permutation(21)]})
     with pytest.raises(InputError, match="must be one order that fits"):
-        read([path], Joints("auto"), request(side))  # type: ignore[arg-type]
+        read_tracked_hands([path], Joints("auto"), request(side))  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="openpose, ho3d or auto"):
-        read([path], Joints(), request(side))  # type: ignore[arg-type]
+        read_tracked_hands([path], Joints(), request(side))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("axis", range(3))
 def test_mirrored_joints_are_said_to_be_the_other_hands(axis: int) -> None:
     centre = JOINTS.mean(axis=1, keepdims=True)
-    turned = (JOINTS - centre) * np.roll(MIRROR, axis) + centre
+    turned = (JOINTS - centre) * np.roll(SIDE_MIRROR, axis) + centre
     with pytest.raises(InputError, match=r"a left hand fits, .*: are they the other hand's, or mirrored"):
-        in_order(PATH, turned, "openpose", "right")
+        reorder_joints(PATH, turned, "openpose", "right")
     with pytest.raises(InputError, match="a left hand in --order openpose fits"):
-        in_order(PATH, turned, "ho3d", "right")
+        reorder_joints(PATH, turned, "ho3d", "right")
     noisy = turned + np.random.default_rng(0).normal(scale=0.005, size=turned.shape)
-    assert "a left hand fits" in in_order(PATH, noisy, "openpose", "right").warning
+    assert "a left hand fits" in reorder_joints(PATH, noisy, "openpose", "right").warning
 
 
 def test_joints_that_fit_no_hand_are_flagged(tmp_path: Path) -> None:
     known = Known("right", None)
     path = write_npz(tmp_path / "j.npz", {"joints": known.joints})
-    assert read([path], Joints("openpose"), request("right")).warnings == ()
+    assert read_tracked_hands([path], Joints("openpose"), request("right")).warnings == ()
     swapped = known.joints.copy()
     swapped[:, [4, 20]] = swapped[:, [20, 4]]
     write_npz(path, {"joints": swapped})
-    assert "mm off every pose of a hand" in read([path], Joints("openpose"), request("right")).warnings[0]
+    assert "mm off every pose of a hand" in read_tracked_hands([path], Joints("openpose"), request("right")).warnings[0]
 
 
 @pytest.mark.parametrize("about", [[0], [9], range(21)])
@@ -88,4 +88,4 @@ def test_a_dump_of_joblib_is_named(tmp_path: Path) -> None:
     for content in (named, zlib.compress(named), gzip.compress(named)):
         path.write_bytes(content)
         with pytest.raises(InputError, match=r"joblib\.load"):
-            records.read(path)
+            records.read_tracker_record(path)

@@ -12,7 +12,7 @@ from getagrip.clip.reading_arrays import read_hand
 from getagrip.clip.writing import write_hand
 from getagrip.errors import InputError
 from getagrip.geometry.camera import project
-from getagrip.hands.trackers import read
+from getagrip.hands.trackers import read_tracked_hands
 from getagrip.hands.trackers.joints import Joints
 from getagrip.hands.trackers.landmarks import Landmarks
 from getagrip.provenance import is_assumed
@@ -44,7 +44,7 @@ def files(folder: Path) -> dict[str, list[Path]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["a.npz", "a.json", "shares.json", "a.csv", "openpose"])
 def test_landmarks_become_the_hand(tmp_path: Path, kind: str) -> None:
-    hands = read(files(tmp_path)[kind], Landmarks(), request("right"))
+    hands = read_tracked_hands(files(tmp_path)[kind], Landmarks(), request("right"))
     assert hands.found == (0, 1, 2)
     apart = np.linalg.norm(project(K, joints_of(hands)) - POINTS, axis=-1)
     assert np.median(apart) < 0.05 * np.ptp(POINTS[0], axis=0).max()
@@ -79,7 +79,7 @@ def test_world_landmarks_turn_the_hand(tmp_path: Path, kind: str) -> None:
             )
         else:
             path.write_text(json.dumps(media_pipe(world[0, :, 2], kind.startswith("older"))))
-        found = joints_of(read([path], Landmarks("named"), request("right")))[0]
+        found = joints_of(read_tracked_hands([path], Landmarks("named"), request("right")))[0]
         z, true = found[:, 2] - found[:, 2].mean(), KNOWN.joints[0, :, 2] - KNOWN.joints[0, :, 2].mean()
         off.append(np.sqrt(np.mean((z - true) ** 2)))
     assert off[0] < 0.5 * off[1]
@@ -89,7 +89,7 @@ def test_world_landmarks_turn_the_hand(tmp_path: Path, kind: str) -> None:
 def test_other_world_landmarks_are_refused(tmp_path: Path, bad: np.ndarray) -> None:
     content = {"joints_2d": POINTS, "world_landmarks": bad, "frames": np.array(FRAMES)}
     with pytest.raises(InputError, match="world_landmarks"):
-        read([write_npz(tmp_path / "a.npz", content)], Landmarks(), request("right"))
+        read_tracked_hands([write_npz(tmp_path / "a.npz", content)], Landmarks(), request("right"))
 
 
 @pytest.mark.parametrize(
@@ -99,14 +99,14 @@ def test_world_landmarks_of_no_hand_are_refused(tmp_path: Path, world: object) -
     path = tmp_path / f"{FRAMES[0]}.json"
     path.write_text(json.dumps(media_pipe(np.zeros(21), False) | {"worldLandmarks": world}))
     with pytest.raises(InputError, match="world"):
-        read([path], Landmarks("named"), request("right"))
+        read_tracked_hands([path], Landmarks("named"), request("right"))
 
 
 def test_joints_of_another_reader_keep_theirs(tmp_path: Path) -> None:
     confidence = np.linspace(0.0, 1.0, 63).reshape(3, 21)
     content = {"joints": KNOWN.joints, "joints_2d": POINTS, "joints_2d_confidence": confidence}
     path = write_npz(tmp_path / "j.npz", content | {"frames": np.array(FRAMES)})
-    hand = read([path], Joints("openpose"), request("right")).track
+    hand = read_tracked_hands([path], Joints("openpose"), request("right")).track
     write_hand(hand, tmp_path / "hand.npz")
     again = read_hand(tmp_path / "hand.npz", 3).take(np.array([2, 0]))
     assert again.joints_2d is not None
@@ -119,4 +119,4 @@ def test_joints_of_another_reader_keep_theirs(tmp_path: Path) -> None:
 def test_other_arrays_are_refused(tmp_path: Path, bad: np.ndarray) -> None:
     path = write_npz(tmp_path / "a.npz", {"joints_2d": bad, "frames": np.array(FRAMES)})
     with pytest.raises(InputError, match="joints_2d"):
-        read([path], Landmarks(), request("right"))
+        read_tracked_hands([path], Landmarks(), request("right"))

@@ -11,7 +11,7 @@ import pytest
 from getagrip.geometry import se3
 from getagrip.hands import mano
 from getagrip.hands.model import Side
-from getagrip.hands.trackers import read
+from getagrip.hands.trackers import read_tracked_hands
 from getagrip.hands.trackers.mano_parameters import ManoParameters
 from helpers.estimator_files import (
     PIXELS,
@@ -35,7 +35,7 @@ def test_plain_parameters(tmp_path: Path, mano_folder: Path, side: Side, pose: A
         values = se3.exp_so3(values.reshape(3, 15, 3))
     content = {"global_orient": se3.log_so3(known.R), "hand_pose": values, "betas": known.betas, "transl": known.t}
     path = write_npz(tmp_path / "hands.npz", content | {"joints_2d": PIXELS})
-    hands = read([path], ManoParameters(pose, mean), request(side, mano_folder))
+    hands = read_tracked_hands([path], ManoParameters(pose, mean), request(side, mano_folder))
     np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
     assert hands.track.joints_2d is not None
     np.testing.assert_allclose(hands.track.joints_2d, PIXELS)

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from getagrip.clip.naming import frame_of
 from getagrip.errors import InputError
 from getagrip.geometry import se3
-from getagrip.hands.trackers import read
+from getagrip.hands.trackers import read_tracked_hands
 from getagrip.hands.trackers.frankmocap import FrankMocap
 from getagrip.hands.trackers.hamer import HaMeR
 from getagrip.hands.trackers.hawor import HaWoR
@@ -64,15 +64,20 @@ def test_paths_that_are_wrong_are_named(tmp_path: Path, refused: Callable[..., s
         (tmp_path / "empty", "a folder without such a file"),
         (other, "no name of a frame"),
     ):
-        refused(lambda path=path: read([path], HaMeR(), request("right")), str(path), words)
-    refused(lambda: read([right], HaMeR(), request("left")), str(right), "no left hand", "is it the right hand")
+        refused(lambda path=path: read_tracked_hands([path], HaMeR(), request("right")), str(path), words)
+    refused(
+        lambda: read_tracked_hands([right], HaMeR(), request("left")),
+        str(right),
+        "no left hand",
+        "is it the right hand",
+    )
 
 
 @pytest.mark.parametrize("key", BROKEN)
 def test_what_is_wrong_is_named(tmp_path: Path, refused: Callable[..., str], key: str) -> None:
     record = BROKEN[key](hamer_record(Known("right", None), 0, "crop"))
     path = write_npz(tmp_path / "000007.npz", record)
-    refused(lambda: read([path], HaMeR(), request("right")), str(path), key)
+    refused(lambda: read_tracked_hands([path], HaMeR(), request("right")), str(path), key)
 
 
 def test_no_code_is_run(tmp_path: Path, mano_folder: Path, refused: Callable[..., str]) -> None:
@@ -83,25 +88,29 @@ def test_no_code_is_run(tmp_path: Path, mano_folder: Path, refused: Callable[...
     path = tmp_path / "000007_prediction_result.pkl"
     for content in (Hostile(), {"pred_output_list": [Hostile()]}):
         path.write_bytes(pickle.dumps(content))
-        refused(lambda: read([path], FrankMocap(), request("right", mano_folder)), str(path), "nothing in it was run")
+        refused(
+            lambda: read_tracked_hands([path], FrankMocap(), request("right", mano_folder)),
+            str(path),
+            "nothing in it was run",
+        )
     np.save(tmp_path / "j.npy", np.array([Hostile()], dtype=object), allow_pickle=True)
-    refused(lambda: read([tmp_path / "j.npy"], Joints("openpose"), request("right")), "j.npy")
+    refused(lambda: read_tracked_hands([tmp_path / "j.npy"], Joints("openpose"), request("right")), "j.npy")
     assert not (tmp_path / "was-run").exists()
 
 
 def test_nested_and_lying_files(tmp_path: Path, mano_folder: Path, refused: Callable[..., str]) -> None:
     bomb = tmp_path / "6_8.json"
     bomb.write_text('{"init_trans":' + "[" * 100_000 + "]" * 100_000 + "}")
-    refused(lambda: read([bomb], HaWoR(600.0), request("right")), str(bomb))
+    refused(lambda: read_tracked_hands([bomb], HaWoR(600.0), request("right")), str(bomb))
     itself: dict[str, Any] = {}
     itself["pred_output_list"] = [itself]
     path = tmp_path / "000007.pkl"
     path.write_bytes(pickle.dumps(itself))
-    refused(lambda: read([path], FrankMocap(), request("right", mano_folder)), str(path))
+    refused(lambda: read_tracked_hands([path], FrankMocap(), request("right", mano_folder)), str(path))
     header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (99999999, 21, 3), }".ljust(117) + b"\n"
     lying = tmp_path / "j.npy"
     lying.write_bytes(b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header + b"\0" * 64)
-    refused(lambda: read([lying], Joints("openpose"), request("right")), str(lying))
+    refused(lambda: read_tracked_hands([lying], Joints("openpose"), request("right")), str(lying))
 
 
 @settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -132,7 +141,7 @@ def test_damaged_files_are_refused_or_read(tmp_path: Path, mano_folder: Path, da
     path.write_bytes(bytes(content))
     try:
         tracker = {"hamer": HaMeR(), "hawor": HaWoR(600.0), "frankmocap": FrankMocap()}[source]
-        hands = read([path], tracker, request("right", mano_folder if source == "frankmocap" else None))
+        hands = read_tracked_hands([path], tracker, request("right", mano_folder if source == "frankmocap" else None))
     except InputError as error:
         assert path.name in str(error)  # noqa: PT017
     else:
@@ -160,5 +169,5 @@ def test_small_pickles_that_are_large_in_memory(tmp_path: Path, mano_folder: Pat
         hand = frankmocap_record(Known("right", mano_folder), 0)
         hand["pred_output_list"][0]["right_hand"]["pred_camera"] = value
         path.write_bytes(pickle.dumps(hand))
-        printed = refused(lambda: read([path], FrankMocap(), request("right", mano_folder)), str(path))
+        printed = refused(lambda: read_tracked_hands([path], FrankMocap(), request("right", mano_folder)), str(path))
         assert re.search(words, printed)

@@ -17,12 +17,12 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands import generic
 from getagrip.hands.model import Side
-from getagrip.hands.trackers import TRACKERS, Hands, Request, Tracker, read, recognise
-from getagrip.hands.trackers.egodex import FINGERS, PARTS
+from getagrip.hands.trackers import TRACKERS, Request, TrackedHands, Tracker, read_tracked_hands, recognise
+from getagrip.hands.trackers.egodex import EGODEX_FINGER_JOINTS, EGODEX_FINGERS
 from getagrip.hands.trackers.joints import Joints
 from getagrip.hands.trackers.landmarks import Landmarks
 from getagrip.hands.trackers.lerobot import LeRobot
-from getagrip.hands.trackers.records import CONVERTS_HAWOR
+from getagrip.hands.trackers.records import HAWOR_CONVERSION_COMMAND
 from getagrip.io import arrays
 from helpers import other_estimators as forged
 from helpers.estimator_files import FRAMES, SIZE, K, Known, frankmocap_record, hamer_record, write_npz
@@ -64,13 +64,13 @@ WITH_MANO: dict[str, tuple[str, str, Write]] = {
 }
 
 
-def told_and_read(path: Path, name: str, words: str, side: Side, folder: Path | None, frames: int = 3) -> Hands:
+def told_and_read(path: Path, name: str, words: str, side: Side, folder: Path | None, frames: int = 3) -> TrackedHands:
     """The hands of files that are taken for those of the right program."""
     told, text = recognise([path], dict(TRACKERS.items()))
     assert told == name
     assert words in text
     asked = request(side, folder)
-    return read([path], TRACKERS[told], replace(asked, frames=asked.frames[:frames], K=asked.K[:frames]))
+    return read_tracked_hands([path], TRACKERS[told], replace(asked, frames=asked.frames[:frames], K=asked.K[:frames]))
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -98,7 +98,7 @@ def test_frankmocap(tmp_path: Path) -> None:
 def as_plain_joints(place: Path, known: Known) -> np.ndarray:
     """The hand that is fitted to the 21 joints alone."""
     path = write_npz(place / "joints.npz", {"joints": known.joints})
-    return joints_of(read([path], Joints(order="openpose"), request(known.side)))
+    return joints_of(read_tracked_hands([path], Joints(order="openpose"), request(known.side)))
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -119,7 +119,7 @@ def test_egovision(tmp_path: Path, side: Side) -> None:
     np.testing.assert_allclose(joints_of(hands), as_plain_joints(tmp_path, known), atol=1e-6)
     assert "filled in" in str(hands.provenance["hands_focal"])  # the second frame's, a guess of a network
     with pytest.raises(InputError, match=r"no (left|right) hand in the clip's frames"):
-        read([path], TRACKERS["egovision"], request("left" if side == "right" else "right"))
+        read_tracked_hands([path], TRACKERS["egovision"], request("left" if side == "right" else "right"))
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -160,9 +160,9 @@ def test_mediapipes_sides_are_asked_for_where_both_are_there(tmp_path: Path) -> 
         content["handedness"].append([{"category_name": "Right"}])
         forged.write_json(path, content)
     with pytest.raises(UsageError, match="missing --sides"):
-        read([folder], Landmarks(), request("right"))
+        read_tracked_hands([folder], Landmarks(), request("right"))
     for sides, factor in (("swapped", 1.0), ("named", 0.5)):
-        hands = read([folder], Landmarks(sides=sides), request("right"))  # type: ignore[arg-type]
+        hands = read_tracked_hands([folder], Landmarks(sides=sides), request("right"))  # type: ignore[arg-type]
         assert hands.track.joints_2d is not None
         expected = forged.landmarks(known) * [factor, 1.0]
         np.testing.assert_allclose(hands.track.joints_2d, expected, atol=1e-3)
@@ -174,7 +174,7 @@ def test_egodex(tmp_path: Path, side: Side) -> None:
     known = Known(side, None)
     rng = np.random.default_rng(0)
     T_world_cam = se3.rigid(se3.exp_so3(rng.normal(size=(3, 3))), rng.normal(size=(3, 3)))
-    names = ["Hand", *(f"{finger}{part}" for finger in FINGERS for part in PARTS)]
+    names = ["Hand", *(f"{finger}{part}" for finger in EGODEX_FINGERS for part in EGODEX_FINGER_JOINTS)]
     with h5py.File(tmp_path / "0.hdf5", "w") as episode:
         episode["transforms/camera"] = T_world_cam.astype(np.float32)
         for row, name in enumerate(names):
@@ -187,7 +187,7 @@ def test_egodex(tmp_path: Path, side: Side) -> None:
         del episode["transforms/camera"]
         episode["transforms/camera"] = h5py.ExternalLink("/etc/other.hdf5", "camera")
     with pytest.raises(InputError, match="transforms/camera"):
-        read([tmp_path / "0.hdf5"], TRACKERS["egodex"], request(side))
+        read_tracked_hands([tmp_path / "0.hdf5"], TRACKERS["egodex"], request(side))
 
 
 @pytest.mark.slow
@@ -204,16 +204,16 @@ def test_columns_of_lerobot(tmp_path: Path) -> None:
     (tmp_path / "data" / "chunk-000").mkdir(parents=True)
     parquet.write_table(pa.table(columns), tmp_path / "data" / "chunk-000" / "file-000.parquet")
     assert recognise([tmp_path], dict(TRACKERS.items()))[0] == "lerobot"
-    hands = read([tmp_path], LeRobot("observation.hands", 4), request("right"))
+    hands = read_tracked_hands([tmp_path], LeRobot("observation.hands", 4), request("right"))
     np.testing.assert_allclose(joints_of(hands), as_plain_joints(tmp_path, known), atol=1e-9)
-    seen = read([tmp_path], LeRobot("observation.landmarks", 4), request("right")).track.joints_2d
+    seen = read_tracked_hands([tmp_path], LeRobot("observation.landmarks", 4), request("right")).track.joints_2d
     np.testing.assert_allclose(seen, forged.landmarks(known), atol=1e-9)  # type: ignore[arg-type]
     with pytest.raises(UsageError, match=r"missing --column: .*observation\.hands, observation\.landmarks"):
-        read([tmp_path], LeRobot(), request("right"))
+        read_tracked_hands([tmp_path], LeRobot(), request("right"))
     with pytest.raises(InputError, match="no row of episode 5"):
-        read([tmp_path], LeRobot("observation.hands", 5), request("right"))
+        read_tracked_hands([tmp_path], LeRobot("observation.hands", 5), request("right"))
     with pytest.raises(InputError, match="42, 63, 84 or 126"):
-        read([tmp_path], LeRobot("frame_index", 4), request("right"))
+        read_tracked_hands([tmp_path], LeRobot("frame_index", 4), request("right"))
 
 
 def test_what_nobody_knows_is_refused_with_what_was_looked_for(tmp_path: Path) -> None:
@@ -237,13 +237,13 @@ def test_the_line_that_the_error_about_joblib_shows(tmp_path: Path, monkeypatch:
     path.write_bytes(b"\x80\x04joblib.numpy_pickle")
     with pytest.raises(InputError) as error:
         recognise([path], dict(TRACKERS.items()))
-    assert CONVERTS_HAWOR in str(error.value)
+    assert HAWOR_CONVERSION_COMMAND in str(error.value)
     known = generic.load("right").with_shape().joints
     fake = types.ModuleType("joblib")
     fake.load = lambda _: [known, known, known, known, known > 0]  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "joblib", fake)
     monkeypatch.chdir(tmp_path)
-    exec(CONVERTS_HAWOR, {})
+    exec(HAWOR_CONVERSION_COMMAND, {})
     found = arrays.read(tmp_path / "world_space_res.npz", lambda _: True)
     assert sorted(found) == ["pred_betas", "pred_hand_pose", "pred_rot", "pred_trans", "pred_valid"]
 
@@ -270,7 +270,7 @@ def test_rows_of_lerobot_are_matched_by_their_times(tmp_path: Path, every: int) 
     asked = Request(
         "right", tuple(f"{n:06d}" for n in range(1, 8)), np.tile(K, (7, 1, 1)), SIZE, times=np.arange(7) / 30
     )
-    hands = read([folder], LeRobot("hands"), asked)
+    hands = read_tracked_hands([folder], LeRobot("hands"), asked)
     assert hands.found == tuple(range(0, 7, every))
     assert np.abs(joints_of(hands) - joints[::every]).max() < 0.02
     assert ("matched by timestamp" in str(hands.provenance["hands_scale"])) == (every == 3)
@@ -282,15 +282,17 @@ def test_halves_of_both_hands_are_tested_named_or_asked_for(tmp_path: Path, firs
     left = right * [-1.0, 1.0, 1.0]
     order = (left, right) if first == "left" else (right, left)
     both = np.concatenate([each.reshape(3, 63) for each in order], axis=1)
-    hands = read([dataset(tmp_path / "a", both, 30.0)], LeRobot("hands"), request("right"))
+    hands = read_tracked_hands([dataset(tmp_path / "a", both, 30.0)], LeRobot("hands"), request("right"))
     assert np.abs(joints_of(hands) - right).max() < 0.01
     assert f"the {first} hand first" in str(hands.provenance["hands_scale"])
     flat = np.concatenate([(each @ K.T)[..., :2] / (each @ K.T)[..., 2:] for each in order], axis=1).reshape(3, 84)
     with pytest.raises(UsageError, match="--halves left-first or right-first"):
-        read([dataset(tmp_path / "b", flat, 30.0)], LeRobot("hands"), request("right"))
+        read_tracked_hands([dataset(tmp_path / "b", flat, 30.0)], LeRobot("hands"), request("right"))
     names = [f"{side}_{n}" for side in (first, "right" if first == "left" else "left") for n in range(42)]
-    named = read([dataset(tmp_path / "c", flat, 30.0, names)], LeRobot("hands"), request("right")).track.joints_2d
+    named = read_tracked_hands(
+        [dataset(tmp_path / "c", flat, 30.0, names)], LeRobot("hands"), request("right")
+    ).track.joints_2d
     stating = replace(LeRobot("hands"), halves=f"{first}-first")
-    stated = read([tmp_path / "b"], stating, request("right")).track.joints_2d
+    stated = read_tracked_hands([tmp_path / "b"], stating, request("right")).track.joints_2d
     for each in (named, stated):
         np.testing.assert_allclose(each, ((right @ K.T)[..., :2] / (right @ K.T)[..., 2:]), atol=1e-6)  # type: ignore[arg-type]

@@ -12,7 +12,7 @@ from getagrip.clip import FINGERS
 from getagrip.geometry import se3
 from getagrip.hands import generic, mano
 from getagrip.hands.model import PALM_REGIONS, Side
-from getagrip.hands.trackers import read
+from getagrip.hands.trackers import read_tracked_hands
 from getagrip.hands.trackers.hamer import HaMeR
 from getagrip.io import arrays
 from helpers.estimator_files import (
@@ -40,7 +40,7 @@ def test_scripts_write_what_the_importer_makes(tmp_path: Path, mano_folder: Path
     spec.loader.exec_module(hand_file)
     records = [hamer_record(known, n, "crop") for n in range(3)]
     paths = [write_npz(tmp_path / f"{name}.npz", r) for name, r in zip(FRAMES, records, strict=True)]
-    expected = read(paths, HaMeR(), request(side, mano_folder)).track
+    expected = read_tracked_hands(paths, HaMeR(), request(side, mano_folder)).track
     right = mano.load(mano_folder / "MANO_RIGHT.pkl", "right").model
     vertices, joints, poses = [], [], []
     for n, record in enumerate(records):
@@ -61,7 +61,7 @@ def test_scripts_write_what_the_importer_makes(tmp_path: Path, mano_folder: Path
     for field in ("vertices", "T_cam_hand", "joints", "faces"):
         np.testing.assert_allclose(written[field], getattr(expected, field), atol=1e-6)
     hand = generic.load("right")  # a surface, on which normals weighted by area and by angle agree
-    regions = mano.regions(hand.template, hand.faces, hand.joints, hand.weights)
+    regions = mano.mano_contact_regions(hand.template, hand.faces, hand.joints, hand.weights)
     by_script = hand_file.contact_regions(hand.template, hand.joints, hand.faces, hand.weights)
     assert set(by_script) == set(regions) == {*FINGERS, *PALM_REGIONS} == {*expected.regions}
     for name, ids in regions.items():

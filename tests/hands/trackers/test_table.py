@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from getagrip.errors import UsageError
-from getagrip.hands.trackers import TRACKERS, choose, read
+from getagrip.hands.trackers import TRACKERS, choose_tracker, read_tracked_hands
 from getagrip.hands.trackers.hawor import HaWoR
 from getagrip.hands.trackers.joints import Joints
 from getagrip.hands.trackers.mano_parameters import ManoParameters
@@ -27,14 +27,14 @@ def test_what_no_file_states_is_asked_for(tmp_path: Path) -> None:
         (Joints(), "--order"),
     ]:
         with pytest.raises(UsageError, match=word):
-            read([path], tracker, request("right"))
+            read_tracked_hands([path], tracker, request("right"))
 
 
 def test_trackers_are_chosen_by_name() -> None:
     for name, tracker in TRACKERS.items():
-        assert choose(name) is tracker
+        assert choose_tracker(name) is tracker
     with pytest.raises(UsageError, match="unknown --from 'hammer'; choose from hamer, wilor, hawor, frankmocap, mano,"):
-        choose("hammer")
+        choose_tracker("hammer")
 
 
 @pytest.mark.slow
@@ -53,6 +53,6 @@ def test_the_command_takes_what_the_table_lists(run: Run, monkeypatch: pytest.Mo
 
 def test_options_of_another_tracker_are_refused() -> None:
     given = {**TRACKERS, "hawor": HaWoR(estimator_focal=600.0)}
-    assert choose("hawor", given) == HaWoR(600.0)
+    assert choose_tracker("hawor", given) == HaWoR(600.0)
     with pytest.raises(UsageError, match=r"--estimator-focal cannot be used with .*: it belongs to --from hawor"):
-        choose("hamer", given)
+        choose_tracker("hamer", given)

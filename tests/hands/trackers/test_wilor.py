@@ -10,7 +10,7 @@ import pytest
 
 from getagrip.geometry import se3
 from getagrip.hands.model import Side
-from getagrip.hands.trackers import Tracker, read
+from getagrip.hands.trackers import Tracker, read_tracked_hands
 from getagrip.hands.trackers.hamer import HaMeR, WiLoR
 from helpers.estimator_files import (
     FRAMES,
@@ -39,5 +39,5 @@ def test_mini(tmp_path: Path, mano_folder: Path, side: Side, tracker: Tracker, k
         path = tmp_path / f"{name}.pkl"
         path.write_bytes(pickle.dumps([{"is_right": float(side == "right"), key: inner}]))
         paths.append(path)
-    hands = read(paths, tracker, request(side, mano_folder))
+    hands = read_tracked_hands(paths, tracker, request(side, mano_folder))
     np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)

@@ -46,7 +46,7 @@ def test_everything_else_in_a_dictionary_of_arrays(protocol: int) -> None:
 def test_dictionary_in_an_array_of_one_object(tmp_path: Path) -> None:
     given = {"a": HERE, "objects": np.array([{"x": 1}, None], dtype=object)}
     np.save(tmp_path / "a.npy", given, allow_pickle=True)
-    got = pickles.read_file(tmp_path / "a.npy", "a dictionary")
+    got = pickles.read_pickle_file(tmp_path / "a.npy", "a dictionary")
     assert same(got["a"], HERE)
     assert got["objects"] == [{"x": 1}, None]
 

@@ -110,7 +110,7 @@ def test_small_files_take_little_memory() -> None:
 
 def test_long_programs_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """An empty container takes a byte in the file and hundreds in memory."""
-    monkeypatch.setattr(machine, "MOST_INSTRUCTIONS", 100)
+    monkeypatch.setattr(machine, "MAX_PICKLE_INSTRUCTIONS", 100)
     assert read(b"}" + b"]0" * 48 + b".") == {}
     with pytest.raises(InputError, match="more than 100 instructions"):
         read(b"}" + b"]0" * 50 + b".")

@@ -22,22 +22,27 @@ from getagrip.datasets import joint_tracks, ycb
 from getagrip.datasets.cutting import CutSource, TrackedDataset
 from getagrip.datasets.dataset import Note, Part
 from getagrip.datasets.dexycb import timelines
-from getagrip.datasets.dexycb.recording import SIZE, Recording, Sequence, find
+from getagrip.datasets.dexycb.recording import (
+    DEXYCB_IMAGE_SIZE_PX,
+    DexYcbRecording,
+    UnreadSequence,
+    find_dexycb_sequences,
+)
 from getagrip.datasets.joint_tracks import describe_fit
-from getagrip.datasets.tracks import Piece, Source, Track
+from getagrip.datasets.tracks import SequenceSource, Track, TrackPiece
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
-from getagrip.grasps.definition import FEWEST, GraspOptions
-from getagrip.grasps.lists import BETWEEN
+from getagrip.grasps.definition import MIN_GRASP_FRAMES, GraspOptions
+from getagrip.grasps.lists import CLIP_NAME_SEPARATOR
 from getagrip.io.arguments import Flag
-from getagrip.io.terminal import counted
+from getagrip.io.terminal import format_count
 from getagrip.metrics.surface_distance import signed_distance
 
 if TYPE_CHECKING:
     from getagrip.geometry.render import Surface
 
-WITHIN_10_MM = GraspOptions(contact_mm=10.0)
-FPS = 30.0
+GRASPS_WITHIN_10_MM = GraspOptions(contact_mm=10.0)
+DEXYCB_FPS = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +51,7 @@ class DexYcb(TrackedDataset):
 
     root: Annotated[Positional[Path], arg(metavar="ROOT")]
     """Folder of the dataset, as published; or a packed file of its sequences (.npz), or a folder of such files."""
-    grasps: Annotated[GraspOptions, arg(name="")] = WITHIN_10_MM
+    grasps: Annotated[GraspOptions, arg(name="")] = GRASPS_WITHIN_10_MM
     """Definition of a stable grasp."""
 
     meshes: ycb.Models = None
@@ -55,14 +60,14 @@ class DexYcb(TrackedDataset):
     timelines: Flag = False
     """Import whole sequences instead of grasps, with masks and segments (docs/timelines.md)."""
 
-    def sources(self) -> list[Source]:
+    def sources(self) -> list[SequenceSource]:
         """List the sequences of DexYCB's own folder, of a packed file, or of a folder of such files."""
-        models = ycb.folder(self.root, self.meshes)
-        shortest = self.grasps.shortest if self.grasps.listed is None else FEWEST
-        found = find(self.root)
+        models = ycb.ycb_models_folder(self.root, self.meshes)
+        shortest = self.grasps.shortest if self.grasps.listed is None else MIN_GRASP_FRAMES
+        found = find_dexycb_sequences(self.root)
         if self.timelines:
-            found = timelines.with_table(found, models)
-        return [Source(s.name, partial(_tracks, s, models, self.whole, shortest)) for s in found]
+            found = timelines.add_table_pose(found, models)
+        return [SequenceSource(s.name, partial(_read_dexycb_tracks, s, models, self.whole, shortest)) for s in found]
 
     def parts(self, note: Note) -> AnyOf[Part]:
         """List its sequences, cut to stable grasps, or whole.
@@ -74,7 +79,7 @@ class DexYcb(TrackedDataset):
         if self.whole or self.grasps.listed is not None:
             raise UsageError("--timelines cannot be used with --whole or --list")
         definition = self.grasps.definition()
-        of = partial(timelines.pieces, definition=definition)
+        of = partial(timelines.dexycb_timeline_pieces, definition=definition)
         return [CutSource(source, of, definition.shortest) for source in self.sources()]
 
     def cut_record(self) -> dict[str, object] | None:
@@ -83,7 +88,7 @@ class DexYcb(TrackedDataset):
 
 
 @dataclass(frozen=True)
-class Hand:
+class FittedRecordingHand:
     """The generic hand fitted to the frames of a sequence that have joints."""
 
     track: HandTrack
@@ -105,13 +110,13 @@ class FittedTrack(Track):
     @property
     def name(self) -> str:
         """Name of its clips, without the count."""
-        return BETWEEN.join([self.subject, self.sequence, self.category])
+        return CLIP_NAME_SEPARATOR.join([self.subject, self.sequence, self.category])
 
     def take(self, index: Int[ndarray, "n"]) -> Self:
         """Return the track at some of its frames."""
         return replace(super().take(index), residuals=self.residuals[index])
 
-    def describe(self, piece: Piece) -> dict[str, object]:
+    def describe(self, piece: TrackPiece) -> dict[str, object]:
         """Return the provenance of a piece's clip, with the limits of its hand."""
         first, last = piece.track.numbers[[0, -1]]
         depth = self.hand_depth()
@@ -131,7 +136,7 @@ class FittedTrack(Track):
             + ", ".join(f"{finger} {1e3 * d:.1f}" for finger, d in zip(FINGERS, pads, strict=True))
             + f" mm from the object (median over frames; negative: inside), at most {-1e3 * depth.min():.1f} mm inside",
             **({"stable_contact_area": piece.stable_area} if piece.stable_area else {}),
-            "dropped": f"{counted(len(piece.track) - len(self), 'frame')} in which the object is not visible",
+            "dropped": f"{format_count(len(piece.track) - len(self), 'frame')} in which the object is not visible",
         }
 
     def hand_depth(self) -> Float[ndarray, "T V"]:
@@ -141,23 +146,27 @@ class FittedTrack(Track):
         return signed_distance(points.reshape(-1, 3), mesh.vertices, mesh.faces).reshape(points.shape[:2])
 
 
-def _tracks(sequence: Sequence, models: Path, whole: bool, shortest: int, note: Note) -> list[Track]:
+def _read_dexycb_tracks(sequence: UnreadSequence, models: Path, whole: bool, shortest: int, note: Note) -> list[Track]:
     """Return the one track of a sequence; none where the hand is hardly ever known. Raises ``InputError``."""
     recording = sequence.read()
     if np.count_nonzero(recording.hand_known) < shortest:
         note(f"{sequence.name}: the hand is known in fewer than {shortest} frames: skipped")
         return []
-    mesh, hand, poses = ycb.mesh(models, recording.grasped), fit_hand(recording), recording.objects[recording.grasped]
+    mesh, hand, poses = (
+        ycb.read_ycb_mesh(models, recording.grasped),
+        fit_recording_hand(recording),
+        recording.objects[recording.grasped],
+    )
     track = Track(
         file=recording.file,
         subject=recording.subject,
         sequence=recording.sequence,
         category=recording.grasped,
         side=recording.side,
-        fps=FPS,
+        fps=DEXYCB_FPS,
         numbers=hand.frames,
         digits=6,
-        size=SIZE,
+        size=DEXYCB_IMAGE_SIZE_PX,
         K=recording.K,
         hand=hand.track,
         T_cam_obj=poses.T_cam_obj[hand.frames],
@@ -168,7 +177,7 @@ def _tracks(sequence: Sequence, models: Path, whole: bool, shortest: int, note: 
             "camera": recording.camera or "one of DexYCB's, not necessarily the sequence's own",
             "scale": "YCB mesh, true size",
         },
-        read_masks=partial(_masks, recording, hand, models),
+        read_masks=partial(_render_dexycb_masks, recording, hand, models),
         world=None
         if recording.T_table_cam is None
         else World(np.tile(recording.T_table_cam, (len(hand.frames), 1, 1)), np.array([0.0, 0.0, 1.0])),
@@ -178,7 +187,7 @@ def _tracks(sequence: Sequence, models: Path, whole: bool, shortest: int, note: 
     return [track.take(np.flatnonzero(poses.known[hand.frames]))]
 
 
-def _masks(recording: Recording, hand: Hand, models: Path, n: int) -> FrameMasks:
+def _render_dexycb_masks(recording: DexYcbRecording, hand: FittedRecordingHand, models: Path, n: int) -> FrameMasks:
     """Render the grasped object's mask in frame n, and the ignored pixels (the hand, other objects with a mesh)."""
     from getagrip.geometry.render import true_masks  # loads numba
 
@@ -190,14 +199,14 @@ def _masks(recording: Recording, hand: Hand, models: Path, n: int) -> FrameMasks
     grasped = surfaces.pop(recording.grasped)
     row = int(np.searchsorted(hand.frames, n))
     in_front = se3.transform(hand.track.T_cam_hand[row], hand.track.vertices[row]), hand.track.faces
-    return FrameMasks(*true_masks(grasped, [in_front], list(surfaces.values()), recording.K, SIZE))
+    return FrameMasks(*true_masks(grasped, [in_front], list(surfaces.values()), recording.K, DEXYCB_IMAGE_SIZE_PX))
 
 
-def fit_hand(recording: Recording) -> Hand:
+def fit_recording_hand(recording: DexYcbRecording) -> FittedRecordingHand:
     """Fit the generic hand in every frame that has joints, with one shape.
 
     Raises ``InputError`` where they are no hand's.
     """
     joints = recording.joints[recording.hand_known]
     fitted = joint_tracks.fit_hand(recording.file, recording.sequence, recording.side, joints)
-    return Hand(fitted.track, np.flatnonzero(recording.hand_known), fitted.residuals)
+    return FittedRecordingHand(fitted.track, np.flatnonzero(recording.hand_known), fitted.residuals)

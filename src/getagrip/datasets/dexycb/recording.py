@@ -1,4 +1,4 @@
-"""DexYCB's files as arrays: one ``Recording`` for each sequence, all in the frame of one of its cameras.
+"""DexYCB's files as arrays: one ``DexYcbRecording`` for each sequence, all in the frame of one of its cameras.
 
 Read are DexYCB's own layout, as its toolkit (https://github.com/NVlabs/dex-ycb-toolkit) describes it,
 
@@ -27,14 +27,14 @@ from numpy import ndarray
 from getagrip.datasets.dexycb import calibration
 from getagrip.errors import InputError
 from getagrip.geometry import se3
-from getagrip.hands.fit import ORDERS
+from getagrip.hands.fit import JOINT_ORDERS
 from getagrip.hands.model import Side
 from getagrip.io import arrays
-from getagrip.io.files import is_plain_name, listed, plain, shown
+from getagrip.io.files import is_portable_name, list_files, printable, shorten_value
 
-SIZE = (640, 480)
+DEXYCB_IMAGE_SIZE_PX = (640, 480)
 """Width and height of DexYCB's images [px]."""
-YCB = {
+YCB_NAME_BY_ID = {
     1: "002_master_chef_can",
     2: "003_cracker_box",
     3: "004_sugar_box",
@@ -61,7 +61,7 @@ YCB = {
 PACKED_K = np.array([[616.641, 0.0, 308.548], [0.0, 616.258, 248.523], [0.0, 0.0, 1.0]])
 """One of DexYCB's cameras [px]; packed files do not say which camera's frame they are in."""
 PACKED_ARRAYS = ("sequence", "object", "offset", "obj_quat_xyzw", "obj_trans", "joints", "hand_valid")
-MOST_FRAMES = 20_000
+MAX_DEXYCB_FRAMES = 20_000
 """Most frames of a sequence; DexYCB's have 72."""
 
 
@@ -74,7 +74,7 @@ class ObjectPoses:
 
 
 @dataclass(frozen=True)
-class Recording:
+class DexYcbRecording:
     """One sequence: a hand takes one of the objects on a table."""
 
     file: Path
@@ -96,46 +96,48 @@ class Recording:
 
 
 @dataclass(frozen=True)
-class Sequence:
+class UnreadSequence:
     """A sequence that is yet to be read; it can be sent to another process."""
 
     name: str
-    read: Callable[[], Recording]
+    read: Callable[[], DexYcbRecording]
     """Read a hand file; raise ``InputError`` for a malformed one."""
 
 
-def find(root: Path) -> list[Sequence]:
+def find_dexycb_sequences(root: Path) -> list[UnreadSequence]:
     """Find the sequences of a packed file, of a folder of packed files, or of DexYCB's own layout.
 
     Raises ``InputError`` where there is none, and for packed files that are malformed.
     """
-    packed = [root] if root.is_file() else listed(root, (".npz",))
+    packed = [root] if root.is_file() else list_files(root, (".npz",))
     if packed:
-        return [sequence for file in packed for sequence in _packed(file)]
+        return [sequence for file in packed for sequence in _find_packed_sequences(file)]
     if not root.is_dir():
         raise InputError(root, "", "no such file or folder", "DexYCB's folder, or a packed file of its sequences")
     folders = [meta.parent for meta in sorted(root.glob("*/*/meta.yml"))]
     if not folders:
         raise InputError(root, "", "no <subject>/<sequence>/meta.yml and no .npz in it", "DexYCB's own layout")
-    return [Sequence(f"{f.parent.name}/{f.name}", partial(_read_folder, root, f)) for f in folders]
+    return [UnreadSequence(f"{f.parent.name}/{f.name}", partial(_read_sequence_folder, root, f)) for f in folders]
 
 
-def _packed(path: Path) -> list[Sequence]:
+def _find_packed_sequences(path: Path) -> list[UnreadSequence]:
     """Read the sequences of a packed file. Which hand it is shows in how the fingers bend."""
     stored = arrays.read(path, PACKED_ARRAYS.__contains__)
-    names, grasped = _texts(path, stored, "sequence"), _texts(path, stored, "object")
+    names, grasped = _parse_texts(path, stored, "sequence"), _parse_texts(path, stored, "object")
     q = arrays.floats(path, stored, "obj_quat_xyzw", (-1, 4))
     N, S = len(q), len(names)
     t = arrays.floats(path, stored, "obj_trans", (N, 3))
-    joints = arrays.floats(path, stored, "joints", (N, 21, 3))[:, ORDERS["ho3d"]]
-    known = _array(path, stored, "hand_valid", (N,), "b")
-    offset = _array(path, stored, "offset", (S + 1,), "iu").astype(np.int64)
+    joints = arrays.floats(path, stored, "joints", (N, 21, 3))[:, JOINT_ORDERS["ho3d"]]
+    known = _check_array(path, stored, "hand_valid", (N,), "b")
+    offset = _check_array(path, stored, "offset", (S + 1,), "iu").astype(np.int64)
     if len(grasped) != S:
         raise InputError(path, "object", f"{len(grasped)} names", f"{S}, one for each sequence")
     if offset[0] != 0 or offset[-1] != N or np.any(np.diff(offset) <= 0):
-        raise InputError(path, "offset", shown(offset.tolist()), f"rising numbers from 0 to {N}")
-    if np.diff(offset).max() > MOST_FRAMES:
-        raise InputError(path, "offset", f"a sequence of {np.diff(offset).max()} frames", f"at most {MOST_FRAMES}")
+        raise InputError(path, "offset", shorten_value(offset.tolist()), f"rising numbers from 0 to {N}")
+    if np.diff(offset).max() > MAX_DEXYCB_FRAMES:
+        raise InputError(
+            path, "offset", f"a sequence of {np.diff(offset).max()} frames", f"at most {MAX_DEXYCB_FRAMES}"
+        )
     lengths = np.linalg.norm(q, axis=1)
     if np.abs(lengths - 1.0).max() > 1e-2:
         input_length = f"a quaternion of length {lengths[np.argmax(np.abs(lengths - 1.0))]:.3g}"
@@ -144,14 +146,14 @@ def _packed(path: Path) -> list[Sequence]:
     for i, (name, obj) in enumerate(zip(names, grasped, strict=True)):
         rows = slice(offset[i], offset[i + 1])
         subject, _, sequence = name.partition("/")
-        if not (_is_name(subject) and _is_name(sequence)):
-            raise InputError(path, f"sequence[{i}]", shown(name), "<subject>/<sequence>")
-        if not _is_name(obj):
-            raise InputError(path, f"object[{i}]", shown(obj), "the name of an object")
+        if not (_is_clip_name_part(subject) and _is_clip_name_part(sequence)):
+            raise InputError(path, f"sequence[{i}]", shorten_value(name), "<subject>/<sequence>")
+        if not _is_clip_name_part(obj):
+            raise InputError(path, f"object[{i}]", shorten_value(obj), "the name of an object")
         T_cam_obj = se3.rigid(se3.from_quaternion(np.roll(q[rows], 1, axis=1)), t[rows])
         poses = ObjectPoses(T_cam_obj, np.ones(len(T_cam_obj), dtype=bool))
         read = partial(_packed_recording, path, subject, sequence, obj, poses, joints[rows], known[rows])
-        sequences.append(Sequence(name, read))
+        sequences.append(UnreadSequence(name, read))
     return sequences
 
 
@@ -163,12 +165,12 @@ def _packed_recording(
     poses: ObjectPoses,
     joints: Float[ndarray, "N 21 3"],
     known: Bool[ndarray, "N"],
-) -> Recording:
-    side = bent_side(joints[known])
-    return Recording(path, subject, sequence, "", side, grasped, {grasped: poses}, joints, known, PACKED_K)
+) -> DexYcbRecording:
+    side = infer_hand_side(joints[known])
+    return DexYcbRecording(path, subject, sequence, "", side, grasped, {grasped: poses}, joints, known, PACKED_K)
 
 
-def bent_side(joints: Float[ndarray, "N 21 3"]) -> Side:
+def infer_hand_side(joints: Float[ndarray, "N 21 3"]) -> Side:
     """Return the side of a hand: fingers bend towards the palm, which left and right hands have on opposite sides."""
     wrist, index, pinky = joints[:, 0], joints[:, 5], joints[:, 17]
     towards = np.cross(index - wrist, pinky - wrist)  # the palm of a right hand, the back of a left one
@@ -176,23 +178,23 @@ def bent_side(joints: Float[ndarray, "N 21 3"]) -> Side:
     return "right" if np.sum(towards * bent) > 0.0 else "left"
 
 
-def _read_folder(root: Path, folder: Path) -> Recording:
+def _read_sequence_folder(root: Path, folder: Path) -> DexYcbRecording:
     """Read a sequence of DexYCB's own layout, in the camera that sees most of the grasped object at the end."""
     path = folder / "meta.yml"
-    if not (_is_name(folder.parent.name) and _is_name(folder.name)):
+    if not (_is_clip_name_part(folder.parent.name) and _is_clip_name_part(folder.name)):
         raise InputError(path, "", "a folder name that cannot be part of a clip's", "<subject>/<sequence>")
     meta = calibration.read_yaml(path)
-    frames = _whole(path, meta, "num_frames", 1, MOST_FRAMES)
-    ids = _list(path, meta, "ycb_ids")
-    if not all(isinstance(i, int) and i in YCB for i in ids) or len(set(ids)) < len(ids):
-        raise InputError(path, "ycb_ids", shown(ids), "different numbers of DexYCB's objects, 1 to 21")
-    grasped = ids[_whole(path, meta, "ycb_grasp_ind", 0, len(ids) - 1)]
+    frames = _parse_integer(path, meta, "num_frames", 1, MAX_DEXYCB_FRAMES)
+    ids = _parse_list(path, meta, "ycb_ids")
+    if not all(isinstance(i, int) and i in YCB_NAME_BY_ID for i in ids) or len(set(ids)) < len(ids):
+        raise InputError(path, "ycb_ids", shorten_value(ids), "different numbers of DexYCB's objects, 1 to 21")
+    grasped = ids[_parse_integer(path, meta, "ycb_grasp_ind", 0, len(ids) - 1)]
     sides: dict[object, Side] = {"left": "left", "right": "right"}
-    side = _list(path, meta, "mano_sides")[0]
+    side = _parse_list(path, meta, "mano_sides")[0]
     if side not in sides:
-        raise InputError(path, "mano_sides", shown(side), "left or right")
-    serial = _best_camera(folder, [str(s) for s in _list(path, meta, "serials")], grasped, frames)
-    labels = [_label(folder / serial / _label_name(n), len(ids)) for n in range(frames)]
+        raise InputError(path, "mano_sides", shorten_value(side), "left or right")
+    serial = _best_camera(folder, [str(s) for s in _parse_list(path, meta, "serials")], grasped, frames)
+    labels = [_read_label(folder / serial / _label_name(n), len(ids)) for n in range(frames)]
     pose_y, joints = (np.stack(a) for a in zip(*labels, strict=True))
     T_cam_obj = np.zeros((frames, len(ids), 4, 4))
     T_cam_obj[:, :, :3], T_cam_obj[:, :, 3, 3] = pose_y, 1.0
@@ -202,18 +204,20 @@ def _read_folder(root: Path, folder: Path) -> Recording:
         raise InputError(
             folder / serial / _label_name(bad[0, 0]), "pose_y", "a matrix that is no rigid motion", "[R | t]"
         )
-    return Recording(
+    return DexYcbRecording(
         file=folder,
         subject=folder.parent.name,
         sequence=folder.name,
         camera=serial,
         side=sides[side],
-        grasped=YCB[grasped],
-        objects={YCB[id_]: ObjectPoses(T_cam_obj[:, k], known[:, k]) for k, id_ in enumerate(ids)},
+        grasped=YCB_NAME_BY_ID[grasped],
+        objects={YCB_NAME_BY_ID[id_]: ObjectPoses(T_cam_obj[:, k], known[:, k]) for k, id_ in enumerate(ids)},
         joints=joints,
         hand_known=~np.all(joints == -1.0, axis=(1, 2)),  # a hand that is not known is -1
-        K=calibration.intrinsics(root / "calibration" / "intrinsics" / f"{serial}_{SIZE[0]}x{SIZE[1]}.yml"),
-        T_table_cam=_table_camera(root, path, meta, serial),
+        K=calibration.read_dexycb_intrinsics(
+            root / "calibration" / "intrinsics" / f"{serial}_{DEXYCB_IMAGE_SIZE_PX[0]}x{DEXYCB_IMAGE_SIZE_PX[1]}.yml"
+        ),
+        T_table_cam=_find_table_camera(root, path, meta, serial),
     )
 
 
@@ -221,13 +225,13 @@ def _best_camera(folder: Path, serials: list[str], grasped: int, frames: int) ->
     """Choose the camera with the most pixels of the grasped object in the last frame, of those that are there."""
     there = {serial: folder / serial for serial in serials if serial.isalnum() and (folder / serial).is_dir()}
     if not there:
-        raise InputError(folder, "serials", f"no folder of any of {', '.join(map(plain, serials))}", "one at least")
+        raise InputError(folder, "serials", f"no folder of any of {', '.join(map(printable, serials))}", "one at least")
     if len(there) == 1:
         return next(iter(there))
     pixels = {}
     for serial, camera in there.items():
         path = camera / _label_name(frames - 1)
-        seg = _array(path, arrays.read(path, {"seg"}.__contains__), "seg", SIZE[::-1], "iu")
+        seg = _check_array(path, arrays.read(path, {"seg"}.__contains__), "seg", DEXYCB_IMAGE_SIZE_PX[::-1], "iu")
         pixels[serial] = np.count_nonzero(seg == grasped)
     return max(pixels, key=pixels.__getitem__)
 
@@ -236,7 +240,7 @@ def _label_name(frame: int) -> str:
     return f"labels_{frame:06d}.npz"
 
 
-def _label(path: Path, objects: int) -> tuple[Float[ndarray, "O 3 4"], Float[ndarray, "21 3"]]:
+def _read_label(path: Path, objects: int) -> tuple[Float[ndarray, "O 3 4"], Float[ndarray, "21 3"]]:
     """Poses of the objects and joints of the hand; ``joint_3d`` is in this package's order already."""
     stored = arrays.read(path, {"pose_y", "joint_3d"}.__contains__)
     return arrays.floats(path, stored, "pose_y", (objects, 3, 4)), arrays.floats(path, stored, "joint_3d", (1, 21, 3))[
@@ -244,38 +248,38 @@ def _label(path: Path, objects: int) -> tuple[Float[ndarray, "O 3 4"], Float[nda
     ]
 
 
-def _table_camera(root: Path, path: Path, meta: dict[str, object], serial: str) -> Float[ndarray, "4 4"] | None:
+def _find_table_camera(root: Path, path: Path, meta: dict[str, object], serial: str) -> Float[ndarray, "4 4"] | None:
     """Read the camera in the frame of the tag on the table; None where the calibration is not there."""
     name = meta.get("extrinsics", "")
-    if not (isinstance(name, str) and (name == "" or _is_name(name))):
-        raise InputError(path, "extrinsics", shown(name), "the name of a calibration")
+    if not (isinstance(name, str) and (name == "" or _is_clip_name_part(name))):
+        raise InputError(path, "extrinsics", shorten_value(name), "the name of a calibration")
     file = root / "calibration" / f"extrinsics_{name}" / "extrinsics.yml"
-    return calibration.table_camera(file, serial) if file.is_file() else None
+    return calibration.read_table_camera(file, serial) if file.is_file() else None
 
 
-def _list(path: Path, entry: dict[str, object], key: str) -> list[int]:
+def _parse_list(path: Path, entry: dict[str, object], key: str) -> list[int]:
     value = entry.get(key)
     if not isinstance(value, list) or not value:
-        raise InputError(path, key, shown(value), "a list that is not empty")
+        raise InputError(path, key, shorten_value(value), "a list that is not empty")
     return value
 
 
-def _whole(path: Path, entry: dict[str, object], key: str, least: int, most: int) -> int:
+def _parse_integer(path: Path, entry: dict[str, object], key: str, least: int, most: int) -> int:
     value = entry.get(key)
     if not isinstance(value, int) or not least <= value <= most:
-        raise InputError(path, key, shown(value), f"a whole number from {least} to {most}")
+        raise InputError(path, key, shorten_value(value), f"a whole number from {least} to {most}")
     return value
 
 
-def _texts(path: Path, arrays: dict[str, ndarray], key: str) -> list[str]:
-    array = _array(path, arrays, key, (-1,), "U")
+def _parse_texts(path: Path, arrays: dict[str, ndarray], key: str) -> list[str]:
+    array = _check_array(path, arrays, key, (-1,), "U")
     try:
         return [str(text) for text in array.tolist()]
     except ValueError as error:
         raise InputError(path, key, f"text that does not decode ({error})", "names") from error
 
 
-def _array(
+def _check_array(
     path: Path, arrays: dict[str, ndarray], key: str, shape: tuple[int, ...], kinds: str
 ) -> Shaped[ndarray, "..."]:
     """Check that an array is there, of one of the kinds and of the shape, with -1 for any length above 0."""
@@ -288,6 +292,6 @@ def _array(
     return array
 
 
-def _is_name(text: str) -> bool:
+def _is_clip_name_part(text: str) -> bool:
     """Return whether a text can be part of a clip's name."""
-    return is_plain_name(text) and re.fullmatch(r"[\w.-]+", text) is not None and "--" not in text
+    return is_portable_name(text) and re.fullmatch(r"[\w.-]+", text) is not None and "--" not in text

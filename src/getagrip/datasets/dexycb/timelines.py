@@ -18,69 +18,78 @@ from numpy import ndarray
 
 from getagrip.clip import World
 from getagrip.datasets import ycb
-from getagrip.datasets.cutting import known_clip
+from getagrip.datasets.cutting import clip_of_track
 from getagrip.datasets.dataset import Note
 from getagrip.datasets.dexycb import recording as files
-from getagrip.datasets.tracks import Piece, Track
+from getagrip.datasets.tracks import Track, TrackPiece
 from getagrip.geometry import se3
 from getagrip.grasps.definition import Definition
 from getagrip.grasps.states import true_segments
 
-FEWEST_OTHERS = 3
+MIN_TABLE_SEQUENCES = 3
 """Sequences whose objects lie on a plane; fewer do not show it."""
-UP_GUESS = np.array([0.0, -0.8, -0.6])
+INITIAL_UP_DIRECTION = np.array([0.0, -0.8, -0.6])
 """Up as a camera sees it that looks down at a table by about 37 degrees; only a start."""
-TOUCHES = 0.003
+TABLE_CONTACT_TOLERANCE_M = 0.003
 """Points of an object this near to its lowest one lie on the plane [m]."""
-ASTRAY = 0.01
+TABLE_OUTLIER_SCALE_M = 0.01
 """An object whose lowest point is this far from the plane counts half [m]: it lies on another, or its pose is wrong."""
-ROUNDS = 30
+N_PLANE_FIT_ITERATIONS = 30
 
 
-def with_table(sequences: Sequence[files.Sequence], models: Path) -> list[files.Sequence]:
+def add_table_pose(sequences: Sequence[files.UnreadSequence], models: Path) -> list[files.UnreadSequence]:
     """Add to the sequences' recordings the camera in the world, with the table at height 0."""
     of_subject = defaultdict(list)
     for sequence in sequences:
-        of_subject[_subject(sequence)].append(sequence)
+        of_subject[_subject_of_sequence(sequence)].append(sequence)
     return [
-        files.Sequence(
-            s.name, partial(_read, s, [other for other in of_subject[_subject(s)] if other is not s], models)
+        files.UnreadSequence(
+            s.name,
+            partial(
+                _read_with_table, s, [other for other in of_subject[_subject_of_sequence(s)] if other is not s], models
+            ),
         )
         for s in sequences
     ]
 
 
-def _subject(sequence: files.Sequence) -> str:
+def _subject_of_sequence(sequence: files.UnreadSequence) -> str:
     return sequence.name.partition("/")[0]
 
 
-def _read(sequence: files.Sequence, others: Sequence[files.Sequence], models: Path) -> files.Recording:
+def _read_with_table(
+    sequence: files.UnreadSequence, others: Sequence[files.UnreadSequence], models: Path
+) -> files.DexYcbRecording:
     """Read a recording with its table; where there is none, its world is the camera's own frame."""
     recording = sequence.read()
     if recording.T_table_cam is not None:
         return recording
-    resting = [_at_first(other.read(), models) for other in others]
-    if len(resting) < FEWEST_OTHERS:
+    resting = [_first_frame_vertices(other.read(), models) for other in others]
+    if len(resting) < MIN_TABLE_SEQUENCES:
         return recording
     return replace(recording, T_table_cam=world_of_plane(*support_plane(resting)))
 
 
-def _at_first(recording: files.Recording, models: Path) -> np.ndarray:
+def _first_frame_vertices(recording: files.DexYcbRecording, models: Path) -> np.ndarray:
     """Return the grasped object's vertices in the first frame in which it is known (V, 3) [m]."""
     poses = recording.objects[recording.grasped]
-    return se3.transform(poses.T_cam_obj[int(np.argmax(poses.known))], ycb.mesh(models, recording.grasped).vertices)
+    return se3.transform(
+        poses.T_cam_obj[int(np.argmax(poses.known))], ycb.read_ycb_mesh(models, recording.grasped).vertices
+    )
 
 
-def pieces(tracks: Iterable[Track], note: Note, definition: Definition) -> Iterator[Piece]:
+def dexycb_timeline_pieces(tracks: Iterable[Track], note: Note, definition: Definition) -> Iterator[TrackPiece]:
     """Yield each track whole, with its segments."""
     for track in tracks:
         world = track.world or World(np.tile(np.eye(4), (len(track), 1, 1)))
         on_table = World(world.T_world_cam, world.up, None if world.up is None else 0.0)
         placed = replace(track, world=on_table)
-        segments = true_segments(known_clip(placed), definition)
+        segments = true_segments(clip_of_track(placed), definition)
         if not any(segment.state == "static" for segment in segments):
             note(f"{track.name}: the object is never static")
-        yield Piece(placed, track.name, "a timeline: static, contact and grasp by the true poses", segments=segments)
+        yield TrackPiece(
+            placed, track.name, "a timeline: static, contact and grasp by the true poses", segments=segments
+        )
 
 
 def support_plane(resting: Sequence[Float[ndarray, "_ 3"]]) -> tuple[Float[ndarray, "3"], float]:
@@ -89,12 +98,12 @@ def support_plane(resting: Sequence[Float[ndarray, "_ 3"]]) -> tuple[Float[ndarr
     Least squares over their lowest points, which depend on the plane: a few rounds of it. Each object counts as one,
     and less where it seems to rest on something else (Cauchy's weights).
     """
-    up = UP_GUESS
-    for _ in range(ROUNDS):
+    up = INITIAL_UP_DIRECTION
+    for _ in range(N_PLANE_FIT_ITERATIONS):
         heights = [points @ up for points in resting]
-        lowest = [points[h < h.min() + TOUCHES] for points, h in zip(resting, heights, strict=True)]
+        lowest = [points[h < h.min() + TABLE_CONTACT_TOLERANCE_M] for points, h in zip(resting, heights, strict=True)]
         least = np.array([h.min() for h in heights])
-        of_object = 1.0 / (1.0 + ((least - np.median(least)) / ASTRAY) ** 2)
+        of_object = 1.0 / (1.0 + ((least - np.median(least)) / TABLE_OUTLIER_SCALE_M) ** 2)
         points = np.concatenate(lowest)
         weight = np.concatenate([np.full(len(p), np.sqrt(w / len(p))) for p, w in zip(lowest, of_object, strict=True)])
         middle = np.average(points, axis=0, weights=weight**2)

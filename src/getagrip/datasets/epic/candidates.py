@@ -12,11 +12,11 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from getagrip.datasets.epic.tables import CATEGORIES, Action, numbering_rate
-from getagrip.datasets.epic.visor import Frame, Mapping
+from getagrip.datasets.epic.tables import EPIC_CATEGORIES, Action, numbering_rate
+from getagrip.datasets.epic.visor import FrameMapping, VisorFrame
 from getagrip.hands.model import Side
 
-ACTIONS = 3
+N_EXTENT_ACTIONS = 3
 """Number of actions on either side of a contact that make the extent."""
 
 
@@ -62,10 +62,10 @@ class Candidate:
 def category_of(entity: str) -> str | None:
     """Return the category that the name of a thing ends in ("olive oil bottle": bottle); None for other things."""
     last = re.split(r"[^a-z]+", entity.lower().strip())[-1]
-    return last if last in CATEGORIES else None
+    return last if last in EPIC_CATEGORIES else None
 
 
-def contacts(frames: Iterable[Frame], mapping: Mapping) -> list[list[Contact]]:
+def contacts(frames: Iterable[VisorFrame], mapping: FrameMapping) -> list[list[Contact]]:
     """Return the contacts in frames, one list for every frame in which the hands are marked, in order of time.
 
     A hand in a glove counts as touching what the glove touches.
@@ -85,7 +85,7 @@ def contacts(frames: Iterable[Frame], mapping: Mapping) -> list[list[Contact]]:
     return [out[number] for number in sorted(out)]
 
 
-def candidates(video: str, touching: Sequence[Sequence[Contact]], actions: Sequence[Action]) -> list[Candidate]:
+def find_candidates(video: str, touching: Sequence[Sequence[Contact]], actions: Sequence[Action]) -> list[Candidate]:
     """Find the candidates of a video, in order of time, from ``contacts`` and its actions in order of start.
 
     Contacts without an action before and after them are skipped: nothing bounds them.
@@ -110,14 +110,18 @@ def candidates(video: str, touching: Sequence[Sequence[Contact]], actions: Seque
         before, after = bisect_right(starts, first.frame), bisect_left(stops, last.frame)
         if before == 0 or after == len(stops):
             continue
-        bounds = starts[max(before - ACTIONS, 0)], stops[min(after + ACTIONS, len(stops)) - 1]
-        named = [a.narration for a in actions if a.start <= bounds[1] and a.stop >= bounds[0] and _names(a, first)]
+        bounds = starts[max(before - N_EXTENT_ACTIONS, 0)], stops[min(after + N_EXTENT_ACTIONS, len(stops)) - 1]
+        named = [
+            a.narration
+            for a in actions
+            if a.start <= bounds[1] and a.stop >= bounds[0] and _action_names_category(a, first)
+        ]
         frames = tuple(contact.frame for contact in run)
         found.append(Candidate(video, first.side, first.category, first.entity, frames, *bounds, tuple(named)))
     return sorted(found, key=lambda candidate: candidate.contacts)
 
 
-def _names(action: Action, contact: Contact) -> bool:
+def _action_names_category(action: Action, contact: Contact) -> bool:
     """Return whether an action is about the object's category.
 
     Either its noun is the category, as "bottle:oil", or the narration names it.

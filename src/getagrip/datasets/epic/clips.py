@@ -17,40 +17,48 @@ from getagrip.clip import Clip, FrameMasks, HandTrack, Masks, Segment, World
 from getagrip.clip.plausible import check_intrinsics
 from getagrip.clip.reading_arrays import read_hand
 from getagrip.clip.timeline import at_frames
-from getagrip.clip.writing import without_hand
+from getagrip.clip.writing import missing_hand_provenance
 from getagrip.datasets.dataset import Note
 from getagrip.datasets.epic import visor
-from getagrip.datasets.epic.fields import UP
+from getagrip.datasets.epic.fields import EPIC_WORLD_UP
 from getagrip.datasets.epic.tables import EpicGrasp, numbering_rate, subject_of
-from getagrip.datasets.synthetic.categories import CATEGORIES
+from getagrip.datasets.synthetic.categories import SYNTHETIC_CATEGORIES
 from getagrip.errors import InputError
 from getagrip.geometry.mesh import Mesh
-from getagrip.geometry.mesh_files import SUFFIXES, read_mesh
-from getagrip.grasps.states import painted
+from getagrip.geometry.mesh_files import MESH_SUFFIXES, read_mesh
+from getagrip.grasps.states import resolve_overlaps
 from getagrip.io import arrays, json_stream
-from getagrip.io.files import shown
-from getagrip.provenance import Provenance, Source, assumed, estimated, from_arrays, measured, of_provenance
+from getagrip.io.files import shorten_value
+from getagrip.provenance import (
+    Provenance,
+    Source,
+    assumed,
+    estimated,
+    is_provenance_key,
+    measured,
+    provenance_from_arrays,
+)
 
-SIZE = visor.DENSE_SIZE
+EPIC_IMAGE_SIZE_PX = visor.DENSE_IMAGE_SIZE_PX
 """Width and height of the clips' images [px]: those of VISOR's dense annotations."""
-FRAMES = 30
+MAX_EPIC_CLIP_FRAMES = 30
 """The most frames that a clip has, spread evenly over those that are valid (as the paper's)."""
-FEWEST = 2
+MIN_VALID_FRAMES = 2
 """Valid frames below which a grasp is skipped: one silhouette says nothing about a motion."""
-VISIBLE = 25
+MIN_VISIBLE_PIXELS = 25
 """Pixels of the smallest mask that counts as visible."""
-GUESSED_FOCAL = 200.0 / 640.0
+FOCAL_TO_WIDTH_RATIO = 200.0 / 640.0
 """Focal length over the image's width: what HOMan takes for EPIC-KITCHENS. A guess."""
-BACKGROUND = frozenset({8, 12, 24, 42, 46, 63, 70, 90, 113, 124, 157, 159, 182, 242, 247, 263, 295})
+BACKGROUND_CLASS_IDS = frozenset({8, 12, 24, 42, 46, 63, 70, 90, 113, 124, 157, 159, 182, 242, 247, 263, 295})
 """Noun classes of what stands behind things and seldom before them: drawer, fridge, hob, worktop, oven, sink,
 dishwasher, microwave, freezer, washing machine, kitchen, floor, chair, wall, shelf, window, door."""
 
-VisorFrames = dict[int, visor.Frame]
+VisorFrames = dict[int, visor.VisorFrame]
 """VISOR's frames by EPIC's frame numbers."""
 
 
 @dataclass(frozen=True)
-class HandFile:
+class EpicHandFile:
     """A ``hand.npz`` that perhaps says which frames and which camera it belongs to; the hands are yet to be read."""
 
     path: Path
@@ -92,10 +100,12 @@ class EpicCamera:
         """Return the camera's path over some frames."""
         if self.T_world_cam is None:
             return None
-        return World(np.stack([self.T_world_cam[n] for n in numbers]), UP)
+        return World(np.stack([self.T_world_cam[n] for n in numbers]), EPIC_WORLD_UP)
 
 
-def annotated(files: Sequence[Path], mapping: visor.Mapping, grasps: Sequence[EpicGrasp]) -> dict[str, VisorFrames]:
+def collect_grasp_frames(
+    files: Sequence[Path], mapping: visor.FrameMapping, grasps: Sequence[EpicGrasp]
+) -> dict[str, VisorFrames]:
     """Collect VISOR's frames within each grasp, by the grasp's name, that show its object.
 
     Raises ``InputError``.
@@ -109,7 +119,7 @@ def annotated(files: Sequence[Path], mapping: visor.Mapping, grasps: Sequence[Ep
             for grasp in grasps:
                 if grasp.start <= number <= grasp.end and any(_is_grasped(a, grasp) for a in frame.annotations):
                     other = out[grasp.name].get(number)
-                    if other is None or _rank(frame) > _rank(other):
+                    if other is None or _annotation_rank(frame) > _annotation_rank(other):
                         out[grasp.name][number] = frame
     return out
 
@@ -118,11 +128,11 @@ def _is_grasped(annotation: visor.Annotation, grasp: EpicGrasp) -> bool:
     return annotation.name == grasp.entity and not annotation.hands and bool(annotation.polygons)
 
 
-def _rank(frame: visor.Frame) -> tuple[bool, int]:
+def _annotation_rank(frame: visor.VisorFrame) -> tuple[bool, int]:
     return not frame.dense, len(frame.annotations)
 
 
-def masks_of(frame: visor.Frame, grasp: EpicGrasp) -> FrameMasks:
+def visor_frame_masks(frame: visor.VisorFrame, grasp: EpicGrasp) -> FrameMasks:
     """Return the masks of a frame: the object, the pixels that say nothing about it, and the grasping hand.
 
     Ignored are both hands, gloves and other objects; the hand's mask includes the glove that it wears. Where the
@@ -131,41 +141,43 @@ def masks_of(frame: visor.Frame, grasp: EpicGrasp) -> FrameMasks:
     """
 
     def drawn(chosen: Iterable[visor.Annotation]) -> Bool[ndarray, "H W"]:
-        return visor.mask(chosen, frame.size, SIZE)
+        return visor.draw_visor_mask(chosen, frame.size, EPIC_IMAGE_SIZE_PX)
 
     grasped = [a for a in frame.annotations if _is_grasped(a, grasp)]
-    hiding = [a for a in frame.annotations if a not in grasped and (a.hands or a.class_id not in BACKGROUND)]
+    hiding = [a for a in frame.annotations if a not in grasped and (a.hands or a.class_id not in BACKGROUND_CLASS_IDS)]
     observed = drawn(grasped)
     holding = drawn(a for a in frame.annotations if a.hands == (grasp.side,))
     return FrameMasks(observed, drawn(hiding) & ~observed, holding & ~observed)
 
 
-def clip(
+def make_epic_clip(
     grasp: EpicGrasp,
     frames: VisorFrames,
     mesh: Mesh,
     mesh_source: str,
     camera: EpicCamera,
-    hands: HandFile | None,
+    hands: EpicHandFile | None,
     has_mapping: bool,
     note: Note,
     segments: Sequence[Segment] = (),
 ) -> tuple[Clip, Masks] | None:
-    """Make the clip of a grasp and its masks, at up to ``FRAMES`` of its valid frames.
+    """Make the clip of a grasp and its masks, at up to ``MAX_EPIC_CLIP_FRAMES`` of its valid frames.
 
     With too few there is none, and a note. Valid are frames with a mask of the object and, where the hand file says
-    which frames it has, with a hand. Where these are fewer than ``FRAMES``, frames with a mask alone are added: their
-    hands may come later. The clip's hand has no vertices: ``hand_of`` reads them.
+    which frames it has, with a hand. Where these are fewer than ``MAX_EPIC_CLIP_FRAMES``, frames with a mask alone are added: their
+    hands may come later. The clip's hand has no vertices: ``read_grasp_hand`` reads them.
     """
-    masks = {number: masks_of(frame, grasp) for number, frame in sorted(frames.items()) if camera.sees(number)}
-    valid = [number for number, mask in masks.items() if np.count_nonzero(mask.object) >= VISIBLE]
+    masks = {number: visor_frame_masks(frame, grasp) for number, frame in sorted(frames.items()) if camera.sees(number)}
+    valid = [number for number, mask in masks.items() if np.count_nonzero(mask.object) >= MIN_VISIBLE_PIXELS]
     masked, valid = valid, [number for number in valid if hands is None or hands.has(number)]
-    if len(valid) < FEWEST:
+    if len(valid) < MIN_VALID_FRAMES:
         what = "a mask" if hands is None or hands.frames is None else "a mask and a hand"
-        note(f"{grasp.name}: {len(valid)} of its {grasp.frames} frames have {what} of {shown(grasp.entity)}: skipped")
+        note(
+            f"{grasp.name}: {len(valid)} of its {grasp.frames} frames have {what} of {shorten_value(grasp.entity)}: skipped"
+        )
         return None
     spans = [(s.first, s.last) for s in segments] or [(grasp.start, grasp.end)]
-    chosen = sorted({number for span in spans for number in _chosen(valid, masked, span)})
+    chosen = sorted({number for span in spans for number in _choose_frames(valid, masked, span)})
     if hands is not None and hands.K is not None:
         camera = replace(camera, K=hands.K, source=hands.camera)
     names = tuple(f"{number:010d}" for number in chosen)
@@ -178,50 +190,54 @@ def clip(
         frames=names,
         times=np.array(chosen) / numbering_rate(grasp.video),
         world=camera.world(chosen),
-        segments=painted(at_chosen, len(chosen), grasp.side),
-        size=SIZE,
+        segments=resolve_overlaps(at_chosen, len(chosen), grasp.side),
+        size=EPIC_IMAGE_SIZE_PX,
         K=np.tile(camera.K, (len(chosen), 1, 1)),
         mesh=mesh,
         scale="free",
         hand=HandTrack(
             np.zeros((len(chosen), 0, 3)), np.zeros((0, 3), int), np.tile(np.eye(4), (len(chosen), 1, 1)), {}
         ),
-        provenance=_provenance(grasp, [frames[n] for n in chosen], mesh_source, camera, hands, has_mapping, segments)
-        | without_hand(names, [row for row, number in enumerate(chosen) if hands is None or hands.has(number)]),
+        provenance=_epic_provenance(
+            grasp, [frames[n] for n in chosen], mesh_source, camera, hands, has_mapping, segments
+        )
+        | missing_hand_provenance(
+            names, [row for row, number in enumerate(chosen) if hands is None or hands.has(number)]
+        ),
     )
     return made, Masks.of(masks[number] for number in chosen)
 
 
-def _chosen(valid: Sequence[int], masked: Sequence[int], span: tuple[int, int]) -> list[int]:
+def _choose_frames(valid: Sequence[int], masked: Sequence[int], span: tuple[int, int]) -> list[int]:
     """Choose the frames of a span that a clip has."""
     first, last = span
     known = [number for number in valid if first <= number <= last]
     others = [number for number in masked if first <= number <= last and number not in known]
-    chosen = _spread(known, FRAMES)
-    return chosen + _spread(others, FRAMES - len(chosen))
+    chosen = _spread_evenly(known, MAX_EPIC_CLIP_FRAMES)
+    return chosen + _spread_evenly(others, MAX_EPIC_CLIP_FRAMES - len(chosen))
 
 
-def _spread(numbers: Sequence[int], count: int) -> list[int]:
+def _spread_evenly(numbers: Sequence[int], count: int) -> list[int]:
     """Choose at most ``count`` of the numbers, spread evenly."""
     return [numbers[i] for i in np.round(np.linspace(0, len(numbers) - 1, min(count, len(numbers)))).astype(int)]
 
 
-def hand_of(path: Path, clip: Clip) -> tuple[HandTrack, list[int]]:
+def read_grasp_hand(path: Path, clip: Clip) -> tuple[HandTrack, list[int]]:
     """Read the hand of a clip from its hand file, and the rows of the clip's frames that have it.
 
     Raises ``InputError``.
     """
-    hands, numbers = hand_file(path), [int(name) for name in clip.frames]
+    hands, numbers = read_epic_hand_file(path), [int(name) for name in clip.frames]
     rows = [row for row, number in enumerate(numbers) if hands.has(number)]
     return hands.track([numbers[row] for row in rows]), rows
 
 
-def _provenance(
+def _epic_provenance(
     grasp: EpicGrasp,
-    frames: Sequence[visor.Frame],
+    frames: Sequence[visor.VisorFrame],
     mesh: str,
     camera: EpicCamera,
-    hands: HandFile | None,
+    hands: EpicHandFile | None,
     has_mapping: bool,
     segments: Sequence[Segment],
 ) -> Provenance:
@@ -246,49 +262,53 @@ def _provenance(
     return provenance | ({"mended": grasp.note} if grasp.note else {})
 
 
-def hand_file(path: Path) -> HandFile:
+def read_epic_hand_file(path: Path) -> EpicHandFile:
     """Read a hand file: a ``hand.npz`` that may have ``frames`` (N,) and ``K`` (3, 3) as well.
 
     Raises ``InputError``.
     """
-    stored = arrays.read(path, lambda key: key in {"frames", "K"} or of_provenance(key))
+    stored = arrays.read(path, lambda key: key in {"frames", "K"} or is_provenance_key(key))
     K = None
     if "K" in stored:
         K = arrays.floats(path, stored, "K", (3, 3))
-        check_intrinsics(path, K[None], SIZE)
-    known = from_arrays(path, stored).get("camera", measured("it does not say from where"))
+        check_intrinsics(path, K[None], EPIC_IMAGE_SIZE_PX)
+    known = provenance_from_arrays(path, stored).get("camera", measured("it does not say from where"))
     camera = replace(known, text=f"the hand file's: {known}")
-    return HandFile(path, arrays.frame_numbers(path, stored), K, camera)
+    return EpicHandFile(path, arrays.frame_numbers(path, stored), K, camera)
 
 
-def pinhole(focal: float | None = None) -> EpicCamera:
+def epic_pinhole(focal: float | None = None) -> EpicCamera:
     """Make a pinhole, its principal point in the middle; without a focal length [px of 854 x 480], one is assumed."""
-    f = GUESSED_FOCAL * SIZE[0] if focal is None else focal
-    K = np.array([[f, 0.0, SIZE[0] / 2], [0.0, f, SIZE[1] / 2], [0.0, 0.0, 1.0]])
+    f = FOCAL_TO_WIDTH_RATIO * EPIC_IMAGE_SIZE_PX[0] if focal is None else focal
+    K = np.array([[f, 0.0, EPIC_IMAGE_SIZE_PX[0] / 2], [0.0, f, EPIC_IMAGE_SIZE_PX[1] / 2], [0.0, 0.0, 1.0]])
     guess = assumed(f"a guess: the focal length {f:g} px, which HOMan takes for EPIC-KITCHENS")
     return EpicCamera(K, guess if focal is None else measured("focal length as given"))
 
 
-def read_camera(path: Path) -> EpicCamera:
+def read_epic_camera(path: Path) -> EpicCamera:
     """Read the camera of a video from EPIC-Fields (``<video>.json``), without its distortion.
 
     Raises ``InputError``.
 
     The principal point is put into the middle, as the authors of EPIC-Grasps do.
     """
-    camera = json_stream.member(path, "camera")
+    camera = json_stream.read_json_member(path, "camera")
     size = [camera.get("width"), camera.get("height")]
     params = camera.get("params")
     if not all(isinstance(side, int) and 0 < side < 10_000 for side in size):
-        raise InputError(path, "camera", f"the size {shown(size)}", "width and height in pixels")
+        raise InputError(path, "camera", f"the size {shorten_value(size)}", "width and height in pixels")
     if camera.get("model") not in ("OPENCV", "PINHOLE", "FULL_OPENCV") or not isinstance(params, list):
-        raise InputError(path, "camera.model", shown(camera.get("model")), "OPENCV, with fx, fy, cx, cy, ... in params")
+        raise InputError(
+            path, "camera.model", shorten_value(camera.get("model")), "OPENCV, with fx, fy, cx, cy, ... in params"
+        )
     focal = params[:2]
     if not all(isinstance(f, int | float) and 0 < f < 1e6 for f in focal) or len(focal) < 2:
-        raise InputError(path, "camera.params", shown(params), "fx, fy, cx, cy, ... in pixels, fx and fy above 0")
-    K = np.diag([focal[0] * SIZE[0] / size[0], focal[1] * SIZE[1] / size[1], 1.0])
-    K[:2, 2] = np.array(SIZE) / 2
-    check_intrinsics(path, K[None], SIZE)
+        raise InputError(
+            path, "camera.params", shorten_value(params), "fx, fy, cx, cy, ... in pixels, fx and fy above 0"
+        )
+    K = np.diag([focal[0] * EPIC_IMAGE_SIZE_PX[0] / size[0], focal[1] * EPIC_IMAGE_SIZE_PX[1] / size[1], 1.0])
+    K[:2, 2] = np.array(EPIC_IMAGE_SIZE_PX) / 2
+    check_intrinsics(path, K[None], EPIC_IMAGE_SIZE_PX)
     return EpicCamera(K, estimated("EPIC-Fields, its distortion left out"))
 
 
@@ -298,8 +318,8 @@ def category_mesh(category: str, folder: Path | None) -> tuple[Mesh, str]:
     Metres, z up. Raises ``InputError`` where the folder has none.
     """
     if folder is None:
-        return CATEGORIES[category].make(), "this package's procedural mesh of the category"
-    for suffix in SUFFIXES:
+        return SYNTHETIC_CATEGORIES[category].make(), "this package's procedural mesh of the category"
+    for suffix in MESH_SUFFIXES:
         if (path := folder / f"{category}{suffix}").is_file():
             return read_mesh(path), f"{path.name} of the folder given"
     raise InputError(folder, "", f"no {category}.obj in it", f"{category}.obj, the mesh of the category")

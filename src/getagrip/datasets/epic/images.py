@@ -16,29 +16,29 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from getagrip.datasets.epic.tables import numbering_rate, subject_of
-from getagrip.datasets.epic.visor import DENSE_SIZE
+from getagrip.datasets.epic.visor import DENSE_IMAGE_SIZE_PX
 from getagrip.errors import InputError
 from getagrip.io.files import read_bytes
-from getagrip.io.images import decoded
+from getagrip.io.images import decode_image
 
 if TYPE_CHECKING:
     from av import VideoFrame
 
-LARGEST_IMAGE = 16 * 2**20
+MAX_EPIC_IMAGE_BYTES = 16 * 2**20
 """Limit in bytes of an image's file."""
-LARGEST_SIDE = 4096
+MAX_EPIC_SIDE_PX = 4096
 """Limit of the sides of an image [px]; EPIC's are 456 x 256, its videos 1920 x 1080."""
-SUFFIXES = (".MP4", ".mp4", ".mov", ".mkv")
+EPIC_VIDEO_SUFFIXES = (".MP4", ".mp4", ".mov", ".mkv")
 
 Images = Callable[[Sequence[int]], list[UInt8[ndarray, "H W 3"]]]
 """The RGB images of frames by EPIC's numbers. Raises ``InputError``."""
-BLOCK = tarfile.BLOCKSIZE
-FRAME = re.compile(r"(?:.*/)?frame_(\d{10})\.jpg")
-NO_TAR = "an archive of frames (.tar), not compressed"
+TAR_BLOCK_BYTES = tarfile.BLOCKSIZE
+TAR_FRAME_PATTERN = re.compile(r"(?:.*/)?frame_(\d{10})\.jpg")
+EXPECTED_TAR_ARCHIVE = "an archive of frames (.tar), not compressed"
 
 
 @dataclass(frozen=True)
-class Archive:
+class FrameArchive:
     """An uncompressed ``.tar`` of frames, read where they lie in it: only headers are gone through, once."""
 
     path: Path
@@ -49,24 +49,26 @@ class Archive:
         try:
             return dict(self._members())
         except (OSError, tarfile.TarError) as error:
-            raise InputError(self.path, "", f"a file that is damaged or no archive ({error})", NO_TAR) from error
+            raise InputError(
+                self.path, "", f"a file that is damaged or no archive ({error})", EXPECTED_TAR_ARCHIVE
+            ) from error
 
     def _members(self) -> Iterator[tuple[int, tuple[int, int]]]:
         length = self.path.stat().st_size
         with self.path.open("rb") as file:
             at = 0
-            while at + BLOCK <= length:
+            while at + TAR_BLOCK_BYTES <= length:
                 file.seek(at)
-                header = file.read(BLOCK)
+                header = file.read(TAR_BLOCK_BYTES)
                 if not header.strip(b"\0"):  # the end is marked by empty blocks
                     return
                 member = tarfile.TarInfo.frombuf(header, "utf-8", "surrogateescape")
                 if not 0 <= member.size <= length:
                     raise InputError(self.path, "", f"a member of {member.size} bytes", f"{length} at most")
-                named = FRAME.fullmatch(member.name)
+                named = TAR_FRAME_PATTERN.fullmatch(member.name)
                 if named and member.isreg():
-                    yield int(named[1]), (at + BLOCK, member.size)
-                at += BLOCK + -(-member.size // BLOCK) * BLOCK
+                    yield int(named[1]), (at + TAR_BLOCK_BYTES, member.size)
+                at += TAR_BLOCK_BYTES + -(-member.size // TAR_BLOCK_BYTES) * TAR_BLOCK_BYTES
 
     def read(self, number: int, limit: int) -> bytes:
         """Read the file of a frame, of at most ``limit`` bytes. Raises ``InputError``."""
@@ -99,9 +101,11 @@ class Frames:
         """Read the images of some frames."""
         if not self.folder.is_dir() and self.archive is not None:
             path, archive = self.archive.path, self.archive
-            return [_image(path, f"frame_{n:010d}.jpg", archive.read(n, LARGEST_IMAGE)) for n in numbers]
+            return [
+                _decode_epic_image(path, f"frame_{n:010d}.jpg", archive.read(n, MAX_EPIC_IMAGE_BYTES)) for n in numbers
+            ]
         paths = [self.folder / f"frame_{n:010d}.jpg" for n in numbers]
-        return [_image(path, "", read_bytes(path, LARGEST_IMAGE)) for path in paths]
+        return [_decode_epic_image(path, "", read_bytes(path, MAX_EPIC_IMAGE_BYTES)) for path in paths]
 
     @property
     def places(self) -> list[Path]:
@@ -119,10 +123,10 @@ class Frames:
         return next((place for place in self.places if place.is_dir()), self.places[-1])
 
     @cached_property
-    def archive(self) -> Archive | None:
+    def archive(self) -> FrameArchive | None:
         """The video's archive, where there is one."""
         paths = [place.with_name(f"{place.name}.tar") for place in self.places]
-        return next((Archive(path) for path in paths if path.is_file()), None)
+        return next((FrameArchive(path) for path in paths if path.is_file()), None)
 
 
 @dataclass(frozen=True)
@@ -136,19 +140,21 @@ class Video:
         """Decode the images of some frames; frame n is the one shown at (n - 1) / rate seconds."""
         subject = subject_of(self.video)
         folders = (self.root / subject / "videos", self.root / subject, self.root)
-        paths = [path for folder in folders for s in SUFFIXES if (path := folder / f"{self.video}{s}").is_file()]
+        paths = [
+            path for folder in folders for s in EPIC_VIDEO_SUFFIXES if (path := folder / f"{self.video}{s}").is_file()
+        ]
         if not paths:
             raise InputError(self.root, "", f"no {self.video}.MP4 in it", "the video")
         rate = Fraction(numbering_rate(self.video))
         times = {n: (n - 1) / rate for n in sorted(set(numbers))}
-        found = dict(_at_times(paths[0], times))
+        found = dict(_decode_at_times(paths[0], times))
         missing = [n for n in times if n not in found]
         if missing:
             raise InputError(paths[0], "", f"no frame {missing[0]} (at {float(times[missing[0]]):.2f} s)", "the frame")
         return [found[n] for n in numbers]
 
 
-def _at_times(path: Path, times: dict[int, Fraction]) -> Iterator[tuple[int, UInt8[ndarray, "H W 3"]]]:
+def _decode_at_times(path: Path, times: dict[int, Fraction]) -> Iterator[tuple[int, UInt8[ndarray, "H W 3"]]]:
     """Decode the images at some rising times [s]: one seek to the first, then decoded onwards."""
     from av.error import FFmpegError
 
@@ -169,7 +175,7 @@ def _at_times(path: Path, times: dict[int, Fraction]) -> Iterator[tuple[int, UIn
                 image = None
                 while waiting and shown_at + half >= waiting[0][1]:
                     if image is None:
-                        image = _resized(frame)
+                        image = _resize_video_frame(frame)
                     yield waiting.pop(0)[0], image
                 if not waiting:
                     return
@@ -177,21 +183,21 @@ def _at_times(path: Path, times: dict[int, Fraction]) -> Iterator[tuple[int, UIn
         raise InputError(path, "", f"a video that does not decode ({error})", "a video") from error
 
 
-def _resized(frame: VideoFrame) -> UInt8[ndarray, "H W 3"]:
-    return _fitted(np.asarray(frame.to_ndarray(format="rgb24"), np.uint8))
+def _resize_video_frame(frame: VideoFrame) -> UInt8[ndarray, "H W 3"]:
+    return _resize_to_masks(np.asarray(frame.to_ndarray(format="rgb24"), np.uint8))
 
 
-def _image(path: Path, key: str, value: bytes) -> UInt8[ndarray, "H W 3"]:
+def _decode_epic_image(path: Path, key: str, value: bytes) -> UInt8[ndarray, "H W 3"]:
     """Decode an image at the size of the masks; path and key are named in errors."""
-    return _fitted(decoded(path, key, value, LARGEST_SIDE))
+    return _resize_to_masks(decode_image(path, key, value, MAX_EPIC_SIDE_PX))
 
 
-def _fitted(image: UInt8[ndarray, "h w 3"]) -> UInt8[ndarray, "H W 3"]:
+def _resize_to_masks(image: UInt8[ndarray, "h w 3"]) -> UInt8[ndarray, "H W 3"]:
     """Resize an image to the size of the masks."""
     import cv2
 
-    if image.shape[1::-1] == DENSE_SIZE:
+    if image.shape[1::-1] == DENSE_IMAGE_SIZE_PX:
         return image
-    shrinks = image.shape[1] > DENSE_SIZE[0]
+    shrinks = image.shape[1] > DENSE_IMAGE_SIZE_PX[0]
     how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(np.ascontiguousarray(image), DENSE_SIZE, interpolation=how), np.uint8)
+    return np.asarray(cv2.resize(np.ascontiguousarray(image), DENSE_IMAGE_SIZE_PX, interpolation=how), np.uint8)

@@ -18,12 +18,12 @@ from getagrip.clip import Clip, Masks, Segment
 from getagrip.datasets.dataset import Dataset, Draft, Missing, Note, Part
 from getagrip.datasets.epic import clips, fields, visor
 from getagrip.datasets.epic.images import Frames, Images, Video
-from getagrip.datasets.epic.tables import LARGEST_TABLE, EpicGrasp, chosen_errata, read_grasps
+from getagrip.datasets.epic.tables import MAX_EPIC_TABLE_BYTES, EpicGrasp, chosen_errata, read_grasps
 from getagrip.errors import InputError, UsageError
 from getagrip.grasps import timelines as lists
 from getagrip.io.arguments import Folder, OptionalFile, OptionalFolder
-from getagrip.io.files import read_bytes, shown
-from getagrip.io.terminal import counted
+from getagrip.io.files import read_bytes, shorten_value
+from getagrip.io.terminal import format_count
 from getagrip.provenance import is_assumed
 
 
@@ -70,13 +70,13 @@ class EpicGrasps(Dataset):
         by_video: dict[str, list[EpicTimeline]] = {}
         for timeline in self._timelines(note):
             by_video.setdefault(timeline.span.video, []).append(timeline)
-        there, mapping = visor.find(self.visor), visor.find_mapping(self.visor)
+        there, mapping = visor.find_visor_files(self.visor), visor.find_mapping(self.visor)
         absent = [len(spans) for video, spans in by_video.items() if video not in there]
         if absent:
-            of = counted(len(absent), "video")
-            note(f"{counted(sum(absent), 'grasp')} skipped: VISOR's files of {of} are not there")
+            of = format_count(len(absent), "video")
+            note(f"{format_count(sum(absent), 'grasp')} skipped: VISOR's files of {of} are not there")
         if mapping is None:
-            note(visor.UNMAPPED)
+            note(visor.NO_FRAME_MAPPING_NOTE)
         return [
             VideoGrasps(video, tuple(spans), tuple(there[video]), mapping, images(video), self)
             for video, spans in by_video.items()
@@ -117,7 +117,7 @@ class EpicGrasps(Dataset):
         """Raise ``UsageError`` for options that do not go together, and for an absurd focal length."""
         if self.cameras is not None and self.focal is not None:
             raise UsageError("--cameras cannot be used with --focal")
-        width = clips.SIZE[0]
+        width = clips.EPIC_IMAGE_SIZE_PX[0]
         if self.focal is not None and not 0.05 * width <= self.focal <= 100 * width:
             raise UsageError(f"--focal must be in pixels of images {width} wide (got {self.focal:g})")
 
@@ -125,9 +125,9 @@ class EpicGrasps(Dataset):
         """Yield advice on what is assumed or missing."""
         guessed = [provenance["camera"] for provenance in made if is_assumed(provenance["camera"])]
         if guessed:
-            yield f"the camera of {counted(len(guessed), 'clip')} is {guessed[0]}; name --cameras or --focal"
+            yield f"the camera of {format_count(len(guessed), 'clip')} is {guessed[0]}; name --cameras or --focal"
         if handless:
-            lacking = counted(handless, "clip lacks its", "clips lack their")
+            lacking = format_count(handless, "clip lacks its", "clips lack their")
             yield (
                 f"{lacking} hand.npz: docs/estimators.md explains how to make it from a clip's frames; add it to the "
                 "clip, or call this again with --hands"
@@ -154,12 +154,12 @@ class VideoGrasps:
             return
         camera = self._camera(range(min(one.span.start for one in waiting), max(one.span.end for one in waiting) + 1))
         spans = [one.span for one in waiting]
-        frames = clips.annotated(self.annotations, visor.read_mapping(self.mapping, self.name), spans)
+        frames = clips.collect_grasp_frames(self.annotations, visor.read_mapping(self.mapping, self.name), spans)
         for timeline in waiting:
             grasp = timeline.span
             make = partial(self._clip, timeline, frames.pop(grasp.name), camera, note)
             hands = self._hands(grasp)
-            hand = None if hands is None else partial(clips.hand_of, hands)
+            hand = None if hands is None else partial(clips.read_grasp_hand, hands)
             yield Draft(grasp.name, make, lambda clip: self.images([int(name) for name in clip.frames]), hand)
 
     def _clip(
@@ -168,9 +168,9 @@ class VideoGrasps:
         grasp = timeline.span
         path = self._hands(grasp)
         mesh, source = clips.category_mesh(grasp.category, self.options.cad)
-        hands = None if path is None else clips.hand_file(path)
+        hands = None if path is None else clips.read_epic_hand_file(path)
         has_mapping = self.mapping is not None
-        return clips.clip(grasp, frames, mesh, source, camera, hands, has_mapping, note, timeline.segments)
+        return clips.make_epic_clip(grasp, frames, mesh, source, camera, hands, has_mapping, note, timeline.segments)
 
     def _hands(self, grasp: EpicGrasp) -> Path | None:
         path = None if self.options.hands is None else self.options.hands / f"{grasp.name}.npz"
@@ -179,13 +179,13 @@ class VideoGrasps:
     def _camera(self, wanted: range) -> clips.EpicCamera:
         """Read the camera of the video; for timelines, its poses in the frames that are ``wanted``."""
         if self.options.cameras is None:
-            return clips.pinhole(self.options.focal)
+            return clips.epic_pinhole(self.options.focal)
         path = self.options.cameras / f"{self.name}.json"
-        camera = clips.read_camera(path)
+        camera = clips.read_epic_camera(path)
         if self.options.metric is None:
             return camera
-        scale, T_metric_world = fields.metric(self.options.metric / f"{self.name}.json")
-        T_world_cam = fields.cameras(path, scale, T_metric_world, wanted)
+        scale, T_metric_world = fields.read_metric_similarity(self.options.metric / f"{self.name}.json")
+        T_world_cam = fields.read_epic_camera_poses(path, scale, T_metric_world, wanted)
         source = replace(camera.source, text=f"{camera.source}; its world made metric")
         return replace(camera, source=source, T_world_cam=T_world_cam)
 
@@ -202,17 +202,17 @@ class EpicTimeline:
 
 def read_timelines(path: Path, grasps: Sequence[EpicGrasp], note: Note) -> list[EpicTimeline]:
     """Read the timelines of the authors' list (``epic_hit.json``), each once. Raises ``InputError``."""
-    content = read_bytes(path, LARGEST_TABLE)
+    content = read_bytes(path, MAX_EPIC_TABLE_BYTES)
     try:
         listed = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise InputError(path, "", f"text that is no JSON ({error})", "EPIC-HIT's list of timelines") from error
     if not isinstance(listed, list) or not all(isinstance(entry, dict) for entry in listed):
-        raise InputError(path, "", shown(listed), "a list of timelines, as epic_hit.json")
+        raise InputError(path, "", shorten_value(listed), "a list of timelines, as epic_hit.json")
     by_film = {grasp.film: grasp for grasp in grasps if grasp.film}
     found: dict[str, EpicTimeline] = {}
     for n, entry in enumerate(listed):
-        timeline = _timeline(path, f"[{n}]", entry, by_film)
+        timeline = _parse_epic_timeline(path, f"[{n}]", entry, by_film)
         if timeline.segments:
             found[timeline.span.name] = timeline
     lists.report_backwards(path, listed, note)
@@ -221,20 +221,25 @@ def read_timelines(path: Path, grasps: Sequence[EpicGrasp], note: Note) -> list[
     return list(found.values())
 
 
-def _timeline(path: Path, key: str, entry: Mapping[str, object], by_film: Mapping[str, EpicGrasp]) -> EpicTimeline:
+def _parse_epic_timeline(
+    path: Path, key: str, entry: Mapping[str, object], by_film: Mapping[str, EpicGrasp]
+) -> EpicTimeline:
     film = entry.get("mp4_name")
     grasp = by_film.get(film.removesuffix(".mp4")) if isinstance(film, str) else None
     if grasp is None:
-        raise InputError(path, f"{key}.mp4_name", shown(film), "the mp4_name of a grasp in EPIC-Grasps' table")
+        raise InputError(path, f"{key}.mp4_name", shorten_value(film), "the mp4_name of a grasp in EPIC-Grasps' table")
     for name, value in (("vid", grasp.video), ("cat", grasp.category)):
         if entry.get(name) != value:
             raise InputError(
-                path, f"{key}.{name}", shown(entry.get(name)), f"{value}, as of {shown(film)} in the table"
+                path,
+                f"{key}.{name}",
+                shorten_value(entry.get(name)),
+                f"{value}, as of {shorten_value(film)} in the table",
             )
     side = entry.get("main_side")
     if side not in ("left", "right"):
-        raise InputError(path, f"{key}.main_side", shown(side), "left or right")
-    segments = lists.segments_of(path, f"{key}.segments", entry.get("segments"))
+        raise InputError(path, f"{key}.main_side", shorten_value(side), "left or right")
+    segments = lists.parse_timeline_segments(path, f"{key}.segments", entry.get("segments"))
     if not segments:
         return EpicTimeline(grasp, ())
     first, last = min(s.first for s in segments), max(s.last for s in segments)

@@ -16,17 +16,17 @@ from pathlib import Path
 
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.model import Side
-from getagrip.io.files import plain, read_bytes, shown
+from getagrip.io.files import printable, read_bytes, shorten_value
 
-CATEGORIES = ("bottle", "bowl", "can", "cup", "glass", "mug", "pan", "plate", "saucepan")
+EPIC_CATEGORIES = ("bottle", "bowl", "can", "cup", "glass", "mug", "pan", "plate", "saucepan")
 """The kinds of objects of EPIC-Grasps."""
-LARGEST_TABLE = 64 * 2**20
+MAX_EPIC_TABLE_BYTES = 64 * 2**20
 """Limit in bytes of a table."""
-LAST_FRAME = 10_000_000
+MAX_FRAME_NUMBER = 10_000_000
 """No frame has a higher number: two days at 50 frames per second."""
-VIDEO = re.compile(r"(P\d{2})_(\d{2,3})")
+EPIC_VIDEO_PATTERN = re.compile(r"(P\d{2})_(\d{2,3})")
 """Names of videos: a person (and kitchen), then the recording."""
-SIDES: dict[str, Side] = {"left hand": "left", "right hand": "right"}
+SIDE_BY_HAND_NAME: dict[str, Side] = {"left hand": "left", "right hand": "right"}
 
 
 @dataclass(frozen=True)
@@ -108,27 +108,29 @@ def read_grasps(path: Path, errata: Path | None = None) -> list[EpicGrasp]:
     Where ``st`` and ``ed`` of a row disagree with its ``duration`` (one does), those in its ``fmt`` are taken if they
     agree with it. Raises ``InputError``, which names the line and the column.
     """
-    rows = _table(path, ("vid", "st", "ed", "st_bound", "ed_bound", "contact", "handside", "cat", "hos_name",
+    rows = _read_epic_table(path, ("vid", "st", "ed", "st_bound", "ed_bound", "contact", "handside", "cat", "hos_name",
                          "duration", "example", "fmt"), optional=("n_unfiltered_masks", "mp4_name"))  # fmt: skip
-    grasps = {row.text("fmt"): _grasp(row, row.text("handside"), "handside") for row in rows}
+    grasps = {row.text("fmt"): _parse_epic_grasp(row, row.text("handside"), "handside") for row in rows}
     if len(grasps) < len(rows):
         raise InputError(path, "fmt", "the same grasp twice", "each once")
     if errata is not None:
-        for row in _table(errata, ("ACTION", "old_fmt", "correct_handside")):
+        for row in _read_epic_table(errata, ("ACTION", "old_fmt", "correct_handside")):
             old = grasps.pop(row.text("old_fmt"), None)
             if old is None:
-                raise InputError(errata, row.key("old_fmt"), shown(row.text("old_fmt")), f"an fmt of {path.name}")
+                raise InputError(
+                    errata, row.key("old_fmt"), shorten_value(row.text("old_fmt")), f"an fmt of {path.name}"
+                )
             if row.text("ACTION") == "REMAKE":
-                side = _side(row, row.text("correct_handside"), "correct_handside")
+                side = _parse_epic_side(row, row.text("correct_handside"), "correct_handside")
                 grasps[row.text("old_fmt")] = replace(old, side=side, note=f"errata: the {side} hand, not {old.side}")
             elif row.text("ACTION") != "DELETE":
-                raise InputError(errata, row.key("ACTION"), shown(row.text("ACTION")), "REMAKE or DELETE")
+                raise InputError(errata, row.key("ACTION"), shorten_value(row.text("ACTION")), "REMAKE or DELETE")
     return sorted(grasps.values(), key=lambda grasp: grasp.example)
 
 
-def _grasp(row: _Row, side: str, column: str) -> EpicGrasp:
+def _parse_epic_grasp(row: _TableRow, side: str, column: str) -> EpicGrasp:
     """Parse the grasp in a row of the table."""
-    start, end, duration = row.frame("st"), row.frame("ed"), row.whole("duration", 1, LAST_FRAME)
+    start, end, duration = row.frame("st"), row.frame("ed"), row.whole("duration", 1, MAX_FRAME_NUMBER)
     note = ""
     if end - start + 1 != duration:
         named = re.search(r"_(\d{1,8})_(\d{1,8})$", row.text("fmt"))
@@ -140,13 +142,13 @@ def _grasp(row: _Row, side: str, column: str) -> EpicGrasp:
     if end < start:
         raise row.wrong("ed", f"at least st, {start}")
     category = row.text("cat")
-    if category not in CATEGORIES:
-        raise row.wrong("cat", f"one of {', '.join(CATEGORIES)}")
-    contact = row.whole("contact", -1, LAST_FRAME)
+    if category not in EPIC_CATEGORIES:
+        raise row.wrong("cat", f"one of {', '.join(EPIC_CATEGORIES)}")
+    contact = row.whole("contact", -1, MAX_FRAME_NUMBER)
     return EpicGrasp(
-        example=row.whole("example", 0, LAST_FRAME),
+        example=row.whole("example", 0, MAX_FRAME_NUMBER),
         video=row.video("vid"),
-        side=_side(row, side, column),
+        side=_parse_epic_side(row, side, column),
         category=category,
         entity=row.text("hos_name"),
         start=start,
@@ -155,15 +157,15 @@ def _grasp(row: _Row, side: str, column: str) -> EpicGrasp:
         end_bound=row.frame("ed_bound"),
         contact=None if contact < 0 else contact,
         note=note,
-        masks=row.whole("n_unfiltered_masks", 0, LAST_FRAME) if row.cells["n_unfiltered_masks"].strip() else None,
+        masks=row.whole("n_unfiltered_masks", 0, MAX_FRAME_NUMBER) if row.cells["n_unfiltered_masks"].strip() else None,
         film=row.cells["mp4_name"].strip().removesuffix(".mp4"),
     )
 
 
-def _side(row: _Row, value: str, column: str) -> Side:
-    if value not in SIDES:
-        raise row.wrong(column, " or ".join(SIDES))
-    return SIDES[value]
+def _parse_epic_side(row: _TableRow, value: str, column: str) -> Side:
+    if value not in SIDE_BY_HAND_NAME:
+        raise row.wrong(column, " or ".join(SIDE_BY_HAND_NAME))
+    return SIDE_BY_HAND_NAME[value]
 
 
 def read_actions(paths: Sequence[Path]) -> dict[str, list[Action]]:
@@ -174,8 +176,8 @@ def read_actions(paths: Sequence[Path]) -> dict[str, list[Action]]:
     """
     actions: dict[str, list[Action]] = {}
     for path in paths:
-        for row in _table(path, ("video_id", "start_frame", "stop_frame", "narration", "noun")):
-            start, stop = row.whole("start_frame", 0, LAST_FRAME), row.frame("stop_frame")
+        for row in _read_epic_table(path, ("video_id", "start_frame", "stop_frame", "narration", "noun")):
+            start, stop = row.whole("start_frame", 0, MAX_FRAME_NUMBER), row.frame("stop_frame")
             if stop < start:
                 raise row.wrong("stop_frame", f"at least start_frame, {start}")
             action = Action(row.video("video_id"), start, stop, row.text("narration"), row.text("noun"))
@@ -184,7 +186,7 @@ def read_actions(paths: Sequence[Path]) -> dict[str, list[Action]]:
 
 
 @dataclass(frozen=True)
-class _Row:
+class _TableRow:
     """A line of a table."""
 
     path: Path
@@ -195,7 +197,7 @@ class _Row:
         return f"line {self.line}, {column}"
 
     def wrong(self, column: str, expected: str) -> InputError:
-        return InputError(self.path, self.key(column), shown(self.cells[column]), expected)
+        return InputError(self.path, self.key(column), shorten_value(self.cells[column]), expected)
 
     def text(self, column: str) -> str:
         text = self.cells[column].strip()
@@ -210,23 +212,23 @@ class _Row:
         return int(text)
 
     def frame(self, column: str) -> int:
-        return self.whole(column, 1, LAST_FRAME)
+        return self.whole(column, 1, MAX_FRAME_NUMBER)
 
     def video(self, column: str) -> str:
-        if not VIDEO.fullmatch(self.cells[column]):
+        if not EPIC_VIDEO_PATTERN.fullmatch(self.cells[column]):
             raise self.wrong(column, "a video of EPIC-KITCHENS, as P01_01")
         return self.cells[column]
 
 
-def _table(path: Path, columns: Sequence[str], optional: Sequence[str] = ()) -> list[_Row]:
+def _read_epic_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ()) -> list[_TableRow]:
     """Read the rows of a CSV that has certain columns, without the others; missing ``optional`` ones are empty."""
     try:
-        text = read_bytes(path, LARGEST_TABLE).decode("utf-8-sig")
+        text = read_bytes(path, MAX_EPIC_TABLE_BYTES).decode("utf-8-sig")
         lines = csv.reader(io.StringIO(text, newline=""), strict=True)
         heads = next(lines, [])
         missing = [column for column in columns if heads.count(column) != 1]
         if missing:
-            raise InputError(path, plain(missing[0]), f"{heads.count(missing[0])} columns of this name", "one")
+            raise InputError(path, printable(missing[0]), f"{heads.count(missing[0])} columns of this name", "one")
         where = {column: heads.index(column) for column in (*columns, *optional) if column in heads}
         empty = dict.fromkeys(optional, "")
         rows = []
@@ -235,7 +237,7 @@ def _table(path: Path, columns: Sequence[str], optional: Sequence[str] = ()) -> 
                 continue
             if len(cells) != len(heads):
                 raise InputError(path, f"line {lines.line_num}", f"{len(cells)} cells", f"{len(heads)}, as in line 1")
-            rows.append(_Row(path, lines.line_num, empty | {column: cells[n] for column, n in where.items()}))
+            rows.append(_TableRow(path, lines.line_num, empty | {column: cells[n] for column, n in where.items()}))
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(path, "", f"text that is no CSV ({error})", "a CSV file in UTF-8") from error
     if not rows:

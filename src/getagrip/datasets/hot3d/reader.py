@@ -22,28 +22,28 @@ from numpy import ndarray
 from tyro.conf import arg
 
 from getagrip.clip import FrameMasks, HandTrack, World
-from getagrip.datasets.cutting import CutSource, Pieces, TrackedDataset, pieces
+from getagrip.datasets.cutting import CutSource, Pieces, TrackedDataset, cut_into_grasps
 from getagrip.datasets.dataset import Note, Part
 from getagrip.datasets.hot3d import timelines
-from getagrip.datasets.hot3d.recording import Recording, find, read_recording
-from getagrip.datasets.tracks import Piece, Source, Track
+from getagrip.datasets.hot3d.recording import Hot3dRecording, find_hot3d_recordings, read_recording
+from getagrip.datasets.tracks import SequenceSource, Track, TrackPiece
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.geometry.mesh_files import SUFFIXES, read_mesh
-from getagrip.grasps.cut import Cut
+from getagrip.geometry.mesh_files import MESH_SUFFIXES, read_mesh
+from getagrip.grasps.cut import CutRules
 from getagrip.grasps.definition import GraspOptions
 from getagrip.hands.model import Side
 from getagrip.io.arguments import Flag
-from getagrip.io.files import is_plain_name, plain, read_json, shown
+from getagrip.io.files import is_portable_name, printable, read_json, shorten_value
 
 if TYPE_CHECKING:
     from getagrip.geometry.render import Surface
 
-HOLDS = GraspOptions(contact_mm=5.0, points="area", rule="touch", shortest=10)
+HOT3D_GRASP_OPTIONS = GraspOptions(contact_mm=5.0, points="area", rule="touch", shortest=10)
 """Uninterrupted contact."""
-DIGITS = 6
-UP = np.array([0.0, 0.0, 1.0])
+FRAME_NUMBER_DIGITS = 6
+HOT3D_WORLD_UP = np.array([0.0, 0.0, 1.0])
 """In HOT3D's world."""
 
 
@@ -51,7 +51,7 @@ UP = np.array([0.0, 0.0, 1.0])
 class Hot3d(TrackedDataset):
     """Raw HOT3D recordings: every hold of an object by a hand."""
 
-    grasps: Annotated[GraspOptions, arg(name="")] = HOLDS
+    grasps: Annotated[GraspOptions, arg(name="")] = HOT3D_GRASP_OPTIONS
     """Definition of a hold."""
     timelines: Flag = False
     """Import whole interactions instead of holds, with masks and segments (docs/timelines.md); with --list, those of a
@@ -75,10 +75,13 @@ class Hot3d(TrackedDataset):
             raise InputError(self.root, "", got, "one of them at least")
         if listed is not None and (missing := max(0, len(lengths) - len(found))):
             note(f"{missing} of {len(lengths)} recordings of {listed.file} are not there: skipped")
-        how: Pieces = partial(timelines.pieces if self.timelines else touching if self.whole else pieces, cut=cut)
+        how: Pieces = partial(
+            timelines.hot3d_timeline_pieces if self.timelines else cut_into_holds if self.whole else cut_into_grasps,
+            cut=cut,
+        )
         return [CutSource(source, how, cut.shortest) for source in found]
 
-    def _of_timelines(self, cut: Cut) -> Cut:
+    def _of_timelines(self, cut: CutRules) -> CutRules:
         """How grasps are found in timelines, or their list. Raises ``UsageError`` and ``InputError``."""
         if self.whole:
             raise UsageError("--timelines cannot be used with --whole")
@@ -94,28 +97,28 @@ class Hot3d(TrackedDataset):
         """Return the record of how its clips are cut; None where they are whole."""
         return None if self.timelines else super().cut_record()
 
-    def sources(self, lengths: Mapping[str, int] | None = None) -> list[Source]:
+    def sources(self, lengths: Mapping[str, int] | None = None) -> list[SequenceSource]:
         """List the recordings below ``root``; ``lengths`` says how many frames some of them must have."""
         root = self.root.resolve()
-        found = find(root)
-        objects = Objects.below(root)
+        found = find_hot3d_recordings(root)
+        objects = Hot3dObjects.below(root)
         expected = (lengths or {}) if self.first_frame is None else {}
         first = self.first_frame or 0
         return [
-            Source(name, partial(_tracks, name, files, objects, expected.get(name), first))
+            SequenceSource(name, partial(_recording_tracks, name, files, objects, expected.get(name), first))
             for name, files in found.items()
         ]
 
 
-def touching(tracks: Iterable[Track], note: Note, cut: Cut) -> Iterator[Piece]:
+def cut_into_holds(tracks: Iterable[Track], note: Note, cut: CutRules) -> Iterator[TrackPiece]:
     """Yield all frames of each hand and object that have a hold."""
     for track in tracks:
-        if next(pieces([track], lambda _: None, cut), None) is not None:
-            yield from pieces([track], note, cut, whole=True)
+        if next(cut_into_grasps([track], lambda _: None, cut), None) is not None:
+            yield from cut_into_grasps([track], note, cut, whole=True)
 
 
 @dataclass(frozen=True)
-class Objects:
+class Hot3dObjects:
     """The objects of HOT3D, by uid."""
 
     names: dict[str, str]
@@ -123,7 +126,7 @@ class Objects:
     """Files; some may be missing."""
 
     @staticmethod
-    def below(root: Path) -> Objects:
+    def below(root: Path) -> Hot3dObjects:
         """Find the meshes of the objects in ``instance.json``; a mesh is called by the uid or the name.
 
         Raises ``InputError``.
@@ -135,16 +138,18 @@ class Objects:
         for uid, entry in read_json(instances).items():
             name = entry.get("instance_name") if isinstance(entry, dict) else None
             if not isinstance(name, str) or not name.replace("_", "").isalnum():
-                raise InputError(instances, plain(uid), shown(name), "an instance_name of letters, digits and _")
+                raise InputError(
+                    instances, printable(uid), shorten_value(name), "an instance_name of letters, digits and _"
+                )
             names[uid] = name
         files: dict[str, Path] = {}
         for path in sorted(root.rglob("*")):
-            if path.suffix.lower() in SUFFIXES and path.is_file():
+            if path.suffix.lower() in MESH_SUFFIXES and path.is_file():
                 files.setdefault(path.stem, path)
         found = {uid: files.get(uid) or files.get(name) for uid, name in names.items()}
-        return Objects(names, {uid: path for uid, path in found.items() if path is not None})
+        return Hot3dObjects(names, {uid: path for uid, path in found.items() if path is not None})
 
-    def read(self, recording: Recording, note: Note) -> dict[str, Mesh]:
+    def read(self, recording: Hot3dRecording, note: Note) -> dict[str, Mesh]:
         """Read the meshes of a recording's objects; missing ones are reported."""
         meshes = {}
         for uid in sorted(recording.objects):
@@ -159,25 +164,25 @@ class Objects:
         return meshes
 
 
-def _tracks(
-    name: str, files: dict[str, Path], objects: Objects, frames: int | None, first: int, note: Note
+def _recording_tracks(
+    name: str, files: dict[str, Path], objects: Hot3dObjects, frames: int | None, first: int, note: Note
 ) -> Iterator[Track]:
     """Every hand with every object of a recording, in the frames that have both. Raises ``InputError``.
 
     ``first`` is a list's number of the first frame.
     """
     folder = next(iter(files.values())).parent
-    if not is_plain_name(name):
-        raise InputError(folder, "", f"the name {shown(name)}", "P<person>_<id>")
+    if not is_portable_name(name):
+        raise InputError(folder, "", f"the name {shorten_value(name)}", "P<person>_<id>")
     recording = read_recording(name, files)
     if frames not in (None, len(recording.times)):
         expected = f"{frames}, as the list counts them: say with --first-frame what number the first has"
         raise InputError(folder, "headset_trajectory.csv", f"{len(recording.times)} frames", expected)
-    for track in tracks(folder, recording, objects, note):
+    for track in hand_object_tracks(folder, recording, objects, note):
         yield replace(track, origin=-first)
 
 
-def tracks(folder: Path, recording: Recording, objects: Objects, note: Note) -> Iterator[Track]:
+def hand_object_tracks(folder: Path, recording: Hot3dRecording, objects: Hot3dObjects, note: Note) -> Iterator[Track]:
     """Yield every hand with every object of a recording that has a mesh, object by object. Raises ``InputError``."""
     meshes = objects.read(recording, note)
     covered = recording.camera.pinhole.covered(recording.camera.fisheye)
@@ -185,13 +190,13 @@ def tracks(folder: Path, recording: Recording, objects: Objects, note: Note) -> 
         for side, hand in recording.hands.items():
             both = np.flatnonzero(hand.known & poses.known)
             if uid in meshes and both.size:
-                masks = partial(_masks, recording, side, uid, meshes, covered)
-                yield _track(folder, recording, side, uid, objects.names[uid], meshes[uid], both, masks)
+                masks = partial(_render_hot3d_masks, recording, side, uid, meshes, covered)
+                yield _make_hot3d_track(folder, recording, side, uid, objects.names[uid], meshes[uid], both, masks)
 
 
-def _track(
+def _make_hot3d_track(
     folder: Path,
-    recording: Recording,
+    recording: Hot3dRecording,
     side: Side,
     uid: str,
     category: str,
@@ -211,7 +216,7 @@ def _track(
         side=side,
         fps=round(1e9 / float(np.median(np.diff(recording.times))), 3),
         numbers=frames,
-        digits=DIGITS,
+        digits=FRAME_NUMBER_DIGITS,
         size=camera.pinhole.size,
         K=camera.pinhole.K,
         hand=HandTrack(
@@ -224,7 +229,7 @@ def _track(
         T_cam_obj=T_cam_world @ recording.objects[uid].T_world_obj[frames],
         mesh=mesh,
         read_masks=masks,
-        world=World(camera.T_world_cam[frames], UP),
+        world=World(camera.T_world_cam[frames], HOT3D_WORLD_UP),
         stamps=1e-9 * (recording.times[frames] - recording.times[0]),
         provenance={
             "source": f"HOT3D, recording {recording.name}",
@@ -239,8 +244,8 @@ def _track(
     )
 
 
-def _masks(
-    recording: Recording, side: Side, uid: str, meshes: dict[str, Mesh], covered: Bool[ndarray, "H W"], n: int
+def _render_hot3d_masks(
+    recording: Hot3dRecording, side: Side, uid: str, meshes: dict[str, Mesh], covered: Bool[ndarray, "H W"], n: int
 ) -> FrameMasks:
     """Return the masks of frame n; ``covered`` are the pixels that the fisheye image covers."""
     from getagrip.geometry.render import true_masks  # loads numba

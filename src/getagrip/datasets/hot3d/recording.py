@@ -1,4 +1,4 @@
-"""HOT3D's raw files as arrays: one ``Recording`` with every pose at the times of one camera.
+"""HOT3D's raw files as arrays: one ``Hot3dRecording`` with every pose at the times of one camera.
 
 A recording is a folder ``P<person>_<id>``; its files may also be spread over several folders of that name below ROOT.
 Read are ``dynamic_objects.csv``, ``headset_trajectory.csv``, ``umetrack_hand_pose_trajectory.jsonl``,
@@ -26,27 +26,27 @@ from getagrip.geometry import se3
 from getagrip.geometry.fisheye import Fisheye624, Pinhole, pinhole
 from getagrip.hands import umetrack
 from getagrip.hands.model import PosedHand, Side
-from getagrip.io.files import LARGEST_JSON, Json, read_bytes
+from getagrip.io.files import MAX_JSON_BYTES, Json, read_bytes
 
-OBJECTS = ("dynamic_objects.csv", "dynamic_objects_v2.csv")
-SLACK = 5_000_000
+OBJECT_POSE_FILES = ("dynamic_objects.csv", "dynamic_objects_v2.csv")
+MAX_TIME_DIFFERENCE_NS = 5_000_000
 """Largest difference between the times of a frame and of a pose that is taken for it [ns]; cameras and poses of one
 instant are stamped 0.1 ms apart, frames 33 ms."""
-LARGEST_TABLE = 128 * 2**20
+MAX_HOT3D_FILE_BYTES = 128 * 2**20
 """Limit in bytes of a file of poses; two minutes take some ten million."""
-MOST_FRAMES = 20_000
+MAX_HOT3D_FRAMES = 20_000
 """Most frames of a recording: five times as many as the longest has."""
-LARGEST_IMAGE = 8192
+MAX_HOT3D_SIDE_PX = 8192
 """Longest side of an image [px]."""
-LARGEST_NUMBER = 1e9
+MAX_POSE_NUMBER = 1e9
 """Largest number of a pose, an angle or a calibration; far above all true ones."""
-SIDES: dict[str, Side] = {"0": "left", "1": "right"}
+SIDE_BY_HAND_ID: dict[str, Side] = {"0": "left", "1": "right"}
 ARIA_CAMERAS = {"camera-rgb": (1408, 1408), "camera-slam-left": (640, 480)}
 """Cameras in the order of preference and the sizes of their images [px], which the calibration does not give."""
 
 
 @dataclass(frozen=True)
-class Hand:
+class RecordedHand:
     """One hand over a recording."""
 
     posed: PosedHand
@@ -83,48 +83,52 @@ class HeadsetCamera:
 
 
 @dataclass(frozen=True)
-class Recording:
+class Hot3dRecording:
     name: str
     times: Int[ndarray, "N"]
     """Times of the frames [ns]."""
     camera: HeadsetCamera
-    hands: dict[Side, Hand]
+    hands: dict[Side, RecordedHand]
     objects: dict[str, WorldPoses]
     """By HOT3D's object uid."""
 
 
-CLIPS = ("clip-*.tar", "*.objects.json", "*.cameras.json")
+HOT3D_CLIPS_PATTERNS = ("clip-*.tar", "*.objects.json", "*.cameras.json")
 """Names of the files of HOT3D-Clips, packed and not."""
 
 
-def find(root: Path) -> dict[str, dict[str, Path]]:
+def find_hot3d_recordings(root: Path) -> dict[str, dict[str, Path]]:
     """Find the files of each recording below a folder, by their names.
 
     Raises ``InputError`` where there is no recording.
     """
-    if root.is_file() and fnmatch(root.name, CLIPS[0]):
-        raise _is_clips(root)
+    if root.is_file() and fnmatch(root.name, HOT3D_CLIPS_PATTERNS[0]):
+        raise _clips_layout_error(root)
     if not root.is_dir():
         raise InputError(root, "", "no such folder", "a folder with HOT3D recordings")
     folders: dict[str, dict[str, Path]] = {}
     for path in sorted(root.rglob("*")):
         if path.is_file():
             folders.setdefault(path.parent.name, {})[path.name] = path
-    found = {name: files for name, files in sorted(folders.items()) if any(objects in files for objects in OBJECTS)}
-    if not found and any(fnmatch(name, kind) for names in folders.values() for name in names for kind in CLIPS):
-        raise _is_clips(root)
+    found = {
+        name: files for name, files in sorted(folders.items()) if any(objects in files for objects in OBJECT_POSE_FILES)
+    }
+    if not found and any(
+        fnmatch(name, kind) for names in folders.values() for name in names for kind in HOT3D_CLIPS_PATTERNS
+    ):
+        raise _clips_layout_error(root)
     if not found:
-        raise InputError(root, "", f"no {OBJECTS[0]} below it", "HOT3D recordings")
+        raise InputError(root, "", f"no {OBJECT_POSE_FILES[0]} below it", "HOT3D recordings")
     return found
 
 
-def _is_clips(root: Path) -> InputError:
+def _clips_layout_error(root: Path) -> InputError:
     """Make the error for HOT3D-Clips, which hold the same recordings in another layout."""
     got = "HOT3D-Clips (clip-*.tar), another layout, which is not read"
     return InputError(root, "", got, "HOT3D's full recordings, as its own downloader saves them")
 
 
-def read_recording(name: str, files: dict[str, Path]) -> Recording:
+def read_recording(name: str, files: dict[str, Path]) -> Hot3dRecording:
     """Read the files of one recording. Raises ``InputError`` where one is missing or malformed."""
 
     def need(*alternatives: str) -> Path:
@@ -134,45 +138,50 @@ def read_recording(name: str, files: dict[str, Path]) -> Recording:
         folder = next(iter(files.values())).parent
         raise InputError(folder, " or ".join(alternatives), "no such file", f"it among the files of recording {name}")
 
-    headset = next(iter(_poses_csv(need("headset_trajectory.csv")).values()))
+    headset = next(iter(_read_poses_csv(need("headset_trajectory.csv")).values()))
     stamps = np.array(sorted(headset))
     # The cameras of one instant are stamped a little apart: their poses come in pairs, of which one is taken.
-    times = stamps[np.concatenate([[True], np.diff(stamps) > SLACK])]
-    if not 2 <= len(times) <= MOST_FRAMES:
-        raise InputError(need("headset_trajectory.csv"), "", f"{len(times)} frames", f"2 to {MOST_FRAMES}")
-    T_world_device, _ = _at(times, headset)
-    objects = {uid: WorldPoses(*_at(times, poses)) for uid, poses in _poses_csv(need(*OBJECTS)).items()}
+    times = stamps[np.concatenate([[True], np.diff(stamps) > MAX_TIME_DIFFERENCE_NS])]
+    if not 2 <= len(times) <= MAX_HOT3D_FRAMES:
+        raise InputError(need("headset_trajectory.csv"), "", f"{len(times)} frames", f"2 to {MAX_HOT3D_FRAMES}")
+    T_world_device, _ = _nearest_values(times, headset)
+    objects = {
+        uid: WorldPoses(*_nearest_values(times, poses))
+        for uid, poses in _read_poses_csv(need(*OBJECT_POSE_FILES)).items()
+    }
     calibration = need("online_calibration.jsonl", "camera_models.json")
     camera = (
-        _aria(calibration, times, T_world_device)
+        _read_aria_camera(calibration, times, T_world_device)
         if calibration.suffix == ".jsonl"
-        else _quest(calibration, T_world_device)
+        else _read_quest_camera(calibration, T_world_device)
     )
     model = umetrack.load(need("umetrack_hand_user_profile.json"))
-    hands = _hands(need("umetrack_hand_pose_trajectory.jsonl"), model, times)
-    return Recording(name, times, camera, hands, objects)
+    hands = _read_recorded_hands(need("umetrack_hand_pose_trajectory.jsonl"), model, times)
+    return Hot3dRecording(name, times, camera, hands, objects)
 
 
-def _hands(path: Path, model: umetrack.UmeTrackHand, times: Int[ndarray, "N"]) -> dict[Side, Hand]:
+def _read_recorded_hands(
+    path: Path, model: umetrack.UmeTrackHand, times: Int[ndarray, "N"]
+) -> dict[Side, RecordedHand]:
     wrists: dict[Side, dict[int, Float[ndarray, "4 4"]]] = {"left": {}, "right": {}}
     angles: dict[Side, dict[int, Float[ndarray, "22"]]] = {"left": {}, "right": {}}
-    for number, line in _json_lines(path):
-        with _named(path, f"line {number}", "a time and the poses of the hands"):
-            time = _whole(line["timestamp_ns"])
+    for number, line in _read_json_lines(path):
+        with _input_errors_at(path, f"line {number}", "a time and the poses of the hands"):
+            time = _parse_positive_integer(line["timestamp_ns"])
             for key, pose in line["hand_poses"].items():
                 wrist = pose["wrist_xform"]
-                wrists[SIDES[key]][time] = _rigid([*wrist["q_wxyz"], *wrist["t_xyz"]])
-                angles[SIDES[key]][time] = _numbers(pose["joint_angles"], 22)
+                wrists[SIDE_BY_HAND_ID[key]][time] = _rigid_from_quaternion([*wrist["q_wxyz"], *wrist["t_xyz"]])
+                angles[SIDE_BY_HAND_ID[key]][time] = _parse_bounded_numbers(pose["joint_angles"], 22)
     hands = {}
-    for side in SIDES.values():
+    for side in SIDE_BY_HAND_ID.values():
         if wrists[side]:
-            T_world_wrist, known = _at(times, wrists[side])
-            posed = model.with_pose(side, _at(times, angles[side])[0])
-            hands[side] = Hand(posed, umetrack.T_world_hand(side, T_world_wrist), known)
+            T_world_wrist, known = _nearest_values(times, wrists[side])
+            posed = model.with_pose(side, _nearest_values(times, angles[side])[0])
+            hands[side] = RecordedHand(posed, umetrack.T_world_hand(side, T_world_wrist), known)
     return hands
 
 
-def _aria(path: Path, times: Int[ndarray, "N"], T_world_device: Float[ndarray, "N 4 4"]) -> HeadsetCamera:
+def _read_aria_camera(path: Path, times: Int[ndarray, "N"], T_world_device: Float[ndarray, "N 4 4"]) -> HeadsetCamera:
     """Read the RGB camera, or else the left SLAM camera, calibrated online.
 
     The calibration is stamped by another clock than the poses. It drifts by little, so the clocks are set equal at the
@@ -181,67 +190,78 @@ def _aria(path: Path, times: Int[ndarray, "N"], T_world_device: Float[ndarray, "
     lenses: list[Fisheye624] = []
     mounts: dict[int, Float[ndarray, "4 4"]] = {}
     label = ""
-    for number, line in _json_lines(path):
-        with _named(path, f"line {number}", f"the calibration of one of {', '.join(ARIA_CAMERAS)}"):
+    for number, line in _read_json_lines(path):
+        with _input_errors_at(path, f"line {number}", f"the calibration of one of {', '.join(ARIA_CAMERAS)}"):
             cameras = {camera["Label"]: camera for camera in line["CameraCalibrations"] if camera["Calibrated"]}
             label = label or next(name for name in ARIA_CAMERAS if name in cameras)
             if label in cameras:
                 mount = cameras[label]["T_Device_Camera"]
                 w, xyz = mount["UnitQuaternion"]
-                mounts[1000 * _whole(line["tracking_timestamp_us"])] = _rigid([w, *xyz, *mount["Translation"]])
+                mounts[1000 * _parse_positive_integer(line["tracking_timestamp_us"])] = _rigid_from_quaternion(
+                    [w, *xyz, *mount["Translation"]]
+                )
                 lenses.append(Fisheye624.from_parameters(cameras[label]["Projection"]["Params"], ARIA_CAMERAS[label]))
     if not mounts:
         raise InputError(path, "", "no line", "a calibration for every frame")
     start = min(mounts)
-    T_device_fisheye, _ = _at(times - times[0] + start, mounts)
-    view = _upright(lenses[0])
+    T_device_fisheye, _ = _nearest_values(times - times[0] + start, mounts)
+    view = _make_upright_pinhole(lenses[0])
     return HeadsetCamera("Aria", label, lenses[0], view, T_world_device @ T_device_fisheye @ view.T_fisheye_pinhole)
 
 
-def _quest(path: Path, T_world_device: Float[ndarray, "N 4 4"]) -> HeadsetCamera:
+def _read_quest_camera(path: Path, T_world_device: Float[ndarray, "N 4 4"]) -> HeadsetCamera:
     """Read the first large camera of a Quest 3, which is stream 1201-1."""
     try:
-        cameras = json.loads(read_bytes(path, LARGEST_JSON))
+        cameras = json.loads(read_bytes(path, MAX_JSON_BYTES))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(path, "", f"an unreadable file ({error})", "a JSON list of cameras") from error
-    with _named(path, "cameras", "a list of Fisheye624 cameras"):
+    with _input_errors_at(path, "cameras", "a list of Fisheye624 cameras"):
         camera = next(camera for camera in cameras if camera["imageHeight"] >= 640)
-        size = _whole(camera["imageWidth"], LARGEST_IMAGE), _whole(camera["imageHeight"], LARGEST_IMAGE)
+        size = (
+            _parse_positive_integer(camera["imageWidth"], MAX_HOT3D_SIDE_PX),
+            _parse_positive_integer(camera["imageHeight"], MAX_HOT3D_SIDE_PX),
+        )
         fisheye = Fisheye624.from_parameters(camera["projectionParams"], size)
         mount = camera["T_Device_Camera"]
-        T_device_fisheye = _rigid([*mount["quaternion_wxyz"], *mount["translation_xyz"]])
-        view = _upright(fisheye)
+        T_device_fisheye = _rigid_from_quaternion([*mount["quaternion_wxyz"], *mount["translation_xyz"]])
+        view = _make_upright_pinhole(fisheye)
         label = str(camera["label"])
     return HeadsetCamera("Quest 3", label, fisheye, view, T_world_device @ T_device_fisheye @ view.T_fisheye_pinhole)
 
 
-def _upright(fisheye: Fisheye624) -> Pinhole:
+def _make_upright_pinhole(fisheye: Fisheye624) -> Pinhole:
     """Make a pinhole of the lens's focal length and image size. Both headsets mount their cameras on the side."""
     width, height = fisheye.size
     return pinhole(fisheye, fisheye.f, (height, width), quarter_turns=1)
 
 
-def _at(times: Int[ndarray, "N"], values: dict[int, ndarray]) -> tuple[Float[ndarray, "N ..."], Bool[ndarray, "N"]]:
-    """Return the values nearest to the times, and whether they are near enough (``SLACK``) to stand for them."""
+def _nearest_values(
+    times: Int[ndarray, "N"], values: dict[int, ndarray]
+) -> tuple[Float[ndarray, "N ..."], Bool[ndarray, "N"]]:
+    """Return the values nearest to the times, and whether they are near enough (``MAX_TIME_DIFFERENCE_NS``) to stand for them."""
     stamps = np.array(sorted(values))
     after = np.minimum(np.searchsorted(stamps, times), len(stamps) - 1)
     before = np.maximum(after - 1, 0)
     nearest = np.where(np.abs(stamps[before] - times) <= np.abs(stamps[after] - times), before, after)
-    return np.stack([values[int(t)] for t in stamps[nearest]]), np.abs(stamps[nearest] - times) <= SLACK
+    return np.stack([values[int(t)] for t in stamps[nearest]]), np.abs(
+        stamps[nearest] - times
+    ) <= MAX_TIME_DIFFERENCE_NS
 
 
-def _poses_csv(path: Path) -> dict[str, dict[int, Float[ndarray, "4 4"]]]:
+def _read_poses_csv(path: Path) -> dict[str, dict[int, Float[ndarray, "4 4"]]]:
     """T_world_x by object and time [ns]."""
     columns = ["t_wo_x[m]", "t_wo_y[m]", "t_wo_z[m]", "q_wo_w", "q_wo_x", "q_wo_y", "q_wo_z"]
     poses: dict[str, dict[int, Float[ndarray, "4 4"]]] = {}
-    text = read_bytes(path, LARGEST_TABLE)
+    text = read_bytes(path, MAX_HOT3D_FILE_BYTES)
     try:
         with io.StringIO(text.decode("utf-8-sig"), newline="") as file:
             for number, row in enumerate(csv.DictReader(file), start=2):
-                with _named(path, f"line {number}", f"columns object_uid, timestamp[ns], {', '.join(columns)}"):
+                with _input_errors_at(
+                    path, f"line {number}", f"columns object_uid, timestamp[ns], {', '.join(columns)}"
+                ):
                     numbers = [float(row[c]) for c in columns]
-                    T = _rigid([*numbers[3:], *numbers[:3]])
-                    poses.setdefault(row["object_uid"], {})[_whole(row["timestamp[ns]"])] = T
+                    T = _rigid_from_quaternion([*numbers[3:], *numbers[:3]])
+                    poses.setdefault(row["object_uid"], {})[_parse_positive_integer(row["timestamp[ns]"])] = T
     except (OSError, ValueError, csv.Error) as error:
         raise InputError(path, "", f"an unreadable file ({error})", "a table of poses") from error
     if not poses:
@@ -249,8 +269,8 @@ def _poses_csv(path: Path) -> dict[str, dict[int, Float[ndarray, "4 4"]]]:
     return poses
 
 
-def _json_lines(path: Path) -> Iterator[tuple[int, Json]]:
-    content = read_bytes(path, LARGEST_TABLE)
+def _read_json_lines(path: Path) -> Iterator[tuple[int, Json]]:
+    content = read_bytes(path, MAX_HOT3D_FILE_BYTES)
     try:
         for number, line in enumerate(io.BytesIO(content), start=1):
             if line.strip():
@@ -259,30 +279,30 @@ def _json_lines(path: Path) -> Iterator[tuple[int, Json]]:
         raise InputError(path, "", f"an unreadable file ({error})", "one JSON object a line") from error
 
 
-def _rigid(numbers: Sequence[float]) -> Float[ndarray, "4 4"]:
+def _rigid_from_quaternion(numbers: Sequence[float]) -> Float[ndarray, "4 4"]:
     """From a quaternion (w, x, y, z) and a translation."""
-    q_t = _numbers(numbers, 7)
+    q_t = _parse_bounded_numbers(numbers, 7)
     if abs(np.linalg.norm(q_t[:4]) - 1.0) > 1e-2:
         raise ValueError("a quaternion that is not of unit length")
     return se3.rigid(se3.from_quaternion(q_t[:4]), q_t[4:])
 
 
-def _whole(value: str | float, largest: int = 2**53) -> int:
+def _parse_positive_integer(value: str | float, largest: int = 2**53) -> int:
     number = int(value)
     if not 0 < number <= largest:
         raise ValueError(f"{number}, which is not between 1 and {largest}")
     return number
 
 
-def _numbers(values: Sequence[float], count: int) -> Float[ndarray, "n"]:
+def _parse_bounded_numbers(values: Sequence[float], count: int) -> Float[ndarray, "n"]:
     array = np.asarray(values, dtype=float)
-    if array.shape != (count,) or not (np.abs(array) < LARGEST_NUMBER).all():
-        raise ValueError(f"not {count} numbers below {LARGEST_NUMBER:g}")
+    if array.shape != (count,) or not (np.abs(array) < MAX_POSE_NUMBER).all():
+        raise ValueError(f"not {count} numbers below {MAX_POSE_NUMBER:g}")
     return array
 
 
 @contextmanager
-def _named(path: Path, key: str, expected: str) -> Iterator[None]:
+def _input_errors_at(path: Path, key: str, expected: str) -> Iterator[None]:
     """Turn errors in reading untyped data into an ``InputError`` that names the place."""
     try:
         yield

@@ -13,12 +13,12 @@ import numpy as np
 
 from getagrip.datasets.synthetic import shapes
 from getagrip.datasets.synthetic.grasp import Grip
-from getagrip.datasets.synthetic.loft import loft, together
-from getagrip.datasets.synthetic.shapes import handle, revolved, scaled, slab, with_bar
+from getagrip.datasets.synthetic.loft import loft, merge_closed_meshes
+from getagrip.datasets.synthetic.shapes import handle, parse_profile, revolve_profile, slab, vessel_with_handle
 from getagrip.geometry.mesh import Mesh
 
 
-def _block(
+def _rounded_block(
     low: tuple[float, float, float], high: tuple[float, float, float], power: float = 7.0, layers: int = 2
 ) -> Mesh:
     """Make a rounded block between two corners."""
@@ -27,7 +27,7 @@ def _block(
     return Mesh(part.vertices + (np.array(low) + high) / 2.0, part.faces)
 
 
-def _bar(points: Sequence[tuple[float, float]], n: int, width: float, height: float) -> Mesh:
+def _bent_bar(points: Sequence[tuple[float, float]], n: int, width: float, height: float) -> Mesh:
     """Make a bent bar of elliptical section through (x, z) points, closed at both ends."""
     return loft(handle(points, n, width, height).sections(12))
 
@@ -39,8 +39,8 @@ def notebook(size: tuple[float, float, float] = (0.15, 0.21, 0.014)) -> Mesh:
 
 def waffle_iron(radius: float = 0.095, height: float = 0.08, bar: float = 0.12) -> Mesh:
     """Make a round, closed waffle iron with a straight handle; the origin lies on the handle."""
-    low = scaled("0.35 0, 0.7 0, 0.93 0.02, 1 0.14, 1 0.3, 1 0.44, 0.97 0.48", radius, height)
-    return with_bar([*low, *((r, height - z) for r, z in low[::-1])], radius, height, bar, 0.006)
+    low = parse_profile("0.35 0, 0.7 0, 0.93 0.02, 1 0.14, 1 0.3, 1 0.44, 0.97 0.48", radius, height)
+    return vessel_with_handle([*low, *((r, height - z) for r, z in low[::-1])], radius, height, bar, 0.006)
 
 
 def mixer(length: float = 0.19, width: float = 0.075, height: float = 0.075) -> Mesh:
@@ -54,10 +54,10 @@ def mixer(length: float = 0.19, width: float = 0.075, height: float = 0.075) -> 
     rings = np.stack([x, *np.moveaxis(full[:, None, None] * section * [width, height], -1, 0)], axis=-1)
     bow = [(-0.36 * length, 0.46 * height), (-0.40 * length, 0.86 * height), (0.0, 1.12 * height)]
     bow += [(0.34 * length, 0.98 * height), (0.36 * length, 0.46 * height)]
-    profile = scaled("0.12 0, 0.6 0.06, 1 0.25, 0.75 0.42, 0.2 0.5, 0.18 0.8, 0.18 1, 0.05 1", 0.019, 0.13)
-    beater = loft(revolved(profile, 10, 0.02))
+    profile = parse_profile("0.12 0, 0.6 0.06, 1 0.25, 0.75 0.42, 0.2 0.5, 0.18 0.8, 0.18 1, 0.05 1", 0.019, 0.13)
+    beater = loft(revolve_profile(profile, 10, 0.02))
     places = np.array([0.22 * length, 0.021, -0.13 - 0.3 * height]) * [[1.0, -1.0, 1.0], [1.0, 1.0, 1.0]]
-    return together(
+    return merge_closed_meshes(
         [loft(rings, [handle(bow, 12, 0.014, 0.011)]), *(Mesh(beater.vertices + at, beater.faces) for at in places)]
     )
 
@@ -65,21 +65,23 @@ def mixer(length: float = 0.19, width: float = 0.075, height: float = 0.075) -> 
 def espresso_machine(width: float = 0.105, height: float = 0.22) -> Mesh:
     """Make a small espresso machine: base, column and head, the filter's handle in front."""
     y, z = width / 2.0, height / 2.0
-    base = _block((-0.085, -y, -z), (0.085, y, -z + 0.035))
-    column = _block((-0.085, -0.8 * y, -z + 0.02), (-0.025, 0.8 * y, z - 0.03), layers=5)
-    head = _block((-0.09, -y, z - 0.075), (0.07, y, z))
-    filter_handle = _bar([(0.03, z - 0.085), (0.08, z - 0.088), (0.13, z - 0.095), (0.18, z - 0.10)], 9, 0.014, 0.013)
-    return together([base, column, head, filter_handle])
+    base = _rounded_block((-0.085, -y, -z), (0.085, y, -z + 0.035))
+    column = _rounded_block((-0.085, -0.8 * y, -z + 0.02), (-0.025, 0.8 * y, z - 0.03), layers=5)
+    head = _rounded_block((-0.09, -y, z - 0.075), (0.07, y, z))
+    filter_handle = _bent_bar(
+        [(0.03, z - 0.085), (0.08, z - 0.088), (0.13, z - 0.095), (0.18, z - 0.10)], 9, 0.014, 0.013
+    )
+    return merge_closed_meshes([base, column, head, filter_handle])
 
 
 def capsule_machine(width: float = 0.085, height: float = 0.20) -> Mesh:
     """Make a narrow capsule machine: tray, column and rounded head, a lever above."""
     y, z = width / 2.0, height / 2.0
-    tray = _block((-0.06, -y, -z), (0.11, y, -z + 0.025))
-    column = _block((-0.07, -0.85 * y, -z + 0.01), (0.01, 0.85 * y, z - 0.03), 5.0, 5)
-    head = _block((-0.075, -0.8 * y, z - 0.07), (0.10, 0.8 * y, z), 4.0)
+    tray = _rounded_block((-0.06, -y, -z), (0.11, y, -z + 0.025))
+    column = _rounded_block((-0.07, -0.85 * y, -z + 0.01), (0.01, 0.85 * y, z - 0.03), 5.0, 5)
+    head = _rounded_block((-0.075, -0.8 * y, z - 0.07), (0.10, 0.8 * y, z), 4.0)
     lever = [(-0.05, z - 0.01), (-0.045, z + 0.018), (0.0, z + 0.024), (0.05, z + 0.018), (0.085, z + 0.012)]
-    return together([tray, column, head, _bar(lever, 10, 0.012, 0.005)])
+    return merge_closed_meshes([tray, column, head, _bent_bar(lever, 10, 0.012, 0.005)])
 
 
 def microwave(size: tuple[float, float, float] = (0.17, 0.26, 0.15)) -> Mesh:
@@ -88,12 +90,12 @@ def microwave(size: tuple[float, float, float] = (0.17, 0.26, 0.15)) -> Mesh:
     x, z = depth / 2.0, height / 2.0
     body = slab(size, 12.0, 0.005, 40, 5)
     bow = [(x - 0.01, 0.8 * z), (x + 0.052, 0.76 * z), (x + 0.066, 0.0), (x + 0.052, -0.76 * z), (x - 0.01, -0.8 * z)]
-    grip = _bar(bow, 16, 0.010, 0.009)
-    return together([body, Mesh(grip.vertices + np.array([0.0, 0.3 * width, 0.0]), grip.faces)])
+    grip = _bent_bar(bow, 16, 0.010, 0.009)
+    return merge_closed_meshes([body, Mesh(grip.vertices + np.array([0.0, 0.3 * width, 0.0]), grip.faces)])
 
 
 @dataclass(frozen=True)
-class Kind:
+class ObjectKind:
     """A category: how to make the object, and the ways to take it."""
 
     make: Callable[[], Mesh]
@@ -110,19 +112,19 @@ class Kind:
     """True for a vessel or bottle, which is hardly ever held with its opening on the little finger's side."""
 
 
-_ROUND = Grip("palm", (0, 0, 0), (1, 0, 0), (0, 0, 1))
-_ROUND_THUMB_DOWN = Grip("palm", (0, 0, 0), (1, 0, 0), (0, 0, -1))
-_BAR = Grip("palm", (0, 0, 0), (0, 0.5, -1), (-1, 0, 0))
-_BAR_FROM_BELOW = Grip("palm", (0, 0, 0), (0, -0.6, 1), (-1, 0, 0))
+_ROUND_GRIP = Grip("palm", (0, 0, 0), (1, 0, 0), (0, 0, 1))
+_ROUND_THUMB_DOWN_GRIP = Grip("palm", (0, 0, 0), (1, 0, 0), (0, 0, -1))
+_BAR_GRIP = Grip("palm", (0, 0, 0), (0, 0.5, -1), (-1, 0, 0))
+_BAR_FROM_BELOW_GRIP = Grip("palm", (0, 0, 0), (0, -0.6, 1), (-1, 0, 0))
 
 
-def _rim(radius: float, height: float) -> Grip:
+def _rim_grip(radius: float, height: float) -> Grip:
     """By the rim of a vessel, the thumb inside."""
     return Grip("pinch", (radius, 0, height), (-0.25, 0, -1), (1, 0, 0))
 
 
-CATEGORIES: dict[str, Kind] = {
-    "bottle": Kind(
+SYNTHETIC_CATEGORIES: dict[str, ObjectKind] = {
+    "bottle": ObjectKind(
         shapes.bottle,
         (Grip("palm", (0, 0, -0.02), (1, 0, 0), (0, 0, 1)),),
         (Grip("palm", (0, 0, 0.06), (1, 0, 0), (0, 0, 1)), Grip("palm", (0, 0, 0.03), (1, 0, 0), (0, 0, -1))),
@@ -130,17 +132,17 @@ CATEGORIES: dict[str, Kind] = {
         stretch=0.2,  # they are slim, squat or flat
         opens_up=True,
     ),
-    "bowl": Kind(shapes.bowl, (Grip("pinch", (0.072, 0, 0.055), (-0.25, 0, -1), (1, 0, 0)),), opens_up=True),
-    "can": Kind(shapes.can, (_ROUND,), (_ROUND_THUMB_DOWN,)),
-    "cup": Kind(
+    "bowl": ObjectKind(shapes.bowl, (Grip("pinch", (0.072, 0, 0.055), (-0.25, 0, -1), (1, 0, 0)),), opens_up=True),
+    "can": ObjectKind(shapes.can, (_ROUND_GRIP,), (_ROUND_THUMB_DOWN_GRIP,)),
+    "cup": ObjectKind(
         shapes.cup,
         (Grip("pinch", (0.058, 0, 0.042), (-1, 0, 0), (0, -1, 0)),),
         (Grip("pinch", (0, -0.042, 0.055), (0, 0.25, -1), (0, -1, 0)),),  # by the rim
         spread=0.15,
         opens_up=True,
     ),
-    "glass": Kind(shapes.glass, (_ROUND,), (_ROUND_THUMB_DOWN, _rim(0.036, 0.055)), opens_up=True),
-    "mug": Kind(
+    "glass": ObjectKind(shapes.glass, (_ROUND_GRIP,), (_ROUND_THUMB_DOWN_GRIP, _rim_grip(0.036, 0.055)), opens_up=True),
+    "mug": ObjectKind(
         shapes.mug,
         (
             Grip("palm", (0.077, 0, 0.05), (-1, 0, 0), (0, 0, 1)),  # by the handle
@@ -150,46 +152,46 @@ CATEGORIES: dict[str, Kind] = {
         spread=0.15,
         opens_up=True,
     ),
-    "pan": Kind(shapes.pan, (_BAR,), (_BAR_FROM_BELOW,), opens_up=True),
-    "plate": Kind(shapes.plate, (Grip("pinch", (0.09, 0, 0.016), (-1, 0, 0), (0, 0, -1)),), spread=0.2),
-    "saucepan": Kind(shapes.saucepan, (_BAR,), (_BAR_FROM_BELOW,), opens_up=True),
-    "box": Kind(
+    "pan": ObjectKind(shapes.pan, (_BAR_GRIP,), (_BAR_FROM_BELOW_GRIP,), opens_up=True),
+    "plate": ObjectKind(shapes.plate, (Grip("pinch", (0.09, 0, 0.016), (-1, 0, 0), (0, 0, -1)),), spread=0.2),
+    "saucepan": ObjectKind(shapes.saucepan, (_BAR_GRIP,), (_BAR_FROM_BELOW_GRIP,), opens_up=True),
+    "box": ObjectKind(
         shapes.box,
         (Grip("palm", (0, -0.06, 0), (0, 1, 0), (0, 0, 1)),),
         (Grip("palm", (0, 0, 0.085), (0, 0, -1), (0, 1, 0)),),  # from above
         spread=0.5,
         bend=0.005,
     ),
-    "capsule_machine": Kind(capsule_machine, (Grip("palm", (-0.03, 0, 0), (1, 0, 0), (0, 0, 1)),)),
-    "espresso_machine": Kind(
+    "capsule_machine": ObjectKind(capsule_machine, (Grip("palm", (-0.03, 0, 0), (1, 0, 0), (0, 0, 1)),)),
+    "espresso_machine": ObjectKind(
         espresso_machine,
         (
             Grip("palm", (0.145, 0, 0.013), (0, 0.5, -1), (-1, 0, 0)),  # by the filter's handle
             Grip("palm", (-0.055, 0, -0.01), (1, 0, 0), (0, 0, 1)),  # by the column
         ),
     ),
-    "kettle": Kind(shapes.kettle, (Grip("palm", (0.127, 0, 0.085), (-1, 0, 0), (0, 0, 1)),), opens_up=True),
-    "ketchup": Kind(shapes.ketchup, (Grip("palm", (0, 0, 0.02), (1, 0, 0), (0, 0, 1)),)),
-    "laptop": Kind(shapes.laptop, (Grip("pinch", (0.1, 0, 0), (-1, 0, 0), (0, 0, -1)),), spread=0.15, bend=0.005),
-    "microwave": Kind(microwave, (Grip("palm", (0.151, 0.078, 0), (-1, -0.35, 0), (0, 0, 1)),)),
-    "mixer": Kind(mixer, (Grip("palm", (0, 0, 0.084), (0, 0.5, -1), (1, 0, 0)),)),
-    "notebook": Kind(notebook, (Grip("pinch", (0.055, 0, 0), (-1, 0, 0), (0, 0, -1)),)),
-    "phone": Kind(shapes.phone, (Grip("palm", (0, -0.01, 0), (0, 0, 1), (0, 1, 0)),), spread=0.12, bend=0.005),
-    "scissors": Kind(shapes.scissors, (Grip("pinch", (-0.095, 0, 0), (1, 0, 0), (0, 0, -1)),)),
-    "spoon": Kind(shapes.spoon, (Grip("pinch", (-0.06, 0, 0.009), (1, 0, 0), (0, 0, -1)),)),
-    "waffle_iron": Kind(waffle_iron, (_BAR,), (_BAR_FROM_BELOW,)),
+    "kettle": ObjectKind(shapes.kettle, (Grip("palm", (0.127, 0, 0.085), (-1, 0, 0), (0, 0, 1)),), opens_up=True),
+    "ketchup": ObjectKind(shapes.ketchup, (Grip("palm", (0, 0, 0.02), (1, 0, 0), (0, 0, 1)),)),
+    "laptop": ObjectKind(shapes.laptop, (Grip("pinch", (0.1, 0, 0), (-1, 0, 0), (0, 0, -1)),), spread=0.15, bend=0.005),
+    "microwave": ObjectKind(microwave, (Grip("palm", (0.151, 0.078, 0), (-1, -0.35, 0), (0, 0, 1)),)),
+    "mixer": ObjectKind(mixer, (Grip("palm", (0, 0, 0.084), (0, 0.5, -1), (1, 0, 0)),)),
+    "notebook": ObjectKind(notebook, (Grip("pinch", (0.055, 0, 0), (-1, 0, 0), (0, 0, -1)),)),
+    "phone": ObjectKind(shapes.phone, (Grip("palm", (0, -0.01, 0), (0, 0, 1), (0, 1, 0)),), spread=0.12, bend=0.005),
+    "scissors": ObjectKind(shapes.scissors, (Grip("pinch", (-0.095, 0, 0), (1, 0, 0), (0, 0, -1)),)),
+    "spoon": ObjectKind(shapes.spoon, (Grip("pinch", (-0.06, 0, 0.009), (1, 0, 0), (0, 0, -1)),)),
+    "waffle_iron": ObjectKind(waffle_iron, (_BAR_GRIP,), (_BAR_FROM_BELOW_GRIP,)),
 }
 """The nine categories of EPIC-Grasps, then those of ARCTIC and others."""
 
-KINDS = CATEGORIES | {
-    "book": Kind(shapes.book, (Grip("pinch", (0.06, 0, 0), (-1, 0, 0), (0, 0, -1)),), spread=0.4, bend=0.005),
-    "jar": Kind(shapes.jar, (_ROUND,), spread=0.4, stretch=0.2),
-    "pitcher": Kind(shapes.pitcher, (Grip("palm", (0.102, 0, 0.1), (-1, 0, 0), (0, 0, 1)),), opens_up=True),
+OBJECT_KINDS = SYNTHETIC_CATEGORIES | {
+    "book": ObjectKind(shapes.book, (Grip("pinch", (0.06, 0, 0), (-1, 0, 0), (0, 0, -1)),), spread=0.4, bend=0.005),
+    "jar": ObjectKind(shapes.jar, (_ROUND_GRIP,), spread=0.4, stretch=0.2),
+    "pitcher": ObjectKind(shapes.pitcher, (Grip("palm", (0.102, 0, 0.1), (-1, 0, 0), (0, 0, 1)),), opens_up=True),
 }
 """The categories, and kinds of which no synthetic clips are made."""
 
-SHAPES: dict[str, Callable[[], Mesh]] = {
-    **{name: kind.make for name, kind in KINDS.items()},
+SHAPE_MAKERS: dict[str, Callable[[], Mesh]] = {
+    **{name: kind.make for name, kind in OBJECT_KINDS.items()},
     **{make.__name__: make for make in (shapes.ball, shapes.banana, shapes.tape, shapes.umbrella)},
 }
-"""All shapes that a clip can have by name: those of ``KINDS``, and others that have no usual grasp."""
+"""All shapes that a clip can have by name: those of ``OBJECT_KINDS``, and others that have no usual grasp."""

@@ -11,7 +11,7 @@ from getagrip.geometry import se3
 from getagrip.hands.model import mirrored
 
 
-def seen_from_head(
+def draw_egocentric_poses(
     T_hand_obj: Float[ndarray, "4 4"],
     middle: Float[ndarray, "3"],
     diameter: float,
@@ -26,23 +26,23 @@ def seen_from_head(
     forearm = (T_hand_obj[:3, :3].T @ [1.0, 0.0, 0.0])[:2]
     yaw = np.arctan2(-0.8, 0.6) - np.arctan2(forearm[1], forearm[0]) + rng.normal(0.0, 0.25)
     upright = se3.exp_so3(np.array([0.0, 0.0, yaw])) @ T_hand_obj[:3, :3].T
-    tilt = np.radians(rng.uniform(15.0, 45.0)) * smooth(rng, frames, 3)
-    carried = np.array([0.06, 0.04, 0.05]) * smooth(rng, frames, 3)
-    T_world_hand = about(np.zeros(3), tilt, carried) @ se3.rigid(upright, -upright @ middle)
+    tilt = np.radians(rng.uniform(15.0, 45.0)) * draw_smooth_curves(rng, frames, 3)
+    carried = np.array([0.06, 0.04, 0.05]) * draw_smooth_curves(rng, frames, 3)
+    T_world_hand = rotate_about_point(np.zeros(3), tilt, carried) @ se3.rigid(upright, -upright @ middle)
 
     away = np.clip(0.24 + 1.05 * diameter, 0.36, 0.62)
     down = np.radians(rng.uniform(30.0, 60.0))
-    eye = away * np.array([0.0, -np.cos(down), np.sin(down)]) + 0.025 * smooth(rng, frames, 3)
-    target = 0.6 * carried + 0.02 * smooth(rng, frames, 3)
+    eye = away * np.array([0.0, -np.cos(down), np.sin(down)]) + 0.025 * draw_smooth_curves(rng, frames, 3)
+    target = 0.6 * carried + 0.02 * draw_smooth_curves(rng, frames, 3)
     z = target - eye
     z /= np.linalg.norm(z, axis=1, keepdims=True)
-    x = np.cross(z, np.array([0.0, 0.0, 1.0]) + 0.06 * smooth(rng, frames, 3))
+    x = np.cross(z, np.array([0.0, 0.0, 1.0]) + 0.06 * draw_smooth_curves(rng, frames, 3))
     x /= np.linalg.norm(x, axis=1, keepdims=True)
     T_world_cam = se3.rigid(np.stack([x, np.cross(z, x), z], axis=-1), eye)
     return T_world_cam, T_world_hand
 
 
-def other_hand(
+def draw_other_hand(
     grasper: Grasper, T_cam_hand: Float[ndarray, "T 4 4"], middle: Float[ndarray, "3"], rng: np.random.Generator
 ) -> Float[ndarray, "T V 3"]:
     """Draw a relaxed left hand that drifts over part of the object, in the camera frame [m]."""
@@ -55,11 +55,13 @@ def other_hand(
     facing = np.array([[-0.45, 0.0, 0.9], [-0.9, 0.0, -0.45], [0.0, -1.0, 0.0]]).T
     usual = se3.transform(T_cam_hand, middle[None])[:, 0].mean(axis=0)
     place = usual * rng.uniform(0.72, 0.82) + np.array([-0.09, 0.03, 0.0])
-    moves = about(np.zeros(3), 0.2 * smooth(rng, frames, 3), 0.03 * smooth(rng, frames, 3))
+    moves = rotate_about_point(
+        np.zeros(3), 0.2 * draw_smooth_curves(rng, frames, 3), 0.03 * draw_smooth_curves(rng, frames, 3)
+    )
     return se3.transform(se3.rigid(None, place) @ moves, vertices @ (turn @ facing).T)
 
 
-def smooth(rng: np.random.Generator, frames: int, curves: int) -> Float[ndarray, "T curves"]:
+def draw_smooth_curves(rng: np.random.Generator, frames: int, curves: int) -> Float[ndarray, "T curves"]:
     """Draw random slow curves with values in [-1, 1]: a few low frequencies over the clip."""
     t = np.linspace(0.0, 1.0, frames)[:, None, None]
     frequency = np.pi * np.array([1.0, 2.0, 3.0])[:, None]
@@ -68,7 +70,7 @@ def smooth(rng: np.random.Generator, frames: int, curves: int) -> Float[ndarray,
     return np.asarray(curve / np.abs(amplitude).sum(axis=0))
 
 
-def about(
+def rotate_about_point(
     point: Float[ndarray, "3"], turn: Float[ndarray, "T 3"], shift: Float[ndarray, "T 3"]
 ) -> Float[ndarray, "T 4 4"]:
     """Turn by rotation vectors [rad] about a point, then shift [m]."""

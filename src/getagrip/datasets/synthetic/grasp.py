@@ -16,18 +16,18 @@ from jaxtyping import Bool, Float, Int, Real
 from numpy import ndarray
 
 from getagrip.clip import FINGERS
-from getagrip.datasets.synthetic.signed_distance import LeastDistance, SignedDistance
+from getagrip.datasets.synthetic.signed_distance import MinSignedDistance, SignedDistance
 from getagrip.geometry import se3
 from getagrip.hands.generic_skeleton import rest_fingers
 from getagrip.hands.model import KNUCKLES, PosedHand, ShapedHand, joint_transforms, skin
 
-TOUCH = 0.0005
+CONTACT_DEPTH_M = 0.0005
 """A segment touches when it is this deep in the object [m]: soft flesh."""
-NEAR = 0.002
+MAX_HOLD_GAP_M = 0.002
 """A finger no farther than this holds on to the object [m]."""
-SOFT = 0.0015
+FLESH_COMPLIANCE_M = 0.0015
 """How deep flesh gives way [m]."""
-ASIDE = (-10.0, 10.0, -20.0, 20.0, -30.0, 30.0)
+THUMB_ABDUCTION_ANGLES_DEG = (-10.0, 10.0, -20.0, 20.0, -30.0, 30.0)
 """Range of the thumb's metacarpal to the side [deg]."""
 
 
@@ -47,11 +47,14 @@ class Grip:
     def R_hand_obj(self) -> Float[ndarray, "3 3"]:
         """The object's rotation in the frame of a right hand."""
         hold = _HOLDS[self.hold]
-        T_hand_grip = _frame(np.array(hold.into), np.array(hold.aside), np.array(hold.at))
-        return T_hand_grip[:3, :3] @ _frame(np.array(self.into), np.array(self.aside), np.array(self.at))[:3, :3].T
+        T_hand_grip = _frame_from_axes(np.array(hold.into), np.array(hold.aside), np.array(hold.at))
+        return (
+            T_hand_grip[:3, :3]
+            @ _frame_from_axes(np.array(self.into), np.array(self.aside), np.array(self.at))[:3, :3].T
+        )
 
 
-def varied(grip: Grip, turn_deg: float, shift_mm: float, rng: np.random.Generator) -> Grip:
+def perturb_grip(grip: Grip, turn_deg: float, shift_mm: float, rng: np.random.Generator) -> Grip:
     """Turn a grip about a random axis and shift it, by these root mean squares."""
     R = se3.exp_so3(np.radians(turn_deg) / np.sqrt(3.0) * rng.normal(size=3))
     at = np.array(grip.at) + 1e-3 * shift_mm / np.sqrt(3.0) * rng.normal(size=3)
@@ -77,14 +80,14 @@ class _Hold:
     """Direction of the opposed thumb's pad."""
 
 
-_FIST = ((80.0, 95.0, 60.0),) * 4
+_FIST_ANGLES_DEG = ((80.0, 95.0, 60.0),) * 4
 _HOLDS = {
     "palm": _Hold(
         at=(0.018, -0.02, 0.0),
         into=(0.0, -1.0, 0.0),
         aside=(-0.2, 0.0, 0.98),
         opened=((-35.0, -10.0, 0.0), *((-12.0, 4.0, 2.0),) * 4),
-        closed=((50.0, 55.0, 65.0), *_FIST),
+        closed=((50.0, 55.0, 65.0), *_FIST_ANGLES_DEG),
         thumb_aim=(-0.38, -0.80, 0.46),
         thumb_pad=(-0.85, 0.35, -0.1),
     ),
@@ -100,7 +103,9 @@ _HOLDS = {
 }
 
 
-def _frame(into: Real[ndarray, "3"], aside: Real[ndarray, "3"], at: Real[ndarray, "3"]) -> Float[ndarray, "4 4"]:
+def _frame_from_axes(
+    into: Real[ndarray, "3"], aside: Real[ndarray, "3"], at: Real[ndarray, "3"]
+) -> Float[ndarray, "4 4"]:
     """Frame with x along ``into`` and y as near to ``aside`` as can be."""
     x = np.asarray(into, dtype=float) / np.linalg.norm(into)
     z = np.cross(x, aside)
@@ -154,7 +159,7 @@ class Grasper:
             pose[..., KNUCKLES[f] - 1 : KNUCKLES[f] + 2, :] = angles[..., f, :, None] * hinges
         if hold.thumb_aim is not None:
             along, _, back = rest["thumb"].axes[0]
-            opposed = _frame(np.array(hold.thumb_aim), np.array(hold.thumb_pad), np.zeros(3))[:3, :3]
+            opposed = _frame_from_axes(np.array(hold.thumb_aim), np.array(hold.thumb_pad), np.zeros(3))[:3, :3]
             aside, roll = np.radians(self.steer)
             opposed = opposed @ se3.exp_so3(np.array([0.0, aside, 0.0])) @ se3.exp_so3(np.array([roll, 0.0, 0.0]))
             R = opposed @ np.stack([along, -back, np.cross(along, -back)])
@@ -172,8 +177,10 @@ class Grasper:
         In the palm it touches; in the pinch nothing need touch.
         """
         hold = _HOLDS[self.hold]
-        T_hand_grip = _frame(np.array(hold.into), np.array(hold.aside), np.array(hold.at))
-        T_hand_obj = T_hand_grip @ se3.inverse(_frame(np.array(grip.into), np.array(grip.aside), np.array(grip.at)))
+        T_hand_grip = _frame_from_axes(np.array(hold.into), np.array(hold.aside), np.array(hold.at))
+        T_hand_obj = T_hand_grip @ se3.inverse(
+            _frame_from_axes(np.array(grip.into), np.array(grip.aside), np.array(grip.at))
+        )
         if self.hold == "pinch":
             return T_hand_obj
         away = np.arange(0.12, -0.04, -0.002)
@@ -181,8 +188,8 @@ class Grasper:
         palm = self.opened().vertices[self._members(0, wrist=True)]
         X = se3.transform(se3.inverse(T_hand_obj), palm - offset[:, None])
         k = 0
-        while k < len(away) - 1 and (gap := float(self.distance(X[k]).min())) >= -TOUCH:
-            k = min(k + max(int(0.9 * (gap + TOUCH) / (away[0] - away[1])), 1), len(away) - 1)
+        while k < len(away) - 1 and (gap := float(self.distance(X[k]).min())) >= -CONTACT_DEPTH_M:
+            k = min(k + max(int(0.9 * (gap + CONTACT_DEPTH_M) / (away[0] - away[1])), 1), len(away) - 1)
         return se3.rigid(None, offset[k]) @ T_hand_obj
 
     def close(self, T_hand_obj: Float[ndarray, "A 4 4"]) -> Float[ndarray, "A 5 3"]:
@@ -237,17 +244,17 @@ class Grasper:
         stride = np.linalg.norm(np.diff(Y, axis=0), axis=-1).max(axis=(0, 2)) + 1e-9
         gap = np.full(X.shape[:2], np.inf)
         step, left = np.zeros(X.shape[1], dtype=int), np.arange(X.shape[1])
-        least = LeastDistance(self.distance, X.shape[1], Y[0])
+        least = MinSignedDistance(self.distance, X.shape[1], Y[0])
         while left.size:
             at = step[left]
             now = least(Y[at, left], left)
-            ahead = np.maximum(np.floor(0.9 * (now + TOUCH) / stride[left]).astype(int), 1)
+            ahead = np.maximum(np.floor(0.9 * (now + CONTACT_DEPTH_M) / stride[left]).astype(int), 1)
             if obstacles is not None:  # their distance is a rough one: look at every step
                 now, ahead = np.minimum(now, obstacles.gap(X[at, left], left)), np.ones_like(ahead)
             gap[at, left] = now
             step[left] += ahead
-            left = left[(now >= -TOUCH) & (step[left] < len(X))]
-        return _first_below(gap, -TOUCH)
+            left = left[(now >= -CONTACT_DEPTH_M) & (step[left] < len(X))]
+        return _first_below(gap, -CONTACT_DEPTH_M)
 
     def gaps(self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]) -> Float[ndarray, "A 6"]:
         """Compute the smallest signed distance of each finger, thumb first, and of the palm to the object [m]."""
@@ -258,7 +265,7 @@ class Grasper:
     def thumb_miss(self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]) -> float:
         """Measure how far the thumb stays from the object, or stands in it beyond what flesh yields [m]."""
         gap = self._gap(self.posed(angles), self._members(0), T_hand_obj)
-        return float(np.maximum(gap, -gap - SOFT).max())
+        return float(np.maximum(gap, -gap - FLESH_COMPLIANCE_M).max())
 
     def _gap(
         self, posed: PosedHand, part: Bool[ndarray, "V"], T_hand_obj: Float[ndarray, "A 4 4"]
@@ -281,8 +288,8 @@ class Grasper:
 
         best, least = self, miss(self)
         for rolls in ((0.0,), (-20.0, 20.0)):
-            for steer in [(aside, roll) for aside in ASIDE for roll in rolls]:
-                if least > NEAR and (off := miss(replace(self, steer=steer))) < least - NEAR / 2.0:
+            for steer in [(aside, roll) for aside in THUMB_ABDUCTION_ANGLES_DEG for roll in rolls]:
+                if least > MAX_HOLD_GAP_M and (off := miss(replace(self, steer=steer))) < least - MAX_HOLD_GAP_M / 2.0:
                     best, least = replace(self, steer=steer), off
         return best
 
@@ -301,7 +308,7 @@ def looseness(gaps: Float[ndarray, "6"], hold: Literal["palm", "pinch"]) -> floa
     Added are the gaps of the parts that ought to touch, and tenfold their excess depth.
     """
     parts = gaps if hold == "palm" else gaps[:3]
-    return float(np.clip(parts, 0.0, 0.02).sum() + 10.0 * np.maximum(-gaps - SOFT, 0.0).sum())
+    return float(np.clip(parts, 0.0, 0.02).sum() + 10.0 * np.maximum(-gaps - FLESH_COMPLIANCE_M, 0.0).sum())
 
 
 def _first_below(gap: Float[ndarray, "S A"], level: float) -> Float[ndarray, "A"]:

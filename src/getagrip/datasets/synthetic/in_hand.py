@@ -1,8 +1,8 @@
 """How the object moves in the hand, and how the fingers follow it.
 
-``hinge``: about one axis near the contacts (Eq. 3 of the paper), with a small smooth residual: almost what is fitted.
+``draw_hinge_motion``: about one axis near the contacts (Eq. 3 of the paper), with a small smooth residual: almost what is fitted.
 
-``measured``: as objects moved in the hands of real people. Drawn from ``MEASURED`` are how far the object
+``draw_measured_motion``: as objects moved in the hands of real people. Drawn from ``MOTION_STATISTICS`` are how far the object
 turns, how far it is off its best hinge, how long that takes, how far the axis drifts and is from the contacts, and how
 far the contacts slip; so are the shares of slow and of fast motion. Of many random motions, each scaled to the drawn
 sizes, the one is taken of which ``grasps.motion`` measures the drawn numbers.
@@ -19,42 +19,52 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.datasets.synthetic.egocentric import about, smooth
-from getagrip.datasets.synthetic.grasp import NEAR, Grasper
+from getagrip.datasets.synthetic.egocentric import draw_smooth_curves, rotate_about_point
+from getagrip.datasets.synthetic.grasp import MAX_HOLD_GAP_M, Grasper
 from getagrip.datasets.synthetic.scene_options import SceneOptions
-from getagrip.datasets.synthetic.signed_distance import LeastDistance
+from getagrip.datasets.synthetic.signed_distance import MinSignedDistance
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.grasps.approximation import AxisRotation, nearby_hinge
-from getagrip.grasps.motion import JOINT, QUANTILES, MotionStatistics, Residual, bend, hinge_axes, measure, spectrum
+from getagrip.grasps.motion import (
+    LOGNORMAL_MEASURES,
+    MOTION_PERCENTILES,
+    HingeResidual,
+    MotionStatistics,
+    hinge_axes,
+    measure_motion,
+    parabola_share,
+    spectrum,
+)
 from getagrip.hands.model import PosedHand
 from getagrip.result import Axis
 
-TABLE = Path(__file__).with_name("measured_motion.json")
+MEASURED_MOTION_FILE = Path(__file__).with_name("measured_motion.json")
 """Measured on real grasps by ``benchmarks/motion.py``, last in commit ea913fa."""
-MEASURED = {
-    name: MotionStatistics(**row) for name, row in json.loads(TABLE.read_text(encoding="utf-8"))["statistics"].items()
+MOTION_STATISTICS = {
+    name: MotionStatistics(**row)
+    for name, row in json.loads(MEASURED_MOTION_FILE.read_text(encoding="utf-8"))["statistics"].items()
 }
 """How objects move in the hand in stable grasps, by dataset; SI units."""
-DEEPEST = 0.0035
+MAX_TURN_DEPTH_M = 0.0035
 """How deep the object may turn into the open hand [m], where the turn is not measured."""
-AXES = 24
+N_CANDIDATE_AXES = 24
 """Axes to choose from."""
-KEYS = 7
+N_KEYFRAMES = 7
 """Frames in which fingers are closed about a measured motion; between them they move evenly."""
-UNUSUAL = 2.0
+MAX_ABS_Z_SCORE = 2.0
 """No drawn number is further from the mean than this, in standard deviations."""
-ROUNDS, SCALED = 6, 2
+N_CORRECTION_ITERATIONS, N_SIZE_ONLY_ITERATIONS = 6, 2
 """Rounds of correcting a drawn motion, and the number of last ones that correct its sizes only."""
-SHALLOW = 6
+N_TRIED_AXES = 6
 """Number of axes that are tried: those about which the object turns the least deep into the open hand."""
-TRIES, CLOSE = 40, 0.1
+MAX_MOTION_DRAWS, LOG_MEASURE_TOLERANCE = 40, 0.1
 """Motions that are drawn until what is measured of one is as close as this to what is asked for, as logarithms."""
-SIZES = ("turn", "rotation", "place")
+MOTION_SIZE_MEASURES = ("turn", "rotation", "place")
 """Measures that motions are scaled to, as ``Residual.sizes``."""
-CHOSEN = (*SIZES, "drift", "pivot", "slip")
+MOTION_SELECTION_MEASURES = (*MOTION_SIZE_MEASURES, "drift", "pivot", "slip")
 """Measures by which one of the motions is chosen."""
-UNDEFINED = 1.0
+MISSING_MEASURE_DEVIATION = 1.0
 """Deviation of a motion without a measure, since it hardly turns."""
 
 
@@ -75,91 +85,95 @@ class InHand:
     duration: float | None
 
 
-def hinge(grasper: Grasper, T_base: Float[ndarray, "4 4"], options: SceneOptions, rng: np.random.Generator) -> InHand:
+def draw_hinge_motion(
+    grasper: Grasper, T_base: Float[ndarray, "4 4"], options: SceneOptions, rng: np.random.Generator
+) -> InHand:
     """Make a motion that is nearly a rotation about one axis."""
     axis = _turning_axis(grasper, T_base, options, rng)
     line = se3.rotation_about_line(axis.point, axis.direction, axis.angle)
-    residual = about(
+    residual = rotate_about_point(
         axis.point,
-        np.radians(options.residual_deg) * smooth(rng, options.frames, 3),
-        1e-3 * options.residual_mm * smooth(rng, options.frames, 3),
+        np.radians(options.residual_deg) * draw_smooth_curves(rng, options.frames, 3),
+        1e-3 * options.residual_mm * draw_smooth_curves(rng, options.frames, 3),
     )
     keys = np.linspace(axis.angle.min(), axis.angle.max(), 5)
-    posed = _grasped(grasper, se3.rotation_about_line(axis.point, axis.direction, keys) @ T_base, keys, axis.angle)
+    posed = _close_at_keyframes(
+        grasper, se3.rotation_about_line(axis.point, axis.direction, keys) @ T_base, keys, axis.angle
+    )
     return InHand(residual @ line @ T_base, axis, posed, None)
 
 
-def measured(
+def draw_measured_motion(
     grasper: Grasper, T_base: Float[ndarray, "4 4"], grasped: Mesh, frames: int, rng: np.random.Generator
 ) -> InHand:
-    """Draw a motion from the statistics of one of the datasets in ``MEASURED``."""
-    statistics = list(MEASURED.values())[rng.integers(len(MEASURED))]
+    """Draw a motion from the statistics of one of the datasets in ``MOTION_STATISTICS``."""
+    statistics = list(MOTION_STATISTICS.values())[rng.integers(len(MOTION_STATISTICS))]
     areas = grasped.vertex_areas / grasped.vertex_areas.sum()
     centre = areas @ grasped.vertices
     size = float(np.sqrt(areas @ np.sum((grasped.vertices - centre) ** 2, axis=1) / 3.0))
-    drawn = draw(statistics, rng)
-    around = rng.normal(size=(AXES, 2, 3))
+    drawn = draw_motion_measures(statistics, rng)
+    around = rng.normal(size=(N_CANDIDATE_AXES, 2, 3))
     directions = around[:, 0] / np.linalg.norm(around[:, 0], axis=1, keepdims=True)
     off = np.cross(directions, around[:, 1])
-    touching = _touching(grasper, T_base)
+    touching = _contact_vertices(grasper, T_base)
     points = touching.mean(axis=0) + drawn["pivot"] * off / np.linalg.norm(off, axis=1, keepdims=True)
-    shallow = np.argsort(_depth(grasper, T_base, points, directions, drawn["turn"]))[:SHALLOW]
+    shallow = np.argsort(_turning_depth(grasper, T_base, points, directions, drawn["turn"]))[:N_TRIED_AXES]
     at = se3.transform(T_base, centre[None])[0]
     starts = [AxisRotation(T_base[:3, :3], directions[k], points[k], at - points[k], size) for k in shallow]
     touched = se3.transform(se3.inverse(T_base), touching) - centre
-    R, c, residual = motion(starts, drawn, touched, statistics, frames, rng)
+    R, c, residual = draw_motion_curves(starts, drawn, touched, statistics, frames, rng)
     T = se3.rigid(R, c - R @ centre)
-    keys = np.linspace(0.0, frames - 1.0, min(KEYS, frames)).round()
-    posed = _grasped(grasper, T[keys.astype(int)], keys, np.arange(float(frames)))
+    keys = np.linspace(0.0, frames - 1.0, min(N_KEYFRAMES, frames)).round()
+    posed = _close_at_keyframes(grasper, T[keys.astype(int)], keys, np.arange(float(frames)))
     axis = Axis(residual.hinge.point, residual.hinge.direction, residual.angle)
     return InHand(T, axis, posed, drawn["duration"])
 
 
-def draw(statistics: MotionStatistics, rng: np.random.Generator) -> dict[str, float]:
-    """Draw the numbers of one grasp, in SI units: the measures of ``JOINT``."""
+def draw_motion_measures(statistics: MotionStatistics, rng: np.random.Generator) -> dict[str, float]:
+    """Draw the numbers of one grasp, in SI units: the measures of ``LOGNORMAL_MEASURES``."""
     root = np.linalg.cholesky(statistics.log_covariance)
-    while np.abs(z := rng.normal(size=len(JOINT))).max() > UNUSUAL:
+    while np.abs(z := rng.normal(size=len(LOGNORMAL_MEASURES))).max() > MAX_ABS_Z_SCORE:
         pass
-    return dict(zip(JOINT, np.exp(statistics.log_mean + root @ z).tolist(), strict=True))
+    return dict(zip(LOGNORMAL_MEASURES, np.exp(statistics.log_mean + root @ z).tolist(), strict=True))
 
 
-def motion(
+def draw_motion_curves(
     starts: Sequence[AxisRotation],
     drawn: dict[str, float],
     touched: Float[ndarray, "P 3"],
     statistics: MotionStatistics,
     frames: int,
     rng: np.random.Generator,
-) -> tuple[Float[ndarray, "N 3 3"], Float[ndarray, "N 3"], Residual]:
+) -> tuple[Float[ndarray, "N 3 3"], Float[ndarray, "N 3"], HingeResidual]:
     """Draw rotations and positions of the centre [m] about nearly a hinge, with some spectra.
 
     Also return their residual.
 
     Args:
         starts: hinges to begin with; ``grasps.motion`` may find others in what is made of them.
-        drawn: what it is to measure, as ``draw`` gives it: of some random motions, the nearest to that in ``CHOSEN``.
+        drawn: what it is to measure, as ``draw_motion_measures`` gives it: of some random motions, the nearest to that in ``MOTION_SELECTION_MEASURES``.
         touched: points of the object that are in contact, from its centre [m].
         statistics: the spectra.
         frames: length.
         rng: what chance decides.
     """
     best, least = None, np.inf
-    sizes = np.array([drawn[name] for name in SIZES])
-    for k in range(TRIES):
+    sizes = np.array([drawn[name] for name in MOTION_SIZE_MEASURES])
+    for k in range(MAX_MOTION_DRAWS):
         start = starts[k % len(starts)]
-        R, c = _motion(start, sizes, statistics, frames, rng)
-        values, residual = measure(se3.rigid(R, c), np.zeros(3), start.size, touched, frames / drawn["duration"])
-        off = np.log([values[name] / drawn[name] for name in CHOSEN])
-        far = float(np.sqrt(np.mean(np.where(np.isnan(off), UNDEFINED, off) ** 2)))
+        R, c = _motion_about_hinge(start, sizes, statistics, frames, rng)
+        values, residual = measure_motion(se3.rigid(R, c), np.zeros(3), start.size, touched, frames / drawn["duration"])
+        off = np.log([values[name] / drawn[name] for name in MOTION_SELECTION_MEASURES])
+        far = float(np.sqrt(np.mean(np.where(np.isnan(off), MISSING_MEASURE_DEVIATION, off) ** 2)))
         if best is None or far < least:
             best, least = (R, c, residual), far
-        if least < CLOSE:
+        if least < LOG_MEASURE_TOLERANCE:
             break
     assert best is not None
     return best
 
 
-def _motion(
+def _motion_about_hinge(
     start: AxisRotation,
     sizes: Float[ndarray, "3"],
     statistics: MotionStatistics,
@@ -167,26 +181,26 @@ def _motion(
     rng: np.random.Generator,
 ) -> tuple[Float[ndarray, "N 3 3"], Float[ndarray, "N 3"]]:
     axes = hinge_axes(start.direction, start.arm)
-    angle = _curves(statistics.angle, frames, 1, rng)[:, 0]
-    rotation = _curves(statistics.rotation, frames, 3, rng) * np.sqrt(statistics.rotation_shares) @ axes.T
-    place = _curves(statistics.place, frames, 3, rng) * np.sqrt(statistics.place_shares) @ axes.T
-    towards, bent = axes[:, 1:] @ rng.normal(size=2), statistics.quantiles["bend"][QUANTILES.index(50)]
+    angle = _random_curves(statistics.angle, frames, 1, rng)[:, 0]
+    rotation = _random_curves(statistics.rotation, frames, 3, rng) * np.sqrt(statistics.rotation_shares) @ axes.T
+    place = _random_curves(statistics.place, frames, 3, rng) * np.sqrt(statistics.place_shares) @ axes.T
+    towards, bent = axes[:, 1:] @ rng.normal(size=2), statistics.quantiles["bend"][MOTION_PERCENTILES.index(50)]
     scale = sizes / [np.ptp(angle), *(np.sqrt(np.mean(np.sum(x**2, axis=1))) for x in (rotation, place))]
     hinge = start
-    for k in range(ROUNDS):
+    for k in range(N_CORRECTION_ITERATIONS):
         R, c = start.at(scale[0] * angle)
         R, c = se3.exp_so3(scale[1] * rotation) @ R, c + scale[2] * place
         hinge = nearby_hinge(hinge, R, c)
-        residual = Residual.beside(hinge, R, c)
+        residual = HingeResidual.beside(hinge, R, c)
         scale = scale * sizes / residual.sizes
-        if k < ROUNDS - SCALED:
-            place = _equalised(place, residual.place, statistics.place)
-            rotation = _equalised(rotation, residual.rotation, statistics.rotation)
-            rotation = _bent(rotation, angle, bent - bend(residual), towards)
+        if k < N_CORRECTION_ITERATIONS - N_SIZE_ONLY_ITERATIONS:
+            place = _equalise_spectrum(place, residual.place, statistics.place)
+            rotation = _equalise_spectrum(rotation, residual.rotation, statistics.rotation)
+            rotation = _bend_rotation(rotation, angle, bent - parabola_share(residual), towards)
     return R, c
 
 
-def _equalised(
+def _equalise_spectrum(
     drawn: Float[ndarray, "T 3"], found: Float[ndarray, "T 3"], wanted: Sequence[float]
 ) -> Float[ndarray, "T 3"]:
     """Amplify a curve's frequencies where less of them is found than wanted: the best hinge takes some."""
@@ -199,7 +213,7 @@ def _equalised(
     return np.asarray(idct(amplitudes, axis=0, norm="ortho"))
 
 
-def _bent(
+def _bend_rotation(
     rotation: Float[ndarray, "T 3"], angle: Float[ndarray, "T"], share: float, towards: Float[ndarray, "3"]
 ) -> Float[ndarray, "T 3"]:
     """Bend a rotation by a share that goes with the square of the angle, if it is above zero: so the axis drifts."""
@@ -209,7 +223,9 @@ def _bent(
     return rotation + more * parabola[:, None] * towards
 
 
-def _curves(wanted: Sequence[float], frames: int, count: int, rng: np.random.Generator) -> Float[ndarray, "T count"]:
+def _random_curves(
+    wanted: Sequence[float], frames: int, count: int, rng: np.random.Generator
+) -> Float[ndarray, "T count"]:
     """Random curves of a spectrum (``grasps.motion.spectrum``), its last share spread over all that is faster."""
     from scipy.fft import idct
 
@@ -223,26 +239,26 @@ def _curves(wanted: Sequence[float], frames: int, count: int, rng: np.random.Gen
     return np.asarray(idct(amplitudes, axis=0, norm="ortho"))
 
 
-def _grasped(
+def _close_at_keyframes(
     grasper: Grasper, T_keys: Float[ndarray, "K 4 4"], keys: Float[ndarray, "K"], at: Float[ndarray, "T"]
 ) -> PosedHand:
     """Close the hand's fingers about the object in some poses, and interpolate them in between."""
     closed = grasper.close(T_keys)
-    if grasper.thumb_miss(closed, T_keys) > NEAR:
+    if grasper.thumb_miss(closed, T_keys) > MAX_HOLD_GAP_M:
         grasper = grasper.steered(closed, T_keys)
         closed = grasper.close(T_keys)
     bent = np.stack([np.interp(at, keys, joint) for joint in closed.reshape(len(keys), 15).T], axis=-1)
     return grasper.posed(bent.reshape(-1, 5, 3))
 
 
-def _touching(grasper: Grasper, T_base: Float[ndarray, "4 4"]) -> Float[ndarray, "P 3"]:
+def _contact_vertices(grasper: Grasper, T_base: Float[ndarray, "4 4"]) -> Float[ndarray, "P 3"]:
     """Return the vertices of the hand that touch the object in its base pose [m]."""
     closed = grasper.posed(grasper.close(T_base[None]))
     gap = grasper.distance(se3.transform(se3.inverse(T_base), closed.vertices[0]))
     return np.asarray(closed.vertices[0][gap < 0.003])
 
 
-def _depth(
+def _turning_depth(
     grasper: Grasper,
     T_base: Float[ndarray, "4 4"],
     points: Float[ndarray, "A 3"],
@@ -253,7 +269,7 @@ def _depth(
     ends = np.array([-0.5, 0.5]) * turn
     T = se3.rotation_about_line(points[:, None], directions[:, None], ends) @ T_base
     opened = grasper.opened().vertices
-    least = LeastDistance(grasper.distance, T[..., 0, 0].size, se3.transform(se3.inverse(T_base), opened))
+    least = MinSignedDistance(grasper.distance, T[..., 0, 0].size, se3.transform(se3.inverse(T_base), opened))
     turned = se3.transform(se3.inverse(T), opened).reshape(-1, *opened.shape)
     return np.asarray(-least(turned, np.arange(len(turned))).reshape(-1, 2).min(axis=1))
 
@@ -262,16 +278,16 @@ def _turning_axis(
     grasper: Grasper, T_base: Float[ndarray, "4 4"], options: SceneOptions, rng: np.random.Generator
 ) -> Axis:
     """Find a line near the contacts about which the object can turn with the shortest path into the open hand."""
-    directions = rng.normal(size=(AXES, 3))
+    directions = rng.normal(size=(N_CANDIDATE_AXES, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    points = _touching(grasper, T_base).mean(axis=0) + rng.normal(0.0, 0.008, (AXES, 3))
-    curve = smooth(rng, options.frames, 1)[:, 0]
+    points = _contact_vertices(grasper, T_base).mean(axis=0) + rng.normal(0.0, 0.008, (N_CANDIDATE_AXES, 3))
+    curve = draw_smooth_curves(rng, options.frames, 1)[:, 0]
     curve = (curve - curve.min()) / np.ptp(curve) - 0.5
     least, most = np.radians(options.turn_deg)
     turn = rng.uniform(least, most)
     while True:  # a smaller turn where every axis leads deep into the hand
-        depth = _depth(grasper, T_base, points, directions, turn)
+        depth = _turning_depth(grasper, T_base, points, directions, turn)
         best = int(np.argmin(depth))
-        if depth[best] < DEEPEST or turn <= least:
+        if depth[best] < MAX_TURN_DEPTH_M or turn <= least:
             return Axis(points[best], directions[best], turn * curve)
         turn = max(0.8 * turn, least)

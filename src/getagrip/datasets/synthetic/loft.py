@@ -16,7 +16,7 @@ from numpy import ndarray
 
 from getagrip.geometry.mesh import Mesh
 
-_SECTION = 8
+_N_SECTION_POINTS = 8
 """Points of a tube's section: the corners and edge middles of the 2 x 2 quads that it replaces."""
 
 
@@ -35,7 +35,7 @@ class Tube:
     capped: bool = False
     """True if the tube ends in the air."""
 
-    def sections(self, n: int = _SECTION) -> Float[ndarray, "P n 3"]:
+    def sections(self, n: int = _N_SECTION_POINTS) -> Float[ndarray, "P n 3"]:
         """Return one ring per point of the path, counter-clockwise about the direction of travel."""
         tangent = np.gradient(self.path, axis=0)
         across = np.cross(tangent, self.side)
@@ -54,19 +54,21 @@ def loft(rings: Float[ndarray, "R N 3"], tubes: Sequence[Tube] = ()) -> Mesh:
     grid = np.arange(R * N).reshape(R, N)
     taken = np.zeros((R, N), dtype=bool)  # quad (i, j) lies between rings i, i + 1 and columns j, j + 1
     parts = [rings.reshape(-1, 3), rings[0].mean(axis=0)[None], rings[-1].mean(axis=0)[None]]
-    faces = [_fan(R * N, grid[0][::-1]), _fan(R * N + 1, grid[-1])]
+    faces = [_fan_triangles(R * N, grid[0][::-1]), _fan_triangles(R * N + 1, grid[-1])]
     for tube in tubes:
         offset = sum(len(part) for part in parts)
-        ends = [_hole(rings, taken, tube.path[0])] + ([] if tube.capped else [_hole(rings, taken, tube.path[-1])])
+        ends = [_cut_hole(rings, taken, tube.path[0])] + (
+            [] if tube.capped else [_cut_hole(rings, taken, tube.path[-1])]
+        )
         inner = tube.sections()[1 : len(tube.path) if tube.capped else -1]
-        start = _unrolled(rings.reshape(-1, 3), ends[0], inner[0])
+        start = _align_loop(rings.reshape(-1, 3), ends[0], inner[0])
         parts.append(inner.reshape(-1, 3))
-        ids = np.concatenate([start[None], offset + np.arange(inner.size // 3).reshape(-1, _SECTION)])
+        ids = np.concatenate([start[None], offset + np.arange(inner.size // 3).reshape(-1, _N_SECTION_POINTS)])
         if tube.capped:
             parts.append(inner[-1].mean(axis=0)[None])
-            faces.append(_fan(offset + inner.size // 3, ids[-1]))
+            faces.append(_fan_triangles(offset + inner.size // 3, ids[-1]))
         else:  # seen along the tube, the hole where it ends runs the other way round
-            ids = np.concatenate([ids, _unrolled(rings.reshape(-1, 3), ends[1][::-1], inner[-1])[None]])
+            ids = np.concatenate([ids, _align_loop(rings.reshape(-1, 3), ends[1][::-1], inner[-1])[None]])
         faces.append(walls(ids, np.zeros(ids.shape, dtype=bool)))
     faces.append(walls(grid, taken))
     vertices, triangles = np.concatenate(parts), np.concatenate(faces)
@@ -79,14 +81,14 @@ def torus(path: Float[ndarray, "P 3"], side: Float[ndarray, "3"], radius: float)
     tangent = np.roll(path, -1, axis=0) - np.roll(path, 1, axis=0)
     across = np.cross(tangent, side)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
-    phi = (np.arange(_SECTION) * 2.0 * np.pi / _SECTION)[:, None]
+    phi = (np.arange(_N_SECTION_POINTS) * 2.0 * np.pi / _N_SECTION_POINTS)[:, None]
     rings = path[:, None] + radius * (np.cos(phi) * side + np.sin(phi) * across[:, None])
-    ids = np.arange(rings.size // 3).reshape(-1, _SECTION)
+    ids = np.arange(rings.size // 3).reshape(-1, _N_SECTION_POINTS)
     faces = walls(np.concatenate([ids, ids[:1]]))
     return Mesh(rings.reshape(-1, 3), faces)
 
 
-def together(meshes: Sequence[Mesh]) -> Mesh:
+def merge_closed_meshes(meshes: Sequence[Mesh]) -> Mesh:
     """Join several closed parts to one mesh; they may overlap."""
     offsets = np.cumsum([0, *(len(m.vertices) for m in meshes)])
     faces = [m.faces + offset for m, offset in zip(meshes, offsets[:-1], strict=True)]
@@ -103,12 +105,12 @@ def walls(ids: Int[ndarray, "R N"], taken: Bool[ndarray, "R N"] | None = None) -
     return np.concatenate([lower, upper])
 
 
-def _fan(pole: int, ring: Int[ndarray, "N"]) -> Int[ndarray, "N 3"]:
+def _fan_triangles(pole: int, ring: Int[ndarray, "N"]) -> Int[ndarray, "N 3"]:
     """Triangles between a vertex and a ring that is counter-clockwise seen from outside."""
     return np.stack([np.full(len(ring), pole), ring, np.roll(ring, -1)], axis=-1)
 
 
-def _hole(rings: Float[ndarray, "R N 3"], taken: ndarray, at: Float[ndarray, "3"]) -> Int[ndarray, "8"]:
+def _cut_hole(rings: Float[ndarray, "R N 3"], taken: ndarray, at: Float[ndarray, "3"]) -> Int[ndarray, "8"]:
     """Take the four quads around the vertex nearest to ``at`` out; their boundary, counter-clockwise from outside."""
     N = rings.shape[1]
     i, j = divmod(int(np.argmin(np.linalg.norm(rings[1:-1] - at, axis=-1))), N)
@@ -120,7 +122,7 @@ def _hole(rings: Float[ndarray, "R N 3"], taken: ndarray, at: Float[ndarray, "3"
     return np.array([(i + di) * N + (j + dj) % N for di, dj in around])
 
 
-def _unrolled(
+def _align_loop(
     vertices: Float[ndarray, "V 3"], loop: Int[ndarray, "8"], ring: Float[ndarray, "8 3"]
 ) -> Int[ndarray, "8"]:
     """Rotate the loop so that it meets the ring with the least twist."""

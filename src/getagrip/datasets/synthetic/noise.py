@@ -29,7 +29,7 @@ from getagrip.clip import Clip, HandTrack, Masks
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import bounding_boxes
-from getagrip.hands.bending import bent, finger_weights
+from getagrip.hands.bending import bend_fingers, finger_weights
 from getagrip.io.named import NamedFields
 from getagrip.provenance import estimated
 
@@ -73,13 +73,13 @@ class Noise(NamedFields):
     mask_ragged_px: float = 0.0
 
 
-TABLE = Path(__file__).with_name("estimated_hands.json")
+ESTIMATED_HANDS_FILE = Path(__file__).with_name("estimated_hands.json")
 """File with the errors of hands estimated from images, by ``benchmarks/hand_errors.py``, last in commit ea913fa.
 
 ``noise``: fields of ``Noise``, whose errors, drawn for clips of the same lengths, have these measures (fingers: joints
 as far off). ``measured``: what the tests measure of the estimates, and their joints' error after the best similarity;
 SI units. ``lengths``: frames of these grasps; 5, 15, ..., 95 % are shorter."""
-NOISE: dict[str, Noise] = {
+NOISE_PRESETS: dict[str, Noise] = {
     "none": Noise(),
     "moderate": Noise(
         hand_bias_deg=3.0,
@@ -105,7 +105,7 @@ NOISE: dict[str, Noise] = {
         jitter_memory_s=0.1,
         mask_ragged_px=1.0,
     ),
-    "estimated": Noise(**json.loads(TABLE.read_text(encoding="utf-8"))["noise"], mask_ragged_px=1.0),
+    "estimated": Noise(**json.loads(ESTIMATED_HANDS_FILE.read_text(encoding="utf-8"))["noise"], mask_ragged_px=1.0),
 }
 """``estimated`` is measured, but for the masks. The others are assumed: ``strong`` hands are 2.5 times as far off as
 ``moderate`` ones (fingers: twice), masks alike."""
@@ -120,14 +120,14 @@ def perturbed(clip: Clip, masks: Masks, noise: Noise, seed: int | Sequence[int])
     rng = np.random.default_rng(seed)
     hand = noisy_hand(clip, noise, rng)
     provenance = clip.provenance | {"noise": {"seed": seed} | {f.name: getattr(noise, f.name) for f in fields(Noise)}}
-    if replace(noise, mask_ragged_px=0.0) == replace(NOISE["estimated"], mask_ragged_px=0.0):
+    if replace(noise, mask_ragged_px=0.0) == replace(NOISE_PRESETS["estimated"], mask_ragged_px=0.0):
         provenance |= {"hands": estimated("true hands with the errors of hands estimated from images")}
     return replace(clip, hand=hand, provenance=provenance), noisy_masks(masks, noise, rng)
 
 
 def noisy_hand(clip: Clip, noise: Noise, rng: np.random.Generator) -> HandTrack:
     """Displace the clip's hands; see ``perturbed``."""
-    errors = draw(noise, len(clip), clip.fps, rng)
+    errors = draw_hand_errors(noise, len(clip), clip.fps, rng)
     middle = clip.hand.vertices.mean(axis=(0, 1))
     R = se3.exp_so3(errors.turn)
     displaced = clip.hand.T_cam_hand @ se3.rigid(R, middle + errors.shift - R @ middle)
@@ -138,7 +138,7 @@ def noisy_hand(clip: Clip, noise: Noise, rng: np.random.Generator) -> HandTrack:
         return hand
     if hand.joints is None:
         raise InputError(clip.origin / "hand.npz", "joints", "none", "joints (T, 21, 3), to bend the fingers about")
-    vertices, joints = bent(hand.vertices, hand.joints, finger_weights(hand), errors.bends)
+    vertices, joints = bend_fingers(hand.vertices, hand.joints, finger_weights(hand), errors.bends)
     return replace(hand, vertices=vertices, joints=joints)
 
 
@@ -148,15 +148,15 @@ def noisy_masks(masks: Masks, noise: Noise, rng: np.random.Generator) -> Masks:
         return masks
     objects, ignored, hands = [], [], []
     for mask, ignore in zip(masks.object, masks.ignore, strict=True):
-        ignored.append(ragged(ignore, noise.mask_ragged_px, rng))
-        objects.append(ragged(mask, noise.mask_ragged_px, rng) & ~ignored[-1])
+        ignored.append(perturb_mask_boundary(ignore, noise.mask_ragged_px, rng))
+        objects.append(perturb_mask_boundary(mask, noise.mask_ragged_px, rng) & ~ignored[-1])
     for hand, ignore, moved in zip(() if masks.hand is None else masks.hand, masks.ignore, ignored, strict=False):
         alone = np.array_equal(hand, ignore)  # then it is one contour
-        hands.append(moved if alone else ragged(hand, noise.mask_ragged_px, rng))
+        hands.append(moved if alone else perturb_mask_boundary(hand, noise.mask_ragged_px, rng))
     return Masks(np.stack(objects), np.stack(ignored), np.stack(hands) if hands else None)
 
 
-def ragged(mask: Bool[ndarray, "H W"], px: float, rng: np.random.Generator) -> Bool[ndarray, "H W"]:
+def perturb_mask_boundary(mask: Bool[ndarray, "H W"], px: float, rng: np.random.Generator) -> Bool[ndarray, "H W"]:
     """Move a mask's boundary by a random field of ``px`` root mean square, smooth over about 5 px."""
     import cv2
 
@@ -175,7 +175,7 @@ def ragged(mask: Bool[ndarray, "H W"], px: float, rng: np.random.Generator) -> B
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnHandErrors:
     """Errors as ``noisy_hand`` applies them.
 
     Attributes:
@@ -191,31 +191,31 @@ class Drawn:
     bends: Float[ndarray, "T 5 3"]
 
 
-def draw(noise: Noise, frames: int, fps: float, rng: np.random.Generator) -> Drawn:
+def draw_hand_errors(noise: Noise, frames: int, fps: float, rng: np.random.Generator) -> DrawnHandErrors:
     """Draw the errors of a clip. The same generator draws the same errors, larger or smaller, for every noise."""
     # Generators of their own: hands err alike whatever their depth, fingers and outliers do.
     depth, fingers, levels, bursts = rng.spawn(4)
     a = float(np.exp(-1.0 / (fps * noise.jitter_memory_s))) if noise.jitter_memory_s > 0.0 else 0.0
     bias, jitter = np.exp(noise.spread * levels.normal(size=(2, 4)))
-    first = _outliers(noise, frames, fps, bursts)
+    first = _draw_outlier_bursts(noise, frames, fps, bursts)
 
     def wander(white: Float[ndarray, "T k"], rms: float, kind: int) -> Float[ndarray, "T k"]:
         far = bursts.normal(size=white.shape)[first]  # one error throughout a burst
         times = np.where(first < 0, 0.0, noise.outlier_times)
-        return rms * jitter[kind] * (_lasting(white, a) + times[:, None] * far)
+        return rms * jitter[kind] * (_autoregressive_noise(white, a) + times[:, None] * far)
 
-    turn = bias[0] * _of_length(rng.normal(size=3), np.radians(noise.hand_bias_deg))
-    shift = bias[1] * _of_length(rng.normal(size=3), 1e-3 * noise.hand_bias_mm)
+    turn = bias[0] * _scale_to_length(rng.normal(size=3), np.radians(noise.hand_bias_deg))
+    shift = bias[1] * _scale_to_length(rng.normal(size=3), 1e-3 * noise.hand_bias_mm)
     turn = turn + wander(rng.normal(size=(frames, 3)), np.radians(noise.hand_jitter_deg) / np.sqrt(3.0), 0)
     shift = shift + wander(rng.normal(size=(frames, 3)), 1e-3 * noise.hand_jitter_mm / np.sqrt(3.0), 1)
     deeper = bias[2] * 1e-3 * noise.hand_bias_depth_mm * depth.choice([-1.0, 1.0])
     deeper = deeper + wander(depth.normal(size=(frames, 1)), 1e-3 * noise.hand_jitter_depth_mm, 2)
     bends = bias[3] * np.radians(noise.finger_bias_deg) * fingers.normal(size=15)
     bends = bends + wander(fingers.normal(size=(frames, 5, 3)).reshape(-1, 15), np.radians(noise.finger_jitter_deg), 3)
-    return Drawn(turn, shift, deeper, bends.reshape(-1, 5, 3))
+    return DrawnHandErrors(turn, shift, deeper, bends.reshape(-1, 5, 3))
 
 
-def _outliers(noise: Noise, frames: int, fps: float, rng: np.random.Generator) -> Int[ndarray, "T"]:
+def _draw_outlier_bursts(noise: Noise, frames: int, fps: float, rng: np.random.Generator) -> Int[ndarray, "T"]:
     """Draw the first frame of the burst of outliers that each frame is in; -1 of those in none.
 
     Bursts come and go as a chain of two states, with the noise's share of frames and mean duration.
@@ -231,7 +231,7 @@ def _outliers(noise: Noise, frames: int, fps: float, rng: np.random.Generator) -
     return first
 
 
-def _lasting(white: Float[ndarray, "T k"], a: float) -> Float[ndarray, "T k"]:
+def _autoregressive_noise(white: Float[ndarray, "T k"], a: float) -> Float[ndarray, "T k"]:
     """White noise of unit variance made into a first-order autoregressive process of unit variance."""
     out = white.copy()
     for n in range(1, len(out)):
@@ -239,5 +239,5 @@ def _lasting(white: Float[ndarray, "T k"], a: float) -> Float[ndarray, "T k"]:
     return out
 
 
-def _of_length(v: Float[ndarray, "3"], length: float) -> Float[ndarray, "3"]:
+def _scale_to_length(v: Float[ndarray, "3"], length: float) -> Float[ndarray, "3"]:
     return np.asarray(v / np.linalg.norm(v) * length)

@@ -18,10 +18,10 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, FrameMasks, HandTrack, Masks, Truth, World
 from getagrip.datasets.synthetic import in_hand
-from getagrip.datasets.synthetic.categories import CATEGORIES
-from getagrip.datasets.synthetic.deform import drawn
-from getagrip.datasets.synthetic.egocentric import other_hand, seen_from_head
-from getagrip.datasets.synthetic.grasp import Grasper, Grip, looseness, varied
+from getagrip.datasets.synthetic.categories import SYNTHETIC_CATEGORIES
+from getagrip.datasets.synthetic.deform import draw_deformation
+from getagrip.datasets.synthetic.egocentric import draw_egocentric_poses, draw_other_hand
+from getagrip.datasets.synthetic.grasp import Grasper, Grip, looseness, perturb_grip
 from getagrip.datasets.synthetic.noise import perturbed
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.datasets.synthetic.signed_distance import SignedDistance
@@ -30,14 +30,14 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.render import Surface, render_rgb, true_masks
-from getagrip.geometry.warp import aligned
+from getagrip.geometry.warp import align_similarity
 from getagrip.hands import generic
 from getagrip.hands.model import hand_track, mirrored
-from getagrip.io.named import named
+from getagrip.io.named import check_arguments
 from getagrip.result import Axis
 
 Shape = Callable[[Float[ndarray, "n 3"]], Float[ndarray, "n 3"]]
-DRAWS = 3
+N_GRIP_DRAWS = 3
 """Grips to choose from, where they vary."""
 
 
@@ -70,7 +70,7 @@ class Scene:
         return (grasped, self.object.faces), hands
 
 
-@named
+@check_arguments
 def synthesise(category: str, seed: int = 0, options: SceneOptions | None = None) -> tuple[Clip, Masks]:
     """Make a synthetic clip with ground truth, and its masks, in memory.
 
@@ -96,41 +96,45 @@ def noise_seed(category: str, seed: int) -> list[int]:
 
 def make_scene(category: str, seed: int, options: SceneOptions) -> Scene:
     """Make the scene, without noise. Raises ``UsageError`` as ``synthesise`` does."""
-    if category not in CATEGORIES:
-        raise UsageError(f"unknown category {category!r}; choose from {', '.join(sorted(CATEGORIES))}")
+    if category not in SYNTHETIC_CATEGORIES:
+        raise UsageError(f"unknown category {category!r}; choose from {', '.join(sorted(SYNTHETIC_CATEGORIES))}")
     if seed < 0:
         raise UsageError(f"seed must be 0 or more (got {seed})")
     if options.frames < 2:
         raise UsageError(f"frames must be at least 2 (got {options.frames})")
-    kind = CATEGORIES[category]
+    kind = SYNTHETIC_CATEGORIES[category]
     rng, moves = np.random.default_rng([seed, *category.encode()]).spawn(2)
     stretch = 1.0 + options.vary * rng.uniform(-1.0, 1.0, 3)
     mean = kind.make()
-    shaped = _shape(mean, stretch, category, seed, options)
+    shaped = _object_shape_map(mean, stretch, category, seed, options)
     grasped = Mesh(shaped(mean.vertices), mean.faces)
     grip = kind.grips[rng.integers(len(kind.grips))]
     grip = replace(grip, at=tuple(shaped(np.array([grip.at]))[0] + rng.normal(0.0, 0.002, 3)))
     model = generic.load("right")
     hand = model.with_shape(rng.normal(0.0, 0.04, len(model.shape_names)))
     if options.grip_deg > 0.0:
-        grip = _drawn_grip(category, seed, shaped, options, Grasper(hand, SignedDistance(grasped), grip.hold))
+        grip = _draw_grip(category, seed, shaped, options, Grasper(hand, SignedDistance(grasped), grip.hold))
     grasper = Grasper(hand, SignedDistance(grasped), grip.hold)
 
     T_base = grasper.approach(grip)
     if options.motion == "measured":
-        moved = in_hand.measured(grasper, T_base, grasped, options.frames, _own_stream(category, seed, 3))
+        moved = in_hand.draw_measured_motion(
+            grasper, T_base, grasped, options.frames, _independent_rng(category, seed, 3)
+        )
     else:
-        moved = in_hand.hinge(grasper, T_base, options, rng)
+        moved = in_hand.draw_hinge_motion(grasper, T_base, options, rng)
     T_hand_grasped, posed = moved.T_hand_obj, moved.posed
     middle = (
         posed.joints[:, 9].mean(axis=0) + se3.transform(T_hand_grasped, grasped.centre[None]).mean(axis=0)[0]
     ) / 2.0
-    T_world_cam, T_world_hand = seen_from_head(T_hand_grasped[0], middle, grasped.diameter, options.frames, moves)
+    T_world_cam, T_world_hand = draw_egocentric_poses(
+        T_hand_grasped[0], middle, grasped.diameter, options.frames, moves
+    )
     T_cam_hand = se3.inverse(T_world_cam) @ T_world_hand
     unknown = 1.0 if options.scale == "known" else float(rng.uniform(0.8, 1.25))
     T_grasped_cad, size = np.eye(4), 1.0
     if options.cad == "mean":
-        T_grasped_cad, size = aligned(mean, grasped, resize=options.scale == "free")
+        T_grasped_cad, size = align_similarity(mean, grasped, resize=options.scale == "free")
     track = hand_track(posed, T_cam_hand)
     fps = options.frames / moved.duration if moved.duration else options.fps
     width, height = options.size
@@ -151,30 +155,32 @@ def make_scene(category: str, seed: int, options: SceneOptions) -> Scene:
         truth=Truth(T_cam_hand @ T_hand_grasped @ T_grasped_cad, size * unknown, T_cam_hand, track.vertices),
         provenance={"source": "synthetic, by getagrip", "seed": seed, "options": asdict(options)},
     )
-    other = other_hand(grasper, T_cam_hand, middle, moves) if options.other_hand else None
+    other = draw_other_hand(grasper, T_cam_hand, middle, moves) if options.other_hand else None
     shown = Mesh(se3.transform(se3.inverse(T_grasped_cad), grasped.vertices), grasped.faces)
     scene = Scene(clip, shown, moved.axis, other, options)
-    return scene if options.side == "right" else _mirror_image(scene)
+    return scene if options.side == "right" else _mirror_scene(scene)
 
 
-def _own_stream(category: str, seed: int, number: int) -> np.random.Generator:
+def _independent_rng(category: str, seed: int, number: int) -> np.random.Generator:
     """Return a random stream of a clip beside those that all clips draw from, which it leaves as they are."""
     return np.random.default_rng([seed, *category.encode(), number])
 
 
-def _shape(mean: Mesh, stretch: Float[ndarray, "3"], category: str, seed: int, options: SceneOptions) -> Shape:
+def _object_shape_map(
+    mean: Mesh, stretch: Float[ndarray, "3"], category: str, seed: int, options: SceneOptions
+) -> Shape:
     """Return a map from points of the category's mean shape to the object."""
     stretched = Mesh(mean.vertices * stretch, mean.faces)
     if options.deform == 0.0:
         return lambda X: X * stretch
-    deformation = drawn(stretched, options.deform, _own_stream(category, seed, 4))
+    deformation = draw_deformation(stretched, options.deform, _independent_rng(category, seed, 4))
     return lambda X: deformation(X * stretch)
 
 
-def _drawn_grip(category: str, seed: int, shaped: Shape, options: SceneOptions, grasper: Grasper) -> Grip:
+def _draw_grip(category: str, seed: int, shaped: Shape, options: SceneOptions, grasper: Grasper) -> Grip:
     """Any grip of the category, at random off the usual: of a few draws the one that holds the object best."""
-    kind = CATEGORIES[category]
-    rng = _own_stream(category, seed, 2)
+    kind = SYNTHETIC_CATEGORIES[category]
+    rng = _independent_rng(category, seed, 2)
     grips = (*kind.grips, *kind.rarer)
     usual = grips[rng.integers(len(grips))]
     usual = replace(usual, at=tuple(shaped(np.array([usual.at]))[0]))
@@ -184,7 +190,7 @@ def _drawn_grip(category: str, seed: int, shaped: Shape, options: SceneOptions, 
         T = grasper.approach(grip)[None]
         return looseness(grasper.gaps(grasper.close(T), T)[0], grip.hold)
 
-    return min((varied(usual, options.grip_deg, 8.0, rng) for _ in range(DRAWS)), key=badness)
+    return min((perturb_grip(usual, options.grip_deg, 8.0, rng) for _ in range(N_GRIP_DRAWS)), key=badness)
 
 
 def clip_name(category: str, seed: int, options: SceneOptions) -> str:
@@ -192,7 +198,7 @@ def clip_name(category: str, seed: int, options: SceneOptions) -> str:
     return f"{category}-{options.side}-{seed:04d}"
 
 
-def _mirror_image(scene: Scene) -> Scene:
+def _mirror_scene(scene: Scene) -> Scene:
     """Mirror the scene: a left hand, the object's own y axis reversed so that poses stay rigid."""
     flip = np.diag([-1.0, 1.0, 1.0, 1.0])
     own = np.diag([1.0, -1.0, 1.0, 1.0])
@@ -210,16 +216,16 @@ def _mirror_image(scene: Scene) -> Scene:
         clip,
         side="left",
         world=clip.world and World(flip @ clip.world.T_world_cam @ flip, clip.world.up),
-        mesh=_flipped(clip.mesh),
+        mesh=_mirror_mesh(clip.mesh),
         hand=hand,
         truth=Truth(flip @ truth.T_cam_obj @ own, truth.scale, hand.T_cam_hand, hand.vertices),
     )
     other = None if scene.other_hand is None else mirrored(scene.other_hand)
     turned = Axis(mirrored(axis.point), -mirrored(axis.direction), axis.angle)  # a mirror turns rotations round
-    return replace(scene, clip=mirrored_clip, object=_flipped(scene.object), axis=turned, other_hand=other)
+    return replace(scene, clip=mirrored_clip, object=_mirror_mesh(scene.object), axis=turned, other_hand=other)
 
 
-def _flipped(mesh: Mesh) -> Mesh:
+def _mirror_mesh(mesh: Mesh) -> Mesh:
     """Reverse a mesh's own y axis."""
     return Mesh(mesh.vertices * np.array([1.0, -1.0, 1.0]), mesh.faces[:, ::-1].copy())
 
@@ -232,7 +238,7 @@ def ground_truth_masks(scene: Scene) -> Masks:
     return Masks.of(FrameMasks(*true_masks(grasped, hands, [], K, clip.size)) for (grasped, hands), K in drawn)
 
 
-def pictures(scene: Scene) -> list[UInt8[ndarray, "H W 3"]]:
+def render_pictures(scene: Scene) -> list[UInt8[ndarray, "H W 3"]]:
     """Render plain pictures of the scene, one per frame."""
     width, height = scene.options.size
     shade = np.linspace(0.93, 0.74, height)[:, None, None] * np.array([1.0, 0.98, 0.95])

@@ -56,5 +56,5 @@ class SceneOptions(Noise):
         check_values(self)
 
 
-DEMO = SceneOptions(hand_jitter_deg=0.5, hand_jitter_mm=0.5, mask_ragged_px=0.7)
+DEMO_SCENE_OPTIONS = SceneOptions(hand_jitter_deg=0.5, hand_jitter_mm=0.5, mask_ragged_px=0.7)
 """Options of ``getagrip demo``: small noise on hands and masks; 30 frames, 1-DoF motion with a small residual."""

@@ -13,17 +13,17 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.datasets.synthetic.loft import Tube, loft, together, torus, walls
+from getagrip.datasets.synthetic.loft import Tube, loft, merge_closed_meshes, torus, walls
 from getagrip.geometry.mesh import Mesh
 
 
-def scaled(corners: str, across: float, along: float) -> list[tuple[float, float]]:
+def parse_profile(corners: str, across: float, along: float) -> list[tuple[float, float]]:
     """Parse corners "a b, a b, ..." in units of two sizes of the object, in metres."""
     pairs = [pair.split() for pair in corners.split(",")]
     return [(float(a) * across, float(b) * along) for a, b in pairs]
 
 
-def _resampled(corners: Sequence[tuple[float, float]], spacing: float) -> Float[ndarray, "P 2"]:
+def _resample_polyline(corners: Sequence[tuple[float, float]], spacing: float) -> Float[ndarray, "P 2"]:
     """Divide long pieces of a polyline evenly, at most ``spacing`` apart, and keep its corners."""
     p = np.asarray(corners, dtype=float)
     pieces = []
@@ -33,14 +33,14 @@ def _resampled(corners: Sequence[tuple[float, float]], spacing: float) -> Float[
     return np.concatenate([*pieces, p[-1:]])
 
 
-def revolved(
+def revolve_profile(
     corners: Sequence[tuple[float, float]], columns: int, spacing: float, focus: float = 0.0
 ) -> Float[ndarray, "R N 3"]:
     """Make the rings of a surface of revolution about z, from a profile of (radius, height) corners.
 
     ``focus`` in [0, 1) crowds the columns towards +x, where a handle is to leave.
     """
-    profile = _resampled(corners, spacing)
+    profile = _resample_polyline(corners, spacing)
     s = np.arange(columns) * 2.0 * np.pi / columns
     angle = s - focus * np.sin(s)
     r, z = profile[:, :1], profile[:, 1:]
@@ -84,7 +84,9 @@ def handle(points: Sequence[tuple[float, float]], n: int, width: float, height: 
     return Tube(arc(points, n), _Y, np.full(n, width), np.full(n, height), capped)
 
 
-def _vessel(base: float, rim: float, height: float, wall: float, belly: float = 0.0) -> list[tuple[float, float]]:
+def _vessel_profile(
+    base: float, rim: float, height: float, wall: float, belly: float = 0.0
+) -> list[tuple[float, float]]:
     """Profile of an open vessel, outside then inside; ``belly`` widens it at mid-height [m]."""
     lift = np.linspace(0.0, 1.0, 6)
     r = base + (rim - base) * lift + belly * np.sin(np.pi * lift)
@@ -96,17 +98,17 @@ def _vessel(base: float, rim: float, height: float, wall: float, belly: float = 
 
 def bottle(radius: float = 0.036, height: float = 0.22, neck: float = 0.013) -> Mesh:
     """Make a closed bottle with shoulders, a neck and a cap."""
-    body = scaled("0.5 0, 0.92 0, 1 0.02, 1 0.56, 0.96 0.62, 0.8 0.7, 0.63 0.77", radius, height)
-    top = scaled("1 0.83, 0.95 0.89, 1.15 0.895, 1.15 0.99, 0.5 1", neck, height)
-    return loft(revolved([(r, z - height / 2) for r, z in body + top], 24, 0.013))
+    body = parse_profile("0.5 0, 0.92 0, 1 0.02, 1 0.56, 0.96 0.62, 0.8 0.7, 0.63 0.77", radius, height)
+    top = parse_profile("1 0.83, 0.95 0.89, 1.15 0.895, 1.15 0.99, 0.5 1", neck, height)
+    return loft(revolve_profile([(r, z - height / 2) for r, z in body + top], 24, 0.013))
 
 
 def ketchup(radius: float = 0.038, height: float = 0.19, flatness: float = 0.62) -> Mesh:
     """Make a flat squeeze bottle that stands on its wide cap."""
     cap = "0.3 0, 0.62 0, 0.66 0.02, 0.6 0.17, 0.66 0.19"
     body = "0.85 0.27, 0.92 0.36, 0.86 0.52, 0.95 0.68, 1 0.84, 0.92 0.95, 0.6 1, 0.25 1"
-    profile = scaled(f"{cap}, {body}", radius, height)
-    rings = revolved([(r, z - height / 2) for r, z in profile], 24, 0.014)
+    profile = parse_profile(f"{cap}, {body}", radius, height)
+    rings = revolve_profile([(r, z - height / 2) for r, z in profile], 24, 0.014)
     upper = np.clip((rings[..., 2] / height + 0.5 - 0.15) / 0.2, 0.0, 1.0)  # the cap is round
     rings[..., 1] *= 1.0 - (1.0 - flatness) * upper
     return loft(rings)
@@ -114,52 +116,58 @@ def ketchup(radius: float = 0.038, height: float = 0.19, flatness: float = 0.62)
 
 def can(radius: float = 0.034, height: float = 0.11) -> Mesh:
     """Make a closed tin with raised rims."""
-    low = scaled("0.35 0.02, 0.7 0.02, 0.9 0.02, 0.93 0, 0.98 0, 1 0.03, 0.965 0.055", radius, height)
+    low = parse_profile("0.35 0.02, 0.7 0.02, 0.9 0.02, 0.93 0, 0.98 0, 1 0.03, 0.965 0.055", radius, height)
     profile = [*low, *((r, height - z) for r, z in low[::-1])]
-    return loft(revolved([(r, z - height / 2) for r, z in profile], 26, 0.011))
+    return loft(revolve_profile([(r, z - height / 2) for r, z in profile], 26, 0.011))
 
 
 def jar(radius: float = 0.037, height: float = 0.105) -> Mesh:
     """Make a closed jar: a straight body, and a lid of nearly its width."""
-    corners = scaled("0.5 0, 0.92 0, 1 0.03, 1 0.7, 0.94 0.76, 0.87 0.78, 0.9 0.8, 0.9 0.98, 0.5 1", radius, height)
-    return loft(revolved([(r, z - height / 2) for r, z in corners], 26, 0.011))
+    corners = parse_profile(
+        "0.5 0, 0.92 0, 1 0.03, 1 0.7, 0.94 0.76, 0.87 0.78, 0.9 0.8, 0.9 0.98, 0.5 1", radius, height
+    )
+    return loft(revolve_profile([(r, z - height / 2) for r, z in corners], 26, 0.011))
 
 
 def ball(radius: float = 0.035) -> Mesh:
     """Make a ball."""
     angles = np.linspace(0.06, np.pi - 0.06, 17).tolist()
-    return loft(revolved([(radius * np.sin(a), -radius * np.cos(a)) for a in angles], 32, radius))
+    return loft(revolve_profile([(radius * np.sin(a), -radius * np.cos(a)) for a in angles], 32, radius))
 
 
 def glass(base: float = 0.029, rim: float = 0.038, height: float = 0.13, wall: float = 0.003) -> Mesh:
     """Make a tumbler, wider at the rim."""
-    corners = [(r, z - height / 2) for r, z in _vessel(base, rim, height, wall)]
-    return loft(revolved(corners, 24, 0.018))
+    corners = [(r, z - height / 2) for r, z in _vessel_profile(base, rim, height, wall)]
+    return loft(revolve_profile(corners, 24, 0.018))
 
 
 def bowl(rim: float = 0.078, height: float = 0.07, wall: float = 0.004) -> Mesh:
     """Make a round bowl on a small foot."""
-    return loft(revolved(_vessel(0.42 * rim, rim, height, wall, belly=0.16 * rim), 28, 0.019))
+    return loft(revolve_profile(_vessel_profile(0.42 * rim, rim, height, wall, belly=0.16 * rim), 28, 0.019))
 
 
 def plate(radius: float = 0.11, height: float = 0.02, wall: float = 0.004) -> Mesh:
     """Make a dinner plate with a raised rim."""
-    under = scaled("0.25 0, 0.6 0, 0.72 0.35, 0.86 0.75, 0.985 0.95, 1 1", radius, height - wall)
-    over = [(r, z + wall) for r, z in scaled("0.985 1, 0.85 0.75, 0.7 0.35, 0.58 0, 0.25 0", radius, height - wall)]
-    return loft(revolved(under + over, 30, 0.028))
+    under = parse_profile("0.25 0, 0.6 0, 0.72 0.35, 0.86 0.75, 0.985 0.95, 1 1", radius, height - wall)
+    over = [
+        (r, z + wall) for r, z in parse_profile("0.985 1, 0.85 0.75, 0.7 0.35, 0.58 0, 0.25 0", radius, height - wall)
+    ]
+    return loft(revolve_profile(under + over, 30, 0.028))
 
 
 def mug(radius: float = 0.041, height: float = 0.095, wall: float = 0.004, reach: float = 0.036) -> Mesh:
     """Make a straight mug with a D-shaped handle."""
-    path = [(radius + a, z) for a, z in scaled("0 0.8, 0.75 0.82, 1 0.52, 0.65 0.24, 0 0.26", reach, height)]
-    rings = revolved(_vessel(0.95 * radius, radius, height, wall), 24, 0.016, focus=0.25)
+    path = [(radius + a, z) for a, z in parse_profile("0 0.8, 0.75 0.82, 1 0.52, 0.65 0.24, 0 0.26", reach, height)]
+    rings = revolve_profile(_vessel_profile(0.95 * radius, radius, height, wall), 24, 0.016, focus=0.25)
     return loft(rings, [handle(path, 11, 0.0065, 0.0045)])
 
 
 def pitcher(radius: float = 0.06, height: float = 0.19, wall: float = 0.004, reach: float = 0.05) -> Mesh:
     """Make a water jug with a long handle and, opposite, a spout."""
-    path = [(radius + a, z) for a, z in scaled("-0.02 0.87, 0.8 0.86, 1 0.55, 0.7 0.22, -0.1 0.2", reach, height)]
-    rings = revolved(_vessel(0.85 * radius, radius, height, wall), 22, 0.028, focus=0.25)
+    path = [
+        (radius + a, z) for a, z in parse_profile("-0.02 0.87, 0.8 0.86, 1 0.55, 0.7 0.22, -0.1 0.2", reach, height)
+    ]
+    rings = revolve_profile(_vessel_profile(0.85 * radius, radius, height, wall), 22, 0.028, focus=0.25)
     top = np.clip(4.0 * rings[..., 2] / height - 3.0, 0.0, 1.0)
     rings[..., 0] -= 0.3 * radius * top * np.clip(-rings[..., 0] / radius, 0.0, 1.0) ** 4
     return loft(rings, [handle(path, 12, 0.011, 0.007)])
@@ -167,39 +175,45 @@ def pitcher(radius: float = 0.06, height: float = 0.19, wall: float = 0.004, rea
 
 def cup(radius: float = 0.044, height: float = 0.066, wall: float = 0.003, reach: float = 0.026) -> Mesh:
     """Make a round-bellied tea cup with a small ear."""
-    path = [(radius + a, z) for a, z in scaled("-0.07 0.76, 0.85 0.78, 0.9 0.48, -0.17 0.36", reach, height)]
-    rings = revolved(_vessel(0.58 * radius, radius, height, wall, belly=0.13 * radius), 24, 0.013, focus=0.3)
+    path = [(radius + a, z) for a, z in parse_profile("-0.07 0.76, 0.85 0.78, 0.9 0.48, -0.17 0.36", reach, height)]
+    rings = revolve_profile(
+        _vessel_profile(0.58 * radius, radius, height, wall, belly=0.13 * radius), 24, 0.013, focus=0.3
+    )
     return loft(rings, [handle(path, 9, 0.004, 0.0032)])
 
 
-def with_bar(profile: Sequence[tuple[float, float]], rim: float, height: float, bar: float, rise: float) -> Mesh:
+def vessel_with_handle(
+    profile: Sequence[tuple[float, float]], rim: float, height: float, bar: float, rise: float
+) -> Mesh:
     """Make a vessel with one straight handle of length ``bar`` along +x; the origin lies on the handle."""
     n, at = 10, 0.62 * height
-    points = [(rim + a, at + z) for a, z in scaled("0 0, 0.25 0.45, 0.6 0.9, 1 1", bar, rise)]
+    points = [(rim + a, at + z) for a, z in parse_profile("0 0, 0.25 0.45, 0.6 0.9, 1 1", bar, rise)]
     width = np.interp(np.linspace(0, 1, n), [0, 0.2, 0.45, 0.85, 1], [0.010, 0.009, 0.0125, 0.0125, 0.007])
     tube = Tube(arc(points, n), _Y, width, 0.62 * width, capped=True)
-    mesh = loft(revolved(profile, 30, 0.022, focus=0.55), [tube])
+    mesh = loft(revolve_profile(profile, 30, 0.022, focus=0.55), [tube])
     grip = np.array([rim + 0.62 * bar, 0.0, at + 0.9 * rise])
     return Mesh(mesh.vertices - grip, mesh.faces)
 
 
 def pan(rim: float = 0.125, height: float = 0.042, bar: float = 0.17) -> Mesh:
     """Make a frying pan."""
-    return with_bar(_vessel(0.78 * rim, rim, height, 0.004), rim, height, bar, 0.03)
+    return vessel_with_handle(_vessel_profile(0.78 * rim, rim, height, 0.004), rim, height, bar, 0.03)
 
 
 def saucepan(rim: float = 0.085, height: float = 0.095, bar: float = 0.15) -> Mesh:
     """Make a deep pan with a straight handle."""
-    return with_bar(_vessel(0.96 * rim, rim, height, 0.004), rim, height, bar, 0.015)
+    return vessel_with_handle(_vessel_profile(0.96 * rim, rim, height, 0.004), rim, height, bar, 0.015)
 
 
 def kettle(radius: float = 0.075, height: float = 0.15, reach: float = 0.052) -> Mesh:
     """Make a closed coffee pot: a handle at +x, a spout at -x, a knob on the lid."""
     body = "0.35 0, 0.7 0, 0.93 0, 1 0.06, 0.99 0.25, 0.9 0.5, 0.76 0.72, 0.62 0.86"
     lid = "0.6 0.88, 0.3 0.93, 0.12 0.935, 0.16 0.98, 0.09 1"
-    rings = revolved(scaled(f"{body}, {lid}", radius, height), 28, 0.021)
-    bow = [(radius + a, z) for a, z in scaled("-0.34 0.74, 0.75 0.8, 1 0.55, 0.6 0.24, -0.01 0.2", reach, height)]
-    spout = arc(scaled("-0.93 0.4, -1.25 0.55, -1.42 0.8, -1.62 0.9", radius, height), 7)
+    rings = revolve_profile(parse_profile(f"{body}, {lid}", radius, height), 28, 0.021)
+    bow = [
+        (radius + a, z) for a, z in parse_profile("-0.34 0.74, 0.75 0.8, 1 0.55, 0.6 0.24, -0.01 0.2", reach, height)
+    ]
+    spout = arc(parse_profile("-0.93 0.4, -1.25 0.55, -1.42 0.8, -1.62 0.9", radius, height), 7)
     thick = np.linspace(0.014, 0.007, 7)
     return loft(rings, [handle(bow, 12, 0.010, 0.0065), Tube(spout, _Y, thick, thick, capped=True)])
 
@@ -258,21 +272,21 @@ def scissors(length: float = 0.19, spread: float = 0.30) -> Mesh:
         centre = path[0] + length * np.array([-0.115, 0.02 * sign, 0.0])
         ring = centre + length * np.stack([0.125 * np.cos(phi), 0.085 * np.sin(phi), np.zeros(20)], axis=-1)
         halves.append(torus(ring, np.array([0.0, 0.0, 1.0]), 0.0048))
-    return together(halves)
+    return merge_closed_meshes(halves)
 
 
 def tape(radius: float = 0.049, core: float = 0.0415, width: float = 0.048) -> Mesh:
     """Make a roll of packing tape."""
     z = width / 2.0
     corners = [(core, -z), (radius, -z), (radius, z), (core, z), (core, -z)]
-    rings = revolved(corners, 32, 0.012)[:-1]
+    rings = revolve_profile(corners, 32, 0.012)[:-1]
     ids = np.arange(rings.size // 3).reshape(rings.shape[:2])
     return Mesh(rings.reshape(-1, 3), walls(np.concatenate([ids, ids[:1]])))
 
 
 def banana(length: float = 0.18, thickness: float = 0.034) -> Mesh:
     """Make a banana, its ends up."""
-    path = arc(scaled("-0.5 0.25, -0.44 0.15, -0.25 0.04, 0 0, 0.25 0.04, 0.44 0.18", length, length), 34)
+    path = arc(parse_profile("-0.5 0.25, -0.44 0.15, -0.25 0.04, 0 0, 0.25 0.04, 0.44 0.18", length, length), 34)
     along, radii = [0.0, 0.1, 0.25, 0.5, 0.75, 1.0], [0.3, 0.35, 0.85, 1.0, 0.85, 0.25]
     half = thickness / 2.0 * np.interp(np.linspace(0.0, 1.0, 34), along, radii)
     return loft(Tube(path, _Y, half, half, capped=True).sections())
@@ -281,5 +295,5 @@ def banana(length: float = 0.18, thickness: float = 0.034) -> Mesh:
 def umbrella(radius: float = 0.031, length: float = 0.27) -> Mesh:
     """Make a folded umbrella, its handle up."""
     cloth = "0.3 0, 0.65 0, 0.84 0.06, 0.94 0.2, 0.87 0.5, 0.9 0.69, 1 0.82"
-    corners = scaled(f"{cloth}, 0.62 0.835, 0.62 0.98, 0.55 1, 0.2 1", radius, length)
-    return loft(revolved([(r, z - length / 2) for r, z in corners], 24, 0.016))
+    corners = parse_profile(f"{cloth}, 0.62 0.835, 0.62 0.98, 0.55 1, 0.2 1", radius, length)
+    return loft(revolve_profile([(r, z - length / 2) for r, z in corners], 24, 0.016))

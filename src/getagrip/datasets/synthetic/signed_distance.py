@@ -30,7 +30,7 @@ class SignedDistance:
         return distance.reshape(X.shape[:-1])
 
 
-class LeastDistance:
+class MinSignedDistance:
     """The least signed distance [m] of each of some groups of moving points.
 
     A distance changes by no more than the way of its point, so only points that may be the nearest are looked up.

@@ -5,19 +5,19 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from getagrip.errors import UsageError
-from getagrip.experiments.sources.source import ClipSource, Sample, names_in
+from getagrip.experiments.sources.source import ClipSource, Sample, read_clip_names
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from getagrip.batch.job import Outcome
-    from getagrip.batch.share import Share
+    from getagrip.batch.share import SchedulingOptions
 
-__all__ = ["ClipSource", "Sample", "names_in", "samples"]
+__all__ = ["ClipSource", "Sample", "read_clip_names", "sample_clips"]
 
 
-def samples(
-    source: ClipSource, clips: Path, count: int | None, debug: bool, share: Share | None = None
+def sample_clips(
+    source: ClipSource, clips: Path, count: int | None, debug: bool, share: SchedulingOptions | None = None
 ) -> tuple[list[Sample], list[Outcome]]:
     """Return ``count`` evenly sampled clips of a source, and the outcomes of those that are none.
 

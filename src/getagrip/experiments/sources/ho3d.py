@@ -8,20 +8,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 from getagrip.errors import UsageError
-from getagrip.experiments.sources.recorded import Recorded
+from getagrip.experiments.sources.recorded import RecordedSource
 from getagrip.experiments.sources.source import Sample
 from getagrip.io.arguments import OptionalFolder
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
-    from getagrip.batch.share import Share
+    from getagrip.batch.share import SchedulingOptions
     from getagrip.datasets.dataset import Dataset
-    from getagrip.experiments.published import Published
+    from getagrip.experiments.published import PublishedResults
     from getagrip.experiments.settings import Ablation
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ho3dEval(Recorded):
+class Ho3dEval(RecordedSource):
     """HO-3D's evaluation split: AUC of ADD and ADD-S, and BOP's average recall, for each sequence."""
 
     dataset: ClassVar[str] = "ho3d-eval"
@@ -46,10 +46,10 @@ class Ho3dEval(Recorded):
         return ("recall",)
 
     @property
-    def published(self) -> Mapping[str, Published]:
-        from getagrip.experiments.published import read
+    def published(self) -> Mapping[str, PublishedResults]:
+        from getagrip.experiments.published import read_published_results
 
-        return read("ho3d_published.json")
+        return read_published_results("ho3d_published.json")
 
     def part_of(self, clip: str, category: str) -> str:
         """Return the sequence."""
@@ -76,19 +76,23 @@ class Ho3dEval(Recorded):
     def claim(self, clips: Path) -> None:
         super(Ho3dEval, replace(self, masks=None)).claim(clips)  # clips are the same without
 
-    def samples(self, clips: Path, debug: bool, share: Share | None = None) -> tuple[list[Sample], list[Outcome]]:
+    def samples(
+        self, clips: Path, debug: bool, share: SchedulingOptions | None = None
+    ) -> tuple[list[Sample], list[Outcome]]:
         """Import the sequences, and the depth images of those that have them."""
-        from getagrip.clip.depth import DEPTH
-        from getagrip.clip.depth_sources import SOURCES, add_depth, open_depth
+        from getagrip.clip.depth import DEPTH_KEY
+        from getagrip.clip.depth_sources import DEPTH_FORMATS, add_depth, open_depth
         from getagrip.clip.reading import read_header
 
         found, failed = super().samples(clips, debug, share)
         assert self.root is not None
         for sample in found:
-            images = self.root / "evaluation" / sequence_of(sample.name) / DEPTH
-            if images.is_dir() and not (sample.folder / DEPTH).exists():
+            images = self.root / "evaluation" / sequence_of(sample.name) / DEPTH_KEY
+            if images.is_dir() and not (sample.folder / DEPTH_KEY).exists():
                 header = read_header(sample.folder)
-                add_depth(header, open_depth(images, "ho3d", header.frames, ""), SOURCES["ho3d"].source, "HO-3D's")
+                add_depth(
+                    header, open_depth(images, "ho3d", header.frames, ""), DEPTH_FORMATS["ho3d"].source, "HO-3D's"
+                )
         return found, failed
 
 

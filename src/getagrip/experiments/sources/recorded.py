@@ -9,22 +9,22 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from tyro.conf import arg
 
-from getagrip.errors import GetagripError, UsageError, unknown
+from getagrip.errors import GetagripError, UsageError, unknown_choice_error
 from getagrip.experiments.sources.source import ClipSource, Sample
 from getagrip.io import files
 from getagrip.io.arguments import OptionalFolder
-from getagrip.io.terminal import report
+from getagrip.io.terminal import print_note
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
-    from getagrip.batch.share import Share
+    from getagrip.batch.share import SchedulingOptions
     from getagrip.datasets.dataset import Dataset
 
 Preset = Annotated[str, arg(metavar="NAME")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recorded(ClipSource):
+class RecordedSource(ClipSource):
     """A dataset's grasps; clips of a subject are all for training, or all for testing."""
 
     root: OptionalFolder = None
@@ -41,11 +41,13 @@ class Recorded(ClipSource):
         """
         return sorted(subjects)[::3]
 
-    def samples(self, clips: Path, debug: bool, share: Share | None = None) -> tuple[list[Sample], list[Outcome]]:
+    def samples(
+        self, clips: Path, debug: bool, share: SchedulingOptions | None = None
+    ) -> tuple[list[Sample], list[Outcome]]:
         from getagrip.batch.imports import import_clips
-        from getagrip.batch.plan import by_name
-        from getagrip.batch.share import ALL, ALONE
-        from getagrip.datasets.tracks import subject_of
+        from getagrip.batch.plan import clips_by_name
+        from getagrip.batch.share import DEFAULT_SCHEDULING, WHOLE_SHARD
+        from getagrip.datasets.tracks import subject_from_clip_name
 
         if self.root is None:
             raise UsageError(f"missing --root: the folder of {self.dataset}")
@@ -54,18 +56,20 @@ class Recorded(ClipSource):
         missing = self.only is None or any(not (clips / name).exists() for name in self.only)
         if not done.exists() and missing:
             if self.only is None:
-                report(
+                print_note(
                     f"{self.dataset}: all clips are imported first, and kept; --only FILE imports those that it names"
                 )
-            share = share or ALONE
-            whole = replace(share, shard=ALL, ledger=None)  # every call needs all clips; their ledger is beside them
+            share = share or DEFAULT_SCHEDULING
+            whole = replace(
+                share, shard=WHOLE_SHARD, ledger=None
+            )  # every call needs all clips; their ledger is beside them
             status = import_clips(self.reader(self.root), clips, debug, whole, self.only)
             if status and share.fail_fast:
                 raise GetagripError(f"{self.dataset}: not all could be imported, and --fail-fast ends the call")
             if status == 0 and self.only is None:
                 files.write_bytes(done, b"")  # else what failed is tried again next time
-        found, failed = by_name([clips])
-        subject = {name: subject_of(name) for name in found}
+        found, failed = clips_by_name([clips])
+        subject = {name: subject_from_clip_name(name) for name in found}
         train = self.training({*subject.values()})
         splits = {name: ("all", "train" if subject[name] in train else "validation") for name in found}
         chosen = [name for name in sorted(found) if self.part in splits[name]]
@@ -75,7 +79,7 @@ class Recorded(ClipSource):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Timelines(Recorded):
+class TimelineSource(RecordedSource):
     """A dataset's timelines with their true segments."""
 
     preset: Preset = "all"
@@ -84,20 +88,20 @@ class Timelines(Recorded):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.preset not in self.presets():
-            raise unknown("--preset", self.preset, self.presets())
+            raise unknown_choice_error("--preset", self.preset, self.presets())
 
     def presets(self) -> Collection[str]:
         """Return the values of ``preset``: the clips are without noise."""
-        from getagrip.experiments.timeline_trials import ALL, LEVELS
+        from getagrip.experiments.timeline_trials import ALL_NOISE_LEVELS, TIMELINE_NOISE_LEVELS
 
-        return (ALL, *LEVELS)
+        return (ALL_NOISE_LEVELS, *TIMELINE_NOISE_LEVELS)
 
     def claim(self, clips: Path) -> None:
-        super(Timelines, replace(self, preset=type(self).preset)).claim(clips)
+        super(TimelineSource, replace(self, preset=type(self).preset)).claim(clips)
 
 
 @dataclass(frozen=True, kw_only=True)
-class DexYcb(Recorded):
+class DexYcb(RecordedSource):
     """DexYCB's visible stable grasps."""
 
     dataset: ClassVar[str] = "dexycb"
@@ -112,7 +116,7 @@ class DexYcb(Recorded):
 
 
 @dataclass(frozen=True, kw_only=True)
-class DexYcbTimelines(Timelines, DexYcb):
+class DexYcbTimelines(TimelineSource, DexYcb):
     """DexYCB's uncut sequences, with their true segments."""
 
     dataset: ClassVar[str] = "dexycb-timelines"
@@ -132,13 +136,13 @@ class DexYcbSequences(DexYcbTimelines):
     """Noise of hands and masks: none, moderate, strong or estimated."""
 
     def presets(self) -> Collection[str]:
-        from getagrip.datasets.synthetic.noise import NOISE
+        from getagrip.datasets.synthetic.noise import NOISE_PRESETS
 
-        return NOISE
+        return NOISE_PRESETS
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hot3dTimelines(Timelines):
+class Hot3dTimelines(TimelineSource):
     """HOT3D's timelines by the true poses; the head moves."""
 
     dataset: ClassVar[str] = "hot3d-timelines"

@@ -11,12 +11,12 @@ from tyro.conf import Positional, arg
 
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
-from getagrip.io.arguments import meant, one_of, parsed
+from getagrip.io.arguments import expand_user_path, one_of, parsed_argument
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
-    from getagrip.batch.share import Share
-    from getagrip.experiments.published import Published
+    from getagrip.batch.share import SchedulingOptions
+    from getagrip.experiments.published import PublishedResults
     from getagrip.experiments.settings import Ablation
 
 Split = Literal["train", "validation", "all"]
@@ -32,19 +32,19 @@ class Sample:
     """Makes the folder where it is not there."""
 
 
-def names_in(path: Path) -> frozenset[str]:
+def read_clip_names(path: Path) -> frozenset[str]:
     """Read the names of clips in a text file, one a line. Raises ``InputError``."""
-    lines = files.read_bytes(path, files.LARGEST_JSON).decode("utf-8", "replace").splitlines()
+    lines = files.read_bytes(path, files.MAX_JSON_BYTES).decode("utf-8", "replace").splitlines()
     names = frozenset(filter(None, map(str.strip, lines)))
-    bad = next((name for name in names if not files.is_plain_name(name)), None)
+    bad = next((name for name in names if not files.is_portable_name(name)), None)
     if bad is not None or not names:
-        got = "no names" if bad is None else f"the name {files.shown(bad)}"
+        got = "no names" if bad is None else f"the name {files.shorten_value(bad)}"
         raise InputError(path, "", got, "names of clips, one a line")
     return names
 
 
-def _only(text: str) -> frozenset[str]:
-    return names_in(Path(meant(text)))
+def _parse_clip_names(text: str) -> frozenset[str]:
+    return read_clip_names(Path(expand_user_path(text)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +62,9 @@ class ClipSource:
     ] = None
     """Part of a dataset: train is for tuning, validation for choosing."""
     only: Annotated[
-        frozenset[str] | None, parsed("FILE", _only, frozenset), arg(metavar="FILE", help_behavior_hint="")
+        frozenset[str] | None,
+        parsed_argument("FILE", _parse_clip_names, frozenset),
+        arg(metavar="FILE", help_behavior_hint=""),
     ] = None
     """Use the clips that FILE names, one per line; only these are imported from a dataset."""
 
@@ -102,7 +104,7 @@ class ClipSource:
         return None
 
     @property
-    def published(self) -> Mapping[str, Published]:
+    def published(self) -> Mapping[str, PublishedResults]:
         """Numbers that others printed for its parts, by system."""
         return {}
 
@@ -110,7 +112,9 @@ class ClipSource:
         """Return the part that a clip is of, of those with a table each."""
         return category
 
-    def samples(self, clips: Path, debug: bool, share: Share | None = None) -> tuple[list[Sample], list[Outcome]]:
+    def samples(
+        self, clips: Path, debug: bool, share: SchedulingOptions | None = None
+    ) -> tuple[list[Sample], list[Outcome]]:
         """Return the clips, and the outcomes of folders that are none.
 
         Clips that must be made go to the folder ``clips``, all of them, whatever the shard of ``share``, which says who
@@ -159,13 +163,17 @@ class ClipFolder(ClipSource):
         """That by which the clips were cut, as the list beside them says: 0 mm on ARCTIC, 10 mm on HOI4D."""
         from getagrip.grasps import lists
 
-        path = self.folder / lists.FILE
+        path = self.folder / lists.GRASP_LIST_FILE
         cut = lists.read_cut(path) if path.is_file() else None
         contact = cut.get("contact") if isinstance(cut, dict) else None
-        return super().contact_mm if contact is None else 1e3 * lists.metres(path, "cut.contact", contact)
+        return (
+            super().contact_mm if contact is None else 1e3 * lists.parse_contact_distance(path, "cut.contact", contact)
+        )
 
-    def samples(self, clips: Path, debug: bool, share: Share | None = None) -> tuple[list[Sample], list[Outcome]]:
-        from getagrip.batch.plan import by_name
+    def samples(
+        self, clips: Path, debug: bool, share: SchedulingOptions | None = None
+    ) -> tuple[list[Sample], list[Outcome]]:
+        from getagrip.batch.plan import clips_by_name
 
-        found, failed = by_name([self.folder])
+        found, failed = clips_by_name([self.folder])
         return [Sample(name, path) for name, path in sorted(found.items())], failed

@@ -13,12 +13,12 @@ from getagrip.experiments.sources.source import ClipSource, Sample
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
-    from getagrip.batch.share import Share
+    from getagrip.batch.share import SchedulingOptions
     from getagrip.datasets.synthetic.scene_options import SceneOptions
 
 
 @dataclass(frozen=True, kw_only=True)
-class Synthetic(ClipSource):
+class SyntheticSource(ClipSource):
     """Synthetic clips, made as they are needed."""
 
     dataset: ClassVar[str] = "synthetic"
@@ -31,20 +31,22 @@ class Synthetic(ClipSource):
     def description(self) -> str:
         return f"{self.dataset}, {self.preset}"
 
-    def samples(self, clips: Path, debug: bool, share: Share | None = None) -> tuple[list[Sample], list[Outcome]]:
+    def samples(
+        self, clips: Path, debug: bool, share: SchedulingOptions | None = None
+    ) -> tuple[list[Sample], list[Outcome]]:
         from getagrip.datasets.synthetic.scene import clip_name
-        from getagrip.datasets.synthetic.splits import SEEDS, split
+        from getagrip.datasets.synthetic.splits import SPLIT_SEEDS, clips_of_split
 
         found = []
-        for part in SEEDS if self.part == "all" else (self.part,):
-            for category, seed, options in split(part, self.preset):
+        for part in SPLIT_SEEDS if self.part == "all" else (self.part,):
+            for category, seed, options in clips_of_split(part, self.preset):
                 name = clip_name(category, seed, options)
-                found.append(Sample(name, clips / name, partial(_make, category, seed, options)))
+                found.append(Sample(name, clips / name, partial(_make_synthetic_clip, category, seed, options)))
         self.claim(clips)
         return found, []
 
 
-def _make(category: str, seed: int, options: SceneOptions, folder: Path) -> None:
+def _make_synthetic_clip(category: str, seed: int, options: SceneOptions, folder: Path) -> None:
     """Make a clip."""
     from getagrip.clip import write_clip
     from getagrip.datasets.synthetic.scene import synthesise

@@ -34,7 +34,7 @@ class ContactConsistencyTerm:
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
         B, N = poses.centre.shape[:2]
         found = replace(Quadratic.zero(poses), cross=np.zeros((B, N, 7, N, 7)))
-        _evaluate(
+        _evaluate_contact_consistency(
             poses.R, poses.centre, poses.scale, self.points, self.hand, self.weight, self.delta, bound,
             found.value, found.g, found.H, found.cross,
         )  # fmt: skip
@@ -42,7 +42,7 @@ class ContactConsistencyTerm:
 
 
 @kernel("f4 f3 f1 f2 f3 f1 f f1 f2 f3 f4 f5")
-def _evaluate(R, centre, scale, points, hand, weight, delta, bound, value, g, H, cross):
+def _evaluate_contact_consistency(R, centre, scale, points, hand, weight, delta, bound, value, g, H, cross):
     """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7), cross (B, N, 7, N, 7)."""
     B, N = value.shape
     D = len(points) * hand.shape[1]
@@ -51,15 +51,15 @@ def _evaluate(R, centre, scale, points, hand, weight, delta, bound, value, g, H,
         if not bound[b] >= 0.0:  # nothing to be gained, or no number at all
             continue
         for n in range(N):
-            _distances(R[b, n], centre[b, n], scale[b], points, hand[n], distance[n], a[n])
-        total = _compare(distance, weight, delta, value[b])
+            _squared_distances(R[b, n], centre[b, n], scale[b], points, hand[n], distance[n], a[n])
+        total = _add_pairwise_costs(distance, weight, delta, value[b])
         if not total <= bound[b]:
             continue
-        _tie(distance, a, weight, delta, g[b], H[b], cross[b])
+        _add_pairwise_derivatives(distance, a, weight, delta, g[b], H[b], cross[b])
 
 
 @kernel()
-def _compare(distance, weight, delta, value):
+def _add_pairwise_costs(distance, weight, delta, value):
     """Share the cost of each pair of frames between the two, in value (N,), and return the sum."""
     N, D = distance.shape
     total = 0.0
@@ -77,7 +77,7 @@ def _compare(distance, weight, delta, value):
 
 
 @kernel()
-def _tie(distance, a, weight, delta, g, H, cross):
+def _add_pairwise_derivatives(distance, a, weight, delta, g, H, cross):
     """Fill in g (N, 7), H (N, 7, 7), cross (N, 7, N, 7) from distances (N, D) and their derivatives (N, 7, D)."""
     N, D = distance.shape
     slope, curve = np.zeros((N, D)), np.zeros((N, D))
@@ -93,12 +93,12 @@ def _tie(distance, a, weight, delta, g, H, cross):
                 slope[j, k] -= h * e
                 curve[i, k] += h
                 curve[j, k] += h
-            _times(between, a[i], weighted)
+            _multiply_rows(between, a[i], weighted)
             for p in range(7):
                 for q in range(7):
                     cross[i, p, j, q] = cross[j, q, i, p] = -_dot(weighted[p], a[j, q])
     for n in range(N):
-        _times(curve[n], a[n], weighted)
+        _multiply_rows(curve[n], a[n], weighted)
         for p in range(7):
             g[n, p] = _dot(slope[n], a[n, p])
             for q in range(p + 1):
@@ -106,7 +106,7 @@ def _tie(distance, a, weight, delta, g, H, cross):
 
 
 @kernel()
-def _distances(R, centre, scale, points, hand, distance, a):
+def _squared_distances(R, centre, scale, points, hand, distance, a):
     """Squared distances (D,) of all pairs of a frame, and their derivatives (7, D) by the local 7-vector.
 
     With y = scale R x from the object's centre and u = h - centre - y, D = |u|^2 changes by
@@ -129,7 +129,7 @@ def _distances(R, centre, scale, points, hand, distance, a):
 
 
 @kernel()
-def _times(h, a, out):
+def _multiply_rows(h, a, out):
     """Rows of a (7, D) times h (D,)."""
     for p in range(7):
         for k in range(len(h)):

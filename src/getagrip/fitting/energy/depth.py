@@ -37,20 +37,20 @@ from getagrip.fitting.energy.term import PosesInCamera, Quadratic, no_bound
 from getagrip.geometry.mesh import Mesh
 from getagrip.kernels.depth import add, distances, dot, forward, prior_cost, profile
 
-TAIL = 2.5
+DEPTH_TAIL_SIGMAS = 2.5
 """c: errors count less and less beyond this many deviations."""
-RIGID = 3
+N_DEPTH_SCALE_ERRORS = 3
 """Errors of a clip before its warp: g, h, a."""
-KAPPA = 20.0
+DEPTH_MISFIT_KAPPA = 20.0
 """Misfit of a frame at which depth counts half [squared deviations]."""
-MISSED = 0.1
+RAY_MISS_ERROR = 0.1
 """Error that a sample has whose ray misses the surface [share of the distance]."""
-FIXED_HAND, FIXED_SURFACE = 0.02, 0.015
+HAND_DISTANCE_SIGMA, HAND_SURFACE_SIGMA = 0.02, 0.015
 """Error of the input hand's distance, the same in all frames, and of its surface [shares of the distance]: 13 to 18 mm,
 and what 0.28 rad do to a surface 5 cm from the middle, at arm's length."""
-ROUNDS = 12
+MAX_IRLS_ITERATIONS = 12
 """Most iterations by which the image's errors are found (iteratively reweighted least squares)."""
-EXACT = 1e-2
+IRLS_TOLERANCE = 1e-2
 """They are found when none moves by more [deviations of the noise]."""
 
 
@@ -159,11 +159,14 @@ class DepthTerm:
     def squared_deviations(self, poses: PosesInCamera) -> Float[ndarray, "B"]:
         """Return Q per frame."""
         total = self(poses, no_bound(poses)).value.mean(axis=1) / self.weight
-        return np.asarray(KAPPA * np.expm1(total / KAPPA))
+        return np.asarray(DEPTH_MISFIT_KAPPA * np.expm1(total / DEPTH_MISFIT_KAPPA))
 
     def warp(self, poses: PosesInCamera) -> Float[ndarray, "B"]:
         """Return how far the images are found to be warped, root mean square over samples [share of the distance]."""
-        of_clip, warps = self._fitted(poses, no_bound(poses))[1][:, RIGID:], self.samples.modes[:, RIGID:]
+        of_clip, warps = (
+            self._fitted(poses, no_bound(poses))[1][:, N_DEPTH_SCALE_ERRORS:],
+            self.samples.modes[:, N_DEPTH_SCALE_ERRORS:],
+        )
         off = np.einsum("bk,nkm->bnm", of_clip, warps)
         return np.sqrt(np.average(off.reshape(len(off), -1) ** 2, axis=1, weights=self.samples.weight.ravel()))
 
@@ -181,22 +184,22 @@ class DepthTerm:
         q = replace(Quadratic.zero(poses, P), cross=np.zeros((B, N, P, N, P)))
         K, e = s.modes.shape[1], self.errors
         of_clip, of_frame, left = np.zeros((B, K)), np.zeros((B, N)), np.zeros((B, *s.log_z.shape))
-        apart = e.apart if moves else np.hypot(e.apart, FIXED_HAND)
-        surface = 0.0 if moves else FIXED_SURFACE
+        apart = e.apart if moves else np.hypot(e.apart, HAND_DISTANCE_SIGMA)
+        surface = 0.0 if moves else HAND_SURFACE_SIGMA
         sigma = np.array([e.noise, np.hypot(e.noise, surface)])
-        priors = np.array([e.relief, apart, e.clip, *[e.warp] * (K - RIGID), e.frame]) ** -2.0
-        _evaluate(
+        priors = np.array([e.relief, apart, e.clip, *[e.warp] * (K - N_DEPTH_SCALE_ERRORS), e.frame]) ** -2.0
+        _evaluate_depth(
             poses.R, poses.centre, poses.scale, o.vertices, o.planes, o.faces, o.closed,
             hand.R, hand.centre, hand.scale, solid.vertices, solid.planes, solid.faces, solid.closed, moves,
             s.K, s.size, s.place, s.on_object, s.used, s.log_z, s.modes, s.weight, s.input,
-            priors, sigma, self.weight, EXACT * e.noise, ROUNDS, bound,
+            priors, sigma, self.weight, IRLS_TOLERANCE * e.noise, MAX_IRLS_ITERATIONS, bound,
             q.value, q.g, q.H, q.cross, of_clip, of_frame, left,
         )  # fmt: skip
         return q, of_clip
 
 
 @kernel("f4 f3 f1 f3 f3 i2 b f4 f3 f1 f3 f3 i2 b b f2 i i3 i1 i1 f2 f3 f2 f2 f1 f1 f f i f1 f2 f3 f4 f5 f2 f2 f3")
-def _evaluate(
+def _evaluate_depth(
     R, centre, scale, vertices, planes, faces, closed,
     hand_R, hand_centre, hand_scale, hand_vertices, hand_planes, hand_faces, hand_closed, moves,
     K, size, place, on_object, used, log_z, modes, weight, given,
@@ -214,8 +217,11 @@ def _evaluate(
     nearest, face = np.empty((size, size)), np.empty((size, size), np.int64)
     r, u, w, J = np.empty((N, M)), np.empty((N, M)), np.empty((N, M)), np.empty((N, M, 7))
     sums, A, tied = np.empty((N, C + 2)), np.empty((C, C)), np.empty((N, P, C))
-    missed, sigmas = TAIL**2 * np.log1p((MISSED / (TAIL * sigma[0])) ** 2), np.full((N, M), sigma[0])
-    most = KAPPA * N
+    missed, sigmas = (
+        DEPTH_TAIL_SIGMAS**2 * np.log1p((RAY_MISS_ERROR / (DEPTH_TAIL_SIGMAS * sigma[0])) ** 2),
+        np.full((N, M), sigma[0]),
+    )
+    most = DEPTH_MISFIT_KAPPA * N
     for n in range(N):
         sigmas[n, on_object[n] :] = sigma[1]
     for b in range(B):
@@ -242,8 +248,24 @@ def _evaluate(
         if not there:
             value[b] = np.inf
             continue
-        profile(r, w, modes, priors, RIGID, sigmas, TAIL, rounds, exact, u, left[b], sums, A, of_clip[b], of_frame[b])
-        shared = prior_cost(of_clip[b], priors, RIGID)[0] / N
+        profile(
+            r,
+            w,
+            modes,
+            priors,
+            N_DEPTH_SCALE_ERRORS,
+            sigmas,
+            DEPTH_TAIL_SIGMAS,
+            rounds,
+            exact,
+            u,
+            left[b],
+            sums,
+            A,
+            of_clip[b],
+            of_frame[b],
+        )
+        shared = prior_cost(of_clip[b], priors, N_DEPTH_SCALE_ERRORS)[0] / N
         total = 0.0
         for n in range(N):
             cost = shared + priors[C] * of_frame[b, n] ** 2
@@ -251,18 +273,20 @@ def _evaluate(
                 if w[n, m] == 0.0:
                     left[b, n, m] = 0.0
             for m in range(used[n]):
-                cost += w[n, m] * TAIL**2 * np.log1p((left[b, n, m] / (TAIL * sigmas[n, m])) ** 2)
+                cost += (
+                    w[n, m] * DEPTH_TAIL_SIGMAS**2 * np.log1p((left[b, n, m] / (DEPTH_TAIL_SIGMAS * sigmas[n, m])) ** 2)
+                )
                 cost += (weight[n, m] - w[n, m]) * missed * (moves or m < on_object[n])
             value[b, n] = cost
             total += cost
         total = max(total, 1e-12)  # without a sample nothing is off
         value[b] *= unit * most * np.log1p(total / most) / total
         slope = 2.0 * unit / (1.0 + total / most)
-        _derive(slope, J, u, left[b], modes, on_object, used, moves, sums, A, tied, g[b], H[b], cross[b])
+        _add_depth_derivatives(slope, J, u, left[b], modes, on_object, used, moves, sums, A, tied, g[b], H[b], cross[b])
 
 
 @kernel()
-def _derive(slope, J, u, left, modes, on_object, used, moves, sums, L, tied, g, H, cross):
+def _add_depth_derivatives(slope, J, u, left, modes, on_object, used, moves, sums, L, tied, g, H, cross):
     """Fill in g (N, P), H (N, P, P) and cross (N, P, N, P) of a hypothesis. Work space: tied (N, P, K).
 
     Of the curvature at fixed errors of the images, profiling takes off ``F^T F`` in each frame, for its own error, and

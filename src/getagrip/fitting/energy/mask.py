@@ -10,12 +10,12 @@ from numpy import ndarray
 
 from getagrip.compiling import kernel
 from getagrip.fitting.energy.term import PosesInCamera, Quadratic
-from getagrip.fitting.observation import CROP, FIELD, Observation
+from getagrip.fitting.observation import DISTANCE_FIELD_SIZE_PX, MASK_CROP_SIZE_PX, Observation
 from getagrip.geometry.mesh import Mesh
 from getagrip.kernels.contour import accumulate, match_boundary, sample_contour, sample_field
-from getagrip.kernels.silhouette import PLANES, mismatch, project, rasterise, silhouette_edges
+from getagrip.kernels.silhouette import N_COUNTER_BITS, mismatch, project, rasterise, silhouette_edges
 
-MOST_POINTS = 1500
+MAX_CONTOUR_POINTS = 1500
 """Contour points kept per image; far more than any 256-pixel contour gives at the steps in use."""
 
 
@@ -52,7 +52,7 @@ class MaskTerm:
 
     mesh: SilhouetteMesh
     observation: Observation
-    level: int = CROP
+    level: int = MASK_CROP_SIZE_PX
     """Side of the rendered masks [px]: 64, 128 or 256."""
     step: float = 2.0
     """Distance between contour points [px of the level]."""
@@ -64,7 +64,7 @@ class MaskTerm:
 
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
         found, o = Quadratic.zero(poses), self.observation
-        _evaluate(
+        _evaluate_mask(
             poses.R, poses.centre, poses.scale, *self.mesh.tables, o.K, o.observed[self.level], o.valid[self.level],
             o.field, o.targets, self.step, self.delta, self.coverage, bound, found.value, found.g, found.H,
         )  # fmt: skip
@@ -72,23 +72,23 @@ class MaskTerm:
 
 
 @kernel("f4 f3 f1 f2 f2 i2 b f2 u3 u3 s3 f3 f f f f1 f2 f3 f4")
-def _evaluate(
+def _evaluate_mask(
     R, centre, scale, vertices, planes, edges, closed, K, observed, valid, field, targets, step, delta, coverage, bound,
     value, g, H,
 ):  # fmt: skip
     """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7)."""
     B, N = value.shape
     size, words = observed.shape[1], observed.shape[2]
-    zoom = size / CROP
+    zoom = size / MASK_CROP_SIZE_PX
     E = edges.shape[1] + 1
     uvz = np.empty((N, 3, vertices.shape[1]))
     sign = np.empty(planes.shape[1] + 1, np.int64)
     edge = np.empty((N, 3, E), np.int64)
     n_edges = np.empty(N, np.int64)
     lines = np.empty((12, E))
-    counters = np.empty((size, words, PLANES), np.uint64)
+    counters = np.empty((size, words, N_COUNTER_BITS), np.uint64)
     bits = np.empty((N, size, words), np.uint64)
-    points = np.empty((7, MOST_POINTS))
+    points = np.empty((7, MAX_CONTOUR_POINTS))
     matched = np.empty((7, targets.shape[1]))
     pixel = 1.0 / (zoom * zoom)
     gate = 4.0 * (20.0 / zoom) ** 2
@@ -109,7 +109,7 @@ def _evaluate(
             continue
         for n in range(N):
             count = sample_contour(uvz[n], edge[n], n_edges[n], zoom, step, bits[n], valid[n], lines, points)
-            sample_field(points, count, field[n], FIELD / CROP, step / zoom, delta)
+            sample_field(points, count, field[n], DISTANCE_FIELD_SIZE_PX / MASK_CROP_SIZE_PX, step / zoom, delta)
             if coverage > 0.0:
                 match_boundary(points, count, targets[n], gate, coverage, delta, matched)
             for some, many in ((points, count), (matched, targets.shape[1] if coverage > 0.0 else 0)):

@@ -14,23 +14,23 @@ from numpy import ndarray
 
 from getagrip.clip import HandTrack, Masks
 from getagrip.compiling import kernel
-from getagrip.fitting.contact import mirror_upper, spread_points
+from getagrip.fitting.contact import farthest_point_sampling, mirror_upper
 from getagrip.fitting.energy.term import PosesInCamera, Quadratic
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.depth import depth_and_face
 from getagrip.geometry.mesh import Mesh, decimate
 
-FACES = 400
+MAX_RAYCAST_FACES = 400
 """Most faces of the mesh that rays are cast at."""
-POINTS = 80
+N_ORDER_POINTS = 80
 """Points of the hand."""
-SELF = 0.006
+HAND_SURFACE_TOLERANCE_M = 0.006
 """A point no farther behind the hand's nearest surface is on it [m]."""
-MARGIN = 0.006
+MASK_BORDER_MARGIN_M = 0.006
 """Points so near to the border of a mask say nothing, since the hand is not known exactly [m]."""
 
-GRAZING = 0.1
+MIN_GRAZING_COSINE = 0.1
 """Least cosine between a ray and the surface's normal, in the derivatives."""
 
 
@@ -51,22 +51,22 @@ class HandOrder:
         """Read the sides off the masks of the hand and of the object."""
         import cv2
 
-        chosen = spread_points(hand.vertices[0], POINTS)
+        chosen = farthest_point_sampling(hand.vertices[0], N_ORDER_POINTS)
         whole = se3.transform(hand.T_cam_hand, hand.vertices)
         position = whole[:, chosen]
         side = np.zeros(position.shape[:2], np.int8)
         assert masks.hand is not None
         height, width = masks.object.shape[1:]
         for n, X in enumerate(position):
-            near = max(1, round(MARGIN * K[n, 0, 0] / max(float(X[:, 2].mean()), 1e-3)))
+            near = max(1, round(MASK_BORDER_MARGIN_M * K[n, 0, 0] / max(float(X[:, 2].mean()), 1e-3)))
             near = min(near, width, height)
             disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * near + 1, 2 * near + 1))
             depth, _ = depth_and_face(whole[n], hand.faces, K[n], (width, height))
             u, v = np.floor(np.nan_to_num(project(K[n], X), posinf=-1.0, neginf=-1.0)).astype(int).T
             there = (X[:, 2] > 0.0) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
             u, v = np.where(there, u, 0), np.where(there, v, 0)
-            seen, hidden = (_well_within(mask[n], u, v, disc > 0) for mask in (masks.hand, masks.object))
-            side[n, there & seen & (X[:, 2] < depth[v, u] + SELF)] = 1
+            seen, hidden = (_disc_in_mask(mask[n], u, v, disc > 0) for mask in (masks.hand, masks.object))
+            side[n, there & seen & (X[:, 2] < depth[v, u] + HAND_SURFACE_TOLERANCE_M)] = 1
             side[n, there & hidden] = -1
         return HandOrder(position, side)
 
@@ -75,7 +75,7 @@ class HandOrder:
         return replace(self, position=self.position[index], side=self.side[index])
 
 
-def _well_within(
+def _disc_in_mask(
     mask: Bool[ndarray, "H W"], u: Int[ndarray, "Q"], v: Int[ndarray, "Q"], disc: Bool[ndarray, "k k"]
 ) -> Bool[ndarray, "Q"]:
     """Return where a disc about a pixel is in the mask, but for what is beyond the image: the mask eroded, there only.
@@ -93,7 +93,7 @@ def _well_within(
 
 def corners_of(mesh: Mesh) -> Float[ndarray, "F 3 3"]:
     """Return the faces that rays are cast at, about the mesh's centre."""
-    coarse = decimate(mesh, FACES)
+    coarse = decimate(mesh, MAX_RAYCAST_FACES)
     return np.ascontiguousarray((coarse.vertices - mesh.centre)[coarse.faces])
 
 
@@ -119,7 +119,7 @@ class OrderTerm:
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
         found = Quadratic.zero(poses)
         reach = float(np.sqrt((self.corners**2).sum(axis=-1).max()))
-        _evaluate(
+        _evaluate_order(
             poses.R, poses.centre, poses.scale, self.corners, reach, self.hand.position, self.hand.side, self.weight,
             self.tolerance, self.cap, self.delta, bound, found.value, found.g, found.H,
         )  # fmt: skip
@@ -153,7 +153,7 @@ def _first_hit(origin, ray, corners):
 
 
 @kernel()
-def _add(sign, ray, t, face, R, centre, unit, delta, error, g, H):
+def _add_order_residual(sign, ray, t, face, R, centre, unit, delta, error, g, H):
     """Add ``unit error`` to the normal equations, for a hit at ``t ray`` on a face.
 
     Moving the object by the local 7-vector (v, w, l) changes t by ``n . (v + w x r + l r) / (n . ray)``, r the point
@@ -166,7 +166,7 @@ def _add(sign, ray, t, face, R, centre, unit, delta, error, g, H):
     n1 = R[1, 0] * m0 + R[1, 1] * m1 + R[1, 2] * m2
     n2 = R[2, 0] * m0 + R[2, 1] * m1 + R[2, 2] * m2
     into = n0 * ray[0] + n1 * ray[1] + n2 * ray[2]
-    least = GRAZING * np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+    least = MIN_GRAZING_COSINE * np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
     if abs(into) < least:
         into = least if into > 0.0 else -least
     k = -sign / into
@@ -183,7 +183,7 @@ def _add(sign, ray, t, face, R, centre, unit, delta, error, g, H):
 
 
 @kernel()
-def _error(sign, point, R, centre, scale, corners, reach, origin, local, ray):
+def _order_error(sign, point, R, centre, scale, corners, reach, origin, local, ray):
     """Return how far a point is on the wrong side of the surface [m], how far that is, and its face, -1: none.
 
     Fills in the ray to the point.
@@ -204,7 +204,7 @@ def _error(sign, point, R, centre, scale, corners, reach, origin, local, ray):
 
 
 @kernel("f4 f3 f1 f3 f f3 t2 f1 f f f f1 f2 f3 f4")
-def _evaluate(
+def _evaluate_order(
     R, centre, scale, corners, reach, hand, side, weight, tolerance, cap, delta, bound, value, g, H
 ):  # fmt: skip
     """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7)."""
@@ -220,14 +220,14 @@ def _evaluate(
                 sign = side[n, q]
                 if sign == 0:
                     continue
-                error, t, face = _error(
+                error, t, face = _order_error(
                     sign, hand[n, q], R[b, n], centre[b, n], scale[b], corners, reach, origin, local, ray
                 )  # fmt: skip
                 error -= tolerance
                 if face >= 0 and error > 0.0:
                     value[b, n] += unit * min(error, cap)
                     if error < cap:
-                        _add(
+                        _add_order_residual(
                             sign, ray, t, corners[face], R[b, n], centre[b, n], unit, delta, error, g[b, n], H[b, n]
                         )  # fmt: skip
             mirror_upper(H[b, n])

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.compiling import kernel
-from getagrip.fitting.contact import HandContacts, add_plane, mirror_upper, nearest_points
+from getagrip.fitting.contact import HandContacts, add_rank_one, mirror_upper, nearest_points
 from getagrip.fitting.energy.term import PosesInCamera, Quadratic
 
 
@@ -36,7 +36,7 @@ class PaperPullTerm:
 
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
         found = Quadratic.zero(poses)
-        _evaluate(
+        _evaluate_paper_pull(
             poses.R, poses.centre, poses.scale, self.vertices, self.normals, self.hand.position, self.hand.region,
             self.weight, self.delta, found.value, found.g, found.H,
         )  # fmt: skip
@@ -44,7 +44,7 @@ class PaperPullTerm:
 
 
 @kernel("f4 f3 f1 f2 f2 f3 i1 f1 f f2 f3 f4")
-def _evaluate(R, centre, scale, vertices, normals, hand, region, weight, delta, value, g, H):
+def _evaluate_paper_pull(R, centre, scale, vertices, normals, hand, region, weight, delta, value, g, H):
     """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7)."""
     B, N = value.shape
     V, fingers = vertices.shape[1], len(region) - 1
@@ -56,7 +56,7 @@ def _evaluate(R, centre, scale, vertices, normals, hand, region, weight, delta, 
         for n in range(N):
             unit = weight[n] / fingers
             for q in range(tips):
-                r0, r1, r2 = _arm(hand[n, q], centre[b, n])
+                r0, r1, r2 = _lever_arm(hand[n, q], centre[b, n])
                 for k in range(3):
                     local[k, q] = (R[b, n, 0, k] * r0 + R[b, n, 1, k] * r1 + R[b, n, 2, k] * r2) / scale[b]
             for f in range(fingers):
@@ -70,7 +70,7 @@ def _evaluate(R, centre, scale, vertices, normals, hand, region, weight, delta, 
                     n0 += R[b, n, 0, k] * normals[k, at]
                     n1 += R[b, n, 1, k] * normals[k, at]
                     n2 += R[b, n, 2, k] * normals[k, at]
-                r0, r1, r2 = _arm(hand[n, tip], centre[b, n])
+                r0, r1, r2 = _lever_arm(hand[n, tip], centre[b, n])
                 over = r0 * n0 + r1 * n1 + r2 * n2
                 height = over
                 for k in range(3):
@@ -80,11 +80,11 @@ def _evaluate(R, centre, scale, vertices, normals, hand, region, weight, delta, 
                 a[0], a[1], a[2] = -n0, -n1, -n2
                 a[3], a[4], a[5] = r2 * n1 - r1 * n2, r0 * n2 - r2 * n0, r1 * n0 - r0 * n1
                 a[6] = height - over
-                add_plane(np.copysign(unit, height), unit / max(abs(height), delta), a, g[b, n], H[b, n])
+                add_rank_one(np.copysign(unit, height), unit / max(abs(height), delta), a, g[b, n], H[b, n])
             mirror_upper(H[b, n])
 
 
 @kernel()
-def _arm(point, centre):
+def _lever_arm(point, centre):
     """From the centre to the point."""
     return point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]

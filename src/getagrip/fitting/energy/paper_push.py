@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from getagrip.clip import HandTrack
 from getagrip.compiling import kernel
-from getagrip.fitting.contact import add_plane, contact_ids, mirror_upper, nearest_points
+from getagrip.fitting.contact import add_rank_one, contact_ids, mirror_upper, nearest_points
 from getagrip.fitting.energy.term import PosesInCamera, Quadratic
 from getagrip.geometry.mesh import vertex_normals
 
@@ -57,7 +57,7 @@ class PaperPushTerm:
 
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
         found = Quadratic.zero(poses)
-        _evaluate(
+        _evaluate_paper_push(
             poses.R, poses.centre, poses.scale, self.vertices, self.planes.point, self.planes.normal,
             self.weight, self.delta, found.value, found.g, found.H,
         )  # fmt: skip
@@ -65,7 +65,7 @@ class PaperPushTerm:
 
 
 @kernel("f4 f3 f1 f2 f3 f3 f1 f f2 f3 f4")
-def _evaluate(R, centre, scale, vertices, point, normal, weight, delta, value, g, H):
+def _evaluate_paper_push(R, centre, scale, vertices, point, normal, weight, delta, value, g, H):
     """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7)."""
     B, N = value.shape
     V, Q = vertices.shape[1], point.shape[2]
@@ -96,5 +96,5 @@ def _evaluate(R, centre, scale, vertices, point, normal, weight, delta, value, g
                     a[0], a[1], a[2] = -n0, -n1, -n2
                     a[3], a[4], a[5] = z * n1 - y * n2, x * n2 - z * n0, y * n0 - x * n1
                     a[6] = -(x * n0 + y * n1 + z * n2)
-                    add_plane(weight[n], weight[n] / max(depth, delta), a, g[b, n], H[b, n])
+                    add_rank_one(weight[n], weight[n] / max(depth, delta), a, g[b, n], H[b, n])
             mirror_upper(H[b, n])

@@ -9,9 +9,9 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.compiling import kernel
-from getagrip.fitting.contact import HandContacts, add_height, mirror_upper
+from getagrip.fitting.contact import HandContacts, add_height_residual, mirror_upper
 from getagrip.fitting.energy.term import PosesInCamera, Quadratic
-from getagrip.kernels.closest import SLACK, FaceGrid, screen, signed_distance
+from getagrip.kernels.closest import GRID_SLACK_SPACINGS, FaceGrid, screen, signed_distance
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class PullTerm:
 
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
         found = Quadratic.zero(poses)
-        _evaluate(
+        _evaluate_pull(
             poses.R, poses.centre, poses.scale, *self.solid.tables,
             self.hand.position, self.hand.region, self.weight, self.max_distance, self.delta, bound,
             found.value, found.g, found.H,
@@ -45,7 +45,7 @@ class PullTerm:
 
 
 @kernel("f4 f3 f1 f3 f3 n3 f3 f1 f f3 i1 f1 f f f1 f2 f3 f4")
-def _evaluate(
+def _evaluate_pull(
     R, centre, scale, corners, normals, face, distance, origin, spacing, hand, region, weight, max_distance, delta,
     bound, value, g, H,
 ):  # fmt: skip
@@ -54,7 +54,7 @@ def _evaluate(
     fingers = len(region) - 1
     tips = region[fingers]
     local, rough = np.empty((tips, 3)), np.empty(tips)
-    slack = SLACK * spacing
+    slack = GRID_SLACK_SPACINGS * spacing
     for b in range(B):
         if not bound[b] >= 0.0:  # the step is rejected already, or no number
             continue
@@ -75,7 +75,7 @@ def _evaluate(
                 value[b, n] += unit * scale[b] * least
                 if tip >= 0:
                     x, y, z = hand[n, tip, 0], hand[n, tip, 1], hand[n, tip, 2]
-                    add_height(
+                    add_height_residual(
                         d, 0.0, n0, n1, n2, x, y, z, R[b, n], centre[b, n], scale[b], unit, delta, g[b, n], H[b, n]
                     )  # fmt: skip
             mirror_upper(H[b, n])

@@ -9,9 +9,9 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.compiling import kernel
-from getagrip.fitting.contact import HandContacts, add_height, mirror_upper
+from getagrip.fitting.contact import HandContacts, add_height_residual, mirror_upper
 from getagrip.fitting.energy.term import PosesInCamera, Quadratic
-from getagrip.kernels.closest import SLACK, FaceGrid, screen, signed_distance
+from getagrip.kernels.closest import GRID_SLACK_SPACINGS, FaceGrid, screen, signed_distance
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class PushTerm:
 
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
         found = Quadratic.zero(poses)
-        _evaluate(
+        _evaluate_push(
             poses.R, poses.centre, poses.scale, *self.solid.tables,
             self.hand.position, self.weight, self.tolerance, self.delta, bound,
             found.value, found.g, found.H,
@@ -48,7 +48,7 @@ class PushTerm:
 
 
 @kernel("f4 f3 f1 f3 f3 n3 f3 f1 f f3 f1 f f f1 f2 f3 f4")
-def _evaluate(
+def _evaluate_push(
     R, centre, scale, corners, normals, face, distance, origin, spacing, hand, weight, tolerance, delta, bound,
     value, g, H,
 ):  # fmt: skip
@@ -56,7 +56,7 @@ def _evaluate(
     B, N = value.shape
     Q = hand.shape[1]
     local, rough = np.empty((Q, 3)), np.empty(Q)
-    slack = SLACK * spacing
+    slack = GRID_SLACK_SPACINGS * spacing
     for b in range(B):
         if not bound[b] >= 0.0:  # the step is rejected already, or no number
             continue
@@ -72,7 +72,7 @@ def _evaluate(
                 if scale[b] * d < -tolerance:
                     value[b, n] -= unit * (scale[b] * d + tolerance)
                     x, y, z = hand[n, q, 0], hand[n, q, 1], hand[n, q, 2]
-                    add_height(
+                    add_height_residual(
                         d, tolerance, n0, n1, n2, x, y, z, R[b, n], centre[b, n], scale[b], unit, delta,
                         g[b, n], H[b, n],
                     )  # fmt: skip

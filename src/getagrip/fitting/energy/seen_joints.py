@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from getagrip.fitting.energy.hand_term import HandInCamera
 from getagrip.fitting.energy.term import Quadratic
-from getagrip.fitting.seen_joints import SeenJoints, image_derivatives
+from getagrip.fitting.seen_joints import SeenJoints, projection_jacobian
 from getagrip.geometry import se3
 
 
@@ -36,7 +36,7 @@ class SeenJointsTerm:
             X = arm + centre[:, None]
             J = np.empty((*X.shape, poses.size))
             J[..., :3], J[..., 3:6], J[..., 6] = np.eye(3), -se3.hat(arm), arm
-            J = image_derivatives(self.seen.K, X) @ J
+            J = projection_jacobian(self.seen.K, X) @ J
             value, g, H = self.seen.quadratic(X, J.reshape(len(X), 42, -1))
             found.value[b], found.g[b], found.H[b] = self.weight * value, self.weight * g, self.weight * H
         return found

@@ -12,7 +12,7 @@ from getagrip.fitting.energy.term import PosesInCamera, Quadratic, Term
 from getagrip.geometry import se3
 
 
-def moments(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "4 4"]:
+def vertex_moments(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "4 4"]:
     """Compute four weighted points (rows.
 
     X, y, z and weight) that move, squared and summed, as the vertices do on average.
@@ -33,7 +33,7 @@ class SmoothnessTerm:
     """
 
     moments: Float[ndarray, "4 4"]
-    """Second moments of the vertices about the centre, unscaled (``moments``)."""
+    """Second moments of the vertices about the centre, unscaled (``vertex_moments``)."""
     weight: float
     """Energy per square metre [px^2 / m^2]."""
     name: str = "smoothness"

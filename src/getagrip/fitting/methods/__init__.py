@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from getagrip.errors import UsageError, unknown
-from getagrip.io.plugins import Table
+from getagrip.errors import UsageError, unknown_choice_error
+from getagrip.io.plugins import PluginTable
 
 if TYPE_CHECKING:
     from getagrip.fitting.problem import MethodResult, Problem
@@ -44,7 +44,7 @@ class Method:
 def method_of(name: str) -> Method:
     """Return the method of a name. Raises ``UsageError`` for one that is not in ``METHODS``, or cannot be loaded."""
     if name not in METHODS:
-        raise unknown("method", name, METHODS)
+        raise unknown_choice_error("method", name, METHODS)
     return METHODS[name]
 
 
@@ -56,7 +56,7 @@ def label_of(name: str) -> str:
         return name
 
 
-def _in(file: str, function: str = "fit") -> Fit:
+def _lazy_fit(file: str, function: str = "fit") -> Fit:
     """Return a function of a file beside this one."""
 
     def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
@@ -66,24 +66,24 @@ def _in(file: str, function: str = "fit") -> Fit:
     return fit
 
 
-def _published(label: str, function: str, has_axis: bool = False) -> Method:
+def _paper_method(label: str, function: str, has_axis: bool = False) -> Method:
     """Make one of the paper's methods, by its own energy and optimiser."""
-    return Method(label, _in("paper", function), has_axis, slow=True, as_published=True)
+    return Method(label, _lazy_fit("paper", function), has_axis, slow=True, as_published=True)
 
 
-OURS: Mapping[str, Method] = {
-    "one-dof": Method("1-DoF, ours", _in("all_frames", "one_dof"), has_axis=True, checks_masks=True),
-    "soft-hinge": Method("soft hinge", _in("all_frames", "soft_hinge"), has_axis=True, checks_masks=True),
-    "static": Method("Static", _in("all_frames", "static")),
-    "dynamic": Method("Dynamic", _in("all_frames", "dynamic")),
-    "single-frame": Method("Single Frame", _in("single_frame")),
-    "homan": Method("HOMan", _in("homan")),
-    "contact-consistency": Method("contact consistency", _in("contact_consistency")),
-    "paper": _published("1-DoF, the paper's", "fit", has_axis=True),
-    "paper-static": _published("Static, the paper's", "static"),
-    "paper-dynamic": _published("Dynamic, the paper's", "dynamic"),
-    "paper-single-frame": _published("Single Frame, the paper's", "single_frame"),
-    "paper-homan": _published("HOMan, by the paper's energy", "homan"),
+BUILTIN_METHODS: Mapping[str, Method] = {
+    "one-dof": Method("1-DoF, ours", _lazy_fit("all_frames", "one_dof"), has_axis=True, checks_masks=True),
+    "soft-hinge": Method("soft hinge", _lazy_fit("all_frames", "soft_hinge"), has_axis=True, checks_masks=True),
+    "static": Method("Static", _lazy_fit("all_frames", "static")),
+    "dynamic": Method("Dynamic", _lazy_fit("all_frames", "dynamic")),
+    "single-frame": Method("Single Frame", _lazy_fit("single_frame")),
+    "homan": Method("HOMan", _lazy_fit("homan")),
+    "contact-consistency": Method("contact consistency", _lazy_fit("contact_consistency", "fit_contact_consistency")),
+    "paper": _paper_method("1-DoF, the paper's", "fit", has_axis=True),
+    "paper-static": _paper_method("Static, the paper's", "static"),
+    "paper-dynamic": _paper_method("Dynamic, the paper's", "dynamic"),
+    "paper-single-frame": _paper_method("Single Frame, the paper's", "single_frame"),
+    "paper-homan": _paper_method("HOMan, by the paper's energy", "homan"),
 }
 """Those of the package, whatever a script adds or puts in their places."""
-METHODS = Table("methods", dict(OURS), "a Method", lambda _, it: isinstance(it, Method))
+METHODS = PluginTable("methods", dict(BUILTIN_METHODS), "a Method", lambda _, it: isinstance(it, Method))

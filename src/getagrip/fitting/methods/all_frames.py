@@ -11,16 +11,23 @@ from getagrip.fitting.energy import Energy
 from getagrip.fitting.hand_with_object import solve_with_hand
 from getagrip.fitting.initial_poses import initial_poses
 from getagrip.fitting.methods import OnStage
-from getagrip.fitting.misfit import misfit, stiffened
+from getagrip.fitting.misfit import relative_contour_error, stiffen_ridge
 from getagrip.fitting.motion import Fixed, Free, Hinge, Motion, Soft
-from getagrip.fitting.objective import NOTHING, consistency_of, energy_of, mask_of, order_of, plus
+from getagrip.fitting.objective import (
+    NO_TERMS,
+    depth_order_energy,
+    distance_consistency_energy,
+    energy_of,
+    mask_energy,
+    sum_energies,
+)
 from getagrip.fitting.problem import EnergyOf, MethodResult, Problem
-from getagrip.fitting.schedule import THOROUGH, USUAL
+from getagrip.fitting.schedule import DEFAULT_SCHEDULE, THOROUGH_SCHEDULE
 from getagrip.fitting.search import Search
-from getagrip.fitting.shape import own_shape
+from getagrip.fitting.shape import fit_shape
 from getagrip.fitting.solve import Solution, minimise
 from getagrip.fitting.solved_hand import SolvedHand
-from getagrip.fitting.usual import opposite_turns, usual_of, usual_rotations
+from getagrip.fitting.usual import category_energy, category_rotations, handle_half_turns
 from getagrip.geometry.warp import Warp
 from getagrip.result import Axis
 
@@ -31,11 +38,11 @@ COARSE_RIDGE = (2e5 / 4, 1.2e3 / 4)
 SOFT_RIDGE = (1.5e6, 1e4)
 """Stiffness of a soft hinge's deviations in the fine stages, likewise; more where a mesh that is not the object's own
 stays as it is."""
-STEADY = 0.5
+SOFT_HINGE_CONSISTENCY_WEIGHT = 0.5
 """Weight of the soft hinge's own term (``objective.consistency_of``), in lambda_3."""
-LEVEL, ITERATIONS = 128, 4
+MISFIT_LEVEL_PX, MISFIT_ITERATIONS = 128, 4
 """Resolution [px] and iterations of the fit that tells how badly the mesh explains the masks."""
-ALONE = 4.0
+CONTACT_ONLY_FACTOR = 4.0
 """Push and pull count so much more where no other term ties the object to the hand."""
 
 
@@ -47,40 +54,40 @@ def soft_hinge(problem: Problem, on_stage: OnStage, more: EnergyOf | None = None
     """
 
     def own(problem: Problem) -> Energy:
-        return NOTHING if more is None else more(problem)
+        return NO_TERMS if more is None else more(problem)
 
     search = search_of(problem, on_stage)
-    rough, warp, ridge = rough_fit(problem, search, own(problem)), None, SOFT_RIDGE
+    rough, warp, ridge = coarse_fit(problem, search, own(problem)), None, SOFT_RIDGE
     if problem.options.mesh == "fitted":
-        warp = shape_of(problem, search, rough.motion)
+        warp = fit_mesh_shape(problem, search, rough.motion)
     else:
-        ridge = stiffened(SOFT_RIDGE, misfit_of(problem, search, rough.motion))
+        ridge = stiffen_ridge(SOFT_RIDGE, misfit_of(problem, search, rough.motion))
     if warp is not None:
         problem = problem.warped(warp)
         search = replace(search, surface=problem.surface)
-        rough = rough_fit(problem, search, own(problem))
+        rough = coarse_fit(problem, search, own(problem))
 
     def energy(problem: Problem) -> Energy:
-        return plus(soft_energy(problem), own(problem))
+        return sum_energies(soft_energy(problem), own(problem))
 
     found, hand = fine_fit_with_hand(problem, search, soft_hinge_of(problem, search, rough, ridge), energy)
-    return replace(result_of(found, found.motion.core, energy), warp=warp, hand=hand)
+    return replace(make_method_result(found, found.motion.core, energy), warp=warp, hand=hand)
 
 
-def soft_hinges(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> Solution[Soft[Hinge]]:
+def soft_hinges(problem: Problem, on_stage: OnStage, more: Energy = NO_TERMS) -> Solution[Soft[Hinge]]:
     """Search for soft hinges; return the distinct ones, best first, with the mesh as it is."""
     search = search_of(problem, on_stage)
-    rough = rough_fit(problem, search, more)
-    return fine_fit(problem, search, rough, stiffened(SOFT_RIDGE, misfit_of(problem, search, rough.motion)), more)
+    rough = coarse_fit(problem, search, more)
+    return fine_fit(problem, search, rough, stiffen_ridge(SOFT_RIDGE, misfit_of(problem, search, rough.motion)), more)
 
 
-def rough_fit(problem: Problem, search: Search, more: Energy) -> Solution[Soft[Fixed]]:
+def coarse_fit(problem: Problem, search: Search, more: Energy) -> Solution[Soft[Fixed]]:
     """Run the coarse stages without an axis.
 
     If hypotheses are constrained to one too early, right poses whose motion is not quite a hinge lose.
     """
-    energy = plus(coarse_energy(problem), more)
-    relaxed = search.relax(initial_of(problem), energy)
+    energy = sum_energies(coarse_energy(problem), more)
+    relaxed = search.relax(make_initial_poses(problem), energy)
     return search.coarse(replace(relaxed, ridge=COARSE_RIDGE), energy)
 
 
@@ -88,8 +95,8 @@ def fine_fit(
     problem: Problem, search: Search, rough: Solution[Soft[Fixed]], ridge: tuple[float, float], more: Energy
 ) -> Solution[Soft[Hinge]]:
     """Run the fine stages, with deviations as stiff as ``ridge``."""
-    energy = plus(coarse_energy(problem), more)
-    return search.fine(soft_hinge_of(problem, search, rough, ridge), steady(problem, energy))
+    energy = sum_energies(coarse_energy(problem), more)
+    return search.fine(soft_hinge_of(problem, search, rough, ridge), add_contact_consistency(problem, energy))
 
 
 def fine_fit_with_hand(
@@ -119,19 +126,19 @@ def misfit_of(problem: Problem, search: Search, rough: Soft[Fixed]) -> float:
     The fit is long enough, and without contact, so that nothing else adds to it.
     """
     frames = search.coarse_frames
-    terms, T_cam_hand = mask_of(problem)(LEVEL, frames), problem.clip.hand.T_cam_hand[frames]
-    fitted = minimise(rough, terms, T_cam_hand, ITERATIONS, threads=problem.threads)
-    return misfit(problem.observation, float(fitted.terms["mask"].min()) / len(frames))
+    terms, T_cam_hand = mask_energy(problem)(MISFIT_LEVEL_PX, frames), problem.clip.hand.T_cam_hand[frames]
+    fitted = minimise(rough, terms, T_cam_hand, MISFIT_ITERATIONS, threads=problem.threads)
+    return relative_contour_error(problem.observation, float(fitted.terms["mask"].min()) / len(frames))
 
 
-def shape_of(problem: Problem, search: Search, rough: Soft[Fixed]) -> Warp | None:
+def fit_mesh_shape(problem: Problem, search: Search, rough: Soft[Fixed]) -> Warp | None:
     """Fit the mesh to the masks after the coarse stages; None where the mesh explains them."""
-    return own_shape(problem, rough, search.coarse_frames, misfit_of(problem, search, rough))
+    return fit_shape(problem, rough, search.coarse_frames, misfit_of(problem, search, rough))
 
 
 def soft_energy(problem: Problem) -> Energy:
     """Return the soft hinge's energy at all frames."""
-    return steady(problem, coarse_energy(problem))
+    return add_contact_consistency(problem, coarse_energy(problem))
 
 
 def one_dof(problem: Problem, on_stage: OnStage) -> MethodResult:
@@ -143,79 +150,83 @@ def one_dof(problem: Problem, on_stage: OnStage) -> MethodResult:
     its coarse stages, so it is left out where frames that deviate a little from the hinge explain the masks already.
     """
     search, warp = search_of(problem, on_stage), None
-    rough = rough_hinge(problem, search)
+    rough = coarse_hinge(problem, search)
     around = Soft.around(rough.motion.base, rough.motion.poses(), COARSE_RIDGE)
-    if problem.options.mesh == "fitted" and shape_of(problem, search, around) is not None:
+    if problem.options.mesh == "fitted" and fit_mesh_shape(problem, search, around) is not None:
         quiet = replace(search, on_stage=lambda stage: None)
-        warp = shape_of(problem, quiet, rough_fit(problem, quiet, NOTHING).motion)
+        warp = fit_mesh_shape(problem, quiet, coarse_fit(problem, quiet, NO_TERMS).motion)
     if warp is not None:
         problem = problem.warped(warp)
         search = replace(search, surface=problem.surface)
-        rough = rough_hinge(problem, search)
-    found, hand = fine_fit_with_hand(problem, search, search.at_all_frames(rough.motion), energy_alone)
-    return replace(result_of(found, found.motion, energy_alone), warp=warp, hand=hand)
+        rough = coarse_hinge(problem, search)
+    found, hand = fine_fit_with_hand(problem, search, search.at_all_frames(rough.motion), contact_only_energy)
+    return replace(make_method_result(found, found.motion, contact_only_energy), warp=warp, hand=hand)
 
 
-def rough_hinge(problem: Problem, search: Search) -> Solution[Hinge]:
+def coarse_hinge(problem: Problem, search: Search) -> Solution[Hinge]:
     """Run the coarse stages with a hinge."""
-    energy = energy_alone(problem)
-    return search.coarse(hinge_of(problem, search.relax(initial_of(problem), energy)), energy)
+    energy = contact_only_energy(problem)
+    return search.coarse(hinge_of(problem, search.relax(make_initial_poses(problem), energy)), energy)
 
 
 def static(problem: Problem, on_stage: OnStage) -> MethodResult:
     """Fit one pose for all frames (paper, Sec. 5.2)."""
-    search, energy = search_of(problem, on_stage), energy_alone(problem)
-    motion = search.relax(initial_of(problem), energy).core
-    return result_of(search.run(motion, energy))
+    search, energy = search_of(problem, on_stage), contact_only_energy(problem)
+    motion = search.relax(make_initial_poses(problem), energy).core
+    return make_method_result(search.run(motion, energy))
 
 
 def dynamic(problem: Problem, on_stage: OnStage, energy_of: EnergyOf | None = None) -> MethodResult:
     """Fit a pose per frame (paper, Sec. 5.2), by another energy if given."""
-    energy_of = energy_of or energy_alone
+    energy_of = energy_of or contact_only_energy
     search, energy = search_of(problem, on_stage), energy_of(problem)
-    relaxed = search.relax(initial_of(problem), energy)
+    relaxed = search.relax(make_initial_poses(problem), energy)
     shared = relaxed.poses()
     motion = Free(shared.R, shared.centre, relaxed.core.log_scale, relaxed.core.free_scale)
-    return result_of(search.run(motion, energy), energy_of=energy_of)
+    return make_method_result(search.run(motion, energy), energy_of=energy_of)
 
 
-def energy_alone(problem: Problem) -> Energy:
+def contact_only_energy(problem: Problem) -> Energy:
     """Return Eq. 5 where no other term links the object to the hand."""
-    return total_energy(problem, ALONE)
+    return total_energy(problem, CONTACT_ONLY_FACTOR)
 
 
 def total_energy(problem: Problem, contact: float) -> Energy:
     """Return Eq. 5, with a multiple of the push and pull that the options name."""
     contact *= problem.trust.contact
     contacts = energy_of(problem, contact * problem.options.push, contact * problem.options.pull)
-    return plus(contacts, order_of(problem), usual_of(problem.clip))
+    return sum_energies(contacts, depth_order_energy(problem), category_energy(problem.clip))
 
 
 def coarse_energy(problem: Problem) -> Energy:
     """Return the soft hinge's energy at some of the frames: Eq. 5."""
-    return total_energy(problem, 1.0 if problem.options.pull else ALONE)
+    return total_energy(problem, 1.0 if problem.options.pull else CONTACT_ONLY_FACTOR)
 
 
-def steady(problem: Problem, energy: Energy) -> Energy:
+def add_contact_consistency(problem: Problem, energy: Energy) -> Energy:
     """Add contact that stays to an energy: the soft hinge's energy at all frames.
 
     Contact that stays is what makes a grasp stable (Eq. 2). A hinge keeps it by itself; where frames may deviate from
     the hinge, in depth above all, which silhouettes hardly show, a term keeps it.
     """
     pull = problem.trust.contact * problem.trust.firmness * problem.options.pull
-    return plus(energy, consistency_of(problem, STEADY * pull)) if pull else energy
+    return (
+        sum_energies(energy, distance_consistency_energy(problem, SOFT_HINGE_CONSISTENCY_WEIGHT * pull))
+        if pull
+        else energy
+    )
 
 
 def search_of(problem: Problem, on_stage: OnStage) -> Search:
     """Make the search on a clip, as long as the options say; longer beside a lifted hand, which tells little."""
-    schedule = THOROUGH if problem.options.thorough or problem.trust.hand_lifted else USUAL
-    opposite = opposite_turns(problem.clip, problem.surface)
+    schedule = THOROUGH_SCHEDULE if problem.options.thorough or problem.trust.hand_lifted else DEFAULT_SCHEDULE
+    opposite = handle_half_turns(problem.clip, problem.surface)
     return Search(problem.clip.hand.T_cam_hand, problem.surface, schedule, on_stage, problem.threads, opposite)
 
 
-def initial_of(problem: Problem) -> Fixed:
+def make_initial_poses(problem: Problem) -> Fixed:
     """Return the initial poses, at all frames."""
-    usual = usual_rotations(problem.clip) if problem.options.init == "uniform" else None
+    usual = category_rotations(problem.clip) if problem.options.init == "uniform" else None
     return initial_poses(problem.clip, problem.masks, problem.inits, problem.options.seed, problem.prior_poses, usual)
 
 
@@ -225,7 +236,9 @@ def hinge_of(problem: Problem, relaxed: Soft[Fixed]) -> Hinge:
     return Hinge.nearest(relaxed.core, relaxed.deviation, free_location=anywhere, anchor=np.zeros(3))
 
 
-def result_of(found: Solution[M], hinge: Hinge | None = None, energy_of: EnergyOf | None = None) -> MethodResult:
+def make_method_result(
+    found: Solution[M], hinge: Hinge | None = None, energy_of: EnergyOf | None = None
+) -> MethodResult:
     """Return the solutions, and the axis of the best: that of ``hinge``, which is the motion or its core.
 
     ``energy_of`` is the energy by which the motion can be fitted in other frames; None: it cannot be.

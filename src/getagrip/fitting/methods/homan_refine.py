@@ -14,34 +14,34 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip import least_squares
-from getagrip.fitting.adam import METRES, Adam
-from getagrip.fitting.contact import spread_points
+from getagrip.fitting.adam import METRES_PER_RADIAN, Adam
+from getagrip.fitting.contact import farthest_point_sampling
 from getagrip.fitting.energy import PosesInCamera, Term, no_bound
 from getagrip.fitting.energy.interaction import InteractionTerm
 from getagrip.fitting.energy.reprojection import ReprojectionTerm
-from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
+from getagrip.fitting.energy.smoothness import SmoothnessTerm, vertex_moments
 from getagrip.fitting.motion import Free, PosesInHand
-from getagrip.fitting.objective import mask_of
+from getagrip.fitting.objective import mask_energy
 from getagrip.fitting.problem import EnergyOf, Problem
-from getagrip.fitting.solve import FLOOR, STATUS
+from getagrip.fitting.solve import CURVATURE_FLOOR, STATUS_OF_ENDING
 from getagrip.geometry import camera, se3
-from getagrip.least_squares import Arrow
+from getagrip.least_squares import BlockArrow
 from getagrip.result import Status
 
-STAGES = ((128, 15), (256, 15))
+HOMAN_REFINE_STAGES = ((128, 15), (256, 15))
 """Resolution [px] and iterations of each stage."""
-SMOOTH = 3e5
+SMOOTHNESS_WEIGHT = 3e5
 """Weight of the smoothness of either body [px^2 / m^2]."""
-REPROJECT = 50.0
+REPROJECTION_WEIGHT = 50.0
 """Weight of the hand's squared reprojection error."""
-INTERACT = 1e3
+INTERACTION_WEIGHT = 1e3
 """Weight of the squared distance between the centres [px^2 / m^2]."""
-REPROJECTED = 30
+N_REPROJECTED_VERTICES = 30
 """Vertices of the hand that are reprojected."""
 
 
 @dataclass(frozen=True)
-class Bodies:
+class RigidBodies:
     """Object and hand in the camera frame, each rotated about its own centre."""
 
     R: Float[ndarray, "N 3 3"]
@@ -70,7 +70,7 @@ class Bodies:
         T_hand_obj = se3.inverse(self.T_cam_hand) @ se3.rigid(self.R, self.centre)
         return PosesInHand(T_hand_obj[None, :, :3, :3], T_hand_obj[None, :, :3, 3], np.array([self.scale]))
 
-    def retract(self, step: Float[ndarray, "N 12"], stretch: float) -> Bodies:
+    def retract(self, step: Float[ndarray, "N 12"], stretch: float) -> RigidBodies:
         """Apply local steps of object and hand, and of the log scale."""
         return replace(
             self,
@@ -83,10 +83,10 @@ class Bodies:
 
 
 @dataclass(frozen=True)
-class Refined:
+class RefinedTrack:
     """A refined track."""
 
-    bodies: Bodies
+    bodies: RigidBodies
     energy: float
     terms: dict[str, float]
     status: Status
@@ -108,8 +108,8 @@ class NormalEquations:
         """Solve for the damped step of all frames, and of the log scale where it is free."""
         S = int(free_scale)
         J = np.broadcast_to(np.eye(13)[:, [*[12] * S, *range(12)]], (1, len(self.g), 13, S + 12))
-        arrow = Arrow.by(J, S, self.H[None], self.g[None], np.swapaxes(self.cross, 1, 2)[None])
-        shared, local = arrow.step(damping, FLOOR)
+        arrow = BlockArrow.by(J, S, self.H[None], self.g[None], np.swapaxes(self.cross, 1, 2)[None])
+        shared, local = arrow.step(damping, CURVATURE_FLOOR)
         return local[0], float(shared.sum())
 
 
@@ -123,7 +123,7 @@ class JointEnergy:
     T_cam_hand: Float[ndarray, "N 4 4"]
     """The hand as given; the terms of ``object_in_hand`` were made for it."""
 
-    def __call__(self, bodies: Bodies) -> tuple[dict[str, float], NormalEquations]:
+    def __call__(self, bodies: RigidBodies) -> tuple[dict[str, float], NormalEquations]:
         """Energy per term, and its derivatives by the 13 numbers of each frame."""
         N = len(bodies.R)
         eye, scale = np.eye(6), np.array([bodies.scale])
@@ -158,20 +158,22 @@ class JointEnergy:
         return values, NormalEquations(g, H, cross)
 
 
-def refine(problem: Problem, track: Free, contact: EnergyOf) -> Refined:
+def refine_track(problem: Problem, track: Free, contact: EnergyOf) -> RefinedTrack:
     """Refine object and hand, from one track of the object and the input hand, by Levenberg-Marquardt."""
-    bodies = bodies_of(problem, track)
-    for level, iterations in STAGES:
-        refined = descend(joint_energy(problem, level, bodies, contact), bodies, iterations, track.free_scale)
+    bodies = make_rigid_bodies(problem, track)
+    for level, iterations in HOMAN_REFINE_STAGES:
+        refined = refine_by_levenberg_marquardt(
+            joint_energy(problem, level, bodies, contact), bodies, iterations, track.free_scale
+        )
         bodies = refined.bodies
     return refined
 
 
-def bodies_of(problem: Problem, track: Free) -> Bodies:
+def make_rigid_bodies(problem: Problem, track: Free) -> RigidBodies:
     """Return object and hand as a track of the object and the input hand place them."""
     tracked = problem.clip.hand
     grip = tracked.vertices.mean(axis=1)
-    return Bodies(
+    return RigidBodies(
         R=track.R[0],
         centre=track.centre[0],
         log_scale=float(track.log_scale[0]),
@@ -181,13 +183,13 @@ def bodies_of(problem: Problem, track: Free) -> Bodies:
     )
 
 
-def joint_energy(problem: Problem, level: int, bodies: Bodies, contact: EnergyOf) -> JointEnergy:
+def joint_energy(problem: Problem, level: int, bodies: RigidBodies, contact: EnergyOf) -> JointEnergy:
     """Build the terms at one resolution."""
     clip, K = problem.clip, problem.observation.K
     everywhere = np.arange(len(clip))
-    mask = mask_of(problem)(level, everywhere)
+    mask = mask_energy(problem)(level, everywhere)
     about_grip = clip.hand.vertices - bodies.grip[:, None]
-    points = about_grip[:, spread_points(about_grip[0], REPROJECTED)]
+    points = about_grip[:, farthest_point_sampling(about_grip[0], N_REPROJECTED_VERTICES)]
     tracked = clip.hand.T_cam_hand
     grip = se3.transform(tracked, bodies.grip[:, None])
     crop = np.zeros((len(K), 3, 3))
@@ -196,64 +198,68 @@ def joint_energy(problem: Problem, level: int, bodies: Bodies, contact: EnergyOf
     return JointEnergy(
         object_in_camera=[
             *mask,
-            SmoothnessTerm(moments(clip.mesh.vertices - clip.mesh.centre), SMOOTH),
+            SmoothnessTerm(vertex_moments(clip.mesh.vertices - clip.mesh.centre), SMOOTHNESS_WEIGHT),
         ],
         hand_in_camera=[
-            SmoothnessTerm(moments(about_grip.mean(axis=0)), SMOOTH, name="hand_smoothness"),
-            ReprojectionTerm(points, K, target, REPROJECT),
+            SmoothnessTerm(vertex_moments(about_grip.mean(axis=0)), SMOOTHNESS_WEIGHT, name="hand_smoothness"),
+            ReprojectionTerm(points, K, target, REPROJECTION_WEIGHT),
         ],
         object_in_hand=[
             *contact(problem)(level, everywhere),
-            InteractionTerm(grip[:, 0], INTERACT),
+            InteractionTerm(grip[:, 0], INTERACTION_WEIGHT),
         ],
         T_cam_hand=tracked,
     )
 
 
 @dataclass(frozen=True)
-class _State:
+class _TrackState:
     """A track at its current poses (``least_squares.State``)."""
 
     energy: JointEnergy
-    bodies: Bodies
+    bodies: RigidBodies
     free_scale: bool
     values: dict[str, float]
     equations: NormalEquations
 
     @staticmethod
-    def of(energy: JointEnergy, bodies: Bodies, free_scale: bool) -> _State:
-        return _State(energy, bodies, free_scale, *energy(bodies))
+    def of(energy: JointEnergy, bodies: RigidBodies, free_scale: bool) -> _TrackState:
+        return _TrackState(energy, bodies, free_scale, *energy(bodies))
 
     @property
     def cost(self) -> Float[ndarray, "1"]:
         return np.array([sum(self.values.values())])
 
-    def trial(self, active: Int[ndarray, "1"], damping: Float[ndarray, "1"]) -> _State:
-        return _State.of(
+    def trial(self, active: Int[ndarray, "1"], damping: Float[ndarray, "1"]) -> _TrackState:
+        return _TrackState.of(
             self.energy, self.bodies.retract(*self.equations.step(damping, self.free_scale)), self.free_scale
         )
 
-    def accept(self, trial: _State, active: Int[ndarray, "1"], better: Bool[ndarray, "1"]) -> _State:
+    def accept(self, trial: _TrackState, active: Int[ndarray, "1"], better: Bool[ndarray, "1"]) -> _TrackState:
         return trial if better[0] else self
 
 
-def descend(energy: JointEnergy, bodies: Bodies, iterations: int, free_scale: bool) -> Refined:
+def refine_by_levenberg_marquardt(
+    energy: JointEnergy, bodies: RigidBodies, iterations: int, free_scale: bool
+) -> RefinedTrack:
     """Run Levenberg-Marquardt on all numbers of a track at once, by the rules of ``solve.minimise``."""
-    found = least_squares.minimise(_State.of(energy, bodies, free_scale), iterations)
+    found = least_squares.minimise(_TrackState.of(energy, bodies, free_scale), iterations)
     values = found.state.values
-    return Refined(found.state.bodies, sum(values.values()), values, STATUS[found.endings[0]])
+    return RefinedTrack(found.state.bodies, sum(values.values()), values, STATUS_OF_ENDING[found.endings[0]])
 
 
-def descend_by_adam(energy: JointEnergy, bodies: Bodies, iterations: int, rate: float, free_scale: bool) -> Refined:
+def refine_by_adam(
+    energy: JointEnergy, bodies: RigidBodies, iterations: int, rate: float, free_scale: bool
+) -> RefinedTrack:
     """Run Adam on all numbers of a track at once; the best iterate counts."""
     N = len(bodies.R)
     lengths = np.tile(np.arange(12) % 6 < 3, N)
-    steps = Adam(np.append(np.where(lengths, METRES, 1.0), 1.0), iterations, rate)
-    best = Refined(bodies, np.inf, {}, Status.INVISIBLE)
+    steps = Adam(np.append(np.where(lengths, METRES_PER_RADIAN, 1.0), 1.0), iterations, rate)
+    best = RefinedTrack(bodies, np.inf, {}, Status.INVISIBLE)
     for _ in range(iterations + 1):
         values, equations = energy(bodies)
         if (cost := sum(values.values())) < best.energy:
-            best = Refined(bodies, cost, values, Status.FINISHED)
+            best = RefinedTrack(bodies, cost, values, Status.FINISHED)
         step = steps.step(np.append(equations.g[:, :12], equations.g[:, 12].sum()))
         bodies = bodies.retract(step[:-1].reshape(N, 12), float(step[-1]) if free_scale else 0.0)
     return best

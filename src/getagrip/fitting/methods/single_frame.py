@@ -16,16 +16,16 @@ from getagrip.fitting.methods import OnStage
 from getagrip.fitting.motion import Fixed, PosesInHand
 from getagrip.fitting.objective import energy_of
 from getagrip.fitting.problem import MethodResult, Problem
-from getagrip.fitting.schedule import ALL, Schedule, Stage
+from getagrip.fitting.schedule import ALL_FRAMES, Schedule, Stage
 from getagrip.fitting.search import Search
 from getagrip.fitting.solve import Solution, minimise
 from getagrip.geometry import se3
 from getagrip.result import Status
 
-SCHEDULE = Schedule(
+SINGLE_FRAME_SCHEDULE = Schedule(
     static_iterations=8,
     relaxed_iterations=0,
-    relaxed=ALL,
+    relaxed=ALL_FRAMES,
     coarse=(Stage("coarse", level=64, frames=1, iterations=6, keep=10, rounds=6),),
     fine=(
         Stage("fine", level=128, frames=1, iterations=10, keep=4),
@@ -35,7 +35,7 @@ SCHEDULE = Schedule(
 """For one frame: no motion to find, so no relaxed fit."""
 REFIT_LEVEL, REFIT_ITERATIONS = 256, 15
 """At one scale, where it is free."""
-WORST = (Status.LIMIT, Status.STUCK, Status.CONVERGED, Status.FINISHED)
+STATUS_PRECEDENCE = (Status.LIMIT, Status.STUCK, Status.CONVERGED, Status.FINISHED)
 """The status of the frames is the first of these that one of them has."""
 
 OfFrame = Callable[[Problem, int, Energy], Solution[Fixed]]
@@ -50,10 +50,12 @@ def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
     Raises ``GetagripError`` when nothing can be rendered in some frame.
     """
     options = problem.options
-    return of_frames(problem, on_stage, energy_of(problem, options.push, options.pull), _best_of_frame, _again)
+    return fit_each_frame(
+        problem, on_stage, energy_of(problem, options.push, options.pull), _best_of_frame, _refit_frame
+    )
 
 
-def of_frames(
+def fit_each_frame(
     problem: Problem, on_stage: OnStage, energy: Energy, best_of_frame: OfFrame, again: Again
 ) -> MethodResult:
     """Fit the best pose of each frame.
@@ -70,7 +72,7 @@ def of_frames(
             raise GetagripError(f"frame {frame}: {error}") from error
     on_stage("fine")
     if problem.clip.scale == "free":
-        best = _at_one_scale(problem, best, energy, again)
+        best = _refit_at_median_scale(problem, best, energy, again)
     poses_by_frame = [found.motion.poses() for found in best]
     R, centre = np.stack([h.R[0, 0] for h in poses_by_frame]), np.stack([h.centre[0, 0] for h in poses_by_frame])
     status = [found.status[0] for found in best]
@@ -79,7 +81,7 @@ def of_frames(
         poses=PosesInHand(R[None], centre[None], poses_by_frame[0].scale[:1]),
         energy=np.array([sum(found.energy[0] for found in best)]),
         terms={name: float(sum(found.terms[name][0] for found in best)) for name in best[0].terms},
-        status=next(s for s in WORST if s in status),
+        status=next(s for s in STATUS_PRECEDENCE if s in status),
     )
 
 
@@ -97,18 +99,20 @@ def _best_of_frame(problem: Problem, n: int, energy: Energy) -> Solution[Fixed]:
         return energy(level, np.array([n]))
 
     T = problem.clip.hand.T_cam_hand[n : n + 1]
-    search = Search(T, problem.surface, SCHEDULE, lambda _: None, problem.threads)
+    search = Search(T, problem.surface, SINGLE_FRAME_SCHEDULE, lambda _: None, problem.threads)
     motion = search.relax(initial_of_frame(problem, n), of_frame).core
     return search.run(motion, of_frame)
 
 
-def _again(problem: Problem, n: int, energy: Energy, start: Fixed) -> Solution[Fixed]:
+def _refit_frame(problem: Problem, n: int, energy: Energy, start: Fixed) -> Solution[Fixed]:
     """Fit one frame from one start."""
     T = problem.clip.hand.T_cam_hand[n : n + 1]
     return minimise(start, energy(REFIT_LEVEL, np.array([n])), T, REFIT_ITERATIONS)
 
 
-def _at_one_scale(problem: Problem, best: list[Solution[Fixed]], energy: Energy, again: Again) -> list[Solution[Fixed]]:
+def _refit_at_median_scale(
+    problem: Problem, best: list[Solution[Fixed]], energy: Energy, again: Again
+) -> list[Solution[Fixed]]:
     """Fit the frames again from equally large images at the median of their scales.
 
     Raises ``GetagripError`` where one cannot be rendered there.

@@ -5,9 +5,9 @@ the first two, with a small deviation per frame, ``Frozen``: any of them, what i
 ``MovingHand``: any of them in a hand that is unknown as well.
 """
 
-from getagrip.fitting.motion.base import HandPoses, Motion, PosesInHand, Prior, moved, placed
+from getagrip.fitting.motion.base import HandPoses, Motion, PosesInHand, Prior, hand_object_transforms, transform_poses
 from getagrip.fitting.motion.fixed import Fixed
-from getagrip.fitting.motion.free import Free, interpolated
+from getagrip.fitting.motion.free import Free, interpolate_object_poses
 from getagrip.fitting.motion.frozen import Frozen
 from getagrip.fitting.motion.hinge import Hinge, tangents
 from getagrip.fitting.motion.moving_hand import HandPrior, MovingHand
@@ -25,8 +25,8 @@ __all__ = [
     "PosesInHand",
     "Prior",
     "Soft",
-    "interpolated",
-    "moved",
-    "placed",
+    "hand_object_transforms",
+    "interpolate_object_poses",
     "tangents",
+    "transform_poses",
 ]

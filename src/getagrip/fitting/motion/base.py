@@ -81,18 +81,18 @@ class HandPoses(Batch):
     frame: HandFrame
 
 
-def placed(poses: PosesInHand, centre: Float[ndarray, "3"]) -> Float[ndarray, "B N 4 4"]:
+def hand_object_transforms(poses: PosesInHand, centre: Float[ndarray, "3"]) -> Float[ndarray, "B N 4 4"]:
     """Return ``T_hand_obj`` of poses about the mesh's centre, which lies at ``centre`` in its own frame."""
     R, scale = poses.R, poses.scale[:, None, None]
     return se3.rigid(R, poses.centre - scale * (R @ centre))
 
 
-def moved(poses: PosesInHand, T: Float[ndarray, "N 4 4"]) -> PosesInHand:
+def transform_poses(poses: PosesInHand, T: Float[ndarray, "N 4 4"]) -> PosesInHand:
     """Transform poses to another frame, given the hand's pose in it; the inverse leads back."""
     R, t, hand = T[:, :3, :3], T[:, :3, 3], poses.hand
     if hand is not None:
         centre = (R @ hand.centre[..., None])[..., 0] + t
-        hand = replace(hand, R=R @ hand.R, centre=centre, grasped=moved(hand.grasped, T))
+        hand = replace(hand, R=R @ hand.R, centre=centre, grasped=transform_poses(hand.grasped, T))
     return PosesInHand(R @ poses.R, (R @ poses.centre[..., None])[..., 0] + t, poses.scale, hand=hand)
 
 

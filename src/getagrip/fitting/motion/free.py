@@ -62,7 +62,7 @@ class Free(Batch):
         return replace(self, R=se3.exp_so3(share * turn) @ R, centre=centre)
 
 
-def interpolated(poses: PosesInHand, old: Int[ndarray, "n"], new: Int[ndarray, "m"]) -> PosesInHand:
+def interpolate_object_poses(poses: PosesInHand, old: Int[ndarray, "n"], new: Int[ndarray, "m"]) -> PosesInHand:
     """Interpolate poses: rotations along the shortest path, centres on a line; beyond the ends, the last ones."""
     free = Free(poses.R, poses.centre, np.log(poses.scale)).resampled(old, np.clip(new, old[0], old[-1]))
     return PosesInHand(free.R, free.centre, poses.scale)

@@ -16,7 +16,7 @@ from getagrip.geometry import se3
 
 Core = TypeVar("Core", bound=Motion)
 
-SHIFT, TURN, DEPTH = slice(0, 3), slice(3, 6), 6
+SHIFT_SLICE, TURN_SLICE, RAY_SHIFT_INDEX = slice(0, 3), slice(3, 6), 6
 """Positions of a frame's errors: shift in the hand frame [m], turn about the hand's middle [rad], shift along the
 camera's ray through the middle [m]. The constant part has the logarithm of the hand's size besides, as its last."""
 
@@ -68,7 +68,7 @@ class HandPrior:
         """
         wider = self.constant.copy(), self.own.copy()
         for deviation, errors in zip(wider, (constant[None], own), strict=True):
-            for part in (SHIFT, TURN, slice(DEPTH, DEPTH + 1)):
+            for part in (SHIFT_SLICE, TURN_SLICE, slice(RAY_SHIFT_INDEX, RAY_SHIFT_INDEX + 1)):
                 squares = (errors[:, part] / deviation[part]) ** 2
                 deviation[part] *= np.sqrt(max(1.0, (freedom + squares.sum()) / (freedom + squares.size)))
         return replace(self, constant=wider[0], own=wider[1])
@@ -120,12 +120,12 @@ class MovingHand(Batch, Generic[Core]):
 
     def _hand(self) -> HandPoses:
         x, assumed = self.constant[:, None, :-1] + self.own, self.assumed
-        shift = x[..., SHIFT] + x[..., DEPTH, None] * assumed.rays[assumed.frames]
+        shift = x[..., SHIFT_SLICE] + x[..., RAY_SHIFT_INDEX, None] * assumed.rays[assumed.frames]
         size = np.exp(self.constant[:, -1])
         grasped = self.core.poses()
         arm = (grasped.centre - assumed.middle) / size[:, None, None]
         grasped = PosesInHand(grasped.R, assumed.middle + arm, grasped.scale / size)
-        return HandPoses(se3.exp_so3(x[..., TURN]), assumed.middle + shift, size, grasped, assumed)
+        return HandPoses(se3.exp_so3(x[..., TURN_SLICE]), assumed.middle + shift, size, grasped, assumed)
 
     def poses(self) -> PosesInHand:
         grasped, hand = self.core.poses(), self._hand()
@@ -145,22 +145,24 @@ class MovingHand(Batch, Generic[Core]):
         size = np.zeros((B, N, 21, 1))
         size[..., 14:17, 0], size[..., [13, 20], 0] = self.assumed.middle - hand.grasped.centre, [1.0, -1.0]
         J = np.zeros((B, N, 21, 7))
-        J[..., 7:10, SHIFT], J[..., 7:10, DEPTH] = np.eye(3), self.assumed.rays[self.assumed.frames]
-        J[..., 10:13, TURN] = se3.left_jacobian((self.constant[:, None, :-1] + self.own)[..., TURN])
+        J[..., 7:10, SHIFT_SLICE], J[..., 7:10, RAY_SHIFT_INDEX] = np.eye(3), self.assumed.rays[self.assumed.frames]
+        J[..., 10:13, TURN_SLICE] = se3.left_jacobian((self.constant[:, None, :-1] + self.own)[..., TURN_SLICE])
         # An object that is still in the hand goes with it.
         J[..., :3, :] = J[..., 7:10, :] - se3.hat(object_.centre - hand.centre) @ J[..., 10:13, :]
         J[..., 3:6, :] = J[..., 10:13, :]
         constant, own = self._free()
         return (
-            np.concatenate([_carried(hand, shared), np.concatenate([J, size], axis=-1)[..., constant]], axis=-1),
-            np.concatenate([_carried(hand, local), J[..., own]], axis=-1),
+            np.concatenate(
+                [_object_motion_jacobian(hand, shared), np.concatenate([J, size], axis=-1)[..., constant]], axis=-1
+            ),
+            np.concatenate([_object_motion_jacobian(hand, local), J[..., own]], axis=-1),
         )
 
     def lengths(self) -> tuple[Bool[ndarray, "S"], Bool[ndarray, "L"]]:
         shared, local = self.core.lengths()
         constant, own = self._free()
         k = np.arange(len(constant))
-        metres = (k < 3) | (k == DEPTH)
+        metres = (k < 3) | (k == RAY_SHIFT_INDEX)
         return np.concatenate([shared, metres[constant]]), np.concatenate([local, metres[:-1][own]])
 
     def angles(self) -> Float[ndarray, "B N"] | None:
@@ -208,7 +210,7 @@ class MovingHand(Batch, Generic[Core]):
         return self.assumed.constant > 0.0, self.assumed.own > 0.0
 
 
-def _carried(hand: HandPoses, J: Float[ndarray, "B N 7 k"]) -> Float[ndarray, "B N P k"]:
+def _object_motion_jacobian(hand: HandPoses, J: Float[ndarray, "B N 7 k"]) -> Float[ndarray, "B N P k"]:
     """Local vectors of a motion of the object in the hand, with the hand fixed."""
     v, w, scale = J[..., :3, :], J[..., 3:6, :], J[..., 6:, :]
     zero = np.zeros((*J.shape[:2], 7, J.shape[-1]))

@@ -58,7 +58,7 @@ class Soft(Batch, Generic[Core]):
         own = np.zeros((B, N, 7, 6))
         own[..., :3, :3] = np.eye(3)
         own[..., 3:6, 3:] = se3.left_jacobian(self.deviation[..., 3:])
-        return _rotated(turn, shared), np.concatenate([_rotated(turn, angles), own], axis=-1)
+        return _rotate_jacobian(turn, shared), np.concatenate([_rotate_jacobian(turn, angles), own], axis=-1)
 
     def lengths(self) -> tuple[Bool[ndarray, "S"], Bool[ndarray, "L"]]:
         shared, angles = self.core.lengths()
@@ -86,6 +86,6 @@ class Soft(Batch, Generic[Core]):
         return replace(self, core=self.core.resampled(old, new), deviation=np.swapaxes(between, 1, 2))
 
 
-def _rotated(turn: Float[ndarray, "B N 3 3"], J: Float[ndarray, "B N 7 k"]) -> Float[ndarray, "B N 7 k"]:
+def _rotate_jacobian(turn: Float[ndarray, "B N 3 3"], J: Float[ndarray, "B N 7 k"]) -> Float[ndarray, "B N 7 k"]:
     """Local 7-vectors whose rotations are followed by another."""
     return np.concatenate([J[..., :3, :], turn @ J[..., 3:6, :], J[..., 6:, :]], axis=-2)

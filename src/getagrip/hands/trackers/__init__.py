@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from keyword import iskeyword
 
-from getagrip.errors import UsageError, unknown
+from getagrip.errors import UsageError, unknown_choice_error
 from getagrip.hands.trackers.dynhamr import DynHaMR
 from getagrip.hands.trackers.egodex import EgoDex
 from getagrip.hands.trackers.egohandkit import EgoHandKit
@@ -30,28 +30,28 @@ from getagrip.hands.trackers.joints import Joints, Soma
 from getagrip.hands.trackers.landmarks import Landmarks
 from getagrip.hands.trackers.lerobot import LeRobot
 from getagrip.hands.trackers.mano_parameters import ManoParameters
-from getagrip.hands.trackers.reading import CHOSEN, EXTRAPOLATED, Hands, read
+from getagrip.hands.trackers.reading import CHOSEN_HANDS_KEY, EXTRAPOLATED_HANDS_KEY, TrackedHands, read_tracked_hands
 from getagrip.hands.trackers.recognition import recognise
 from getagrip.hands.trackers.tracker import Tracker
 from getagrip.hands.trackers.v2d import V2D
 from getagrip.io import plugins
-from getagrip.io.plugins import Table
+from getagrip.io.plugins import PluginTable
 
 __all__ = [
-    "CHOSEN",
-    "EXTRAPOLATED",
+    "CHOSEN_HANDS_KEY",
+    "EXTRAPOLATED_HANDS_KEY",
     "TRACKERS",
     "Estimates",
-    "Hands",
     "Request",
+    "TrackedHands",
     "Tracker",
-    "choose",
-    "read",
+    "choose_tracker",
+    "read_tracked_hands",
     "recognise",
     "usable",
 ]
 
-_TRACKERS: dict[str, Tracker] = {
+_BUILTIN_TRACKERS: dict[str, Tracker] = {
     "hamer": HaMeR(),
     "wilor": WiLoR(),
     "hawor": HaWoR(),
@@ -69,11 +69,13 @@ _TRACKERS: dict[str, Tracker] = {
 }
 
 
-def _fits(name: str, it: object) -> bool:
+def _is_tracker(name: str, it: object) -> bool:
     return isinstance(it, Tracker) and name.isidentifier() and not iskeyword(name)
 
 
-TRACKERS = Table("trackers", _TRACKERS, "a Tracker, under a name that is a Python identifier", _fits)
+TRACKERS = PluginTable(
+    "trackers", _BUILTIN_TRACKERS, "a Tracker, under a name that is a Python identifier", _is_tracker
+)
 
 
 def usable(taken: Iterable[str] = ()) -> dict[str, Tracker]:
@@ -81,21 +83,23 @@ def usable(taken: Iterable[str] = ()) -> dict[str, Tracker]:
     owners, there = dict.fromkeys(taken, "import hands"), dict[str, Tracker]()
     for name, tracker in TRACKERS.working().items():
         options = vars(tracker)
-        if name not in _TRACKERS and (both := next((one for one in options if one in owners), None)):
-            plugins.warn(f"{plugins.origin(tracker) or name} is left out: {owners[both]} has an option {both!r}, too")
+        if name not in _BUILTIN_TRACKERS and (both := next((one for one in options if one in owners), None)):
+            plugins.warn_once(
+                f"{plugins.plugin_of(tracker) or name} is left out: {owners[both]} has an option {both!r}, too"
+            )
             continue
         there[name] = tracker
         owners |= dict.fromkeys(options, f"the tracker {name}")
     return there
 
 
-def choose(name: str, entry: Mapping[str, Tracker] = TRACKERS) -> Tracker:
+def choose_tracker(name: str, entry: Mapping[str, Tracker] = TRACKERS) -> Tracker:
     """Return the tracker ``name`` of ``entry``, with its options.
 
     Raises ``UsageError`` for an unknown name, and for options of another tracker.
     """
     if name not in entry:
-        raise unknown("--from", name, entry)
+        raise unknown_choice_error("--from", name, entry)
     for other, tracker in entry.items():
         for option, value in vars(tracker).items():
             if other != name and value != vars(TRACKERS[other])[option]:

@@ -18,13 +18,20 @@ from numpy import ndarray
 
 from getagrip.errors import InputError
 from getagrip.geometry import se3
-from getagrip.hands.model import MIRROR, Side
+from getagrip.hands.model import SIDE_MIRROR, Side
 from getagrip.hands.trackers import records
-from getagrip.hands.trackers.estimates import Estimate, Estimates, Parameters, Request, WeakPerspective, mirror_rotation
-from getagrip.hands.trackers.hamer_demo import ROOT
+from getagrip.hands.trackers.estimates import (
+    Estimate,
+    Estimates,
+    HandParameters,
+    Request,
+    WeakPerspective,
+    mirror_rotation,
+)
+from getagrip.hands.trackers.hamer_demo import MANO_WRIST_M
 from getagrip.hands.trackers.hand import load_mano
 from getagrip.hands.trackers.recognition import Sample
-from getagrip.hands.trackers.records import numbers
+from getagrip.hands.trackers.records import record_numbers
 from getagrip.hands.trackers.tracker import Tracker, frames_of_images, only_file
 from getagrip.provenance import estimated
 
@@ -45,16 +52,16 @@ class DynHaMR(Tracker):
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
         """Read the hands of the requested side, in those of the images that the clip has."""
         path = only_file(paths[-1:], "hands")  # later numbers in names are later iterations of the fit
-        record = records.read(path)
+        record = records.read_tracker_record(path)
         hands, T = np.shape(record["is_right"]) if np.ndim(record.get("is_right", 0)) == 2 else (0, 0)
         if not hands or not T:
             raise InputError(path, "is_right", "no such array", "an array (hands, frames)")
         each: dict[str, ndarray] = {
-            key: numbers(path, record, key, (hands, T, *shape)).reshape(hands, T, *shape)
-            for key, shape in SHAPES.items()
+            key: record_numbers(path, record, key, (hands, T, *shape)).reshape(hands, T, *shape)
+            for key, shape in DYNHAMR_SHAPES.items()
         }
-        betas = numbers(path, record, "betas", (hands, 10), (hands, T, 10)).reshape(hands, -1, 10)
-        fx, _, cx, cy = numbers(path, record, "intrins", (4,))
+        betas = record_numbers(path, record, "betas", (hands, 10), (hands, T, 10)).reshape(hands, -1, 10)
+        fx, _, cx, cy = record_numbers(path, record, "intrins", (4,))
         if min(fx, cx, cy) <= 0:
             raise InputError(path, "intrins", f"{fx:g}, {cx:g}, {cy:g}", "fx, fy, cx and cy above 0 [px]")
         depth = estimated(f"its translation, its focal length {fx:.6g} px divided out and the clip's put in")
@@ -67,23 +74,23 @@ class DynHaMR(Tracker):
                 R = se3.exp_so3(each["root_orient"][hand, n])
                 pose, t = se3.exp_so3(each["pose_body"][hand, n]), each["trans"][hand, n]
                 if request.side == "left":
-                    R, pose, t = mirror_rotation(R), mirror_rotation(pose), t * MIRROR
+                    R, pose, t = mirror_rotation(R), mirror_rotation(pose), t * SIDE_MIRROR
                 T_cam_world = se3.rigid(each["cam_R"][hand, n], each["cam_t"][hand, n])
-                R, t = before_camera(T_cam_world, R, t, root_joint(request.mano, request.side, shape))
+                R, t = world_to_camera_mano(T_cam_world, R, t, mano_root_joint(request.mano, request.side, shape))
                 if not t[2] > 0:
                     raise InputError(path, "trans", f"a hand at the depth {t[2]:.3g} m", "hands before the camera")
                 weak = WeakPerspective.of_translation(t, float(fx), np.array([cx, cy]))
                 t = weak.resized(np.array(request.size) / (2.0 * np.array([cx, cy]))).before(request.camera(frame))
-                found.append(Estimate(path, frame, depth, Parameters(R, se3.log_so3(pose).reshape(45), shape, t)))
+                found.append(Estimate(path, frame, depth, HandParameters(R, se3.log_so3(pose).reshape(45), shape, t)))
         return Estimates(request.side, tuple(found))
 
 
-SHAPES = {
+DYNHAMR_SHAPES = {
     "root_orient": (3,), "pose_body": (15, 3), "trans": (3,), "is_right": (), "cam_R": (3, 3), "cam_t": (3,),
 }  # fmt: skip
 
 
-def before_camera(
+def world_to_camera_mano(
     T_cam_world: Float[ndarray, "4 4"], R: Float[ndarray, "3 3"], t: Float[ndarray, "3"], root: Float[ndarray, "3"]
 ) -> tuple[Float[ndarray, "3 3"], Float[ndarray, "3"]]:
     """Return MANO's global rotation and translation before a camera, of those in a world [m].
@@ -94,8 +101,8 @@ def before_camera(
     return np.asarray(T_cam_world[:3, :3] @ R), np.asarray(moved - root)
 
 
-def root_joint(folder: Path | None, side: Side, betas: Float[ndarray, "10"]) -> Float[ndarray, "3"]:
+def mano_root_joint(folder: Path | None, side: Side, betas: Float[ndarray, "10"]) -> Float[ndarray, "3"]:
     """Return the root joint of MANO's right hand, mirrored for left ones [m]; of the mean hand without MANO's files."""
     model = load_mano(folder, "right")
-    root = ROOT if model is None else model.model.with_shape(betas).joints[0]
-    return np.asarray(root if side == "right" else root * MIRROR)
+    root = MANO_WRIST_M if model is None else model.model.with_shape(betas).joints[0]
+    return np.asarray(root if side == "right" else root * SIDE_MIRROR)

@@ -16,17 +16,17 @@ import numpy as np
 
 from getagrip.errors import InputError
 from getagrip.hands.trackers import hamer, records
-from getagrip.hands.trackers.egodex import MOST_FRAMES
+from getagrip.hands.trackers.egodex import MAX_EPISODE_FRAMES
 from getagrip.hands.trackers.estimates import Estimate, Estimates, Request
 from getagrip.hands.trackers.joint_checks import check_before_camera
 from getagrip.hands.trackers.recognition import Sample
-from getagrip.hands.trackers.records import Record, numbers
-from getagrip.hands.trackers.tracker import Tracker, frames_of_images, frames_of_names, no_name, only_file
+from getagrip.hands.trackers.records import Record, record_numbers
+from getagrip.hands.trackers.tracker import Tracker, frames_of_images, frames_of_names, only_file, unmatched_names_error
 from getagrip.io.parquet import read_columns
 from getagrip.provenance import estimated
 
-TABLE = "hand_tracking.parquet"
-DEPTH = estimated("EgoHandKit's joints before its camera, as the file has them")
+EGOHANDKIT_TABLE = "hand_tracking.parquet"
+EGOHANDKIT_DEPTH_SOURCE = estimated("EgoHandKit's joints before its camera, as the file has them")
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class EgoHandKit(Tracker):
     layouts = ("final/results.pkl", "results.pkl", *(f"*_{name}.pkl" for name in ("hawor", "hamer", "htm", "wilor")))
 
     def recognises(self, sample: Sample) -> str:
-        if sample.path.name == TABLE:
+        if sample.path.name == EGOHANDKIT_TABLE:
             return "EgoHandKit's joints"
         named = str(sample.record.get("schema_version", "")).startswith("egohand.results")
         return "EgoHandKit's results" if named or sample.has("mano", "cam_trans", "backend_meta") else ""
@@ -48,22 +48,22 @@ class EgoHandKit(Tracker):
         """Read the hand of the requested side in those of the images that the clip has."""
         path = only_file(paths, "hands")
         if path.suffix.lower() == ".parquet":
-            return _joints(path, request)
-        images = _by_image(path, records.read(path))
+            return _read_parquet_joints(path, request)
+        images = _hamer_records_by_image(path, records.read_tracker_record(path))
         frames = dict(zip(images, frames_of_names(path, list(images), request), strict=True))
         if all(frame is None for frame in frames.values()):
-            raise no_name(paths, next(iter(images), path.name), request)
+            raise unmatched_names_error(paths, next(iter(images), path.name), request)
         found = [
-            hamer.estimate(path, frame, one, request)
+            hamer.hamer_estimate(path, frame, one, request)
             for name, frame in frames.items()
             if frame is not None
             for hand in images[name]
-            for one in hamer.of_side(path, hand, request.side)
+            for one in hamer.select_hamer_side(path, hand, request.side)
         ]
         return Estimates(request.side, tuple(found))
 
 
-def _by_image(path: Path, record: Record) -> dict[str, list[Record]]:
+def _hamer_records_by_image(path: Path, record: Record) -> dict[str, list[Record]]:
     """Return the hands of each image as HaMeR's records. Raises ``InputError``."""
     images: dict[str, list[Record]] = {}
     try:
@@ -85,7 +85,7 @@ def _by_image(path: Path, record: Record) -> dict[str, list[Record]]:
     return images
 
 
-def _joints(path: Path, request: Request) -> Estimates:
+def _read_parquet_joints(path: Path, request: Request) -> Estimates:
     """Read the joints of a side from the Parquet file. Raises ``InputError``, and ``UsageError`` without pyarrow."""
     key = f"{request.side}_joints_3d"
     table = read_columns(path, ["frame_idx", key])
@@ -94,15 +94,15 @@ def _joints(path: Path, request: Request) -> Estimates:
         return Estimates(request.side, ())
     if table[key].shape[1:] != (63,):
         raise InputError(path, key, f"rows of {table[key].shape[1:]} numbers", "21 joints of 3 numbers")
-    joints = numbers(path, {key: table[key][there].reshape(-1, 21, 3)}, key, (len(there), 21, 3))
-    indices = numbers(path, table, "frame_idx", (len(table[key]),)).astype(int)
-    if indices.min() < 0 or indices.max() >= MOST_FRAMES:
+    joints = record_numbers(path, {key: table[key][there].reshape(-1, 21, 3)}, key, (len(there), 21, 3))
+    indices = record_numbers(path, table, "frame_idx", (len(table[key]),)).astype(int)
+    if indices.min() < 0 or indices.max() >= MAX_EPISODE_FRAMES:
         got = f"{indices.min()} to {indices.max()}"
-        raise InputError(path, "frame_idx", got, f"indices of the images, from 0 and below {MOST_FRAMES}")
+        raise InputError(path, "frame_idx", got, f"indices of the images, from 0 and below {MAX_EPISODE_FRAMES}")
     check_before_camera(path, joints)
     frames = frames_of_images(path, {}, int(indices.max()) + 1, request)
     found = [
-        Estimate(path, frame, DEPTH, None, hand)
+        Estimate(path, frame, EGOHANDKIT_DEPTH_SOURCE, None, hand)
         for row, hand in zip(there, np.asarray(joints), strict=True)
         if (frame := frames[indices[row]]) is not None
     ]

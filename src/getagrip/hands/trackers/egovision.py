@@ -21,7 +21,7 @@ from getagrip.hands.trackers import records
 from getagrip.hands.trackers.estimates import Estimate, Estimates, Request, WeakPerspective
 from getagrip.hands.trackers.joint_checks import check_before_camera
 from getagrip.hands.trackers.recognition import Sample
-from getagrip.hands.trackers.records import child, numbers
+from getagrip.hands.trackers.records import child, record_numbers
 from getagrip.hands.trackers.tracker import Tracker, frames_of_images, only_file
 from getagrip.io import arrays
 from getagrip.provenance import assumed, estimated
@@ -41,13 +41,13 @@ class EgoVision(Tracker):
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
         """Read the joints of the requested side, in those of the video's frames that the clip has."""
         path = only_file(paths, "hands")
-        record = records.read(path)
-        T_world_cam = numbers(path, record, "camera_trajectory", (-1, 4, 4))
+        record = records.read_tracker_record(path)
+        T_world_cam = record_numbers(path, record, "camera_trajectory", (-1, 4, 4))
         T = len(T_world_cam)
-        K = np.broadcast_to(numbers(path, record, "intrinsics", (T, 3, 3), (3, 3)), (T, 3, 3))
+        K = np.broadcast_to(record_numbers(path, record, "intrinsics", (T, 3, 3), (3, 3)), (T, 3, 3))
         hand = child(path, child(path, record, "hands_world"), request.side)
-        there, joints = _joints(path, hand, T)
-        filled = numbers(path, hand, "infilled", (T,)) > 0.5 if "infilled" in hand else np.zeros(T, dtype=bool)
+        there, joints = _read_egovision_joints(path, hand, T)
+        filled = record_numbers(path, hand, "infilled", (T,)) > 0.5 if "infilled" in hand else np.zeros(T, dtype=bool)
         joints = se3.transform(se3.inverse(T_world_cam[there]), joints)
         if len(joints):
             check_before_camera(path, joints)
@@ -66,7 +66,7 @@ class EgoVision(Tracker):
         return Estimates(request.side, tuple(found), scale="the joints, as ego-vision has them")
 
 
-def _joints(path: Path, hand: records.Record, frames: int) -> tuple[ndarray, Float[ndarray, "N 21 3"]]:
+def _read_egovision_joints(path: Path, hand: records.Record, frames: int) -> tuple[ndarray, Float[ndarray, "N 21 3"]]:
     """Return in which frames there is a hand, and its joints in these [m]. Raises ``InputError``."""
     value = arrays.from_lists(records.without_none(hand.get("joints_world", [])))
     if value is None or value.dtype.kind not in "fiu" or value.shape != (frames, 21, 3):
@@ -75,4 +75,4 @@ def _joints(path: Path, hand: records.Record, frames: int) -> tuple[ndarray, Flo
     there = np.isfinite(value).all(axis=(1, 2))
     if not there.any():
         return there, np.zeros((0, 21, 3))
-    return there, numbers(path, {"joints_world": value[there]}, "joints_world", (int(there.sum()), 21, 3))
+    return there, record_numbers(path, {"joints_world": value[there]}, "joints_world", (int(there.sum()), 21, 3))

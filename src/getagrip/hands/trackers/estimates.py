@@ -21,14 +21,14 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.clip.naming import check_numbers
+from getagrip.clip.naming import check_frame_numbers
 from getagrip.errors import InputError
 from getagrip.geometry import se3
-from getagrip.hands.model import MIRROR, Side
+from getagrip.hands.model import SIDE_MIRROR, Side
 from getagrip.provenance import Source
 
-ONE_CAMERA = "one camera determines neither the size nor the depth of a hand"
-ROUNDED = 0.05
+ONE_CAMERA_NOTE = "one camera determines neither the size nor the depth of a hand"
+ROTATION_MATRIX_TOLERANCE = 0.05
 """Entries of a matrix so far from the nearest rotation's are no rounding."""
 HAMER_FOCAL, HAMER_CROP = 5000.0, 256.0
 """HaMeR's and WiLoR's demos assume a focal length of 5000 / 256 times the larger side of the image [px]."""
@@ -74,14 +74,14 @@ class Request:
 
     def check_numbers(self, source: Path, names: Iterable[str]) -> None:
         """Raise ``UsageError`` where hands seem to be counted from another start than frames."""
-        check_numbers(self.frames, names, source, "hand", self.ask_first)
+        check_frame_numbers(self.frames, names, source, "hand", self.ask_first)
 
     def camera(self, frame: int) -> Camera:
         """Return the camera in a frame, by its index."""
         return Camera(self.K[frame], self.size)
 
 
-class Parameters(NamedTuple):
+class HandParameters(NamedTuple):
     """MANO's parameters of a hand as it is: rotations of a left hand are those of the left hand.
 
     Attributes:
@@ -115,7 +115,7 @@ class Estimate(NamedTuple):
     path: Path
     frame: int
     depth: Source
-    mano: Parameters | None
+    mano: HandParameters | None
     joints: Float[ndarray, "21 3"] | None = None
     vertices: Float[ndarray, "778 3"] | None = None
     seen: Float[ndarray, "21 3"] | None = None
@@ -144,7 +144,7 @@ class Estimates:
     warning: str = ""
 
 
-def rotations(path: Path, key: str, values: Float[ndarray, "... 3"], axes: int) -> Float[ndarray, "... 3 3"]:
+def to_rotation_matrices(path: Path, key: str, values: Float[ndarray, "... 3"], axes: int) -> Float[ndarray, "... 3 3"]:
     """Convert rotation vectors [rad] (..., 3), or rounded matrices, to rotation matrices (..., 3, 3).
 
     ``axes`` is the number of leading axes: three vectors are no matrix. Raises ``InputError`` for other matrices.
@@ -153,14 +153,14 @@ def rotations(path: Path, key: str, values: Float[ndarray, "... 3"], axes: int) 
         return se3.exp_so3(values)
     R = se3.nearest_rotation(values)
     off = float(np.abs(R - values).max())
-    if off > ROUNDED:
+    if off > ROTATION_MATRIX_TOLERANCE:
         raise InputError(path, key, f"a matrix {off:.2g} off the nearest rotation", "rotations")
     return R
 
 
 def mirror_rotation(R: Float[ndarray, "*n 3 3"]) -> Float[ndarray, "*n 3 3"]:
     """Return a rotation in the mirrored image, M R M with M = diag(-1, 1, 1); in vectors, y and z change sign."""
-    return np.asarray(MIRROR[:, None] * R * MIRROR)
+    return np.asarray(SIDE_MIRROR[:, None] * R * SIDE_MIRROR)
 
 
 class WeakPerspective(NamedTuple):

@@ -27,22 +27,22 @@ from getagrip.errors import InputError, MissingOptionError
 from getagrip.geometry import se3
 from getagrip.hands.model import Side, mirrored_pose
 from getagrip.hands.trackers.estimates import (
-    ONE_CAMERA,
+    ONE_CAMERA_NOTE,
     Camera,
     Estimate,
     Estimates,
-    Parameters,
+    HandParameters,
     Request,
     WeakPerspective,
 )
 from getagrip.hands.trackers.hand import load_mano
 from getagrip.hands.trackers.recognition import Sample
-from getagrip.hands.trackers.records import Record, numbers, seen_joints
+from getagrip.hands.trackers.records import Record, record_numbers, seen_joints
 from getagrip.hands.trackers.tracker import Tracker, per_image
-from getagrip.io.files import shown
+from getagrip.io.files import shorten_value
 from getagrip.provenance import estimated
 
-CROP = 224.0
+FRANKMOCAP_CROP_PX = 224.0
 """Side of FrankMocap's crops [px]."""
 
 
@@ -60,29 +60,29 @@ class FrankMocap(Tracker):
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
         """Read the hand of the requested side in the results of the clip's frames."""
-        mean = mean_pose(request.mano, request.side)
+        mean = read_mean_pose(request.mano, request.side)
         found = []
         for path, frame, record in per_image(paths, request):
-            hands = of_side(path, record, request.side)
-            found += [estimate(path, frame, hand, request.camera(frame), mean) for hand in hands]
-        return Estimates(request.side, tuple(found), scale=f"the mean hand; {ONE_CAMERA}")
+            hands = select_frankmocap_side(path, record, request.side)
+            found += [frankmocap_estimate(path, frame, hand, request.camera(frame), mean) for hand in hands]
+        return Estimates(request.side, tuple(found), scale=f"the mean hand; {ONE_CAMERA_NOTE}")
 
 
-def of_side(path: Path, record: Record, side: Side) -> list[Record]:
+def select_frankmocap_side(path: Path, record: Record, side: Side) -> list[Record]:
     """Select the records of one side's hands, of one person or several. Raises ``InputError``."""
     people = record.get("pred_output_list") if isinstance(record, Mapping) else None
     if not isinstance(people, list) or not all(person is None or isinstance(person, Mapping) for person in people):
-        got = "no such key" if people is None else shown(people)
+        got = "no such key" if people is None else shorten_value(people)
         raise InputError(path, "pred_output_list", got, "a list with a dictionary for each person")
     hands = [person.get(f"{side}_hand") for person in people if person]
     hands = [hand for hand in hands if not (hand is None or (isinstance(hand, Mapping) and not hand))]
     wrong = next((hand for hand in hands if not isinstance(hand, Mapping)), None)
     if wrong is not None:
-        raise InputError(path, f"{side}_hand", shown(wrong), "a dictionary")
+        raise InputError(path, f"{side}_hand", shorten_value(wrong), "a dictionary")
     return hands
 
 
-def mean_pose(folder: Path | None, side: Side) -> Float[ndarray, "45"]:
+def read_mean_pose(folder: Path | None, side: Side) -> Float[ndarray, "45"]:
     """Read the pose that FrankMocap's are relative to [rad]; a left hand's is that of a right one in the mirror.
 
     It stands in the user's MANO file. Raises ``InputError``, and ``UsageError`` without a folder.
@@ -94,22 +94,22 @@ def mean_pose(folder: Path | None, side: Side) -> Float[ndarray, "45"]:
     return mirrored_pose(model.mean) if side == "left" else model.mean
 
 
-def estimate(path: Path, frame: int, record: Record, camera: Camera, mean: Float[ndarray, "45"]) -> Estimate:
-    """Convert one record to a hand; ``mean`` is that of ``mean_pose``. Raises ``InputError``."""
+def frankmocap_estimate(path: Path, frame: int, record: Record, camera: Camera, mean: Float[ndarray, "45"]) -> Estimate:
+    """Convert one record to a hand; ``mean`` is that of ``read_mean_pose``. Raises ``InputError``."""
     if "pred_vertices_smpl" not in record:
         raise InputError(path, "pred_vertices_smpl", "no such key", "the key: run FrankMocap with --save_mesh")
-    cam = numbers(path, record, "pred_camera", (3,))
-    ratio = float(numbers(path, record, "bbox_scale_ratio", ()))
+    cam = record_numbers(path, record, "pred_camera", (3,))
+    ratio = float(record_numbers(path, record, "bbox_scale_ratio", ()))
     if not (ratio > 0 and cam[0] > 0):
         key, bad = ("bbox_scale_ratio", ratio) if not ratio > 0 else ("pred_camera", cam[0])
         raise InputError(path, key, f"the scale {bad:g}", "above 0")
-    side = CROP / ratio
-    corner = numbers(path, record, "bbox_top_left", (2,))
+    side = FRANKMOCAP_CROP_PX / ratio
+    corner = record_numbers(path, record, "bbox_top_left", (2,))
     weak = WeakPerspective.of_crop(corner + side / 2.0, side, cam)
-    pose = numbers(path, record, "pred_hand_pose", (48,))
-    vertices = numbers(path, record, "pred_vertices_smpl", (778, 3))
+    pose = record_numbers(path, record, "pred_hand_pose", (48,))
+    vertices = record_numbers(path, record, "pred_vertices_smpl", (778, 3))
     t = weak.before(camera)
-    parameters = Parameters(se3.exp_so3(pose[:3]), pose[3:] + mean, np.zeros(10), t)
+    parameters = HandParameters(se3.exp_so3(pose[:3]), pose[3:] + mean, np.zeros(10), t)
     depth = "weak perspective (pred_camera, bbox_top_left, bbox_scale_ratio) and the clip's focal length"
     seen = seen_joints(path, record)
     return Estimate(path, frame, estimated(depth), parameters, vertices=vertices + t, seen=seen)

@@ -38,55 +38,57 @@ from tyro.conf import arg
 
 from getagrip.errors import InputError
 from getagrip.geometry import se3
-from getagrip.hands.model import MIRROR, Side
+from getagrip.hands.model import SIDE_MIRROR, Side
 from getagrip.hands.trackers import hamer_demo
 from getagrip.hands.trackers.estimates import (
     Camera,
     Estimate,
     Estimates,
-    Parameters,
+    HandParameters,
     Request,
     WeakPerspective,
     hamer_focal,
     mirror_rotation,
-    rotations,
+    to_rotation_matrices,
     vitdet_side,
 )
 from getagrip.hands.trackers.recognition import Sample
-from getagrip.hands.trackers.records import PEOPLE, Record, child, numbers, seen_joints
+from getagrip.hands.trackers.records import PEOPLE_KEY, Record, child, record_numbers, seen_joints
 from getagrip.hands.trackers.tracker import Tracker, per_image
 from getagrip.io import files
 from getagrip.io.arguments import one_of
 from getagrip.provenance import Basis, Source
 
-MINI = ("wilor_preds", "hamer_preds")
+MINI_OUTPUT_KEYS = ("wilor_preds", "hamer_preds")
 """Keys of the network's output in the records of WiLoR-mini and hamer-mini."""
-LATER_SIZE = (456, 256)
+BOX_IMAGE_SIZE_PX = (456, 256)
 """Images in which the later code's boxes are [px]."""
-SAME_SHAPE = 0.1
+ASPECT_RATIO_LOG_TOLERANCE = 0.1
 """Images whose ratios of width to height differ by less [log] are the same at another size."""
 
 
 @dataclass(frozen=True)
-class Demo(Tracker):
+class DemoTracker(Tracker):
     """Records, or what a demo of such a network saves."""
 
     joints_of: ClassVar[Side | None] = None
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
         """Read the hand of the requested side in the records of the clip's frames or, without any, as saved."""
-        unsaved = [path for path in paths if not hamer_demo.is_saved(path)]
+        unsaved = [path for path in paths if not hamer_demo.is_demo_file(path)]
         if not unsaved:
-            return Estimates(request.side, tuple(hamer_demo.estimates(paths, request, self.joints_of)))
+            return Estimates(request.side, tuple(hamer_demo.demo_estimates(paths, request, self.joints_of)))
         found = []
         for path, frame, content in per_image(unsaved, request):
-            for record in people(path, content):
-                found += [estimate(path, frame, hand, request) for hand in of_side(path, record, request.side)]
+            for record in split_people(path, content):
+                found += [
+                    hamer_estimate(path, frame, hand, request) for hand in select_hamer_side(path, record, request.side)
+                ]
         return Estimates(request.side, tuple(found))
 
 
 @dataclass(frozen=True)
-class HaMeR(Demo):
+class HaMeR(DemoTracker):
     """HaMeR's records, and what its demo saves."""
 
     name = "HaMeR"
@@ -100,7 +102,7 @@ class HaMeR(Demo):
         if suffix == ".obj":
             return "meshes of HaMeR's or WiLoR's demo" if re.search(r"_\d{1,2}$", stem) else ""
         if suffix == ".npy":
-            return "joints of HaMeR's demo" if stem.endswith(hamer_demo.JOINTS) else ""
+            return "joints of HaMeR's demo" if stem.endswith(hamer_demo.DEMO_JOINTS_SUFFIX) else ""
         placed = sample.keys & {"pred_cam", "pred_cam_t_full", "cam_trans", "cam_t"}
         others = sample.keys & {"wilor_preds", "backend_meta", "schema_version"}  # WiLoR-mini's, EgoHandKit's
         if not placed or others or not sample.has("global_orient", "hand_pose"):
@@ -112,11 +114,11 @@ class HaMeR(Demo):
     """Side of all joints that the demo saved with --save_keypoints and without --save_mesh."""
 
 
-def people(path: Path, content: Record) -> list[Record]:
+def split_people(path: Path, content: Record) -> list[Record]:
     """Return the records of an image's hands. Raises ``InputError``."""
     listed: object = content
-    if isinstance(content, Mapping) and list(content) == [PEOPLE]:
-        listed = content[PEOPLE]
+    if isinstance(content, Mapping) and list(content) == [PEOPLE_KEY]:
+        listed = content[PEOPLE_KEY]
     elif isinstance(content, Mapping) and isinstance(content.get("hands"), list):  # fasthamer's result of an image
         camera = {key: content[key] for key in ("focal", "image_size") if key in content}
         listed = [{**hand, **camera} if isinstance(hand, Mapping) else hand for hand in content["hands"]]
@@ -125,14 +127,14 @@ def people(path: Path, content: Record) -> list[Record]:
             {**hand, "pred_cam_t_full": t} if isinstance(hand, Mapping) else hand
             for hand, t in zip(content["mano"], content["cam_trans"], strict=False)
         ]
-    each = [_in_hamers_words(hand) for hand in (listed if isinstance(listed, list) else [listed])]
+    each = [_rename_to_hamer_keys(hand) for hand in (listed if isinstance(listed, list) else [listed])]
     wrong = next((hand for hand in each if not isinstance(hand, Mapping)), None)
     if wrong is not None:
-        raise InputError(path, "", files.shown(wrong), "a dictionary for each hand")
+        raise InputError(path, "", files.shorten_value(wrong), "a dictionary for each hand")
     return each
 
 
-def _in_hamers_words(hand: object) -> Any:
+def _rename_to_hamer_keys(hand: object) -> Any:
     """Rename the keys of fasthamer's hands and of V2D's tracks, whose values are HaMeR's, to HaMeR's."""
     if not isinstance(hand, Mapping):
         return hand
@@ -143,7 +145,7 @@ def _in_hamers_words(hand: object) -> Any:
     return {names.get(key, key): value for key, value in hand.items()}
 
 
-def of_side(path: Path, record: Record, side: Side) -> list[Record]:
+def select_hamer_side(path: Path, record: Record, side: Side) -> list[Record]:
     """Select the records of one side's hands in a record.
 
     Raises ``InputError`` for records that do not state the side.
@@ -155,31 +157,31 @@ def of_side(path: Path, record: Record, side: Side) -> list[Record]:
     key = next((key for key in ("right", "is_right") if key in record), None)
     if key is None:
         raise InputError(path, "right", "no such key", "1 for a right hand, 0 for a left one")
-    flags = np.atleast_1d(numbers(path, record, key, (-1,))).ravel()
+    flags = np.atleast_1d(record_numbers(path, record, key, (-1,))).ravel()
     rows = np.flatnonzero((flags > 0.5) == (side == "right"))
-    return [dict(_taken(record, int(row), len(flags))) if len(flags) > 1 else record for row in rows]
+    return [dict(_items_of_hand(record, int(row), len(flags))) if len(flags) > 1 else record for row in rows]
 
 
-def _taken(record: Record, row: int, of: int) -> Iterator[tuple[str, object]]:
+def _items_of_hand(record: Record, row: int, of: int) -> Iterator[tuple[str, object]]:
     """Yield a record's items at one of several hands; items that are not per hand belong to all of them."""
     for key, value in record.items():
         if isinstance(value, dict):
-            yield key, dict(_taken(value, row, of))
+            yield key, dict(_items_of_hand(value, row, of))
         else:
             shape = np.shape(value) if isinstance(value, ndarray | list) else ()
             each = len(shape) > (key == "img_size") and shape[0] == of
             yield key, value[row] if each else value
 
 
-def estimate(path: Path, frame: int, record: Record, request: Request) -> Estimate:
+def hamer_estimate(path: Path, frame: int, record: Record, request: Request) -> Estimate:
     """Convert one record to a hand. Raises ``InputError``."""
     side, camera = request.side, request.camera(frame)
-    mini = next((key for key in MINI if key in record), None)
+    mini = next((key for key in MINI_OUTPUT_KEYS if key in record), None)
     inner = record if mini is None else {**record, **child(path, record, mini)}
     of = {**inner, **child(path, inner, "pred_mano_params")} if "pred_mano_params" in inner else inner
-    R = rotations(path, "global_orient", numbers(path, of, "global_orient", (3, 3), (3,)), 0)
-    fingers = rotations(path, "hand_pose", _fingers(path, of), 1)
-    betas = numbers(path, of, "betas", (10,))
+    R = to_rotation_matrices(path, "global_orient", record_numbers(path, of, "global_orient", (3, 3), (3,)), 0)
+    fingers = to_rotation_matrices(path, "hand_pose", _read_finger_rotations(path, of), 1)
+    betas = record_numbers(path, of, "betas", (10,))
     if side == "left" and mini is None:
         R, fingers = mirror_rotation(R), mirror_rotation(fingers)
     weak, depth = _weak_perspective(path, inner, camera)
@@ -187,42 +189,45 @@ def estimate(path: Path, frame: int, record: Record, request: Request) -> Estima
         raise InputError(path, "pred_cam", f"the scale {weak.pixels_per_metre:g}", "a hand before the camera")
     t = weak.before(camera)
     pose = se3.log_so3(fingers).reshape(45)
-    joints = _joints(path, inner, side, R, pose, betas) if "pred_keypoints_3d" in inner else None
-    parameters, seen = Parameters(R, pose, betas, t), seen_joints(path, inner)
+    joints = _read_hamer_joints(path, inner, side, R, pose, betas) if "pred_keypoints_3d" in inner else None
+    parameters, seen = HandParameters(R, pose, betas, t), seen_joints(path, inner)
     return Estimate(path, frame, depth, parameters, None if joints is None else joints + t, seen=seen)
 
 
-def _fingers(path: Path, record: Record) -> ndarray:
+def _read_finger_rotations(path: Path, record: Record) -> ndarray:
     """Read ``hand_pose`` as 15 matrices or vectors, also where these are in one row of 45."""
-    pose = numbers(path, record, "hand_pose", (15, 3, 3), (15, 3), (45,))
+    pose = record_numbers(path, record, "hand_pose", (15, 3, 3), (15, 3), (45,))
     return pose.reshape(15, 3) if pose.ndim == 1 else pose
 
 
 def _weak_perspective(path: Path, record: Record, camera: Camera) -> tuple[WeakPerspective, Source]:
     """Return the network's weak-perspective camera in the pixels of the clip's images, and the source of its depth."""
-    size, swapped = _size(path, record, camera)
+    size, swapped = _record_image_size(path, record, camera)
     basis: Basis = "assumed" if swapped else "estimated"
     zoom = np.array(camera.size) / size
     if "pred_cam_t_full" in record:
-        t = numbers(path, record, "pred_cam_t_full", (3,))
+        t = record_numbers(path, record, "pred_cam_t_full", (3,))
         if not t[2] > 0:
             raise InputError(path, "pred_cam_t_full", f"the depth {t[2]:g}", "above 0")
         focal = hamer_focal((int(size[0]), int(size[1])))
         known = "5000 / 256 times the larger side, as the demo assumes, to be divided out again: no focal in the file"
         if "scaled_focal_length" in record:
-            focal = float(numbers(path, record, "scaled_focal_length", ()))
+            focal = float(record_numbers(path, record, "scaled_focal_length", ()))
             known = f"the file's focal length, {focal:.6g} px, divided out"
         if not focal > 0:
             raise InputError(path, "scaled_focal_length", f"{focal:g}", "above 0")
         weak = WeakPerspective.of_translation(t, focal, size / 2.0)
         return weak.resized(zoom), Source(f"pred_cam_t_full, {known}, and the clip's put in{swapped}", basis)
-    cam = numbers(path, record, "pred_cam", (3,))
+    cam = record_numbers(path, record, "pred_cam", (3,))
     if "box_center" in record:
-        centre, side = numbers(path, record, "box_center", (2,)), float(numbers(path, record, "box_size", ()))
+        centre, side = (
+            record_numbers(path, record, "box_center", (2,)),
+            float(record_numbers(path, record, "box_size", ())),
+        )
         source = "box_center and box_size"
     else:
         source = next((key for key in ("box_xyxy_456x256", "box_xyxy") if key in record), "box_center")
-        corners = numbers(path, record, source, (4,))
+        corners = record_numbers(path, record, source, (4,))
         centre, side = (corners[:2] + corners[2:]) / 2.0, vitdet_side(corners[2:] - corners[:2], 2.0)
     if not side > 0:
         raise InputError(path, source, f"a box {side:g} px large", "a box with an area")
@@ -231,29 +236,38 @@ def _weak_perspective(path: Path, record: Record, camera: Camera) -> tuple[WeakP
     return weak.resized(zoom), Source(depth, basis)
 
 
-def _size(path: Path, record: Record, camera: Camera) -> tuple[Float[ndarray, "2"], str]:
+def _record_image_size(path: Path, record: Record, camera: Camera) -> tuple[Float[ndarray, "2"], str]:
     """Width and height of the images that a record is of [px], and in words how ``img_size`` was read otherwise.
 
     Raises ``InputError`` for images of other proportions than the clip's.
     """
     if "box_xyxy_456x256" in record:
-        return np.array(LATER_SIZE, dtype=float), ""
-    size = numbers(path, record, "img_size", (2,)) if "img_size" in record else np.array(camera.size, dtype=float)
+        return np.array(BOX_IMAGE_SIZE_PX, dtype=float), ""
+    size = (
+        record_numbers(path, record, "img_size", (2,)) if "img_size" in record else np.array(camera.size, dtype=float)
+    )
     if not size.min() >= 1.0:
         raise InputError(path, "img_size", str(size.tolist()), "width and height [px]")
     clip = camera.size[0] / camera.size[1]
-    if abs(np.log(size[0] / size[1] / clip)) < SAME_SHAPE:
+    if abs(np.log(size[0] / size[1] / clip)) < ASPECT_RATIO_LOG_TOLERANCE:
         return size, ""
-    if abs(np.log(size[1] / size[0] / clip)) < SAME_SHAPE:
-        return size[::-1], f"; img_size read as height and width, a guess: the clip's images are {_by(camera.size)}"
-    raise InputError(path, "img_size", _by(size), f"width and height like the clip's images, {_by(camera.size)}")
+    if abs(np.log(size[1] / size[0] / clip)) < ASPECT_RATIO_LOG_TOLERANCE:
+        return size[
+            ::-1
+        ], f"; img_size read as height and width, a guess: the clip's images are {_format_image_size(camera.size)}"
+    raise InputError(
+        path,
+        "img_size",
+        _format_image_size(size),
+        f"width and height like the clip's images, {_format_image_size(camera.size)}",
+    )
 
 
-def _by(size: Sequence[float] | ndarray) -> str:
+def _format_image_size(size: Sequence[float] | ndarray) -> str:
     return f"{size[0]:g} x {size[1]:g}"
 
 
-def _joints(
+def _read_hamer_joints(
     path: Path, record: Record, side: Side, R: ndarray, pose: ndarray, betas: ndarray
 ) -> Float[ndarray, "21 3"]:
     """``pred_keypoints_3d`` of the hand as it is.
@@ -263,17 +277,17 @@ def _joints(
     """
     from getagrip.hands.trackers.hand import generic_joints
 
-    joints = numbers(path, record, "pred_keypoints_3d", (21, 3))
+    joints = record_numbers(path, record, "pred_keypoints_3d", (21, 3))
     if side == "right":
         return joints
     expected = generic_joints(side, R, pose)
-    both = [joints, joints * MIRROR]
+    both = [joints, joints * SIDE_MIRROR]
     errors = [np.linalg.norm((x - x[0]) - (expected - expected[0])) for x in both]
     return both[int(np.argmin(errors))]
 
 
 @dataclass(frozen=True)
-class WiLoR(Demo):
+class WiLoR(DemoTracker):
     """WiLoR's records, from its demo or from WiLoR-mini (``wilor_preds``), and its demo's meshes."""
 
     name = "WiLoR"

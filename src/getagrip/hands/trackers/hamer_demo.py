@@ -22,69 +22,71 @@ from numpy import ndarray
 from getagrip.clip.naming import frame_of
 from getagrip.errors import InputError, MissingOptionError, UsageError
 from getagrip.geometry.obj import parse_obj
-from getagrip.hands.model import MIRROR, Side
+from getagrip.hands.model import SIDE_MIRROR, Side
 from getagrip.hands.trackers import records
 from getagrip.hands.trackers.estimates import Estimate, Request, WeakPerspective, hamer_focal
 from getagrip.hands.trackers.hand import load_mano, mano_joints, network_model
-from getagrip.hands.trackers.tracker import no_name
+from getagrip.hands.trackers.tracker import unmatched_names_error
 from getagrip.io import arrays, files
 from getagrip.provenance import estimated
 
-JOINTS = "_3dkeypoints"
-BATCH = 8
-OPENGL = np.array([1.0, -1.0, -1.0])
+DEMO_JOINTS_SUFFIX = "_3dkeypoints"
+DEMO_BATCH_SIZE = 8
+OPENGL_AXIS_SIGNS = np.array([1.0, -1.0, -1.0])
 WRIST_FACE = (92, 38, 234)
 """One of the faces that close the wrist, of a right hand."""
-ROOT = np.array([0.0957, 0.0064, 0.0062])
+MANO_WRIST_M = np.array([0.0957, 0.0064, 0.0062])
 """MANO's wrist joint in the mean right hand [m]."""
-MOST_BYTES = 4 * 2**20
-DEPTH = estimated(
+MAX_DEMO_MESH_BYTES = 4 * 2**20
+DEMO_DEPTH_SOURCE = estimated(
     "the demo's mesh or joints, its focal length (5000 / 256 times the larger side) divided out, the clip's put in"
 )
 
 
 @dataclass
-class Saved:
+class SavedHand:
     """The files of one hand in one frame."""
 
     mesh: Path | None = None
     joints: Path | None = None
 
 
-def is_saved(path: Path) -> bool:
+def is_demo_file(path: Path) -> bool:
     """Return whether a file is such a mesh, or such joints."""
-    return path.suffix.lower() in {*records.MESHES, ".npy"}
+    return path.suffix.lower() in {*records.RECORD_MESH_SUFFIXES, ".npy"}
 
 
-def estimates(paths: Sequence[Path], request: Request, only: Side | None) -> Iterator[Estimate]:
+def demo_estimates(paths: Sequence[Path], request: Request, only: Side | None) -> Iterator[Estimate]:
     """Yield the hands of the requested side.
 
     ``only`` states which hand all joints without a mesh beside are of.
 
     Raises ``InputError`` for damaged files, ``UsageError`` where there is too little to know the hand by.
     """
-    found: dict[tuple[int, int], Saved] = {}
-    request.check_numbers(paths[0].parent, [path.stem.removesuffix(JOINTS) for path in paths])
+    found: dict[tuple[int, int], SavedHand] = {}
+    request.check_numbers(paths[0].parent, [path.stem.removesuffix(DEMO_JOINTS_SUFFIX) for path in paths])
     for path in paths:
-        stem = path.stem.removesuffix(JOINTS)
+        stem = path.stem.removesuffix(DEMO_JOINTS_SUFFIX)
         numbered = re.search(r"_(\d{1,2})$", stem)
         frame = frame_of(stem, request.frames)
         if frame is not None:
-            saved = found.setdefault((frame, int(numbered[1]) if numbered else 0), Saved())
+            saved = found.setdefault((frame, int(numbered[1]) if numbered else 0), SavedHand())
             saved.mesh, saved.joints = (path, saved.joints) if path.suffix.lower() != ".npy" else (saved.mesh, path)
     if not found:
-        raise no_name(paths, paths[0].name, request)
+        raise unmatched_names_error(paths, paths[0].name, request)
     for (frame, person), saved in sorted(found.items(), key=lambda item: item[0]):
-        hand = _hand(saved, frame, person, request, only)
+        hand = _estimate_saved_hand(saved, frame, person, request, only)
         if hand is not None:
             yield hand
 
 
-def _hand(saved: Saved, frame: int, person: int, request: Request, only: Side | None) -> Estimate | None:
+def _estimate_saved_hand(
+    saved: SavedHand, frame: int, person: int, request: Request, only: Side | None
+) -> Estimate | None:
     """One hand before the clip's camera; None where it is the other one."""
     model = load_mano(request.mano, "right")
-    root = ROOT if model is None else model.model.joints[0]
-    vertices, side = (None, only) if saved.mesh is None else _mesh(saved.mesh)
+    root = MANO_WRIST_M if model is None else model.model.joints[0]
+    vertices, side = (None, only) if saved.mesh is None else _read_demo_mesh(saved.mesh)
     if side is None:
         raise UsageError(
             f"{saved.joints}: which hand these joints are of is in no such file: run the demo with --save_mesh, too, "
@@ -94,11 +96,11 @@ def _hand(saved: Saved, frame: int, person: int, request: Request, only: Side | 
         return None
     if vertices is not None and request.mano is not None:
         path, joints = saved.mesh, mano_joints(network_model(side, request.mano), vertices)
-        origin = joints[0] - (root if side == "right" else root * MIRROR)
+        origin = joints[0] - (root if side == "right" else root * SIDE_MIRROR)
     elif saved.joints is not None:
-        path, joints = saved.joints, _joints(saved.joints, person)
+        path, joints = saved.joints, _read_demo_joints(saved.joints, person)
         origin, vertices = joints[0] - root, None
-        joints = joints if side == "right" else (joints - origin) * MIRROR + origin
+        joints = joints if side == "right" else (joints - origin) * SIDE_MIRROR + origin
     else:
         raise MissingOptionError(
             f"missing --mano: the folder of MANO_RIGHT.pkl: {saved.mesh} has no joints. "
@@ -112,30 +114,30 @@ def _hand(saved: Saved, frame: int, person: int, request: Request, only: Side | 
     weak = WeakPerspective.of_translation(origin, hamer_focal(request.size), np.array(request.size) / 2.0)
     shift = weak.before(request.camera(frame)) - origin
     moved = None if vertices is None else vertices + shift
-    return Estimate(path, frame, DEPTH, None, joints + shift, moved)
+    return Estimate(path, frame, DEMO_DEPTH_SOURCE, None, joints + shift, moved)
 
 
-def _mesh(path: Path) -> tuple[Float[ndarray, "778 3"], Side]:
+def _read_demo_mesh(path: Path) -> tuple[Float[ndarray, "778 3"], Side]:
     """Read the vertices before the demo's camera, and the hand's side. Raises ``InputError``."""
-    vertices, faces = parse_obj(path, files.read_bytes(path, MOST_BYTES))
+    vertices, faces = parse_obj(path, files.read_bytes(path, MAX_DEMO_MESH_BYTES))
     if vertices.shape != (778, 3):
         raise InputError(path, "", f"{len(vertices)} vertices", "MANO's 778, as the demo saves them")
     vertices = arrays.floats(path, {"v": vertices}, "v", (778, 3))
-    if np.abs(vertices).max() > records.ABSURD:
+    if np.abs(vertices).max() > records.MAX_RECORD_VALUE:
         raise InputError(path, "v", f"the number {np.abs(vertices).max():.3g}", "plausible ones")
     sides: dict[Side, tuple[int, ...]] = {"right": WRIST_FACE, "left": WRIST_FACE[::-1]}
     for side, face in sides.items():
         if any((np.roll(faces, n, axis=1) == face).all(axis=1).any() for n in range(3)):
-            return vertices * OPENGL, side
+            return vertices * OPENGL_AXIS_SIGNS, side
     expected = f"the face {WRIST_FACE} of the closed wrist, or its mirror image, which say which hand it is"
     raise InputError(path, "f", f"{len(faces)} faces without it", expected)
 
 
-def _joints(path: Path, person: int) -> Float[ndarray, "21 3"]:
+def _read_demo_joints(path: Path, person: int) -> Float[ndarray, "21 3"]:
     """Read the joints of one person before the demo's camera, as the network sees them. Raises ``InputError``."""
-    rows = records.numbers(path, records.read(path), "joints", (-1, 21, 3))
-    if person % BATCH >= len(rows):
+    rows = records.record_numbers(path, records.read_tracker_record(path), "joints", (-1, 21, 3))
+    if person % DEMO_BATCH_SIZE >= len(rows):
         raise InputError(
-            path, "", f"{len(rows)} hands", f"at least {person % BATCH + 1}: it is named after hand {person}"
+            path, "", f"{len(rows)} hands", f"at least {person % DEMO_BATCH_SIZE + 1}: it is named after hand {person}"
         )
-    return rows[person % BATCH]
+    return rows[person % DEMO_BATCH_SIZE]

@@ -27,17 +27,17 @@ from getagrip.hands.model import (
 )
 from getagrip.hands.trackers.estimates import Estimates
 
-FILES: dict[Side, str] = {"left": "MANO_LEFT.pkl", "right": "MANO_RIGHT.pkl"}
-DISAGREES = 0.03
+MANO_FILE_NAMES: dict[Side, str] = {"left": "MANO_LEFT.pkl", "right": "MANO_RIGHT.pkl"}
+MAX_VERTEX_RMS_M = 0.03
 """Vertices so far from an estimator's own [m, root mean square] are another pose, not another shape."""
 
 
 def load_mano(folder: Path | None, side: Side) -> mano.Mano | None:
     """Load the user's MANO hand of a side; None without a folder. Raises ``InputError``."""
-    return None if folder is None else mano.load(folder / FILES[side], side)
+    return None if folder is None else mano.load(folder / MANO_FILE_NAMES[side], side)
 
 
-def track(estimates: Estimates, folder: Path | None) -> tuple[HandTrack, str]:
+def estimates_to_track(estimates: Estimates, folder: Path | None) -> tuple[HandTrack, str]:
     """Return the hand in every frame, and a text that says which model it is.
 
     With a ``folder`` of MANO files and MANO's parameters it is MANO's hand. Else it is the generic hand: fitted to the
@@ -48,28 +48,30 @@ def track(estimates: Estimates, folder: Path | None) -> tuple[HandTrack, str]:
     parameters = [hand.mano for hand in hands if hand.mano is not None]
     vertices = [hand.vertices for hand in hands if hand.vertices is not None]
     if folder is not None and not parameters and len(vertices) == len(hands):
-        return surface(network_model(side, folder), np.array(vertices), np.array(joints)), "MANO's vertices as saved"
+        return make_mano_track(
+            network_model(side, folder), np.array(vertices), np.array(joints)
+        ), "MANO's vertices as saved"
     if len(joints) == len(hands) and (folder is None or not parameters):
-        return fitted(hands[0].path, side, np.array(joints))
+        return fit_generic_hand(hands[0].path, side, np.array(joints))
     R, pose, betas, t = (np.array(values) for values in zip(*parameters, strict=True))
     if folder is None:
         shaped = generic.load(side).with_shape()
         posed, root = shaped.with_pose(pose), shaped.joints[0]
         what = "the generic hand of mean size, turned as the estimator's MANO hand: not its surface"
     elif side == "left" and estimates.left_model == "mirrored":
-        posed, root = _mirrored_right(mano.load(folder / FILES["right"], "right").model, betas, pose)
+        posed, root = _mirror_right_hand(mano.load(folder / MANO_FILE_NAMES["right"], "right").model, betas, pose)
         what = "MANO's right hand mirrored, as the estimator has it"
     else:
-        shaped = mano.load(folder / FILES[side], side).model.with_shape(betas)
+        shaped = mano.load(folder / MANO_FILE_NAMES[side], side).model.with_shape(betas)
         posed, root = shaped.with_pose(pose), shaped.joints[:, 0]
         what = f"MANO's {side} hand"
     T_cam_hand = root_transform(R, t, root)
     if all(hand.vertices is not None for hand in hands):
-        T_cam_hand = _onto_vertices(estimates, posed, T_cam_hand)
+        T_cam_hand = _align_to_vertices(estimates, posed, T_cam_hand)
     return hand_track(posed, T_cam_hand), what
 
 
-def surface(model: HandModel, vertices: Float[ndarray, "T V 3"], joints: Float[ndarray, "T 21 3"]) -> HandTrack:
+def make_mano_track(model: HandModel, vertices: Float[ndarray, "T V 3"], joints: Float[ndarray, "T 21 3"]) -> HandTrack:
     """Make the hand of MANO's vertices and its joints before the camera [m]."""
     T_cam_hand = mano_motions(model, vertices)[:, 0]
     inside = se3.inverse(T_cam_hand)
@@ -81,7 +83,7 @@ def surface(model: HandModel, vertices: Float[ndarray, "T V 3"], joints: Float[n
 
 def network_model(side: Side, folder: Path) -> HandModel:
     """Return the hand of networks that know right hands only: MANO's right one, or its mirror image."""
-    right = mano.load(folder / FILES["right"], "right").model
+    right = mano.load(folder / MANO_FILE_NAMES["right"], "right").model
     return right if side == "right" else mirrored_model(right)
 
 
@@ -104,7 +106,7 @@ def mano_joints(model: HandModel, vertices: Float[ndarray, "V 3"]) -> Float[ndar
     return np.concatenate([at, vertices[model.tips]])[ORDER_21]
 
 
-def fitted(path: Path, side: Side, joints: Float[ndarray, "T 21 3"]) -> tuple[HandTrack, str]:
+def fit_generic_hand(path: Path, side: Side, joints: Float[ndarray, "T 21 3"]) -> tuple[HandTrack, str]:
     """Fit the generic hand to joints before the camera [m], in this package's order. Raises ``InputError``."""
     try:
         fit = fit_joints(generic.load(side), joints, "openpose")
@@ -119,7 +121,7 @@ def generic_joints(side: Side, R: Float[ndarray, "3 3"], pose: Float[ndarray, "4
     return generic.load(side).with_shape().with_pose(pose).joints @ R.T
 
 
-def _mirrored_right(
+def _mirror_right_hand(
     model: HandModel, betas: Float[ndarray, "T 10"], pose: Float[ndarray, "T 45"]
 ) -> tuple[PosedHand, Float[ndarray, "T 3"]]:
     """Return a right hand's mirror image, and its root joint."""
@@ -135,7 +137,7 @@ def _mirrored_right(
     return left, mirrored(shaped.joints[:, 0])
 
 
-def _onto_vertices(
+def _align_to_vertices(
     estimates: Estimates, posed: PosedHand, T_cam_hand: Float[ndarray, "T 4 4"]
 ) -> Float[ndarray, "T 4 4"]:
     """MANO's hands moved such that the means of their vertices are where those of the estimator's are.
@@ -146,7 +148,7 @@ def _onto_vertices(
     ours = se3.transform(T_cam_hand, posed.vertices)
     shift = value.mean(axis=1) - ours.mean(axis=1)
     off = np.sqrt(np.mean(np.sum((ours + shift[:, None] - value) ** 2, axis=-1), axis=1))
-    if off.max() > DISAGREES:
+    if off.max() > MAX_VERTEX_RMS_M:
         worst = estimates.hands[int(np.argmax(off))]
         input_words = f"vertices {1e3 * off.max():.0f} mm from MANO's in the same pose"
         raise InputError(worst.path, "pred_vertices_smpl", input_words, "the hand of pred_hand_pose")

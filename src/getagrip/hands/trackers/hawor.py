@@ -25,32 +25,32 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import arg
 
-from getagrip.clip.naming import counted_elsewhere, frame_of
+from getagrip.clip.naming import frame_of, has_number_offset
 from getagrip.errors import InputError, MissingOptionError
 from getagrip.geometry import se3
 from getagrip.hands.trackers import records
-from getagrip.hands.trackers.dynhamr import before_camera, root_joint
+from getagrip.hands.trackers.dynhamr import mano_root_joint, world_to_camera_mano
 from getagrip.hands.trackers.estimates import (
     Camera,
     Estimate,
     Estimates,
-    Parameters,
+    HandParameters,
     Request,
     WeakPerspective,
-    rotations,
+    to_rotation_matrices,
 )
 from getagrip.hands.trackers.recognition import Sample
-from getagrip.hands.trackers.records import Record, numbers
+from getagrip.hands.trackers.records import Record, record_numbers
 from getagrip.hands.trackers.tracker import Tracker, frames_of_images, frames_of_rows
 from getagrip.io import files
 from getagrip.provenance import estimated
 
-FOCAL = "est_focal.txt"
-SIDES = ("0", "1")
+HAWOR_FOCAL_FILE = "est_focal.txt"
+SIDE_FOLDERS = ("0", "1")
 """Folders in ``cam_space`` of the left and the right hand."""
-WORLD = ("pred_trans", "pred_rot", "pred_hand_pose", "pred_betas")
+HAWOR_WORLD_KEYS = ("pred_trans", "pred_rot", "pred_hand_pose", "pred_betas")
 """Names for the list that ``world_space_res.pth`` is, in its order; ``pred_valid`` is the last."""
-KEYS = ("init_root_orient", "init_hand_pose", "init_trans", "init_betas")
+HAWOR_CAMERA_KEYS = ("init_root_orient", "init_hand_pose", "init_trans", "init_betas")
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,9 @@ class HaWoR(Tracker):
     layouts = ("world_space_res.npz", "cam_space/[01]/*.json", "[01]/*.json")
 
     def recognises(self, sample: Sample) -> str:
-        if sample.has(*KEYS):
+        if sample.has(*HAWOR_CAMERA_KEYS):
             return "HaWoR's hands before the camera (cam_space)"
-        return "HaWoR's hands in the world" if sample.has(*WORLD) else ""
+        return "HaWoR's hands in the world" if sample.has(*HAWOR_WORLD_KEYS) else ""
 
     estimator_focal: Annotated[float | None, arg(metavar="PX", help_behavior_hint="")] = None
     """The focal length that it was run with."""
@@ -74,18 +74,18 @@ class HaWoR(Tracker):
         """Read the hand in those of the files' frames that the clip has."""
         found = list[Estimate]()
         for path in paths:
-            if path.parent.name in SIDES and path.parent.name != SIDES[request.side == "right"]:
+            if path.parent.name in SIDE_FOLDERS and path.parent.name != SIDE_FOLDERS[request.side == "right"]:
                 continue
-            record, focal = records.read(path), self._focal(path)
-            if WORLD[0] in record:
-                found += _in_world(path, record, focal, request)
+            record, focal = records.read_tracker_record(path), self._focal(path)
+            if HAWOR_WORLD_KEYS[0] in record:
+                found += _world_estimates(path, record, focal, request)
                 continue
-            T = length(path, record)
+            T = count_hawor_frames(path, record)
             seen = records.seen_joints(path, record, T)
             for n, frame in enumerate(self._frames(path, record, T, request)):
                 if frame is not None:
-                    parameters = row(path, record, n, T)
-                    hand = estimate(path, frame, parameters, request.camera(frame), focal)
+                    parameters = hawor_frame_parameters(path, record, n, T)
+                    hand = hawor_estimate(path, frame, parameters, request.camera(frame), focal)
                     found.append(hand._replace(seen=None if seen is None else seen[n]))
         return Estimates(request.side, tuple(found))
 
@@ -96,17 +96,19 @@ class HaWoR(Tracker):
         """
         if self.estimator_focal is not None:
             return self.estimator_focal
-        noted = next((folder / FOCAL for folder in path.parents[:3] if (folder / FOCAL).is_file()), None)
+        noted = next(
+            (folder / HAWOR_FOCAL_FILE for folder in path.parents[:3] if (folder / HAWOR_FOCAL_FILE).is_file()), None
+        )
         if noted is None:
             raise MissingOptionError("missing --estimator-focal: the focal length that HaWoR was run with [px]")
-        noted = files.inside(noted.parent, FOCAL, "", "a focal length")
+        noted = files.inside(noted.parent, HAWOR_FOCAL_FILE, "", "a focal length")
         text = files.read_bytes(noted, 100).decode(errors="replace").strip()
         try:
             focal = float(text)
         except ValueError:
             focal = 0.0
-        if not 0.0 < focal < records.ABSURD:
-            raise InputError(noted, "", files.shown(text), "a focal length [px]")
+        if not 0.0 < focal < records.MAX_RECORD_VALUE:
+            raise InputError(noted, "", files.shorten_value(text), "a focal length [px]")
         return focal
 
     def _frames(self, path: Path, record: Record, count: int, request: Request) -> list[int | None]:
@@ -120,36 +122,36 @@ class HaWoR(Tracker):
         names = [str(n) for n in range(first, last + 1)]
         if request.ask_first:  # nobody has said which frame its image 0 is: of a whole video it is frame 1
             of_video = [str(n) for n in range(first + 1, last + 2)]
-            if counted_elsewhere(request.frames, of_video):
+            if has_number_offset(request.frames, of_video):
                 request.check_numbers(path, names)
             names = of_video
         return [frame_of(name, request.frames) for name in names]
 
 
-def _in_world(path: Path, record: Record, focal: float, request: Request) -> Iterator[Estimate]:
+def _world_estimates(path: Path, record: Record, focal: float, request: Request) -> Iterator[Estimate]:
     """Yield the hands of one side of ``world_space_res``, before the camera of the SLAM beside it."""
     found = sorted((path.parent / "SLAM").glob("hawor_slam_w_scale_*.npz"))
     if not found:
         raise InputError(path.parent / "SLAM", "", "no hawor_slam_w_scale_*.npz", "the camera's path, in a world")
     row, given = int(request.side == "right"), np.shape(record["pred_trans"])
     T = given[1] if len(given) == 3 and given[1] > 0 else 1
-    t = numbers(path, record, "pred_trans", (2, T, 3))
-    valid = numbers(path, record, "pred_valid", (2, T))[row] if "pred_valid" in record else np.ones(T)
+    t = record_numbers(path, record, "pred_trans", (2, T, 3))
+    valid = record_numbers(path, record, "pred_valid", (2, T))[row] if "pred_valid" in record else np.ones(T)
     slam = files.inside(path.parent, f"SLAM/{found[-1].name}", "", "HaWoR's SLAM")
     T_cam_world = se3.inverse(slam_poses(slam))
     if len(T_cam_world) != T:
         raise InputError(slam, "traj", f"{len(T_cam_world)} poses", f"{T}, one for each frame of {path.name}")
     R, pose = (
-        numbers(path, record, "pred_rot", (2, T, 3))[row],
-        numbers(path, record, "pred_hand_pose", (2, T, 45))[row],
+        record_numbers(path, record, "pred_rot", (2, T, 3))[row],
+        record_numbers(path, record, "pred_hand_pose", (2, T, 45))[row],
     )
-    betas = numbers(path, record, "pred_betas", (2, T, 10))[row]
+    betas = record_numbers(path, record, "pred_betas", (2, T, 10))[row]
     for n, frame in enumerate(frames_of_images(path, record, T, request)):
         if frame is not None and valid[n] > 0.5:
-            root = root_joint(request.mano, request.side, betas[n])
-            turned, moved = before_camera(T_cam_world[n], se3.exp_so3(R[n]), t[row, n], root)
+            root = mano_root_joint(request.mano, request.side, betas[n])
+            turned, moved = world_to_camera_mano(T_cam_world[n], se3.exp_so3(R[n]), t[row, n], root)
             seen = {"init_root_orient": turned, "init_hand_pose": pose[n], "init_trans": moved, "init_betas": betas[n]}
-            yield estimate(path, frame, seen, request.camera(frame), focal)
+            yield hawor_estimate(path, frame, seen, request.camera(frame), focal)
 
 
 def slam_poses(path: Path) -> Float[ndarray, "T 4 4"]:
@@ -157,34 +159,38 @@ def slam_poses(path: Path) -> Float[ndarray, "T 4 4"]:
 
     Raises ``InputError``.
     """
-    record = records.read(path)
-    traj = numbers(path, record, "traj", (-1, 7))
-    scale = float(numbers(path, record, "scale", ())) if "scale" in record else 1.0
+    record = records.read_tracker_record(path)
+    traj = record_numbers(path, record, "traj", (-1, 7))
+    scale = float(record_numbers(path, record, "scale", ())) if "scale" in record else 1.0
     return se3.rigid(se3.from_quaternion(traj[:, [6, 3, 4, 5]]), scale * traj[:, :3])
 
 
-def length(path: Path, record: Record) -> int:
+def count_hawor_frames(path: Path, record: Record) -> int:
     """Return the number of frames in a file. Raises ``InputError``."""
-    return len(numbers(path, record, "init_trans", (-1, 3)))
+    return len(record_numbers(path, record, "init_trans", (-1, 3)))
 
 
-def row(path: Path, record: Record, n: int, frames: int) -> Record:
+def hawor_frame_parameters(path: Path, record: Record, n: int, frames: int) -> Record:
     """Return the parameters of frame ``n``. Raises ``InputError``."""
     shapes = {"init_root_orient": ((3, 3), (3,)), "init_hand_pose": ((15, 3, 3), (15, 3), (45,))}
     shapes |= {"init_trans": ((3,),), "init_betas": ((10,),)}
-    return {key: numbers(path, record, key, *((frames, *s) for s in shapes[key]))[n] for key in KEYS}
+    return {
+        key: record_numbers(path, record, key, *((frames, *s) for s in shapes[key]))[n] for key in HAWOR_CAMERA_KEYS
+    }
 
 
-def estimate(path: Path, frame: int, record: Record, camera: Camera, focal: float) -> Estimate:
+def hawor_estimate(path: Path, frame: int, record: Record, camera: Camera, focal: float) -> Estimate:
     """Convert one frame to a hand; ``focal`` [px] is HaWoR's own. Raises ``InputError``."""
-    t = numbers(path, record, "init_trans", (3,))
+    t = record_numbers(path, record, "init_trans", (3,))
     if not t[2] > 0:
         raise InputError(path, "init_trans", f"the depth {t[2]:g}", "a hand before the camera, above 0")
-    fingers = numbers(path, record, "init_hand_pose", (15, 3, 3), (15, 3), (45,))
-    matrices = rotations(path, "init_hand_pose", fingers if fingers.ndim > 1 else fingers.reshape(15, 3), 1)
+    fingers = record_numbers(path, record, "init_hand_pose", (15, 3, 3), (15, 3), (45,))
+    matrices = to_rotation_matrices(path, "init_hand_pose", fingers if fingers.ndim > 1 else fingers.reshape(15, 3), 1)
     pose = se3.log_so3(matrices).reshape(45)
-    R = rotations(path, "init_root_orient", numbers(path, record, "init_root_orient", (3, 3), (3,)), 0)
+    R = to_rotation_matrices(
+        path, "init_root_orient", record_numbers(path, record, "init_root_orient", (3, 3), (3,)), 0
+    )
     weak = WeakPerspective.of_translation(t, focal, np.array(camera.size) / 2.0)
     depth = f"HaWoR's translation, its focal length {focal:.6g} px divided out and the clip's put in"
-    betas = numbers(path, record, "init_betas", (10,))
-    return Estimate(path, frame, estimated(depth), Parameters(R, pose, betas, weak.before(camera)))
+    betas = record_numbers(path, record, "init_betas", (10,))
+    return Estimate(path, frame, estimated(depth), HandParameters(R, pose, betas, weak.before(camera)))

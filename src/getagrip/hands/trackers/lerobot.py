@@ -20,20 +20,20 @@ from tyro.conf import arg
 
 from getagrip.clip.naming import number_of
 from getagrip.clip.sampling import frame_indices
-from getagrip.errors import InputError, MissingOptionError, UsageError, unknown
+from getagrip.errors import InputError, MissingOptionError, UsageError, unknown_choice_error
 from getagrip.geometry.camera import project
 from getagrip.hands.model import Side
 from getagrip.hands.trackers.estimates import Estimates, Request
-from getagrip.hands.trackers.joint_checks import CLEARLY, TRIED, misfit
-from getagrip.hands.trackers.joints import estimates
-from getagrip.hands.trackers.landmarks import LARGEST_SHARE, lifted
+from getagrip.hands.trackers.joint_checks import CERTAIN_MISFIT_RATIO, N_ORDER_TEST_FRAMES, joint_misfit
+from getagrip.hands.trackers.joints import joint_estimates
+from getagrip.hands.trackers.landmarks import MAX_NORMALISED_COORDINATE, lift_image_landmarks
 from getagrip.hands.trackers.recognition import Sample
 from getagrip.hands.trackers.tracker import Tracker, frames_of_images
 from getagrip.io import files
 from getagrip.io.arguments import one_of
 from getagrip.io.files import Json
 from getagrip.io.images import read_png
-from getagrip.io.parquet import columns_of, read_columns
+from getagrip.io.parquet import parquet_columns, read_columns
 
 Halves = Literal["left-first", "right-first"]
 
@@ -61,8 +61,8 @@ class LeRobot(Tracker):
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
         """Read the hand in those of the episode's frames that the clip has."""
         path, values, stamps = self._episode(paths)
-        info = _info(path)
-        frames, matched = _frames(path, len(values), stamps, info.get("fps"), request)
+        info = _read_dataset_info(path)
+        frames, matched = _match_rows_to_frames(path, len(values), stamps, info.get("fps"), request)
         said = [matched]
         if values.shape[1] in (84, 126):
             first, why = self._first_half(path, values, frames, info, request)
@@ -84,12 +84,12 @@ class LeRobot(Tracker):
             for row, frame in enumerate(frames):
                 if frame is not None and there[row]:
                     seen[frame] = np.column_stack([values[row].reshape(21, 2), np.ones(21), np.full(21, np.nan)])
-            return lifted(path, seen, request)
+            return lift_image_landmarks(path, seen, request)
         named = {"frames": [request.frames[n] for row, n in enumerate(frames) if n is not None and there[row]]}
         rows = [row for row, n in enumerate(frames) if n is not None and there[row]]
         if not rows:
             return Estimates(request.side, ())
-        return estimates(path, named, values[rows].reshape(-1, 21, 3), "openpose", request)
+        return joint_estimates(path, named, values[rows].reshape(-1, 21, 3), "openpose", request)
 
     def _first_half(
         self, path: Path, values: Float[ndarray, "T n"], frames: Sequence[int | None], info: Json, request: Request
@@ -105,12 +105,12 @@ class LeRobot(Tracker):
             return "left" if left < right else "right", "as its numbers are named"
         halves, other = np.split(values, 2, axis=1), opposite(request.side)
         shares = [_share_in_masks(half, frames, request) for half in halves]
-        if abs(shares[0] - shares[1]) > CLEARLY_IN:
+        if abs(shares[0] - shares[1]) > MIN_HALVES_MASK_MARGIN:
             return request.side if shares[0] > shares[1] else other, "by the hand's masks"
         if values.shape[1] == 126:
-            off = {side: _misfit(halves[0], side) + _misfit(halves[1], opposite(side)) for side in SIDES}
-            first = min(SIDES, key=lambda side: off[side])
-            if off[first] < CLEARLY * off[opposite(first)]:
+            off = {side: _side_misfit(halves[0], side) + _side_misfit(halves[1], opposite(side)) for side in HAND_SIDES}
+            first = min(HAND_SIDES, key=lambda side: off[side])
+            if off[first] < CERTAIN_MISFIT_RATIO * off[opposite(first)]:
                 return first, "by which hand fits"
         raise MissingOptionError(
             f"{path}: missing --halves left-first or right-first: which hand is first in {self.column} is not named"
@@ -123,32 +123,37 @@ class LeRobot(Tracker):
         """
         columns = list[str]()
         for path in paths:
-            columns = columns_of(path)
+            columns = parquet_columns(path)
             if self.column is None or self.column not in columns:
                 continue
-            if INDICES[0] not in columns:
+            if LEROBOT_INDEX_COLUMNS[0] not in columns:
                 continue
-            wanted = [self.column, *[name for name in (*INDICES, *TIMES) if name in columns]]
-            table = read_columns(path, wanted, (INDICES[0], self.episode))
+            wanted = [
+                self.column,
+                *[name for name in (*LEROBOT_INDEX_COLUMNS, *LEROBOT_TIME_COLUMNS) if name in columns],
+            ]
+            table = read_columns(path, wanted, (LEROBOT_INDEX_COLUMNS[0], self.episode))
             values = table[self.column]
             if len(values):
                 if values.ndim != 2 or values.shape[1] not in (42, 63, 84, 126):
-                    raise InputError(path, self.column, f"the shape {values.shape}", COUNTS)
-                return path, values, _times(path, table)
+                    raise InputError(path, self.column, f"the shape {values.shape}", EXPECTED_JOINT_COUNTS)
+                return path, values, _read_row_times(path, table)
         if self.column is None:
             raise MissingOptionError(f"missing --column: the hand's numbers; choose from {', '.join(columns)}")
         if self.column not in columns:
-            raise unknown("--column", self.column, columns)
-        raise InputError(paths[0], INDICES[0], f"no row of episode {self.episode}", "an episode of the dataset")
+            raise unknown_choice_error("--column", self.column, columns)
+        raise InputError(
+            paths[0], LEROBOT_INDEX_COLUMNS[0], f"no row of episode {self.episode}", "an episode of the dataset"
+        )
 
 
-INDICES = ("episode_index", "frame_index")
-TIMES = ("time_s", "timestamp")
+LEROBOT_INDEX_COLUMNS = ("episode_index", "frame_index")
+LEROBOT_TIME_COLUMNS = ("time_s", "timestamp")
 """Columns of the time of each row [s], the true one first: LeRobot's is that of even frames."""
-SIDES: tuple[Side, Side] = ("left", "right")
-CLEARLY_IN = 0.2
+HAND_SIDES: tuple[Side, Side] = ("left", "right")
+MIN_HALVES_MASK_MARGIN = 0.2
 """So much more of a hand [its points] is in its masks than of the other, where these tell which it is."""
-SAME_RATE = 0.02
+FRAME_RATE_TOLERANCE = 0.02
 """Rates that differ by less are one."""
 
 
@@ -157,7 +162,7 @@ def opposite(side: Side) -> Side:
     return "left" if side == "right" else "right"
 
 
-def _info(path: Path) -> Json:
+def _read_dataset_info(path: Path) -> Json:
     """Read the description of a file's dataset; empty where there is none. Raises ``InputError``."""
     for folder in list(path.absolute().parents)[:3]:
         if (folder / "meta" / "info.json").is_file():
@@ -165,9 +170,9 @@ def _info(path: Path) -> Json:
     return {}
 
 
-def _times(path: Path, table: Mapping[str, Float[ndarray, "T *n"]]) -> Float[ndarray, "T"] | None:
+def _read_row_times(path: Path, table: Mapping[str, Float[ndarray, "T *n"]]) -> Float[ndarray, "T"] | None:
     """Return the times of an episode's rows, from the first one [s]; None where there are none."""
-    name = next((name for name in TIMES if name in table), None)
+    name = next((name for name in LEROBOT_TIME_COLUMNS if name in table), None)
     if name is None:
         return None
     values = table[name]
@@ -176,7 +181,7 @@ def _times(path: Path, table: Mapping[str, Float[ndarray, "T *n"]]) -> Float[nda
     return values - values[0]
 
 
-def _frames(
+def _match_rows_to_frames(
     path: Path, count: int, stamps: Float[ndarray, "T"] | None, fps: object, request: Request
 ) -> tuple[Sequence[int | None], str]:
     """Return the index of the frame of each row, and what is said of it: by times where the rates differ.
@@ -189,7 +194,7 @@ def _frames(
     if stamps is None or times is None or min(len(stamps), len(times)) < 2:
         return frames_of_images(path, {}, count, request), ""
     step, own = float(np.median(np.diff(stamps))), float(np.median(np.diff(times)))
-    if abs(step / own - 1.0) < SAME_RATE:
+    if abs(step / own - 1.0) < FRAME_RATE_TOLERANCE:
         return frames_of_images(path, {}, count, request), ""
     since, long = times - times[0], stamps[-1] + step
     first = number_of(request.frames[0])
@@ -213,11 +218,11 @@ def _frames(
     return [rows.get(row) for row in range(count)], said
 
 
-def _misfit(values: Float[ndarray, "T 63"], side: Side) -> float:
+def _side_misfit(values: Float[ndarray, "T 63"], side: Side) -> float:
     """Measure how far the joints of a hand are off one of a side [m], in some rows that have them; 0 without any."""
     there = values[np.isfinite(values).all(axis=1) & (values != 0.0).any(axis=1)]
-    some = there[frame_indices(len(there), TRIED)] if len(there) else there
-    return misfit(some.reshape(-1, 21, 3), "openpose", side) if len(some) else 0.0
+    some = there[frame_indices(len(there), N_ORDER_TEST_FRAMES)] if len(there) else there
+    return joint_misfit(some.reshape(-1, 21, 3), "openpose", side) if len(some) else 0.0
 
 
 def _share_in_masks(values: Float[ndarray, "T n"], frames: Sequence[int | None], request: Request) -> float:
@@ -226,11 +231,11 @@ def _share_in_masks(values: Float[ndarray, "T n"], frames: Sequence[int | None],
         return 0.0
     there = [(row, n) for row, n in enumerate(frames) if n is not None and request.hand_masks[n] is not None]
     inside = []
-    for row, n in [there[k] for k in frame_indices(len(there), TRIED)]:
+    for row, n in [there[k] for k in frame_indices(len(there), N_ORDER_TEST_FRAMES)]:
         points = values[row].reshape(21, -1)
         if points.shape[1] == 3:
             points = project(request.K[n], np.where(points[:, 2:] > 0.0, points, [0.0, 0.0, 1.0]))
-        elif np.abs(points).max() <= LARGEST_SHARE:
+        elif np.abs(points).max() <= MAX_NORMALISED_COORDINATE:
             points = points * request.size
         path = request.hand_masks[n]
         assert path is not None
@@ -241,4 +246,4 @@ def _share_in_masks(values: Float[ndarray, "T n"], frames: Sequence[int | None],
     return float(np.mean(inside)) if inside else 0.0
 
 
-COUNTS = "42, 63, 84 or 126 numbers in each row"
+EXPECTED_JOINT_COUNTS = "42, 63, 84 or 126 numbers in each row"

@@ -21,17 +21,19 @@ from getagrip.errors import MissingOptionError
 from getagrip.geometry import se3
 from getagrip.hands.mano import Mano
 from getagrip.hands.trackers import records
-from getagrip.hands.trackers.estimates import Estimate, Estimates, Parameters, Request, rotations
+from getagrip.hands.trackers.estimates import Estimate, Estimates, HandParameters, Request, to_rotation_matrices
 from getagrip.hands.trackers.hand import load_mano
 from getagrip.hands.trackers.recognition import Sample
-from getagrip.hands.trackers.records import Record, numbers
+from getagrip.hands.trackers.records import Record, record_numbers
 from getagrip.hands.trackers.tracker import Tracker, frames_of_rows, only_file
 from getagrip.io.arguments import one_of
 from getagrip.provenance import assumed
 
 Encoding = Literal["axis-angle", "pca", "matrix"]
 Mean = Literal["flat", "mean"]
-DEPTH = assumed("transl, as the file has it; that the file was made with the clip's focal length is a guess")
+MANO_DEPTH_SOURCE = assumed(
+    "transl, as the file has it; that the file was made with the clip's focal length is a guess"
+)
 
 
 @dataclass(frozen=True)
@@ -58,39 +60,45 @@ class ManoParameters(Tracker):
             choices = "axis-angle, pca or matrix" if self.pose is None else "flat or mean"
             raise MissingOptionError(f"missing {missing} ({choices}): what MANO's pose numbers are is in no file")
         path = only_file(paths, "parameters")
-        record = records.read(path)
-        hands = parameters(path, record, self.pose, self.mean, load_mano(request.mano, request.side))
+        record = records.read_tracker_record(path)
+        hands = read_mano_parameters(path, record, self.pose, self.mean, load_mano(request.mano, request.side))
         frames = frames_of_rows(path, record, len(hands), request)
         seen = records.seen_joints(path, record, len(hands))
         found = [
-            Estimate(path, frame, DEPTH, hand, seen=None if seen is None else seen[n])
+            Estimate(path, frame, MANO_DEPTH_SOURCE, hand, seen=None if seen is None else seen[n])
             for n, (frame, hand) in enumerate(zip(frames, hands, strict=True))
             if frame is not None
         ]
         return Estimates(request.side, tuple(found), left_model="own")
 
 
-def parameters(path: Path, record: Record, encoding: Encoding, mean: Mean, model: Mano | None) -> list[Parameters]:
+def read_mano_parameters(
+    path: Path, record: Record, encoding: Encoding, mean: Mean, model: Mano | None
+) -> list[HandParameters]:
     """Read the hands of a file of MANO parameters.
 
     Raises ``InputError``, and ``UsageError`` where MANO's file is needed.
     """
-    t = numbers(path, record, "transl", (-1, 3))
+    t = record_numbers(path, record, "transl", (-1, 3))
     T = len(t)
-    R = rotations(path, "global_orient", numbers(path, record, "global_orient", (T, 3), (T, 3, 3)), 1)
-    betas = np.broadcast_to(numbers(path, record, "betas", (T, 10), (10,)), (T, 10))
+    R = to_rotation_matrices(path, "global_orient", record_numbers(path, record, "global_orient", (T, 3), (T, 3, 3)), 1)
+    betas = np.broadcast_to(record_numbers(path, record, "betas", (T, 10), (10,)), (T, 10))
     if encoding == "matrix":
-        matrices = numbers(path, record, "hand_pose", (T, 15, 3, 3))
-        values = se3.log_so3(rotations(path, "hand_pose", matrices, 2)).reshape(T, 45)
+        matrices = record_numbers(path, record, "hand_pose", (T, 15, 3, 3))
+        values = se3.log_so3(to_rotation_matrices(path, "hand_pose", matrices, 2)).reshape(T, 45)
     elif encoding == "axis-angle":
-        values = numbers(path, record, "hand_pose", (T, 45), (T, 15, 3)).reshape(T, 45)
+        values = record_numbers(path, record, "hand_pose", (T, 45), (T, 15, 3)).reshape(T, 45)
     else:
         counts = range(1, 46)
-        values = numbers(path, record, "hand_pose", *((T, count) for count in counts))
-    return [Parameters(*each) for each in zip(R, _flat(values, encoding, mean, model), betas, t, strict=True)]
+        values = record_numbers(path, record, "hand_pose", *((T, count) for count in counts))
+    return [
+        HandParameters(*each) for each in zip(R, _pose_from_flat(values, encoding, mean, model), betas, t, strict=True)
+    ]
 
 
-def _flat(values: Float[ndarray, "T P"], encoding: Encoding, mean: Mean, model: Mano | None) -> Float[ndarray, "T 45"]:
+def _pose_from_flat(
+    values: Float[ndarray, "T P"], encoding: Encoding, mean: Mean, model: Mano | None
+) -> Float[ndarray, "T 45"]:
     """Poses as rotation vectors relative to the flat hand [rad]."""
     if encoding != "pca" and mean == "flat":
         return values

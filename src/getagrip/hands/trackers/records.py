@@ -18,35 +18,35 @@ from getagrip.io import arrays, extras, files, pickles
 
 Record = Mapping[str, Any]
 """Arrays, numbers, texts, lists and further records by name."""
-SUFFIXES = (".npz", ".npy", ".json", ".pkl", ".pickle", ".pt", ".pth")
-MESHES = (".obj",)
-IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
-COMPRESSED = (b"x\x01", b"x^", b"x\x9c", b"x\xda", b"\x1f\x8b", b"BZh", b"\xfd7zXZ")
+RECORD_SUFFIXES = (".npz", ".npy", ".json", ".pkl", ".pickle", ".pt", ".pth")
+RECORD_MESH_SUFFIXES = (".obj",)
+RECORD_IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
+JOBLIB_COMPRESSION_MAGIC = (b"x\x01", b"x^", b"x\x9c", b"x\xda", b"\x1f\x8b", b"BZh", b"\xfd7zXZ")
 """How files begin that joblib has compressed."""
-CONVERTS_HAWOR = (
+HAWOR_CONVERSION_COMMAND = (
     "import joblib, numpy as np; keys = 'pred_trans pred_rot pred_hand_pose pred_betas pred_valid'.split(); "
     "np.savez('world_space_res.npz', **{k: np.asarray(v) for k, v in zip(keys, joblib.load('world_space_res.pth'))})"
 )
 """Makes an ``.npz`` of HaWoR's hands in the world."""
-PEOPLE = "people"
+PEOPLE_KEY = "people"
 """Key of the records of several hands, where a file holds nothing but a list of these."""
-LARGEST = 256 * 2**20
+MAX_RECORD_BYTES = 256 * 2**20
 """Bytes of the largest ``.npy`` or ``.pt`` file, unpacked."""
-ABSURD = 1e7
+MAX_RECORD_VALUE = 1e7
 """No pixel, metre or radian is as large."""
 
 
-def listed(paths: Sequence[Path], layouts: Sequence[str] = ()) -> list[Path]:
+def list_record_files(paths: Sequence[Path], layouts: Sequence[str] = ()) -> list[Path]:
     """List the files that paths stand for: those in a folder of a known suffix, or those that match a pattern.
 
     ``layouts`` are patterns below a folder by which a program lays its files out; they come first. Raises
     ``InputError`` for a path that stands for none.
     """
-    known = (*SUFFIXES, *MESHES)
+    known = (*RECORD_SUFFIXES, *RECORD_MESH_SUFFIXES)
     found: list[Path] = []
     for path in paths:
         if path.is_dir():
-            files_of = _laid_out(path, layouts) or files.listed(path, known)
+            files_of = _match_layouts(path, layouts) or files.list_files(path, known)
             if not files_of:
                 raise InputError(
                     path, "", "a folder without such a file", f"files of an estimator ({', '.join(known)})"
@@ -62,21 +62,21 @@ def listed(paths: Sequence[Path], layouts: Sequence[str] = ()) -> list[Path]:
     return found
 
 
-def _laid_out(folder: Path, layouts: Sequence[str]) -> list[Path]:
+def _match_layouts(folder: Path, layouts: Sequence[str]) -> list[Path]:
     """List the files of the first pattern that matches any below a folder; links out of it are passed over."""
     root = folder.resolve()
     for pattern in layouts:
-        found = files.listed(folder, pattern=pattern)
+        found = files.list_files(folder, pattern=pattern)
         if files_of := [one for one in found if one.resolve().is_relative_to(root)]:
             return files_of
     return []
 
 
-def read(path: Path) -> Record:
+def read_tracker_record(path: Path) -> Record:
     """Read the content of a file.
 
     A bare ``.npy`` array becomes a record with the one key ``joints``, a list of records, as of the hands in one image,
-    one with the key ``PEOPLE``.
+    one with the key ``PEOPLE_KEY``.
 
     Raises ``InputError`` for damaged, hostile and absurdly large files, ``UsageError`` for ``.pt`` without torch.
     """
@@ -86,31 +86,31 @@ def read(path: Path) -> Record:
     if suffix == ".npz":
         return arrays.read(path, lambda _: True)
     if suffix == ".json":
-        return _record(path, files.read_any_json(path, nan=True))
+        return _to_record(path, files.read_any_json(path, nan=True))
     if suffix in {".pkl", ".pickle"}:
-        content = files.read_bytes(path, pickles.LARGEST)
-        return _record(path, pickles.read_any(path, content, "a pickled dictionary of arrays"))
+        content = files.read_bytes(path, pickles.MAX_PICKLE_BYTES)
+        return _to_record(path, pickles.read_pickle_content(path, content, "a pickled dictionary of arrays"))
     if suffix in {".pt", ".pth"}:
         return _read_torch(path)
     if suffix == ".npy":
-        return {"joints": arrays.parse_npy(path, "", files.read_bytes(path, LARGEST))}
-    raise InputError(path, "", f"the suffix {files.shown(path.suffix)}", f"one of {', '.join(SUFFIXES)}")
+        return {"joints": arrays.parse_npy(path, "", files.read_bytes(path, MAX_RECORD_BYTES))}
+    raise InputError(path, "", f"the suffix {files.shorten_value(path.suffix)}", f"one of {', '.join(RECORD_SUFFIXES)}")
 
 
 def _check_not_joblib(path: Path) -> None:
     """Raise ``InputError`` for a file of ``joblib.dump``, which names its own classes and is no file of torch."""
-    content = files.read_bytes(path, LARGEST)
-    if b"joblib.numpy_pickle" in content or content.startswith(COMPRESSED):
+    content = files.read_bytes(path, MAX_RECORD_BYTES)
+    if b"joblib.numpy_pickle" in content or content.startswith(JOBLIB_COMPRESSION_MAGIC):
         plain = f"{path.stem}_plain.pkl"
         line = f"import joblib, pickle; pickle.dump(joblib.load({path.name!r}), open({plain!r}, 'wb'))"
-        line = CONVERTS_HAWOR if path.name == "world_space_res.pth" else line
+        line = HAWOR_CONVERSION_COMMAND if path.name == "world_space_res.pth" else line
         got = "a file of joblib.dump, which could run code when loaded"
         raise InputError(path, "", got, f"a plain file; where it was made, Python converts it: {line}")
 
 
-def by_image(record: Record) -> Record:
+def records_by_image(record: Record) -> Record:
     """Return the content of each image by its path, where a dictionary's keys are paths; else nothing."""
-    named = all(isinstance(key, str) and Path(key).suffix.lower() in IMAGES for key in record)
+    named = all(isinstance(key, str) and Path(key).suffix.lower() in RECORD_IMAGE_SUFFIXES for key in record)
     return record if named else {}
 
 
@@ -120,15 +120,15 @@ def _read_torch(path: Path) -> Record:
         import torch
     except ModuleNotFoundError as error:
         raise UsageError(
-            f"{path}: reading {path.suffix} files needs torch: {extras.install('torch')}, or save the same "
+            f"{path}: reading {path.suffix} files needs torch: {extras.install_command('torch')}, or save the same "
             "dictionary as .npz where the file was made"
         ) from error
-    content = files.read_bytes(path, LARGEST)
+    content = files.read_bytes(path, MAX_RECORD_BYTES)
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:  # older files than torch 1.6's are no zip archives
             unpacked = sum(member.file_size for member in archive.infolist())
-        if unpacked > LARGEST:
-            raise InputError(path, "", f"tensors of {unpacked} bytes", f"at most {LARGEST}")
+        if unpacked > MAX_RECORD_BYTES:
+            raise InputError(path, "", f"tensors of {unpacked} bytes", f"at most {MAX_RECORD_BYTES}")
         loaded = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
         pickles.check_bounded(path, loaded, "a dictionary of tensors")
     except InputError:
@@ -144,20 +144,22 @@ def _read_torch(path: Path) -> Record:
             return {str(key): plain(item) for key, item in value.items()}
         return [plain(item) for item in value] if isinstance(value, list | tuple) else value
 
-    return _record(path, plain(loaded))
+    return _to_record(path, plain(loaded))
 
 
-def _record(path: Path, content: object) -> Record:
+def _to_record(path: Path, content: object) -> Record:
     """Convert a file's content to a record. Raises ``InputError``."""
     if isinstance(content, list) and all(isinstance(each, Mapping) for each in content):
-        return {PEOPLE: content}
+        return {PEOPLE_KEY: content}
     if not isinstance(content, Mapping):
         got = "a list of other things" if isinstance(content, list) else f"a {type(content).__name__}"
         raise InputError(path, "", got, "a dictionary, or a list of one for each hand")
     return content
 
 
-def numbers(path: Path, record: Record, key: str, *shapes: tuple[int, ...], of: str = "") -> Float[ndarray, "..."]:
+def record_numbers(
+    path: Path, record: Record, key: str, *shapes: tuple[int, ...], of: str = ""
+) -> Float[ndarray, "..."]:
     """Check that an array is finite and fits one of the shapes, axes of length 1 apart, and give it that shape.
 
     A length of -1 stands for any above 0. ``of`` names the record where it stands in another one. Raises
@@ -169,17 +171,17 @@ def numbers(path: Path, record: Record, key: str, *shapes: tuple[int, ...], of: 
     value = arrays.from_lists(record[key])
     expected = " or ".join(str(shape).replace("-1", "any") for shape in shapes)
     if value is None or value.dtype.kind not in "fiub":
-        raise InputError(path, name, files.shown(record[key]), f"numbers of shape {expected}")
+        raise InputError(path, name, files.shorten_value(record[key]), f"numbers of shape {expected}")
     for shape in shapes:
-        if (fitted := _fitted(value, shape)) is not None:
+        if (fitted := _reshape_if_fits(value, shape)) is not None:
             array = arrays.floats(path, {name: fitted}, name, fitted.shape, kinds="fiub")
-            if np.abs(array).max() > ABSURD:
+            if np.abs(array).max() > MAX_RECORD_VALUE:
                 raise InputError(path, name, f"the number {array.flat[np.abs(array).argmax()]:.3g}", "plausible ones")
             return array
     raise InputError(path, name, f"the shape {value.shape}", f"{expected}")
 
 
-def _fitted(value: ndarray, shape: tuple[int, ...]) -> ndarray | None:
+def _reshape_if_fits(value: ndarray, shape: tuple[int, ...]) -> ndarray | None:
     """Return the array in a shape; None where it has another one, axes of length 1 apart."""
     if value.size == 0:
         return None
@@ -195,7 +197,7 @@ def child(path: Path, record: Record, key: str) -> Record:
     """Return a record within a record. Raises ``InputError``."""
     value = record.get(key)
     if not isinstance(value, Mapping):
-        got = "no such key" if key not in record else files.shown(value)
+        got = "no such key" if key not in record else files.shorten_value(value)
         raise InputError(path, key, got, "a dictionary")
     return value
 
@@ -210,15 +212,15 @@ def seen_joints(path: Path, record: Record, *leading: int) -> Float[ndarray, "*l
         return None
     value = arrays.from_lists(without_none(record["joints_2d"]))
     if value is None or value.dtype.kind not in "fiu" or value.shape not in {(*leading, 21, 2), (*leading, 21, 3)}:
-        given = files.shown(record["joints_2d"]) if value is None else f"the shape {value.shape}"
+        given = files.shorten_value(record["joints_2d"]) if value is None else f"the shape {value.shape}"
         raise InputError(path, "joints_2d", given, f"numbers of shape {(*leading, 21, 2)}, or 3 with the confidence")
     value = value.astype(float)
     there = np.isfinite(value).all(axis=-1)
-    if np.abs(value[there]).max(initial=0.0) > ABSURD:
+    if np.abs(value[there]).max(initial=0.0) > MAX_RECORD_VALUE:
         raise InputError(path, "joints_2d", f"the number {np.abs(value[there]).max():.3g}", "pixels")
     confidence = np.ones(there.shape) if value.shape[-1] == 2 else value[..., 2]
     if "joints_2d_confidence" in record:
-        confidence = numbers(path, record, "joints_2d_confidence", (*leading, 21))
+        confidence = record_numbers(path, record, "joints_2d_confidence", (*leading, 21))
     confidence = np.where(there, np.clip(confidence, 0.0, 1.0), 0.0)
     return np.concatenate([np.where(there[..., None], value[..., :2], 0.0), confidence[..., None]], axis=-1)
 

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from getagrip.clip.naming import check_one_image, frame_of, number_of, rows_in_order
+from getagrip.clip.naming import check_unique_images, frame_of, number_of, rows_in_order
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.trackers import records
 from getagrip.hands.trackers.estimates import Estimates, Request
 from getagrip.hands.trackers.recognition import Sample
 from getagrip.io import arrays, files
 
-KEYED = (".pkl", ".pickle", ".json", ".pt", ".pth")
+MULTI_IMAGE_SUFFIXES = (".pkl", ".pickle", ".json", ".pt", ".pth")
 """Files that may hold many images."""
 
 
@@ -62,9 +62,11 @@ def per_image(paths: Sequence[Path], request: Request) -> Iterator[tuple[Path, i
     alone: dict[str, int] = {}
     for path in paths:
         frame = frame_of(path.stem, request.frames)
-        may_hold_many = path.suffix.lower() in KEYED and (len(paths) == 1 or number_of(path.stem) is None)
-        record = records.read(path) if frame is not None or may_hold_many else {}
-        named = records.by_image(record)
+        may_hold_many = path.suffix.lower() in MULTI_IMAGE_SUFFIXES and (
+            len(paths) == 1 or number_of(path.stem) is None
+        )
+        record = records.read_tracker_record(path) if frame is not None or may_hold_many else {}
+        named = records.records_by_image(record)
         if not named and frame is not None:
             if "track_id" not in record:  # V2D has a folder for each track
                 alone[str(path)] = frame
@@ -76,8 +78,8 @@ def per_image(paths: Sequence[Path], request: Request) -> Iterator[tuple[Path, i
                 yield path, frame, content
         other = other or next(iter(named), path.name)
     if not found:
-        raise no_name(paths, other, request)
-    check_one_image(paths[0].parent, list(alone), list(alone.values()), request.frames)
+        raise unmatched_names_error(paths, other, request)
+    check_unique_images(paths[0].parent, list(alone), list(alone.values()), request.frames)
 
 
 def frames_of_names(path: Path, names: Sequence[str], request: Request) -> list[int | None]:
@@ -87,14 +89,14 @@ def frames_of_names(path: Path, names: Sequence[str], request: Request) -> list[
     """
     request.check_numbers(path, [Path(name).stem for name in names])
     found = [frame_of(Path(name).stem, request.frames) for name in names]
-    check_one_image(path, names, found, request.frames)
+    check_unique_images(path, names, found, request.frames)
     return found
 
 
-def no_name(paths: Sequence[Path], example: str, request: Request) -> InputError:
+def unmatched_names_error(paths: Sequence[Path], example: str, request: Request) -> InputError:
     """Make the error for files of which none is named like a frame."""
-    named = " to ".join(files.plain(frame) for frame in (request.frames[0], request.frames[-1]))
-    got = f"no name of a frame ({files.plain(example)}, ...) in {len(paths)} file{'s' if len(paths) > 1 else ''}"
+    named = " to ".join(files.printable(frame) for frame in (request.frames[0], request.frames[-1]))
+    got = f"no name of a frame ({files.printable(example)}, ...) in {len(paths)} file{'s' if len(paths) > 1 else ''}"
     return InputError(paths[0], "", got, f"names like those of the clip's frames, {named}")
 
 
@@ -104,9 +106,11 @@ def frames_of_rows(path: Path, record: records.Record, count: int, request: Requ
     ``frames`` in the file names them; without it, the rows are the clip's frames. Raises ``InputError``.
     """
     if "frames" in record:
-        names = arrays.names(record["frames"])
+        names = arrays.array_from_names(record["frames"])
         if names is None or len(names) != count:
-            raise InputError(path, "frames", files.shown(record["frames"]), f"{count} names or numbers of frames")
+            raise InputError(
+                path, "frames", files.shorten_value(record["frames"]), f"{count} names or numbers of frames"
+            )
         request.check_numbers(path, map(str, names))
         return [frame_of(str(name), request.frames) for name in names]
     option = request.ask_first or "--first"

@@ -16,13 +16,20 @@ import numpy as np
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands.trackers import records
-from getagrip.hands.trackers.estimates import Estimate, Estimates, Parameters, Request, WeakPerspective, mirror_rotation
+from getagrip.hands.trackers.estimates import (
+    Estimate,
+    Estimates,
+    HandParameters,
+    Request,
+    WeakPerspective,
+    mirror_rotation,
+)
 from getagrip.hands.trackers.recognition import Sample
-from getagrip.hands.trackers.records import numbers
+from getagrip.hands.trackers.records import record_numbers
 from getagrip.hands.trackers.tracker import Tracker, frames_of_images, only_file
 from getagrip.provenance import estimated
 
-NEAR_MIDDLE = 0.1
+V2D_CENTRE_TOLERANCE = 0.1
 """A principal point so near to the middle of the clip's images [ratio] is of images of their size."""
 
 
@@ -36,21 +43,21 @@ class V2D(Tracker):
     layouts = ("result.npz", "result/result.npz")
 
     def recognises(self, sample: Sample) -> str:
-        keys = (f"hand_{side}_{key}" for side in ("left", "right") for key in SHAPES)
+        keys = (f"hand_{side}_{key}" for side in ("left", "right") for key in V2D_SHAPES)
         return "V2D's result" if sample.has("camera_intrinsics", *keys) else ""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
         """Read the hand of the requested side in those of the video's frames that the clip has and that are valid."""
         path = only_file(paths, "hands")
-        record, hand = records.read(path), f"hand_{request.side}_"
-        N = len(numbers(path, record, f"{hand}is_valid", (-1,)))
-        each = {key: numbers(path, record, hand + key, (N, *shape)) for key, shape in SHAPES.items()}
-        betas = numbers(path, record, f"{hand}betas", (10,))
-        fx, _, cx, cy = numbers(path, record, "camera_intrinsics", (4,))
+        record, hand = records.read_tracker_record(path), f"hand_{request.side}_"
+        N = len(record_numbers(path, record, f"{hand}is_valid", (-1,)))
+        each = {key: record_numbers(path, record, hand + key, (N, *shape)) for key, shape in V2D_SHAPES.items()}
+        betas = record_numbers(path, record, f"{hand}betas", (10,))
+        fx, _, cx, cy = record_numbers(path, record, "camera_intrinsics", (4,))
         if min(fx, cx, cy) <= 0:
             raise InputError(path, "camera_intrinsics", f"{fx:g}, {cx:g}, {cy:g}", "fx, cx and cy above 0 [px]")
         zoom = np.array(request.size) / (2.0 * np.array([cx, cy]))
-        if np.abs(np.log(zoom)).max() < NEAR_MIDDLE:
+        if np.abs(np.log(zoom)).max() < V2D_CENTRE_TOLERANCE:
             zoom = np.ones(2)
         depth = estimated(f"its translation, its focal length {fx:.6g} px divided out and the clip's put in")
         found = []
@@ -68,10 +75,10 @@ class V2D(Tracker):
                 R, fingers = mirror_rotation(R), mirror_rotation(fingers)
             weak = WeakPerspective.of_translation(t / scale, float(fx), np.array([cx, cy]))  # as large in the image
             t = weak.resized(zoom).before(request.camera(frame))
-            found.append(Estimate(path, frame, depth, Parameters(R, se3.log_so3(fingers).reshape(45), betas, t)))
+            found.append(Estimate(path, frame, depth, HandParameters(R, se3.log_so3(fingers).reshape(45), betas, t)))
         return Estimates(request.side, tuple(found))
 
 
-SHAPES = {
+V2D_SHAPES = {
     "is_valid": (), "wrist_orient_in_camera": (3,), "finger_pose": (15, 3), "wrist_trans_in_camera": (3,), "scale": (),
 }  # fmt: skip

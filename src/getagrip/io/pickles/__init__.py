@@ -1,6 +1,19 @@
 """Pickled dictionaries of arrays, read without running what is in them."""
 
-from getagrip.io.pickles.reading import LARGEST, check_bounded, read, read_any, read_file
-from getagrip.io.pickles.stand_ins import Instance
+from getagrip.io.pickles.reading import (
+    MAX_PICKLE_BYTES,
+    check_bounded,
+    read_pickle_content,
+    read_pickle_dict,
+    read_pickle_file,
+)
+from getagrip.io.pickles.stand_ins import PickledInstance
 
-__all__ = ["LARGEST", "Instance", "check_bounded", "read", "read_any", "read_file"]
+__all__ = [
+    "MAX_PICKLE_BYTES",
+    "PickledInstance",
+    "check_bounded",
+    "read_pickle_content",
+    "read_pickle_dict",
+    "read_pickle_file",
+]

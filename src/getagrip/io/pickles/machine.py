@@ -15,15 +15,15 @@ from typing import Any, Protocol
 
 import numpy as np
 
-MOST_INSTRUCTIONS = 2**22
+MAX_PICKLE_INSTRUCTIONS = 2**22
 """Each takes one byte or more of a file, and up to 224 bytes of memory: those of an empty set."""
 Value = Any
 """On the stack: what an instruction meets there may be anything, and raises where it is not what it needs."""
-PLAIN = str | bytes | int | float | np.generic | None
+PICKLE_KEY_TYPES = str | bytes | int | float | np.generic | None
 """Types that may be a key: tuples that share their parts take ages to hash."""
 
 
-class Objects(Protocol):
+class PickleObjects(Protocol):
     """The meaning of the names in a pickle. Each method raises for what is not allowed."""
 
     def named(self, module: object, name: object) -> object:
@@ -36,22 +36,22 @@ class Objects(Protocol):
         """Set the state of a result of ``make``."""
 
 
-def run(content: bytes, objects: Objects) -> object:
+def run_pickle(content: bytes, objects: PickleObjects) -> object:
     """Load the object in a pickle. A malformed one raises whatever its instructions meet: catch ``Exception``."""
-    machine = _Machine(objects)
+    machine = _PickleMachine(objects)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # of texts with escapes that Python does not know
         for name, argument in _instructions(content):
-            if name not in _INSTRUCTIONS:
+            if name not in _OPCODE_ACTIONS:
                 raise ValueError(f"the instruction {name}")
-            _INSTRUCTIONS[name](machine, argument)
+            _OPCODE_ACTIONS[name](machine, argument)
     return machine.stack.pop()
 
 
-def plain_keys(values: Sequence[object]) -> Sequence[object]:
+def check_keys(values: Sequence[object]) -> Sequence[object]:
     """Check that values may be keys; raise ``ValueError`` otherwise."""
     for value in values:
-        if not isinstance(value, PLAIN):
+        if not isinstance(value, PICKLE_KEY_TYPES):
             raise ValueError(f"a key of type {type(value).__name__}")
     return values
 
@@ -59,7 +59,7 @@ def plain_keys(values: Sequence[object]) -> Sequence[object]:
 def _instructions(content: bytes) -> Iterator[tuple[str, Value]]:
     """Name and argument of each instruction before STOP. Arguments are no longer than the bytes that are there."""
     stream = io.BytesIO(content)
-    for _ in range(MOST_INSTRUCTIONS):
+    for _ in range(MAX_PICKLE_INSTRUCTIONS):
         code = stream.read(1)
         if code not in _OPCODES:
             raise ValueError(f"the instruction {code!r}")
@@ -70,7 +70,7 @@ def _instructions(content: bytes) -> Iterator[tuple[str, Value]]:
             yield opcode.name, _python2_text(stream.readline())
         else:
             yield opcode.name, opcode.arg.reader(stream) if opcode.arg else None
-    raise ValueError(f"more than {MOST_INSTRUCTIONS} instructions")
+    raise ValueError(f"more than {MAX_PICKLE_INSTRUCTIONS} instructions")
 
 
 def _python2_text(line: bytes) -> str:
@@ -81,8 +81,8 @@ def _python2_text(line: bytes) -> str:
     return quoted[1:-1].decode("unicode_escape")
 
 
-class _Machine:
-    def __init__(self, objects: Objects) -> None:
+class _PickleMachine:
+    def __init__(self, objects: PickleObjects) -> None:
         self.objects = objects
         self.stack: list[Value] = []
         self.below: list[list[Value]] = []
@@ -118,10 +118,10 @@ class _Machine:
 
     def update(self, pairs: list[Value]) -> None:
         """Take keys and values by turns into the last dictionary."""
-        self.last(dict).update(zip(plain_keys(pairs[::2]), pairs[1::2], strict=True))
+        self.last(dict).update(zip(check_keys(pairs[::2]), pairs[1::2], strict=True))
 
     def add(self, values: list[Value]) -> None:
-        self.last(set).update(plain_keys(values))
+        self.last(set).update(check_keys(values))
 
     def dictionary(self) -> None:
         pairs = self.pop_marked()
@@ -138,15 +138,15 @@ class _Machine:
 
 
 _OPCODES = {opcode.code.encode("latin1"): opcode for opcode in pickletools.opcodes}
-_VALUES = (
+_PUSH_OPCODES = (
     "INT BININT BININT1 BININT2 LONG LONG1 FLOAT BINFLOAT STRING BINSTRING SHORT_BINSTRING UNICODE BINUNICODE "
     "SHORT_BINUNICODE BINUNICODE8 BINBYTES SHORT_BINBYTES BINBYTES8 BYTEARRAY8"
 )
 """Those that push their argument. LONG4 is not among them: its integers are too long to print."""
-_INSTRUCTIONS: dict[str, Callable[[_Machine, Value], object]] = {
+_OPCODE_ACTIONS: dict[str, Callable[[_PickleMachine, Value], object]] = {
     "PROTO": lambda m, version: None,
     "FRAME": lambda m, length: None,
-    **dict.fromkeys(_VALUES.split(), _Machine.push),
+    **dict.fromkeys(_PUSH_OPCODES.split(), _PickleMachine.push),
     "NONE": lambda m, _: m.push(None),
     "NEWTRUE": lambda m, _: m.push(True),
     "NEWFALSE": lambda m, _: m.push(False),
@@ -169,7 +169,7 @@ _INSTRUCTIONS: dict[str, Callable[[_Machine, Value], object]] = {
     "SETITEMS": lambda m, _: m.update(m.pop_marked()),
     "EMPTY_SET": lambda m, _: m.push(set()),
     "ADDITEMS": lambda m, _: m.add(m.pop_marked()),
-    **dict.fromkeys(("PUT", "BINPUT", "LONG_BINPUT"), _Machine.memorise),
+    **dict.fromkeys(("PUT", "BINPUT", "LONG_BINPUT"), _PickleMachine.memorise),
     "MEMOIZE": lambda m, _: m.memorise(len(m.memo)),
     **dict.fromkeys(("GET", "BINGET", "LONG_BINGET"), lambda m, index: m.push(m.memo[index])),
     "GLOBAL": lambda m, names: m.push(m.objects.named(*names.split(" ", 1))),

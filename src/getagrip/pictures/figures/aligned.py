@@ -14,28 +14,42 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.depth import depth_and_face
 from getagrip.geometry.render import Colour, Surface, render_rgb
-from getagrip.pictures.figures.kind import Count, Fail, Kind, evenly, summary, the_one
-from getagrip.pictures.looking import Eye, looking
-from getagrip.pictures.sheet import HEAD, Sheet, frame
+from getagrip.pictures.figures.kind import (
+    Count,
+    Fail,
+    FigureKind,
+    evenly_spaced_indices,
+    require_one_result,
+    summarise_view,
+)
+from getagrip.pictures.looking import DistantCamera, look_at
+from getagrip.pictures.sheet import SHEET_TITLE_INCHES, Sheet, draw_border
 from getagrip.pictures.shown import View
 from getagrip.pictures.stored_results import StoredResult
-from getagrip.pictures.style import AXIS, HAND, OBJECT, PAPER_RGB, TRUE
-from getagrip.pictures.tiles import axis_line, axis_points, contour, rendered, show, windows
+from getagrip.pictures.style import AXIS_COLOUR, HAND_RGB, OBJECT_RGB, PAPER_RGB, TRUTH_COLOUR
+from getagrip.pictures.tiles import (
+    axis_points,
+    content_windows,
+    draw_axis_line,
+    draw_contour,
+    draw_rendered,
+    show_picture,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SMALL, LARGE, GAP = 1.72, 2.16, 0.08
+ALIGNED_FRAME_INCHES, ALIGNED_VIEW_INCHES, ALIGNED_GAP_INCHES = 1.72, 2.16, 0.08
 """Sides of the tiles of frames and of the aligned views, and the gap between them [in]."""
-RAMP = ("#2f5f8a", "#8662b5", "#cf5f9e", "#e3a21f", "#b8352a")
+ANGLE_COLOURS = ("#2f5f8a", "#8662b5", "#cf5f9e", "#e3a21f", "#b8352a")
 """Colours of the frames drawn, by angle."""
-PANELS = (
+ALIGNED_PANELS = (
     "hand fixed, across the axis",
     "hand fixed, along the axis",
     "object fixed, across the axis",
     "object fixed, along the axis",
 )
-WITHOUT_AXIS = (
+AXISLESS_PANELS = (
     "hand fixed, from the camera",
     "hand fixed, from the side",
     "object fixed, from the camera",
@@ -45,7 +59,7 @@ WITHOUT_AXIS = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Aligned(Kind):
+class Aligned(FigureKind):
     """Frames of one result aligned in the hand frame, where the object turns about the axis, and in the object's frame.
 
     Frames are spread evenly over the angle about the axis; without an axis, over time. Of a clip the ground truth is
@@ -57,24 +71,31 @@ class Aligned(Kind):
     """Frames to draw."""
 
     def draw(self, results: Sequence[StoredResult], fail: Fail) -> Figure:
-        view = the_one(results, "aligned")
+        view = require_one_result(results, "aligned")
         chosen, colours = self._frames(view)
-        width = 0.25 + max(len(chosen) * (SMALL + GAP), 4 * (LARGE + GAP)) + 0.17
-        lower = HEAD + 0.28 + SMALL + 0.5
-        sheet = Sheet.of(width, lower + LARGE + 0.45, self.dpi)
-        sheet.title(view.clip.name, summary(view))
+        width = (
+            0.25
+            + max(
+                len(chosen) * (ALIGNED_FRAME_INCHES + ALIGNED_GAP_INCHES),
+                4 * (ALIGNED_VIEW_INCHES + ALIGNED_GAP_INCHES),
+            )
+            + 0.17
+        )
+        lower = SHEET_TITLE_INCHES + 0.28 + ALIGNED_FRAME_INCHES + 0.5
+        sheet = Sheet.of(width, lower + ALIGNED_VIEW_INCHES + 0.45, self.dpi)
+        sheet.title(view.clip.name, summarise_view(view))
         self._as_seen(sheet, view, chosen, colours)
-        panels = PANELS if view.result.axis is not None else WITHOUT_AXIS
+        panels = ALIGNED_PANELS if view.result.axis is not None else AXISLESS_PANELS
         for k, words in enumerate(panels):
-            x = 0.25 + k * (LARGE + GAP)
-            sheet.text(x, lower - 0.24, words, color=TRUE, fontsize=9)
+            x = 0.25 + k * (ALIGNED_VIEW_INCHES + ALIGNED_GAP_INCHES)
+            sheet.text(x, lower - 0.24, words, color=TRUTH_COLOUR, fontsize=9)
             self._aligned(sheet, x, lower, view, chosen, colours, fixed_hand=k < 2, along=k % 2 == 1)
         if view.result.axis is None:
             words = "the method has no latent axis  ·  contours: the frames above, in the colours of their borders"
             sheet.text(0.25, sheet.height - 0.31, words)
         else:
             which = "nearest" if view.of_truth else "latent"
-            sheet.legend(0.25, sheet.height - 0.36, [(AXIS, f"{which} axis, pale where hidden")])
+            sheet.legend(0.25, sheet.height - 0.36, [(AXIS_COLOUR, f"{which} axis, pale where hidden")])
             sheet.text(2.9, sheet.height - 0.31, "contours: the frames above, in the colours of their borders")
         return sheet.figure
 
@@ -87,26 +108,28 @@ class Aligned(Kind):
 
         axis, T = view.result.axis, len(view.result.frames)
         if axis is None:
-            chosen = np.array(evenly(self.frames, T))
+            chosen = np.array(evenly_spaced_indices(self.frames, T))
         else:
             wanted = np.linspace(axis.angle.min(), axis.angle.max(), min(self.frames, T))
             nearest = np.array([int(np.argmin(np.abs(axis.angle - angle))) for angle in wanted])
             chosen = nearest[np.sort(np.unique(nearest, return_index=True)[1])]
-        ramp = LinearSegmentedColormap.from_list("angle", RAMP)
+        ramp = LinearSegmentedColormap.from_list("angle", ANGLE_COLOURS)
         return chosen, [to_hex(ramp(t)) for t in np.linspace(0.0, 1.0, len(chosen))]
 
     def _as_seen(self, sheet: Sheet, view: View, chosen: Int[ndarray, "n"], colours: Sequence[str]) -> None:
         """Draw the frames from the camera, each with its angle, framed in its colour."""
         axis = view.result.axis
-        crops = windows([view], chosen, sheet.pixels(SMALL))
+        crops = content_windows([view], chosen, sheet.pixels(ALIGNED_FRAME_INCHES))
         for k, (n, colour) in enumerate(zip(chosen, colours, strict=True)):
-            x = 0.25 + k * (SMALL + GAP)
-            tile = sheet.tile(x, HEAD + 0.28, SMALL)
-            rendered(tile, view, int(n), crops, k, from_side=False)
-            frame(tile, colour, 2.4)
+            x = 0.25 + k * (ALIGNED_FRAME_INCHES + ALIGNED_GAP_INCHES)
+            tile = sheet.tile(x, SHEET_TITLE_INCHES + 0.28, ALIGNED_FRAME_INCHES)
+            draw_rendered(tile, view, int(n), crops, k, from_side=False)
+            draw_border(tile, colour, 2.4)
             turned = 0.0 if axis is None else np.degrees(axis.angle[n] - axis.angle[chosen[0]])
             angle = "" if axis is None else f"{turned:+.1f}°  ·  " if k else "0°  ·  "
-            sheet.text(x, HEAD + 0.06, f"{angle}frame {view.result.frames[n]}", color=colour, fontweight="bold")
+            sheet.text(
+                x, SHEET_TITLE_INCHES + 0.06, f"{angle}frame {view.result.frames[n]}", color=colour, fontweight="bold"
+            )
 
     def _aligned(
         self,
@@ -135,43 +158,45 @@ class Aligned(Kind):
         )
         many = surfaces if fixed_hand else hands
         faces = clip.mesh.faces if fixed_hand else clip.hand.faces
-        eye = _eye(view, middle, np.concatenate([one[0], *many]), along, sheet.pixels(LARGE))
+        eye = _place_camera(view, middle, np.concatenate([one[0], *many]), along, sheet.pixels(ALIGNED_VIEW_INCHES))
         moved = [(se3.transform(eye.T_view_frame, vertices), faces) for vertices in many]
         still = (se3.transform(eye.T_view_frame, one[0]), one[1])
-        tile = sheet.tile(x, top, LARGE)
-        frame(tile)
-        whole = (HAND, OBJECT) if fixed_hand else (OBJECT, HAND)
-        show(tile, _overlay(still, moved, whole, np.array([to_rgb(colour) for colour in colours]), eye))
+        tile = sheet.tile(x, top, ALIGNED_VIEW_INCHES)
+        draw_border(tile)
+        whole = (HAND_RGB, OBJECT_RGB) if fixed_hand else (OBJECT_RGB, HAND_RGB)
+        show_picture(tile, _blend_surfaces(still, moved, whole, np.array([to_rgb(colour) for colour in colours]), eye))
         for surface, colour in zip(moved, colours, strict=True):
-            contour(tile, *surface, eye.K, eye.size, colour, halo=False)
+            draw_contour(tile, *surface, eye.K, eye.size, colour, halo=False)
         if result.axis is not None:
             line = se3.transform(eye.T_view_frame, axis_points(view))
             if along:
-                tile.plot(*project(eye.K, line[200:201]).T, "o", color=AXIS, markersize=6, markeredgecolor="white")
+                tile.plot(
+                    *project(eye.K, line[200:201]).T, "o", color=AXIS_COLOUR, markersize=6, markeredgecolor="white"
+                )
             else:
-                axis_line(tile, line, [still, *moved], eye.K, eye.size)
+                draw_axis_line(tile, line, [still, *moved], eye.K, eye.size)
 
 
-def _eye(view: View, middle: int, points: Float[ndarray, "n 3"], along: bool, size: int) -> Eye:
+def _place_camera(view: View, middle: int, points: Float[ndarray, "n 3"], along: bool, size: int) -> DistantCamera:
     """Look across or along the axis, as near to the camera's direction as that allows; up is the camera's."""
     R = view.clip.hand.T_cam_hand[middle, :3, :3].T  # camera to hand
     camera, up = -R[:, 2], -R[:, 1]
     axis = view.result.axis
     if axis is None:
-        return looking(points, R[:, 0] if along else camera, up, size)
+        return look_at(points, R[:, 0] if along else camera, up, size)
     a = axis.direction
     if along:
-        return looking(points, a if a @ camera >= 0.0 else -a, up, size)
+        return look_at(points, a if a @ camera >= 0.0 else -a, up, size)
     across = camera - (camera @ a) * a
-    return looking(points, across, up, size)
+    return look_at(points, across, up, size)
 
 
-def _overlay(
+def _blend_surfaces(
     still: Surface,
     moved: Sequence[Surface],
     whole: tuple[Colour, Colour],
     colours: Float[ndarray, "n 3"],
-    eye: Eye,
+    eye: DistantCamera,
 ) -> UInt8[ndarray, "size size 3"]:
     """One surface opaque, and over it those that move, blended: in their own colours where they do not agree.
 

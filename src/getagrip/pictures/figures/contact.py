@@ -10,34 +10,53 @@ import numpy as np
 
 from getagrip.metrics.contact import (
     ContactDefinition,
-    at_millimetres,
+    contact_definitions_at,
     contact_distances,
     pairwise_iou,
     stable_contact_area,
 )
 from getagrip.metrics.pose import ObjectTrack
-from getagrip.pictures.figures.kind import Count, Fail, Kind, Millimetres, evenly, summary, the_one
+from getagrip.pictures.figures.kind import (
+    Count,
+    Fail,
+    FigureKind,
+    Millimetres,
+    evenly_spaced_indices,
+    require_one_result,
+    summarise_view,
+)
 from getagrip.pictures.matrix import IOU_RAMP
-from getagrip.pictures.sheet import HEAD, Sheet, frame
+from getagrip.pictures.sheet import SHEET_TITLE_INCHES, Sheet, draw_border
 from getagrip.pictures.shown import View
 from getagrip.pictures.stored_results import StoredResult
-from getagrip.pictures.style import FAINT, LINE, TRUE
-from getagrip.pictures.tiles import rendered, show, windows
-from getagrip.pictures.touched import SHARE, Touched, touched
+from getagrip.pictures.style import LINE_COLOUR, MUTED_COLOUR, TRUTH_COLOUR
+from getagrip.pictures.tiles import content_windows, draw_rendered, show_picture
+from getagrip.pictures.touched import CONTACT_SHARE_COLOURS, ContactSurface, contact_surfaces
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure
 
-SMALL, LARGE, MATRIX, GAP, LEFT = 1.32, 1.66, 3.0, 0.06, 0.55
+CONTACT_FRAME_INCHES, CONTACT_SHARE_INCHES, IOU_MATRIX_INCHES, CONTACT_GAP_INCHES, CONTACT_MARGIN_INCHES = (
+    1.32,
+    1.66,
+    3.0,
+    0.06,
+    0.55,
+)
 """Sides of the tiles of frames, of the tiles of all frames and of the matrix; the gap between them; the margin [in]."""
-ROWS = ("on the object", "on the hand")
-ALL = ("object, where most contact is", "object, the other side", "hand, from one side", "hand, from the other")
+CONTACT_ROW_LABELS = ("on the object", "on the hand")
+CONTACT_VIEW_LABELS = (
+    "object, where most contact is",
+    "object, the other side",
+    "hand, from one side",
+    "hand, from the other",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contact(Kind):
+class Contact(FigureKind):
     """Contact areas of one result on the object and on the hand, frame by frame and as the share of all frames.
 
     Beside them is the contact IOU of every pair of frames, whose mean is the stable contact area. Of a clip they are
@@ -51,61 +70,77 @@ class Contact(Kind):
     """Largest distance [mm] from the other surface that counts as contact."""
 
     def draw(self, results: Sequence[StoredResult], fail: Fail) -> Figure:
-        (definition,) = at_millimetres([self.contact])
-        view = the_one(results, "contact")
-        surfaces = touched(view, definition.threshold)
-        chosen = evenly(self.frames, len(view.result.frames))
-        block = max(len(chosen) * (SMALL + GAP), 4 * (LARGE + GAP))
-        top = HEAD + 0.24
-        lower = top + 3 * (SMALL + GAP) + 0.42
-        sheet = Sheet.of(LEFT + block + 0.65 + MATRIX + 0.75, lower + LARGE + 0.2, self.dpi)
-        sheet.title(view.clip.name, f"{summary(view)}  ·  contact: within {definition.distance}")
-        _frames(sheet, top, view, chosen, surfaces)
-        _all_frames(sheet, lower, surfaces)
-        _matrix(sheet, LEFT + block + 0.65, top, view, definition)
-        _shares_bar(sheet, LEFT + block + 0.65, lower)
+        (definition,) = contact_definitions_at([self.contact])
+        view = require_one_result(results, "contact")
+        surfaces = contact_surfaces(view, definition.threshold)
+        chosen = evenly_spaced_indices(self.frames, len(view.result.frames))
+        block = max(
+            len(chosen) * (CONTACT_FRAME_INCHES + CONTACT_GAP_INCHES), 4 * (CONTACT_SHARE_INCHES + CONTACT_GAP_INCHES)
+        )
+        top = SHEET_TITLE_INCHES + 0.24
+        lower = top + 3 * (CONTACT_FRAME_INCHES + CONTACT_GAP_INCHES) + 0.42
+        sheet = Sheet.of(
+            CONTACT_MARGIN_INCHES + block + 0.65 + IOU_MATRIX_INCHES + 0.75,
+            lower + CONTACT_SHARE_INCHES + 0.2,
+            self.dpi,
+        )
+        sheet.title(view.clip.name, f"{summarise_view(view)}  ·  contact: within {definition.distance}")
+        _draw_contact_frames(sheet, top, view, chosen, surfaces)
+        _draw_contact_shares(sheet, lower, surfaces)
+        _draw_iou_matrix(sheet, CONTACT_MARGIN_INCHES + block + 0.65, top, view, definition)
+        _draw_shares_legend(sheet, CONTACT_MARGIN_INCHES + block + 0.65, lower)
         return sheet.figure
 
 
-def _frames(sheet: Sheet, top: float, view: View, chosen: Sequence[int], surfaces: tuple[Touched, Touched]) -> None:
+def _draw_contact_frames(
+    sheet: Sheet, top: float, view: View, chosen: Sequence[int], surfaces: tuple[ContactSurface, ContactSurface]
+) -> None:
     """Draw some frames: the result from the camera, and the contact."""
-    crops = windows([view], np.array(chosen), sheet.pixels(SMALL))
+    crops = content_windows([view], np.array(chosen), sheet.pixels(CONTACT_FRAME_INCHES))
     for k, n in enumerate(chosen):
-        x = LEFT + k * (SMALL + GAP)
-        sheet.text(x + SMALL / 2, top - 0.19, f"frame {view.result.frames[n]}", color=FAINT, ha="center")
-        rendered(sheet.tile(x, top, SMALL), view, n, crops, k, from_side=False)
+        x = CONTACT_MARGIN_INCHES + k * (CONTACT_FRAME_INCHES + CONTACT_GAP_INCHES)
+        sheet.text(
+            x + CONTACT_FRAME_INCHES / 2, top - 0.19, f"frame {view.result.frames[n]}", color=MUTED_COLOUR, ha="center"
+        )
+        draw_rendered(sheet.tile(x, top, CONTACT_FRAME_INCHES), view, n, crops, k, from_side=False)
         for r, surface in enumerate(surfaces):
-            show(sheet.tile(x, top + (r + 1) * (SMALL + GAP), SMALL), surface.at_frame(n, 0, sheet.pixels(SMALL)))
-    for r, words in enumerate(("truth" if view.of_truth else "result", *ROWS)):
-        y = top + r * (SMALL + GAP) + SMALL / 2
-        sheet.text(LEFT - 0.17, y, words, rotation=90, ha="center", va="center", color=TRUE)
+            show_picture(
+                sheet.tile(x, top + (r + 1) * (CONTACT_FRAME_INCHES + CONTACT_GAP_INCHES), CONTACT_FRAME_INCHES),
+                surface.at_frame(n, 0, sheet.pixels(CONTACT_FRAME_INCHES)),
+            )
+    for r, words in enumerate(("truth" if view.of_truth else "result", *CONTACT_ROW_LABELS)):
+        y = top + r * (CONTACT_FRAME_INCHES + CONTACT_GAP_INCHES) + CONTACT_FRAME_INCHES / 2
+        sheet.text(CONTACT_MARGIN_INCHES - 0.17, y, words, rotation=90, ha="center", va="center", color=TRUTH_COLOUR)
 
 
-def _all_frames(sheet: Sheet, top: float, surfaces: tuple[Touched, Touched]) -> None:
+def _draw_contact_shares(sheet: Sheet, top: float, surfaces: tuple[ContactSurface, ContactSurface]) -> None:
     """Shares of all frames in contact, on each surface from two sides."""
-    for k, words in enumerate(ALL):
-        x = LEFT + k * (LARGE + GAP)
-        sheet.text(x, top - 0.2, words, color=TRUE, fontsize=8)
-        show(sheet.tile(x, top, LARGE), surfaces[k // 2].over_all(k % 2, sheet.pixels(LARGE)))
+    for k, words in enumerate(CONTACT_VIEW_LABELS):
+        x = CONTACT_MARGIN_INCHES + k * (CONTACT_SHARE_INCHES + CONTACT_GAP_INCHES)
+        sheet.text(x, top - 0.2, words, color=TRUTH_COLOUR, fontsize=8)
+        show_picture(
+            sheet.tile(x, top, CONTACT_SHARE_INCHES),
+            surfaces[k // 2].over_all(k % 2, sheet.pixels(CONTACT_SHARE_INCHES)),
+        )
 
 
-def _shares_bar(sheet: Sheet, x: float, top: float) -> None:
+def _draw_shares_legend(sheet: Sheet, x: float, top: float) -> None:
     """Draw the legend of the surfaces' colours."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap
 
-    ramp = ScalarMappable(cmap=LinearSegmentedColormap.from_list("share", SHARE))
+    ramp = ScalarMappable(cmap=LinearSegmentedColormap.from_list("share", CONTACT_SHARE_COLOURS))
     ramp.set_clim(0.0, 100.0)
-    bar = sheet.axes(x, top, MATRIX, 0.11)
-    sheet.text(x, top - 0.2, "share of all frames in contact", color=TRUE)
-    _bar(sheet, ramp, bar, "horizontal", [0, 50, 100], ["0 %", "50 %", "100 %"])
+    bar = sheet.axes(x, top, IOU_MATRIX_INCHES, 0.11)
+    sheet.text(x, top - 0.2, "share of all frames in contact", color=TRUTH_COLOUR)
+    _draw_colour_bar(sheet, ramp, bar, "horizontal", [0, 50, 100], ["0 %", "50 %", "100 %"])
     first, _, last = bar.get_xticklabels()
     first.set_horizontalalignment("left")
     last.set_horizontalalignment("right")
-    sheet.text(x, top + 0.5, "in single frames: red in contact, grey not", color=FAINT)
+    sheet.text(x, top + 0.5, "in single frames: red in contact, grey not", color=MUTED_COLOUR)
 
 
-def _matrix(sheet: Sheet, x: float, top: float, view: View, definition: ContactDefinition) -> None:
+def _draw_iou_matrix(sheet: Sheet, x: float, top: float, view: View, definition: ContactDefinition) -> None:
     """Draw the contact IOU of all pairs of frames, by the definition of the stable contact area."""
     from matplotlib.colors import LinearSegmentedColormap
 
@@ -115,24 +150,31 @@ def _matrix(sheet: Sheet, x: float, top: float, view: View, definition: ContactD
         clip.mesh, [track], clip.hand.vertices, clip.hand.faces, definition.threshold + 1e-3
     )
     iou = pairwise_iou(distances.contact(definition.side, definition.threshold))
-    axes = sheet.axes(x, top, MATRIX, MATRIX)
+    axes = sheet.axes(x, top, IOU_MATRIX_INCHES, IOU_MATRIX_INCHES)
     colours = LinearSegmentedColormap.from_list("contact", IOU_RAMP)
     drawn = axes.imshow(iou, extent=(0, T, T, 0), vmin=0.0, vmax=1.0, cmap=colours, interpolation="nearest")
     axes.set_xlabel(f"frame of the {'clip' if view.of_truth else 'result'}, counted from 0")
     axes.tick_params(length=2)
-    frame(axes)
-    sheet.text(x, top - 0.19, "contact IOU of every pair of frames", color=TRUE)
-    _bar(sheet, drawn, sheet.axes(x + MATRIX + 0.12, top, 0.11, MATRIX), "vertical", [0, 0.5, 1], ["0", "0.5", "1"])
+    draw_border(axes)
+    sheet.text(x, top - 0.19, "contact IOU of every pair of frames", color=TRUTH_COLOUR)
+    _draw_colour_bar(
+        sheet,
+        drawn,
+        sheet.axes(x + IOU_MATRIX_INCHES + 0.12, top, 0.11, IOU_MATRIX_INCHES),
+        "vertical",
+        [0, 0.5, 1],
+        ["0", "0.5", "1"],
+    )
     if T > 1:
         words = f"stable contact area (SCA) {100.0 * stable_contact_area(iou):.1f} %:\nthe mean of the pairs"
-        sheet.text(x, top + MATRIX + 0.5, words, fontsize=9.5, linespacing=1.4)
-    sheet.text(x, top + MATRIX + 0.92, definition.description, color=FAINT)
+        sheet.text(x, top + IOU_MATRIX_INCHES + 0.5, words, fontsize=9.5, linespacing=1.4)
+    sheet.text(x, top + IOU_MATRIX_INCHES + 0.92, definition.description, color=MUTED_COLOUR)
 
 
-def _bar(
+def _draw_colour_bar(
     sheet: Sheet, drawn: ScalarMappable, axes: Axes, way: str, ticks: Sequence[float], labels: Sequence[str]
 ) -> None:
     bar = sheet.figure.colorbar(drawn, cax=axes, orientation=way)
-    bar.outline.set_edgecolor(LINE)
+    bar.outline.set_edgecolor(LINE_COLOUR)
     bar.set_ticks(ticks, labels=labels)
     axes.tick_params(length=2)

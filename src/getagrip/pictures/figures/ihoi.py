@@ -14,10 +14,10 @@ from getagrip.errors import UsageError
 from getagrip.evaluation.meshes import evaluate_meshes, read_meshes
 from getagrip.evaluation.metric import IOU, SCA
 from getagrip.fitting.methods import label_of
-from getagrip.io.terminal import counted
+from getagrip.io.terminal import format_count
 from getagrip.metrics.contact import ContactDefinition
-from getagrip.pictures.figures.kind import Fail, about, readable
-from getagrip.pictures.figures.rows import Row, Rows, draw_rows, numbers
+from getagrip.pictures.figures.kind import Fail, describe_view, read_readable_results
+from getagrip.pictures.figures.rows import FigureRow, RowsFigure, draw_rows, row_metrics
 from getagrip.pictures.shown import View
 from getagrip.pictures.stored_results import StoredResult, at_common_frames
 from getagrip.result import Reconstruction
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ihoi(Rows):
+class Ihoi(RowsFigure):
     """Our result, and under it the meshes that systems without a CAD model, as iHOI, reconstructed for each frame.
 
     Frames of which every system has a mesh are drawn, if any; else frames spread evenly over the clip. SCA is that of
@@ -50,18 +50,18 @@ class Ihoi(Rows):
 
     def draw(self, results: Sequence[StoredResult], fail: Fail) -> Figure:
         contact = ContactDefinition("hand", self.contact / 1e3)
-        views = at_common_frames(readable(results, fail))
-        rows = [Row(label_of(view.result.method), numbers(view, contact)[:2], view) for view in views]
+        views = at_common_frames(read_readable_results(results, fail))
+        rows = [FigureRow(label_of(view.result.method), row_metrics(view, contact)[:2], view) for view in views]
         for text in self.meshes:
             name, _, folder = text.partition("=")
             rows.append(self._row(name, Path(folder), views[0], contact, fail))
-        under = "  ·  ".join([*about(views[0]), f"SCA: {contact.description}"])
+        under = "  ·  ".join([*describe_view(views[0]), f"SCA: {contact.description}"])
         meshes = zip(*(row.view.frame_meshes for row in rows if row.view.frame_meshes is not None), strict=True)
         everywhere = np.array([None not in of_frame for of_frame in meshes])
         among = np.flatnonzero(everywhere) if everywhere.any() else None
         return draw_rows(rows, views[0].clip.name, under, self.frames, self.dpi, with_hand=False, among=among)
 
-    def _row(self, name: str, folder: Path, ours: View, contact: ContactDefinition, fail: Fail) -> Row:
+    def _row(self, name: str, folder: Path, ours: View, contact: ContactDefinition, fail: Fail) -> FigureRow:
         """Make the row of a folder of meshes, in the frames of our result."""
         clip = ours.clip
         found, errors = read_meshes(folder, clip, self.mesh_frame)
@@ -73,4 +73,4 @@ class Ihoi(Rows):
         missing = sum(mesh is None for mesh in found)
         nothing = Reconstruction.external(clip.name, name, clip.frames, np.tile(np.eye(4), (len(clip), 1, 1)))
         view = replace(ours, result=nothing, frame_meshes=tuple(found))
-        return Row(name, texts + [f"{counted(missing, 'frame')} without"] * (missing > 0), view)
+        return FigureRow(name, texts + [f"{format_count(missing, 'frame')} without"] * (missing > 0), view)

@@ -21,23 +21,33 @@ from getagrip.errors import InputError, UsageError
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, IOU, SCA
 from getagrip.fitting.methods import label_of
-from getagrip.metrics.contact import ContactDefinition, at_millimetres
-from getagrip.pictures.figures.kind import Count, Fail, Kind, Millimetres, about, evenly, readable, summary, warnings
-from getagrip.pictures.sheet import HEAD, Sheet
+from getagrip.metrics.contact import ContactDefinition, contact_definitions_at
+from getagrip.pictures.figures.kind import (
+    Count,
+    Fail,
+    FigureKind,
+    Millimetres,
+    describe_findings,
+    describe_view,
+    evenly_spaced_indices,
+    read_readable_results,
+    summarise_view,
+)
+from getagrip.pictures.sheet import SHEET_TITLE_INCHES, Sheet
 from getagrip.pictures.shown import View
-from getagrip.pictures.stored_results import StoredResult, at_common_frames, distinct
-from getagrip.pictures.style import AXIS, FAINT, FOUND, HAND_LINE, TRUE
-from getagrip.pictures.tiles import input_windows, over_image, rendered
+from getagrip.pictures.stored_results import StoredResult, at_common_frames, distinct_path_parts
+from getagrip.pictures.style import AXIS_COLOUR, HAND_LINE_COLOUR, MUTED_COLOUR, RESULT_COLOUR, TRUTH_COLOUR
+from getagrip.pictures.tiles import draw_over_image, draw_rendered, input_windows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SIDE, GAP, LABEL = 1.55, 0.06, 1.75
+ROW_TILE_INCHES, ROW_GAP_INCHES, ROW_LABEL_INCHES = 1.55, 0.06, 1.75
 """Sizes of a tile, between tiles, and of the words beside a row [in]."""
 
 
 @dataclass(frozen=True)
-class Row:
+class FigureRow:
     """A result, its label, and numbers about it."""
 
     name: str
@@ -46,7 +56,7 @@ class Row:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rows(Kind):
+class RowsFigure(FigureKind):
     """Results of one clip under one another."""
 
     frames: Count = 3
@@ -56,29 +66,29 @@ class Rows(Kind):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Methods(Rows):
+class Methods(RowsFigure):
     """Results of several methods for one clip: frames over the image and from the side; IOU, SCA and ADD."""
 
     truth: bool = True
     """Draw the ground truth as the last row, where it is known."""
 
     def draw(self, results: Sequence[StoredResult], fail: Fail) -> Figure:
-        (contact,) = at_millimetres([self.contact])
-        read = readable(results, fail)
+        (contact,) = contact_definitions_at([self.contact])
+        read = read_readable_results(results, fail)
         views = at_common_frames(read)
-        _check_inputs(read)
+        _check_equal_inputs(read)
         labels = [label_of(view.result.method) for view in views]
-        folders = distinct([value for value, _ in read])
+        folders = distinct_path_parts([value for value, _ in read])
         names = [f"{a}\n{b}" if Counter(labels)[a] > 1 else a for a, b in zip(labels, folders, strict=True)]
-        rows = [Row(name, numbers(view, contact), view) for name, view in zip(names, views, strict=True)]
+        rows = [FigureRow(name, row_metrics(view, contact), view) for name, view in zip(names, views, strict=True)]
         if self.truth and (true := views[0].true()) is not None:
-            rows.append(Row("ground truth", numbers(true, contact)[:2], true))
-        under = "  ·  ".join([*about(views[0]), f"SCA: {contact.description}"])
+            rows.append(FigureRow("ground truth", row_metrics(true, contact)[:2], true))
+        under = "  ·  ".join([*describe_view(views[0]), f"SCA: {contact.description}"])
         return draw_rows(rows, views[0].clip.name, under, self.frames, self.dpi, with_hand=False)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hands(Rows):
+class Hands(RowsFigure):
     """Results for one clip with the hands of several estimators: the input hand and the object that was found with it.
 
     Results of bench --hands, or each with its own clip folder, with the same clip's name and frames but other hands.
@@ -86,19 +96,19 @@ class Hands(Rows):
     """
 
     def draw(self, results: Sequence[StoredResult], fail: Fail) -> Figure:
-        (contact,) = at_millimetres([self.contact])
-        read = readable(results, fail)
+        (contact,) = contact_definitions_at([self.contact])
+        read = read_readable_results(results, fail)
         views = at_common_frames(read)
         methods = {view.result.method for view in views}
         if len(methods) > 1:
             raise UsageError(f"RESULT must be of one method (got {' and '.join(sorted(methods))}); see methods")
-        names = [name.rpartition("+hands-")[2] for name in distinct([value for value, _ in read])]
-        rows = [Row(name, numbers(view, contact), view) for name, view in zip(names, views, strict=True)]
-        under = "  ·  ".join([summary(views[0]), f"SCA: {contact.description}"])
+        names = [name.rpartition("+hands-")[2] for name in distinct_path_parts([value for value, _ in read])]
+        rows = [FigureRow(name, row_metrics(view, contact), view) for name, view in zip(names, views, strict=True)]
+        under = "  ·  ".join([summarise_view(views[0]), f"SCA: {contact.description}"])
         return draw_rows(rows, views[0].clip.name, under, self.frames, self.dpi, with_hand=True)
 
 
-def _check_inputs(read: Sequence[tuple[StoredResult, View]]) -> None:
+def _check_equal_inputs(read: Sequence[tuple[StoredResult, View]]) -> None:
     """Refuse results that were made with different hands, masks or meshes."""
     first, clip = read[0][0], read[0][1].clip
     for value, view in read[1:]:
@@ -107,7 +117,7 @@ def _check_inputs(read: Sequence[tuple[StoredResult, View]]) -> None:
             raise InputError(value.folder, "", f"a result of other hands or masks, in {view.clip.origin}", expected)
 
 
-def numbers(view: View, contact: ContactDefinition) -> list[str]:
+def row_metrics(view: View, contact: ContactDefinition) -> list[str]:
     """Crop IOU and stable contact area; where ground truth is known, ADD, also up to symmetries; how many findings."""
     shown = {"crop IOU": IOU, "SCA": SCA, "ADD": ADD_MM, "ADD sym.": ADD_SYM_MM}
     known = evaluate(view.result, view.clip, view.masks, [contact], tuple(shown.values())).metrics
@@ -115,11 +125,11 @@ def numbers(view: View, contact: ContactDefinition) -> list[str]:
     for name, metric in shown.items():
         if (key := metric.key(contact)) in known:
             texts.append(f"{name} {metric.text(known[key])} {metric.unit}")
-    return texts + warnings(view)
+    return texts + describe_findings(view)
 
 
 def draw_rows(
-    rows: Sequence[Row],
+    rows: Sequence[FigureRow],
     title: str,
     under: str,
     frames: int,
@@ -133,37 +143,39 @@ def draw_rows(
     contour where wanted.
     """
     among = np.arange(len(rows[0].view.result.frames)) if among is None else among
-    chosen = among[evenly(frames, len(among))]
-    width = LABEL + 2 * len(chosen) * (SIDE + GAP) + 0.25 + 0.1
-    top = HEAD + 0.45
-    sheet = Sheet.of(max(width, 7.0), top + len(rows) * (SIDE + GAP) + 0.45, dpi)
+    chosen = among[evenly_spaced_indices(frames, len(among))]
+    width = ROW_LABEL_INCHES + 2 * len(chosen) * (ROW_TILE_INCHES + ROW_GAP_INCHES) + 0.25 + 0.1
+    top = SHEET_TITLE_INCHES + 0.45
+    sheet = Sheet.of(max(width, 7.0), top + len(rows) * (ROW_TILE_INCHES + ROW_GAP_INCHES) + 0.45, dpi)
     sheet.title(title, under)
-    turned = LABEL + len(chosen) * (SIDE + GAP) + 0.25
-    _headings(sheet, rows[0].view, chosen, turned)
-    crops = input_windows([row.view for row in rows], chosen, sheet.pixels(SIDE))
+    turned = ROW_LABEL_INCHES + len(chosen) * (ROW_TILE_INCHES + ROW_GAP_INCHES) + 0.25
+    _draw_row_headings(sheet, rows[0].view, chosen, turned)
+    crops = input_windows([row.view for row in rows], chosen, sheet.pixels(ROW_TILE_INCHES))
     for r, row in enumerate(rows):
-        y = top + r * (SIDE + GAP)
+        y = top + r * (ROW_TILE_INCHES + ROW_GAP_INCHES)
         words = [part for line in row.name.splitlines() for part in wrap(line, 16)][:3]
         sheet.text(0.25, y + 0.08, "\n".join(words), fontsize=10, fontweight="bold", linespacing=1.2)
         sheet.text(0.25, y + 0.16 + 0.17 * len(words), "\n".join(row.numbers), linespacing=1.5)
         for k, n in enumerate(chosen):
-            step = k * (SIDE + GAP)
-            over_image(sheet.tile(LABEL + step, y, SIDE), row.view, int(n), crops, k, with_hand)
-            rendered(sheet.tile(turned + step, y, SIDE), row.view, int(n), crops, k, from_side=True)
-    lines = [(FOUND, "contour of the posed object")] + [(HAND_LINE, "of the hand")] * with_hand
+            step = k * (ROW_TILE_INCHES + ROW_GAP_INCHES)
+            draw_over_image(
+                sheet.tile(ROW_LABEL_INCHES + step, y, ROW_TILE_INCHES), row.view, int(n), crops, k, with_hand
+            )
+            draw_rendered(sheet.tile(turned + step, y, ROW_TILE_INCHES), row.view, int(n), crops, k, from_side=True)
+    lines = [(RESULT_COLOUR, "contour of the posed object")] + [(HAND_LINE_COLOUR, "of the hand")] * with_hand
     if any(row.view.result.axis is not None for row in rows):
-        lines.append((AXIS, "latent axis, pale where hidden"))
+        lines.append((AXIS_COLOUR, "latent axis, pale where hidden"))
     sheet.legend(0.25, sheet.height - 0.36, lines)
     return sheet.figure
 
 
-def _headings(sheet: Sheet, view: View, chosen: Int[ndarray, "n"], turned: float) -> None:
+def _draw_row_headings(sheet: Sheet, view: View, chosen: Int[ndarray, "n"], turned: float) -> None:
     for x, words in (
-        (LABEL, "over the masks" if view.image_file(0) is None else "over the image"),
+        (ROW_LABEL_INCHES, "over the masks" if view.image_file(0) is None else "over the image"),
         (turned, "from the side"),
     ):
-        sheet.text(x, HEAD + 0.02, words, color=TRUE, fontsize=9.5)
+        sheet.text(x, SHEET_TITLE_INCHES + 0.02, words, color=TRUTH_COLOUR, fontsize=9.5)
         for k, n in enumerate(chosen):
             sheet.text(
-                x + k * (SIDE + GAP) + SIDE / 2, HEAD + 0.25, view.result.frames[n], color=FAINT, ha="center"
+                x + k * (ROW_TILE_INCHES + ROW_GAP_INCHES) + ROW_TILE_INCHES / 2, SHEET_TITLE_INCHES + 0.25, view.result.frames[n], color=MUTED_COLOUR, ha="center"
             )  # fmt: skip
